@@ -17,7 +17,8 @@ import numpy as np
 
 import rtcal as rt
 from rtcal.acoustics.observables import observable
-from rtcal.loop.predicted_positions import PositionsPrediction, predict_positions
+from rtcal.loop.positions_prediction import PositionsPrediction
+from rtcal.loop.predicted_positions import predict_positions
 from rtcal.prediction import Cover, Variant
 from rtcal.simulators import PathTracing, Polyhedron
 from rtcal.simulators.observations import observe

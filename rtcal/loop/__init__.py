@@ -8,7 +8,10 @@ if TYPE_CHECKING:
     from rtcal.loop.calibrate import calibrate_simulator as calibrate_simulator
     from rtcal.loop.control_runs import ControlRuns as ControlRuns
     from rtcal.loop.positions import calibrate_positions as calibrate_positions
+    from rtcal.loop.positions_prediction import PositionsPrediction as PositionsPrediction
+    from rtcal.loop.positions_prediction import PositionsPredictions as PositionsPredictions
     from rtcal.loop.positions_result import PositionsResult as PositionsResult
+    from rtcal.loop.predicted_positions import predict_positions as predict_positions
     from rtcal.loop.result import LoopResult as LoopResult
     from rtcal.loop.rules import Rule as Rule
     from rtcal.loop.state import Loop as Loop

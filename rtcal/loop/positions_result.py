@@ -22,7 +22,8 @@ from rtcal.calibration.result import CalibrationResult
 from rtcal.loop.beside import Beside, left, sentences
 from rtcal.loop.control_runs import ControlRuns
 from rtcal.loop.measured_pairs import MeasuredPairs, Pair, with_reference
-from rtcal.loop.predicted_positions import WANTED, PositionsPrediction, predict_positions
+from rtcal.loop.positions_prediction import PositionsPrediction
+from rtcal.loop.predicted_positions import WANTED, predict_positions
 from rtcal.loop.scattering import Scattering
 from rtcal.prediction.assumptions import Assumptions
 from rtcal.simulators.base import Simulator

@@ -1,4 +1,4 @@
-"""What every position hears after a change, by a simulator that was calibrated to every position.
+"""A calibrated simulator predicts what every position hears after a change.
 
 With alpha the coefficients, f what the simulator hears before the change and h after it, e and e' its
 errors in the two states, r those of the measurement,
@@ -16,7 +16,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,16 +24,21 @@ from scipy.special import ndtri
 
 from rtcal.acoustics import bands
 from rtcal.acoustics.change_files import Variant
-from rtcal.acoustics.changes import Change
-from rtcal.acoustics.observables import MATCH, TARGET, observable
-from rtcal.acoustics.parameters import parameter_label
+from rtcal.acoustics.observables import MATCH, TARGET
 from rtcal.acoustics.room import Room
 from rtcal.acoustics.scene import POSITION
 from rtcal.errors import DataError
 from rtcal.loop.changed_room import ChangedRoom
 from rtcal.loop.control_runs import ControlRuns, Heard, level, simulated_controls
-from rtcal.loop.scattering import MaterialScattering, errors_by_scattering, material_scattering
-from rtcal.loop.simulator_error import noise_of_a_run
+from rtcal.loop.measured_pairs import MeasuredPairs
+from rtcal.loop.positions_prediction import PositionsPrediction, PositionsPredictions
+from rtcal.loop.scattering import (
+    MaterialScattering,
+    Scattering,
+    errors_by_scattering,
+    material_scattering,
+)
+from rtcal.loop.simulator_error import GROUPS, groups_of_paths, noise_of_a_run
 from rtcal.prediction.assumptions import Assumptions
 from rtcal.prediction.compared import refuse_repeated_names
 from rtcal.prediction.predicted import LEVEL
@@ -41,15 +46,8 @@ from rtcal.prediction.words import ALPHA, MEASUREMENT, STAYS
 from rtcal.simulators.base import Simulator
 from rtcal.simulators.observations import jacobian, observe
 from rtcal.simulators.path_tracing import PathTracing
-from rtcal.support import text
-from rtcal.support.files import json_numbers
 from rtcal.support.progress import Progress
-from rtcal.support.results import Result
-from rtcal.support.text import shortened
 from rtcal.support.types import Array
-
-if TYPE_CHECKING:
-    from rtcal.loop.positions_result import PositionsResult
 
 WANTED = (*MATCH, "d50", "sti")
 """What is predicted where nothing else is asked for."""
@@ -66,192 +64,64 @@ _BENT = 0.1
 interval is that of samples."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class PositionsPrediction(Result):
-    """What every position hears after a change; `PositionsResult.predict` makes it.
+class CalibratedAtPositions(Protocol):
+    """A calibration to every position, as far as a prediction takes it: a `PositionsResult`."""
 
-    Rows are the pairs in their order, and then their mean.
+    @property
+    def prior(self) -> Room:
+        """The room as it was given."""
 
-    Attributes
-    ----------
-    name : str
-    changes : tuple of Change
-    before : Room
-        With the prior's coefficients.
-    simulator : str
-    parameters : tuple of str (n_parameters,)
-        Keys of `rtcal.acoustics.observables`.
-    pairs : tuple of (source, receiver) (n_pairs,)
-    heard_before : array (n_parameters, n_pairs + 1, n_bands)
-        Before the change, predicted in the same way; as observed: times are logarithms.
-    middle, sigma : array (n_parameters, n_pairs + 1, n_bands)
-        Mean and standard deviation after the change, as observed.
-    low, high : array (n_parameters, n_pairs + 1, n_bands)
-        Ends of the 90 % interval, as observed.
-    sampled : array of bool (n_parameters, n_pairs + 1, n_bands)
-        Where the interval is that of samples, since the simulator departs from its linear model.
-    shares : mapping of str to array (n_parameters, n_bands)
-        Of the variance of the mean over the pairs, by what it comes from.
-    """
+    @property
+    def room(self) -> Room:
+        """The room with the calibrated coefficients."""
 
-    record_kind: ClassVar[str] = "prediction at positions 1"
+    @property
+    def alpha(self) -> Array:
+        """The calibrated coefficients, (n_materials, n_bands)."""
 
-    name: str
-    changes: tuple[Change, ...]
-    before: Room
-    simulator: str
-    parameters: tuple[str, ...]
-    pairs: tuple[tuple[str, str], ...]
-    heard_before: Array
-    middle: Array
-    sigma: Array
-    low: Array
-    high: Array
-    sampled: NDArray[np.bool_]
-    shares: dict[str, Array]
+    @property
+    def prior_covariance(self) -> Array:
+        """The covariance of the prior, (n_materials * n_bands,) squared."""
 
-    def mean(self, parameter: str) -> Array:
-        """Return the mean over the pairs in its unit, (n_bands,); of times the geometric one."""
-        return np.asarray(self.at_pairs(parameter)[-1])
+    @property
+    def parameters(self) -> tuple[str, ...]:
+        """The parameters that were matched."""
 
-    def interval(self, parameter: str) -> tuple[Array, Array]:
-        """Return the ends of the 90 % interval of the mean over the pairs, each (n_bands,)."""
-        low, high = self.interval_at_pairs(parameter)
-        return low[-1], high[-1]
+    @property
+    def pairs(self) -> tuple[tuple[str, str], ...]:
+        """The pairs that were matched."""
 
-    def at_pairs(self, parameter: str) -> Array:
-        """Return each pair's value in its unit and then the mean, (n_pairs + 1, n_bands)."""
-        return np.asarray(observable(parameter).natural(self.middle[self._row(parameter)]))
+    @property
+    def measured(self) -> MeasuredPairs:
+        """The measured values there, and their covariance."""
 
-    def interval_at_pairs(self, parameter: str) -> tuple[Array, Array]:
-        """Return the ends of the 90 % intervals, each (n_pairs + 1, n_bands)."""
-        row, of = self._row(parameter), observable(parameter)
-        return of.natural(self.low[row]), of.natural(self.high[row])
+    @property
+    def simulator(self) -> str:
+        """The name of the calibrated simulator."""
 
-    def change(self, parameter: str) -> Array:
-        """Return the effect on each pair and on the mean in JND, (n_pairs + 1, n_bands)."""
-        return self._in_jnd(parameter, self.middle - self.heard_before)
+    @property
+    def weighed(self) -> Simulator:
+        """The calibrated simulator, with as many paths as are weighed."""
 
-    def half_width(self, parameter: str) -> Array:
-        """Return half of the 90 % interval in JND, (n_pairs + 1, n_bands)."""
-        return self._in_jnd(parameter, (self.high - self.low) / 2)
+    @property
+    def seed(self) -> int:
+        """The seed of all its simulations."""
 
-    def _in_jnd(self, parameter: str, observed: Array) -> Array:
-        of, row, values = (
-            observable(parameter),
-            observed[self._row(parameter)],
-            self.at_pairs(parameter),
-        )
-        one = np.asarray(of.jnd_of(values))
-        return np.asarray(row / (np.log1p(one / values) if of.logarithmic else one))
+    @property
+    def scattering(self) -> Scattering | None:
+        """The scattering that was fitted; None where the one stated was kept."""
 
-    def _row(self, parameter: str) -> int:
-        if parameter not in self.parameters:
-            raise DataError(f'parameter = "{parameter}" is not one of {", ".join(self.parameters)}')
-        return self.parameters.index(parameter)
+    @property
+    def controls(self) -> ControlRuns | None:
+        """The control runs; None where no error is known."""
 
-    def parts(self, parameter: str) -> dict[str, Array]:
-        """Return shares of the variance of the mean over the pairs, (n_bands,), the largest first."""
-        row = self._row(parameter)
-        found = {name: share[row] for name, share in self.shares.items()}
-        return dict(sorted(found.items(), key=lambda each: -float(each[1].mean())))
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return everything as plain numbers, lists and text."""
-        return {
-            "room": self.before.name,
-            "name": self.name,
-            "changes": [str(change) for change in self.changes],
-            "simulator": self.simulator,
-            "centre_frequencies": json_numbers(self.before.centre_frequencies),
-            "pairs": [list(pair) for pair in self.pairs],
-            "parameters": {
-                p: {
-                    "unit": observable(p).unit,
-                    "before": json_numbers(observable(p).natural(self.heard_before[i])),
-                    "after": json_numbers(self.at_pairs(p)),
-                    "interval_90": [json_numbers(end) for end in self.interval_at_pairs(p)],
-                    "change_jnd": json_numbers(self.change(p)),
-                    "half_width_jnd": json_numbers(self.half_width(p)),
-                    "sampled": self.sampled[i].tolist(),
-                    "parts": {name: json_numbers(v) for name, v in self.parts(p).items()},
-                }
-                for i, p in enumerate(self.parameters)
-            },
-        }
-
-    def __repr__(self) -> str:
-        first = self.parameters[0]
-        return (
-            f'<PositionsPrediction "{shortened(self.name)}" of "{shortened(self.before.name)}": '
-            f"{len(self.pairs)} pairs, {parameter_label(first)} {self.change(first)[-1].mean():+.1f} "
-            f"JND, ± {np.median(self.half_width(first)[-1]):.1f} JND>"
-        )
-
-    def __str__(self) -> str:
-        labels = [bands.label(f) for f in self.before.centre_frequencies]
-        rows = []
-        for i, p in enumerate(self.parameters):
-            of, (low, high) = observable(p), self.interval(p)
-            unit = f" / {of.unit}" if of.unit else ""
-            before = of.natural(self.heard_before[i, -1])
-            for name, values in (
-                ("before", before),
-                ("after", self.mean(p)),
-                ("90 %: from", low),
-                ("to", high),
-            ):
-                rows.append(
-                    (
-                        f"{of.label} {name}{unit}",
-                        [text.number(v, f".{of.decimals}f") for v in values],
-                    )
-                )
-        shares = self.parts(self.parameters[0])
-        made_of = [
-            (n, [text.number(100 * v, ".0f") for v in of_part]) for n, of_part in shares.items()
-        ]
-        return "\n".join(
-            [
-                *text.wrapped(f"{self.before.name}: {self.name}"),
-                *text.wrapped(f"Mean over {len(self.pairs)} pairs, by {self.simulator}"),
-                "",
-                *text.table(rows, header=("", labels)),
-                "",
-                f"what the interval of {parameter_label(self.parameters[0])} is made of / % of the "
-                "variance",
-                *text.table(made_of, header=("", labels)),
-            ]
-        )
-
-
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class PositionsPredictions(Result):
-    """Predictions of several variants at every position.
-
-    Attributes
-    ----------
-    predictions : tuple of PositionsPrediction
-        One per variant.
-    """
-
-    record_kind: ClassVar[str] = "predictions at positions 1"
-
-    predictions: tuple[PositionsPrediction, ...]
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return each variant's `PositionsPrediction.to_dict`."""
-        return {"variants": [prediction.to_dict() for prediction in self.predictions]}
-
-    def __str__(self) -> str:
-        return "\n\n\n".join(map(str, self.predictions))
-
-    def __repr__(self) -> str:
-        return f"<PositionsPredictions: {', '.join(p.name for p in self.predictions)}>"
+    @property
+    def error_scale(self) -> float:
+        """Factor of the simulator's variance."""
 
 
 def predict_positions(
-    result: PositionsResult,
+    result: CalibratedAtPositions,
     variants: Sequence[Variant],
     *,
     wanted: Sequence[str] = WANTED,
@@ -263,7 +133,7 @@ def predict_positions(
 
     Parameters
     ----------
-    result : PositionsResult
+    result : CalibratedAtPositions
     variants : sequence of Variant
         Covers, openings and another climate.
     wanted : sequence of str
@@ -281,6 +151,29 @@ def predict_positions(
     DataError
         For a change that the simulator does not know the place of, two variants of one name, or a
         simulator whose error no control run tells.
+
+    Examples
+    --------
+    >>> import rtcal as rt
+    >>> from rtcal.prediction import Cover, Open
+    >>> room = rt.Room(name="box", volume=60, materials=["plaster"], areas=[94], alpha=[[0.2]],
+    ...                sigma=[[0.04]], centre_frequencies=[1000], air=rt.Air(20, 50),
+    ...                scattering=[[0.5]])
+    >>> tracer = rt.simulators.PathTracing(
+    ...     room=room, geometry=rt.simulators.Polyhedron.shoebox((4, 5, 3), "plaster"),
+    ...     sources={"S1": (1, 1, 1.5)}, receivers={"R1": (3, 4, 1.2), "R2": (2.8, 1.3, 1.3)},
+    ...     n_paths=400)
+    >>> measured = tracer.simulate([[0.18]], seed=1)
+    >>> result = rt.calibrate_positions(tracer, room, measured, ("t20", "c80"), more_paths=1)
+    >>> panel = rt.Material("panel", [0.8], [0.1])
+    >>> after = predict_positions(
+    ...     result, [Variant("panels", (Cover("plaster", panel, 15),)),
+    ...              Variant("window", (Open("plaster", 2),))], wanted=("t20", "c80"))
+    >>> for prediction in after.predictions:
+    ...     low, high = prediction.interval("t20")
+    ...     print(prediction.name, bool((low < high).all()), bool((prediction.change("c80") > 0).all()))
+    panels True True
+    window True True
     """
     refuse_repeated_names(variants)
     assumed = Assumptions.of(result.prior) if assumptions is None else assumptions
@@ -338,9 +231,9 @@ def _names(match: Sequence[str], variant: int) -> tuple[str, ...]:
 
 @dataclass(frozen=True, eq=False)
 class _Known:
-    """What was measured before the change, against the calibrated simulator."""
+    """The measurement before the change, against the calibrated simulator."""
 
-    result: PositionsResult
+    result: CalibratedAtPositions
     simulator: Simulator
     pairs: tuple[tuple[str, str], ...]
 
@@ -363,7 +256,7 @@ class _Known:
 
     @cached_property
     def innovation(self) -> Array:
-        """What was measured less what the simulator hears with the prior, linearly, (n_used,)."""
+        """The measured values less those heard with the prior, linearly, (n_used,)."""
         result = self.result
         heard = observe(self.simulator, result.alpha, result.parameters, seed=result.seed).values
         measured = result.measured.observations.values
@@ -373,13 +266,13 @@ class _Known:
     def error(
         self, of: Simulator, alpha: Array, match: Sequence[str]
     ) -> tuple[Array, Array | None]:
-        """Return a control run's noise, and the derivatives by the scattering of each material.
+        """Return the noise of groups of paths, and the derivatives by each material's scattering.
 
-        (n_parameters, n_bands), and (n, n_materials), None where the scattering stated was kept.
+        (n_groups, p, i, k), and (n, n_materials), None where the scattering stated was kept.
         """
         result = self.result
-        shape = (len(match), result.prior.n_bands)
-        noise = noise_of_a_run(of, alpha, match, result.seed, shape)
+        shape = (len(match), len(self.pairs), result.prior.n_bands)
+        noise = groups_of_paths(of, alpha, match, result.seed, shape)
         if result.scattering is None or not isinstance(of, PathTracing):
             return noise, None
         random = replace(of, scattering_model="random")
@@ -403,7 +296,7 @@ class _Changed:
     number: int
 
     @property
-    def result(self) -> PositionsResult:
+    def result(self) -> CalibratedAtPositions:
         return self.known.result
 
     @cached_property
@@ -445,22 +338,29 @@ class _Changed:
 
     @cached_property
     def errors(self) -> Array:
-        """Covariance of the simulator's errors before and after, of all values, (n, n)."""
+        """Covariance of the simulator's errors before and after, of all values, (n, n).
+
+        What control runs tell, what the materials' scattering does, and the noise of the paths that
+        are weighed: all control runs have the same, so they do not tell it.
+        """
         result, tracer = self.result, self.known.simulator
         names = (*result.parameters, *_names(self.match, self.number))
         controls = self.controls.at(names, self.controls.pairs)
         walls = self.room.mixture @ self.alpha
         states = (self.known.own_error, self.known.error(self.after, walls, self.match))
-        noise = np.vstack([of_run for of_run, _ in states])
+        off = np.concatenate([groups for groups, _ in states], axis=1)
+        noise = noise_of_a_run(tracer, off)
+        own = replace(controls, errors=off / np.sqrt(GROUPS - 1), levels=None, models=())
         slopes = [slope for _, slope in states if slope is not None]
         told = errors_by_scattering(controls, noise) if slopes else None
         if told is None or not isinstance(tracer, PathTracing):
-            return controls.without_noise(noise).covariance()
+            return controls.without_noise(noise).covariance() + own.covariance()
         of_materials = MaterialScattering(
             slope=np.vstack(slopes), traced=np.zeros(slopes[0].shape[1])
         )
         at = level(tracer.scattering, tracer.room.areas)
-        return told.covariance(at, tracer.scattering_model) + of_materials.covariance
+        of_runs = told.covariance(at, tracer.scattering_model)
+        return of_runs + of_materials.covariance + own.covariance()
 
     def predicted(self, variant: Variant) -> PositionsPrediction:
         """Return the prediction, whose ``heard_before`` is its own middle."""

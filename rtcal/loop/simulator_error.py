@@ -90,20 +90,35 @@ def _materials(listener: Listener, tracer: PathTracing, traced: Array) -> Materi
 
 
 def _noise(listener: Listener) -> Array:
-    parameters = listener.data.observations.parameters
-    shape = (len(parameters), listener.heard.values.shape[-1])
-    return noise_of_a_run(listener.simulator, listener.alpha, parameters, listener.seed, shape)
+    simulator, parameters = listener.simulator, listener.data.observations.parameters
+    shape = (len(parameters), *listener.heard.values.shape[1:])
+    off = groups_of_paths(simulator, listener.alpha, parameters, listener.seed, shape)
+    return noise_of_a_run(simulator, off)
 
 
-def noise_of_a_run(
-    simulator: Simulator, alpha: Array, parameters: Sequence[str], seed: int, shape: tuple[int, int]
+def groups_of_paths(
+    simulator: Simulator,
+    alpha: Array,
+    parameters: Sequence[str],
+    seed: int,
+    shape: tuple[int, int, int],
 ) -> Array:
-    """Return the variance of a control run's values by its finite paths, (n_parameters, n_bands).
+    """Return what groups of the paths hear less their mean, (n_groups, p, i, k): their noise.
 
-    It is 0 but for a `PathTracing`; ``shape`` is that of the array.
+    It is 0 but for a `PathTracing`; ``shape`` is (n_parameters, n_pairs, n_bands).
     """
     if not isinstance(simulator, PathTracing):
-        return np.zeros(shape)
+        return np.zeros((GROUPS, *shape))
     groups = simulator.observe_in_groups(alpha, GROUPS, parameters, seed=seed)
-    of_group = groups.var(axis=0, ddof=1).mean(axis=1)
+    return np.asarray(groups - groups.mean(axis=0))
+
+
+def noise_of_a_run(simulator: Simulator, off: Array) -> Array:
+    """Return the variance of a control run's values by its finite paths, (n_parameters, n_bands).
+
+    ``off`` (n_groups, p, i, k) are the simulator's `groups_of_paths`.
+    """
+    of_group = (off**2).sum(axis=0).mean(axis=1) / (GROUPS - 1)
+    if not isinstance(simulator, PathTracing):
+        return np.asarray(of_group)
     return np.asarray(of_group * simulator.n_paths / GROUPS / paths_of_a_run(simulator))

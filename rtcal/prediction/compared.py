@@ -67,27 +67,32 @@ class Predictions(Result):
         """Return a table of the variants' T, and of cost and probability where they are known."""
         if len(self.predictions) == 1 and self.target is None:
             return []
-        record = self.to_dict()
-        target = record.get("target")
         labels = [bands.label(f) for f in self.predictions[0].after.centre_frequencies]
         rows = [(p.name, [f"{t:.2f}" for t in p.mean]) for p in self.predictions]
         lines = ["side by side: T / s", *text.table(rows, header=("", labels))]
-        if target is None and all(cost is None for cost in self.costs):
+        columns = {"cost": ["-" if c is None else f"{c:.0f}" for c in self.costs]}
+        if self.target is not None:
+            lines += ["", *text.wrapped(f"Target: {self.target.source}")]
+            least, together = zip(*self.chances(), strict=True)
+            columns["least band"] = [f"{p:.2f}" for p in least]
+            columns["all bands"] = [f"{p:.2f}" for p in together]
+        elif all(cost is None for cost in self.costs):
             return ["\n".join(lines)]
-        header, columns = ["cost"], [["-" if c is None else f"{c:.0f}" for c in self.costs]]
-        if target is not None:
-            header += ["least probability", "all bands"]
-            bounded = np.asarray(self.target.bounded) if self.target is not None else []
-            columns += [
-                [f"{np.array(p)[bounded].min():.2f}" for p in target["probability"]],
-                [f"{p:.2f}" for p in target["probability_together"]],
-            ]
-            lines += ["", *text.wrapped(f"Target: {target['source']}")]
-        each = [
-            (p.name, list(row))
-            for p, row in zip(self.predictions, zip(*columns, strict=True), strict=True)
+        each = [(p.name, [c[i] for c in columns.values()]) for i, p in enumerate(self.predictions)]
+        return ["\n".join([*lines, *text.table(each, header=("", list(columns)))])]
+
+    def chances(self) -> list[tuple[float, float]]:
+        """Return of each variant the least probability of a band of the target, and that of all.
+
+        Empty without a target.
+        """
+        if self.target is None:
+            return []
+        ends, bounded = (self.target.low, self.target.high), np.asarray(self.target.bounded)
+        return [
+            (float(p.probability(*ends)[bounded].min()), p.probability_together(*ends))
+            for p in self.predictions
         ]
-        return ["\n".join([*lines, *text.table(each, header=("", header))])]
 
     def __repr__(self) -> str:
         return f"<Predictions: {', '.join(p.name for p in self.predictions)}>"

@@ -17,8 +17,8 @@ from rtcal.calibration.result import CalibrationResult
 from rtcal.errors import DataError
 from rtcal.finder import states
 from rtcal.loop import beside
+from rtcal.loop.positions_prediction import PositionsPrediction, PositionsPredictions
 from rtcal.loop.positions_result import PositionsResult
-from rtcal.loop.predicted_positions import PositionsPrediction, PositionsPredictions
 from rtcal.loop.result import LoopResult
 from rtcal.loop.state import Loop
 from rtcal.prediction.compared import Predictions

@@ -10,7 +10,7 @@ import numpy as np
 
 from rtcal.acoustics.observables import observable
 from rtcal.acoustics.parameters import parameter_label
-from rtcal.loop.predicted_positions import PositionsPrediction, PositionsPredictions
+from rtcal.loop.positions_prediction import PositionsPrediction, PositionsPredictions
 from rtcal.prediction.compared import Predictions
 from rtcal.prediction.designed import Design
 from rtcal.prediction.predicted import Prediction
@@ -40,7 +40,9 @@ def page(
         variants = result.predictions if isinstance(result, Predictions) else (result,)
     first = variants[0]
     frequencies = first.after.centre_frequencies
-    aim = result.target if isinstance(result, Predictions) else found and found.model.target
+    aim = result.target if isinstance(result, Predictions) else None
+    if found is not None:
+        aim = found.model.target
     target = None if aim is None else (aim.low, aim.high)
     drawn = prediction_figures.times(
         frequencies,
@@ -164,17 +166,19 @@ def _compared(result: Prediction | Predictions | Design) -> dict[str, Any] | Non
         return {"header": header, "rows": rows, "title": "Cost by probability, side by side"}
     if isinstance(result, Prediction):
         return None
-    target = result.to_dict().get("target")
-    if target is None and all(cost is None for cost in result.costs):
+    chances = result.chances()
+    if not chances and all(cost is None for cost in result.costs):
         return None
-    rows = []
-    for i, (made, cost) in enumerate(zip(result.predictions, result.costs, strict=True)):
-        row = [made.name, "–" if cost is None else f"{cost:.0f}"]
-        if target is not None and result.target is not None:
-            each = np.array(target["probability"][i])[np.asarray(result.target.bounded)]
-            row += [f"{each.min():.2f}", f"{target['probability_together'][i]:.2f}"]
-        rows.append(row)
-    header = ["Variant", "Cost", *(["Least band", "All bands"] if target is not None else [])]
+    rows = [
+        [made.name, "–" if cost is None else f"{cost:.0f}"]
+        for made, cost in zip(result.predictions, result.costs, strict=True)
+    ]
+    header = ["Variant", "Cost"]
+    if chances:
+        header += ["Least band", "All bands"]
+        rows = [
+            [*row, *(f"{p:.2f}" for p in each)] for row, each in zip(rows, chances, strict=True)
+        ]
     return {"header": header, "rows": rows, "title": "Cost and probability of the target"}
 
 

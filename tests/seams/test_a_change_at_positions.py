@@ -12,12 +12,8 @@ import rtcal as rt
 from rtcal.acoustics.change_files import Variant
 from rtcal.command.main import cli
 from rtcal.errors import DataError
-from rtcal.loop.predicted_positions import (
-    COMMON,
-    OWN,
-    PositionsPredictions,
-    predict_positions,
-)
+from rtcal.loop import PositionsPredictions, predict_positions
+from rtcal.loop.predicted_positions import COMMON, OWN
 from rtcal.prediction import Add, Climate, Cover, Open
 from rtcal.report import page
 from rtcal.simulators import PathTracing, Polyhedron

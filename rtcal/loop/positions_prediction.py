@@ -1,0 +1,223 @@
+"""The prediction of what every position hears: intervals, and what these are made of."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rtcal.acoustics import bands
+from rtcal.acoustics.changes import Change
+from rtcal.acoustics.observables import observable
+from rtcal.acoustics.parameters import parameter_label
+from rtcal.acoustics.room import Room
+from rtcal.errors import DataError
+from rtcal.support import text
+from rtcal.support.files import json_numbers
+from rtcal.support.results import Result
+from rtcal.support.text import shortened
+from rtcal.support.types import Array
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class PositionsPrediction(Result):
+    """A prediction at every position after a change; `PositionsResult.predict` makes it.
+
+    Rows are the pairs in their order, and then their mean.
+
+    Attributes
+    ----------
+    name : str
+    changes : tuple of Change
+    before : Room
+        With the prior's coefficients.
+    simulator : str
+    parameters : tuple of str (n_parameters,)
+        Keys of `rtcal.acoustics.observables`.
+    pairs : tuple of (source, receiver) (n_pairs,)
+    heard_before : array (n_parameters, n_pairs + 1, n_bands)
+        Before the change, predicted in the same way; as observed: times are logarithms.
+    middle, sigma : array (n_parameters, n_pairs + 1, n_bands)
+        Mean and standard deviation after the change, as observed.
+    low, high : array (n_parameters, n_pairs + 1, n_bands)
+        Ends of the 90 % interval, as observed.
+    sampled : array of bool (n_parameters, n_pairs + 1, n_bands)
+        Where the interval is that of samples, since the simulator departs from its linear model.
+    shares : mapping of str to array (n_parameters, n_bands)
+        Of the variance of the mean over the pairs, by what it comes from.
+
+    Examples
+    --------
+    >>> from rtcal.prediction import Open
+    >>> room = Room(name="box", volume=60, materials=["plaster"], areas=[94], alpha=[[0.2]],
+    ...             sigma=[[0.04]], centre_frequencies=[1000])
+    >>> t = np.log([[[0.5], [0.5]]])  # one pair and the mean
+    >>> found = PositionsPrediction(
+    ...     name="window", changes=(Open("plaster", 2.0),), before=room, simulator="a simulator",
+    ...     parameters=("t20",), pairs=(("S1", "R1"),), heard_before=t + 0.1, middle=t,
+    ...     sigma=0 * t + 0.05, low=t - 0.08, high=t + 0.08, sampled=t > 1, shares={})
+    >>> found.mean("t20"), found.change("t20")[-1].round(2)
+    (array([0.5]), array([-2.05]))
+    """
+
+    record_kind: ClassVar[str] = "prediction at positions 1"
+
+    name: str
+    changes: tuple[Change, ...]
+    before: Room
+    simulator: str
+    parameters: tuple[str, ...]
+    pairs: tuple[tuple[str, str], ...]
+    heard_before: Array
+    middle: Array
+    sigma: Array
+    low: Array
+    high: Array
+    sampled: NDArray[np.bool_]
+    shares: dict[str, Array]
+
+    def mean(self, parameter: str) -> Array:
+        """Return the mean over the pairs in its unit, (n_bands,); of times the geometric one."""
+        return np.asarray(self.at_pairs(parameter)[-1])
+
+    def interval(self, parameter: str) -> tuple[Array, Array]:
+        """Return the ends of the 90 % interval of the mean over the pairs, each (n_bands,)."""
+        low, high = self.interval_at_pairs(parameter)
+        return low[-1], high[-1]
+
+    def at_pairs(self, parameter: str) -> Array:
+        """Return each pair's value in its unit and then the mean, (n_pairs + 1, n_bands)."""
+        return np.asarray(observable(parameter).natural(self.middle[self._row(parameter)]))
+
+    def interval_at_pairs(self, parameter: str) -> tuple[Array, Array]:
+        """Return the ends of the 90 % intervals, each (n_pairs + 1, n_bands)."""
+        row, of = self._row(parameter), observable(parameter)
+        return of.natural(self.low[row]), of.natural(self.high[row])
+
+    def change(self, parameter: str) -> Array:
+        """Return the effect on each pair and on the mean in JND, (n_pairs + 1, n_bands)."""
+        return self._in_jnd(parameter, self.middle - self.heard_before)
+
+    def half_width(self, parameter: str) -> Array:
+        """Return half of the 90 % interval in JND, (n_pairs + 1, n_bands)."""
+        return self._in_jnd(parameter, (self.high - self.low) / 2)
+
+    def _in_jnd(self, parameter: str, observed: Array) -> Array:
+        of, row, values = (
+            observable(parameter),
+            observed[self._row(parameter)],
+            self.at_pairs(parameter),
+        )
+        one = np.asarray(of.jnd_of(values))
+        return np.asarray(row / (np.log1p(one / values) if of.logarithmic else one))
+
+    def _row(self, parameter: str) -> int:
+        if parameter not in self.parameters:
+            raise DataError(f'parameter = "{parameter}" is not one of {", ".join(self.parameters)}')
+        return self.parameters.index(parameter)
+
+    def parts(self, parameter: str) -> dict[str, Array]:
+        """Return shares of the variance of the mean over the pairs, (n_bands,), the largest first."""
+        row = self._row(parameter)
+        found = {name: share[row] for name, share in self.shares.items()}
+        return dict(sorted(found.items(), key=lambda each: -float(each[1].mean())))
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return everything as plain numbers, lists and text."""
+        return {
+            "room": self.before.name,
+            "name": self.name,
+            "changes": [str(change) for change in self.changes],
+            "simulator": self.simulator,
+            "centre_frequencies": json_numbers(self.before.centre_frequencies),
+            "pairs": [list(pair) for pair in self.pairs],
+            "parameters": {
+                p: {
+                    "unit": observable(p).unit,
+                    "before": json_numbers(observable(p).natural(self.heard_before[i])),
+                    "after": json_numbers(self.at_pairs(p)),
+                    "interval_90": [json_numbers(end) for end in self.interval_at_pairs(p)],
+                    "change_jnd": json_numbers(self.change(p)),
+                    "half_width_jnd": json_numbers(self.half_width(p)),
+                    "sampled": self.sampled[i].tolist(),
+                    "parts": {name: json_numbers(v) for name, v in self.parts(p).items()},
+                }
+                for i, p in enumerate(self.parameters)
+            },
+        }
+
+    def __repr__(self) -> str:
+        first = self.parameters[0]
+        return (
+            f'<PositionsPrediction "{shortened(self.name)}" of "{shortened(self.before.name)}": '
+            f"{len(self.pairs)} pairs, {parameter_label(first)} {self.change(first)[-1].mean():+.1f} "
+            f"JND, ± {np.median(self.half_width(first)[-1]):.1f} JND>"
+        )
+
+    def __str__(self) -> str:
+        labels = [bands.label(f) for f in self.before.centre_frequencies]
+        rows = []
+        for i, p in enumerate(self.parameters):
+            of, (low, high) = observable(p), self.interval(p)
+            unit = f" / {of.unit}" if of.unit else ""
+            before = of.natural(self.heard_before[i, -1])
+            for name, values in (
+                ("before", before),
+                ("after", self.mean(p)),
+                ("90 %: from", low),
+                ("to", high),
+            ):
+                rows.append(
+                    (
+                        f"{of.label} {name}{unit}",
+                        [text.number(v, f".{of.decimals}f") for v in values],
+                    )
+                )
+        shares = self.parts(self.parameters[0])
+        made_of = [
+            (n, [text.number(100 * v, ".0f") for v in of_part]) for n, of_part in shares.items()
+        ]
+        return "\n".join(
+            [
+                *text.wrapped(f"{self.before.name}: {self.name}"),
+                *text.wrapped(f"Mean over {len(self.pairs)} pairs, by {self.simulator}"),
+                "",
+                *text.table(rows, header=("", labels)),
+                "",
+                f"what the interval of {parameter_label(self.parameters[0])} is made of / % of the "
+                "variance",
+                *text.table(made_of, header=("", labels)),
+            ]
+        )
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class PositionsPredictions(Result):
+    """Predictions of several variants at every position.
+
+    Attributes
+    ----------
+    predictions : tuple of PositionsPrediction
+        One per variant.
+
+    Examples
+    --------
+    >>> PositionsPredictions(predictions=())
+    <PositionsPredictions: >
+    """
+
+    record_kind: ClassVar[str] = "predictions at positions 1"
+
+    predictions: tuple[PositionsPrediction, ...]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return each variant's `PositionsPrediction.to_dict`."""
+        return {"variants": [prediction.to_dict() for prediction in self.predictions]}
+
+    def __str__(self) -> str:
+        return "\n\n\n".join(map(str, self.predictions))
+
+    def __repr__(self) -> str:
+        return f"<PositionsPredictions: {', '.join(p.name for p in self.predictions)}>"
