@@ -97,7 +97,7 @@ def test_one_overlay_on_another() -> None:
 def test_a_free_panel_reflects_on_both_sides() -> None:
     done = mend.mended(drawn(PANEL))
     assert done.geometry.areas["panel"] == pytest.approx(8, rel=1e-3)
-    assert done.geometry.volume == pytest.approx(V - 4 * mend.THICKNESS, rel=1e-6)
+    assert done.geometry.volume == pytest.approx(V - 4 * mend.panels.THICKNESS, rel=1e-6)
     room = rt.Room(
         name="panel",
         volume=done.geometry.volume,
@@ -196,7 +196,7 @@ def test_defective_meshes_are_right_or_refused_for_the_right_defect() -> None:
 
 def test_a_defect_that_is_not_mended_would_be_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
     """The judge of the benchmark must see a wrong area: here overlays that keep their wall's."""
-    monkeypatch.setattr(mend._Mender, "_overlaid", lambda *_: None)
+    monkeypatch.setattr(mend.objects, "overlaid_on", lambda *_: None)
     outcomes = {defective_meshes.judged(seed)[0] for seed in range(3000, 3040)}
     assert "silent" in outcomes or "refused wrong" in outcomes
 

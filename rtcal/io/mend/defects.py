@@ -1,0 +1,99 @@
+"""Defects of a mesh, the error of one that is refused, and the room of one that is mended."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from rtcal.errors import DataError
+from rtcal.simulators.geometry import Polyhedron
+from rtcal.support.types import Array
+
+
+@dataclass(frozen=True)
+class Defect:
+    """A kind of defect, and what was done.
+
+    Parameters
+    ----------
+    kind : str
+        "joint", "sliver", "twice", "bent", "hole", "overlay", "open bottom", "panel", "turned",
+        "outside".
+    number : int
+    area : float
+        Of the faces concerned, in m².
+    volume_effect, area_effect : float
+        Change of V in m³ and of S in m² by mending.
+    volume_uncertainty : float
+        Standard uncertainty of V in m³ that remains.
+    places : sequence of str
+        Names or corners of the first few.
+    done : str
+        What was done, in words.
+    """
+
+    kind: str
+    number: int
+    area: float
+    volume_effect: float
+    area_effect: float
+    volume_uncertainty: float
+    places: tuple[str, ...]
+    done: str
+
+    def __str__(self) -> str:
+        """Return the defect as one line."""
+        parts = [f"{self.number} {self.done}"]
+        if self.area:
+            parts.append(f"{self.area:.3g} m²")
+        for symbol, effect, unit in (
+            ("V", self.volume_effect, "m³"),
+            ("S", self.area_effect, "m²"),
+        ):
+            if effect:
+                parts.append(f"{symbol} {effect:+.3g} {unit}")
+        if self.volume_uncertainty:
+            parts.append(f"u(V) {self.volume_uncertainty:.2g} m³")
+        more = ", ..." if self.number > len(self.places) else ""
+        at = f" ({', '.join(self.places)}{more})" if self.places else ""
+        return f"{self.kind}: {', '.join(parts)}{at}"
+
+
+class MeshError(DataError):
+    """A mesh that is refused; ``defects`` are those found until then, ``edges`` where it is open."""
+
+    defects: tuple[Defect, ...] = ()
+    edges: Array = np.zeros((0, 2, 3))
+
+
+@dataclass(frozen=True)
+class Mended:
+    """A closed room, and what was mended.
+
+    Parameters
+    ----------
+    geometry : Polyhedron
+    defects : sequence of Defect
+    notes : sequence of str
+        What the reader of the file did: units, axes.
+    """
+
+    geometry: Polyhedron
+    defects: tuple[Defect, ...]
+    notes: tuple[str, ...] = ()
+
+    @property
+    def volume_uncertainty(self) -> float:
+        """Standard uncertainty of V in m³ by mending, the root of the sum of squares."""
+        return float(np.sqrt(sum(d.volume_uncertainty**2 for d in self.defects)))
+
+    def __str__(self) -> str:
+        """Return V, S, the areas of the materials, and each defect."""
+        total = float(np.sum(self.geometry.face_areas))
+        u = f" ± {self.volume_uncertainty:.2g}" if self.volume_uncertainty else ""
+        n = len(self.geometry.faces)
+        head = f"V = {self.geometry.volume:.6g}{u} m³, S = {total:.6g} m², {n} faces"
+        rows = [f"{area:10.3f} m²  {name}" for name, area in self.geometry.areas.items()]
+        found = [f"  {defect}" for defect in self.defects] or ["  none"]
+        return "\n".join([head, *rows, "defects:", *found])

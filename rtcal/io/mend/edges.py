@@ -1,0 +1,127 @@
+"""Edges, the faces at them, and the loops that they form."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from rtcal.io.mend.faces import Edge, Face, Work
+from rtcal.io.mend.mending import Mending
+
+MOST_OPEN = 5000
+"""Largest number of open edges whose loops are sought."""
+
+
+def owners(mend: Mending, faces: Sequence[Face]) -> dict[Edge, list[int]]:
+    """Return the faces at each piece of an edge, which every corner on it divides."""
+    used = sorted({v for face in faces for v in face})
+    tree = cKDTree(mend.points[used])
+    pieces: dict[Edge, list[int]] = {}
+    divided: dict[Edge, list[int]] = {}
+    for i, face in enumerate(faces):
+        for a, b in edges_of(face):
+            low, high = min(a, b), max(a, b)
+            if (low, high) not in divided:
+                divided[low, high] = _divided(mend, low, high, used, tree)
+            for edge in pairwise(divided[low, high]):
+                pieces.setdefault((min(edge), max(edge)), []).append(i)
+    return pieces
+
+
+def _divided(mend: Mending, a: int, b: int, used: Sequence[int], tree: Any) -> list[int]:
+    start, along = mend.points[a], mend.points[b] - mend.points[a]
+    length = float(np.linalg.norm(along))
+    if length < 1e-9:
+        return [a, b]
+    between = []
+    for k in tree.query_ball_point(start + along / 2, length / 2):
+        v = used[k]
+        position = float((mend.points[v] - start) @ along) / length
+        away = np.linalg.norm(mend.points[v] - start - along * position / length)
+        if v not in (a, b) and away < 1e-4 and 1e-4 < position < length - 1e-4:
+            between.append((position, v))
+    return [a, *(v for _, v in sorted(between)), b]
+
+
+def open_edges(mend: Mending, work: Work) -> dict[Edge, int]:
+    """Return the pieces of edges at which one face, or an odd number, meets; with one of them."""
+    return {e: s[0] for e, s in owners(mend, work.faces).items() if len(s) % 2}
+
+
+def edges_of(face: Sequence[int]) -> Iterable[Edge]:
+    """Return the edges of a face, each from the corner before."""
+    return ((face[k - 1], face[k]) for k in range(len(face)))
+
+
+def sorted_edge(a: int, b: int) -> Edge:
+    """Return an edge with its lower corner first."""
+    return (min(a, b), max(a, b))
+
+
+def simplified(face: Face) -> Face:
+    """Return a face without repeated corners and without spikes a, b, a."""
+    changed = True
+    while changed and len(face) > 2:
+        changed = False
+        for k in range(len(face)):
+            if face[k] == face[k - 1] or face[k - 1] == face[(k + 1) % len(face)]:
+                del face[k]
+                changed = True
+                break
+    return face
+
+
+def one_loop(
+    faces: Sequence[Face], owners: Mapping[Edge, Sequence[int]], members: set[int]
+) -> Face | None:
+    """Return the boundary of joined faces, if it is one loop that meets each corner once."""
+    boundary = {
+        sorted_edge(a, b): 0
+        for face in faces
+        for a, b in edges_of(face)
+        if sum(i in members for i in owners[sorted_edge(a, b)]) == 1
+    }
+    loops = loops_of(boundary)
+    return loops[0] if loops is not None and len(loops) == 1 else None
+
+
+def loops_of(edges: Mapping[Edge, int]) -> list[Face] | None:
+    """Return the loops of some edges, where several meet the shortest; None if one is open."""
+    neighbours: dict[int, set[int]] = {}
+    for a, b in edges:
+        neighbours.setdefault(a, set()).add(b)
+        neighbours.setdefault(b, set()).add(a)
+    if any(len(n) % 2 for n in neighbours.values()) or len(edges) > MOST_OPEN:
+        return None
+    loops = []
+    for first in sorted(neighbours):
+        while neighbours[first]:
+            loop = min(
+                (_shortest(neighbours, first, n) for n in sorted(neighbours[first])), key=len
+            )
+            for a, b in zip(loop, [*loop[1:], loop[0]], strict=True):
+                neighbours[a].discard(b)
+                neighbours[b].discard(a)
+            loops.append(loop)
+    return loops
+
+
+def _shortest(neighbours: Mapping[int, set[int]], first: int, second: int) -> Face:
+    """Return the shortest loop that begins with an edge; every corner has an even number of edges."""
+    before = {second: first}
+    queue = [second]
+    for here in queue:  # the list grows during the loop
+        for there in sorted(neighbours[here]):
+            if there == first and here != second:
+                loop = [first, here]
+                while loop[-1] != second:
+                    loop.append(before[loop[-1]])
+                return loop
+            if there not in before and there != first:
+                before[there] = here
+                queue.append(there)
+    raise AssertionError("an edge of an even graph is in a loop")  # pragma: no cover

@@ -1,0 +1,117 @@
+"""Joints: corners that lie near each other, or near an edge, become one."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from rtcal.errors import DataError
+from rtcal.io.mend.edges import edges_of, simplified
+from rtcal.io.mend.faces import SAME, Work
+from rtcal.io.mend.mending import Mending
+from rtcal.io.mend.shapes import area_of
+from rtcal.io.mend.slivers import cleaned
+from rtcal.support.types import Array
+
+
+def welded(mend: Mending) -> Work:
+    """Return the faces with corners within ``weld`` of each other as one."""
+    drawn = np.concatenate([np.asarray(p, dtype=float) for p in mend.drawn.polygons])
+    if not np.isfinite(drawn).all():
+        raise DataError(f"{mend.path}: a corner is not finite")
+    tree = cKDTree(drawn)
+    index = np.full(len(drawn), -1)
+    groups: list[list[int]] = []
+    for i in range(len(drawn)):
+        if index[i] < 0:
+            near = [k for k in tree.query_ball_point(drawn[i], mend.weld) if index[k] < 0]
+            index[near] = len(groups)
+            groups.append(near)
+    mend.points = np.array([drawn[g].mean(axis=0) for g in groups])
+    shifts = np.linalg.norm(mend.points[index] - drawn, axis=1)
+    moved = [k for k, g in enumerate(groups) if shifts[g].max() > 1e-4]
+    work, first, spread = Work(), 0, 0.0
+    for polygon, material, name in zip(
+        mend.drawn.polygons, mend.drawn.materials, mend.drawn.names, strict=True
+    ):
+        corners = slice(first, first + len(polygon))
+        first += len(polygon)
+        spread += (area_of(np.asarray(polygon)) * float(shifts[corners].mean())) ** 2
+        work.add(map(int, index[corners]), material, name)
+    if moved:
+        mend.found(
+            "joint",
+            f"corners that lay up to {2 * shifts.max() * 1000:.2g} mm apart are joined",
+            [mend.place(k) for k in moved],
+            uncertainty=float(np.sqrt(spread)),
+        )
+    return cleaned(mend, work)
+
+
+def snapped(mend: Mending, work: Work) -> Work:
+    """Return the faces with corners that are near an edge moved onto it."""
+    moved: dict[int, float] = {}
+    for _ in range(4):
+        shift = _snap_once(mend, work)
+        for corner, distance in shift.items():
+            moved[corner] = max(moved.get(corner, 0.0), distance)
+        if not shift:
+            break
+    if moved:
+        size = sum(
+            (area_of(mend.points[f]) * np.mean([moved.get(v, 0.0) for v in f])) ** 2
+            for f in work.faces
+        )
+        mend.found(
+            "joint",
+            f"corners up to {max(moved.values()) * 1000:.2g} mm beside an edge are moved onto it",
+            [mend.place(v) for v in moved],
+            uncertainty=float(np.sqrt(size)),
+        )
+    return cleaned(mend, work)
+
+
+def _snap_once(mend: Mending, work: Work) -> dict[int, float]:
+    tree = cKDTree(mend.points)
+    best: dict[int, tuple[float, Array]] = {}
+    for a, b in {(min(e), max(e)) for face in work.faces for e in edges_of(face)}:
+        start, along = mend.points[a], mend.points[b] - mend.points[a]
+        length = float(np.linalg.norm(along))
+        near = tree.query_ball_point(start + along / 2, length / 2 + mend.weld)
+        for v in near:
+            if v in (a, b):
+                continue
+            position = float((mend.points[v] - start) @ along) / length
+            foot = start + along * position / length
+            distance = float(np.linalg.norm(mend.points[v] - foot))
+            if (
+                SAME < distance <= mend.weld
+                and mend.weld < position < length - mend.weld
+                and distance < best.get(v, (np.inf,))[0]
+            ):
+                best[v] = distance, foot
+    for v, (_, foot) in best.items():
+        mend.points[v] = foot
+    return {v: distance for v, (distance, _) in best.items()}
+
+
+def rewelded(mend: Mending, work: Work) -> Work:
+    """Return the faces with the corners that cutting has made on older ones that are near."""
+    used = sorted({v for face in work.faces for v in face})
+    tree = cKDTree(mend.points[used])
+    index: dict[int, int] = {}
+    for k, v in enumerate(used):
+        near = min(tree.query_ball_point(mend.points[v], mend.weld / 2))
+        index[v] = index.get(used[near], used[near]) if near < k else v
+    faces = [simplified([index[v] for v in face]) for face in work.faces]
+    return Work(faces, work.materials, work.names).kept(
+        [len(f) > 2 and area_of(mend.points[f]) > SAME for f in faces]
+    )
+
+
+def resnapped(mend: Mending, work: Work) -> Work:
+    """Return the faces with corners near an edge on it, without a word: cutting made them."""
+    for _ in range(4):
+        if not _snap_once(mend, work):
+            break
+    return work
