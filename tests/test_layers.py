@@ -49,6 +49,7 @@ ONE_DOOR = (
     "trimesh",
     "collada",
     "shapely",
+    "ifcopenshell",
     "skfem",
 )
 

@@ -299,7 +299,6 @@ def test_dxf(tmp_path: Path, kind: str) -> None:
     ("name", "content", "rule"),
     [
         ("a.skp", b"", r"SketchUp's own format; export COLLADA"),
-        ("a.ifc", b"", "a building model; export glTF or OBJ"),
         ("a.xyz", b"", r'"\.xyz" is no format of a mesh; read are \.obj, \.dxf'),
         ("a.glb", b"glTF broken", r"a\.glb: cannot be read as glb"),
         ("a.stl", b"", r"a\.stl: cannot be read as stl|there is no face"),
@@ -419,3 +418,17 @@ def test_mending_that_moves_the_volume_is_stated_in_the_room(tmp_path: Path, cap
     assert run("import", "catalogue", "--mesh", path, *entries, "--out", out) == 0
     assert "V is known to" in capsys.readouterr().out
     assert 0.0005 < rt.Room.from_file(str(out)).volume_sigma < 0.01
+
+
+def test_a_refused_mesh_lists_its_other_defects_too() -> None:
+    """A wall is missing; a window, a table and a panel are listed, so that all are mended in one go."""
+    window = [[0, 2, 1], [0, 3, 1], [0, 3, 2], [0, 2, 2]]
+    panel = [[1, 1, 2], [2, 1, 2], [2, 2, 2.2], [1, 2, 2.2]]
+    faces = drawn(("glass", window), ("reflector", panel), without="east")
+    with pytest.raises(mend.MeshError, match=r"hole of .* Found, too: ") as refused:
+        mend.mended(faces)
+    found = {d.kind: d for d in refused.value.defects}
+    assert found["overlay"].places == ("glass",)
+    assert found["overlay"].area == pytest.approx(1)
+    assert found["panel"].places == ("reflector",)
+    assert len(refused.value.edges) >= 4

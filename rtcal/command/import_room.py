@@ -29,7 +29,7 @@ _LEAST_UNCERTAINTY = 1e-3
 """Relative uncertainty of V from which the room states it: no T is measured as exactly."""
 
 _USED_BY_CHECK = {
-    *("program", "materials", "mesh", "unit", "weld", "hole", "mended", "picture"),
+    *("program", "materials", "mesh", "unit", "space", "weld", "hole", "mended", "picture"),
     *("as_json", "quiet"),
 }
 
@@ -40,11 +40,12 @@ _USED_BY_CHECK = {
 @click.option(
     "--mesh",
     type=click.Path(),
-    help="Mesh (OBJ, glTF, COLLADA, DXF, PLY, STL, 3MF) with materials' names, for areas and volume.",
+    help="Mesh (OBJ, glTF, COLLADA, DXF, PLY, STL, 3MF, IFC), for areas and volume.",
 )
 @click.option(
     "--unit", type=float, help="The mesh's unit in m; by default what the file states, else 1."
 )
+@click.option("--space", help="Space of a building model (IFC), if it has several.")
 @click.option(
     "--weld",
     type=float,
@@ -130,6 +131,7 @@ def import_room(
     materials: str | None,
     mesh: str | None,
     unit: float | None,
+    space: str | None,
     weld: float,
     hole: float | None,
     mended: str | None,
@@ -179,7 +181,17 @@ def import_room(
 
     if program == "check":
         _refuse_unused_options()
-        _check(materials or mesh, unit, weld, hole, mended, picture, as_json=as_json, quiet=quiet)
+        _check(
+            materials or mesh,
+            unit,
+            space,
+            weld,
+            hole,
+            mended,
+            picture,
+            as_json=as_json,
+            quiet=quiet,
+        )
         return
     if out is None:
         raise DataError("--out is missing: the room's file (TOML) to write")
@@ -188,7 +200,7 @@ def import_room(
     listed = _materials(program, materials)
     chosen_names = texts("--as", others_names, "MATERIAL=ENTRY")
     listed = replace(listed, aliases={**listed.aliases, **chosen_names})
-    model, volume, surfaces = _geometry(mesh, unit, weld, hole, volume, areas, listed.names)
+    model, volume, surfaces = _geometry(mesh, unit, space, weld, hole, volume, areas, listed.names)
     used = list(dict.fromkeys(surface.material for surface in surfaces))
     chosen = texts("--catalogue", entries, "NAME=ENTRY")
     others = _from_catalogue(listed, program, used, chosen, "--area" if mesh is None else mesh)
@@ -253,6 +265,7 @@ def _refuse_unused_options() -> None:
 def _check(
     mesh: str | None,
     unit: float | None,
+    space: str | None,
     weld: float,
     hole: float | None,
     mended: str | None,
@@ -270,10 +283,10 @@ def _check(
     spare([path for path in (mended, picture) if path is not None], [mesh])
     try:
         with errors_name_options("unit", "weld"):
-            done = meshes.room(mesh, unit=unit, weld=weld, largest_hole=hole)
+            done = meshes.room(mesh, unit=unit, space=space, weld=weld, largest_hole=hole)
     except MeshError as error:
         if picture is not None:
-            _draw(meshes.read(mesh, unit=unit), error.edges, picture)
+            _draw(meshes.read(mesh, unit=unit, space=space), error.edges, picture)
             raise DataError(f"{error}. Written: {picture}") from error
         raise
     if mended is not None:
@@ -329,6 +342,7 @@ def _materials(program: str, path: str | None) -> MaterialList:
 def _geometry(
     mesh: str | None,
     unit: float | None,
+    space: str | None,
     weld: float,
     hole: float | None,
     volume: float | None,
@@ -346,7 +360,7 @@ def _geometry(
         raise DataError("--mesh states volume and areas already: leave --volume and --area out")
     if mesh is not None:
         with errors_name_options("unit", "weld"):
-            model = meshes.room(mesh, unit=unit, weld=weld, largest_hole=hole)
+            model = meshes.room(mesh, unit=unit, space=space, weld=weld, largest_hole=hole)
         return model, model.geometry.volume, model.geometry.surfaces
     if volume is None or not areas:
         raise DataError(

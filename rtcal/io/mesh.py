@@ -1,7 +1,7 @@
 """Meshes of every format as `rtcal.io.mend.Faces`: what is drawn, with the names of its materials.
 
-A format is one reader: `obj`, `dxf` and `collada`, the others by trimesh (``rtcal[mesh]``). A mesh
-without materials, such as STL, has one, named after its file; `materials` gives it another.
+A format is one reader: `obj`, `dxf`, `collada` and `ifc`, the others by trimesh (``rtcal[mesh]``). A
+mesh without materials, such as STL, has one, named after its file; `materials` gives it another.
 
 The axes are turned so that z is up where the format says that y is (glTF, COLLADA).
 """
@@ -17,7 +17,7 @@ import numpy as np
 
 from rtcal.acoustics.materials import text_name
 from rtcal.errors import DataError, MissingDependencyError
-from rtcal.io import collada, dxf, obj
+from rtcal.io import collada, dxf, ifc, obj
 from rtcal.io.mend import OFFSET, WELD, Faces, Mended, closed, mended
 from rtcal.io.text import shown
 from rtcal.support.arguments import checked
@@ -30,6 +30,7 @@ __dir__ = __all__.copy
 MAX_BYTES = 2**26
 MAX_TRIANGLES = 100_000
 BY_TRIMESH = (".ply", ".stl", ".glb", ".gltf", ".3mf", ".off")
+IFC = ".ifc"
 _Y_UP = (".glb", ".gltf")
 _REFUSED = {
     ".skp": "SketchUp's own format; export COLLADA (.dae) from it",
@@ -37,14 +38,15 @@ _REFUSED = {
     ".3dm": "Rhino's own format; export OBJ from it, one material per layer",
     ".dwg": "AutoCAD's own format; save it as DXF with 3D faces",
     ".fbx": "a format without a public description; export glTF (.glb)",
-    ".ifc": "a building model; export glTF or OBJ of the room's bounding surfaces (IfcConvert does)",
     ".geo": "CATT's list of materials goes before the mesh: rtcal import catt hall.geo --mesh hall.obj",
 }
 _LENGTHS = {"mm": 0.001, "millimeter": 0.001, "cm": 0.01, "inch": 0.0254, "feet": 0.3048, "m": 1.0}
 
 
 @checked
-def read(path: str | os.PathLike[str], *, unit: float | None = None) -> Faces:
+def read(
+    path: str | os.PathLike[str], *, unit: float | None = None, space: str | None = None
+) -> Faces:
     """Return the faces of a mesh.
 
     Parameters
@@ -52,21 +54,29 @@ def read(path: str | os.PathLike[str], *, unit: float | None = None) -> Faces:
     path : path
     unit : float, optional
         Length of the file's unit in m; by default what the file states, else 1.
+    space : str, optional
+        Name of the space of a building model (IFC) that has several.
 
     Raises
     ------
     DataError
         For a format that is not read, with the way to one that is, and for a broken file.
     MissingDependencyError
-        Without trimesh, for a format that it reads.
+        Without trimesh or ifcopenshell, for a format that it reads.
     """
     if unit is not None and not 0 < unit < float("inf"):
         raise DataError(f"unit = {unit:g} m is not finite and above 0")
     ending = Path(path).suffix.lower()
+    if ending == IFC:
+        return ifc.faces(os.fspath(path), unit, space)
+    if space is not None:
+        raise DataError(f"{path}: only a building model (IFC) has spaces: leave --space out")
     if ending in _REFUSED:
         raise DataError(f"{path}: {_REFUSED[ending]}")
     if ending not in READERS:
-        raise DataError(f'{path}: "{ending}" is no format of a mesh; read are {", ".join(READERS)}')
+        raise DataError(
+            f'{path}: "{ending}" is no format of a mesh; read are {", ".join((*READERS, IFC))}'
+        )
     content = read_bytes(path, MAX_BYTES)
     return READERS[ending](content, os.fspath(path), unit)
 
@@ -76,6 +86,7 @@ def room(
     path: str | os.PathLike[str],
     *,
     unit: float | None = None,
+    space: str | None = None,
     weld: float = WELD,
     offset: float = OFFSET,
     largest_hole: float | None = None,
@@ -84,7 +95,7 @@ def room(
 
     A mesh whose faces close as they are drawn is taken as it is.
     """
-    faces = read(path, unit=unit)
+    faces = read(path, unit=unit, space=space)
     done = closed(faces)
     if done is None:
         done = mended(faces, weld=weld, offset=offset, largest_hole=largest_hole)

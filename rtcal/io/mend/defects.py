@@ -10,6 +10,9 @@ from rtcal.errors import DataError
 from rtcal.simulators.geometry import Polyhedron
 from rtcal.support.types import Array
 
+_SHOWN = 1e-6
+"""Smallest effect in m³ and m² that is printed: smaller ones are rounding."""
+
 
 @dataclass(frozen=True)
 class Defect:
@@ -51,9 +54,9 @@ class Defect:
             ("V", self.volume_effect, "m³"),
             ("S", self.area_effect, "m²"),
         ):
-            if effect:
+            if abs(effect) > _SHOWN:
                 parts.append(f"{symbol} {effect:+.3g} {unit}")
-        if self.volume_uncertainty:
+        if self.volume_uncertainty > _SHOWN:
             parts.append(f"u(V) {self.volume_uncertainty:.2g} m³")
         more = ", ..." if self.number > len(self.places) else ""
         at = f" ({', '.join(self.places)}{more})" if self.places else ""
@@ -91,7 +94,7 @@ class Mended:
     def __str__(self) -> str:
         """Return V, S, the areas of the materials, and each defect."""
         total = float(np.sum(self.geometry.face_areas))
-        u = f" ± {self.volume_uncertainty:.2g}" if self.volume_uncertainty else ""
+        u = f" ± {self.volume_uncertainty:.2g}" if self.volume_uncertainty > _SHOWN else ""
         n = len(self.geometry.faces)
         head = f"V = {self.geometry.volume:.6g}{u} m³, S = {total:.6g} m², {n} faces"
         rows = [f"{area:10.3f} m²  {name}" for name, area in self.geometry.areas.items()]

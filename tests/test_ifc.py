@@ -1,0 +1,128 @@
+"""Building models: a space, its volume, and the materials of what bounds it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from rtcal.errors import DataError
+from rtcal.io import mesh
+from tests.report.pages import run
+
+pytest.importorskip("ifcopenshell", reason="needs the extra ifc")
+pytest.importorskip("shapely", reason="needs the extra ifc")
+
+# A space of 4 m x 5 m x 3 m at (10, 0, 0) m, drawn in mm: a brick wall with a door at x = 0, a carpet,
+# and an opening to the next space at y = 5 m. Nothing is said of the other three faces.
+MODEL = """ISO-10303-21;
+HEADER;FILE_DESCRIPTION((''),'2;1');FILE_NAME('','',(''),(''),'','','');FILE_SCHEMA(('IFC4'));ENDSEC;
+DATA;
+#1=IFCCARTESIANPOINT((0.,0.,0.));
+#2=IFCDIRECTION((0.,0.,1.));
+#3=IFCDIRECTION((1.,0.,0.));
+#4=IFCAXIS2PLACEMENT3D(#1,#2,#3);
+#5=IFCGEOMETRICREPRESENTATIONCONTEXT($,'Model',3,1.E-05,#4,$);
+#6=IFCSIUNIT(*,.LENGTHUNIT.,.MILLI.,.METRE.);
+#7=IFCUNITASSIGNMENT((#6));
+#8=IFCPROJECT('0YvctVUKr0kugbFTf53O9L',$,'p',$,$,$,$,(#5),#7);
+#10=IFCCARTESIANPOINT((10000.,0.,0.));
+#11=IFCAXIS2PLACEMENT3D(#10,#2,#3);
+#12=IFCLOCALPLACEMENT($,#11);
+#13=IFCCARTESIANPOINT((2000.,2500.));
+#14=IFCAXIS2PLACEMENT2D(#13,$);
+#15=IFCRECTANGLEPROFILEDEF(.AREA.,$,#14,4000.,5000.);
+#16=IFCEXTRUDEDAREASOLID(#15,#4,#2,3000.);
+#17=IFCSHAPEREPRESENTATION(#5,'Body','SweptSolid',(#16));
+#18=IFCPRODUCTDEFINITIONSHAPE($,$,(#17));
+#19=IFCSPACE('1YvctVUKr0kugbFTf53O9L',$,'1',$,$,#12,#18,'%(name)s',.ELEMENT.,.INTERNAL.,$);
+#20=IFCWALL('2YvctVUKr0kugbFTf53O9L',$,'Wall:Basic:123',$,$,$,$,$,$);
+#21=IFCMATERIAL('brick',$,$);
+#22=IFCRELASSOCIATESMATERIAL('3YvctVUKr0kugbFTf53O9L',$,$,$,(#20),#21);
+#23=IFCDOOR('4YvctVUKr0kugbFTf53O9L',$,'Oak door:900:77',$,$,$,$,$,$,$,$,$,$);
+#24=IFCCOVERING('5YvctVUKr0kugbFTf53O9L',$,'Carpet:9',$,$,$,$,$,$);
+#30=IFCCARTESIANPOINT((0.,0.));
+#31=IFCCARTESIANPOINT((5000.,0.));
+#32=IFCPOLYLINE((#30,#31));
+#33=IFCARBITRARYOPENPROFILEDEF(.CURVE.,$,#32);
+#34=IFCDIRECTION((0.,1.,0.));
+#35=IFCAXIS2PLACEMENT3D(#1,#2,#34);
+#36=IFCSURFACEOFLINEAREXTRUSION(#33,#35,#2,3000.);
+#37=IFCCONNECTIONSURFACEGEOMETRY(#36,$);
+#38=IFCRELSPACEBOUNDARY('6YvctVUKr0kugbFTf53O9L',$,$,$,#19,#20,#37,.PHYSICAL.,.INTERNAL.);
+#40=IFCCARTESIANPOINT((1000.,0.));
+#41=IFCCARTESIANPOINT((1900.,0.));
+#42=IFCPOLYLINE((#40,#41));
+#43=IFCARBITRARYOPENPROFILEDEF(.CURVE.,$,#42);
+#44=IFCSURFACEOFLINEAREXTRUSION(#43,#35,#2,2000.);
+#45=IFCCONNECTIONSURFACEGEOMETRY(#44,$);
+#46=IFCRELSPACEBOUNDARY('7YvctVUKr0kugbFTf53O9L',$,$,$,#19,#23,#45,.PHYSICAL.,.INTERNAL.);
+#50=IFCPLANE(#4);
+#51=IFCCARTESIANPOINT((4000.,0.));
+#52=IFCCARTESIANPOINT((4000.,5000.));
+#53=IFCCARTESIANPOINT((0.,5000.));
+#54=IFCPOLYLINE((#30,#51,#52,#53,#30));
+#55=IFCCURVEBOUNDEDPLANE(#50,#54,());
+#56=IFCCONNECTIONSURFACEGEOMETRY(#55,$);
+#57=IFCRELSPACEBOUNDARY('8YvctVUKr0kugbFTf53O9L',$,$,$,#19,#24,#56,.PHYSICAL.,.INTERNAL.);
+#60=IFCCARTESIANPOINT((0.,5000.,0.));
+#61=IFCAXIS2PLACEMENT3D(#60,#2,#3);
+#62=IFCPOLYLINE((#30,#51));
+#63=IFCARBITRARYOPENPROFILEDEF(.CURVE.,$,#62);
+#64=IFCSURFACEOFLINEAREXTRUSION(#63,#61,#2,3000.);
+#65=IFCCONNECTIONSURFACEGEOMETRY(#64,$);
+#66=IFCRELSPACEBOUNDARY('9YvctVUKr0kugbFTf53O9L',$,$,$,#19,$,#65,.VIRTUAL.,.INTERNAL.);
+%(more)s
+ENDSEC;
+END-ISO-10303-21;
+"""
+SECOND = "#70=IFCSPACE('0ZvctVUKr0kugbFTf53O9L',$,'2',$,$,#12,#18,'Hall',.ELEMENT.,.INTERNAL.,$);"
+
+
+def written(folder: Path, name: str = "Study", more: str = "") -> Path:
+    path = folder / "house.ifc"
+    path.write_text(MODEL % {"name": name, "more": more}, encoding="utf-8")
+    return path
+
+
+def test_a_space_has_its_volume_and_the_materials_that_bound_it(tmp_path) -> None:
+    done = mesh.room(written(tmp_path))
+    assert done.geometry.volume == pytest.approx(60)
+    areas = done.geometry.areas
+    assert areas.pop("brick") == pytest.approx(15 - 1.8)
+    assert areas.pop("Oak door:900") == pytest.approx(1.8)
+    assert areas.pop("Carpet") == pytest.approx(20)
+    assert areas.pop("opening") == pytest.approx(12)
+    assert areas == {"ceiling": pytest.approx(20), "wall": pytest.approx(15 + 12)}
+    assert done.geometry.vertices.min(axis=0) == pytest.approx([10, 0, 0])
+
+
+def test_of_several_spaces_one_is_named(tmp_path, capsys) -> None:
+    path = written(tmp_path, more=SECOND)
+    with pytest.raises(
+        DataError, match=r'which space\? State --space; the model has "1 Study", "2 Ha'
+    ):
+        mesh.room(path)
+    with pytest.raises(
+        DataError, match='--space "Attic" is no space of the model; it has "1 Study"'
+    ):
+        mesh.room(path, space="Attic")
+    for name in ("1", "Study", "1 Study"):
+        assert mesh.room(path, space=name).geometry.volume == pytest.approx(60)
+    # Nothing is said of what bounds the second one.
+    assert set(mesh.room(path, space="Hall").geometry.areas) == {"wall", "floor", "ceiling"}
+    assert run("import", "check", path, "--space", "Study") == 0
+    assert "brick" in capsys.readouterr().out
+
+
+def test_what_is_no_model_of_a_room_is_refused(tmp_path) -> None:
+    path = written(tmp_path)
+    with pytest.raises(DataError, match="states its unit: leave --unit out"):
+        mesh.room(path, unit=0.1)
+    text = path.read_text(encoding="utf-8")
+    path.write_text(text.replace("#19=IFCSPACE", "#19=IFCSPACETYPE_"), encoding="utf-8")
+    with pytest.raises(DataError, match=r"no space \(IfcSpace\)|cannot be read as IFC"):
+        mesh.room(path)
+    path.write_bytes(b"\x00\x01 nonsense")
+    with pytest.raises(DataError, match=r"cannot be read as IFC|has no space"):
+        mesh.room(path)
