@@ -100,7 +100,7 @@ COUNTS = {
     # Fresh rooms that judge sizes beyond the grid.
     2: {k: {"nothing": 24}.get(k, 3) for k in KINDS},
     # Sizes beyond those of the others (`BEYOND`): drawn on 2026-11-23, before any finder read them.
-    3: {k: 0 for k in KINDS}
+    3: dict.fromkeys(KINDS, 0)
     | {"nothing": 24, "opening": 8, "porous": 8, "curtain": 8}
     | {"non-diffuse field": 16, "noise floor": 12},
 }
