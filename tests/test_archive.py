@@ -131,6 +131,43 @@ def test_order_and_weights_do_what_they_say(
     assert (archive.mean_sigma <= left.mean_sigma + 5e-3).all()
 
 
+@pytest.mark.parametrize("stated", [{}, {"volume_sigma": 0.05}])
+def test_how_a_room_was_calibrated_does_not_matter(
+    rooms: list[rt.calibration.CalibrationResult], stated: dict[str, float]
+) -> None:
+    """Nor does it where no coefficient gives the measured T, and the nearest within reach was taken."""
+    priors = [r.prior.replace(**stated) for r in rooms]
+    short = 0.04 * rooms[0].measured
+
+    def learnt(method: str) -> rt.archive.Archive:
+        times = [short, *(r.measured for r in rooms[1:])]
+        return rt.learn(
+            [
+                rt.calibrate(p, t, method, unreachable="nearest")
+                for p, t in zip(priors, times, strict=True)
+            ]
+        )
+
+    exactly = learnt("mle")
+    for method in ("lse", "soft", "robust"):
+        other = learnt(method)
+        np.testing.assert_array_equal(other.alpha, exactly.alpha)
+        np.testing.assert_array_equal(other.sigma, exactly.sigma)
+        assert other.lessons == exactly.lessons
+
+
+def test_rooms_that_differ_too_far_give_no_room(
+    rooms: list[rt.calibration.CalibrationResult],
+) -> None:
+    far = [
+        rt.calibrate(rooms[i % 3].prior.replace(name=str(i)), t, "soft", unreachable="nearest")
+        for i, t in enumerate(rooms[i % 3].measured * f for i, f in enumerate([0.1, 30] * 4))
+    ]
+    archive = rt.learn(far)
+    with pytest.raises(DataError, match="the archive's rooms differ from each other"):
+        archive.apply(rooms[0].prior.replace(name="new"))
+
+
 def test_the_library_is_the_next_calibrations_input(
     rooms: list[rt.calibration.CalibrationResult],
 ) -> None:

@@ -232,6 +232,47 @@ def test_several_configurations_share_the_volume() -> None:
         Configurations([room, other.replace(volume_sigma=0.1)])
 
 
+def test_an_area_that_is_uncertain_in_one_configuration_counts_in_any_order() -> None:
+    room = room_of(4, air=rt.Air())
+    other = room.replace(name="furnished", area_sigma={"floor": 0.2})
+    t = [1.1 * SABINE.reverberation_time(room)] * 2
+    first, last = (
+        rt.calibrate(Configurations(rooms), t, "joint", SABINE)
+        for rooms in ([room, other], [other, room])
+    )
+    assert last.configurations.union.area_sigma.tolist() == [0.2, 0, 0, 0]
+    np.testing.assert_allclose(first.alpha, last.alpha, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(first.posterior_sigma, last.posterior_sigma, rtol=1e-9)
+
+
+@pytest.mark.parametrize("method", ["mle", "soft", "smooth", "robust"])
+def test_a_standard_deviation_does_not_fall_where_the_room_is_less_certain(method: str) -> None:
+    """Nor does it count as prior what a method wants beside it: it is that of the estimate."""
+    exact = room_of(5, air=rt.Air())
+    t = times(exact, 5)
+    sure, unsure = (
+        rt.calibrate(room, t, method, SABINE).posterior_sigma
+        for room in (exact, exact.replace(volume_sigma=1e-6))
+    )
+    np.testing.assert_allclose(unsure, sure, rtol=1e-3)
+    more = rt.calibrate(exact.replace(volume_sigma=0.05), t, method, SABINE).posterior_sigma
+    assert (more > 0.98 * sure).all()
+
+
+def test_a_common_factor_alone_has_an_interval() -> None:
+    """Its tables may be off together, its volume and areas are exact: what an archive gives."""
+    room = room_of(0, air=rt.Air(), common_alpha_sigma=0.1)
+    result = rt.calibrate(room, times(room, 0, 0.02), "mle", SABINE)
+    assert not result.active.any()
+    assert result.interval is not None
+    half = 1.6448536 * result.posterior_sigma
+    low, high = result.alpha - half, result.alpha + half
+    inside = (low > 0.1) & (high < 0.9)  # where the box does not cut it
+    assert inside.sum() > 8
+    np.testing.assert_allclose(result.interval[0][inside], low[inside], rtol=0, atol=2e-3)
+    np.testing.assert_allclose(result.interval[1][inside], high[inside], rtol=0, atol=2e-3)
+
+
 @pytest.mark.parametrize("method", ["soft", "smooth", "robust", "lse"])
 def test_every_method_takes_an_uncertain_room(method: str) -> None:
     room = room_of(5, air=rt.Air(), **STATED)
@@ -291,6 +332,8 @@ def test_the_file_says_it_and_is_read_back() -> None:
         ({"volume_sigma": np.nan}, "volume_sigma = nan"),
         ({"common_alpha_sigma": "much"}, "common_alpha_sigma"),
         ({"area_sigma": [0.1, 0.1]}, "area_sigma has 2 values"),
+        ({"area_sigma": [None] * 4}, "area_sigma = None is not a number"),
+        ({"area_sigma": [False] * 4}, "area_sigma = False is not a number"),
         ({"area_sigma": {"roof": 0.1}}, 'area_sigma\\["roof"\\]'),
         ({"area_sigma": {"door": "1.5"}}, 'such as "1.5 m²"'),
         ({"area_sigma": {"door": "1.5 m2"}}, "no number with the unit m² .written with ²"),

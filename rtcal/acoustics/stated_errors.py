@@ -39,6 +39,8 @@ def by_material(stated: Any, materials: Sequence[str], areas: Array) -> Array:
     elif isinstance(stated, str) or np.ndim(stated) == 0:
         listed = [stated] * len(materials)
     elif not np.any(listed := list(stated)):
+        for value in listed:
+            relative("area_sigma", value)
         listed = [0.0] * len(materials)  # nothing stated, also of a room that had other materials
     if len(listed) != len(materials):
         raise DataError(

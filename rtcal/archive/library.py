@@ -145,12 +145,19 @@ class Archive(Result):
         Raises
         ------
         DataError
-            If no material or no band of the room is known, or ``names`` has an unknown one.
+            If no material or no band of the room is known, ``names`` has an unknown one, or the
+            archive's rooms differ so far that they say nothing of the next.
         """
         pairs, columns = self._known(room, names)
         if not pairs or not columns:
             what = "materials" if not pairs else "bands"
             raise DataError(f'the archive knows none of the {what} of room "{room.name}"')
+        if not self.room_sigma < 1:
+            raise DataError(
+                f"room_sigma = {self.room_sigma:.3g}: the archive's rooms differ from each other by a "
+                "factor whose standard deviation is not below 1, so they say nothing of the next; look "
+                "at those with a small p"
+            )
         own = np.ix_([i for i, _ in pairs], [k for k, _ in columns])
         entry = np.ix_([j for _, j in pairs], [k for _, k in columns])
         alpha, sigma = room.alpha.copy(), room.sigma.copy()

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
+from rtcal.acoustics.room_errors import target_changes
 from rtcal.archive import suspects
 from rtcal.archive.library import Archive, Lesson, Suspect
 from rtcal.archive.likelihood import Evidence, RoomData
@@ -207,10 +208,20 @@ def _data(
 ) -> RoomData:
     areas = np.zeros(len(materials))
     areas[[materials.index(m) for m in called]] = result.prior.areas
-    start = result.configuration * result.prior.n_bands
-    places = start + np.array(columns)
-    covariance = result.joint.solution.model.data.target_covariance[np.ix_(places, places)]
-    return RoomData(areas, result.target[list(columns)], covariance, weight)
+    target, covariance = _asked(result)
+    return RoomData(areas, target[list(columns)], covariance[np.ix_(columns, columns)], weight)
+
+
+def _asked(result: CalibrationResult) -> tuple[Array, Array]:
+    """b in m², (n_bands,), and its covariance through T, volume, areas and climate, by no method.
+
+    A T without a stated uncertainty counts as exact: its error is then part of the equation's, which
+    the rooms tell.
+    """
+    room, equation, t = result.prior, result.equation, result.measured
+    u = np.nan_to_num(result.measured_uncertainty * equation.target_sensitivity(room, t))
+    changes = target_changes(equation, room, t)
+    return equation.target(room, t), np.diag(u**2) + changes.T @ changes
 
 
 def _lesson(

@@ -137,7 +137,7 @@ class Configurations:
 
     @cached_property
     def union(self) -> Room:
-        """A room with every material once, its largest area and its prior."""
+        """A room with every material once: its prior, its largest area and the largest error of it."""
         if len(self.rooms) == 1:
             return self.rooms[0]
         first = self.rooms[0]
@@ -169,7 +169,12 @@ class Configurations:
             band_correlation=first.band_correlation,
             material_correlation=self._pairs(),
             volume_sigma=first.volume_sigma,
-            area_sigma=np.array([r.area_sigma[i] for r, i in zip(owners, rows, strict=True)]),
+            area_sigma=np.array(
+                [
+                    max(r.area_sigma[r.materials.index(m)] for r in self.rooms if m in r.materials)
+                    for m in self.materials
+                ]
+            ),
             common_area_sigma=first.common_area_sigma,
             common_alpha_sigma=first.common_alpha_sigma,
             climate_sigma=(0.0, 0.0)

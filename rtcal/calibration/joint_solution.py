@@ -16,7 +16,13 @@ from rtcal.calibration.configurations import Configurations
 from rtcal.calibration.convex_program import Solution
 from rtcal.calibration.measured import MeasuredTimes
 from rtcal.calibration.problem_data import ProblemData
-from rtcal.calibration.terms import LinearObservations, MatchConstraint, RoomMatch, SoftMatch
+from rtcal.calibration.terms import (
+    LinearObservations,
+    MatchConstraint,
+    PriorDeviation,
+    RoomMatch,
+    SoftMatch,
+)
 from rtcal.calibration.uncertainty import (
     density,
     estimate_sigma,
@@ -138,7 +144,7 @@ class JointSolution:
 
     @cached_property
     def gaussian_interval(self) -> tuple[Array, Array]:
-        """Ends of the coefficients' 90 % interval in an uncertain room, (n_materials, n_bands) each."""
+        """Ends of the coefficients' normal 90 % interval, (n_materials, n_bands) each."""
         layout = self.solution.model.data.layout
         low, high = gaussian_interval(self.solution, self._estimate_sigma, 0.9)
         return layout.expand(low), layout.expand(high)
@@ -147,6 +153,13 @@ class JointSolution:
     def matches_uncertain_room(self) -> bool:
         """Whether T was matched within the uncertainty of volume, areas and climate."""
         return any(isinstance(t, RoomMatch) for t in self.solution.model.objective.terms)
+
+    @property
+    def has_shared_errors(self) -> bool:
+        """Whether T was matched with errors that all bands share: of the room, or of the tables."""
+        terms = self.solution.model.objective.terms
+        tables = any(isinstance(t, PriorDeviation) and t.common for t in terms)
+        return tables or self.matches_uncertain_room
 
     @property
     def posterior_sigma(self) -> Array:

@@ -261,9 +261,9 @@ class CalibrationResult(Result):
         """Ends of the coefficients' 90 % interval, each (n_materials, n_bands), within the bounds.
 
         It is `rtcal.posterior.distribution`'s: with the uncertainty of T, where one is stated, and it
-        holds the calibrated coefficient. In a room that states an uncertainty of its volume, areas or
-        climate it is that of a normal density, cut at the bounds. None if that would need samples
-        (correlations, order, several configurations), or if the method has no posterior (`lse`,
+        holds the calibrated coefficient. In a room that states an uncertainty of its volume, areas,
+        climate or tables it is that of a normal density, cut at the bounds. None if that would need
+        samples (correlations, order, several configurations), or if the method has no posterior (`lse`,
         `robust`).
         """
         if len(self.joint.configurations.rooms) > 1:
@@ -272,7 +272,7 @@ class CalibrationResult(Result):
             density = self.joint.density()
         except ModelError:  # the method has no posterior
             return None
-        if self.joint.matches_uncertain_room:
+        if self.joint.has_shared_errors:
             low, high = self.joint.gaussian_interval
             return low[self._rows], high[self._rows]
         if not isinstance(density, IndependentBands):

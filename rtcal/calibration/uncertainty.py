@@ -126,10 +126,10 @@ def estimate_sigma(
     """Return the standard deviation of the linear estimate's error, (size,) over the unknowns.
 
     The prior's covariance is the room's, also if the method assumes another covariance. An unknown
-    uncertainty of T counts as 0. With linear observations, or an uncertain room, it is the Gaussian
-    posterior's, with the objective's prior.
+    uncertainty of T counts as 0. With linear observations it is the Gaussian posterior's, with the
+    objective's prior.
     """
-    if any(isinstance(t, LinearObservations | RoomMatch) for t in solution.model.objective.terms):
+    if any(isinstance(t, LinearObservations) for t in solution.model.objective.terms):
         return _gaussian_sigma(solution.model, solution.unknowns)
     slopes = [
         equation.target_sensitivity(room, measured.reverberation_time)
