@@ -259,6 +259,21 @@ def test_a_standard_deviation_does_not_fall_where_the_room_is_less_certain(metho
     assert (more > 0.98 * sure).all()
 
 
+@pytest.mark.parametrize("method", ["mle", "soft", "smooth"])
+def test_sensitivities_are_derivatives(method: str) -> None:
+    """By every T, since all bands share the volume: also through the covariance, which T changes."""
+    room = room_of(7, air=rt.Air(), common_alpha_sigma=0.1, **STATED)
+    t = times(room, 7, 0.2)
+    got = rt.posterior.sensitivity(rt.calibrate(room, t, method))[:, :, 0, :]
+    step = 1e-4
+    for k in range(4):
+        ends = [t * (1 + s * step * (np.arange(4) == k)) for s in (1, -1)]
+        high, low = (rt.calibrate(room, end, method).alpha for end in ends)
+        np.testing.assert_allclose(
+            got[:, :, k], (high - low) / (2 * step * t[k]), rtol=1e-4, atol=1e-5
+        )
+
+
 def test_a_common_factor_alone_has_an_interval() -> None:
     """Its tables may be off together, its volume and areas are exact: what an archive gives."""
     room = room_of(0, air=rt.Air(), common_alpha_sigma=0.1)

@@ -68,8 +68,8 @@ def optimality(
 ) -> Optimality:
     """Return the optimality conditions at the answer and their derivatives with respect to T.
 
-    Without ``bounds``, no unknown counts as being at a bound and u_b does not depend on T, as the
-    error of a linear estimate requires. With ``bounds``, u_b = |db/dT| u_T depends on T.
+    Without ``bounds``, no unknown counts as being at a bound and the covariance of b does not depend on
+    T, as the error of a linear estimate requires. With ``bounds``, u_b = |db/dT| u_T depends on T.
     """
     model, u = solution.model, solution.unknowns
     data = model.data
@@ -88,10 +88,7 @@ def optimality(
     pull_by_time = np.zeros((data.time.size, data.time.size))
     for term, weight in zip(model.objective.terms, data.weights, strict=True):
         if isinstance(term, RoomMatch):
-            # A row's pull depends on every T, through b; that C depends on T is neglected.
-            by_time = np.nan_to_num((after.data.target - before.data.target).ravel() / width)
-            whitener = data.match_whitener
-            pull_by_time -= weight * (whitener.T @ whitener) * by_time
+            pull_by_time += weight * _by_every_time(term.pull(u, data), data, before, after, width)
         elif isinstance(term, SoftMatch):
             change = term.pull(u, after.data) - term.pull(u, before.data)
             pull_by_time += np.diag(weight * np.nan_to_num(change.ravel() / width))
@@ -114,6 +111,27 @@ def optimality(
         gradient_by_time=gradient_by_time,
         limit_by_time=limit_by_time,
     )
+
+
+def _by_every_time(
+    pull: Array, data: ProblemData, before: NumpyModel, after: NumpyModel, width: Array
+) -> Array:
+    """Return the derivatives of a `RoomMatch`'s pull by every T, (n_matches, n_matches).
+
+    The pull is C⁻¹(S'alpha - b). b, u_b and the changes of one row depend on its own T alone.
+    """
+
+    def by_time(name: str) -> Array:
+        change = getattr(after.data, name) - getattr(before.data, name)
+        return np.asarray(np.nan_to_num(change.reshape(-1, len(width)) / width))
+
+    pull, noise = np.nan_to_num(pull.ravel()), np.nan_to_num(data.target_uncertainty.ravel())
+    of_noise = 2 * noise * by_time("target_uncertainty")[0] * pull
+    difference = np.diag(by_time("target")[0] + of_noise)
+    if data.room_changes.size:
+        changes, moved = data.room_changes, by_time("room_changes")
+        difference += (changes.T @ moved) * pull + np.diag(moved.T @ (changes @ pull))
+    return np.asarray(-data.match_whitener.T @ (data.match_whitener @ difference))
 
 
 def estimate_sigma(
@@ -307,7 +325,10 @@ def _with_times(
         [replace(m, reverberation_time=factor * m.reverberation_time) for m in measured_times]
     )
     if not noise_follows:
-        data = replace(data, target_uncertainty=model.data.target_uncertainty)
+        held = model.data
+        data = replace(
+            data, target_uncertainty=held.target_uncertainty, room_changes=held.room_changes
+        )
     return NumpyModel(data, model.objective, model.row_constraints)
 
 

@@ -181,15 +181,16 @@ class SoftMatch(BaseTerm):
         if bad.any():
             row = int(np.flatnonzero(bad.ravel())[0])
             raise DataError(
-                f"u_T[{data.layout.band_label(row)}] is unknown or 0, and a soft match weighs "
-                "by it: state it in the measurement, or give SoftMatch(relative=...)"
+                f"u_T[{data.layout.band_label(row)}] is unknown or 0, and {type(self).__name__} weighs "
+                "by it: state it in the measurement, or leave out what is 0 and give "
+                f"{type(self).__name__}(relative=...), as the methods do"
             )
         exact = data.matched & (u < SMALLEST_UNCERTAINTY * np.abs(data.target))
         if exact.any():
             row = int(np.flatnonzero(exact.ravel())[0])
             raise DataError(
                 f"u_T[{data.layout.band_label(row)}] is below a millionth of T, which no measurement "
-                "reaches: state it as measured, or match T exactly (method mle)"
+                "reaches: state it as measured, or leave it out and take method mle"
             )
         return np.where(data.matched, u, np.nan)
 
