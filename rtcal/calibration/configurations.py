@@ -164,7 +164,7 @@ class Configurations:
             alpha=np.array([r.alpha[i] for r, i in zip(owners, rows, strict=True)]),
             sigma=np.array([r.sigma[i] for r, i in zip(owners, rows, strict=True)]),
             centre_frequencies=first.centre_frequencies,
-            air=first.air,
+            air=next((r.air for r in self.rooms if r.air is not None), None),
             alpha_min=np.array(floors),
             band_correlation=first.band_correlation,
             material_correlation=self._pairs(),
@@ -177,7 +177,5 @@ class Configurations:
             ),
             common_area_sigma=first.common_area_sigma,
             common_alpha_sigma=first.common_alpha_sigma,
-            climate_sigma=(0.0, 0.0)
-            if first.air is None
-            else tuple(np.max([r.climate_sigma for r in self.rooms], axis=0).tolist()),
+            climate_sigma=tuple(np.max([r.climate_sigma for r in self.rooms], axis=0).tolist()),
         )
