@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from scipy.stats import beta
 
-from rtcal.finder import Case, Finding, control_rooms, library
+from rtcal.finder import Case, MeansFinding, control_rooms, library
 from rtcal.finder.means.engines import ControlRooms
 
 NOTHING = "none"
@@ -44,7 +44,7 @@ def kept_controls(case: Case, path: Path) -> list[ControlRooms]:
         return [ControlRooms(name, table[name].astype(float)) for name in table.files]
 
 
-def row_of(finding: Finding) -> dict[str, Any]:
+def row_of(finding: MeansFinding) -> dict[str, Any]:
     """The finding as plain values."""
     size = finding.size
     return {

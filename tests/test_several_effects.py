@@ -23,7 +23,7 @@ from rtcal.finder import (
     Case,
     Configuration,
     Effect,
-    Finding,
+    MeansFinding,
     find,
     library,
 )
@@ -115,7 +115,7 @@ def compared_case(case: Case, effects: Sequence[Effect]) -> Comparison:
     return compare(case, observed, predict_hypotheses(case, effects), error)
 
 
-def sought(case: Case, only: tuple[str, ...] = FEW, **more: float) -> Finding:
+def sought(case: Case, only: tuple[str, ...] = FEW, **more: float) -> MeansFinding:
     more = {"most": 3, **more}
     return find(case, only=only, controls=controls_of(case), **more)  # type: ignore[arg-type]
 
@@ -230,7 +230,7 @@ def test_two_effects_are_named_added_and_alpha_is_left_alone() -> None:
     assert found.apply(corrected).applied == corrected.applied
     assert "size" in json.dumps(found.to_dict(), allow_nan=False)
     assert "volume" in str(found)
-    assert repr(found).startswith("<Finding named: volume")
+    assert repr(found).startswith("<MeansFinding named: volume")
 
 
 @pytest.mark.parametrize("effect", BOTH, ids=lambda e: e.name)

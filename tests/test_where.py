@@ -102,12 +102,12 @@ def measured(hidden: bool, level: str = "g", match: Sequence[str] = MATCH) -> rt
 
 
 @pytest.fixture(scope="module")
-def finding(kept: Path) -> rt.finder.positions.Finding:
+def finding(kept: Path) -> rt.finder.positions.PositionsFinding:
     case = rt.finder.positions.Case(simulator=tracing(stated()), measured=measured(True))
     return rt.finder.positions.find(case, cache=kept)
 
 
-def test_an_opening_is_found_on_its_wall(finding: rt.finder.positions.Finding) -> None:
+def test_an_opening_is_found_on_its_wall(finding: rt.finder.positions.PositionsFinding) -> None:
     assert finding.detected
     assert next(iter(finding.surfaces)) == "east"
     best = finding.best
@@ -154,7 +154,9 @@ def test_a_receiver_that_stands_elsewhere_is_a_hint(kept: Path) -> None:
     assert finding.surface is None
 
 
-def test_the_user_says_where_on_which_surface(finding: rt.finder.positions.Finding) -> None:
+def test_the_user_says_where_on_which_surface(
+    finding: rt.finder.positions.PositionsFinding,
+) -> None:
     """The most probable candidate on the surface at that place."""
     made = finding.apply(at=(7.0, 2.2, 1.4))
     assert made.added.surface == "east"
@@ -169,7 +171,7 @@ def test_the_user_says_where_on_which_surface(finding: rt.finder.positions.Findi
 
 
 def test_the_gap_shrinks_at_pairs_that_were_not_fitted(
-    finding: rt.finder.positions.Finding, kept: Path, monkeypatch: pytest.MonkeyPatch
+    finding: rt.finder.positions.PositionsFinding, kept: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     result = rt.finder.positions.verify(finding, cache=kept)
     assert result.corrected.shape == (1, 5, 6, 3)
@@ -240,13 +242,15 @@ def test_a_calibrated_room_is_refused() -> None:
         rt.finder.positions.Case(simulator=tracing(result.room), measured=data)
 
 
-def test_effects_that_were_not_tried_are_said(finding: rt.finder.positions.Finding) -> None:
+def test_effects_that_were_not_tried_are_said(
+    finding: rt.finder.positions.PositionsFinding,
+) -> None:
     limited = rt.finder.positions.find(finding.case, controls=finding.controls, only=["curtain"])
     assert "whole library" in str(limited)
     assert "whole library" not in str(finding)
 
 
-def test_an_unknown_effect_is_refused(finding: rt.finder.positions.Finding) -> None:
+def test_an_unknown_effect_is_refused(finding: rt.finder.positions.PositionsFinding) -> None:
     with pytest.raises(DataError, match='only has "door"'):
         rt.finder.positions.find(finding.case, controls=finding.controls, only=["door"])
 
@@ -383,7 +387,7 @@ def test_coefficients_that_are_all_off_are_no_surface(kept: Path) -> None:
 
 
 def test_the_next_position_is_free_and_tells_something(
-    finding: rt.finder.positions.Finding,
+    finding: rt.finder.positions.PositionsFinding,
 ) -> None:
     places = rt.finder.positions.next_position(finding, number=6)
     assert len(places) == 6 * len(SOURCES)

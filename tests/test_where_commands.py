@@ -12,7 +12,7 @@ import pytest
 
 import rtcal as rt
 from rtcal.command.main import main
-from rtcal.finder.positions import Finding, Verification
+from rtcal.finder.positions import PositionsFinding, PositionsVerification
 from tests.test_terminal import longest
 from tests.test_where import RECEIVERS, SOURCES, measured, stated, tracing
 from tests.test_where_page import PLACE, finding_of, verification_of
@@ -40,17 +40,17 @@ def run(*arguments: str) -> int:
     return stop.value.code
 
 
-def some() -> Finding:
+def some() -> PositionsFinding:
     shares = {"floor": 0.6, "wall 0": 0.25, "ceiling": 0.15}
     return finding_of(shares, (("floor", "wall 0"), ("wall 1", "wall 2")))
 
 
 @pytest.fixture
-def found(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Finding:
+def found(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> PositionsFinding:
     """The slow part, which is not what these tests are about."""
     finding = some()
 
-    def verified(*_: Any, **__: Any) -> Verification:
+    def verified(*_: Any, **__: Any) -> PositionsVerification:
         return verification_of(finding, {"before": 3.0, "plain": 2.0, "corrected": 1.0})
 
     monkeypatch.setattr(rt.finder, "find", lambda *_, **__: finding)
@@ -79,7 +79,7 @@ def test_no_line_is_longer_than_the_terminal(
 
 
 def test_the_next_position_is_proposed(
-    found: Finding, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    found: PositionsFinding, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert run("plan", *FILES, "--json") == 0
     record = json.loads(capsys.readouterr().out)
@@ -102,7 +102,7 @@ def test_options_of_a_plan_with_means_are_refused(
 
 
 def test_nothing_found_is_said_and_nothing_is_written(
-    found: Finding,
+    found: PositionsFinding,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from rtcal.errors import DataError
-from rtcal.finder.positions import Finding, Place, Verification, verification
+from rtcal.finder.positions import Place, PositionsFinding, PositionsVerification, verification
 from rtcal.finder.positions.detection import Detection
 from rtcal.loop.control_runs import ControlRuns
 from rtcal.report import where_figures, where_folder
@@ -28,14 +28,16 @@ pytest.importorskip("numba", reason="the paths are traced by compiled code (extr
 PLACE = Place(point=(6.5, 3.0, 1.2), source="S", nats=2.5)
 
 
-def finding_of(shares: dict[str, float], groups: tuple[tuple[str, ...], ...] = ()) -> Finding:
+def finding_of(
+    shares: dict[str, float], groups: tuple[tuple[str, ...], ...] = ()
+) -> PositionsFinding:
     """Return a finding in an L-shaped room; its candidates are a porous layer on each surface."""
     case = case_in(triangulated(prism(L_PLAN)))
     candidates = tuple(
         replace(candidate(name, 6.0), probability=0.9 * p) for name, p in shares.items()
     )
     shape = (2, len(case.simulator.pairs), 2)
-    return Finding(
+    return PositionsFinding(
         case=case,
         verdict="named",
         effect="porous",
@@ -59,16 +61,18 @@ def finding_of(shares: dict[str, float], groups: tuple[tuple[str, ...], ...] = (
 
 
 @pytest.fixture(scope="module")
-def finding() -> Finding:
+def finding() -> PositionsFinding:
     shares = {"wall 5": 0.6, "wall 0": 0.25, "ceiling": 0.15}
     return finding_of(shares, (("wall 5", "wall 0"), ("wall 1", "wall 2")))
 
 
-def verification_of(finding: Any, gaps: dict[str, float], noise: float = 0.1) -> Verification:
+def verification_of(
+    finding: Any, gaps: dict[str, float], noise: float = 0.1
+) -> PositionsVerification:
     """Return gaps that are as stated in the mean, with noise over seeds and pairs."""
     rng = np.random.default_rng(4)
     shape = (3, len(finding.parameters), len(finding.pairs), 2)
-    return Verification(
+    return PositionsVerification(
         finding=finding,
         added=(None, None),
         halves=(finding.pairs[:1], finding.pairs[1:]),
@@ -105,7 +109,7 @@ def test_a_gap_that_shrinks_at_one_pair_alone_is_unproven() -> None:
 
 
 def test_what_is_predicted_scatters_as_it_was_calibrated(
-    finding: Finding, monkeypatch: pytest.MonkeyPatch
+    finding: PositionsFinding, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The scattering was fitted with alpha, and then forgotten: another simulator was predicted."""
     tracer = finding.case.simulator
@@ -120,12 +124,12 @@ def test_what_is_predicted_scatters_as_it_was_calibrated(
     )
 
 
-def test_a_seed_stands_once(finding: Finding) -> None:
+def test_a_seed_stands_once(finding: PositionsFinding) -> None:
     with pytest.raises(DataError, match="seeds has one twice: 0, 0"):
         verification.verify(finding, seeds=(0, 0))
 
 
-def test_the_figures_are_legible_and_show_the_groups(finding: Finding) -> None:
+def test_the_figures_are_legible_and_show_the_groups(finding: PositionsFinding) -> None:
     drawn = where_folder.drawn(
         finding, verification_of(finding, {"before": 3, "plain": 2, "corrected": 1}), PLACE
     )
@@ -155,14 +159,14 @@ def test_the_room_is_looked_at_so_that_the_surface_is_seen(surface: str) -> None
     assert (geometry.normals[faces] @ where_figures._into(turn) > 0).all()
 
 
-def test_pairs_and_bands_that_were_not_measured_are_left_out(finding: Finding) -> None:
+def test_pairs_and_bands_that_were_not_measured_are_left_out(finding: PositionsFinding) -> None:
     gaps = finding.map.copy()
     gaps[0, 1] = np.nan
     figure = where_figures.disagreement(replace(finding, map=gaps))
     assert sum(t.get_text() == "nan" for t in texts(figure)) == 0
 
 
-def test_the_page_begins_with_the_three_bars(finding: Finding, tmp_path: Path) -> None:
+def test_the_page_begins_with_the_three_bars(finding: PositionsFinding, tmp_path: Path) -> None:
     result = verification_of(finding, {"before": 3.0, "plain": 2.0, "corrected": 1.99}, 1.0)
     where_folder.write(finding, result, tmp_path, command="rtcal find", place=PLACE)
     page = (tmp_path / "report.html").read_text(encoding="utf-8")
@@ -173,10 +177,10 @@ def test_the_page_begins_with_the_three_bars(finding: Finding, tmp_path: Path) -
         assert len(alt) > 60, alt
     assert "measure at (6.5, 3.0, 1.2) m with source S" in " ".join(body.split())
     record = json.loads((tmp_path / "result.json").read_text())
-    assert (record["rtcal"], record["verdict"]) == (Verification.record_kind, "unproven")
+    assert (record["rtcal"], record["verdict"]) == (PositionsVerification.record_kind, "unproven")
 
 
-def test_parameters_are_called_as_everywhere(finding: Finding) -> None:
+def test_parameters_are_called_as_everywhere(finding: PositionsFinding) -> None:
     """The page, its figures and the printed gaps had "TS" and "LEVEL"."""
     called = replace(finding, parameters=("ts", "level"))
     result = verification_of(called, {"before": 3.0, "plain": 2.0, "corrected": 1.0})
@@ -189,7 +193,7 @@ def test_parameters_are_called_as_everywhere(finding: Finding) -> None:
         assert not re.search(r"\b(TS|LEVEL)\b", said)
 
 
-def test_the_page_of_nothing_found_has_no_bars(finding: Finding, tmp_path: Path) -> None:
+def test_the_page_of_nothing_found_has_no_bars(finding: PositionsFinding, tmp_path: Path) -> None:
     nothing = replace(finding, verdict="none", effect=None, family=None)
     where_folder.write(nothing, None, tmp_path)
     page = (tmp_path / "report.html").read_text(encoding="utf-8")

@@ -318,7 +318,7 @@ def plan(
     tell(str(result), result.to_dict(), quiet=quiet, as_json=as_json)
 
 
-def _tell_places(finding: positions.Finding, quiet: bool, as_json: bool) -> None:
+def _tell_places(finding: positions.PositionsFinding, quiet: bool, as_json: bool) -> None:
     """Print where a further receiver would tell the surfaces apart that are in question."""
     places = _places(finding)[:PROPOSED]
     lines = [*text.wrapped(finding.headline), ""]
@@ -346,7 +346,7 @@ def _tell_places(finding: positions.Finding, quiet: bool, as_json: bool) -> None
     tell("\n".join(lines), record, quiet=quiet, as_json=as_json)
 
 
-def _places(finding: positions.Finding) -> tuple[positions.Place, ...]:
+def _places(finding: positions.PositionsFinding) -> tuple[positions.Place, ...]:
     """Return places for a further receiver, the one that tells most first; none without a question."""
     from rtcal.finder import positions
 

@@ -21,18 +21,20 @@ if TYPE_CHECKING:
     from rtcal.finder.effects import Absorber as Absorber
     from rtcal.finder.effects import Effect as Effect
     from rtcal.finder.effects import library as library
+    from rtcal.finder.finding import Finding as Finding
     from rtcal.finder.means.bootstrap import Threshold as Threshold
     from rtcal.finder.means.bootstrap import control_rooms as control_rooms
     from rtcal.finder.means.corrected import corrected_room as corrected_room
     from rtcal.finder.means.corrected import simulator as simulator
-    from rtcal.finder.means.finding import Finding as Finding
+    from rtcal.finder.means.finding import MeansFinding as MeansFinding
     from rtcal.finder.means.planning import Plan as Plan
     from rtcal.finder.means.planning import Proposal as Proposal
     from rtcal.finder.means.planning import plan as plan
     from rtcal.finder.means.recalibrated import Recalibrated as Recalibrated
     from rtcal.finder.means.recalibration import recalibrate as recalibrate
-    from rtcal.finder.means.verification import Verification as Verification
+    from rtcal.finder.means.verification import MeansVerification as MeansVerification
     from rtcal.finder.search import find as find
     from rtcal.finder.search import verify as verify
+    from rtcal.finder.verification import Verification as Verification
 else:
     __getattr__, __dir__, __all__ = lazy.exports(__name__, __file__)

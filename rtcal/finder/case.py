@@ -140,7 +140,7 @@ class Case:
         Share of each material's area whose normal is along x, y and z. By default it follows from the
         axes of the room's surfaces; without stated axes each share is a third.
     applied : sequence of AppliedEffect
-        Effects that `Finding.apply` has added.
+        Effects that `MeansFinding.apply` has added.
     climate_uncertainty : (float, float)
         Standard uncertainties of a stated climate: K, and % of relative humidity.
 

@@ -14,9 +14,9 @@ from rtcal.finder.case import Case
 from rtcal.finder.configuration import Configuration
 from rtcal.finder.effects import Effect, library
 from rtcal.finder.means.engines import ControlRooms
-from rtcal.finder.means.finding import Finding
+from rtcal.finder.means.finding import MeansFinding
 from rtcal.finder.means.search import find as find_by_means
-from rtcal.finder.means.verification import Verification
+from rtcal.finder.means.verification import MeansVerification
 from rtcal.finder.means.verification import verify as verify_by_means
 from rtcal.finder.prior import chosen_effects
 from rtcal.loop.control_runs import ControlRuns
@@ -49,9 +49,9 @@ def case_of(
 
 
 @overload
-def find(room: Case, **options: Any) -> Finding: ...
+def find(room: Case, **options: Any) -> MeansFinding: ...
 @overload
-def find(room: positions.Case, **options: Any) -> positions.Finding: ...
+def find(room: positions.Case, **options: Any) -> positions.PositionsFinding: ...
 @overload
 def find(room: states.Case, **options: Any) -> states.Finding: ...
 @overload
@@ -61,7 +61,7 @@ def find(
 @overload
 def find(
     room: Room, measured: Measurement, simulator: PathTracing | None = None, **options: Any
-) -> Finding | positions.Finding: ...
+) -> MeansFinding | positions.PositionsFinding: ...
 @checked
 def find(
     room: Room | Case | positions.Case | states.Case,
@@ -77,7 +77,7 @@ def find(
     cache: str | os.PathLike[str] | None = None,
     progress: TaskProgress | None = None,
     **of_means: Any,
-) -> Finding | positions.Finding | states.Finding:
+) -> MeansFinding | positions.PositionsFinding | states.Finding:
     """Find what the model of a room lacks, and where the positions tell on which surface.
 
     Two models of what is observed, one library of effects. With a simulator, or a room that states its
@@ -114,7 +114,7 @@ def find(
 
     Returns
     -------
-    Finding, positions.Finding or states.Finding
+    MeansFinding, PositionsFinding or states.Finding
 
     Raises
     ------
@@ -178,18 +178,20 @@ def _two_states(
 
 
 @overload
-def verify(finding: Finding, case: Case | None = None) -> Verification: ...
+def verify(finding: MeansFinding, case: Case | None = None) -> MeansVerification: ...
 @overload
-def verify(finding: positions.Finding, **options: Any) -> positions.Verification: ...
+def verify(
+    finding: positions.PositionsFinding, **options: Any
+) -> positions.PositionsVerification: ...
 @checked
 def verify(
-    finding: Finding | positions.Finding, case: Case | None = None, **options: Any
-) -> Verification | positions.Verification:
+    finding: MeansFinding | positions.PositionsFinding, case: Case | None = None, **options: Any
+) -> MeansVerification | positions.PositionsVerification:
     """Verify a finding: by the gaps that alpha cannot close, or at pairs that were not fitted.
 
     Parameters
     ----------
-    finding : Finding or positions.Finding
+    finding : MeansFinding or PositionsFinding
     case : Case, optional
         Of a finding by means: the case in which it is verified; by default its own.
     **options
@@ -201,6 +203,6 @@ def verify(
     DataError
         Where there is nothing to add, and as these do.
     """
-    if isinstance(finding, positions.Finding):
+    if isinstance(finding, positions.PositionsFinding):
         return positions.verify(finding, **options)
     return verify_by_means(finding, case, **options)

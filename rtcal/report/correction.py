@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from rtcal.finder.means.corrected import corrected_room, not_in_room
-from rtcal.finder.means.finding import Finding
+from rtcal.finder.means.finding import MeansFinding
 from rtcal.finder.means.recalibrated import table
 from rtcal.finder.means.recalibration import recalibrate
 
@@ -32,12 +32,12 @@ class Correction:
         return dict(self.record)
 
 
-def correct(finding: Finding, case_path: str, room_path: str | None = None) -> Correction:
+def correct(finding: MeansFinding, case_path: str, room_path: str | None = None) -> Correction:
     """Add the named effects, or the most probable ones, to a finding's case, and calibrate it.
 
     Parameters
     ----------
-    finding : Finding
+    finding : MeansFinding
     case_path : str
         Path of the case with the effect (JSON).
     room_path : str, optional

@@ -10,9 +10,9 @@ import numpy as np
 from rtcal.acoustics.observables import DecaySlope, of_kind
 from rtcal.finder.case import NORMAL_90
 from rtcal.finder.claim import CLAIMED, SAID
-from rtcal.finder.means.finding import FEATURE_NAMES, Finding
+from rtcal.finder.means.finding import FEATURE_NAMES, MeansFinding
 from rtcal.finder.means.states import state
-from rtcal.finder.means.verification import Verification, residual_map, reverberation_times
+from rtcal.finder.means.verification import MeansVerification, residual_map, reverberation_times
 from rtcal.finder.prior import NONE
 from rtcal.report.evidence_words import odds
 from rtcal.report.figures import BLACK, BLUE, GREEN, ORANGE, band_axis, jnd_band, new_figure, shown
@@ -42,7 +42,7 @@ _BENT = 0.01
 
 
 @checked
-def reverberation_time(verification: Verification) -> Any:
+def reverberation_time(verification: MeansVerification) -> Any:
     """Return T(f) of the first configuration: measured, prior, plainly calibrated, corrected."""
     finding = verification.finding
     f, times = finding.case.room.centre_frequencies, reverberation_times(verification)[0]
@@ -73,7 +73,7 @@ def reverberation_time(verification: Verification) -> Any:
 
 
 @checked
-def residuals(finding: Finding, verification: Verification | None = None) -> Any:
+def residuals(finding: MeansFinding, verification: MeansVerification | None = None) -> Any:
     """Return the residual map: feature by band and configuration; before, and after the effect."""
     maps = [("The model as stated", finding.residuals)]
     if verification is not None:
@@ -125,7 +125,7 @@ def residuals(finding: Finding, verification: Verification | None = None) -> Any
 
 
 @checked
-def evidence(finding: Finding) -> Any:
+def evidence(finding: MeansFinding) -> Any:
     """Return the evidence of every effect as bars, with the threshold."""
     names = list(finding.evidence)
     values = np.array([finding.evidence[n] for n in names])
@@ -183,14 +183,14 @@ def evidence(finding: Finding) -> Any:
 
 
 @checked
-def bends(verification: Verification) -> bool:
+def bends(verification: MeansVerification) -> bool:
     """Whether the effect bends the decay: whether EDT/T20 or T30/T20 change visibly."""
     shapes = [model.features[:, 1:3] for model in (verification.plain, verification.corrected)]
     return bool(np.abs(shapes[1] - shapes[0]).max() > _BENT)
 
 
 @checked
-def probabilities(finding: Finding) -> Any:
+def probabilities(finding: MeansFinding) -> Any:
     """Return the figure of the probability of each effect that it is there at all."""
     names = [n for n, p in finding.probabilities.items() if p >= SAID and n != NONE]
     figure, axes = new_figure(6.0, 1.2 + 0.32 * max(len(names), 1))
@@ -215,7 +215,7 @@ def probabilities(finding: Finding) -> Any:
 
 
 @checked
-def decay(verification: Verification) -> Any:
+def decay(verification: MeansVerification) -> Any:
     """Return the decay of the band with the largest residual of shape: measured, plain, corrected."""
     finding = verification.finding
     case = finding.case
@@ -270,7 +270,7 @@ def _level(case: Any, alpha: Array, band: int, t: Array) -> Array:
 
 
 @checked
-def shifts(verification: Verification) -> Any:
+def shifts(verification: MeansVerification) -> Any:
     """Return each material's shift of alpha by band, plain and corrected, with 90 % intervals.
 
     The prior's interval is grey. If there are more than `MOST_PANELS` materials, the figure shows those

@@ -11,9 +11,9 @@ from typing import Any
 from rtcal.acoustics.equations import mean_equation
 from rtcal.calibration.presets import calibrate
 from rtcal.errors import MissingAirWarning
-from rtcal.finder.means.finding import Finding
+from rtcal.finder.means.finding import MeansFinding
 from rtcal.finder.means.recalibration import recalibrate
-from rtcal.finder.means.verification import Verification, verify
+from rtcal.finder.means.verification import MeansVerification, verify
 from rtcal.finder.wording import listed
 from rtcal.report import gap_figures, gap_words
 from rtcal.report.document import Heading, material_rows
@@ -40,7 +40,9 @@ class Reproduction:
 
 
 @checked
-def figures(finding: Finding, verification: Verification | None) -> dict[str, tuple[Any, str]]:
+def figures(
+    finding: MeansFinding, verification: MeansVerification | None
+) -> dict[str, tuple[Any, str]]:
     """Return the figures by name, each with its caption."""
     drawn = {
         "evidence": (
@@ -86,7 +88,7 @@ def figures(finding: Finding, verification: Verification | None) -> dict[str, tu
 
 @checked
 def write(
-    finding: Finding,
+    finding: MeansFinding,
     folder: Path,
     reproduction: Reproduction | None = None,
     heading: Heading | None = None,
@@ -123,7 +125,7 @@ def write(
 
 
 @checked
-def summary(finding: Finding, verification: Verification | None) -> dict[str, Any]:
+def summary(finding: MeansFinding, verification: MeansVerification | None) -> dict[str, Any]:
     """Return the finding as plain values for the page.
 
     ``headline`` and ``level``, ``sizes``, ``rests_on``, ``to_do`` and ``notes`` (sentences),
@@ -158,7 +160,7 @@ def summary(finding: Finding, verification: Verification | None) -> dict[str, An
     }
 
 
-def _reproduce(finding: Finding, reproduction: Reproduction | None) -> dict[str, Any] | None:
+def _reproduce(finding: MeansFinding, reproduction: Reproduction | None) -> dict[str, Any] | None:
     """Return command, files, seed and engines; None if they are not known."""
     if reproduction is None:
         return None
@@ -170,7 +172,7 @@ def _reproduce(finding: Finding, reproduction: Reproduction | None) -> dict[str,
     }
 
 
-def _corrected(finding: Finding, verification: Verification | None) -> dict[str, Any]:
+def _corrected(finding: MeansFinding, verification: MeansVerification | None) -> dict[str, Any]:
     """The coefficients with the effect or the set in the model, and the sizes."""
     room = finding.case.room
     names = [f'"{c.name}"' for c in finding.case.configurations]
@@ -194,7 +196,7 @@ def _corrected(finding: Finding, verification: Verification | None) -> dict[str,
     }
 
 
-def _unknowable(finding: Finding, supported: bool) -> str:
+def _unknowable(finding: MeansFinding, supported: bool) -> str:
     """Return the sentence on what no calibration can show: whether the name is right."""
     others = finding.rivals
     next_to = (

@@ -6,9 +6,9 @@ import numpy as np
 
 from rtcal.finder.claim import CLAIMED, SAID
 from rtcal.finder.means.bootstrap import QUANTILE
-from rtcal.finder.means.finding import Finding
+from rtcal.finder.means.finding import MeansFinding
 from rtcal.finder.means.verdict import TWO
-from rtcal.finder.means.verification import Verification
+from rtcal.finder.means.verification import MeansVerification
 from rtcal.finder.wording import as_sentence, listed
 from rtcal.report.evidence_words import odds
 
@@ -25,7 +25,7 @@ _FAMILIES = {
 }
 
 
-def headline(finding: Finding) -> str:
+def headline(finding: MeansFinding) -> str:
     """Return the verdict as one sentence for a reader who is no acoustician."""
     if len(finding.members) > 1 and finding.detected:
         return _headline_of_set(finding)
@@ -44,7 +44,7 @@ def headline(finding: Finding) -> str:
     }[finding.verdict]
 
 
-def _headline_of_set(finding: Finding) -> str:
+def _headline_of_set(finding: MeansFinding) -> str:
     """Return what is claimed, or likely, of two or more effects."""
     if finding.verdict == "ambiguous":
         return (
@@ -64,12 +64,12 @@ def family(name: str) -> str:
     return _FAMILIES.get(name, f"an effect of the family “{name}”")
 
 
-def level(finding: Finding) -> str:
+def level(finding: MeansFinding) -> str:
     """Return the kind of the box around the headline: "agrees", "open" or "contradicts"."""
     return {"none": "agrees", "hint": "open"}.get(finding.verdict, "contradicts")
 
 
-def sizes(finding: Finding) -> list[str]:
+def sizes(finding: MeansFinding) -> list[str]:
     """Return the sizes of the candidates, and how the coefficients are off, a sentence each."""
     off = [finding.coefficients_in_words] if finding.coefficients is not None else []
     return [as_sentence(words) for c in finding.candidates if (words := finding.size_of(c))] + [
@@ -77,13 +77,13 @@ def sizes(finding: Finding) -> list[str]:
     ]
 
 
-def plain_heading(finding: Finding) -> str:
+def plain_heading(finding: MeansFinding) -> str:
     """Return the title of the calibration without the effect."""
     usable = finding.verdict in ("none", "hint")
     return "The calibration" if usable else "The plain calibration: the model lacks something"
 
 
-def rests_on(finding: Finding, verification: Verification | None) -> list[str]:
+def rests_on(finding: MeansFinding, verification: MeansVerification | None) -> list[str]:
     """Return what the verdict rests on, a sentence each."""
     said = [f"{k} {finding.percent(k)}" for k, p in finding.probabilities.items() if p >= SAID]
     sentences = [evidence(finding)]
@@ -105,7 +105,7 @@ def rests_on(finding: Finding, verification: Verification | None) -> list[str]:
     return [*sentences, f"Probabilities: {', '.join(said)}.", *filter(None, [finding.track_record])]
 
 
-def to_do(finding: Finding, verification: Verification | None) -> list[str]:
+def to_do(finding: MeansFinding, verification: MeansVerification | None) -> list[str]:
     """Return what to do, a sentence each: the next measurement, and which coefficients to use."""
     steps = [] if finding.verdict == "none" else [as_sentence(finding.advice)]
     if verification is not None:
@@ -133,7 +133,7 @@ def to_do(finding: Finding, verification: Verification | None) -> list[str]:
     return steps
 
 
-def evidence(finding: Finding) -> str:
+def evidence(finding: MeansFinding) -> str:
     """Return the evidence and its threshold in words."""
     often = f"{100 * (1 - QUANTILE):.0f} %"
     return (
@@ -143,7 +143,7 @@ def evidence(finding: Finding) -> str:
     )
 
 
-def _proof(verification: Verification) -> str:
+def _proof(verification: MeansVerification) -> str:
     """Return what became of the gaps that no choice of coefficients can close."""
     name, before, after = verification.finding.title, verification.before, verification.after
     if np.isnan(before):
@@ -163,6 +163,6 @@ def _proof(verification: Verification) -> str:
     }[verification.verdict]
 
 
-def _candidates(finding: Finding) -> str:
+def _candidates(finding: MeansFinding) -> str:
     names = [f"{finding.title_of(c)} ({finding.percent(c)})" for c in finding.candidates]
     return listed(names).replace(" and ", " or ")

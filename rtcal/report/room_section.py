@@ -16,8 +16,8 @@ from rtcal.simulators.geometry import Polyhedron
 if TYPE_CHECKING:
     from rtcal.calibration.result import CalibrationResult
     from rtcal.finder.positions.advice import Place
-    from rtcal.finder.positions.finding import Finding
-    from rtcal.finder.positions.verification import Verification
+    from rtcal.finder.positions.finding import PositionsFinding
+    from rtcal.finder.positions.verification import PositionsVerification
     from rtcal.loop.positions_result import PositionsResult
 
 _NONE: dict[str, Any] = {"room": None, "no_room": ""}
@@ -77,7 +77,9 @@ def of_positions(result: PositionsResult) -> dict[str, Any]:
 
 
 def of_finding(
-    finding: Finding, verification: Verification | None, place: Place | None = None
+    finding: PositionsFinding,
+    verification: PositionsVerification | None,
+    place: Place | None = None,
 ) -> dict[str, Any]:
     """Return the section of a finding in a geometry.
 

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from rtcal.acoustics.parameters import parameter_label
 from rtcal.finder.positions.advice import Place
-from rtcal.finder.positions.finding import Finding
+from rtcal.finder.positions.finding import PositionsFinding
 from rtcal.finder.positions.surfaces import Faces, kind
-from rtcal.finder.positions.verification import MODELS, Verification
+from rtcal.finder.positions.verification import MODELS, PositionsVerification
 from rtcal.report.figures import BLACK, BLUE, GREEN, ORANGE, new_figure, shown
 from rtcal.simulators.geometry import Polyhedron
 from rtcal.support.arguments import checked
@@ -34,7 +34,7 @@ _BOX = {"boxstyle": "round,pad=0.2", "facecolor": "white", "edgecolor": "none", 
 
 
 @checked
-def room(finding: Finding, place: Place | None = None) -> Any:
+def room(finding: PositionsFinding, place: Place | None = None) -> Any:
     """Return the room in an axonometric view, each surface as orange as it is probable.
 
     Surfaces that the positions do not tell apart have a common letter and hatch. ``place`` is a further
@@ -46,7 +46,7 @@ def room(finding: Finding, place: Place | None = None) -> Any:
 
 
 @checked
-def draw_room(axes: Any, finding: Finding, place: Place | None = None) -> None:
+def draw_room(axes: Any, finding: PositionsFinding, place: Place | None = None) -> None:
     """Draw the room in an axonometric view into axes; see `room`.
 
     Surfaces towards the reader are outlines, so that the room can be looked into.
@@ -90,13 +90,13 @@ def draw_room(axes: Any, finding: Finding, place: Place | None = None) -> None:
     _legend(axes)
 
 
-def _probabilities(finding: Finding) -> dict[str, float]:
+def _probabilities(finding: PositionsFinding) -> dict[str, float]:
     """Return the probability of each surface, 0 where nothing is other than stated."""
     none = finding.verdict == "none"
     return {n: 0.0 if none else finding.surfaces.get(n, 0.0) for n in finding.case.faces}
 
 
-def _letters(finding: Finding) -> dict[str, str]:
+def _letters(finding: PositionsFinding) -> dict[str, str]:
     """Return a letter for the surfaces of each group that is in question."""
     chance = _probabilities(finding)
     groups = [g for g in finding.groups if max(chance[name] for name in g) >= _SHOWN]
@@ -140,7 +140,7 @@ def _outlines(
         )
 
 
-def _stands(axes: Any, finding: Finding, place: Place | None, turn: float) -> None:
+def _stands(axes: Any, finding: PositionsFinding, place: Place | None, turn: float) -> None:
     """Draw sources, receivers and a proposed place, each on a line from the floor."""
     simulator = finding.case.simulator
     low = float(finding.case.geometry.vertices[:, 2].min())
@@ -162,7 +162,7 @@ def _stands(axes: Any, finding: Finding, place: Place | None, turn: float) -> No
         )
 
 
-def _most_probable(finding: Finding) -> Sequence[float] | None:
+def _most_probable(finding: PositionsFinding) -> Sequence[float] | None:
     """Return the middle of the part on which something most probably stands; None without one."""
     located = finding.located
     return None if finding.verdict == "none" or located is None else located.middle
@@ -239,7 +239,7 @@ def _middle(geometry: Polyhedron, faces: Faces) -> Array:
 
 
 @checked
-def plan(finding: Finding, place: Place | None = None) -> Any:
+def plan(finding: PositionsFinding, place: Place | None = None) -> Any:
     """Return the map on the plan: which pairs disagree, and which walls could mend it.
 
     A line joins source and receiver. It is as dark as the root mean square of the pair's residuals in
@@ -298,7 +298,7 @@ def plan(finding: Finding, place: Place | None = None) -> Any:
 
 
 @checked
-def disagreement(finding: Finding) -> Any:
+def disagreement(finding: PositionsFinding) -> Any:
     """Return the map as tables, in standard deviations: pairs by parameters, parameters by bands."""
     names = [parameter_label(p) for p in finding.parameters]
     frequencies = [f"{f:g}" for f in finding.case.room.centre_frequencies]
@@ -341,7 +341,7 @@ def _table(axes: Any, z: Array, rows: Sequence[str], columns: Sequence[str], mos
 
 
 @checked
-def bars(verification: Verification) -> Any:
+def bars(verification: PositionsVerification) -> Any:
     """Return the three bars: the mean gap at held-out pairs as stated, calibrated, corrected."""
     figure, axes = new_figure(6.0, 3.8)
     draw_bars(axes, verification)
@@ -349,7 +349,7 @@ def bars(verification: Verification) -> Any:
 
 
 @checked
-def draw_bars(axes: Any, verification: Verification) -> None:
+def draw_bars(axes: Any, verification: PositionsVerification) -> None:
     """Draw the three bars into axes; whiskers are the range over the simulator's seeds."""
     labels = ("as stated", "calibrated", "corrected\nand calibrated")
     for x, (model, colour, hatch) in enumerate(

@@ -8,8 +8,8 @@ from typing import Any
 from rtcal.acoustics.parameters import parameter_label
 from rtcal.finder.claim import SAID
 from rtcal.finder.positions.advice import Place
-from rtcal.finder.positions.finding import Finding, strongest
-from rtcal.finder.positions.verification import MODELS, TITLES, Verification
+from rtcal.finder.positions.finding import PositionsFinding, strongest
+from rtcal.finder.positions.verification import MODELS, TITLES, PositionsVerification
 from rtcal.report import document, room_section, where_figures
 from rtcal.report.document import Heading
 from rtcal.report.figures import rendered
@@ -29,8 +29,8 @@ FILES = (PAGE, MAP, PLAN, ROOM, GAP)
 
 @checked
 def write(
-    finding: Finding,
-    verification: Verification | None,
+    finding: PositionsFinding,
+    verification: PositionsVerification | None,
     folder: Path,
     heading: Heading | None = None,
     command: str = "",
@@ -59,7 +59,9 @@ def write(
 
 @checked
 def drawn(
-    finding: Finding, verification: Verification | None, place: Place | None = None
+    finding: PositionsFinding,
+    verification: PositionsVerification | None,
+    place: Place | None = None,
 ) -> dict[str, Any]:
     """Return the figures of the page by the names of their files."""
     out = {
@@ -88,8 +90,8 @@ _LEVELS = {"supported": "agrees", "withdrawn": "contradicts", "unproven": "open"
 
 @checked
 def page(
-    finding: Finding,
-    verification: Verification | None,
+    finding: PositionsFinding,
+    verification: PositionsVerification | None,
     figures: dict[str, Any],
     heading: Heading,
     command: str = "",
@@ -129,7 +131,7 @@ def page(
     )
 
 
-def _said(name: str, finding: Finding, verification: Verification | None) -> str:
+def _said(name: str, finding: PositionsFinding, verification: PositionsVerification | None) -> str:
     """Return what a figure shows, in words, with its numbers."""
     if name == GAP and verification is not None:
         before, plain, after = (f"{verification.gap(m).mean():.2f}" for m in MODELS)

@@ -27,6 +27,8 @@ _GONE = {
     "finding 1": "rtcal.find",
     "several effects 1": "rtcal.find with most = 3",
     "verification 1": "rtcal.find and rtcal.finder.verify",
+    "where 1": "rtcal.find",
+    "where verification 1": "rtcal.find and rtcal.finder.verify",
 }
 """Kinds of result that are no longer read, and what makes a new one of the same data."""
 

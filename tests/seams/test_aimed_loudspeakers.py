@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import rtcal as rt
-from rtcal.finder.positions import Case, Finding, find
+from rtcal.finder.positions import Case, PositionsFinding, find
 from tests.test_where import heard, stated, tracing
 
 LOBE = np.linspace(1, 8, 3)
@@ -17,7 +17,7 @@ LOBE = np.linspace(1, 8, 3)
 
 
 @pytest.fixture(scope="module")
-def findings(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Finding]:
+def findings(tmp_path_factory: pytest.TempPathFactory) -> dict[str, PositionsFinding]:
     """Return what is found of a room with nothing hidden, measured with aimed loudspeakers."""
     kept: Path = tmp_path_factory.mktemp("kept")
     base = tracing(stated(), n_paths=1600)
@@ -32,21 +32,21 @@ def findings(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Finding]:
 
 
 def test_taken_as_omnidirectional_it_is_an_alarm_and_the_assumption_is_said(
-    findings: dict[str, Finding],
+    findings: dict[str, PositionsFinding],
 ) -> None:
     found = findings["omnidirectional"]
     assert found.probabilities["none"] < 0.1
     assert "Taken as omnidirectional: S1, S2." in found.notes
 
 
-def test_stated_nothing_is_claimed(findings: dict[str, Finding]) -> None:
+def test_stated_nothing_is_claimed(findings: dict[str, PositionsFinding]) -> None:
     found = findings["stated"]
     assert found.verdict == "none"
     assert not any("omnidirectional" in note for note in found.notes)
 
 
 def test_unknown_nothing_is_claimed_and_times_alone_are_asked(
-    findings: dict[str, Finding],
+    findings: dict[str, PositionsFinding],
 ) -> None:
     found = findings["unknown"]
     assert found.parameters == ("t20",)

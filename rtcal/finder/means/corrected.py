@@ -85,7 +85,7 @@ def simulator(case: Case, make: Callable[[Room], Simulator] | None = None) -> Si
     Parameters
     ----------
     case : Case
-        With the effects that `Finding.apply` has added.
+        With the effects that `MeansFinding.apply` has added.
     make : function, optional
         Builds a simulator for a room of the stated materials, with the air, volume and areas of the
         finding: ``lambda room: PathTracing(room=room, geometry=..., ...)``. Absorbers are spread over

@@ -13,7 +13,7 @@ from rtcal.errors import DataError
 from rtcal.finder.case import AppliedEffect, Case
 from rtcal.finder.claim import SAID, Names, by_family_sets, family_of, numbers_of
 from rtcal.finder.coefficients import OffTogether
-from rtcal.finder.effects import Effect
+from rtcal.finder.finding import Finding
 from rtcal.finder.means import track_record
 from rtcal.finder.means.model_error import ModelDiscrepancy
 from rtcal.finder.means.verdict import Fit
@@ -23,7 +23,6 @@ from rtcal.finder.wording import NATS, as_sentence, engine_title, listed
 from rtcal.support import html, text
 from rtcal.support.arguments import checked
 from rtcal.support.files import json_numbers
-from rtcal.support.results import Result
 from rtcal.support.types import Array
 
 _NUMBERS = ("none", "one", "two", "three")
@@ -31,8 +30,8 @@ FEATURE_NAMES = ("T20", "EDT/T20", "T30/T20", "C80", "G")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class Finding(Result):
-    """What the data of a case say about its model.
+class MeansFinding(Finding):
+    """What the data of a case say about its model; attributes beside those of `Finding`.
 
     Sets of effects are compared, of one effect each unless `rtcal.finder.find` was told of more
     (``most``).
@@ -40,15 +39,6 @@ class Finding(Result):
     Attributes
     ----------
     case : Case
-    verdict : {"none", "hint", "named", "family", "ambiguous", "unknown"}
-        ``named``: an effect whose probability is at least 0.9, and that passes every check.
-        ``family``: a family of that probability, but no member, or one with a doubt about its size or
-        fit. ``ambiguous``: something is missing, and effects of several families explain it
-        (``candidates``). ``unknown``: the model lacks something that no effect of the library explains.
-        ``hint``: the score does not exceed the threshold but is above 0, or a check has failed
-        (``reasons``).
-    family : str or None
-        The family whose probability is at least 0.9.
     named, named_families : tuple of str
         The effects and the families that are claimed.
     named_set : tuple of str
@@ -61,11 +51,9 @@ class Finding(Result):
         probable ones that hold 0.9 of what is not "none"; one where the verdict is "named".
     evidence : mapping of str to float
         Log evidence over "none" in nats, by effect alone, of "coefficients" and of "unknown".
-    probabilities : mapping of str to float
-        Of "none", "coefficients", "unknown" and each effect that it is there at all, the most probable
-        first. They sum to 1 where each set has one effect.
-    families : mapping of str to float
-        The same of each family. "added absorption" has the families whose names begin with it.
+    probabilities, families : mapping of str to float
+        Of an effect, or of one of the family, that it is there at all. They sum to 1 where each set has
+        one effect.
     sets : mapping of tuple of str to float
         Probabilities of the sets of effects, the most probable first; () is no effect.
     likely : sequence of (tuple of AppliedEffect, float)
@@ -76,9 +64,6 @@ class Finding(Result):
         adds one set.
     prior : Prior
         What was believed before.
-    score, threshold : float
-        Evidence that something is missing, whatever it is, and the threshold that it must exceed, in
-        nats.
     fits : mapping of str to Fit
         Parameters, size and gap of each candidate; of a member with the other members in the model.
     alone : mapping of str to Fit
@@ -93,42 +78,29 @@ class Finding(Result):
     reasons : tuple of str
         Doubts about what is most probable. One about the size or the fit leaves its family claimed.
         Any other makes the claim of one effect a hint, and of a set takes it back.
-    notes : tuple of str
-        Data that were dropped, where the uncertainties come from, and reasons to doubt the result.
     discrepancy : ModelDiscrepancy
         Bias and covariance of the model's error.
-    effects : mapping of str to Effect
-        The effects that were tried, by name.
     """
 
     record_kind: ClassVar[str] = "finding 2"
 
     case: Case
-    verdict: str
-    family: str | None
     named: Names
     named_families: Names
     named_set: Names
     members: Names
     candidates: Names
     evidence: Mapping[str, float]
-    probabilities: Mapping[str, float]
-    families: Mapping[str, float]
     sets: Mapping[Names, float]
     likely: Sequence[tuple[tuple[AppliedEffect, ...], float]]
     alpha: Array
     prior: Prior
-    score: float
-    threshold: float
     fits: Mapping[str, Fit]
     alone: Mapping[str, Fit]
     stand_ins: Mapping[str, Names]
     advice: str
     residuals: Array
-    reasons: tuple[str, ...]
-    notes: tuple[str, ...]
     discrepancy: ModelDiscrepancy
-    effects: Mapping[str, Effect]
 
     @property
     def engines(self) -> tuple[str, ...]:
@@ -186,11 +158,6 @@ class Finding(Result):
         return self.fits[self.members[-1]].coefficients if self.members else None
 
     @property
-    def detected(self) -> bool:
-        """Whether something is missing, whatever it is."""
-        return self.verdict not in ("none", "hint")
-
-    @property
     def can_be_added(self) -> bool:
         """Whether `apply` has something to add."""
         return self.verdict in ("named", "family", "ambiguous") and bool(self.members)
@@ -243,11 +210,6 @@ class Finding(Result):
     def rivals(self) -> list[str]:
         """The candidates beside the most probable set."""
         return list(self.candidates[max(1, len(self.members)) :])
-
-    @checked
-    def percent(self, name: str) -> str:
-        """The probability of an effect in percent."""
-        return f"{100 * self.probabilities.get(name, 0.0):.0f} %"
 
     @property
     def support(self) -> str:
@@ -312,18 +274,14 @@ class Finding(Result):
         """Return plain values for JSON."""
         size, effect = self.size, self.effects.get(str(self.best))
         return {
-            "verdict": self.verdict,
+            **super().to_dict(),
             "effect": self.effect,
-            "family": self.family,
             "named": list(self.named),
             "named_families": list(self.named_families),
             "named_set": list(self.named_set),
             "members": list(self.members),
             "amount": self.amount or None,
-            "reasons": list(self.reasons),
             "candidates": list(self.candidates),
-            "probabilities": dict(self.probabilities),
-            "families": dict(self.families),
             "numbers": list(self.numbers),
             "sets": [{"effects": list(s), "probability": p} for s, p in self.sets.items()],
             "evidence": {k: json_numbers(v) for k, v in self.evidence.items()},
@@ -337,15 +295,12 @@ class Finding(Result):
                 "probability": self.coefficients.probability,
                 "ratio": self.coefficients.ratio.tolist(),
             },
-            "score": self.score,
-            "threshold": self.threshold,
             "engines": list(self.engines),
             "parameters": dict(self.parameters),
             "material": effect and effect.material(self.parameters, self.case.room),
             "size": size and size.to_dict(),
             "runner_up": self.runner_up,
             "advice": self.advice,
-            "notes": list(self.notes),
             "residuals": [
                 {
                     "configuration": c.name,
@@ -362,10 +317,7 @@ class Finding(Result):
         """Return one line: verdict, candidates with their probabilities, score and threshold."""
         some = self.members if len(self.members) > 1 else self.candidates
         names = text.shortened(", ".join(f"{c} {self.percent(c)}" for c in some))
-        return (
-            f"<Finding {self.verdict}: {names or 'no effect'}; {self.score:+.1f} nats, threshold "
-            f"{self.threshold:.1f}>"
-        )
+        return f"<{type(self).__name__} {self.verdict}: {names or 'no effect'}; {self._scored}>"
 
     def _repr_html_(self) -> str:
         """Return probabilities and evidence as a table, candidates and threshold in words."""

@@ -16,7 +16,7 @@ from rtcal.finder.effects import Effect, library
 from rtcal.finder.effects.checks import checked_effects
 from rtcal.finder.means.advice import DISTINCT_NATS, covariance_with, separation, variances_of
 from rtcal.finder.means.features import Observed, observe
-from rtcal.finder.means.finding import Finding
+from rtcal.finder.means.finding import MeansFinding
 from rtcal.finder.means.hypotheses import Hypotheses, predict_hypotheses
 from rtcal.finder.means.information import Information, Mask
 from rtcal.finder.means.measurements import Extended, Further, checked_costs, extended, possible
@@ -237,7 +237,7 @@ def plan(
     change: float = 0.2,
     discrepancy: ModelDiscrepancy | None = None,
     *,
-    finding: Finding | None = None,
+    finding: MeansFinding | None = None,
     costs: Mapping[str, float] | None = None,
     planned: Sequence[Configuration] = (),
 ) -> Plan:
@@ -257,7 +257,7 @@ def plan(
         effect has the size that comes nearest to it.
     discrepancy : ModelDiscrepancy, optional
         From the case's control rooms; by default the finding's, or `GENERIC_UNCERTAINTY`.
-    finding : Finding, optional
+    finding : MeansFinding, optional
         Of this case, as `find` returns it.
     costs : mapping of str to float, optional
         Hours that a measurement takes, in place of `rtcal.finder.means.measurements.COSTS`:

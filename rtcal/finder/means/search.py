@@ -12,6 +12,7 @@ from rtcal.acoustics import bands
 from rtcal.errors import DataError
 from rtcal.finder.case import AppliedEffect, Case
 from rtcal.finder.claim import by_family, credible_set, posterior
+from rtcal.finder.detection import Detection
 from rtcal.finder.effects import Effect, library
 from rtcal.finder.effects.checks import checked_effects
 from rtcal.finder.means.advice import next_measurement
@@ -27,7 +28,7 @@ from rtcal.finder.means.doubts import schroeder_limit
 from rtcal.finder.means.engines import ControlRooms
 from rtcal.finder.means.evidence import evaluate_beyond
 from rtcal.finder.means.features import Observed, observe
-from rtcal.finder.means.finding import Finding
+from rtcal.finder.means.finding import MeansFinding
 from rtcal.finder.means.hypotheses import Hypotheses, predict_hypotheses
 from rtcal.finder.means.likelihood import standardized_residuals
 from rtcal.finder.means.model_error import ModelDiscrepancy
@@ -66,7 +67,7 @@ def find(
     controls: Sequence[ControlRooms] | None = None,
     cache: str | os.PathLike[str] | None = None,
     progress: TaskProgress | None = None,
-) -> Finding:
+) -> MeansFinding:
     """Find what the case's model lacks.
 
     Parameters
@@ -102,7 +103,7 @@ def find(
 
     Returns
     -------
-    Finding
+    MeansFinding
 
     Raises
     ------
@@ -209,15 +210,15 @@ def _conclude(
     prior: Prior,
     notes: Sequence[str],
     number: _Numbers,
-) -> Finding:
+) -> MeansFinding:
     """Compare the hypotheses' evidence and return the finding."""
     predicted, evidence = evaluate_beyond(case, observed, predicted, discrepancy, prior.off)
     searched = Searched(case, observed, predicted, discrepancy, evidence)
     compared = compare(case, observed, predicted, discrepancy)
     table = {k: float(v) for k, v in evidence.by_effect().items()}
     over = {k: v - table[NONE] for k, v in table.items() if k != NONE}
-    score = float(evidence_of_something(evidence, prior))
-    detected = None if score > limit else "hint" if score > 0 else "none"
+    detection = Detection(float(evidence_of_something(evidence, prior)), limit)
+    detected = detection.verdict
     probabilities = of_one = posterior(table, prior)
     families = of_one_family = by_family(of_one, predicted.effects)
     if number.most == 1:
@@ -231,7 +232,7 @@ def _conclude(
     else:
         verdict = of_sets(searched, sets, probabilities, families)
         told_apart = credible_set(of_one)
-    return Finding(
+    return MeansFinding(
         case=case,
         **vars(verdict),
         evidence={k: over[k] for k in sorted(over, key=lambda k: -over[k])},
@@ -241,8 +242,7 @@ def _conclude(
         likely=[(_applied(predicted, rows), p) for rows, p in sets.likely],
         alpha=averaged_alpha(compared, sets.likely),
         prior=prior,
-        score=score,
-        threshold=limit,
+        detection=detection,
         advice=next_measurement(case, observed, predicted, discrepancy, evidence, told_apart),
         residuals=standardized_residuals(observed, predicted, discrepancy),
         notes=(*notes, observed.origin, *_notes(case)),

@@ -117,7 +117,7 @@ class Searched:
 
 @dataclass(frozen=True, kw_only=True)
 class Verdict:
-    """What is claimed; its fields are those of `rtcal.finder.Finding`."""
+    """What is claimed; its fields are those of `rtcal.finder.MeansFinding`."""
 
     verdict: str
     family: str | None = None

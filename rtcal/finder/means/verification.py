@@ -18,7 +18,7 @@ from rtcal.acoustics.observables import observable
 from rtcal.errors import DataError
 from rtcal.finder.case import Case
 from rtcal.finder.means.features import observe
-from rtcal.finder.means.finding import FEATURE_NAMES, Finding
+from rtcal.finder.means.finding import FEATURE_NAMES, MeansFinding
 from rtcal.finder.means.gap import LITTLE
 from rtcal.finder.means.hypotheses import predict_hypotheses
 from rtcal.finder.means.likelihood import standardized_residuals
@@ -26,11 +26,11 @@ from rtcal.finder.means.recalibrated import Recalibrated, table
 from rtcal.finder.means.recalibration import plain, recalibrate
 from rtcal.finder.means.states import distances, state
 from rtcal.finder.model import FEATURES, predict
+from rtcal.finder.verification import Verification
 from rtcal.finder.wording import listed
 from rtcal.support import html, text
 from rtcal.support.arguments import checked
 from rtcal.support.files import json_numbers
-from rtcal.support.results import Result
 from rtcal.support.threads import single_threaded_blas
 from rtcal.support.types import Array
 
@@ -51,9 +51,9 @@ class Gap:
     after: float
 
 
-@dataclass(frozen=True, eq=False, repr=False)
-class Verification(Result):
-    """The gap before and after the correction.
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class MeansVerification(Verification):
+    """The gap before and after the correction; attributes beside those of `Verification`.
 
     Attributes
     ----------
@@ -64,30 +64,36 @@ class Verification(Result):
     predictive : float
         Nats by which the effect predicts what alpha cannot absorb, given the fitted T20, better than
         the model without it.
-    verdict : {"supported", "unproven", "withdrawn"}
-        ``supported``: the model got better where alpha cannot have made it so, whatever the effect's
-        right name is; ``unproven``: the data have nothing that alpha could not absorb, or it does
-        not change.
     plain, corrected : Recalibrated
     """
 
     record_kind: ClassVar[str] = "verification 2"
 
-    finding: Finding
+    finding: MeansFinding
     gaps: tuple[Gap, ...]
     before: float
     after: float
     predictive: float
-    verdict: str
     plain: Recalibrated
     corrected: Recalibrated
+
+    @property
+    def verdict(self) -> str:
+        """``supported``: the model got better where alpha cannot have made it so.
+
+        ``unproven``: the data have nothing that alpha could not absorb, or it does not change. Else
+        ``withdrawn``.
+        """
+        uncertainty = self.finding.fits[str(self.finding.best)].gap.uncertainty
+        gain = self.before - self.after  # NaN where nothing was measured
+        if -gain > max(LITTLE, uncertainty):
+            return "withdrawn"
+        return "supported" if gain > uncertainty and self.predictive > 0 else "unproven"
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain values for JSON."""
         return {
-            "verdict": self.verdict,
-            "sentence": self.sentence,
-            "finding": self.finding.to_dict(),
+            **super().to_dict(),
             "before_jnd": json_numbers(self.before),
             "after_jnd": json_numbers(self.after),
             "predictive_nats": self.predictive,
@@ -212,11 +218,11 @@ class Verification(Result):
 
 @single_threaded_blas()
 @checked
-def verify(finding: Finding, case: Case | None = None) -> Verification:
+def verify(finding: MeansFinding, case: Case | None = None) -> MeansVerification:
     """Compare the plainly calibrated model with the one that has the named effect.
 
-    Raises DataError where there is no named effect (see `Finding.apply`), where there are two or more,
-    or ``case`` differs in shape.
+    Raises DataError where there is no named effect (see `MeansFinding.apply`), where there are two or
+    more, or ``case`` differs in shape.
     """
     if len(finding.members) > 1:
         raise DataError(
@@ -243,21 +249,19 @@ def verify(finding: Finding, case: Case | None = None) -> Verification:
             if not fitted:
                 proof.append(one)
     mean = np.mean(proof, axis=0) if proof else np.full(2, np.nan)
-    check = finding.fits[str(finding.best)].gap
-    predictive = check.predictive
-    change = float(mean[1] - mean[0]) if proof else 0.0
-    if change > max(LITTLE, check.uncertainty):
-        verdict = "withdrawn"
-    else:
-        shrinks = -change > check.uncertainty and predictive > 0
-        verdict = "supported" if shrinks else "unproven"
-    return Verification(
-        finding, tuple(gaps), float(mean[0]), float(mean[1]), predictive, verdict, before, after
+    return MeansVerification(
+        finding=finding,
+        gaps=tuple(gaps),
+        before=float(mean[0]),
+        after=float(mean[1]),
+        predictive=finding.fits[str(finding.best)].gap.predictive,
+        plain=before,
+        corrected=after,
     )
 
 
-def residual_map(verification: Verification) -> Array:
-    """Return corrected model less measured over its standard deviation, as `Finding.residuals`."""
+def residual_map(verification: MeansVerification) -> Array:
+    """Return corrected model less measured over its standard deviation, as `MeansFinding.residuals`."""
     finding = verification.finding
     case = finding.apply()
     observed, _ = observe(case)
@@ -267,7 +271,7 @@ def residual_map(verification: Verification) -> Array:
     return standardized_residuals(observed, predicted, finding.discrepancy)
 
 
-def reverberation_times(verification: Verification) -> list[dict[str, Array]]:
+def reverberation_times(verification: MeansVerification) -> list[dict[str, Array]]:
     """Return T in s, (n_bands,), by configuration: measured, prior, plain, corrected."""
     finding = verification.finding
     case = finding.case

@@ -11,9 +11,9 @@ from rtcal.finder.positions.advice import Place, next_position
 from rtcal.finder.positions.candidate import Candidate
 from rtcal.finder.positions.case import Case
 from rtcal.finder.positions.corrected import Corrected
-from rtcal.finder.positions.finding import LEAST_PAIRS, Finding
+from rtcal.finder.positions.finding import LEAST_PAIRS, PositionsFinding
 from rtcal.finder.positions.search import EFFECTS, find
-from rtcal.finder.positions.verification import Verification, verify
+from rtcal.finder.positions.verification import PositionsVerification, verify
 
 __all__ = [
     "EFFECTS",
@@ -21,9 +21,9 @@ __all__ = [
     "Candidate",
     "Case",
     "Corrected",
-    "Finding",
     "Place",
-    "Verification",
+    "PositionsFinding",
+    "PositionsVerification",
     "find",
     "next_position",
     "verify",

@@ -10,7 +10,7 @@ import numpy as np
 from rtcal.errors import DataError
 from rtcal.finder.positions.candidate import Candidate
 from rtcal.finder.positions.case import Case
-from rtcal.finder.positions.finding import Finding
+from rtcal.finder.positions.finding import PositionsFinding
 from rtcal.finder.positions.weighing import Weighing
 from rtcal.support import checks
 from rtcal.support.arguments import checked
@@ -42,12 +42,14 @@ class Place:
 
 
 @checked
-def next_position(finding: Finding, *, number: int = 16, seed: int = 0) -> tuple[Place, ...]:
+def next_position(
+    finding: PositionsFinding, *, number: int = 16, seed: int = 0
+) -> tuple[Place, ...]:
     """Return places for a further receiver, the one that tells most first.
 
     Parameters
     ----------
-    finding : Finding
+    finding : PositionsFinding
         With at least two surfaces that may be it.
     number : int
         Places that are tried, on a grid over the room.
@@ -86,7 +88,7 @@ def next_position(finding: Finding, *, number: int = 16, seed: int = 0) -> tuple
     return tuple(sorted(every, key=lambda place: -place.nats))
 
 
-def _rivals(finding: Finding) -> list[Candidate]:
+def _rivals(finding: PositionsFinding) -> list[Candidate]:
     """Return the most probable candidate on each surface that is in question."""
     out = []
     for name in list(finding.surfaces)[:_RIVALS]:
@@ -135,7 +137,7 @@ def _with(case: Case, alpha: Array, rival: Candidate) -> Array:
     return np.clip(out, 0.0, 0.99)
 
 
-def _error(finding: Finding) -> Array:
+def _error(finding: PositionsFinding) -> Array:
     """Return the covariance of a pair's error, (n, n), n = parameters x bands.
 
     What all pairs have in common is known from those that were measured. So it is that of the control

@@ -146,7 +146,7 @@ class Corrected:
 def corrected(
     case: Case, added: Candidate, form: str = "patch", at: Sequence[float] | None = None
 ) -> Corrected:
-    """Return room and geometry with a candidate on its surface; see `Finding.apply`."""
+    """Return room and geometry with a candidate on its surface; see `PositionsFinding.apply`."""
     if form not in ("patch", "material"):
         raise DataError(f'form = "{form}" is not "patch" or "material"')
     if added.surface is None:

@@ -18,6 +18,7 @@ from rtcal.acoustics.observables import observable
 from rtcal.errors import DataError
 from rtcal.finder.case import Case as MeansCase
 from rtcal.finder.configuration import PARAMETERS, Configuration
+from rtcal.finder.detection import Detection
 from rtcal.finder.effects import Effect
 from rtcal.finder.means.search import find as find_by_means
 from rtcal.finder.positions.case import Case
@@ -51,52 +52,21 @@ class Means:
     families: Mapping[str, float]
 
 
-@dataclass(frozen=True)
-class Detection:
-    """Evidence in nats that something is other than stated.
-
-    Attributes
-    ----------
-    score : float
-        Of the positions.
-    noise : float or None
-        Of the positions, that a single pair is noisier than assumed and nothing else is other; None
-        where that was not tried.
-    means : float or None
-        Of means over positions; None where they were not asked. They do not decide.
-    threshold : float
-        Score that few rooms exceed in which nothing is other than stated.
-    """
-
-    score: float
-    noise: float | None = None
-    means: float | None = None
-    threshold: float = THRESHOLD
-
-    @property
-    def verdict(self) -> str | None:
-        """What is said where nothing is detected, "none" or "hint"; None where something is."""
-        if self.score > self.threshold:
-            return None
-        return "hint" if max(self.score, self.noise or 0.0) > 0 else "none"
-
-    @property
-    def in_words(self) -> str:
-        """The score and its threshold in a sentence or two."""
-        said = (
-            f"Evidence that something is other than stated: {self.score:+.1f} nats; "
-            f"threshold {self.threshold:.1f}."
+def in_words(detection: Detection) -> str:
+    """Return the score and its threshold in a sentence or two."""
+    score, threshold = detection.score, detection.threshold
+    said = f"Evidence that something is other than stated: {score:+.1f} nats; "
+    said += f"threshold {threshold:.1f}."
+    if abs(score - threshold) < BY_SEED:
+        said += (
+            f" In one room random numbers gave it a standard deviation of {BY_SEED:.1f} nats: look "
+            "whether another seed says the same."
         )
-        if abs(self.score - self.threshold) < BY_SEED:
-            said += (
-                f" In one room random numbers gave it a standard deviation of {BY_SEED:.1f} nats: look "
-                "whether another seed says the same."
-            )
-        if self.verdict is not None and self.noise is not None and self.noise > 0:
-            said += f" That one pair is noisier than assumed: {self.noise:+.1f} nats."
-        if self.means is None:
-            return said
-        return f"{said} Means over positions alone give {self.means:+.1f} nats."
+    if detection.verdict is not None and detection.noise is not None and detection.noise > 0:
+        said += f" That one pair is noisier than assumed: {detection.noise:+.1f} nats."
+    if detection.means is None:
+        return said
+    return f"{said} Means over positions alone give {detection.means:+.1f} nats."
 
 
 def evidence_of_means(

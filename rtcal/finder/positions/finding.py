@@ -10,24 +10,21 @@ import numpy as np
 
 from rtcal.errors import DataError
 from rtcal.finder.claim import SAID
-from rtcal.finder.effects import Effect, library
 from rtcal.finder.effects.coupled_room import CoupledRoom
+from rtcal.finder.finding import Finding
 from rtcal.finder.positions.candidate import Candidate
 from rtcal.finder.positions.case import Case
-from rtcal.finder.positions.detection import Detection
+from rtcal.finder.positions.detection import in_words
 from rtcal.finder.prior import NONE
 from rtcal.loop.control_runs import ControlRuns
 from rtcal.support import html, text
 from rtcal.support.arguments import checked
 from rtcal.support.files import json_numbers
-from rtcal.support.results import Result
 from rtcal.support.types import Array
 
 if TYPE_CHECKING:
     from rtcal.finder.positions.corrected import Corrected
 
-KIND = "where 1"
-"""Value of the key ``rtcal`` in a saved finding."""
 LEAST_PAIRS = 4
 """Fewest pairs of a verification: half of them have to say where."""
 _LEAST = 1e-3
@@ -35,17 +32,14 @@ _LEAST = 1e-3
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class Finding(Result):
-    """What is other than stated, and where.
+class PositionsFinding(Finding):
+    """What is other than stated, and where; attributes beside those of `Finding`.
 
     Attributes
     ----------
     case : Case
-    verdict : {"none", "hint", "named", "family", "ambiguous", "unknown"}
-        As that of `rtcal.finder.Finding`: whether something is other than stated, and whether the
-        effect, or its family, has a probability of at least 0.9.
-    effect, family : str or None
-        What is claimed.
+    effect : str or None
+        The effect that is named.
     surface : str or None
         The surface that is claimed: something stands on it with a probability of at least 0.9, and the
         checks agree.
@@ -55,62 +49,30 @@ class Finding(Result):
         Surfaces that these positions cannot tell apart.
     candidates : tuple of Candidate
         Every effect in every place, the most probable first.
-    probabilities, families : mapping of str to float
-        Of each effect and family, of "none", "coefficients" and "unknown".
-    detection : Detection
-        Evidence that something is other than stated.
     map : array (n_parameters, n_pairs, n_bands)
         Simulated less measured in standard deviations of what prior, simulator and measurement leave
         open; NaN where nothing was measured.
     parameters, pairs : tuple
         Of the map.
-    reasons : tuple of str
-        Why what is most probable is not claimed.
-    notes : tuple of str
     controls : ControlRuns
         The simulator's error, to be given to another search or calibration.
-    effects : tuple of Effect
-        The library that was tried.
     left_out : tuple of str
-        What of it was not.
+        What of the library was not tried.
     """
 
-    record_kind: ClassVar[str] = KIND
+    record_kind: ClassVar[str] = "finding at positions 1"
 
     case: Case
-    verdict: str
     effect: str | None
-    family: str | None
     surface: str | None
     surfaces: Mapping[str, float]
     groups: tuple[tuple[str, ...], ...]
     candidates: tuple[Candidate, ...]
-    probabilities: Mapping[str, float]
-    families: Mapping[str, float]
-    detection: Detection
     map: Array
     parameters: tuple[str, ...]
     pairs: tuple[tuple[str, str], ...]
-    reasons: tuple[str, ...]
-    notes: tuple[str, ...]
     controls: ControlRuns
-    effects: tuple[Effect, ...] = library()
     left_out: tuple[str, ...] = ()
-
-    @property
-    def score(self) -> float:
-        """What must exceed the ``threshold``; see `Detection`."""
-        return self.detection.score
-
-    @property
-    def threshold(self) -> float:
-        """Score that few rooms exceed in which nothing is other than stated."""
-        return self.detection.threshold
-
-    @property
-    def detected(self) -> bool:
-        """Whether something is other than stated."""
-        return self.verdict not in ("none", "hint")
 
     @property
     def best(self) -> Candidate | None:
@@ -197,17 +159,14 @@ class Finding(Result):
     def __repr__(self) -> str:
         best = self.best
         what = "nothing" if best is None else f"{best.title} {100 * best.probability:.0f} %"
-        return (
-            f"<Finding {self.verdict}: {what}; score {self.score:+.1f}, threshold "
-            f"{self.threshold:.1f}>"
-        )
+        return f"<{type(self).__name__} {self.verdict}: {what}; {self._scored}>"
 
     @property
     def headline(self) -> str:
         """The verdict in a sentence, and how probable it is that nothing is other than stated."""
-        nothing = 100 * self.probabilities[NONE]
         return (
-            f"{self._verdict} The probability that nothing is other than stated is {nothing:.0f} %."
+            f"{self._verdict} The probability that nothing is other than stated is "
+            f"{self.percent(NONE)}."
         )
 
     @property
@@ -250,7 +209,7 @@ class Finding(Result):
             lines += ["", *text.table(rows, header=header), ""]
         for group in self.groups:
             lines += text.wrapped(f"Not told apart by these positions: {_listed(list(group))}.")
-        lines += text.wrapped(self.detection.in_words)
+        lines += text.wrapped(in_words(self.detection))
         for note in (*self.reasons, *self.notes):
             lines += text.wrapped(note)
         return "\n".join(lines)
@@ -267,27 +226,19 @@ class Finding(Result):
     def to_dict(self) -> dict[str, Any]:
         """Return plain values for JSON."""
         return {
-            "rtcal": KIND,
-            "verdict": self.verdict,
+            **super().to_dict(),
             "effect": self.effect,
-            "family": self.family,
             "surface": self.surface,
             "surfaces": dict(self.surfaces),
             "likely_surfaces": list(self.likely_surfaces),
             "groups": [list(group) for group in self.groups],
             "candidates": [c.to_dict() for c in self.candidates[:20]],
-            "probabilities": dict(self.probabilities),
-            "families": dict(self.families),
-            "score": self.score,
-            "threshold": self.threshold,
             "nats_of_noise": self.detection.noise,
             "nats_of_means": self.detection.means,
             "parameters": list(self.parameters),
             "pairs": [list(pair) for pair in self.pairs],
             "centre_frequencies": json_numbers(self.case.room.centre_frequencies),
             "map": json_numbers(self.map),
-            "reasons": list(self.reasons),
-            "notes": list(self.notes),
         }
 
 

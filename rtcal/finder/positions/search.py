@@ -10,6 +10,7 @@ import numpy as np
 
 from rtcal.errors import DataError
 from rtcal.finder.claim import CLAIMED, claim
+from rtcal.finder.detection import Detection
 from rtcal.finder.effects import Effect, library
 from rtcal.finder.effects.checks import checked_effects
 from rtcal.finder.means.search import CHOSEN
@@ -20,12 +21,11 @@ from rtcal.finder.positions.case import Case
 from rtcal.finder.positions.detection import (
     OF_PROGRAMS,
     THRESHOLD,
-    Detection,
     Means,
     evidence_of_means,
 )
 from rtcal.finder.positions.evidence import Likelihood
-from rtcal.finder.positions.finding import Finding
+from rtcal.finder.positions.finding import PositionsFinding
 from rtcal.finder.positions.hypotheses import COUPLED, WHOLE, on_surfaces, shifts, spreads
 from rtcal.finder.positions.model import Model, model
 from rtcal.finder.positions.part_hypotheses import on_parts
@@ -91,7 +91,7 @@ def find(
     only: Sequence[str] = (),
     without: Sequence[str] = (),
     progress: TaskProgress | None = None,
-) -> Finding:
+) -> PositionsFinding:
     """Return whether a room is other than stated, in what, and where.
 
     Parameters
@@ -136,7 +136,7 @@ def find_by_positions(
     left_out: Sequence[str],
     progress: TaskProgress | None = None,
     means: Means | None = None,
-) -> Finding:
+) -> PositionsFinding:
     """Return what the positions say; ``means`` as `evidence_of_means`, None if they were not asked."""
 
     def run_finished(done: int, total: int) -> None:
@@ -162,19 +162,17 @@ def find_by_positions(
     evidence = evaluate(likelihoods, hypotheses, numbers.residual[:, np.newaxis])
     score, noise = scores(weights(evidence, hypotheses), hypotheses)
     detected = Detection(
-        float(score[0]),
-        float(noise[0]) if np.isfinite(noise[0]) else None,
-        None if means is None else means.score,
-        THRESHOLD if case.simulated is None else OF_PROGRAMS,
+        score=float(score[0]),
+        threshold=THRESHOLD if case.simulated is None else OF_PROGRAMS,
+        noise=float(noise[0]) if np.isfinite(noise[0]) else None,
+        means=None if means is None else means.score,
     )
     posterior = weights(evidence, hypotheses, TOLD_TEMPER)
     if means is not None:
         posterior = with_families(posterior, hypotheses, means.families)
-    finding = _finding(case, numbers, hypotheses, posterior, likelihoods[0], detected)
+    finding = _finding(case, numbers, hypotheses, posterior, likelihoods[0], detected, effects)
     notes = (*finding.notes, untried(effects), *([CHOSEN] if left_out else []))
-    return replace(
-        finding, effects=tuple(effects), left_out=tuple(left_out), notes=tuple(filter(None, notes))
-    )
+    return replace(finding, left_out=tuple(left_out), notes=tuple(filter(None, notes)))
 
 
 def every_hypothesis(
@@ -225,7 +223,8 @@ def _finding(
     posterior: Weights,
     likelihood: Likelihood,
     detected: Detection,
-) -> Finding:
+    effects: Sequence[Effect],
+) -> PositionsFinding:
     summary = summary_of(case, hypotheses, posterior)
     groups = _groups(case, hypotheses, summary, likelihood)
     verdict, family = claim(detected.verdict, summary.probabilities, summary.families)
@@ -235,7 +234,7 @@ def _finding(
     sure = summary.surfaces[first] * summary.on_surfaces >= CLAIMED
     located = verdict in ("named", "family", "ambiguous") and sure and not reasons
     observations = numbers.data.observations
-    return Finding(
+    return PositionsFinding(
         case=case,
         verdict=verdict,
         effect=best if verdict == "named" else None,
@@ -257,6 +256,7 @@ def _finding(
             *numbers.data.notes,
         ),
         controls=numbers.controls,
+        effects={effect.name: effect for effect in effects},
     )
 
 

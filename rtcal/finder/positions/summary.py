@@ -22,7 +22,7 @@ _SPACING = 0.1
 
 @dataclass(frozen=True, eq=False)
 class Summary:
-    """Probabilities of everything that may be other than stated; see `positions.Finding`.
+    """Probabilities of everything that may be other than stated; see `PositionsFinding`.
 
     ``on_surfaces`` is the probability that something stands on a surface.
     """

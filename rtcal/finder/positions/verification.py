@@ -19,9 +19,10 @@ from rtcal.errors import DataError
 from rtcal.finder.positions.candidate import Candidate
 from rtcal.finder.positions.case import Case
 from rtcal.finder.positions.corrected import corrected
-from rtcal.finder.positions.finding import LEAST_PAIRS, Finding
+from rtcal.finder.positions.finding import LEAST_PAIRS, PositionsFinding
 from rtcal.finder.positions.responses import key_of, precisely
 from rtcal.finder.positions.search import find_by_positions
+from rtcal.finder.verification import Verification
 from rtcal.loop.control_runs import trace_ahead
 from rtcal.loop.measured_pairs import Pair, with_reference
 from rtcal.loop.positions import calibrate_positions
@@ -31,7 +32,6 @@ from rtcal.support import checks, kept_arrays, text
 from rtcal.support.arguments import checked
 from rtcal.support.files import json_numbers
 from rtcal.support.progress import TaskProgress
-from rtcal.support.results import Result
 from rtcal.support.types import Array
 
 MODELS = ("before", "plain", "corrected")
@@ -47,7 +47,7 @@ CONFIDENCE = 0.95
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class Verification(Result):
+class PositionsVerification(Verification):
     """Gaps at positions that were not fitted: as stated, calibrated, corrected and calibrated.
 
     The pairs are divided into two halves. Each half finds the effect again and calibrates both models;
@@ -55,7 +55,7 @@ class Verification(Result):
 
     Attributes
     ----------
-    finding : Finding
+    finding : PositionsFinding
     before, plain, corrected : array (n_seeds, n_parameters, n_pairs, n_bands)
         Simulated less measured in JND at held-out pairs; NaN where nothing was measured.
     added : tuple of (Candidate or None)
@@ -64,9 +64,9 @@ class Verification(Result):
     seeds : tuple of int
     """
 
-    record_kind: ClassVar[str] = "where verification 1"
+    record_kind: ClassVar[str] = "verification at positions 1"
 
-    finding: Finding
+    finding: PositionsFinding
     before: Array
     plain: Array
     corrected: Array
@@ -116,11 +116,6 @@ class Verification(Result):
         if abs(self.gain) <= limit:
             return "unproven"
         return "supported" if self.gain > 0 else "withdrawn"
-
-    @property
-    def shrinks(self) -> bool:
-        """Whether the gap shrinks by more than its uncertainty."""
-        return self.verdict == "supported"
 
     @property
     def by_parameter(self) -> dict[str, dict[str, float]]:
@@ -216,8 +211,7 @@ class Verification(Result):
     def to_dict(self) -> dict[str, Any]:
         """Return plain values for JSON."""
         return {
-            "sentence": self.sentence,
-            "verdict": self.verdict,
+            **super().to_dict(),
             "gain_jnd": self.gain,
             "uncertainty_jnd": self.uncertainty,
             "gaps_jnd": {m: json_numbers(self.gap(m)) for m in MODELS},
@@ -226,23 +220,22 @@ class Verification(Result):
             "pairs": [list(p) for p in self.finding.pairs],
             "seeds": list(self.seeds),
             "added": [None if c is None else c.to_dict() for c in self.added],
-            "finding": self.finding.to_dict(),
         }
 
 
 @checked
 def verify(
-    finding: Finding,
+    finding: PositionsFinding,
     *,
     seeds: Sequence[int] = (0,),
     cache: str | os.PathLike[str] | None = None,
     progress: TaskProgress | None = None,
-) -> Verification:
+) -> PositionsVerification:
     """Return the gaps at positions that were not fitted, with and without what was found.
 
     Parameters
     ----------
-    finding : Finding
+    finding : PositionsFinding
     seeds : sequence of int
         Of the simulator. The spread over them is the noise of the tracing.
     cache : path, optional
@@ -268,11 +261,11 @@ def verify(
             f"there are {len(finding.pairs)} pairs; to predict half of them from the others, it needs "
             f"{LEAST_PAIRS}"
         )
-    halves = halves_of(finding.pairs)
+    halves, tried = halves_of(finding.pairs), tuple(finding.effects.values())
     searched = []
     for n, half in enumerate(halves):
         again = find_by_positions(
-            case.only(half), finding.effects, finding.controls, cache, chosen[0], finding.left_out
+            case.only(half), tried, finding.controls, cache, chosen[0], finding.left_out
         )
         searched.append(next((c for c in again.candidates if c.can_be_added), None))
         if progress is not None:
@@ -285,7 +278,7 @@ def verify(
         gaps = _gaps(finding, halves, searched, chosen, progress)
         if path is not None:
             kept_arrays.write(path, gaps)
-    return Verification(
+    return PositionsVerification(
         finding=finding,
         before=gaps[0],
         plain=gaps[1],
@@ -301,7 +294,7 @@ _MODELS = 5
 
 
 def _gaps(
-    finding: Finding,
+    finding: PositionsFinding,
     halves: Sequence[Sequence[Pair]],
     added: Sequence[Candidate | None],
     seeds: Sequence[int],
@@ -341,7 +334,7 @@ def _gaps(
     return gaps
 
 
-def _key(finding: Finding, seeds: Sequence[int], added: Sequence[Candidate | None]) -> str:
+def _key(finding: PositionsFinding, seeds: Sequence[int], added: Sequence[Candidate | None]) -> str:
     """Return a hash of all that the gaps depend on."""
     case = finding.case
     content = [
@@ -370,7 +363,7 @@ def halves_of(pairs: Sequence[Pair]) -> tuple[tuple[Pair, ...], ...]:
 
 
 def heard_calibrated(
-    fitted: Case, simulator: PathTracing, finding: Finding, seed: int
+    fitted: Case, simulator: PathTracing, finding: PositionsFinding, seed: int
 ) -> Observations:
     """Return what all positions hear in a model that is calibrated on the fitted pairs."""
     result = calibrate_positions(
@@ -387,7 +380,9 @@ def heard_calibrated(
     return observe(result.tracer, result.alpha, finding.parameters, seed=seed)
 
 
-def gap_in_jnd(case: Case, finding: Finding, heard: Observations, pairs: Sequence[Pair]) -> Array:
+def gap_in_jnd(
+    case: Case, finding: PositionsFinding, heard: Observations, pairs: Sequence[Pair]
+) -> Array:
     """Return simulated less measured at pairs in JND, (n_parameters, n_pairs, n_bands).
 
     A relative level has its mean over each source's pairs taken off.
