@@ -154,9 +154,11 @@ def finding(folder: Path) -> MeansFinding:
 
 def unsure(finding: MeansFinding) -> MeansFinding:
     """The same, where a material's area explains the data best and the opening hardly less."""
+    first = next(iter(finding.fits.values()))
     area = replace(
-        next(iter(finding.fits.values())),
+        first,
         name="area",
+        gap=replace(first.gap, uncertainty=0.01),
         parameters={"material": 1.0, "ratio": 1.4},
         size=Size(1.4, 1.2, 1.6, "of the stated area"),
         coefficients=None,
@@ -168,7 +170,7 @@ def unsure(finding: MeansFinding) -> MeansFinding:
         named=(),
         members=("area",),
         candidates=("area", "opening"),
-        score=6.5,
+        detection=replace(finding.detection, score=6.5),
         evidence={"area": 6.5, "opening": 5.7},
         probabilities={"area": 0.6, "opening": 0.3, "none": 0.1},
         fits={**finding.fits, "area": area},

@@ -193,3 +193,11 @@ def test_a_changed_file_is_refused(tmp_path: Path) -> None:
     path.unlink()
     with pytest.raises(DataError, match=f"has no {NUMBERS}"):
         rt.load(tmp_path)
+
+
+@pytest.mark.parametrize("kind", ["finding 1", "several effects 1", "where 1", "verification 1"])
+def test_a_kind_that_went_says_what_to_do(kind: str, tmp_path: Path) -> None:
+    path = tmp_path / "result.json"
+    path.write_text(json.dumps({"rtcal": kind, "object": {}}), encoding="utf-8")
+    with pytest.raises(DataError, match=f'"{kind}" of an earlier version.*search again with rtcal'):
+        rt.load(tmp_path)

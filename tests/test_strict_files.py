@@ -13,7 +13,7 @@ import pytest
 import rtcal as rt
 from rtcal.errors import DataError
 from rtcal.finder import Case
-from rtcal.report import gap_report
+from rtcal.finder.detection import Detection
 from rtcal.support.decode import json_object
 from tests.test_discrepancy import opened
 
@@ -83,10 +83,9 @@ def test_json_in_latin_1_is_refused(name: str, tmp_path: Path) -> None:
 
 def test_a_findings_file_holds_no_nan(tmp_path: Path) -> None:
     """NaN is no JSON: strict readers refuse the file."""
-    unknown = dataclasses.replace(rt.finder.find(opened()), score=float("nan"))
-    gap_report.write(unknown, tmp_path / "out")
-    text = (tmp_path / "out" / "result.json").read_text(encoding="utf-8")
-    assert json_object(text)["finding"]["score"] is None
+    unknown = dataclasses.replace(rt.finder.find(opened()), detection=Detection(float("nan"), 1.0))
+    text = unknown.save(tmp_path).read_text(encoding="utf-8")
+    assert json_object(text)["score"] is None
 
 
 @pytest.mark.parametrize("value", ["true", '"1.5"', "null", "[]", "1" + "0" * 350, "1e999", "{}"])

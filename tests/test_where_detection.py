@@ -11,13 +11,14 @@ import numpy as np
 import pytest
 
 import rtcal as rt
+from rtcal.finder.detection import Detection
 from rtcal.finder.effects import library
 from rtcal.finder.positions import track_record
 from rtcal.finder.positions.detection import (
     OF_PROGRAMS,
     THRESHOLD,
-    Detection,
     evidence_of_means,
+    in_words,
     of_means,
 )
 from rtcal.finder.positions.hypotheses import shifts
@@ -35,24 +36,24 @@ def case() -> rt.finder.positions.Case:
 
 def test_the_positions_decide() -> None:
     above, below = THRESHOLD + 0.1, THRESHOLD - 0.1
-    assert Detection(above).verdict is None
-    assert Detection(above, means=-1.0).verdict is None
-    assert Detection(below, means=9.0).verdict == "hint"
-    assert Detection(-0.1).verdict == "none"
+    assert Detection(above, THRESHOLD).verdict is None
+    assert Detection(above, THRESHOLD, means=-1.0).verdict is None
+    assert Detection(below, THRESHOLD, means=9.0).verdict == "hint"
+    assert Detection(-0.1, THRESHOLD).verdict == "none"
     assert Detection(above, threshold=OF_PROGRAMS).verdict == "hint"
 
 
 def test_a_noisy_pair_is_a_hint() -> None:
-    assert Detection(-5.0, noise=3.0).verdict == "hint"
-    assert Detection(-5.0, noise=-3.0).verdict == "none"
-    assert "noisier than assumed: +3.0 nats" in Detection(-5.0, noise=3.0).in_words
-    assert "noisier" not in Detection(THRESHOLD + 1, noise=3.0).in_words
+    assert Detection(-5.0, THRESHOLD, noise=3.0).verdict == "hint"
+    assert Detection(-5.0, THRESHOLD, noise=-3.0).verdict == "none"
+    assert "noisier than assumed: +3.0 nats" in in_words(Detection(-5.0, THRESHOLD, noise=3.0))
+    assert "noisier" not in in_words(Detection(THRESHOLD + 1, THRESHOLD, noise=3.0))
 
 
 def test_a_score_near_its_threshold_says_that_a_seed_may_decide() -> None:
-    assert "another seed" in Detection(THRESHOLD - 1).in_words
-    assert "another seed" in Detection(THRESHOLD + 1).in_words
-    assert "another seed" not in Detection(THRESHOLD + 20).in_words
+    assert "another seed" in in_words(Detection(THRESHOLD - 1, THRESHOLD))
+    assert "another seed" in in_words(Detection(THRESHOLD + 1, THRESHOLD))
+    assert "another seed" not in in_words(Detection(THRESHOLD + 20, THRESHOLD))
 
 
 def spread(effect: str) -> Spread:

@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 
 from rtcal.errors import DataError
+from rtcal.finder.detection import Detection
 from rtcal.finder.positions import Place, PositionsFinding, PositionsVerification, verification
-from rtcal.finder.positions.detection import Detection
 from rtcal.loop.control_runs import ControlRuns
 from rtcal.report import where_figures, where_folder
 from rtcal.report.document import Heading
@@ -48,12 +48,13 @@ def finding_of(
         candidates=candidates,
         probabilities={"porous": 0.9, "none": 0.1},
         families={"added absorption": 0.9, "none": 0.1},
-        detection=Detection(12.0, means=3.0),
+        detection=Detection(12.0, 2.5, means=3.0),
         map=np.arange(8.0).reshape(shape) - 3,
         parameters=("t20", "edt"),
         pairs=case.simulator.pairs,
         reasons=(),
         notes=("A note.",),
+        effects={},
         controls=ControlRuns(
             parameters=("t20", "edt"), pairs=case.simulator.pairs, errors=np.zeros((2, *shape))
         ),

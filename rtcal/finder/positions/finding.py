@@ -185,6 +185,11 @@ class PositionsFinding(Finding):
         return f"{self.verdict}: {what} {self.place_in_words}".rstrip()
 
     @property
+    def detection_in_words(self) -> str:
+        """The score and its threshold in a sentence or two."""
+        return in_words(self.detection)
+
+    @property
     def place_in_words(self) -> str:
         """Where it is, as far as the positions tell."""
         best = self.best
@@ -209,7 +214,7 @@ class PositionsFinding(Finding):
             lines += ["", *text.table(rows, header=header), ""]
         for group in self.groups:
             lines += text.wrapped(f"Not told apart by these positions: {_listed(list(group))}.")
-        lines += text.wrapped(in_words(self.detection))
+        lines += text.wrapped(self.detection_in_words)
         for note in (*self.reasons, *self.notes):
             lines += text.wrapped(note)
         return "\n".join(lines)
