@@ -34,7 +34,6 @@ from rtcal.finder import (
     verify,
 )
 from rtcal.finder.effects.opening import Opening
-from rtcal.finder.means.cache import cached_control_rooms
 from rtcal.finder.means.engines import ControlRooms, Engine
 from rtcal.finder.means.model_error import ModelDiscrepancy
 from rtcal.finder.means.states import state
@@ -528,7 +527,7 @@ def test_a_folder_that_cannot_be_written_is_no_error(
     case = opened()
     monkeypatch.setattr(Engine, "run", lambda self, *_: ControlRooms(self.name, ERRORS))
     (tmp_path / "file").write_text("")
-    rooms = cached_control_rooms(case, tmp_path / "file")
+    rooms = control_rooms(case, cache=tmp_path / "file")
     assert [c.engine for c in rooms] == ["path tracing", "network"]
     assert (tmp_path / "file").read_text() == ""
 
@@ -567,7 +566,6 @@ def test_arguments_of_the_wrong_kind_are_named(wrong: Any) -> None:
         (lambda: control_rooms(wrong), "case"),
         (lambda: control_rooms(case, seed=wrong), "seed"),
         (lambda: control_rooms(case, engines=wrong), "engine"),
-        (lambda: cached_control_rooms(wrong, "folder"), "case"),
     ]
     if wrong is not None:
         calls += [

@@ -149,7 +149,7 @@ def test_a_finding_of_another_case_is_refused() -> None:
 def test_the_command_proposes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     case: Case = case_with(*BOTH).only("t20", "edt")
     monkeypatch.setattr(
-        "rtcal.finder.means.search.cached_control_rooms", lambda *_a, **_k: controls_of(case)
+        "rtcal.finder.means.search.control_rooms", lambda *_a, **_k: controls_of(case)
     )
     path = tmp_path / "case.json"
     case.save(str(path))

@@ -355,7 +355,7 @@ def test_the_command_finds_and_adds_the_set(
 ) -> None:
     case = case_with(*BOTH)
     monkeypatch.setattr(
-        "rtcal.finder.means.search.cached_control_rooms", lambda *_a, **_k: controls_of(case)
+        "rtcal.finder.means.search.control_rooms", lambda *_a, **_k: controls_of(case)
     )
     case.save(str(tmp_path / "case.json"))
 

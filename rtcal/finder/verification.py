@@ -34,11 +34,6 @@ class Verification(Result):
     def sentence(self) -> str:
         """What became of the gap, in words; the verdict first."""
 
-    @property
-    def shrinks(self) -> bool:
-        """Whether the gap shrinks by more than its uncertainty."""
-        return self.verdict == "supported"
-
     def to_dict(self) -> dict[str, Any]:
         """Return plain values for JSON."""
         return {

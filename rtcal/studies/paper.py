@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import itertools
-
 import numpy as np
 
-from rtcal.studies.rooms import SHOEBOX
 from rtcal.studies.study import analytic_emse
 from rtcal.support.types import Array
 
@@ -37,14 +34,6 @@ TABLE_1_EMSE: dict[str, float] = {
     "mle": 20.0e-4,
 }
 _HALF_DIGIT = 0.005
-
-
-def table_1_orders() -> list[tuple[float, ...]]:
-    """Return the possible orders of the shoebox's areas S_1 to S_6, which the paper does not state.
-
-    Opposite walls may not be neighbours in the list, so all 90 are possible.
-    """
-    return sorted(set(itertools.permutations(SHOEBOX)), reverse=True)
 
 
 def table_1_range(

@@ -9,8 +9,12 @@ rooms, and the draws use the other half. The few control rooms of the network ar
 
 from __future__ import annotations
 
+import hashlib
+import json
+import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
@@ -30,11 +34,12 @@ from rtcal.finder.means.model_error import ModelDiscrepancy, estimate_discrepanc
 from rtcal.finder.means.states import distances, state
 from rtcal.finder.model import FEATURES, predict
 from rtcal.finder.prior import NONE, Prior
-from rtcal.support import checks
+from rtcal.support import checks, kept_arrays
 from rtcal.support.arguments import checked
 from rtcal.support.progress import TaskProgress
 from rtcal.support.threads import single_threaded_blas
 from rtcal.support.types import Array
+from rtcal.support.version import __version__
 
 QUANTILE = 0.95
 """Quantile of the null rooms' scores that is the threshold: 5 % false alarms."""
@@ -66,6 +71,10 @@ class Threshold:
         return self.discrepancy.engines
 
 
+FOLDER = ".rtcal_cache"
+"""Name of the folder beside a case's file; `support.transaction` removes those named ``.rtcal-*``."""
+
+
 @single_threaded_blas()
 @checked
 def control_rooms(
@@ -73,8 +82,13 @@ def control_rooms(
     seed: int = 0,
     engines: Sequence[str] = ("path tracing", "network"),
     progress: TaskProgress | None = None,
+    cache: str | os.PathLike[str] | None = None,
 ) -> tuple[ControlRooms, ...]:
-    """Simulate the case's control rooms with at least two engines.
+    """Simulate the case's control rooms with at least two engines, or read them from a folder.
+
+    A file of the folder ``cache`` holds the rooms of one engine. Its name is a hash of everything that
+    they depend on: the case, the seed, the engine and the version of rtcal. The folder can be deleted
+    at any time. If a file cannot be read or written, the rooms are simulated without an error.
 
     Raises
     ------
@@ -82,7 +96,31 @@ def control_rooms(
         For fewer than two engines, or an engine that rtcal lacks.
     """
     checks.whole("seed", seed, 0)
-    return tuple(ENGINES[name].run(case, seed, progress) for name in checked_engines(engines))
+    where, rooms = None if cache is None else checks.path("cache", cache), []
+    for name in checked_engines(engines):
+        path = None if where is None else where / f"{_key(case, seed, name)}.array"
+        controls = None if path is None else _kept(path, case, name)
+        if controls is None:
+            controls = ENGINES[name].run(case, seed, progress)
+            if path is not None:
+                kept_arrays.write(path, controls.errors)
+        rooms.append(controls)
+    return tuple(rooms)
+
+
+def _key(case: Case, seed: int, engine: str) -> str:
+    content = json.dumps([case.to_dict(), seed, engine, __version__], sort_keys=True)
+    return hashlib.sha256(content.encode()).hexdigest()[:32]
+
+
+def _kept(path: Path, case: Case, engine: str) -> ControlRooms | None:
+    errors = kept_arrays.read(path)
+    if errors is None:
+        return None
+    try:
+        return checked_controls(case, [ControlRooms(engine, errors)], least=1)[0]
+    except DataError:
+        return None
 
 
 def checked_engines(engines: object) -> list[str]:

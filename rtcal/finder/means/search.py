@@ -23,7 +23,6 @@ from rtcal.finder.means.bootstrap import (
     control_rooms,
 )
 from rtcal.finder.means.bootstrap import score as evidence_of_something
-from rtcal.finder.means.cache import cached_control_rooms
 from rtcal.finder.means.doubts import schroeder_limit
 from rtcal.finder.means.engines import ControlRooms
 from rtcal.finder.means.evidence import evaluate_beyond
@@ -97,7 +96,7 @@ def find(
     controls : sequence of ControlRooms, optional
         Control rooms that were simulated before.
     cache : path, optional
-        Folder in which control rooms are kept, as `rtcal.finder.means.cache` says.
+        Folder in which control rooms are kept, as `rtcal.finder.control_rooms` says.
     progress : callable, optional
         Called with an engine's name, the number of finished control rooms and their total.
 
@@ -129,10 +128,7 @@ def find(
     predicted = predict_hypotheses(case, effects)
     if not isinstance(threshold, Threshold):
         if controls is None:
-            if cache is None:
-                controls = control_rooms(case, seed, engines, progress)
-            else:
-                controls = cached_control_rooms(case, cache, seed, engines, progress)
+            controls = control_rooms(case, seed, engines, progress, cache)
         else:
             controls = checked_controls(case, controls)
         bootstrapped = bootstrap_threshold(case, observed, predicted, controls, before, seed)

@@ -84,11 +84,11 @@ class MeansVerification(Verification):
         ``unproven``: the data have nothing that alpha could not absorb, or it does not change. Else
         ``withdrawn``.
         """
-        uncertainty = self.finding.fits[str(self.finding.best)].gap.uncertainty
-        gain = self.before - self.after  # NaN where nothing was measured
-        if -gain > max(LITTLE, uncertainty):
+        fitted = self.finding.fits[str(self.finding.best)].gap
+        gap = replace(fitted, before=self.before, after=self.after, predictive=self.predictive)
+        if gap.grows:
             return "withdrawn"
-        return "supported" if gain > uncertainty and self.predictive > 0 else "unproven"
+        return "supported" if gap.shrinks else "unproven"
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain values for JSON."""
