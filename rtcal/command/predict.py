@@ -165,7 +165,7 @@ def calibrated_to_positions(
     """Return the calibration to every position; None where room or measurement have no positions."""
     from rtcal.acoustics.measurement import Measurement
     from rtcal.acoustics.room import Room
-    from rtcal.finder.means.cache import FOLDER
+    from rtcal.finder.means.bootstrap import FOLDER
     from rtcal.io import geometry_files
     from rtcal.loop.control_runs import RUNS
     from rtcal.loop.positions import calibrate_positions
