@@ -11,6 +11,8 @@ if TYPE_CHECKING:
     from rtcal.modes.measured import read as read
     from rtcal.modes.paris import absorption as absorption
     from rtcal.modes.paris import admittance as admittance
+    from rtcal.modes.polyhedron import modes_of as modes_of
+    from rtcal.modes.responses import find_modes as find_modes
     from rtcal.modes.result import ModesResult as ModesResult
     from rtcal.modes.room_modes import RoomModes as RoomModes
 else:

@@ -58,6 +58,7 @@ _NONE = (
 )
 _ABOVE = 1.08
 """Modes are calculated up to this times the highest measured frequency."""
+_STEP = 10.0
 _STEPS = 5
 _HALVINGS = 3
 _SETTLED = 0.1
@@ -140,7 +141,8 @@ def calibrate_modes(
     correlation = _correlation(room, frequency_correlation)
     if room_modes is None:
         geometry = geometry_files.read(room) if geometry is None else geometry
-        top = _ABOVE * float(modes.frequencies[-1])
+        # In steps, so that another measurement of the room needs the same modes.
+        top = _STEP * float(np.ceil(_ABOVE * modes.frequencies[-1] / _STEP))
         room_modes = modes_of(geometry, top, (room.air or Air()).speed_of_sound)
     if not room_modes.wanted:
         raise DataError(_NONE.format(len(modes.frequencies)))

@@ -1,0 +1,235 @@
+"""Tetrahedra that fill a room of plane walls exactly: a grid, cut by the planes of the walls.
+
+The grid of the bounding box has lines through every corner of the room, and each of its cells is six
+tetrahedra (Kuhn 1960). A plane of a wall that no grid line holds cuts the tetrahedra that it crosses.
+What is cut off is divided from its vertex of the lowest number on, so that neighbours agree. What lies
+outside the room is left out.
+"""
+
+from __future__ import annotations
+
+from itertools import permutations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rtcal.errors import ModelError
+from rtcal.simulators.geometry import WELD, Polyhedron
+from rtcal.support.types import Array
+
+Integers = NDArray[np.int64]
+
+MOST = 150_000
+"""Largest number of tetrahedra."""
+_NEAR = 1e-7
+"""Distance in m within which a vertex lies on a plane."""
+_MOVED = 0.2
+"""Share of the grid's spacing by which a free vertex may be moved onto a plane."""
+_AXIAL = 1 - 1e-9
+
+
+def fill(geometry: Polyhedron, spacing: float) -> tuple[Array, Integers]:
+    """Return vertices (n_vertices, 3) in m and tetrahedra (n_tetrahedra, 4) of a room.
+
+    ``spacing`` is the largest distance of grid lines in m. Raises ModelError for a room that would need
+    more than `MOST` tetrahedra.
+
+    Examples
+    --------
+    >>> box = Polyhedron.shoebox((4, 3, 2), "plaster")
+    >>> points, tetrahedra = fill(box, 1.0)
+    >>> len(points), len(tetrahedra)
+    (60, 144)
+    """
+    lines = [_lines(geometry.vertices[:, axis], spacing) for axis in range(3)]
+    if 6 * np.prod([len(line) - 1.0 for line in lines]) > MOST:
+        raise ModelError(
+            f"the room's corners need over {MOST} tetrahedra: state a simpler mesh, without small "
+            "objects, which low modes do not see"
+        )
+    points, tetrahedra = _kuhn(lines)
+    planes = _oblique(geometry)
+    fixed = _on_axial_walls(points, geometry)
+    for normal, offset in planes:
+        points = _moved(points, tetrahedra, fixed, normal, offset, spacing)
+        fixed |= np.abs(points @ normal - offset) < _NEAR
+        points, tetrahedra = _cut(points, tetrahedra, normal, offset)
+        fixed = np.append(fixed, np.ones(len(points) - len(fixed), dtype=bool))
+        if len(tetrahedra) > MOST:
+            raise ModelError(
+                f"the room's {len(planes)} oblique planes need over {MOST} tetrahedra: state a "
+                "simpler mesh, without small objects, which low modes do not see"
+            )
+    corners = points[tetrahedra]
+    size = np.abs(np.linalg.det(corners[:, 1:] - corners[:, :1]))
+    tetrahedra = tetrahedra[size > 1e-12]
+    inside = geometry.contains(points[tetrahedra].mean(axis=1))
+    tetrahedra = tetrahedra[inside]
+    used, numbers = np.unique(tetrahedra, return_inverse=True)
+    return points[used], numbers.reshape(-1, 4)
+
+
+def _lines(corners: Array, spacing: float) -> Array:
+    """Return grid lines through all corners, at most ``spacing`` apart."""
+    own = np.sort(corners)
+    own = own[np.r_[True, np.diff(own) > WELD / 2]]
+    parts = [
+        np.linspace(a, b, max(int(np.ceil((b - a) / spacing - 1e-9)), 1) + 1)[:-1]
+        for a, b in zip(own[:-1], own[1:], strict=True)
+    ]
+    return np.concatenate([*parts, own[-1:]])
+
+
+def _kuhn(lines: list[Array]) -> tuple[Array, Integers]:
+    """Return the vertices of a grid and six tetrahedra in each of its cells."""
+    points = np.stack(np.meshgrid(*lines, indexing="ij"), -1)
+    shape = points.shape[:3]
+    numbers = np.arange(np.prod(shape)).reshape(shape)
+    cells = numbers[:-1, :-1, :-1].ravel()
+    steps = np.array([shape[1] * shape[2], shape[2], 1])
+    paths = [np.concatenate([[0], np.cumsum(steps[list(p)])]) for p in permutations(range(3))]
+    tetrahedra = np.concatenate([cells[:, np.newaxis] + path for path in paths])
+    return points.reshape(-1, 3), tetrahedra
+
+
+def _oblique(geometry: Polyhedron) -> list[tuple[Array, float]]:
+    """Return planes (normal, offset) that cut: oblique walls, and edges between coplanar walls."""
+    planes: list[tuple[Array, float]] = []
+
+    def add(normal: Array, point: Array) -> None:
+        offset = float(normal @ point)
+        for other, distance in planes:
+            same = abs(other @ normal) > _AXIAL
+            if same and abs(distance - offset * np.sign(other @ normal)) < 1e-6:
+                return
+        if np.abs(normal).max() < _AXIAL:
+            planes.append((normal, offset))
+
+    faces = [geometry.vertices[list(face)] for face in geometry.faces]
+    for normal, corners in zip(geometry.normals, faces, strict=True):
+        add(normal, corners[0])
+    for i, (normal, corners) in enumerate(zip(geometry.normals, faces, strict=True)):
+        for j in range(i):
+            if normal @ geometry.normals[j] < _AXIAL:
+                continue
+            if abs(normal @ (faces[j][0] - corners[0])) > 1e-6:
+                continue
+            for a, b in zip(corners, np.roll(corners, -1, axis=0), strict=True):
+                across = np.cross(b - a, normal)
+                add(across / np.linalg.norm(across), a)
+    return planes
+
+
+def _on_axial_walls(points: Array, geometry: Polyhedron) -> NDArray[np.bool_]:
+    """Return which vertices lie on the plane of a wall across an axis: these may not be moved."""
+    fixed = np.zeros(len(points), dtype=bool)
+    for normal, face in zip(geometry.normals, geometry.faces, strict=True):
+        if np.abs(normal).max() >= _AXIAL:
+            fixed |= np.abs((points - geometry.vertices[face[0]]) @ normal) < _NEAR
+    return fixed
+
+
+def _moved(
+    points: Array,
+    tetrahedra: Integers,
+    fixed: NDArray[np.bool_],
+    normal: Array,
+    offset: float,
+    spacing: float,
+) -> Array:
+    """Move free vertices that are near a plane onto it, unless that turns a tetrahedron over."""
+    distance = points @ normal - offset
+    near = ~fixed & (np.abs(distance) < _MOVED * spacing)
+    moved = points - np.where(near, distance, 0.0)[:, np.newaxis] * normal
+
+    def volumes(at: Array) -> Array:
+        corners = at[tetrahedra]
+        return np.asarray(np.linalg.det(corners[:, 1:] - corners[:, :1]))
+
+    before = volumes(points)
+    for _ in range(5):
+        small = volumes(moved) / before < 0.05
+        if not small.any():
+            return np.asarray(moved)
+        back = np.unique(tetrahedra[small])
+        moved[back] = points[back]
+    return points
+
+
+def _cut(
+    points: Array, tetrahedra: Integers, normal: Array, offset: float
+) -> tuple[Array, Integers]:
+    """Cut tetrahedra by a plane; those that it does not cross stay as they are."""
+    distance = points @ normal - offset
+    side = np.where(np.abs(distance) < _NEAR, 0, np.sign(distance)).astype(int)
+    of = side[tetrahedra]
+    crossed = (of.min(axis=1) < 0) & (of.max(axis=1) > 0)
+    made: list[tuple[int, ...]] = []
+    new: dict[tuple[int, int], int] = {}
+    vertices: list[Array] = []
+
+    def between(a: int, b: int) -> int:
+        key = (min(a, b), max(a, b))
+        if key not in new:
+            share = distance[key[0]] / (distance[key[0]] - distance[key[1]])
+            vertices.append(points[key[0]] + share * (points[key[1]] - points[key[0]]))
+            new[key] = len(points) + len(vertices) - 1
+        return new[key]
+
+    for corners in tetrahedra[crossed].tolist():
+        triangles = [tuple(corners[k] for k in range(4) if k != left) for left in range(4)]
+        for sign in (-1, 1):
+            faces = [_clipped(t, side, sign, between) for t in triangles]
+            faces = [f for f in faces if len(f) >= 3]
+            on = {v for f in faces for v in f if v >= len(points) or side[v] == 0}
+            section = _around(on, faces)
+            made += _pulled([*faces, section])
+    if vertices:
+        points = np.vstack([points, vertices])
+    kept = tetrahedra[~crossed]
+    return points, np.vstack([kept, np.array(made, dtype=np.int64).reshape(-1, 4)])
+
+
+def _clipped(triangle: tuple[int, ...], side: Integers, sign: int, between: object) -> list[int]:
+    """Return the part of a triangle on one side of the plane, as a polygon."""
+    polygon: list[int] = []
+    for a, b in zip(triangle, (*triangle[1:], triangle[0]), strict=True):
+        if side[a] * sign >= 0:
+            polygon.append(a)
+        if side[a] * side[b] < 0:
+            polygon.append(between(a, b))  # type: ignore[operator]
+    # A face that only touches the plane is no part of it.
+    return polygon if any(v < len(side) and side[v] == sign for v in polygon) else []
+
+
+def _around(on: set[int], faces: list[list[int]]) -> list[int]:
+    """Return the polygon in which the plane cuts a tetrahedron: its edges are faces' own."""
+    neighbours: dict[int, list[int]] = {v: [] for v in on}
+    for face in faces:
+        ends = [v for v in face if v in on]
+        if len(ends) == 2:
+            neighbours[ends[0]].append(ends[1])
+            neighbours[ends[1]].append(ends[0])
+    start = min(on)
+    polygon, last = [start], -1
+    while True:
+        following = [v for v in dict.fromkeys(neighbours[polygon[-1]]) if v != last]
+        last = polygon[-1]
+        if not following or following[0] == start:
+            return polygon
+        polygon.append(following[0])
+
+
+def _pulled(faces: list[list[int]]) -> list[tuple[int, ...]]:
+    """Return tetrahedra of a convex body: from its lowest vertex to all faces without it."""
+    apex = min(v for face in faces for v in face)
+    made = []
+    for face in faces:
+        if apex in face:
+            continue
+        k = face.index(min(face))
+        turned = face[k:] + face[:k]
+        made += [
+            (apex, turned[0], a, b) for a, b in zip(turned[1:-1], turned[2:], strict=True)
+        ]
+    return made
