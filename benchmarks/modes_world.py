@@ -1,4 +1,4 @@
-"""A wave world for `benchmarks.modes`: rooms, materials and responses that rtcal's modes know nothing of.
+"""A wave world for `benchmarks.modes`: rooms and responses that are not rtcal's.
 
 Pressure on a cubic grid, leapfrog in time (second order), walls of locally reacting admittance: a
 resistance, or a mass, a spring and a resistance in series. A slanted ceiling is a staircase whose faces
@@ -37,6 +37,7 @@ class World:
     times: np.ndarray  # T20 of the octaves in s
     times_uncertainty: np.ndarray
     temperature: float
+    parameters: list  # (R, M, K) of each wall
 
 
 def admittance(wall, f):
@@ -107,7 +108,7 @@ def _shape(rng, kind):
     n = len(plan)
     top = [ceiling[1] + ceiling[0] * x for x, _ in plan]
     vertices = np.array(
-        [(x, y, 0.0) for x, y in plan] + [(x, y, z) for (x, y), z in zip(plan, top)]
+        [(x, y, 0.0) for x, y in plan] + [(x, y, z) for (x, y), z in zip(plan, top, strict=True)]
     )
     faces = [list(range(n)), list(range(n, 2 * n))]
     faces += [[k, (k + 1) % n, n + (k + 1) % n, n + k] for k in range(n)]
@@ -125,7 +126,6 @@ def _area(vertices, face):
 
 def _cells(heights, plan):
     """Numbers of air cells, their neighbours (self at a wall), and wall faces (cell, wall)."""
-    nx, ny = heights.shape
     nz = heights.max()
     air = np.arange(nz) < heights[:, :, None]
     padded = np.pad(air, 1)
@@ -153,7 +153,7 @@ def _cells(heights, plan):
 
 def _side(middle, plan, axis):
     """The wall of the plan on which a vertical face stands; a stair's riser belongs to the ceiling."""
-    for k, (a, b) in enumerate(zip(plan, plan[1:] + plan[:1])):
+    for k, (a, b) in enumerate(zip(plan, plan[1:] + plan[:1], strict=True)):
         a, b = np.array(a), np.array(b)
         along = 1 - axis
         if abs(a[axis] - b[axis]) < 1e-9 and abs(middle[axis] - a[axis]) < 1e-6:
@@ -263,11 +263,11 @@ def world(seed, seconds=2.2, noise=50.0):
     heard = heard[:, : int(seconds * rate)]
     heard += 10 ** (-noise / 20) * np.abs(heard).max() * rng.standard_normal(heard.shape)
     times, uncertainty = _octave_times(heard, rate)
-    x = (
-        rng.standard_normal((len(walls), 2))
-        @ np.linalg.cholesky([[1, CORRELATION], [CORRELATION, 1]]).T
-    )
-    stated = alpha / (1 + SHARE * np.clip(x, -1.6, 2.5))
+    root = np.linalg.cholesky([[1, CORRELATION], [CORRELATION, 1]])
+    stated = np.zeros_like(alpha)
+    for i in range(len(walls)):
+        while stated[i].min() < 0.005 or stated[i].max() > 0.7:
+            stated[i] = alpha[i] / (1 + SHARE * root @ rng.standard_normal(2))
     return World(
         name=f"{kind} {seed}",
         vertices=vertices,
@@ -282,4 +282,5 @@ def world(seed, seconds=2.2, noise=50.0):
         times=times,
         times_uncertainty=uncertainty,
         temperature=20.0 + rng.standard_normal(),
+        parameters=walls,
     )

@@ -129,7 +129,7 @@ def test_modes_tell_the_pairs_of_walls_apart():
     result = rt.calibrate_modes(ROOM, modes, t)
     by_t = rt.calibrate(ROOM, t)
     error = [np.abs(a[:, 0] - TRUTH[:, 0]).mean() for a in (result.alpha, by_t.alpha)]
-    assert error[0] < 0.4 * error[1]
+    assert error[0] < 0.6 * error[1]
     assert result.certificate.worst < 1e-9
     assert np.abs(result.after / result.measured - 1).mean() < 0.05
     assert np.abs(result.before / result.measured - 1).mean() > 0.1

@@ -14,7 +14,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,9 +24,9 @@ from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.quality import mid_frequency_time, schroeder_frequency
 from rtcal.acoustics.room import Room
 from rtcal.calibration.measured import MeasuredTimes, no_times, times_in_room
-from rtcal.calibration.nonlinear import Taken, gauss_newton
+from rtcal.calibration.nonlinear import Steps, Taken, gauss_newton
 from rtcal.calibration.presets import preset
-from rtcal.calibration.problem import Calibration
+from rtcal.calibration.problem import Calibration, CalibrationProblem
 from rtcal.calibration.result import CalibrationResult
 from rtcal.calibration.terms import LinearObservations, Observed, as_objective
 from rtcal.errors import DataError
@@ -60,6 +59,8 @@ _ABOVE = 1.08
 """Modes are calculated up to this times the highest measured frequency."""
 _STEP = 10.0
 _STEPS = 5
+_MATCHINGS = 3
+"""Largest number of matchings: the first with the prior, each further one with calibrated walls."""
 _HALVINGS = 3
 _SETTLED = 0.1
 """Share of a decay's uncertainty by which the linearised decay may be off the model's own."""
@@ -151,21 +152,39 @@ def calibrate_modes(
     every = model.poles(room.alpha)
     patterns = _patterns(room, room_modes, every, modes)
     found = match(modes, every.frequencies, every.decays, patterns)
-    if not len(found.measured):
-        raise DataError(_NONE.format(len(modes.frequencies)))
     times = no_times(room) if measured is None else times_in_room(room, measured)
     low = _below_schroeder(room, times)
-    data = _Data(
-        model=replace(model, chosen=tuple(found.calculated.tolist()), known={}),
-        decays=modes.decays[found.measured],
-        uncertainty=modes.decay_uncertainty[found.measured],
-        model_error=model_error,
-        times=times,
-        low=low,
-        t_error=t_error,
-        equation=Eyring() if equation is None else equation,
-    )
-    problem = _problem(smooth, data)
+    equation = Eyring() if equation is None else equation
+    problem = _problem(smooth, times, low, equation)
+    alpha = room.alpha
+    for _ in range(_MATCHINGS):
+        if not len(found.measured):
+            raise DataError(_NONE.format(len(modes.frequencies)))
+        data = _Data(
+            model=replace(model, chosen=tuple(found.calculated.tolist()), known={}),
+            decays=modes.decays[found.measured],
+            uncertainty=modes.decay_uncertainty[found.measured],
+            model_error=model_error,
+            times=times,
+            low=low,
+            t_error=t_error,
+            equation=equation,
+        )
+        path = _steps(data, problem, alpha)
+        # Calibrated walls say more surely which mode is which.
+        alpha, after = path.end, model.poles(path.end)
+        patterns = _patterns(room, room_modes, after, modes)
+        again = match(modes, after.frequencies, after.decays, patterns, calibrated=True)
+        if _same(found, again) or not len(again.measured):
+            break
+        used, found = found, again
+    else:
+        found = used  # what the last steps were taken with
+    return _result(room, modes, found, room_modes, every, after, data, path)
+
+
+def _steps(data: _Data, problem: CalibrationProblem, alpha: Array) -> Steps[Array, _Linearised]:
+    """Take Gauss-Newton steps from ``alpha`` on until the decays are linear enough."""
 
     def linearised(at: Array) -> _Linearised:
         return _Linearised.of(data, problem, at)
@@ -173,8 +192,14 @@ def calibrate_modes(
     def settled(step: Taken[_Linearised]) -> bool:
         return step.model.error(step.model.towards(step.share)) < _SETTLED
 
-    path = gauss_newton(room.alpha, linearised, most=_STEPS, halvings=_HALVINGS, settled=settled)
-    return _result(room, modes, found, room_modes, model, every, data, path)
+    return gauss_newton(alpha, linearised, most=_STEPS, halvings=_HALVINGS, settled=settled)
+
+
+def _same(one: Matches, other: Matches) -> bool:
+    """Return whether two matchings use the same modes."""
+    return np.array_equal(one.measured, other.measured) and np.array_equal(
+        one.calculated, other.calculated
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -316,7 +341,7 @@ class _Linearised:
     answer: CalibrationResult
 
     @classmethod
-    def of(cls, data: _Data, problem: Any, alpha: Array) -> _Linearised:
+    def of(cls, data: _Data, problem: CalibrationProblem, alpha: Array) -> _Linearised:
         observed, decays = data.observed(alpha)
         t = data.above if np.isfinite(data.above).any() else None
         answer = problem.solve(t, observed={MODES: observed}, method="modes")
@@ -347,13 +372,14 @@ class _Linearised:
         return float((off / np.sqrt(np.diag(self.data.covariance_of_decays))).max())
 
 
-def _problem(room: Room, data: _Data) -> Any:
+def _problem(
+    room: Room, times: MeasuredTimes, low: NDArray[np.bool_], equation: LinearEquation
+) -> CalibrationProblem:
     """Return the compiled QP: the room's prior, the modes, and T where it is exact."""
     plain = preset("mle", room)
-    above = np.isfinite(data.above).any()
-    objective = as_objective(plain.objective) + MODES
+    above = np.isfinite(np.where(low, np.nan, times.reverberation_time)).any()
     constraints = plain.constraints if above else ()
-    return Calibration(objective, constraints).build(room, data.equation)
+    return Calibration(as_objective(plain.objective) + MODES, constraints).build(room, equation)
 
 
 def _result(
@@ -361,13 +387,12 @@ def _result(
     modes: MeasuredModes,
     found: Matches,
     room_modes: RoomModes,
-    model: _Model,
     every: Poles,
+    after: Poles,
     data: _Data,
-    path: Any,
+    path: Steps[Array, _Linearised],
 ) -> ModesResult:
     last = path.steps[-1].model
-    after = model.poles(path.end)
     n = len(data.decays)
     notes = list(modes.notes)
     if len(found.ambiguous):

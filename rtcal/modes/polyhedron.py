@@ -70,7 +70,7 @@ def modes_of(
     >>> print(modes_of(box, 50).frequencies[:2])
     [34.32 42.9 ]
     >>> print(modes_of(box, 50, spacing=1.0).frequencies[:2].round(2))
-    [34.32 42.9 ]
+    [34.32 42.91]
     """
     checks.instance("geometry", geometry, Polyhedron)
     largest = checks.positive("largest", largest, "Hz")

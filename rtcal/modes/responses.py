@@ -1,16 +1,16 @@
 """Modes of impulse responses: common poles of all positions, in narrow bands.
 
-Each band is shifted to 0 Hz, filtered and thinned out, so that it holds a few modes and few samples. All
-pairs share the poles; each pair has its own amplitudes:
+Each band is shifted to 0 Hz, filtered and thinned out, so that it holds a few modes and few samples.
+All pairs share the poles, and each pair has its own amplitudes:
 
     y_r(t) = sum_n A_nr exp(s_n t) + noise.
 
-ESPRIT (Roy & Kailath 1989) takes the poles of all pairs' Hankel matrices side by side. The order is the
-number of singular values above those of noise, by the Bayesian information criterion of the fit (Schwarz
-1978). A non-linear fit by Gauss-Newton steps refines poles and amplitudes together, and its information
-matrix gives their uncertainty (Kay 1993, Ch. 3). Bands overlap by half; a mode is taken from the band in
-whose middle half it lies. Left out are modes that are too uncertain, too weak, or closer to another than
-their widths together.
+ESPRIT (Roy & Kailath 1989) takes the poles of all pairs' Hankel matrices side by side, for each order
+up to 12. A non-linear fit by Gauss-Newton steps refines them with their amplitudes. The order is that
+of the least Bayesian information criterion (Schwarz 1978). The information matrix of the fit gives the
+uncertainty of the poles (Kay 1993, Ch. 3). Bands overlap by half, and a mode is taken from the band in
+whose middle half it lies. Left out are modes whose decay is too uncertain, weak modes, and
+modes closer to another than half the sum of their widths.
 
 References
 ----------
@@ -41,8 +41,10 @@ _SAMPLES_PER_HZ = 1.7
 _MOST_ORDER = 12
 _MOST_SAMPLES = 120
 _STEPS = 8
-LARGEST_ERROR = 0.25
+LARGEST_ERROR = 0.35
 """Largest relative uncertainty of a decay that is used."""
+_WEAK = 0.03
+"""Amplitude of a mode, of the strongest beside it, below which it may be what a filter let through."""
 _CLIPPED = 4
 """Samples in a row at the largest value from which a response is clipped."""
 _LEAST_RANGE = 15.0
@@ -117,12 +119,14 @@ def find_modes(
         f"{min(orders)} to {max(orders)} by the Bayesian information criterion.",
     )
     if silent:
-        notes.append(f"Left out: {silent} bands without a decay of {_LEAST_RANGE:g} dB above noise.")
+        notes.append(
+            f"Left out: {silent} bands without a decay of {_LEAST_RANGE:g} dB above noise."
+        )
     return MeasuredModes(
-        frequencies=[m.frequency for m in kept],
-        decays=[m.decay for m in kept],
-        decay_uncertainty=[m.decay_uncertainty for m in kept],
-        frequency_uncertainty=[m.frequency_uncertainty for m in kept],
+        frequencies=np.array([m.frequency for m in kept]),
+        decays=np.array([m.decay for m in kept]),
+        decay_uncertainty=np.array([m.decay_uncertainty for m in kept]),
+        frequency_uncertainty=np.array([m.frequency_uncertainty for m in kept]),
         pairs=pairs,
         amplitudes=np.array([m.amplitudes for m in kept]),
         notes=notes,
@@ -215,11 +219,11 @@ def _modes(low: Complex, rate: float, centre: float, noise: float) -> tuple[list
     order = 0
     for p in range(1, min(_MOST_ORDER, rows - 2) + 1):
         steps = np.linalg.eigvals(np.linalg.lstsq(left[:-1, :p], left[1:, :p], rcond=None)[0])
-        poles = np.log(steps) * rate
-        poles = poles[(poles.real < 0) & np.isfinite(poles)]
-        if not len(poles):
+        tried = np.log(steps.astype(complex)) * rate
+        tried = tried[(tried.real < 0) & np.isfinite(tried)]
+        if not len(tried):
             continue
-        poles, amplitudes, error = _fitted(low, rate, poles)
+        poles, amplitudes, error = _fitted(low, rate, tried)
         # Two reals for each pole and for each amplitude; 2 n values of each pair.
         values = 2 * n * n_pairs
         criterion = values * np.log(max(error, noise)) + np.log(values) * 2 * len(poles) * (
@@ -254,7 +258,7 @@ def _fitted(low: Complex, rate: float, poles: Complex) -> tuple[Complex, Complex
 
     def solved(at: Complex) -> tuple[Complex, Complex, float]:
         powers = _powers(n, rate, at)
-        amplitudes = np.linalg.lstsq(powers, low.T, rcond=None)[0]
+        amplitudes = np.asarray(np.linalg.lstsq(powers, low.T, rcond=None)[0], dtype=np.complex128)
         off = low.T - powers @ amplitudes
         return amplitudes, off, float((np.abs(off) ** 2).mean())
 
@@ -263,7 +267,7 @@ def _fitted(low: Complex, rate: float, poles: Complex) -> tuple[Complex, Complex
         powers = _powers(n, rate, poles)
         slope = _projected(powers, time, amplitudes)
         move = np.linalg.lstsq(slope, off.T.reshape(-1), rcond=1e-9)[0]
-        moved = poles + move
+        moved: Complex = np.asarray(poles + move, dtype=np.complex128)
         if (moved.real >= 0).any() or not np.isfinite(moved).all():
             break
         trial = solved(moved)
@@ -296,12 +300,21 @@ def _covariance(n: int, rate: float, poles: Complex, amplitudes: Complex, error:
 
 def _resolved(modes: list[_Mode]) -> tuple[list[_Mode], list[str]]:
     """Return the modes that stand apart and are sure, and notes of the others."""
-    notes, kept = [], []
+    notes: list[str] = []
+    kept: list[_Mode] = []
+    size = np.array([np.linalg.norm(m.amplitudes) for m in modes])
+    f = np.array([m.frequency for m in modes])
+    beside_it = np.abs(f[:, np.newaxis] - f) < 1.5 * BANDWIDTH
+    strong = size > _WEAK * np.where(beside_it, size, 0.0).max(axis=1, initial=0.0)
+    if not strong.all():
+        where = ", ".join(f"{x:.1f}" for x in f[~strong])
+        notes.append(f"Left out, since too weak: {where} Hz.")
+    modes = [m for m, s in zip(modes, strong, strict=True) if s]
     unsure = [m for m in modes if m.decay_uncertainty > LARGEST_ERROR * m.decay]
     sure = [m for m in modes if m.decay_uncertainty <= LARGEST_ERROR * m.decay]
     close: list[_Mode] = []
     for k, mode in enumerate(sure):
-        beside = [m for m in (*sure[max(k - 1, 0) : k], *sure[k + 1 : k + 2])]
+        beside = [*sure[max(k - 1, 0) : k], *sure[k + 1 : k + 2]]
         width = [(m.decay + mode.decay) / (2 * np.pi) / 2 for m in beside]
         apart = all(
             abs(m.frequency - mode.frequency) > w for m, w in zip(beside, width, strict=True)

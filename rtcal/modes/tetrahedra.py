@@ -8,7 +8,7 @@ outside the room is left out.
 
 from __future__ import annotations
 
-from itertools import permutations
+from itertools import pairwise, permutations
 
 import numpy as np
 from numpy.typing import NDArray
@@ -75,7 +75,7 @@ def _lines(corners: Array, spacing: float) -> Array:
     own = own[np.r_[True, np.diff(own) > WELD / 2]]
     parts = [
         np.linspace(a, b, max(int(np.ceil((b - a) / spacing - 1e-9)), 1) + 1)[:-1]
-        for a, b in zip(own[:-1], own[1:], strict=True)
+        for a, b in pairwise(own)
     ]
     return np.concatenate([*parts, own[-1:]])
 
@@ -223,13 +223,11 @@ def _around(on: set[int], faces: list[list[int]]) -> list[int]:
 def _pulled(faces: list[list[int]]) -> list[tuple[int, ...]]:
     """Return tetrahedra of a convex body: from its lowest vertex to all faces without it."""
     apex = min(v for face in faces for v in face)
-    made = []
+    made: list[tuple[int, ...]] = []
     for face in faces:
         if apex in face:
             continue
         k = face.index(min(face))
         turned = face[k:] + face[:k]
-        made += [
-            (apex, turned[0], a, b) for a, b in zip(turned[1:-1], turned[2:], strict=True)
-        ]
+        made += [(apex, turned[0], a, b) for a, b in pairwise(turned[1:])]
     return made

@@ -1,0 +1,270 @@
+"""How good the calibration to room modes is, in a wave world that is not rtcal's (`modes_world`).
+
+    python -m benchmarks.modes dev        # rooms 1000 to 1011, for development
+    python -m benchmarks.modes judge      # rooms 0 to 59, judged once
+    python -m benchmarks.modes show FILE
+
+Each room has responses at 4 positions with noise, T20 of the octaves 63 and 125 Hz from them, and
+stated coefficients that are off by 40 %. The temperature told is off by 1 K.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+import time
+import warnings
+from pathlib import Path
+
+import numpy as np
+
+import rtcal as rt
+from benchmarks import modes_world as w
+from rtcal.acoustics.quality import schroeder_frequency
+from rtcal.modes.frequency import AtFrequencies
+from rtcal.modes.paris import admittance, admittance_slope
+from rtcal.simulators.geometry import Polyhedron
+
+HIGHEST = 140.0
+LIMIT = 7.5
+"""Modes that are counted lie below 1.5 times the lowest axial mode's fifth multiple."""
+
+
+def room_of(world):
+    """The room as it is told to rtcal."""
+    geometry = Polyhedron(
+        vertices=world.vertices, faces=world.faces, materials=world.walls, names=world.walls
+    )
+    sigma = w.SHARE * world.stated
+    materials = [
+        rt.Material(n, m.tolist(), s.tolist())
+        for n, m, s in zip(world.walls, world.stated, sigma, strict=True)
+    ]
+    room = rt.Room.from_geometry(
+        geometry,
+        name=world.name,
+        materials=materials,
+        centre_frequencies=w.BANDS,
+        air=rt.Air(world.temperature, 50),
+    )
+    scene = rt.Scene(sources=world.sources, receivers=world.receivers)
+    return room.replace(scene=scene), geometry
+
+
+def bound(room, modes, t, relative=0.1):
+    """Expected errors of linear Gaussian observers: of T alone, and of T with all modes too."""
+    correlation = w.CORRELATION ** np.abs(
+        np.subtract.outer(*[np.log2(room.centre_frequencies)] * 2)
+    )
+    sigma = room.sigma.ravel()
+    prior = sigma[:, None] * np.kron(np.eye(room.n_materials), correlation) * sigma
+    at = AtFrequencies.of(room, modes.frequencies[: modes.wanted], w.CORRELATION)
+    g = np.einsum("imm->im", modes.coupling)[:, : modes.wanted] * modes.speed_of_sound / 2
+    rows = [room.material_index(m) for m in modes.materials]
+    by_material = np.zeros((room.n_materials, modes.wanted))
+    np.add.at(by_material, rows, g)
+    slope = by_material * admittance_slope(at.mean).real
+    decays = (by_material * admittance(at.mean).real).sum(0)
+    matrix = (slope.T[:, :, None] * at.slope().transpose(1, 0, 2)).reshape(modes.wanted, -1)
+    in_sigmas = slope * at.sigma
+    error = (in_sigmas.T @ in_sigmas) * at.remainder + np.diag((relative * decays) ** 2)
+    of_t = np.kron(room.areas, np.eye(room.n_bands)).reshape(room.n_materials, -1, room.n_bands)
+    of_t = np.moveaxis(of_t.reshape(-1, room.n_bands), 0, 1)[np.isfinite(t)]
+    b = of_t @ room.alpha.ravel()
+
+    def sigma_after(matrix, error):
+        gain = np.linalg.solve(matrix @ prior @ matrix.T + error, matrix @ prior)
+        return np.sqrt(np.diag(prior - prior @ matrix.T @ gain)).reshape(room.alpha.shape)
+
+    alone = sigma_after(of_t, np.diag((0.05 * b) ** 2)) if len(b) else room.sigma
+    both = np.vstack([matrix, of_t])
+    noise = np.zeros((len(both),) * 2)
+    noise[: len(error), : len(error)] = error
+    noise[len(error) :, len(error) :] = np.diag((0.05 * b) ** 2)
+    return alone, sigma_after(both, noise)
+
+
+def true_poles(world, modes):
+    """The room's poles with the true admittances, by rtcal's modes: they say which mode is which."""
+    sets = [world.parameters[world.walls.index(m)] for m in modes.materials]
+    return modes.poles(lambda f: np.array([w.admittance(s, f) for s in sets]))
+
+
+def judge_room(seed):
+    """Everything that is asked of one room."""
+    world = w.world(seed)
+    room, geometry = room_of(world)
+    out = {"seed": seed, "name": world.name, "volume": room.volume, "walls": len(world.walls)}
+    lowest = world_lowest(world)
+    highest = min(HIGHEST, LIMIT * lowest)
+    t = world.times
+    known = t[np.isfinite(t)]
+    limit = float(schroeder_frequency(known.mean(), room.volume)) if known.size else 1e9
+    low = limit > w.BANDS
+    out["below"] = low.tolist()
+    if not low.any():
+        return {**out, "skipped": "no band below the Schroeder frequency"}
+    measured = None
+    if known.size:
+        measured = rt.Measurement(
+            centre_frequencies=w.BANDS,
+            values={"t20": t[None]},
+            uncertainty={"t20": world.times_uncertainty[None]},
+        )
+    start = time.perf_counter()
+    try:
+        heard = rt.modes.find_modes(
+            world.responses, world.rate, [("S", r) for r in world.receivers], highest=highest
+        )
+        result = rt.calibrate_modes(room, heard, measured, geometry=geometry)
+    except rt.errors.RtcalError as error:
+        return {**out, "failed": str(error)[:200]}
+    out["seconds"] = time.perf_counter() - start
+    start = time.perf_counter()
+    rt.calibrate_modes(room, heard, measured, geometry=geometry)
+    out["seconds_after"] = time.perf_counter() - start
+    alone = room.alpha
+    if measured is not None:
+        alone = rt.calibrate(room, measured, unreachable="nearest").alpha
+    error = {
+        name: float(np.abs(a - world.alpha)[:, low].mean())
+        for name, a in (("prior", room.alpha), ("t", alone), ("modes", result.alpha))
+    }
+    ends = result.interval
+    inside = (ends[0] <= world.alpha) & (world.alpha <= ends[1])
+    out |= {"error": error, "inside": int(inside[:, low].sum()), "of": int(inside[:, low].size)}
+    top = 10 * np.ceil(1.08 * max(heard.frequencies[-1], highest) / 10)
+    modes = rt.modes.modes_of(geometry, float(top), room.air.speed_of_sound)
+    of_t, of_both = bound(room, modes, t)
+    out["bound"] = {"t": float(of_t[:, low].mean()), "modes": float(of_both[:, low].mean())}
+    out["sigma"] = float(result.sigma[:, low].mean())
+    out |= matches(world, modes, heard, result, highest)
+    out |= held_out(room, geometry, heard, measured, alone, result)
+    return out
+
+
+def world_lowest(world):
+    """The lowest axial mode's frequency in Hz: half a wave along the longest side."""
+    return w.C / 2 / float(np.ptp(world.vertices, axis=0).max())
+
+
+def matches(world, modes, heard, result, highest):
+    """How many modes were found and rightly matched, and how many used matches are wrong."""
+    poles = true_poles(world, modes)
+    at = [
+        modes.shapes(np.array(list(of.values()))) @ poles.mixtures
+        for of in (world.sources, world.receivers)
+    ]
+    patterns = (at[0] * at[1]).T
+    right = 0
+    for k, i in enumerate(result.used):
+        a = heard.amplitudes[i]
+        mac = np.abs(patterns.conj() @ a) ** 2 / (
+            (np.abs(patterns) ** 2).sum(1) * (np.abs(a) ** 2).sum()
+        )
+        off = (poles.frequencies - heard.frequencies[i]) / np.hypot(0.01 * poles.frequencies, 0.2)
+        right += int(np.argmin(off**2 + (1 - mac) / 0.1) == result.matched[k])
+    there = int((poles.frequencies < highest).sum())
+    return {
+        "there": there,
+        "found": len(heard.frequencies),
+        "used": len(result.used),
+        "right": right,
+    }
+
+
+def held_out(room, geometry, heard, measured, alone, result):
+    """Errors of held-out modes' decays, by the other modes and by T's coefficients."""
+    used = result.used
+    out = used[1::3]
+    keep = np.setdiff1d(np.arange(len(heard.frequencies)), out)
+    if not len(out) or len(used) - len(out) < 2:
+        return {}
+    place = dict(zip(result.used, result.matched, strict=True))
+    n = np.array([place[i] for i in out])
+    try:
+        other = rt.calibrate_modes(room, heard.only(keep), measured, geometry=geometry)
+        by_t = rt.calibrate_modes(
+            room.replace(alpha=alone), heard.only(keep), measured, geometry=geometry
+        )
+    except rt.errors.RtcalError as error:
+        return {"held_failed": str(error)[:200]}
+    if n.max() >= min(len(other.decays_after), len(by_t.decays_before)):
+        n_ok = n < min(len(other.decays_after), len(by_t.decays_before))
+        n, out = n[n_ok], out[n_ok]
+    off = [
+        float(np.abs(np.log(d[n] / heard.decays[out])).mean())
+        for d in (other.decays_after, by_t.decays_before, other.decays_before)
+    ]
+    return {"held": {"modes": off[0], "t": off[1], "prior": off[2], "n": len(n)}}
+
+
+def show(rows):
+    """Print what the issue asks."""
+    good = [r for r in rows if "error" in r]
+    print(
+        f"{len(rows)} rooms, {len(good)} judged; failed {sum('failed' in r for r in rows)}, "
+        f"skipped {sum('skipped' in r for r in rows)}"
+    )
+    error = {k: np.array([r["error"][k] for r in good]) for k in ("prior", "t", "modes")}
+    b = {k: np.array([r["bound"][k] for r in good]) for k in ("t", "modes")}
+    print("mean error prior, T, modes", *(round(float(e.mean()), 4) for e in error.values()))
+    print(
+        "error modes / T",
+        round(error["modes"].mean() / error["t"].mean(), 3),
+        "median of ratios",
+        round(float(np.median(error["modes"] / error["t"])), 3),
+    )
+    print("bound modes / T", round(b["modes"].mean() / b["t"].mean(), 3))
+    for k in ("modes", "t"):
+        share = (error[k] <= error["prior"] * 1.0001).mean()
+        print(k, "no worse than the prior", round(float(share), 3))
+    print("coverage of 90 %", round(sum(r["inside"] for r in good) / sum(r["of"] for r in good), 3))
+    there, right, used = (sum(r[k] for r in good) for k in ("there", "right", "used"))
+    print(
+        "found and right",
+        round(right / there, 3),
+        "wrong of used",
+        round(1 - right / used, 3),
+        "modes",
+        there,
+        used,
+    )
+    held = [r["held"] for r in good if "held" in r]
+    n = np.array([h["n"] for h in held])
+    sums = {k: float((n * [h[k] for h in held]).sum() / n.sum()) for k in ("modes", "t", "prior")}
+    print(
+        "held-out decays",
+        {k: round(v, 3) for k, v in sums.items()},
+        "modes / T",
+        round(sums["modes"] / sums["t"], 3),
+        "of",
+        int(n.sum()),
+    )
+    print(
+        "seconds, first and after, largest",
+        *(round(max(r[k] for r in good), 1) for k in ("seconds", "seconds_after")),
+    )
+
+
+def main(arguments):
+    """Run, or show what was run."""
+    if arguments[0] == "show":
+        show([json.loads(line) for line in Path(arguments[1]).read_text().splitlines()])
+        return
+    seeds = range(1000, 1012) if arguments[0] == "dev" else range(60)
+    path = Path(arguments[1])
+    done = (
+        {json.loads(x)["seed"] for x in path.read_text().splitlines()} if path.exists() else set()
+    )
+    warnings.simplefilter("ignore", RuntimeWarning)
+    for seed in seeds:
+        if seed not in done:
+            row = judge_room(seed)
+            with path.open("a") as file:
+                file.write(json.dumps(row) + "\n")
+    show([json.loads(line) for line in path.read_text().splitlines()])
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])
