@@ -24,7 +24,9 @@ from rtcal.support.types import Array
 
 PER_WAVELENGTH = 4.0
 """Grid lines per wavelength of the highest mode that is wanted."""
-_COARSER = 1.5
+_COARSER = 2.0
+_AT_LEAST = 1.5
+"""Factor of the spacing of the coarser mesh, and the least that whole numbers of cells leave of it."""
 _SINGULAR = 4 / 3
 """Power of the spacing with which a frequency converges at an edge that stands out into the room."""
 _PLANE = 1e-3
@@ -94,7 +96,7 @@ def _by_elements(geometry: Polyhedron, largest: float, c: float, spacing: float)
     coarse, _, _ = _eigenmodes(geometry, top, c, _COARSER * spacing)
     frequencies, vectors, basis = _eigenmodes(geometry, top, c, spacing)
     n = min(len(frequencies), len(coarse))
-    error = np.abs(coarse[:n] - frequencies[:n]) / frequencies[:n] / (_COARSER**_SINGULAR - 1)
+    error = np.abs(coarse[:n] - frequencies[:n]) / frequencies[:n] / (_AT_LEAST**_SINGULAR - 1)
     error = np.concatenate([error, np.full(len(frequencies) - n, error.max(initial=0.0))])
     walls = _integrals(basis, geometry)
     coupling = np.stack([vectors.T @ (wall @ vectors) for wall in walls])

@@ -1,0 +1,146 @@
+"""Modes of any room by finite elements: exact meshes, convergence, closed forms."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import rtcal as rt
+from rtcal.datasets.boxes import polyhedron
+from rtcal.errors import ModelError
+from rtcal.modes import box_modes, modes_of
+from rtcal.modes.tetrahedra import fill
+from rtcal.simulators.geometry import SHOEBOX_WALLS, Polyhedron
+from tests.test_modes import TRUTH
+
+pytest.importorskip("skfem")
+
+L_SHAPE = polyhedron(
+    air=[((0, 2), (0, 1), (0, 1.1)), ((0, 1), (1, 2), (0, 1.1))],
+    solid=[],
+    paint=[("wall", "plaster", ((-9, 9), (-9, 9), (-9, 9)))],
+)
+FURNISHED = polyhedron(
+    air=[((0, 5), (0, 4), (0, 2.5))],
+    solid=[((1, 2), (1, 2), (0, 0.8))],
+    paint=[("wall", "plaster", ((-9, 9), (-9, 9), (-9, 9)))],
+)
+
+
+def slanted(low=2.2, high=3.3):
+    """A room of 5 x 4 m whose ceiling rises along x."""
+    plan = [(0, 0), (5, 0), (5, 4), (0, 4)]
+    vertices = [(x, y, 0) for x, y in plan] + [(x, y, low + (high - low) * x / 5) for x, y in plan]
+    faces = [(0, 1, 2, 3), (4, 5, 6, 7), (0, 1, 5, 4), (1, 2, 6, 5), (2, 3, 7, 6), (3, 0, 4, 7)]
+    names = ["floor", "ceiling", "front", "high", "back", "low"]
+    return Polyhedron(vertices=vertices, faces=faces, materials=names, names=names)
+
+
+def crooked():
+    """A room without two parallel walls."""
+    plan = [(0, 0), (5, 0.5), (5.5, 4), (1, 5)]
+    vertices = [(x, y, 0) for x, y in plan] + [(x, y, 2.6 + 0.1 * x - 0.05 * y) for x, y in plan]
+    faces = [(0, 1, 2, 3), (4, 5, 6, 7), (0, 1, 5, 4), (1, 2, 6, 5), (2, 3, 7, 6), (3, 0, 4, 7)]
+    return Polyhedron(vertices=vertices, faces=faces, materials=["a"] * 6)
+
+
+@pytest.mark.parametrize("room", [L_SHAPE, FURNISHED, slanted(), crooked()])
+@pytest.mark.parametrize("spacing", [1.0, 0.6])
+def test_tetrahedra_fill_the_room_and_fit_together(room, spacing):
+    points, tetrahedra = fill(room, spacing)
+    corners = points[tetrahedra]
+    volumes = np.abs(np.linalg.det(corners[:, 1:] - corners[:, :1])) / 6
+    assert volumes.sum() == pytest.approx(room.volume, rel=1e-9)
+    assert volumes.min() > 0
+    faces = np.sort(
+        np.concatenate([np.delete(tetrahedra, left, axis=1) for left in range(4)]), axis=1
+    )
+    faces, count = np.unique(faces, axis=0, return_counts=True)
+    assert count.max() == 2
+    a, b, c = (points[faces[count == 1]][:, k] for k in range(3))
+    area = np.linalg.norm(np.cross(b - a, c - a), axis=1).sum() / 2
+    assert area == pytest.approx(float(np.sum(room.face_areas)), rel=1e-9)
+
+
+def test_a_box_has_its_closed_form():
+    sides = (5.2, 4.1, 2.7)
+    box = Polyhedron.shoebox(sides, "plaster")
+    exact, found = box_modes(sides, ["plaster"] * 6, 90), modes_of(box, 90, spacing=0.6)
+    n = exact.wanted
+    np.testing.assert_allclose(found.frequencies[:n], exact.frequencies[:n], rtol=2e-3)
+    off = np.abs(found.frequencies[:n] / exact.frequencies[:n] - 1)
+    assert (off <= found.error[:n] + 1e-9).all()
+    for k in range(5):
+        np.testing.assert_allclose(found.coupling[:, k, k], exact.coupling[:, k, k], rtol=0.01)
+    inside = np.array([[1.3, 0.7, 1.1], [4.9, 3.9, 0.3]])
+    np.testing.assert_allclose(
+        np.abs(found.shapes(inside)[:, :5]), np.abs(exact.shapes(inside)[:, :5]), atol=2e-3
+    )
+
+
+def test_the_l_shape_of_the_literature():
+    """Neumann eigenvalues of three unit squares: Dauge 2004, benchmark computations for Maxwell."""
+    exact = 343.2 / (2 * np.pi) * np.sqrt([1.47562182408, 3.53403136678])
+    errors = []
+    for spacing in (0.5, 0.25):
+        found = modes_of(L_SHAPE, 140, spacing=spacing)
+        errors.append(found.frequencies[:2] / exact - 1)
+        assert (np.abs(errors[-1]) < 1.5 * found.error[:2]).all()
+    assert (np.array(errors) > 0).all()  # Rayleigh and Ritz: from above
+    # The edge lets the first converge as spacing^(4/3).
+    order = np.log2(errors[0][0] / errors[1][0])
+    assert 1.1 < order < 1.6
+    richardson = errors[1][0] - (errors[0][0] - errors[1][0]) / (2 ** (4 / 3) - 1)
+    assert abs(richardson) < 0.15 * abs(errors[1][0])
+
+
+@pytest.mark.long
+def test_two_refinements_converge():
+    room = slanted()
+    coarse, middle, fine = (modes_of(room, 80, spacing=h).frequencies[:5] for h in (1.4, 0.7, 0.35))
+    order = np.log2((coarse - middle) / (middle - fine))
+    assert (order > 2.5).all()  # 4 on nested meshes
+    assert (np.abs(middle / fine - 1) < 1e-3).all()
+
+
+def test_too_many_planes():
+    with pytest.raises(ModelError, match="simpler mesh"):
+        fill(Polyhedron.shoebox((50, 50, 50), "plaster"), 0.5)
+
+
+def test_which_wall_absorbs_in_a_slanted_room(tmp_path):
+    """Modes of the true room: unlike a box's, opposite walls are told apart."""
+    geometry = slanted()
+    geometry.save(tmp_path / "room.obj")
+    room = rt.Room.from_geometry(
+        geometry,
+        name="slanted",
+        centre_frequencies=[63, 125, 250],
+        materials=[rt.Material(w, [0.12] * 3, [0.08] * 3) for w in geometry.names],
+        air=rt.Air(20, 50),
+    )
+    scene = rt.Scene(mesh=str(tmp_path / "room.obj"))
+    room = room.replace(scene=scene)
+    truth = np.array([0.05, 0.25, 0.08, 0.3, 0.1, 0.06])
+    modes = modes_of(geometry, 110, room.air.speed_of_sound)
+    poles = modes.poles(lambda f: rt.modes.admittance(truth))
+    order = np.argsort(poles.frequencies)
+    heard = rt.modes.MeasuredModes(
+        frequencies=poles.frequencies[order],
+        decays=poles.decays[order],
+        decay_uncertainty=0.03 * poles.decays[order],
+    )
+    t = rt.Eyring().time(room, room.areas @ np.repeat(truth[:, np.newaxis], 3, axis=1))
+    result = rt.calibrate_modes(room, heard, t)
+    assert len(result.used) >= 8
+    ceiling, high, low = (room.material_index(m) for m in ("ceiling", "high", "low"))
+    assert result.alpha[high, 0] > result.alpha[low, 0] + 0.03
+    assert result.alpha[ceiling, 0] > 0.13
+    by_t = rt.calibrate(room, t)
+    error = [np.abs(a[:, 0] - truth).mean() for a in (result.alpha, by_t.alpha)]
+    assert error[0] < 0.8 * error[1]
+
+
+def test_shoebox_names_are_those_of_the_closed_form():
+    assert modes_of(Polyhedron.shoebox((5, 4, 3), "a"), 50).walls == SHOEBOX_WALLS
+    assert TRUTH.shape == (6, 3)
