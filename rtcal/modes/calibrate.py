@@ -281,7 +281,7 @@ class _Data:
 
     @cached_property
     def covariance_of_decays(self) -> Array:
-        """Of the measured decays less those of the model at the prior's slopes, in 1/s²."""
+        """Covariance of measured less modelled decays in 1/s², with the prior's slopes."""
         decays, _, remainder = self.model.linear(self.model.room.alpha)
         own = self.uncertainty**2 + (self.model_error * decays) ** 2
         return np.asarray(remainder + np.diag(own))
