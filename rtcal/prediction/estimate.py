@@ -191,6 +191,9 @@ class Rooms:
         covariance = np.zeros((*mean.shape, self.size))
         sigma = self.sigma.T
         covariance[:, :n, :n] = sigma[:, :, np.newaxis] * correlation * sigma[:, np.newaxis]
+        stated = max(room.common_alpha_sigma for room in self.rooms)
+        together = np.where(sigma > 0, stated * mean[:, :n], 0.0)
+        covariance[:, :n, :n] += together[:, :, np.newaxis] * together[:, np.newaxis]
         further = [assumed.volume, *[assumed.areas] * n, assumed.common]
         covariance[:, range(n, self.size), range(n, self.size)] = np.square(further)
         return mean, covariance

@@ -12,6 +12,8 @@ from rtcal.acoustics.air import Air
 from rtcal.acoustics.room_errors import heard_changes
 from rtcal.finder.positions.model import _prior
 from rtcal.finder.positions.responses import AIR
+from rtcal.prediction import Assumptions
+from rtcal.prediction.estimate import Rooms
 
 SABINE = rt.Sabine()
 PAIRS = (("S", "R1"), ("S", "R2"))
@@ -178,3 +180,17 @@ def test_the_finder_at_positions_expects_what_the_room_may_be_off_by(
     np.testing.assert_allclose(
         variance(uncertain) - variance(exact), (changes**2).sum(axis=0), rtol=1e-9
     )
+
+
+def test_a_prediction_counts_that_the_tables_are_off_together() -> None:
+    """Its T has the variance of the coefficients, those off together included."""
+    exact, uncertain = room_of(), room_of(common_alpha_sigma=0.3)
+    sure = Assumptions(volume=0, areas=0, common=0, own=1e-6)
+    variance = []
+    for room in (exact, uncertain):
+        rooms = Rooms([room], SABINE, sure)
+        mean, covariance = rooms.prior
+        gradient = rooms.log_time(0, mean)[1]
+        variance.append(np.einsum("bi,bij,bj->b", gradient, covariance, gradient))
+    together = 0.3 * derivatives(exact) @ exact.alpha.ravel()
+    np.testing.assert_allclose(variance[1] - variance[0], together**2, rtol=1e-4)
