@@ -160,7 +160,7 @@ def test_another_climate_is_the_room_in_other_air(result) -> None:
 
 
 @pytest.mark.long
-def test_the_command_takes_a_room_with_positions(measured, tmp_path: Path) -> None:
+def test_the_command_takes_a_room_or_a_calibration(measured, result, tmp_path: Path) -> None:
     room, pairs, change = (tmp_path / name for name in ("room.toml", "pairs.csv", "change.toml"))
     a_room(air=rt.Air(20, 50)).save(str(room))
     measured.save(str(pairs))
@@ -174,6 +174,13 @@ def test_the_command_takes_a_room_with_positions(measured, tmp_path: Path) -> No
     found = rt.load(out)
     assert isinstance(found, PositionsPredictions)
     assert found.predictions[0].pairs == tuple(measured.pairs)
+    calibrated = tmp_path / "fitted"
+    result.save(calibrated)
+    arguments[1:3] = [str(calibrated)]
+    again = CliRunner().invoke(cli, [*arguments, "--out", str(tmp_path / "again")])
+    assert again.exit_code == 0, again.output
+    assert rt.load(tmp_path / "again").predictions[0].simulator == result.simulator
+    arguments[1:2] = [str(room), str(pairs)]
     means = CliRunner().invoke(cli, [*arguments[:-1], "--means"])
     assert means.exit_code == 0
     assert "T after / s" in means.output
