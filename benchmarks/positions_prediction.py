@@ -1,7 +1,7 @@
 """How good predictions at positions are: another tracer's rooms, several changes in each.
 
     python -m benchmarks.positions_prediction development --rooms 8   # to choose by
-    python -m benchmarks.positions_prediction judged --rooms 25       # once
+    python -m benchmarks.positions_prediction second --rooms 25      # once
 
 The rule stands in docs/prediction_study.md and was written first. The hidden tracer is that of
 `tests.position_rooms`, which shares no code with rtcal: all states of a room weigh the same rays.
@@ -26,7 +26,7 @@ from rtcal.support.types import Array
 from tests.position_rooms import parameters, rooms, shapes
 from tests.position_rooms.tracer import Scene, trace
 
-WORLDS = {"development": 0, "judged": 1}
+WORLDS = {"development": 0, "first": 1, "second": 2}
 BANDS = parameters.OCTAVES[3:6]
 MATCH = ("t20", "edt", "c80", "ts", "level")
 CHANGES = 8
@@ -98,15 +98,28 @@ def world(part: str, index: int) -> World:
         [trace(scene, s, n_rays, 7 + k, width=_WIDTH, length=length) for k, s in enumerate(sources)]
     )
     states = [energy[:, n * len(BANDS) : (n + 1) * len(BANDS)] for n in range(n_states)]
-    heard = parameters.measure(rng, states[0], _WIDTH, BANDS, rng.uniform(0.3, 0.8))
+    share = rng.uniform(0.3, 0.8)
+    heard = parameters.measure(rng, states[0], _WIDTH, BANDS, share)
     tracer = _stated(
         polygons, stated, climate, rooms.moved(rng, sources), rooms.moved(rng, receivers)
     )
-    measured = rt.Measurement(centre_frequencies=BANDS, values=heard, pairs=tracer.pairs)
+    shared = {} if part == "first" else common_of_all_pairs(heard, share)
+    measured = rt.Measurement(
+        centre_frequencies=BANDS, values=heard, pairs=tracer.pairs, common_uncertainty=shared
+    )
     truth = [parameters.evaluate(state, _WIDTH) for state in states]
     return World(
         tracer, measured, tuple(variants), truth[0], tuple(truth[1:]), scattering, scene.vectors
     )
+
+
+def common_of_all_pairs(heard: dict[str, Array], share: float) -> dict[str, Array]:
+    """The uncertainty that all pairs share, as the team knows it: in the unit, (n_bands,)."""
+    which = np.searchsorted(parameters.OCTAVES, BANDS)
+    return {
+        p: share * parameters.BETWEEN_TEAMS[p][which] * (1 if p in ("c80", "g") else v.mean(axis=0))
+        for p, v in heard.items()
+    }
 
 
 def _panel(rng: np.random.Generator) -> tuple[Array, Array]:
