@@ -28,6 +28,7 @@ from rtcal.prediction import (
     read_treatments,
 )
 from rtcal.prediction.design_model import DesignModel
+from rtcal.prediction.designed import Design
 from rtcal.prediction.envelope import Ranges
 from rtcal.prediction.program import program
 
@@ -74,6 +75,24 @@ def test_the_cheapest_is_not_beaten_by_a_grid_and_keeps_its_promise() -> None:
             cheapest = cost
     assert found.cost <= 1.01 * cheapest
     assert found.cost >= 0.94 * cheapest  # the grid is 1 m²
+
+
+@pytest.mark.parametrize("index", [2, 17])
+def test_the_whole_posterior_keeps_the_promise_where_bounds_cut_it(index: int) -> None:
+    """The program takes A as normal: a band of its own answer lacks up to 0.012."""
+    model, p = random_design(index)
+    alone = model.cheapest(p)
+    assert alone is not None
+    assert Design(model=model, promised=p, areas=alone).probability.min() < p - 0.002
+    state = model.states[0]
+    found = design(
+        Known((state,), state.room),
+        model.treatments,
+        model.target,
+        p,
+        assumptions=model.assumptions,
+    )
+    assert p - 0.002 <= found.probability.min() <= p + 0.002
 
 
 def test_the_model_has_the_whole_posteriors_sd() -> None:

@@ -160,8 +160,10 @@ class DesignModel:
         """Return the probability that T is in its range, (n_bands,)."""
         return self.ranges(x).probability(*self.area(x))
 
-    def cheapest(self, probability: float, target: Target | None = None) -> Array | None:
+    def cheapest(self, probability: float | Array, target: Target | None = None) -> Array | None:
         """Return the cheapest areas in m², whole panels where asked for; None if there are none.
+
+        The ``probability`` is that of all bands, or one of each, (n_bands,).
 
         The slope of ln T and a free-standing treatment's surface depend on the answer: rounds follow
         until it no longer moves.
@@ -185,15 +187,15 @@ class DesignModel:
             return self._whole_panels(probability, x, target)
         return x
 
-    def _lacks(self, probability: float, x: Array, target: Target | None) -> float:
+    def _lacks(self, probability: float | Array, x: Array, target: Target | None) -> float:
         """Return what the worst band's probability lacks of the promised one; below 0 nothing."""
         ranges = self.ranges(x, target)
-        found = ranges.probability(*self.area(x))[np.asarray(ranges.target.bounded)]
-        return probability - float(found.min())
+        lacking = probability - ranges.probability(*self.area(x))
+        return float(lacking[np.asarray(ranges.target.bounded)].max())
 
     def numbers(
         self,
-        probability: float,
+        probability: float | Array,
         x: Array,
         at: Array,
         target: Target | None = None,
@@ -206,7 +208,12 @@ class DesignModel:
         """
         ranges = self.ranges(x, target)
         whole = ranges.room.total_area
-        key = (probability, whole, ranges.target.low.tobytes(), ranges.target.high.tobytes())
+        key = (
+            np.asarray(probability).tobytes(),
+            whole,
+            ranges.target.low.tobytes(),
+            ranges.target.high.tobytes(),
+        )
         if key not in self._spans:
             span = ranges.span(probability)
             n = TANGENTS - _LAST
@@ -260,7 +267,9 @@ class DesignModel:
         n_bands, n_rows, n_treatments = numbers.steps.shape
         return program(n_treatments, len(numbers.limits), n_bands, n_rows).solve(numbers)
 
-    def _whole_panels(self, probability: float, x: Array, target: Target | None) -> Array | None:
+    def _whole_panels(
+        self, probability: float | Array, x: Array, target: Target | None
+    ) -> Array | None:
         """Return the cheapest areas with whole panels, by branch and bound; None if there are none."""
         units = np.array([np.nan if t.unit is None else t.unit for t in self.treatments])
         cost = np.array([t.cost for t in self.treatments])

@@ -30,6 +30,9 @@ from rtcal.support.types import Array
 FRONTIER = (0.8, 0.85, 0.9, 0.95)
 """Probabilities of `Design.frontier`."""
 _BEST = 0.99
+_PASSES = 3
+_LACK = 0.002
+"""Probability that a band may lack of the promised one."""
 _HARDLY = 0.01
 """Probability below which a range is almost surely missed."""
 _TRIES = 7
@@ -124,10 +127,9 @@ class Design(Result):
     @cached_property
     def alternatives(self) -> dict[float, Design | None]:
         """The design at several probabilities, this one among them; None where none is enough."""
-        found = {}
+        found: dict[float, Design | None] = {}
         for p in sorted({*FRONTIER, self.promised}):
-            x = self.areas if p == self.promised else self.model.cheapest(p)
-            found[p] = None if x is None else replace(self, promised=p, areas=x)
+            found[p] = self if p == self.promised else _cheapest(self.model, p)
         return found
 
     @property
@@ -293,10 +295,30 @@ def design(
         result.equation,
         assumptions or Assumptions.of(room),
     )
-    areas = model.cheapest(probability)
-    if areas is None:
+    found = _cheapest(model, probability)
+    if found is None:
         raise InfeasibleError(" ".join(can_be_had(model, probability)))
-    return Design(model=model, promised=probability, areas=areas)
+    return found
+
+
+def _cheapest(model: DesignModel, probability: float) -> Design | None:
+    """Return the cheapest design that keeps the probability with the whole posterior; None if none.
+
+    The program takes A as normal. What a band of its answer lacks is asked of it once more. Where
+    more is not to be had, the first answer stands.
+    """
+    asked = np.full(model.before.n_bands, probability)
+    best: Design | None = None
+    for _ in range(_PASSES):
+        areas = model.cheapest(asked)
+        if areas is None:
+            break
+        best = Design(model=model, promised=probability, areas=areas)
+        lacks = np.where(model.target.bounded, probability - best.probability, 0.0)
+        if lacks.max() <= _LACK:
+            break
+        asked = np.minimum(asked + np.maximum(lacks, 0.0), _BEST)
+    return best
 
 
 def can_be_had(model: DesignModel, probability: float) -> list[str]:

@@ -78,7 +78,7 @@ class Ranges:
         bands = np.arange(len(self.tau))
         return means[at, bands], found[at, bands]
 
-    def span(self, probability: float) -> tuple[Array, Array] | None:
+    def span(self, probability: float | Array) -> tuple[Array, Array] | None:
         """Return the least and the largest mean in m² at which a known A would do, (n_bands,) each.
 
         None if a band cannot be in range with this probability, whatever A is.
@@ -86,7 +86,7 @@ class Ranges:
         whole, n_bands = self.room.total_area, len(self.tau)
         peak, best = self.best()
         bounded = np.asarray(self.target.bounded)
-        if (best[bounded] < probability).any():
+        if (best < probability)[bounded].any():
             return None
         first = self._edge(probability, peak, np.full(n_bands, _EDGE * whole))
         last = self._edge(probability, peak, np.full(n_bands, (1 - _EDGE) * whole))
@@ -94,7 +94,7 @@ class Ranges:
             return None
         return first, last
 
-    def tangents(self, probability: float, means: Array) -> tuple[Array, Array]:
+    def tangents(self, probability: float | Array, means: Array) -> tuple[Array, Array]:
         """Return intercepts in m² and slopes of the tangents at means in m², (..., n_bands) each.
 
         A band without a range, or a mean at which the probability is not to be had, has none: a
@@ -112,7 +112,7 @@ class Ranges:
         slope = np.where(touches, -(by_mean / step) / np.where(touches, by_sigma, -1.0), 0.0)
         return np.where(touches, sigmas - slope * means, _LOOSE * whole), slope
 
-    def tangents_above(self, probability: float, means: Array) -> tuple[Array, Array]:
+    def tangents_above(self, probability: float | Array, means: Array) -> tuple[Array, Array]:
         """Return the tangents at means (n, n_bands), each moved up until it is above g at all of them.
 
         Only where the spread is larger than the mean itself is g not concave, and a tangent moved.
@@ -123,7 +123,7 @@ class Ranges:
         above = np.max(g - slope[:, np.newaxis] * means, axis=1)
         return np.where(has_one, above, intercept), slope
 
-    def _edge(self, probability: float, inside: Array, outside: Array) -> Array:
+    def _edge(self, probability: float | Array, inside: Array, outside: Array) -> Array:
         """Return the mean nearest ``outside`` at which a known A is in range with the probability."""
         kept = self.probability(outside, np.zeros_like(outside)) >= probability
         for _ in range(2 * _HALVINGS):
@@ -132,7 +132,7 @@ class Ranges:
             inside, outside = np.where(good, middle, inside), np.where(good, outside, middle)
         return np.where(kept, outside, inside)
 
-    def _largest(self, probability: float, means: Array) -> Array:
+    def _largest(self, probability: float | Array, means: Array) -> Array:
         low, high = np.zeros_like(means), np.full_like(means, self.room.total_area)
         for _ in range(_HALVINGS):
             middle = (low + high) / 2
