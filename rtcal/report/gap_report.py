@@ -138,9 +138,7 @@ def summary(finding: MeansFinding, verification: MeansVerification | None) -> di
     supported = verification is not None and verification.verdict == "supported"
     plain = f'plain calibration to T20 of "{first}"'
     if supported:
-        plain += (
-            f": not to be used, the model lacks {' or '.join([finding.title, *finding.rivals])}"
-        )
+        plain += f": not to be used, the model lacks {listed([finding.title, *finding.rivals], last='or')}"
     return {
         "headline": gap_words.headline(finding),
         "level": gap_words.level(finding),

@@ -165,4 +165,4 @@ def _proof(verification: MeansVerification) -> str:
 
 def _candidates(finding: MeansFinding) -> str:
     names = [f"{finding.title_of(c)} ({finding.percent(c)})" for c in finding.candidates]
-    return listed(names).replace(" and ", " or ")
+    return listed(names, last="or")

@@ -16,6 +16,7 @@ from rtcal.finder.positions.candidate import Candidate
 from rtcal.finder.positions.case import Case
 from rtcal.finder.positions.detection import in_words
 from rtcal.finder.prior import NONE
+from rtcal.finder.wording import listed
 from rtcal.loop.control_runs import ControlRuns
 from rtcal.support import html, text
 from rtcal.support.arguments import checked
@@ -181,7 +182,7 @@ class PositionsFinding(Finding):
             "unknown": "Something is other than stated that no effect of the library explains.",
             "named": f"Other than stated: {self.effect}.",
             "family": f"Other than stated: {self.family}.",
-        }.get(self.verdict, f"Other than stated: {_listed(self._names())}.")
+        }.get(self.verdict, f"Other than stated: {listed(self._names(), last='or')}.")
         return f"{self.verdict}: {what} {self.place_in_words}".rstrip()
 
     @property
@@ -199,7 +200,7 @@ class PositionsFinding(Finding):
             about = "" if self.located is None else self.located.about
             return f'It is on "{self.surface}" ({100 * self.surfaces[self.surface]:.0f} %){about}.'
         some = [f'"{n}" ({100 * self.surfaces[n]:.0f} %)' for n in self.likely_surfaces]
-        return f"These positions do not say on which surface: {_listed(some)}."
+        return f"These positions do not say on which surface: {listed(some, last='or')}."
 
     def _names(self) -> list[str]:
         every = dict.fromkeys(c.effect for c in self.candidates if c.probability >= SAID)
@@ -213,7 +214,7 @@ class PositionsFinding(Finding):
             rows = [(c.title, [f"{100 * c.probability:.0f} %", c.in_words]) for c in said]
             lines += ["", *text.table(rows, header=header), ""]
         for group in self.groups:
-            lines += text.wrapped(f"Not told apart by these positions: {_listed(list(group))}.")
+            lines += text.wrapped(f"Not told apart by these positions: {listed(group, last='or')}.")
         lines += text.wrapped(self.detection_in_words)
         for note in (*self.reasons, *self.notes):
             lines += text.wrapped(note)
@@ -249,12 +250,6 @@ class PositionsFinding(Finding):
 
 LIKELY = 0.7
 """Probability that the likely surfaces hold."""
-
-
-def _listed(names: Sequence[str]) -> str:
-    if len(names) < 2:
-        return "".join(names)
-    return f"{', '.join(names[:-1])} or {names[-1]}"
 
 
 def strongest(map_: Array) -> tuple[int, int, int]:
