@@ -138,7 +138,8 @@ def summary(finding: MeansFinding, verification: MeansVerification | None) -> di
     supported = verification is not None and verification.verdict == "supported"
     plain = f'plain calibration to T20 of "{first}"'
     if supported:
-        plain += f": not to be used, the model lacks {listed([finding.title, *finding.rivals], last='or')}"
+        lacking = listed([finding.title, *finding.rivals], last="or")
+        plain += f": not to be used, the model lacks {lacking}"
     return {
         "headline": gap_words.headline(finding),
         "level": gap_words.level(finding),
