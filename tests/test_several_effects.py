@@ -29,6 +29,7 @@ from rtcal.finder import (
 )
 from rtcal.finder.claim import numbers_of
 from rtcal.finder.means import hypotheses, likelihood
+from rtcal.finder.means.doubts import Doubt
 from rtcal.finder.means.engines import ControlRooms
 from rtcal.finder.means.evidence import evaluate
 from rtcal.finder.means.features import observe
@@ -449,3 +450,37 @@ def test_a_library_that_was_cut_is_said() -> None:
     first = case.only("t20", configurations=["A"])
     cut = rt.finder.find(first, only=("opening",))
     assert any("weighted by hand" in note for note in cut.notes)
+
+
+@pytest.mark.parametrize(
+    ("of", "families", "together"),
+    [("size", {"scale", "measurement"}, ("measurement", "scale")), ("effect", set(), ())],
+)
+def test_a_doubt_of_a_size_leaves_the_families_of_a_set_claimed(
+    of: str, families: set[str], together: tuple[str, ...], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As of one effect: a doubt of the size or the fit speaks against no family."""
+    doubt = Doubt("it is odd", of)  # type: ignore[arg-type]
+    monkeypatch.setattr("rtcal.finder.means.verdict.doubts", lambda *_: (doubt,))
+    found = sought(case_with(*BOTH))
+    assert found.named == ()
+    assert {f.split(",")[0] for f in found.named_families} == families
+    assert found.named_set == together
+    assert found.verdict == ("family" if families else "ambiguous")
+    assert found.reasons == ("it is odd", "it is odd")
+
+
+def test_a_single_effect_is_a_set_of_one() -> None:
+    case = case_with(BOTH[0])
+    found = find(case, only=FEW, controls=controls_of(case))
+    assert found.members == ("volume",)
+    assert found.numbers[1] == pytest.approx(1 - found.sets[()])
+    assert all(found.sets[name,] == found.probabilities[name] for name in found.effects)
+    assert found.sets[()] == pytest.approx(
+        found.probabilities["none"] + found.probabilities.get("coefficients", 0.0)
+    )
+    assert sum(p for _, p in found.likely) == pytest.approx(1)
+    assert found.alpha.shape == case.room.alpha.shape
+    # What is left of the coefficients is little: the effect explains T.
+    assert np.abs(found.alpha - ALPHA).max() < 0.05
+    assert rt.finder.plan(case, finding=found).proposals
