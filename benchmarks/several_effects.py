@@ -50,9 +50,8 @@ from rtcal.finder.means.hypotheses import predict_hypotheses
 from rtcal.finder.means.likelihood import alpha_covariance
 from rtcal.finder.means.model_error import ModelDiscrepancy, estimate_discrepancy
 from rtcal.finder.means.recalibration import plain
-from rtcal.finder.means.set_alpha import averaged_alpha, covariance_with_alpha
 from rtcal.finder.means.set_posterior import MOST
-from rtcal.finder.means.sets import compare, moments
+from rtcal.finder.means.sets import averaged_alpha, compare, covariance_with_alpha, moments
 from tests.hidden_world.generate import read
 from tests.hidden_world.populations import DOUBLE
 

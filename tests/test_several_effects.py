@@ -36,12 +36,12 @@ from rtcal.finder.means.features import observe
 from rtcal.finder.means.hypotheses import predict_hypotheses
 from rtcal.finder.means.likelihood import DEGREES, alpha_covariance, covariance_of
 from rtcal.finder.means.model_error import estimate_discrepancy
-from rtcal.finder.means.set_alpha import averaged_alpha
 from rtcal.finder.means.set_posterior import Kept, log_prior, set_posterior
 from rtcal.finder.means.sets import (
     Comparison,
     Screen,
     acting_order,
+    averaged_alpha,
     compare,
     evaluate_sets,
     moments,

@@ -13,7 +13,7 @@ import pytest
 import rtcal as rt
 from rtcal.errors import DataError
 from rtcal.finder import Case
-from rtcal.finder.detection import Detection
+from rtcal.finder.finding import Detection
 from rtcal.support.decode import json_object
 from tests.test_discrepancy import opened
 

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 import rtcal as rt
-from rtcal.finder.detection import Detection
 from rtcal.finder.effects import library
+from rtcal.finder.finding import Detection
 from rtcal.finder.positions import track_record
 from rtcal.finder.positions.detection import (
     OF_PROGRAMS,

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from rtcal.errors import DataError
-from rtcal.finder.detection import Detection
+from rtcal.finder.finding import Detection
 from rtcal.finder.positions import Place, PositionsFinding, PositionsVerification, verification
 from rtcal.loop.control_runs import ControlRuns
 from rtcal.report import where_figures, where_folder

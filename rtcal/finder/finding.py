@@ -1,4 +1,4 @@
-"""What a search says, whatever was observed: the verdict, probabilities, doubts and notes."""
+"""What a search says, whatever was observed: whether something is missing, verdict, probabilities."""
 
 from __future__ import annotations
 
@@ -7,10 +7,38 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from rtcal.finder.detection import Detection
 from rtcal.finder.effects import Effect
 from rtcal.support.arguments import checked
 from rtcal.support.results import Result
+
+
+@dataclass(frozen=True)
+class Detection:
+    """Evidence in nats that something is other than stated, whatever it is.
+
+    Attributes
+    ----------
+    score : float
+    threshold : float
+        Score that few rooms exceed in which nothing is other than stated.
+    noise : float or None
+        Of positions, that a single pair is noisier than assumed and nothing else is other; None where
+        that was not tried.
+    means : float or None
+        Of means over positions, where positions decide; None where they were not asked.
+    """
+
+    score: float
+    threshold: float
+    noise: float | None = None
+    means: float | None = None
+
+    @property
+    def verdict(self) -> str | None:
+        """What is said where nothing is detected, "none" or "hint"; None where something is."""
+        if self.score > self.threshold:
+            return None
+        return "hint" if max(self.score, self.noise or 0.0) > 0 else "none"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)

@@ -12,9 +12,9 @@ from rtcal.acoustics import bands
 from rtcal.errors import DataError
 from rtcal.finder.case import AppliedEffect, Case
 from rtcal.finder.claim import by_family, credible_set, posterior
-from rtcal.finder.detection import Detection
 from rtcal.finder.effects import Effect, library
 from rtcal.finder.effects.checks import checked_effects
+from rtcal.finder.finding import Detection
 from rtcal.finder.means.advice import next_measurement
 from rtcal.finder.means.bootstrap import (
     Threshold,
@@ -31,9 +31,8 @@ from rtcal.finder.means.finding import MeansFinding
 from rtcal.finder.means.hypotheses import Hypotheses, predict_hypotheses
 from rtcal.finder.means.likelihood import standardized_residuals
 from rtcal.finder.means.model_error import ModelDiscrepancy
-from rtcal.finder.means.set_alpha import averaged_alpha
 from rtcal.finder.means.set_posterior import MOST, set_posterior, single_posterior
-from rtcal.finder.means.sets import Rows, compare
+from rtcal.finder.means.sets import Rows, averaged_alpha, compare
 from rtcal.finder.means.verdict import Searched, of_sets, of_single
 from rtcal.finder.prior import (
     EXPECTED,

@@ -18,8 +18,8 @@ from rtcal.acoustics.observables import observable
 from rtcal.errors import DataError
 from rtcal.finder.case import Case as MeansCase
 from rtcal.finder.configuration import PARAMETERS, Configuration
-from rtcal.finder.detection import Detection
 from rtcal.finder.effects import Effect
+from rtcal.finder.finding import Detection
 from rtcal.finder.means.search import find as find_by_means
 from rtcal.finder.positions.case import Case
 from rtcal.support.types import Array

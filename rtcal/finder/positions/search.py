@@ -10,9 +10,9 @@ import numpy as np
 
 from rtcal.errors import DataError
 from rtcal.finder.claim import CLAIMED, claim
-from rtcal.finder.detection import Detection
 from rtcal.finder.effects import Effect, library
 from rtcal.finder.effects.checks import checked_effects
+from rtcal.finder.finding import Detection
 from rtcal.finder.means.search import CHOSEN
 from rtcal.finder.positions import surfaces as of_room
 from rtcal.finder.positions import track_record
