@@ -40,6 +40,8 @@ _REACTANCE = 0.7
 """Standard deviation of a frequency's shift by reactance, of half the mode's width delta / (2 pi)."""
 _PATTERN = 0.35
 """Relative error of a mode's pattern: positions, neighbouring modes."""
+_INDEPENDENT = 4
+"""Pairs whose errors of a pattern count as independent; those of more go together."""
 _APART = 0.5
 """Distance in widths within which a mode that was not found may be part of one that was."""
 _STRONG = 0.2
@@ -174,7 +176,7 @@ def _without_frequency(
     missed = _missed(measured, patterns)
     if missed is None:
         return np.asarray(out)
-    pairs, variance = len(measured.pairs), _PATTERN**2
+    pairs, variance = min(len(measured.pairs), _INDEPENDENT), _PATTERN**2
     chance = math.lgamma(pairs) + (pairs - 1) * math.log(variance)
     return np.asarray(out - missed / variance - chance)
 

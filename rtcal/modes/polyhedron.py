@@ -22,7 +22,7 @@ from rtcal.support import checks
 from rtcal.support.arguments import checked
 from rtcal.support.types import Array
 
-PER_WAVELENGTH = 4.0
+PER_WAVELENGTH = 3.5
 """Grid lines per wavelength of the highest mode that is wanted."""
 _COARSER = 2.0
 _AT_LEAST = 1.5

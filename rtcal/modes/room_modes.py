@@ -29,7 +29,7 @@ DECAY = 3 * float(np.log(10))
 """Decay time of a mode times its delta: the level falls by 60 dB."""
 
 _ROUNDS = 12
-_CONVERGED = 1e-6
+_CONVERGED = 1e-4
 
 Admittances = Callable[[float], NDArray[np.complex128]]
 """Specific admittance of each wall, (n_walls,), at a frequency in Hz."""
