@@ -1,0 +1,23 @@
+"""The study of room modes: the page shows what the judged rooms say."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+from benchmarks.modes import summary
+
+ROOT = Path(__file__).parents[1]
+
+
+def test_page_shows_the_judged_rooms():
+    lines = (ROOT / "benchmarks" / "modes_judged.jsonl").read_text().splitlines()
+    rows = [json.loads(line) for line in lines]
+    assert [r["seed"] for r in rows] == list(range(len(rows)))
+    page = (ROOT / "docs" / "modes_study.md").read_text()
+    found = summary(rows)
+    for name, value in found.items():
+        assert f"| {name} | {value} |" in page
+    assert (
+        found["error, modes / T alone"] < found["mean error, stated"] / found["mean error, T alone"]
+    )
