@@ -266,18 +266,18 @@ class _Known:
     def error(
         self, of: Simulator, alpha: Array, match: Sequence[str]
     ) -> tuple[Array, Array | None]:
-        """Return the noise of groups of paths, and the derivatives by each material's scattering.
+        """Return what groups of paths hear, and the derivatives by each material's scattering.
 
         (n_groups, p, i, k), and (n, n_materials), None where the scattering stated was kept.
         """
         result = self.result
         shape = (len(match), len(self.pairs), result.prior.n_bands)
-        noise = groups_of_paths(of, alpha, match, result.seed, shape)
+        groups = groups_of_paths(of, alpha, match, result.seed, shape)
         if result.scattering is None or not isinstance(of, PathTracing):
-            return noise, None
+            return groups, None
         random = replace(of, scattering_model="random")
         stated = np.zeros(result.prior.n_materials)
-        return noise, material_scattering(random, alpha, match, stated, result.seed).slope
+        return groups, material_scattering(random, alpha, match, stated, result.seed).slope
 
     @cached_property
     def own_error(self) -> tuple[Array, Array | None]:
@@ -348,8 +348,9 @@ class _Changed:
         controls = self.controls.at(names, self.controls.pairs)
         walls = self.room.mixture @ self.alpha
         states = (self.known.own_error, self.known.error(self.after, walls, self.match))
-        off = np.concatenate([groups for groups, _ in states], axis=1)
-        noise = noise_of_a_run(tracer, off)
+        groups = np.concatenate([of_groups for of_groups, _ in states], axis=1)
+        noise = noise_of_a_run(tracer, groups)
+        off = groups - groups.mean(axis=0)
         own = replace(controls, errors=off / np.sqrt(GROUPS - 1), levels=None, models=())
         slopes = [slope for _, slope in states if slope is not None]
         told = errors_by_scattering(controls, noise) if slopes else None

@@ -92,8 +92,8 @@ def _materials(listener: Listener, tracer: PathTracing, traced: Array) -> Materi
 def _noise(listener: Listener) -> Array:
     simulator, parameters = listener.simulator, listener.data.observations.parameters
     shape = (len(parameters), *listener.heard.values.shape[1:])
-    off = groups_of_paths(simulator, listener.alpha, parameters, listener.seed, shape)
-    return noise_of_a_run(simulator, off)
+    groups = groups_of_paths(simulator, listener.alpha, parameters, listener.seed, shape)
+    return noise_of_a_run(simulator, groups)
 
 
 def groups_of_paths(
@@ -103,22 +103,21 @@ def groups_of_paths(
     seed: int,
     shape: tuple[int, int, int],
 ) -> Array:
-    """Return what groups of the paths hear less their mean, (n_groups, p, i, k): their noise.
+    """Return what groups of the paths hear, (n_groups, p, i, k): their differences are noise.
 
     It is 0 but for a `PathTracing`; ``shape`` is (n_parameters, n_pairs, n_bands).
     """
     if not isinstance(simulator, PathTracing):
         return np.zeros((GROUPS, *shape))
-    groups = simulator.observe_in_groups(alpha, GROUPS, parameters, seed=seed)
-    return np.asarray(groups - groups.mean(axis=0))
+    return simulator.observe_in_groups(alpha, GROUPS, parameters, seed=seed)
 
 
-def noise_of_a_run(simulator: Simulator, off: Array) -> Array:
+def noise_of_a_run(simulator: Simulator, groups: Array) -> Array:
     """Return the variance of a control run's values by its finite paths, (n_parameters, n_bands).
 
-    ``off`` (n_groups, p, i, k) are the simulator's `groups_of_paths`.
+    ``groups`` (n_groups, p, i, k) are the simulator's `groups_of_paths`.
     """
-    of_group = (off**2).sum(axis=0).mean(axis=1) / (GROUPS - 1)
+    of_group = groups.var(axis=0, ddof=1).mean(axis=1)
     if not isinstance(simulator, PathTracing):
         return np.asarray(of_group)
     return np.asarray(of_group * simulator.n_paths / GROUPS / paths_of_a_run(simulator))
