@@ -432,3 +432,58 @@ def test_a_refused_mesh_lists_its_other_defects_too() -> None:
     assert found["overlay"].area == pytest.approx(1)
     assert found["panel"].places == ("reflector",)
     assert len(refused.value.edges) >= 4
+
+
+def written_open(folder):
+    """Write the box without its east wall as OBJ, and return its path."""
+    faces = [(n, f) for n, f in zip(BOX.names, BOX.faces, strict=True) if n != "east"]
+    lines = ["v {:g} {:g} {:g}".format(*v) for v in BOX.vertices]
+    for _, face in faces:
+        lines += ["usemtl brick", "f " + " ".join(str(v + 1) for v in face)]
+    path = folder / "open.obj"
+    path.write_text("\n".join(lines), encoding="utf-8")
+    return path
+
+
+def test_a_mesh_that_cannot_be_closed_is_taken_as_drawn_with_an_uncertain_volume(
+    tmp_path, capsys
+) -> None:
+    path = written_open(tmp_path)
+    picture, out = tmp_path / "p.png", tmp_path / "room.toml"
+    assert run("import", "check", path, "--picture", picture) == 2
+    said = " ".join(capsys.readouterr().err.split())
+    assert "By rays V = 2" in said
+    assert "Written" in said
+    assert picture.stat().st_size > 1000
+    entry = "brick=brick_wall_rough"
+    given = ("import", "catalogue", "--mesh", path, "--out", out, "--catalogue", entry)
+    assert run(*given) == 2
+    assert not out.exists()
+    assert run(*given, "--open") == 0
+    assert "its faces do not close" in " ".join(capsys.readouterr().out.split())
+    room = rt.Room.from_file(out)
+    volume, area = float(np.prod(np.ptp(BOX.vertices, axis=0))), float(BOX.face_areas.sum())
+    assert 0 < room.volume_sigma < 0.1
+    assert abs(room.volume / volume - 1) < 2 * room.volume_sigma
+    east = BOX.face_areas[BOX.names.index("east")]
+    assert room.areas.sum() == pytest.approx(area - east)
+    assert room.scene.mesh is None
+    assert run(*given, "--open", "--mended", tmp_path / "m.obj") == 2
+    assert "leave --open or --mended out" in capsys.readouterr().err
+
+
+def test_rays_tell_the_volume_of_rooms_without_a_wall() -> None:
+    """Within two standard uncertainties in all of these; a guess of V would not be."""
+    seen = 0
+    for seed in range(3000, 3120):
+        meant = defective_meshes.example(seed)
+        if not {"missing wall", "wall beside"} & {*meant.defects}:
+            continue
+        with pytest.raises(mend.MeshError) as refused:
+            mend.mended(meant.faces())
+        told = refused.value.unclosed
+        assert told is not None
+        assert abs(told.volume - meant.volume) < 2 * told.volume_uncertainty, seed
+        assert told.volume_uncertainty < 0.25 * meant.volume
+        seen += 1
+    assert seen > 8

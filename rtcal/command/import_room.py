@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from rtcal.acoustics.materials import Surface
     from rtcal.acoustics.room import Room
     from rtcal.io.material_list import ListedMaterial, MaterialList
-    from rtcal.io.mend import Mended
+    from rtcal.io.mend import Mended, MeshError, Unclosed
 
 _LEAST_UNCERTAINTY = 1e-3
 """Relative uncertainty of V from which the room states it: no T is measured as exactly."""
@@ -57,6 +57,13 @@ _USED_BY_CHECK = {
     "--hole",
     type=float,
     help="Largest area in m² of a hole that is closed; by default 1 % of the walls.",
+)
+@click.option(
+    "--open",
+    "as_drawn",
+    is_flag=True,
+    help="Take a mesh that cannot be closed as it is drawn: V by rays with its uncertainty, no mesh "
+    "for tracers.",
 )
 @click.option("--mended", type=click.Path(dir_okay=False), help="Mended mesh (OBJ) to write.")
 @click.option(
@@ -134,6 +141,7 @@ def import_room(
     space: str | None,
     weld: float,
     hole: float | None,
+    as_drawn: bool,
     mended: str | None,
     picture: str | None,
     name: str | None,
@@ -178,6 +186,7 @@ def import_room(
     from rtcal.acoustics.scene import Scene
     from rtcal.io import sigma_table as table
     from rtcal.io.material_list import SigmaRule
+    from rtcal.io.mend import Unclosed
 
     if program == "check":
         _refuse_unused_options()
@@ -200,7 +209,9 @@ def import_room(
     listed = _materials(program, materials)
     chosen_names = texts("--as", others_names, "MATERIAL=ENTRY")
     listed = replace(listed, aliases={**listed.aliases, **chosen_names})
-    model, volume, surfaces = _geometry(mesh, unit, space, weld, hole, volume, areas, listed.names)
+    model, volume, surfaces = _geometry(
+        mesh, unit, space, weld, hole, as_drawn, volume, areas, listed.names
+    )
     used = list(dict.fromkeys(surface.material for surface in surfaces))
     chosen = texts("--catalogue", entries, "NAME=ENTRY")
     others = _from_catalogue(listed, program, used, chosen, "--area" if mesh is None else mesh)
@@ -224,17 +235,21 @@ def import_room(
         others=others,
         air=_air(temperature, humidity),
     )
-    if mesh is not None and model is not None:
+    if isinstance(model, Unclosed):
+        for option, path in (("--mended", mended), ("--picture", picture)):
+            if path is not None:
+                raise DataError(f"{option}: the mesh was not closed; leave --open or {option} out")
+    elif mesh is not None and model is not None:
         target = _mesh_file(mesh, model, out, mended)
         if target is not None:
             spare([target], [mesh])
             model.geometry.save(target)
         stated = 1.0 if target is not None or unit is None else unit
         room = room.replace(scene=Scene(mesh=target or mesh, unit=stated))
-        if model.volume_uncertainty > _LEAST_UNCERTAINTY * room.volume:
-            room = room.replace(volume_sigma=float(f"{model.volume_uncertainty / room.volume:.2g}"))
         if picture is not None:
             _draw(model.geometry, None, picture)
+    if model is not None and model.volume_uncertainty > _LEAST_UNCERTAINTY * room.volume:
+        room = room.replace(volume_sigma=float(f"{model.volume_uncertainty / room.volume:.2g}"))
     room.save(out)
     in_use = {listed.listed(name).name for name in used if name not in others}
     unused = [] if program == "catalogue" else [n for n in listed.names if n not in in_use]
@@ -243,7 +258,8 @@ def import_room(
         notes += [f"mesh: {note}" for note in (*model.notes, *map(str, model.defects))]
     if room.volume_sigma:
         notes.append(
-            f"V is known to {100 * room.volume_sigma:.2g} % (volume_sigma), by what was mended"
+            f"V is known to {100 * room.volume_sigma:.2g} % (volume_sigma), by what was "
+            + ("drawn: its faces do not close" if isinstance(model, Unclosed) else "mended")
         )
     _tell(room, unused, notes, out, as_json=as_json, quiet=quiet)
 
@@ -281,14 +297,15 @@ def _check(
     if mesh is None:
         raise DataError("which mesh? rtcal import check room.obj")
     spare([path for path in (mended, picture) if path is not None], [mesh])
-    try:
-        with errors_name_options("unit", "weld"):
+    with errors_name_options("unit", "weld"):
+        try:
             done = meshes.room(mesh, unit=unit, space=space, weld=weld, largest_hole=hole)
-    except MeshError as error:
-        if picture is not None:
-            _draw(meshes.read(mesh, unit=unit, space=space), error.edges, picture)
-            raise DataError(f"{error}. Written: {picture}") from error
-        raise
+        except MeshError as error:
+            refused = _with_volume(error)
+            if picture is not None:
+                _draw(meshes.read(mesh, unit=unit, space=space), error.edges, picture)
+                refused = DataError(f"{refused}. Written: {picture}")
+            raise refused from error
     if mended is not None:
         done.geometry.save(mended)
     if picture is not None:
@@ -304,6 +321,17 @@ def _check(
         "written": files,
     }
     tell(text, record, quiet=quiet, as_json=as_json)
+
+
+def _with_volume(error: MeshError) -> DataError:
+    """Return the error of a mesh with what rays say of its volume."""
+    if error.unclosed is None:
+        return error
+    v, u = error.unclosed.volume, error.unclosed.volume_uncertainty
+    return DataError(
+        f"{error}. By rays V = {v:.4g} ± {u:.2g} m³: `rtcal import` takes it with --open, for "
+        "equations alone"
+    )
 
 
 def _draw(geometry: Any, edges: Any, path: str) -> None:
@@ -345,23 +373,33 @@ def _geometry(
     space: str | None,
     weld: float,
     hole: float | None,
+    as_drawn: bool,
     volume: float | None,
     areas: tuple[str, ...],
     names: Sequence[str],
-) -> tuple[Mended | None, float, Sequence[Surface]]:
+) -> tuple[Mended | Unclosed | None, float, Sequence[Surface]]:
     """Return the mesh's room, volume in m³ and surfaces, from the mesh or from the options.
 
     ``names`` are those of the list's materials, for the message where the options lack them.
     """
     from rtcal.acoustics.materials import Surface
     from rtcal.io import mesh as meshes
+    from rtcal.io.mend import MeshError
 
     if mesh is not None and (volume is not None or areas):
         raise DataError("--mesh states volume and areas already: leave --volume and --area out")
     if mesh is not None:
         with errors_name_options("unit", "weld"):
-            model = meshes.room(mesh, unit=unit, space=space, weld=weld, largest_hole=hole)
+            try:
+                model = meshes.room(mesh, unit=unit, space=space, weld=weld, largest_hole=hole)
+            except MeshError as error:
+                if not as_drawn or error.unclosed is None:
+                    raise _with_volume(error) from error
+                unclosed = error.unclosed
+                return unclosed, unclosed.volume, unclosed.surfaces
         return model, model.geometry.volume, model.geometry.surfaces
+    if as_drawn:
+        raise DataError("--open is for a mesh: state --mesh, or leave it out")
     if volume is None or not areas:
         raise DataError(
             "how large is the room? State --mesh room.obj, or --volume M3 and --area MATERIAL=M2 for "

@@ -25,11 +25,11 @@ import numpy as np
 
 from rtcal.errors import DataError
 from rtcal.io.mend.components import shell_of
-from rtcal.io.mend.defects import Defect, Mended, MeshError
+from rtcal.io.mend.defects import Defect, Mended, MeshError, Unclosed
 from rtcal.io.mend.faces import MOST_FACES, OFFSET, SAME, WELD, Faces, numbered
 from rtcal.io.mend.gaps import without_holes
 from rtcal.io.mend.mending import Mending
-from rtcal.io.mend.objects import tell_loose, with_others
+from rtcal.io.mend.objects import tell_loose, unclosed_room, with_others
 from rtcal.io.mend.planes import flattened, joined
 from rtcal.io.mend.slivers import without_repetitions
 from rtcal.io.mend.turning import tell_turned
@@ -37,7 +37,17 @@ from rtcal.io.mend.welding import snapped, welded
 from rtcal.simulators.geometry import Polyhedron
 from rtcal.support.arguments import checked
 
-__all__ = ["OFFSET", "WELD", "Defect", "Faces", "Mended", "MeshError", "closed", "mended"]
+__all__ = [
+    "OFFSET",
+    "WELD",
+    "Defect",
+    "Faces",
+    "Mended",
+    "MeshError",
+    "Unclosed",
+    "closed",
+    "mended",
+]
 __dir__ = __all__.copy
 
 
@@ -106,7 +116,9 @@ def _mended(mend: Mending) -> Mended:
         shell = without_holes(mend, shell)
     except MeshError as error:
         tell_loose(mend, shell, others)
-        raise mend.told(error) from None
+        refused = mend.told(error)
+        refused.unclosed = unclosed_room(mend, shell, others)
+        raise refused from None
     shell = with_others(mend, shell, others)
     if len(shell.faces) > MOST_FACES:
         raise mend.refused(f"{len(shell.faces)} faces; at most {MOST_FACES}: simplify the model")

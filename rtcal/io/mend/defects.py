@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
+from rtcal.acoustics.room import Surface
 from rtcal.errors import DataError
 from rtcal.simulators.geometry import Polyhedron
 from rtcal.support.types import Array
@@ -63,11 +65,42 @@ class Defect:
         return f"{self.kind}: {', '.join(parts)}{at}"
 
 
+@dataclass(frozen=True)
+class Unclosed:
+    """A room whose walls do not close, as it is drawn: no tracer takes it.
+
+    Parameters
+    ----------
+    volume, volume_uncertainty : float
+        In m³, by rays (`rtcal.io.mend.rays`).
+    areas : mapping of str to float
+        Area of each material in m², every face once. What is missing is not in it.
+    defects : sequence of Defect
+    notes : sequence of str
+    """
+
+    volume: float
+    volume_uncertainty: float
+    areas: Mapping[str, float]
+    defects: tuple[Defect, ...]
+    notes: tuple[str, ...] = ()
+
+    @property
+    def surfaces(self) -> list[Surface]:
+        """The materials with their areas, as a room takes them."""
+        return [Surface(name, name, area) for name, area in self.areas.items()]
+
+
 class MeshError(DataError):
-    """A mesh that is refused; ``defects`` are those found until then, ``edges`` where it is open."""
+    """A mesh that is refused.
+
+    ``defects`` are all that were found, ``edges`` (n, 2, 3) are where it is open, in m. ``unclosed`` is
+    the room as it is drawn, if there is a shell.
+    """
 
     defects: tuple[Defect, ...] = ()
     edges: Array = np.zeros((0, 2, 3))
+    unclosed: Unclosed | None = None
 
 
 @dataclass(frozen=True)

@@ -6,12 +6,14 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from rtcal.io.mend.defects import Unclosed
 from rtcal.io.mend.edges import open_edges
 from rtcal.io.mend.faces import SAME, Work
 from rtcal.io.mend.mending import Mending
 from rtcal.io.mend.overlays import Cut, cut, overlaid_on
 from rtcal.io.mend.panels import THICKNESS, add_slab
 from rtcal.io.mend.planes import flattened
+from rtcal.io.mend.rays import volume_by_rays
 from rtcal.io.mend.shapes import area_of
 from rtcal.io.mend.standing import signed_volume, standing_on
 from rtcal.io.mend.welding import resnapped, rewelded
@@ -42,6 +44,23 @@ def tell_loose(mend: Mending, shell: Work, others: Sequence[Work]) -> None:
         told.setdefault(kind, []).append((part.names[0], size))
     for kind, rows in told.items():
         mend.found(kind, _LOOSE[kind], [name for name, _ in rows], sum(size for _, size in rows))
+
+
+def unclosed_room(mend: Mending, shell: Work, others: Sequence[Work]) -> Unclosed:
+    """Return the room whose shell is open: V by rays, areas as drawn.
+
+    Rays cross the shell and closed objects. They cross all faces where the shell has less than half of
+    the area: then the walls do not meet.
+    """
+    areas: dict[str, float] = {}
+    for part in (shell, *others):
+        for face, material in zip(part.faces, part.materials, strict=True):
+            areas[material] = areas.get(material, 0.0) + area_of(mend.points[face])
+    whole = 2 * sum(area_of(mend.points[f]) for f in shell.faces) > sum(areas.values())
+    crossed = [p for p in others if not whole or not open_edges(mend, p)]
+    polygons = [mend.points[face] for part in (shell, *crossed) for face in part.faces]
+    volume, uncertainty = volume_by_rays(polygons)
+    return Unclosed(volume, uncertainty, areas, tuple(mend.defects), mend.drawn.notes)
 
 
 def with_others(mend: Mending, shell: Work, others: Sequence[Work]) -> Work:
