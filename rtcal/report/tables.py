@@ -5,7 +5,8 @@ The sheets follow from the record's own shape, so that all results are written a
 - ``summary``: each single number or text, by its name in the record;
 - ``bands``: one row per band, one column per quantity of the bands;
 - one sheet per list of entries, such as ``materials``: one row per entry, and one column per quantity,
-  or one per band where the quantity has one value per band.
+  or one per band where the quantity has one value per band;
+- one sheet per quantity of every position: a row per parameter and pair, a column per band.
 """
 
 from __future__ import annotations
@@ -18,13 +19,18 @@ from typing import Any
 from rtcal.acoustics import bands
 from rtcal.errors import DataError
 from rtcal.io import workbook
+from rtcal.loop.result import LoopResult
+from rtcal.loop.state import Loop
+from rtcal.report import loop_words
 from rtcal.support.arguments import checked
 from rtcal.support.decode import json_object
-from rtcal.support.files import read_text
-from rtcal.support.results import MAX_BYTES, NUMBERS
+from rtcal.support.files import json_numbers, read_text
+from rtcal.support.results import MAX_BYTES, NUMBERS, load
 
 Table = list[list[Any]]
 
+_BANDS = "centre_frequencies"
+_LOOPS = (Loop.record_kind, LoopResult.record_kind)
 _FOR_PROGRAMS = {"object", "inputs", "settings"}
 """Entries that only rtcal reads: the result's pieces, and the text of its input files."""
 
@@ -42,7 +48,38 @@ def write(result: str | os.PathLike[str], path: str | os.PathLike[str]) -> None:
         raise DataError(f"{file}: {error}") from error
     if "rtcal" not in record:
         raise DataError(f'{file}: no result of rtcal, since it lacks the key "rtcal"')
+    if record["rtcal"] in _LOOPS:
+        record = _of_loop(load(file))
     workbook.write(tables_of(record), path)
+
+
+def _of_loop(result: Loop | LoopResult) -> dict[str, Any]:
+    """Return a loop's record with the numbers of its room, which its file holds as text."""
+    loop = result.loop if isinstance(result, LoopResult) else result
+    room, status = loop.room, loop_words.statuses(loop)
+    by_band = loop_words.bands_table(loop, status)
+    return {
+        "rtcal": result.record_kind,
+        "room": room.name,
+        "simulations": len(loop.steps),
+        "status": ", ".join(dict.fromkeys(status)),
+        _BANDS: json_numbers(room.centre_frequencies),
+        "bands": {name: json_numbers(values) for name, values, _, _ in by_band["numbers"]},
+        "nearest simulation": by_band["nearest"],
+        "materials": [
+            {
+                "name": name,
+                "area": float(room.areas[i]),
+                "alpha_before": json_numbers(room.alpha[i]),
+                "alpha_after": json_numbers(loop.best_alpha[i]),
+            }
+            for i, name in enumerate(room.materials)
+        ],
+        "simulated": [
+            {"simulation": k, "target": json_numbers(s.target), "T": json_numbers(s.simulated)}
+            for k, s in enumerate(loop.steps, start=1)
+        ],
+    }
 
 
 def tables_of(record: Mapping[str, Any]) -> dict[str, Table]:
@@ -54,29 +91,78 @@ def tables_of(record: Mapping[str, Any]) -> dict[str, Table]:
     {'summary': [['quantity', 'value'], ['room', 'hall']], 'bands': [['band / Hz', 'gap_jnd'], \
 [125, 1.5], [250, -2.0]]}
     """
-    frequencies = list(record.get("centre_frequencies", ()))
+    frequencies = _frequencies(record)
     labels = [bands.label(f) for f in frequencies]
     summary: Table = [["quantity", "value"]]
     of_bands: dict[str, Sequence[Any]] = {}
     lists: dict[str, Table] = {}
-    for name, value in _entries(record, ""):
-        if name == "centre_frequencies":
+    entries = dict(_entries(record, ""))
+    for name, value in entries.items():
+        if name.endswith(_BANDS):
             continue
-        if isinstance(value, (str, int, float, bool)) or value is None:
+        beside = name.rpartition(" ")[0]
+        shape = _shape(value)
+        if _is_single(value):
             summary.append([name, value])
         elif isinstance(value, list) and value and all(isinstance(v, Mapping) for v in value):
             lists[name] = _listed(value, labels)
         elif _is_row(value, len(frequencies)):
             of_bands[name] = value
-        elif isinstance(value, list) and value and all(map(_is_single, value)):
+        elif len(shape) == 1 and all(map(_is_single, value)):
             summary.append([name, ", ".join(map(str, value))])
-        elif isinstance(value, list) and value and all(isinstance(v, list) for v in value):
-            lists[name] = [_columns(value, labels), *(list(map(_cell, row)) for row in value)]
+        elif len(shape) == 3 and shape[2] == len(labels):
+            lists[name] = _by_position(value, labels, entries, f"{beside} ".lstrip())
+        elif len(shape) > 1:
+            lists[name] = [
+                ["source", "receiver"] if name.endswith("pairs") else _columns(value, labels),
+                *(list(map(_cell, row)) for row in value),
+            ]
     across = [[f, *(column[k] for column in of_bands.values())] for k, f in enumerate(frequencies)]
     tables = {"summary": summary}
     if of_bands:
         tables["bands"] = [["band / Hz", *of_bands], *across]
     return tables | lists
+
+
+def _frequencies(record: Any) -> list[float]:
+    """Return the centre frequencies of the first result in a record that states them."""
+    if isinstance(record, Mapping):
+        if isinstance(record.get(_BANDS), list):
+            return list(record[_BANDS])
+        record = [value for key, value in record.items() if key not in _FOR_PROGRAMS]
+    if isinstance(record, list):
+        return next(filter(None, map(_frequencies, record)), [])
+    return []
+
+
+def _shape(value: Any) -> tuple[int, ...]:
+    """Return the lengths of lists in lists, by their first entries."""
+    lengths = []
+    while isinstance(value, list) and value:
+        lengths.append(len(value))
+        value = value[0]
+    return tuple(lengths)
+
+
+def _by_position(
+    values: Sequence[Any], labels: Sequence[str], entries: Mapping[str, Any], scope: str
+) -> Table:
+    """Return the table of (n_parameters, n_pairs, n_bands): a row per parameter and pair.
+
+    Names are those that the same part of the record has, else numbers.
+    """
+
+    def names(key: str, number: int) -> list[Any]:
+        stated = entries.get(scope + key, ())
+        return list(stated) if len(stated) == number else list(range(1, number + 1))
+
+    pairs = names("pairs", len(values[0]))
+    rows = [
+        [parameter, *(pair if isinstance(pair, list) else [pair, None]), *row]
+        for parameter, of_parameter in zip(names("parameters", len(values)), values, strict=True)
+        for pair, row in zip(pairs, of_parameter, strict=True)
+    ]
+    return [["parameter", "source", "receiver", *labels], *rows]
 
 
 def _entries(record: Mapping[str, Any], prefix: str) -> list[tuple[str, Any]]:
@@ -114,7 +200,9 @@ def _listed(entries: Sequence[Mapping[str, Any]], labels: Sequence[str]) -> Tabl
 
 def _columns(rows: Sequence[Sequence[Any]], labels: Sequence[str]) -> list[Any]:
     width = max(map(len, rows))
-    return list(labels) if width == len(labels) else [f"column {k + 1}" for k in range(width)]
+    if all(map(_is_number, (cell for row in rows for cell in row))) and width == len(labels):
+        return list(labels)
+    return [f"column {k + 1}" for k in range(width)]
 
 
 def _is_single(value: Any) -> bool:
@@ -122,7 +210,11 @@ def _is_single(value: Any) -> bool:
 
 
 def _is_row(value: Any, n_bands: int) -> bool:
-    return isinstance(value, list) and len(value) == n_bands > 0 and all(map(_is_single, value))
+    return isinstance(value, list) and len(value) == n_bands > 0 and all(map(_is_number, value))
+
+
+def _is_number(value: Any) -> bool:
+    return value is None or isinstance(value, (int, float))
 
 
 def _cell(value: Any) -> Any:
