@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 
 import rtcal as rt
+from rtcal.command.main import cli
 from rtcal.errors import DataError
 from rtcal.modes import find_modes
 from tests.test_modes import BOX, ROOM, SHOEBOX_WALLS, SIDES, TRUTH, C, times
@@ -110,3 +112,45 @@ def test_what_is_refused(change, words):
     arguments = {"responses": signals, "rate": RATE, "pairs": PAIRS, **change(signals)}
     with pytest.raises(DataError, match=words):
         find_modes(**arguments)
+
+
+def test_responses_of_a_sofa_file():
+    _, signals = heard()
+    pairs = [PAIRS[0], *PAIRS]  # the first was measured twice
+    samples = np.concatenate([signals[:1], 0 * signals[:1], signals[1:]])[:, np.newaxis]
+    given = rt.io.sofa.Responses(
+        pairs=tuple(pairs),
+        samples=samples,
+        sampling_rate=RATE,
+        sources=dict(SCENE.sources),
+        receivers=dict(SCENE.receivers),
+        convention="SingleRoomSRIR",
+    )
+    room = ROOM.replace(scene=SCENE)
+    by_file = rt.calibrate_modes(room, given, times(TRUTH))
+    by_hand = rt.calibrate_modes(room, find_modes(signals, RATE, PAIRS), times(TRUTH))
+    np.testing.assert_array_equal(by_file.alpha, by_hand.alpha)
+
+
+def test_command_takes_a_sofa_file(tmp_path):
+    pytest.importorskip("sofar")
+    from tests.test_sofa import file
+
+    _, signals = heard()
+    path = file(
+        tmp_path / "heard.sofa",
+        (0.5,) * 4,
+        Data_IR=signals[:, np.newaxis],
+        Data_SamplingRate=RATE,
+        ListenerPosition=RECEIVERS,
+        SourcePosition=[SOURCE] * 4,
+    )
+    names = rt.io.sofa.read(path)
+    room = ROOM.replace(scene=rt.Scene(sources=names.sources, receivers=names.receivers))
+    room.save(tmp_path / "room.toml")
+    rt.Measurement.from_values(ROOM.centre_frequencies, t20=times(TRUTH)).save(tmp_path / "t.csv")
+    files = [str(tmp_path / name) for name in ("room.toml", "t.csv")]
+    told = CliRunner().invoke(cli, ["calibrate", *files, "--modes", str(path)])
+    assert told.exception is None, told.exception
+    assert "tells most of" in told.stdout
+    assert "ESPRIT" in told.stdout

@@ -43,8 +43,9 @@ from rtcal.errors import DataError
 @click.option(
     "--modes",
     type=click.Path(dir_okay=False),
-    help="Table (CSV) of measured modes: frequency, decay or T, and its uncertainty. Below the "
-    "Schroeder frequency their decays are matched, and T is one observation among them.",
+    help="Table (CSV) of measured modes: frequency, decay or T, and its uncertainty; or responses "
+    "(SOFA), whose modes are found. Below the Schroeder frequency their decays are matched, and T is "
+    "one observation among them.",
 )
 @click.option(
     "--out",
@@ -113,6 +114,7 @@ def _by_modes(
 ) -> None:
     """Calibrate to measured modes and T, and tell the result."""
     from rtcal.acoustics.room import Room
+    from rtcal.io import sofa
     from rtcal.modes.calibrate import calibrate_modes
     from rtcal.modes.measured import read
     from rtcal.report import result_folder
@@ -120,7 +122,7 @@ def _by_modes(
     with without_air_warning():
         result = calibrate_modes(
             Room.from_file(room),
-            read(modes),
+            sofa.read(modes) if sofa.claims(modes) else read(modes),
             read_measured(measured, quiet=quiet),
             equation=equation,
         )

@@ -31,11 +31,13 @@ from rtcal.calibration.result import CalibrationResult
 from rtcal.calibration.terms import LinearObservations, Observed, as_objective
 from rtcal.errors import DataError
 from rtcal.io import geometry_files
+from rtcal.io.sofa import Responses
 from rtcal.modes.frequency import AtFrequencies
 from rtcal.modes.matching import Matches, match
 from rtcal.modes.measured import MeasuredModes
 from rtcal.modes.paris import admittance, admittance_slope
 from rtcal.modes.polyhedron import modes_of
+from rtcal.modes.responses import modes_in
 from rtcal.modes.result import ModesResult
 from rtcal.modes.room_modes import Poles, RoomModes
 from rtcal.simulators.geometry import Polyhedron
@@ -69,7 +71,7 @@ _SETTLED = 0.1
 @checked
 def calibrate_modes(
     room: Room,
-    modes: MeasuredModes,
+    modes: MeasuredModes | Responses,
     measured: Measurement | Sequence[float] | Array | None = None,
     *,
     geometry: Polyhedron | None = None,
@@ -86,8 +88,9 @@ def calibrate_modes(
     ----------
     room : Room
         Its alpha and sigma are the prior. It states a mesh, or dimensions and a surface per wall.
-    modes : MeasuredModes
-        As `rtcal.modes.read` reads them, or `rtcal.modes.find_modes` finds them in responses.
+    modes : MeasuredModes or Responses
+        As `rtcal.modes.read` reads them, or `rtcal.modes.find_modes` finds them; or responses as
+        `rtcal.io.sofa.read` reads them.
     measured : Measurement, or T in s, (n_bands,), optional
         Matched exactly above the Schroeder frequency. Below it T is one observation among the modes.
     geometry : Polyhedron, optional
@@ -134,6 +137,8 @@ def calibrate_modes(
     [4.9 5.1 6. ] [5.9 5.4 6.9]
     """
     _check(room, model_error, t_error)
+    if isinstance(modes, Responses):
+        modes = modes_in(modes)
     if not isinstance(modes, MeasuredModes):
         raise DataError(
             f"modes = {checks.shown(modes)} is no MeasuredModes; rtcal.modes.read reads a table, and "

@@ -27,6 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtcal.errors import DataError
+from rtcal.io.sofa import Responses
 from rtcal.modes.measured import MeasuredModes
 from rtcal.support import checks
 from rtcal.support.arguments import checked
@@ -131,6 +132,17 @@ def find_modes(
         amplitudes=np.array([m.amplitudes for m in kept]),
         notes=notes,
     )
+
+
+def modes_in(responses: Responses) -> MeasuredModes:
+    """Return the modes of a SOFA file's responses, of the first channel; errors as `find_modes`.
+
+    A pair that was measured several times counts once.
+    """
+    first: dict[tuple[str, str], Array] = {}
+    for pair, samples in zip(responses.pairs, responses.samples, strict=True):
+        first.setdefault(pair, samples[0])
+    return find_modes(np.array([*first.values()]), responses.sampling_rate, [*first])
 
 
 @dataclass(frozen=True, eq=False)
