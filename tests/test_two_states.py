@@ -33,7 +33,7 @@ def test_panels_are_found_with_their_amount_and_spectrum(panels: Finding) -> Non
     assert np.mean((low <= truth) & (truth <= high)) >= 5 / 6
     np.testing.assert_allclose(panels.size.mean, truth[2:5].mean(), rtol=0.15)
     assert panels.size.low < truth[2:5].mean() < panels.size.high
-    assert panels.surface is None
+    assert panels.surfaces == {}
     assert "on which surface" in str(panels)
 
 

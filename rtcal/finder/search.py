@@ -19,6 +19,7 @@ from rtcal.finder.means.search import find as find_by_means
 from rtcal.finder.means.verification import MeansVerification
 from rtcal.finder.means.verification import verify as verify_by_means
 from rtcal.finder.prior import chosen_effects
+from rtcal.io import geometry_files
 from rtcal.loop.control_runs import ControlRuns
 from rtcal.simulators.path_tracing import PathTracing
 from rtcal.support import checks
@@ -131,11 +132,11 @@ def find(
     none
     """
     if isinstance(room, states.Case) or before is not None:
-        refused = {"simulator": simulator, "controls": controls, **of_means}
+        refused = {"controls": controls, **of_means}
         for name, value in refused.items():
             if value is not None:
                 raise DataError(f"{name} is not of a search for what changed between two states")
-        two = _two_states(room, measured, before)
+        two = _two_states(room, measured, before, simulator)
         tried = chosen_effects(library() if effects is None else effects, without, only)[0]
         return states.find(two, effects=tried, seed=seed)
     case: Case | positions.Case
@@ -167,14 +168,20 @@ def _two_states(
     room: Room | Case | positions.Case | states.Case,
     measured: Measurement | None,
     before: Measurement | None,
+    simulator: PathTracing | None,
 ) -> states.Case:
+    """Return the case of two states; with a simulator where the room states its positions."""
     if isinstance(room, states.Case):
-        if measured is not None or before is not None:
-            raise DataError("measured and before belong to a room; a case holds its own")
+        if not (measured is None and before is None and simulator is None):
+            raise DataError("measured, before and simulator belong to a room; a case holds its own")
         return room
     if measured is None or before is None:
         raise DataError("measured is missing: what was measured after the change")
-    return states.Case(room=checks.instance("room", room, Room), before=before, after=measured)
+    room = checks.instance("room", room, Room)
+    pairs = not (measured.is_summary or before.is_summary)
+    if simulator is None and pairs and room.scene.sources:
+        simulator = geometry_files.path_tracing(room)
+    return states.Case(room=room, before=before, after=measured, simulator=simulator)
 
 
 @overload

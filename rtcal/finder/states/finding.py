@@ -9,6 +9,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from rtcal.acoustics import bands
+from rtcal.finder.claim import CLAIMED
 from rtcal.finder.prior import NONE
 from rtcal.finder.size import Size
 from rtcal.finder.states.case import Case
@@ -72,8 +73,10 @@ class Finding(Result):
         The change as mean over the bands of ``middle``, in m².
     middle : tuple of float
         Bands in Hz: those of 500 Hz to 2 kHz, or all where none of them was measured.
-    surface : str or None
-        The surface that is claimed; None of means.
+    surfaces : mapping of str to float
+        Probability of each surface that something changed on it; empty where none is told.
+    sets : tuple of (names, probability)
+        Sets of surfaces that changed together, the most probable first.
     reasons, notes : tuple of str
     """
 
@@ -91,7 +94,8 @@ class Finding(Result):
     change: Array
     size: Size
     middle: tuple[float, ...]
-    surface: str | None
+    surfaces: Mapping[str, float]
+    sets: tuple[tuple[tuple[str, ...], float], ...]
     reasons: tuple[str, ...]
     notes: tuple[str, ...]
 
@@ -99,6 +103,11 @@ class Finding(Result):
     def detected(self) -> bool:
         """Whether something changed."""
         return self.verdict not in (NONE, "hint")
+
+    @property
+    def claimed_surfaces(self) -> tuple[str, ...]:
+        """The surfaces that are claimed: something changed on each, at a probability of 0.9."""
+        return tuple(name for name, p in self.surfaces.items() if p >= CLAIMED)
 
     @property
     def best(self) -> str | None:
@@ -148,6 +157,9 @@ class Finding(Result):
             "hint": f"A hint, not claimed: {self.what}.",
         }.get(self.verdict, f"Changed: {self.what}.")
         nothing = 100 * self.probabilities[NONE]
+        if self.claimed_surfaces:
+            names = [f'"{name}"' for name in self.claimed_surfaces]
+            said += f" It is on {listed(names)}."
         return f"{said} The probability that nothing changed is {nothing:.0f} %."
 
     @property
@@ -159,13 +171,23 @@ class Finding(Result):
         return f"Not told apart by T: {listed(some)}."
 
     @property
+    def not_told_where(self) -> str:
+        """The surfaces that are neither claimed nor excluded, in a sentence; "" without any."""
+        some = [
+            f'"{name}" ({100 * p:.0f} %)'
+            for name, p in self.surfaces.items()
+            if 1 - CLAIMED <= p < CLAIMED
+        ]
+        return f"It may be on {listed(some)} as well." if some else ""
+
+    @property
     def sentences(self) -> tuple[str, ...]:
         """What cannot be told apart, what the score says, reasons and notes."""
         score = (
             f"Evidence that something changed: {self.score:+.1f} nats; it must exceed "
             f"{self.threshold:.1f}. {as_sentence(NATS)}"
         )
-        said = (self.not_told_apart, score, *self.reasons, *self.notes)
+        said = (self.not_told_apart, self.not_told_where, score, *self.reasons, *self.notes)
         return tuple(filter(None, said))
 
     def _rows(self) -> list[tuple[str, list[str]]]:
@@ -210,7 +232,9 @@ class Finding(Result):
             "rtcal": self.record_kind,
             "verdict": self.verdict,
             "family": self.family,
-            "surface": self.surface,
+            "surfaces": dict(self.surfaces),
+            "claimed_surfaces": list(self.claimed_surfaces),
+            "sets": [{"surfaces": list(names), "probability": p} for names, p in self.sets[:20]],
             "probabilities": dict(self.probabilities),
             "families": dict(self.families),
             "score": self.score,

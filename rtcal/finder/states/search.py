@@ -9,16 +9,18 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import logsumexp
 
+from rtcal.acoustics import band_conversion
 from rtcal.finder.claim import SAID, claim, most_probable_first
 from rtcal.finder.effects import Effect
 from rtcal.finder.prior import NO_EFFECT, NONE
 from rtcal.finder.size import Size
-from rtcal.finder.states import evidence
+from rtcal.finder.states import evidence, surfaces
 from rtcal.finder.states.baseline import Baseline
 from rtcal.finder.states.case import Case
 from rtcal.finder.states.evidence import Errors, Fits
 from rtcal.finder.states.finding import Finding, Kind
 from rtcal.finder.states.kinds import ADDED, AIR, REMOVED, Grid, grid
+from rtcal.finder.states.surfaces import Located
 from rtcal.support import checks
 from rtcal.support.arguments import checked
 from rtcal.support.types import Array
@@ -110,6 +112,11 @@ def find(
         best = max((n for n in probabilities if n != NONE), key=lambda n: probabilities[n])
         family_of_best = tried.families[tried.names.index(best)]
         kinds = [Kind(best, family_of_best, probabilities[best], _size(middle))]
+    located: Located | None = None
+    why = _OF_MEANS if case.simulator is None else ""
+    added = families.get(f"{ADDED} absorption", 0.0) > families.get(f"{REMOVED} absorption", 0.0)
+    if family is not None and "absorption" in family:
+        located, why = _located(case, change, variance, added, assumed, seed)
     return Finding(
         case=case,
         verdict=verdict,
@@ -123,13 +130,43 @@ def find(
         change=changes,
         size=_size(middle),
         middle=tuple(frequencies[inside].tolist()),
-        surface=None,
+        surfaces={} if located is None else located.surfaces,
+        sets=() if located is None else located.sets,
         reasons=(),
-        notes=(*found.notes, _OF_MEANS),
+        notes=(*found.notes, *filter(None, [why])),
     )
 
 
 _OF_MEANS = "T alone does not tell on which surface something changed."
+
+
+def _located(
+    case: Case, change: Array, variance: Array, added: bool, errors: Errors, seed: int
+) -> tuple[Located | None, str]:
+    """Return on which surfaces something changed; or None, and why no surface is told."""
+    if case.simulator is None:
+        return None, _OF_MEANS
+    if unstated := case.sources_unstated:
+        more = "" if len(unstated) == 1 else f" and {len(unstated) - 1} more"
+        return None, (
+            f"The directivity of {unstated[0]}{more} is not stated, so no surface is told. An "
+            "omnidirectional source has the index 0."
+        )
+    states = [
+        band_conversion.measurement_in_room_bands(m, case.room.centre_frequencies).select(
+            case.differences.pairs
+        )
+        for m in (case.before, case.after)
+    ]
+    less, more_absorbing = states if added else states[::-1]
+    match = surfaces.trusted(case.simulator, case.match, less, more_absorbing)
+    # How far each pair's differences lie from the pairs' mean tells how noisy the pair is.
+    mean = np.nansum(change / variance, axis=0) / np.nansum(1 / variance, axis=0)
+    squares = np.nansum((change - mean) ** 2 / variance, axis=1)
+    count = np.isfinite(change).sum(axis=1)
+    weights = np.minimum(1.0, (errors.degrees + count) / (errors.degrees + squares))
+    located = surfaces.locate(case.simulator, less, more_absorbing, match, weights, seed=seed)
+    return located, ""
 
 
 def _summed(names: Sequence[str], given: Array, none: float) -> dict[str, float]:

@@ -1,0 +1,261 @@
+"""What changed between two measurements: real rooms, controls, a hidden world.
+
+    python -m benchmarks.two_states [real] [controls] [hidden] [time]
+
+docs/two_states_study.md has its output. The data are read from the shared folder beside the checkout.
+"""
+
+from __future__ import annotations
+
+import itertools
+import sys
+import time
+
+import numpy as np
+
+import rtcal as rt
+from benchmarks.real_data import lines
+from rtcal.finder.states import Case, Finding
+from rtcal.support.types import Array
+from tests import two_states as synthetic
+
+LABORATORY = (9.7, 5.5, 2.7)
+STATES = ("000", "050", "100", "R")
+OCTAVES = np.array([125.0, 250, 500, 1000, 2000, 4000, 8000])
+MIDDLE = (500.0, 1000.0, 2000.0)
+STEPS = ("000000", "011000", "011100", "011110", "011111")
+"""dEchorate's panels, turned one after the other (floor, ceiling, west, south, east, north)."""
+FIRST = 5000
+"""First seed of what is drawn: none was drawn before the rule was frozen."""
+
+
+def box(name: str, sides: tuple[float, float, float], frequencies: Array) -> rt.Room:
+    x, y, z = sides
+    n = len(frequencies)
+    return rt.Room(
+        name=name,
+        volume=x * y * z,
+        materials=["all"],
+        areas=[2 * (x * y + x * z + y * z)],
+        alpha=[[0.2] * n],
+        sigma=[[0.1] * n],
+        centre_frequencies=frequencies,
+        air=rt.Air(),
+    )
+
+
+def laboratory(state: str, aimed: bool = True) -> rt.Measurement:
+    """Return T20 of the loudspeakers, or of the omnidirectional sources."""
+    rows = [
+        r
+        for r in lines("r3vival", f"{state}.csv")
+        if r["parameter"] == "t20" and r["source"].startswith("SBG") != aimed
+    ]
+    return rt.Measurement(
+        centre_frequencies=OCTAVES,
+        values={"t20": [[float(r[f"{f:.0f}"] or "nan") for f in OCTAVES] for r in rows]},
+        pairs=[(r["source"], "M") for r in rows],
+    )
+
+
+def dechorate() -> dict[str, rt.Measurement]:
+    """Return T of each state, as means over 6 sources and 30 microphones."""
+    f = [500, 1000, 2000, 4000]
+    return {
+        r["code_floor_ceiling_west_south_east_north"]: rt.Measurement(
+            centre_frequencies=f,
+            values={"t20": [[float(r[str(b)]) for b in f]]},
+            n_sources=6,
+            n_receivers=30,
+        )
+        for r in lines("dechorate", "t60.csv")
+        if r["estimator"] == "published"
+    }
+
+
+def ptb(curtains: str) -> rt.Measurement:
+    """Return T30 of six pairs with the standard deviation over the teams."""
+    rows = [
+        r
+        for r in lines("ptb_studio", "measured.csv")
+        if r["quantity"] == "T30" and r["curtains"] == curtains
+    ]
+    pairs = list(dict.fromkeys(r["pair"] for r in rows))
+    f = list(dict.fromkeys(float(r["band_hz"]) for r in rows))
+    at = {(r["pair"], float(r["band_hz"])): r for r in rows}
+    tables = [
+        [[float(at[p, b][column]) for b in f] for p in pairs]
+        for column in ("mean", "std_over_teams")
+    ]
+    return rt.Measurement(
+        centre_frequencies=f,
+        values={"t30": tables[0]},
+        uncertainty={"t30": tables[1]},
+        pairs=[(p[:2], p[2:]) for p in pairs],
+    )
+
+
+def studio() -> rt.Room:
+    """Return PTB's studio: 383 m³, with the areas that its materials state."""
+    areas = sum(
+        float(r["area_m2"]) for r in lines("ptb_studio", "materials.csv") if r["state"] == "both"
+    )
+    f = ptb("open").centre_frequencies
+    n = len(f)
+    return rt.Room(
+        name="PTB studio",
+        volume=383.0,
+        materials=["all"],
+        areas=[areas],
+        alpha=[[0.2] * n],
+        sigma=[[0.1] * n],
+        centre_frequencies=f,
+        air=rt.Air(),
+    )
+
+
+def line(name: str, finding: Finding) -> bool:
+    """Print a change; return whether it was detected."""
+    found, case = finding.case.differences, finding.case
+    area = [case.equation.absorption_area(case.room, t) for t in (found.before, found.after)]
+    inside = np.isin(found.centre_frequencies, finding.middle)
+    eyring = float((area[1] - area[0])[inside].mean())
+    ratio = finding.size.mean / eyring
+    print(
+        f"| {name} | {finding.score:+.1f} | {finding.verdict} | {finding.family or '-'} | "
+        f"{eyring:+.1f} | {finding.size.mean:+.1f} ({finding.size.low:+.1f} to "
+        f"{finding.size.high:+.1f}) | {ratio:.2f} |",
+        flush=True,
+    )
+    return finding.detected
+
+
+HEAD = (
+    "| change | nats | verdict | family | Eyring / m² | found / m² (90 %) | ratio |\n"
+    "|---|---|---|---|---|---|---|"
+)
+
+
+def real() -> None:
+    """Every ordered pair of measured states."""
+    print(HEAD)
+    room = box("laboratory", LABORATORY, OCTAVES)
+    done = [
+        line(f"laboratory, {a} to {b}", rt.find(room, laboratory(b), before=laboratory(a)))
+        for a, b in itertools.permutations(STATES, 2)
+    ]
+    print(f"detected {sum(done)} of {len(done)}\n\n{HEAD}")
+    done = [
+        line(f"curtain {a} to {b}", rt.find(studio(), ptb(b), before=ptb(a)))
+        for a, b in (("open", "closed"), ("closed", "open"))
+    ]
+    print(f"detected {sum(done)} of {len(done)}\n\n{HEAD}")
+    states = dechorate()
+    small = box("dEchorate", (5.705, 5.965, 2.355), states[STEPS[0]].centre_frequencies)
+    singles = [(STEPS[0], code) for code in states if code.count("1") == 1]
+    for title, steps in (("steps", list(itertools.pairwise(STEPS))), ("single", singles)):
+        both = [*steps, *((b, a) for a, b in steps)]
+        done = [
+            line(f"dEchorate, {a} to {b}", rt.find(small, states[b], before=states[a]))
+            for a, b in both
+        ]
+        print(f"{title}: detected {sum(done)} of {len(done)}\n")
+
+
+def drawn(state: str, seed: int, aimed: bool, noisy: int) -> Finding:
+    """Return what is found between two measurements of a state, with the noise of both drawn."""
+    measured = laboratory(state, aimed)
+    t = np.nanmedian(measured.values["t20"], axis=0)
+    n = len(measured.pairs)
+    rng = np.random.default_rng(seed)
+    scale = np.ones((n, 1))
+    scale[rng.permutation(n)[:noisy]] = 3.0
+    spread = 0.88 / np.sqrt(OCTAVES / np.sqrt(2) * t)
+    two = [
+        rt.Measurement(
+            centre_frequencies=OCTAVES,
+            values={"t20": t * np.exp(scale * spread * rng.standard_normal((n, len(t))))},
+            pairs=measured.pairs,
+        )
+        for _ in range(2)
+    ]
+    return rt.find(box("laboratory", LABORATORY, OCTAVES), two[1], before=two[0])
+
+
+def controls(number: int = 40) -> None:
+    """Nothing changed: drawn noise, one source three times as noisy, other places."""
+    for aimed, noisy in itertools.product((True, False), (0, 1)):
+        scores = np.array(
+            [drawn(STATES[i % 4], FIRST + i, aimed, noisy).score for i in range(number)]
+        )
+        sources = "30 loudspeakers" if aimed else "4 omnidirectional"
+        print(
+            f"| {sources}, {noisy} noisy | {number} | {int((scores > np.log(20)).sum())} | "
+            f"{np.median(scores):+.1f} | {scores.max():+.1f} |",
+            flush=True,
+        )
+    room = box("laboratory", LABORATORY, OCTAVES)
+    for state in STATES:
+        every = laboratory(state)
+        azimuths = [s[:-4] for s, _ in every.pairs if s.endswith("-150")]
+        two = []
+        for distance in ("150", "200"):
+            chosen = every.select([(f"{a}-{distance}", "M") for a in azimuths])
+            two.append(
+                rt.Measurement(
+                    centre_frequencies=OCTAVES,
+                    values=dict(chosen.values),
+                    pairs=[(a, "M") for a in azimuths],
+                )
+            )
+        finding = rt.find(room, two[1], before=two[0])
+        print(f"| loudspeakers 0.5 m farther, {state} | {finding.score:+.1f} | {finding.verdict} |")
+
+
+def hidden(number: int = 40) -> None:
+    """Panels of a random area in a room of another equation, with six sources; and none."""
+    held = claimed = right = detected = flagged = 0
+    ratios, eyring = [], rt.Eyring()
+    for i in range(number):
+        rng = np.random.default_rng(FIRST + i)
+        panels = float(np.exp(rng.uniform(np.log(1.0), np.log(40.0))))
+        times = [synthetic.times(), synthetic.times(panels)]
+        room = synthetic.room()
+        a, b = (eyring.absorption_area(room, t)[2:5].mean() for t in times)
+        two = [synthetic.measured(t, FIRST + 2 * i + j, uneven=0.03) for j, t in enumerate(times)]
+        finding = rt.find(Case(room=room, before=two[0], after=two[1]))
+        detected += finding.detected
+        if finding.detected:
+            held += finding.size.low <= b - a <= finding.size.high
+            ratios.append(finding.size.mean / (b - a))
+        if finding.family is not None:
+            claimed += 1
+            right += finding.family in ("added absorption", "added absorption, rising")
+        same = [synthetic.measured(times[0], 2 * FIRST + 2 * i + j) for j in range(2)]
+        flagged += rt.find(Case(room=room, before=same[0], after=same[1])).detected
+    print(
+        f"panels of 1 to 40 m², {number} rooms: detected {detected}, intervals that hold "
+        f"{held}, ratio of the amounts {np.median(ratios):.2f} (90 %: {np.quantile(ratios, 0.05):.2f} "
+        f"to {np.quantile(ratios, 0.95):.2f}), families claimed {claimed}, right {right}; nothing "
+        f"changed: flagged {flagged} of {number}"
+    )
+
+
+def seconds() -> None:
+    """Time of one search, of 30 pairs and of means."""
+    room = box("laboratory", LABORATORY, OCTAVES)
+    two = [laboratory(s) for s in ("000", "R")]
+    rt.find(room, two[1], before=two[0])
+    for name, (a, b) in {
+        "30 pairs": two,
+        "4 pairs": [laboratory(s, aimed=False) for s in ("000", "100")],
+    }.items():
+        begin = time.process_time()
+        rt.find(room, b, before=a)
+        print(f"{name}: {time.process_time() - begin:.1f} s of processor time")
+
+
+if __name__ == "__main__":
+    parts = {"real": real, "controls": controls, "hidden": hidden, "time": seconds}
+    for name in sys.argv[1:] or parts:
+        parts[name]()
