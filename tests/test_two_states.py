@@ -138,6 +138,21 @@ def test_options_of_one_state_are_refused(panels: Finding) -> None:
         rt.find(case.room, before=case.before)
 
 
+def test_each_half_of_the_pairs_predicts_the_other(panels: Finding) -> None:
+    verification = rt.finder.verify(panels)
+    without, with_change = verification.gaps
+    assert verification.verdict == "supported"
+    assert with_change < 0.5 * without
+    assert verification.before.shape == (6, 6)
+    case = panels.case
+    few = rt.find(case.room, case.after.select(case.after.pairs[:2]), before=case.before)
+    with pytest.raises(rt.errors.DataError, match="4 are needed"):
+        rt.finder.verify(few)
+    same = rt.find(case.room, measured(times(), 9), before=case.before)
+    with pytest.raises(rt.errors.DataError, match="no change to verify"):
+        rt.finder.verify(same)
+
+
 def run(*arguments: str) -> int:
     with pytest.raises(SystemExit) as stop:
         main(list(arguments))
@@ -158,6 +173,7 @@ def test_the_command_writes_numbers_and_page(
     assert run(*command, "--out", names["out"], "--json") == 0
     record = json.loads(capsys.readouterr().out)
     assert record["verdict"] == "family"
+    assert record["verification"]["verdict"] == "supported"
     assert len(record["written"]) == 2
     page = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
     assert "What changed between two measurements" in page

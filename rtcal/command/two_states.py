@@ -24,7 +24,7 @@ def find_change(
     as_json: bool,
     quiet: bool,
 ) -> None:
-    """Find what changed, print it, and write its folder if there is one.
+    """Find what changed, print it, and write its folder if there is one; then it is verified, too.
 
     Raises
     ------
@@ -33,7 +33,8 @@ def find_change(
     """
     from rtcal.acoustics.measurement import Measurement
     from rtcal.acoustics.room import Room
-    from rtcal.finder.search import find
+    from rtcal.finder.search import find, verify
+    from rtcal.finder.states.verification import LEAST_PAIRS
     from rtcal.report import document, states_page
     from rtcal.support.files import spare
     from rtcal.support.results import NUMBERS
@@ -58,6 +59,10 @@ def find_change(
     )
     printed, record = str(finding), finding.to_dict()
     if folder is not None:
+        if finding.detected and len(finding.case.differences.pairs) >= LEAST_PAIRS:
+            verification = verify(finding)
+            printed = f"{verification}\n{printed}"
+            record["verification"] = verification.to_dict()
         page = states_page.page(finding, heading, lambda: None)
         paths = [finding.save(folder), folder / PAGE]
         document.write(paths[1], page)

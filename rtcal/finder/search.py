@@ -190,20 +190,24 @@ def verify(finding: MeansFinding, case: Case | None = None) -> MeansVerification
 def verify(
     finding: positions.PositionsFinding, **options: Any
 ) -> positions.PositionsVerification: ...
+@overload
+def verify(finding: states.Finding, **options: Any) -> states.Verification: ...
 @checked
 def verify(
-    finding: MeansFinding | positions.PositionsFinding, case: Case | None = None, **options: Any
-) -> MeansVerification | positions.PositionsVerification:
+    finding: MeansFinding | positions.PositionsFinding | states.Finding,
+    case: Case | None = None,
+    **options: Any,
+) -> MeansVerification | positions.PositionsVerification | states.Verification:
     """Verify a finding: by the gaps that alpha cannot close, or at pairs that were not fitted.
 
     Parameters
     ----------
-    finding : MeansFinding or PositionsFinding
+    finding : MeansFinding, PositionsFinding or states.Finding
     case : Case, optional
         Of a finding by means: the case in which it is verified; by default its own.
     **options
         Of a finding at positions: ``seeds``, ``cache`` and ``progress``, as
-        `rtcal.finder.positions.verify` takes them.
+        `rtcal.finder.positions.verify` takes them. Of two states: ``seed``.
 
     Raises
     ------
@@ -212,4 +216,6 @@ def verify(
     """
     if isinstance(finding, positions.PositionsFinding):
         return positions.verify(finding, **options)
+    if isinstance(finding, states.Finding):
+        return states.verify(finding, **options)
     return verify_by_means(finding, case, **options)

@@ -10,5 +10,7 @@ if TYPE_CHECKING:
     from rtcal.finder.states.finding import Finding as Finding
     from rtcal.finder.states.finding import Kind as Kind
     from rtcal.finder.states.search import find as find
+    from rtcal.finder.states.verification import Verification as Verification
+    from rtcal.finder.states.verification import verify as verify
 else:
     __getattr__, __dir__, __all__ = lazy.exports(__name__, __file__)

@@ -63,14 +63,16 @@ class Baseline:
             Of which it is.
         """
         mean = self.after(np.where(of_air, 0.0, size)) / self.total_area
-        whole = self._whole(mean) + np.where(of_air, size, 0.0)
-        before = self._whole(self.area / self.total_area)
+        whole = self.whole(mean * self.total_area) + np.where(of_air, size, 0.0)
+        before = self.whole(self.area)
         by_area = size * np.exp(-np.abs(size) / self._left(size)) * self.equation.slope(mean)
         slope = -np.where(of_air, size, by_area) / whole
         return np.asarray(-np.log(whole / before)), np.asarray(slope)
 
-    def _whole(self, mean: Array) -> Array:
-        return np.asarray(self.total_area * self.equation.exponent(mean) + self.air)
+    def whole(self, area: Array) -> Array:
+        """Return S a + 4 m V in m², of the surfaces' absorption area in m²."""
+        exponent = self.equation.exponent(area / self.total_area)
+        return np.asarray(self.total_area * exponent + self.air)
 
     def _left(self, size: Array) -> Array:
         """What there is to cover, or to remove, in m²."""

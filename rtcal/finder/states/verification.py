@@ -1,0 +1,150 @@
+"""Whether what was found of some pairs predicts how T changes at the others."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+from scipy import stats
+
+from rtcal.acoustics.observables import TARGET
+from rtcal.errors import DataError
+from rtcal.finder.positions.verification import CONFIDENCE
+from rtcal.finder.states.baseline import Baseline
+from rtcal.finder.states.case import Case
+from rtcal.finder.states.finding import Finding
+from rtcal.finder.states.search import find
+from rtcal.support import text
+from rtcal.support.arguments import checked
+from rtcal.support.files import json_numbers
+from rtcal.support.results import Result
+from rtcal.support.types import Array
+
+LEAST_PAIRS = 4
+"""Fewest pairs: half of them find the change."""
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Verification(Result):
+    """How T changes at pairs that were not fitted: measured, and as the other half of the pairs says.
+
+    Attributes
+    ----------
+    finding : Finding
+    before : array (n_pairs, n_bands)
+        ln T before less measured after, in JND of 5 %: as if nothing had changed.
+    after : array (n_pairs, n_bands)
+        ln T predicted less measured after, in JND.
+    """
+
+    record_kind: ClassVar[str] = "two states verification 1"
+
+    finding: Finding
+    before: Array
+    after: Array
+
+    @property
+    def gaps(self) -> tuple[float, float]:
+        """Mean absolute gap at held-out pairs without and with the change, in JND."""
+        return float(np.nanmean(np.abs(self.before))), float(np.nanmean(np.abs(self.after)))
+
+    @property
+    def verdict(self) -> str:
+        """``supported``, ``unproven`` or ``withdrawn``: the gap shrinks, hardly changes, or grows.
+
+        By more than its uncertainty over the pairs, one-sided, by Student's t.
+        """
+        gain = np.nanmean(np.abs(self.before) - np.abs(self.after), axis=1)
+        n = len(gain)
+        limit = gain.std(ddof=1) / np.sqrt(n) * float(stats.t.ppf(CONFIDENCE, n - 1))
+        if abs(gain.mean()) <= limit:
+            return "unproven"
+        return "supported" if gain.mean() > 0 else "withdrawn"
+
+    @property
+    def sentence(self) -> str:
+        """The verdict in a sentence."""
+        without, with_change = self.gaps
+        return (
+            f"{self.verdict}: at pairs that were not fitted the mean gap of T is {without:.1f} JND if "
+            f"nothing changed, and {with_change:.1f} JND with what the other half of the pairs found."
+        )
+
+    def __repr__(self) -> str:
+        return f"<Verification {self.verdict}>"
+
+    def __str__(self) -> str:
+        return "\n".join(text.wrapped(self.sentence))
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain values for JSON."""
+        found = self.finding.case.differences
+        return {
+            "rtcal": self.record_kind,
+            "verdict": self.verdict,
+            "gaps": list(self.gaps),
+            "pairs": [list(pair) for pair in found.pairs],
+            "centre_frequencies": json_numbers(found.centre_frequencies),
+            "before": json_numbers(self.before),
+            "after": json_numbers(self.after),
+        }
+
+
+@checked
+def verify(finding: Finding, *, seed: int = 0) -> Verification:
+    """Verify a finding at pairs that were not fitted: each half of the pairs predicts the other.
+
+    Raises
+    ------
+    DataError
+        If nothing was detected, or there are fewer than four pairs.
+
+    Examples
+    --------
+    >>> import rtcal as rt
+    >>> room = rt.Room(name="box", volume=200, materials=["all"], areas=[220], alpha=[[0.1] * 2],
+    ...                sigma=[[0.05] * 2], centre_frequencies=[500, 1000])
+    >>> pairs = [("S1", "R1"), ("S1", "R2"), ("S2", "R1"), ("S2", "R2")]
+    >>> before, after = (
+    ...     rt.Measurement(centre_frequencies=[500, 1000], values={"t20": t}, pairs=pairs)
+    ...     for t in ([[1.5, 1.4], [1.4, 1.4], [1.5, 1.3], [1.6, 1.5]],
+    ...               [[0.8, 0.7], [0.8, 0.7], [0.7, 0.7], [0.8, 0.7]])
+    ... )
+    >>> print(verify(rt.find(room, after, before=before)).verdict)
+    supported
+    """
+    case, found = finding.case, finding.case.differences
+    if not finding.detected:
+        raise DataError(f'the verdict is "{finding.verdict}"; there is no change to verify')
+    if len(found.pairs) < LEAST_PAIRS:
+        raise DataError(
+            f"the states have {len(found.pairs)} pairs in common; {LEAST_PAIRS} are needed, half of "
+            "which predict the others"
+        )
+    predicted = np.full(found.change.shape, np.nan)
+    for half in range(2):
+        fitted = [i for i in range(len(found.pairs)) if i % 2 == half]
+        held_out = [i for i in range(len(found.pairs)) if i % 2 != half]
+        predicted[held_out] = _predicted(case, [found.pairs[i] for i in fitted], seed)
+    jnd = np.log1p(TARGET.jnd)
+    return Verification(finding, -found.change / jnd, (predicted - found.change) / jnd)
+
+
+def _predicted(case: Case, pairs: list[tuple[str, str]], seed: int) -> Array:
+    """Return the shift of ln T that these pairs alone tell, (n_bands,); NaN where they have no T."""
+    of_half = Case(
+        room=case.room,
+        before=case.before.select(pairs),
+        after=case.after.select(pairs),
+        equation=case.equation,
+    )
+    finding = find(of_half, seed=seed)
+    found = of_half.differences
+    measured = found.measured
+    baseline = Baseline.of(case.room, case.equation, found.before, measured)
+    shift = np.full(len(measured), np.nan)
+    shift[measured] = np.log(
+        baseline.whole(baseline.area) / baseline.whole(baseline.area + finding.change[0, measured])
+    )
+    return shift

@@ -1,0 +1,115 @@
+"""On which wall something changed between two measurements, with and without the directivity."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import rtcal as rt
+from rtcal.finder.states import Finding
+from rtcal.finder.states.surfaces import sets_of
+from rtcal.simulators import PathTracing
+from tests.test_where import heard, stated, tracing
+
+pytest.importorskip("numba", reason="the paths are traced by compiled code (extra fast)")
+
+WALL = 1
+"""The east wall's row of alpha."""
+PLACES = {
+    "S1": (1.2, 1.0, 1.5),
+    "S2": (5.6, 3.9, 1.4),
+    "S3": (6.2, 1.3, 1.6),
+    "S4": (1.0, 4.2, 1.3),
+    "S5": (3.6, 0.8, 1.5),
+    "S6": (4.4, 4.3, 1.8),
+}
+POINT = rt.Directivity(index=0, aim=(1, 0, 0))
+"""An omnidirectional source that says so."""
+
+
+def two_states() -> tuple[rt.Measurement, rt.Measurement]:
+    """Return the parameters before and after, by paths of other seeds that scatter otherwise.
+
+    After, the east wall absorbs half of what it reflected. Each value has a pair's own noise.
+    """
+    room = stated()
+    truth = tracing(room, scattering=0.5, n_paths=9600, sources=PLACES)
+    rng = np.random.default_rng(3)
+    states = []
+    for share in (0.0, 0.5):
+        alpha = 0.8 * room.alpha  # the stated coefficients are off
+        alpha[WALL] += share * (1 - alpha[WALL])
+        clean = heard(truth, alpha)
+        noisy = {
+            name: values * np.exp(0.02 * rng.standard_normal(values.shape))
+            if name in ("t20", "edt", "ts")
+            else values + 0.2 * rng.standard_normal(values.shape)
+            for name, values in clean.values.items()
+        }
+        states.append(replace(clean, values=noisy))
+    return states[0], states[1]
+
+
+@pytest.fixture(scope="module")
+def states() -> tuple[rt.Measurement, rt.Measurement]:
+    return two_states()
+
+
+def simulator(directivity: dict[str, rt.Directivity]) -> PathTracing:
+    return tracing(stated(), directivity=directivity, sources=PLACES)
+
+
+@pytest.fixture(scope="module")
+def finding(states: tuple[rt.Measurement, rt.Measurement]) -> Finding:
+    model = simulator(dict.fromkeys(PLACES, POINT))
+    return rt.find(model.room, states[1], model, before=states[0])
+
+
+def test_the_wall_that_changed_is_claimed_and_no_other(finding: Finding) -> None:
+    assert finding.claimed_surfaces == ("east",)
+    assert 'It is on "east".' in finding.headline
+    assert finding.surfaces["east"] == max(finding.surfaces.values())
+    np.testing.assert_allclose(sum(p for _, p in finding.sets), 1, rtol=1e-9)
+
+
+def test_in_the_other_order_it_is_the_same_wall(
+    finding: Finding, states: tuple[rt.Measurement, rt.Measurement]
+) -> None:
+    model = finding.case.simulator
+    back = rt.find(finding.case.room, states[0], model, before=states[1])
+    assert back.family is not None
+    assert back.family.startswith("removed")
+    assert back.claimed_surfaces == ("east",)
+
+
+def test_without_the_directivity_something_changed_but_no_surface_is_told(
+    states: tuple[rt.Measurement, rt.Measurement],
+) -> None:
+    model = simulator({})
+    found = rt.find(model.room, states[1], model, before=states[0])
+    assert found.detected
+    assert found.surfaces == {}
+    assert any("The directivity of S1 and 5 more is not stated" in note for note in found.notes)
+
+
+def test_a_finding_with_surfaces_is_saved_and_loaded(finding: Finding, tmp_path) -> None:
+    again = rt.load(finding.save(tmp_path))
+    assert again.surfaces == finding.surfaces
+    assert str(again) == str(finding)
+
+
+def test_sets_are_of_one_to_all_walls() -> None:
+    model = simulator({})
+    surfaces = {name: np.array([i]) for i, name in enumerate(model.geometry.names)}
+    sets = sets_of(model, surfaces)
+    assert len(sets) == 6 + 15 + 4 + 1
+    assert ("east", "north", "south", "west") in sets
+
+
+def test_a_simulator_of_another_room_is_refused(
+    states: tuple[rt.Measurement, rt.Measurement],
+) -> None:
+    with pytest.raises(rt.errors.DataError, match="simulator is of another room"):
+        rt.find(stated(), states[1], simulator({}), before=states[0])
