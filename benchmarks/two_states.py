@@ -1,6 +1,6 @@
 """What changed between two measurements: real rooms, controls, a hidden world.
 
-    python -m benchmarks.two_states [real] [controls] [hidden] [time]
+    python -m benchmarks.two_states [real] [surfaces] [worlds] [controls] [hidden] [time]
 
 docs/two_states_study.md has its output. The data are read from the shared folder beside the checkout.
 """
@@ -16,7 +16,11 @@ import numpy as np
 import rtcal as rt
 from benchmarks.real_data import lines
 from rtcal.finder.states import Case, Finding
+from rtcal.simulators import PathTracing, Polyhedron
+from rtcal.simulators.geometry import SHOEBOX_WALLS
 from rtcal.support.types import Array
+from tests import test_two_states_surfaces as test_walls
+from tests import test_where
 from tests import two_states as synthetic
 
 LABORATORY = (9.7, 5.5, 2.7)
@@ -241,6 +245,104 @@ def hidden(number: int = 40) -> None:
     )
 
 
+INDEX = (0.6, 1.2, 0.5, 3.0, 7.0, 7.7, 7.7)
+"""Directivity index of the loudspeakers in dB, 125 Hz to 8 kHz, fitted to direct over late energy of
+state 000; the ends are extrapolated."""
+WALLS = {
+    "000 to R": {"south"},
+    "000 to 100": set(SHOEBOX_WALLS[:4]),
+    "R to 100": set(SHOEBOX_WALLS[:4]) - {"south"},
+}
+"""What is known of the walls: R has the panels of one wall (y = 0), 100 those of all four."""
+
+
+def all_parameters(state: str) -> rt.Measurement:
+    """Return what the loudspeakers' responses tell."""
+    rows = [r for r in lines("r3vival", f"{state}.csv") if not r["source"].startswith("SBG")]
+    pairs = list(dict.fromkeys((r["source"], "M") for r in rows))
+    table = {
+        (r["source"], r["parameter"]): [float(r[f"{f:.0f}"] or "nan") for f in OCTAVES]
+        for r in rows
+    }
+    values = {
+        name: [table[source, name] for source, _ in pairs]
+        for name in ("t20", "edt", "c80", "ts", "level")
+    }
+    return rt.Measurement(centre_frequencies=OCTAVES, values=values, pairs=pairs)
+
+
+def aimed_simulator(stated: bool, n_paths: int = 2400) -> PathTracing:
+    """Return the laboratory with its aimed loudspeakers."""
+    places = {
+        r["name"]: tuple(float(r[axis]) for axis in "xyz")
+        for r in lines("r3vival", "positions.csv")
+    }
+    receiver = places["receiver"]
+    sources = {s: at for s, at in places.items() if s.startswith("S") and not s.startswith("SBG")}
+    speakers = {
+        s: rt.Directivity(index=INDEX, aim=tuple(np.subtract(receiver, at).tolist()))
+        for s, at in sources.items()
+    }
+    return PathTracing(
+        geometry=Polyhedron.shoebox(LABORATORY, "all"),
+        room=box("laboratory", LABORATORY, OCTAVES),
+        sources=sources,
+        receivers={"M": receiver},
+        directivity=speakers if stated else {},
+        scattering=0.3,
+        n_paths=n_paths,
+        workers=1,
+    )
+
+
+def surfaces(seed: int = FIRST) -> None:
+    """On which walls of the laboratory, with the directivity and without."""
+    for change, walls in WALLS.items():
+        a, b = change.split(" to ")
+        for stated in (True, False):
+            model = aimed_simulator(stated)
+            finding = rt.find(
+                model.room, all_parameters(b), model, before=all_parameters(a), seed=seed
+            )
+            claimed = set(finding.claimed_surfaces)
+            said = ", ".join(f"{n} {p:.2f}" for n, p in finding.surfaces.items() if p >= 0.03)
+            print(
+                f"| {change} | {'stated' if stated else 'unstated'} | {len(walls)} | "
+                f"{len(claimed & walls)} | {len(claimed - walls)} | {said or 'none told'} |",
+                flush=True,
+            )
+
+
+def worlds(number: int = 12) -> None:
+    """One wall or two of a box change; paths of other seeds, another scattering, other coefficients."""
+    right = wrong = changed = 0
+    for i in range(number):
+        rng = np.random.default_rng(FIRST + i)
+        room = test_where.stated()
+        truth = test_where.tracing(
+            room, scattering=float(rng.uniform(0.2, 0.6)), n_paths=9600, sources=test_walls.PLACES
+        )
+        rows = rng.permutation(6)[: 1 + i % 2]
+        names = {SHOEBOX_WALLS[r] for r in rows}
+        share = float(rng.uniform(0.15, 0.7))
+        base = room.alpha * np.exp(0.25 * rng.standard_normal((6, 1)))
+        states = [
+            test_walls.noisy(test_where.heard(truth, base), rng),
+            test_walls.noisy(test_where.heard(truth, test_walls.moved(base, rows, share)), rng),
+        ]
+        model = test_walls.simulator(dict.fromkeys(test_walls.PLACES, test_walls.POINT))
+        finding = rt.find(model.room, states[1], model, before=states[0], seed=i)
+        claimed = set(finding.claimed_surfaces)
+        changed += len(names)
+        right += len(claimed & names)
+        wrong += len(claimed - names)
+        print(
+            f"| {', '.join(sorted(names))} | {share:.2f} | {', '.join(sorted(claimed))} |",
+            flush=True,
+        )
+    print(f"claimed right {right} of {changed}, wrong {wrong}")
+
+
 def seconds() -> None:
     """Time of one search, of 30 pairs and of means."""
     room = box("laboratory", LABORATORY, OCTAVES)
@@ -256,6 +358,13 @@ def seconds() -> None:
 
 
 if __name__ == "__main__":
-    parts = {"real": real, "controls": controls, "hidden": hidden, "time": seconds}
+    parts = {
+        "real": real,
+        "surfaces": surfaces,
+        "worlds": worlds,
+        "controls": controls,
+        "hidden": hidden,
+        "time": seconds,
+    }
     for name in sys.argv[1:] or parts:
         parts[name]()

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 import sofar
 
+from rtcal.acoustics.directivity import Directivity
 from rtcal.command.main import main
 from rtcal.errors import DataError, MissingDependencyError
 from rtcal.io import impulse_responses, sofa
@@ -117,3 +118,43 @@ def test_measure_writes_the_positions_for_the_room(tmp_path: Path) -> None:
         "sources": {"S1": [1.0, 1.0, 1.5]},
         "receivers": {"R1": [2.0, 3.0, 1.2], "R2": [3.0, 3.0, 1.2]},
     }
+
+
+def balloon(path: Path, index: tuple[float, ...] = (0, 6), **entries: object) -> Path:
+    """Write the lobe of an index per octave (500 Hz, 1 kHz) on a grid of 10 degrees, aimed at +y."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        made = sofar.Sofa("FreeFieldDirectivityTF")
+    azimuth, elevation = np.meshgrid(np.arange(0, 360, 10), np.arange(-90, 91, 10))
+    at = np.stack([azimuth.ravel(), elevation.ravel(), np.ones(azimuth.size)], axis=1).astype(float)
+    a, e = np.radians(at[:, 0]), np.radians(at[:, 1])
+    directions = np.stack([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)], axis=1)
+    lobe = Directivity(index=index, aim=(0, 1, 0)).gain(directions)
+    made.N = [450.0, 500.0, 560.0, 900.0, 1000.0, 1100.0]
+    pressure = np.sqrt(np.repeat(lobe, 3, axis=1))[np.newaxis]
+    made.Data_Real, made.Data_Imag = 0.6 * pressure, 0.8 * pressure
+    made.ReceiverPosition = at
+    made.SourceView, made.SourceView_Type = [[0.0, 1.0, 0.0]], "cartesian"
+    for name, value in entries.items():
+        setattr(made, name, value)
+    for name in ("EmitterDescriptions", "Description"):  # netCDF4 1.7.5 writes no texts
+        made.delete(name)
+    sofar.write_sofa(str(path), made)
+    return path
+
+
+def test_a_balloon_gives_its_index_by_octave(tmp_path: Path) -> None:
+    read = sofa.read_directivity(balloon(tmp_path / "b.sofa"), [500, 1000], (1, 0, 0))
+    assert read.index == pytest.approx([0, 6], abs=0.05)
+    assert read.aim == (1, 0, 0)
+
+
+def test_a_balloon_that_says_too_little_is_refused(tmp_path: Path) -> None:
+    path = balloon(tmp_path / "b.sofa")
+    with pytest.raises(DataError, match="no frequency in the octave of 4000 Hz"):
+        sofa.read_directivity(path, [1000, 4000], (1, 0, 0))
+    with pytest.raises(DataError, match="is no FreeFieldDirectivityTF"):
+        sofa.read_directivity(file(tmp_path / "r.sofa"), [1000], (1, 0, 0))
+    behind = balloon(tmp_path / "c.sofa", SourceView=[[0.0, -1.0, 0.0]])
+    with pytest.raises(DataError, match="SourceView is not where it radiates"):
+        sofa.read_directivity(behind, [1000], (1, 0, 0))

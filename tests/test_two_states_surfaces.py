@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -11,6 +12,7 @@ import rtcal as rt
 from rtcal.finder.states import Finding
 from rtcal.finder.states.surfaces import sets_of
 from rtcal.simulators import PathTracing
+from rtcal.support.types import Array
 from tests.test_where import heard, stated, tracing
 
 pytest.importorskip("numba", reason="the paths are traced by compiled code (extra fast)")
@@ -29,27 +31,35 @@ POINT = rt.Directivity(index=0, aim=(1, 0, 0))
 """An omnidirectional source that says so."""
 
 
+def noisy(clean: rt.Measurement, rng: np.random.Generator) -> rt.Measurement:
+    """Return a measurement with noise of each value of its own: 2 %, and 0.2 dB."""
+    values = {
+        name: of * np.exp(0.02 * rng.standard_normal(of.shape))
+        if name in ("t20", "edt", "ts")
+        else of + 0.2 * rng.standard_normal(of.shape)
+        for name, of in clean.values.items()
+    }
+    return replace(clean, values=values)
+
+
+def moved(alpha: Array, rows: Sequence[int], share: float) -> Array:
+    """Return alpha of each wall with some moved by a share of the way to 1."""
+    out = alpha.copy()
+    out[rows] += share * (1 - out[rows])
+    return out
+
+
 def two_states() -> tuple[rt.Measurement, rt.Measurement]:
     """Return the parameters before and after, by paths of other seeds that scatter otherwise.
 
-    After, the east wall absorbs half of what it reflected. Each value has a pair's own noise.
+    After, the east wall absorbs half of what it reflected. The stated coefficients are off by a fifth.
     """
     room = stated()
     truth = tracing(room, scattering=0.5, n_paths=9600, sources=PLACES)
     rng = np.random.default_rng(3)
-    states = []
-    for share in (0.0, 0.5):
-        alpha = 0.8 * room.alpha  # the stated coefficients are off
-        alpha[WALL] += share * (1 - alpha[WALL])
-        clean = heard(truth, alpha)
-        noisy = {
-            name: values * np.exp(0.02 * rng.standard_normal(values.shape))
-            if name in ("t20", "edt", "ts")
-            else values + 0.2 * rng.standard_normal(values.shape)
-            for name, values in clean.values.items()
-        }
-        states.append(replace(clean, values=noisy))
-    return states[0], states[1]
+    base = 0.8 * room.alpha
+    before, after = (heard(truth, moved(base, [WALL], share)) for share in (0.0, 0.5))
+    return noisy(before, rng), noisy(after, rng)
 
 
 @pytest.fixture(scope="module")
