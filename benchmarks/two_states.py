@@ -15,7 +15,7 @@ import numpy as np
 
 import rtcal as rt
 from benchmarks.real_data import lines
-from rtcal.finder.states import Case, Finding
+from rtcal.finder.states import Case, StatesFinding
 from rtcal.simulators import PathTracing, Polyhedron
 from rtcal.simulators.geometry import SHOEBOX_WALLS
 from rtcal.support.types import Array
@@ -118,7 +118,7 @@ def studio() -> rt.Room:
     )
 
 
-def line(name: str, finding: Finding) -> bool:
+def line(name: str, finding: StatesFinding) -> bool:
     """Print a change; return whether it was detected."""
     found, case = finding.case.differences, finding.case
     area = [case.equation.absorption_area(case.room, t) for t in (found.before, found.after)]
@@ -166,7 +166,7 @@ def real() -> None:
         print(f"{title}: detected {sum(done)} of {len(done)}\n")
 
 
-def drawn(state: str, seed: int, aimed: bool, noisy: int) -> Finding:
+def drawn(state: str, seed: int, aimed: bool, noisy: int) -> StatesFinding:
     """Return what is found between two measurements of a state, with the noise of both drawn."""
     measured = laboratory(state, aimed)
     t = np.nanmedian(measured.values["t20"], axis=0)

@@ -11,17 +11,17 @@ import pytest
 
 import rtcal as rt
 from rtcal.command.main import main
-from rtcal.finder.states import Case, Differences, Finding
+from rtcal.finder.states import Case, Differences, StatesFinding
 from tests.two_states import BANDS, measured, room, times
 
 
 @pytest.fixture(scope="module")
-def panels() -> Finding:
+def panels() -> StatesFinding:
     """Return what is found of 12 m² of panels, from six sources."""
     return rt.find(room(), measured(times(12), 2, uneven=0.03), before=measured(times(), 1))
 
 
-def test_panels_are_found_with_their_amount_and_spectrum(panels: Finding) -> None:
+def test_panels_are_found_with_their_amount_and_spectrum(panels: StatesFinding) -> None:
     assert panels.verdict == "family"
     assert panels.family is not None
     assert panels.family.startswith("added absorption")
@@ -37,7 +37,7 @@ def test_panels_are_found_with_their_amount_and_spectrum(panels: Finding) -> Non
     assert "on which surface" in str(panels)
 
 
-def test_what_was_added_is_removed_in_the_other_order(panels: Finding) -> None:
+def test_what_was_added_is_removed_in_the_other_order(panels: StatesFinding) -> None:
     case = panels.case
     back = rt.find(Case(room=case.room, before=case.after, after=case.before))
     assert back.family is not None
@@ -61,7 +61,7 @@ def test_noise_is_no_change(noisy: int) -> None:
     assert np.median(scores) < 0
 
 
-def test_the_stated_coefficients_do_not_count(panels: Finding) -> None:
+def test_the_stated_coefficients_do_not_count(panels: StatesFinding) -> None:
     other = replace(panels.case.room, alpha=np.full((3, 6), 0.3))
     again = rt.find(other, panels.case.after, before=panels.case.before)
     # People and furniture are effects of the room, whose grid depends on alpha; their spectra do not.
@@ -101,7 +101,7 @@ def test_a_smaller_change_has_less_evidence() -> None:
     assert scores == sorted(scores)
 
 
-def test_it_is_saved_loaded_and_printed(panels: Finding, tmp_path: Path) -> None:
+def test_it_is_saved_loaded_and_printed(panels: StatesFinding, tmp_path: Path) -> None:
     again = rt.load(panels.save(tmp_path))
     assert str(again) == str(panels)
     assert again.score == panels.score
@@ -128,7 +128,7 @@ def test_states_without_a_common_pair_are_refused() -> None:
         Case(room=room(), before=edt, after=edt)
 
 
-def test_options_of_one_state_are_refused(panels: Finding) -> None:
+def test_options_of_one_state_are_refused(panels: StatesFinding) -> None:
     case = panels.case
     with pytest.raises(rt.errors.DataError, match="controls is not of"):
         rt.find(case.room, case.after, before=case.before, controls=())
@@ -138,7 +138,7 @@ def test_options_of_one_state_are_refused(panels: Finding) -> None:
         rt.find(case.room, before=case.before)
 
 
-def test_each_half_of_the_pairs_predicts_the_other(panels: Finding) -> None:
+def test_each_half_of_the_pairs_predicts_the_other(panels: StatesFinding) -> None:
     verification = rt.finder.verify(panels)
     without, with_change = verification.gaps
     assert verification.verdict == "supported"
@@ -160,7 +160,7 @@ def run(*arguments: str) -> int:
 
 
 def test_the_command_writes_numbers_and_page(
-    panels: Finding, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    panels: StatesFinding, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     pytest.importorskip("jinja2")
     pytest.importorskip("matplotlib")

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import rtcal as rt
-from rtcal.finder.states import Finding
+from rtcal.finder.states import StatesFinding
 from rtcal.finder.states.surfaces import sets_of
 from rtcal.simulators import PathTracing
 from rtcal.support.types import Array
@@ -72,12 +72,12 @@ def simulator(directivity: dict[str, rt.Directivity]) -> PathTracing:
 
 
 @pytest.fixture(scope="module")
-def finding(states: tuple[rt.Measurement, rt.Measurement]) -> Finding:
+def finding(states: tuple[rt.Measurement, rt.Measurement]) -> StatesFinding:
     model = simulator(dict.fromkeys(PLACES, POINT))
     return rt.find(model.room, states[1], model, before=states[0])
 
 
-def test_the_wall_that_changed_is_claimed_and_no_other(finding: Finding) -> None:
+def test_the_wall_that_changed_is_claimed_and_no_other(finding: StatesFinding) -> None:
     assert finding.claimed_surfaces == ("east",)
     assert 'It is on "east".' in finding.headline
     assert finding.surfaces["east"] == max(finding.surfaces.values())
@@ -85,7 +85,7 @@ def test_the_wall_that_changed_is_claimed_and_no_other(finding: Finding) -> None
 
 
 def test_in_the_other_order_it_is_the_same_wall(
-    finding: Finding, states: tuple[rt.Measurement, rt.Measurement]
+    finding: StatesFinding, states: tuple[rt.Measurement, rt.Measurement]
 ) -> None:
     model = finding.case.simulator
     back = rt.find(finding.case.room, states[0], model, before=states[1])
@@ -104,7 +104,7 @@ def test_without_the_directivity_something_changed_but_no_surface_is_told(
     assert any("The directivity of S1 and 5 more is not stated" in note for note in found.notes)
 
 
-def test_a_finding_with_surfaces_is_saved_and_loaded(finding: Finding, tmp_path) -> None:
+def test_a_finding_with_surfaces_is_saved_and_loaded(finding: StatesFinding, tmp_path) -> None:
     again = rt.load(finding.save(tmp_path))
     assert again.surfaces == finding.surfaces
     assert str(again) == str(finding)

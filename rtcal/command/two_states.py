@@ -34,7 +34,6 @@ def find_change(
     from rtcal.acoustics.measurement import Measurement
     from rtcal.acoustics.room import Room
     from rtcal.finder.search import find, verify
-    from rtcal.finder.states.verification import LEAST_PAIRS
     from rtcal.report import document, states_page
     from rtcal.support.files import spare
     from rtcal.support.results import NUMBERS
@@ -59,7 +58,7 @@ def find_change(
     )
     printed, record = str(finding), finding.to_dict()
     if folder is not None:
-        if finding.detected and len(finding.case.differences.pairs) >= LEAST_PAIRS:
+        if finding.can_be_verified:
             verification = verify(finding)
             printed = f"{verification}\n{printed}"
             record["verification"] = verification.to_dict()

@@ -54,11 +54,11 @@ def find(room: Case, **options: Any) -> MeansFinding: ...
 @overload
 def find(room: positions.Case, **options: Any) -> positions.PositionsFinding: ...
 @overload
-def find(room: states.Case, **options: Any) -> states.Finding: ...
+def find(room: states.Case, **options: Any) -> states.StatesFinding: ...
 @overload
 def find(
     room: Room, measured: Measurement, *, before: Measurement, **options: Any
-) -> states.Finding: ...
+) -> states.StatesFinding: ...
 @overload
 def find(
     room: Room, measured: Measurement, simulator: PathTracing | None = None, **options: Any
@@ -78,7 +78,7 @@ def find(
     cache: str | os.PathLike[str] | None = None,
     progress: TaskProgress | None = None,
     **of_means: Any,
-) -> MeansFinding | positions.PositionsFinding | states.Finding:
+) -> MeansFinding | positions.PositionsFinding | states.StatesFinding:
     """Find what the model of a room lacks, and where the positions tell on which surface.
 
     Two models of what is observed, one library of effects. With a simulator, or a room that states its
@@ -115,7 +115,7 @@ def find(
 
     Returns
     -------
-    MeansFinding, PositionsFinding or states.Finding
+    MeansFinding, PositionsFinding or states.StatesFinding
 
     Raises
     ------
@@ -191,18 +191,18 @@ def verify(
     finding: positions.PositionsFinding, **options: Any
 ) -> positions.PositionsVerification: ...
 @overload
-def verify(finding: states.Finding, **options: Any) -> states.Verification: ...
+def verify(finding: states.StatesFinding, **options: Any) -> states.StatesVerification: ...
 @checked
 def verify(
-    finding: MeansFinding | positions.PositionsFinding | states.Finding,
+    finding: MeansFinding | positions.PositionsFinding | states.StatesFinding,
     case: Case | None = None,
     **options: Any,
-) -> MeansVerification | positions.PositionsVerification | states.Verification:
+) -> MeansVerification | positions.PositionsVerification | states.StatesVerification:
     """Verify a finding: by the gaps that alpha cannot close, or at pairs that were not fitted.
 
     Parameters
     ----------
-    finding : MeansFinding, PositionsFinding or states.Finding
+    finding : MeansFinding, PositionsFinding or states.StatesFinding
     case : Case, optional
         Of a finding by means: the case in which it is verified; by default its own.
     **options
@@ -216,6 +216,6 @@ def verify(
     """
     if isinstance(finding, positions.PositionsFinding):
         return positions.verify(finding, **options)
-    if isinstance(finding, states.Finding):
+    if isinstance(finding, states.StatesFinding):
         return states.verify(finding, **options)
     return verify_by_means(finding, case, **options)

@@ -247,7 +247,7 @@ def page_of(
         return positions_page.page(result, heading or Heading(), progress or (lambda: None))
     if isinstance(result, Prediction | Predictions | Design):
         return prediction_page.page(result, heading or Heading(), progress or (lambda: None))
-    if isinstance(result, states.Finding):
+    if isinstance(result, states.StatesFinding):
         return states_page.page(result, heading or Heading(), progress or (lambda: None))
     if isinstance(result, PositionsPrediction | PositionsPredictions):
         return prediction_page.page_at_positions(

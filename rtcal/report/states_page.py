@@ -7,14 +7,14 @@ from typing import Any
 
 import numpy as np
 
-from rtcal.finder.states.finding import Finding
+from rtcal.finder.states.finding import StatesFinding
 from rtcal.report.document import Heading, blocks, render, source
 from rtcal.report.figures import BLACK, BLUE, ORANGE, band_axis, new_figure
 from rtcal.support.arguments import checked
 
 
 @checked
-def page(finding: Finding, heading: Heading, step: Callable[[], None]) -> str:
+def page(finding: StatesFinding, heading: Heading, step: Callable[[], None]) -> str:
     """Return the page as HTML; raises as `rtcal.report.page.page`."""
     found = finding.case.differences
     measured = found.measured
@@ -58,7 +58,7 @@ def page(finding: Finding, heading: Heading, step: Callable[[], None]) -> str:
     )
 
 
-def _times(finding: Finding) -> Any:
+def _times(finding: StatesFinding) -> Any:
     """Return T(f) before and after."""
     found = finding.case.differences
     k = found.measured
@@ -73,7 +73,7 @@ def _times(finding: Finding) -> Any:
     return figure
 
 
-def _change(finding: Finding) -> Any:
+def _change(finding: StatesFinding) -> Any:
     """Return the change of the absorption area by band, with its interval."""
     k = finding.case.differences.measured
     figure, axes = new_figure()

@@ -7,10 +7,10 @@ from rtcal.support import lazy
 if TYPE_CHECKING:
     from rtcal.finder.states.case import Case as Case
     from rtcal.finder.states.differences import Differences as Differences
-    from rtcal.finder.states.finding import Finding as Finding
     from rtcal.finder.states.finding import Kind as Kind
+    from rtcal.finder.states.finding import StatesFinding as StatesFinding
     from rtcal.finder.states.search import find as find
-    from rtcal.finder.states.verification import Verification as Verification
+    from rtcal.finder.states.verification import StatesVerification as StatesVerification
     from rtcal.finder.states.verification import verify as verify
 else:
     __getattr__, __dir__, __all__ = lazy.exports(__name__, __file__)

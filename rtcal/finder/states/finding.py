@@ -10,6 +10,7 @@ import numpy as np
 
 from rtcal.acoustics import bands
 from rtcal.finder.claim import CLAIMED
+from rtcal.finder.finding import Finding
 from rtcal.finder.prior import NONE
 from rtcal.finder.size import Size
 from rtcal.finder.states.case import Case
@@ -17,9 +18,10 @@ from rtcal.finder.states.kinds import ADDED
 from rtcal.finder.wording import NATS, amount, as_sentence, listed
 from rtcal.support import html, text
 from rtcal.support.files import json_numbers
-from rtcal.support.results import Result
 from rtcal.support.types import Array
 
+LEAST_PAIRS = 4
+"""Fewest pairs of a verification: half of them find the change."""
 _RANGE = 1.25
 """Ratio of the change in the upper and in the lower bands, below which these are alike."""
 
@@ -34,7 +36,7 @@ class Kind:
         "added porous", "added absorption, rising".
     probability : float
     size : Size
-        Change of the absorption area in m², mean over the bands of `Finding.middle`.
+        Change of the absorption area in m², mean over the bands of `StatesFinding.middle`.
     """
 
     name: str
@@ -43,28 +45,22 @@ class Kind:
     size: Size
 
 
-@dataclass(frozen=True, eq=False, repr=False)
-class Finding(Result):
-    """What changed between two states of a room.
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class StatesFinding(Finding):
+    """What changed between two states of a room; attributes beside those of `Finding`.
+
+    The verdict is "family" where something changed and what, such as "added absorption, rising", has a
+    probability of at least 0.9; "named" where that is the climate; "ambiguous" where it is not told.
+
+    The score is the log evidence that something changed over that nothing did. Where nothing changed,
+    and the noise is as assumed, it exceeds the threshold ln 20 in at most one of twenty cases, whatever
+    was measured: the mean of a likelihood ratio is then 1.
 
     Attributes
     ----------
     case : Case
-    verdict : {"none", "hint", "named", "family", "ambiguous"}
-        ``family``: something changed, and the probability of what, such as "added absorption, rising",
-        is at least 0.9. ``named``: that is the climate. ``ambiguous``: something changed that is not
-        told. ``hint``: the score is above 0, but not above the threshold.
-    family : str or None
-        What is claimed.
-    probabilities, families : mapping of str to float
-        Of "none" and each kind of change, and of each family; the most probable first. "added
-        absorption" and "removed absorption" are the sums of the families whose names begin so.
-    score, threshold : float
-        Log evidence in nats that something changed over that nothing did. Where nothing changed, and
-        the noise is as assumed, it exceeds ln 20 in at most one of twenty cases, whatever was measured:
-        the mean of a likelihood ratio is then 1.
     kinds : tuple of Kind
-        The kinds whose probability is at least 0.03, the most probable first.
+        The kinds of change whose probability is at least 0.03, the most probable first.
     area : array (n_bands,)
         The surfaces' absorption area before in m², by the equation; NaN where T is missing.
     change : array (3, n_bands)
@@ -77,18 +73,11 @@ class Finding(Result):
         Probability of each surface that something changed on it; empty where none is told.
     sets : tuple of (names, probability)
         Sets of surfaces that changed together, the most probable first.
-    reasons, notes : tuple of str
     """
 
-    record_kind: ClassVar[str] = "two states 1"
+    record_kind: ClassVar[str] = "finding of two states 1"
 
     case: Case
-    verdict: str
-    family: str | None
-    probabilities: Mapping[str, float]
-    families: Mapping[str, float]
-    score: float
-    threshold: float
     kinds: tuple[Kind, ...]
     area: Array
     change: Array
@@ -96,13 +85,23 @@ class Finding(Result):
     middle: tuple[float, ...]
     surfaces: Mapping[str, float]
     sets: tuple[tuple[tuple[str, ...], float], ...]
-    reasons: tuple[str, ...]
-    notes: tuple[str, ...]
 
     @property
-    def detected(self) -> bool:
-        """Whether something changed."""
-        return self.verdict not in (NONE, "hint")
+    def can_be_added(self) -> bool:
+        """Whether `apply` has something to add: never, since the second state is measured."""
+        return False
+
+    @property
+    def can_be_verified(self) -> bool:
+        """Whether half of the pairs can predict the others."""
+        return self.detected and len(self.case.differences.pairs) >= LEAST_PAIRS
+
+    @property
+    def reason_for_none(self) -> str | None:
+        """Why nothing is added to the room: a calibration to the second state has the change."""
+        return (
+            "A change between two states is not added to a room: calibrate it to the second state."
+        )
 
     @property
     def claimed_surfaces(self) -> tuple[str, ...]:
@@ -115,7 +114,7 @@ class Finding(Result):
         return None if self.verdict == NONE else self.kinds[0].name
 
     def __repr__(self) -> str:
-        return f"<Finding {self.verdict}: {self.what}; score {self.score:+.1f}>"
+        return f"<StatesFinding {self.verdict}: {self.what}; {self._scored}>"
 
     @property
     def what(self) -> str:
@@ -229,16 +228,10 @@ class Finding(Result):
         """Return plain values for JSON."""
         found = self.case.differences
         return {
-            "rtcal": self.record_kind,
-            "verdict": self.verdict,
-            "family": self.family,
+            **super().to_dict(),
             "surfaces": dict(self.surfaces),
             "claimed_surfaces": list(self.claimed_surfaces),
             "sets": [{"surfaces": list(names), "probability": p} for names, p in self.sets[:20]],
-            "probabilities": dict(self.probabilities),
-            "families": dict(self.families),
-            "score": self.score,
-            "threshold": self.threshold,
             "size": self.size.to_dict(),
             "bands_of_size": list(self.middle),
             "kinds": [{**vars(k), "size": k.size.to_dict()} for k in self.kinds],
@@ -248,6 +241,4 @@ class Finding(Result):
             "absorption_area_before": json_numbers(self.area),
             "change": json_numbers(self.change),
             "pairs": [list(pair) for pair in found.pairs],
-            "reasons": list(self.reasons),
-            "notes": list(self.notes),
         }

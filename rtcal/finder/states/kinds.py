@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from rtcal.acoustics.air import Air
 from rtcal.acoustics.room import Room
-from rtcal.finder.effects import Effect, library
+from rtcal.finder.effects import Effect
 from rtcal.finder.means.hypotheses import spectrum_errors
 from rtcal.finder.model import State
 from rtcal.finder.prior import UNKNOWN, UNKNOWN_ODDS
@@ -55,12 +55,12 @@ class Shape:
     covariance: Array
 
 
-def shapes(room: Room, effects: Sequence[Effect] | None = None) -> list[Shape]:
+def shapes(room: Room, effects: Sequence[Effect]) -> list[Shape]:
     """Return the spectra of all effects that add absorption, and one that no effect has."""
     frequencies = room.centre_frequencies
     base = State.of_room(room, np.zeros(len(room.areas)))
     out = []
-    for effect in library() if effects is None else effects:
+    for effect in effects:
         if not effect.family.startswith(f"{_FAMILY}, "):
             continue
         spectra = [alpha for _, alpha in effect.on_surface(frequencies)] or [

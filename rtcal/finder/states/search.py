@@ -11,14 +11,15 @@ from scipy.special import logsumexp
 
 from rtcal.acoustics import band_conversion
 from rtcal.finder.claim import SAID, claim, most_probable_first
-from rtcal.finder.effects import Effect
+from rtcal.finder.detection import Detection
+from rtcal.finder.effects import Effect, library
 from rtcal.finder.prior import NO_EFFECT, NONE
 from rtcal.finder.size import Size
 from rtcal.finder.states import evidence, surfaces
 from rtcal.finder.states.baseline import Baseline
 from rtcal.finder.states.case import Case
 from rtcal.finder.states.evidence import Errors, Fits
-from rtcal.finder.states.finding import Finding, Kind
+from rtcal.finder.states.finding import Kind, StatesFinding
 from rtcal.finder.states.kinds import ADDED, AIR, REMOVED, Grid, grid
 from rtcal.finder.states.surfaces import Located
 from rtcal.support import checks
@@ -39,7 +40,7 @@ def find(
     effects: Sequence[Effect] | None = None,
     errors: Errors | None = None,
     seed: int = 0,
-) -> Finding:
+) -> StatesFinding:
     """Find what changed between two states of a room, from T20 (or T30) alone.
 
     Parameters
@@ -78,7 +79,8 @@ def find(
     baseline = Baseline.of(room, case.equation, found.before, measured)
     area = np.full(room.n_bands, np.nan)
     area[measured] = baseline.area
-    tried = grid(room, area, measured, effects)
+    of_library = library() if effects is None else tuple(effects)
+    tried = grid(room, area, measured, of_library)
     nothing = evidence.none(change, variance, assumed)
     fits = evidence.fits(change, variance, baseline, tried, assumed)
     by_hypothesis = logsumexp(fits.log_evidence, axis=1) + tried.log_weight
@@ -89,11 +91,9 @@ def find(
     given = np.exp(by_hypothesis - logsumexp(by_hypothesis))
     probabilities = _summed(tried.names, given, none)
     families = _with_sums(_summed(tried.families, given, none))
-    if score <= THRESHOLD:
-        verdict, family = ("hint" if score > 0 else NONE), None
-    else:
-        by_family_alone = [name for name in probabilities if name != AIR]
-        verdict, family = claim(None, probabilities, families, by_family_alone)
+    detection = Detection(score, THRESHOLD)
+    by_family_alone = [name for name in probabilities if name != AIR]
+    verdict, family = claim(detection.verdict, probabilities, families, by_family_alone)
     samples, drawn = _samples(fits, tried, baseline, given, seed)
     changes = np.full((3, room.n_bands), np.nan)
     changes[0, measured] = samples.mean(axis=0)
@@ -117,14 +117,14 @@ def find(
     added = families.get(f"{ADDED} absorption", 0.0) > families.get(f"{REMOVED} absorption", 0.0)
     if family is not None and "absorption" in family:
         located, why = _located(case, change, variance, added, assumed, seed)
-    return Finding(
+    return StatesFinding(
         case=case,
         verdict=verdict,
         family=family,
         probabilities=probabilities,
         families=families,
-        score=score,
-        threshold=THRESHOLD,
+        detection=detection,
+        effects={effect.name: effect for effect in of_library},
         kinds=tuple(kinds),
         area=area,
         change=changes,

@@ -13,25 +13,22 @@ from rtcal.errors import DataError
 from rtcal.finder.positions.verification import CONFIDENCE
 from rtcal.finder.states.baseline import Baseline
 from rtcal.finder.states.case import Case
-from rtcal.finder.states.finding import Finding
+from rtcal.finder.states.finding import LEAST_PAIRS, StatesFinding
 from rtcal.finder.states.search import find
+from rtcal.finder.verification import Verification
 from rtcal.support import text
 from rtcal.support.arguments import checked
 from rtcal.support.files import json_numbers
-from rtcal.support.results import Result
 from rtcal.support.types import Array
 
-LEAST_PAIRS = 4
-"""Fewest pairs: half of them find the change."""
 
-
-@dataclass(frozen=True, eq=False, repr=False)
-class Verification(Result):
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class StatesVerification(Verification):
     """How T changes at pairs that were not fitted: measured, and as the other half of the pairs says.
 
     Attributes
     ----------
-    finding : Finding
+    finding : StatesFinding
     before : array (n_pairs, n_bands)
         ln T before less measured after, in JND of 5 %: as if nothing had changed.
     after : array (n_pairs, n_bands)
@@ -40,7 +37,7 @@ class Verification(Result):
 
     record_kind: ClassVar[str] = "two states verification 1"
 
-    finding: Finding
+    finding: StatesFinding
     before: Array
     after: Array
 
@@ -72,7 +69,7 @@ class Verification(Result):
         )
 
     def __repr__(self) -> str:
-        return f"<Verification {self.verdict}>"
+        return f"<StatesVerification {self.verdict}>"
 
     def __str__(self) -> str:
         return "\n".join(text.wrapped(self.sentence))
@@ -81,8 +78,7 @@ class Verification(Result):
         """Return plain values for JSON."""
         found = self.finding.case.differences
         return {
-            "rtcal": self.record_kind,
-            "verdict": self.verdict,
+            **super().to_dict(),
             "gaps": list(self.gaps),
             "pairs": [list(pair) for pair in found.pairs],
             "centre_frequencies": json_numbers(found.centre_frequencies),
@@ -92,7 +88,7 @@ class Verification(Result):
 
 
 @checked
-def verify(finding: Finding, *, seed: int = 0) -> Verification:
+def verify(finding: StatesFinding, *, seed: int = 0) -> StatesVerification:
     """Verify a finding at pairs that were not fitted: each half of the pairs predicts the other.
 
     Raises
@@ -128,7 +124,8 @@ def verify(finding: Finding, *, seed: int = 0) -> Verification:
         held_out = [i for i in range(len(found.pairs)) if i % 2 != half]
         predicted[held_out] = _predicted(case, [found.pairs[i] for i in fitted], seed)
     jnd = np.log1p(TARGET.jnd)
-    return Verification(finding, -found.change / jnd, (predicted - found.change) / jnd)
+    gaps = (-found.change / jnd, (predicted - found.change) / jnd)
+    return StatesVerification(finding=finding, before=gaps[0], after=gaps[1])
 
 
 def _predicted(case: Case, pairs: list[tuple[str, str]], seed: int) -> Array:
