@@ -125,9 +125,7 @@ class Grid:
     of_air: NDArray[np.bool_]
 
 
-def grid(
-    room: Room, before: Array, bands: NDArray[np.bool_], effects: Sequence[Effect] | None = None
-) -> Grid:
+def grid(room: Room, before: Array, bands: NDArray[np.bool_], effects: Sequence[Effect]) -> Grid:
     """Return every hypothesis of a room with this absorption area before, in these bands.
 
     Parameters
