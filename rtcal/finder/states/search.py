@@ -11,8 +11,8 @@ from scipy.special import logsumexp
 
 from rtcal.acoustics import band_conversion
 from rtcal.finder.claim import SAID, claim, most_probable_first
-from rtcal.finder.detection import Detection
 from rtcal.finder.effects import Effect, library
+from rtcal.finder.finding import Detection
 from rtcal.finder.prior import NO_EFFECT, NONE
 from rtcal.finder.size import Size
 from rtcal.finder.states import evidence, surfaces
