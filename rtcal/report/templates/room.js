@@ -47,7 +47,8 @@
   points.forEach((x, i) => { low[i % 3] = Math.min(low[i % 3], x); high[i % 3] = Math.max(high[i % 3], x); });
   const middle = low.map((x, k) => (x + high[k]) / 2);
   const radius = Math.max(Math.hypot(...minus(high, low)) / 2, 1e-6);
-  const scale = () => state.zoom * Math.min(1, canvas.clientHeight / canvas.clientWidth) / (0.85 * radius);
+  // The sphere around the room fits the width; of its height 0.85 are enough for a tilted room.
+  const scale = () => state.zoom * Math.min(1, canvas.clientHeight / canvas.clientWidth / 0.85) / radius;
   const aspect = () => canvas.clientWidth / canvas.clientHeight;
   // Clip coordinates: x is scaled by the width, y by the height.
   const projected = p => {
