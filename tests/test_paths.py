@@ -30,6 +30,7 @@ def trace(geometry, sources, receivers, scattering, seconds, **options):
     )
 
 
+THINNED = 0.1 * C
 BOX = Polyhedron.shoebox((5, 7, 3), "wall")
 SOURCE = [(1.2, 2.1, 1.4)]
 RECEIVERS = [(3.5, 5.1, 1.6), (2.2, 4.4, 1.2), (4, 2, 1.5), (1.1, 5.9, 1.5)]
@@ -348,3 +349,41 @@ def test_one_sweep_changes_groups_of_faces_as_weighings_do(monkeypatch):
             for other, energy in zip(changed, of_group, strict=True):
                 weighed = made.energy(np.where(group[:, None], other, alpha), air, BIN).mean(axis=0)
                 assert energy == pytest.approx(weighed, rel=1e-6, abs=1e-12)
+
+
+def test_thinned_paths_are_the_same_until_they_end(monkeypatch):
+    """Both kernels end the same paths, and those left are the ones that would be there anyway."""
+    found = []
+    for kernels in (path_numba, path_numpy):
+        monkeypatch.setattr(paths, "kernels", lambda kernels=kernels: kernels)
+        found.append(
+            trace(BOX, SOURCE, RECEIVERS, 0.4, 0.5, n_paths=512, n_batches=2, thinned=THINNED)
+        )
+    whole = trace(BOX, SOURCE, RECEIVERS, 0.4, 0.5, n_paths=512, n_batches=2)
+    for one, other in zip(found[0].batches[0], found[1].batches[0], strict=True):
+        assert (one.events == other.events).all()
+        assert one.weights == pytest.approx(other.weights, rel=1e-5)
+    for batch, full in zip(found[0].batches[0], whole.batches[0], strict=True):
+        ended = np.diff(batch.starts) < np.diff(full.starts)
+        # 256 paths of a batch: halved three times, until 32 are left.
+        assert ended.reshape(-1, 8)[:, 1:].all()
+        assert not ended[::8].any()
+        for path in range(256):
+            kept = batch.events[batch.starts[path] : batch.starts[path + 1]]
+            assert (kept == full.events[full.starts[path] :][: kept.size]).all()
+
+
+def test_thinned_paths_carry_the_energy_of_all():
+    """Half of them after each 0.1 s, which weigh twice as much."""
+    whole, thinned = (
+        trace(BOX, SOURCE, RECEIVERS, 0.5, 0.8, n_paths=16000, thinned=length)
+        for length in (np.inf, THINNED)
+    )
+    energies = [p.energy(np.array([[0.2]]), np.zeros(1), BIN)[:, 0, :, 0] for p in (whole, thinned)]
+    edges = (THINNED / BIN * np.arange(0, 8)).astype(int)
+    for begin, end in zip(edges[:-1], edges[1:], strict=True):
+        both = [e[..., begin:end].sum(axis=(1, 2)) for e in energies]
+        noise = np.hypot(*(b.std(ddof=1) / np.sqrt(len(b)) for b in both))
+        assert abs(both[0].mean() - both[1].mean()) < 4 * noise
+        assert both[1].mean() == pytest.approx(both[0].mean(), rel=0.15)
+    assert thinned.nbytes < 0.5 * whole.nbytes

@@ -27,8 +27,16 @@ STILL = np.zeros((*SHAPE, 2))
 """Derivatives by the scattering of two materials that change nothing."""
 
 
-def error_of(runs: ControlRuns, noise: np.ndarray, scattering: np.ndarray = STILL) -> Any:
-    return simulator_error(runs, noise, scattering, TRACINGS)
+def error_of(
+    runs: ControlRuns,
+    noise: np.ndarray,
+    scattering: np.ndarray = STILL,
+    of_groups: np.ndarray | None = None,
+) -> Any:
+    none = np.zeros((*noise.shape, scattering.shape[-1]))
+    return simulator_error(
+        runs, noise, scattering, none if of_groups is None else of_groups, TRACINGS
+    )
 
 
 def test_the_noise_of_one_tracing_is_taken_off() -> None:
@@ -41,14 +49,34 @@ def test_the_noise_of_one_tracing_is_taken_off() -> None:
 
 
 def test_what_is_compared_has_noise_of_its_own() -> None:
-    # All parameters and bands of a pair share its paths, and no pair shares those of another.
+    # All parameters and bands of a pair share its paths. Here no pair shares those of another.
     rng = np.random.default_rng(5)
     of_pair = 0.2 * rng.standard_normal((GROUPS, 1, SHAPE[1], 1))
     error = error_of(controls(np.zeros((16, *SHAPE))), of_pair * np.ones(SHAPE))
     covariance = error.covariance().reshape(*SHAPE, *SHAPE)
     expected = 0.2**2 / GROUPS
     assert covariance[0, 2, 1, 1, 2, 2] == pytest.approx(expected, rel=0.15)
-    assert covariance[0, 2, 1, 0, 3, 1] == 0
+    assert abs(covariance[0, 2, 1, 0, 3, 1]) < 0.1 * expected
+
+
+def test_noise_that_pairs_share_does_not_average_out() -> None:
+    rng = np.random.default_rng(7)
+    shared = 0.2 * rng.standard_normal((GROUPS, 1, 1, 1)) * np.ones(SHAPE)
+    covariance = error_of(controls(np.zeros((16, *SHAPE))), shared).covariance()
+    covariance = covariance.reshape(*SHAPE, *SHAPE)
+    assert covariance[0, 2, 1, 0, 3, 1] == pytest.approx(0.2**2 / GROUPS, rel=0.3)
+
+
+def test_noise_of_the_derivatives_by_scattering_is_no_evidence() -> None:
+    """Each counts by the variance of the scattering that it multiplies; few paths say less."""
+    rng = np.random.default_rng(8)
+    of_groups = 0.2 * rng.standard_normal((GROUPS, 1, SHAPE[1], 1, 2)) * np.ones((*SHAPE, 2))
+    error = error_of(
+        controls(np.zeros((16, *SHAPE))), np.zeros((GROUPS, *SHAPE)), of_groups=of_groups
+    )
+    covariance = error.covariance().reshape(*SHAPE, *SHAPE)
+    expected = 2 * (0.8**2 + 1.0) * 0.2**2 / GROUPS  # two materials, each of this prior variance
+    assert covariance[0, 2, 1, 1, 2, 2] == pytest.approx(expected, rel=0.25)
 
 
 def test_what_the_scattering_of_a_material_changes_is_no_evidence() -> None:

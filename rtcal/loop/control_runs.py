@@ -2,7 +2,8 @@
 
 A control run is a path tracing of the same room in which everything differs that is not known: how the
 walls scatter, where exactly sources and receivers stand, the random numbers, and alpha, which is drawn
-from the prior. What it hears less what the simulator hears for the same alpha is an error as the
+from the prior. Paths are thinned as the sound dies away, for the same time and less noise
+(`PathTracing.denser`). What it hears less what the simulator hears for the same alpha is an error as the
 simulator may have against the real room. The covariance of these errors says how far to trust it.
 """
 
@@ -26,7 +27,7 @@ from rtcal.simulators.base import Simulator
 from rtcal.simulators.geometry import SHOEBOX_WALLS, Polyhedron
 from rtcal.simulators.observations import Observations, observe
 from rtcal.simulators.path_batch import ScatteringModel
-from rtcal.simulators.path_tracing import PathTracing
+from rtcal.simulators.path_tracing import DENSER, PathTracing
 from rtcal.simulators.shoebox import ShoeboxSimulator
 from rtcal.simulators.tracer import eyring_seconds
 from rtcal.support import checks, kept_arrays
@@ -43,7 +44,7 @@ MODELS: tuple[ScatteringModel, ...] = ("random", "vector")
 _BETWEEN_MATERIALS = 0.12
 """Standard deviation of the materials' scattering coefficients around the level of a run."""
 _PATHS = 6000
-"""Most paths of a control run, per source: T20 of a pair then has a noise of some 2 %."""
+"""Most paths of a control run, per source, `DENSER` times as many where they are thinned."""
 
 Heard = Callable[[Simulator, Array, int], Array]
 """What a simulator hears in another state of the room, (n_parameters, n_pairs, n_bands): for alpha
@@ -239,6 +240,7 @@ def simulated_controls(
         Alpha is drawn from its prior.
     match : sequence of str
     seed : int
+        Of the paths. What is not known is drawn alike for every seed.
     position_uncertainty : float
         Root mean square distance of sources and receivers from where they are stated, in m.
     cache : path, optional
@@ -253,13 +255,19 @@ def simulated_controls(
     base = _tracing(simulator)
     if base is None:
         return None
+    if base.thinned is None:
+        base = base.denser()
+    if isinstance(simulator, PathTracing):
+        simulator = base
     path = None
     if cache is not None and not after:
         path = (
             checks.path("cache", cache)
             / f"{_key(base, simulator, room, match, seed, uncertainty)}.array"
         )
-    rng = np.random.default_rng([seed, 20])
+    # What is not known is drawn alike for every seed, as the nodes of a quadrature: the paths alone
+    # depend on the seed.
+    rng = np.random.default_rng(20)
     drawn = [(_varied(base, rng, run, uncertainty), _draw(room, rng)) for run in range(RUNS)]
 
     names = (*match, *(name for named, _ in after for name in named))
@@ -384,7 +392,7 @@ def _varied(
 
 def paths_of_a_run(tracer: PathTracing) -> int:
     """Return the number of paths per source of the control runs of a tracing."""
-    return min(_PATHS, tracer.n_paths)
+    return min(_PATHS if tracer.thinned is None else DENSER * _PATHS, tracer.n_paths)
 
 
 def level(scattering: Array, areas: Array) -> float:

@@ -122,7 +122,7 @@ def calibrate_positions(
         Whether the scattering coefficients of a `PathTracing` are fitted, too. Its model is
         "random". If not, those stated are kept, and are uncertain.
     more_paths : int
-        Factor of the number of paths of a `PathTracing`.
+        Factor of the number of paths of a `PathTracing`, besides that of `PathTracing.denser`.
     seed : int
         Seed of all simulations.
     progress : callable, optional
@@ -502,12 +502,12 @@ def precise(simulator: PathTracing, more_paths: int = MORE_PATHS) -> PathTracing
 @overload
 def precise(simulator: Simulator, more_paths: int = MORE_PATHS) -> Simulator: ...
 def precise(simulator: Simulator, more_paths: int = MORE_PATHS) -> Simulator:
-    """Return a path tracing with more paths in `_BATCHES`, any other simulator as it is."""
+    """Return a denser path tracing in `_BATCHES`, any other simulator as it is."""
     if not isinstance(simulator, PathTracing):
         return simulator
-    if more_paths == 1 and simulator.n_batches == _BATCHES:
+    if more_paths == 1 and simulator.n_batches == _BATCHES and simulator.thinned is not None:
         return simulator  # with the paths that it has already
-    return replace(simulator, n_paths=more_paths * simulator.n_paths, n_batches=_BATCHES)
+    return replace(simulator.denser(more_paths), n_batches=_BATCHES)
 
 
 def _kept(tracer: PathTracing) -> str:

@@ -117,10 +117,14 @@ def trace(
     vector: bool,
     receivers: Array,
     radii: Array,
+    thinned: float,
+    shares: Array,
 ) -> tuple[Any, Any, Any, Any, Array]:
     """Trace paths: events, starts, lengths, weights (see `rtcal.simulators.path_batch.Batch`), counts.
 
-    ``owners`` has the face of each triangle, ``scattering`` the coefficient of each face.
+    ``owners`` has the face of each triangle, ``scattering`` the coefficient of each face. Paths whose
+    number 2^i does not divide end at i times the length ``thinned``; what is heard after it weighs 1 /
+    ``shares[i]`` times as much.
     ``counts``: paths lost; free paths, their sum and their sum of squares. A path that hits no wall is
     lost: none of its events is kept.
     """
@@ -139,7 +143,13 @@ def trace(
         vx, vy, vz = directions[path, 0], directions[path, 1], directions[path, 2]
         state[0] = seeds[path]
         travelled, reflections, diffuse = 0.0, 0, False
-        while travelled < longest:
+        end, stage = longest, 1
+        while stage < len(shares):
+            if path % (1 << stage) != 0:
+                end = min(longest, stage * thinned)
+                break
+            stage += 1
+        while travelled < end:
             triangle, t = nearest(px, py, pz, vx, vy, vz, planes, sides, order, begins)
             if triangle < 0:
                 counts[0] += 1
@@ -161,8 +171,9 @@ def trace(
                     if x * x + y * y + z * z - along * along >= square:
                         continue
                     length = travelled + along
-                    if 0.0 < along < t and length < longest:
-                        weight = 1.0 / (math.pi * square)
+                    if 0.0 < along < t and length < end:
+                        stage = min(int(length / thinned), len(shares) - 1)
+                        weight = 1.0 / (math.pi * square * shares[stage])
                         if not diffuse:
                             weight *= 0.5 * (1.0 + math.sqrt(max(1 - square / length**2, 0.0)))
                         events[n_events] = 2 * n_faces + r
@@ -171,7 +182,7 @@ def trace(
                         n_events += 1
                         n_heard += 1
             travelled += t
-            if travelled >= longest:
+            if travelled >= end:
                 break
             face = owners[triangle]
             events[n_events] = face

@@ -54,6 +54,8 @@ def trace(
     vector: bool,
     receivers: Array,
     radii: Array,
+    thinned: float,
+    shares: Array,
 ) -> tuple[Any, Any, Any, Any, Array]:
     """Trace paths; returns the same as `rtcal.simulators.path_numba.trace`."""
     n_paths, n_faces = len(directions), len(scattering)
@@ -61,6 +63,9 @@ def trace(
     state, travelled = seeds.copy(), np.zeros(n_paths)
     diffuse = np.zeros(n_paths, dtype=bool)
     alive = np.arange(n_paths)
+    ends = np.full(n_paths, longest)
+    for stage in range(len(shares) - 1, 0, -1):
+        ends[alive % 2**stage != 0] = min(longest, stage * thinned)
     lost = np.zeros(n_paths, dtype=bool)
     counts = np.zeros(4)
     events: list[tuple[Any, Any, Any, Any]] = []  # path, code, length and weight, by step
@@ -78,10 +83,12 @@ def trace(
                 to = centre - p
                 along = np.sum(to * v, axis=1)
                 length = travelled + along
-                hit = (along > 0) & (along < t) & (length < longest)
+                hit = (along > 0) & (along < t) & (length < ends[alive])
                 hit &= np.sum(to * to, axis=1) - along**2 < radius**2
                 ratio = radius**2 / np.maximum(length[hit], radius) ** 2
                 weight = np.where(diffuse[hit], 1.0, 0.5 * (1 + np.sqrt(1 - ratio)))
+                stage = np.minimum((length[hit] / thinned).astype(int), len(shares) - 1)
+                weight = weight / shares[stage]
                 events.append(
                     (
                         alive[hit],
@@ -91,7 +98,7 @@ def trace(
                     )
                 )
         travelled = travelled + t
-        on = travelled < longest
+        on = travelled < ends[alive]
         alive, p, v, travelled, state, diffuse, triangle, t = _kept(
             on, alive, p, v, travelled, state, diffuse, triangle, t
         )

@@ -20,6 +20,12 @@ Surveyed meshes have gaps: in CR2 of BRAS (503 triangles) 1 to 2 of 8000 paths a
 would change a mean alpha by 0.0001 if the paths were not dropped. A missing face loses far more."""
 
 
+HALVINGS = 4
+"""How often the number of paths is halved at most where it is thinned."""
+_LEFT = 32
+"""Least number of paths of a batch that are left."""
+
+
 def trace(
     geometry: Polyhedron,
     sources: Array,
@@ -34,6 +40,7 @@ def trace(
     scattering_model: ScatteringModel,
     seed: int,
     workers: int | None = None,
+    thinned: float = np.inf,
 ) -> paths.Paths:
     """Trace ``n_paths`` from each source.
 
@@ -64,6 +71,10 @@ def trace(
         as the shorter ones do.
     workers : int, optional
         Number of threads, by default the number of processors.
+    thinned : float
+        Length in m after which every second path ends, and again after each further such length, until
+        1 in 2**`HALVINGS` is left, or few. Those left weigh as many times more (splitting and Russian roulette,
+        Spanier & Gelbard 1969), so that the expected energy is the same.
 
     Raises
     ------
@@ -80,6 +91,9 @@ def trace(
     by_face = np.ascontiguousarray(np.asarray(scattering, dtype=float)[materials])
     per_batch = -(-n_paths // n_batches)
     run = paths.kernels().trace
+    # A batch whose number of paths no power of two divides keeps a little more than its share.
+    halvings = [i for i in range(HALVINGS + 1) if i == 0 or per_batch >= _LEFT * 2**i]
+    shares = np.array([-(-per_batch // 2**i) / per_batch for i in halvings])
 
     def trace_batch(job: tuple[int, int]) -> Batch:
         s, b = job
@@ -98,6 +112,8 @@ def trace(
             scattering_model == "vector",
             receivers,
             np.ascontiguousarray(radii, dtype=float),
+            float(thinned),
+            shares,
         )
         free = (float(counts[1]), float(counts[2]), float(counts[3]))
         return Batch(events, starts, lengths, weights, directions, int(counts[0]), free)

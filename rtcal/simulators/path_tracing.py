@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import repeat
 from typing import Any, ClassVar, Literal
 
@@ -31,7 +31,14 @@ from rtcal.support.types import Array
 
 _REFLECTING = 0.7
 """Mean alpha below which enough is reflected for every parameter: 25 dB take five reflections."""
-
+DENSER = 3
+"""Factor of the number of paths where they are thinned (`PathTracing.denser`). In a development room of
+200 m³ with T from 0.4 to 1.1 s this and `LARGER` leave a seventh of the noise's variance."""
+LARGER = 0.15
+"""Radius of their receivers over the cube root of the volume. In that room parameters differ from those
+with half the radius by 0.3 % (Ts), 0.2 % (EDT), 0.03 dB (C80) and less than the noise of 0.1 % (T20)."""
+_THINNED = 0.25
+"""Time after which every second path ends, over Eyring's T of the band with the longest."""
 
 _Weighing = tuple[Array, Array, float]
 _Gradient = Callable[[paths.Paths, int, _Weighing], tuple[Array, Array]]
@@ -71,6 +78,9 @@ class PathTracing(DirectedSources, Tracer):
         Width of the bins of the energy decays in s, at most 0.01.
     workers : int, optional
         Number of threads, by default the number of processors.
+    thinned : float, optional
+        Time in s after which every second path ends, and again after each further such time; those left
+        weigh twice as much. See `rtcal.simulators.path_trace.trace`.
 
     Raises
     ------
@@ -97,6 +107,7 @@ class PathTracing(DirectedSources, Tracer):
     n_batches: int = 16
     scattering_model: Any = None
     workers: int | None = None
+    thinned: float | None = None
     smooth: ClassVar[bool] = True
     _traced: dict[tuple[int, ...], paths.Paths] = field(
         default_factory=dict, init=False, repr=False
@@ -114,11 +125,29 @@ class PathTracing(DirectedSources, Tracer):
         self._check_directivity()
         if self.workers is not None:
             checks.whole("workers", self.workers, 1)
+        if self.thinned is not None:
+            checks.positive("thinned", self.thinned, "s")
 
     @property
     def name(self) -> str:
         """Name that calibrated coefficients belong to."""
         return f"path tracing of {self.room.name} ({self.scattering_model} scattering)"
+
+    def denser(self, factor: int = 1) -> PathTracing:
+        """Return the tracing with `DENSER` times ``factor`` as many paths, whose noise is lower.
+
+        Paths are thinned as the sound dies away, so that they take about as long, and receivers without
+        a stated radius have one of `LARGER` times the cube root of the volume. Where the tracing is
+        thinned already, it has ``factor`` times its paths.
+        """
+        if self.thinned is not None:
+            return replace(self, n_paths=factor * self.n_paths)
+        return replace(
+            self,
+            n_paths=DENSER * factor * self.n_paths,
+            radius=self.radius or LARGER * self.geometry.volume ** (1 / 3),
+            thinned=_THINNED * eyring_seconds(self.room, self.room.alpha),
+        )
 
     def trace_ahead(self, alpha: Array, factor: float, *, seed: int = 0) -> None:
         """Trace the paths for ``factor`` times Eyring's T for alpha (n_materials, n_bands).
@@ -409,6 +438,7 @@ class PathTracing(DirectedSources, Tracer):
             scattering_model=self.scattering_model,
             seed=seed,
             workers=self.workers,
+            thinned=np.inf if self.thinned is None else self.thinned * self.room.speed_of_sound,
         )
 
 

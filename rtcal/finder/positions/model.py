@@ -152,6 +152,7 @@ def model(case: Case, made: Responses, controls: ControlRuns) -> Model:
         controls.at(wanted.parameters, wanted.pairs),
         made.noise[:, rows][:, :, columns],
         at_pairs(made.scattering),
+        made.scattering_noise[:, rows][:, :, columns],
         TRACINGS,
     )
     ends = SCATTERING - level(tracer.scattering, room.areas)

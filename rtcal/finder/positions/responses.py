@@ -25,7 +25,7 @@ from rtcal.finder.positions.case import Case
 from rtcal.finder.positions.weighing import Weighing
 from rtcal.loop.control_runs import share_of_signal
 from rtcal.simulators.observations import observe
-from rtcal.simulators.path_tracing import PathTracing
+from rtcal.simulators.path_tracing import DENSER, LARGER, PathTracing
 from rtcal.simulators.tracer import LONGEST
 from rtcal.support import checks, kept_arrays
 from rtcal.support.progress import TaskProgress
@@ -55,9 +55,12 @@ _SPARE = 1.15
 """By how much longer they are, since a decay's length differs between few paths and many."""
 
 BASE = 8
-"""Factor of the number of paths that are weighed. The shifts of T20, EDT and C80 differ little between
-the pairs: with 6000 paths per source, noise had five times the spread of what is there, and with 48,000
-less than twice the spread. A weighing of 48,000 paths takes 0.05 s."""
+"""Factor of the number of paths that are weighed, besides that of `PathTracing.denser`. The shifts of
+T20, EDT and C80 differ little between the pairs: with 6000 paths per source, noise had five times the
+spread of what is there, and with 48,000 less than twice the spread."""
+_EVERY = 2
+"""Of the batches of paths every second is weighed for what changes: the same paths as stated and
+changed differ by little noise."""
 TRACINGS = 2
 """Independent tracings that are weighed. Where a surface changes, T20 changes by nearly as much at any
 pair: in four rooms of the geometric world what differed was noise. So a single tracing gave every
@@ -93,7 +96,9 @@ class Responses:
         Derivatives by the log odds of each material's scattering coefficient.
     noise : array (n_groups, n_parameters, n_pairs, n_bands)
         Deviations of what groups of paths hear from the mean of their tracing. Each group has as many
-        paths as the simulator.
+        paths as the simulator in the control runs.
+    scattering_noise : array (n_groups, n_parameters, n_pairs, n_bands, n_materials)
+        The same of the derivatives.
     """
 
     parameters: tuple[str, ...]
@@ -107,6 +112,7 @@ class Responses:
     materials: Array
     scattering: Array
     noise: Array
+    scattering_noise: Array
 
 
 def parameters(case: Case) -> tuple[str, ...]:
@@ -157,18 +163,20 @@ def _of_tracing(
     base = weighing.parameters(energy.mean(axis=0))
     groups = np.array([weighing.parameters(group) for group in energy])
     tell("surfaces")
-    surfaces, parts, apertures, materials = _of_surfaces(case, weighing, base)
+    some = replace(weighing, every=_EVERY)
+    stated = some.observe(some.alpha)
+    surfaces, parts, apertures, materials = _of_surfaces(case, some, stated)
     room = case.room
     reference = Air(20, 50).attenuation(room.centre_frequencies)
     air = [
-        weighing.observe(weighing.alpha, np.maximum(room.air_attenuation + t * reference, 0.0))
-        for t in AIR
+        some.observe(some.alpha, np.maximum(room.air_attenuation + t * reference, 0.0)) for t in AIR
     ]
-    volume = [weighing.observe(weighing.alpha, stretch=float(np.exp(t / 3))) for t in VOLUME]
+    volume = [some.observe(some.alpha, stretch=float(np.exp(t / 3))) for t in VOLUME]
     # Only paths of the model "random" tell the derivatives.
     if tracer.scattering_model != "random":
         tracer = _retraced(tracer, scattering_model="random")
-    scattering = tracer.scattering_jacobian(room.alpha, match, number=1, seed=seed)[0]
+    slopes = tracer.scattering_jacobian(room.alpha, match, number=BASE, seed=seed)
+    scattering = slopes.mean(axis=0)
     tell("places")
     return Responses(
         parameters=match,
@@ -176,12 +184,13 @@ def _of_tracing(
         surfaces=surfaces,
         parts=parts,
         apertures=apertures,
-        air=np.stack(air, axis=-1) - base[..., np.newaxis],
-        volume=np.stack(volume, axis=-1) - base[..., np.newaxis],
+        air=np.stack(air, axis=-1) - stated[..., np.newaxis],
+        volume=np.stack(volume, axis=-1) - stated[..., np.newaxis],
         moved=_moved(case, match, base, seed),
         materials=materials,
         scattering=scattering,
         noise=groups - groups.mean(axis=0),
+        scattering_noise=slopes - scattering,
     )
 
 
@@ -206,6 +215,7 @@ def _mean(tracings: Sequence[Responses]) -> Responses:
         materials=likely("materials"),
         scattering=likely("scattering"),
         noise=np.concatenate([made.noise for made in tracings]),
+        scattering_noise=np.concatenate([made.scattering_noise for made in tracings]),
     )
 
 
@@ -239,7 +249,7 @@ def _seconds(case: Case, match: Sequence[str], seed: int) -> float:
 
 def precisely(tracer: PathTracing) -> PathTracing:
     """Return the tracing with the paths that are weighed."""
-    return _retraced(tracer, n_paths=BASE * tracer.n_paths)
+    return tracer.denser(BASE)
 
 
 def _of_surfaces(case: Case, weighing: Weighing, base: Array) -> tuple[Array, Array, Array, Array]:
@@ -331,7 +341,7 @@ def _moved(case: Case, match: Sequence[str], base: Array, seed: int) -> dict[str
         }
         changes = {kind: displaced(points), "n_paths": fewer}
         changed = _retraced(
-            tracer, **changes, **({"directivity": aimed} if kind == "sources" else {})
+            tracer.denser(), **changes, **({"directivity": aimed} if kind == "sources" else {})
         )
         try:
             heard = observe(changed, case.room.alpha, match, seed=seed)
@@ -373,6 +383,7 @@ def _packed(made: Responses) -> Array:
         made.air,
         made.volume,
         np.moveaxis(made.noise, 0, -1),
+        np.moveaxis(made.scattering_noise, 0, -2).reshape(*made.base.shape, -1),
         *surfaces,
         *moved,
     ]
@@ -385,7 +396,8 @@ def _read(path: Path, case: Case) -> Responses | None:
     tracer, n_moves = case.simulator, 6
     names = [f"{k[:-1]} {n}" for k in ("receivers", "sources") for n in getattr(tracer, k)]
     n_materials = case.room.n_materials
-    sizes = [1, n_materials, n_materials, len(AIR), len(VOLUME), TRACINGS * BASE]
+    n_groups = TRACINGS * BASE
+    sizes = [1, n_materials, n_materials, len(AIR), len(VOLUME), n_groups, n_groups * n_materials]
     n_surfaces, n_parts = len(case.faces), len(case.divided.parts)
     sizes += [len(SHARES)] * (n_surfaces + n_parts)
     sizes += [len(OPEN) * len(SECOND_ROOMS)] * n_surfaces + [n_moves] * len(names)
@@ -393,7 +405,7 @@ def _read(path: Path, case: Case) -> Responses | None:
     if packed is None or packed.shape != shape or not np.isfinite(packed).all():
         return None
     columns = iter(np.split(packed, np.cumsum(sizes)[:-1], axis=-1))
-    base, materials, scattering, air, volume, noise = (next(columns) for _ in range(6))
+    base, materials, scattering, air, volume, noise, of_groups = (next(columns) for _ in range(7))
     surfaces, parts, apertures = (
         [next(columns) for _ in range(number)] for number in (n_surfaces, n_parts, n_surfaces)
     )
@@ -403,6 +415,9 @@ def _read(path: Path, case: Case) -> Responses | None:
         materials=materials,
         scattering=scattering,
         noise=np.moveaxis(noise, -1, 0),
+        scattering_noise=np.moveaxis(
+            of_groups.reshape(*of_groups.shape[:-1], n_groups, n_materials), -2, 0
+        ),
         air=air,
         volume=volume,
         surfaces=np.array(surfaces),
@@ -430,6 +445,19 @@ def key_of(case: Case, seed: int) -> str:
         np.asarray(tracer.scattering).tolist(),
         plain_directivities(tracer.directivity),
         list(parameters(case)),
-        [TRACINGS, BASE, STEP, seed, SHARES, SECOND_ROOMS, AIR, VOLUME, MOVE, __version__],
+        [
+            TRACINGS,
+            BASE,
+            DENSER,
+            LARGER,
+            STEP,
+            seed,
+            SHARES,
+            SECOND_ROOMS,
+            AIR,
+            VOLUME,
+            MOVE,
+            __version__,
+        ],
     ]
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:32]

@@ -3,7 +3,7 @@
 The scattering of each material is not known. The traced paths tell what it changes
 (`PathTracing.scattering_jacobian`), with the prior of a calibration to every position
 (`rtcal.loop.scattering`). Control runs tell the rest, without the noise of their few paths. What is
-compared has noise of its own.
+compared has noise of its own, and so have the derivatives.
 """
 
 from __future__ import annotations
@@ -76,7 +76,7 @@ class SimulatorError:
 
 
 def simulator_error(
-    controls: ControlRuns, noise: Array, scattering: Array, tracings: int
+    controls: ControlRuns, noise: Array, scattering: Array, scattering_noise: Array, tracings: int
 ) -> SimulatorError:
     """Return the error of the mean of some tracings.
 
@@ -88,6 +88,8 @@ def simulator_error(
         Deviations of all groups of paths from the mean of their tracing.
     scattering : array (n_parameters, n_pairs, n_bands, n_materials)
         Derivatives by the log odds of each material's scattering coefficient.
+    scattering_noise : array (n_groups, n_parameters, n_pairs, n_bands, n_materials)
+        Deviations of those of all groups of paths from the mean of their tracing.
     tracings : int
     """
     n_groups, p, i, k = noise.shape
@@ -98,8 +100,12 @@ def simulator_error(
     # A control run is the difference of two tracings. The noise of one is taken off: with that of both,
     # what was measured was likelier by 5 nats in 27 rooms, and the right surface less likely.
     runs = controls.without_noise(variance)
-    # Each pair has noise of its own, which its parameters and bands share, as they share the paths.
-    rows = np.moveaxis(noise, 2, 1).reshape(n_groups * i, -1)
-    of_pair = (rows.T @ rows / (free * i * n_groups)).reshape(p, k, p, k)
-    of_noise = np.einsum("pkql,ij->pikqjl", of_pair, np.eye(i)).reshape(p * i * k, -1)
-    return SimulatorError(runs, materials.covariance + of_noise)
+    # Parameters and bands share the paths, and the pairs of a source, too. So do the derivatives: what
+    # they err by counts as often as the scattering that they belong to may be other.
+    of_slopes = scattering_noise @ np.linalg.cholesky(materials.prior)
+    errors = np.concatenate([noise[..., np.newaxis], of_slopes], axis=-1)
+    of_noise = sum(
+        replace(controls, errors=errors[..., column], levels=None, models=()).covariance()
+        for column in range(errors.shape[-1])
+    )
+    return SimulatorError(runs, materials.covariance + of_noise / free)

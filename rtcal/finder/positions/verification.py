@@ -20,7 +20,7 @@ from rtcal.finder.positions.candidate import Candidate
 from rtcal.finder.positions.case import Case
 from rtcal.finder.positions.corrected import corrected
 from rtcal.finder.positions.finding import LEAST_PAIRS, PositionsFinding
-from rtcal.finder.positions.responses import key_of, precisely
+from rtcal.finder.positions.responses import key_of
 from rtcal.finder.positions.search import find_by_positions
 from rtcal.finder.verification import Verification
 from rtcal.loop.control_runs import trace_ahead
@@ -313,9 +313,9 @@ def _gaps(
 
     # A gap is not to be that of the tracing's noise. The paths of a seed are traced once for all models
     # in the stated geometry.
-    stated = precisely(case.simulator)
+    stated = case.simulator.denser()
     with_added = [
-        stated if best is None else precisely(corrected(case.only(half), best).simulator)
+        stated if best is None else corrected(case.only(half), best).simulator.denser()
         for half, best in zip(halves, added, strict=True)
     ]
     for n, seed in enumerate(seeds):
@@ -373,7 +373,7 @@ def heard_calibrated(
         finding.parameters,
         exclude=fitted.exclude,
         controls=finding.controls,
-        more_paths=1,  # `precisely` gave it more
+        more_paths=1,  # it is denser already
         seed=seed,
     )
     # Its tracer scatters as fitted, with which alpha was calibrated.

@@ -42,6 +42,8 @@ class Weighing:
     match: Sequence[str]
     seed: int = 0
     seconds: float = 0.0
+    every: int = 1
+    """Of the batches every n-th is weighed."""
 
     @property
     def alpha(self) -> Array:
@@ -185,4 +187,12 @@ class Weighing:
         """Return the band's paths with each face as a material of its own."""
         traced = self.tracer.traced(band, self.seconds, seed=self.seed)
         n_faces = len(traced.materials)
-        return replace(traced, materials=np.arange(n_faces), n_materials=n_faces)
+        batches = tuple(source[:: self.every] for source in traced.batches)
+        n_paths = traced.n_paths * len(batches[0]) // len(traced.batches[0])
+        return replace(
+            traced,
+            batches=batches,
+            n_paths=n_paths,
+            materials=np.arange(n_faces),
+            n_materials=n_faces,
+        )
