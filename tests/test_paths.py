@@ -1,5 +1,7 @@
 """Traced paths: both kernels, conservation of energy, image sources, Kuttruff's equation."""
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 
@@ -381,7 +383,7 @@ def test_thinned_paths_carry_the_energy_of_all():
     )
     energies = [p.energy(np.array([[0.2]]), np.zeros(1), BIN)[:, 0, :, 0] for p in (whole, thinned)]
     edges = (THINNED / BIN * np.arange(0, 8)).astype(int)
-    for begin, end in zip(edges[:-1], edges[1:], strict=True):
+    for begin, end in pairwise(edges):
         both = [e[..., begin:end].sum(axis=(1, 2)) for e in energies]
         noise = np.hypot(*(b.std(ddof=1) / np.sqrt(len(b)) for b in both))
         assert abs(both[0].mean() - both[1].mean()) < 4 * noise

@@ -36,7 +36,7 @@ DENSER = 3
 200 m³ with T from 0.4 to 1.1 s this and `LARGER` leave a seventh of the noise's variance."""
 LARGER = 0.15
 """Radius of their receivers over the cube root of the volume. In that room parameters differ from those
-with half the radius by 0.3 % (Ts), 0.2 % (EDT), 0.03 dB (C80) and less than the noise of 0.1 % (T20)."""
+with half the radius by 0.3 % (Ts), 0.2 % (EDT), 0.03 dB (C80) and less than 0.1 % (T20)."""
 _THINNED = 0.25
 """Time after which every second path ends, over Eyring's T of the band with the longest."""
 

@@ -445,19 +445,7 @@ def key_of(case: Case, seed: int) -> str:
         np.asarray(tracer.scattering).tolist(),
         plain_directivities(tracer.directivity),
         list(parameters(case)),
-        [
-            TRACINGS,
-            BASE,
-            DENSER,
-            LARGER,
-            STEP,
-            seed,
-            SHARES,
-            SECOND_ROOMS,
-            AIR,
-            VOLUME,
-            MOVE,
-            __version__,
-        ],
+        [TRACINGS, BASE, DENSER, LARGER, STEP, seed],
+        [SHARES, SECOND_ROOMS, AIR, VOLUME, MOVE, __version__],
     ]
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:32]

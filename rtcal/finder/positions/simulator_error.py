@@ -92,8 +92,7 @@ def simulator_error(
         Deviations of those of all groups of paths from the mean of their tracing.
     tracings : int
     """
-    n_groups, p, i, k = noise.shape
-    free = n_groups - tracings
+    free = len(noise) - tracings
     variance = (noise**2).sum(axis=0).mean(axis=1) / free  # (n_parameters, n_bands)
     slope = scattering.reshape(-1, scattering.shape[-1])
     materials = MaterialScattering(slope=slope, traced=np.zeros(slope.shape[1]))
