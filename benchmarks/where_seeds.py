@@ -3,8 +3,8 @@
     python -m benchmarks.where_seeds --rooms 2.21 --seeds 0,1 --paths 8000 --folder out
 
 Prints the score, with level and in situ, for each seed of the control runs and each of the paths, at
-once. What is traced is kept in the folder, so that an interrupted run goes on. A seed takes about 80 s
-of processor with 8000 paths, 35 s with 2000.
+once. What is traced is kept in the folder, so that an interrupted run goes on. A seed takes about 35 s
+of processor with 8000 paths.
 """
 
 from __future__ import annotations

@@ -3,8 +3,8 @@
 A control run is a path tracing of the same room in which everything differs that is not known: how the
 walls scatter, where exactly sources and receivers stand, the random numbers, and alpha, which is drawn
 from the prior. Paths are thinned as the sound dies away: less noise in the same time
-(`PathTracing.denser`). What it hears less what the simulator hears for the same alpha is an error as the
-simulator may have against the real room. The covariance of these errors says how far to trust it.
+(`PathTracing.denser`). What it hears less what the simulator hears for the same alpha is an error as
+the simulator may have against the real room. The covariance of these errors says how far to trust it.
 """
 
 from __future__ import annotations

@@ -73,8 +73,8 @@ def trace(
         Number of threads, by default the number of processors.
     thinned : float
         Length in m after which every second path ends, and again after each further such length, until
-        1 in 2**`HALVINGS` is left, or few. Those left weigh as many times more (Russian roulette, Spanier
-        & Gelbard 1969), so that the expected energy is the same.
+        1 in 2**`HALVINGS` is left, or few. Those left weigh as many times more (Russian roulette,
+        Spanier & Gelbard 1969), so that the expected energy is the same.
 
     Raises
     ------
