@@ -45,7 +45,7 @@ def measured(monkeypatch: pytest.MonkeyPatch) -> rt.Measurement:
 
 def test_in_python(measured: rt.Measurement) -> None:
     with pytest.raises(DataError, match=r"paths per source are too few\. Take a larger n_paths"):
-        rt.calibrate_positions(tracer(16), HALL.room, measured, match=("t20", "edt"))
+        rt.calibrate_positions(tracer(16), HALL.room, measured, match=("t20", "edt"), more_paths=1)
     with pytest.raises(AssertionError, match="have begun"):  # enough paths come to them
         rt.calibrate_positions(tracer(160), HALL.room, measured, match=("t20", "edt"))
 
