@@ -57,6 +57,16 @@ class RoomModes:
         Of points (n_points, 3) in m: the modes' values there, (n_points, n_modes), in m^(-3/2).
     error : array (n_modes,)
         Estimated relative error of the frequencies by discretisation.
+
+    Examples
+    --------
+    Of a box, to the first order:
+
+    >>> import rtcal as rt
+    >>> modes = rt.modes.box_modes((5, 4, 2.5), ["wall"] * 6, largest=60)
+    >>> beta = np.full((6, modes.wanted), 0.01 + 0j)
+    >>> print(modes.frequencies[:2].round(1), modes.first_order(beta)[:2].round(2))
+    [34.3 42.9] [3.6  3.78]
     """
 
     frequencies: Array
