@@ -77,6 +77,8 @@ _ANYWHERE = (
     "one was detected, its aperture was on another surface than the most probable one."
 )
 """Why the surface of an aperture is not claimed (docs/where_study.md)."""
+_AT_END = 0.9
+"""Share of the largest size that is tried, from which a size may as well be larger."""
 
 
 @single_threaded_blas()
@@ -229,7 +231,8 @@ def _finding(
     groups = _groups(case, hypotheses, summary, likelihood)
     verdict, family = claim(detected.verdict, summary.probabilities, summary.families)
     best = next(e for e in summary.probabilities if e != NONE)
-    reasons = _reasons(case, hypotheses, summary, verdict)
+    placed = _first_placed(summary, verdict)
+    reasons = _reasons(case, verdict, placed)
     first = next(iter(summary.surfaces))
     sure = summary.surfaces[first] * summary.on_surfaces >= CLAIMED
     located = verdict in ("named", "family", "ambiguous") and sure and not reasons
@@ -253,6 +256,7 @@ def _finding(
         notes=(
             track_record.sentence(case.room, observations.parameters),
             *_assumed(case),
+            *_of_size(hypotheses, placed),
             *numbers.data.notes,
         ),
         controls=numbers.controls,
@@ -277,21 +281,29 @@ def untried(effects: Sequence[Effect]) -> str:
     )
 
 
-def _reasons(case: Case, hypotheses: Hypotheses, summary: Summary, verdict: str) -> tuple[str, ...]:
-    """Return why the most probable surface is not claimed."""
+def _first_placed(summary: Summary, verdict: str) -> Candidate | None:
+    """Return the most probable candidate, if it is claimed and stands on a surface."""
     if verdict not in ("named", "family", "ambiguous"):
-        return ()
-    if case.simulator.unknown_sources:
+        return None
+    first = summary.candidates[0]
+    return first if first.surface is not None else None
+
+
+def _reasons(case: Case, verdict: str, best: Candidate | None) -> tuple[str, ...]:
+    """Return why the most probable surface is not claimed."""
+    if verdict in ("named", "family", "ambiguous") and case.simulator.unknown_sources:
         return (_AIMED,)
-    best = next((c for c in summary.candidates if c.surface is not None), None)
-    if best is None or best is not summary.candidates[0]:
+    return (_ANYWHERE,) if best is not None and best.effect == COUPLED.name else ()
+
+
+def _of_size(hypotheses: Hypotheses, best: Candidate | None) -> tuple[str, ...]:
+    """Return the doubt of a size at the end of what is tried. It concerns no surface."""
+    if best is None:
         return ()
-    if best.effect == COUPLED.name:
-        return (_ANYWHERE,)
-    sizes = [s.sizes.max() for s in hypotheses.shifts if s.effect == best.effect]
-    if best.size > 0.9 * max(sizes):
-        return (f"The size of {best.title} stands at the end of what is tried.",)
-    return ()
+    largest = max(s.sizes.max() for s in hypotheses.shifts if s.effect == best.effect)
+    if best.size <= _AT_END * largest:
+        return ()
+    return (f"The size of {best.title} stands at the end of what is tried: it may be larger.",)
 
 
 def _map(numbers: Model, likelihood: Likelihood) -> Array:
