@@ -24,7 +24,7 @@ from scipy.special import ndtri
 
 from rtcal.acoustics import bands
 from rtcal.acoustics.change_files import Variant
-from rtcal.acoustics.observables import MATCH, TARGET
+from rtcal.acoustics.observables import MATCH, OBSERVABLES, TARGET
 from rtcal.acoustics.room import Room
 from rtcal.acoustics.scene import POSITION
 from rtcal.errors import DataError
@@ -49,7 +49,7 @@ from rtcal.simulators.path_tracing import PathTracing
 from rtcal.support.progress import Progress
 from rtcal.support.types import Array
 
-WANTED = (*MATCH, "d50", "sti")
+WANTED = (*MATCH, *(key for key, each in OBSERVABLES.items() if each.predicted))
 """What is predicted where nothing else is asked for."""
 COMMON, OWN, AREAS = (
     "the simulator, alike in both states",

@@ -80,8 +80,13 @@ class Observable(ABC):
         Standard deviation between teams at one pair of positions, by octave of `OCTAVES`, as observed.
     unknown_error : float
         Standard deviation of a simulator's error that no control run tells, as observed.
+    remeasured : float
+        Standard deviation by which all pairs of a band differ, as observed, if it is measured anew and
+        nothing changed.
     matched : bool
         Whether it is matched at every position where nothing else is asked for.
+    predicted : bool
+        Whether a prediction at positions gives it beside what is matched.
     shown : bool
         Whether a loop on mean values shows it, and a tracer states its noise.
     stand_in : str or None
@@ -107,7 +112,9 @@ class Observable(ABC):
     part: ClassVar[Part] = "early"
     teams: ClassVar[tuple[float, ...]]
     unknown_error: ClassVar[float]
+    remeasured: ClassVar[float] = 0.01
     matched: ClassVar[bool] = False
+    predicted: ClassVar[bool] = False
     shown: ClassVar[bool] = False
     stand_in: ClassVar[str | None] = None
     averaging: ClassVar[Scale] = ITSELF

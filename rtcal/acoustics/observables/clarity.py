@@ -30,6 +30,7 @@ class Clarity(Observable):
     # Of C80 between teams, in dB; see `rtcal.acoustics.observables.decay_slope.TEAMS`.
     teams = (0.83, 0.70, 0.59, 0.49, 0.42, 0.35)
     unknown_error = 0.5
+    remeasured = 0.1
     averaging = Scale(
         _early_share,
         lambda share: 10 * np.log10(share / (1 - share)),

@@ -29,6 +29,7 @@ class D50(Observable):
     rises = True
     teams = tuple(_HALF * x for x in C50.teams)
     unknown_error = _HALF * C50.unknown_error
+    predicted = True
 
     def value(self, energy: Array, bin_width: float) -> Array:
         """Return the early share."""

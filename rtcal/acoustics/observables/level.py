@@ -21,6 +21,7 @@ class OfEnergy(Observable):
     # In dB, of G; see `rtcal.acoustics.observables.decay_slope.TEAMS`.
     teams = (2.0, 1.55, 1.20, 0.92, 0.72, 0.55)
     unknown_error = 0.5
+    remeasured = 0.2
     averaging = Scale(
         lambda level: 10 ** (level / 10),
         lambda energy: 10 * np.log10(energy),

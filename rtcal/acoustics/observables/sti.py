@@ -41,6 +41,7 @@ class STI(Observable):
     rises = True
     teams = tuple(_BY_LN_T * x for x in EDT.teams)
     unknown_error = jnd / 2
+    predicted = True
 
     def value(self, energy: Array, bin_width: float) -> Array:
         """Return the mean transmission index; NaN without energy."""

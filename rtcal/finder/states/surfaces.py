@@ -18,7 +18,7 @@ from scipy.special import logsumexp
 from rtcal.acoustics import bands
 from rtcal.acoustics.decay import gradients
 from rtcal.acoustics.measurement import Measurement
-from rtcal.acoustics.observables import OBSERVABLES
+from rtcal.acoustics.observables import EARLY, OBSERVABLES, TARGET
 from rtcal.finder.claim import most_probable_first
 from rtcal.finder.positions import surfaces as of_room
 from rtcal.finder.positions.surfaces import Faces
@@ -37,10 +37,6 @@ WALK = 0.5
 """Standard deviation per octave of ln share."""
 PAIR, COMMON = 0.15, 0.1
 """Error of a pair's shift, and of all pairs', over the mean shift of a parameter and band."""
-REMEASURED = {"c80": 0.1, "c50": 0.1, "level": 0.2, "g": 0.2}
-"""Standard deviation in dB by which all pairs of a band differ if nothing changed."""
-REMEASURED_TIME = 0.01
-"""The same, of the logarithm of a time."""
 POWER = 0.5
 """Power of the likelihood: pairs and parameters share errors that no covariance of this module has."""
 MOST_DIRECT = 0.76
@@ -110,9 +106,9 @@ def locate(
     base = _heard(energy, simulator, match)
     noise = _noise(energy[rows], simulator, match)
     direct = energy[rows, :, 0] / energy[rows].sum(axis=-1)
-    if "edt" in match:
-        change[list(match).index("edt")][direct > MOST_DIRECT] = np.nan
-    shorter = np.nanmean(np.exp(two[0][0] - two[1][0]), axis=0) if match[0] == "t20" else 1.0
+    if EARLY.key in match:
+        change[list(match).index(EARLY.key)][direct > MOST_DIRECT] = np.nan
+    shorter = np.nanmean(np.exp(two[0][0] - two[1][0]), axis=0) if match[0] == TARGET.key else 1.0
     noise = noise * (1 + np.asarray(shorter))[:, None, None] / weights[:, None, None, None]
     tried = sets_of(simulator, faces)
     groups = [np.concatenate([faces[n] for n in names]) for names in tried]
@@ -143,7 +139,7 @@ def _scaled_to(
     factor = np.ones(simulator.room.n_bands)
     for _ in range(3):
         weighing = Weighing(tracer, match, seed)
-        (of_t20,) = _heard(weighing.energy(weighing.alpha)[0], simulator, ("t20",))
+        (of_t20,) = _heard(weighing.energy(weighing.alpha)[0], simulator, (TARGET.key,))
         simulated = np.exp(of_t20[rows])
         room = tracer.room
         air = 4 * room.air_attenuation * room.volume
@@ -202,7 +198,7 @@ def _evidence(
     own_covariance = noise[None] + (own[..., None] + _TINY) * one
     inverse = np.linalg.inv(own_covariance)
     pulled = np.einsum("jrkpq,jrkq->jrkp", inverse, off)
-    again = np.array([REMEASURED.get(name, REMEASURED_TIME) for name in match])
+    again = np.array([OBSERVABLES[name].remeasured for name in match])
     common = (again**2 + (COMMON * mean) ** 2)[..., None] * one
     held = np.linalg.inv(common) + inverse.sum(axis=1)
     b = pulled.sum(axis=1)
@@ -238,7 +234,7 @@ def trusted(
     simulator: PathTracing, match: Sequence[str], before: Measurement, after: Measurement
 ) -> tuple[str, ...]:
     """Return T20, and what both states have of the parameters that the directivities allow."""
-    wanted = dict.fromkeys(("t20", *simulator.trusted(match)))
+    wanted = dict.fromkeys((TARGET.key, *simulator.trusted(match)))
     return tuple(
         name
         for name in wanted
