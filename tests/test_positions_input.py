@@ -56,7 +56,7 @@ def few_runs(monkeypatch):
 def test_too_few_paths_are_not_taken_for_too_much_absorption(measured):
     few = PathTracing(geometry=HALL.geometry, room=ROOM, **PLACES, n_paths=16, scattering=0.5)
     with pytest.raises(DataError, match="paths per source are too few"):
-        rt.calibrate_positions(few, ROOM, measured, match=("t20", "edt"))
+        rt.calibrate_positions(few, ROOM, measured, match=("t20", "edt"), more_paths=1)
     black = np.full(ROOM.alpha.shape, 0.999)
     with pytest.raises(DataError, match="too little is reflected"):
         few.observe(black, ("t20",))
@@ -210,7 +210,7 @@ def test_paths_that_leave_through_gaps_are_said(measured, monkeypatch):
     tracer = PathTracing(geometry=HALL.geometry, room=ROOM, **PLACES, n_paths=160, scattering=0.5)
     assert tracer.lost_share == 0
     result = calibrate(tracer, measured)
-    assert "0.078 % of the paths left through gaps" in "\n".join(result.notes)
+    assert "0.026 % of the paths left through gaps" in "\n".join(result.notes)
     loop = rt.calibrate_simulator(tracer, ROOM, measured)
     assert "paths left through gaps" in " ".join(str(loop).split())
 
@@ -360,7 +360,8 @@ def test_the_page_of_a_fit_shows_what_was_learned_and_what_not_to_believe(folder
     result = rt.load(made)
     for name in ("What was learned", "Gaps by pair", "What not to believe", *ROOM.materials):
         assert name in text
-    assert text.count("data:image/svg+xml;base64,") == 2
+    assert text.count("data:image/svg+xml;base64,") == 1
+    assert "<canvas" in text
     for pair in result.pairs:
         assert " to ".join(pair) in text
     # Without a geometry there is no plan; one pair that is far off contradicts the others.
