@@ -230,9 +230,8 @@ def test_the_verdict_stands_beside_what_is_supported(finding: MeansFinding) -> N
 
 def test_an_unproven_finding_is_said_once(finding: MeansFinding) -> None:
     """What alpha closes as well speaks neither for nor against; terminal and page say only that."""
-    unproven = replace(
-        verify(finding), verdict="unproven", before=0.31, after=0.33, predictive=20.0
-    )
+    unproven = replace(verify(finding), before=0.31, after=0.33, predictive=20.0)
+    assert unproven.verdict == "unproven"
     said, page = " ".join(str(unproven).split()), summary(finding, unproven)
     neither = "which neither supports nor refutes the finding. It rests on T"
     assert neither in said
@@ -248,9 +247,15 @@ def test_an_unproven_finding_is_said_once(finding: MeansFinding) -> None:
     )
 
 
-@pytest.mark.parametrize("verdict", ["supported", "unproven", "withdrawn"])
-def test_how_closely_t_is_met_is_said_as_it_is(finding: MeansFinding, verdict: str) -> None:
-    seen = replace(verify(finding), verdict=verdict)
+@pytest.mark.parametrize(
+    ("verdict", "before", "after", "predictive"),
+    [("supported", 1.0, 0.1, 5.0), ("unproven", 0.31, 0.33, 20.0), ("withdrawn", 0.1, 1.0, -5.0)],
+)
+def test_how_closely_t_is_met_is_said_as_it_is(
+    finding: MeansFinding, verdict: str, before: float, after: float, predictive: float
+) -> None:
+    seen = replace(verify(finding), before=before, after=after, predictive=predictive)
+    assert seen.verdict == verdict
     fitted = next(g for g in seen.gaps if g.fitted)
 
     def said(before: float, off: float) -> str:
