@@ -93,13 +93,9 @@ def test_the_surface_of_an_aperture_is_not_claimed() -> None:
         parameters={},
         spectrum=np.ones(2),
     )
-    shifts = [SimpleNamespace(effect="coupled room", sizes=np.array([2.0, 4.0, 80.0]))]
     for unknown, said in (((), "second room"), (("S1",), "A source's directivity is unknown")):
         case = SimpleNamespace(simulator=SimpleNamespace(unknown_sources=unknown))
-        reasons = find._reasons(
-            case, SimpleNamespace(shifts=shifts), SimpleNamespace(candidates=(aperture,)), "named"
-        )
-        assert said in reasons[0]
+        assert said in find._reasons(case, "named", aperture)[0]
 
 
 def shift(uneven: float) -> tuple[Shift, np.ndarray]:

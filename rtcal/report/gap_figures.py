@@ -14,7 +14,7 @@ from rtcal.finder.means.finding import FEATURE_NAMES, MeansFinding
 from rtcal.finder.means.states import state
 from rtcal.finder.means.verification import MeansVerification, residual_map, reverberation_times
 from rtcal.finder.prior import NONE
-from rtcal.report.evidence_words import odds
+from rtcal.report.evidence_words import MOST, odds
 from rtcal.report.figures import BLACK, BLUE, GREEN, ORANGE, band_axis, jnd_band, new_figure, shown
 from rtcal.support.arguments import checked
 from rtcal.support.text import number
@@ -146,7 +146,7 @@ def evidence(finding: MeansFinding) -> Any:
     behind = {"facecolor": "white", "edgecolor": "none", "pad": 0.4}  # the threshold's line is cut
     for y, value, end in zip(at, values, drawn, strict=True):
         axes.annotate(
-            odds(float(value)),
+            odds(float(value)) if value < np.log(MOST) else "> 10⁶ to 1",
             (max(end, 0.0), y),
             xytext=(4, 0),
             textcoords="offset points",
