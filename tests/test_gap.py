@@ -25,6 +25,8 @@ from rtcal.finder.means.engines import ControlRooms
 from rtcal.finder.means.states import distances, state
 from rtcal.finder.model import predict
 from rtcal.finder.size import Size
+from rtcal.report import gap_figures
+from rtcal.report import page as pages
 from rtcal.report.gap_report import summary
 
 pytest.importorskip("numba", reason="the engines are compiled (extra fast)")
@@ -438,3 +440,32 @@ def test_the_whole_population_is_as_published() -> None:
         changed = {i: d for i, d in found if d}
     # On another processor a path of a control room may part from its twin in the last digit.
     assert len(changed) <= 0.01 * len(rows), changed
+
+
+def test_a_folder_of_a_finding_says_where_its_page_is(
+    finding: MeansFinding, tmp_path: Path
+) -> None:
+    finding.save(tmp_path)
+    with pytest.raises(rt.errors.DataError, match='of the kind "finding" has no page'):
+        pages.page_of(tmp_path)
+    (tmp_path / "report.html").write_text("the page")
+    with pytest.raises(rt.errors.DataError, match=r"has written the page of a finding, .*\.html"):
+        pages.page_of(tmp_path)
+
+
+def test_the_label_beside_a_flat_map_of_residuals_is_not_cropped(finding: MeansFinding) -> None:
+    """A measurement of T20 alone makes a map of one row."""
+    pytest.importorskip("matplotlib")
+    alone = np.full_like(finding.residuals, np.nan)
+    alone[:, 0] = finding.residuals[:, 0]
+    figure = gap_figures.residuals(replace(finding, residuals=alone))
+    figure.draw_without_rendering()
+    (label,) = [
+        text
+        for axis in figure.axes
+        for text in (axis.xaxis.label, axis.yaxis.label)
+        if "standard deviation" in text.get_text()
+    ]
+    box = label.get_window_extent()
+    assert (box.min >= 0).all()
+    assert (box.max <= figure.bbox.max).all()

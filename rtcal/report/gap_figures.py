@@ -87,7 +87,7 @@ def residuals(finding: MeansFinding, verification: MeansVerification | None = No
     ]
     names = [c.name for c in finding.case.configurations]
     several = len(names) > 1
-    figure, axes = new_figure(6.4, 1.2 + 0.36 * len(rows) * len(maps), rows=len(maps))
+    figure, axes = new_figure(6.4, 1.9 + 0.36 * len(rows) * len(maps), rows=len(maps))
     for axis, (title, table) in zip(np.atleast_1d(axes), maps, strict=True):
         cells = np.array([table[c, k] for c, k in rows])
         image = axis.imshow(cells, cmap="PuOr", vmin=-_STRONG, vmax=_STRONG, aspect="auto")
@@ -110,7 +110,7 @@ def residuals(finding: MeansFinding, verification: MeansVerification | None = No
         axis.set_yticks(range(len(rows)), labels, fontsize=9)
         axis.set_xticks(range(len(f)), [f"{v:g}" for v in f], rotation=90 if len(f) > 10 else 0)
         axis.set_title(shown(title), fontsize=9)
-    # One colour bar for all maps, since its label does not fit beside a flat map.
+    # One colour bar for all maps, below them, since its label does not fit beside a flat map.
     all_cells = np.array([[table[c, k] for c, k in rows] for _, table in maps])
     beyond = np.array([np.nanmin(all_cells) < -_STRONG, np.nanmax(all_cells) > _STRONG])
     extend = {(1, 1): "both", (1, 0): "min", (0, 1): "max"}.get(tuple(beyond), "neither")
@@ -119,6 +119,8 @@ def residuals(finding: MeansFinding, verification: MeansVerification | None = No
         ax=[*np.atleast_1d(axes)],
         label="(model - measured) / standard deviation",
         extend=extend,
+        location="bottom",
+        aspect=40,
     )
     axis.set_xlabel("Band centre frequency / Hz")
     return figure
