@@ -93,6 +93,23 @@ def test_means_alone_with_their_uncertainty() -> None:
     assert assumed.detected
 
 
+def test_means_stated_as_exact_are_no_gap_in_the_numbers() -> None:
+    """Their variance was 0, and the answer "nothing changed" with a probability of NaN."""
+    stated = room()
+    t = rt.Eyring().reverberation_time(stated)[np.newaxis]
+    before, after = (
+        rt.Measurement(
+            centre_frequencies=stated.centre_frequencies,
+            values={"t20": f * t},
+            uncertainty={"t20": 0 * t},
+        )
+        for f in (1.0, 0.75)
+    )
+    finding = rt.find(stated, after, before=before)
+    assert finding.detected
+    assert np.isfinite(list(finding.probabilities.values())).all()
+
+
 def test_a_smaller_change_has_less_evidence() -> None:
     scores = [
         rt.find(room(), measured(times(n), 6), before=measured(times(), 5)).score

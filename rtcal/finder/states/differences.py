@@ -16,6 +16,10 @@ from rtcal.errors import DataError
 from rtcal.support.types import Array
 
 
+_LEAST = 1e-6
+"""Least standard uncertainty that is taken of a stated mean, of its share: none is exact."""
+
+
 @dataclass(frozen=True, eq=False)
 class Differences:
     """The differences of two states, in the room's bands.
@@ -88,7 +92,7 @@ class Differences:
             relative = np.zeros(shape)
             for m, v, mean in zip(chosen, values, means, strict=True):
                 if m.is_summary:
-                    u = m.mean_uncertainty(o.key)[np.newaxis] / v
+                    u = np.fmax(m.mean_uncertainty(o.key)[np.newaxis] / v, _LEAST)
                     unstated |= o.key not in m.uncertainty and m.n_sources is None
                 else:
                     theory = o.scatter(room.centre_frequencies, np.where(some, mean, np.nan))
