@@ -15,7 +15,6 @@ from rtcal.acoustics.room import Room
 from rtcal.errors import DataError
 from rtcal.support.types import Array
 
-
 _LEAST = 1e-6
 """Least standard uncertainty that is taken of a stated mean, of its share: none is exact."""
 
