@@ -10,7 +10,6 @@ from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
-from scipy import stats
 
 from rtcal.acoustics.observables import LEVEL
 from rtcal.acoustics.parameters import parameter_label
@@ -22,7 +21,7 @@ from rtcal.finder.positions.corrected import corrected
 from rtcal.finder.positions.finding import LEAST_PAIRS, PositionsFinding
 from rtcal.finder.positions.responses import key_of
 from rtcal.finder.positions.search import find_by_positions
-from rtcal.finder.verification import Verification
+from rtcal.finder.verification import Verification, verdict_of
 from rtcal.loop.control_runs import trace_ahead
 from rtcal.loop.measured_pairs import Pair, with_reference
 from rtcal.loop.positions import calibrate_positions
@@ -42,8 +41,6 @@ TITLES = {
 }
 """How each model is called."""
 _SHORT = ("stated", "calibrated", "corrected")
-CONFIDENCE = 0.95
-"""Of a gap that is said to shrink or to grow: one-sided, by Student's t over the pairs."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -109,13 +106,10 @@ class PositionsVerification(Verification):
     def verdict(self) -> str:
         """What becomes of the gap: ``supported``, ``unproven`` or ``withdrawn``.
 
-        It shrinks by more than its uncertainty, changes by less, or grows by more. The uncertainty is
-        that of `CONFIDENCE`.
+        It shrinks by more than its uncertainty, changes by less, or grows by more; the confidence is
+        that of `rtcal.finder.verification.verdict_of`.
         """
-        limit = self.uncertainty * float(stats.t.ppf(CONFIDENCE, len(self.finding.pairs) - 1))
-        if abs(self.gain) <= limit:
-            return "unproven"
-        return "supported" if self.gain > 0 else "withdrawn"
+        return verdict_of(self.gain, self.uncertainty, len(self.finding.pairs))
 
     @property
     def by_parameter(self) -> dict[str, dict[str, float]]:

@@ -6,16 +6,14 @@ from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
-from scipy import stats
 
 from rtcal.acoustics.observables import TARGET
 from rtcal.errors import DataError
-from rtcal.finder.positions.verification import CONFIDENCE
 from rtcal.finder.states.baseline import Baseline
 from rtcal.finder.states.case import Case
 from rtcal.finder.states.finding import LEAST_PAIRS, StatesFinding
 from rtcal.finder.states.search import find
-from rtcal.finder.verification import Verification
+from rtcal.finder.verification import Verification, verdict_of
 from rtcal.support import text
 from rtcal.support.arguments import checked
 from rtcal.support.files import json_numbers
@@ -54,10 +52,7 @@ class StatesVerification(Verification):
         """
         gain = np.nanmean(np.abs(self.before) - np.abs(self.after), axis=1)
         n = len(gain)
-        limit = gain.std(ddof=1) / np.sqrt(n) * float(stats.t.ppf(CONFIDENCE, n - 1))
-        if abs(gain.mean()) <= limit:
-            return "unproven"
-        return "supported" if gain.mean() > 0 else "withdrawn"
+        return verdict_of(float(gain.mean()), float(gain.std(ddof=1) / np.sqrt(n)), n)
 
     @property
     def sentence(self) -> str:
