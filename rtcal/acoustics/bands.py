@@ -6,6 +6,7 @@ import itertools
 from collections.abc import Iterable, Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rtcal.errors import DataError
 from rtcal.support.arguments import checked
@@ -18,6 +19,7 @@ __all__ = [
     "bandwidth_factor",
     "correlation",
     "index",
+    "is_middle",
     "label",
     "nominal",
     "octaves",
@@ -72,6 +74,7 @@ _MISTYPED = 0.05
 125 Hz. Half a third octave is 12 %."""
 _NARROW = 1.2
 """Ratio of neighbours below which bands are narrower than thirds, whose ratio is 1.26."""
+_MIDDLE = 440.0, 2300.0  # Hz, just outside the third octaves of 500 Hz and 2 kHz
 _LOWEST = 20.0  # Hz, the limit of hearing. Frequencies in kHz, at most 20, lie below
 
 
@@ -201,6 +204,19 @@ def index(frequencies: Array, frequency: float) -> int | None:
     """
     near = np.flatnonzero(np.abs(frequencies / frequency - 1) <= _TOLERANCE)
     return int(near[0]) if near.size else None
+
+
+@checked
+def is_middle(frequencies: Array) -> NDArray[np.bool_]:
+    """Return which bands are octaves or thirds from 500 Hz to 2 kHz, (n_bands,).
+
+    Examples
+    --------
+    >>> print(is_middle(np.array([250.0, 500.0, 2000.0, 4000.0])))
+    [False  True  True False]
+    """
+    low, high = _MIDDLE
+    return np.asarray((frequencies > low) & (frequencies < high))
 
 
 @checked

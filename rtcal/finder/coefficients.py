@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from rtcal.acoustics.bands import is_middle
 from rtcal.acoustics.common_errors import POWER, common_error_columns
 from rtcal.finder.case import Case
 from rtcal.finder.configuration import Change
@@ -118,10 +119,11 @@ class OffTogether:
 
     def words(self, frequencies: Array) -> str:
         """Return the ratio in words: ``about 0.82 of what is stated below 500 Hz, ...``."""
+        middle = is_middle(frequencies)
         ranges = (
-            ("below 500 Hz", frequencies < 440),
-            ("from 500 Hz to 2 kHz", (frequencies >= 440) & (frequencies < 2300)),
-            ("above 2 kHz", frequencies >= 2300),
+            ("below 500 Hz", ~middle & (frequencies < 1000)),
+            ("from 500 Hz to 2 kHz", middle),
+            ("above 2 kHz", ~middle & (frequencies > 1000)),
         )
         parts = [(place, float(self.ratio[here].mean())) for place, here in ranges if here.any()]
         values = [value for _, value in parts]

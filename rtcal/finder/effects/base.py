@@ -255,7 +255,7 @@ def all_surfaces(room: Room | None) -> float:
 def middle_absorption(state: State) -> float:
     """Return S'alpha at 500 to 2000 Hz in m², averaged over bands; over all bands if it has none."""
     area = state.areas @ state.alpha
-    middle = (state.frequencies > 440) & (state.frequencies < 2300)
+    middle = bands.is_middle(state.frequencies)
     return float(area[middle].mean() if middle.any() else area.mean())
 
 

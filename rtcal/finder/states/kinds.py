@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtcal.acoustics.air import Air
+from rtcal.acoustics.bands import is_middle
 from rtcal.acoustics.room import Room
 from rtcal.finder.effects import Effect
 from rtcal.finder.means.hypotheses import spectrum_errors
@@ -136,7 +137,7 @@ def grid(room: Room, before: Array, bands: NDArray[np.bool_], effects: Sequence[
     bands : array (n_bands,) of bool
         Bands to take.
     """
-    middle = bands & (room.centre_frequencies > 440) & (room.centre_frequencies < 2300)
+    middle = bands & is_middle(room.centre_frequencies)
     area = float(before[middle if middle.any() else bands].mean())
     names, families, weights, sizes, covariances, of_air = [], [], [], [], [], []
     levels = area * np.geomspace(LEAST, MOST, SIZES)

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import logsumexp
 
-from rtcal.acoustics import band_conversion
+from rtcal.acoustics import band_conversion, bands
 from rtcal.finder.claim import SAID, claim, most_probable_first
 from rtcal.finder.effects import Effect, library
 from rtcal.finder.finding import Detection
@@ -99,7 +99,7 @@ def find(
     changes[0, measured] = samples.mean(axis=0)
     changes[1:, measured] = np.quantile(samples, _INTERVAL, axis=0)
     frequencies = room.centre_frequencies[measured]
-    inside = (frequencies > 440) & (frequencies < 2300)
+    inside = bands.is_middle(frequencies)
     inside = inside if inside.any() else np.ones_like(inside)
     middle = samples[:, inside].mean(axis=1)
     names = np.array(tried.names)[drawn]
