@@ -62,20 +62,6 @@ class ModesResult(Result):
     steps : int
     settled : bool
     notes : tuple of str
-
-    Examples
-    --------
-    >>> import rtcal as rt
-    >>> sides, walls = (5.2, 4.1, 2.6), rt.simulators.geometry.SHOEBOX_WALLS
-    >>> box = rt.simulators.Polyhedron.shoebox(sides, dict(zip(walls, walls)))
-    >>> materials = [rt.Material(w, [0.1], [0.05]) for w in walls]
-    >>> room = rt.Room.from_geometry(box, name="box", materials=materials, centre_frequencies=[63],
-    ...                              dimensions=sides, air=rt.Air(20, 50))
-    >>> heard = rt.modes.MeasuredModes(frequencies=[33.0, 41.9, 53.3], decays=[8, 5, 7],
-    ...                                decay_uncertainty=[0.4, 0.3, 0.4])
-    >>> result = rt.calibrate_modes(room, heard)
-    >>> print(result.used, result.settled)
-    [0 1 2] True
     """
 
     record_kind: ClassVar[str] = KIND
