@@ -158,7 +158,7 @@ BROKEN = [
     ("objects", 0, "class", "os.system", "is no class that rtcal saves"),
     ("objects", 0, "class", "rtcal.support.files.write_text", "is no class that rtcal saves"),
     ("objects", 0, "class", "rtcal.acoustics.air.Wind", "is no class that rtcal saves"),
-    ("objects", 0, "fields", {}, "has the fields"),
+    ("objects", 0, "fields", {"depth": 1.0}, "calculate the result again"),
     ("arrays", 0, "type", "|O", "no type of numbers"),
     ("arrays", 0, "shape", [-1], "is no array"),
     ("arrays", 0, "bytes", "AAAA", "arrays[0]"),
@@ -173,6 +173,17 @@ def test_what_was_changed_is_refused(table, row, key, value, said) -> None:
     with pytest.raises(DataError) as caught:
         objects.decode(content)
     assert said in str(caught.value)
+
+
+def test_a_field_that_came_later_has_its_default() -> None:
+    """Results of positions were saved before they had `held_out`."""
+    content = objects.encode(rt.datasets.bras_cr2()[0])
+    fields = content["objects"][-1]["fields"]
+    del fields["author"]
+    assert objects.decode(content).author == ""
+    del fields["volume"]
+    with pytest.raises(DataError, match=r"Room has the fields .* calculate the result again"):
+        objects.decode(content)
 
 
 def test_a_changed_file_is_refused(tmp_path: Path) -> None:

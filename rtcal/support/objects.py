@@ -17,6 +17,7 @@ import sys
 import types
 from collections.abc import Mapping
 from contextlib import suppress
+from dataclasses import MISSING
 from importlib import import_module
 from typing import Any
 
@@ -128,12 +129,19 @@ class _Reader:
         self.objects: list[Any] = []
 
     def made(self, place: str, entry: Any) -> Any:
-        """Return the object of an entry, by the constructor of its class."""
+        """Return the object of an entry, by the constructor of its class.
+
+        A field that the class got after the file was written has its default.
+        """
         name, stated = _pair(place, entry, "class", "fields")
         kind = _class(place, name)
-        needed = _fields(kind)
-        if not isinstance(stated, dict) or set(stated) != set(needed):
-            raise DataError(f"{place}: {name} has the fields {', '.join(sorted(needed))}")
+        known = _fields(kind)
+        needed = {n for n, f in known.items() if f.default is f.default_factory is MISSING}
+        if not isinstance(stated, dict) or not needed <= set(stated) <= set(known):
+            raise DataError(
+                f"{place}: {name} has the fields {', '.join(sorted(known))}; a file with others is of "
+                "another version: calculate the result again"
+            )
         try:
             return kind(**{n: self.value(f"{place}.{n}", v) for n, v in stated.items()})
         except (TypeError, ValueError, AttributeError, LookupError, ArithmeticError) as error:
@@ -186,9 +194,9 @@ def _storable(kind: type) -> bool:
     )
 
 
-def _fields(kind: Any) -> list[str]:
-    """Return the names of the fields that are stored: those of the constructor, but for `NOT_SAVED`."""
-    return [f.name for f in dataclasses.fields(kind) if f.init and f.metadata != NOT_SAVED]
+def _fields(kind: Any) -> dict[str, dataclasses.Field[Any]]:
+    """Return the fields that are stored, by name: those of the constructor, but for `NOT_SAVED`."""
+    return {f.name: f for f in dataclasses.fields(kind) if f.init and f.metadata != NOT_SAVED}
 
 
 def _class(place: str, name: Any) -> type:
