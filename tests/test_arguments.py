@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import rtcal as rt
-from rtcal.acoustics import decay, quality
+from rtcal.acoustics import decay, quality, trust
 from rtcal.errors import DataError
 from rtcal.finder import Case, Change, Configuration, plan, recalibrate, simulator
 from rtcal.support.arguments import checked
@@ -134,7 +134,7 @@ CALLS: list[Callable[[Any], Any]] = [
     ),
     lambda wrong: rt.report.figures.gap(wrong),
     lambda wrong: rt.report.page.calibration_page(wrong),
-    lambda wrong: quality.explained(wrong),
+    lambda wrong: trust.explained(wrong),
     lambda wrong: quality.gap_jnd(wrong, [1.0]),
     lambda wrong: decay.decay_time([1.0, 0.5], 0.1, wrong),
 ]

@@ -10,7 +10,8 @@ import pytest
 from scipy import stats
 
 import rtcal as rt
-from rtcal.acoustics.quality import plausibility, trust_marks
+from rtcal.acoustics.quality import plausibility
+from rtcal.acoustics.trust import trust_marks
 from tests.conftest import random_room
 
 ROOMS = 2000

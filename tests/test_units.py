@@ -10,7 +10,8 @@ import pytest
 
 import rtcal as rt
 from rtcal.acoustics.priors import TruncatedNormal, in_situ, sigma_iso_12999_2, sigma_relative
-from rtcal.acoustics.quality import agreement, explained, plausibility
+from rtcal.acoustics.quality import agreement, plausibility
+from rtcal.acoustics.trust import explained
 from rtcal.calibration import closed_form
 from rtcal.calibration.terms import SoftMatch
 from rtcal.errors import RtcalError

@@ -11,6 +11,7 @@ if TYPE_CHECKING:
     from rtcal.acoustics import observables as observables
     from rtcal.acoustics import priors as priors
     from rtcal.acoustics import quality as quality
+    from rtcal.acoustics import trust as trust
     from rtcal.acoustics.air import Air as Air
     from rtcal.acoustics.directivity import Directivity as Directivity
     from rtcal.acoustics.equations import ArauPuchades as ArauPuchades

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import unicodedata
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -15,8 +15,6 @@ from rtcal.support.arguments import checked
 from rtcal.support.types import Array
 
 AXES = ("x", "y", "z")
-LARGEST_LABORATORY_ALPHA = 2.0
-"""ISO 354 gives up to some 1.3 for thick absorbers of 10 m² (edge effect); small objects give more."""
 
 
 @dataclass(frozen=True)
@@ -149,54 +147,6 @@ def rows_of(name: str, rows: list[tuple[str, Sequence[float]]], n_bands: int) ->
                 f'{name}["{material}"] has {len(row)} values; the room has {n_bands} bands'
             )
     return array_of(name, [list(row) for _, row in rows])
-
-
-def check_surfaces(materials: Sequence[str], areas: Array, surfaces: Sequence[Surface]) -> None:
-    """Raise DataError unless the surfaces, if there are any, add up to the stated areas."""
-    drawn = dict.fromkeys(materials, 0.0)
-    for surface in surfaces:
-        if surface.material not in drawn:
-            raise DataError(
-                f'surface["{surface.name}"].material = "{surface.material}" is no material of '
-                f"the room; it has {', '.join(materials)}"
-            )
-        drawn[surface.material] += surface.area
-    for material, area in zip(materials, areas, strict=True):
-        if surfaces and not np.isclose(drawn[material], area, rtol=1e-9, atol=0):
-            raise DataError(
-                f'areas["{material}"] = {area:g} m², but its surfaces sum to '
-                f"{drawn[material]:g} m²; change both, or leave the surfaces out (surfaces=())"
-            )
-
-
-def check_correlation(
-    materials: Sequence[str], bands: float, correlation: Mapping[tuple[str, str], float]
-) -> None:
-    """Raise DataError unless the prior correlations of bands and materials are possible ones."""
-    checks.number("band_correlation", bands)
-    if not 0 <= bands < 1:
-        raise DataError(f"band_correlation = {bands:g} is not from 0 to below 1")
-    between: dict[tuple[int, int], float] = {}
-    for pair, value in correlation.items():
-        if not isinstance(pair, tuple) or len(pair) != 2:
-            raise DataError(f"material_correlation: {pair!r} is not a pair of materials")
-        first, second = pair
-        place = f'material_correlation["{first}", "{second}"]'
-        checks.number(place, value)
-        if unknown := [name for name in pair if name not in materials]:
-            raise DataError(
-                f'{place}: "{unknown[0]}" is no material of the room; it has {", ".join(materials)}'
-            )
-        i, j = materials.index(first), materials.index(second)
-        if i == j or not -1 < value < 1:
-            raise DataError(
-                f"{place} = {value:g} is not a value between -1 and 1 for two materials"
-            )
-        between[i, j] = between[j, i] = value
-    named = sorted({i for i, _ in between})
-    matrix = np.array([[between.get((i, j), float(i == j)) for j in named] for i in named])
-    if named and np.linalg.eigvalsh(matrix)[0] <= 0:
-        raise DataError("material_correlation is not positive definite: the values contradict")
 
 
 def stacked(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import InitVar, dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -11,20 +11,16 @@ from typing import Any, Literal
 
 import numpy as np
 
-from rtcal.acoustics import bands, room_files, stated_errors
+from rtcal.acoustics import bands, room_checks, room_files, stated_errors
 from rtcal.acoustics.air import Air
 from rtcal.acoustics.labelled import in_order
 from rtcal.acoustics.materials import (
     ARCHIVE,
     AXES,
-    LARGEST_LABORATORY_ALPHA,
     CalibrationRecord,
     Geometry,
     Material,
     Surface,
-    array_of,
-    check_correlation,
-    check_surfaces,
     number,
     short_name,
     stacked,
@@ -38,8 +34,6 @@ from rtcal.support.files import read_text, write_text
 from rtcal.support.text import shortened
 from rtcal.support.types import Array, read_only
 
-LARGEST = 1e9
-"""Of areas in m² and volumes in m³. Nothing that is built comes near it."""
 __all__ = ["AXES", "CalibrationRecord", "Material", "Room", "Surface", "text_name"]
 __dir__ = __all__.copy
 
@@ -178,8 +172,8 @@ class Room:
             raise DataError("surfaces has something that is no rtcal.Surface")
         put("centre_frequencies", read_only(bands.as_bands(self.centre_frequencies)))
         put("volume", number("volume", self.volume, " m³"))
-        if self.volume > LARGEST:
-            raise DataError(f"volume = {self.volume:g} m³ is above {LARGEST:g} m³")
+        if self.volume > room_checks.LARGEST:
+            raise DataError(f"volume = {self.volume:g} m³ is above {room_checks.LARGEST:g} m³")
         n, k = self.n_materials, self.n_bands
         if n == 0:
             raise DataError("materials is empty; a room has at least one material")
@@ -191,13 +185,17 @@ class Room:
         for name in ("areas", "alpha", "sigma", "scattering", "alpha_min"):
             stated = getattr(self, name)
             put(name, in_order(name, stated, self.materials, self.centre_frequencies))
-        put("areas", self._checked_areas(n))
+        put("areas", room_checks.checked_areas(self.materials, self.areas))
         if above_one == "clip":
-            self._clip(put)
+            alpha, cut = room_checks.cut_to_one(self.alpha, (n, k), self.place)
+            put("alpha", alpha)
+            put("clipped", (*self.clipped, *cut))
         for name in ("alpha", "sigma", "scattering", "alpha_min"):
             value = getattr(self, name)
             if value is not None:
-                put(name, self._checked(name, value, (n, k)))
+                put(name, room_checks.checked_coefficients(name, value, (n, k), self.place))
+        if self.alpha_min is not None:
+            room_checks.check_minimum(self.alpha, self.alpha_min, self.place)
         if self.dimensions is not None:
             stated = checks.listed("dimensions", self.dimensions)
             sides = tuple(number("dimensions", side, " m") for side in stated)
@@ -208,62 +206,14 @@ class Room:
             model = checks.shown(self.scattering_model)
             raise DataError(f'scattering_model = {model} is not "random" or "vector"')
         checks.instance("scene", self.scene, Scene)
-        check_surfaces(self.materials, self.areas, self.surfaces)
-        check_correlation(self.materials, self.band_correlation, self.material_correlation)
+        room_checks.check_surfaces(self.materials, self.areas, self.surfaces)
+        room_checks.check_correlation(
+            self.materials, self.band_correlation, self.material_correlation
+        )
         for name in ("volume_sigma", "common_area_sigma", "common_alpha_sigma"):
             put(name, stated_errors.relative(name, getattr(self, name)))
         put("area_sigma", stated_errors.by_material(self.area_sigma, self.materials, self.areas))
         put("climate_sigma", stated_errors.climate(self.climate_sigma, self.air))
-
-    def _clip(self, put: Callable[[str, object], None]) -> None:
-        """Cut coefficients above 1 to 1 and name them."""
-        alpha = array_of("alpha", self.alpha)
-        if alpha.shape == (self.n_materials, self.n_bands):
-            above = np.argwhere(alpha > 1)
-            if (alpha > LARGEST_LABORATORY_ALPHA).any():
-                i, k = np.argwhere(alpha > LARGEST_LABORATORY_ALPHA)[0].tolist()
-                raise DataError(
-                    f"{self.place('alpha', i, k)} = {alpha[i, k]:g} looks like percent; "
-                    f'above_one = "clip" takes values up to {LARGEST_LABORATORY_ALPHA:g}, as '
-                    "laboratories report them"
-                )
-            cut = [f"{self.place('alpha', i, k)} = {alpha[i, k]:g}" for i, k in above.tolist()]
-            put("clipped", (*self.clipped, *cut))
-            put("alpha", np.minimum(alpha, 1.0))
-
-    def _checked_areas(self, n: int) -> Array:
-        areas = array_of("areas", self.areas)
-        if areas.shape != (n,):
-            raise DataError(f"areas has shape {areas.shape}; with {n} materials it must be ({n},)")
-        for material, area in zip(self.materials, areas, strict=True):
-            if not 0 < area <= LARGEST:
-                raise DataError(
-                    f'areas["{material}"] = {area:g} m² is not an area above 0 and at most {LARGEST:g}'
-                )
-        return read_only(areas)
-
-    def _checked(self, name: str, value: object, shape: tuple[int, int]) -> Array:
-        array = array_of(name, value)
-        if array.shape != shape:
-            raise DataError(
-                f"{name} has shape {array.shape}; it must be (n_materials, n_bands) = {shape}"
-            )
-        bad = ~np.isfinite(array) | (array < 0) | (array > 1)
-        if bad.any():
-            i, k = (int(v) for v in np.argwhere(bad)[0])
-            rule = "in [0, 1]"
-            if name == "sigma" and not array[i, k] > 0:
-                rule = "a finite value of 0 or more"
-            elif 1.5 < array[i, k] <= 100:
-                rule += ": is it in percent?"
-            raise DataError(f"{self.place(name, i, k)} = {array[i, k]:g} is not {rule}")
-        if name == "alpha_min" and (low := array > self.alpha).any():
-            i, k = (int(v) for v in np.argwhere(low)[0])
-            raise DataError(
-                f"{self.place('alpha', i, k)} = {self.alpha[i, k]:g} is below its own "
-                f"alpha_min = {array[i, k]:g}"
-            )
-        return read_only(array)
 
     def __repr__(self) -> str:
         return f"<{self._description}>"

@@ -14,14 +14,9 @@ from rtcal.acoustics import room_errors
 from rtcal.acoustics.changes import Change
 from rtcal.acoustics.common_errors import of_absorption
 from rtcal.acoustics.equations import LinearEquation
-from rtcal.acoustics.quality import (
-    Plausibility,
-    TrustMark,
-    gap_jnd,
-    plausibility,
-    trust_marks,
-)
+from rtcal.acoustics.quality import Plausibility, gap_jnd, plausibility
 from rtcal.acoustics.room import CalibrationRecord, Room
+from rtcal.acoustics.trust import TrustMark, trust_marks
 from rtcal.calibration import record
 from rtcal.calibration.certificate import Certificate
 from rtcal.calibration.convex_program import RawSolution

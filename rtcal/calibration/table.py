@@ -9,15 +9,8 @@ import numpy as np
 
 from rtcal.acoustics import bands
 from rtcal.acoustics.parameters import parameter_label
-from rtcal.acoustics.quality import (
-    P_CONTRADICTION,
-    TrustMark,
-    agreement,
-    explained,
-    letters,
-    together_in_words,
-    weak_agreement,
-)
+from rtcal.acoustics.quality import P_CONTRADICTION, agreement, together_in_words, weak_agreement
+from rtcal.acoustics.trust import TrustMark, explained, letters
 from rtcal.support import html, text
 from rtcal.support.types import Array
 

@@ -172,8 +172,8 @@ def next_(
         --state loop.json --out next.toml
     """  # noqa: D301 (click's mark for lines that are not to be wrapped)
     from rtcal.acoustics import bands
-    from rtcal.acoustics.quality import explained
     from rtcal.acoustics.room import Room
+    from rtcal.acoustics.trust import explained
     from rtcal.loop import by_hand
     from rtcal.loop.beside import sentences
     from rtcal.loop.state import Loop

@@ -12,9 +12,10 @@ from rtcal.acoustics.bands import label
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.observables import TARGET, observable
 from rtcal.acoustics.parameters import parameter_label
-from rtcal.acoustics.quality import TrustMark, explained, gap_jnd
+from rtcal.acoustics.quality import gap_jnd
 from rtcal.acoustics.room import Room
 from rtcal.acoustics.room_errors import in_words
+from rtcal.acoustics.trust import TrustMark, explained
 from rtcal.calibration.result import CalibrationResult
 from rtcal.loop.beside import SHOWN, Gaps, left, sentences
 from rtcal.loop.matched import ParameterGap

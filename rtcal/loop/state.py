@@ -22,8 +22,9 @@ from rtcal.acoustics.equations import Eyring, LinearEquation
 from rtcal.acoustics.fingerprints import refuse_repeated_data
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.observables import TARGET
-from rtcal.acoustics.quality import TrustMark, bent_marks, gap_jnd
+from rtcal.acoustics.quality import gap_jnd
 from rtcal.acoustics.room import Room
+from rtcal.acoustics.trust import TrustMark, bent_marks
 from rtcal.calibration.measured import data_history, times_in_room
 from rtcal.calibration.presets import preset
 from rtcal.calibration.problem import CalibrationProblem

@@ -21,8 +21,8 @@ from numpy.typing import NDArray
 from rtcal.acoustics.air import Air
 from rtcal.acoustics.equations import Eyring, LinearEquation
 from rtcal.acoustics.measurement import Measurement
-from rtcal.acoustics.quality import mid_frequency_time, schroeder_frequency
 from rtcal.acoustics.room import Room
+from rtcal.acoustics.trust import mid_frequency_time, schroeder_frequency
 from rtcal.calibration.measured import MeasuredTimes, no_times, times_in_room
 from rtcal.calibration.nonlinear import Steps, Taken, gauss_newton
 from rtcal.calibration.presets import preset

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from rtcal.acoustics import bands
 from rtcal.acoustics.materials import CalibrationRecord
-from rtcal.acoustics.quality import TrustMark
 from rtcal.acoustics.room import Room
+from rtcal.acoustics.trust import TrustMark
 from rtcal.calibration.certificate import Certificate
 from rtcal.calibration.measured import MeasuredTimes, data_history
 from rtcal.calibration.result import CalibrationResult

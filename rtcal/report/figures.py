@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from rtcal.acoustics.observables import TARGET
-from rtcal.acoustics.quality import letters
+from rtcal.acoustics.trust import letters
 from rtcal.errors import DataError, MissingDependencyError
 from rtcal.support import checks
 from rtcal.support.arguments import checked

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from rtcal.acoustics import room_files
-from rtcal.acoustics.quality import letters
+from rtcal.acoustics.trust import letters
 from rtcal.calibration import record
 from rtcal.calibration.result import CalibrationResult
 from rtcal.errors import DataError

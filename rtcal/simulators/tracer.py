@@ -15,8 +15,8 @@ from rtcal.acoustics import decay
 from rtcal.acoustics.equations import Eyring
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.observables import OBSERVABLES, TARGET, DecaySlope
-from rtcal.acoustics.quality import OFF_VOLUME
 from rtcal.acoustics.room import Room
+from rtcal.acoustics.trust import OFF_VOLUME
 from rtcal.errors import DataError
 from rtcal.simulators.base import RoomSimulator, check_alpha
 from rtcal.simulators.geometry import Polyhedron

@@ -11,7 +11,8 @@ import numpy as np
 
 from rtcal.acoustics import bands
 from rtcal.acoustics.air import Air
-from rtcal.acoustics.room import LARGEST, Room
+from rtcal.acoustics.room import Room
+from rtcal.acoustics.room_checks import LARGEST
 from rtcal.errors import DataError
 from rtcal.finder.model import Decay, State
 from rtcal.support import checks

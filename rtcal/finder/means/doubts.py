@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 
 from rtcal.acoustics import bands
-from rtcal.acoustics.quality import mid_frequency_time, schroeder_frequency
+from rtcal.acoustics.trust import mid_frequency_time, schroeder_frequency
 from rtcal.finder.case import Case
 from rtcal.finder.effects import Effect, Parameters
 from rtcal.finder.means.evidence import evaluate

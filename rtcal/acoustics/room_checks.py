@@ -1,0 +1,130 @@
+"""The checks of what a room states: areas, coefficients, their surfaces and correlations."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+
+import numpy as np
+
+from rtcal.acoustics.materials import Surface, array_of
+from rtcal.errors import DataError
+from rtcal.support import checks
+from rtcal.support.types import Array, read_only
+
+LARGEST = 1e9
+"""Of areas in m² and volumes in m³. Nothing that is built comes near it."""
+LARGEST_LABORATORY_ALPHA = 2.0
+"""ISO 354 gives up to some 1.3 for thick absorbers of 10 m² (edge effect); small objects give more."""
+
+Place = Callable[[str, int, int], str]
+"""Returns the name of one value in messages, as `rtcal.Room.place` does."""
+
+
+def checked_areas(materials: Sequence[str], stated: object) -> Array:
+    """Return the areas in m², (n_materials,); DataError unless each is above 0."""
+    areas = array_of("areas", stated)
+    n = len(materials)
+    if areas.shape != (n,):
+        raise DataError(f"areas has shape {areas.shape}; with {n} materials it must be ({n},)")
+    for material, area in zip(materials, areas, strict=True):
+        if not 0 < area <= LARGEST:
+            raise DataError(
+                f'areas["{material}"] = {area:g} m² is not an area above 0 and at most {LARGEST:g}'
+            )
+    return read_only(areas)
+
+
+def checked_coefficients(name: str, stated: object, shape: tuple[int, int], place: Place) -> Array:
+    """Return values from 0 to 1, (n_materials, n_bands), or raise DataError naming one."""
+    array = array_of(name, stated)
+    if array.shape != shape:
+        raise DataError(
+            f"{name} has shape {array.shape}; it must be (n_materials, n_bands) = {shape}"
+        )
+    bad = ~np.isfinite(array) | (array < 0) | (array > 1)
+    if bad.any():
+        i, k = (int(v) for v in np.argwhere(bad)[0])
+        rule = "in [0, 1]"
+        if name == "sigma" and not array[i, k] > 0:
+            rule = "a finite value of 0 or more"
+        elif 1.5 < array[i, k] <= 100:
+            rule += ": is it in percent?"
+        raise DataError(f"{place(name, i, k)} = {array[i, k]:g} is not {rule}")
+    return read_only(array)
+
+
+def check_minimum(alpha: Array, alpha_min: Array, place: Place) -> None:
+    """Raise DataError if a coefficient is below its own minimum."""
+    if (low := alpha_min > alpha).any():
+        i, k = (int(v) for v in np.argwhere(low)[0])
+        raise DataError(
+            f"{place('alpha', i, k)} = {alpha[i, k]:g} is below its own "
+            f"alpha_min = {alpha_min[i, k]:g}"
+        )
+
+
+def cut_to_one(stated: object, shape: tuple[int, int], place: Place) -> tuple[object, list[str]]:
+    """Return laboratory coefficients, those above 1 cut to 1, and the name of each that was cut.
+
+    What has another shape stays as it is. Raises DataError above `LARGEST_LABORATORY_ALPHA`.
+    """
+    alpha = array_of("alpha", stated)
+    if alpha.shape != shape:
+        return stated, []
+    if (alpha > LARGEST_LABORATORY_ALPHA).any():
+        i, k = np.argwhere(alpha > LARGEST_LABORATORY_ALPHA)[0].tolist()
+        raise DataError(
+            f"{place('alpha', i, k)} = {alpha[i, k]:g} looks like percent; "
+            f'above_one = "clip" takes values up to {LARGEST_LABORATORY_ALPHA:g}, as '
+            "laboratories report them"
+        )
+    above = np.argwhere(alpha > 1).tolist()
+    return np.minimum(alpha, 1.0), [f"{place('alpha', i, k)} = {alpha[i, k]:g}" for i, k in above]
+
+
+def check_surfaces(materials: Sequence[str], areas: Array, surfaces: Sequence[Surface]) -> None:
+    """Raise DataError unless the surfaces, if there are any, add up to the stated areas."""
+    drawn = dict.fromkeys(materials, 0.0)
+    for surface in surfaces:
+        if surface.material not in drawn:
+            raise DataError(
+                f'surface["{surface.name}"].material = "{surface.material}" is no material of '
+                f"the room; it has {', '.join(materials)}"
+            )
+        drawn[surface.material] += surface.area
+    for material, area in zip(materials, areas, strict=True):
+        if surfaces and not np.isclose(drawn[material], area, rtol=1e-9, atol=0):
+            raise DataError(
+                f'areas["{material}"] = {area:g} m², but its surfaces sum to '
+                f"{drawn[material]:g} m²; change both, or leave the surfaces out (surfaces=())"
+            )
+
+
+def check_correlation(
+    materials: Sequence[str], bands: float, correlation: Mapping[tuple[str, str], float]
+) -> None:
+    """Raise DataError unless the prior correlations of bands and materials are possible ones."""
+    checks.number("band_correlation", bands)
+    if not 0 <= bands < 1:
+        raise DataError(f"band_correlation = {bands:g} is not from 0 to below 1")
+    between: dict[tuple[int, int], float] = {}
+    for pair, value in correlation.items():
+        if not isinstance(pair, tuple) or len(pair) != 2:
+            raise DataError(f"material_correlation: {pair!r} is not a pair of materials")
+        first, second = pair
+        place = f'material_correlation["{first}", "{second}"]'
+        checks.number(place, value)
+        if unknown := [name for name in pair if name not in materials]:
+            raise DataError(
+                f'{place}: "{unknown[0]}" is no material of the room; it has {", ".join(materials)}'
+            )
+        i, j = materials.index(first), materials.index(second)
+        if i == j or not -1 < value < 1:
+            raise DataError(
+                f"{place} = {value:g} is not a value between -1 and 1 for two materials"
+            )
+        between[i, j] = between[j, i] = value
+    named = sorted({i for i, _ in between})
+    matrix = np.array([[between.get((i, j), float(i == j)) for j in named] for i in named])
+    if named and np.linalg.eigvalsh(matrix)[0] <= 0:
+        raise DataError("material_correlation is not positive definite: the values contradict")

@@ -1,0 +1,278 @@
+"""The trust marks: reasons to doubt a result, in one band or of the whole room."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rtcal.acoustics.curvature import BentDecay
+from rtcal.acoustics.enclosure import surface_doubt
+from rtcal.acoustics.observables import TARGET
+from rtcal.acoustics.room import Room
+from rtcal.support.arguments import checked
+from rtcal.support.types import Array
+
+__all__ = [
+    "TrustMark",
+    "bent_marks",
+    "explained",
+    "mid_frequency_time",
+    "schroeder_frequency",
+    "trust_marks",
+]
+__dir__ = __all__.copy
+
+
+@dataclass(frozen=True)
+class TrustMark:
+    """A reason to doubt one band, with its ``frequency`` in Hz, or the whole room, with None.
+
+    ``kind`` names it, ``letter`` stands for it in tables, ``text`` states the fact and ``advice``
+    says what to do.
+    """
+
+    kind: str
+    letter: str
+    frequency: float | None
+    text: str
+    advice: str
+
+    @property
+    def title(self) -> str:
+        """Name of the kind in words."""
+        return self.kind.replace("_", " ").replace("schroeder", "Schroeder")
+
+
+_ADVICE: dict[str, tuple[str, str]] = {
+    "unreachable": (
+        "n",
+        "its coefficients are the ends of their bounds, which says nothing of the materials: check T, "
+        "volume and areas, give the materials wider bounds, or look for an effect that the model lacks",
+    ),
+    "missing": (
+        "m",
+        "alpha stays as stated there, unless other bands, terms or observations move it: measure the "
+        "band, or draw no conclusion from it",
+    ),
+    "below_schroeder": (
+        "s",
+        "a few room modes determine the decay, which no reverberation equation describes: do not use "
+        "these coefficients at other positions or in other rooms",
+    ),
+    "air": (
+        "a",
+        "an error of T, or of the stated climate, counts several times in alpha: measure "
+        "temperature and humidity with T",
+    ),
+    "uncertain": (
+        "u",
+        "the gap says nothing of the model: measure at more positions, or calibrate with method soft",
+    ),
+    "at_bound": (
+        "b",
+        "its sigma or another's is too small, or an effect is missing: state a lower limit (alpha_min) "
+        "for hard materials and look for the effect",
+    ),
+    "at_upper_bound": (
+        "b",
+        "the other materials supply what T asks for beyond it: its sigma, another's or its area is too "
+        "small, or an effect is missing",
+    ),
+    "all_at_upper_bound": (
+        "b",
+        "T asks for more absorption than these materials can have: look for absorption that the "
+        "model lacks, for a surface that is missing or too small, or a sigma that is too small",
+    ),
+    "implausible": (
+        "z",
+        "the measurement contradicts what was stated of the materials: check areas and volume, "
+        "then look for an effect that the model lacks, before using these coefficients",
+    ),
+    "bent": (
+        "c",
+        "one T does not describe the decay, and these coefficients follow T20: look for coupled "
+        "spaces or absorption on one side, and do not use them at other positions or in other rooms",
+    ),
+    "no_air": (
+        "",
+        "the surfaces are made to absorb what the air does, most of all above 1 kHz: state "
+        "temperature and humidity",
+    ),
+    "no_uncertainty": (
+        "",
+        "z and Q may be too large: state T per source and receiver, or its uncertainty",
+    ),
+    "surface_missing": ("", "a surface is missing, or the volume is wrong: check both"),
+    "surface_beyond_sense": ("", "are the areas in m² and the volume in m³?"),
+    "clipped": (
+        "",
+        "a laboratory value above 1 counts the specimen's edges too, so the true one is not known: "
+        "state a larger sigma for these materials",
+    ),
+    "dimensions": (
+        "",
+        "one of them is wrong: the absorption that T asks for is proportional to the volume",
+    ),
+    "wide_sigma": (
+        "",
+        "any T agrees with so large a sigma: is it relative to alpha, or in percent?",
+    ),
+}
+
+_AIR_SHARE = 0.5
+_LARGE_Z = 2.0
+"""z of a band that contradicts what was stated of the materials."""
+_ODD_UNCERTAINTY = 0.3
+"""Of T, relative. Single decays of 0.3 s at 63 Hz, the least certain, scatter by 0.24."""
+OFF_VOLUME = 0.1
+"""Relative difference of the volume from that of the stated dimensions: plans are no more precise."""
+_WIDE_SIGMA = 0.5
+"""The standard deviation of a coefficient of which nothing is known, uniform from 0 to 1, is 0.29."""
+
+
+@checked
+def schroeder_frequency(t: Array, volume: float) -> Array:
+    """Return 2000 sqrt(T / V) in Hz, T in s and V in m³ (Schroeder & Kuttruff 1962).
+
+    Examples
+    --------
+    >>> print(schroeder_frequency(np.array([2.0]), 200.0))
+    [200.]
+    """
+    return np.asarray(2000 * np.sqrt(np.asarray(t, dtype=float) / volume))
+
+
+@checked
+def mid_frequency_time(t: Array, centre_frequencies: Array) -> float:
+    """Return the mean of T over the octaves 500 and 1000 Hz, or their thirds; else over all bands.
+
+    T in s, (n_bands,), NaN where missing; NaN if every band is.
+
+    Examples
+    --------
+    >>> mid_frequency_time(np.array([1.4, 2.0, 1.8]), np.array([125, 500, 1000]))
+    1.9
+    """
+    t, f = np.asarray(t, dtype=float), np.asarray(centre_frequencies, dtype=float)
+    has_t = np.isfinite(t)
+    middle = has_t & (f > 500 / np.sqrt(2)) & (f < 1000 * np.sqrt(2))
+    used = middle if middle.any() else has_t
+    return float(np.mean(t[used])) if used.any() else float("nan")
+
+
+@checked
+def bent_marks(bent: Sequence[BentDecay]) -> tuple[TrustMark, ...]:
+    """Return the trust marks of bands whose decay is bent."""
+    letter, advice = _ADVICE["bent"]
+    return tuple(TrustMark("bent", letter, band.frequency, band.text, advice) for band in bent)
+
+
+@checked
+def trust_marks(
+    room: Room,
+    measured: Array,
+    uncertainty: Array,
+    air_share: Array,
+    active: NDArray[Any],
+    z: Array,
+    unreachable: Sequence[float] = (),
+    bent: Sequence[BentDecay] = (),
+) -> tuple[TrustMark, ...]:
+    """Return every reason to doubt single bands or the room.
+
+    Parameters
+    ----------
+    room : Room
+    measured, uncertainty : array (n_bands,)
+        T and its standard uncertainty in s; NaN where missing or unknown.
+    air_share : array (n_bands,)
+        The air's share of the whole absorption.
+    active : array (n_materials, n_bands)
+        Where a coefficient stands at a bound: -1 for the lower, 1 for the upper one, else 0.
+    z : array (n_bands,)
+        See `Plausibility`.
+    unreachable : sequence of float
+        Centre frequencies in Hz of bands that were moved to the nearest end.
+    bent : sequence of BentDecay
+        Bands whose measured decay is not straight.
+    """
+    marks: list[TrustMark] = []
+
+    def mark(kind: str, frequency: float | None, text: str, advised: str = "") -> None:
+        letter, advice = _ADVICE[advised or kind]
+        marks.append(TrustMark(kind, letter, frequency, text, advice))
+
+    if room.air is None:
+        mark("no_air", None, "no air is stated")
+    if (doubt := surface_doubt(room)) is not None:
+        mark(doubt[0], None, doubt[1])
+    if room.dimensions is not None:
+        box = float(np.prod(room.dimensions))
+        if abs(room.volume / box - 1) > OFF_VOLUME:
+            sides = " x ".join(f"{side:g}" for side in room.dimensions)
+            text = f"volume = {room.volume:g} m³, but the dimensions {sides} m hold {box:g} m³"
+            mark("dimensions", None, text)
+    wide = np.argwhere(room.sigma > _WIDE_SIGMA)
+    if len(wide):
+        i, k = wide[0].tolist()
+        text = f"{room.place('sigma', i, k)} = {room.sigma[i, k]:g} is above {_WIDE_SIGMA:g}"
+        others = f", and {len(wide) - 1} more" if len(wide) > 1 else ""
+        mark("wide_sigma", None, text + others)
+    if room.clipped:
+        mark("clipped", None, f"cut to 1: {'; '.join(room.clipped)}")
+    has_t = np.isfinite(measured)
+    if has_t.any() and not np.isfinite(uncertainty[has_t]).any():
+        mark("no_uncertainty", None, "the uncertainty of T is not known")
+    middle = mid_frequency_time(measured, room.centre_frequencies)
+    limit = float(schroeder_frequency(np.array(middle), room.volume))
+    for k, frequency in enumerate(room.centre_frequencies):
+        f = float(frequency)
+        if np.isnan(measured[k]):
+            mark("missing", f, "not calibrated, no T was measured")
+        elif f < limit:
+            mark("below_schroeder", f, f"below the Schroeder frequency, {limit:.0f} Hz")
+        if f in unreachable:
+            mark("unreachable", f, "no coefficients within the bounds give this T")
+        marks += bent_marks([band for band in bent if band.frequency == f])
+        if air_share[k] > _AIR_SHARE:
+            mark("air", f, "the air absorbs more than the surfaces")
+        if uncertainty[k] > _ODD_UNCERTAINTY * measured[k]:
+            over = f"{100 * _ODD_UNCERTAINTY:.0f} %"
+            mark("uncertain", f, f"T is uncertain by over {over}: is it stated in percent, not s?")
+        elif uncertainty[k] > TARGET.jnd_of(measured[k]) and not abs(z[k]) > _LARGE_Z:
+            mark("uncertain", f, "T is uncertain by more than one JND")
+        # A single coefficient at 1 says nothing of the others, which may still give the T.
+        spent = bool((active[:, k] > 0)[room.sigma[:, k] > 0].all())
+        upper = "all_at_upper_bound" if spent else "at_upper_bound"
+        for i in np.flatnonzero(active[:, k]).tolist():
+            side, advised = ("lower", "") if active[i, k] < 0 else ("upper", upper)
+            mark("at_bound", f, f"{room.materials[i]} stands at its {side} bound", advised)
+        if abs(z[k]) > _LARGE_Z:
+            side = "more" if z[k] > 0 else "less"
+            mark("implausible", f, f"T asks for {side} absorption than was stated, |z| over 2")
+    return tuple(marks)
+
+
+@checked
+def letters(marks: Sequence[TrustMark], frequency: float) -> str:
+    """Return the letters of a band's marks, without repeats; empty if it has none."""
+    return "".join(dict.fromkeys(m.letter for m in marks if m.frequency == frequency))
+
+
+@checked
+def explained(marks: Sequence[TrustMark]) -> list[str]:
+    """Return the marks as lines of text, grouped by advice: the facts, then the advice."""
+    lines = []
+    for advice in dict.fromkeys(mark.advice for mark in marks):
+        alike = [mark for mark in marks if mark.advice == advice]
+        letter = f"[{alike[0].letter}] " if alike[0].letter else ""
+        texts = []
+        for text in dict.fromkeys(mark.text for mark in alike):
+            where = [f"{m.frequency:g}" for m in alike if m.text == text and m.frequency]
+            texts.append(f"{', '.join(where)} Hz: {text}" if where else text)
+        lines += [f"{letter}{'; '.join(texts)}", f"    -> {advice}"]
+    return lines
