@@ -1,4 +1,4 @@
-"""Tables as measuring systems and offices have them: workbooks, REW's and Dirac's text."""
+"""Tables as measuring systems and offices have them: workbooks, REW's, the XL2's and Dirac's text."""
 
 from __future__ import annotations
 
@@ -180,6 +180,46 @@ def test_rew_with_octaves_and_thirds_must_be_told_which() -> None:
         tables.parse(thirds)
     m = tables.parse(thirds, where={"BW (octaves)": "1/3"}).measurement
     assert m.centre_frequencies.tolist() == [250]
+
+
+XL2 = """XL2 RT60 Reporting:\tMyProject\\2026_RT60_004_Report.txt
+# RT60 Average Results
+
+\tBand    \tRT60(T20)\tMeasUnct
+\t[Hz]    \t[s]      \t[%]
+\t63      \t-.--     \t-.--
+\t125     \t1.50     \t6.00
+\t250     \t1.40     \t-.--
+
+# RT60 Cycle Results
+
+\tBand [Hz]:\t63\t\t125\t\t250
+\t          \tT20\tCorreltn\tT20\tCorreltn\tT20\tCorreltn
+\tCYCLE     \t[s]\t[%]\t[s]\t[%]\t[s]\t[%]
+\t01        \t-.--\t-.--\t1.45\t99.5\t1.40\t99.9
+\t02        \t-.--\t-.--\t1.55\t99.5\t-.--\t-.--
+#CheckSum
+"""
+
+
+def test_an_xl2_report_has_its_averages_and_their_uncertainty() -> None:
+    read = tables.parse(XL2.encode())
+    m = read.measurement
+    assert m.pairs == (("S1", "2026_RT60_004_Report"),)
+    assert m.centre_frequencies.tolist() == [125, 250]
+    assert m.values["t20"].tolist() == [[1.5, 1.4]]
+    assert m.uncertainty["t20"][0, 0] == pytest.approx(0.09, rel=1e-12)
+    assert not any("not the mean" in line for line in read.columns)
+
+
+def test_an_xl2_report_whose_averages_contradict_its_decays_is_told() -> None:
+    changed = XL2.replace("125     \t1.50", "125     \t1.20").replace("63      \t-.--", "63\t0.20")
+    said = "\n".join(tables.parse(changed.encode()).columns)
+    assert "63 Hz (no decay), 125 Hz (1.20 s, of decays with a mean of 1.50 s)" in said
+    with pytest.raises(DataError, match="Band, RT60\\(T20\\) and MeasUnct are missing"):
+        tables.parse(XL2.replace("MeasUnct", "x").encode())
+    with pytest.raises(DataError, match="no row of a band"):
+        tables.parse(XL2[: XL2.index("\t63  ")].encode())
 
 
 def formula(made: Any) -> None:

@@ -16,9 +16,12 @@ def as_options(text: str, arguments: Sequence[str]) -> str:
     --------
     >>> as_options('state decay_time="t20" or n_sources', ["decay_time", "n_sources"])
     'state --decay-time t20 or --sources'
+    >>> as_options('read where={"room": "CR2"}', [])
+    'read --where "room=CR2"'
     >>> as_options("state repeats=True", ["repeats"])
     'state --repeats'
     """
+    text = re.sub(r'\bwhere=\{"([^"]+)": "([^"]+)"\}', r'--where "\1=\2"', text)
     for argument in arguments:
         option = "--" + argument.removeprefix("n_").replace("_", "-")
         text = text.replace(f"{argument}=True", option)

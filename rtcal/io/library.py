@@ -23,7 +23,8 @@ from rtcal.errors import DataError
 from rtcal.io import workbook
 from rtcal.io.material_list import ListedMaterial, MaterialList
 from rtcal.io.table_columns import LEAST_BAND, frequency_of, nearest_band
-from rtcal.io.table_layout import Row, Sheet, sheet_of_text
+from rtcal.io.table_layout import Row, Sheet
+from rtcal.io.table_text import sheet_of_text
 from rtcal.io.text import MAX_TEXT, Text, decode, number, shown
 from rtcal.support.arguments import checked
 from rtcal.support.files import read_bytes

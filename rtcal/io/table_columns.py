@@ -12,9 +12,17 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from rtcal.acoustics import bands
-from rtcal.acoustics.observables import OBSERVABLES, REVERBERATION, observable
+from rtcal.acoustics.observables import REVERBERATION, observable
 from rtcal.acoustics.parameters import parameter_label
 from rtcal.errors import DataError
+from rtcal.io.table_words import (
+    COLUMNS,
+    MEASURED,
+    OPEN_DECAY_TIMES,
+    PARAMETERS,
+    UNUSED_PARAMETERS,
+    plain,
+)
 from rtcal.io.text import shown
 from rtcal.support.types import Array
 
@@ -29,98 +37,15 @@ BAND_TOLERANCE = 0.03
 thirds are 26 % apart. BRAS's published tables write 155 Hz for the third of 158.5 Hz, which is
 called 160 Hz."""
 
-_PARAMETER_SPELLINGS = {
-    spelling: key for key, o in OBSERVABLES.items() for spelling in (key, *o.spellings)
-}
 DECAY_TIMES_OF_RT60 = tuple(o.key for o in REVERBERATION)
 """What a column RT60 may hold (ISO 3382-2). An early decay time is never called so."""
 
-_AMBIGUOUS = {"rt", "rt60", "t60", "t", "reverberationtime", "nachhallzeit", "tr"}
-_COLUMN_SPELLINGS = {
-    "source": "source",
-    "src": "source",
-    "quelle": "source",
-    "sourceposition": "source",
-    "receiver": "receiver",
-    "rec": "receiver",
-    "mic": "receiver",
-    "microphone": "receiver",
-    "position": "receiver",
-    "pos": "receiver",
-    "empfänger": "receiver",
-    "mikrofon": "receiver",
-    "receiverposition": "receiver",
-    "measurement": "receiver",
-    "messposition": "receiver",
-    "empfaenger": "receiver",
-    "parameter": "parameter",
-    "quantity": "parameter",
-    "metric": "parameter",
-    "band": "band",
-    "frequency": "band",
-    "freq": "band",
-    "f": "band",
-    "frequenz": "band",
-    "octaveband": "band",
-    "octave": "band",
-    "oktave": "band",
-    "terz": "band",
-    "oktavband": "band",
-    "terzband": "band",
-    "thirdoctaveband": "band",
-    "bandhz": "band",
-    "frequencyhz": "band",
-    "octavebandcentrefrequency": "band",
-    "mittenfrequenz": "band",
-    "centrefrequency": "band",
-    "centerfrequency": "band",
-    "value": "value",
-    "wert": "value",
-    "mean": "value",
-    "mittelwert": "value",
-    "stat": "statistic",
-    "statistic": "statistic",
-    "statistik": "statistic",
-    "uncertainty": "uncertainty",
-    "unsicherheit": "uncertainty",
-    "commonuncertainty": "common_uncertainty",
-    "standarddeviation": "standard_deviation",
-    "stdev": "standard_deviation",
-    "std": "standard_deviation",
-    "sd": "standard_deviation",
-    "standardabweichung": "standard_deviation",
-    "sources": "sources",
-    "receivers": "receivers",
-    "unit": "unit",
-    "einheit": "unit",
-}
 _SCALES: dict[str, dict[str, float]] = {
     "s": {"s": 1, "sec": 1, "ms": 1e-3},
     "dB": {"db": 1},
     "": {"%": 0.01, "percent": 0.01, "-": 1, "1": 1},
 }
 UNIT_WORDS = {"hz", "khz", "s", "sec", "ms", "db", "%", "percent", "-", "1"}
-
-STATISTICS = {
-    **dict.fromkeys(("mean", "average", "avg", "avg.", "mittel", "mittelwert", "mw"), "value"),
-    **dict.fromkeys(
-        (
-            "sd",
-            "std",
-            "std.",
-            "stdev",
-            "std. dev.",
-            "stdabw",
-            "standard deviation",
-            "standardabweichung",
-        ),
-        "standard_deviation",
-    ),
-    **dict.fromkeys(
-        ("min", "max", "median", "minimum", "maximum", "number of measurements", "n", "count"), ""
-    ),
-}
-"""Names of statistics over positions: of means, of standard deviations, and of what is not read."""
 
 _POSITION = re.compile(
     r"(L?S\d+)[\s_-]*((?:MP|M|R)\d+(?:\s*#\d+)?)", re.I | re.ASCII
@@ -131,9 +56,9 @@ _RECEIVER = re.compile(
     re.I | re.ASCII,
 )
 _BRACKETS = re.compile(r"([^\[\](]*(?:\(\d+\))?)\s*[\[(]\s*([^\])]*?)\s*[\])]")
-_SUFFIX = re.compile(r"(.*?\S)(?:\s*/\s*|\s+in\s+|\s+)(%|percent|k?hz|m?s|sec|db)", re.I)
+_SUFFIX = re.compile(r"(.*?\S)(?:\s*/\s*|\s+in\s+|\s+|_)(%|percent|k?hz|m?s|sec|db)", re.I)
 _BOTH = re.compile(r"(\S.*?)[\s_@:,]+(?:at\s+)?(\d[\d.,]*\s*k?(?:hz)?)", re.I)
-_FREQUENCY = re.compile(r"(\d{1,6}(?:[.,]\d{1,3})?)\s*(k?)(?:Hz)?", re.I | re.ASCII)
+_FREQUENCY = re.compile(r"(\d{1,6}(?:[.,]\d{1,6})?)\s*(k?)(?:Hz)?", re.I | re.ASCII)
 
 
 @dataclass(frozen=True)
@@ -245,9 +170,9 @@ def position_in(text: str) -> tuple[str, str] | None:
 
 def parameter_of(text: str, place: str, decay_time: str | None) -> str | None:
     """Return the parameter of a spelling, None for an unknown one; DataError for "RT60"."""
-    if _key(text) in _PARAMETER_SPELLINGS:
-        return _PARAMETER_SPELLINGS[_key(text)]
-    if leaves_decay_time_open(text):
+    if (word := _parameter_word(text)) in PARAMETERS:
+        return PARAMETERS[word]
+    if word in OPEN_DECAY_TIMES:
         if decay_time is None:
             raise DataError(
                 f'{place}: "{shown(text)}" does not say which decay time it is; state '
@@ -259,11 +184,23 @@ def parameter_of(text: str, place: str, decay_time: str | None) -> str | None:
 
 def leaves_decay_time_open(text: str) -> bool:
     """Return whether a spelling, such as "RT60", does not say which decay time it is."""
-    return _key(text) in _AMBIGUOUS
+    return _parameter_word(text) in OPEN_DECAY_TIMES
 
 
-def _key(text: str) -> str:
-    return re.sub(r"[\s_]+", "", text.lower())
+def is_unused(text: str) -> bool:
+    """Return whether a spelling is a parameter that rtcal has no use for, such as IACC.
+
+    Examples
+    --------
+    >>> is_unused("IACC"), is_unused("T10 [s]"), is_unused("T20")
+    (True, True, False)
+    """
+    return plain(name_and_unit(text)[0]) in UNUSED_PARAMETERS
+
+
+def _parameter_word(text: str) -> str:
+    word = plain(text)
+    return MEASURED.sub("", word, count=1) if MEASURED.match(word) else word
 
 
 def frequency_of(text: str) -> float | None:
@@ -310,7 +247,9 @@ def column_of(header: str, place: str, decay_time: str | None) -> Column | None:
     """
     if len(header) > MAX_HEADER:
         return None
-    name, unit = _name_and_unit(header)
+    name, unit = name_and_unit(header)
+    if unit.lower() not in UNIT_WORDS and plain(header) in PARAMETERS:  # as in "RT60 (T20)"
+        name, unit = header, ""
     frequency = frequency_of(name if unit.lower() in ("", "hz", "khz") else header)
     if frequency is not None:
         frequency *= 1000 if unit.lower() == "khz" else 1
@@ -320,12 +259,14 @@ def column_of(header: str, place: str, decay_time: str | None) -> Column | None:
                 "columns missing?"
             )
         return Column("data", header, band=nominal_band(frequency, place))
-    if _key(name) in _COLUMN_SPELLINGS:
-        kind = _COLUMN_SPELLINGS[_key(name)]
+    if plain(name) in COLUMNS:
+        kind = COLUMNS[plain(name)]
         units = {"band": ("", "hz", "khz"), "value": UNIT_WORDS | {""}}
         if unit.lower() not in units.get(kind, ("",)):
             raise DataError(f'{place}: column "{shown(header)}": the unit is not known')
         return Column(kind, header, unit=unit)
+    if is_unused(header):
+        return Column("", header)
     if position := position_of(header):
         return Column("data", header, source=position[0], receiver=position[1])
     parameter = parameter_of(name, place, decay_time)
@@ -344,8 +285,8 @@ def column_of(header: str, place: str, decay_time: str | None) -> Column | None:
     return None
 
 
-def _name_and_unit(header: str) -> tuple[str, str]:
-    """Return the parts of "T20 [s]", "T20 (s)", "T20 / s", "T20 in s" or "T20 s"."""
+def name_and_unit(header: str) -> tuple[str, str]:
+    """Return the parts of "T20 [s]", "T20 (s)", "T20 / s", "T20 in s", "T20 s" or "T20_s"."""
     match = _BRACKETS.fullmatch(header) or _SUFFIX.fullmatch(header)
     return (match[1].strip(), match[2]) if match else (header, "")
 

@@ -1,8 +1,7 @@
-"""The layout of a table: separator, lines before the header, headers of two lines, units."""
+"""The layout of a table: lines before the header, headers of two lines, units, what columns hold."""
 
 from __future__ import annotations
 
-import csv
 import re
 from collections.abc import Collection
 from dataclasses import dataclass, replace
@@ -10,7 +9,6 @@ from itertools import pairwise
 
 from rtcal.errors import DataError
 from rtcal.io.table_columns import (
-    STATISTICS,
     UNIT_WORDS,
     Column,
     column_of,
@@ -18,14 +16,18 @@ from rtcal.io.table_columns import (
     parameter_of,
     position_of,
 )
-from rtcal.io.text import Text, lines, shown
+from rtcal.io.table_words import STATISTICS
+from rtcal.io.text import shown
 
 MAX_COLUMNS = 200
 MAX_LINES_BEFORE_HEADER = 40
-SEPARATORS = (";", "\t", ",")
 
 _KNOWN_START = re.compile(r"[A-Za-z]")
 _BARE_NUMBER = re.compile(r"[\d.,]+")
+_INDEX = re.compile(r"Unnamed: \d+")
+"""The header of a column of row numbers that pandas has written and read again."""
+_MOST_NAMED = 6
+"""Largest number of unknown columns that a message names."""
 
 Row = tuple[int, list[str]]
 """The number of a line, and its cells."""
@@ -87,36 +89,6 @@ class Sheet:
     notes: tuple[str, ...] = ()
 
 
-def sheet_of_text(
-    text: Text, path: str, *, decay_time: str | None, extra_columns: Collection[str] = ()
-) -> Sheet:
-    """Return the cells of a table's text; the separator is the one with which a header is complete.
-
-    Raises DataError for a text that is no table of cells. The arguments are those of `layout_of`.
-    """
-    stated, characters = _stated_separator(text.characters)
-    first = next((raw for _, _, raw in lines(characters) if _has_cells(raw)), "")
-    candidates = [stated] if stated else [s for s in SEPARATORS if s in characters] or [","]
-    headers = _Headers(path, decay_time, extra_columns)
-    tables: dict[str, list[Row]] = {}
-    for separator in candidates:
-        try:
-            tables[separator] = _rows(characters, separator, path)
-        except DataError:
-            if len(candidates) == 1:
-                raise
-    chosen = next((s for s, rows in tables.items() if headers.complete(rows) is not None), None)
-    if chosen is None:
-        # The separator that names most columns, so that the message is of the header, not of a title.
-        named = {s: headers.names(rows[headers.header(rows)][1])[0] for s, rows in tables.items()}
-        best = max(named.values(), default=0)
-        likely = [s for s in candidates if named.get(s, 0) == best]
-        chosen = next((s for s in likely if s in first), likely[0])
-    rows = tables[chosen] if chosen in tables else _rows(characters, chosen, path)
-    note = f"text in {text.encoding}, columns separated by {chosen!r}"
-    return Sheet(path, tuple(rows), note)
-
-
 def layout_of(
     sheet: Sheet, *, decay_time: str | None, extra_columns: Collection[str] = ()
 ) -> list[TableLayout]:
@@ -135,7 +107,7 @@ def layout_of(
     DataError
         If no line is a header, or a row has another number of cells than the header.
     """
-    headers = _Headers(sheet.place, decay_time, extra_columns)
+    headers = Headers(sheet.place, decay_time, extra_columns)
     rows = list(sheet.rows)
     starts = headers.corners(rows)
     blocks = [rows[a:b] for a, b in pairwise([0, *starts[1:], len(rows)])]
@@ -145,48 +117,11 @@ def layout_of(
 
 def has_header(sheet: Sheet, decay_time: str | None) -> bool:
     """Return whether a row names a column by more than a number."""
-    headers = _Headers(sheet.place, decay_time, ())
+    headers = Headers(sheet.place, decay_time, ())
     return any(headers.names(cells)[0] > 1 for _, cells in sheet.rows[:MAX_LINES_BEFORE_HEADER])
 
 
-def _stated_separator(characters: str) -> tuple[str | None, str]:
-    """Return the separator that Excel's first line "sep=;" states; the line is left empty."""
-    head, _, tail = characters.partition("\n")
-    line = head.strip().strip('"').lower()
-    if line.startswith("sep=") and len(line) == 5:
-        return line[-1], "\n" + tail
-    if line == "sep=":  # a tab is stripped with the blanks
-        return "\t", "\n" + tail
-    return None, characters
-
-
-def _has_cells(raw: str) -> bool:
-    return bool(raw.strip(" \t;,")) and not raw.lstrip().startswith("#")
-
-
-def _rows(characters: str, separator: str, path: str) -> list[Row]:
-    """Return the rows with the number of their first line; comments and empty rows are left out."""
-    raw_lines = [raw if _has_cells(raw) else "" for _, _, raw in lines(characters)]
-    reader = csv.reader((f"{raw}\n" for raw in raw_lines), delimiter=separator, strict=True)
-    rows: list[Row] = []
-    line = 0
-    while True:
-        line = reader.line_num + 1
-        try:
-            cells = next(reader)
-        except StopIteration:
-            break
-        except csv.Error as error:
-            raise DataError(f"{path}, line {line}: not a row of cells: {error}") from error
-        cells = [" ".join(part.strip() for part in c.strip().split("\n")) for c in cells]
-        if any(cells):
-            rows.append((line, cells))
-    if len(rows) < 2:
-        raise DataError(f"{path}, line 1: a header and at least one row are needed")
-    return rows
-
-
-class _Headers:
+class Headers:
     """Finds the header of a table and reads its columns."""
 
     def __init__(self, path: str, decay_time: str | None, extra_columns: Collection[str]) -> None:
@@ -194,6 +129,7 @@ class _Headers:
         self.extra_columns = extra_columns
 
     def column(self, header: str, place: str) -> Column | None:
+        """Return the column of a header, None for an unknown one."""
         if header in self.extra_columns:
             return Column("", header)
         return column_of(header, place, self.decay_time)
@@ -234,7 +170,13 @@ class _Headers:
             for i, (_, cells) in enumerate(rows[:MAX_LINES_BEFORE_HEADER])
             if sum(map(bool, cells)) > 1
         ]
-        named = [i for i in several if len(rows[i][1]) <= MAX_COLUMNS and self.names(rows[i][1])[0]]
+        named = [
+            i
+            for i in several
+            if len(rows[i][1]) <= MAX_COLUMNS
+            and not frequency_of(rows[i][1][0])  # a band that begins a row of values
+            and self.names(rows[i][1])[0]
+        ]
         return (named or several or [0])[0]
 
     def corners(self, rows: list[Row]) -> list[int]:
@@ -246,6 +188,7 @@ class _Headers:
         ]
 
     def is_corner(self, cells: list[str]) -> bool:
+        """Return whether a row is a header whose first cell names the parameter."""
         if len(cells) > MAX_COLUMNS:
             return False
         while cells and not cells[-1]:
@@ -257,6 +200,7 @@ class _Headers:
         return len(columns) > 1 and all(columns) and _has_corner([c for c in columns if c])
 
     def layout(self, rows: list[Row], notes: list[str]) -> TableLayout:
+        """Return a table, with its header and what stands before it."""
         at = self.header(rows)
         if at:
             notes.append(f"the header is line {rows[at][0]}; what stands before it is left out")
@@ -276,15 +220,21 @@ class _Headers:
             if unit_line:
                 notes.append(f"line {unit_line} has the units")
             columns = self.columns(header, body, line)
+        if columns[0] == _ROW_NUMBERS:
+            notes.append("the first column has the rows' numbers, and is left out")
         rows_of_width = [(at, self.of_width(cells, len(columns), at)) for at, cells in body]
         titles = [next(filter(None, c)) for _, c in rows[:at] if sum(map(bool, c)) == 1]
         return TableLayout(tuple(columns), line, tuple(rows_of_width), tuple(notes), tuple(titles))
 
     def of_width(self, cells: list[str], width: int, line: int) -> list[str]:
+        """Return a row's cells; DataError unless there are as many as columns."""
         while len(cells) > width and not cells[-1]:
             cells = cells[:-1]
         if len(cells) != width:
-            raise DataError(f"{self.path}, line {line}: {len(cells)} cells; the header has {width}")
+            raise DataError(
+                f"{self.path}, line {line}: {len(cells)} cells; the header has {width}; "
+                "what stands below a table is to be deleted"
+            )
         return cells
 
     def merged(self, top: list[str], body: list[Row], line: int) -> list[Column] | None:
@@ -338,8 +288,10 @@ class _Headers:
         return with_unit, body[1:], line
 
     def columns(self, header: list[str], body: list[Row], line: int) -> list[Column]:
+        """Return what each column holds; DataError names those that hold nothing known."""
         place = f"{self.path}, line {line}"
-        columns = []
+        header = ["" if _INDEX.fullmatch(name) else name for name in header]
+        columns, unknown = [], []
         of_positions = any(map(position_of, header))
         for i, name in enumerate(header):
             if of_positions and i and name.lower() in STATISTICS:
@@ -348,25 +300,47 @@ class _Headers:
             cells = [row[i] for _, row in body if len(row) > i and row[i]]
             column = self.column(name, place) if name else Column("") if not cells else None
             if column is None and i == 0 and not name:
-                columns.append(Column("first"))
-                continue
-            if column is None:
+                column = Column("first")
+            if column is None and not name:
                 raise DataError(
-                    f'{place}: column "{shown(name)}" is no parameter, band, source or receiver; '
-                    f'leave it out with ignore="{shown(name)}", or delete it'
+                    f"{place}: column {i + 1} has values and no name; name it, or delete it"
                 )
-            columns.append(column)
+            if column is None:
+                unknown.append(name)
+            columns.append(column or Column("", name))
+        if not any(c.kind for c in columns) and all(map(_BARE_NUMBER.fullmatch, unknown)):
+            raise DataError(
+                f"{place}: no line names columns by a parameter, a band or a position; put one above "
+                'the values, such as "Frequency [Hz];T20 [s]"'
+            )
+        if unknown:
+            raise DataError(f"{place}: {_unknown(unknown)}")
         if columns and columns[0].kind == "first":
             columns[0] = self.unnamed(columns[1:], [r[0] for _, r in body if r and r[0]])
         if _has_corner(columns):
             columns = _without_corner(columns)
+        self.check_twice(columns, place)
+        return columns
+
+    def check_twice(self, columns: list[Column], place: str) -> None:
+        """Raise DataError for two columns of one meaning."""
         for kind in {c.kind for c in columns} - {"data", ""}:
             if [c.kind for c in columns].count(kind) > 1:
                 raise DataError(f"{place}: two columns are the {kind}")
-        return columns
+        headers = [c.header for c in columns if c.kind == "data" and c.receiver]
+        for header in headers:
+            if headers.count(header) > 1:
+                raise DataError(
+                    f'{place}: column "{shown(header)}" is there {headers.count(header)} times; if '
+                    "these are tables beside each other, keep each on a sheet or in a file of its own"
+                )
 
     def unnamed(self, others: list[Column], cells: list[str]) -> Column:
         """Return the meaning of a first column without header, which follows from its cells."""
+        kinds = {c.kind for c in others}
+        numbers = [str(n) for n in range(len(cells))]
+        if cells == numbers and len(cells) > 1 and kinds & {"band", "receiver", "source"}:
+            return _ROW_NUMBERS
         named = any(c.parameter or c.receiver for c in others)
         if named and all(frequency_of(c) for c in cells):
             return Column("band")
@@ -375,10 +349,29 @@ class _Headers:
         return Column("receiver")
 
     def is_parameter(self, cell: str) -> bool:
+        """Return whether a cell names a parameter."""
         try:
             return parameter_of(cell, "", self.decay_time) is not None
         except DataError:
             return True
+
+
+_ROW_NUMBERS = Column("", "")
+
+
+def _unknown(names: list[str]) -> str:
+    """Return what is said of columns that are none, with what can be done about them."""
+    some = names[:_MOST_NAMED]
+    quoted = ", ".join(f'"{shown(name)}"' for name in some)
+    more = f" and {len(names) - len(some)} more" if len(names) > len(some) else ""
+    options = " ".join(f'ignore="{shown(name)}"' for name in some)
+    one = len(names) == 1
+    are, them = ("is", "it") if one else ("are", "them")
+    return (
+        f"column{'' if one else 's'} {quoted}{more} {are} no parameter, band, source or receiver; "
+        f"leave {them} out with {options}, or delete {them}; or read the rows of one room or state "
+        f'only: where={{"{shown(names[0])}": "..."}}'
+    )
 
 
 def _has_corner(columns: list[Column]) -> bool:

@@ -12,15 +12,17 @@ from rtcal.acoustics.parameters import SUMMARY, parameter_label
 from rtcal.acoustics.repeats import names_of_repeats
 from rtcal.errors import DataError
 from rtcal.io.table_columns import (
-    STATISTICS,
     Column,
     frequency_of,
+    is_unused,
+    name_and_unit,
     nominal_band,
     parameter_of,
     position_of,
     scale_of,
 )
 from rtcal.io.table_layout import Row, TableLayout
+from rtcal.io.table_words import STATISTICS, WHOLE_RANGES, plain
 from rtcal.io.text import number, shown
 
 MAX_CELL = 60
@@ -184,7 +186,7 @@ class Reader:
         self, cells: list[str], entries: Mapping[str, str], statistic: str | None, place: str
     ) -> Iterator[tuple[Key, dict[str, float]]]:
         """Yield the key and the numbers of each value of a row."""
-        if statistic == "":
+        if statistic == "" or self._is_unused(entries):
             return
         named = all(entries.get(name, "?") for name in ("parameter", "band"))
         if statistic is not None and self.has_positions and not named:
@@ -211,14 +213,14 @@ class Reader:
                 )
             if band is None:
                 raise DataError(f'{place}: no band for the value "{shown(cell)}"')
-            unit = column.unit if column.parameter else entries.get("unit", "") or column.unit
+            unit = column.unit if column.parameter else self._row_unit(entries) or column.unit
             if self.parameter is not None and not (column.parameter or "parameter" in entries):
                 unit = unit or self.parameter.unit
             kind = statistic or "value"
             numbers = {kind: self._number(cell, parameter, unit, place)}
             if kind == "value":
                 label = parameter_label(parameter)
-                OBSERVABLES[parameter].refuse(f"{place}: {label}", numbers["value"])
+                self._check(parameter, numbers["value"], f"{place}: {label}")
             for name in _SPREADS:
                 if entries.get(name, "").lower() not in _MISSING:
                     numbers[name] = self._number(entries[name], parameter, unit, place)
@@ -228,6 +230,17 @@ class Reader:
             if min(numbers.get(n, 0.0) for n in _SPREADS) < 0:
                 raise DataError(f"{place}: an uncertainty or standard deviation is below 0")
             yield (*pair, parameter, band), numbers
+
+    def _is_unused(self, entries: Mapping[str, str]) -> bool:
+        """Return whether a row is of the whole range, or of a parameter without use; it is noted."""
+        for kind, what in (("parameter", "a parameter"), ("band", "a band")):
+            word = entries.get(kind, "")
+            if plain(word) in WHOLE_RANGES if kind == "band" else is_unused(word):
+                note = f'left out, since rtcal has no use for it as {what}: "{shown(word)}"'
+                if note not in self.notes:
+                    self.notes.append(note)
+                return True
+        return False
 
     def _pair_of(self, entries: Mapping[str, str]) -> tuple[str, str]:
         """Return the source and the receiver of a row."""
@@ -239,10 +252,17 @@ class Reader:
     def _row_parameter(self, entries: Mapping[str, str], place: str) -> str | None:
         if "parameter" not in entries:
             return None if self.parameter is None else self.parameter.parameter
-        parameter = parameter_of(entries["parameter"], place, self.decay_time)
+        text = entries["parameter"]
+        parameter = parameter_of(text, place, self.decay_time)
+        if parameter is None:
+            parameter = parameter_of(name_and_unit(text)[0], place, self.decay_time)
         if parameter is None:
             raise DataError(f'{place}: parameter "{shown(entries["parameter"])}" is unknown')
         return parameter
+
+    def _row_unit(self, entries: Mapping[str, str]) -> str:
+        """Return the unit that a row states by itself or behind its parameter ("TS/ms")."""
+        return entries.get("unit", "") or name_and_unit(entries.get("parameter", ""))[1]
 
     def _row_band(self, entries: Mapping[str, str], place: str) -> float | None:
         if "band" not in entries:
@@ -268,6 +288,22 @@ class Reader:
             cell, unit = match[1].strip(), match[2]
         scale = scale_of(parameter, unit, place)
         return scale * number(cell.replace(",", ".") if self.comma else cell, place)
+
+    def _check(self, parameter: str, value: float, place: str) -> None:
+        """Raise DataError for a value that no room has, with the cure if another unit explains it."""
+        observed = OBSERVABLES[parameter]
+        try:
+            observed.refuse(place, value)
+        except DataError as error:
+            label = parameter_label(parameter)
+            text = str(error) if str(error).endswith("?") else f"{error}."
+            unit = {"s": "ms", "": "%"}.get(observed.unit)
+            if unit and _is_accepted(parameter, value * scale_of(parameter, unit, place)):
+                raise DataError(
+                    f'{text} If so, write "{label} [{unit}]" as the name of the column, the row or '
+                    "the sheet"
+                ) from error
+            raise DataError(f"{text} If it is no measurement, empty the cell") from error
 
     def _decimal_comma(self) -> bool:
         """Return whether decimals have a comma; DataError if they have commas and points."""
@@ -316,3 +352,11 @@ class Reader:
             if "receiver" not in kinds and not across:
                 report.append("no receiver is named: taken as receiver R1 of each source")
         return report
+
+
+def _is_accepted(parameter: str, value: float) -> bool:
+    try:
+        OBSERVABLES[parameter].refuse("", value)
+    except DataError:
+        return False
+    return True

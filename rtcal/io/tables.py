@@ -1,8 +1,8 @@
 """Tables of measured values, as measuring systems and spreadsheets write them.
 
 A format is one module that turns a file into `Sheet`s of cells: text with separators (CSV), workbooks
-(`workbook`, xlsx) and REW's text (`rew`). What the cells mean is decided here, in all formats alike.
-The header decides between five shapes:
+(`workbook`, xlsx), REW's text (`rew`) and the XL2's (`nti`). What the cells mean is decided here, in
+all formats alike. The header decides between five shapes:
 
 - *long*: one value per row, in the columns of the native file or their usual spellings;
 - *bands across*: one row per parameter or position, one column per band;
@@ -30,7 +30,7 @@ from rtcal.acoustics.observables import OBSERVABLES, TARGET
 from rtcal.acoustics.parameters import parameter_label
 from rtcal.acoustics.repeats import in_words, places_of
 from rtcal.errors import DataError
-from rtcal.io import rew, workbook
+from rtcal.io import nti, rew, workbook
 from rtcal.io.analysis import means
 from rtcal.io.table_columns import (
     DECAY_TIMES_OF_RT60,
@@ -38,8 +38,9 @@ from rtcal.io.table_columns import (
     column_of,
     position_of,
 )
-from rtcal.io.table_layout import Sheet, TableLayout, has_header, layout_of, sheet_of_text
+from rtcal.io.table_layout import Sheet, TableLayout, has_header, layout_of
 from rtcal.io.table_options import check_options
+from rtcal.io.table_text import sheet_of_text
 from rtcal.io.table_values import Key, Reader, Values
 from rtcal.io.text import decode, shown
 from rtcal.support import checks
@@ -53,7 +54,7 @@ MAX_PAIRS = 5000
 MAX_BYTES = 2**22
 """Largest size of a table in bytes; a workbook of 5000 positions, compressed, is a tenth of it."""
 
-FORMATS: list[Any] = [workbook, rew]
+FORMATS: list[Any] = [workbook, rew, nti]
 """Formats beside text with separators. Each has ``claims(content)`` and
 ``sheets(content, path, where)``; one of your own is appended (docs/extending.md)."""
 

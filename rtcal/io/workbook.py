@@ -12,6 +12,7 @@ from __future__ import annotations
 import datetime
 import io
 import os
+import warnings
 import zipfile
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
@@ -86,7 +87,9 @@ def _workbook(content: bytes, path: str, stored: bool) -> Any:
     """Return openpyxl's workbook: with the stored values of formulas, or the formulas."""
     openpyxl = _library()
     try:
-        return openpyxl.load_workbook(io.BytesIO(content), data_only=stored)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # on charts and rules of cells, which are not read
+            return openpyxl.load_workbook(io.BytesIO(content), data_only=stored)
     except Exception as error:  # openpyxl raises what its parsers raise
         raise DataError(f"{path}: cannot be read as a workbook (xlsx): {error}") from error
 

@@ -11,7 +11,7 @@ class EDT(DecaySlope):
     """Early decay time: 0 to -10 dB (ISO 3382-1:2009, A.2.2)."""
 
     key, label, rank = "edt", "EDT", 30
-    spellings = ("t10", "earlydecaytime")
+    spellings = ("earlydecaytime",)
     upper, lower = 0.0, -10.0
     # Strong direct sound makes it arbitrarily short.
     limits = 0.0, LIMITS[1]

@@ -1,0 +1,118 @@
+"""The words of tables of measured values: headers, statistics, and what is no band or no value.
+
+English and German, and of Spanish, French, Italian and Portuguese what exports of measuring systems and
+of students' programs have. A word is compared without case, blanks and punctuation (`plain`).
+"""
+
+from __future__ import annotations
+
+import re
+
+from rtcal.acoustics.observables import OBSERVABLES
+
+
+def plain(text: str) -> str:
+    """Return a word as it is compared.
+
+    Examples
+    --------
+    >>> plain("Octave band"), plain("T-30"), plain("T60(20)")
+    ('octaveband', 't30', 't6020')
+    """
+    return re.sub(r"[\W_]+", "", text.lower())
+
+
+def _words(text: str) -> list[str]:
+    return text.split()
+
+
+PARAMETERS = {
+    plain(spelling): key for key, o in OBSERVABLES.items() for spelling in (key, *o.spellings)
+}
+"""An observable's key by its spellings."""
+
+OPEN_DECAY_TIMES = frozenset(
+    _words(
+        "rt rt60 rt60s t60 t tr tr60 reverberationtime reverbtime nachhallzeit tiempodereverberacion "
+        "tempsdereverberation tempsderéverbération tempodiriverbero tempoderiverbero "
+        "tempodiriverberazione tempodereverberação tempodereverberacao"
+    )
+)
+"""Names of a decay time that do not say over which range it was taken."""
+
+MEASURED = re.compile(r"measured|gemessene?|medido|mesuré|mesure")
+"""A word before a parameter's name, as in "measured T30"."""
+
+UNUSED_PARAMETERS = frozenset(
+    _words(
+        "t10 t15 t40 t50 topt toptstart toptend t60m tc tmid br bassratio treble brilliance "
+        "c20 c7 c30 ct edtt tt lf lfc lfcearly lj lg glg stearly stlate st1 st2 sttotal "
+        "iacc iacce iaccearly iaccl iacclate tiacc wiacc inr snr itdg "
+        "r r2 correlation correltn curvature nonlinearity xi"
+    )
+)
+"""Parameters and signs of quality that exports have beside those that are read. T10 is one of them: the
+slope from -5 to -15 dB is no EDT, and programs write both."""
+
+WHOLE_RANGES = frozenset(
+    _words(
+        "full wideband broadband bb all global overall total lin linear a dba mid single wide "
+        "gesamt breitband bandaancha"
+    )
+)
+"""What stands in a column of bands for the whole range."""
+
+COLUMNS = {
+    **dict.fromkeys(_words("source src quelle sourceposition fuente"), "source"),
+    **dict.fromkeys(
+        _words(
+            "receiver rec mic microphone position pos empfänger empfaenger mikrofon receiverposition "
+            "measurement messposition posición posicion micrófono microfono receptor"
+        ),
+        "receiver",
+    ),
+    **dict.fromkeys(_words("parameter quantity metric parámetro parametro"), "parameter"),
+    **dict.fromkeys(
+        _words(
+            "band bands frequency frequencies freq freqs f fc frequenz frequenzen octaveband octave "
+            "octaves oktave terz oktavband terzband thirdoctaveband octavebandcentrefrequency "
+            "octavebandcenterfrequency mittenfrequenz centrefrequency centerfrequency "
+            "centrefrequencies centerfrequencies bandcentre bandcenter hz "
+            "frecuencia frecuencias fréquence fréquences frequence frequenza frequenze "
+            "frequência frequencia banda bandas bande"
+        ),
+        "band",
+    ),
+    **dict.fromkeys(_words("value wert mean mittelwert measured gemessen valor valeur"), "value"),
+    **dict.fromkeys(_words("stat statistic statistik"), "statistic"),
+    **dict.fromkeys(_words("uncertainty unsicherheit"), "uncertainty"),
+    "commonuncertainty": "common_uncertainty",
+    **dict.fromkeys(
+        _words("standarddeviation stdev std sd standardabweichung"), "standard_deviation"
+    ),
+    "sources": "sources",
+    "receivers": "receivers",
+    **dict.fromkeys(_words("unit einheit unidad unité"), "unit"),
+}
+"""What a column holds (`rtcal.io.table_columns.Column.kind`) by its header."""
+
+STATISTICS = {
+    **dict.fromkeys(("mean", "average", "avg", "avg.", "mittel", "mittelwert", "mw"), "value"),
+    **dict.fromkeys(
+        (
+            "sd",
+            "std",
+            "std.",
+            "stdev",
+            "std. dev.",
+            "stdabw",
+            "standard deviation",
+            "standardabweichung",
+        ),
+        "standard_deviation",
+    ),
+    **dict.fromkeys(
+        ("min", "max", "median", "minimum", "maximum", "number of measurements", "n", "count"), ""
+    ),
+}
+"""Names of statistics over positions: of means, of standard deviations, and of what is not read."""
