@@ -33,7 +33,7 @@ RADIUS = 0.4
 """Of the source in m: a sphere that reflects and radiates alike from everywhere."""
 WIDTH = 0.0025
 """Of a bin in s."""
-PATHS = 2**13
+PATHS = 2**12
 """Per microphone and band."""
 HIDDEN = -1
 
