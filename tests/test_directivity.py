@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 import rtcal as rt
-from rtcal.acoustics.directivity import Directivity
+from rtcal.acoustics.directivity import Directivity, DirectivityFile
 from rtcal.datasets import halls
 from rtcal.errors import DataError
-from rtcal.io import geometry_files
+from rtcal.io import balloon, geometry_files
 from rtcal.simulators.path_tracing import PathTracing
 from rtcal.support import jit
 
@@ -125,13 +125,18 @@ def test_a_fit_leaves_them_out_and_says_so():
     assert "EDT" in said[False]
 
 
-def box(**scene):
+def box(directivity=(), **scene):
+    stated = {
+        name: DirectivityFile(**of) if isinstance(of, dict) else of
+        for name, of in dict(directivity).items()
+    }
     return rt.Room(
         name="box", volume=60, dimensions=(4, 5, 3), materials=["plaster"], areas=[94],
         alpha=[[0.1, 0.2]], sigma=[[0.02, 0.02]], centre_frequencies=[500, 1000],
         scattering=[[0.3, 0.3]],
         scene=rt.Scene(
-            sources={"S1": (1, 1, 1.5), "S 2": (2, 1, 1)}, receivers={"R1": (3, 4, 1.2)}, **scene
+            sources={"S1": (1, 1, 1.5), "S 2": (2, 1, 1)}, receivers={"R1": (3, 4, 1.2)},
+            directivity=stated, **scene
         ),
     )  # fmt: skip
 
@@ -151,6 +156,141 @@ def test_a_room_file_keeps_it_and_the_simulator_takes_it(tmp_path):
     assert np.array_equal(made.energy(alpha, 0.1), one.energy(alpha, 0.1))
 
 
+def of_lobe(index, n_theta=37, n_phi=72, **how):
+    """The balloon of a lobe, with more to its left than to its right, and above than below."""
+    theta = np.linspace(0, np.pi, n_theta)[:, None]
+    phi = np.arange(n_phi) * 2 * np.pi / n_phi
+    power = 10 ** (np.atleast_1d(index)[:, None, None] / 10)
+    lobe = ((1 + np.cos(theta)) / 2) ** (power - 1) + 0 * phi
+    uneven = 1 + np.sin(theta) ** 2 * (0.3 * np.sin(phi) + 0.2 * np.cos(phi))
+    return Directivity(gains=lobe * uneven, **({"aim": TO_RECEIVER} | how))
+
+
+def test_a_balloon_s_mean_over_all_directions_is_one_however_it_is_turned():
+    directions = np.random.default_rng(0).standard_normal((200_000, 3))
+    made = of_lobe([0, 3, 8], aim=(1, 2, -1), up=(1, 0, 3))
+    assert made.gain(directions).mean(axis=0) == pytest.approx([1, 1, 1], abs=0.02)
+
+
+def test_a_coarse_balloon_has_the_mean_one_of_what_lies_between():
+    coarse = of_lobe([6], n_theta=7, n_phi=4)
+    directions = np.random.default_rng(0).standard_normal((200_000, 3))
+    assert coarse.gain(directions).mean() == pytest.approx(1, abs=0.01)
+
+
+def test_above_and_left_of_the_axis_are_where_they_are_stated():
+    made = of_lobe([3], aim=(2, 0, 0), up=(1, 0, 5))
+    above, left, right, below = made.gain([[0, 0, 1], [0, 1, 0], [0, -1, 0], [0, 0, -1]])[:, 0]
+    assert left / right == pytest.approx(1.3 / 0.7, rel=0.01)
+    assert above / below == pytest.approx(1.2 / 0.8, rel=0.01)
+    assert made.gain([[1, 0, 0]]).max() > left
+
+
+def test_a_lobe_s_balloon_weighs_the_paths_as_the_lobe():
+    index = np.arange(1.0, HALL.room.n_bands + 1)
+    theta = np.linspace(0, np.pi, 73)[:, None]
+    power = 10 ** (index[:, None, None] / 10)
+    gains = ((1 + np.cos(theta)) / 2) ** (power - 1) + np.zeros((1, 1, 8))
+    two = [
+        tracer(directivity={"S1": of}, n_paths=1600).energy(HALL.room.alpha, 0.2, seed=1)
+        for of in (Directivity(gains=gains, aim=TO_RECEIVER), speaker(index)["S1"])
+    ]
+    assert two[0].sum(-1) == pytest.approx(two[1].sum(-1), rel=0.01)
+
+
+def clf(path, rows, head="<CLF1>", band="1000", **tags):
+    lines = [head, "<VERSION>\t1", *(f"<{k.replace('_', '-')}>\t<{v}>" for k, v in tags.items())]
+    table = ["\t".join(f"{level:.3f}" for level in row) for row in rows]
+    path.write_text("\n".join([*lines, f"<BAND>\t{band}", *table, "<CLF1END>"]), encoding="utf-8")
+    return path
+
+
+def levels(step):
+    """Levels of the balloon `of_lobe(6)` by CLF: arcs from the top to the right, (n_phi, n_theta)."""
+    gains = of_lobe([6], n_theta=180 // step + 1, n_phi=360 // step).gains[0].copy()
+    gains[-1] = gains[-2].min() / 4  # a lobe is 0 behind
+    level = 10 * np.log10(gains.T)
+    return np.concatenate([level[:1], level[:0:-1]])
+
+
+DIRECTIONS = np.array([[1, 0, 0], [1, 1, 0.0], [1, -1, 0], [1, 0, 1], [1, 0, -1], [-1, 0.1, 0]])
+
+
+@pytest.mark.parametrize(("head", "step"), [("<CLF1>", 10), ("<CIF2>", 5)])
+def test_clf_s_text_has_the_top_first_and_then_the_right(tmp_path, head, step):
+    read = balloon.read(clf(tmp_path / "a.tab", levels(step), head), [1000], aim=(1, 0, 0))
+    right = of_lobe([6], aim=(1, 0, 0)).gain(DIRECTIONS)
+    assert read.gain(DIRECTIONS) == pytest.approx(right, rel=0.05, abs=0.02)
+    again = clf(tmp_path / "b.tab", levels(step), head, BALLOON_ARC_ORDER="reversed")
+    mirrored = balloon.read(again, [1000], aim=(1, 0, 0))
+    assert mirrored.gain(DIRECTIONS * [1, -1, 1]) == pytest.approx(read.gain(DIRECTIONS))
+
+
+@pytest.mark.parametrize(
+    ("symmetry", "arcs"), [("rotational", 1), ("full", 10), ("horizontal", 19)]
+)
+def test_clf_s_symmetries_are_mirrored(tmp_path, symmetry, arcs):
+    phi = np.arange(36) * np.pi / 18
+    up = {"rotational": 0 * phi, "full": np.cos(2 * phi), "horizontal": np.cos(phi)}[symmetry]
+    rows = -np.arange(19) + np.sin(np.arange(19) * np.pi / 18) * up[:, None]
+    whole = balloon.read(clf(tmp_path / "a.tab", rows), [1000], aim=(1, 0, 0))
+    part = clf(tmp_path / "b.tab", rows[:arcs], BALLOON_SYMMETRY=symmetry)
+    assert balloon.read(part, [1000], aim=(1, 0, 0)).gains == pytest.approx(whole.gains, rel=1e-3)
+
+
+def test_a_room_file_names_a_balloon_and_the_simulator_reads_it(tmp_path):
+    (tmp_path / "room").mkdir()
+    rows = levels(10)
+    text = clf(tmp_path / "a.tab", rows).read_text().replace("<CLF1END>", "<BAND>\t500\n")
+    text += "\n".join("\t".join(["0"] * 19) for _ in rows)
+    (tmp_path / "room" / "a.tab").write_text(text)
+    file = tmp_path / "room" / "a.tab"
+    room = box(directivity={"S1": {"file": file, "aim": (1, 0, 0), "up": (0, 1, 0)}})
+    room.save(tmp_path / "room" / "room.toml")
+    again = rt.Room.from_file(tmp_path / "room" / "room.toml")
+    made = geometry_files.path_tracing(again, n_paths=160).directivity["S1"]
+    assert made.gain(DIRECTIONS)[:, 0] == pytest.approx(1)  # 500 Hz
+    assert made.gain([[1, 0, 0]])[0, 1] > 3
+    assert made.up == (0, 1, 0)
+    again.save(tmp_path / "other.toml")
+    assert 'file = "room/a.tab"' in (tmp_path / "other.toml").read_text()
+    (tmp_path / "room" / "a.tab").unlink()
+    with pytest.raises(rt.errors.RtcalError, match=r"a\.tab"):
+        geometry_files.path_tracing(again, n_paths=160)
+
+
+def test_a_room_file_keeps_a_balloon_that_is_in_no_file(tmp_path):
+    stated = {"S1": of_lobe([3, 6], n_theta=7, n_phi=4, aim=(1, 0, 0))}
+    box(directivity=stated).save(tmp_path / "room.toml")
+    assert rt.Room.from_file(tmp_path / "room.toml").scene.directivity == stated
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (("<CLF1>", "<CLF3>"), "begins with '<CLF3>'; CLF's text begins with <CLF1> or <CLF2>"),
+        (("<CLF1>", "<CF1>\0"), "CF1, CF2 and GLL are closed formats"),
+        (("<VERSION>\t1", "<RADIATION>\t<halfsphere>"), "<RADIATION> is 'halfsphere'"),
+        (("<VERSION>\t1", "<BALLOON-SYMMETRY>\t<vertical>"), "<BALLOON-SYMMETRY> is 'vertical'"),
+        (("<VERSION>\t1", "<BALLOON-SYMMETRY>\t<full>"), "36 arcs; a balloon of the symmetry full"),
+        (("<BAND>\t1000", "<BAND>\t2000"), "no band in the octave of 1000 Hz; it has 2000 Hz"),
+        (("-3.000", "<nodata>"), '"<nodata>" is not a finite number'),
+        (("-3.000", "-3000"), "-3000 is beyond 300"),
+        (("-3.000\t", ""), "18 levels; an arc has 19, one every 10 degrees"),
+        (("\n0.000", "\n-2.0"), "the arcs differ by 2.0 dB on the axis, where they meet"),
+        (("\n0.000", "\n-90"), "the file's axis is not where it radiates"),
+    ],
+)
+def test_clf_s_text_that_says_too_little_is_refused(tmp_path, change, said):
+    path = clf(tmp_path / "a.tab", [0.0 - np.arange(19)] * 36)
+    once = -1 if change[1] == "\n-90" else 1
+    path.write_text(path.read_text().replace(*change, once))
+    with pytest.raises(DataError) as error:
+        balloon.read(path, [1000], aim=(1, 0, 0))
+    assert said in str(error.value)
+    assert str(path) in str(error.value)
+
+
 @pytest.mark.parametrize(
     ("make", "said"),
     [
@@ -158,6 +298,28 @@ def test_a_room_file_keeps_it_and_the_simulator_takes_it(tmp_path):
         (lambda: Directivity(index=[3, np.nan], aim=(1, 0, 0)), "index[1] = nan dB is not"),
         (lambda: Directivity(index=[], aim=(1, 0, 0)), "index has shape (0,)"),
         (lambda: Directivity(index=3, aim=(0, 0, 0)), "aim = (0, 0, 0) is not a direction"),
+        (lambda: Directivity(aim=(1, 0, 0)), "states either index or gains"),
+        (
+            lambda: Directivity(gains=[[[1]]], aim=(1, 0, 0)),
+            "gains has shape (1, 1, 1); it is (n_b",
+        ),
+        (
+            lambda: Directivity(gains=-np.ones((1, 7, 4)), aim=(1, 0, 0)),
+            "gains[0, 0, 0] = -1 is not a number of 0 or more",
+        ),
+        (lambda: Directivity(gains=np.zeros((1, 7, 4)), aim=(1, 0, 0)), "gains[0] is 0 in all"),
+        (
+            lambda: Directivity(gains=np.ones((1, 7, 4)), aim=(0, 0, -1)),
+            "up = (0.0, 0.0, 1.0) is along aim",
+        ),
+        (
+            lambda: Directivity.from_dict({"file": "a.tab"}, "S1"),
+            "S1 lacks index",
+        ),
+        (
+            lambda: tracer(directivity={"S1": of_lobe([3, 4])}),
+            'directivity["S1"].gains has 2 values; the room has',
+        ),
         (lambda: Directivity(index=3, aim=(1, 0)), "aim = (1, 0) is not a direction"),
         (
             lambda: box(directivity={"S3": "unknown"}),

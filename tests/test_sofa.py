@@ -14,6 +14,7 @@ import sofar
 from rtcal.acoustics.directivity import Directivity
 from rtcal.command.main import main
 from rtcal.errors import DataError, MissingDependencyError
+from rtcal.io import balloon as balloons
 from rtcal.io import impulse_responses, sofa
 
 RATE = 8000
@@ -120,41 +121,78 @@ def test_measure_writes_the_positions_for_the_room(tmp_path: Path) -> None:
     }
 
 
-def balloon(path: Path, index: tuple[float, ...] = (0, 6), **entries: object) -> Path:
-    """Write the lobe of an index per octave (500 Hz, 1 kHz) on a grid of 10 degrees, aimed at +y."""
+def balloon(
+    path: Path,
+    convention: str = "FreeFieldDirectivityTF",
+    aim: tuple[float, ...] = (0, 1, 0),
+    lowest: int = -90,
+    **entries: object,
+) -> Path:
+    """Write lobes of 0 and 6 dB (500 Hz, 1 kHz) on a grid of 10 degrees; the file's axis is +y."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        made = sofar.Sofa("FreeFieldDirectivityTF")
-    azimuth, elevation = np.meshgrid(np.arange(0, 360, 10), np.arange(-90, 91, 10))
+        made = sofar.Sofa(convention)
+    azimuth, elevation = np.meshgrid(np.arange(0, 360, 10), np.arange(lowest, 91, 10))
     at = np.stack([azimuth.ravel(), elevation.ravel(), np.ones(azimuth.size)], axis=1).astype(float)
     a, e = np.radians(at[:, 0]), np.radians(at[:, 1])
     directions = np.stack([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)], axis=1)
-    lobe = Directivity(index=index, aim=(0, 1, 0)).gain(directions)
+    lobe = Directivity(index=(0, 6), aim=aim).gain(directions)
     made.N = [450.0, 500.0, 560.0, 900.0, 1000.0, 1100.0]
     pressure = np.sqrt(np.repeat(lobe, 3, axis=1))[np.newaxis]
     made.Data_Real, made.Data_Imag = 0.6 * pressure, 0.8 * pressure
-    made.ReceiverPosition = at
-    made.SourceView, made.SourceView_Type = [[0.0, 1.0, 0.0]], "cartesian"
+    made.ReceiverPosition, made.ReceiverPosition_Type = at, "spherical"
+    made.ReceiverPosition_Units = "degree, degree, metre"
+    frame = {"SourceView": [[0.0, 1.0, 0.0]], "SourceView_Type": "cartesian"}
+    frame |= {"SourceView_Units": "metre", "SourceUp": [[0.0, 0.0, 1.0]]}
+    for name, value in frame.items():
+        if hasattr(made, name):
+            setattr(made, name, value)
+        elif name.endswith(("Type", "Units")):
+            made.add_attribute(name, value)
+        else:
+            made.add_variable(name, value, "double", "IC")
     for name, value in entries.items():
         setattr(made, name, value)
     for name in ("EmitterDescriptions", "Description"):  # netCDF4 1.7.5 writes no texts
-        made.delete(name)
+        if hasattr(made, name):
+            made.delete(name)
     sofar.write_sofa(str(path), made)
     return path
 
 
-def test_a_balloon_gives_its_index_by_octave(tmp_path: Path) -> None:
-    read = sofa.read_directivity(balloon(tmp_path / "b.sofa"), [500, 1000], (1, 0, 0))
-    assert read.index == pytest.approx([0, 6], abs=0.05)
-    assert read.aim == (1, 0, 0)
+def test_a_balloon_gives_what_it_radiates_by_octave(tmp_path: Path) -> None:
+    read = balloons.read(balloon(tmp_path / "b.sofa"), [500, 1000], aim=(1, 0, 0))
+    lobe = Directivity(index=[0, 6], aim=(1, 0, 0))
+    directions = np.random.default_rng(0).standard_normal((500, 3))
+    assert read.gain(directions) == pytest.approx(lobe.gain(directions), abs=0.05)
+
+
+@pytest.mark.parametrize("convention", ["FreeFieldDirectivityTF", "GeneralTF"])
+def test_a_balloon_is_turned_with_its_top(tmp_path: Path, convention: str) -> None:
+    """What stands to the loudspeaker's left in the file stands to its left in the room."""
+    path = balloon(tmp_path / "b.sofa", convention=convention, aim=(-1, 2, 1))
+    read = balloons.read(path, [1000], aim=(0, 0, -1), up=(0, 1, 0))
+    # In the file the axis is +y and the top +z, so -x is left: now -z is ahead, +y above, -x left.
+    # left = above x ahead = y x (-z) = -x
+    ahead, above, left = np.array([[0, 0, -1], [0, 1, 0], [-1, 0, 0]])
+    peak = 2 * ahead + above + left
+    gains = read.gain([peak, 2 * ahead + above - left, 2 * ahead - above + left])[:, 0]
+    assert 10 * np.log10(gains[0]) == pytest.approx(6, abs=0.3)
+    assert (gains[1:] < 0.8 * gains[0]).all()
 
 
 def test_a_balloon_that_says_too_little_is_refused(tmp_path: Path) -> None:
     path = balloon(tmp_path / "b.sofa")
     with pytest.raises(DataError, match="no frequency in the octave of 4000 Hz"):
-        sofa.read_directivity(path, [1000, 4000], (1, 0, 0))
-    with pytest.raises(DataError, match="is no FreeFieldDirectivityTF"):
-        sofa.read_directivity(file(tmp_path / "r.sofa"), [1000], (1, 0, 0))
+        balloons.read(path, [1000, 4000], (1, 0, 0))
+    with pytest.raises(DataError, match="SingleRoomSRIR is no directivity; read are FreeField"):
+        balloons.read(file(tmp_path / "r.sofa"), [1000], (1, 0, 0))
     behind = balloon(tmp_path / "c.sofa", SourceView=[[0.0, -1.0, 0.0]])
-    with pytest.raises(DataError, match="SourceView is not where it radiates"):
-        sofa.read_directivity(behind, [1000], (1, 0, 0))
+    with pytest.raises(DataError, match="the file's axis is not where it radiates"):
+        balloons.read(behind, [1000], (1, 0, 0))
+    half = balloon(tmp_path / "h.sofa", lowest=0)
+    with pytest.raises(DataError, match="leave a gap of 90 degrees"):
+        balloons.read(half, [1000], (1, 0, 0))
+    along = balloon(tmp_path / "u.sofa", SourceUp=[[0.0, -2.0, 0.0]])
+    with pytest.raises(DataError, match="SourceUp is along SourceView"):
+        balloons.read(along, [1000], (1, 0, 0))

@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from rtcal.acoustics import trust as trust
     from rtcal.acoustics.air import Air as Air
     from rtcal.acoustics.directivity import Directivity as Directivity
+    from rtcal.acoustics.directivity import DirectivityFile as DirectivityFile
     from rtcal.acoustics.equations import ArauPuchades as ArauPuchades
     from rtcal.acoustics.equations import Eyring as Eyring
     from rtcal.acoustics.equations import Fitzroy as Fitzroy

@@ -29,7 +29,8 @@ One ``[[material]]`` per material::
     R1 = [4.0, 2.2, 1.2]
 
     [directivity]                       # optional: of sources that are not omnidirectional
-    S1 = { index = [3, 7], aim = [1, 0, 0] }  # dB per band, and the axis; or "unknown"
+    S1 = { index = [3, 7], aim = [1, 0, 0] }  # dB per band, and the axis; or "unknown"; or
+    S2 = { file = "s.sofa", aim = [1, 0, 0], up = [0, 0, 1] }  # a balloon, as rtcal.io.balloon reads
 
     [air]                               # left out: the air absorbs nothing
     temperature = 19.5                  # °C
@@ -439,8 +440,9 @@ def _scene(tables: Mapping[str, Any]) -> list[str]:
         if isinstance(of, str):
             lines.append(f"{_quoted(name)} = {_quoted(of)}")
         else:
-            both = ", ".join(f"{key} = {_listed(of[key])}" for key in ("index", "aim"))
-            lines.append(f"{_quoted(name)} = {{ {both} }}")
+            # JSON's texts and lists of numbers are TOML's.
+            entries = ", ".join(f"{key} = {json.dumps(value)}" for key, value in of.items())
+            lines.append(f"{_quoted(name)} = {{ {entries} }}")
     return lines
 
 

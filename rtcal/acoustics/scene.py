@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path, PurePath
 from typing import Any, Literal
 
-from rtcal.acoustics.directivity import Directivity
+from rtcal.acoustics.directivity import Directivity, DirectivityFile
 from rtcal.acoustics.materials import number, text_name
 from rtcal.errors import DataError
 from rtcal.support import checks
@@ -16,6 +16,7 @@ from rtcal.support.arguments import checked
 from rtcal.support.decode import Entries
 
 Point = tuple[float, float, float]
+Stated = Directivity | DirectivityFile | Literal["unknown"]
 _GEOMETRY = ("mesh", "unit", "position_uncertainty", "surfaces")
 _POINTS = ("sources", "receivers")
 UNKNOWN: Literal["unknown"] = "unknown"
@@ -45,8 +46,9 @@ class Scene:
         Length of the mesh's unit in m.
     sources, receivers : mapping of str to (x, y, z)
         Positions in m, by the names of the measurement's pairs. Both are stated, or neither.
-    directivity : mapping of str to Directivity or "unknown"
-        By source. A source that is not stated is taken as omnidirectional.
+    directivity : mapping of str to Directivity, DirectivityFile or "unknown"
+        By source. A source that is not stated is taken as omnidirectional. A file's path is as the
+        mesh's.
     position_uncertainty : float
         Root mean square distance of the positions from those stated, in m.
     surfaces : mapping of str to sequence of str
@@ -68,7 +70,7 @@ class Scene:
     unit: float = 1.0
     sources: Mapping[str, Sequence[float]] = field(default_factory=dict)
     receivers: Mapping[str, Sequence[float]] = field(default_factory=dict)
-    directivity: Mapping[str, Directivity | Literal["unknown"]] = field(default_factory=dict)
+    directivity: Mapping[str, Stated] = field(default_factory=dict)
     position_uncertainty: float = POSITION
     surfaces: Mapping[str, Sequence[str]] = field(default_factory=dict)
 
@@ -99,18 +101,31 @@ class Scene:
         return self != Scene()
 
     def within(self, folder: str | os.PathLike[str]) -> Scene:
-        """Return the scene of a file in this folder, whose mesh is named relative to it."""
-        return self if self.mesh is None else replace(self, mesh=Path(folder) / self.mesh)
+        """Return the scene of a file in this folder, whose mesh and files are named relative to it."""
+        return self._with_files(lambda path: str(Path(folder) / path))
 
     def seen_from(self, folder: str | os.PathLike[str]) -> Scene:
         """Return the scene as a file in this folder states it; the inverse of `within`."""
-        if self.mesh is None:
-            return self
-        try:
-            mesh = os.path.relpath(self.mesh, folder)
-        except ValueError:  # another drive
-            mesh = os.path.abspath(self.mesh)
-        return replace(self, mesh=PurePath(mesh).as_posix())
+
+        def relative(path: str) -> str:
+            try:
+                return PurePath(os.path.relpath(path, folder)).as_posix()
+            except ValueError:  # another drive
+                return PurePath(os.path.abspath(path)).as_posix()
+
+        return self._with_files(relative)
+
+    def _with_files(self, named: Callable[[str], str]) -> Scene:
+        return replace(
+            self,
+            mesh=None if self.mesh is None else named(os.fspath(self.mesh)),
+            directivity={
+                name: replace(of, file=named(os.fspath(of.file)))
+                if isinstance(of, DirectivityFile)
+                else of
+                for name, of in self.directivity.items()
+            },
+        )
 
     def to_dict(self) -> dict[str, Any]:
         """Return its tables as plain values, without those that are not stated."""
@@ -162,7 +177,7 @@ class Scene:
             stated["directivity"] = {
                 name: of
                 if isinstance(of, str)
-                else Directivity.from_dict(of, f"{tables.place}directivity.{name}")
+                else _of_table(of, f"{tables.place}directivity.{name}")
                 for name, of in tables.mapping("directivity").items()
             }
         return cls(**stated)
@@ -179,20 +194,23 @@ def checked_uncertainty(position_uncertainty: float) -> float:
     return uncertainty
 
 
-def directivities(
-    stated: Mapping[str, Any], sources: Mapping[str, Any]
-) -> dict[str, Directivity | Literal["unknown"]]:
+def directivities(stated: Mapping[str, Any], sources: Mapping[str, Any]) -> dict[str, Stated]:
     """Return the sources' directivities; DataError for one of no source or of another kind."""
-    made: dict[str, Directivity | Literal["unknown"]] = {}
+    made: dict[str, Stated] = {}
     for name, of in checks.mapped("directivity", stated).items():
         place = f'directivity["{text_name("directivity", name)}"]'
         if name not in sources:
             known = ", ".join(sources) or "none"
             raise DataError(f"{place} is of a source that is not stated; the sources are: {known}")
-        if not isinstance(of, Directivity) and of != UNKNOWN:
+        if not isinstance(of, Directivity | DirectivityFile) and of != UNKNOWN:
             raise DataError(f'{place} = {checks.shown(of)} is not a Directivity or "{UNKNOWN}"')
         made[name] = of
     return made
+
+
+def _of_table(table: Any, place: str) -> Directivity | DirectivityFile:
+    named = isinstance(table, dict) and "file" in table
+    return (DirectivityFile if named else Directivity).from_dict(table, place)
 
 
 def plain_directivities(stated: Mapping[str, Any]) -> dict[str, Any]:

@@ -2,9 +2,9 @@
 
 `catt`, `odeon`, `pyroomacoustics` and `bras` hold material lists, `library` product data, `mesh` a
 room's mesh as it comes, `obj` one that closes, `tables` measured values, `sofa` responses with their
-positions. `geometry_files` makes a path tracing of a room that states its scene.
-`impulse_responses` turns WAV and SOFA files into a `Measurement` and needs ``rtcal[measurement]``. Each
-module is imported at its first use.
+positions, `balloon` what a loudspeaker radiates. `geometry_files` makes a path tracing of a room that
+states its scene. `impulse_responses` turns WAV and SOFA files into a `Measurement` and needs
+``rtcal[measurement]``. Each module is imported at its first use.
 """
 
 from typing import TYPE_CHECKING
@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 from rtcal.support import lazy
 
 if TYPE_CHECKING:
+    from rtcal.io import balloon as balloon
     from rtcal.io import bras as bras
     from rtcal.io import catt as catt
     from rtcal.io import geometry_files as geometry_files

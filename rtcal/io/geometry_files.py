@@ -5,9 +5,10 @@ from __future__ import annotations
 import os
 from typing import Any
 
+from rtcal.acoustics.directivity import DirectivityFile
 from rtcal.acoustics.room import Room
 from rtcal.errors import DataError
-from rtcal.io import obj
+from rtcal.io import balloon, obj
 from rtcal.simulators.geometry import SHOEBOX_WALLS, Polyhedron
 from rtcal.simulators.path_tracing import PathTracing
 from rtcal.support.arguments import checked
@@ -46,7 +47,8 @@ def read(room: Room) -> Polyhedron:
 def path_tracing(room: Room, **options: Any) -> PathTracing:
     """Return a path tracing of a room that states its scene; ``options`` as of `PathTracing`.
 
-    Raises DataError as `read` and `PathTracing` do, and for a room without sources and receivers.
+    The balloons of its sources are read. Raises DataError as `read`, `rtcal.io.balloon.read` and
+    `PathTracing` do, and for a room without sources and receivers.
 
     Examples
     --------
@@ -67,5 +69,13 @@ def path_tracing(room: Room, **options: Any) -> PathTracing:
         room=room,
         sources=room.scene.sources,
         receivers=room.scene.receivers,
-        **{"directivity": room.scene.directivity, **options},
+        **{"directivity": directivity(room), **options},
     )
+
+
+def directivity(room: Room) -> dict[str, Any]:
+    """Return the directivities of a room's sources, those in files read; raises as `balloon.read`."""
+    stated = room.scene.directivity
+    files = {of for of in stated.values() if isinstance(of, DirectivityFile)}
+    made = {of: balloon.read_stated(of, room.centre_frequencies) for of in files}
+    return {n: made[of] if isinstance(of, DirectivityFile) else of for n, of in stated.items()}

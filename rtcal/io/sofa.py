@@ -2,7 +2,7 @@
 
 Read are the conventions of responses in a room: `ROOM_CONVENTIONS`, and the general ones whose
 ``RoomType`` is no free field. All others are refused by name: head-related transfer functions and
-headphones are no measurements of a room. `read_directivity` reads a loudspeaker's balloon.
+headphones are no measurements of a room. `balloon` reads what a loudspeaker radiates.
 
 Equal positions have one name: S1, S2 and so on, R1, R2 and so on, in the order of the file.
 
@@ -13,34 +13,25 @@ from __future__ import annotations
 
 import os
 import warnings
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from rtcal.acoustics import bands
-from rtcal.acoustics.directivity import Directivity
 from rtcal.acoustics.repeats import SAME_PLACE
 from rtcal.errors import DataError, MissingDependencyError
 from rtcal.io.wav import MAX_CHANNEL_SAMPLES
 from rtcal.support.arguments import checked
 from rtcal.support.types import Array
 
-__all__ = ["Responses", "claims", "read", "read_directivity"]
+__all__ = ["Responses", "claims", "read"]
 __dir__ = __all__.copy
 
 ROOM_CONVENTIONS = ("SingleRoomSRIR", "SingleRoomMIMOSRIR", "SingleRoomDRIR")
 GENERAL_CONVENTIONS = ("GeneralFIR", "GeneralFIR-E")
-DIRECTIVITY_CONVENTION = "FreeFieldDirectivityTF"
-_ON_AXIS = float(np.cos(np.radians(10)))
-_DIRECTIONS = 12
-"""Fewest directions of a balloon."""
-_LARGEST_SHARE = 0.15
-"""Largest share of the sphere that one direction stands for."""
-_LEAST_INDEX = 1.0
-"""By how many dB the axis may be below the mean."""
+DIRECTIVITY_CONVENTIONS = ("FreeFieldDirectivityTF", "GeneralTF")
+_PARALLEL = 1e-3
 MAX_BYTES = 2**28
 MAX_RESPONSES = 2000
 
@@ -123,96 +114,62 @@ def _opened(path: str | os.PathLike[str]) -> Any:
             raise DataError(f"{path}: cannot be read as SOFA: {error}") from error
 
 
-@checked
-def read_directivity(
-    path: str | os.PathLike[str], frequencies: Sequence[float] | Array, aim: Sequence[float]
-) -> Directivity:
-    """Return the lobe of a measured loudspeaker, of a balloon of the convention FreeFieldDirectivityTF.
+def balloon(path: str | os.PathLike[str]) -> tuple[Array, Array, Array]:
+    """Return a source's energy by direction; `rtcal.io.balloon.read` makes use of it.
 
-    The index of each octave is the energy on the axis, the file's ``SourceView``, over the mean over
-    the sphere. Each direction counts by the area of the sphere that is nearest to it. An index of down
-    to -1 dB, of a woofer that radiates to all sides, is 0. Side lobes are lost: the result radiates the
-    index's lobe (`rtcal.Directivity`).
-
-    Parameters
-    ----------
-    path : path
-    frequencies : sequence of float (n_bands,)
-        Octave bands in Hz.
-    aim : (x, y, z)
-        Direction of the axis in the room's coordinates.
+    Returns
+    -------
+    directions : array (n_directions, 3)
+        Unit vectors: along the axis (``SourceView``), above it (``SourceUp``) and to its left.
+    energy : array (n_directions, n_frequencies)
+        In any unit.
+    frequencies : array (n_frequencies,)
+        Hz.
 
     Raises
     ------
     DataError
-        As `read` does; for another convention, directions that leave a gap in the sphere or on the
-        axis, or a band without a frequency of the file.
+        As `read` does; for a convention that is no `DIRECTIVITY_CONVENTIONS`, several measurements, or
+        a source whose top is along its axis.
     MissingDependencyError
         Without sofar.
-
-    Examples
-    --------
-    >>> speaker = read_directivity("speaker.sofa", [500, 1000], (1, 0, 0))  # doctest: +SKIP
     """
     sofa, place = _opened(path), os.fspath(path)
     convention = str(getattr(sofa, "GLOBAL_SOFAConventions", ""))
-    if convention != DIRECTIVITY_CONVENTION:
+    if convention not in DIRECTIVITY_CONVENTIONS:
         raise DataError(
-            f"{place}: convention {convention or 'not stated'} is no {DIRECTIVITY_CONVENTION}"
+            f"{place}: convention {convention or 'not stated'} is no directivity; read are "
+            f"{', '.join(DIRECTIVITY_CONVENTIONS)}"
         )
     energy = _numbers(sofa, "Data_Real", place) ** 2 + _numbers(sofa, "Data_Imag", place) ** 2
     points = np.atleast_2d(_numbers(sofa, "ReceiverPosition", place)).reshape(-1, 3)
-    if energy.ndim != 3 or energy.shape[1] != len(points):
+    if energy.ndim != 3 or energy.shape[:2] != (1, len(points)):
         raise DataError(
-            f"{place}: Data.Real has shape {energy.shape}; (measurements, {len(points)}, frequencies) "
-            "is needed, one receiver for each direction"
+            f"{place}: Data.Real has shape {energy.shape}; (1, {len(points)}, frequencies) is needed: "
+            "one measurement, and one receiver for each direction"
         )
+    axis = _one(sofa, "SourceView", "SourceView", place)
+    up = _one(sofa, "SourceUp", "SourceView", place)
+    above = up - (up @ axis) * axis
+    if np.linalg.norm(above) < _PARALLEL:
+        raise DataError(f"{place}: SourceUp is along SourceView")
+    above = above / np.linalg.norm(above)
+    axes = np.array([axis, above, np.cross(above, axis)])
     directions = _unit(_cartesian(sofa, "ReceiverPosition", points, place))
-    view = np.atleast_2d(_numbers(sofa, "SourceView", place))[:1]
-    axis = _unit(_cartesian(sofa, "SourceView", view, place))[0]
-    weight, on_axis = _solid_angles(directions, axis, place)
-    lines = _numbers(sofa, "N", place).reshape(-1)
-    ratios = []
-    for f in np.asarray(frequencies, dtype=float):
-        inside = (lines >= f / np.sqrt(2)) & (lines < f * np.sqrt(2))
-        if not inside.any():
-            raise DataError(f"{place}: no frequency in the octave of {bands.label(float(f))}")
-        of_band = energy[0][:, inside].mean(axis=1)
-        ratios.append(of_band[on_axis] / max(weight @ of_band, np.finfo(float).tiny))
-    if min(ratios) < 10 ** (-_LEAST_INDEX / 10):
-        raise DataError(
-            f"{place}: the energy on the axis is {min(ratios):.2g} times the mean over the sphere: "
-            "SourceView is not where it radiates"
-        )
-    index = np.maximum(10 * np.log10(ratios), 0.0)
-    return Directivity(index=index, aim=aim)
+    return directions @ axes.T, energy[0], _numbers(sofa, "N", place).reshape(-1)
+
+
+def _one(sofa: Any, name: str, typed: str, place: str) -> Array:
+    """Return the unit vector of a direction, whose coordinates are of the type of another entry."""
+    stated = np.atleast_2d(_numbers(sofa, name, place))[:1]
+    vector = _cartesian(sofa, typed, stated, place)
+    if not np.linalg.norm(vector) > 0:
+        raise DataError(f"{place}: {name} is no direction")
+    return np.asarray(_unit(vector)[0])
 
 
 def _unit(points: Array) -> Array:
     return np.asarray(points / np.linalg.norm(points, axis=1, keepdims=True))
-
-
-def _solid_angles(directions: Array, axis: Array, path: str) -> tuple[Array, int]:
-    """Return each direction's share of the sphere, which sum to 1, and the one on the axis."""
-    from scipy.spatial import SphericalVoronoi
-
-    _, first = np.unique(np.round(directions, 5), axis=0, return_index=True)
-    cosine = directions @ axis
-    on_axis = int(np.argmax(cosine))
-    if cosine[on_axis] < _ON_AXIS:
-        raise DataError(f"{path}: no direction within 10 degrees of the axis (SourceView)")
-    if len(first) < _DIRECTIONS:
-        raise DataError(f"{path}: {len(first)} directions; at least {_DIRECTIONS} are needed")
-    try:
-        areas = SphericalVoronoi(directions[first], threshold=1e-6).calculate_areas()
-    except ValueError as error:
-        raise DataError(f"{path}: the directions do not cover the sphere: {error}") from error
-    if areas.max() > _LARGEST_SHARE * areas.sum():
-        gap = 100 * areas.max() / areas.sum()
-        raise DataError(f"{path}: the directions leave a gap of {gap:.0f} % of the sphere")
-    weight = np.zeros(len(directions))
-    weight[first] = areas / areas.sum()
-    return weight, on_axis
 
 
 def _responses(sofa: Any, path: str) -> Responses:

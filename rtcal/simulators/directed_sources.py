@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from rtcal.acoustics.directivity import Directivity
+from rtcal.acoustics.directivity import Directivity, DirectivityFile
 from rtcal.acoustics.observables import OBSERVABLES
 from rtcal.acoustics.room import Room
 from rtcal.acoustics.scene import directivities
@@ -26,9 +26,11 @@ class DirectedSources:
     directivity: Mapping[str, Any] = field(default_factory=dict)
 
     def _check_directivity(self) -> None:
-        """Give each directivity an index per band; DataError if one fits no source or the bands."""
+        """Give each directivity a value per band; DataError if one fits no source or the bands."""
         stated = directivities(self.directivity, self.sources)
         for name, of in stated.items():
+            if isinstance(of, DirectivityFile):
+                raise DataError(f'directivity["{name}"] is a file; rtcal.io.balloon.read reads it')
             if isinstance(of, Directivity):
                 stated[name] = of.for_bands(self.room.n_bands, f'directivity["{name}"]')
         object.__setattr__(self, "directivity", stated)

@@ -58,7 +58,8 @@ class PathTracing(DirectedSources, Tracer):
     sources, receivers : mapping of str to (x, y, z)
         Positions in m, inside the room.
     directivity : mapping of str to Directivity or "unknown"
-        By source. Sources that are not stated, and unknown ones, radiate alike in all directions.
+        By source: a lobe, or a balloon (`rtcal.io.balloon.read`). Sources that are not stated, and
+        unknown ones, radiate alike in all directions.
     n_paths : int
         Paths per source. 8000 give the mean T20 over four receivers of a 334 m³ hall a standard
         error of about 1 %.
@@ -405,7 +406,7 @@ class PathTracing(DirectedSources, Tracer):
 
     def bands_of_paths(self) -> list[NDArray[np.int64]]:
         """Return the bands' numbers in groups whose scattering and directivity are the same."""
-        aimed = [of.index for of in self.aimed_sources.values()]
+        aimed = [of.pattern for of in self.aimed_sources.values()]
         return equal_columns(np.vstack([self.scattering, *aimed]))
 
     def _aimed(self, key: tuple[int, int], band: int) -> paths.Paths:
