@@ -31,7 +31,7 @@ LEAST = 7.0  # px: size of the smallest text
 
 
 @pytest.fixture(scope="module")
-def drawn() -> dict[str, Any]:
+def drawn(kept: Path) -> dict[str, Any]:
     """Every figure by name: those of the gallery, a finding's, and those of every position."""
     found = {}
     names: dict[str, Any] = {}
@@ -39,7 +39,7 @@ def drawn() -> dict[str, Any]:
         exec(block, names)
         found[block.rsplit("figure = ", 1)[1].split("(")[0]] = names["figure"]
     case, _ = rt.datasets.hidden_room()
-    finding = rt.finder.find(case)
+    finding = rt.finder.find(case, cache=kept)
     verification = rt.finder.verify(finding)
     found["evidence"] = gap_figures.evidence(finding)
     found["residuals"] = gap_figures.residuals(finding)

@@ -21,6 +21,7 @@ from rtcal.command.finder_options import Inputs
 from rtcal.command.main import cli
 from rtcal.finder import Case, MeansFinding, control_rooms, find, verify
 from rtcal.finder.means import evidence
+from rtcal.finder.means.bootstrap import FOLDER
 from rtcal.finder.means.engines import ControlRooms
 from rtcal.finder.means.states import distances, state
 from rtcal.finder.model import predict
@@ -39,10 +40,11 @@ STORED = HERE / "population_1_findings.jsonl.gz"
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def folder(tmp_path_factory: pytest.TempPathFactory, kept: Path) -> Path:
     """A user's files: the room that ships, its first configuration."""
     case, _ = rt.datasets.hidden_room()
     path = tmp_path_factory.mktemp("case")
+    (path / FOLDER).symlink_to(kept)
     case.room.save(str(path / "room.toml"))
     case.configurations[0].measured.save(str(path / "measured.csv"))
     (path / "case.toml").write_text(
@@ -150,8 +152,8 @@ def test_a_room_and_its_measurement_are_a_case(folder: Path, tmp_path: Path) -> 
 
 
 @pytest.fixture(scope="module")
-def finding(folder: Path) -> MeansFinding:
-    return find(Case.from_file(str(folder / "case.json")))
+def finding(folder: Path, kept: Path) -> MeansFinding:
+    return find(Case.from_file(str(folder / "case.json")), cache=kept)
 
 
 def unsure(finding: MeansFinding) -> MeansFinding:

@@ -55,10 +55,9 @@ def case():
 
 
 @pytest.fixture(scope="module")
-def result(case, tmp_path_factory):
+def result(case, kept):
     room, _, measured = case
-    cache = tmp_path_factory.mktemp("cache")
-    return rt.calibrate_positions(tracing(room), room, measured, match=MATCH, cache=cache)
+    return rt.calibrate_positions(tracing(room), room, measured, match=MATCH, cache=kept)
 
 
 def test_a_simulator_that_is_farther_from_the_measurement_than_before_is_not_to_be_used(result):

@@ -445,10 +445,10 @@ def test_options_of_several_effects_that_would_do_nothing_are_refused(
     assert words in " ".join(f"{done.output} {done.exception}".split())
 
 
-def test_a_library_that_was_cut_is_said() -> None:
+def test_a_library_that_was_cut_is_said(kept: Path) -> None:
     case, _ = rt.datasets.hidden_room()
     first = case.only("t20", configurations=["A"])
-    cut = rt.finder.find(first, only=("opening",))
+    cut = rt.finder.find(first, only=("opening",), cache=kept)
     assert any("weighted by hand" in note for note in cut.notes)
 
 

@@ -17,9 +17,8 @@ LOBE = np.linspace(1, 8, 3)
 
 
 @pytest.fixture(scope="module")
-def findings(tmp_path_factory: pytest.TempPathFactory) -> dict[str, PositionsFinding]:
+def findings(kept: Path) -> dict[str, PositionsFinding]:
     """Return what is found of a room with nothing hidden, measured with aimed loudspeakers."""
-    kept: Path = tmp_path_factory.mktemp("kept")
     base = tracing(stated(), n_paths=1600)
     aimed = {name: rt.Directivity(index=LOBE, aim=(0.3, 1, -0.2)) for name in base.sources}
     truth = tracing(stated(), scattering=0.5, n_paths=19200)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -49,8 +51,8 @@ def test_an_unknown_option() -> None:
 
 
 @pytest.fixture(scope="module")
-def finding() -> rt.finder.Finding:
-    return rt.finder.find(rt.datasets.hidden_room()[0])
+def finding(kept: Path) -> rt.finder.Finding:
+    return rt.finder.find(rt.datasets.hidden_room()[0], cache=kept)
 
 
 @pytest.mark.parametrize("wrong", [[], {}, set(), np.ones(3)], ids=str)
@@ -61,14 +63,14 @@ def test_a_name_of_a_finding(finding, method: str, wrong: object) -> None:
 
 
 @pytest.mark.parametrize("names", ["only", "without"])
-def test_arrays_and_generators_of_effects(names: str) -> None:
+def test_arrays_and_generators_of_effects(names: str, kept: Path) -> None:
     case, _ = rt.datasets.hidden_room()
-    known = [name for name in rt.finder.find(case).effects if name != "none"][:3]
-    by_list = rt.finder.find(case, **{names: known})
-    by_array = rt.finder.find(case, **{names: np.array(known)})
+    known = ["opening", "volume", "air"]
+    by_list = rt.finder.find(case, cache=kept, **{names: known})
+    by_array = rt.finder.find(case, cache=kept, **{names: np.array(known)})
     assert by_array.candidates == by_list.candidates
     with pytest.raises(RtcalError, match=names):
-        rt.finder.find(case, **{names: (name for name in known)})
+        rt.finder.find(case, cache=kept, **{names: (name for name in known)})
 
 
 def test_progress_of_another_kind() -> None:
