@@ -253,8 +253,8 @@ def test_materials_are_proposed_from_the_catalogue_and_never_guessed(
     out = ("--out", tmp_path / "room.toml")
     assert run(*command, *out) == 2
     message = capsys.readouterr().err
-    assert '"brick wall" (similar: brick_wall_rough' in message
-    assert 'or --catalogue "brick wall=ENTRY"' in message
+    assert '- "brick wall" is like brick_wall_rough' in message
+    assert 'or an entry of the catalogue: --catalogue "brick wall=ENTRY"' in message
     assert not (tmp_path / "room.toml").exists()
     assert run(*command, "--catalogue", "brick wall=brick_wall_rough", *out) == 0
     shown = capsys.readouterr().out
@@ -276,10 +276,10 @@ def test_a_material_that_the_list_lacks_is_named_with_the_list(tmp_path: Path, c
     assert run(*command, "--volume", 60, "--area", "wande=174") == 2
     said = capsys.readouterr().err
     assert "--area: not in " in said
-    assert 'hall.geo: "wande"' in said
-    assert "The list has: Wände. State one of its names, or --catalogue" in said
+    assert 'hall.geo: - "wande"' in " ".join(said.split())
+    assert 'The list has: Wände. State one of its names (--as "wande=NAME"), or an entry' in said
     assert run(*command, "--mesh", mesh) == 2
-    assert re.search(r'hall\.obj: not in .*hall\.geo: "wood"', capsys.readouterr().err)
+    assert re.search(r'hall\.obj: not in .*hall\.geo: - "wood"', capsys.readouterr().err)
     assert run(*command, "--volume", 60, "--area", "Wände=174,5") == 2
     said = capsys.readouterr().err
     assert "is not NAME=M2, which has a decimal point: Wände=174.5" in said
@@ -314,7 +314,9 @@ def test_a_mesh_alone_takes_its_materials_from_the_catalogue(tmp_path: Path, cap
     mesh.write_bytes(fuzz.OBJ[0])
     command = ("import", "catalogue", "--mesh", mesh, "--out", out)
     assert run(*command) == 2
-    assert '"wood" (similar: ' in capsys.readouterr().err
+    said = capsys.readouterr().err
+    assert '"wood" is like ' in said
+    assert 'State --catalogue "wood=ENTRY" --catalogue "brick=ENTRY"' in " ".join(said.split())
     chosen = ("--catalogue", "wood=wood_16mm", "--catalogue", "brick=brickwork")
     assert run(*command, *chosen) == 0
     room = rt.Room.from_file(str(out))

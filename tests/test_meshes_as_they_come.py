@@ -284,6 +284,19 @@ def test_formats_that_trimesh_reads(tmp_path: Path, ending: str) -> None:
     assert height == pytest.approx(4, rel=1e-6)  # of the glTF, whose y is up, it is y
 
 
+def test_objects_of_3mf_are_told_apart_by_their_names(tmp_path: Path) -> None:
+    parts = {
+        name: trimesh.Trimesh(
+            1000 * BOX.vertices, [[f[0], f[1], f[2]], [f[0], f[2], f[3]]], process=False
+        )
+        for name, f in zip(BOX.names, BOX.faces, strict=True)
+    }
+    trimesh.Scene(parts).export(tmp_path / "room.3mf")
+    done = mesh.room(tmp_path / "room.3mf")
+    areas = dict(zip(BOX.names, BOX.face_areas, strict=True))
+    assert done.geometry.areas == pytest.approx(areas, rel=1e-6)
+
+
 @pytest.mark.parametrize("kind", ["3DFACE", "POLYLINE", "MESH"])
 def test_dxf(tmp_path: Path, kind: str) -> None:
     path = tmp_path / "room.dxf"
@@ -455,6 +468,12 @@ def test_a_mesh_that_cannot_be_closed_is_taken_as_drawn_with_an_uncertain_volume
     assert "By rays V = 2" in said
     assert "Written" in said
     assert picture.stat().st_size > 1000
+    assert run("import", "check", path, "--open", "--picture", picture) == 0
+    said = capsys.readouterr().out
+    assert " by rays, S = " in said
+    assert "hole: " not in said.partition("defects:")[0]
+    assert run("import", "check", path, "--open", "--mended", tmp_path / "m.obj") == 2
+    assert "the mesh was not closed" in capsys.readouterr().err
     entry = "brick=brick_wall_rough"
     given = ("import", "catalogue", "--mesh", path, "--out", out, "--catalogue", entry)
     assert run(*given) == 2

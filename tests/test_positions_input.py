@@ -405,8 +405,26 @@ def test_wrong_options_are_named(folder, options, said):
 def test_what_is_missing_is_asked_for_by_its_option(folder):
     room = rt.Room.from_file(str(folder / "room.toml"))
     room.replace(scattering=None).save(str(folder / "room.toml"))
-    done = fit(folder)
+    done = fit(folder, "--keep-scattering")
     assert "states no scattering coefficients; give --scattering NUMBER" in str(done.exception)
+
+
+def test_a_fit_starts_at_a_told_scattering_where_the_room_states_none(folder, monkeypatch):
+    """As after an import of the catalogue, which has no scattering: it had been refused."""
+    room = rt.Room.from_file(str(folder / "room.toml"))
+    room.replace(scattering=None).save(str(folder / "room.toml"))
+    started = []
+
+    def stop(tracer, *_, **__):
+        started.append(tracer.scattering.max())
+        raise DataError("stopped")
+
+    monkeypatch.setattr("rtcal.loop.positions.calibrate_positions", stop)
+    for option, start in (((), 0.1), (("--scattering", "0.3"), 0.3)):
+        done = fit(folder, *option)
+        assert str(done.exception) == "stopped"
+        assert ("states no scattering: the fit starts at 0.1" in done.stderr) == (not option)
+        assert started.pop() == pytest.approx(start)
 
 
 def test_without_a_mesh_the_room_is_a_box_or_refused(folder):

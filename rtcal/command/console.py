@@ -120,12 +120,14 @@ def printing() -> Iterator[None]:
 def warn(message: object) -> None:
     """Print a sentence on standard error, unless that is closed or full.
 
-    It is one line, so that a log keeps it together; wrapped on a terminal, and if COLUMNS is set.
+    It is one line, so that a log keeps it together. On a terminal, and if COLUMNS is set, the message's
+    own lines stand below each other, wrapped.
     """
-    line = f"rtcal: {printable(' '.join(str(message).split()))}"
     on_terminal = sys.stderr is not None and sys.stderr.isatty()
+    parts = [printable(" ".join(part.split())) for part in f"rtcal: {message}".split("\n")]
+    wrapped = on_terminal or "COLUMNS" in os.environ
     with suppress(OSError):
-        click.echo(fitted(line) if on_terminal or "COLUMNS" in os.environ else line, err=True)
+        click.echo("\n".join(map(fitted, parts)) if wrapped else " ".join(parts), err=True)
 
 
 def show_warning(message: Warning | str, *_: object, **__: object) -> None:

@@ -16,10 +16,15 @@ from rtcal.command.console import (
     quiet_option,
     said,
     tell,
+    warn,
     without_air_warning,
     written,
 )
 from rtcal.command.measured import read_measured
+
+_START = 0.1
+"""Scattering coefficient at which a fit starts where none is stated. The prior of what is fitted is
+wide (`rtcal.loop.scattering`), so that the start decides little."""
 
 
 @click.command(short_help="Calibrate to what every position heard, in the room's mesh.")
@@ -46,7 +51,8 @@ from rtcal.command.measured import read_measured
 @click.option(
     "--scattering",
     type=float,
-    help="Scattering coefficient of all materials, if the room states none.",
+    help="Scattering coefficient of all materials, if the room states none; the fit starts at 0.1 "
+    "without it.",
 )
 @click.option(
     "--paths",
@@ -118,6 +124,13 @@ def fit(
         mesh = [] if stated.scene.mesh is None else [stated.scene.mesh]
         spare([folder / name for name in result_folder.POSITION_FILES], [room, measured, *mesh])
     heard = read_measured(measured, quiet=quiet)
+    if stated.scattering is None and scattering is None and not keep_scattering:
+        scattering = _START
+        if not quiet:
+            warn(
+                f"{room} states no scattering: the fit starts at {_START:g} for every material and "
+                "band, and --scattering states another start"
+            )
     with errors_name_options("scattering", "n_paths"), without_air_warning():
         tracer = geometry_files.path_tracing(
             stated, scattering=scattering, scattering_model=scattering_model, n_paths=paths

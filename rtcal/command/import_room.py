@@ -3,35 +3,28 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, replace
+from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
-from click.core import ParameterSource
 
-from rtcal.command.assignments import errors_name_options, numbers, texts
+from rtcal.command.assignments import texts
 from rtcal.command.console import json_option, quiet_option, tell
 from rtcal.command.files import PROGRAMS
+from rtcal.command.import_mesh import check, draw, geometry, mesh_file, refuse_unused_options
 from rtcal.errors import DataError, MissingDependencyError
 from rtcal.support.files import spare
 from rtcal.support.text import shortened
 
 if TYPE_CHECKING:
     from rtcal.acoustics.air import Air
-    from rtcal.acoustics.materials import Surface
     from rtcal.acoustics.room import Room
     from rtcal.io.material_list import ListedMaterial, MaterialList
-    from rtcal.io.mend import Mended, MeshError, Unclosed
 
 _LEAST_UNCERTAINTY = 1e-3
 """Relative uncertainty of V from which the room states it: no T is measured as exactly."""
-
-_USED_BY_CHECK = {
-    *("program", "materials", "mesh", "unit", "space", "weld", "hole", "mended", "picture"),
-    *("as_json", "quiet"),
-}
 
 
 @click.command("import", short_help="A program's material list and a mesh to a room.")
@@ -69,7 +62,7 @@ _USED_BY_CHECK = {
 @click.option(
     "--picture", type=click.Path(dir_okay=False), help="Picture (PNG) of the mesh to write."
 )
-@click.option("--name", help="The room's name; by default that of the file.")
+@click.option("--name", help="The room's name; by default that of the list, the mesh or --out.")
 @click.option("--volume", type=float, help="The room's volume in m³, without a mesh.")
 @click.option(
     "--area",
@@ -189,13 +182,14 @@ def import_room(
     from rtcal.io.mend import Unclosed
 
     if program == "check":
-        _refuse_unused_options()
-        _check(
+        refuse_unused_options()
+        check(
             materials or mesh,
             unit,
             space,
             weld,
             hole,
+            as_drawn,
             mended,
             picture,
             as_json=as_json,
@@ -209,7 +203,7 @@ def import_room(
     listed = _materials(program, materials)
     chosen_names = texts("--as", others_names, "MATERIAL=ENTRY")
     listed = replace(listed, aliases={**listed.aliases, **chosen_names})
-    model, volume, surfaces = _geometry(
+    model, volume, surfaces = geometry(
         mesh, unit, space, weld, hole, as_drawn, volume, areas, listed.names
     )
     used = list(dict.fromkeys(surface.material for surface in surfaces))
@@ -225,7 +219,7 @@ def import_room(
     if unknown := [name for name in sigma if name not in used]:
         raise DataError(f'{sigma_table}: "{unknown[0]}" is no material of the room')
     room = listed.room(
-        name=Path(materials or mesh or "room").stem if name is None else name,
+        name=Path(materials or mesh or out).stem if name is None else name,
         volume=volume,
         areas=surfaces,
         centre_frequencies=_centre_frequencies(bands, [*listed.materials, *others.values()]),
@@ -240,14 +234,14 @@ def import_room(
             if path is not None:
                 raise DataError(f"{option}: the mesh was not closed; leave --open or {option} out")
     elif mesh is not None and model is not None:
-        target = _mesh_file(mesh, model, out, mended)
+        target = mesh_file(mesh, model, out, mended)
         if target is not None:
             spare([target], [mesh])
             model.geometry.save(target)
         stated = 1.0 if target is not None or unit is None else unit
         room = room.replace(scene=Scene(mesh=target or mesh, unit=stated))
         if picture is not None:
-            _draw(model.geometry, None, picture)
+            draw(model.geometry, None, picture)
     if model is not None and model.volume_uncertainty > _LEAST_UNCERTAINTY * room.volume:
         room = room.replace(volume_sigma=float(f"{model.volume_uncertainty / room.volume:.2g}"))
     room.save(out)
@@ -264,96 +258,6 @@ def import_room(
     _tell(room, unused, notes, out, as_json=as_json, quiet=quiet)
 
 
-def _refuse_unused_options() -> None:
-    """Raise DataError for an option that ``check`` would not use."""
-    context = click.get_current_context()
-    for option in context.command.params:
-        stated = context.get_parameter_source(str(option.name)) is ParameterSource.COMMANDLINE
-        if stated and option.name not in _USED_BY_CHECK:
-            raise DataError(
-                f"import check does not use {option.opts[0]}: it reads the mesh alone and writes no "
-                "room; leave it out"
-            )
-    if context.params["materials"] is not None and context.params["mesh"] is not None:
-        raise DataError("import check reads one mesh: leave --mesh out")
-
-
-def _check(
-    mesh: str | None,
-    unit: float | None,
-    space: str | None,
-    weld: float,
-    hole: float | None,
-    mended: str | None,
-    picture: str | None,
-    *,
-    as_json: bool,
-    quiet: bool,
-) -> None:
-    """Print V, S and the defects of a mesh, without a list of materials; write it and its picture."""
-    from rtcal.io import mesh as meshes
-    from rtcal.io.mend import MeshError
-
-    if mesh is None:
-        raise DataError("which mesh? rtcal import check room.obj")
-    spare([path for path in (mended, picture) if path is not None], [mesh])
-    with errors_name_options("unit", "weld"):
-        try:
-            done = meshes.room(mesh, unit=unit, space=space, weld=weld, largest_hole=hole)
-        except MeshError as error:
-            refused = _with_volume(error)
-            if picture is not None:
-                _draw(meshes.read(mesh, unit=unit, space=space), error.edges, picture)
-                refused = DataError(f"{refused}. Written: {picture}")
-            raise refused from error
-    if mended is not None:
-        done.geometry.save(mended)
-    if picture is not None:
-        _draw(done.geometry, None, picture)
-    files = [path for path in (mended, picture) if path is not None]
-    text = "\n".join([*done.notes, str(done), *([f"Written: {', '.join(files)}"] if files else [])])
-    record = {
-        "volume": done.geometry.volume,
-        "volume_uncertainty": done.volume_uncertainty,
-        "areas": done.geometry.areas,
-        "defects": [asdict(defect) for defect in done.defects],
-        "notes": done.notes,
-        "written": files,
-    }
-    tell(text, record, quiet=quiet, as_json=as_json)
-
-
-def _with_volume(error: MeshError) -> DataError:
-    """Return the error of a mesh with what rays say of its volume."""
-    if error.unclosed is None:
-        return error
-    v, u = error.unclosed.volume, error.unclosed.volume_uncertainty
-    return DataError(
-        f"{error}. By rays V = {v:.4g} ± {u:.2g} m³: `rtcal import` takes it with --open, for "
-        "equations alone"
-    )
-
-
-def _draw(geometry: Any, edges: Any, path: str) -> None:
-    from rtcal.report import figures, mesh_figure
-
-    figures.save(mesh_figure.wireframe(geometry, edges), path)
-
-
-def _mesh_file(mesh: str, model: Mended, out: str, stated: str | None) -> str | None:
-    """Return the file to which the room's mesh is written; None if the tracers read it as it is."""
-    if stated is not None:
-        return stated
-    if Path(mesh).suffix.lower() == ".obj" and all(d.kind == "turned" for d in model.defects):
-        return None
-    beside = Path(out).with_suffix(".obj")
-    return str(
-        beside
-        if beside.resolve() != Path(mesh).resolve()
-        else beside.with_stem(f"{beside.stem}_mended")
-    )
-
-
 def _materials(program: str, path: str | None) -> MaterialList:
     if program == "catalogue":
         from rtcal.datasets import catalogue
@@ -365,94 +269,6 @@ def _materials(program: str, path: str | None) -> MaterialList:
         raise DataError(f"a file of materials for {program} is missing")
     listed: MaterialList = import_module(f"rtcal.io.{program}").read(path)
     return listed
-
-
-def _geometry(
-    mesh: str | None,
-    unit: float | None,
-    space: str | None,
-    weld: float,
-    hole: float | None,
-    as_drawn: bool,
-    volume: float | None,
-    areas: tuple[str, ...],
-    names: Sequence[str],
-) -> tuple[Mended | Unclosed | None, float, Sequence[Surface]]:
-    """Return the mesh's room, volume in m³ and surfaces, from the mesh or from the options.
-
-    ``names`` are those of the list's materials, for the message where the options lack them.
-    """
-    from rtcal.acoustics.materials import Surface
-    from rtcal.io import mesh as meshes
-    from rtcal.io.mend import MeshError
-
-    if mesh is not None and (volume is not None or areas):
-        raise DataError("--mesh states volume and areas already: leave --volume and --area out")
-    if mesh is not None:
-        with errors_name_options("unit", "weld"):
-            try:
-                model = meshes.room(mesh, unit=unit, space=space, weld=weld, largest_hole=hole)
-            except MeshError as error:
-                if not as_drawn or error.unclosed is None:
-                    raise _with_volume(error) from error
-                unclosed = error.unclosed
-                return unclosed, unclosed.volume, unclosed.surfaces
-        return model, model.geometry.volume, model.geometry.surfaces
-    if as_drawn:
-        raise DataError("--open is for a mesh: state --mesh, or leave it out")
-    if volume is None or not areas:
-        raise DataError(
-            "how large is the room? State --mesh room.obj, or --volume M3 and --area MATERIAL=M2 for "
-            f"each material in it. The list has: {shortened(', '.join(names), 200)}"
-        )
-    stated = numbers("--area", areas, "NAME=M2")
-    return None, volume, [Surface(name, name, area) for name, area in stated.items()]
-
-
-def _from_catalogue(
-    listed: MaterialList,
-    program: str,
-    used: Sequence[str],
-    chosen: dict[str, str],
-    place: str,
-) -> dict[str, ListedMaterial]:
-    """Return the room's materials from the catalogue.
-
-    Raises DataError, with proposals, for materials that are in neither the list nor the options;
-    ``place`` is where the room names its materials.
-    """
-    if unknown := [name for name in chosen if name not in used]:
-        raise DataError(
-            f'--catalogue: "{unknown[0]}" is no material of the room; {place} has '
-            f"{shortened(', '.join(used), 200)}"
-        )
-    in_list = {*listed.names, *listed.aliases}
-    if missing := [n for n in used if n not in in_list and n not in chosen]:
-        proposals = "; ".join(f'"{name}"{_proposals(name)}' for name in missing)
-        of_catalogue = f'--catalogue "{missing[0]}=ENTRY" for an entry of the catalogue'
-        if program == "catalogue":
-            raise DataError(f"{place}: not in the catalogue: {proposals}. State {of_catalogue}")
-        raise DataError(
-            f"{place}: not in {listed.path}: {proposals}. The list has: "
-            f"{shortened(', '.join([*listed.names, *listed.aliases]), 200)}. State one of its names, "
-            f"or {of_catalogue}"
-        )
-    if not chosen:
-        return {}
-    from rtcal.datasets import catalogue
-
-    entries = catalogue.material_list()
-    return {name: entries.listed(entry) for name, entry in chosen.items()}
-
-
-def _proposals(name: str) -> str:
-    from rtcal.datasets import catalogue
-
-    try:
-        near = catalogue.nearest(name)
-    except MissingDependencyError:
-        return ""
-    return f" (similar: {'; '.join(near)})" if near else ""
 
 
 def _centre_frequencies(
@@ -492,6 +308,52 @@ def _used(
     listed: MaterialList, others: dict[str, ListedMaterial], used: Sequence[str]
 ) -> list[tuple[str, ListedMaterial]]:
     return [(name, others.get(name) or listed.listed(name)) for name in used]
+
+
+def _from_catalogue(
+    listed: MaterialList,
+    program: str,
+    used: Sequence[str],
+    chosen: dict[str, str],
+    place: str,
+) -> dict[str, ListedMaterial]:
+    """Return the room's materials from the catalogue.
+
+    Raises DataError, with proposals, for materials that are in neither the list nor the options;
+    ``place`` is where the room names its materials.
+    """
+    if unknown := [name for name in chosen if name not in used]:
+        raise DataError(
+            f'--catalogue: "{unknown[0]}" is no material of the room; {place} has '
+            f"{shortened(', '.join(used), 200)}"
+        )
+    in_list = {*listed.names, *listed.aliases}
+    if missing := [n for n in used if n not in in_list and n not in chosen]:
+        proposals = ";".join(f'\n- "{name}"{_proposals(name)}' for name in missing)
+        options = " ".join(f'--catalogue "{name}=ENTRY"' for name in missing)
+        if program == "catalogue":
+            raise DataError(f"{place}: not in the catalogue:{proposals}.\nState {options}")
+        raise DataError(
+            f"{place}: not in {listed.path}:{proposals}.\nThe list has: "
+            f"{shortened(', '.join([*listed.names, *listed.aliases]), 200)}.\nState one of its names "
+            f'(--as "{missing[0]}=NAME"), or an entry of the catalogue: {options}'
+        )
+    if not chosen:
+        return {}
+    from rtcal.datasets import catalogue
+
+    entries = catalogue.material_list()
+    return {name: entries.listed(entry) for name, entry in chosen.items()}
+
+
+def _proposals(name: str) -> str:
+    from rtcal.datasets import catalogue
+
+    try:
+        near = catalogue.nearest(name)
+    except MissingDependencyError:
+        return ""
+    return f" is like {'; '.join(near)}" if near else " (nothing like it)"
 
 
 def _notes(

@@ -1,7 +1,8 @@
 """Meshes of every format as `rtcal.io.mend.Faces`: what is drawn, with the names of its materials.
 
 A format is one reader: `obj`, `dxf`, `collada` and `ifc`, the others by trimesh (``rtcal[mesh]``). A
-mesh without materials, such as STL, has one, named after its file; `materials` gives it another.
+mesh without materials, such as STL, has one, named after its file. Objects of 3MF, which have names and
+no materials, are materials.
 
 The axes are turned so that z is up where the format says that y is (glTF, COLLADA).
 """
@@ -159,7 +160,9 @@ def _by_trimesh(_: bytes, path: str, unit: float | None) -> Faces:
         index = np.asarray(geometry.faces)
         if index.size and not 0 <= index.min() <= index.max() < len(points):
             raise DataError(f'{path}: part "{shown(str(name))}" has a face without its corners')
-        of_face = _materials(geometry, Path(path).stem)
+        # An object of 3MF has a name and no material: its author tells surfaces apart by it.
+        by_object = ending == ".3mf" and len(parts) > 1
+        of_face = _materials(geometry, str(name) if by_object else Path(path).stem)
         part = text_name(f"{path}: a part", str(name)) or "part"
         for corners, material in zip(points[index], of_face, strict=True):
             polygons.append(corners)

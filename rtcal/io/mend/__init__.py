@@ -26,7 +26,7 @@ import numpy as np
 from rtcal.errors import DataError
 from rtcal.io.mend.components import shell_of
 from rtcal.io.mend.defects import Defect, Mended, MeshError, Unclosed
-from rtcal.io.mend.faces import MOST_FACES, OFFSET, SAME, WELD, Faces, numbered
+from rtcal.io.mend.faces import MOST_FACES, OFFSET, SAME, WELD, Faces, Work, numbered
 from rtcal.io.mend.gaps import without_holes
 from rtcal.io.mend.mending import Mending
 from rtcal.io.mend.objects import tell_loose, unclosed_room, with_others
@@ -119,17 +119,22 @@ def _mended(mend: Mending) -> Mended:
         refused = mend.told(error)
         refused.unclosed = unclosed_room(mend, shell, others)
         raise refused from None
-    shell = with_others(mend, shell, others)
-    if len(shell.faces) > MOST_FACES:
-        raise mend.refused(f"{len(shell.faces)} faces; at most {MOST_FACES}: simplify the model")
     try:
-        geometry = Polyhedron(
-            vertices=mend.points,
-            faces=[tuple(f) for f in shell.faces],
-            materials=shell.materials,
-            names=numbered(shell.names),
-        )
+        geometry = _geometry(mend, with_others(mend, shell, others))
     except DataError as error:
-        raise mend.refused(f"after mending, {error}") from error
+        refused = error if isinstance(error, MeshError) else mend.refused(f"after mending, {error}")
+        refused.unclosed = unclosed_room(mend, shell, others)
+        raise refused from error
     tell_turned(mend, geometry)
     return Mended(geometry, tuple(mend.defects), mend.drawn.notes)
+
+
+def _geometry(mend: Mending, shell: Work) -> Polyhedron:
+    if len(shell.faces) > MOST_FACES:
+        raise mend.refused(f"{len(shell.faces)} faces; at most {MOST_FACES}: simplify the model")
+    return Polyhedron(
+        vertices=mend.points,
+        faces=[tuple(f) for f in shell.faces],
+        materials=shell.materials,
+        names=numbered(shell.names),
+    )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -90,6 +90,14 @@ class Unclosed:
         """The materials with their areas, as a room takes them."""
         return [Surface(name, name, area) for name, area in self.areas.items()]
 
+    def __str__(self) -> str:
+        """Return V, S, the areas of the materials, and each defect."""
+        u, total = self.volume_uncertainty, sum(self.areas.values())
+        head = (
+            f"V = {self.volume:.4g} ± {u:.2g} m³ by rays, S = {total:.6g} m² as drawn, not closed"
+        )
+        return "\n".join([head, *_listed(self.areas, self.defects)])
+
 
 class MeshError(DataError):
     """A mesh that is refused.
@@ -120,6 +128,16 @@ class Mended:
     notes: tuple[str, ...] = ()
 
     @property
+    def volume(self) -> float:
+        """V in m³."""
+        return float(self.geometry.volume)
+
+    @property
+    def areas(self) -> Mapping[str, float]:
+        """Area of each material in m²."""
+        return self.geometry.areas
+
+    @property
     def volume_uncertainty(self) -> float:
         """Standard uncertainty of V in m³ by mending, the root of the sum of squares."""
         return float(np.sqrt(sum(d.volume_uncertainty**2 for d in self.defects)))
@@ -130,6 +148,11 @@ class Mended:
         u = f" ± {self.volume_uncertainty:.2g}" if self.volume_uncertainty > _SHOWN else ""
         n = len(self.geometry.faces)
         head = f"V = {self.geometry.volume:.6g}{u} m³, S = {total:.6g} m², {n} faces"
-        rows = [f"{area:10.3f} m²  {name}" for name, area in self.geometry.areas.items()]
-        found = [f"  {defect}" for defect in self.defects] or ["  none"]
-        return "\n".join([head, *rows, "defects:", *found])
+        return "\n".join([head, *_listed(self.geometry.areas, self.defects)])
+
+
+def _listed(areas: Mapping[str, float], defects: Sequence[Defect]) -> list[str]:
+    """Return lines of areas and of defects."""
+    rows = [f"{area:10.3f} m²  {name}" for name, area in areas.items()]
+    found = [f"  {defect}" for defect in defects] or ["  none"]
+    return [*rows, "defects:", *found]

@@ -1,0 +1,171 @@
+"""The mesh of ``rtcal import``: checked, read, mended, drawn, written beside the room."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+from click.core import ParameterSource
+
+from rtcal.command.assignments import errors_name_options, numbers
+from rtcal.command.console import tell
+from rtcal.errors import DataError
+from rtcal.support.files import spare
+from rtcal.support.text import shortened
+
+if TYPE_CHECKING:
+    from rtcal.acoustics.materials import Surface
+    from rtcal.io.mend import Mended, MeshError, Unclosed
+
+_USED_BY_CHECK = {
+    *("program", "materials", "mesh", "unit", "space", "weld", "hole", "as_drawn", "mended"),
+    *("picture", "as_json", "quiet"),
+}
+
+
+def refuse_unused_options() -> None:
+    """Raise DataError for an option that ``check`` would not use."""
+    context = click.get_current_context()
+    for option in context.command.params:
+        stated = context.get_parameter_source(str(option.name)) is ParameterSource.COMMANDLINE
+        if stated and option.name not in _USED_BY_CHECK:
+            raise DataError(
+                f"import check does not use {option.opts[0]}: it reads the mesh alone and writes no "
+                "room; leave it out"
+            )
+    if context.params["materials"] is not None and context.params["mesh"] is not None:
+        raise DataError("import check reads one mesh: leave --mesh out")
+
+
+def check(
+    mesh: str | None,
+    unit: float | None,
+    space: str | None,
+    weld: float,
+    hole: float | None,
+    as_drawn: bool,
+    mended: str | None,
+    picture: str | None,
+    *,
+    as_json: bool,
+    quiet: bool,
+) -> None:
+    """Print V, S and the defects of a mesh, without a list of materials; write it and its picture.
+
+    With ``as_drawn`` a mesh that cannot be closed has V by rays and S as it is drawn.
+    """
+    from rtcal.io import mesh as meshes
+    from rtcal.io.mend import Faces, MeshError
+
+    if mesh is None:
+        raise DataError("which mesh? rtcal import check room.obj")
+    spare([path for path in (mended, picture) if path is not None], [mesh])
+    done: Mended | Unclosed
+    drawn: Any
+    with errors_name_options("unit", "weld"):
+        try:
+            done = meshes.room(mesh, unit=unit, space=space, weld=weld, largest_hole=hole)
+            drawn, edges = done.geometry, None
+        except MeshError as error:
+            drawn, edges = meshes.read(mesh, unit=unit, space=space), error.edges
+            if not as_drawn or error.unclosed is None:
+                refused = _with_volume(error)
+                if picture is not None:
+                    draw(drawn, edges, picture)
+                    refused = DataError(f"{refused}. Written: {picture}")
+                raise refused from error
+            done = error.unclosed
+    if mended is not None:
+        if isinstance(drawn, Faces):
+            raise DataError(f"--mended: the mesh was not closed; leave --open or {mended} out")
+        drawn.save(mended)
+    if picture is not None:
+        draw(drawn, edges, picture)
+    files = [path for path in (mended, picture) if path is not None]
+    text = "\n".join([*done.notes, str(done), *([f"Written: {', '.join(files)}"] if files else [])])
+    record = {
+        "volume": done.volume,
+        "volume_uncertainty": done.volume_uncertainty,
+        "areas": done.areas,
+        "defects": [asdict(defect) for defect in done.defects],
+        "notes": done.notes,
+        "written": files,
+    }
+    tell(text, record, quiet=quiet, as_json=as_json)
+
+
+def geometry(
+    mesh: str | None,
+    unit: float | None,
+    space: str | None,
+    weld: float,
+    hole: float | None,
+    as_drawn: bool,
+    volume: float | None,
+    areas: tuple[str, ...],
+    names: Sequence[str],
+) -> tuple[Mended | Unclosed | None, float, Sequence[Surface]]:
+    """Return the mesh's room, volume in m³ and surfaces, from the mesh or from the options.
+
+    ``names`` are those of the list's materials, for the message where the options lack them.
+    """
+    from rtcal.acoustics.materials import Surface
+    from rtcal.io import mesh as meshes
+    from rtcal.io.mend import MeshError
+
+    if mesh is not None and (volume is not None or areas):
+        raise DataError("--mesh states volume and areas already: leave --volume and --area out")
+    if mesh is not None:
+        with errors_name_options("unit", "weld"):
+            try:
+                model = meshes.room(mesh, unit=unit, space=space, weld=weld, largest_hole=hole)
+            except MeshError as error:
+                if not as_drawn or error.unclosed is None:
+                    raise _with_volume(error) from error
+                unclosed = error.unclosed
+                return unclosed, unclosed.volume, unclosed.surfaces
+        return model, model.geometry.volume, model.geometry.surfaces
+    if as_drawn:
+        raise DataError("--open is for a mesh: state --mesh, or leave it out")
+    if volume is None or not areas:
+        raise DataError(
+            "how large is the room? State --mesh room.obj, or --volume M3 and --area MATERIAL=M2 for "
+            f"each material in it. The list has: {shortened(', '.join(names), 200)}"
+        )
+    stated = numbers("--area", areas, "NAME=M2")
+    return None, volume, [Surface(name, name, area) for name, area in stated.items()]
+
+
+def mesh_file(mesh: str, model: Mended, out: str, stated: str | None) -> str | None:
+    """Return the file to which the room's mesh is written; None if the tracers read it as it is."""
+    if stated is not None:
+        return stated
+    if Path(mesh).suffix.lower() == ".obj" and all(d.kind == "turned" for d in model.defects):
+        return None
+    beside = Path(out).with_suffix(".obj")
+    return str(
+        beside
+        if beside.resolve() != Path(mesh).resolve()
+        else beside.with_stem(f"{beside.stem}_mended")
+    )
+
+
+def draw(geometry: Any, edges: Any, path: str) -> None:
+    """Write the picture (PNG) of a mesh, with its open edges."""
+    from rtcal.report import figures, mesh_figure
+
+    figures.save(mesh_figure.wireframe(geometry, edges), path)
+
+
+def _with_volume(error: MeshError) -> DataError:
+    """Return the error of a mesh with what rays say of its volume."""
+    if error.unclosed is None:
+        return error
+    v, u = error.unclosed.volume, error.unclosed.volume_uncertainty
+    return DataError(
+        f"{error}. By rays V = {v:.4g} ± {u:.2g} m³: `rtcal import` takes it with --open, for "
+        "equations alone"
+    )
