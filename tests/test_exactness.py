@@ -15,7 +15,7 @@ from rtcal.errors import InfeasibleError, SolverError
 from tests import rational
 from tests.problems import Problem, problems
 
-COUNT = 2000
+COUNTS = [800, pytest.param(2000, marks=pytest.mark.long)]
 OFFSET = 1e4
 
 
@@ -54,10 +54,10 @@ def compiled(n: int):
 
 
 @functools.cache
-def cases() -> list[tuple[Problem, float, object]]:
+def cases(count: int) -> list[tuple[Problem, float, object]]:
     """The problems, b as the equation gives it, and the exact answer."""
     found = []
-    for p in problems(COUNT):
+    for p in problems(count):
         t = p.target + OFFSET
         b = t - OFFSET
         found.append((p, t, rational.solve(list(p.mu), list(p.sigma), list(p.areas), b)))
@@ -75,18 +75,20 @@ def error(alpha: np.ndarray, exact: list) -> float:
     return max(abs(float(e) - a) for e, a in zip(exact, alpha[:, 0], strict=True))
 
 
-def test_the_problems_are_of_all_kinds() -> None:
-    kinds = Counter(p.kind for p, _, _ in cases())
-    assert min(kinds.values()) >= COUNT // 8
-    infeasible = sum(isinstance(e, str) for _, _, e in cases())
-    assert COUNT // 8 < infeasible < COUNT // 4
-    left = [sum(0 < a < 1 for a in e) for p, _, e in cases() if p.kind == "one left free"]
+@pytest.mark.parametrize("count", COUNTS)
+def test_the_problems_are_of_all_kinds(count: int) -> None:
+    kinds = Counter(p.kind for p, _, _ in cases(count))
+    assert min(kinds.values()) >= count // 8
+    infeasible = sum(isinstance(e, str) for _, _, e in cases(count))
+    assert count // 8 < infeasible < count // 4
+    left = [sum(0 < a < 1 for a in e) for p, _, e in cases(count) if p.kind == "one left free"]
     assert max(left) == 1
 
 
-def test_clarabel_polished_is_exact_and_every_infeasible_problem_is_refused() -> None:
+@pytest.mark.parametrize("count", COUNTS)
+def test_clarabel_polished_is_exact_and_every_infeasible_problem_is_refused(count: int) -> None:
     worst = 0.0
-    for p, t, exact in cases():
+    for p, t, exact in cases(count):
         problem = compiled(len(p.mu))
         room = as_room(p)
         if isinstance(exact, str) and not is_end(p, t):
@@ -107,9 +109,10 @@ def test_clarabel_polished_is_exact_and_every_infeasible_problem_is_refused() ->
     assert worst > 0
 
 
-def test_osqp_is_right_or_says_that_it_failed() -> None:
+@pytest.mark.parametrize("count", COUNTS)
+def test_osqp_is_right_or_says_that_it_failed(count: int) -> None:
     refused = well_inside = 0
-    for p, t, exact in cases():
+    for p, t, exact in cases(count):
         if isinstance(exact, str):
             continue
         well_inside += p.well_inside
@@ -119,5 +122,5 @@ def test_osqp_is_right_or_says_that_it_failed() -> None:
             refused += p.well_inside
             continue
         assert error(result.alpha, exact) <= 1e-6, p
-    assert well_inside > COUNT // 3
+    assert well_inside > count // 3
     assert refused <= 0.01 * well_inside

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import functools
 import subprocess
 import sys
 from pathlib import Path
@@ -66,6 +67,7 @@ def own_name(path: Path) -> str:
 NAMES = {own_name(path) for path in modules()}
 
 
+@functools.cache
 def imports_of(path: Path) -> set[str]:
     """Every module that a file imports: at its head, inside functions and under TYPE_CHECKING."""
     imported: set[str] = set()
