@@ -31,7 +31,7 @@ from rtcal.finder.means.features import Observed, observe
 from rtcal.finder.means.hypotheses import Hypotheses, predict_hypotheses
 from rtcal.finder.means.likelihood import DEGREES, alpha_covariance
 from rtcal.finder.means.model_error import ModelDiscrepancy, estimate_discrepancy
-from rtcal.finder.means.states import distances, state
+from rtcal.finder.means.room_states import distances, state
 from rtcal.finder.model import predict
 from rtcal.finder.prior import prior_of
 from rtcal.support.types import Array

@@ -38,11 +38,10 @@ import rtcal as rt
 from benchmarks.judging import FLAGS, rounded, row_of
 from benchmarks.where_figures import DATA, LARGE, MODELS, ROOMS, chosen, table
 from rtcal.acoustics.quality import gap_jnd
-from rtcal.finder import find, library
-from rtcal.finder.positions import track_record
+from rtcal.finder import find, library, track_record
 from rtcal.finder.positions.detection import of_means
-from rtcal.finder.positions.model import Model, model
 from rtcal.finder.positions.posterior import Hypotheses
+from rtcal.finder.positions.problem import Problem, problem_of
 from rtcal.finder.positions.responses import parameters, responses
 from rtcal.finder.positions.search import every_hypothesis
 from rtcal.loop.control_runs import simulated_controls
@@ -99,7 +98,7 @@ class Judging:
         return self.folder / f"{step}_{self.population}_{self.statement.replace(' ', '_')}.jsonl"
 
 
-def prepared(case: rt.finder.positions.Case, cache: Path) -> tuple[Model, Hypotheses]:
+def prepared(case: rt.finder.positions.Case, cache: Path) -> tuple[Problem, Hypotheses]:
     """Return the numbers and the hypotheses of a search, as `finder.positions.find` makes them."""
     controls: Any = simulated_controls(
         case.simulator,
@@ -109,7 +108,7 @@ def prepared(case: rt.finder.positions.Case, cache: Path) -> tuple[Model, Hypoth
         cache=cache,
     )
     made = responses(case, 0, cache)
-    numbers = model(case, made, controls)
+    numbers = problem_of(case, made, controls)
     return numbers, every_hypothesis(case, made, numbers, library())
 
 

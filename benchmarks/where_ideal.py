@@ -30,10 +30,10 @@ from benchmarks.where_figures import ABSORBERS, DATA
 from rtcal.finder.positions import unevenness
 from rtcal.finder.positions.evidence import Likelihood
 from rtcal.finder.positions.finding import LIKELY
-from rtcal.finder.positions.hypotheses import COUPLED
-from rtcal.finder.positions.model import Model
 from rtcal.finder.positions.posterior import Hypotheses, evaluate, scores, weights
+from rtcal.finder.positions.problem import Problem
 from rtcal.finder.positions.shift import MEASUREMENT, POSITION, Shift, Spread
+from rtcal.finder.positions.surface_hypotheses import COUPLED
 from tests.geometric_world.load import IN_SITU, load
 
 STORED = Path(__file__).with_name("where_ideal.json.gz")
@@ -47,7 +47,7 @@ Row = dict[str, Any]
 
 
 def drawn(
-    numbers: Model, likelihood: Likelihood, every: Hypotheses, rng: np.random.Generator
+    numbers: Problem, likelihood: Likelihood, every: Hypotheses, rng: np.random.Generator
 ) -> tuple[list[Shift | Spread | None], np.ndarray]:
     """Draw `DRAWS` rooms with something hidden and as many as stated, and what is measured in them.
 
@@ -87,7 +87,7 @@ def shifted(likelihood: Likelihood, shift: Shift, row: int, rng: np.random.Gener
     return np.asarray((exact * factor[:, np.newaxis] + np.outer(change, place)).ravel())
 
 
-def averaged(numbers: Model, likelihoods: Likelihoods) -> tuple[np.ndarray, Likelihoods]:
+def averaged(numbers: Problem, likelihoods: Likelihoods) -> tuple[np.ndarray, Likelihoods]:
     """Return the matrix of the means over pairs, and the likelihoods of the means."""
     p, i, k = numbers.shape
     names = numbers.data.observations.parameters

@@ -34,8 +34,7 @@ from benchmarks.where import PATHS, plain, said
 from benchmarks.where_figures import MODELS, first
 from rtcal.acoustics.observables import observable
 from rtcal.finder.positions.evidence import flat
-from rtcal.finder.positions.model import Model
-from rtcal.finder.positions.model import model as model_of
+from rtcal.finder.positions.problem import Problem, problem_of
 from rtcal.finder.positions.responses import parameters, precisely, responses
 from rtcal.finder.positions.weighing import Weighing
 from rtcal.loop.control_runs import simulated_controls
@@ -281,7 +280,7 @@ def told(folder: Path, only: str | None, workers: int | None) -> None:
     others = []
     for model in [only] if only else [OWN, *participants()]:
         case = {state: case_of(model, state, workers) for state in STATES}
-        numbers = {state: model_of(case[state], made, runs) for state in STATES}
+        numbers = {state: problem_of(case[state], made, runs) for state in STATES}
         columns = [
             ratios(numbers[state], made.parameters, made.base, heard, state == "closed")
             for state in STATES
@@ -301,7 +300,7 @@ def print_ratios(name: str, columns: Iterable[Iterable[float]]) -> None:
 
 
 def ratios(
-    numbers: Model, names: Sequence[str], opened: Array, closed: Array, changed: bool
+    numbers: Problem, names: Sequence[str], opened: Array, closed: Array, changed: bool
 ) -> dict[str, tuple[float, float]]:
     """Return the log likelihood ratio of a told change and its expectation, by the errors assumed.
 

@@ -18,8 +18,8 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.where import case_of
+from rtcal.finder import track_record
 from rtcal.finder.effects import library
-from rtcal.finder.positions import track_record
 from rtcal.finder.positions.responses import parameters
 from rtcal.finder.positions.search import find_by_positions
 from rtcal.loop.control_runs import simulated_controls

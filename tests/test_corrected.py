@@ -18,7 +18,7 @@ from rtcal.acoustics.room import Surface
 from rtcal.command.main import cli
 from rtcal.errors import DataError
 from rtcal.finder import AppliedEffect, Case, corrected_room, recalibrate, simulator
-from rtcal.finder.means.states import distances, state
+from rtcal.finder.means.room_states import distances, state
 from rtcal.finder.model import predict
 from rtcal.posterior import distribution
 from rtcal.simulators.base import Simulator, run

@@ -47,7 +47,7 @@ from rtcal.finder.means.features import observe
 from rtcal.finder.means.hypotheses import predict_hypotheses
 from rtcal.finder.means.likelihood import alpha_covariance, goodness_of_fit
 from rtcal.finder.means.model_error import ModelDiscrepancy, estimate_discrepancy
-from rtcal.finder.means.states import distances, state
+from rtcal.finder.means.room_states import distances, state
 from rtcal.finder.model import State, predict, sensitivities
 
 F = 125.0 * 2.0 ** np.arange(7)

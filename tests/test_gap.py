@@ -20,12 +20,12 @@ from rtcal.command import finder as commands
 from rtcal.command.finder_options import Inputs
 from rtcal.command.main import cli
 from rtcal.finder import Case, MeansFinding, control_rooms, find, verify
+from rtcal.finder.finding import Size
 from rtcal.finder.means import evidence
 from rtcal.finder.means.bootstrap import FOLDER
 from rtcal.finder.means.engines import ControlRooms
-from rtcal.finder.means.states import distances, state
+from rtcal.finder.means.room_states import distances, state
 from rtcal.finder.model import predict
-from rtcal.finder.size import Size
 from rtcal.report import gap_figures
 from rtcal.report import page as pages
 from rtcal.report.gap_report import summary

@@ -36,7 +36,7 @@ from rtcal.finder import (
 from rtcal.finder.effects.opening import Opening
 from rtcal.finder.means.engines import ControlRooms, Engine
 from rtcal.finder.means.model_error import ModelDiscrepancy
-from rtcal.finder.means.states import state
+from rtcal.finder.means.room_states import state
 from rtcal.finder.model import Decay, State
 from tests.test_discrepancy import F, Organ, case_with, controls_of, opened
 

@@ -20,7 +20,7 @@ from rtcal.acoustics.equations import EQUATIONS, LinearEquation, linear_equation
 from rtcal.acoustics.equations import base as registry
 from rtcal.errors import DataError
 from rtcal.finder.means.recalibration import plain, recalibrate
-from rtcal.finder.means.states import state
+from rtcal.finder.means.room_states import state
 from rtcal.finder.model import STEEPEST, sensitivities
 from rtcal.loop.state import Loop, start
 from rtcal.simulators.equation import EquationSimulator

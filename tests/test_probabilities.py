@@ -26,7 +26,7 @@ from rtcal.finder.means.engines import ControlRooms
 from rtcal.finder.means.evidence import Evidence
 from rtcal.finder.means.features import observe
 from rtcal.finder.means.hypotheses import LowRank, predict_hypotheses
-from rtcal.finder.means.states import distances, state
+from rtcal.finder.means.room_states import distances, state
 from rtcal.finder.model import predict
 from rtcal.finder.prior import SHARPER, off_together, prior_of
 

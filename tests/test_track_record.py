@@ -8,8 +8,16 @@ from pathlib import Path
 import pytest
 
 import rtcal as rt
-from rtcal.finder.means import track_record
-from rtcal.finder.positions import track_record as where_record
+from rtcal.finder import track_record
+from rtcal.finder.track_record import (
+    HANDBOOK,
+    IN_SITU,
+    POSITIONS,
+    WITH_LEVEL,
+    WITHOUT_LEVEL,
+    Share,
+    TrackRecord,
+)
 
 DOCS = Path(__file__).parents[1] / "docs"
 PAGE = (DOCS / "discrepancy_study.md").read_text(encoding="utf-8")
@@ -24,19 +32,23 @@ def numbers(label: str) -> dict[str, tuple[int, int]]:
 
 
 @pytest.mark.parametrize(
-    ("label", "stated"),
+    ("label", "claimed"),
     [
-        ("single names claimed; right", track_record.NAMED),
-        ("families claimed; right", track_record.FAMILY),
-        ("sets of candidates; with the truth", track_record.AMBIGUOUS),
-        ("something hidden; missed", track_record.MISSED),
-        ("nothing hidden; flagged", track_record.FLAGGED),
+        ("single names claimed; right", "named"),
+        ("families claimed; right", "family"),
+        ("sets of candidates; with the truth", "ambiguous"),
     ],
 )
-def test_claims_and_right_ones_are_those_of_the_table(
-    label: str, stated: dict[str, tuple[int, int]]
-) -> None:
+def test_claims_and_right_ones_are_those_of_the_table(label: str, claimed: str) -> None:
+    stated = {data: record.right[claimed] for data, record in track_record.MEANS.items()}
     assert stated == numbers(label)
+
+
+def test_what_is_missed_and_flagged_is_that_of_the_table() -> None:
+    for data, (missed, hidden) in numbers("something hidden; missed").items():
+        assert track_record.MEANS[data].detected == (hidden - missed, hidden)
+    for data, flagged in numbers("nothing hidden; flagged").items():
+        assert track_record.MEANS[data].flagged == flagged
 
 
 def test_measured_cases_are_those_of_the_page() -> None:
@@ -46,29 +58,26 @@ def test_measured_cases_are_those_of_the_page() -> None:
 
 
 @pytest.mark.parametrize(
-    ("label", "stated"),
+    ("label", "kind"),
     [
-        ("families claimed that were right, all 110 rooms", track_record.SET_FAMILIES),
-        ("sets claimed that were right, all 110 rooms", track_record.FAMILY_SETS),
+        ("families claimed that were right, all 110 rooms", "families"),
+        ("sets claimed that were right, all 110 rooms", "sets of families"),
     ],
 )
-def test_claims_beside_others_are_those_of_the_table(label: str, stated: tuple[int, int]) -> None:
-    right, of = stated
+def test_claims_beside_others_are_those_of_the_table(label: str, kind: str) -> None:
+    right, of = track_record.SEVERAL[kind]
     assert re.search(rf"^\| {label} \| \| {right / of:.2f} \[.*\] of {of} \|$", PAGE, re.MULTILINE)
-    assert (
-        f"{right} of {of} such"
-        in track_record.of_sets(True, True)[stated == track_record.FAMILY_SETS]
-    )
+    assert f"{right} of {of} such {kind} were right" in track_record.of_several([kind])
 
 
 def test_every_verdict_says_how_often_it_was_right(kept: Path) -> None:
     case, _ = rt.datasets.hidden_room()
     finding = rt.finder.find(case, cache=kept)
-    assert finding.track_record == track_record.sentence(finding.verdict, track_record.ALL)
+    assert finding.track_record == track_record.of_means(finding.verdict, track_record.ALL)
     assert finding.track_record in " ".join(str(finding).split())
     for data in (track_record.TIMES, track_record.ALL):
         for verdict in ("none", "hint", "named", "family", "ambiguous", "unknown"):
-            assert "not used to make the finder" in track_record.sentence(verdict, data)
+            assert "not used to make the finder" in track_record.of_means(verdict, data)
 
 
 def test_the_record_is_that_of_the_case_s_own_kind_of_data() -> None:
@@ -80,34 +89,36 @@ def test_the_record_is_that_of_the_case_s_own_kind_of_data() -> None:
     assert track_record.data_of(case.only("t20", "c80", configurations=[first])) == track_record.ALL
 
 
-@pytest.mark.parametrize(("data", "column"), [("without level", 3), ("with level", 4)])
+def counts(record: TrackRecord) -> dict[str, Share]:
+    """Return the counts of a search at every position by the labels of the study's table."""
+    return {
+        "nothing hidden, flagged": record.flagged,
+        "something hidden, detected": record.detected,
+        "absorbers detected, on the correct surface": record.right["surface"],
+    }
+
+
+@pytest.mark.parametrize(("data", "column"), [(WITHOUT_LEVEL, 3), (WITH_LEVEL, 4)])
 def test_what_a_finding_with_a_geometry_says_is_the_study_s(data: str, column: int) -> None:
-    for label, stated in (
-        ("nothing hidden, flagged", where_record.FLAGGED),
-        ("something hidden, detected", where_record.DETECTED),
-        ("absorbers detected, on the correct surface", where_record.SURFACE),
-    ):
+    for label, stated in counts(POSITIONS[IN_SITU, data]).items():
         (row,) = (line for line in WHERE.splitlines() if line.startswith(f"| {label} |"))
         cell = row.split("|")[column].split()
         judged = int(cell[-1])
-        assert (round(float(cell[0]) * judged), judged) == stated[where_record.IN_SITU][data]
+        assert (round(float(cell[0]) * judged), judged) == stated
 
 
 def test_what_it_says_of_a_handbook_s_coefficients_is_the_study_s() -> None:
-    detected, right = (
-        [record[where_record.HANDBOOK][data] for data in ("without level", "with level")]
-        for record in (where_record.DETECTED, where_record.SURFACE)
-    )
-    flagged = where_record.FLAGGED[where_record.HANDBOOK]["with level"]
+    without, with_level = (POSITIONS[HANDBOOK, data] for data in (WITHOUT_LEVEL, WITH_LEVEL))
+    right = without.right["surface"], with_level.right["surface"]
     said = (
-        f"{detected[0][0]} and {detected[1][0]} of {detected[0][1]} detected, "
-        f"{flagged[0]} of {flagged[1]} flagged, {right[0][0]} of {right[0][1]} and {right[1][0]} of "
-        f"{right[1][1]} on the correct surface"
+        f"{without.detected[0]} and {with_level.detected[0]} of {without.detected[1]} detected, "
+        f"{with_level.flagged[0]} of {with_level.flagged[1]} flagged, {right[0][0]} of "
+        f"{right[0][1]} and {right[1][0]} of {right[1][1]} on the correct surface"
     )
     assert said in " ".join(WHERE.split())
 
 
 def test_a_room_is_compared_with_those_whose_sigma_is_like_its_own() -> None:
     room = rt.datasets.hidden_room()[0].room
-    assert where_record.statement(room.replace(sigma=0.3 * room.alpha)) == where_record.HANDBOOK
-    assert where_record.statement(room.replace(sigma=0.1 * room.alpha)) == where_record.IN_SITU
+    assert track_record.statement(room.replace(sigma=0.3 * room.alpha)) == HANDBOOK
+    assert track_record.statement(room.replace(sigma=0.1 * room.alpha)) == IN_SITU

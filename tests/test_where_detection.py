@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 import rtcal as rt
+from rtcal.finder import track_record
 from rtcal.finder.effects import library
 from rtcal.finder.finding import Detection
-from rtcal.finder.positions import track_record
 from rtcal.finder.positions.detection import (
     OF_PROGRAMS,
     THRESHOLD,
@@ -21,9 +21,9 @@ from rtcal.finder.positions.detection import (
     in_words,
     of_means,
 )
-from rtcal.finder.positions.hypotheses import shifts
 from rtcal.finder.positions.posterior import Evidence, Hypotheses, scores, weights
 from rtcal.finder.positions.shift import NOISE, POSITION, Spread
+from rtcal.finder.positions.surface_hypotheses import shifts
 from tests.test_where import MATCH, measured, stated, tracing
 
 pytest.importorskip("numba", reason="the paths are traced by compiled code (extra fast)")
@@ -151,7 +151,7 @@ def test_the_record_is_that_of_what_was_measured(
     lacking = rt.finder.positions.Case(simulator=case.simulator, measured=without)
     assert "level" in lacking.match
     finding = rt.finder.positions.find(lacking, cache=kept)
-    assert track_record.sentence(case.room, finding.parameters) == finding.notes[0]
+    assert track_record.of_positions(case.room, finding.parameters) == finding.notes[0]
     assert "level" not in finding.parameters
 
 

@@ -5,11 +5,18 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
+
+import numpy as np
 
 from rtcal.finder.effects import Effect
+from rtcal.finder.wording import amount, over_frequency
 from rtcal.support.arguments import checked
 from rtcal.support.results import Result
+from rtcal.support.types import Array
+
+End = Literal["", "least", "most"]
+"""At which end of what is tried the data allow any size."""
 
 
 @dataclass(frozen=True)
@@ -39,6 +46,67 @@ class Detection:
         if self.score > self.threshold:
             return None
         return "hint" if max(self.score, self.noise or 0.0) > 0 else "none"
+
+
+@dataclass(frozen=True)
+class Size:
+    """Size of an effect: mean and 90 % interval, in ``unit``.
+
+    ``end`` is "least" where the data allow any size above ``low``, "most" where they allow any below
+    ``high``: the evidence does not fall within what is tried, and physics does not end there.
+    """
+
+    mean: float
+    low: float
+    high: float
+    unit: str
+    end: End = ""
+
+    @property
+    def words(self) -> str:
+        """The size with its interval.
+
+        >>> Size(12.3, 8.0, 17.0, "m²").words
+        '12.3 m² (90 %: 8 to 17)'
+        >>> Size(61.0, 26.0, 109.0, "m²", "least").words
+        'at least 26 m² (95 %)'
+        """
+        if self.end:
+            value = self.low if self.end == "least" else self.high
+            return f"at {self.end} {amount(value, self.unit)} (95 %)"
+        return amount(self.mean, self.unit, (self.low, self.high))
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain values for JSON."""
+        return {**vars(self), "end": self.end or None}
+
+
+@dataclass(frozen=True, eq=False)
+class AbsorptionChange:
+    """Absorption area that an effect adds by band, over the room's mean one over the bands.
+
+    ``share`` (3, n_bands) is that of the size's mean, and of both ends of its interval. ``end`` is the
+    size's.
+    """
+
+    share: Array
+    end: End = ""
+
+    @property
+    def words(self) -> str:
+        """The mean over the bands, and whether it rises with frequency.
+
+        >>> AbsorptionChange(np.array([[0.2, 0.6], [0.1, 0.3], [0.3, 0.9]])).words
+        '40 % more absorption (90 %: 20 to 60 %), rising with frequency'
+        """
+        mean, *ends = 100 * np.abs(self.share.mean(1))
+        more = "more" if self.share[0].mean() > 0 else "less"
+        if self.end:
+            bound = min(ends) if self.end == "least" else max(ends)
+            said = f"at {self.end} {bound:.0f} % {more} absorption"
+        else:
+            said = f"{mean:.0f} % {more} absorption (90 %: {min(ends):.0f} to {max(ends):.0f} %)"
+        return f"{said}, {over_frequency(self.share[0])}"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)

@@ -4,7 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import numpy as np
+
+from rtcal.support.types import Array
+
 NATS = "2.3 nats are odds of ten to one"
+_ALIKE = 1.25
+"""Ratio of the upper and the lower bands, below which these are alike."""
 
 
 def amount(value: float, unit: str, interval: tuple[float, float] | None = None) -> str:
@@ -27,6 +33,19 @@ def engine_title(name: str) -> str:
     ('scattering delay network', 'path tracing')
     """
     return "scattering delay network" if name == "network" else name
+
+
+def over_frequency(values: Array) -> str:
+    """Return how the size of values (n_bands,) goes with frequency.
+
+    >>> over_frequency(np.array([1.0, 2.0])), over_frequency(np.array([-2.0, -2.2]))
+    ('rising with frequency', 'alike at all frequencies')
+    """
+    half, size = max(1, len(values) // 2), np.abs(values)
+    low, high = size[:half].mean(), size[-half:].mean()
+    if max(low, high) < _ALIKE * min(low, high):
+        return "alike at all frequencies"
+    return f"{'rising' if high > low else 'falling'} with frequency"
 
 
 def listed(names: Sequence[str], last: str = "and") -> str:

@@ -12,7 +12,7 @@ from rtcal.errors import DataError
 from rtcal.finder import AppliedEffect, Case
 from rtcal.finder.effects import Effect, library
 from rtcal.finder.effects.checks import checked_grid
-from rtcal.finder.means.states import state
+from rtcal.finder.means.room_states import state
 
 
 @pytest.fixture(scope="module")

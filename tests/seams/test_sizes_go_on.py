@@ -12,7 +12,7 @@ from rtcal.finder.effects import Effect, NoiseFloor, NonDiffuse, Opening, Porous
 from rtcal.finder.effects.checks import checked_grid
 from rtcal.finder.means.doubts import Doubt
 from rtcal.finder.means.hypotheses import predict_hypotheses
-from rtcal.finder.means.states import state
+from rtcal.finder.means.room_states import state
 from rtcal.finder.means.verdict import doubted
 from tests.test_discrepancy import case_with, controls_of, opened
 

@@ -31,7 +31,7 @@ from rtcal.finder.means.evidence import Evidence, evaluate
 from rtcal.finder.means.features import LEVELS, Observed
 from rtcal.finder.means.hypotheses import Hypotheses, LowRank
 from rtcal.finder.means.model_error import ModelDiscrepancy, estimate_discrepancy
-from rtcal.finder.means.states import distances, state
+from rtcal.finder.means.room_states import distances, state
 from rtcal.finder.model import FEATURES, predict
 from rtcal.finder.prior import NONE, Prior
 from rtcal.support import checks, kept_arrays

@@ -22,7 +22,7 @@ from rtcal.acoustics.room import Room
 from rtcal.errors import DataError
 from rtcal.finder.case import NORMAL_90, AppliedEffect, Case
 from rtcal.finder.configuration import Configuration
-from rtcal.finder.means.states import distances, seen, state, with_applied
+from rtcal.finder.means.room_states import distances, seen, state, with_applied
 from rtcal.finder.model import FEATURES, State, highest, mean_contributions, predict
 from rtcal.finder.wording import amount
 from rtcal.simulators.base import RoomSimulator, Simulator, check_alpha, run

@@ -11,13 +11,13 @@ from rtcal.acoustics import bands
 from rtcal.acoustics.trust import mid_frequency_time, schroeder_frequency
 from rtcal.finder.case import Case
 from rtcal.finder.effects import Effect, Parameters
+from rtcal.finder.finding import Size
 from rtcal.finder.means.evidence import evaluate
 from rtcal.finder.means.features import Observed
 from rtcal.finder.means.gap import GapCheck
 from rtcal.finder.means.hypotheses import Hypotheses
 from rtcal.finder.means.model_error import ModelDiscrepancy
 from rtcal.finder.prior import NONE
-from rtcal.finder.size import Size
 from rtcal.support.types import Array
 
 GROSS = np.log(2.0)

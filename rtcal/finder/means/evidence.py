@@ -27,7 +27,7 @@ from rtcal.finder.means.features import Observed
 from rtcal.finder.means.hypotheses import Hypotheses, predict_hypotheses
 from rtcal.finder.means.likelihood import covariance_of, log_densities, log_likelihood
 from rtcal.finder.means.model_error import ModelDiscrepancy
-from rtcal.finder.means.states import state
+from rtcal.finder.means.room_states import state
 from rtcal.finder.prior import COEFFICIENTS, NONE, UNKNOWN, grid_weights
 from rtcal.support.types import Array
 

@@ -10,15 +10,14 @@ import numpy as np
 
 from rtcal.acoustics import bands
 from rtcal.errors import DataError
+from rtcal.finder import track_record
 from rtcal.finder.case import AppliedEffect, Case
 from rtcal.finder.claim import SAID, Names, by_family_sets, family_of, numbers_of
 from rtcal.finder.coefficients import OffTogether
-from rtcal.finder.finding import Finding
-from rtcal.finder.means import track_record
+from rtcal.finder.finding import Finding, Size
 from rtcal.finder.means.model_error import ModelDiscrepancy
 from rtcal.finder.means.verdict import Fit
 from rtcal.finder.prior import COEFFICIENTS, NONE, UNKNOWN, Prior
-from rtcal.finder.size import Size
 from rtcal.finder.wording import NATS, as_sentence, engine_title, listed
 from rtcal.support import html, text
 from rtcal.support.arguments import checked
@@ -412,8 +411,9 @@ class MeansFinding(Finding):
     def track_record(self) -> str:
         """How often such a verdict was right in rooms that were not used to make the finder."""
         if self.more_than_one and self.verdict not in ("none", "hint"):
-            return " ".join(track_record.of_sets(bool(self.named_families), bool(self.named_set)))
-        return track_record.sentence(self.verdict, track_record.data_of(self.case))
+            claimed = {"families": self.named_families, "sets of families": self.named_set}
+            return track_record.of_several([kind for kind, names in claimed.items() if names])
+        return track_record.of_means(self.verdict, track_record.data_of(self.case))
 
     @property
     def headline(self) -> str:

@@ -31,7 +31,7 @@ from rtcal.finder.configuration import Configuration
 from rtcal.finder.means.features import observe
 from rtcal.finder.means.model_error import ModelDiscrepancy, checked_discrepancy
 from rtcal.finder.means.recalibrated import Recalibrated
-from rtcal.finder.means.states import air_of, distances, seen, state
+from rtcal.finder.means.room_states import air_of, distances, seen, state
 from rtcal.finder.model import FEATURES, STEEPEST, State, predict
 from rtcal.support.arguments import checked
 from rtcal.support.threads import single_threaded_blas

@@ -38,7 +38,7 @@ from rtcal.finder.means.likelihood import (
     without_alpha,
 )
 from rtcal.finder.means.model_error import COMMON_CORRELATION, ModelDiscrepancy
-from rtcal.finder.means.states import distances, state
+from rtcal.finder.means.room_states import distances, state
 from rtcal.finder.model import State, predict, sensitivities
 from rtcal.support.types import Array
 

@@ -19,6 +19,7 @@ from rtcal.finder.claim import (
 )
 from rtcal.finder.coefficients import SCALES, OffTogether
 from rtcal.finder.effects import Effect, Parameters
+from rtcal.finder.finding import AbsorptionChange, Size
 from rtcal.finder.means.doubts import (
     Doubt,
     decided_below_schroeder,
@@ -35,13 +36,8 @@ from rtcal.finder.means.hypotheses import Hypotheses, predict_hypotheses
 from rtcal.finder.means.likelihood import covariance_of, goodness_of_fit, spreading
 from rtcal.finder.means.model_error import ModelDiscrepancy
 from rtcal.finder.means.set_posterior import SetPosterior
+from rtcal.finder.means.size import absorption_change, estimate_size
 from rtcal.finder.prior import COEFFICIENTS, NONE, UNKNOWN
-from rtcal.finder.size import (
-    AbsorptionChange,
-    Size,
-    absorption_change,
-    estimate_size,
-)
 
 LIKELY = 0.5
 """Probability from which coefficients that are off together are said beside an effect."""

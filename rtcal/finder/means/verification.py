@@ -24,7 +24,7 @@ from rtcal.finder.means.hypotheses import predict_hypotheses
 from rtcal.finder.means.likelihood import standardized_residuals
 from rtcal.finder.means.recalibrated import Recalibrated, table
 from rtcal.finder.means.recalibration import plain, recalibrate
-from rtcal.finder.means.states import distances, state
+from rtcal.finder.means.room_states import distances, state
 from rtcal.finder.model import FEATURES, predict
 from rtcal.finder.verification import Verification
 from rtcal.finder.wording import listed

@@ -9,13 +9,13 @@ from dataclasses import replace
 import numpy as np
 
 from rtcal.errors import DataError
+from rtcal.finder import track_record
 from rtcal.finder.claim import CLAIMED, claim
 from rtcal.finder.effects import Effect, library
 from rtcal.finder.effects.checks import checked_effects
 from rtcal.finder.finding import Detection
 from rtcal.finder.means.search import CHOSEN
 from rtcal.finder.positions import surfaces as of_room
-from rtcal.finder.positions import track_record
 from rtcal.finder.positions.candidate import Candidate
 from rtcal.finder.positions.case import Case
 from rtcal.finder.positions.detection import (
@@ -26,9 +26,6 @@ from rtcal.finder.positions.detection import (
 )
 from rtcal.finder.positions.evidence import Likelihood
 from rtcal.finder.positions.finding import PositionsFinding
-from rtcal.finder.positions.hypotheses import COUPLED, WHOLE, on_surfaces, shifts, spreads
-from rtcal.finder.positions.model import Model, model
-from rtcal.finder.positions.part_hypotheses import on_parts
 from rtcal.finder.positions.posterior import (
     TOLD_TEMPER,
     Hypotheses,
@@ -39,9 +36,18 @@ from rtcal.finder.positions.posterior import (
     weights,
     with_families,
 )
+from rtcal.finder.positions.problem import Problem, problem_of
 from rtcal.finder.positions.responses import Responses, parameters, responses
 from rtcal.finder.positions.shift import NOISE, POSITION, SCATTERING, UNKNOWN, Shift
 from rtcal.finder.positions.summary import Summary, summary_of
+from rtcal.finder.positions.surface_hypotheses import (
+    COUPLED,
+    WHOLE,
+    on_parts,
+    on_surfaces,
+    shifts,
+    spreads,
+)
 from rtcal.finder.prior import COEFFICIENTS, NONE
 from rtcal.loop.control_runs import ControlRuns, simulated_controls
 from rtcal.support import checks
@@ -158,7 +164,7 @@ def find_by_positions(
     if controls is None:  # a PathTracing has control runs always
         raise DataError(f"{case.simulator.name} has no geometry to trace")
     made = responses(case, seed, cache, progress)
-    numbers = model(case, made, controls)
+    numbers = problem_of(case, made, controls)
     hypotheses = every_hypothesis(case, made, numbers, effects, left_out)
     likelihoods = numbers.likelihoods()
     evidence = evaluate(likelihoods, hypotheses, numbers.residual[:, np.newaxis])
@@ -180,7 +186,7 @@ def find_by_positions(
 def every_hypothesis(
     case: Case,
     made: Responses,
-    numbers: Model,
+    numbers: Problem,
     effects: Sequence[Effect],
     left_out: Sequence[str] = (),
 ) -> Hypotheses:
@@ -220,7 +226,7 @@ def left_out_of(
 
 def _finding(
     case: Case,
-    numbers: Model,
+    numbers: Problem,
     hypotheses: Hypotheses,
     posterior: Weights,
     likelihood: Likelihood,
@@ -254,7 +260,7 @@ def _finding(
         pairs=observations.pairs,
         reasons=reasons,
         notes=(
-            track_record.sentence(case.room, observations.parameters),
+            track_record.of_positions(case.room, observations.parameters),
             *_assumed(case),
             *_of_size(hypotheses, placed),
             *numbers.data.notes,
@@ -306,7 +312,7 @@ def _of_size(hypotheses: Hypotheses, best: Candidate | None) -> tuple[str, ...]:
     return (f"The size of {best.title} stands at the end of what is tried: it may be larger.",)
 
 
-def _map(numbers: Model, likelihood: Likelihood) -> Array:
+def _map(numbers: Problem, likelihood: Likelihood) -> Array:
     """Return simulated less measured in standard deviations, (n_parameters, n_pairs, n_bands)."""
     p, i, k = numbers.shape
     variance = np.diag(likelihood.covariance).copy()

@@ -10,20 +10,17 @@ import numpy as np
 
 from rtcal.acoustics import bands
 from rtcal.finder.claim import CLAIMED
-from rtcal.finder.finding import Finding
+from rtcal.finder.finding import Finding, Size
 from rtcal.finder.prior import NONE
-from rtcal.finder.size import Size
 from rtcal.finder.states.case import Case
 from rtcal.finder.states.kinds import ADDED
-from rtcal.finder.wording import NATS, amount, as_sentence, listed
+from rtcal.finder.wording import NATS, amount, as_sentence, listed, over_frequency
 from rtcal.support import html, text
 from rtcal.support.files import json_numbers
 from rtcal.support.types import Array
 
 LEAST_PAIRS = 4
 """Fewest pairs of a verification: half of them find the change."""
-_RANGE = 1.25
-"""Ratio of the change in the upper and in the lower bands, below which these are alike."""
 
 
 @dataclass(frozen=True)
@@ -139,14 +136,8 @@ class StatesFinding(Finding):
     @property
     def spectrum(self) -> str:
         """How the change goes with frequency: rising, falling or alike; "" of a single band."""
-        change = np.abs(self.change[0][np.isfinite(self.change[0])])
-        half = len(change) // 2
-        if half == 0:
-            return ""
-        low, high = change[:half].mean(), change[-half:].mean()
-        if max(low, high) < _RANGE * min(low, high):
-            return "alike at all frequencies"
-        return f"{'rising' if high > low else 'falling'} with frequency"
+        change = self.change[0][np.isfinite(self.change[0])]
+        return over_frequency(change) if len(change) > 1 else ""
 
     @property
     def headline(self) -> str:

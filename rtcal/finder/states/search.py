@@ -12,9 +12,8 @@ from scipy.special import logsumexp
 from rtcal.acoustics import band_conversion, bands
 from rtcal.finder.claim import SAID, claim, most_probable_first
 from rtcal.finder.effects import Effect, library
-from rtcal.finder.finding import Detection
+from rtcal.finder.finding import Detection, Size
 from rtcal.finder.prior import NO_EFFECT, NONE
-from rtcal.finder.size import Size
 from rtcal.finder.states import evidence, surfaces
 from rtcal.finder.states.baseline import Baseline
 from rtcal.finder.states.case import Case

@@ -8,14 +8,16 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from rtcal.acoustics.air import Air
+from rtcal.acoustics.common_errors import common_error_columns
 from rtcal.acoustics.observables import observable
 from rtcal.acoustics.room_errors import alike_alpha
 from rtcal.errors import DataError
+from rtcal.finder.case import CLIMATE_UNCERTAINTY
 from rtcal.finder.coefficients import SCALES
 from rtcal.finder.positions import unevenness
 from rtcal.finder.positions.case import Case
 from rtcal.finder.positions.evidence import Likelihood, band_first, flat, reordered
-from rtcal.finder.positions.prior import climate_error, usual_errors
 from rtcal.finder.positions.responses import AIR, STEP, TRACINGS, Responses
 from rtcal.finder.positions.shift import SCATTERING as SCATTERED
 from rtcal.finder.positions.shift import interpolation
@@ -33,7 +35,7 @@ UNKNOWN_SCALES = (4.0, 16.0)
 
 
 @dataclass(frozen=True, eq=False)
-class Model:
+class Problem:
     """What a search compares.
 
     All arrays are in the order (band, parameter, pair).
@@ -108,7 +110,7 @@ class Model:
         return of(base), off, unknown
 
 
-def model(case: Case, made: Responses, controls: ControlRuns) -> Model:
+def problem_of(case: Case, made: Responses, controls: ControlRuns) -> Problem:
     """Return the numbers of a search; DataError if too little was measured."""
     tracer, room = case.simulator, case.room
     base = made.base
@@ -169,7 +171,7 @@ def model(case: Case, made: Responses, controls: ControlRuns) -> Model:
     step = STEP * (1 - room.alpha.T)  # (n_bands, n_materials)
     slopes = shifted(made.materials) / step[:, np.newaxis]
     alpha, together = _prior(case, slopes, nodes["air"])
-    return Model(
+    return Problem(
         data=data,
         controls=controls,
         residual=np.where(used, flat(_linear(wanted.parameters, measured, stated)), 0.0),
@@ -239,3 +241,29 @@ def _prior(case: Case, slopes: Array, air: Array) -> tuple[Array, Array]:
     of_room = alike_alpha(case.room)[:-2]  # its climate counts by the case's own uncertainty
     of_room = of_room[of_room.any(axis=(1, 2))].reshape(-1, matrix.shape[1])
     return np.hstack([own, shifts, matrix @ of_room.T, together]), together
+
+
+def usual_errors(case: Case) -> Array:
+    """Return the changes of alpha that catalogues err by in common, (n, n_materials, n_bands)."""
+    room = case.room
+    both, own = common_error_columns(room.alpha, room.sigma, room.centre_frequencies)
+    return np.concatenate([both, *np.eye(room.n_materials)[:, :, np.newaxis] * own[:, np.newaxis]])
+
+
+def climate_error(case: Case) -> Array:
+    """Return the standard deviations of the air's attenuation by an uncertain climate, (2, n_bands).
+
+    Over that at 20 °C and 50 %, as `AIR`; none where the room has no air.
+    """
+    room = case.room
+    if room.air is None:
+        return np.zeros((0, room.n_bands))
+    f = room.centre_frequencies
+    reference = Air(20, 50).attenuation(f)
+    t, h = room.air.temperature, room.air.humidity
+    kelvin, percent = CLIMATE_UNCERTAINTY
+    ends = [
+        (Air(t + kelvin, h), Air(t - kelvin, h)),
+        (Air(t, min(h + percent, 100.0)), Air(t, max(h - percent, 1.0))),
+    ]
+    return np.array([(a.attenuation(f) - b.attenuation(f)) / 2 / reference for a, b in ends])

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from itertools import product
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from scipy.special import logsumexp
@@ -13,86 +12,17 @@ from scipy.special import logsumexp
 from rtcal.finder.case import Case
 from rtcal.finder.effects import Effect, Parameters
 from rtcal.finder.effects.checks import changed_states
+from rtcal.finder.finding import AbsorptionChange, End, Size
 from rtcal.finder.means.evidence import NEGLIGIBLE, Evidence, evaluate
 from rtcal.finder.means.features import Observed
 from rtcal.finder.means.hypotheses import Hypotheses, predict_hypotheses
 from rtcal.finder.means.model_error import ModelDiscrepancy
-from rtcal.finder.means.states import state
+from rtcal.finder.means.room_states import state
 from rtcal.finder.model import rates
-from rtcal.finder.wording import amount
 from rtcal.support.types import Array
 
 _AT_END = 2.0
 """Evidence in nats below that of the best size from which the last size that is tried is no end."""
-
-
-@dataclass(frozen=True)
-class Size:
-    """Size of an effect: mean and 90 % interval, in ``unit``.
-
-    ``end`` is "least" where the data allow any size above ``low``, "most" where they allow any below
-    ``high``: the evidence does not fall within what is tried, and physics does not end there.
-    """
-
-    mean: float
-    low: float
-    high: float
-    unit: str
-    end: Literal["", "least", "most"] = ""
-
-    @property
-    def words(self) -> str:
-        """The size with its interval.
-
-        >>> Size(12.3, 8.0, 17.0, "m²").words
-        '12.3 m² (90 %: 8 to 17)'
-        >>> Size(61.0, 26.0, 109.0, "m²", "least").words
-        'at least 26 m² (95 %)'
-        """
-        if self.end:
-            value = self.low if self.end == "least" else self.high
-            return f"at {self.end} {amount(value, self.unit)} (95 %)"
-        return f"{amount(self.mean, self.unit)} (90 %: {self.low:.3g} to {self.high:.3g})"
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return plain values for JSON."""
-        return {**vars(self), "end": self.end or None}
-
-
-@dataclass(frozen=True, eq=False)
-class AbsorptionChange:
-    """Absorption area that an effect adds by band, over the room's mean one over the bands.
-
-    ``share`` (3, n_bands) is that of the size's mean, and of both ends of its interval. ``end`` is the
-    size's.
-    """
-
-    share: Array
-    end: Literal["", "least", "most"] = ""
-
-    @property
-    def words(self) -> str:
-        """The mean over the bands, and whether it rises with frequency.
-
-        >>> AbsorptionChange(np.array([[0.2, 0.6], [0.1, 0.3], [0.3, 0.9]])).words
-        '40 % more absorption (90 %: 20 to 60 %), rising with frequency'
-        """
-        mean, *ends = 100 * np.abs(self.share.mean(1))
-        more = "more" if self.share[0].mean() > 0 else "less"
-        if self.end:
-            bound = min(ends) if self.end == "least" else max(ends)
-            said = f"at {self.end} {bound:.0f} % {more} absorption"
-        else:
-            said = f"{mean:.0f} % {more} absorption (90 %: {min(ends):.0f} to {max(ends):.0f} %)"
-        half = max(1, self.share.shape[1] // 2)
-        first, last = np.abs(self.share[0, :half]).mean(), np.abs(self.share[0, -half:]).mean()
-        if max(first, last) < _ALIKE * min(first, last):
-            return f"{said}, alike at all frequencies"
-        return f"{said}, {'rising' if last > first else 'falling'} with frequency"
-
-
-_ALIKE = 1.25
-"""Ratio of what is added in the upper and in the lower bands, below which these are alike."""
 
 
 def absorption_change(
@@ -167,7 +97,7 @@ def estimate_size(
 
     fine = steps(first, last, 25)
     log_p = at(fine, likely[:1])
-    end: Literal["", "least", "most"] = ""
+    end: End = ""
     if high > effect.neutral and fine[-1] < ends[1] and log_p[-1] > log_p.max() - _AT_END:
         end = "least"
     elif low < effect.neutral and fine[0] > ends[0] and log_p[0] > log_p.max() - _AT_END:

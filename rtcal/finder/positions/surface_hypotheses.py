@@ -1,4 +1,4 @@
-"""What may be other than stated, and where: effect and surface, the whole room, or the measurement."""
+"""What may be other than stated, and where: a surface or part of one, the room, the measurement."""
 
 from __future__ import annotations
 
@@ -6,12 +6,14 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rtcal.finder.effects.base import Effect, middle_absorption
 from rtcal.finder.effects.coupled_room import CoupledRoom
 from rtcal.finder.positions import unevenness
 from rtcal.finder.positions.aperture import SECOND_ROOMS
 from rtcal.finder.positions.case import Case
+from rtcal.finder.positions.parts import Part
 from rtcal.finder.positions.responses import MOVE, OPEN, SHARES
 from rtcal.finder.positions.room_hypotheses import (
     air,
@@ -45,6 +47,8 @@ DISPLACEMENTS = (0.5, 1.0, 2.0)
 """Distances in m by which a source or receiver may stand elsewhere."""
 NOISES = (3.0, 10.0)
 """Factors of the standard deviation of a pair whose measurement failed."""
+LOCATED = 0.5
+"""Prior probability that something which fits on a part of its surface stands on one alone."""
 
 
 def on_surfaces(effects: Sequence[Effect]) -> list[Effect]:
@@ -90,7 +94,7 @@ def _on_surfaces(case: Case, effect: Effect) -> list[Shift]:
     sizes = np.array(effect.shares or SIZES)
     made = []
     for j in np.flatnonzero(possible):
-        weights, odds, used, parameters, alpha = [], [], [], [], []
+        changes, odds, used, parameters, alpha = [], [], [], [], []
         for settings, spectrum in spectra:
             for size in sizes:
                 area = size * areas[j] if covering else size * middle
@@ -102,20 +106,20 @@ def _on_surfaces(case: Case, effect: Effect) -> list[Shift]:
                     moved = np.minimum(moved, 0.0)
                     if (-moved / np.maximum(stated[j], 1e-6)).max() < _LEAST_COVERED:
                         continue
-                weights.append(interpolation(SHARES, towards(moved, stated[j])))
+                changes.append(moved)
                 fitting = areas[possible & (areas >= (0 if covering else area))]
                 odds.append(areas[j] / fitting.sum() / (len(spectra) * len(sizes)))
                 used.append(area)
                 parameters.append({**settings, "area": float(area)})
                 alpha.append(spectrum)
-        if weights:
+        if changes:
             made.append(
                 Shift(
                     effect=effect.name,
                     family=effect.family,
                     surface=int(j),
                     response=f"surface {j}",
-                    weights=np.array(weights),
+                    weights=interpolation(SHARES, towards(np.array(changes), stated[j])),
                     odds=np.array(odds),
                     sizes=np.array(used),
                     unit="m²",
@@ -177,6 +181,47 @@ def _apertures(case: Case) -> list[Shift]:
             )
         )
     return _normalised(made, COUPLED.odds)
+
+
+def on_parts(case: Case, shifts: Sequence[Shift]) -> list[Shift]:
+    """Return the hypotheses with those of each part beside those of its surface.
+
+    `LOCATED` of the odds of a size go to the parts that hold it. The others stay with what is spread
+    over the surface. So the odds of a surface do not depend on the number of its parts. What covers a
+    stated absorber is a share of the whole surface, and has no parts; nor has an aperture.
+    """
+    stated, every = surface_alpha(case), list(enumerate(case.divided.parts))
+    out = []
+    for shift in shifts:
+        own = [(p, part) for p, part in every if part.surface == shift.surface]
+        if not own or not shift.divisible:
+            out.append(shift)
+            continue
+        holds = np.array([shift.sizes <= part.area for _, part in own])
+        number = holds.sum(axis=0)
+        out.append(replace(shift, odds=np.where(number > 0, 1 - LOCATED, 1.0) * shift.odds))
+        for (p, part), rows in zip(own, holds, strict=True):
+            if rows.any():
+                out.append(_on_part(shift, p, part, stated[part.surface], rows, number))
+    return out
+
+
+def _on_part(
+    shift: Shift, p: int, part: Part, stated: Array, rows: NDArray[np.bool_], number: Array
+) -> Shift:
+    spectra = shift.spectra[rows]
+    moved = shift.sizes[rows, np.newaxis] / part.area * (spectra - stated)
+    return replace(
+        shift,
+        part=p,
+        response=f"part {p}",
+        weights=interpolation(SHARES, towards(moved, stated)),
+        odds=LOCATED * shift.odds[rows] / number[rows],
+        sizes=shift.sizes[rows],
+        parameters=[q for q, holds in zip(shift.parameters, rows, strict=True) if holds],
+        spectra=spectra,
+        uneven=unevenness.factor(shift.sizes[rows] / part.area),
+    )
 
 
 def spreads(
