@@ -15,6 +15,8 @@ from rtcal.support.arguments import checked
 from rtcal.support.results import Result
 from rtcal.support.types import Array
 
+LEAST_PAIRS = 4
+"""Fewest pairs of a verification at held-out pairs: half of them have to find it again."""
 End = Literal["", "least", "most"]
 """At which end of what is tried the data allow any size."""
 
@@ -181,14 +183,20 @@ class Finding(Result):
     def headline(self) -> str:
         """The verdict in a sentence or two."""
 
+    @property
+    @abstractmethod
+    def what(self) -> str:
+        """What was found, in a few words."""
+
+    def __repr__(self) -> str:
+        """Return one line: verdict, what was found, score and threshold."""
+        score = f"{self.score:+.1f} nats, threshold {self.threshold:.1f}"
+        return f"<{type(self).__name__} {self.verdict}: {self.what}; {score}>"
+
     @checked
     def percent(self, name: str) -> str:
         """The probability of an effect, or of "none", in percent."""
         return f"{100 * self.probabilities.get(name, 0.0):.0f} %"
-
-    @property
-    def _scored(self) -> str:
-        return f"{self.score:+.1f} nats, threshold {self.threshold:.1f}"
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain values for JSON."""

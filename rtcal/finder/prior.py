@@ -97,29 +97,44 @@ def prior_of(
     return Prior(table, off, sharpness(room))
 
 
-def chosen_effects(
-    effects: Sequence[Effect], without: Sequence[str], only: Sequence[str]
-) -> tuple[tuple[Effect, ...], tuple[str, ...]]:
-    """Return the effects to try, and the names that are left out; DataError for an unknown name."""
-    named = {
-        "without": checks.listed("without", without),
-        "only": checks.listed("only", only),
-    }
+def left_out_of(
+    only: Sequence[str],
+    without: Sequence[str],
+    possible: Sequence[str],
+    in_any_case: Sequence[str] = (),
+) -> tuple[str, ...]:
+    """Return the names that are not tried: those ``without``, and with ``only`` all others.
+
+    ``in_any_case`` are tried beside ``only``. Raises DataError for a name that is not ``possible``,
+    and where nothing is left.
+    """
+    named = {"only": checks.listed("only", only), "without": checks.listed("without", without)}
     for place, names in named.items():
-        possible = [e.name for e in effects]
-        possible += [COEFFICIENTS, UNKNOWN]
         if unlisted := [n for n in names if n not in possible]:
             raise DataError(
                 f'{place} has "{unlisted[0]}", which is not one of {", ".join(possible)}'
             )
     left = set(named["without"])
     if named["only"]:
-        left |= {e.name for e in effects} - set(named["only"])
-        left |= {COEFFICIENTS} - set(named["only"])
+        left |= {*possible} - {*named["only"], *in_any_case}
+    if left >= {*possible}:
+        raise DataError(_NONE_LEFT)
+    return tuple(sorted(left))
+
+
+_NONE_LEFT = "only and without leave no effect to try"
+
+
+def chosen_effects(
+    effects: Sequence[Effect], without: Sequence[str], only: Sequence[str]
+) -> tuple[tuple[Effect, ...], tuple[str, ...]]:
+    """Return the effects to try, and the names that are left out; DataError for an unknown name."""
+    possible = [*(e.name for e in effects), COEFFICIENTS, UNKNOWN]
+    left = left_out_of(only, without, possible, [UNKNOWN])
     tried = tuple(e for e in effects if e.name not in left)
     if not tried:
-        raise DataError("without and only leave no effect to try")
-    return tried, tuple(left)
+        raise DataError(_NONE_LEFT)
+    return tried, left
 
 
 def checked_odds(effects: Sequence[Effect], prior: object) -> dict[str, float]:

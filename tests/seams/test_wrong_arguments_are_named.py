@@ -104,8 +104,9 @@ def test_a_flag_of_a_tracer() -> None:
 def test_effects_in_a_geometry_of_any_kind(kind: type) -> None:
     """A generator was read once and then ignored; an array raised a ValueError."""
     pytest.importorskip("numba", reason="the paths are traced by compiled code (extra fast)")
-    from rtcal.finder.positions.search import left_out_of
+    from rtcal.finder.prior import left_out_of
 
-    names = [*left_out_of(["porous"], [])][:2]
-    assert left_out_of([], kind(names)) == tuple(sorted(names))
-    assert left_out_of(kind(names), []) == left_out_of(names, [])
+    every = rt.finder.positions.EFFECTS
+    names = [*left_out_of(["porous"], [], every)][:2]
+    assert left_out_of([], kind(names), every) == tuple(sorted(names))
+    assert left_out_of(kind(names), [], every) == left_out_of(names, [], every)

@@ -312,11 +312,11 @@ class MeansFinding(Finding):
             ],
         }
 
-    def __repr__(self) -> str:
-        """Return one line: verdict, candidates with their probabilities, score and threshold."""
+    @property
+    def what(self) -> str:
+        """The members of a set, or the candidates, with their probabilities."""
         some = self.members if len(self.members) > 1 else self.candidates
-        names = text.shortened(", ".join(f"{c} {self.percent(c)}" for c in some))
-        return f"<{type(self).__name__} {self.verdict}: {names or 'no effect'}; {self._scored}>"
+        return text.shortened(", ".join(f"{c} {self.percent(c)}" for c in some)) or "no effect"
 
     def _repr_html_(self) -> str:
         """Return probabilities and evidence as a table, candidates and threshold in words."""

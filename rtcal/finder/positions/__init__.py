@@ -11,13 +11,12 @@ from rtcal.finder.positions.advice import Place, next_position
 from rtcal.finder.positions.candidate import Candidate
 from rtcal.finder.positions.case import Case
 from rtcal.finder.positions.corrected import Corrected
-from rtcal.finder.positions.finding import LEAST_PAIRS, PositionsFinding
+from rtcal.finder.positions.finding import PositionsFinding
 from rtcal.finder.positions.search import EFFECTS, find
 from rtcal.finder.positions.verification import PositionsVerification, verify
 
 __all__ = [
     "EFFECTS",
-    "LEAST_PAIRS",
     "Candidate",
     "Case",
     "Corrected",

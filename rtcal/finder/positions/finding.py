@@ -11,7 +11,7 @@ import numpy as np
 from rtcal.errors import DataError
 from rtcal.finder.claim import SAID
 from rtcal.finder.effects.coupled_room import CoupledRoom
-from rtcal.finder.finding import Finding
+from rtcal.finder.finding import LEAST_PAIRS, Finding
 from rtcal.finder.positions.candidate import Candidate
 from rtcal.finder.positions.case import Case
 from rtcal.finder.positions.detection import in_words
@@ -26,8 +26,6 @@ from rtcal.support.types import Array
 if TYPE_CHECKING:
     from rtcal.finder.positions.corrected import Corrected
 
-LEAST_PAIRS = 4
-"""Fewest pairs of a verification: half of them have to say where."""
 _LEAST = 1e-3
 """Probability below which nothing is added to a surface, even where the user names it."""
 
@@ -157,10 +155,11 @@ class PositionsFinding(Finding):
             raise DataError(f'at lies on "{surface}", on which nothing was found')
         return best
 
-    def __repr__(self) -> str:
+    @property
+    def what(self) -> str:
+        """The most probable candidate with its probability."""
         best = self.best
-        what = "nothing" if best is None else f"{best.title} {100 * best.probability:.0f} %"
-        return f"<{type(self).__name__} {self.verdict}: {what}; {self._scored}>"
+        return "nothing" if best is None else f"{best.title} {100 * best.probability:.0f} %"
 
     @property
     def headline(self) -> str:

@@ -48,7 +48,7 @@ from rtcal.finder.positions.surface_hypotheses import (
     shifts,
     spreads,
 )
-from rtcal.finder.prior import COEFFICIENTS, NONE
+from rtcal.finder.prior import COEFFICIENTS, NONE, left_out_of
 from rtcal.loop.control_runs import ControlRuns, simulated_controls
 from rtcal.support import checks
 from rtcal.support.arguments import checked
@@ -207,21 +207,6 @@ def every_hypothesis(
         off=0.0 if COEFFICIENTS in left_out else prior_off(case),
         unknown=UNKNOWN not in left_out,
     )
-
-
-def left_out_of(
-    only: Sequence[str], without: Sequence[str], every: Sequence[str] = EFFECTS
-) -> tuple[str, ...]:
-    """Return the effects that are not tried; DataError for an unknown name."""
-    only, without = checks.listed("only", only), checks.listed("without", without)
-    for place, names in (("only", only), ("without", without)):
-        for name in names:
-            if name not in every:
-                raise DataError(f'{place} has "{name}", which is not one of {", ".join(every)}')
-    left = set(without) | (set(every) - set(only) if only else set())
-    if left >= set(every):
-        raise DataError("only and without leave no effect to try")
-    return tuple(sorted(left))
 
 
 def _finding(

@@ -18,10 +18,10 @@ from rtcal.errors import DataError
 from rtcal.finder.positions.candidate import Candidate
 from rtcal.finder.positions.case import Case
 from rtcal.finder.positions.corrected import corrected
-from rtcal.finder.positions.finding import LEAST_PAIRS, PositionsFinding
+from rtcal.finder.positions.finding import PositionsFinding
 from rtcal.finder.positions.responses import key_of
 from rtcal.finder.positions.search import find_by_positions
-from rtcal.finder.verification import Verification, verdict_of
+from rtcal.finder.verification import HeldOutVerification, check_pairs
 from rtcal.loop.control_runs import trace_ahead
 from rtcal.loop.measured_pairs import Pair, with_reference
 from rtcal.loop.positions import calibrate_positions
@@ -44,7 +44,7 @@ _SHORT = ("stated", "calibrated", "corrected")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class PositionsVerification(Verification):
+class PositionsVerification(HeldOutVerification):
     """Gaps at positions that were not fitted: as stated, calibrated, corrected and calibrated.
 
     The pairs are divided into two halves. Each half finds the effect again and calibrates both models;
@@ -84,32 +84,10 @@ class PositionsVerification(Verification):
         return float(self.gap("corrected").mean() / self.gap("plain").mean())
 
     @property
-    def gain(self) -> float:
-        """By how much the mean absolute gap is smaller, plain less corrected, in JND."""
-        return float(np.mean(self._gains()))
-
-    @property
-    def uncertainty(self) -> float:
-        """Standard error of the gain over pairs and, of two seeds and more, over seeds, in JND."""
-        gains = self._gains()
-        n_seeds, n_pairs = gains.shape
-        of_pairs = gains.mean(axis=0).std(ddof=1) / np.sqrt(n_pairs)
-        of_seeds = gains.mean(axis=1).std(ddof=1) / np.sqrt(n_seeds) if n_seeds > 1 else 0.0
-        return float(np.hypot(of_pairs, of_seeds))
-
-    def _gains(self) -> Array:
-        """Return plain less corrected, the mean absolute gap of each seed and pair."""
+    def gains(self) -> Array:
+        """Plain less corrected, the mean absolute gap of each seed and pair, in JND."""
         gaps = [np.nanmean(np.abs(getattr(self, m)), axis=(1, 3)) for m in ("plain", "corrected")]
         return np.asarray(gaps[0] - gaps[1])
-
-    @property
-    def verdict(self) -> str:
-        """What becomes of the gap: ``supported``, ``unproven`` or ``withdrawn``.
-
-        It shrinks by more than its uncertainty, changes by less, or grows by more; the confidence is
-        that of `rtcal.finder.verification.verdict_of`.
-        """
-        return verdict_of(self.gain, self.uncertainty, len(self.finding.pairs))
 
     @property
     def by_parameter(self) -> dict[str, dict[str, float]]:
@@ -240,7 +218,7 @@ def verify(
     Raises
     ------
     DataError
-        For fewer than `LEAST_PAIRS` pairs, or where the finding has nothing to add to a surface.
+        For fewer than four pairs, or where the finding has nothing to add to a surface.
     """
     chosen = tuple(checks.whole("seeds", s, 0) for s in checks.listed("seeds", seeds))
     if not chosen:
@@ -250,11 +228,7 @@ def verify(
     if (nothing := finding.reason_for_none) is not None:
         raise DataError(nothing)
     case = finding.case
-    if len(finding.pairs) < LEAST_PAIRS:
-        raise DataError(
-            f"there are {len(finding.pairs)} pairs; to predict half of them from the others, it needs "
-            f"{LEAST_PAIRS}"
-        )
+    check_pairs(finding.pairs)
     halves, tried = halves_of(finding.pairs), tuple(finding.effects.values())
     searched = []
     for n, half in enumerate(halves):

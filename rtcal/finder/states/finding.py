@@ -10,7 +10,7 @@ import numpy as np
 
 from rtcal.acoustics import bands
 from rtcal.finder.claim import CLAIMED
-from rtcal.finder.finding import Finding, Size
+from rtcal.finder.finding import LEAST_PAIRS, Finding, Size
 from rtcal.finder.prior import NONE
 from rtcal.finder.states.case import Case
 from rtcal.finder.states.kinds import ADDED
@@ -18,9 +18,6 @@ from rtcal.finder.wording import NATS, amount, as_sentence, listed, over_frequen
 from rtcal.support import html, text
 from rtcal.support.files import json_numbers
 from rtcal.support.types import Array
-
-LEAST_PAIRS = 4
-"""Fewest pairs of a verification: half of them find the change."""
 
 
 @dataclass(frozen=True)
@@ -109,9 +106,6 @@ class StatesFinding(Finding):
     def best(self) -> str | None:
         """The most probable kind of change; None where the verdict is "none"."""
         return None if self.verdict == NONE else self.kinds[0].name
-
-    def __repr__(self) -> str:
-        return f"<StatesFinding {self.verdict}: {self.what}; {self._scored}>"
 
     @property
     def what(self) -> str:

@@ -11,9 +11,9 @@ from rtcal.acoustics.observables import TARGET
 from rtcal.errors import DataError
 from rtcal.finder.states.baseline import Baseline
 from rtcal.finder.states.case import Case
-from rtcal.finder.states.finding import LEAST_PAIRS, StatesFinding
+from rtcal.finder.states.finding import StatesFinding
 from rtcal.finder.states.search import find
-from rtcal.finder.verification import Verification, verdict_of
+from rtcal.finder.verification import HeldOutVerification, check_pairs
 from rtcal.support import text
 from rtcal.support.arguments import checked
 from rtcal.support.files import json_numbers
@@ -21,7 +21,7 @@ from rtcal.support.types import Array
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class StatesVerification(Verification):
+class StatesVerification(HeldOutVerification):
     """How T changes at pairs that were not fitted: measured, and as the other half of the pairs says.
 
     Attributes
@@ -45,14 +45,9 @@ class StatesVerification(Verification):
         return float(np.nanmean(np.abs(self.before))), float(np.nanmean(np.abs(self.after)))
 
     @property
-    def verdict(self) -> str:
-        """``supported``, ``unproven`` or ``withdrawn``: the gap shrinks, hardly changes, or grows.
-
-        By more than its uncertainty over the pairs, one-sided, by Student's t.
-        """
-        gain = np.nanmean(np.abs(self.before) - np.abs(self.after), axis=1)
-        n = len(gain)
-        return verdict_of(float(gain.mean()), float(gain.std(ddof=1) / np.sqrt(n)), n)
+    def gains(self) -> Array:
+        """Mean absolute gap of each pair without less with the change, (1, n_pairs), in JND."""
+        return np.nanmean(np.abs(self.before) - np.abs(self.after), axis=1)[np.newaxis]
 
     @property
     def sentence(self) -> str:
@@ -108,11 +103,7 @@ def verify(finding: StatesFinding, *, seed: int = 0) -> StatesVerification:
     case, found = finding.case, finding.case.differences
     if not finding.detected:
         raise DataError(f'the verdict is "{finding.verdict}"; there is no change to verify')
-    if len(found.pairs) < LEAST_PAIRS:
-        raise DataError(
-            f"the states have {len(found.pairs)} pairs in common; {LEAST_PAIRS} are needed, half of "
-            "which predict the others"
-        )
+    check_pairs(found.pairs)
     predicted = np.full(found.change.shape, np.nan)
     for half in range(2):
         fitted = [i for i in range(len(found.pairs)) if i % 2 == half]
