@@ -147,6 +147,19 @@ def box() -> Case:
 
 
 @pytest.mark.parametrize("form", ["patch", "material"])
+def test_what_is_stated_of_the_areas_stays_in_the_corrected_room(form: str) -> None:
+    """A room that stated how sure its areas are had no corrected room: a row was missing."""
+    geometry = Polyhedron.shoebox(SIZE, {w: f"{w} wall" for w in SHOEBOX_WALLS})
+    stated = {"east wall": 0.05, "floor wall": 0.02}
+    made = corrected(case_in(geometry, area_sigma=stated), candidate("east", 6.0), form).room
+    assert dict(zip(made.materials, made.area_sigma.tolist(), strict=True)) == {
+        **dict.fromkeys(made.materials, 0.0),
+        **{name: sigma for name, sigma in stated.items() if name in made.materials},
+    }
+    assert "floor wall" in made.materials
+
+
+@pytest.mark.parametrize("form", ["patch", "material"])
 def test_the_corrected_room_absorbs_what_was_found(box: Case, form: str) -> None:
     made = corrected(box, candidate("east", 6.0), form)
     assert made.form == form

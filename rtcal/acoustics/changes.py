@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Container, Sequence
 from dataclasses import dataclass
+from itertools import count
+from typing import Any
 
 import numpy as np
 
@@ -15,6 +17,7 @@ from rtcal.acoustics.scene import Scene
 from rtcal.errors import DataError
 from rtcal.support import checks
 from rtcal.support.arguments import checked
+from rtcal.support.types import Array
 
 OPENING = "opening"
 """Name of the material of what is opened: alpha = 1, exactly."""
@@ -282,16 +285,7 @@ def _with_less(room: Room, surface: str, area: float) -> Room | None:
     if areas[row] > 0:
         return room.replace(areas=areas)
     kept = [i for i in range(room.n_materials) if i != row]
-    if not kept:
-        return None
-
-    names = [room.materials[i] for i in kept]
-    rows = {
-        name: None if getattr(room, name) is None else getattr(room, name)[kept]
-        for name in ("alpha", "sigma", "alpha_min", "scattering", "area_sigma")
-    }
-    pairs = {p: v for p, v in room.material_correlation.items() if surface not in p}
-    return room.replace(materials=names, areas=areas[kept], material_correlation=pairs, **rows)
+    return with_materials(room, (), kept) if kept else None
 
 
 def _area_sigma(room: Room, material: str) -> float:
@@ -306,15 +300,9 @@ def _added(
     ``before`` has the str's coefficients. The errors of two areas of one material add up.
     """
     new = _material(before, material)
+    further = [Further(new, area, area_sigma)]
     if left is None:
-        rows = {"alpha": [new.alpha], "sigma": [new.sigma], "alpha_min": None, "scattering": None}
-        return before.replace(
-            materials=[new.name],
-            areas=[area],
-            material_correlation={},
-            area_sigma=[area_sigma],
-            **rows,
-        )
+        return with_materials(before, further, ())
     if new.name in left.materials:
         row, areas, errors = (
             left.materials.index(new.name),
@@ -324,31 +312,90 @@ def _added(
         errors[row] = (errors[row] * areas[row] + area_sigma * area) / (areas[row] + area)
         areas[row] += area
         return left.replace(areas=areas, area_sigma=errors)
-    floor = None
-    if left.alpha_min is not None or np.any(np.asarray(new.alpha_min) > 0):
-        old = np.zeros_like(left.alpha) if left.alpha_min is None else left.alpha_min
-        floor = np.vstack([old, np.broadcast_to(new.alpha_min, left.n_bands)])
-    scattering = None
-    if left.scattering is not None and new.scattering is not None:
-        scattering = np.vstack([left.scattering, new.scattering])
-    return left.replace(
-        materials=[*left.materials, new.name],
-        areas=[*left.areas, area],
-        area_sigma=[*left.area_sigma, area_sigma],
-        alpha=np.vstack([left.alpha, _row(left, new.name, "alpha", new.alpha)]),
-        sigma=np.vstack([left.sigma, _row(left, new.name, "sigma", new.sigma)]),
-        alpha_min=floor,
-        scattering=scattering,
-        sources={**left.sources, **({new.name: new.source} if new.source else {})},
-    )
+    return with_materials(left, further)
 
 
-def _row(room: Room, material: str, name: str, values: Sequence[float]) -> Sequence[float]:
+@dataclass(frozen=True)
+class Further:
+    """A further material of a room: its area in m², and that area's relative standard deviation."""
+
+    material: Material
+    area: float
+    area_sigma: float = 0.0
+
+
+def with_materials(
+    room: Room,
+    further: Sequence[Further],
+    kept: Sequence[int] | None = None,
+    areas: Array | None = None,
+    **changes: Any,
+) -> Room:
+    """Return a room with some of its materials, and further ones after them.
+
+    Every array by material has their rows. Without scattering of all materials the room has none.
+
+    Parameters
+    ----------
+    room : Room
+    further : sequence of Further
+    kept : sequence of int, optional
+        Rows of the materials that stay; all if not given.
+    areas : array (n_kept,), optional
+        Their areas in m²; those of the room if not given.
+    **changes
+        Other fields of the room, as for `Room.replace`.
+    """
+    rows = list(range(room.n_materials) if kept is None else kept)
+    names, new = [room.materials[i] for i in rows], [f.material for f in further]
+
+    def joined(name: str, own: Array) -> Array:
+        return np.vstack([own[rows], *(_row(room, m.name, name, getattr(m, name)) for m in new)])
+
+    bounded = room.alpha_min is not None or any(np.any(np.asarray(m.alpha_min) > 0) for m in new)
+    scatter = None if any(m.scattering is None for m in new) else room.scattering
+    stated = {
+        "materials": [*names, *(m.name for m in new)],
+        "areas": [*(room.areas[rows] if areas is None else areas), *(f.area for f in further)],
+        "area_sigma": [*room.area_sigma[rows], *(f.area_sigma for f in further)],
+        "alpha": joined("alpha", room.alpha),
+        "sigma": joined("sigma", room.sigma),
+        "alpha_min": joined("alpha_min", _least(room)) if bounded else None,
+        "scattering": None if scatter is None else joined("scattering", scatter),
+        "material_correlation": {
+            pair: r for pair, r in room.material_correlation.items() if {*pair} <= {*names}
+        },
+        "sources": {
+            **{m: source for m, source in room.sources.items() if m in names},
+            **{m.name: m.source for m in new if m.source},
+        },
+    }
+    return room.replace(**(stated | changes))
+
+
+def _least(room: Room) -> Array:
+    return np.zeros_like(room.alpha) if room.alpha_min is None else room.alpha_min
+
+
+def new_name(taken: Container[str], wanted: str) -> str:
+    """Return a name that is not taken: the wanted one, or that with a number.
+
+    >>> new_name(["wall"], "panel"), new_name(["panel", "panel (2)"], "panel")
+    ('panel', 'panel (3)')
+    """
+    numbered = (wanted if n == 1 else f"{wanted} ({n})" for n in count(1))
+    return next(name for name in numbered if name not in taken)
+
+
+def _row(room: Room, material: str, name: str, values: float | Sequence[float]) -> Array:
+    """Return a new material's values, (n_bands,)."""
+    if name == "alpha_min":
+        return np.broadcast_to(values, room.n_bands)
     if np.shape(values) != (room.n_bands,):
         raise DataError(
             f'{name}["{material}"] has shape {np.shape(values)}; the room has {room.n_bands} bands'
         )
-    return values
+    return np.asarray(values)
 
 
 def _material(room: Room, material: Material | str) -> Material:

@@ -150,6 +150,14 @@ def agree(case: Case) -> None:
     same(spread.simulate(room.alpha).mean("t20"), time, "the simulator's T")
 
 
+def test_what_is_stated_of_the_areas_stays_in_the_corrected_room(case: Case) -> None:
+    """A room that stated how sure its areas are had no corrected room: a row was missing."""
+    room = case.room.replace(area_sigma=0.05, surfaces=())
+    porous = next(e for e in library() if e.name == "porous")
+    made = corrected_room(replace(case, room=room, applied=[of(porous, case, 0.5)]))
+    assert made.area_sigma.tolist() == [*[0.05] * room.n_materials, 0.0]
+
+
 @pytest.mark.parametrize("equation", ["eyring", "sabine", "kuttruff", "millington"])
 @pytest.mark.parametrize("effect", EVERY, ids=lambda e: str(e.name))
 def test_an_effect_alone(case: Case, effect: Effect, equation: str) -> None:

@@ -16,7 +16,9 @@ import numpy as np
 
 from rtcal.acoustics import bands
 from rtcal.acoustics.air import Air
+from rtcal.acoustics.changes import Further, new_name, with_materials
 from rtcal.acoustics.equations import mean_equation
+from rtcal.acoustics.materials import Material
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.room import Room
 from rtcal.errors import DataError
@@ -310,9 +312,11 @@ def _with_absorbers(
     at = kept = replace(whole, covering=0.0, objects=0.0)
     wall = _absorption(at)
     top = float(equation.contribution(np.array(min(1.0, equation.largest_alpha))))
-    areas, names, sources = stated.areas, list(stated.materials), dict(stated.sources)
-    alpha, sigma = [*stated.alpha], [*stated.sigma]
-    shares: list[float] = []
+    areas, names, shares = stated.areas, list(stated.materials), list[float]()
+    materials: list[Material] = []
+    scattering = None
+    if stated.scattering is not None:
+        scattering = (stated.areas @ stated.scattering / stated.total_area).tolist()
     n_coverings = 0
     for kind, every in gains.items():
         for p, gain in every:
@@ -332,35 +336,25 @@ def _with_absorbers(
             absorber = np.clip(wall + (both - wall) / w, 0, top)
             areas = np.append((1 - w) * areas, w * stated.total_area)
             shares.append(w)
-            names.append(_new_name(p.name, names))
-            alpha.append(equation.coefficient(absorber))
+            names.append(new_name(names, p.name))
+            source = ""
             if p.size_interval is not None:
                 size = amount(p.parameters[p.effect.size], p.effect.unit, p.size_interval)
-                sources[names[-1]] = f"rtcal find: {size}; the area leaves room for more"
+                source = f"rtcal find: {size}; the area leaves room for more"
+            alpha = equation.coefficient(absorber)
             mean_wall = stated.absorption_area / stated.total_area
-            sigma.append(np.minimum(np.abs(alpha[-1] - mean_wall) * _spread(p), 1.0))
+            sigma = np.minimum(np.abs(alpha - mean_wall) * _spread(p), 1.0)
+            materials.append(
+                Material(names[-1], alpha.tolist(), sigma.tolist(), 0.0, scattering, source)
+            )
             at, wall = after, both
         if kind == "covering":
             n_coverings = len(shares)
     room = stated
     if shares:
-        further = {"alpha_min": np.zeros(stated.n_bands)}
-        if stated.scattering is not None:
-            further["scattering"] = stated.areas @ stated.scattering / stated.total_area
-        room = stated.replace(
-            materials=names,
-            areas=areas,
-            alpha=alpha,
-            sigma=sigma,
-            surfaces=(),
-            dimensions=None,
-            sources=sources,
-            **{
-                name: np.vstack([rows, *[row] * len(shares)])
-                for name, row in further.items()
-                if (rows := getattr(stated, name)) is not None
-            },
-        )
+        n = stated.n_materials
+        further = [Further(m, area) for m, area in zip(materials, areas[n:], strict=True)]
+        room = with_materials(stated, further, areas=areas[:n], surfaces=(), dimensions=None)
     return _Corrected(room, stated, whole, kept, tuple(shares), n_coverings, absent)
 
 
@@ -391,13 +385,6 @@ def _sized(case: Case, i: int, size: float) -> list[AppliedEffect]:
     out = list(case.applied)
     out[i] = replace(out[i], parameters={**out[i].parameters, out[i].effect.size: size})
     return out
-
-
-def _new_name(name: str, names: list[str]) -> str:
-    """Return a name that is not among ``names``."""
-    while name in names:
-        name = f"{name} (found)"
-    return name
 
 
 def _spread(p: AppliedEffect) -> float:

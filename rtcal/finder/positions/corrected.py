@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import re
 import tempfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -13,6 +13,8 @@ from typing import Any
 
 import numpy as np
 
+from rtcal.acoustics.changes import Further, new_name, with_materials
+from rtcal.acoustics.materials import Material
 from rtcal.acoustics.room import Room
 from rtcal.acoustics.scene import Scene
 from rtcal.errors import DataError
@@ -151,7 +153,7 @@ def corrected(
         raise DataError(f'form = "{form}" is not "patch" or "material"')
     if added.surface is None:
         raise DataError(f"{added.title} stands on no surface: there is nothing to add to one")
-    material = _new_name(case.room, f"{added.effect} on {added.surface}")
+    material = new_name(case.room.materials, f"{added.effect} on {added.surface}")
     if form == "material":
         if at is not None:
             raise DataError('at is the middle of a patch; form = "material" is the whole surface')
@@ -224,37 +226,33 @@ def _made(
     sigma = alpha * np.hypot(SPECTRUM_ERROR, deviation)
     if form == "material":
         sigma = np.hypot(np.abs(alpha - room.alpha[below]) * deviation, room.sigma[below])
-    names = [room.materials[i] for i in kept]
     # A material keeps its stated area but for what the new one takes of it in the geometry.
     sizes = (room.areas - _replaced(case, geometry))[kept]
-
-    def extended(values: Any, new: Array) -> Array:
-        return np.vstack([np.asarray(values)[kept], new])
-
-    optional: dict[str, Any] = {}
     scattering = case.simulator.scattering
-    optional["scattering"] = extended(scattering, scattering[below])
-    optional["scattering_model"] = case.simulator.scattering_model
-    optional["scene"] = Scene()  # its mesh is not that of the corrected geometry
-    if form == "patch":  # simulators of boxes know one material per wall
-        optional["dimensions"] = None
-    if room.alpha_min is not None:
-        optional["alpha_min"] = extended(room.alpha_min, np.zeros(room.n_bands))
-    correlation: Mapping[tuple[str, str], float] = {
-        pair: r for pair, r in room.material_correlation.items() if set(pair) <= set(names)
-    }
+    new = Material(
+        material,
+        np.clip(alpha, 0.0, 1.0).tolist(),
+        np.minimum(np.maximum(sigma, 0.01), 1.0).tolist(),
+        scattering=scattering[below].tolist(),
+    )
+    # No scene, whose mesh is not that of the corrected geometry; and simulators of boxes know one
+    # material per wall.
+    stated = room.replace(
+        scattering=scattering,
+        scattering_model=case.simulator.scattering_model,
+        surfaces=(),
+        scene=Scene(),
+        dimensions=None if form == "patch" else room.dimensions,
+    )
     return Corrected(
         case=case,
         added=added,
-        room=room.replace(
-            materials=[*names, material],
-            areas=np.array([*sizes, areas[material]]),
-            alpha=extended(room.alpha, np.clip(alpha, 0.0, 1.0)),
-            sigma=extended(room.sigma, np.minimum(np.maximum(sigma, 0.01), 1.0)),
+        room=with_materials(
+            stated,
+            [Further(new, areas[material])],
+            kept,
+            sizes,
             surfaces=geometry.surfaces if room.surfaces else (),
-            material_correlation=correlation,
-            sources={m: s for m, s in room.sources.items() if m in names},
-            **optional,
         ),
         geometry=geometry,
         material=material,
@@ -266,11 +264,3 @@ def _material_below(case: Case, added: Candidate) -> str:
     """Return the material of the largest face of the candidate's surface."""
     faces = case.faces[str(added.surface)]
     return case.geometry.materials[int(faces[np.argmax(case.geometry.face_areas[faces])])]
-
-
-def _new_name(room: Room, wanted: str) -> str:
-    """Return a name that no material of the room has."""
-    name, number = wanted, 2
-    while name in room.materials:
-        name, number = f"{wanted} ({number})", number + 1
-    return name
