@@ -12,39 +12,29 @@ from rtcal.acoustics import bands
 from rtcal.errors import DataError
 from rtcal.finder import track_record
 from rtcal.finder.case import AppliedEffect, Case
-from rtcal.finder.claim import SAID, Names, by_family_sets, family_of, numbers_of
+from rtcal.finder.claim import SAID, Names
 from rtcal.finder.coefficients import OffTogether
-from rtcal.finder.finding import Finding, Size
+from rtcal.finder.finding import Size
 from rtcal.finder.means.model_error import ModelDiscrepancy
+from rtcal.finder.means.sets_finding import SetsFinding
 from rtcal.finder.means.verdict import Fit
-from rtcal.finder.prior import COEFFICIENTS, NONE, UNKNOWN, Prior
+from rtcal.finder.prior import COEFFICIENTS, NONE, Prior
 from rtcal.finder.wording import NATS, as_sentence, engine_title, listed
 from rtcal.support import html, text
 from rtcal.support.arguments import checked
 from rtcal.support.files import json_numbers
 from rtcal.support.types import Array
 
-_NUMBERS = ("none", "one", "two", "three")
 FEATURE_NAMES = ("T20", "EDT/T20", "T30/T20", "C80", "G")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class MeansFinding(Finding):
-    """What the data of a case say about its model; attributes beside those of `Finding`.
-
-    Sets of effects are compared, of one effect each unless `rtcal.finder.find` was told of more
-    (``most``).
+class MeansFinding(SetsFinding):
+    """What the data of a case say about its model; attributes beside those of `SetsFinding`.
 
     Attributes
     ----------
     case : Case
-    named, named_families : tuple of str
-        The effects and the families that are claimed.
-    named_set : tuple of str
-        The families of two or three effects that are claimed together: the most probable ones, where
-        two or more effects are probable enough (`rtcal.finder.means.verdict.TWO`); else ().
-    members : tuple of str
-        The effects of the most probable set, in the order in which they act: what `apply` adds.
     candidates : tuple of str
         The members, then what explains the data in place of one. Of single effects, these are the most
         probable ones that hold 0.9 of what is not "none"; one where the verdict is "named".
@@ -53,8 +43,6 @@ class MeansFinding(Finding):
     probabilities, families : mapping of str to float
         Of an effect, or of one of the family, that it is there at all. They sum to 1 where each set has
         one effect.
-    sets : mapping of tuple of str to float
-        Probabilities of the sets of effects, the most probable first; () is no effect.
     likely : sequence of (tuple of AppliedEffect, float)
         The most probable sets with their parameters, and their probabilities, which sum to 1: what
         `rtcal.finder.plan` goes on from.
@@ -67,8 +55,6 @@ class MeansFinding(Finding):
         Parameters, size and gap of each candidate; of a member with the other members in the model.
     alone : mapping of str to Fit
         The same of two or more members without the others.
-    stand_ins : mapping of str to tuple of str
-        Of each of two or more members, the effects that explain the data as well in its place.
     advice : str
         The next measurement that would decide.
     residuals : array (n_configurations, n_features, n_bands)
@@ -84,19 +70,13 @@ class MeansFinding(Finding):
     record_kind: ClassVar[str] = "finding 2"
 
     case: Case
-    named: Names
-    named_families: Names
-    named_set: Names
-    members: Names
     candidates: Names
     evidence: Mapping[str, float]
-    sets: Mapping[Names, float]
     likely: Sequence[tuple[tuple[AppliedEffect, ...], float]]
     alpha: Array
     prior: Prior
     fits: Mapping[str, Fit]
     alone: Mapping[str, Fit]
-    stand_ins: Mapping[str, Names]
     advice: str
     residuals: Array
     discrepancy: ModelDiscrepancy
@@ -105,21 +85,6 @@ class MeansFinding(Finding):
     def engines(self) -> tuple[str, ...]:
         """The simulators of the control rooms, from which threshold and discrepancy were estimated."""
         return self.discrepancy.engines
-
-    @property
-    def numbers(self) -> tuple[float, ...]:
-        """Probabilities of 0, 1, 2, ... effects."""
-        return numbers_of(self.sets)
-
-    @property
-    def more_than_one(self) -> bool:
-        """Whether sets of two and more effects were compared."""
-        return len(self.numbers) > 2
-
-    @property
-    def family_sets(self) -> dict[Names, float]:
-        """Probabilities of sets of families; all of "added absorption" as one."""
-        return by_family_sets(self.sets, self.effects)
 
     @property
     def best(self) -> str | None:
@@ -245,7 +210,7 @@ class MeansFinding(Finding):
             share = 100 * self.sets[self.members]
             return (
                 f"Added {listed(titles)}, the most probable set ({share:.0f} %). "
-                f"{self._claimed_of_it}"
+                f"{self.claimed_of_members}"
             )
         title = self.title if self.best != COEFFICIENTS else "coefficients that are off together"
         if not self.rivals:
@@ -253,21 +218,6 @@ class MeansFinding(Finding):
         behind = listed([f"{self.title_of(r)} has {self.percent(r)}" for r in self.rivals])
         best = self.percent(str(self.best))
         return f"Added {title}. Ambiguous: it is the best with {best}, but {behind}."
-
-    @property
-    def _claimed_of_it(self) -> str:
-        """What of the set that `apply` adds is claimed, in words."""
-        if set(self.members) <= set(self.named):
-            return "It is claimed."
-        families = dict.fromkeys((*self.families_claimed_alone, *self.named_set))
-        claimed = [*self.named, *(f"the family {f}" for f in families)]
-        return f"Of it, {listed(claimed)} is claimed." if claimed else "Nothing of it is claimed."
-
-    @property
-    def families_claimed_alone(self) -> list[str]:
-        """The claimed families of which no effect is claimed."""
-        of_named = {family_of(n, self.effects) for n in self.named}
-        return [f for f in self.named_families if f not in of_named]
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain values for JSON."""
@@ -384,30 +334,6 @@ class MeansFinding(Finding):
         )
 
     @property
-    def sets_in_words(self) -> list[str]:
-        """What else explains each of two or more effects, and the probabilities of their number."""
-        if not self.more_than_one:
-            return []
-        numbers = ", ".join(
-            f"{word} with {100 * p:.0f} %"
-            for word, p in zip(_NUMBERS, self.numbers, strict=False)
-            if p >= 0.005
-        )
-        stand_ins = [
-            f"{name} may stand for {listed(others)}"
-            for name, others in self.stand_ins.items()
-            if others and len(self.members) > 1
-        ]
-        return [*stand_ins, f"number of effects: {numbers}"]
-
-    @property
-    def likely_sets(self) -> dict[str, float]:
-        """The sets that are probable enough to be printed; {} where each has one effect."""
-        if not self.more_than_one:
-            return {}
-        return {" + ".join(s) or NONE: p for s, p in self.sets.items() if p >= SAID}
-
-    @property
     def track_record(self) -> str:
         """How often such a verdict was right in rooms that were not used to make the finder."""
         if self.more_than_one and self.verdict not in ("none", "hint"):
@@ -426,7 +352,7 @@ class MeansFinding(Finding):
         if len(self.members) > 1 or (self.named and self.named != self.members):
             if self.verdict == "ambiguous":
                 return f"Something is missing; {self.likely_in_words}."
-            return self._claims
+            return self.claims
         others = ", ".join(f"{self.title_of(c)} ({self.percent(c)})" for c in self.candidates)
         hint = f"A hint of {self.title}, under the threshold."
         if self.reasons:
@@ -444,39 +370,6 @@ class MeansFinding(Finding):
             "ambiguous": f"{self.kind}: one of {others}.",
             "unknown": "Something is missing that no effect of the library explains.",
         }[self.verdict]
-
-    @property
-    def _claims(self) -> str:
-        """What is claimed of two or more effects."""
-        claimed = [f"{n} ({self.percent(n)})" for n in self.named]
-        claimed += [f"{f} ({100 * self.families[f]:.0f} %)" for f in self.families_claimed_alone]
-        sentences = []
-        if claimed:
-            sentences.append(f"Missing from the model, or not as stated: {listed(claimed)}.")
-        return " ".join([*sentences, self.set_in_words]).strip()
-
-    @property
-    def likely_in_words(self) -> str:
-        """The most probable set, and the probability of an unknown effect where that is larger."""
-        likely = listed([f"{n} ({self.percent(n)})" for n in self.members])
-        known = max(self.probabilities[n] for n in self.members)
-        if self.probabilities.get(UNKNOWN, 0.0) <= known:
-            return f"most probable is {likely}"
-        return (
-            f"most probable of the library is {likely}, and something that no effect of the library "
-            f"explains is missing ({self.percent(UNKNOWN)})"
-        )
-
-    @property
-    def set_in_words(self) -> str:
-        """What is claimed of several families together; "" where nothing is."""
-        if not self.named_set:
-            return ""
-        several, share = sum(self.numbers[2:]), self.family_sets[self.named_set]
-        return (
-            f"More than one thing is missing ({100 * several:.0f} %); most probable together: "
-            f"{listed(self.named_set)} ({100 * share:.0f} %)."
-        )
 
     @property
     def amount(self) -> str:
