@@ -87,6 +87,11 @@ def nominal(frequency: float) -> float:
     >>> nominal(1584.893), nominal(440.0)
     (1600.0, 440.0)
     """
+    return _nominal(frequency)
+
+
+def _nominal(frequency: float) -> float:
+    """Return `nominal`, without a check for each band of many rooms."""
     nearest = min(THIRD_OCTAVES, key=lambda centre: abs(frequency / centre - 1))
     return float(nearest) if abs(frequency / nearest - 1) <= _TOLERANCE else float(frequency)
 
@@ -156,7 +161,7 @@ def as_bands(frequencies: Iterable[float], place: str = "centre_frequencies") ->
         stated = [float(v) for v in frequencies]
     except (TypeError, ValueError, OverflowError) as error:
         raise DataError(f"{place}: {error}; a band is a number in Hz") from error
-    f = np.array([nominal(v) if v > 0 else v for v in stated])
+    f = np.array([_nominal(v) if v > 0 else v for v in stated])
     if f.ndim != 1 or f.size == 0:
         raise DataError(f"{place} is empty; at least one band is needed")
     for value in f:

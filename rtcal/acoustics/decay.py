@@ -7,27 +7,47 @@ the shape of the axes before it.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import functools
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, TypeVar, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rtcal.acoustics import bands
+from rtcal.acoustics import bands, decay_curve
 from rtcal.acoustics.decay_curve import MARGIN_DB as MARGIN_DB
 from rtcal.acoustics.decay_curve import bins as bins
-from rtcal.acoustics.decay_curve import centre_time as centre_time
-from rtcal.acoustics.decay_curve import clarity as clarity
-from rtcal.acoustics.decay_curve import cut_off_db as cut_off_db
-from rtcal.acoustics.decay_curve import decay_curve_db as decay_curve_db
-from rtcal.acoustics.decay_curve import early_energy as early_energy
+from rtcal.acoustics.decay_curve import checked_decay
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.observables import OBSERVABLES, TARGET, DecaySlope, observable, of_kind
 from rtcal.errors import DataError, TooShortError, of_bands
+from rtcal.support import checks
 from rtcal.support.arguments import checked
 from rtcal.support.types import Array
 
 __all__ = ["decay_time", "gradients", "measurement", "parameters", "slope_time", "too_short"]
 __dir__ = __all__.copy
+
+F = TypeVar("F", bound=Callable[..., Any])
+
+
+def _of_any_decay(function: F) -> F:
+    """Return a function of `decay_curve` that checks the decay, its bins and its limit first."""
+
+    @functools.wraps(function)
+    def call(energy: Array, *times: float, **named: float) -> Any:
+        for name, value in (*zip(("bin_width", "limit"), times, strict=False), *named.items()):
+            checks.positive(name, value, "s")
+        return function(checked_decay(energy), *times, **named)
+
+    return cast("F", call)
+
+
+centre_time = _of_any_decay(decay_curve.centre_time)
+clarity = _of_any_decay(decay_curve.clarity)
+cut_off_db = _of_any_decay(decay_curve.cut_off_db)
+decay_curve_db = _of_any_decay(decay_curve.decay_curve_db)
+early_energy = _of_any_decay(decay_curve.early_energy)
 
 
 @checked
@@ -62,7 +82,7 @@ def decay_time(energy: Array, bin_width: float, parameter: str = TARGET.key) -> 
     >>> print(decay_time(10 ** (-6 * time / 0.8), 1e-4).round(6))
     0.8
     """
-    return _decay_time(parameter).value(energy, bin_width)
+    return _decay_time(parameter).value(checked_decay(energy, bin_width), bin_width)
 
 
 @checked
@@ -87,13 +107,14 @@ def slope_time(level: Array, bin_width: float, parameter: str = TARGET.key) -> A
     DataError
         For an unknown parameter or a width not above 0.
     """
+    checks.positive("bin_width", bin_width, "s")
     return _decay_time(parameter).of_curve(level, bin_width)
 
 
 @checked
 def too_short(energy: Array, parameter: str = TARGET.key) -> NDArray[np.bool_]:
     """Return whether the decay is cut off too early to hold a decay time, (...)."""
-    return _decay_time(parameter).too_short(energy)
+    return _decay_time(parameter).too_short(checked_decay(energy))
 
 
 def _decay_time(parameter: str) -> DecaySlope:
@@ -114,6 +135,7 @@ def parameters(
     """
     if names is None:
         names = [key for key, o in OBSERVABLES.items() if o.minimum_range is not None]
+    energy = checked_decay(energy, bin_width)
     values = {name: observable(name).value(energy, bin_width) for name in names}
     return {name: np.where(np.isfinite(v), v, np.nan) for name, v in values.items()}
 
@@ -152,8 +174,8 @@ def gradients(energy: Array, bin_width: float, parameters: Sequence[str]) -> Arr
     >>> print((gradient @ decay).round(3))  # 1 % more energy is 0.043 dB more
     [4.343]
     """
-    level = decay_curve_db(energy)
-    energy = np.asarray(energy, dtype=float)
+    energy = checked_decay(energy, bin_width)
+    level = decay_curve.decay_curve_db(energy)
     out = np.empty((len(parameters), *energy.shape))
     for row, name in zip(out, parameters, strict=True):
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -188,7 +210,7 @@ def measurement(
         pair, band = (int(i) for i in np.argwhere(bad)[0])
         where = f"{' to '.join(pairs[pair])}, {bands.label(np.asarray(centre_frequencies)[band])}"
         if short[pair, band]:
-            down = max(0.0, -float(cut_off_db(energy)[pair, band]))
+            down = max(0.0, -float(decay_curve.cut_off_db(energy)[pair, band]))
             raise TooShortError(
                 f"the decay from {where} is too short to hold {TARGET.label}: "
                 f"{energy.shape[-1] * bin_width:.3g} s end {down:.0f} dB down, "

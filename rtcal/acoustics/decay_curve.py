@@ -2,7 +2,8 @@
 
 An energy decay is the energy per time bin, from the arrival of the direct sound on: a tracer's
 histogram, or a squared impulse response (one bin per sample). Bins are the last axis; results keep
-the shape of the axes before it.
+the shape of the axes before it. Searches call these functions many thousand times: `checked_decay`
+checks a decay once, where it comes in.
 """
 
 from __future__ import annotations
@@ -35,7 +36,6 @@ def decay_curve_db(energy: Array) -> Array:
     L_k = 10 lg(sum over j >= k of E_j / sum over all of E_j), so that L_0 = 0 (Schroeder 1965).
     Minus infinity where no energy is left, NaN for a decay without energy.
     """
-    energy = _checked(energy)
     # Summed from the end, where the numbers are small: a difference of large sums would round them.
     left = np.flip(np.cumsum(np.flip(energy, -1), axis=-1), -1)
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -49,7 +49,6 @@ def cut_off_db(energy: Array) -> Array:
     quarters of the time: B r / (1 - r), r = B / A. Infinite where the energy does not fall, minus
     infinity where none is left at the end. A double slope is judged by its late part.
     """
-    energy = _checked(energy)
     quarter = energy.shape[-1] // 4
     if quarter == 0:
         return np.full(energy.shape[:-1], np.inf)
@@ -78,7 +77,6 @@ def slope_time(level: Array, bin_width: float, upper: float, lower: float) -> Ar
     array (...)
         NaN where fewer than two points lie within the range, or the curve does not fall.
     """
-    width = _width(bin_width)
     with np.errstate(invalid="ignore"):
         within = (level <= upper) & (level >= lower)
     k = np.arange(level.shape[-1], dtype=float)
@@ -89,7 +87,13 @@ def slope_time(level: Array, bin_width: float, upper: float, lower: float) -> Ar
     spread = np.sum(centred_k**2, axis=-1)
     fall = -np.sum(centred_k * y, axis=-1)
     holds = (n >= 2) & (fall > 0)
-    return np.where(holds, 60 * width * spread / np.where(holds, fall, 1.0), np.nan)
+    return np.where(holds, 60 * bin_width * spread / np.where(holds, fall, 1.0), np.nan)
+
+
+def decay_time(energy: Array, bin_width: float, upper: float, lower: float) -> Array:
+    """Return `slope_time` of energy decays, NaN where one `ends_above` the lower level too, (...)."""
+    time = slope_time(decay_curve_db(energy), bin_width, upper, lower)
+    return np.where(ends_above(energy, lower), np.nan, time)
 
 
 def ends_above(energy: Array, level: float) -> NDArray[np.bool_]:
@@ -118,8 +122,7 @@ def clarity(energy: Array, bin_width: float, limit: float) -> Array:
 
 def centre_time(energy: Array, bin_width: float) -> Array:
     """Return Ts in s, (...): the energy's centre of gravity (ISO 3382-1:2009, A.13)."""
-    energy = _checked(energy)
-    middle = (np.arange(energy.shape[-1]) + 0.5) * _width(bin_width)
+    middle = (np.arange(energy.shape[-1]) + 0.5) * bin_width
     total = energy.sum(axis=-1)
     return _share(energy @ middle, total)
 
@@ -129,8 +132,7 @@ def _divided(energy: Array, bin_width: float, limit: float) -> tuple[Array, Arra
 
     Both are summed, since the later energy as a difference could round to a value below 0.
     """
-    energy = _checked(energy)
-    position = min(checks.positive("limit", limit, "s") / _width(bin_width), energy.shape[-1])
+    position = min(limit / bin_width, energy.shape[-1])
     share = np.clip(position - np.arange(energy.shape[-1]), 0.0, 1.0)
     return energy @ share, energy @ (1 - share)
 
@@ -140,7 +142,9 @@ def _share(part: Array, total: Array) -> Array:
     return np.asarray(np.divide(part, total, out=blank, where=total > 0))
 
 
-def _checked(energy: Array) -> Array:
+def checked_decay(energy: Array, bin_width: float = 1.0) -> Array:
+    """Return energy decays (..., n_bins), of bins in s; DataError for what is none."""
+    checks.positive("bin_width", bin_width, "s")
     energy = checks.array("energy", energy)
     if energy.ndim == 0 or energy.shape[-1] == 0:
         raise DataError(
@@ -152,7 +156,3 @@ def _checked(energy: Array) -> Array:
             f"energy{list(where)} = {energy[where]:g} is not a finite value of 0 or more"
         )
     return energy
-
-
-def _width(bin_width: float) -> float:
-    return checks.positive("bin_width", bin_width, "s")

@@ -288,7 +288,7 @@ class Room:
             volume_sigma=0.0, area_sigma=0.0, common_area_sigma=0.0, climate_sigma=(0.0, 0.0)
         )
 
-    @property
+    @cached_property
     def speed_of_sound(self) -> float:
         """c in m/s of the stated air; of air at 20 °C if none is stated."""
         return (self.air or Air()).speed_of_sound

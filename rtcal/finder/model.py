@@ -107,7 +107,11 @@ class State:
     @cached_property
     def _wall_contribution(self) -> Array:
         """The contribution of 1 m² of mean wall to the equation's sum, cached as `_wall` is."""
-        return np.asarray(mean_equation(self.equation).contribution(self._wall))
+        return np.asarray(self._law.contribution(self._wall))
+
+    @cached_property
+    def _law(self) -> MeanEquation:
+        return mean_equation(self.equation)
 
     def decay(self) -> Decay:
         """Return the decay: that of the state's ``shape``, else one exponential."""
@@ -118,8 +122,8 @@ class State:
 
     def covered(self, area: float, spectrum: Array) -> State:
         """Return the state with ``area`` m² of wall replaced by a covering with these coefficients."""
-        equation = mean_equation(self.equation)
-        patch = equation.contribution(np.minimum(spectrum, equation.largest_alpha))
+        law = self._law
+        patch = law.contribution(np.minimum(spectrum, law.largest_alpha))
         gain = area * (patch - self._wall_contribution)
         return replace(self, covering=self.covering + gain)
 

@@ -99,6 +99,5 @@ def check_pairs(pairs: Sequence[object]) -> None:
     """Raise DataError for fewer than `LEAST_PAIRS` pairs."""
     if len(pairs) < LEAST_PAIRS:
         raise DataError(
-            f"there are {len(pairs)} pairs; to predict half of them from the others, it needs "
-            f"{LEAST_PAIRS}"
+            f"there are {len(pairs)} pairs; {LEAST_PAIRS} are needed, half of which predict the others"
         )

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from rtcal.acoustics import bands
 from rtcal.acoustics.decay import gradients
+from rtcal.acoustics.decay_curve import checked_decay
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.observables import MATCH, OBSERVABLES, observable
 from rtcal.acoustics.parameters import parameter_label
@@ -248,9 +249,10 @@ def of_decays(
     DataError
         If a decay lacks a parameter.
     """
+    energy = checked_decay(energy, bin_width)
     values = np.empty((len(match), *energy.shape[:-1]))
     for row, name in zip(values, match, strict=True):
-        kind = observable(name)
+        kind = OBSERVABLES[name]
         row[:] = kind.observed(kind.value(energy, bin_width))
         if (lost := ~np.isfinite(row)).any():
             pair, band = (int(i) for i in np.argwhere(lost)[0])

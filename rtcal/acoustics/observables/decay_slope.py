@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtcal.acoustics import bands
-from rtcal.acoustics.decay_curve import decay_curve_db, ends_above, slope_time
+from rtcal.acoustics.decay_curve import decay_time, ends_above, slope_time
 from rtcal.acoustics.observables.base import DB, Observable, Part, Scale
 from rtcal.errors import DataError
 from rtcal.support.types import Array
@@ -93,8 +93,7 @@ class DecaySlope(Relative):
 
     def value(self, energy: Array, bin_width: float) -> Array:
         """Return the decay times in s; NaN for a decay that is too short or does not fall."""
-        time = self.of_curve(decay_curve_db(energy), bin_width)
-        return np.where(self.too_short(energy), np.nan, time)
+        return decay_time(energy, bin_width, self.upper, self.lower)
 
     def of_curve(self, level: Array, bin_width: float) -> Array:
         """Return the decay times in s of decay curves in dB, wherever they end."""

@@ -98,7 +98,9 @@ def checked_grid(effect: Effect, state: State, room: Room | None = None) -> Sequ
         if not isinstance(theta, Mapping) or set(theta) != names:
             raise DataError(f"{where} has {theta!r}; each of it has {', '.join(map(str, names))}")
         for name, value in theta.items():
-            if not isfinite(checks.number(f"{where}: {name}", value)):
+            if not isinstance(value, float):
+                value = checks.number(f"{where}: {name}", value)
+            if not isfinite(value):
                 raise DataError(f"{where}: {name} = {value:g} is not finite")
     limits = _limits(effect, room)
     possible = [
