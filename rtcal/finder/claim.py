@@ -18,6 +18,8 @@ SAID = 0.03
 """Probability below which an effect is not printed."""
 CREDIBLE = 0.9
 """Probability, given that something is missing, that the candidates hold together."""
+DISTINCT_NATS = 2.3
+"""Evidence in nats from which two effects, or two surfaces, are told apart: odds of ten to one."""
 _ABSORPTION = "added absorption"
 
 

@@ -10,6 +10,7 @@ import numpy as np
 from rtcal.acoustics import bands
 from rtcal.acoustics.trust import mid_frequency_time, schroeder_frequency
 from rtcal.finder.case import Case
+from rtcal.finder.claim import DISTINCT_NATS
 from rtcal.finder.effects import Effect, Parameters
 from rtcal.finder.finding import Size
 from rtcal.finder.means.evidence import evaluate
@@ -125,7 +126,7 @@ def decided_below_schroeder(
     part = replace(observed, used=used, covariance=observed.covariance[np.ix_(kept, kept)])
     table = evaluate(part, predicted, discrepancy, prior_off).by_effect()
     rest = float(table[name] - table[NONE])
-    if rest >= 0.5 * nats or rest >= 2.3:
+    if rest >= 0.5 * nats or rest >= DISTINCT_NATS:
         return []
     places = [bands.label(f) for f in case.room.centre_frequencies[low.any(0)]]
     words = (

@@ -1,4 +1,4 @@
-"""The measurements that a user can make next, and what they would show.
+"""The measurements that a user can make next, what they would show, and which one would decide.
 
 A further measurement is further parameters of the configurations that there are, or a further
 configuration: the room again at other positions, in another climate, with a surface covered, or
@@ -17,10 +17,20 @@ from rtcal.errors import DataError
 from rtcal.finder.case import Case
 from rtcal.finder.configuration import Change, Configuration
 from rtcal.finder.effects.porous import Porous
+from rtcal.finder.means.evidence import Evidence
 from rtcal.finder.means.features import Observed
+from rtcal.finder.means.hypotheses import Hypotheses
 from rtcal.finder.means.information import Mask
 from rtcal.finder.means.model_error import ModelDiscrepancy
+from rtcal.finder.means.separation import (
+    USUAL,
+    covariance_with,
+    separation,
+    variances_of,
+    with_features,
+)
 from rtcal.finder.model import FEATURES
+from rtcal.finder.prior import COEFFICIENTS, UNKNOWN
 from rtcal.support import checks
 
 COSTS: Mapping[str, float] = {
@@ -37,8 +47,6 @@ COSTS: Mapping[str, float] = {
 that there are. G needs a calibrated source. "planned" are configurations that a user states. Half or
 twice any of them leaves the proposal in 11 to 14 of 14 rooms (`benchmarks.next_measurement table`)."""
 MORE_POSITIONS = 4
-USUAL = np.array([0.015, 0.03, 0.02, 0.5, 0.5])
-"""Standard uncertainty of a mean over four positions that is not measured yet, by feature."""
 SAME_ERROR = 0.85
 """Correlation of the model's error between two configurations of a room. Of control rooms of twelve
 development rooms it is 0.72 to 0.99 by feature, T30/T20 apart."""
@@ -70,8 +78,7 @@ def possible(case: Case, planned: Sequence[Configuration] = ()) -> list[Further]
     for kind, parameters in _PARAMETERS.items():
         lacking = [c for c in case.configurations if not set(parameters) <= set(c.measured.values)]
         if lacking:
-            words = "G, with a calibrated source" if kind == "G" else kind
-            out.append(Further(kind, words, parameters))
+            out.append(Further(kind, _in_words(kind), parameters))
     again = replace(first, name="further", planned=True)
     pairs = max(len(next(iter(first.measured.values.values()))), 1)
     out.append(
@@ -98,6 +105,10 @@ def possible(case: Case, planned: Sequence[Configuration] = ()) -> list[Further]
         for c in planned
     ]
     return out
+
+
+def _in_words(kind: str) -> str:
+    return "G, with a calibrated source" if kind == "G" else kind
 
 
 def _covered(case: Case, again: Configuration) -> Further:
@@ -190,3 +201,66 @@ def _model_error(
         covariance[i, :, i] = blocks[0, :, 0]
     bias = discrepancy.bias.reshape(count, size)[source].ravel()
     return ModelDiscrepancy(bias, covariance.reshape(n * size, n * size), discrepancy.engines)
+
+
+def next_measurement(
+    case: Case,
+    observed: Observed,
+    predicted: Hypotheses,
+    discrepancy: ModelDiscrepancy,
+    evidence: Evidence,
+    candidates: Sequence[str],
+) -> str:
+    """Return the measurement that would decide between the candidates."""
+    named = [c for c in candidates if c not in (UNKNOWN, COEFFICIENTS)]
+    if candidates and candidates[0] == COEFFICIENTS:
+        return (
+            "look for another source of the coefficients, first for the material with the largest "
+            "product of area and sigma; or measure with and without a known absorber"
+        )
+    if not named:
+        return (
+            "these data leave nothing to tell apart. That does not confirm the model"
+            if not candidates
+            else "see in the residuals which band and parameter disagree, and measure these again"
+        )
+    best = named[0]
+    rows = [i for i, n in enumerate(predicted.names) if n == best]
+    first = rows[int(np.argmax(evidence.by_hypothesis()[rows]))]
+    if len(named) == 1:
+        if predicted.effects[best].removable:
+            return f"confirm it: measure once without the {best}"
+        return f"confirm it: check the {best} where it can be looked up or measured by itself"
+    rival = named[1]
+    variances = variances_of(observed)
+    covariance = covariance_with(predicted, discrepancy, variances, first)
+    used = observed.used
+    now = separation(predicted, covariance, used.ravel(), first, rival)
+    options = []
+    for kind, features in _PARAMETERS.items():
+        more = with_features(used, features)
+        if more.sum() > used.sum():
+            nats = separation(predicted, covariance, more.ravel(), first, rival)
+            options.append((nats, _in_words(kind)))
+    removable = {n: predicted.effects[n].removable for n in (best, rival)}
+    if len(set(removable.values())) == 2:
+        suspect = best if removable[best] else rival
+        return (
+            f"measure with and without the {suspect}. If it is that, T changes, and the uncertainty of "
+            "alpha cancels in the difference"
+        )
+    if options and max(options)[0] > now + 1:
+        gain, label = max(options)
+        return (
+            f"measure {label}: with it {best} and {rival} would differ by {gain:.1f} nats instead of "
+            f"{now:.1f}"
+        )
+    if all(removable.values()):
+        return (
+            f"measure without the {best} and without the {rival}, one at a time. The uncertainty of "
+            "alpha cancels in the difference"
+        )
+    return (
+        f"look at the room: {best} and {rival} predict the same in every parameter, and one of them "
+        "can be seen, or measured with a rule"
+    )

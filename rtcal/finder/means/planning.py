@@ -11,18 +11,18 @@ import numpy as np
 from rtcal.acoustics.parameters import parameter_label
 from rtcal.errors import DataError
 from rtcal.finder.case import AppliedEffect, Case
+from rtcal.finder.claim import DISTINCT_NATS
 from rtcal.finder.configuration import Configuration
 from rtcal.finder.effects import Effect, library
 from rtcal.finder.effects.checks import checked_effects
-from rtcal.finder.means.advice import DISTINCT_NATS, covariance_with, separation, variances_of
 from rtcal.finder.means.features import Observed, observe
 from rtcal.finder.means.finding import MeansFinding
 from rtcal.finder.means.hypotheses import Hypotheses, predict_hypotheses
 from rtcal.finder.means.information import Information, Mask
 from rtcal.finder.means.measurements import Extended, Further, checked_costs, extended, possible
 from rtcal.finder.means.model_error import ModelDiscrepancy, checked_discrepancy
+from rtcal.finder.means.separation import Pairs, Separations, blind, separations
 from rtcal.finder.means.sets import compare, moments
-from rtcal.finder.model import FEATURES
 from rtcal.finder.prior import NONE, prior_of
 from rtcal.finder.wording import listed
 from rtcal.support import checks, text
@@ -91,8 +91,8 @@ class Plan(Result):
     parameters: tuple[str, ...]
     change: float
     reached: Mapping[str, float]
-    separations: Mapping[tuple[str, str], float]
-    more: Mapping[str, Mapping[tuple[str, str], float]]
+    separations: Separations
+    more: Mapping[str, Separations]
     proposals: tuple[Proposal, ...] = ()
     sequence: tuple[Proposal, ...] = ()
     uncertainty: float = 0.0
@@ -100,7 +100,7 @@ class Plan(Result):
     def to_dict(self) -> dict[str, Any]:
         """Return plain values for JSON."""
 
-        def rows(table: Mapping[tuple[str, str], float]) -> list[dict[str, Any]]:
+        def rows(table: Separations) -> list[dict[str, Any]]:
             return [{"effect": a, "against": b, "nats": v} for (a, b), v in table.items()]
 
         return {
@@ -118,7 +118,7 @@ class Plan(Result):
         """Return one line: the parameters, and how many pairs of effects they can distinguish."""
         names = list(self.reached)
         pairs = [(a, b) for i, a in enumerate(names) for b in names[i + 1 :]]
-        both, one_sided = _blind(self.separations, pairs)
+        both, one_sided = blind(self.separations, pairs)
         distinct = len(pairs) - len(both) - len(one_sided)
         return (
             f"<Plan with {', '.join(self.parameters)}: {distinct} of {len(pairs)} pairs of effects "
@@ -129,10 +129,10 @@ class Plan(Result):
         """Return what each effect would show, what it may be taken for, and what to measure next."""
         names = list(self.reached)
         pairs = [(a, b) for i, a in enumerate(names) for b in names[i + 1 :]]
-        both, one_sided = _blind(self.separations, pairs)
+        both, one_sided = blind(self.separations, pairs)
         lines = [*self._seen(), "", *self._taken_for()]
         for label, table in self.more.items():
-            still, half = _blind(table, pairs)
+            still, half = blind(table, pairs)
             gained = [p for p in both if p not in still and p not in half and p[::-1] not in half]
             gained += [p for p in one_sided if p not in half]
             lines += ["", *_grouped(f"With {label} could also be told apart", gained)]
@@ -195,7 +195,6 @@ class Plan(Result):
 
 _MOST = 99.0
 """Evidence in nats above which the table shows no number: the distinction is certain."""
-Pairs = list[tuple[str, str]]
 
 
 def _cell(nats: float) -> str:
@@ -211,18 +210,6 @@ def _grouped(title: str, pairs: Pairs) -> list[str]:
         return [f"{title}: none."]
     rows = [f"{a} from {', '.join(b)}" for a, b in others.items()]
     return [f"{title}:", *(line for row in rows for line in text.wrapped(row, indent="  "))]
-
-
-def _blind(separations: Mapping[tuple[str, str], float], pairs: Pairs) -> tuple[Pairs, Pairs]:
-    """Pairs indistinguishable both ways, and pairs where only the first can pass for the second."""
-    both, one_sided = [], []
-    for a, b in pairs:
-        weak = (separations[a, b] < DISTINCT_NATS, separations[b, a] < DISTINCT_NATS)
-        if all(weak):
-            both.append((a, b))
-        elif any(weak):
-            one_sided.append((a, b) if weak[0] else (b, a))
-    return both, one_sided
 
 
 GENERIC_UNCERTAINTY = (0.04, 0.04, 0.02, 0.7, 0.7)
@@ -296,36 +283,7 @@ def plan(
         discrepancy = ModelDiscrepancy(np.zeros(spread.size), np.diag(spread))
     else:
         checked_discrepancy(case, discrepancy)
-    variances = variances_of(observed)
-    base = predicted.features[0]
-    names = [n for n in dict.fromkeys(predicted.names) if n != NONE]
-    used = observed.used
-    masks = {"": used}
-    for label, features in (
-        ("EDT and T30", ("edt", "t30")),
-        ("C80 and G", ("c80", "g")),
-    ):
-        more = used.copy()
-        more[:, [FEATURES.index(f) for f in features]] = True
-        if more.sum() > used.sum():
-            lacking = [i for i in range(len(case.configurations)) if (more[i] & ~used[i]).any()]
-            where = [f'"{case.configurations[i].name}"' for i in lacking]
-            there = len(where) < len(case.configurations)
-            masks[label + (f" of {' and '.join(where)}" if there else "")] = more
-    tables: dict[str, dict[tuple[str, str], float]] = {m: {} for m in masks}
-    reached: dict[str, float] = {}
-    for a in names:
-        rows = [i for i, n in enumerate(predicted.names) if n == a]
-        # The size whose largest change of T, over configurations (it may be taken away in some) and
-        # bands, is nearest to the one asked for.
-        moved = np.abs(np.expm1(predicted.features[rows][:, :, 0] - base[:, 0])).max((1, 2))
-        nearest = int(np.argmin(np.abs(moved - change)))
-        first, reached[a] = rows[nearest], float(moved[nearest])
-        covariance = covariance_with(predicted, discrepancy, variances, first)
-        for label, mask in masks.items():
-            for b in (NONE, *names):
-                if a != b:
-                    tables[label][a, b] = separation(predicted, covariance, mask.ravel(), first, b)
+    reached, tables = separations(case, observed, predicted, discrepancy, change)
     measured = tuple(
         p
         for p in ("t20", "edt", "t30", "c80", "g")

@@ -15,7 +15,6 @@ from rtcal.finder.claim import by_family, credible_set, posterior
 from rtcal.finder.effects import Effect, library
 from rtcal.finder.effects.checks import checked_effects
 from rtcal.finder.finding import Detection
-from rtcal.finder.means.advice import next_measurement
 from rtcal.finder.means.bootstrap import (
     Threshold,
     bootstrap_threshold,
@@ -30,6 +29,7 @@ from rtcal.finder.means.features import Observed, observe
 from rtcal.finder.means.finding import MeansFinding
 from rtcal.finder.means.hypotheses import Hypotheses, predict_hypotheses
 from rtcal.finder.means.likelihood import standardized_residuals
+from rtcal.finder.means.measurements import next_measurement
 from rtcal.finder.means.model_error import ModelDiscrepancy
 from rtcal.finder.means.set_posterior import MOST, set_posterior, single_posterior
 from rtcal.finder.means.sets import Rows, averaged_alpha, compare

@@ -10,7 +10,7 @@ import numpy as np
 
 from rtcal.errors import DataError
 from rtcal.finder import track_record
-from rtcal.finder.claim import CLAIMED, claim
+from rtcal.finder.claim import CLAIMED, DISTINCT_NATS, claim
 from rtcal.finder.effects import Effect, library
 from rtcal.finder.effects.checks import checked_effects
 from rtcal.finder.finding import Detection
@@ -73,8 +73,6 @@ def tried(effects: Sequence[Effect]) -> tuple[str, ...]:
 
 EFFECTS = tried(library())
 """Names of what is tried with rtcal's own library."""
-APART = 2.3
-"""Nats below which two surfaces are not told apart: odds of ten to one."""
 _AIMED = (
     "A source's directivity is unknown: where it aims looks like absorption on the other surfaces."
 )
@@ -314,14 +312,14 @@ def _groups(
     """Return the surfaces that the most probable effect, in its size, does not tell apart.
 
     Two surfaces are told apart where the shift of one, on the best size of the other, leaves more than
-    `APART` nats to be expected, as far as the place on the most probable surface is known. Those that
-    the data leave less probable than the first by more than that were told apart, too.
+    `DISTINCT_NATS` to be expected, as far as the place on the most probable surface is known. Those
+    that the data leave less probable than the first by more than that were told apart, too.
     """
     best = next((c for c in summary.candidates if c.surface is not None), None)
     if best is None:
         return ()
     names, vectors, inverse = [], [], likelihood.inverse
-    least = np.exp(-APART) * max(summary.surfaces.values())
+    least = np.exp(-DISTINCT_NATS) * max(summary.surfaces.values())
     for shift in hypotheses.shifts:
         if shift.effect != best.effect or shift.surface is None or shift.part is not None:
             continue
@@ -341,7 +339,7 @@ def _groups(
     gram = every.T @ inverse @ every
     size = np.maximum(np.diag(gram), 1e-12)
     nats = 0.5 * (size[:, np.newaxis] - gram**2 / size) / TOLD_TEMPER
-    return _joined(names, np.minimum(nats, nats.T) < APART)
+    return _joined(names, np.minimum(nats, nats.T) < DISTINCT_NATS)
 
 
 def _unlike(shift: Shift, best: Candidate) -> Array:

@@ -47,7 +47,8 @@ class StatesVerification(HeldOutVerification):
     @property
     def gains(self) -> Array:
         """Mean absolute gap of each pair without less with the change, (1, n_pairs), in JND."""
-        return np.nanmean(np.abs(self.before) - np.abs(self.after), axis=1)[np.newaxis]
+        by_pair = np.nanmean(np.abs(self.before) - np.abs(self.after), axis=1)
+        return np.asarray(by_pair[np.newaxis])
 
     @property
     def sentence(self) -> str:
