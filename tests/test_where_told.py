@@ -6,6 +6,7 @@ import json
 import sys
 from gzip import decompress
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,7 +14,7 @@ from scipy.stats import multivariate_normal
 
 import rtcal as rt
 from rtcal.finder.effects import library
-from rtcal.finder.positions.detection import THRESHOLD, Means
+from rtcal.finder.positions.detection import THRESHOLD
 from rtcal.finder.positions.posterior import (
     LEAST_BY_MEANS,
     MEANS_POWER,
@@ -60,7 +61,7 @@ def test_a_finding_names_the_family_that_means_know_of(
     """The positions say the same; the families of the means differ."""
     found = {}
     for family in ("added absorption, flat", "scale"):
-        means = Means(5.0, 2.4, {family: 0.999, "none": 0.001})
+        means = SimpleNamespace(score=5.0, families={family: 0.999, "none": 0.001})
         monkeypatch.setattr(
             sys.modules["rtcal.finder.positions.search"], "evidence_of_means", lambda *_, m=means: m
         )

@@ -50,11 +50,8 @@ def directions(case: Case, power: float = POWER) -> Directions:
     together = float(np.linalg.norm(stated))
     common, own = [], []
     for c in case.configurations:
-        alpha, sigma = np.array(room.alpha), np.array(room.sigma)
-        changed = np.zeros((room.n_materials, 1), dtype=bool)
-        for material, change in c.changes.items():
-            row = room.material_index(material)
-            alpha[row], sigma[row], changed[row] = change.alpha, change.sigma, True
+        alpha, sigma = c.coefficients(room)
+        changed = np.array([[material in c.changes] for material in room.materials])
         both, each = common_error_columns(alpha, sigma, room.centre_frequencies, power)
         each = np.where(changed, 0.0, each)
         # A factor of all coefficients, or of a material's: so errors of volume and areas act, too.

@@ -13,6 +13,7 @@ from rtcal.acoustics.air import Air
 from rtcal.acoustics.materials import text_name
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.measurement_files import OPTIONAL
+from rtcal.acoustics.room import Room
 from rtcal.errors import DataError
 from rtcal.support import checks
 from rtcal.support.arguments import checked
@@ -105,6 +106,14 @@ class Configuration:
             if distances.ndim != 1 or not distances.size or not np.isfinite(distances).all():
                 raise DataError(f"{where}: distances is not an array (n_pairs,) of finite values")
             object.__setattr__(self, "distances", read_only(distances))
+
+    def coefficients(self, room: Room) -> tuple[Array, Array]:
+        """Return alpha and sigma of the room in this configuration, (n_materials, n_bands)."""
+        alpha, sigma = np.array(room.alpha), np.array(room.sigma)
+        for material, change in self.changes.items():
+            row = room.material_index(material)
+            alpha[row], sigma[row] = change.alpha, change.sigma
+        return alpha, sigma
 
     def with_uncertainty(self, stated: Mapping[str, float]) -> Configuration:
         """Return the configuration with uncertainties for the values that state none.

@@ -12,7 +12,6 @@ from rtcal.acoustics.air import Air
 from rtcal.acoustics.bands import correlation
 from rtcal.finder.case import Case
 from rtcal.finder.coefficients import directions, factors
-from rtcal.finder.configuration import Configuration
 from rtcal.finder.model import Predicted, State, sensitivities
 from rtcal.support.types import Array
 
@@ -32,7 +31,7 @@ class AlphaCovariance:
         room = case.room
         self.count, self.n_bands = len(case.configurations), room.n_bands
         self._rho = correlation(room.centre_frequencies, room.band_correlation)
-        self._sigma = np.stack([_sigma(case, c) for c in case.configurations])
+        self._sigma = np.stack([c.coefficients(room)[1] for c in case.configurations])
         changed = [[m in c.changes for m in room.materials] for c in case.configurations]
         self._changed = np.array(changed)[:, :, None]
         self._directions = directions(case)
@@ -116,14 +115,6 @@ class AlphaCovariance:
         for c in np.flatnonzero(self._changed.any((1, 2))):
             full[:, c, :, c] += own[:, c].swapaxes(1, 2) @ own[:, c]
         return np.asarray((full * self._rho[:, None, :]).reshape(n, size, size))
-
-
-def _sigma(case: Case, configuration: Configuration) -> Array:
-    """Return the prior's sigma in one configuration, (n_materials, n_bands)."""
-    sigma = np.array(case.room.sigma)
-    for material, change in configuration.changes.items():
-        sigma[case.room.material_index(material)] = change.sigma
-    return sigma
 
 
 def _climate(case: Case) -> Array:

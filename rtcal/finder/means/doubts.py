@@ -17,7 +17,7 @@ from rtcal.finder.means.evidence import evaluate
 from rtcal.finder.means.features import Observed
 from rtcal.finder.means.gap import GapCheck
 from rtcal.finder.means.hypotheses import Hypotheses
-from rtcal.finder.means.model_error import ModelDiscrepancy
+from rtcal.finder.means.searched import Searched
 from rtcal.finder.prior import NONE
 from rtcal.support.types import Array
 
@@ -105,26 +105,20 @@ def schroeder_limit(case: Case, times: Array) -> float:
     return float(schroeder_frequency(np.array(middle), case.room.volume))
 
 
-def decided_below_schroeder(
-    case: Case,
-    observed: Observed,
-    predicted: Hypotheses,
-    discrepancy: ModelDiscrepancy,
-    prior_off: float,
-    name: str,
-    nats: float,
-) -> list[Doubt]:
+def decided_below_schroeder(searched: Searched, predicted: Hypotheses, name: str) -> list[Doubt]:
     """Return a doubt where the evidence for ``name`` comes from bands below Schroeder's frequency.
 
-    ``predicted`` holds the hypotheses of that effect; ``nats`` is its evidence from all bands.
+    ``predicted`` holds the hypotheses of that effect.
     """
+    case, observed, nats = searched.case, searched.observed, searched.nats(name)
     low = below_schroeder(case)
     used = np.logical_and(observed.used, np.logical_not(low)[:, None, :])
     if not low.any() or (used == observed.used).all() or not used.any():
         return []
     kept = used[observed.used]
     part = replace(observed, used=used, covariance=observed.covariance[np.ix_(kept, kept)])
-    table = evaluate(part, predicted, discrepancy, prior_off).by_effect()
+    error, off = searched.discrepancy, searched.evidence.prior_off
+    table = evaluate(part, predicted, error, off).by_effect()
     rest = float(table[name] - table[NONE])
     if rest >= 0.5 * nats or rest >= DISTINCT_NATS:
         return []

@@ -17,11 +17,10 @@ from rtcal.errors import DataError
 from rtcal.finder.case import Case
 from rtcal.finder.configuration import Change, Configuration
 from rtcal.finder.effects.porous import Porous
-from rtcal.finder.means.evidence import Evidence
 from rtcal.finder.means.features import Observed
-from rtcal.finder.means.hypotheses import Hypotheses
 from rtcal.finder.means.information import Mask
 from rtcal.finder.means.model_error import ModelDiscrepancy
+from rtcal.finder.means.searched import Searched
 from rtcal.finder.means.separation import (
     USUAL,
     covariance_with,
@@ -203,15 +202,9 @@ def _model_error(
     return ModelDiscrepancy(bias, covariance.reshape(n * size, n * size), discrepancy.engines)
 
 
-def next_measurement(
-    case: Case,
-    observed: Observed,
-    predicted: Hypotheses,
-    discrepancy: ModelDiscrepancy,
-    evidence: Evidence,
-    candidates: Sequence[str],
-) -> str:
+def next_measurement(searched: Searched, candidates: Sequence[str]) -> str:
     """Return the measurement that would decide between the candidates."""
+    observed, predicted = searched.observed, searched.predicted
     named = [c for c in candidates if c not in (UNKNOWN, COEFFICIENTS)]
     if candidates and candidates[0] == COEFFICIENTS:
         return (
@@ -226,15 +219,14 @@ def next_measurement(
         )
     best = named[0]
     rows = [i for i, n in enumerate(predicted.names) if n == best]
-    first = rows[int(np.argmax(evidence.by_hypothesis()[rows]))]
+    first = rows[int(np.argmax(searched.evidence.by_hypothesis()[rows]))]
     if len(named) == 1:
         if predicted.effects[best].removable:
             return f"confirm it: measure once without the {best}"
         return f"confirm it: check the {best} where it can be looked up or measured by itself"
     rival = named[1]
-    variances = variances_of(observed)
-    covariance = covariance_with(predicted, discrepancy, variances, first)
-    used = observed.used
+    used, variances = observed.used, variances_of(observed)
+    covariance = covariance_with(predicted, searched.discrepancy, variances, first)
     now = separation(predicted, covariance, used.ravel(), first, rival)
     options = []
     for kind, features in _PARAMETERS.items():

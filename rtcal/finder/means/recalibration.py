@@ -288,10 +288,7 @@ def _room(case: Case, c: Configuration, s: State) -> Room:
     """The configuration's room for the QP: areas that are seen, volume, prior alpha and sigma."""
     room = case.room
     visible = np.clip(seen(case, c).mean(1), _LEAST_SEEN, None)
-    alpha, sigma = np.array(room.alpha), np.array(room.sigma)
-    for material, change in c.changes.items():
-        row = room.material_index(material)
-        alpha[row], sigma[row] = change.alpha, change.sigma
+    alpha, sigma = c.coefficients(room)
     least = None if room.alpha_min is None else np.minimum(room.alpha_min, alpha)
     return Room(
         name=c.name,

@@ -31,9 +31,10 @@ from rtcal.finder.means.hypotheses import Hypotheses, predict_hypotheses
 from rtcal.finder.means.likelihood import standardized_residuals
 from rtcal.finder.means.measurements import next_measurement
 from rtcal.finder.means.model_error import ModelDiscrepancy
+from rtcal.finder.means.searched import Searched
 from rtcal.finder.means.set_posterior import MOST, set_posterior, single_posterior
 from rtcal.finder.means.sets import Rows, averaged_alpha, compare
-from rtcal.finder.means.verdict import Searched, of_sets, of_single
+from rtcal.finder.means.verdict import of_sets, of_single
 from rtcal.finder.prior import (
     EXPECTED,
     NONE,
@@ -118,7 +119,8 @@ def find(
     """
     checks.instance("case", case, Case).require_fresh()
     checks.whole("seed", seed, 0)
-    effects, left_out = effects_to_try(effects, without, only)
+    every = library() if effects is None else checked_effects(effects)
+    effects, left_out = chosen_effects(every, without, only)
     number = _checked_numbers(most, expected, effects, prior)
     observed, notes = observe(case)
     if len(without) or len(only) or prior:
@@ -182,13 +184,6 @@ def _checked_numbers(
     return _Numbers(most, number)
 
 
-def effects_to_try(
-    effects: Sequence[Effect] | None, without: Sequence[str], only: Sequence[str]
-) -> tuple[tuple[Effect, ...], tuple[str, ...]]:
-    """Return the effects that a search tries, and what else is left out; the library if None."""
-    return chosen_effects(library() if effects is None else checked_effects(effects), without, only)
-
-
 CHOSEN = (
     "effects were left out or weighted by hand: the probabilities are among those that were tried, and "
     "how often such findings were right was measured with the whole library"
@@ -238,7 +233,7 @@ def _conclude(
         alpha=averaged_alpha(compared, sets.likely),
         prior=prior,
         detection=detection,
-        advice=next_measurement(case, observed, predicted, discrepancy, evidence, told_apart),
+        advice=next_measurement(searched, told_apart),
         residuals=standardized_residuals(observed, predicted, discrepancy),
         notes=(*notes, observed.origin, *_notes(case)),
         discrepancy=discrepancy,

@@ -13,11 +13,9 @@ from rtcal.finder.case import Case
 from rtcal.finder.effects import Effect, Parameters
 from rtcal.finder.effects.checks import changed_states
 from rtcal.finder.finding import AbsorptionChange, End, Size
-from rtcal.finder.means.evidence import NEGLIGIBLE, Evidence, evaluate
-from rtcal.finder.means.features import Observed
-from rtcal.finder.means.hypotheses import Hypotheses, predict_hypotheses
-from rtcal.finder.means.model_error import ModelDiscrepancy
+from rtcal.finder.means.evidence import NEGLIGIBLE
 from rtcal.finder.means.room_states import state
+from rtcal.finder.means.searched import Searched
 from rtcal.finder.model import rates
 from rtcal.support.types import Array
 
@@ -38,14 +36,7 @@ def absorption_change(
 
 
 def estimate_size(
-    case: Case,
-    observed: Observed,
-    predicted: Hypotheses,
-    discrepancy: ModelDiscrepancy,
-    evidence: Evidence,
-    name: str,
-    *,
-    precise: bool = True,
+    searched: Searched, name: str, *, precise: bool = True
 ) -> tuple[Parameters, Size | None]:
     """Return the effect's most probable parameters, and its size with a 90 % interval.
 
@@ -53,15 +44,13 @@ def estimate_size(
     steps. With it, a search improves the best set, and the size is evaluated in fine steps for it and
     for the three most probable sets of the other parameters.
     """
-    effect = predicted.effects[name]
+    predicted, effect = searched.predicted, searched.predicted.effects[name]
     rows = [i for i, n in enumerate(predicted.names) if n == name]
-    likelihood = evidence.by_hypothesis()[rows]
+    likelihood = searched.evidence.by_hypothesis()[rows]
     grid = [predicted.parameters[i] for i in rows]
 
     def evaluated(thetas: Sequence[Parameters]) -> Array:
-        predicted_sizes = predict_hypotheses(case, [effect], [thetas])
-        values = evaluate(observed, predicted_sizes, discrepancy, evidence.prior_off)
-        return values.by_hypothesis()[1:]
+        return searched.under(effect, thetas).by_hypothesis()[1:]
 
     best = grid[int(np.argmax(likelihood))]
     if precise:
@@ -79,7 +68,7 @@ def estimate_size(
     sizes = np.array([theta[effect.size] for theta in grid])
     logs = bool(sizes.min() > 0)
     low, high = float(sizes.min()), float(sizes.max())
-    possible = effect.limits(case.room).get(effect.size, (-np.inf, np.inf))
+    possible = effect.limits(searched.case.room).get(effect.size, (-np.inf, np.inf))
     if logs:
         first, last = np.log(low / 3), np.log(high * 3)
         ends = np.log(np.maximum(possible, low / 1e6))

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 from rtcal.finder import coefficients
-from rtcal.finder.case import AppliedEffect, Case
+from rtcal.finder.case import AppliedEffect
 from rtcal.finder.claim import (
     CLAIMED,
     Names,
@@ -29,12 +29,10 @@ from rtcal.finder.means.doubts import (
     too_large,
     unexplained,
 )
-from rtcal.finder.means.evidence import Evidence, evaluate_beyond
-from rtcal.finder.means.features import Observed
 from rtcal.finder.means.gap import GapCheck, gap_check
-from rtcal.finder.means.hypotheses import Hypotheses, predict_hypotheses
+from rtcal.finder.means.hypotheses import predict_hypotheses
 from rtcal.finder.means.likelihood import covariance_of, goodness_of_fit, spreading
-from rtcal.finder.means.model_error import ModelDiscrepancy
+from rtcal.finder.means.searched import Searched
 from rtcal.finder.means.set_posterior import SetPosterior
 from rtcal.finder.means.size import absorption_change, estimate_size
 from rtcal.finder.prior import COEFFICIENTS, NONE, UNKNOWN
@@ -53,7 +51,7 @@ _LARGER = SCALES[0][0]
 class Fit:
     """A candidate in its most probable form.
 
-    ``parameters`` have the size's mean, ``most_probable`` the size that fits best. ``coefficients``
+    ``parameters`` have the size's mean. ``coefficients``
     are None where they are right as stated. ``gap`` is the gap that alpha cannot close. ``surprise`` is
     what `goodness_of_fit` returns, ``absorption`` how much the room's absorption changes.
     """
@@ -63,7 +61,6 @@ class Fit:
     size: Size | None
     coefficients: OffTogether | None
     gap: GapCheck
-    most_probable: Parameters
     surprise: tuple[float, float]
     absorption: AbsorptionChange | None = None
 
@@ -71,44 +68,6 @@ class Fit:
         """Return the effect with its size and interval, to be put into a case."""
         ends = None if self.size is None else (self.size.low, self.size.high)
         return AppliedEffect.of(effect, self.parameters, ends)
-
-
-@dataclass(frozen=True, eq=False)
-class Searched:
-    """What a search compared: hypotheses with their evidence, the measurement, the model's error."""
-
-    case: Case
-    observed: Observed
-    predicted: Hypotheses
-    discrepancy: ModelDiscrepancy
-    evidence: Evidence
-
-    def nats(self, name: str) -> float:
-        """Return the log evidence of an effect over "none"."""
-        table = self.evidence.by_effect()
-        return float(table[name] - table[NONE])
-
-    def fit(self, name: str, *, precise: bool) -> Fit:
-        """Return a candidate's parameters, size and gap."""
-        parts = self.case, self.observed, self.predicted, self.discrepancy, self.evidence
-        return fit(*parts, name, precise=precise)
-
-    def doubts(self, best: Fit) -> tuple[Doubt, ...]:
-        """Return the doubts about a candidate."""
-        parts = self.case, self.observed, self.predicted, self.discrepancy, self.evidence
-        return doubts(*parts, best, self.nats(best.name))
-
-    def beside(self, name: str, others: Sequence[AppliedEffect] = ()) -> Searched:
-        """Return the search for one effect, with others in the model."""
-        case = replace(self.case, applied=(*self.case.applied, *others))
-        predicted, evidence = evaluate_beyond(
-            case,
-            self.observed,
-            predict_hypotheses(case, [self.predicted.effects[name]]),
-            self.discrepancy,
-            self.evidence.prior_off,
-        )
-        return replace(self, case=case, predicted=predicted, evidence=evidence)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -146,13 +105,13 @@ def of_single(
         return Verdict(verdict=verdict, family=family)
     fits, found = dict[str, Fit](), tuple[Doubt, ...]()
     if best != UNKNOWN:
-        fits[best] = searched.fit(best, precise=True)
-        found = searched.doubts(fits[best])
+        fits[best] = fit(searched, best, precise=True)
+        found = doubts(searched, fits[best])
         verdict = doubted(verdict, family, found)
     candidates = (best,) if verdict == "named" else credible_set(probabilities)
     for name in candidates:
         if name not in (best, UNKNOWN):
-            fits[name] = searched.fit(name, precise=False)
+            fits[name] = fit(searched, name, precise=False)
     claimed = family is not None and verdict in ("named", "family")
     return Verdict(
         verdict=verdict,
@@ -206,7 +165,7 @@ def of_sets(
         members=best,
         candidates=(*best, *(n for n in others if n not in best)),
         fits=fits,
-        alone={n: searched.beside(n).fit(n, precise=True) for n in best} if len(best) > 1 else {},
+        alone={n: fit(searched.beside(n), n, precise=True) for n in best} if len(best) > 1 else {},
         stand_ins=stand_ins,
         reasons=tuple(doubt.words for n in best for doubt in found[n]),
     )
@@ -226,8 +185,8 @@ def _members(
     # The others' sizes enter each fit, so the first is fitted again.
     for name in (*best, best[0]) if len(best) > 1 else best:
         beside = searched.beside(name, [model[n] for n in best if n != name])
-        fits[name] = beside.fit(name, precise=True)
-        found[name] = beside.doubts(fits[name])
+        fits[name] = fit(beside, name, precise=True)
+        found[name] = doubts(beside, fits[name])
         model[name] = fits[name].applied(effects[name])
     return {n: fits[n] for n in best}, found
 
@@ -252,31 +211,21 @@ def _families_claimed(
     return claimed
 
 
-def fit(
-    case: Case,
-    observed: Observed,
-    predicted: Hypotheses,
-    discrepancy: ModelDiscrepancy,
-    evidence: Evidence,
-    name: str,
-    *,
-    precise: bool,
-) -> Fit:
+def fit(searched: Searched, name: str, *, precise: bool) -> Fit:
     """Return a candidate's parameters, its size (`estimate_size`), and what becomes of the gap."""
+    case, observed, discrepancy = searched.case, searched.observed, searched.discrepancy
     parameters: Parameters = {}
     likely: Parameters = {}
     size, absorption = None, None
     row, alone = 0, predict_hypotheses(case, [])
     probability = 1.0
     if name != COEFFICIENTS:
-        effect: Effect = predicted.effects[name]
-        likely, size = estimate_size(
-            case, observed, predicted, discrepancy, evidence, name, precise=precise
-        )
+        effect = searched.predicted.effects[name]
+        likely, size = estimate_size(searched, name, precise=precise)
         parameters = likely if size is None else {**likely, effect.size: size.mean}
         absorption = absorption_change(case, effect, parameters, size)
         alone, row = predict_hypotheses(case, [effect], [[parameters]]), 1
-        probability = float(evidence.off_given(name))
+        probability = float(searched.evidence.off_given(name))
     off, scale = None, 1.0
     if probability >= LIKELY:
         scale = _LARGER
@@ -293,33 +242,21 @@ def fit(
         )
     gap = gap_check(observed, alone, discrepancy, row, scale)
     surprise = goodness_of_fit(observed, alone, discrepancy, row, scale)
-    return Fit(name, parameters, size, off, gap, likely, surprise, absorption)
+    return Fit(name, parameters, size, off, gap, surprise, absorption)
 
 
-def doubts(
-    case: Case,
-    observed: Observed,
-    predicted: Hypotheses,
-    discrepancy: ModelDiscrepancy,
-    evidence: Evidence,
-    best: Fit,
-    nats: float,
-) -> tuple[Doubt, ...]:
-    """Return the doubts about the best candidate, ``nats`` its evidence."""
-    out = gross(observed, predicted, best.gap)
+def doubts(searched: Searched, best: Fit) -> tuple[Doubt, ...]:
+    """Return the doubts about the best candidate."""
+    out = gross(searched.observed, searched.predicted, best.gap)
     out += unexplained(best.name, *best.surprise)
     out += gap_against(best.name, best.gap)
     effects = []
     if best.name != COEFFICIENTS:
-        effect = predicted.effects[best.name]
-        effects = [effect]
-        out += end_of_range(effect.name, best.size)
-        out += too_large(case, effect, best.parameters)
-    hypotheses = predict_hypotheses(case, effects)
-    out += decided_below_schroeder(
-        case, observed, hypotheses, discrepancy, evidence.prior_off, best.name, nats
-    )
-    return tuple(out)
+        effects = [searched.predicted.effects[best.name]]
+        out += end_of_range(best.name, best.size)
+        out += too_large(searched.case, effects[0], best.parameters)
+    hypotheses = predict_hypotheses(searched.case, effects)
+    return (*out, *decided_below_schroeder(searched, hypotheses, best.name))
 
 
 def doubted(verdict: str, family: str | None, found: Sequence[Doubt]) -> str:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -18,7 +19,7 @@ LOCATED = 0.5
 """Share of a candidate's probability from which a part of its surface is where it stands."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Candidate:
     """An effect in one place.
 
@@ -46,15 +47,15 @@ class Candidate:
 
     effect: str
     family: str
-    surface: str | None
-    place: str
     probability: float
-    size: float
-    low: float
-    high: float
-    unit: str
-    parameters: Mapping[str, float]
-    spectrum: Array
+    surface: str | None = None
+    place: str = ""
+    size: float = math.nan
+    low: float = math.nan
+    high: float = math.nan
+    unit: str = ""
+    parameters: Mapping[str, float] = field(default_factory=dict)
+    spectrum: Array = field(default_factory=lambda: np.zeros(0))
     parts: tuple[tuple[Point, float], ...] = ()
 
     @property

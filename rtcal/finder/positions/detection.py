@@ -8,8 +8,7 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -20,6 +19,7 @@ from rtcal.finder.case import Case as MeansCase
 from rtcal.finder.configuration import PARAMETERS, Configuration
 from rtcal.finder.effects import Effect
 from rtcal.finder.finding import Detection
+from rtcal.finder.means.finding import MeansFinding
 from rtcal.finder.means.search import find as find_by_means
 from rtcal.finder.positions.case import Case
 from rtcal.support.types import Array
@@ -33,23 +33,6 @@ room in which it is highest (`python -m benchmarks.where_seeds --paths 8000`).""
 OF_PROGRAMS = 13.0
 """The same where another program's values are compared, which errs in ways that control runs do not
 show. Of 17 participants' models of PTB's studio as it was, an earlier version flagged one."""
-
-
-@dataclass(frozen=True)
-class Means:
-    """What means over positions say.
-
-    Attributes
-    ----------
-    score, threshold : float
-        As `rtcal.finder.find` has them, in nats.
-    families : mapping of str to float
-        Probability of each family, and of "none".
-    """
-
-    score: float
-    threshold: float
-    families: Mapping[str, float]
 
 
 def in_words(detection: Detection) -> str:
@@ -74,16 +57,15 @@ def evidence_of_means(
     effects: Sequence[Effect] | None = None,
     seed: int = 0,
     cache: str | os.PathLike[str] | None = None,
-) -> Means | None:
+) -> MeansFinding | None:
     """Return what `rtcal.finder.find` says of the means over positions.
 
     None where that finder has nothing to compare: no T, or none that can be trusted.
     """
     try:
-        found = find_by_means(of_means(case), effects, seed=seed, cache=cache)
+        return find_by_means(of_means(case), effects, seed=seed, cache=cache)
     except DataError:
         return None
-    return Means(found.score, found.threshold, found.families)
 
 
 def of_means(case: Case) -> MeansCase:

@@ -14,6 +14,7 @@ from rtcal.finder.claim import CLAIMED, DISTINCT_NATS, claim
 from rtcal.finder.effects import Effect, library
 from rtcal.finder.effects.checks import checked_effects
 from rtcal.finder.finding import Detection
+from rtcal.finder.means.finding import MeansFinding
 from rtcal.finder.means.search import CHOSEN
 from rtcal.finder.positions import surfaces as of_room
 from rtcal.finder.positions.candidate import Candidate
@@ -21,7 +22,6 @@ from rtcal.finder.positions.case import Case
 from rtcal.finder.positions.detection import (
     OF_PROGRAMS,
     THRESHOLD,
-    Means,
     evidence_of_means,
 )
 from rtcal.finder.positions.evidence import Likelihood
@@ -141,7 +141,7 @@ def find_by_positions(
     seed: int,
     left_out: Sequence[str],
     progress: TaskProgress | None = None,
-    means: Means | None = None,
+    means: MeansFinding | None = None,
 ) -> PositionsFinding:
     """Return what the positions say; ``means`` as `evidence_of_means`, None if they were not asked."""
 

@@ -54,7 +54,7 @@ def summary_of(case: Case, hypotheses: Hypotheses, posterior: Weights) -> Summar
     for effect, log in ((COEFFICIENTS, posterior.coefficients), (UNKNOWN, posterior.unknown)):
         chance = float(np.exp(log[0] - total))
         if chance > 0:
-            candidates.append(_plain(effect, chance))
+            candidates.append(Candidate(effect=effect, family=effect, probability=chance))
     candidates.sort(key=lambda c: -c.probability)
     probabilities = {NONE: float(np.exp(posterior.none[0] - total))}
     families = dict(probabilities)
@@ -128,29 +128,10 @@ def _misplaced(effect: str, place: str, members: Sequence[tuple[float, float, st
     return Candidate(
         effect=effect,
         family=MEASUREMENT,
-        surface=None,
         place=place,
         probability=total,
         size=size,
         low=float(likely.min()),
         high=float(likely.max()),
         unit=members[0][2],
-        parameters={},
-        spectrum=np.zeros(0),
-    )
-
-
-def _plain(effect: str, chance: float) -> Candidate:
-    return Candidate(
-        effect=effect,
-        family=effect,
-        surface=None,
-        place="",
-        probability=chance,
-        size=float("nan"),
-        low=float("nan"),
-        high=float("nan"),
-        unit="",
-        parameters={},
-        spectrum=np.zeros(0),
     )
