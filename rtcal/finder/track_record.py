@@ -15,6 +15,7 @@ from rtcal.acoustics.common_errors import HANDBOOK_SIGMA
 from rtcal.acoustics.observables import LEVEL
 from rtcal.acoustics.room import Room
 from rtcal.finder.case import Case
+from rtcal.finder.configuration import LEVELS
 
 TIMES, ALL = "T20, EDT and T30 of one configuration", "several configurations, C80 or G"
 """Means over positions. As they are stated the rooms have several configurations, C80 or G."""
@@ -85,7 +86,7 @@ def data_of(case: Case) -> str:
     'several configurations, C80 or G'
     """
     first, *others = case.configurations
-    return ALL if others or not {"c80", "g"}.isdisjoint(first.measured.values) else TIMES
+    return ALL if others or not {*LEVELS}.isdisjoint(first.measured.values) else TIMES
 
 
 def of_means(verdict: str, data: str) -> str:
