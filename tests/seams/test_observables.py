@@ -207,8 +207,8 @@ THE_MEANS_HAVE_FIVE = {
     *(
         f"finder/means/{name}.py"
         for name in (
-            *("advice", "corrected", "engines", "features", "hypotheses", "measurements"),
-            *("model_error", "planning", "recalibration", "search", "track_record"),
+            *("corrected", "engines", "features", "hypotheses", "measurements"),
+            *("model_error", "planning", "recalibration", "search", "separation"),
         )
     ),
 }
