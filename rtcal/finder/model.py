@@ -14,7 +14,7 @@ import numpy as np
 
 from rtcal.acoustics.equations import MeanEquation, mean_equation
 from rtcal.acoustics.room import Room
-from rtcal.support.types import Array, read_only_view
+from rtcal.support.types import Array
 
 FEATURES = ("t20", "edt", "t30", "c80", "g")
 """Rows of every feature table: ln T20 (s), ln EDT/T20, ln T30/T20, C80 and G in dB."""
@@ -68,7 +68,9 @@ class State:
         for name in ("areas", "alpha", "facing", "air", "frequencies", "covering", "objects"):
             values = getattr(self, name)
             if isinstance(values, np.ndarray) and values.flags.writeable:
-                object.__setattr__(self, name, read_only_view(values))
+                locked = values.view()
+                locked.flags.writeable = False
+                object.__setattr__(self, name, locked)
 
     @classmethod
     def of_room(cls, room: Room, facing: Array, equation: str = "eyring") -> State:

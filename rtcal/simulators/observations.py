@@ -250,6 +250,24 @@ def of_decays(
         If a decay lacks a parameter.
     """
     energy = checked_decay(energy, bin_width)
+    return Observations(
+        parameters=tuple(match),
+        pairs=tuple(pairs),
+        centre_frequencies=centre_frequencies,
+        values=values_of_decays(energy, bin_width, match, pairs, centre_frequencies, cause),
+        direct=energy[..., 0] / energy.sum(-1),
+    )
+
+
+def values_of_decays(
+    energy: Array,
+    bin_width: float,
+    match: Sequence[str],
+    pairs: Sequence[tuple[str, str]],
+    centre_frequencies: Array,
+    cause: str = "too little is reflected",
+) -> Array:
+    """Return the values of `of_decays`, of decays that need no check."""
     values = np.empty((len(match), *energy.shape[:-1]))
     for row, name in zip(values, match, strict=True):
         kind = OBSERVABLES[name]
@@ -262,13 +280,7 @@ def of_decays(
                     f"the decay from {place} is too short to hold {parameter_label(name)}: {cause}"
                 )
             raise DataError(f"the decay from {place} has no {parameter_label(name)}: {cause}")
-    return Observations(
-        parameters=tuple(match),
-        pairs=tuple(pairs),
-        centre_frequencies=centre_frequencies,
-        values=values,
-        direct=energy[..., 0] / energy.sum(-1),
-    )
+    return values
 
 
 def chained(

@@ -61,12 +61,12 @@ def air_of(case: Case, configuration: Configuration) -> Air | None:
     return air
 
 
-def seen(case: Case, configuration: Configuration, alpha: Array | None = None) -> Array:
+def seen(case: Case, configuration: Configuration) -> Array:
     """Return d (alpha of the state) / d (alpha of the room), (n_materials, n_bands).
 
     It is 1 but where an applied effect changes alpha: what is covered is not seen.
     """
-    at = np.array(case.room.alpha if alpha is None else alpha)
+    at = np.array(case.room.alpha)
     unchanged = replace(configuration, changes={})
     after = state(case, unchanged, at).alpha
     if np.array_equal(after, at):

@@ -95,10 +95,9 @@ class Weighing:
     def parameters(self, energy: Array) -> Array:
         """Return the parameters of decays, (n_pairs, n_bands, n_bins), as `observe` does."""
         tracer = self.tracer
-        heard = observations.of_decays(
+        return observations.values_of_decays(
             energy, tracer.bin_width, self.match, tracer.pairs, tracer.centre_frequencies
         )
-        return heard.values
 
     def energy(
         self,
