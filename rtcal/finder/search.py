@@ -26,19 +26,31 @@ from rtcal.support import checks
 from rtcal.support.arguments import checked
 from rtcal.support.progress import TaskProgress
 
+AnyCase = Case | positions.Case | states.Case
+
 
 def case_of(
-    room: Room, measured: Measurement, simulator: PathTracing | None = None, **stated: Any
-) -> Case | positions.Case:
-    """Return the case of a room and one measurement: of its positions, where both have them.
+    room: Room,
+    measured: Measurement,
+    simulator: PathTracing | None = None,
+    before: Measurement | None = None,
+    **stated: Any,
+) -> AnyCase:
+    """Return the case of a room and what was measured in it: of its positions, where both have them.
 
-    ``stated`` are further parameters of `positions.Case`, and of no other.
+    With ``before`` it is that of two states. ``stated`` are further parameters of `positions.Case`, and
+    of no other.
     """
     checks.instance("room", room, Room)
     checks.instance("measured", measured, Measurement)
+    if simulator is not None and simulator.room is not room:
+        raise DataError("simulator is of another room; make it with this one")
+    if before is not None:
+        pairs = not (measured.is_summary or before.is_summary)
+        if simulator is None and pairs and room.scene.sources:
+            simulator = geometry_files.path_tracing(room)
+        return states.Case(room=room, before=before, after=measured, simulator=simulator)
     if not measured.is_summary and simulator is not None:
-        if simulator.room is not room:
-            raise DataError("simulator is of another room; make it with this one")
         return positions.Case(simulator=simulator, measured=measured, **stated)
     if not measured.is_summary and room.scene.sources:
         return positions.Case.from_room(room, measured, **stated)
@@ -65,7 +77,7 @@ def find(
 ) -> MeansFinding | positions.PositionsFinding: ...
 @checked
 def find(
-    room: Room | Case | positions.Case | states.Case,
+    room: Room | AnyCase,
     measured: Measurement | None = None,
     simulator: PathTracing | None = None,
     *,
@@ -131,23 +143,21 @@ def find(
     >>> print(finding.verdict)  # doctest: +SKIP
     none
     """
-    if isinstance(room, states.Case) or before is not None:
-        refused = {"controls": controls, **of_means}
-        for name, value in refused.items():
-            if value is not None:
-                raise DataError(f"{name} is not of a search for what changed between two states")
-        two = _two_states(room, measured, before, simulator)
-        tried = chosen_effects(library() if effects is None else effects, without, only)[0]
-        return states.find(two, effects=tried, seed=seed)
-    case: Case | positions.Case
+    case: AnyCase
     if isinstance(room, Room):
         if measured is None:
             raise DataError("measured is missing: a room is compared with what was measured in it")
-        case = case_of(room, measured, simulator)
+        case = case_of(room, measured, simulator, before)
     else:
-        if measured is not None or simulator is not None:
-            raise DataError("measured and simulator belong to a room; a case holds its own")
+        if not (measured is None and simulator is None and before is None):
+            raise DataError("measured, before and simulator belong to a room; a case holds its own")
         case = room
+    if isinstance(case, states.Case):
+        for name, value in {"controls": controls, **of_means}.items():
+            if value is not None:
+                raise DataError(f"{name} is not of a search for what changed between two states")
+        tried = chosen_effects(library() if effects is None else effects, without, only)[0]
+        return states.find(case, effects=tried, seed=seed)
     common: Mapping[str, Any] = {
         "effects": effects,
         "seed": seed,
@@ -162,26 +172,6 @@ def find(
     for name in of_means:
         raise DataError(f"{name} is of a search by means over positions")
     return positions.find(case, **common)
-
-
-def _two_states(
-    room: Room | Case | positions.Case | states.Case,
-    measured: Measurement | None,
-    before: Measurement | None,
-    simulator: PathTracing | None,
-) -> states.Case:
-    """Return the case of two states; with a simulator where the room states its positions."""
-    if isinstance(room, states.Case):
-        if not (measured is None and before is None and simulator is None):
-            raise DataError("measured, before and simulator belong to a room; a case holds its own")
-        return room
-    if measured is None or before is None:
-        raise DataError("measured is missing: what was measured after the change")
-    room = checks.instance("room", room, Room)
-    pairs = not (measured.is_summary or before.is_summary)
-    if simulator is None and pairs and room.scene.sources:
-        simulator = geometry_files.path_tracing(room)
-    return states.Case(room=room, before=before, after=measured, simulator=simulator)
 
 
 @overload
