@@ -51,7 +51,7 @@ _LARGER = SCALES[0][0]
 class Fit:
     """A candidate in its most probable form.
 
-    ``parameters`` have the size's mean. ``coefficients``
+    ``parameters`` have the size's mean, ``most_probable`` the size that fits best. ``coefficients``
     are None where they are right as stated. ``gap`` is the gap that alpha cannot close. ``surprise`` is
     what `goodness_of_fit` returns, ``absorption`` how much the room's absorption changes.
     """
@@ -61,6 +61,7 @@ class Fit:
     size: Size | None
     coefficients: OffTogether | None
     gap: GapCheck
+    most_probable: Parameters
     surprise: tuple[float, float]
     absorption: AbsorptionChange | None = None
 
@@ -242,7 +243,7 @@ def fit(searched: Searched, name: str, *, precise: bool) -> Fit:
         )
     gap = gap_check(observed, alone, discrepancy, row, scale)
     surprise = goodness_of_fit(observed, alone, discrepancy, row, scale)
-    return Fit(name, parameters, size, off, gap, surprise, absorption)
+    return Fit(name, parameters, size, off, gap, likely, surprise, absorption)
 
 
 def doubts(searched: Searched, best: Fit) -> tuple[Doubt, ...]:
