@@ -328,7 +328,7 @@ def with_materials(
     room: Room,
     further: Sequence[Further],
     kept: Sequence[int] | None = None,
-    areas: Array | None = None,
+    areas: Array | Sequence[float] | None = None,
     **changes: Any,
 ) -> Room:
     """Return a room with some of its materials, and further ones after them.
@@ -345,6 +345,15 @@ def with_materials(
         Their areas in m²; those of the room if not given.
     **changes
         Other fields of the room, as for `Room.replace`.
+
+    Examples
+    --------
+    >>> from rtcal.acoustics.room import Room
+    >>> room = Room(name="box", volume=60, materials=["wall"], areas=[94], alpha=[[0.1]],
+    ...             sigma=[[0.02]], centre_frequencies=[1000])
+    >>> panel = Further(Material("panel", [0.9], [0.1]), 10)
+    >>> print(with_materials(room, [panel], areas=[84]).absorption_area)
+    [17.4]
     """
     rows = list(range(room.n_materials) if kept is None else kept)
     names, new = [room.materials[i] for i in rows], [f.material for f in further]
