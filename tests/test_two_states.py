@@ -170,6 +170,59 @@ def test_each_half_of_the_pairs_predicts_the_other(panels: StatesFinding) -> Non
         rt.finder.verify(same)
 
 
+def test_an_earlier_finding_predicts_the_pairs_that_it_had_not(panels: StatesFinding) -> None:
+    case = panels.case
+    some = case.before.pairs[:4]
+    earlier = rt.find(case.room, case.after.select(some), before=case.before.select(some))
+    result = rt.finder.verify(earlier, before=case.before, after=case.after)
+    assert result.verdict == "supported"
+    assert result.before.shape == (2, 6)
+    assert result.to_dict()["pairs"] == [list(p) for p in case.before.pairs[4:]]
+    np.testing.assert_allclose(
+        result.before, -panels.case.differences.change[4:] / np.log(1.05), rtol=1e-9
+    )
+    # Another change than the one that was found is not predicted.
+    other = rt.finder.verify(earlier, before=case.after, after=case.before)
+    assert other.verdict == "withdrawn"
+    with pytest.raises(
+        rt.errors.DataError, match="0 pairs of before and after are not among the 4"
+    ):
+        rt.finder.verify(earlier, before=case.before.select(some), after=case.after)
+    with pytest.raises(rt.errors.DataError, match="after is missing"):
+        rt.finder.verify(earlier, before=case.before)
+
+
+def test_the_changed_room_has_t_of_the_second_state(panels: StatesFinding) -> None:
+    """On 12 m² of a wall; the room spreads it over all materials, and says so."""
+    changed = panels.apply()
+    t = rt.Eyring().reverberation_time(changed.room)
+    np.testing.assert_allclose(t, panels.case.differences.after, rtol=0.08)
+    np.testing.assert_allclose(
+        changed.room.areas @ changed.room.alpha, panels.area + panels.change[0]
+    )
+    assert (changed.room.alpha <= 1).all()
+    assert any("not told" in note for note in changed.notes)
+    result = rt.calibrate(changed.room, panels.case.after, method="soft")
+    assert np.abs(result.shift_in_sigmas).max() < 1
+    back = rt.find(panels.case.room, panels.case.before, before=panels.case.after).apply()
+    np.testing.assert_allclose(
+        rt.Eyring().reverberation_time(back.room), panels.case.differences.before, rtol=0.05
+    )
+
+
+def test_what_does_not_fit_in_the_room_is_said(panels: StatesFinding) -> None:
+    case = panels.case
+    some = replace(
+        case.after, values={"t20": np.where(BANDS > 3000, np.nan, case.after.values["t20"])}
+    )
+    notes = " ".join(rt.find(case.room, some, before=case.before).apply().notes)
+    assert "Nothing is known of 4000 Hz" in notes
+    same = rt.find(case.room, measured(times(), 9), before=case.before)
+    assert not same.can_be_added
+    with pytest.raises(rt.errors.DataError, match="There is nothing to add to the room"):
+        same.apply()
+
+
 def run(*arguments: str) -> int:
     with pytest.raises(SystemExit) as stop:
         main(list(arguments))
@@ -201,3 +254,18 @@ def test_the_command_writes_numbers_and_page(
     assert (tmp_path / "p.html").read_text(encoding="utf-8") == page
     assert run(*command, "--most", "2") != 0
     assert "--most" in capsys.readouterr().err
+    assert run("verify", *command[1:], "--json") == 0
+    assert json.loads(capsys.readouterr().out)["verdict"] == "supported"
+    assert run("verify", *command[1:], "--finding", names["out"]) == 2
+    assert "0 pairs of before and after are not among the 6" in capsys.readouterr().err
+    out = str(tmp_path / "changed")
+    assert run("apply", *command[1:], "--out", out, "--json") == 0
+    assert json.loads(capsys.readouterr().out)["written"] == [
+        str(tmp_path / "changed" / "room.toml")
+    ]
+    made = rt.Room.from_file(str(tmp_path / "changed" / "room.toml"))
+    np.testing.assert_array_equal(made.alpha, panels.apply().room.alpha)
+    same = ["apply", names["room.toml"], names["before.csv"], "--before", names["before.csv"]]
+    assert run(*same, "--out", str(tmp_path / "none")) == 6
+    assert "Nothing is written" in capsys.readouterr().out
+    assert not (tmp_path / "none").exists()

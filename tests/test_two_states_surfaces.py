@@ -110,6 +110,25 @@ def test_a_finding_with_surfaces_is_saved_and_loaded(finding: StatesFinding, tmp
     assert str(again) == str(finding)
 
 
+def test_the_changed_room_has_the_claimed_wall_as_a_material(
+    finding: StatesFinding, tmp_path
+) -> None:
+    changed = finding.apply()
+    assert changed.surfaces == ("east",)
+    room = changed.room
+    row = room.material_index("east, changed")
+    assert room.areas[row] == pytest.approx(15)
+    np.testing.assert_allclose(room.areas @ room.alpha, finding.area + finding.change[0], rtol=0.02)
+    # Half of what the wall reflected, of coefficients scaled to T before.
+    assert (room.alpha[row] > 0.35).mean() > 0.5
+    paths = changed.save(tmp_path)
+    again = rt.io.geometry_files.path_tracing(rt.Room.from_file(paths[0]), n_paths=320)
+    assert again.geometry.materials[1] == "east, changed"
+    t = np.nanmean(again.simulate(again.room.alpha, seed=2).values["t20"], axis=0)
+    after = finding.case.differences.after
+    np.testing.assert_allclose(t, after, rtol=0.25)
+
+
 def test_sets_are_of_one_to_all_walls() -> None:
     model = simulator({})
     surfaces = {name: np.array([i]) for i, name in enumerate(model.geometry.names)}

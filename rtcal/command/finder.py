@@ -27,12 +27,13 @@ from rtcal.command.finder_options import (
     ENGINES,
     Inputs,
     Search,
+    before_option,
     input_options,
     number_options,
     search_options,
     seed_option,
 )
-from rtcal.command.two_states import find_change
+from rtcal.command.two_states import apply_change, find_change, verify_change
 from rtcal.errors import DataError
 from rtcal.support import text
 from rtcal.support.files import spare
@@ -48,6 +49,7 @@ NOTHING_TO_ADD = 6
 """Exit code of ``rtcal apply`` if the finding names nothing to add to the model."""
 SEEDS = (0, 1, 2)
 """Seeds of the simulator over which a gap at positions is printed."""
+OF_ONE_STATE = " is not of what changed between two states"
 PROPOSED = 3
 """Places for a further receiver that are printed."""
 
@@ -61,11 +63,7 @@ PROPOSED = 3
     help="Verify it, too, and write page (report.html), figures (PNG) and numbers (result.json) "
     "into this folder.",
 )
-@click.option(
-    "--before",
-    type=click.Path(dir_okay=False),
-    help="What was measured at the same positions before something was changed (CSV): find what.",
-)
+@before_option
 @heading_options
 def find(
     inputs: Inputs,
@@ -97,9 +95,7 @@ def find(
     """
     folder = output_folder("--out", out)
     if before is not None:
-        more = number["most"] if number["most"] > 1 else None
-        stated = {"--most": more, "--expected": number["expected"]}
-        _refuse(stated, " is not of a search for what changed between two states")
+        _refuse(_more_than_one(number), OF_ONE_STATE)
         find_change(inputs, search, before, folder, heading, as_json, quiet)
         return
     if folder is None:
@@ -135,21 +131,39 @@ def find(
 
 @click.command(short_help="Compare the gaps with and without what was found.")
 @search_options
-def verify(inputs: Inputs, search: Search, as_json: bool, quiet: bool) -> None:
+@before_option
+@click.option(
+    "--finding",
+    type=click.Path(exists=True),
+    help="With --before: folder of an earlier find --before, whose pairs were others.",
+)
+def verify(
+    inputs: Inputs,
+    search: Search,
+    before: str | None,
+    finding: str | None,
+    as_json: bool,
+    quiet: bool,
+) -> None:
     """Add the named effect, calibrate again, and compare the gaps that alpha cannot close.
 
     This shows whether the model gets better, not whether the name is right, so the rivals are printed
     too. If there is nothing to add, the output says so. With a geometry, half of the pairs are fitted
-    and the others predicted.
+    and the others predicted. With --before, too; or an earlier --finding predicts the pairs that it had
+    not.
 
     Example: rtcal verify case.toml
     """
-    finding = _find(inputs, search, quiet)
-    if (nothing := finding.reason_for_none) is not None:
-        record = {"verdict": None, "sentence": nothing, "finding": finding.to_dict()}
+    if before is not None:
+        verify_change(inputs, search, before, finding, as_json, quiet)
+        return
+    _refuse({"--finding": finding}, " needs --before")
+    found = _find(inputs, search, quiet)
+    if (nothing := found.reason_for_none) is not None:
+        record = {"verdict": None, "sentence": nothing, "finding": found.to_dict()}
         tell(nothing, record, quiet=quiet, as_json=as_json)
         return
-    result = _verified(inputs, finding, quiet)
+    result = _verified(inputs, found, quiet)
     tell(str(result), result.to_dict(), quiet=quiet, as_json=as_json)
 
 
@@ -174,6 +188,7 @@ def verify(inputs: Inputs, search: Search, as_json: bool, quiet: bool) -> None:
 @click.option(
     "--at", metavar="X,Y,Z", help="With a geometry: middle of the patch in m, on its surface."
 )
+@before_option
 @number_options
 def apply(
     inputs: Inputs,
@@ -185,6 +200,7 @@ def apply(
     room: str | None,
     form: str | None,
     at: str | None,
+    before: str | None,
 ) -> None:
     """Add the named effect to the model, and print the calibration with it.
 
@@ -197,11 +213,19 @@ def apply(
     With a geometry, a folder gets room, mesh, and lists of materials for CATT and ODEON. The
     patch stands in the middle of its surface unless --at says where.
 
+    With --before, a folder gets the room of the second state: calibrated to what was measured before,
+    with what changed.
+
     \b
     Example: rtcal apply case.toml \\
         --out corrected.json --room corrected.toml
     """  # noqa: D301 (click's mark for lines that are not to be wrapped)
     stated = {"--room": room, "--form": form, "--at": at}
+    if before is not None:
+        _refuse(stated | _more_than_one(number), OF_ONE_STATE)
+        if not apply_change(inputs, search, before, Path(out), as_json, quiet):
+            raise click.exceptions.Exit(NOTHING_TO_ADD)
+        return
     if not inputs.at_positions:
         from rtcal.report.correction import correct
         from rtcal.support.files import write_all
@@ -356,6 +380,12 @@ def _places(finding: positions.PositionsFinding) -> tuple[positions.Place, ...]:
         return positions.next_position(finding)
     except DataError:  # at most one surface is in question, or the room is too small for a grid
         return ()
+
+
+def _more_than_one(number: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the options of how many effects may be missing, as far as they are stated."""
+    most = number["most"] if number["most"] > 1 else None
+    return {"--most": most, "--expected": number["expected"]}
 
 
 def _refuse(stated: Mapping[str, object], why: str) -> None:

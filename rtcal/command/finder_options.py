@@ -18,6 +18,13 @@ seed_option = click.option(
     "--seed", default=0, show_default=True, help="Seed of the control rooms and the bootstrap."
 )
 
+before_option = click.option(
+    "--before",
+    type=click.Path(dir_okay=False),
+    help="What was measured at the same positions before something was changed (CSV): it is about "
+    "what changed.",
+)
+
 
 @dataclass(frozen=True, kw_only=True)
 class Inputs:

@@ -1,7 +1,8 @@
-"""``rtcal find --before``: what changed between two measurements of one room."""
+"""``rtcal find``, ``verify`` and ``apply`` with ``--before``: what changed between two measurements."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -10,6 +11,7 @@ from rtcal.command.finder_options import Inputs, Search
 from rtcal.errors import DataError
 
 if TYPE_CHECKING:
+    from rtcal.finder.states import StatesFinding
     from rtcal.report.document import Heading
 
 PAGE = "report.html"
@@ -31,31 +33,12 @@ def find_change(
     DataError
         Without a room and what was measured in it, and as `rtcal.find` does.
     """
-    from rtcal.acoustics.measurement import Measurement
-    from rtcal.acoustics.room import Room
-    from rtcal.finder.search import find, verify
+    from rtcal.finder.search import verify
     from rtcal.report import document, states_page
-    from rtcal.support.files import spare
     from rtcal.support.results import NUMBERS
 
-    if inputs.measured is None:
-        raise DataError(
-            "--before needs a room and what was measured after: ROOM AFTER --before BEFORE"
-        )
-    refused = {**inputs.stated, "--prior": search.prior, "--engine": search.engines_stated}
-    for option, value in refused.items():
-        if value:
-            raise DataError(f"{option} is not of a search for what changed between two states")
-    if folder is not None:
-        spare([folder / NUMBERS, folder / PAGE], [inputs.case, inputs.measured, before])
-    finding = find(
-        Room.from_file(inputs.case),
-        Measurement.from_file(inputs.measured),
-        before=Measurement.from_file(before),
-        only=search.only,
-        without=search.without,
-        seed=search.seed,
-    )
+    written_here = [] if folder is None else [folder / NUMBERS, folder / PAGE]
+    finding = _find(inputs, search, before, written_here)
     printed, record = str(finding), finding.to_dict()
     if folder is not None:
         if finding.can_be_verified:
@@ -68,3 +51,88 @@ def find_change(
         printed += "\n" + written(paths)
         record["written"] = [str(path) for path in paths]
     tell(printed, record, quiet=quiet, as_json=as_json)
+
+
+def verify_change(
+    inputs: Inputs, search: Search, before: str, earlier: str | None, as_json: bool, quiet: bool
+) -> None:
+    """Print how well a change predicts pairs that were not fitted: halves, or an earlier finding's."""
+    from rtcal.acoustics.measurement import Measurement
+    from rtcal.finder.search import verify
+    from rtcal.finder.states import StatesFinding
+    from rtcal.support.results import load
+
+    if earlier is None:
+        finding = _find(inputs, search, before)
+        if (nothing := finding.reason_for_none) is not None:
+            record = {"verdict": None, "sentence": nothing, "finding": finding.to_dict()}
+            tell(nothing, record, quiet=quiet, as_json=as_json)
+            return
+        result = verify(finding, seed=search.seed)
+    else:
+        loaded = load(earlier)
+        if not isinstance(loaded, StatesFinding):
+            raise DataError(f"--finding {earlier} holds no finding of two states")
+        _check(inputs, search)
+        two = {"before": before, "after": str(inputs.measured)}
+        measured = {name: Measurement.from_file(path) for name, path in two.items()}
+        result = verify(loaded, **measured)
+    tell(str(result), result.to_dict(), quiet=quiet, as_json=as_json)
+
+
+def apply_change(
+    inputs: Inputs, search: Search, before: str, folder: Path, as_json: bool, quiet: bool
+) -> bool:
+    """Write the room of the second state into a folder; return whether there was one."""
+    from rtcal.finder.states.changed import MESH, ROOM
+
+    if folder.is_file():
+        raise DataError(f"--out {folder} is a file; with --before it is a folder")
+    finding = _find(inputs, search, before, [folder / ROOM, folder / MESH])
+    if (nothing := finding.reason_for_none) is not None:
+        record = {**finding.to_dict(), "written": []}
+        tell(f"{nothing}\nNothing is written.", record, quiet=quiet, as_json=as_json)
+        return False
+    changed = finding.apply()
+    paths = changed.save(folder)
+    printed = "\n".join([finding.headline, *changed.notes, written(paths)])
+    record = {**finding.to_dict(), **changed.to_dict(), "written": [str(p) for p in paths]}
+    tell(printed, record, quiet=quiet, as_json=as_json)
+    return True
+
+
+def _check(inputs: Inputs, search: Search) -> None:
+    """Raise DataError without a room and a measurement, and for options of a search in one state."""
+    if inputs.measured is None:
+        raise DataError(
+            "--before needs a room and what was measured after: ROOM AFTER --before BEFORE"
+        )
+    refused = {**inputs.stated, "--prior": search.prior, "--engine": search.engines_stated}
+    for option, value in refused.items():
+        if value:
+            raise DataError(f"{option} is not of a search for what changed between two states")
+
+
+def _find(
+    inputs: Inputs, search: Search, before: str, targets: Sequence[Path] = ()
+) -> StatesFinding:
+    """Find what changed; no file that is read may be among the targets."""
+    from rtcal.acoustics.measurement import Measurement
+    from rtcal.acoustics.room import Room
+    from rtcal.finder.search import find
+    from rtcal.support.files import spare
+
+    _check(inputs, search)
+    measured = str(inputs.measured)
+    spare(targets, [inputs.case, measured, before])
+    room = Room.from_file(inputs.case)
+    if room.scene.mesh is not None:
+        spare(targets, [room.scene.mesh])
+    return find(
+        room,
+        Measurement.from_file(measured),
+        before=Measurement.from_file(before),
+        only=search.only,
+        without=search.without,
+        seed=search.seed,
+    )

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from rtcal.finder.states.finding import StatesFinding
+from rtcal.finder.states.verification import verify
 from rtcal.report.document import Heading, blocks, render, source
 from rtcal.report.figures import BLACK, BLUE, ORANGE, band_axis, new_figure
 from rtcal.support.arguments import checked
@@ -25,7 +26,13 @@ def page(finding: StatesFinding, heading: Heading, step: Callable[[], None]) -> 
         "states.html",
         {
             "headline": finding.headline,
+            "verified": verify(finding).sentence if finding.can_be_verified else None,
             "sentences": list(finding.sentences),
+            "surfaces": [
+                (name, 100 * p, "claimed" if name in finding.claimed_surfaces else "")
+                for name, p in finding.surfaces.items()
+            ],
+            "can_be_added": finding.can_be_added,
             "kinds": [
                 (k.name, 100 * k.probability, k.size.words)
                 for k in finding.kinds

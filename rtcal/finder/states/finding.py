@@ -9,10 +9,12 @@ from typing import Any, ClassVar
 import numpy as np
 
 from rtcal.acoustics import bands
+from rtcal.errors import DataError
 from rtcal.finder.claim import CLAIMED
 from rtcal.finder.finding import LEAST_PAIRS, Finding, Size
 from rtcal.finder.prior import NONE
 from rtcal.finder.states.case import Case
+from rtcal.finder.states.changed import ChangedRoom, changed_room
 from rtcal.finder.states.kinds import ADDED
 from rtcal.finder.wording import NATS, amount, as_sentence, listed, over_frequency
 from rtcal.support import html, text
@@ -82,8 +84,8 @@ class StatesFinding(Finding):
 
     @property
     def can_be_added(self) -> bool:
-        """Whether `apply` has something to add: never, since the second state is measured."""
-        return False
+        """Whether `apply` has something to add: absorption that changed."""
+        return self.reason_for_none is None
 
     @property
     def can_be_verified(self) -> bool:
@@ -92,10 +94,40 @@ class StatesFinding(Finding):
 
     @property
     def reason_for_none(self) -> str | None:
-        """Why nothing is added to the room: a calibration to the second state has the change."""
-        return (
-            "A change between two states is not added to a room: calibrate it to the second state."
-        )
+        """Why there is no changed room, in a sentence; None where there is one."""
+        if not self.detected:
+            return f"{self.headline} There is nothing to add to the room."
+        if self.family == "climate":
+            return (
+                "The climate of the air changed: state temperature and humidity in the room's file."
+            )
+        return None
+
+    def apply(self) -> ChangedRoom:
+        """Return the room of the second state, to calibrate, export and predict with.
+
+        Raises
+        ------
+        DataError
+            Where nothing changed, or the climate alone.
+
+        Examples
+        --------
+        >>> import rtcal as rt
+        >>> room = rt.Room(name="box", volume=200, materials=["all"], areas=[220], alpha=[[0.1] * 2],
+        ...                sigma=[[0.05] * 2], centre_frequencies=[500, 1000], air=rt.Air())
+        >>> t = {"before": [[1.5, 1.4]], "after": [[0.9, 0.7]]}
+        >>> before, after = (
+        ...     rt.Measurement(centre_frequencies=[500, 1000], values={"t20": v}, n_sources=6,
+        ...                    n_receivers=6) for v in t.values())
+        >>> changed = rt.find(room, after, before=before).apply()
+        >>> print(rt.Eyring().reverberation_time(changed.room).round(1))
+        [0.9 0.7]
+        """
+        if self.reason_for_none is not None:
+            raise DataError(self.reason_for_none)
+        kinds = [k.name for k in self.kinds]
+        return changed_room(self.case, self.area, self.change, self.claimed_surfaces, kinds)
 
     @property
     def claimed_surfaces(self) -> tuple[str, ...]:

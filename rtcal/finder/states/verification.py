@@ -7,6 +7,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.observables import TARGET
 from rtcal.errors import DataError
 from rtcal.finder.states.baseline import Baseline
@@ -19,14 +20,20 @@ from rtcal.support.arguments import checked
 from rtcal.support.files import json_numbers
 from rtcal.support.types import Array
 
+_LEAST_NEW = 2
+"""Fewest pairs that a finding had not: their scatter tells how sure the gain is."""
+
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class StatesVerification(HeldOutVerification):
-    """How T changes at pairs that were not fitted: measured, and as the other half of the pairs says.
+    """How T changes at pairs that were not fitted: measured, and as the fitted pairs say.
 
     Attributes
     ----------
     finding : StatesFinding
+    case : Case or None
+        What was measured at pairs that the finding had not; None where the halves of its own pairs
+        predict each other.
     before : array (n_pairs, n_bands)
         ln T before less measured after, in JND of 5 %: as if nothing had changed.
     after : array (n_pairs, n_bands)
@@ -38,6 +45,7 @@ class StatesVerification(HeldOutVerification):
     finding: StatesFinding
     before: Array
     after: Array
+    case: Case | None = None
 
     @property
     def gaps(self) -> tuple[float, float]:
@@ -54,9 +62,10 @@ class StatesVerification(HeldOutVerification):
     def sentence(self) -> str:
         """The verdict in a sentence."""
         without, with_change = self.gaps
+        others = "the other half of the pairs" if self.case is None else "the other pairs"
         return (
             f"{self.verdict}: at pairs that were not fitted the mean gap of T is {without:.1f} JND if "
-            f"nothing changed, and {with_change:.1f} JND with what the other half of the pairs found."
+            f"nothing changed, and {with_change:.1f} JND with what {others} found."
         )
 
     def __repr__(self) -> str:
@@ -67,7 +76,7 @@ class StatesVerification(HeldOutVerification):
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain values for JSON."""
-        found = self.finding.case.differences
+        found = (self.finding.case if self.case is None else self.case).differences
         return {
             **super().to_dict(),
             "gaps": list(self.gaps),
@@ -79,13 +88,29 @@ class StatesVerification(HeldOutVerification):
 
 
 @checked
-def verify(finding: StatesFinding, *, seed: int = 0) -> StatesVerification:
-    """Verify a finding at pairs that were not fitted: each half of the pairs predicts the other.
+def verify(
+    finding: StatesFinding,
+    *,
+    before: Measurement | None = None,
+    after: Measurement | None = None,
+    seed: int = 0,
+) -> StatesVerification:
+    """Verify a finding at pairs that were not fitted.
+
+    Parameters
+    ----------
+    finding : StatesFinding
+    before, after : Measurement, optional
+        Of both states. The finding predicts the pairs that it had not. Without them each half of the
+        finding's pairs predicts the other.
+    seed : int
+        Of the samples from which the intervals come.
 
     Raises
     ------
     DataError
-        If nothing was detected, or there are fewer than four pairs.
+        If nothing was detected; for fewer than four pairs, or fewer than two that are new; if one of
+        the states is missing.
 
     Examples
     --------
@@ -104,15 +129,45 @@ def verify(finding: StatesFinding, *, seed: int = 0) -> StatesVerification:
     case, found = finding.case, finding.case.differences
     if not finding.detected:
         raise DataError(f'the verdict is "{finding.verdict}"; there is no change to verify')
+    if (before is None) != (after is None):
+        lacking = "before" if before is None else "after"
+        raise DataError(f"{lacking} is missing: the change is verified in both states")
+    if before is not None and after is not None:
+        case = _at_new_pairs(finding, before, after)
+        found = case.differences
+        gaps = _gaps(found.change, _shift(finding))
+        return StatesVerification(finding=finding, before=gaps[0], after=gaps[1], case=case)
     check_pairs(found.pairs)
     predicted = np.full(found.change.shape, np.nan)
     for half in range(2):
         fitted = [i for i in range(len(found.pairs)) if i % 2 == half]
         held_out = [i for i in range(len(found.pairs)) if i % 2 != half]
         predicted[held_out] = _predicted(case, [found.pairs[i] for i in fitted], seed)
-    jnd = np.log1p(TARGET.jnd)
-    gaps = (-found.change / jnd, (predicted - found.change) / jnd)
+    gaps = _gaps(found.change, predicted)
     return StatesVerification(finding=finding, before=gaps[0], after=gaps[1])
+
+
+def _gaps(change: Array, predicted: Array) -> tuple[Array, Array]:
+    """Return the gaps in JND, (n_pairs, n_bands): as if nothing had changed, and as predicted."""
+    jnd = np.log1p(TARGET.jnd)
+    return -change / jnd, (predicted - change) / jnd
+
+
+def _at_new_pairs(finding: StatesFinding, before: Measurement, after: Measurement) -> Case:
+    """Return the case of the pairs that a finding had not; DataError for fewer than two."""
+    fitted = finding.case.differences.pairs
+    if finding.case.differences.of_means or before.is_summary or after.is_summary:
+        raise DataError("means over positions have no pairs that were not fitted")
+    new = [p for p in before.pairs if p in after.pairs and p not in fitted]
+    if len(new) < _LEAST_NEW:
+        raise DataError(
+            f"{len(new)} pairs of before and after are not among the {len(fitted)} that were fitted; "
+            f"{_LEAST_NEW} are needed"
+        )
+    case = finding.case
+    return Case(
+        room=case.room, before=before.select(new), after=after.select(new), equation=case.equation
+    )
 
 
 def _predicted(case: Case, pairs: list[tuple[str, str]], seed: int) -> Array:
@@ -123,9 +178,13 @@ def _predicted(case: Case, pairs: list[tuple[str, str]], seed: int) -> Array:
         after=case.after.select(pairs),
         equation=case.equation,
     )
-    finding = find(of_half, seed=seed)
-    found = of_half.differences
-    measured = found.measured
+    return _shift(find(of_half, seed=seed))
+
+
+def _shift(finding: StatesFinding) -> Array:
+    """Return the shift of ln T that a finding states, (n_bands,); NaN where it has no T."""
+    case = finding.case
+    found, measured = case.differences, case.differences.measured
     baseline = Baseline.of(case.room, case.equation, found.before, measured)
     shift = np.full(len(measured), np.nan)
     shift[measured] = np.log(
