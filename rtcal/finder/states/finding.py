@@ -200,8 +200,8 @@ class StatesFinding(Finding):
     def sentences(self) -> tuple[str, ...]:
         """What cannot be told apart, what the score says, reasons and notes."""
         score = (
-            f"Evidence that something changed: {self.score:+.1f} nats; it must exceed "
-            f"{self.threshold:.1f}. {as_sentence(NATS)}"
+            f"Evidence that something changed: {self.score:+.1f} nats; threshold "
+            f"{self.threshold:.1f} nats."
         )
         said = (self.not_told_apart, self.not_told_where, score, *self.reasons, *self.notes)
         return tuple(filter(None, said))
@@ -232,14 +232,14 @@ class StatesFinding(Finding):
     def __str__(self) -> str:
         lines = text.wrapped(self.headline)
         lines += ["", *text.table(self._rows(), header=self._header), ""]
-        for sentence in self.sentences:
+        for sentence in (*self.sentences, as_sentence(NATS)):
             lines += text.wrapped(sentence)
         return "\n".join(lines)
 
     def _repr_html_(self) -> str:
         rows: list[list[str | html.Cell]] = [[band, *cells] for band, cells in self._rows()]
         header = [self._header[0], *self._header[1]]
-        return html.table(self.headline, header, rows, list(self.sentences))
+        return html.table(self.headline, header, rows, [*self.sentences, as_sentence(NATS)])
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain values for JSON."""
