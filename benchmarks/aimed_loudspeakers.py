@@ -2,11 +2,11 @@
 
     python -m benchmarks.aimed_loudspeakers FOLDER [12] [30]
 
-State 000 of R3VIVAL (CC BY 4.0): two-way loudspeakers that aim at the one receiver, twelve at 2 m or all
-thirty. What is assumed of the materials gives Eyring's T of the omnidirectional sources near the corners,
-which are not searched: alike on all surfaces, more on the ceiling, or more on the walls. The directivity is
-not stated, stated as unknown, or stated: an index that was fitted to direct over late energy. FOLDER keeps
-simulations, and a row of each case.
+State 000 of R3VIVAL (CC BY 4.0): two-way loudspeakers that aim at the one receiver, twelve at 2 m or
+all thirty. What is assumed of the materials gives Eyring's T of the omnidirectional sources near the
+corners, which are not searched: alike on all surfaces, more on the ceiling, or more on the walls. The
+directivity is not stated, stated as unknown, or stated: an index that was fitted to direct over late
+energy. FOLDER keeps simulations, and a row of each case.
 """
 
 from __future__ import annotations
