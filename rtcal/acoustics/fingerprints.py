@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 
+import numpy as np
+
 from rtcal.acoustics.materials import ARCHIVE
 from rtcal.acoustics.room import Room
 from rtcal.errors import DataError
@@ -66,3 +68,16 @@ def refuse_repeated_data(room: Room, *names: str) -> None:
             f'room "{room.name}" was already calibrated on these data; doing so again would '
             "count them twice. Take the room as it was before, or other data"
         )
+
+
+def of_room(room: Room) -> list[bytes]:
+    """Return a room's materials, areas, bands, air and prior as one comparable value."""
+    numbers = (
+        [room.volume, room.speed_of_sound],
+        room.areas,
+        room.centre_frequencies,
+        room.air_attenuation,
+        room.alpha,
+        room.sigma,
+    )
+    return [*(m.encode() for m in room.materials), *(np.asarray(n).tobytes() for n in numbers)]

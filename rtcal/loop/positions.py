@@ -11,12 +11,10 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import overload
 
 import numpy as np
-from numpy.typing import NDArray
-from scipy.linalg import eigh, solve_triangular
 
 from rtcal.acoustics import bands
 from rtcal.acoustics.band_conversion import measurement_in_room_bands
@@ -25,12 +23,10 @@ from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.observables import MATCH, REVERBERATION, TARGET
 from rtcal.acoustics.parameters import parameter_label
 from rtcal.acoustics.room import Room
-from rtcal.acoustics.room_errors import heard_changes, in_words
+from rtcal.acoustics.room_errors import in_words
 from rtcal.acoustics.scene import POSITION, checked_uncertainty
-from rtcal.calibration.nonlinear import Steps, Taken, gauss_newton
+from rtcal.calibration.nonlinear import Steps
 from rtcal.calibration.problem import Calibration
-from rtcal.calibration.result import CalibrationResult
-from rtcal.calibration.terms import LinearObservations, Observed, PriorDeviation, as_objective
 from rtcal.errors import DataError, SimulatorError
 from rtcal.loop.beside import Beside
 from rtcal.loop.beside import means as measured_beside
@@ -42,8 +38,9 @@ from rtcal.loop.control_runs import (
 from rtcal.loop.listener import Listener
 from rtcal.loop.measured_pairs import MeasuredPairs, Pair, history, pairs_to_match
 from rtcal.loop.positions_result import GaussNewtonStep, PositionsResult
+from rtcal.loop.positions_steps import LinearisationPoint, LinearisedSimulator, steps_to_positions
 from rtcal.loop.scattering import Scattering, fitted, scattered
-from rtcal.loop.simulator_error import GROUPS, error_of_simulator
+from rtcal.loop.simulator_error import GROUPS, error_of_simulator, scaled_errors
 from rtcal.simulators import base, observations
 from rtcal.simulators.base import Simulator
 from rtcal.simulators.observations import DifferentiableSimulator, Observations, observe
@@ -54,25 +51,12 @@ from rtcal.support.progress import Progress
 from rtcal.support.types import Array
 from rtcal.support.version import __version__
 
-STEPS = 4
-"""Largest number of Gauss-Newton steps."""
-_HALVINGS = 3
-_SETTLED = 0.05
-"""Change of alpha in prior sigmas after which no further step is taken."""
-
 MORE_PATHS = 4
 """Factor of the number of paths that are weighed: EDT of a pair has a noise of 2 to 9 % with 6000. In a
 development room with 26 surfaces the error of alpha was 1.00 times that of T20 alone with 8000 paths,
 and 0.95 times with 32,000."""
 _BATCHES = 16
 """Batches of the paths that are weighed; a multiple of `simulator_error.GROUPS`."""
-
-_SCALES = 139
-"""Factors of the simulator's error that are tried: neighbours differ by 5 %."""
-_LARGEST_SCALE = 1000.0
-"""Largest factor of the simulator's error: then it is some 30 times as large as in the control runs."""
-
-POSITIONS = LinearObservations("positions")
 
 
 @checked
@@ -201,8 +185,8 @@ def calibrate_positions(
     if materials is not None:
         error = error + materials.covariance
         listener.add(materials.back)
-    errors = _errors(listener, room, prior, error)
-    path = _steps(listener, calibration, measured, room, errors)
+    errors = scaled_errors(listener, room, prior, error)
+    path = steps_to_positions(listener, calibration, measured, room, errors)
     last = path.steps[-1].model.matrix
     pull, residual = np.zeros(len(error)), listener.residual()
     pull[listener.used] = errors.scale * np.linalg.solve(errors.covariance, residual)
@@ -243,127 +227,6 @@ def calibrate_positions(
     )
 
 
-@dataclass(frozen=True, eq=False)
-class _Errors:
-    """The errors of what is compared: covariance, its Cholesky factor, scale of the simulator's."""
-
-    covariance: Array
-    factor: Array
-    scale: float
-
-
-@dataclass(frozen=True, eq=False)
-class _Heard:
-    """A point of the path: alpha, and what the simulator hears there."""
-
-    alpha: Array
-    heard: Observations
-
-
-@dataclass(frozen=True, eq=False)
-class _Linearised:
-    """The simulator, linearised at ``start``, and the answer of the QP."""
-
-    listener: Listener
-    start: _Heard
-    matrix: Array
-    errors: _Errors
-    answer: CalibrationResult
-    now: float
-
-    def towards(self, share: Array) -> _Heard:
-        """Return what is heard at these shares of the way to the answer."""
-        start = self.start.alpha
-        alpha = start + float(share[0]) * (self.answer.alpha - start)
-        self.listener.move(alpha)
-        return _Heard(alpha, self.listener.heard)
-
-    def worse(self, end: _Heard) -> NDArray[np.bool_]:
-        """Return whether the objective with the simulator itself rises."""
-        residual = self.listener.residual()
-        rises = _objective(self.errors.factor, residual, self.answer, end.alpha) > self.now
-        return np.array([rises])
-
-
-def _steps(
-    listener: Listener,
-    calibration: Calibration | None,
-    measured: Measurement,
-    room: Room,
-    errors: _Errors,
-) -> Steps[_Heard, _Linearised]:
-    """Take at most `STEPS` Gauss-Newton steps; the ``listener`` is left where they end."""
-    problem = _composed(_plain(room) if calibration is None else calibration).build(room)
-    # T enters where the user's own terms match it.
-    times = None if calibration is None else measured
-    inverse_sigma = np.divide(1.0, room.sigma, out=np.zeros_like(room.sigma), where=room.sigma > 0)
-
-    def linearised(at: _Heard) -> _Linearised:
-        matrix = listener.linearised()
-        residual = listener.residual()
-        values = residual + matrix @ at.alpha.ravel()
-        numbers = Observed(matrix=matrix, values=values, covariance=errors.covariance)
-        answer = problem.solve(times, observed={POSITIONS: numbers}, method="positions")
-        # The prior may break the constraints, and then its objective is no measure.
-        now = np.inf
-        if at.alpha is not room.alpha:
-            now = _objective(errors.factor, residual, answer, at.alpha)
-        return _Linearised(listener, at, matrix, errors, answer, now)
-
-    def settled(step: Taken[_Linearised]) -> bool:
-        # A step that is refused says as much as the smallest that was tried.
-        share = float(step.share[0]) or 2.0 ** -(_HALVINGS + 1)
-        moved = np.abs(step.model.answer.alpha - step.model.start.alpha) * share
-        return bool(np.max(moved * inverse_sigma) < _SETTLED)
-
-    path = gauss_newton(
-        _Heard(room.alpha, listener.heard),
-        linearised,
-        most=STEPS,
-        halvings=_HALVINGS,
-        settled=settled,
-        refuse=True,
-    )
-    listener.alpha, listener.heard = path.end.alpha, path.end.heard
-    return path
-
-
-def _errors(listener: Listener, room: Room, prior: Array, error: Array) -> _Errors:
-    """Return the errors with the scale of the simulator's under which the data are likeliest.
-
-    ``error`` (n, n) is the simulator's covariance as it is assumed, at all pairs.
-    """
-    error = error[np.ix_(listener.used, listener.used)]
-    matrix = listener.linearised()
-    of_room = heard_changes(room, matrix, listener.of_level)
-    of_measurement = listener.data.covariance + of_room.T @ of_room
-    values = listener.residual() + matrix @ room.alpha.ravel()
-    expected = matrix @ prior @ matrix.T + of_measurement
-    scale = error_scale(values - matrix @ room.alpha.ravel(), expected, error)
-    covariance = of_measurement + scale * error
-    return _Errors(covariance, np.asarray(np.linalg.cholesky(covariance)), scale)
-
-
-def error_scale(innovation: Array, expected: Array, error: Array) -> float:
-    """Return the factor of the simulator's error under which what was measured is likeliest.
-
-    At least 1, and at most `_LARGEST_SCALE`. ``innovation`` (n,) is what was measured less what the
-    simulator hears with the prior, ``expected`` (n, n) its covariance without the simulator's error,
-    ``error`` (n, n) that of the simulator's error.
-    """
-    # In the eigenvectors of both covariances the factor changes variances only.
-    variance, vectors = eigh(error, expected)
-    variance = np.maximum(variance, 0.0)
-    square = (vectors.T @ innovation) ** 2
-
-    def loss(log_scale: float) -> float:
-        of_sum = 1 + np.exp(log_scale) * variance
-        return float(np.sum(square / of_sum + np.log(of_sum)))
-
-    tried = np.linspace(0.0, np.log(_LARGEST_SCALE), _SCALES)
-    return float(np.exp(tried[np.argmin([loss(x) for x in tried])]))
-
-
 def prior_covariance(room: Room) -> Array:
     """Return the covariance of the room's prior, (n_materials * n_bands,) squared."""
     between = np.eye(room.n_materials)
@@ -400,7 +263,7 @@ def _calibrated(
     room: Room,
     simulator: Simulator,
     scattering: Scattering | None,
-    path: Steps[_Heard, _Linearised],
+    path: Steps[LinearisationPoint, LinearisedSimulator],
     data: MeasuredPairs,
     controls: ControlRuns | None,
 ) -> Room:
@@ -486,17 +349,6 @@ def _refuse_one_place(simulator: Simulator, pairs: Sequence[Pair], uncertainty: 
         )
 
 
-def _plain(room: Room) -> Calibration:
-    return Calibration(
-        PriorDeviation(
-            band_correlation=room.band_correlation,
-            material_correlation=room.material_correlation,
-            common=room.common_alpha_sigma > 0,
-        ),
-        [],
-    )
-
-
 @overload
 def precise(simulator: PathTracing, more_paths: int = MORE_PATHS) -> PathTracing: ...
 @overload
@@ -524,27 +376,6 @@ def _named(simulator: Simulator, scattering: Scattering | None) -> str:
     if scattering is None:
         return simulator.name
     return f"{simulator.name}, scattering {scattering.mean:.2f}"
-
-
-def _composed(calibration: Calibration) -> Calibration:
-    """Return the calibration with the positions in its objective."""
-    return Calibration(as_objective(calibration.objective) + POSITIONS, calibration.constraints)
-
-
-def _objective(factor: Array, residual: Array, answer: CalibrationResult, alpha: Array) -> float:
-    """Return the objective at alpha, whose residual is the simulator's own."""
-    white = solve_triangular(factor, residual, lower=True)
-    return 0.5 * float(white @ white) + _others(answer, alpha)
-
-
-def _others(answer: CalibrationResult, alpha: Array) -> float:
-    """Return the value of the objective's terms other than the positions."""
-    model = answer.joint.solution.model
-    layout = model.data.layout
-    u = answer.joint.solution.unknowns.copy()
-    u[: layout.n_alpha] = alpha[layout.first].ravel()
-    terms = zip(model.objective.terms, model.data.weights, strict=True)
-    return sum(w * t.value(u, model.data) for t, w in terms if t != POSITIONS)
 
 
 def _with(like: Observations, values: Array) -> Observations:

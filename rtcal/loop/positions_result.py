@@ -8,7 +8,6 @@ from functools import cached_property
 from typing import Any, ClassVar
 
 import numpy as np
-from scipy.stats import chi2
 
 from rtcal.acoustics.change_files import Variant
 from rtcal.acoustics.changes import Change
@@ -18,11 +17,14 @@ from rtcal.acoustics.quality import gap_jnd
 from rtcal.acoustics.room import Room
 from rtcal.acoustics.scene import POSITION
 from rtcal.calibration.certificate import Certificate
+from rtcal.calibration.linear_estimate import gain, learned_materials
 from rtcal.calibration.result import CalibrationResult
 from rtcal.loop.beside import Beside, left, sentences
 from rtcal.loop.control_runs import ControlRuns
 from rtcal.loop.measured_pairs import MeasuredPairs, Pair, with_reference
+from rtcal.loop.pair_misfit import chi_square, contradicting, relative_misfit, rows_of_pairs
 from rtcal.loop.positions_prediction import PositionsPrediction
+from rtcal.loop.positions_tables import Table, gap_table, material_table, rms
 from rtcal.loop.predicted_positions import WANTED, predict_positions
 from rtcal.loop.scattering import Scattering
 from rtcal.prediction.assumptions import Assumptions
@@ -31,7 +33,6 @@ from rtcal.simulators.observations import Observations, observe
 from rtcal.support import html, text
 from rtcal.support.files import json_numbers
 from rtcal.support.results import Result
-from rtcal.support.text import number
 from rtcal.support.types import Array
 
 KIND = "positions 1"
@@ -40,8 +41,6 @@ _HALF_WIDTH = 1.6449
 """Half the width of a 90 % interval in standard deviations of a normal distribution."""
 _FARTHER = 0.5
 """JND: the noise of a tracing. A larger rise of the mean gap is the calibration's."""
-CONTRADICTION = 0.001
-"""Probability, divided among the pairs, below which a pair contradicts all others."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -263,16 +262,13 @@ class PositionsResult(Result):
 
         Of the linear estimate without bounds: the sum over the pairs is its whole shift.
         """
-        matrix = self.steps[-1].matrix
-        across = self.prior_covariance @ matrix.T
-        weighted = np.linalg.solve(matrix @ across + self.covariance, np.eye(len(matrix)))
-        gain = across @ weighted
+        of_values = gain(self.prior_covariance, self.steps[-1].matrix, self.covariance)
         sigma = np.where(self.prior.sigma > 0, self.prior.sigma, np.inf).ravel()
         shape = self.prior.alpha.shape
         return np.stack(
             [
-                (gain[:, rows] @ self.innovation[rows] / sigma).reshape(shape)
-                for rows in self._rows_of_pairs
+                (of_values[:, rows] @ self.innovation[rows] / sigma).reshape(shape)
+                for rows in rows_of_pairs(self.measured.used)
             ]
         )
 
@@ -283,16 +279,12 @@ class PositionsResult(Result):
         chi-square over its degrees of freedom, relative to the upper quartile over the pairs where that
         is above 1. What the simulator misses differs between pairs; up to a quarter may be wrong.
         """
-        ratio = self._chi_square[0] / self._chi_square[1]
-        return np.asarray(ratio / max(1.0, float(np.quantile(ratio, 0.75, method="lower"))))
+        return relative_misfit(*self._chi_square)
 
     @property
     def contradictions(self) -> tuple[Pair, ...]:
         """Pairs that contradict all others. Check their positions and names, or ``exclude`` them."""
-        degrees = self._chi_square[1]
-        chance = chi2.sf(self.misfit * degrees, degrees)
-        worst = np.argsort(-self.misfit)
-        return tuple(self.pairs[i] for i in worst if chance[i] < CONTRADICTION / len(self.pairs))
+        return tuple(self.pairs[i] for i in contradicting(self.misfit, self._chi_square[1]))
 
     @cached_property
     def _chi_square(self) -> tuple[Array, Array]:
@@ -300,29 +292,13 @@ class PositionsResult(Result):
         # One wrong pair makes the simulator's error larger, and would then be explained by it.
         of_measurement = self.measured.covariance
         stated = of_measurement + (self.covariance - of_measurement) / self.error_scale
-        precision = np.linalg.inv(matrix @ self.prior_covariance @ matrix.T + stated)
-        pull = precision @ self.innovation
-        values = [
-            float(pull[rows] @ np.linalg.solve(precision[np.ix_(rows, rows)], pull[rows]))
-            for rows in self._rows_of_pairs
-        ]
-        return np.array(values), np.array([max(len(rows), 1) for rows in self._rows_of_pairs])
-
-    @property
-    def _rows_of_pairs(self) -> list[Any]:
-        """Which of the values used belong to each pair."""
-        pair = np.broadcast_to(np.arange(len(self.pairs))[:, np.newaxis], self.measured.used.shape)
-        return [np.flatnonzero(pair[self.measured.used] == i) for i in range(len(self.pairs))]
+        expected = matrix @ self.prior_covariance @ matrix.T + stated
+        return chi_square(self.innovation, expected, rows_of_pairs(self.measured.used))
 
     @cached_property
     def learned(self) -> tuple[tuple[str, float, float], ...]:
         """Materials with prior and posterior sigma (rms over bands), most learned first."""
-        before, after = (np.sqrt(np.mean(s**2, axis=1)) for s in (self.prior.sigma, self.sigma))
-        share = np.divide(after, before, out=np.ones_like(after), where=before > 0)
-        return tuple(
-            (self.prior.materials[i], float(before[i]), float(after[i]))
-            for i in np.argsort(share, kind="stable")
-        )
+        return learned_materials(self.prior, self.sigma)
 
     def __repr__(self) -> str:
         return f"<{self._description}>"
@@ -470,66 +446,3 @@ class PositionsResult(Result):
 
     def _natural(self, heard: Observations) -> list[Array]:
         return [heard.natural(p) for p in self.parameters]
-
-
-Table = tuple[list[str], list[list[str]]]
-"""Header and rows."""
-
-
-def gap_table(
-    parameters: Sequence[str],
-    pairs: Sequence[Pair],
-    before: Array,
-    after: Array,
-    title: str = "rms gap / JND",
-) -> Table:
-    """Return rms gaps by pair, before and after, and over all pairs.
-
-    Gaps are (n_parameters, n_pairs, n_bands) in JND.
-    """
-
-    def row(name: str, some: list[int]) -> list[str]:
-        ends = (rms(before[:, some]), rms(after[:, some]))
-        cells = (" to ".join(number(x, ".1f") for x in pair) for pair in zip(*ends, strict=True))
-        return [name, *cells]
-
-    rows = [row(" to ".join(pair), [i]) for i, pair in enumerate(pairs)]
-    header = [title, *(parameter_label(p) for p in parameters)]
-    return header, [*rows, row("all", list(range(len(pairs))))]
-
-
-def material_table(
-    room: Room,
-    learned: Sequence[tuple[str, float, float]],
-    shift: Array,
-    pulls: Array,
-    pairs: Sequence[Pair],
-    scattering: Scattering | None,
-) -> Table:
-    """Return what was learned of each material, in the order of ``learned``.
-
-    ``shift`` (n_materials, n_bands) and ``pulls`` (n_pairs, n_materials, n_bands) are in prior sigmas.
-    """
-    header = ["", "sigma before", "after", "shift / sigma", "pulled most by"]
-    if scattering is not None:
-        header.append("scattering")
-    strength = np.abs(pulls).mean(axis=2)
-    moved = np.sqrt((shift**2).mean(axis=1))
-    rows = []
-    for name, before, after in learned:
-        i = room.material_index(name)
-        pair = "-"
-        if strength[:, i].any():
-            pair = " to ".join(pairs[int(np.argmax(strength[:, i]))])
-        row = [name, f"{before:.3f}", f"{after:.3f}", f"{moved[i]:.1f}", pair]
-        if scattering is not None:
-            s, sigma = (a[i].mean() for a in (scattering.coefficients, scattering.sigma))
-            row.append(f"{s:.2f} ± {sigma:.2f}")
-        rows.append(row)
-    return header, rows
-
-
-def rms(values: Array) -> list[float]:
-    """Return the root mean square over pairs and bands by parameter, NaN without a value."""
-    known: Sequence[Array] = [v[np.isfinite(v)] for v in values]
-    return [float(np.sqrt((v**2).mean())) if v.size else float("nan") for v in known]

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.linalg import eigh
 
 from rtcal.acoustics.observables import observable
+from rtcal.acoustics.room import Room
+from rtcal.acoustics.room_errors import heard_changes
 from rtcal.loop.control_runs import MODELS, ControlRuns, level, paths_of_a_run
 from rtcal.loop.listener import Listener
 from rtcal.loop.scattering import (
@@ -25,6 +28,10 @@ from rtcal.support.types import Array
 
 GROUPS = 4
 """Groups of paths whose differences tell the noise of a control run."""
+_SCALES = 139
+"""Factors of the simulator's error that are tried: neighbours differ by 5 %."""
+_LARGEST_SCALE = 1000.0
+"""Largest factor of the simulator's error: then it is some 30 times as large as in the control runs."""
 
 
 def error_of_simulator(
@@ -121,3 +128,48 @@ def noise_of_a_run(simulator: Simulator, groups: Array) -> Array:
     if not isinstance(simulator, PathTracing):
         return np.asarray(of_group)
     return np.asarray(of_group * simulator.n_paths / GROUPS / paths_of_a_run(simulator))
+
+
+@dataclass(frozen=True, eq=False)
+class ScaledErrors:
+    """The errors of what is compared: covariance, its Cholesky factor, scale of the simulator's."""
+
+    covariance: Array
+    factor: Array
+    scale: float
+
+
+def scaled_errors(listener: Listener, room: Room, prior: Array, error: Array) -> ScaledErrors:
+    """Return the errors with the scale of the simulator's under which the data are likeliest.
+
+    ``error`` (n, n) is the simulator's covariance as it is assumed, at all pairs.
+    """
+    error = error[np.ix_(listener.used, listener.used)]
+    matrix = listener.linearised()
+    of_room = heard_changes(room, matrix, listener.of_level)
+    of_measurement = listener.data.covariance + of_room.T @ of_room
+    values = listener.residual() + matrix @ room.alpha.ravel()
+    expected = matrix @ prior @ matrix.T + of_measurement
+    scale = error_scale(values - matrix @ room.alpha.ravel(), expected, error)
+    covariance = of_measurement + scale * error
+    return ScaledErrors(covariance, np.asarray(np.linalg.cholesky(covariance)), scale)
+
+
+def error_scale(innovation: Array, expected: Array, error: Array) -> float:
+    """Return the factor of the simulator's error under which what was measured is likeliest.
+
+    At least 1, and at most `_LARGEST_SCALE`. ``innovation`` (n,) is what was measured less what the
+    simulator hears with the prior, ``expected`` (n, n) its covariance without the simulator's error,
+    ``error`` (n, n) that of the simulator's error.
+    """
+    # In the eigenvectors of both covariances the factor changes variances only.
+    variance, vectors = eigh(error, expected)
+    variance = np.maximum(variance, 0.0)
+    square = (vectors.T @ innovation) ** 2
+
+    def loss(log_scale: float) -> float:
+        of_sum = 1 + np.exp(log_scale) * variance
+        return float(np.sum(square / of_sum + np.log(of_sum)))
+
+    tried = np.linspace(0.0, np.log(_LARGEST_SCALE), _SCALES)
+    return float(np.exp(tried[np.argmin([loss(x) for x in tried])]))

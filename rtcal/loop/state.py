@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from rtcal.acoustics.band_conversion import measurement_in_room_bands
 from rtcal.acoustics.curvature import BentDecay
 from rtcal.acoustics.equations import Eyring, LinearEquation
-from rtcal.acoustics.fingerprints import refuse_repeated_data
+from rtcal.acoustics.fingerprints import of_room, refuse_repeated_data
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.observables import TARGET
 from rtcal.acoustics.quality import gap_jnd
@@ -392,24 +392,11 @@ class Loop(Result):
             raise DataError(f"{path} is no state of a loop: it holds a {type(loop).__name__}")
         if room is None:
             return loop
-        if _fingerprint(room) != _fingerprint(loop.room):
+        if of_room(room) != of_room(loop.room):
             raise DataError(
                 f'{path} is the state of another room, or room "{room.name}" was changed since'
             )
         return replace(loop, room=room)
-
-
-def _fingerprint(room: Room) -> list[bytes]:
-    """Return a room's materials, areas, bands, air and prior as one comparable value."""
-    numbers = (
-        [room.volume, room.speed_of_sound],
-        room.areas,
-        room.centre_frequencies,
-        room.air_attenuation,
-        room.alpha,
-        room.sigma,
-    )
-    return [*(m.encode() for m in room.materials), *(np.asarray(n).tobytes() for n in numbers)]
 
 
 def _check_decimals(decimals: object) -> None:

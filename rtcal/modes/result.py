@@ -14,6 +14,7 @@ from rtcal.acoustics.materials import CalibrationRecord
 from rtcal.acoustics.room import Room
 from rtcal.acoustics.trust import TrustMark
 from rtcal.calibration.certificate import Certificate
+from rtcal.calibration.linear_estimate import gain, learned_materials
 from rtcal.calibration.measured import MeasuredTimes, data_history
 from rtcal.calibration.result import CalibrationResult
 from rtcal.modes.measured import MeasuredModes
@@ -136,12 +137,10 @@ class ModesResult(Result):
 
         Of the linear estimate from the prior and the modes alone, without bounds and T.
         """
-        covariance = self._prior_covariance
-        across = covariance @ self.matrix.T
-        gain = np.linalg.solve(self.matrix @ across + self.covariance, across.T).T
+        of_decays = gain(self._prior_covariance, self.matrix, self.covariance)
         off = self.measured - self.before
         sigma = np.where(self.prior.sigma > 0, self.prior.sigma, np.inf).ravel()
-        each = gain * off / sigma[:, np.newaxis]
+        each = of_decays * off / sigma[:, np.newaxis]
         return np.asarray(each.T.reshape(len(off), *self.prior.alpha.shape))
 
     @property
@@ -157,14 +156,7 @@ class ModesResult(Result):
     def learned(self) -> tuple[tuple[str, float, float], ...]:
         """Materials with prior and posterior sigma (rms over the low bands), most learned first."""
         low = self.below if self.below.any() else np.ones(self.prior.n_bands, dtype=bool)
-        before, after = (
-            np.sqrt((s[:, low] ** 2).mean(axis=1)) for s in (self.prior.sigma, self.sigma)
-        )
-        share = np.divide(after, before, out=np.ones_like(after), where=before > 0)
-        return tuple(
-            (self.prior.materials[i], float(before[i]), float(after[i]))
-            for i in np.argsort(share, kind="stable")
-        )
+        return learned_materials(self.prior, self.sigma, low)
 
     @cached_property
     def carried(self) -> NDArray[np.bool_]:

@@ -1,0 +1,76 @@
+"""The printed tables of a calibration to every position."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from rtcal.acoustics.parameters import parameter_label
+from rtcal.acoustics.room import Room
+from rtcal.loop.measured_pairs import Pair
+from rtcal.loop.scattering import Scattering
+from rtcal.support.text import number
+from rtcal.support.types import Array
+
+Table = tuple[list[str], list[list[str]]]
+"""Header and rows."""
+
+
+def gap_table(
+    parameters: Sequence[str],
+    pairs: Sequence[Pair],
+    before: Array,
+    after: Array,
+    title: str = "rms gap / JND",
+) -> Table:
+    """Return rms gaps by pair, before and after, and over all pairs.
+
+    Gaps are (n_parameters, n_pairs, n_bands) in JND.
+    """
+
+    def row(name: str, some: list[int]) -> list[str]:
+        ends = (rms(before[:, some]), rms(after[:, some]))
+        cells = (" to ".join(number(x, ".1f") for x in pair) for pair in zip(*ends, strict=True))
+        return [name, *cells]
+
+    rows = [row(" to ".join(pair), [i]) for i, pair in enumerate(pairs)]
+    header = [title, *(parameter_label(p) for p in parameters)]
+    return header, [*rows, row("all", list(range(len(pairs))))]
+
+
+def material_table(
+    room: Room,
+    learned: Sequence[tuple[str, float, float]],
+    shift: Array,
+    pulls: Array,
+    pairs: Sequence[Pair],
+    scattering: Scattering | None,
+) -> Table:
+    """Return what was learned of each material, in the order of ``learned``.
+
+    ``shift`` (n_materials, n_bands) and ``pulls`` (n_pairs, n_materials, n_bands) are in prior sigmas.
+    """
+    header = ["", "sigma before", "after", "shift / sigma", "pulled most by"]
+    if scattering is not None:
+        header.append("scattering")
+    strength = np.abs(pulls).mean(axis=2)
+    moved = np.sqrt((shift**2).mean(axis=1))
+    rows = []
+    for name, before, after in learned:
+        i = room.material_index(name)
+        pair = "-"
+        if strength[:, i].any():
+            pair = " to ".join(pairs[int(np.argmax(strength[:, i]))])
+        row = [name, f"{before:.3f}", f"{after:.3f}", f"{moved[i]:.1f}", pair]
+        if scattering is not None:
+            s, sigma = (a[i].mean() for a in (scattering.coefficients, scattering.sigma))
+            row.append(f"{s:.2f} ± {sigma:.2f}")
+        rows.append(row)
+    return header, rows
+
+
+def rms(values: Array) -> list[float]:
+    """Return the root mean square over pairs and bands by parameter, NaN without a value."""
+    known: Sequence[Array] = [v[np.isfinite(v)] for v in values]
+    return [float(np.sqrt((v**2).mean())) if v.size else float("nan") for v in known]
