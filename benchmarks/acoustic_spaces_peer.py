@@ -72,7 +72,7 @@ def scene(ours: comparators.Scene, rays: int, folder: str) -> Scene:
 
 
 def gaps(found: dict, measured: dict, task: str) -> np.ndarray:
-    """What the task asks to be small, in JND; as in `comparators`."""
+    """Return what the task asks to be small, in JND; as in `comparators`."""
 
     def values(name: str, of: dict) -> np.ndarray:
         return np.array([getattr(p, name)[BAND] for p in of.values()])

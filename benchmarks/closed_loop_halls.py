@@ -85,7 +85,7 @@ def largest(model: rt.Measurement, measured: rt.Measurement, parameter: str) -> 
 
 
 def measure(name: str, case: Case, trial: int) -> rt.Measurement:
-    """What the other engine finds in the hall with the coefficients of this trial."""
+    """Return what the other engine finds in the hall with the coefficients of this trial."""
     rng = np.random.default_rng([2, trial])
     hall = getattr(halls, name)()
     room = prior(hall, case)

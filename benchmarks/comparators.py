@@ -78,7 +78,7 @@ class Counter:
         return found
 
     def gaps(self, found: np.ndarray) -> np.ndarray:
-        """What the task asks to be small, in JND; a decay without T20 counts as 100."""
+        """Return what the task asks to be small, in JND; a decay without T20 counts as 100."""
         if self.task == "T":
             gap = (found[0].mean() / self.target[0].mean() - 1) / JND[0]
         else:
@@ -118,7 +118,7 @@ def closed_loop(
 def largest_area_first(
     counter: Counter, room: rt.Room, start: np.ndarray, lo: np.ndarray, hi: np.ndarray, rng: object
 ) -> None:
-    """By hand: change the largest area by what Eyring asks for, by 25 % at most, then the next."""
+    """Calibrate by hand: the largest area by what Eyring asks for, by 25 % at most, then the next."""
     alpha, order = start.copy(), np.argsort(-room.areas)
     for turn in range(counter.budget):
         t = counter.times(alpha)

@@ -59,7 +59,7 @@ def extreme_room(seed: int) -> tuple[rt.Room, Array]:
 
 @dataclass
 class Counts:
-    """What became of the rooms."""
+    """The number of rooms by what became of them."""
 
     rooms: int = 0
     failed: list[int] = field(default_factory=list)

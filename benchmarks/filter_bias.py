@@ -1,4 +1,4 @@
-"""What an octave filter adds to a short decay: forwards, as is usual, and backwards, as rtcal does.
+"""The bias of a short decay by an octave filter: forwards, as is usual, and backwards, as rtcal does.
 
 White noise with an exact exponential decay goes through the filter of `rtcal.io.impulse_responses`;
 the expected energy behind it is the decay convolved (forwards) or correlated (backwards) with the

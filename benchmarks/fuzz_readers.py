@@ -48,7 +48,7 @@ KERNELS = [
 
 @dataclass
 class Progress:
-    """What a reader's processes did so far; `end` is the time at which the last one ends."""
+    """The work of a reader's processes so far; `end` is the time at which the last one ends."""
 
     end: float
     tried: int = 0

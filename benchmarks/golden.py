@@ -1,4 +1,4 @@
-"""What the finders and calibrations say of development rooms, stored to see what a change moves.
+"""The verdicts of finders and calibrations of development rooms, stored to see what a change moves.
 
     python -m benchmarks.golden store               # about ten minutes of processor time
     python -m benchmarks.golden compare             # prints each figure that moved; exit code 1 then

@@ -1,4 +1,4 @@
-"""How time and memory grow with materials and configurations: exponents of `find` and `calibrate`.
+"""The growth of time and memory with materials and configurations: exponents of `find` and `calibrate`.
 
     python -m benchmarks.growth                  # a few minutes
 

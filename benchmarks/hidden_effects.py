@@ -1,4 +1,4 @@
-"""What the finder does on the frozen rooms in which an effect is hidden (tests/hidden_world).
+"""The finder on the frozen rooms in which an effect is hidden (tests/hidden_world).
 
     python -m benchmarks.hidden_effects run --folder out      # an hour or so; can be resumed
     python -m benchmarks.hidden_effects table                 # of the stored run, or --folder out
@@ -283,7 +283,7 @@ def by_size(here: list[Any]) -> None:
 
 
 def size_of(row: dict[str, Any]) -> float:
-    """How far the effect is from nothing, for ordering."""
+    """Return how far the effect is from nothing, for ordering."""
     effect = row["truth"][0]
     key = SIZES.get(effect["kind"])
     if key is None:
@@ -308,7 +308,7 @@ def roc(here: list[Any]) -> None:
 
 
 def floors(here: list[Any]) -> None:
-    """What a higher floor under the threshold would give: fewer rooms, named better."""
+    """Print what a higher floor under the threshold would give: fewer rooms, named better."""
     none = [x for r, x in here if r["kind"] == 0]
     some = [(hidden_in(r), x) for r, x in here if 1 <= r["kind"] <= 12]
     if not none or not some:
@@ -329,7 +329,7 @@ def floors(here: list[Any]) -> None:
 
 
 def mending(here: list[Any]) -> None:
-    """What the correction did to alpha and to the gaps, and what verification said."""
+    """Print what the correction did to alpha and to the gaps, and what verification said."""
     done = [(r, x) for r, x in here if 1 <= r["kind"] <= 12 and "rmse" in x]
     if not done:
         return

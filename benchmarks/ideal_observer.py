@@ -1,4 +1,4 @@
-"""What an observer could name who believes what the finder believes, of rooms drawn from that belief.
+"""The effects that an observer could name with the finder's beliefs, of rooms drawn from that belief.
 
     python -m benchmarks.ideal_observer --folder out --population 0 --rooms 24
 
@@ -62,7 +62,7 @@ def measured(compared: Comparison, rows: Rows, rng: np.random.Generator) -> Comp
 def examined(
     case: Case, controls: list[ControlRooms], number: int, rng: np.random.Generator
 ) -> tuple[float, bool, bool]:
-    """What an observer says of a room that is drawn with so many effects.
+    """Return what an observer says of a room that is drawn with so many effects.
 
     The log odds of two or more effects; whether the most probable families of two are right; and
     whether a search for sets would claim them.

@@ -1,4 +1,4 @@
-"""How often `result.interval` holds the true coefficient: 2,000 rooms with noise in T.
+"""The share of `result.interval` that holds the true coefficient: 2,000 rooms with noise in T.
 
     python -m benchmarks.interval_coverage            # 2,000 rooms; prints the table, about 15 minutes
     python -m benchmarks.interval_coverage --rooms 200

@@ -1,4 +1,4 @@
-"""What the finder's benchmarks share: kept control rooms, findings as rows, rates with intervals.
+"""Shared by the finder's benchmarks: kept control rooms, findings as rows, rates with intervals.
 
 A row is what one `find` said, as plain values. A judged room is a row with its truth: the name of the
 effect that is hidden, "none", or "unknown" where no effect of the library was hidden.
@@ -80,7 +80,7 @@ def families_of(names: Iterable[str]) -> frozenset[str]:
 
 @dataclass(frozen=True)
 class Judged:
-    """What was hidden and what was said.
+    """A judged room: what was hidden and what was said.
 
     ``truths`` are the names that are right: one, or several that mean the same. ``group`` is how the
     case states its uncertainty, or any other division of the rooms.

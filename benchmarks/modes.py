@@ -1,4 +1,4 @@
-"""How good the calibration to room modes is, in a wave world that is not rtcal's (`modes_world`).
+"""The quality of the calibration to room modes, in a wave world that is not rtcal's (`modes_world`).
 
     python -m benchmarks.modes dev        # rooms 1000 to 1011, for development
     python -m benchmarks.modes judge      # rooms 0 to 59, judged once
@@ -149,7 +149,7 @@ def world_lowest(world):
 
 
 def matches(world, modes, heard, result, highest):
-    """How many modes were found and rightly matched, and how many used matches are wrong."""
+    """Return how many modes were found and rightly matched, and how many used matches are wrong."""
     poles = true_poles(world, modes)
     at = [
         modes.shapes(np.array(list(of.values()))) @ poles.mixtures
@@ -200,7 +200,7 @@ def held_out(room, geometry, heard, measured, alone, result):
 
 
 def summary(rows):
-    """What the issue asks, by name."""
+    """Return what the issue asks, by name."""
     good = [r for r in rows if "error" in r]
     error = {k: np.array([r["error"][k] for r in good]) for k in ("prior", "t", "modes")}
     limit = {k: np.mean([r["bound"][k] for r in good]) for k in ("t", "modes")}

@@ -1,4 +1,4 @@
-"""How many deliberate faults do the tests see? `make mutate`, or `python benchmarks/mutation.py [N]`.
+"""The share of faults that the tests see: `make mutate`, or `python benchmarks/mutation.py [N]`.
 
 mutmut makes some 9,000 mutants of the modules that decide an answer (see ``[tool.mutmut]`` in
 pyproject.toml). A fixed sample of them is run: the N names (300 if not given) with the smallest

@@ -118,7 +118,7 @@ def further(case: Case, made: list[ControlRooms], seed: list[int]) -> dict[str, 
 
 
 def examined(room: Room) -> dict[str, Any]:
-    """What is proposed in one room, and what each measurement shows."""
+    """Return what is proposed in one room, and what each measurement shows."""
     _, case, truth, made = room
     names = [name_of(e) for e in truth["effects"]]
     base, controls = one(case), first_of(made)

@@ -1,4 +1,4 @@
-"""How good predictions at positions are: another tracer's rooms, several changes in each.
+"""The quality of predictions at positions: another tracer's rooms, several changes in each.
 
     python -m benchmarks.positions_prediction development --rooms 8   # to choose by
     python -m benchmarks.positions_prediction second --rooms 25      # once
@@ -37,7 +37,7 @@ _SPREAD = 0.1
 
 @dataclass(frozen=True)
 class World:
-    """What is stated of a room and of its changes, what was measured, and the truth after each."""
+    """A room and its changes as stated, what was measured, and the truth after each."""
 
     tracer: PathTracing
     measured: rt.Measurement

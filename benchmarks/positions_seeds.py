@@ -1,4 +1,4 @@
-"""How far another seed moves a calibration to every position, beside the sigma that it states.
+"""The move of a calibration to every position by another seed, beside the sigma that it states.
 
     python -m benchmarks.positions_seeds
 
@@ -34,7 +34,7 @@ def tracing(scattering: float, n_paths: int) -> PathTracing:
 
 
 def heard() -> rt.Measurement:
-    """What another tracing of the hall measures."""
+    """Return what another tracing of the hall measures."""
     room = tracing(0.5, 1200).room
     truth = np.clip(np.random.default_rng(100).normal(room.alpha, room.sigma), 0.01, 0.99)
     seen = tracing(0.35, 32000).observe(truth, MATCH, seed=77)

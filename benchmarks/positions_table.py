@@ -1,4 +1,4 @@
-"""What the judged position rooms show: benchmarks/positions.py runs them and prints this table."""
+"""The table of the judged position rooms: benchmarks/positions.py runs them and prints this table."""
 
 from __future__ import annotations
 

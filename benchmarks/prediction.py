@@ -1,4 +1,4 @@
-"""How good predictions and designs are: the numbers of docs/prediction_study.md.
+"""The quality of predictions and designs: the numbers of docs/prediction_study.md.
 
     python -m benchmarks.prediction toggles            # real rooms in several states
     python -m benchmarks.prediction worlds --rooms 200 # another tracer's rooms, one change each

@@ -1,4 +1,4 @@
-"""What the finder says of measured rooms, of which something was left out of the model on purpose.
+"""The finder's verdicts on measured rooms, of which something was left out of the model on purpose.
 
     python -m benchmarks.real_rooms list --more folder
     python -m benchmarks.real_rooms run --more folder --out rows [--part judging]
@@ -26,7 +26,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from benchmarks import told_test
+from benchmarks import known_effect_test
 from benchmarks.judging import FLAGS, NOTHING, Judged, families_of, kept_controls, rate, row_of
 from benchmarks.real_cases import COEFFICIENTS, RealCase, case, every_case
 from rtcal.finder import AppliedEffect, Case, find
@@ -161,19 +161,21 @@ def told_of(each: RealCase, more: Path, out: Path) -> None:
     if "told" not in row:
         made = each.make(more)
         controls = kept_controls(made, out / "controls" / f"{each.file}.npz")
-        told = told_test.told(made, truth_of(each, made, row), controls, each.names | each.also)
+        told = known_effect_test.told(
+            made, truth_of(each, made, row), controls, each.names | each.also
+        )
         path.write_text(json.dumps({**row, "told": told.to_dict()}), encoding="utf-8")
 
 
 def bound(rows: dict[str, dict[str, Any]], part: str) -> None:
     """Print what a test that is told what was left out could name, and what find named."""
     hidden = [c for c in every_case() if c.part == part and "told" in rows.get(c.name, {})]
-    told = [told_test.Told(**rows[c.name]["told"]) for c in hidden]
+    told = [known_effect_test.Told(**rows[c.name]["told"]) for c in hidden]
     print(f"\n== {part}: {len(hidden)} cases with something left out ==")
     said = [outcome(c, rows[c.name]) for c in hidden]
-    told_test.show([c.name for c in hidden], told, said)
+    known_effect_test.show([c.name for c in hidden], told, said)
     others = sum(c.part == part and c.control and c.name in rows for c in every_case())
-    told_test.shares(told, said.count("right"), others)
+    known_effect_test.shares(told, said.count("right"), others)
 
 
 def main() -> None:

@@ -1,4 +1,4 @@
-"""What could explain the paper's Fig. 7: `python -m benchmarks.sdn_variants`.
+"""Possible explanations of the paper's Fig. 7: `python -m benchmarks.sdn_variants`.
 
 The paper's text says that uncorrected its delay network is within 1 JND of Sabine's T for alpha of
 about 0.2 to 0.3 only, too long below, too short above. After one correction it is within almost 1 JND

@@ -1,4 +1,4 @@
-"""What the finder does on the second hidden world (tests/second_world), and on the first beside it.
+"""The finder on the second hidden world (tests/second_world), and on the first beside it.
 
     python -m benchmarks.second_world controls --folder out --population 1   # hours; can be resumed
     python -m benchmarks.second_world run --folder out --population 1        # with what stands there
@@ -27,7 +27,7 @@ from unittest.mock import patch
 
 import numpy as np
 
-from benchmarks import told_test
+from benchmarks import known_effect_test
 from benchmarks.hidden_effects import NAMES, PERSONS, name_of, parameters_of
 from benchmarks.judging import (
     FLAGS,
@@ -241,7 +241,7 @@ def bound(folder: str, world: int, population: int, step: int, label: str) -> No
     """Print how many effects a test could detect at 5 % false alarms, and how many find did."""
     warnings.simplefilter("ignore")
     rooms, truths = (WORLDS[world].read(population, part) for part in ("case", "truth"))
-    told: dict[str, list[told_test.Told]] = {data: [] for data in DATA}
+    told: dict[str, list[known_effect_test.Told]] = {data: [] for data in DATA}
     said: dict[str, list[bool]] = {data: [] for data in DATA}
     for index in order(len(rooms), step):
         kept = place(folder, world, population, "controls", index, "npz")
@@ -261,11 +261,11 @@ def bound(folder: str, world: int, population: int, step: int, label: str) -> No
         )
         for data, case, errors in (("one", one(whole), first_of(made)), ("all", whole, made)):
             truth = [replace(case, applied=(hidden,))] * len(case.configurations)
-            told[data].append(told_test.told(case, truth, errors, known[0]))
+            told[data].append(known_effect_test.told(case, truth, errors, known[0]))
             said[data].append(Judged(known[0], rows[data]).flagged)
     for data, words in DATA.items():
         print(f"\n== world {world}, population {population}: {words} ==")
-        told_test.detections(told[data], said[data])
+        known_effect_test.detections(told[data], said[data])
 
 
 NULL_POWERS = (POWER, NULL_POWER)

@@ -62,7 +62,7 @@ LEVEL = 0.05
 def distances_apart(
     case: Case, truth: dict[str, Any], discrepancy: ModelDiscrepancy
 ) -> tuple[float, float, float]:
-    """How far the pair is from the nearest effect alone, in standard deviations, and its test.
+    """Return how far the pair is from the nearest effect alone, in standard deviations, and its test.
 
     The first with the model's error, the second with a model that has none. The third is the log
     likelihood ratio of the measurement over that distance, less half of it: above the quantile of a
@@ -190,7 +190,7 @@ def run(
 
 
 def said_of(case: Case, made: list[ControlRooms], truth: dict[str, Any]) -> dict[str, Any]:
-    """What a search for several effects said, what became of alpha, and the time of its parts."""
+    """Return what a search for several effects said, the change of alpha, and the time of its parts."""
     began = time.process_time()
     found = find(case, controls=made, most=MOST)
     row = {
@@ -221,7 +221,7 @@ def said_of(case: Case, made: list[ControlRooms], truth: dict[str, Any]) -> dict
 
 @dataclass(frozen=True)
 class Searched:
-    """What was hidden in a room and what a search for several effects said."""
+    """A judged room: what was hidden in it and what a search for several effects said."""
 
     truth: list[str]
     row: dict[str, Any]

@@ -1,4 +1,4 @@
-"""What BLAS's threads cost: the default number against one, while other processes use every core.
+"""The cost of BLAS's threads: the default number against one, while other processes use every core.
 
     python -m benchmarks.threads                 # prints seconds and ratios; a few minutes
     python -m benchmarks.threads --idle          # without the other processes

@@ -1,4 +1,4 @@
-"""What changed between two measurements: real rooms, controls, a hidden world.
+"""The change between two measurements: real rooms, controls, a hidden world.
 
     python -m benchmarks.two_states [real] [surfaces] [worlds] [controls] [hidden] [time]
 

@@ -1,4 +1,4 @@
-"""What `finder.positions` says of rooms in which something is hidden at a place that nobody stated.
+"""The verdicts of `finder.positions` on rooms that hide something at a place that nobody stated.
 
     python -m benchmarks.where list
     python -m benchmarks.where run --folder out --number 40 --statement "in situ"    # can be resumed

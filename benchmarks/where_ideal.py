@@ -1,4 +1,4 @@
-"""What an observer could say who believes what the finder believes, of data drawn from that belief.
+"""The verdicts that an observer could reach with the finder's beliefs, of data drawn from that belief.
 
     python -m benchmarks.where_ideal run --cache out --out rows.json.gz  # development rooms, in situ
     python -m benchmarks.where_ideal table                             # of the stored run

@@ -1,4 +1,4 @@
-"""How a patch on a part of a surface differs from one that is spread over all of it.
+"""The difference of a patch on a part of a surface from one that is spread over all of it.
 
     python -m benchmarks.where_patches --number 6
 

@@ -1,4 +1,4 @@
-"""How much of the pattern over the pairs that a hidden absorber makes is noise of the tracing.
+"""The share of tracing noise in the pattern over the pairs that a hidden absorber makes.
 
     python -m benchmarks.where_patterns --population 1 --rooms 49 61 153
 

@@ -1,4 +1,4 @@
-"""What the finder says of PTB's studio: the model has its curtains open, they were measured closed.
+"""The finder's verdict on PTB's studio: the model has its curtains open, they were measured closed.
 
     python -m benchmarks.where_ptb run --folder out              # rtcal's model, then 21 others
     python -m benchmarks.where_ptb run --folder out --only own   # rtcal's model alone

@@ -1,4 +1,4 @@
-"""How far the likelihood of positions is to be trusted when it names effects and surfaces.
+"""The trust that the likelihood of positions deserves when it names effects and surfaces.
 
     python -m benchmarks.where_temper run --cache out --population 0 --rooms 0-39   # in situ
     python -m benchmarks.where_temper table                                        # of the stored rows

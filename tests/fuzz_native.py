@@ -82,7 +82,7 @@ BESIDE_CASE = {"room.toml": ROOM[0], "measured.csv": MEASURED[0]}
 
 
 def case_holds(case: Case) -> None:
-    """What a case holds is possible, and its text is the same case."""
+    """Assert that a case holds what is possible, and that its text is the same case."""
     room_holds(case.room)
     for configuration in case.configurations:
         measurement_holds(configuration.measured)

@@ -1,4 +1,4 @@
-"""What the modules of a test world import: a truth shares nothing with what it judges."""
+"""Imports of the modules of a test world: a truth shares nothing with what it judges."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the documents show runs: the blocks of README and docs."""
+"""The documents' code runs: the blocks of README and docs."""
 
 from __future__ import annotations
 

@@ -29,7 +29,7 @@ def once(patch: pytest.MonkeyPatch, module: Any, name: str) -> None:
 
 @pytest.fixture
 def computed_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    """What takes long and writes nothing is done once; figures are drawn once for all."""
+    """Steps that take long and write nothing are done once; figures are drawn once for all."""
     fit_once(monkeypatch)
     search_once(monkeypatch)
     finding = find(opened(), controls=controls_of(opened()))

@@ -40,7 +40,7 @@ def by_size(found: list[Problem]) -> dict[int, list[int]]:
 
 
 def end_distance(p: Problem) -> float:
-    """How far outside the ends b lies, exactly, over the tolerance that makes it the end."""
+    """Return the distance of b outside the ends, exactly, over the tolerance that makes it the end."""
     held = p.sigma == 0
     low, high = (
         sum(

@@ -80,7 +80,7 @@ def test_text_is_legible_on_a_phone(drawn: dict[str, Any]) -> None:
 
 
 def look(line: Any) -> tuple[object, ...]:
-    """How a line looks in grey: marker, whether it is filled, dashes and width."""
+    """Return the look of a line in grey: marker, whether it is filled, dashes and width."""
     hollow = line.get_fillstyle() == "none" or line.get_markerfacecolor() in ("none", "white")
     dashes = str(line._unscaled_dash_pattern) if line.get_linestyle() != "None" else "none"
     return (line.get_marker(), hollow, dashes, line.get_linewidth())

@@ -233,7 +233,7 @@ def test_the_verdict_stands_beside_what_is_supported(finding: MeansFinding) -> N
 
 
 def test_an_unproven_finding_is_said_once(finding: MeansFinding) -> None:
-    """What alpha closes as well speaks neither for nor against; terminal and page say only that."""
+    """A gap that alpha closes, too, speaks neither for nor against; terminal and page say only that."""
     unproven = replace(verify(finding), before=0.31, after=0.33, predictive=20.0)
     assert unproven.verdict == "unproven"
     said, page = " ".join(str(unproven).split()), summary(finding, unproven)
@@ -394,7 +394,7 @@ sound in another climate; of seven rooms, four of them of another air, the large
 
 
 def differences(index: int) -> list[str]:
-    """What comes out otherwise than stored, of a room of population 1 with T20, EDT, T30."""
+    """Return the differences from what is stored, of a room of population 1 with T20, EDT, T30."""
     case, stored_ = Case.from_dict(read(1, "case")[index]), stored()[index]["one"]
     one = case.only("t20", "edt", "t30", configurations=[case.configurations[0].name])
     # As the stored run has it: one configuration is judged by its part of the whole case's rooms.

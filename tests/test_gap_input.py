@@ -1,4 +1,4 @@
-"""What a user hands to the discrepancy library: effects of one's own, cases, rooms used before."""
+"""The input of the discrepancy library: effects of one's own, cases, rooms used before."""
 
 from __future__ import annotations
 

@@ -16,7 +16,7 @@ from rtcal.support import transaction
 
 
 def unwrapped(output: str) -> str:
-    """What is printed, whatever its lines: they are as long as the terminal is wide."""
+    """Return what is printed, whatever its lines: they are as long as the terminal is wide."""
     return " ".join(output.split())
 
 

@@ -70,12 +70,23 @@ def test_no_two_classes_have_one_name() -> None:
     assert twice - finder == set()
 
 
+def without_subject(tree: ast.Module) -> list[str]:
+    """Return the docstrings that begin with a word of `WITHOUT_SUBJECT`."""
+    kinds = (ast.Module, ast.ClassDef, ast.FunctionDef)
+    texts = [ast.get_docstring(node) for node in ast.walk(tree) if isinstance(node, kinds)]
+    return [text for text in texts if text and text.split()[0] in WITHOUT_SUBJECT]
+
+
 @pytest.mark.parametrize("module", [m for m in PARSED if not m.startswith("rtcal.finder")])
 def test_every_docstring_has_a_subject(module: str) -> None:
-    kinds = (ast.Module, ast.ClassDef, ast.FunctionDef)
-    for node in ast.walk(PARSED[module]):
-        if isinstance(node, kinds) and (text := ast.get_docstring(node)):
-            assert text.split()[0] not in WITHOUT_SUBJECT, f"{module}: {text.splitlines()[0]}"
+    assert without_subject(PARSED[module]) == []
+
+
+@pytest.mark.parametrize("folder", ["benchmarks", "tests"])
+def test_every_docstring_beside_the_package_has_a_subject(folder: str) -> None:
+    for path in sorted((PACKAGE.parent / folder).rglob("*.py")):
+        found = without_subject(ast.parse(path.read_text(encoding="utf-8")))
+        assert found == [], f"{path}: {found}"
 
 
 DIRECTORIES = """

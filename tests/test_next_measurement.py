@@ -1,4 +1,4 @@
-"""What to measure next: the information of a measurement, and what `plan` makes of it."""
+"""The next measurement: the information of a measurement, and what `plan` makes of it."""
 
 from __future__ import annotations
 

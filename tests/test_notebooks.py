@@ -73,7 +73,7 @@ def can_be_shortened(path: Path) -> bool:
 
 
 def stored_texts(path: Path) -> list[str]:
-    """What each code cell printed in the stored run."""
+    """Return what each code cell printed in the stored run."""
     return [
         "".join("".join(out.get("text", "")) for out in cell["outputs"])
         for cell in cells(path, "code")
@@ -81,7 +81,7 @@ def stored_texts(path: Path) -> list[str]:
 
 
 def printed(path: Path) -> str:
-    """What the stored run printed."""
+    """Return what the stored run printed."""
     return "".join(stored_texts(path))
 
 

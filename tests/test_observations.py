@@ -1,4 +1,4 @@
-"""What positions hear, and its derivatives: against differences, by material and by surface."""
+"""Observations at positions and their derivatives: against differences, by material and by surface."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What decides an active set: rows that are let go or kept, bounds that are met, tolerance limits."""
+"""The choice of an active set: rows that are let go or kept, bounds that are met, tolerance limits."""
 
 from __future__ import annotations
 

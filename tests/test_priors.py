@@ -1,4 +1,4 @@
-"""What is known before measuring: the truncated normal, sigma rules, correlation, catalogue."""
+"""The knowledge before measuring: the truncated normal, sigma rules, correlation, catalogue."""
 
 from __future__ import annotations
 

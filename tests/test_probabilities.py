@@ -1,4 +1,4 @@
-"""What the finder believes: priors, probabilities, families, coefficients that are off together."""
+"""The finder's beliefs: priors, probabilities, families, coefficients that are off together."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def room(sigma: float = 0.3, **more: object) -> rt.Room:
 
 
 def measured(truth: Case, *, stated: bool = True) -> rt.Measurement:
-    """What a case's model predicts, as a measurement of three parameters."""
+    """Return what a case's model predicts, as a measurement of three parameters."""
     (row,) = predict([state(truth, truth.configurations[0])], np.array([5.0])).features
     t20 = np.exp(row[0])
     times = {"t20": t20, "edt": t20 * np.exp(row[1]), "t30": t20 * np.exp(row[2])}

@@ -1,4 +1,4 @@
-"""What an interpreter and a notebook show: one line, or a table."""
+"""The display in an interpreter and a notebook: one line, or a table."""
 
 from __future__ import annotations
 

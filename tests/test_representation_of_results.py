@@ -1,4 +1,4 @@
-"""What a calibration shows of itself: one line, the printed table, the notebook's table."""
+"""The display of a calibration: one line, the printed table, the notebook's table."""
 
 from __future__ import annotations
 

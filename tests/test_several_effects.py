@@ -61,7 +61,7 @@ BOTH = (
 
 
 def measured(features: np.ndarray) -> rt.Measurement:
-    """What a model predicts, as a measurement of a pair at 5 m."""
+    """Return what a model predicts, as a measurement of a pair at 5 m."""
     t20 = np.exp(features[0])
     values = {
         "t20": t20,
@@ -169,7 +169,7 @@ def test_a_set_of_one_is_the_single_hypothesis(monkeypatch: pytest.MonkeyPatch) 
 
 
 def test_the_screen_is_the_density_where_effects_add(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Of effects whose error is smooth over bands, with or without one of them as the base."""
+    """The effects have errors smooth over bands; with or without one of them as the base."""
     monkeypatch.setattr(likelihood, "COARSENING", np.inf)
     monkeypatch.setattr(hypotheses, "SHAPE_CHANGE", (("edt", 0.0), ("t30", 0.0)))
     c = compared(*BOTH)

@@ -1,4 +1,4 @@
-"""What ships with something hidden in it: from another tracer, off as stated, picked by a rule."""
+"""Shipped cases with something hidden in them: from another tracer, off as stated, picked by a rule."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What all simulators share: public names, read-only data, typed errors."""
+"""Shared by all simulators: public names, read-only data, typed errors."""
 
 import numpy as np
 import pytest

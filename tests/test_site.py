@@ -28,7 +28,7 @@ pytestmark = [
 
 
 class Page(HTMLParser):
-    """What a built page links to, what it loads, and where it can be linked to."""
+    """A built page: its links, what it loads, and where it can be linked to."""
 
     def __init__(self, path: Path) -> None:
         super().__init__()

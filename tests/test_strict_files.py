@@ -1,4 +1,4 @@
-"""What no native file may hold: each reader refuses it in one line with place, value and rule."""
+"""Content that no native file may hold: readers refuse it in one line with place, value and rule."""
 
 from __future__ import annotations
 

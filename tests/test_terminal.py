@@ -1,4 +1,4 @@
-"""What every command prints fits the terminal, at 60, 80 and 120 columns, and no width is wasted."""
+"""The output of every command fits the terminal, at 60, 80 and 120 columns, and no width is wasted."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a finding says of its own reliability is what the study's page says."""
+"""A finding's statement of its own reliability is what the study's page says."""
 
 from __future__ import annotations
 

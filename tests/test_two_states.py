@@ -1,4 +1,4 @@
-"""What changed between two measurements of one room, from T alone."""
+"""The change between two measurements of one room, from T alone."""
 
 from __future__ import annotations
 

@@ -264,7 +264,7 @@ def test_a_standard_deviation_does_not_fall_where_the_room_is_less_certain(metho
 
 @pytest.mark.parametrize("method", ["mle", "soft", "smooth"])
 def test_sensitivities_are_derivatives(method: str) -> None:
-    """By every T, since all bands share the volume: also through the covariance, which T changes."""
+    """Every T counts, since all bands share the volume; also through the covariance, that T changes."""
     room = room_of(7, air=rt.Air(), common_alpha_sigma=0.1, **STATED)
     t = times(room, 7, 0.2)
     got = rt.posterior.sensitivity(rt.calibrate(room, t, method))[:, :, 0, :]

@@ -1,4 +1,4 @@
-"""What is legal but wrong by a unit: refused with what it looks like, or marked where it is odd."""
+"""Values that are legal but wrong by a unit: refused with what they look like, or marked where odd."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a second room returns through an aperture."""
+"""The energy that a second room returns through an aperture."""
 
 from __future__ import annotations
 

@@ -101,7 +101,7 @@ def test_the_same_paths_are_traced_in_the_divided_geometry(case: rt.finder.posit
 
 
 def test_the_middle_of_a_part_is_on_its_surface() -> None:
-    """Of an L-shaped floor the mean of the corners lies beside it."""
+    """The mean of an L-shaped floor's corners lies beside it."""
     plan = [(0, 0), (14, 0), (14, 2), (2, 2), (2, 14), (0, 14)]
     level = [[(x, y, z) for x, y in plan] for z in (0.0, 3.0)]
     ends = zip(plan, [*plan[1:], plan[0]], strict=True)

@@ -1,4 +1,4 @@
-"""What is measured: everything is computed here from x, y, z; no solver's own residual is taken."""
+"""The measurement: everything is computed here from x, y, z; no solver's own residual is taken."""
 
 from __future__ import annotations
 

@@ -184,7 +184,7 @@ def _throughput(rows: Sequence[Row], also: dict[str, Any]) -> str:
 
 @dataclass(frozen=True)
 class Score:
-    """What a route did at one setting."""
+    """The outcome of a route at one setting."""
 
     feasible: int
     failed: int

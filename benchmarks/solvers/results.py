@@ -41,7 +41,7 @@ TOO_SLOW = 1.0  # s: a route that took longer is not given larger problems of th
 
 
 def machine() -> dict[str, object]:
-    """What a time depends on: processor, cores, versions, date; no names."""
+    """Return what a time depends on: processor, cores, versions, date; no names."""
     model = platform.machine()
     info = Path("/proc/cpuinfo")
     if info.exists():

@@ -36,7 +36,7 @@ SLSQP_LIMIT = 50
 
 @dataclass(frozen=True, eq=False)
 class Found:
-    """What a solver said: x, the duals y of the equalities and z of the inequalities, and its word.
+    """The answer of a solver: x, the duals y of the equalities and z of the inequalities, and its word.
 
     ``status`` is solved, infeasible (where a solver tells) or failed. ``own`` are residuals of the
     certificate, for a route whose duals are not those of the matrices.

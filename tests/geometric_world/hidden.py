@@ -1,4 +1,4 @@
-"""What can be hidden in a geometric room, as polygons. Nothing of rtcal.
+"""Effects that can be hidden in a geometric room, as polygons. Nothing of rtcal.
 
 A patch replaces a part of a surface; a curtain hangs free before its wall and absorbs on both sides;
 an audience is flat, or a block of `BLOCK` in height that absorbs on its sides as well; an aperture is a

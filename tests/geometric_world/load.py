@@ -18,7 +18,7 @@ from tests.position_rooms.load import RECEIVERS, SCATTERING, SOURCES, PositionRo
 
 @dataclass(frozen=True)
 class GeometricRoom(PositionRoom):
-    """What a user knows and measured. Its scattering is assumed, since none is stated."""
+    """A room as a user knows and measured it. Its scattering is assumed, since none is stated."""
 
     def without_level(self) -> Measurement:
         """Return the measurement without G."""

@@ -24,7 +24,7 @@ RECEIVERS = ("R1", "R2", "R3", "R4", "R5", "R6")
 
 @dataclass(frozen=True)
 class PositionRoom:
-    """What a user knows and measured. The pairs run over receivers first."""
+    """A room as a user knows and measured it. The pairs run over receivers first."""
 
     room: rt.Room
     geometry: Polyhedron

@@ -1,4 +1,4 @@
-"""What is measured from an energy decay, and the noise that a measurement has. Nothing of rtcal.
+"""The parameters measured from an energy decay, and the noise that a measurement has. Nothing of rtcal.
 
 The noise is that of real rooms. A response in a band of bandwidth B is noise-like: its energy in a
 window of T seconds scatters by 1 / sqrt(B T). Each pair's reflections are multiplied by such noise

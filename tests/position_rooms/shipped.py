@@ -1,4 +1,4 @@
-"""What is measured in the room of `rtcal example where`: by this folder's tracer, not by rtcal's.
+"""Measurements in the room of `rtcal example where`: by this folder's tracer, not by rtcal's.
 
     python -m tests.position_rooms.shipped    # writes rtcal/datasets/where_room; a minute
 

@@ -1,4 +1,4 @@
-"""What the tests of the pages share: a room of evil names, a finding, the command."""
+"""Shared by the tests of the pages: a room of evil names, a finding, the command."""
 
 from __future__ import annotations
 

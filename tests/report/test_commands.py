@@ -1,4 +1,4 @@
-"""What all commands have in common, and the command that writes the page."""
+"""Properties that all commands have in common, and the command that writes the page."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What is saved is read alike, and broken files are refused."""
+"""Saved results are read alike, and broken files are refused."""
 
 from __future__ import annotations
 

@@ -22,7 +22,7 @@ pytest.importorskip("numba", reason="the paths are traced by compiled code (extr
 
 @dataclass(frozen=True)
 class Hatch(Absorber):
-    """What the hidden opening is, under a name that rtcal does not have."""
+    """The hidden opening, under a name that rtcal does not have."""
 
     name: ClassVar[str] = "hatch"
     family: ClassVar[str] = "added absorption, hatches"

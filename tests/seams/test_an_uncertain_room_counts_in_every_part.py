@@ -45,7 +45,7 @@ def logarithm(room: rt.Room) -> np.ndarray:
 
 
 def derivatives(room: rt.Room) -> np.ndarray:
-    """Of log T by every coefficient, (n_bands, n_materials * n_bands)."""
+    """Return those of log T by every coefficient, (n_bands, n_materials * n_bands)."""
     step, columns = 1e-6, []
     for place in np.ndindex(room.alpha.shape):
         alpha = room.alpha.copy()

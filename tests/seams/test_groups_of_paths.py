@@ -1,4 +1,4 @@
-"""What is asked of groups of paths and of derivatives holds wherever what they are of holds."""
+"""Whatever is asked of groups of paths and of derivatives holds wherever what they are of holds."""
 
 from __future__ import annotations
 

@@ -41,7 +41,7 @@ def test_one_small_material_at_one_where_t_is_met() -> None:
 
 @pytest.mark.parametrize("fixed", [False, True])
 def test_every_material_at_one(fixed: bool) -> None:
-    """What is fixed can supply nothing."""
+    """A fixed material can supply nothing."""
     stated = room(fixed)
     t = rt.Sabine().time(stated, np.array([200.0]))
     result = rt.calibrate(stated, t, equation=rt.Sabine(), unreachable="nearest")

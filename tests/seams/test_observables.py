@@ -47,7 +47,7 @@ def test_the_linear_scale_is_linear_in_the_absorption(key: str) -> None:
 
 @pytest.mark.parametrize("key", OBSERVABLES)
 def test_theory_tells_how_one_response_scatters(key: str) -> None:
-    """Of drawn responses: bins of noise have the relative variance 1 / (B w)."""
+    """Responses are drawn: bins of noise have the relative variance 1 / (B w)."""
     kind, band, time = observable(key), np.array([1000.0]), 0.8
     decay_of = exponential(6 * np.log(10) / time)
     rng = np.random.default_rng(1)

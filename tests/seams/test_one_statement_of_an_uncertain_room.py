@@ -1,4 +1,4 @@
-"""What a room says of its volume and areas is one statement, wherever the room goes."""
+"""A room's statement of its volume and areas is one statement, wherever the room goes."""
 
 from __future__ import annotations
 

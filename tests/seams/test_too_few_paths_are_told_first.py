@@ -33,7 +33,7 @@ def tracer(n_paths: int) -> rt.simulators.PathTracing:
 
 @pytest.fixture
 def measured(monkeypatch: pytest.MonkeyPatch) -> rt.Measurement:
-    """What was measured; control runs are not to begin."""
+    """Return what was measured; control runs are not to begin."""
 
     def begun(*_: object, **__: object) -> None:
         raise AssertionError("the control runs have begun")

@@ -8,9 +8,9 @@ from scipy.stats import norm
 
 pytest.importorskip("numba", reason="the hidden worlds are compiled (extra fast)")
 
+from benchmarks.known_effect_test import best_powers, drawn_ratios, log_ratio
 from benchmarks.real_cases import every_case
 from benchmarks.second_world import WORLDS, true_effect, truth_of
-from benchmarks.told_test import best_powers, drawn_ratios, log_ratio
 from rtcal.finder import library
 
 
