@@ -169,7 +169,7 @@ def test_a_balloon_gives_what_it_radiates_by_octave(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("convention", ["FreeFieldDirectivityTF", "GeneralTF"])
 def test_a_balloon_is_turned_with_its_top(tmp_path: Path, convention: str) -> None:
-    """What stands to the loudspeaker's left in the file stands to its left in the room."""
+    """The loudspeaker's left in the file is its left in the room."""
     path = balloon(tmp_path / "b.sofa", convention=convention, aim=(-1, 2, 1))
     read = balloons.read(path, [1000], aim=(0, 0, -1), up=(0, 1, 0))
     # In the file the axis is +y and the top +z, so -x is left: now -z is ahead, +y above, -x left.
