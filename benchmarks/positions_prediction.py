@@ -1,7 +1,8 @@
 """The quality of predictions at positions: another tracer's rooms, several changes in each.
 
     python -m benchmarks.positions_prediction development --rooms 8   # to choose by
-    python -m benchmarks.positions_prediction second --rooms 25      # once
+    python -m benchmarks.positions_prediction third --rows third.jsonl  # once
+    python -m benchmarks.positions_prediction told --rows third.jsonl   # what is stored
 
 The rule stands in docs/prediction_study.md and was written first. The hidden tracer is that of
 `tests.position_rooms`, which shares no code with rtcal: all states of a room weigh the same rays.
@@ -10,8 +11,10 @@ The rule stands in docs/prediction_study.md and was written first. The hidden tr
 from __future__ import annotations
 
 import argparse
+import json
 import time
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
@@ -26,7 +29,7 @@ from rtcal.support.types import Array
 from tests.position_rooms import parameters, rooms, shapes
 from tests.position_rooms.tracer import Scene, trace
 
-WORLDS = {"development": 0, "first": 1, "second": 2}
+WORLDS = {"development": 0, "first": 1, "second": 2, "third": 3}
 BANDS = parameters.OCTAVES[3:6]
 MATCH = ("t20", "edt", "c80", "ts", "level")
 CHANGES = 8
@@ -167,7 +170,10 @@ def truth_of(heard: dict[str, Array]) -> Array:
 
 
 def scored(index: int, part: str) -> list[dict[str, Array]]:
-    """Return errors, half widths and ends of every change of a room, as observed and in JND."""
+    """Return errors and half widths of the means over the pairs, of every change of a room, in JND.
+
+    Each (n_parameters, n_bands); also the share of the pairs that are within their intervals.
+    """
     made = world(part, index)
     tracer, room = made.tracer, made.tracer.room
     result = rt.calibrate_positions(tracer, room, made.measured, MATCH)
@@ -176,13 +182,15 @@ def scored(index: int, part: str) -> list[dict[str, Array]]:
     for prediction, heard in zip(found, made.after, strict=True):
         truth = truth_of(heard)
         stated = stated_alone(tracer, prediction)
+        inside = (truth >= prediction.low) & (truth <= prediction.high)
         rows.append(
             {
-                "z": (prediction.middle - truth) / prediction.sigma,
-                "inside": (truth >= prediction.low) & (truth <= prediction.high),
-                "error": in_jnd(prediction, prediction.middle - truth),
-                "stated": in_jnd(prediction, stated - truth),
-                "half": in_jnd(prediction, (prediction.high - prediction.low) / 2),
+                "z": ((prediction.middle - truth) / prediction.sigma)[:, -1],
+                "inside": inside[:, -1],
+                "at pairs": inside[:, :-1].mean(axis=1),
+                "error": in_jnd(prediction, prediction.middle - truth)[:, -1],
+                "stated": in_jnd(prediction, stated - truth)[:, -1],
+                "half": in_jnd(prediction, (prediction.high - prediction.low) / 2)[:, -1],
             }
         )
     return rows
@@ -204,8 +212,7 @@ def in_jnd(prediction: PositionsPrediction, observed: Array) -> Array:
 
 
 def tell(rows: list[dict[str, Array]]) -> None:
-    all_of = {name: np.array([row[name] for row in rows]) for name in rows[0]}
-    means = {name: values[:, :, -1] for name, values in all_of.items()}
+    means = {name: np.array([row[name] for row in rows]) for name in rows[0]}
     print(
         f"{len(rows)} changes; means over the pairs: error, stated (rms, JND), half width, coverage, z"
     )
@@ -216,7 +223,7 @@ def tell(rows: list[dict[str, Array]]) -> None:
             f"{np.median(row['half']):.1f}, {row['inside'].mean():.3f}, {rms(row['z']):.2f}"
         )
     ratio = rms(means["error"]) / rms(means["stated"])
-    pairs = all_of["inside"][:, :, :-1].mean()
+    pairs = means["at pairs"].mean()
     by_room = means["inside"].reshape(-1, CHANGES, *means["inside"].shape[1:]).mean(axis=(1, 2, 3))
     spread = by_room.std(ddof=1) / np.sqrt(len(by_room)) if len(by_room) > 1 else np.nan
     print(
@@ -230,22 +237,39 @@ def rms(values: Array) -> float:
     return float(np.sqrt(np.mean(values**2)))
 
 
+def stored(path: Path) -> dict[int, list[dict[str, Array]]]:
+    """Return the rows of the rooms of a file; none of a file that is not there."""
+    lines = path.read_text().splitlines() if path.exists() else []
+    found = {}
+    for room in map(json.loads, lines):
+        found[room["room"]] = [{k: np.array(v) for k, v in row.items()} for row in room["changes"]]
+    return found
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("part", choices=tuple(WORLDS))
+    parser.add_argument("part", choices=(*WORLDS, "told"))
     parser.add_argument("--rooms", type=int, default=25)
     parser.add_argument("--first", type=int, default=0)
+    parser.add_argument("--rows", type=Path, nargs="+", help="file to which each room is added")
     stated = parser.parse_args()
-    rows: list[dict[str, Array]] = []
+    kept = {n: rows for path in stated.rows or () for n, rows in stored(path).items()}
+    wanted = [] if stated.part == "told" else range(stated.first, stated.first + stated.rooms)
     start = time.process_time()
-    for index in range(stated.first, stated.first + stated.rooms):
+    for index in wanted:
+        if index in kept:
+            continue
         try:
-            rows += scored(index, stated.part)
+            kept[index] = scored(index, stated.part)
         except rt.errors.RtcalError as error:
-            print(f"room {index}: {error}")
-        if (index + 1) % 4 == 0 or index + 1 == stated.first + stated.rooms:
-            tell(rows)
-            print(f"{time.process_time() - start:.0f} s of processor time", flush=True)
+            print(f"room {index}: {error}", flush=True)
+            continue
+        print(f"room {index}: {time.process_time() - start:.0f} s of processor time", flush=True)
+        if stated.rows:
+            rows = [{k: v.round(4).tolist() for k, v in row.items()} for row in kept[index]]
+            with stated.rows[0].open("a") as file:
+                file.write(json.dumps({"room": index, "changes": rows}) + "\n")
+    tell([row for _, rows in sorted(kept.items()) for row in rows])
 
 
 if __name__ == "__main__":

@@ -83,7 +83,8 @@ def negative_log_posterior(rooms: Rooms, states: list[State], x: np.ndarray, k: 
 
 @pytest.mark.parametrize("factor", [1.1, 2.0, 0.4])
 def test_the_estimate_is_the_mode_within_the_bounds(factor: float) -> None:
-    room = a_room(((0.2, 0.25), (0.01, 0.01)), 0.2, air=rt.Air(20, 50))
+    stated = {"air": rt.Air(20, 50), "climate_sigma": (2.0, 10.0)}
+    room = a_room(((0.2, 0.25), (0.01, 0.01)), 0.2, **stated)
     states = [measured(room, factor), measured(changed(room, Add(PANEL, 10)), factor * 0.95)]
     rooms = Rooms([s.room for s in states], rt.Eyring(), Assumptions())
     found = estimated_change(rooms, states)
@@ -366,9 +367,9 @@ def test_what_a_room_states_of_its_volume_counts_in_every_way_to_predict_and_des
     stated = result.predict(change).half_width
     alone = rt.prediction.predict(result.states, change)
     assert alone.half_width == pytest.approx(stated, rel=1e-9)
-    usual = rt.prediction.predict(
-        result.states, change, assumptions=rt.prediction.Assumptions()
-    ).half_width
+    usual = rt.calibrate(room, measured).predict(change).half_width
     assert (stated > 1.02 * usual).all()
-    assumed = rt.prediction.Assumptions.of(vague)
-    assert (assumed.volume, assumed.areas) == (0.2, 0.03)
+    # What the room states takes the place of any assumption.
+    assumed = rt.prediction.Assumptions(volume=0.0)
+    other = rt.prediction.predict(result.states, change, assumptions=assumed).half_width
+    assert other == pytest.approx(stated, rel=1e-9)

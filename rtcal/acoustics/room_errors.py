@@ -88,7 +88,7 @@ def target_changes(equation: LinearEquation, room: Room, t: Array) -> Array:
             room.volume_sigma * of_volume,
             room.common_area_sigma * of_areas.sum(axis=0),
             room.area_sigma[:, np.newaxis] * of_areas,
-            *_of_climate(room, lambda changed: equation.target(changed, t)),
+            *of_climate(room, lambda changed: equation.target(changed, t)),
         ]
     )
     return np.where(np.isfinite(b), changes, 0.0)
@@ -107,7 +107,7 @@ def alike_alpha(room: Room) -> Array:
         [
             np.array([[[-room.volume_sigma]], [[room.common_area_sigma]]]) * room.alpha,
             own * room.alpha,
-            [of_air * m for m in _of_climate(room, lambda changed: changed.air_attenuation)],
+            [of_air * m for m in of_climate(room, lambda changed: changed.air_attenuation)],
         ]
     )
 
@@ -132,8 +132,11 @@ def heard_changes(room: Room, matrix: Array, of_level: NDArray[np.bool_]) -> Arr
     return np.asarray(changes)
 
 
-def _of_climate(room: Room, quantity: Callable[[Room], Array]) -> tuple[Array, Array]:
-    """Half the difference of a quantity between the climates one standard deviation below and above."""
+def of_climate(room: Room, quantity: Callable[[Room], Array]) -> tuple[Array, Array]:
+    """Return half the difference of a quantity between climates one standard deviation apart each way.
+
+    By temperature, and by humidity; (n_bands,) each.
+    """
     air, (kelvin, percent) = room.air, room.climate_sigma
     none = np.zeros(room.n_bands)
     if air is None or not (kelvin or percent):

@@ -16,6 +16,7 @@ from rtcal.acoustics.changes import Change, Climate, Cover, Open, changed
 from rtcal.acoustics.equations import Eyring
 from rtcal.acoustics.room import Room
 from rtcal.errors import DataError
+from rtcal.loop.places import Move
 from rtcal.prediction.assumptions import Assumptions
 from rtcal.prediction.estimate import Rooms
 from rtcal.simulators.base import Simulator
@@ -64,7 +65,7 @@ class ChangedRoom:
         return self._rooms.materials
 
     @cached_property
-    def _mixed(self) -> tuple[Array, list[tuple[int, int, Array]]]:
+    def _mixed(self) -> tuple[Array, tuple[Move, ...]]:
         """Shares of the materials in what each was, and what each partial cover moved of them."""
         mixture = np.eye(self.before.n_materials, len(self.materials))
         moves = []
@@ -81,7 +82,12 @@ class ChangedRoom:
             mixture[:, old] -= moved
             if share < 1:
                 moves.append((old, new, moved))
-        return mixture, moves
+        return mixture, tuple(moves)
+
+    @property
+    def moves(self) -> tuple[Move, ...]:
+        """What each partial cover moved: from which material, to which, and its share of each wall."""
+        return self._mixed[1]
 
     @property
     def mixture(self) -> Array:
@@ -97,10 +103,13 @@ class ChangedRoom:
 
         ``alpha`` is that of all materials.
         """
-        rows = [
-            moved[:, np.newaxis] * (alpha[new] - alpha[old]) for old, new, moved in self._mixed[1]
-        ]
+        rows = [moved[:, np.newaxis] * (alpha[new] - alpha[old]) for old, new, moved in self.moves]
         return np.array(rows).reshape(-1, self.before.n_materials, self.before.n_bands)
+
+    @property
+    def cover_sigma(self) -> Array:
+        """Relative error of each partial cover's area, (n_covers,): that of the surface below it."""
+        return self._rooms.area_sigma[[old for old, *_ in self.moves]]
 
     @property
     def new_sigma(self) -> Array:

@@ -41,6 +41,8 @@ class PositionsPrediction(Result):
         Before the change, predicted in the same way; as observed: times are logarithms.
     middle, sigma : array (n_parameters, n_pairs + 1, n_bands)
         Mean and standard deviation after the change, as observed.
+    uncalibrated_sigma : array (n_parameters, n_pairs + 1, n_bands)
+        Standard deviation of the same prediction without what was measured.
     low, high : array (n_parameters, n_pairs + 1, n_bands)
         Ends of the 90 % interval, as observed.
     sampled : array of bool (n_parameters, n_pairs + 1, n_bands)
@@ -57,7 +59,8 @@ class PositionsPrediction(Result):
     >>> found = PositionsPrediction(
     ...     name="window", changes=(Open("plaster", 2.0),), before=room, simulator="a simulator",
     ...     parameters=("t20",), pairs=(("S1", "R1"),), heard_before=t + 0.1, middle=t,
-    ...     sigma=0 * t + 0.05, low=t - 0.08, high=t + 0.08, sampled=t > 1, shares={})
+    ...     sigma=0 * t + 0.05, uncalibrated_sigma=0 * t + 0.2,
+    ...     low=t - 0.08, high=t + 0.08, sampled=t > 1, shares={})
     >>> found.mean("t20"), found.change("t20")[-1].round(2)
     (array([0.5]), array([-2.05]))
     """
@@ -73,6 +76,7 @@ class PositionsPrediction(Result):
     heard_before: Array
     middle: Array
     sigma: Array
+    uncalibrated_sigma: Array
     low: Array
     high: Array
     sampled: NDArray[np.bool_]

@@ -1,123 +1,31 @@
-"""A calibrated simulator predicts what every position hears after a change.
-
-With alpha the coefficients, f what the simulator hears before the change and h after it, e and e' its
-errors in the two states, r those of the measurement,
-
-    measured = f(alpha) + e + r,    predicted = h(alpha) + e'.
-
-Control runs are heard in both states, so they tell the covariance of e and e' together: what is
-common to both states was measured, and what is each state's own was not. Given what was measured,
-alpha, e and e' are jointly normal. h is linear around the calibrated coefficients, but along the change
-of alpha that T20 depends on most: there it is a parabola through three weighings of the same paths.
-"""
+"""A calibrated simulator predicts what every position hears after changes, which share control runs."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from functools import cached_property
-from typing import Protocol
+from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
-from scipy.special import ndtri
 
-from rtcal.acoustics import bands
 from rtcal.acoustics.change_files import Variant
 from rtcal.acoustics.observables import MATCH, OBSERVABLES, TARGET
-from rtcal.acoustics.room import Room
 from rtcal.acoustics.scene import POSITION
 from rtcal.errors import DataError
+from rtcal.loop.change_at_positions import CalibratedAtPositions, Changed, Known
 from rtcal.loop.changed_room import ChangedRoom
-from rtcal.loop.control_runs import ControlRuns, Heard, level, simulated_controls
-from rtcal.loop.measured_pairs import MeasuredPairs
-from rtcal.loop.positions_prediction import PositionsPrediction, PositionsPredictions
-from rtcal.loop.scattering import (
-    MaterialScattering,
-    Scattering,
-    errors_by_scattering,
-    material_scattering,
-)
-from rtcal.loop.simulator_error import GROUPS, groups_of_paths, noise_of_a_run
+from rtcal.loop.control_runs import Heard, simulated_controls
+from rtcal.loop.positions_prediction import PositionsPredictions
 from rtcal.prediction.assumptions import Assumptions
 from rtcal.prediction.compared import refuse_repeated_names
-from rtcal.prediction.predicted import LEVEL
-from rtcal.prediction.words import ALPHA, MEASUREMENT, STAYS
 from rtcal.simulators.base import Simulator
-from rtcal.simulators.observations import jacobian, observe
+from rtcal.simulators.observations import observe
 from rtcal.simulators.path_tracing import PathTracing
 from rtcal.support.progress import Progress
 from rtcal.support.types import Array
 
 WANTED = (*MATCH, *(key for key, each in OBSERVABLES.items() if each.predicted))
 """What is predicted where nothing else is asked for."""
-COMMON, OWN, AREAS = (
-    "the simulator, alike in both states",
-    "the simulator, in the changed room alone",
-    "the covered areas",
-)
-_Z = float(ndtri((1 + LEVEL) / 2))
 _BEFORE = "before the change"
-_SAMPLES = 2000
-_BENT = 0.1
-"""Departure from a straight line at the interval's ends, in standard deviations, from which the
-interval is that of samples."""
-
-
-class CalibratedAtPositions(Protocol):
-    """A calibration to every position, as far as a prediction takes it: a `PositionsResult`."""
-
-    @property
-    def prior(self) -> Room:
-        """The room as it was given."""
-
-    @property
-    def room(self) -> Room:
-        """The room with the calibrated coefficients."""
-
-    @property
-    def alpha(self) -> Array:
-        """The calibrated coefficients, (n_materials, n_bands)."""
-
-    @property
-    def prior_covariance(self) -> Array:
-        """The covariance of the prior, (n_materials * n_bands,) squared."""
-
-    @property
-    def parameters(self) -> tuple[str, ...]:
-        """The parameters that were matched."""
-
-    @property
-    def pairs(self) -> tuple[tuple[str, str], ...]:
-        """The pairs that were matched."""
-
-    @property
-    def measured(self) -> MeasuredPairs:
-        """The measured values there, and their covariance."""
-
-    @property
-    def simulator(self) -> str:
-        """The name of the calibrated simulator."""
-
-    @property
-    def weighed(self) -> Simulator:
-        """The calibrated simulator, with as many paths as are weighed."""
-
-    @property
-    def seed(self) -> int:
-        """The seed of all its simulations."""
-
-    @property
-    def scattering(self) -> Scattering | None:
-        """The scattering that was fitted; None where the one stated was kept."""
-
-    @property
-    def controls(self) -> ControlRuns | None:
-        """The control runs; None where no error is known."""
-
-    @property
-    def error_scale(self) -> float:
-        """Factor of the simulator's variance."""
 
 
 def predict_positions(
@@ -176,7 +84,7 @@ def predict_positions(
     window True True
     """
     refuse_repeated_names(variants)
-    assumed = Assumptions.of(result.prior) if assumptions is None else assumptions
+    assumed = Assumptions() if assumptions is None else assumptions
     every = (Variant(_BEFORE, ()), *variants)
     rooms = [ChangedRoom(result.prior, tuple(v.changes), assumed) for v in every]
     simulator, seed = result.weighed, result.seed
@@ -215,9 +123,9 @@ def predict_positions(
             f"no control run tells the error of {result.simulator}: predict with a simulator that "
             "has a geometry, or T by an equation"
         )
-    known = _Known(result, simulator, controls.pairs)
+    known = Known(result, simulator, controls.pairs)
     before, *after_each = (
-        _Changed(known, room, match, controls, i).predicted(variant)
+        Changed(known, room, match, _names(match, i), controls).predicted(variant)
         for i, (room, variant) in enumerate(zip(rooms, every, strict=True))
     )
     return PositionsPredictions(
@@ -227,269 +135,3 @@ def predict_positions(
 
 def _names(match: Sequence[str], variant: int) -> tuple[str, ...]:
     return tuple(f"{parameter}, variant {variant + 1}" for parameter in match)
-
-
-@dataclass(frozen=True, eq=False)
-class _Known:
-    """The measurement before the change, against the calibrated simulator."""
-
-    result: CalibratedAtPositions
-    simulator: Simulator
-    pairs: tuple[tuple[str, str], ...]
-
-    @cached_property
-    def used(self) -> NDArray[np.int64]:
-        """Numbers of the values that were measured, over the matched parameters at all pairs."""
-        result = self.result
-        flags = np.zeros(
-            (len(result.parameters), len(self.pairs), result.prior.n_bands), dtype=bool
-        )
-        flags[:, [self.pairs.index(pair) for pair in result.pairs]] = result.measured.used
-        return np.flatnonzero(flags)
-
-    @cached_property
-    def matrix(self) -> Array:
-        """Derivatives of the values used, (n_used, n_materials * n_bands)."""
-        result = self.result
-        slopes = jacobian(self.simulator, result.alpha, result.parameters, seed=result.seed)
-        return _by_band(slopes)[self.used]
-
-    @cached_property
-    def innovation(self) -> Array:
-        """The measured values less those heard with the prior, linearly, (n_used,)."""
-        result = self.result
-        heard = observe(self.simulator, result.alpha, result.parameters, seed=result.seed).values
-        measured = result.measured.observations.values
-        left = measured[result.measured.used] - heard.ravel()[self.used]
-        return np.asarray(left + self.matrix @ (result.alpha - result.prior.alpha).ravel())
-
-    def error(
-        self, of: Simulator, alpha: Array, match: Sequence[str]
-    ) -> tuple[Array, Array | None]:
-        """Return what groups of paths hear, and the derivatives by each material's scattering.
-
-        (n_groups, p, i, k), and (n, n_materials), None where the scattering stated was kept.
-        """
-        result = self.result
-        shape = (len(match), len(self.pairs), result.prior.n_bands)
-        groups = groups_of_paths(of, alpha, match, result.seed, shape)
-        if result.scattering is None or not isinstance(of, PathTracing):
-            return groups, None
-        random = replace(of, scattering_model="random")
-        stated = np.zeros(result.prior.n_materials)
-        return groups, material_scattering(random, alpha, match, stated, result.seed).slope
-
-    @cached_property
-    def own_error(self) -> tuple[Array, Array | None]:
-        """The same of what was measured."""
-        return self.error(self.simulator, self.result.alpha, self.result.parameters)
-
-
-@dataclass(frozen=True, eq=False)
-class _Changed:
-    """One change: what is heard after it, and the covariances of errors before and after."""
-
-    known: _Known
-    room: ChangedRoom
-    match: tuple[str, ...]
-    controls: ControlRuns
-    number: int
-
-    @property
-    def result(self) -> CalibratedAtPositions:
-        return self.known.result
-
-    @cached_property
-    def alpha(self) -> Array:
-        """The calibrated coefficients, and those stated of the new materials."""
-        return self.room.all_alpha(self.result.alpha)
-
-    def hear(self, alpha: Array) -> Array:
-        """Return what is heard after the change for coefficients of all materials, (p, i, k)."""
-        walls = self.room.mixture @ np.clip(alpha, 0.0, 1.0)
-        return observe(self.after, walls, self.match, seed=self.result.seed).values
-
-    @cached_property
-    def after(self) -> Simulator:
-        return self.room.simulator(self.known.simulator)
-
-    @cached_property
-    def slopes(self) -> tuple[Array, Array]:
-        """Derivatives of all rows by alpha of all materials, and by ln of each partial cover's area.
-
-        (rows, n_materials * n_bands) and (rows, n_covers).
-        """
-        walls = self.room.mixture @ self.alpha
-        by_wall = jacobian(self.after, walls, self.match, seed=self.result.seed)
-        by_areas = np.einsum("pikm,cmk->pikc", by_wall, self.room.by_areas(self.alpha))
-        by_alpha = np.einsum("pikm,me->pike", by_wall, self.room.mixture)
-        return _by_band(by_alpha), by_areas.reshape(by_wall[..., 0].size, -1)
-
-    @cached_property
-    def prior(self) -> Array:
-        """Covariance of alpha of all materials, the calibrated room's first."""
-        room, old = self.result.prior, self.result.prior_covariance
-        sigma = self.room.new_sigma.ravel()
-        of_bands = bands.correlation(room.centre_frequencies, room.band_correlation)
-        new = np.kron(np.eye(len(self.room.new_sigma)), of_bands) * np.outer(sigma, sigma)
-        out = np.zeros((len(old) + len(new), len(old) + len(new)))
-        out[: len(old), : len(old)], out[len(old) :, len(old) :] = old, new
-        return out
-
-    @cached_property
-    def errors(self) -> Array:
-        """Covariance of the simulator's errors before and after, of all values, (n, n).
-
-        What control runs tell, what the materials' scattering does, and the noise of the paths that
-        are weighed: all control runs have the same, so they do not tell it.
-        """
-        result, tracer = self.result, self.known.simulator
-        names = (*result.parameters, *_names(self.match, self.number))
-        controls = self.controls.at(names, self.controls.pairs)
-        walls = self.room.mixture @ self.alpha
-        states = (self.known.own_error, self.known.error(self.after, walls, self.match))
-        groups = np.concatenate([of_groups for of_groups, _ in states], axis=1)
-        noise = noise_of_a_run(tracer, groups)
-        off = groups - groups.mean(axis=0)
-        own = replace(controls, errors=off / np.sqrt(GROUPS - 1), levels=None, models=())
-        slopes = [slope for _, slope in states if slope is not None]
-        told = errors_by_scattering(controls, noise) if slopes else None
-        if told is None or not isinstance(tracer, PathTracing):
-            return controls.without_noise(noise).covariance() + own.covariance()
-        of_materials = MaterialScattering(
-            slope=np.vstack(slopes), traced=np.zeros(slopes[0].shape[1])
-        )
-        at = level(tracer.scattering, tracer.room.areas)
-        of_runs = told.covariance(at, tracer.scattering_model)
-        return of_runs + of_materials.covariance + own.covariance()
-
-    def predicted(self, variant: Variant) -> PositionsPrediction:
-        """Return the prediction, whose ``heard_before`` is its own middle."""
-        result, used = self.result, self.known.used
-        matrix, measured = self.known.matrix, result.measured.covariance
-        whole = result.error_scale * self.errors
-        rows = _Rows((len(self.match), len(self.controls.pairs), result.prior.n_bands))
-        first = len(result.parameters) * len(self.controls.pairs) * result.prior.n_bands
-        before, across, own = (
-            whole[np.ix_(used, used)],
-            whole[first:][:, used],
-            whole[first:, first:],
-        )
-        n_old = matrix.shape[1]
-        prior, (by_alpha, by_areas) = self.prior, self.slopes
-        of_alpha = prior[:, :n_old] @ matrix.T
-        unknown = matrix @ prior[:n_old, :n_old] @ matrix.T + before + measured
-        gain = np.linalg.solve(unknown, (by_alpha @ of_alpha + across).T).T
-
-        heard = self.hear(self.alpha)
-        at_prior = by_alpha[:, :n_old] @ (result.prior.alpha - result.alpha).ravel()
-        shift = at_prior + gain @ self.known.innovation
-        middle = rows.values(heard + shift.reshape(heard.shape))
-
-        by_alpha_left = by_alpha.copy()
-        by_alpha_left[:, :n_old] -= gain @ matrix
-        alike = across @ np.linalg.pinv(before, hermitian=True)
-        old, new = by_alpha_left[:, :n_old], by_alpha_left[:, n_old:]
-        areas = self.room.assumptions.areas * by_areas
-        kept = alike - gain
-        parts = {
-            STAYS: old @ prior[:n_old, :n_old] @ old.T,
-            **self._by_material(new, prior[n_old:, n_old:]),
-            AREAS: areas @ areas.T,
-            COMMON: kept @ before @ kept.T,
-            OWN: own - alike @ across.T,
-            MEASUREMENT: gain @ measured @ gain.T,
-        }
-        posterior = prior - of_alpha @ np.linalg.solve(unknown, of_alpha.T)
-        bend, ends = self._bend(heard, posterior, by_alpha)
-        variance = {name: rows.variances(each) for name, each in parts.items()}
-        total = sum(variance.values(), np.zeros(rows.with_mean))
-        sigma, slope = np.sqrt(np.maximum(total, 0.0)), rows.values(ends)
-        low, high, sampled = _quantiles(middle, sigma, slope, rows.values(bend))
-        means = np.where(total[:, -1] > 0, total[:, -1], 1.0)
-        return PositionsPrediction(
-            name=variant.name,
-            changes=self.room.changes,
-            before=result.prior,
-            simulator=result.simulator,
-            parameters=self.match,
-            pairs=self.controls.pairs,
-            heard_before=middle,
-            middle=np.where(sampled, middle + rows.values(bend), middle),
-            sigma=sigma,
-            low=low,
-            high=high,
-            sampled=sampled,
-            shares={name: each[:, -1] / means for name, each in variance.items()},
-        )
-
-    def _by_material(self, by_new: Array, prior: Array) -> dict[str, Array]:
-        """Return the covariance by each new material's coefficients."""
-        names, n_bands = self.room.materials[self.result.prior.n_materials :], self.alpha.shape[1]
-        found = {}
-        for i, name in enumerate(names):
-            own = slice(i * n_bands, (i + 1) * n_bands)
-            if prior[own, own].any():
-                found[ALPHA.format(name)] = by_new[:, own] @ prior[own, own] @ by_new[:, own].T
-        return found
-
-    def _bend(self, heard: Array, posterior: Array, by_alpha: Array) -> tuple[Array, Array]:
-        """Return curvature and slope of all values along the direction of alpha that matters most.
-
-        Per band it is the one along which T20, as mean over the pairs, spreads most. Values are
-        middle + slope z + curvature z² for a standard normal z; (p, i, k) each.
-        """
-        n_bands = heard.shape[2]
-        row = by_alpha.reshape(*heard.shape, -1, n_bands)[0].mean(axis=0)  # (k, e, l)
-        blocks = posterior.reshape(-1, n_bands, len(self.alpha), n_bands)
-        direction = np.zeros_like(self.alpha)
-        for k in range(n_bands):
-            spread = blocks[:, k, :, k] @ row[k, :, k]
-            size = float(np.sqrt(max(row[k, :, k] @ spread, 0.0)))
-            direction[:, k] = spread / size if size > 0 else 0.0
-        below, above = (self.hear(self.alpha + z * direction) for z in (-_Z, _Z))
-        return (above + below - 2 * heard) / (2 * _Z**2), (above - below) / (2 * _Z)
-
-
-def _by_band(slopes: Array) -> Array:
-    """Return derivatives (p, i, k, m) by alpha of the same band as (p * i * k, m * k)."""
-    full = np.einsum("pikm,kl->pikml", slopes, np.eye(slopes.shape[2]))
-    return np.asarray(full.reshape(slopes[..., 0].size, -1))
-
-
-@dataclass(frozen=True)
-class _Rows:
-    """Values (n_parameters, n_pairs, n_bands), and the mean over the pairs behind them."""
-
-    shape: tuple[int, int, int]
-
-    @property
-    def with_mean(self) -> tuple[int, int, int]:
-        p, i, k = self.shape
-        return p, i + 1, k
-
-    def values(self, values: Array) -> Array:
-        """Return values with their mean over the pairs, (n_parameters, n_pairs + 1, n_bands)."""
-        return np.concatenate([values, values.mean(axis=1, keepdims=True)], axis=1)
-
-    def variances(self, covariance: Array) -> Array:
-        """Return the variances of values and of their mean, of the covariance of all values."""
-        of_mean = np.einsum("pikpjk->pk", covariance.reshape(*self.shape, *self.shape))
-        own = np.diag(covariance).reshape(self.shape)
-        return np.concatenate([own, of_mean[:, np.newaxis] / self.shape[1] ** 2], axis=1)
-
-
-def _quantiles(
-    middle: Array, sigma: Array, slope: Array, bend: Array
-) -> tuple[Array, Array, NDArray[np.bool_]]:
-    """Return the ends of the 90 % intervals, and where they are those of samples."""
-    sampled = np.abs(bend) * _Z**2 > _BENT * sigma
-    low, high = middle - _Z * sigma, middle + _Z * sigma
-    rest = np.sqrt(np.maximum(sigma**2 - slope**2, 0.0))
-    z = ndtri((np.arange(_SAMPLES) + 0.5) / _SAMPLES)
-    other = np.random.default_rng(0).permutation(z)
-    for at in np.argwhere(sampled):
-        a, b, c, d = (each[tuple(at)] for each in (middle, slope, bend, rest))
-        drawn = a + b * z + c * z**2 + d * other
-        low[tuple(at)], high[tuple(at)] = np.quantile(drawn, [(1 - LEVEL) / 2, (1 + LEVEL) / 2])
-    return low, high, sampled

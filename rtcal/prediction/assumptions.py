@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 
 import numpy as np
 
-from rtcal.acoustics.room import Room
 from rtcal.errors import DataError
 from rtcal.support import checks
 from rtcal.support.arguments import checked
@@ -20,7 +19,7 @@ class Assumptions:
     Parameters
     ----------
     volume, areas : float
-        Relative errors of V, and of the area of each material.
+        Relative errors of V, and of the area of each material, where the room states none.
     common : float
         Error of ln T that the equation makes in all states of a room alike. It also stands for
         handbook coefficients that are wrong together: T alone cannot tell the two apart.
@@ -61,12 +60,3 @@ class Assumptions:
                 raise DataError(f"{each.name} = {value:g} is not from 0 to 1")
         if self.band_correlation == 1:
             raise DataError("band_correlation = 1 is not below 1")
-
-    @classmethod
-    def of(cls, room: Room) -> Assumptions:
-        """Return the usual ones, but for what a room states of its volume and areas."""
-        usual = cls()
-        if not room.is_uncertain:
-            return usual
-        areas = float(np.hypot(np.max(room.area_sigma), room.common_area_sigma))
-        return replace(usual, volume=room.volume_sigma or usual.volume, areas=areas or usual.areas)

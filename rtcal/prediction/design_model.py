@@ -96,22 +96,24 @@ class DesignModel:
         """Mean and root of the covariance of a; beta; mean and sd of the independent error."""
         found = estimated_change(self.rooms, self.states)
         n, n_bands = len(self.rooms.materials), len(found.mode)
-        factor = np.exp(found.mode[:, n + 1 : -1])
-        by_volume = self.rooms.log_time(len(self.states), found.mode)[1][:, n]
+        factor = np.exp(found.mode[:, n + 1 : -2])
+        # What is not of the surfaces: ln V, the air's ln m, and the equation's own error.
+        others = [n, -2, -1]
+        by_others = self.rooms.log_time(len(self.states), found.mode)[1][:, others]
         linear = np.zeros((n_bands, n + 1, self.rooms.size))
         linear[:, range(n), range(n)] = factor
         linear[:, range(n), range(n + 1, 2 * n + 1)] = found.mode[:, :n] * factor
-        linear[:, n, n], linear[:, n, -1] = by_volume, 1.0
+        linear[:, n, others] = by_others
         covariance = linear @ found.covariance @ linear.swapaxes(1, 2)
         mean = found.mode[:, :n] * factor
-        offset = found.mode[:, -1] + by_volume * found.mode[:, n]
+        offset = (found.mode[:, others] * by_others).sum(axis=1)
         weights = np.broadcast_to(self.rooms.areas.max(axis=0), (n_bands, n))
         whole = np.sqrt(np.einsum("ki,kij,kj->k", weights, covariance[:, :n, :n], weights))
         for k in np.flatnonzero(near_bounds(self.rooms, found, weights, whole)).tolist():
             # The bounds cut the distribution: its moments are those of samples.
             drawn = samples(self.rooms, found, k, SAMPLES)
-            a = drawn[:, :n] * np.exp(drawn[:, n + 1 : -1])
-            error = drawn[:, -1:] + by_volume[k] * drawn[:, n : n + 1]
+            a = drawn[:, :n] * np.exp(drawn[:, n + 1 : -2])
+            error = drawn[:, others] @ by_others[k][:, np.newaxis]
             mean[k], offset[k] = a.mean(axis=0), error.mean()
             covariance[k] = np.cov(np.hstack([a, error]), rowvar=False)
         of_a = covariance[:, :n, :n]

@@ -252,7 +252,7 @@ def design(
     probability : float
         Of each band, 0.8 to 0.99.
     assumptions : Assumptions, optional
-        By default `Assumptions.of` the room.
+        By default the usual ones.
 
     Raises
     ------
@@ -293,7 +293,7 @@ def design(
         check_treatments(treatments, room),
         target,
         result.equation,
-        assumptions or Assumptions.of(room),
+        assumptions or Assumptions(),
     )
     found = _cheapest(model, probability)
     if found is None:

@@ -1,9 +1,9 @@
 """The most probable coefficients, volume, areas and equation error, from measured states of a room.
 
-Per band, the unknowns are alpha of every material of any state, ln V, ln S_i and g, the error of
-ln T that the equation makes in all states alike. Each measured state gives
+Per band, the unknowns are alpha of every material of any state, ln V, ln S_i, the air's attenuation
+ln m and g, the error of ln T that the equation makes in all states alike. Each measured state gives
 
-    ln T = ln T(alpha, V, S) + g + e,  var e = u_T² / T² + own².
+    ln T = ln T(alpha, V, S, m) + g + e,  var e = u_T² / T² + own².
 
 The estimate is the posterior's mode within 0 <= alpha <= 1, by Gauss-Newton steps; its covariance is
 that of the linear estimate there, without the bounds.
@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 from rtcal.acoustics import bands, fingerprints
 from rtcal.acoustics.equations import LinearEquation
 from rtcal.acoustics.room import Room
+from rtcal.acoustics.room_errors import of_climate
 from rtcal.errors import DataError, ModelError, SolverError
 from rtcal.posterior.density import JointTruncatedNormal
 from rtcal.posterior.sampler import sample
@@ -105,7 +106,7 @@ class State:
 
 @dataclass(frozen=True, eq=False)
 class Rooms:
-    """States of one room on common unknowns: alpha of every material, ln V, ln S of each, and g.
+    """States of one room on common unknowns: alpha of every material, ln V, ln S of each, ln m and g.
 
     Raises DataError if bands differ, or a material's alpha or sigma.
     """
@@ -175,7 +176,27 @@ class Rooms:
     @property
     def size(self) -> int:
         """Number of unknowns per band."""
-        return 2 * len(self.materials) + 2
+        return 2 * len(self.materials) + 3
+
+    @cached_property
+    def area_sigma(self) -> Array:
+        """Relative error of each material's own area, (n_materials,): as stated, or as assumed."""
+        if not any(room.area_sigma.any() or room.common_area_sigma for room in self.rooms):
+            return np.full(len(self.materials), self.assumptions.areas)
+        out = np.zeros(len(self.materials))
+        for room in self.rooms:
+            rows = [self.materials.index(m) for m in room.materials]
+            out[rows] = np.maximum(out[rows], room.area_sigma)
+        return out
+
+    @cached_property
+    def air_sigma(self) -> Array:
+        """Relative error of the air's attenuation by the stated climate's, (n_bands,)."""
+        found = np.zeros(self.rooms[0].n_bands)
+        for room in self.rooms:
+            of_m = np.linalg.norm(of_climate(room, lambda changed: changed.air_attenuation), axis=0)
+            np.maximum(found, of_m / np.where(of_m > 0, room.air_attenuation, 1.0), out=found)
+        return found
 
     @cached_property
     def prior(self) -> tuple[Array, Array]:
@@ -194,8 +215,13 @@ class Rooms:
         stated = max(room.common_alpha_sigma for room in self.rooms)
         together = np.where(sigma > 0, stated * mean[:, :n], 0.0)
         covariance[:, :n, :n] += together[:, :, np.newaxis] * together[:, np.newaxis]
-        further = [assumed.volume, *[assumed.areas] * n, assumed.common]
-        covariance[:, range(n, self.size), range(n, self.size)] = np.square(further)
+        volume = max(room.volume_sigma for room in self.rooms) or assumed.volume
+        covariance[:, n, n] = volume**2
+        areas = slice(n + 1, 2 * n + 1)
+        covariance[:, areas, areas] = np.diag(self.area_sigma**2)
+        covariance[:, areas, areas] += max(room.common_area_sigma for room in self.rooms) ** 2
+        covariance[:, -2, -2] = self.air_sigma**2
+        covariance[:, -1, -1] = assumed.common**2
         return mean, covariance
 
     def log_time(self, state: int, unknowns: Array) -> tuple[Array, Array]:
@@ -204,13 +230,13 @@ class Rooms:
         ``unknowns`` is (..., n_bands, size). ModelError where nothing absorbs, or everything.
         """
         room, n = self.rooms[state], len(self.materials)
-        alpha, s = unknowns[..., :n], unknowns[..., n + 1 : -1]
+        alpha, s = unknowns[..., :n], unknowns[..., n + 1 : -2]
         volume = room.volume * np.exp(unknowns[..., n])
         areas = self.areas[state] * np.exp(s)
         total = areas.sum(axis=-1)
         mean = (areas * alpha).sum(axis=-1) / total
         exponent, slope = self.equation.exponent(mean), self.equation.slope(mean)
-        air = 4 * room.air_attenuation * volume
+        air = 4 * room.air_attenuation * np.exp(unknowns[..., -2]) * volume
         whole = total * exponent + air
         if not (np.isfinite(whole) & np.isfinite(slope) & (whole > 0)).all():
             raise ModelError(
@@ -224,7 +250,8 @@ class Rooms:
         per_area = exponent[..., np.newaxis] + slope[..., np.newaxis] * (
             alpha - mean[..., np.newaxis]
         )
-        gradient[..., n + 1 : -1] = -areas * per_area / w
+        gradient[..., n + 1 : -2] = -areas * per_area / w
+        gradient[..., -2] = -air / whole
         gradient[..., -1] = 1.0
         constant = self.equation.room_constant(room)
         return np.log(constant * volume / whole) + unknowns[..., -1], gradient

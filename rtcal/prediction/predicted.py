@@ -314,7 +314,7 @@ def predict(
     equation : LinearEquation, optional
         `rtcal.Eyring` if not given.
     assumptions : Assumptions, optional
-        By default `Assumptions.of` the room.
+        By default the usual ones.
     name : str
         By default what is changed.
 
@@ -353,7 +353,7 @@ def predict(
         after=after,
         changes=made,
         equation=equation or Eyring(),
-        assumptions=assumptions or Assumptions.of(before),
+        assumptions=assumptions or Assumptions(),
     )
     _ = prediction.linear_mean  # raises where the equation gives no T
     return prediction

@@ -14,14 +14,23 @@ from rtcal.support.types import Array
 ALPHA = 'alpha of "{}"'
 STAYS = "alpha of what stays"
 EQUATION = "the equation"
-SIZES = "volume and areas"
+SIZES = "volume, areas and climate"
 MEASUREMENT = "the measured T"
+ALIKE, CHANGED_ALONE = (
+    "the simulator, alike in both states",
+    "the simulator, in the changed room alone",
+)
+COVERS, PLACES = "the covered areas", "where the cover lies"
 
 _ADVICE = {
     STAYS: "measure T in a second state of the room: it tells what stays from what changes",
     EQUATION: "measure T in a second state of the room: its error shows only between two states",
-    SIZES: "survey the volume and the areas",
+    SIZES: "survey the volume and the areas, and measure the climate if it is uncertain",
     MEASUREMENT: "measure T at more positions",
+    ALIKE: "measure at more positions",
+    CHANGED_ALONE: "measure with the first part of the change: only that tells it",
+    COVERS: "measure the areas that are covered",
+    PLACES: "say where the cover lies: give its place a material of its own in mesh and room",
 }
 _MOST = 0.5
 """Share of the variance from which one part is most of the interval."""

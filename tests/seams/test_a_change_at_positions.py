@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,8 +14,8 @@ from rtcal.acoustics.change_files import Variant
 from rtcal.command.main import cli
 from rtcal.errors import DataError
 from rtcal.loop import PositionsPredictions, predict_positions
-from rtcal.loop.predicted_positions import COMMON, OWN
 from rtcal.prediction import Add, Climate, Cover, Open
+from rtcal.prediction.words import ALIKE, CHANGED_ALONE, PLACES, SIZES
 from rtcal.report import page
 from rtcal.simulators import PathTracing, Polyhedron
 
@@ -121,7 +122,8 @@ def test_parts_add_up_and_the_new_material_is_named(predicted) -> None:
             parts = found.parts(parameter)
             assert sum(parts.values()) == pytest.approx(1.0)
             assert min(float(part.min()) for part in parts.values()) > -1e-6
-            assert {COMMON, OWN} <= set(parts)
+            assert {ALIKE, CHANGED_ALONE, PLACES} <= set(parts)
+            assert parts[PLACES].any() == (found is not predicted.predictions[2])
     shares = predicted.predictions[0].parts("t20")
     assert next(iter(shares)) == 'alpha of "panel"'
     assert 'alpha of "opening"' not in predicted.predictions[1].parts("t20")
@@ -146,6 +148,20 @@ def test_every_observable_has_pairs_mean_and_interval(predicted, tmp_path: Path)
     again = rt.load(tmp_path)
     assert str(again) == str(predicted)
     assert again.to_dict() == predicted.to_dict()
+
+
+@pytest.mark.long
+def test_an_uncertain_room_counts_before_and_after_the_change(result, predicted) -> None:
+    """Its volume is in what was heard, too: calibrating takes out what both states share."""
+    vague = replace(result, prior=result.prior.replace(volume_sigma=0.1))
+    found, exact = predict_positions(vague, [HALF]).predictions[0], predicted.predictions[0]
+    assert SIZES not in exact.parts("t20")
+    assert (found.parts("t20")[SIZES] > 0).all()
+    assert (found.sigma[0, -1] > exact.sigma[0, -1]).all()
+    alone = np.sqrt(found.uncalibrated_sigma[0, -1] ** 2 - exact.uncalibrated_sigma[0, -1] ** 2)
+    assert alone == pytest.approx([0.1, 0.1], rel=0.1)  # without air T is as V
+    shared = np.sqrt(found.sigma[0, -1] ** 2 * found.parts("t20")[SIZES])
+    assert (shared < 0.5 * alone).all()
 
 
 def test_a_change_without_a_place_is_refused(result) -> None:

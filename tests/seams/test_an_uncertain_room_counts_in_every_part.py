@@ -197,3 +197,18 @@ def test_a_prediction_counts_that_the_tables_are_off_together() -> None:
         variance.append(np.einsum("bi,bij,bj->b", gradient, covariance, gradient))
     together = 0.3 * derivatives(exact) @ exact.alpha.ravel()
     np.testing.assert_allclose(variance[1] - variance[0], together**2, rtol=1e-4)
+
+
+@pytest.mark.parametrize("name", list(STATED))
+def test_a_prediction_counts_each_area_of_its_own_and_the_climate(name: str) -> None:
+    """Its T has the variance of what the room states, as positions hear it; nothing else is unknown."""
+    exact = room_of().replace(sigma=np.zeros((3, 2)))
+    uncertain = exact.replace(**{name: STATED[name]})
+    sure = Assumptions(volume=0, areas=0, common=0, own=0)
+    rooms = Rooms([uncertain], SABINE, sure)
+    mean, covariance = rooms.prior
+    gradient = rooms.log_time(0, mean)[1]
+    variance = np.einsum("bi,bij,bj->b", gradient, covariance, gradient)
+    expected = heard_changes(uncertain, derivatives(exact), np.zeros(2, dtype=bool))
+    np.testing.assert_allclose(variance, (expected**2).sum(axis=0), rtol=0.03)
+    assert (variance > 0).all()

@@ -13,10 +13,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rtcal.finder.positions import polygons
-from rtcal.finder.positions.polygons import Plane
 from rtcal.finder.positions.surfaces import Faces
+from rtcal.simulators import polygons
 from rtcal.simulators.geometry import WELD, Polyhedron
+from rtcal.simulators.polygons import Plane
 from rtcal.support.types import Array
 
 LONG = 2.0
