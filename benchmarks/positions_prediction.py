@@ -266,7 +266,7 @@ def main() -> None:
             continue
         print(f"room {index}: {time.process_time() - start:.0f} s of processor time", flush=True)
         if stated.rows:
-            rows = [{k: v.round(4).tolist() for k, v in row.items()} for row in kept[index]]
+            rows = [{k: (1.0 * v).round(4).tolist() for k, v in row.items()} for row in kept[index]]
             with stated.rows[0].open("a") as file:
                 file.write(json.dumps({"room": index, "changes": rows}) + "\n")
     tell([row for _, rows in sorted(kept.items()) for row in rows])

@@ -382,7 +382,7 @@ def random_design(index: int) -> tuple[DesignModel, float]:
     nothing = Target(np.full(6, np.nan), t)
     model = DesignModel((state,), room, treatments, nothing, rt.Eyring(), assumed)
     some = np.array([tr.largest for tr in treatments]) * rng.uniform(0.2, 0.8, 2)
-    middle = np.exp(predict([state], model.room_with(some), assumptions=assumed).linear_mean)
+    middle = np.exp(model.prediction(some).linear_mean)
     wide = rng.uniform(0.15, 0.35)
     target = Target(middle / (1 + wide), middle * (1 + wide))
     return replace(model, target=target), float(rng.uniform(0.8, 0.95))

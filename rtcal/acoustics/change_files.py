@@ -34,14 +34,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from rtcal.acoustics import room_files
-from rtcal.acoustics.changes import OPENING, Add, Change, Climate, Cover, NewVolume, Open, Remove
+from rtcal.acoustics.changes import (
+    OPENING,
+    Add,
+    Change,
+    Climate,
+    Cover,
+    NewVolume,
+    Open,
+    Remove,
+    changed,
+)
 from rtcal.acoustics.materials import Material
 from rtcal.acoustics.room import Room
 from rtcal.acoustics.targets import Target, target_of
@@ -93,8 +103,8 @@ def read_variants(
     Raises
     ------
     DataError
-        For an unknown key, a value that breaks a rule, a material that is nowhere stated, or a name
-        that is given twice.
+        For an unknown key, a value that breaks a rule, a material that is nowhere stated, a name that
+        is given twice, or a change that the room does not allow.
 
     Examples
     --------
@@ -118,14 +128,24 @@ def read_variants(
         made = tuple(
             _change(f"{place}, {where}", each, room, new) for where, each in tables(entry, "change")
         )
+        try:
+            changed(room, made)
+        except DataError as error:
+            raise DataError(f"{place}, {error}") from error
         name = entry.text("name", "; ".join(map(str, made)))
-        if name in [variant.name for variant in variants]:
-            raise DataError(f'variant "{name}" is given twice')
         cost = entry.number("cost") if "cost" in entry else None
         variants.append(Variant(name, made, cost))
     if not variants:
         raise DataError("no [[variant]]; the file has at least one")
+    refuse_repeated_names(variants)
     return tuple(variants)
+
+
+def refuse_repeated_names(variants: Sequence[Variant]) -> None:
+    """Raise DataError if two variants have one name."""
+    names = [variant.name for variant in variants]
+    if twice := next((name for name in names if names.count(name) > 1), None):
+        raise DataError(f'variants has "{twice}" twice; each has a name of its own')
 
 
 def read_target(content: str, room: Room) -> Target | None:

@@ -104,8 +104,8 @@ class Add(Change):
         most = MOST_ADDED * room.total_area
         if checks.positive("area", self.area, " m²") > most:
             raise DataError(
-                f'add "{_name(self.material)}": area = {self.area:g} m² is more than {most:g} m², '
-                f"{MOST_ADDED:g} times the room's surface"
+                f"area = {self.area:g} m² is more than {most:g} m², {MOST_ADDED:g} times the room's "
+                "surface"
             )
         name = _name(self.material)
         error = _area_sigma(room, name) if name in room.materials else 0.0
@@ -143,7 +143,7 @@ class Remove(Change):
         """Return the room without it."""
         left = _with_less(room, self.material, _taken(room, self.material, self.area))
         if left is None:
-            raise DataError(f'remove "{self.material}": the room would have no surface')
+            raise DataError("the room would have no surface")
         return left
 
     def __str__(self) -> str:
@@ -255,7 +255,10 @@ def changed(room: Room, changes: Change | Sequence[Change]) -> Room:
     for change in listed:
         if not isinstance(change, Change):
             raise DataError(f"change = {checks.shown(change)} is not a rtcal Change")
-        after = change.apply(after)
+        try:
+            after = change.apply(after)
+        except DataError as error:
+            raise DataError(f"{change}: {error}") from error
     return after
 
 

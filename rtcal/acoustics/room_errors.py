@@ -1,4 +1,6 @@
-"""Errors of a room's volume, areas and climate, as absorption area that T asks for.
+"""Errors that a room states: the covariance of its coefficients, and its volume, areas and climate.
+
+Those of volume, areas and climate are absorption area that T asks for.
 
 With the stated volume V and areas S the equation asks a measured T for b. The true room is a little
 different, so that S'alpha of the true coefficients differs from b. To first order the difference is a
@@ -8,12 +10,13 @@ share these sizes, which is why several bands tell them from errors of the coeff
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from rtcal.acoustics import bands
 from rtcal.acoustics.equations import LinearEquation
 from rtcal.acoustics.room import Room
 from rtcal.support.types import Array
@@ -41,6 +44,50 @@ def in_words(room: Room) -> str:
         (room.common_alpha_sigma, f"coefficients together {100 * room.common_alpha_sigma:.3g} %"),
     )
     return ", ".join(words for value, words in stated if value)
+
+
+def alpha_covariance(mean: Array, sigma: Array, correlation: Array, common: float) -> Array:
+    """Return the covariance of coefficients, (..., n, n): sigma R sigma + t² mu mu'.
+
+    Parameters
+    ----------
+    mean, sigma : array (..., n)
+        A coefficient with sigma 0 is exact.
+    correlation : array (n, n)
+        R.
+    common : float
+        t, by which all coefficients may be off together.
+    """
+    together = np.where(sigma > 0, common * mean, 0.0)
+    own = sigma[..., np.newaxis] * correlation * sigma[..., np.newaxis, :]
+    return np.asarray(own + together[..., np.newaxis] * together[..., np.newaxis, :])
+
+
+def between_materials(materials: Sequence[str], rooms: Iterable[Room]) -> Array:
+    """Return the correlation of materials that rooms state, (n_materials, n_materials)."""
+    out = np.eye(len(materials))
+    for room in rooms:
+        for (a, b), r in room.material_correlation.items():
+            i, j = materials.index(a), materials.index(b)
+            out[i, j] = out[j, i] = r
+    return out
+
+
+def prior_covariance(room: Room) -> Array:
+    """Return the covariance of a room's prior, (n_materials * n_bands,) squared.
+
+    Examples
+    --------
+    >>> import rtcal as rt
+    >>> room = rt.Room(name="box", volume=60, materials=["all"], areas=[94], alpha=[[0.2]],
+    ...                sigma=[[0.05]], centre_frequencies=[1000], common_alpha_sigma=0.1)
+    >>> prior_covariance(room).round(4)  # 0.05² + (0.1 x 0.2)²
+    array([[0.0029]])
+    """
+    of_bands = bands.correlation(room.centre_frequencies, room.band_correlation)
+    correlation = np.asarray(np.kron(between_materials(room.materials, [room]), of_bands), float)
+    mean, sigma = room.alpha.ravel(), room.sigma.ravel()
+    return alpha_covariance(mean, sigma, correlation, room.common_alpha_sigma)
 
 
 def target_changes(equation: LinearEquation, room: Room, t: Array) -> Array:

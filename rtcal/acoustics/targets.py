@@ -4,7 +4,9 @@ The standards were not at hand: their numbers are as secondary sources give them
 were compared with two public ones. T of A1 to A3 stands on a manufacturer's page (setaplast.de, of the
 edition of 2004), all volumes and the range by band in a program for its limits (Raumakustik-CAD by
 redbluee). That program's constants of A2 to A5 have the other sign, with which T of speech would be
-longer than on that page. ISO and ISO/TR have no numbers here: no public source was found.
+longer than on that page. Those of ANSI/ASA S12.60 are alike on pages of three firms (larsondavis.com,
+armstrongceilings.com, robertandersongroup.com). ISO and ISO/TR have no numbers here: no public source
+was found.
 """
 
 from __future__ import annotations
@@ -14,12 +16,14 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rtcal.acoustics import bands
 from rtcal.errors import DataError
 from rtcal.support import checks
 from rtcal.support.arguments import checked
 from rtcal.support.decode import Entries
+from rtcal.support.files import json_numbers
 from rtcal.support.types import Array
 
 
@@ -108,9 +112,14 @@ class Target:
         object.__setattr__(self, "high", high)
 
     @property
-    def bounded(self) -> Any:
+    def bounded(self) -> NDArray[np.bool_]:
         """Which bands have a range, (n_bands,) of bool."""
-        return np.isfinite(self.low) | np.isfinite(self.high)
+        return np.asarray(np.isfinite(self.low) | np.isfinite(self.high))
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the ends in s and their source as plain numbers and text."""
+        ends = {"low": json_numbers(self.low), "high": json_numbers(self.high)}
+        return {**ends, "source": self.source}
 
     def widened(self, factor: float) -> Target:
         """Return the range with both ends moved outwards by a factor of T, to 100 s at most."""

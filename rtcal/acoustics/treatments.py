@@ -25,6 +25,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -36,7 +37,7 @@ from rtcal.acoustics.change_files import (
     stated_target,
     tables,
 )
-from rtcal.acoustics.changes import Add, Change, Cover
+from rtcal.acoustics.changes import MOST_ADDED, Add, Change, Cover
 from rtcal.acoustics.materials import Material
 from rtcal.acoustics.room import Room
 from rtcal.acoustics.targets import Target
@@ -154,3 +155,22 @@ def read_treatments(
             )
         )
     return tuple(treatments), target, file.number("probability", LEAST)
+
+
+def check_treatments(treatments: Sequence[Treatment], room: Room) -> tuple[Treatment, ...]:
+    """Return the treatments; DataError if there are none, two of a name, or one that does not fit."""
+    listed = tuple(treatments)
+    if not listed:
+        raise DataError("treatments is empty; there is at least one")
+    names = [t.name for t in listed]
+    if repeated := sorted({n for n in names if names.count(n) > 1}):
+        raise DataError(f'treatments has "{repeated[0]}" twice')
+    for treatment in listed:
+        if treatment.covers is not None:
+            room.material_index(treatment.covers)
+        elif treatment.largest > (most := MOST_ADDED * room.total_area):
+            raise DataError(
+                f'treatment "{treatment.name}": largest = {treatment.largest:g} m² is more than '
+                f"{most:g} m², {MOST_ADDED:g} times the room's surface"
+            )
+    return listed

@@ -10,6 +10,7 @@ import numpy as np
 
 from rtcal.acoustics import bands
 from rtcal.acoustics.room import Room
+from rtcal.acoustics.states import refuse_other_priors
 from rtcal.errors import DataError
 from rtcal.support.text import shortened
 from rtcal.support.types import Array
@@ -69,9 +70,7 @@ class Configurations:
             raise DataError(f"{len(names)} names for {len(rooms)} configurations")
         object.__setattr__(self, "rooms", rooms)
         object.__setattr__(self, "names", names)
-        for name, room in zip(names, rooms, strict=True):
-            if not np.array_equal(room.centre_frequencies, rooms[0].centre_frequencies):
-                raise DataError(f'configuration "{name}" has other bands than "{names[0]}"')
+        refuse_other_priors(rooms, [f'configuration "{name}"' for name in names])
         if len(rooms) > 1:
             self._compare_priors()
 
@@ -99,17 +98,6 @@ class Configurations:
                         f'configuration "{name}": material_correlation["{a}", "{b}"] = {stated:g}, but '
                         f"another configuration says {value:g}"
                     )
-            for i, material in enumerate(room.materials):
-                first = next(r for r in self.rooms if material in r.materials)
-                j = first.materials.index(material)
-                for name_of in ("alpha", "sigma"):
-                    values, first_values = getattr(room, name_of)[i], getattr(first, name_of)[j]
-                    if not np.array_equal(values, first_values):
-                        k = int(np.flatnonzero(values != first_values)[0])
-                        raise DataError(
-                            f'configuration "{name}": {room.place(name_of, i, k)} = {values[k]:g}, but '
-                            f'"{first.name}" says {first_values[k]:g}; a shared material has one prior'
-                        )
 
     def _pairs(self) -> dict[tuple[str, str], float]:
         """The correlations of two materials, from all configurations."""

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtcal.acoustics.equations import LinearEquation
+from rtcal.acoustics.states import State
 from rtcal.calibration import record
 from rtcal.calibration.certificate import Certificate
 from rtcal.calibration.configurations import Configurations
@@ -33,7 +34,6 @@ from rtcal.calibration.uncertainty import (
 from rtcal.errors import ModelError
 from rtcal.posterior.density import CoupledBands, IndependentBands
 from rtcal.posterior.sensitivities import Optimality
-from rtcal.prediction.estimate import State
 from rtcal.support.types import Array
 
 

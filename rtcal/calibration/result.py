@@ -16,6 +16,7 @@ from rtcal.acoustics.common_errors import of_absorption
 from rtcal.acoustics.equations import LinearEquation
 from rtcal.acoustics.quality import Plausibility, gap_jnd, plausibility
 from rtcal.acoustics.room import CalibrationRecord, Room
+from rtcal.acoustics.states import State
 from rtcal.acoustics.trust import TrustMark, trust_marks
 from rtcal.calibration import record
 from rtcal.calibration.certificate import Certificate
@@ -30,7 +31,6 @@ from rtcal.posterior.density import CoupledBands, IndependentBands
 from rtcal.posterior.distributions import exact_interval
 from rtcal.posterior.sensitivities import Optimality
 from rtcal.prediction.assumptions import Assumptions
-from rtcal.prediction.estimate import State
 from rtcal.prediction.predicted import Prediction, predict
 from rtcal.support.files import json_numbers
 from rtcal.support.results import Result

@@ -24,9 +24,10 @@ from rtcal.errors import DataError
 from rtcal.support.files import read_text
 
 if TYPE_CHECKING:
+    from rtcal.acoustics.measurement import Measurement
     from rtcal.acoustics.room import Room
+    from rtcal.acoustics.states import State
     from rtcal.loop.positions_result import PositionsResult
-    from rtcal.prediction.estimate import State
     from rtcal.support.results import Result
 
 MAX_BYTES = 2**18
@@ -120,6 +121,8 @@ def predict(
     Example: rtcal predict room.toml t20.csv --change variants.toml
     """
     from rtcal.acoustics.change_files import read_target, read_variants
+    from rtcal.acoustics.measurement import Measurement
+    from rtcal.acoustics.room import Room
     from rtcal.datasets import catalogue
     from rtcal.loop.control_runs import RUNS
     from rtcal.loop.predicted_positions import predict_positions
@@ -127,72 +130,77 @@ def predict(
     from rtcal.support.progress import bar
 
     output_folder("--out", out)
-    result = None if means else calibrated_to_positions(room, measured, paths, quiet=quiet)
-    if result is not None:
-        if also:
-            raise DataError("--also takes T by an equation; add --means")
-        changes = read_changes(
-            change, lambda text: read_variants(text, result.prior, catalogue.material)
-        )
-        with bar(RUNS, "control run", bar_wanted(quiet), said(quiet)) as shown:
-            at_positions = predict_positions(
-                result,
-                changes,
-                position_uncertainty=result.prior.scene.position_uncertainty,
-                progress=lambda done, total: shown.update(1),
-            )
-        told(at_positions, out, quiet=quiet, as_json=as_json)
-        return
-    before, states = measured_states(room, measured, also)
+    # What the file of variants states is checked before anything is calibrated.
+    fitted = fitted_folder(room, measured)
+    before = Room.from_file(room) if fitted is None else fitted.prior
     variants = read_changes(change, lambda text: read_variants(text, before, catalogue.material))
-    told(
-        compare(
-            states,
+    target = read_changes(change, lambda text: read_target(text, before))
+    known: PositionsResult | Measurement | None = fitted
+    if measured is not None and not means:
+        known = heard_at_positions(before, measured)
+    if known is None or means:
+        before, states = measured_states(room, measured, also)
+        found = compare(states, variants, before=before, equation=equation, target=target)
+        told(found, out, quiet=quiet, as_json=as_json)
+        return
+    if also or target is not None:
+        stated = "--also" if also else f"{change}: a target"
+        raise DataError(f"{stated} takes T by an equation; add --means")
+    if isinstance(known, Measurement):
+        known = calibrated_to_positions(Path(room), before, known, paths, quiet=quiet)
+    with bar(RUNS, "control run", bar_wanted(quiet), said(quiet)) as shown:
+        at_positions = predict_positions(
+            known,
             variants,
-            before=before,
-            equation=equation,
-            target=read_changes(change, lambda text: read_target(text, before)),
-        ),
-        out,
-        quiet=quiet,
-        as_json=as_json,
-    )
+            position_uncertainty=before.scene.position_uncertainty,
+            progress=lambda done, total: shown.update(1),
+        )
+    told(at_positions, out, quiet=quiet, as_json=as_json)
+
+
+def fitted_folder(room: str, measured: str | None) -> PositionsResult | None:
+    """Return the calibration of an `rtcal fit` folder; None for a room's file."""
+    from rtcal.loop.positions_result import PositionsResult
+    from rtcal.support.results import load
+
+    if not Path(room).is_dir():
+        return None
+    if measured is not None:
+        raise DataError(f"{room} is a folder; give the room (TOML) that was calibrated and its T")
+    result = load(room)
+    if not isinstance(result, PositionsResult):
+        raise DataError(f"{room} is no folder of `rtcal fit`; give the room (TOML) and its T")
+    return result
+
+
+def heard_at_positions(room: Room, measured: str) -> Measurement | None:
+    """Return what was measured at the room's positions; None where either has none."""
+    from rtcal.acoustics.measurement import Measurement
+
+    heard, scene = Measurement.from_file(measured), room.scene
+    if not (scene.mesh or room.dimensions is not None) or heard.is_summary:
+        return None
+    placed = any(s in scene.sources and r in scene.receivers for s, r in heard.pairs)
+    return heard if placed else None
 
 
 def calibrated_to_positions(
-    room: str, measured: str | None, paths: int, *, quiet: bool
-) -> PositionsResult | None:
-    """Return the calibration to every position; None where room or measurement have no positions."""
-    from rtcal.acoustics.measurement import Measurement
-    from rtcal.acoustics.room import Room
+    file: Path, room: Room, heard: Measurement, paths: int, *, quiet: bool
+) -> PositionsResult:
+    """Return the calibration to every position."""
     from rtcal.finder.means.bootstrap import FOLDER
     from rtcal.io import geometry_files
     from rtcal.loop.control_runs import RUNS
     from rtcal.loop.positions import calibrate_positions
-    from rtcal.loop.positions_result import PositionsResult
     from rtcal.support.progress import bar
-    from rtcal.support.results import load
 
-    if Path(room).is_dir() and measured is None:
-        result = load(room)
-        if not isinstance(result, PositionsResult):
-            raise DataError(f"{room} is no folder of `rtcal fit`; give the room (TOML) and its T")
-        return result
-    if measured is None or Path(room).is_dir():
-        return None
-    stated, heard = Room.from_file(room), Measurement.from_file(measured)
-    scene = stated.scene
-    if not (scene.mesh or stated.dimensions is not None) or heard.is_summary:
-        return None
-    if not any(s in scene.sources and r in scene.receivers for s, r in heard.pairs):
-        return None
     with without_air_warning(), bar(RUNS, "control run", bar_wanted(quiet), said(quiet)) as shown:
         return calibrate_positions(
-            geometry_files.path_tracing(stated, n_paths=paths),
-            stated,
+            geometry_files.path_tracing(room, n_paths=paths),
+            room,
             heard,
-            cache=Path(room).parent / FOLDER,
-            position_uncertainty=scene.position_uncertainty,
+            cache=file.parent / FOLDER,
+            position_uncertainty=room.scene.position_uncertainty,
             progress=lambda done, total: shown.update(1),
         )
 
@@ -203,8 +211,8 @@ def measured_states(
     """Return the room, and its measured states: none, one or several."""
     from rtcal.acoustics.measurement import Measurement
     from rtcal.acoustics.room import Room
+    from rtcal.acoustics.states import State
     from rtcal.calibration.measured import times_in_room
-    from rtcal.prediction.estimate import State
 
     def state(stated: Room, path: str) -> State:
         times = times_in_room(stated, Measurement.from_file(path))

@@ -33,7 +33,7 @@ from rtcal.loop.changed_room import ChangedRoom
 from rtcal.loop.control_runs import ControlRuns, level
 from rtcal.loop.measured_pairs import MeasuredPairs
 from rtcal.loop.places import Pieces
-from rtcal.loop.positions_prediction import PositionsPrediction
+from rtcal.loop.positions_prediction import PositionsPrediction, Z
 from rtcal.loop.scattering import (
     MaterialScattering,
     Scattering,
@@ -48,7 +48,6 @@ from rtcal.simulators.observations import jacobian, observe
 from rtcal.simulators.path_tracing import PathTracing
 from rtcal.support.types import Array
 
-_Z = float(ndtri((1 + LEVEL) / 2))
 _SAMPLES = 2000
 _BENT = 0.1
 """Departure from a straight line at the interval's ends, in standard deviations, from which the
@@ -294,7 +293,7 @@ class Changed:
         of_alpha = prior[:, :n_old] @ matrix.T
         unknown = matrix @ of_alpha[:n_old] + by_room.T @ by_room + before + measured
         told = by_alpha @ of_alpha + self.by_room.T @ by_room + across
-        gain: Array = np.linalg.solve(unknown, told.T).T
+        gain = np.asarray(np.linalg.solve(unknown, told.T).T, dtype=np.float64)
 
         heard = self.hear(self.alpha)
         at_prior = by_alpha[:, :n_old] @ (result.prior.alpha - result.alpha).ravel()
@@ -374,8 +373,8 @@ class Changed:
             spread = blocks[:, k, :, k] @ row[k, :, k]
             size = float(np.sqrt(max(row[k, :, k] @ spread, 0.0)))
             direction[:, k] = spread / size if size > 0 else 0.0
-        below, above = (self.hear(self.alpha + z * direction) for z in (-_Z, _Z))
-        return (above + below - 2 * heard) / (2 * _Z**2), (above - below) / (2 * _Z)
+        below, above = (self.hear(self.alpha + z * direction) for z in (-Z, Z))
+        return (above + below - 2 * heard) / (2 * Z**2), (above - below) / (2 * Z)
 
 
 def _of_level(
@@ -417,8 +416,8 @@ def _quantiles(
     middle: Array, sigma: Array, slope: Array, bend: Array
 ) -> tuple[Array, Array, NDArray[np.bool_]]:
     """Return the ends of the 90 % intervals, and where they are those of samples."""
-    sampled = np.abs(bend) * _Z**2 > _BENT * sigma
-    low, high = middle - _Z * sigma, middle + _Z * sigma
+    sampled = np.abs(bend) * Z**2 > _BENT * sigma
+    low, high = middle - Z * sigma, middle + Z * sigma
     rest = np.sqrt(np.maximum(sigma**2 - slope**2, 0.0))
     z = ndtri((np.arange(_SAMPLES) + 0.5) / _SAMPLES)
     other = np.random.default_rng(0).permutation(z)

@@ -49,6 +49,7 @@ class ChangedRoom:
                     f"{change}: a simulator does not know where; state the changed room's own mesh, or "
                     "predict T by an equation"
                 )
+        _ = self._mixed  # raises where the room does not allow a change
 
     @cached_property
     def after(self) -> Room:

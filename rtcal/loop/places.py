@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from rtcal.acoustics.room import Room
 from rtcal.simulators import polygons
-from rtcal.simulators.geometry import Polyhedron
+from rtcal.simulators.geometry import WELD, Polyhedron
 from rtcal.simulators.observations import observe
 from rtcal.simulators.path_tracing import PathTracing
 from rtcal.simulators.polygons import Plane
@@ -26,6 +26,8 @@ from rtcal.support.types import Array
 
 _FLAT = 0.05
 """Extent of a surface along an axis, over its largest, below which it has no ends along it."""
+_TILT = (0.1, 0.03)
+"""By how much the axes of a surface of several planes are tilted towards each other."""
 _HALVINGS = 40
 """Of the interval that holds the edge of a cover: to the last digit."""
 
@@ -131,8 +133,12 @@ def _ends(geometry: Polyhedron, owner: NDArray[np.int64], moved: Array) -> list[
     plane = Plane.of(geometry, faces.tolist())
     axes = [plane.along, plane.across, geometry.normals[faces[0]]]
     size = [float(np.ptp(corners @ axis)) for axis in axes]
+    axes = [axis for axis, of in zip(axes, size, strict=True) if of > _FLAT * max(size)]
+    if len(axes) > 2:
+        # A wall across an axis is filled from one of its sides, not at once.
+        axes = [a + _TILT[0] * axes[i - 1] + _TILT[1] * axes[i - 2] for i, a in enumerate(axes)]
     found = []
-    for axis in (a for a, of in zip(axes, size, strict=True) if of > _FLAT * max(size)):
+    for axis in axes:
         for along in (axis, -axis):
             first, last = float((corners @ along).min()), float((corners @ along).max())
             for _ in range(_HALVINGS):
@@ -149,6 +155,13 @@ def _cut(geometry: Polyhedron, face: int, sides: Sequence[HalfSpace]) -> list[Ar
         return [geometry.vertices[list(geometry.faces[face])]]
     pieces = polygons.convex_parts(geometry, face)
     for along, offset in sides:
-        both = [piece for whole in pieces for piece in polygons.cut(whole, along, offset)]
+        both = [
+            piece
+            for whole in pieces
+            # What lies in the edge's own plane is on one side of it.
+            for piece in (
+                polygons.cut(whole, along, offset) if np.ptp(whole @ along) > WELD else [whole]
+            )
+        ]
         pieces = [piece for piece in both if polygons.is_face(piece)]
     return pieces

@@ -16,14 +16,13 @@ from typing import overload
 
 import numpy as np
 
-from rtcal.acoustics import bands
 from rtcal.acoustics.band_conversion import measurement_in_room_bands
 from rtcal.acoustics.materials import CalibrationRecord
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.observables import MATCH, REVERBERATION, TARGET
 from rtcal.acoustics.parameters import parameter_label
 from rtcal.acoustics.room import Room
-from rtcal.acoustics.room_errors import in_words
+from rtcal.acoustics.room_errors import in_words, prior_covariance
 from rtcal.acoustics.scene import POSITION, checked_uncertainty
 from rtcal.calibration.nonlinear import Steps
 from rtcal.calibration.problem import Calibration
@@ -225,19 +224,6 @@ def calibrate_positions(
         settled=path.settled,
         notes=(*notes, *data.notes, *base.lost_paths(simulator)),
     )
-
-
-def prior_covariance(room: Room) -> Array:
-    """Return the covariance of the room's prior, (n_materials * n_bands,) squared."""
-    between = np.eye(room.n_materials)
-    for (a, b), r in room.material_correlation.items():
-        i, j = room.material_index(a), room.material_index(b)
-        between[i, j] = between[j, i] = r
-    of_bands = bands.correlation(room.centre_frequencies, room.band_correlation)
-    sigma = room.sigma.ravel()
-    together = np.where(sigma > 0, room.common_alpha_sigma * room.alpha.ravel(), 0.0)
-    own = sigma[:, np.newaxis] * np.kron(between, of_bands) * sigma
-    return np.asarray(own + np.outer(together, together))
 
 
 def _predicted(listener: Listener, error: Array | None, pull: Array) -> Observations:

@@ -7,6 +7,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import ndtri
 
 from rtcal.acoustics import bands
 from rtcal.acoustics.changes import Change
@@ -14,11 +15,16 @@ from rtcal.acoustics.observables import observable
 from rtcal.acoustics.parameters import parameter_label
 from rtcal.acoustics.room import Room
 from rtcal.errors import DataError
+from rtcal.prediction import words
+from rtcal.prediction.predicted import LEVEL
 from rtcal.support import text
 from rtcal.support.files import json_numbers
 from rtcal.support.results import Result
 from rtcal.support.text import shortened
 from rtcal.support.types import Array
+
+Z = float(ndtri((1 + LEVEL) / 2))
+"""Half of a normal interval, in standard deviations."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -60,7 +66,8 @@ class PositionsPrediction(Result):
     ...     name="window", changes=(Open("plaster", 2.0),), before=room, simulator="a simulator",
     ...     parameters=("t20",), pairs=(("S1", "R1"),), heard_before=t + 0.1, middle=t,
     ...     sigma=0 * t + 0.05, uncalibrated_sigma=0 * t + 0.2,
-    ...     low=t - 0.08, high=t + 0.08, sampled=t > 1, shares={})
+    ...     low=t - 0.08, high=t + 0.08, sampled=t > 1,
+    ...     shares={"alpha of what stays": np.ones((1, 1))})
     >>> found.mean("t20"), found.change("t20")[-1].round(2)
     (array([0.5]), array([-2.05]))
     """
@@ -128,6 +135,13 @@ class PositionsPrediction(Result):
         found = {name: share[row] for name, share in self.shares.items()}
         return dict(sorted(found.items(), key=lambda each: -float(each[1].mean())))
 
+    @property
+    def sentences(self) -> list[str]:
+        """What the interval of the first parameter rests on, and what to measure next."""
+        first = self.parameters[0]
+        without = self._in_jnd(first, Z * self.uncalibrated_sigma)[-1]
+        return words.sentences(self.parts(first), self.half_width(first)[-1], without, 1)
+
     def to_dict(self) -> dict[str, Any]:
         """Return everything as plain numbers, lists and text."""
         return {
@@ -137,6 +151,7 @@ class PositionsPrediction(Result):
             "simulator": self.simulator,
             "centre_frequencies": json_numbers(self.before.centre_frequencies),
             "pairs": [list(pair) for pair in self.pairs],
+            "sentences": self.sentences,
             "parameters": {
                 p: {
                     "unit": observable(p).unit,
@@ -193,6 +208,8 @@ class PositionsPrediction(Result):
                 f"what the interval of {parameter_label(self.parameters[0])} is made of / % of the "
                 "variance",
                 *text.table(made_of, header=("", labels)),
+                "",
+                *(line for sentence in self.sentences for line in text.wrapped(sentence)),
             ]
         )
 

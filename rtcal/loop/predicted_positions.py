@@ -7,18 +7,17 @@ from dataclasses import replace
 
 import numpy as np
 
-from rtcal.acoustics.change_files import Variant
+from rtcal.acoustics.change_files import Variant, refuse_repeated_names
 from rtcal.acoustics.observables import MATCH, OBSERVABLES, TARGET
-from rtcal.acoustics.scene import POSITION
+from rtcal.acoustics.scene import POSITION, checked_uncertainty
 from rtcal.errors import DataError
 from rtcal.loop.change_at_positions import CalibratedAtPositions, Changed, Known
 from rtcal.loop.changed_room import ChangedRoom
 from rtcal.loop.control_runs import Heard, simulated_controls
 from rtcal.loop.positions_prediction import PositionsPredictions
 from rtcal.prediction.assumptions import Assumptions
-from rtcal.prediction.compared import refuse_repeated_names
 from rtcal.simulators.base import Simulator
-from rtcal.simulators.observations import observe
+from rtcal.simulators.observations import checked_parameters, observe
 from rtcal.simulators.path_tracing import PathTracing
 from rtcal.support.progress import Progress
 from rtcal.support.types import Array
@@ -88,7 +87,10 @@ def predict_positions(
     every = (Variant(_BEFORE, ()), *variants)
     rooms = [ChangedRoom(result.prior, tuple(v.changes), assumed) for v in every]
     simulator, seed = result.weighed, result.seed
-    match = tuple(dict.fromkeys([TARGET.key, *wanted]))
+    for room in rooms:
+        room.simulator(simulator)  # raises where it cannot take the change, before anything is run
+    match = tuple(dict.fromkeys([TARGET.key, *checked_parameters(wanted)]))
+    checked_uncertainty(position_uncertainty)
     if isinstance(simulator, PathTracing):
         match = simulator.trusted(match)
 

@@ -10,6 +10,7 @@ from rtcal.support.types import Array
 
 POINTS = 801
 """Points of each density; an odd number for Simpson's rule."""
+_DRAWS = 100_000
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,3 +43,19 @@ def integrated(t: Array, density: Array) -> Marginals:
     cumulative = np.cumsum(np.maximum(cells, 0.0), axis=1)
     cumulative = np.concatenate([np.zeros((len(t), 1)), cumulative], axis=1)
     return Marginals(t, cumulative / cumulative[:, -1:], mean, np.diag(variance))
+
+
+def probability_within(below: Array, above: Array, correlation: Array) -> float:
+    """Return the probability that standard normal errors are all within limits, (n,) each.
+
+    Of 100,000 draws: its error is at most 0.0016.
+
+    Examples
+    --------
+    >>> limit = np.full(2, 1.645)
+    >>> round(probability_within(-limit, limit, np.eye(2)), 2)
+    0.81
+    """
+    root = np.linalg.cholesky(correlation)
+    drawn = np.random.default_rng(0).standard_normal((_DRAWS, len(root))) @ root.T
+    return float(((drawn >= below) & (drawn <= above)).all(axis=1).mean())

@@ -33,6 +33,10 @@ It is ten times the tolerance of the linear program that computes the range."""
 _UNREACHED = 100.0
 """Distance in standard deviations beyond which walls are ignored. The mass of a log-concave density
 beyond it is at most exp(-49), even if the standard deviation is underestimated twofold."""
+_DRAWS = 8
+"""Number of plain draws per sample, before a chain is asked."""
+_EXACT = 1e-12
+"""Standard deviation up to which an unknown is known."""
 _LEAST = 1e-300
 """Positive number in place of a distance of 0, to avoid divisions by 0."""
 _FAR = 25.0
@@ -93,6 +97,57 @@ def sample(density: JointTruncatedNormal, n_samples: int, seed: int) -> Samples:
     effective[free] = _effective(values) * n_samples / len(out)
     # Rounding may leave a sample beyond its bound.
     return Samples(np.clip(out, density.lower, density.upper)[:n_samples], effective)
+
+
+def samples_of_normal(
+    mean: Array,
+    covariance: Array,
+    bounds: tuple[Array, Array],
+    inside: Array,
+    number: int,
+    seed: int,
+) -> Array:
+    """Return samples of a normal distribution within bounds, (number, size).
+
+    Draws that keep the bounds; those of `sample` where few do.
+
+    Parameters
+    ----------
+    mean, covariance : array (size,), (size, size)
+        Without the bounds.
+    bounds : (lower, upper)
+        (size,) each.
+    inside : array (size,)
+        A probable point within them, from which `sample` starts.
+    number, seed : int
+    """
+    lower, upper = bounds
+    value, vector = np.linalg.eigh(covariance)
+    root = vector * np.sqrt(np.maximum(value, 0))
+    drawn = np.random.default_rng(seed).standard_normal((_DRAWS * number, len(mean)))
+    sigma = np.sqrt(np.maximum(np.diagonal(covariance), 0))
+    drawn = mean + np.where(sigma > _EXACT, drawn @ root.T, 0.0)
+    kept = ((drawn >= lower) & (drawn <= upper)).all(axis=1)
+    if kept.sum() >= number:
+        return np.asarray(drawn[kept][:number])
+    scale = np.where(sigma > _EXACT, sigma, 0.0)
+    free = np.flatnonzero(scale)
+    inverse = np.linalg.inv(covariance[np.ix_(free, free)])
+    curvature = np.zeros_like(covariance)
+    curvature[np.ix_(free, free)] = (inverse + inverse.T) / 2
+    point = np.clip(inside, lower, upper)
+    density = JointTruncatedNormal(
+        point=point,
+        gradient=curvature @ (point - mean),
+        curvature=sp.csr_array(curvature),
+        scale=scale,
+        lower=lower,
+        upper=upper,
+        matrix=np.zeros((0, len(mean))),
+        row_lower=np.zeros(0),
+        row_upper=np.zeros(0),
+    )
+    return sample(density, number, seed).values
 
 
 def _effective(values: Array) -> Array:

@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from rtcal.acoustics.changes import Open as Open
     from rtcal.acoustics.changes import Remove as Remove
     from rtcal.acoustics.changes import changed as changed
+    from rtcal.acoustics.states import State as State
     from rtcal.acoustics.targets import Target as Target
     from rtcal.acoustics.targets import ansi_s12_60 as ansi_s12_60
     from rtcal.acoustics.targets import din_18041 as din_18041
@@ -25,7 +26,6 @@ if TYPE_CHECKING:
     from rtcal.prediction.designed import Design as Design
     from rtcal.prediction.designed import Known as Known
     from rtcal.prediction.designed import design as design
-    from rtcal.prediction.estimate import State as State
     from rtcal.prediction.predicted import Prediction as Prediction
     from rtcal.prediction.predicted import predict as predict
 else:

@@ -6,16 +6,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
-import numpy as np
-
 from rtcal.acoustics import bands
-from rtcal.acoustics.change_files import Variant
+from rtcal.acoustics.change_files import Variant, refuse_repeated_names
 from rtcal.acoustics.equations import LinearEquation
 from rtcal.acoustics.room import Room
+from rtcal.acoustics.states import State
 from rtcal.acoustics.targets import Target
 from rtcal.errors import DataError
 from rtcal.prediction.assumptions import Assumptions
-from rtcal.prediction.estimate import State
 from rtcal.prediction.predicted import Prediction, predict
 from rtcal.support import text
 from rtcal.support.arguments import checked
@@ -52,9 +50,7 @@ class Predictions(Result):
         if self.target is not None:
             ends = self.target.low, self.target.high
             record["target"] = {
-                "low": json_numbers(ends[0]),
-                "high": json_numbers(ends[1]),
-                "source": self.target.source,
+                **self.target.to_dict(),
                 "probability": [json_numbers(p.probability(*ends)) for p in self.predictions],
                 "probability_together": [p.probability_together(*ends) for p in self.predictions],
             }
@@ -88,7 +84,7 @@ class Predictions(Result):
         """
         if self.target is None:
             return []
-        ends, bounded = (self.target.low, self.target.high), np.asarray(self.target.bounded)
+        ends, bounded = (self.target.low, self.target.high), self.target.bounded
         return [
             (float(p.probability(*ends)[bounded].min()), p.probability_together(*ends))
             for p in self.predictions
@@ -142,10 +138,3 @@ def compare(
     if target is not None and target.low.shape != (n_bands,):
         raise DataError(f"target has {len(target.low)} bands; the room has {n_bands}")
     return found
-
-
-def refuse_repeated_names(variants: Sequence[Variant]) -> None:
-    """Raise DataError if two variants have one name."""
-    names = [variant.name for variant in variants]
-    if twice := next((name for name in names if names.count(name) > 1), None):
-        raise DataError(f'variants has "{twice}" twice; each has a name of its own')

@@ -15,16 +15,16 @@ from typing import Any
 
 import numpy as np
 
-from rtcal.acoustics.changes import MOST_ADDED, changed
+from rtcal.acoustics.changes import changed
 from rtcal.acoustics.equations import LinearEquation
 from rtcal.acoustics.room import Room
+from rtcal.acoustics.states import State
 from rtcal.acoustics.targets import Target
 from rtcal.acoustics.treatments import Treatment
-from rtcal.errors import DataError
 from rtcal.prediction.assumptions import Assumptions
 from rtcal.prediction.envelope import Ranges
-from rtcal.prediction.estimate import Rooms, State, estimated_change, near_bounds, samples
-from rtcal.prediction.predicted import SAMPLES
+from rtcal.prediction.estimate import Rooms, estimated_change, near_bounds, samples
+from rtcal.prediction.predicted import SAMPLES, Prediction, predict
 from rtcal.prediction.program import TANGENTS, ProgramNumbers, program
 from rtcal.support.types import Array
 
@@ -125,10 +125,22 @@ class DesignModel:
         root = np.sqrt(np.maximum(value, 0))[:, :, np.newaxis] * vector.swapaxes(1, 2)
         return mean, root, beta, offset, tau
 
-    def room_with(self, x: Array) -> Room:
-        """Return the room with areas of the treatments in m²."""
-        put = [t.change(float(a)) for t, a in zip(self.treatments, x, strict=True) if a > 0]
-        return changed(self.before, put)
+    def prediction(self, x: Array) -> Prediction:
+        """Return T of the room with areas of the treatments in m²."""
+        put = zip(self.treatments, x.tolist(), strict=True)
+        return predict(
+            self.states,
+            [treatment.change(area) for treatment, area in put if area > 0],
+            before=self.before,
+            equation=self.equation,
+            assumptions=self.assumptions,
+            name="design",
+        )
+
+    @property
+    def prices(self) -> Array:
+        """Cost of 1 m² of each treatment, (n_treatments,)."""
+        return np.array([t.cost for t in self.treatments], dtype=float)
 
     def ranges(self, x: Array, target: Target | None = None) -> Ranges:
         """Return the target's ranges in the room with these areas: its whole surface counts."""
@@ -172,7 +184,7 @@ class DesignModel:
         """
         x = np.zeros(len(self.treatments))
         mean, _ = self.ranges(x, target).best()
-        bounded = np.asarray((target or self.target).bounded)
+        bounded = (target or self.target).bounded
         mean = np.where(bounded, mean, self.area(x)[0])
         means: tuple[Array, ...] = ()
         for _ in range(_ROUNDS):
@@ -193,7 +205,7 @@ class DesignModel:
         """Return what the worst band's probability lacks of the promised one; below 0 nothing."""
         ranges = self.ranges(x, target)
         lacking = probability - ranges.probability(*self.area(x))
-        return float(lacking[np.asarray(ranges.target.bounded)].max())
+        return float(lacking[ranges.target.bounded].max())
 
     def numbers(
         self,
@@ -237,7 +249,7 @@ class DesignModel:
         q = self._slope(at, x)[:, np.newaxis]
         limits, largest = self.covering
         return ProgramNumbers(
-            cost=np.array([t.cost for t in self.treatments], dtype=float),
+            cost=self.prices,
             lower=np.zeros(len(self.treatments)),
             upper=self._upper,
             limits=limits,
@@ -274,7 +286,7 @@ class DesignModel:
     ) -> Array | None:
         """Return the cheapest areas with whole panels, by branch and bound; None if there are none."""
         units = np.array([np.nan if t.unit is None else t.unit for t in self.treatments])
-        cost = np.array([t.cost for t in self.treatments])
+        cost = self.prices
         means: tuple[Array, ...] = (self.area(x)[0],)
         first = self.numbers(probability, x, means[0], target, means)
         best: Array | None = None
@@ -310,22 +322,3 @@ class DesignModel:
             if up[j] <= upper[j] + _WHOLE:
                 waiting.append((up, upper))
         return best
-
-
-def check_treatments(treatments: Sequence[Treatment], room: Room) -> tuple[Treatment, ...]:
-    """Return the treatments; DataError if there are none, two of a name, or one that does not fit."""
-    listed = tuple(treatments)
-    if not listed:
-        raise DataError("treatments is empty; there is at least one")
-    names = [t.name for t in listed]
-    if repeated := sorted({n for n in names if names.count(n) > 1}):
-        raise DataError(f'treatments has "{repeated[0]}" twice')
-    for treatment in listed:
-        if treatment.covers is not None:
-            room.material_index(treatment.covers)
-        elif treatment.largest > (most := MOST_ADDED * room.total_area):
-            raise DataError(
-                f'treatment "{treatment.name}": largest = {treatment.largest:g} m² is more than '
-                f"{most:g} m², {MOST_ADDED:g} times the room's surface"
-            )
-    return listed

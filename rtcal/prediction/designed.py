@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, ClassVar, Protocol
@@ -12,14 +12,14 @@ import numpy as np
 from rtcal.acoustics import bands
 from rtcal.acoustics.equations import Eyring, LinearEquation
 from rtcal.acoustics.room import Room
+from rtcal.acoustics.states import State
 from rtcal.acoustics.targets import Target
-from rtcal.acoustics.treatments import LEAST, Treatment
+from rtcal.acoustics.treatments import LEAST, Treatment, check_treatments
 from rtcal.errors import DataError, InfeasibleError
 from rtcal.prediction import words
 from rtcal.prediction.assumptions import Assumptions
-from rtcal.prediction.design_model import DesignModel, check_treatments
-from rtcal.prediction.estimate import State
-from rtcal.prediction.predicted import JND, Prediction, predict
+from rtcal.prediction.design_model import DesignModel
+from rtcal.prediction.predicted import JND, Prediction
 from rtcal.support import checks, text
 from rtcal.support.arguments import checked
 from rtcal.support.files import json_numbers
@@ -46,17 +46,14 @@ class Measured(Protocol):
     @property
     def states(self) -> tuple[State, ...]:
         """The measured states."""
-        ...
 
     @property
     def prior(self) -> Room:
         """The room before the calibration."""
-        ...
 
     @property
     def equation(self) -> LinearEquation:
         """The equation that turned T into absorption."""
-        ...
 
 
 @dataclass(frozen=True)
@@ -91,28 +88,12 @@ class Design(Result):
     @property
     def cost(self) -> float:
         """The cost of all treatments."""
-        return float(
-            sum(t.cost * a for t, a in zip(self.model.treatments, self.areas, strict=True))
-        )
+        return float(self.model.prices @ self.areas)
 
     @cached_property
     def prediction(self) -> Prediction:
         """T of the treated room."""
-        model = self.model
-        put = zip(model.treatments, self.areas.tolist(), strict=True)
-        return predict(
-            model.states,
-            [treatment.change(area) for treatment, area in put if area > 0],
-            before=model.before,
-            equation=model.equation,
-            assumptions=model.assumptions,
-            name="design",
-        )
-
-    @property
-    def room(self) -> Room:
-        """The treated room, with the prior's coefficients."""
-        return self.prediction.after
+        return self.model.prediction(self.areas)
 
     @cached_property
     def probability(self) -> Array:
@@ -139,7 +120,6 @@ class Design(Result):
 
     def to_dict(self) -> dict[str, Any]:
         """Return everything as plain numbers, lists and text."""
-        target = self.model.target
         return {
             "room": self.model.before.name,
             "promised": self.promised,
@@ -157,11 +137,7 @@ class Design(Result):
                 }
                 for t, area in zip(self.model.treatments, self.areas.tolist(), strict=True)
             ],
-            "target": {
-                "low": json_numbers(target.low),
-                "high": json_numbers(target.high),
-                "source": target.source,
-            },
+            "target": self.model.target.to_dict(),
             "probability": json_numbers(self.probability),
             "probability_together": self.probability_together,
             "frontier": {f"{p:g}": None if np.isinf(c) else c for p, c in self.frontier.items()},
@@ -181,17 +157,10 @@ class Design(Result):
 def text_of(record: dict[str, Any]) -> str:
     """Return the text that ``print(design)`` shows, from `Design.to_dict`."""
     labels = [bands.label(f) for f in record["prediction"]["centre_frequencies"]]
-    put = [
-        (
-            t["name"],
-            [
-                f"{t['area']:.1f}",
-                "-" if t["panels"] is None else f"{t['panels']:d}",
-                f"{t['cost']:.0f}",
-            ],
-        )
-        for t in record["treatments"]
-    ]
+    put = []
+    for t in record["treatments"]:
+        panels = "-" if t["panels"] is None else f"{t['panels']:d}"
+        put.append((t["name"], [f"{t['area']:.1f}", panels, f"{t['cost']:.0f}"]))
     low, high = record["prediction"]["interval_90"]
     rows = [
         ("target from / s", record["target"]["low"], ".2f"),
@@ -276,13 +245,10 @@ def design(
     >>> print(18 < found.areas[0] < 23, bool((found.probability[1:5] > 0.79).all()))
     True True
     """
-    if not checks.number("probability", probability) >= LEAST:
+    if not LEAST <= checks.number("probability", probability) <= _BEST:
         raise DataError(
-            f"probability = {probability:g} is below {LEAST:g}: the program finds no sure optimum there"
-        )
-    if probability > _BEST:
-        raise DataError(
-            f"probability = {probability:g} is above {_BEST:g}, the largest that a design takes"
+            f"probability = {probability:g} is not from {LEAST:g} to {_BEST:g}: below that, the program "
+            "finds no sure optimum"
         )
     room = result.prior
     if target.low.shape != (room.n_bands,):
@@ -327,7 +293,7 @@ def can_be_had(model: DesignModel, probability: float) -> list[str]:
     What the equation's error alone allows, the best probability that all bands can have, the least
     widening of the range, and what would narrow the interval.
     """
-    frequencies, bounded = model.before.centre_frequencies, np.asarray(model.target.bounded)
+    frequencies, bounded = model.before.centre_frequencies, model.target.bounded
     x = np.zeros(len(model.treatments))
     alone = model.ranges(x).best()[1]
     said = [f"No areas of these treatments are in range with probability {probability:g}."]
@@ -350,28 +316,16 @@ def can_be_had(model: DesignModel, probability: float) -> list[str]:
     elif at is not None:
         said.append(
             "With the best areas found, every band is in its range with a probability of "
-            f"{best:.2f} or more, at a cost of {_cost(model, at):.0f}."
+            f"{best:.2f} or more, at a cost of {model.prices @ at:.0f}."
         )
     widening = _widening(model, probability)
     if widening is None:
         said.append(f"A range wider by {_WIDEST:g} JND at both ends is not met either.")
     else:
         said.append(f"A range wider by {widening:.1f} JND at both ends is met.")
-    put = zip(model.treatments, x if at is None else at, strict=True)
-    changes = [t.change(float(a)) for t, a in put if a > 0]
-    parts = predict(
-        model.states,
-        changes,
-        before=model.before,
-        equation=model.equation,
-        assumptions=model.assumptions,
-    ).parts
+    parts = model.prediction(x if at is None else at).parts
     said.append(f"To narrow the interval, {words.advice(next(iter(parts)), len(model.states))}.")
     return said
-
-
-def _cost(model: DesignModel, x: Array) -> float:
-    return float(sum(t.cost * a for t, a in zip(model.treatments, x, strict=True)))
 
 
 def _best(model: DesignModel) -> tuple[float, Array | None]:
@@ -380,25 +334,28 @@ def _best(model: DesignModel) -> tuple[float, Array | None]:
     Below 0.8 the program is an approximation, so the probability is that of the areas found.
     """
     plain = replace(model, treatments=tuple(replace(t, unit=None) for t in model.treatments))
-    low, high = 0.0, 1.0
-    best: Array | None = None
-    for _ in range(_TRIES):
-        middle = (low + high) / 2
-        x = plain.cheapest(middle)
-        low, high, best = (low, middle, best) if x is None else (middle, high, x)
+    _, best = _largest(plain.cheapest, 1.0)
     if best is None:
         return 0.0, None
-    found = plain.probability(best)[np.asarray(model.target.bounded)]
+    found = plain.probability(best)[model.target.bounded]
     return float(found.min()), best
 
 
 def _widening(model: DesignModel, probability: float) -> float | None:
     """Return by how many JND both ends must move for a design to exist, to 0.2; None above 20."""
-    low, high = 0.0, _WIDEST
-    if model.cheapest(probability, model.target.widened(float(np.exp(JND * high)))) is None:
-        return None
+
+    def met(narrower: float) -> Array | None:
+        wider = float(np.exp(JND * (_WIDEST - narrower)))
+        return model.cheapest(probability, model.target.widened(wider))
+
+    return None if met(0.0) is None else _WIDEST - _largest(met, _WIDEST)[0]
+
+
+def _largest(areas: Callable[[float], Array | None], high: float) -> tuple[float, Array | None]:
+    """Return the largest value from 0 on for which there are areas, by halves, and the areas."""
+    low, best = 0.0, None
     for _ in range(_TRIES):
         middle = (low + high) / 2
-        x = model.cheapest(probability, model.target.widened(float(np.exp(JND * middle))))
-        low, high = (middle, high) if x is None else (low, middle)
-    return high
+        x = areas(middle)
+        low, high, best = (low, middle, best) if x is None else (middle, high, x)
+    return low, best

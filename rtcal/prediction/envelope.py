@@ -85,7 +85,7 @@ class Ranges:
         """
         whole, n_bands = self.room.total_area, len(self.tau)
         peak, best = self.best()
-        bounded = np.asarray(self.target.bounded)
+        bounded = self.target.bounded
         if (best < probability)[bounded].any():
             return None
         first = self._edge(probability, peak, np.full(n_bands, _EDGE * whole))
@@ -108,7 +108,7 @@ class Ranges:
             for dm, ds in ((step, 0.0), (0.0, np.minimum(step, sigmas / 2)))
         )
         by_sigma = by_sigma / np.minimum(step, sigmas / 2)
-        touches = np.asarray(self.target.bounded) & (sigmas > 4 * step) & (by_sigma < 0)
+        touches = self.target.bounded & (sigmas > 4 * step) & (by_sigma < 0)
         slope = np.where(touches, -(by_mean / step) / np.where(touches, by_sigma, -1.0), 0.0)
         return np.where(touches, sigmas - slope * means, _LOOSE * whole), slope
 

@@ -11,25 +11,20 @@ that of the linear estimate there, without the bounds.
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from rtcal.acoustics import bands, fingerprints
 from rtcal.acoustics.equations import LinearEquation
 from rtcal.acoustics.room import Room
-from rtcal.acoustics.room_errors import of_climate
-from rtcal.errors import DataError, ModelError, SolverError
-from rtcal.posterior.density import JointTruncatedNormal
-from rtcal.posterior.sampler import sample
+from rtcal.acoustics.room_errors import alpha_covariance, between_materials, of_climate
+from rtcal.acoustics.states import State, refuse_counted_twice, refuse_other_priors
+from rtcal.errors import ModelError, SolverError
+from rtcal.posterior.sampler import samples_of_normal
 from rtcal.prediction.assumptions import Assumptions
-from rtcal.support import checks
-from rtcal.support.arguments import checked
 from rtcal.support.types import Array
 
 Flags = NDArray[np.bool_]
@@ -41,67 +36,10 @@ _NEAR = 2.0
 """Distance of a coefficient from a bound, in standard deviations, below which the bound counts."""
 _MATTERS = 0.1
 """Share of the whole standard deviation from which a coefficient counts."""
-_DRAWS = 8
-"""Number of draws per sample, before the sampler is asked."""
-_EXACT = 1e-12
-"""Standard deviation up to which an unknown is known."""
+_LEAST_AREA = 1e-5
+"""Least relative error of an area beside one of all areas: the covariance has an inverse."""
 _LEAST = 1e-9
 """Least standard deviation of a measured ln T: an exact one would divide by 0."""
-
-
-@checked
-@dataclass(frozen=True, eq=False)
-class State:
-    """A state of a room in which T was measured.
-
-    Parameters
-    ----------
-    room : Room
-        With the prior's alpha and sigma, not calibrated ones.
-    reverberation_time : array (n_bands,)
-        Measured T in s, NaN where missing.
-    uncertainty : array (n_bands,)
-        Standard uncertainty of T in s, NaN where unknown.
-
-    Raises
-    ------
-    DataError
-        For another shape, a T that is not above 0, or an uncertainty below 0.
-
-    Examples
-    --------
-    >>> room = Room(name="box", volume=60, materials=["all"], areas=[94], alpha=[[0.1]],
-    ...             sigma=[[0.02]], centre_frequencies=[1000])
-    >>> State(room, [1.02]).uncertainty
-    array([nan])
-    """
-
-    room: Room
-    reverberation_time: Array
-    uncertainty: Array = field(default_factory=lambda: np.array(np.nan))
-
-    def __post_init__(self) -> None:
-        checks.instance("room", self.room, Room)
-        shape = (self.room.n_bands,)
-        t = checks.array("reverberation_time", self.reverberation_time)
-        u = checks.array("uncertainty", self.uncertainty)
-        u = np.full(shape, np.nan) if np.isnan(u).all() and u.ndim == 0 else u
-        for name, values in (("reverberation_time", t), ("uncertainty", u)):
-            if values.shape != shape:
-                raise DataError(f"{name} has shape {values.shape}; the room asks for {shape}")
-            bad = np.isinf(values) | (values < 0)
-            if values is t:
-                bad |= values == 0
-            if bad.any():
-                k = int(np.argmax(bad))
-                band = bands.label(self.room.centre_frequencies[k])
-                raise DataError(f"{name}[{band}] = {values[k]:g} s is not finite and above 0")
-            object.__setattr__(self, name, values)
-
-    def log_uncertainty(self, unstated: float) -> Array:
-        """Return the standard uncertainty of ln T, (n_bands,); ``unstated`` where u is unknown."""
-        u = self.uncertainty / self.reverberation_time
-        return np.asarray(np.where(np.isnan(u), unstated, u))
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,19 +54,7 @@ class Rooms:
     assumptions: Assumptions
 
     def __post_init__(self) -> None:
-        first = self.rooms[0]
-        for room in self.rooms:
-            if not np.array_equal(room.centre_frequencies, first.centre_frequencies):
-                raise DataError(f'room "{room.name}" has other bands than "{first.name}"')
-            for name in ("alpha", "sigma"):
-                for i, material in enumerate(room.materials):
-                    owner = self._owner(material)
-                    stated = getattr(owner, name)[owner.materials.index(material)]
-                    if not np.array_equal(getattr(room, name)[i], stated):
-                        raise DataError(
-                            f'{name}["{material}"] of room "{room.name}" is not that of '
-                            f'"{owner.name}"; a material has one prior'
-                        )
+        refuse_other_priors(self.rooms, [f'room "{room.name}"' for room in self.rooms])
 
     def _owner(self, material: str) -> Room:
         return next(r for r in self.rooms if material in r.materials)
@@ -159,12 +85,15 @@ class Rooms:
     @cached_property
     def lower(self) -> Array:
         """Lower bounds of alpha, (n_materials, n_bands)."""
-        floors = np.zeros((len(self.materials), self.rooms[0].n_bands))
+        return self._most("alpha_min", np.zeros((len(self.materials), self.rooms[0].n_bands)))
+
+    def _most(self, name: str, least: Array) -> Array:
+        """Return the largest that any room states of each material, at least ``least``."""
         for room in self.rooms:
-            if room.alpha_min is not None:
+            if (stated := getattr(room, name)) is not None:
                 rows = [self.materials.index(m) for m in room.materials]
-                floors[rows] = np.maximum(floors[rows], room.alpha_min)
-        return floors
+                least[rows] = np.maximum(least[rows], stated)
+        return least
 
     @cached_property
     def sigma(self) -> Array:
@@ -183,11 +112,7 @@ class Rooms:
         """Relative error of each material's own area, (n_materials,): as stated, or as assumed."""
         if not any(room.area_sigma.any() or room.common_area_sigma for room in self.rooms):
             return np.full(len(self.materials), self.assumptions.areas)
-        out = np.zeros(len(self.materials))
-        for room in self.rooms:
-            rows = [self.materials.index(m) for m in room.materials]
-            out[rows] = np.maximum(out[rows], room.area_sigma)
-        return out
+        return self._most("area_sigma", np.full(len(self.materials), _LEAST_AREA))
 
     @cached_property
     def air_sigma(self) -> Array:
@@ -202,19 +127,12 @@ class Rooms:
     def prior(self) -> tuple[Array, Array]:
         """Mean (n_bands, size) and covariance (n_bands, size, size) of the unknowns."""
         n, assumed = len(self.materials), self.assumptions
-        correlation = np.eye(n)
-        for room in self.rooms:
-            for (a, b), value in room.material_correlation.items():
-                i, j = self.materials.index(a), self.materials.index(b)
-                correlation[i, j] = correlation[j, i] = value
         mean = np.zeros((self.rooms[0].n_bands, self.size))
         mean[:, :n] = self.stacked("alpha").T
         covariance = np.zeros((*mean.shape, self.size))
-        sigma = self.sigma.T
-        covariance[:, :n, :n] = sigma[:, :, np.newaxis] * correlation * sigma[:, np.newaxis]
-        stated = max(room.common_alpha_sigma for room in self.rooms)
-        together = np.where(sigma > 0, stated * mean[:, :n], 0.0)
-        covariance[:, :n, :n] += together[:, :, np.newaxis] * together[:, np.newaxis]
+        common = max(room.common_alpha_sigma for room in self.rooms)
+        between = between_materials(self.materials, self.rooms)
+        covariance[:, :n, :n] = alpha_covariance(mean[:, :n], self.sigma.T, between, common)
         volume = max(room.volume_sigma for room in self.rooms) or assumed.volume
         covariance[:, n, n] = volume**2
         areas = slice(n + 1, 2 * n + 1)
@@ -297,7 +215,7 @@ def estimated_change(rooms: Rooms, states: Sequence[State]) -> Estimate:
     SolverError
         If the steps do not settle.
     """
-    _refuse_counted_twice(rooms, states)
+    refuse_counted_twice(rooms.rooms, states)
     mean, covariance = rooms.prior
     n_bands = len(mean)
     measured = np.array([np.log(s.reverberation_time) for s in states]).reshape(-1, n_bands).T
@@ -325,25 +243,6 @@ def estimated_change(rooms: Rooms, states: Sequence[State]) -> Estimate:
         raise SolverError(f"the estimate did not settle: its last step was {moved:.1g}")
     posterior = covariance - gain @ across.swapaxes(1, 2)
     return Estimate(mode, free, posterior, np.asarray(gain), gradient, noise)
-
-
-def _refuse_counted_twice(rooms: Rooms, states: Sequence[State]) -> None:
-    """Raise DataError if a room was calibrated on a state's T, or two states are one."""
-    known = [s for s in states if np.isfinite(s.reverberation_time).any()]
-    names = [fingerprints.of_times(s.room, s.reverberation_time) for s in known]
-    for room in rooms.rooms:
-        fingerprints.refuse_repeated_data(room, *names)
-    for i, j in itertools.combinations(range(len(known)), 2):
-        one, other = known[i].room, known[j].room
-        same_room = one.volume == other.volume and (
-            dict(zip(one.materials, one.areas.tolist(), strict=True))
-            == dict(zip(other.materials, other.areas.tolist(), strict=True))
-        )
-        if same_room and fingerprints.same_data(names[i], names[j]):
-            raise DataError(
-                f'room "{one.name}": two states have the same areas and the same measured T, which '
-                "would count twice; leave one out"
-            )
 
 
 def _linearised(rooms: Rooms, n_measured: int, mode: Array) -> tuple[Array, Array]:
@@ -403,36 +302,10 @@ def near_bounds(rooms: Rooms, found: Estimate, weights: Array, whole: Array) -> 
 
 
 def samples(rooms: Rooms, found: Estimate, band: int, number: int) -> Array:
-    """Return samples of a band's unknowns within the bounds of alpha, (number, size).
-
-    Draws of the normal distribution that keep the bounds; the sampler's where few do.
-    """
-    n, covariance = len(rooms.materials), found.covariance[band]
-    value, vector = np.linalg.eigh(covariance)
-    root = vector * np.sqrt(np.maximum(value, 0))
-    drawn = np.random.default_rng(band).standard_normal((_DRAWS * number, rooms.size))
-    sigma = np.sqrt(np.maximum(np.diagonal(covariance), 0))
-    drawn = found.free[band] + np.where(sigma > _EXACT, drawn @ root.T, 0.0)
-    kept = ((drawn[:, :n] >= rooms.lower[:, band]) & (drawn[:, :n] <= 1)).all(axis=1)
-    if kept.sum() >= number:
-        return np.asarray(drawn[kept][:number])
-    moving = np.where(sigma > _EXACT, sigma, 0.0)
-    free = np.flatnonzero(moving)
-    inverse = np.linalg.inv(covariance[np.ix_(free, free)])
-    curvature = np.zeros_like(covariance)
-    curvature[np.ix_(free, free)] = (inverse + inverse.T) / 2
+    """Return samples of a band's unknowns within the bounds of alpha, (number, size)."""
+    n = len(rooms.materials)
     lower, upper = np.full(rooms.size, -np.inf), np.full(rooms.size, np.inf)
     lower[:n], upper[:n] = rooms.lower[:, band], 1.0
-    point = np.clip(found.mode[band], lower, upper)
-    density = JointTruncatedNormal(
-        point=point,
-        gradient=curvature @ (point - found.free[band]),
-        curvature=sp.csr_array(curvature),
-        scale=moving,
-        lower=lower,
-        upper=upper,
-        matrix=np.zeros((0, rooms.size)),
-        row_lower=np.zeros(0),
-        row_upper=np.zeros(0),
+    return samples_of_normal(
+        found.free[band], found.covariance[band], (lower, upper), found.mode[band], number, band
     )
-    return sample(density, number, seed=band).values

@@ -15,6 +15,7 @@ from rtcal.acoustics.changes import Change, changed
 from rtcal.acoustics.equations import Eyring, LinearEquation
 from rtcal.acoustics.room import Room
 from rtcal.errors import DataError
+from rtcal.posterior.integration import probability_within
 from rtcal.prediction import words
 from rtcal.prediction.assumptions import Assumptions
 from rtcal.prediction.estimate import (
@@ -38,8 +39,6 @@ JND = float(np.log(1.05))
 LEVEL = 0.9
 SAMPLES = 4000
 """Number of samples of a band whose bounds matter."""
-_TOGETHER = 100_000
-"""Number of draws for the probability of all bands together: its error is at most 0.0016."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -214,7 +213,8 @@ class Prediction(Result):
         Errors of neighbouring bands correlate: see `Assumptions.band_correlation`.
         """
         below, above = (ndtri(level) for level in self._levels(low, high))
-        return together(below, above, self.after.centre_frequencies, self.assumptions)
+        errors = bands.correlation(self.after.centre_frequencies, self.assumptions.band_correlation)
+        return probability_within(below, above, errors)
 
     def _levels(self, low: Array, high: Array) -> tuple[Array, Array]:
         """Probabilities of a T below each end, (n_bands,) each."""
@@ -254,14 +254,12 @@ class Prediction(Result):
             "sampled": self.sampled.tolist(),
             "parts": {name: json_numbers(share) for name, share in self.parts.items()},
             "sentences": words.sentences(
-                self.parts, self.half_width, self._half_width_without, len(self.states)
+                self.parts,
+                self.half_width,
+                self.uncalibrated.half_width if self.states else None,
+                len(self.states),
             ),
         }
-
-    @property
-    def _half_width_without(self) -> Array | None:
-        """Half width of the interval without any measurement; None if nothing was measured."""
-        return self.uncalibrated.half_width if self.states else None
 
     def __repr__(self) -> str:
         return (
@@ -272,23 +270,6 @@ class Prediction(Result):
 
     def __str__(self) -> str:
         return words.text_of(self.to_dict())
-
-
-def together(below: Array, above: Array, frequencies: Array, assumptions: Assumptions) -> float:
-    """Return the probability that correlated standard normal errors are within limits in all bands.
-
-    Parameters
-    ----------
-    below, above : array (n_bands,)
-        Limits in standard deviations.
-    frequencies : array (n_bands,)
-        Hz.
-    assumptions : Assumptions
-    """
-    correlation = bands.correlation(frequencies, assumptions.band_correlation)
-    root = np.linalg.cholesky(correlation)
-    drawn = np.random.default_rng(0).standard_normal((_TOGETHER, len(root))) @ root.T
-    return float(((drawn >= below) & (drawn <= above)).all(axis=1).mean())
 
 
 @checked

@@ -125,11 +125,9 @@ class Program:
             warnings.filterwarnings("ignore", "Solution may be inaccurate")
             for name, parameter in self._given.items():
                 value = rows[name] if name in rows else getattr(numbers, name)
-                if name in ("limits", "gains", "slope", "steps", "unit"):
-                    pass
-                elif name == "cost":
+                if name == "cost":
                     value = value / max(float(np.max(value)), 1e-300)
-                else:
+                elif name not in ("limits", "gains", "slope", "steps", "unit"):
                     value = value / scale
                 if isinstance(parameter, list):
                     for each, of_band in zip(parameter, value, strict=True):

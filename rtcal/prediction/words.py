@@ -64,17 +64,13 @@ def sentences(
     if without is None:
         said.append("Nothing was measured: the interval is that of the stated coefficients.")
     else:
-        narrowed = f"from ± {np.median(without):.1f} to ± {np.median(half_width):.1f} JND"
+        told = "it corrects what stays, and alpha of what changes is"
         if new > _MOST:
-            said.append(
-                f"Calibrating changed the interval {narrowed}. {100 * new:.0f} % of its variance is "
-                "alpha of what changes itself, which the calibration does not know."
-            )
-        else:
-            said.append(
-                f"Calibrating changed the interval {narrowed}: it corrects what stays, and alpha of "
-                f"what changes is {100 * new:.0f} % of its variance."
-            )
+            told = "alpha of what changes itself, which the calibration does not know, is"
+        said.append(
+            f"Calibrating changed the interval from ± {np.median(without):.1f} to "
+            f"± {np.median(half_width):.1f} JND: {told} {100 * new:.0f} % of its variance."
+        )
     said.append(
         f"Largest part: {largest} ({100 * share:.0f} % of the variance). To narrow it, "
         f"{advice(largest, n_states)}."

@@ -6,8 +6,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from typing import Any
 
-import numpy as np
-
 from rtcal.acoustics.observables import observable
 from rtcal.acoustics.parameters import parameter_label
 from rtcal.loop.positions_prediction import PositionsPrediction, PositionsPredictions
@@ -132,7 +130,7 @@ def _at_positions(variant: PositionsPrediction, step: Callable[[], None]) -> dic
     return {
         "name": variant.name,
         "changes": [str(change) for change in variant.changes],
-        "sentences": [],
+        "sentences": variant.sentences,
         "rows": rows,
         "parts": {
             "source": source(drawn, step),
@@ -152,7 +150,7 @@ def _compared(result: Prediction | Predictions | Design) -> dict[str, Any] | Non
             if design is None:
                 rows.append([f"{p:g}", *["–"] * len(names), "not to be had", "–", "–"])
                 continue
-            bounded = np.asarray(design.model.target.bounded)
+            bounded = design.model.target.bounded
             rows.append(
                 [
                     f"{p:g}" + (" (this design)" if p == result.promised else ""),

@@ -169,6 +169,32 @@ def test_a_change_without_a_place_is_refused(result) -> None:
         result.predict(Add(PANEL, 3))
 
 
+def test_what_can_be_checked_is_refused_before_anything_is_simulated(result) -> None:
+    def told(done: int, total: int) -> None:
+        raise AssertionError("a control run was simulated")
+
+    for change, said in (
+        (Cover("tiles", PANEL, 50), 'cover 50 m² of "tiles" by "panel": area = 50 m² is more than'),
+        (Open("door"), '"door" is no material'),
+    ):
+        with pytest.raises(DataError, match=said):
+            predict_positions(result, [HALF, Variant("wrong", (change,))], progress=told)
+    with pytest.raises(DataError, match="t99"):
+        predict_positions(result, [HALF], wanted=("t99",), progress=told)
+
+
+def test_the_command_refuses_a_change_before_it_calibrates(tmp_path: Path) -> None:
+    room, change = tmp_path / "room.toml", tmp_path / "change.toml"
+    a_room(air=rt.Air(20, 50)).save(str(room))
+    change.write_text(
+        '[[variant]]\nname = "tiles off"\n[[variant.change]]\nopen = "tiles"\narea = 300\n'
+    )
+    pairs = tmp_path / "never read.csv"
+    told = CliRunner().invoke(cli, ["predict", str(room), str(pairs), "--change", str(change)])
+    assert told.exit_code != 0
+    assert 'change.toml: [[variant]] 1, open 300 m² of "tiles": area = 300' in told.stderr
+
+
 @pytest.mark.long
 def test_another_climate_is_the_room_in_other_air(result) -> None:
     dry = result.predict(Climate(rt.Air(20, 20)), wanted=("t20",))

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from rtcal.acoustics.air import Air
 from rtcal.acoustics.common_errors import common_error_columns
 from rtcal.acoustics.observables import observable
-from rtcal.acoustics.room_errors import alike_alpha
+from rtcal.acoustics.room_errors import alike_alpha, prior_covariance
 from rtcal.errors import DataError
 from rtcal.finder.case import CLIMATE_UNCERTAINTY
 from rtcal.finder.coefficients import SCALES
@@ -24,7 +24,6 @@ from rtcal.finder.positions.shift import interpolation
 from rtcal.finder.positions.simulator_error import SimulatorError, simulator_error
 from rtcal.loop.control_runs import ControlRuns, level
 from rtcal.loop.measured_pairs import MeasuredPairs, pairs_to_match
-from rtcal.loop.positions import prior_covariance
 from rtcal.simulators.observations import Observations
 from rtcal.support.types import Array
 
