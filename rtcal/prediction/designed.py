@@ -247,7 +247,7 @@ def design(
     """
     if not LEAST <= checks.number("probability", probability) <= _BEST:
         raise DataError(
-            f"probability = {probability:g} is not from {LEAST:g} to {_BEST:g}: below that, the program "
+            f"probability = {probability:g} is not from {LEAST:g} to {_BEST:g}: below, the program "
             "finds no sure optimum"
         )
     room = result.prior
