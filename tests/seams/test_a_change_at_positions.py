@@ -159,7 +159,7 @@ def test_an_uncertain_room_counts_before_and_after_the_change(result, predicted)
     assert (found.parts("t20")[SIZES] > 0).all()
     assert (found.sigma[0, -1] > exact.sigma[0, -1]).all()
     alone = np.sqrt(found.uncalibrated_sigma[0, -1] ** 2 - exact.uncalibrated_sigma[0, -1] ** 2)
-    assert alone == pytest.approx([0.1, 0.1], rel=0.1)  # without air T is as V
+    assert alone == pytest.approx([0.1, 0.1], rel=0.2)  # without air T is nearly as V
     shared = np.sqrt(found.sigma[0, -1] ** 2 * found.parts("t20")[SIZES])
     assert (shared < 0.5 * alone).all()
 
