@@ -14,6 +14,7 @@ from rtcal.acoustics import bands
 from rtcal.acoustics.changes import Change, changed
 from rtcal.acoustics.equations import Eyring, LinearEquation
 from rtcal.acoustics.room import Room
+from rtcal.acoustics.states import State
 from rtcal.errors import DataError
 from rtcal.posterior.integration import probability_within
 from rtcal.prediction import words
@@ -22,7 +23,6 @@ from rtcal.prediction.estimate import (
     Estimate,
     Flags,
     Rooms,
-    State,
     estimated_change,
     near_bounds,
     samples,
