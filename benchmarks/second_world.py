@@ -1,16 +1,18 @@
-"""The finder on the second hidden world (tests/second_world), and on the first beside it.
+"""The finder on the second hidden world (tests/second_world), and on the others beside it.
 
     python -m benchmarks.second_world controls --folder out --population 1   # hours; can be resumed
     python -m benchmarks.second_world run --folder out --population 1        # with what stands there
     python -m benchmarks.second_world table --folder out --population 1
     python -m benchmarks.second_world run --folder out --world 1 --population 1
+    python -m benchmarks.second_world run --folder out --world 3 --population 1  # misuka's rooms
     python -m benchmarks.second_world bound --folder out --population 1      # what any test detects
     python -m benchmarks.second_world both --folder out                      # of all judging rows
     python -m benchmarks.second_world null --folder out --world 1   # is the threshold's rate right?
 
 A case is judged as it is stated ("all": T20, EDT, T30, C80 and G, every second room in two
 configurations) and cut down to T20, EDT and T30 in one configuration ("one"). Rows of the first world
-that `hidden_effects run` made have the same keys, and `table` reads them as well.
+that `hidden_effects run` made have the same keys, and `table` reads them as well. The third world
+(tests/third_world) is another group's engine; a material that is another one counts as "coefficients".
 """
 
 from __future__ import annotations
@@ -57,8 +59,11 @@ from tests.hidden_world import generate as first_world
 from tests.hidden_world.populations import TOGGLED
 from tests.second_world import generate as second_world
 from tests.second_world.rooms import KINDS
+from tests.third_world import generate as third_world
 
-WORLDS = {1: first_world, 2: second_world}
+WORLDS = {1: first_world, 2: second_world, 3: third_world}
+SAID_AS = {"nothing": NOTHING, "material": "coefficients"}
+"""How a finding says what the second and the third world hide by another name."""
 JUDGING = ((1, 1), (1, 3), (2, 1))
 """World and population of the rooms that judge."""
 SEEN = Path(__file__).parent / "judged_before.json"
@@ -70,8 +75,8 @@ def truth_of(world: int, truth: dict[str, Any]) -> tuple[frozenset[str], str] | 
 
     Left out of the first world: rooms with two effects, and those made to look like others.
     """
-    if world == 2:
-        name = NOTHING if truth["kind"] == "nothing" else truth["kind"]
+    if world > 1:
+        name = SAID_AS.get(truth["kind"], truth["kind"])
         return frozenset({"people" if PERSONS in truth else name}), truth["statement"]
     kind = truth["seed"][1]
     kind = TOGGLED.get(kind, kind)
@@ -225,10 +230,11 @@ def true_effect(world: int, truth: dict[str, Any]) -> AppliedEffect:
         "area": lambda: {"material": float(truth["material"]), "ratio": truth["ratio"]},
         "volume": lambda: {"ratio": truth["ratio"]},
         "formula": lambda: {"equation": 1.0},
-        # The truth states neither of the second room: the middles of what they are drawn from.
+        # The second world states neither of the second room, the third one its volume: the middles of
+        # what they are drawn from.
         "coupled room": lambda: {
             "aperture": size,
-            "volume": 0.79 * truth["volume"],
+            "volume": truth["volume"] if world == 3 else 0.79 * truth["volume"],
             "alpha": 0.087,
         },
         "non-diffuse field": lambda: {"scattering": float(np.mean(truth["scattering"]))},

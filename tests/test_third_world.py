@@ -1,0 +1,60 @@
+"""The third hidden world as it is stored: another group's engine made it, and no finder read it before."""
+
+from __future__ import annotations
+
+from collections import Counter
+
+import numpy as np
+import pytest
+
+import rtcal as rt
+from rtcal.finder import Case
+from tests.third_world import generate
+from tests.third_world.rooms import COUNTS, KINDS
+
+CASES, TRUTHS = (generate.read(1, part) for part in ("case", "truth"))
+
+
+def eyring(case: Case, truth: dict) -> np.ndarray:
+    """T of the true coefficients, without what is hidden."""
+    room = case.room.replace(alpha=np.clip(truth["alpha"], 0, 1))
+    return rt.Eyring().reverberation_time(room)
+
+
+def test_every_kind_is_there_as_often_as_it_was_frozen() -> None:
+    assert Counter(t["kind"] for t in TRUTHS) == Counter({k: COUNTS[1][k] for k in KINDS})
+    assert [t["seed"] for t in TRUTHS] == [
+        [1, k, i] for k, kind in enumerate(KINDS) for i in range(COUNTS[1][kind])
+    ]
+
+
+@pytest.mark.parametrize("index", range(len(CASES)))
+def test_a_finder_can_read_each_room(index: int) -> None:
+    case = Case.from_dict(CASES[index])
+    assert len(case.configurations) == 1 + TRUTHS[index]["seed"][2] % 2
+    assert set(case.configurations[0].measured.values) == {"t20", "edt", "t30", "c80", "g"}
+
+
+def test_where_nothing_is_hidden_t_is_that_of_the_true_coefficients() -> None:
+    """Of another engine than rtcal's: within a fifth in each room, and 5 % in the median."""
+    ratios = []
+    for stated, truth in zip(CASES, TRUTHS, strict=True):
+        if truth["kind"] in ("nothing", "material"):
+            case = Case.from_dict(stated)
+            t = np.nanmean(case.configurations[0].measured.values["t20"], axis=0)
+            ratios.append(np.exp(np.nanmean(np.log(t / eyring(case, truth)))))
+    assert np.median(ratios) == pytest.approx(1, abs=0.06)
+    assert min(ratios) > 0.75
+    assert max(ratios) < 1.35
+
+
+def test_what_absorbs_shortens_t_and_a_noise_floor_lengthens_t30() -> None:
+    for stated, truth in zip(CASES, TRUTHS, strict=True):
+        case = Case.from_dict(stated)
+        values = case.configurations[0].measured.values
+        t20, t30 = (np.nanmean(values[p], axis=0) for p in ("t20", "t30"))
+        without = eyring(case, truth)
+        if truth["kind"] in ("opening", "porous"):
+            assert np.nanmean(np.log(t20 / without)) < 0, truth["seed"]
+        if truth["kind"] == "noise floor" and truth["level"] > -40:
+            assert np.nanmean(np.log(t30 / t20)) > 0.1, truth["seed"]
