@@ -1,4 +1,4 @@
-"""The third hidden world as it is stored: another group's engine made it, and no finder read it before."""
+"""The third hidden world as it is stored: made by another group's engine, before a finder read it."""
 
 from __future__ import annotations
 
@@ -36,16 +36,16 @@ def test_a_finder_can_read_each_room(index: int) -> None:
 
 
 def test_where_nothing_is_hidden_t_is_that_of_the_true_coefficients() -> None:
-    """Of another engine than rtcal's: within a fifth in each room, and 5 % in the median."""
+    """Of another engine than rtcal's. Eyring's equation fits these rooms within a tenth."""
     ratios = []
     for stated, truth in zip(CASES, TRUTHS, strict=True):
-        if truth["kind"] in ("nothing", "material"):
+        if truth["kind"] == "nothing":
             case = Case.from_dict(stated)
             t = np.nanmean(case.configurations[0].measured.values["t20"], axis=0)
             ratios.append(np.exp(np.nanmean(np.log(t / eyring(case, truth)))))
-    assert np.median(ratios) == pytest.approx(1, abs=0.06)
-    assert min(ratios) > 0.75
-    assert max(ratios) < 1.35
+    assert np.median(ratios) == pytest.approx(1, abs=0.03)
+    assert min(ratios) > 0.9
+    assert max(ratios) < 1.1
 
 
 def test_what_absorbs_shortens_t_and_a_noise_floor_lengthens_t30() -> None:

@@ -54,7 +54,7 @@ def page(finding: StatesFinding, heading: Heading, step: Callable[[], None]) -> 
                 "caption": "T by band, mean over the pairs that both states have.",
             },
             "change": {
-                "source": source(_change(finding), step),
+                "source": source(change_figure(finding), step),
                 "alt": f"{name}: change of the absorption area, by band",
                 "caption": "Change of the absorption area with its 90 % interval, if it changed.",
             },
@@ -80,7 +80,8 @@ def _times(finding: StatesFinding) -> Any:
     return figure
 
 
-def _change(finding: StatesFinding) -> Any:
+@checked
+def change_figure(finding: StatesFinding) -> Any:
     """Return the change of the absorption area by band, with its interval."""
     k = finding.case.differences.measured
     figure, axes = new_figure()
