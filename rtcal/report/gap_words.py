@@ -51,12 +51,9 @@ def _headline_of_set(finding: MeansFinding) -> str:
             "The model lacks something, and the measurements do not tell what: "
             f"{finding.likely_in_words}."
         )
-    claimed = [f"{n} ({finding.percent(n)})" for n in finding.named]
-    claimed += [
-        f"{family(f)} ({100 * finding.families[f]:.0f} %)" for f in finding.families_claimed_alone
-    ]
-    sentences = [f"The model lacks {listed(claimed)}."] if claimed else []
-    return " ".join([*sentences, finding.set_in_words]).strip()
+    claimed = finding.claimed_in_words(family)
+    said = f"The model lacks {claimed}." if claimed else ""
+    return f"{said} {finding.set_in_words}".strip()
 
 
 def family(name: str) -> str:

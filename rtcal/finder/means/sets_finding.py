@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 from rtcal.finder.claim import SAID, Names, by_family_sets, family_of, numbers_of
@@ -74,12 +74,19 @@ class SetsFinding(Finding):
     @property
     def claims(self) -> str:
         """What is claimed of two or more effects."""
+        claimed = self.claimed_in_words()
+        said = f"Missing from the model, or not as stated: {claimed}." if claimed else ""
+        return f"{said} {self.set_in_words}".strip()
+
+    def claimed_in_words(self, family: Callable[[str], str] = str) -> str:
+        """Return the claimed effects and families with their probabilities, in words; "" without any.
+
+        ``family`` names a family in a sentence.
+        """
         claimed = [f"{n} ({self.percent(n)})" for n in self.named]
-        claimed += [f"{f} ({100 * self.families[f]:.0f} %)" for f in self.families_claimed_alone]
-        sentences = []
-        if claimed:
-            sentences.append(f"Missing from the model, or not as stated: {listed(claimed)}.")
-        return " ".join([*sentences, self.set_in_words]).strip()
+        for name in self.families_claimed_alone:
+            claimed.append(f"{family(name)} ({100 * self.families[name]:.0f} %)")
+        return listed(claimed)
 
     @property
     def likely_in_words(self) -> str:
