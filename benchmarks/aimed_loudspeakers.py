@@ -78,7 +78,7 @@ def simulator(assumed: str, stated: str, distance: str) -> PathTracing:
             "stated": lobes,
         }[stated],
         scattering=0.3,
-        n_paths=4000,
+        n_paths=1600,
         workers=1,
     )
 

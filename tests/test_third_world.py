@@ -36,7 +36,7 @@ def test_a_finder_can_read_each_room(index: int) -> None:
 
 
 def test_where_nothing_is_hidden_t_is_that_of_the_true_coefficients() -> None:
-    """Of another engine than rtcal's. Eyring's equation fits these rooms within a tenth."""
+    """Eyring's equation fits another engine's rooms within a tenth."""
     ratios = []
     for stated, truth in zip(CASES, TRUTHS, strict=True):
         if truth["kind"] == "nothing":

@@ -193,7 +193,7 @@ def test_an_earlier_finding_predicts_the_pairs_that_it_had_not(panels: StatesFin
 
 
 def test_the_changed_room_has_t_of_the_second_state(panels: StatesFinding) -> None:
-    """On 12 m² of a wall; the room spreads it over all materials, and says so."""
+    """The room spreads 12 m² on a wall over all materials, and says so."""
     changed = panels.apply()
     t = rt.Eyring().reverberation_time(changed.room)
     np.testing.assert_allclose(t, panels.case.differences.after, rtol=0.08)

@@ -35,8 +35,8 @@ _TOLD = 0.05
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class ChangedRoom:
-    """The room of the second state. It can be calibrated, exported and predicted with.
+class SecondState:
+    """A second state: its room, to calibrate, export and predict with.
 
     Its coefficients are those of a calibration to the first state, with the change's mean. Their sigma
     is the calibration's and the change's, together. What is added takes the same share of the way to
@@ -61,7 +61,7 @@ class ChangedRoom:
 
     def __repr__(self) -> str:
         on = listed([f'"{name}"' for name in self.surfaces]) if self.surfaces else "all materials"
-        return f"<ChangedRoom: on {on}>"
+        return f"<SecondState: on {on}>"
 
     def to_dict(self) -> dict[str, Any]:
         """Return what changed, and the notes, as plain values."""
@@ -88,7 +88,7 @@ class ChangedRoom:
 
 def changed_room(
     case: Case, area: Array, change: Array, surfaces: Sequence[str], kinds: Sequence[str]
-) -> ChangedRoom:
+) -> SecondState:
     """Return the room of the second state; see `StatesFinding.apply`.
 
     Parameters
@@ -139,7 +139,7 @@ def changed_room(
         notes.append(
             f"What it is made of is not told ({listed(kinds)}): its amount is in the room."
         )
-    return ChangedRoom(
+    return SecondState(
         room=room,
         surfaces=() if geometry is None else tuple(surfaces),
         geometry=geometry,

@@ -14,7 +14,7 @@ from rtcal.finder.claim import CLAIMED
 from rtcal.finder.finding import LEAST_PAIRS, Finding, Size
 from rtcal.finder.prior import NONE
 from rtcal.finder.states.case import Case
-from rtcal.finder.states.changed import ChangedRoom, changed_room
+from rtcal.finder.states.changed import SecondState, changed_room
 from rtcal.finder.states.kinds import ADDED
 from rtcal.finder.wording import NATS, amount, as_sentence, listed, over_frequency
 from rtcal.support import html, text
@@ -103,7 +103,7 @@ class StatesFinding(Finding):
             )
         return None
 
-    def apply(self) -> ChangedRoom:
+    def apply(self) -> SecondState:
         """Return the room of the second state, to calibrate, export and predict with.
 
         Raises
