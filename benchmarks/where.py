@@ -38,7 +38,7 @@ import rtcal as rt
 from benchmarks.judging import FLAGS, rounded, row_of
 from benchmarks.where_figures import DATA, LARGE, MODELS, ROOMS, chosen, table
 from rtcal.acoustics.quality import gap_jnd
-from rtcal.finder import find, library, track_record
+from rtcal.finder import find, library
 from rtcal.finder.positions.detection import of_means
 from rtcal.finder.positions.posterior import Hypotheses
 from rtcal.finder.positions.problem import Problem, problem_of
@@ -57,7 +57,8 @@ from tests.geometric_world.load import (
     without_noise,
 )
 
-PATHS = track_record.PATHS
+PATHS = 8000
+"""From each source: the default of `PathTracing`."""
 STATEMENTS = IN_SITU, HANDBOOK
 MATCH = ("t20", "edt", "c80", "ts", "level")
 PRESENT = "sixth"

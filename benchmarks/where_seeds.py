@@ -17,8 +17,7 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.where import case_of
-from rtcal.finder import track_record
+from benchmarks.where import PATHS, case_of
 from rtcal.finder.effects import library
 from rtcal.finder.positions.responses import parameters
 from rtcal.finder.positions.search import find_by_positions
@@ -45,7 +44,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--rooms", default="2.21", help="of development: population.number, ...")
     parser.add_argument("--seeds", default="0,1")
-    parser.add_argument("--paths", type=int, default=track_record.PATHS)
+    parser.add_argument("--paths", type=int, default=PATHS)
     parser.add_argument("--folder", type=Path, required=True)
     given = parser.parse_args()
     warnings.simplefilter("ignore")

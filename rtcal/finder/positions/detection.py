@@ -1,7 +1,9 @@
 """Whether something is other than stated. The positions decide; means over them tell the family, too.
 
 A noisy pair is no evidence that the room is other than stated. In rooms that lack nothing, one pair
-often errs by more than is assumed, and the other pairs do not.
+often errs by more than is assumed, and the other pairs do not. Nor is other scattering than is assumed:
+nobody states how a room scatters as a tracer takes it. In a flat room T depends on it in a way that no
+derivative tells.
 """
 
 from __future__ import annotations

@@ -166,7 +166,7 @@ def find_by_positions(
     hypotheses = every_hypothesis(case, made, numbers, effects, left_out)
     likelihoods = numbers.likelihoods()
     evidence = evaluate(likelihoods, hypotheses, numbers.residual[:, np.newaxis])
-    score, noise = scores(weights(evidence, hypotheses), hypotheses)
+    score, noise, scattered = scores(weights(evidence, hypotheses), hypotheses)
     detected = Detection(
         score=float(score[0]),
         threshold=THRESHOLD if case.simulated is None else OF_PROGRAMS,
@@ -177,8 +177,19 @@ def find_by_positions(
     if means is not None:
         posterior = with_families(posterior, hypotheses, means.families)
     finding = _finding(case, numbers, hypotheses, posterior, likelihoods[0], detected, effects)
-    notes = (*finding.notes, untried(effects), *([CHOSEN] if left_out else []))
+    notes = (*finding.notes, _of_scattering(float(scattered[0])), untried(effects))
+    notes = (*notes, *([CHOSEN] if left_out else []))
     return replace(finding, left_out=tuple(left_out), notes=tuple(filter(None, notes)))
+
+
+def _of_scattering(nats: float) -> str:
+    """Return a note that the room scatters otherwise than is assumed; "" where it is no likelier."""
+    if nats < THRESHOLD:
+        return ""
+    return (
+        f"That the room scatters otherwise than is assumed: {nats:+.1f} nats. It lacks nothing for "
+        "that. Other scattering coefficients may explain more."
+    )
 
 
 def every_hypothesis(
