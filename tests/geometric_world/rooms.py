@@ -5,7 +5,8 @@ development, population 1 for judging: 150 rooms with something hidden and 100 w
 which the kinds are mixed, so that the first N rooms are a fair sample. It was frozen on 2026-11-22,
 before the finder that it judges was tried on it. Population 2 has further rooms for development,
 drawn as those for judging; the first 40 are built. Population 3 is for judging again: its first 150
-rooms were frozen on 2026-11-23, before any finder was tried on them.
+rooms were frozen on 2026-11-23, before any finder was tried on them. Population 4 is for judging the
+rule that other scattering lacks nothing, at 8,000 paths; it was drawn after that rule was committed.
 
 - Shapes: half are boxes, the others polyhedra of 6 to 10 surfaces (`tests.position_rooms.shapes`), 90
   to 3,000 m³. In half of the rooms every surface has a material of its own; in the others walls share.
@@ -56,6 +57,7 @@ COUNTS = {
     1: KINDS,
     2: {**dict.fromkeys(KINDS, 5), NOTHING: 40},
     3: KINDS,
+    4: KINDS,
 }
 SHARES = 0.08, 0.6
 REFLECTIONS = 1.2e7
