@@ -74,8 +74,6 @@ POSITIONS = {
     (HANDBOOK, WITH_LEVEL): TrackRecord((3, 12), (1, 8), {"surface": (2, 3)}),
 }
 """Of a search at every position, by the coefficients' source and by data."""
-_JUDGED = {IN_SITU: "it", HANDBOOK: "an earlier version of it"}
-"""What was judged in rooms of each kind."""
 
 
 def data_of(case: Case) -> str:
@@ -134,7 +132,7 @@ def of_positions(room: Room, match: Sequence[str]) -> str:
     right = record.right["surface"]
     return (
         f"In simulated rooms with coefficients {stated} that were not used to make this finder, "
-        f"{_JUDGED[stated]} detected {record.detected[0]} of {record.detected[1]} hidden effects, "
+        f"an earlier version of it detected {record.detected[0]} of {record.detected[1]} hidden effects, "
         f"flagged {record.flagged[0]} of {record.flagged[1]} rooms that lacked nothing, and put "
         f"{right[0]} of {right[1]} absorbers that it detected on the correct surface. It traced "
         f"{PATHS} paths from each source."

@@ -66,13 +66,17 @@ class SimulatorError:
         return np.asarray(of_runs + self.rest)
 
     def scattering(self, levels: Array) -> Array:
-        """Return the shifts where the level changes by these, (parameters, pairs, bands, levels)."""
+        """Return the shifts where the level changes by these, (parameters, pairs, bands, levels).
+
+        All pairs have the mean shift: what their slopes differ by is mostly the noise of the few runs.
+        """
         columns, shape = self._columns, self.runs.errors.shape[1:]
         if columns is None:
             return np.zeros((*shape, len(levels)))
-        rows = self.runs.errors.reshape(len(columns), -1)
-        slope = np.linalg.lstsq(columns, rows, rcond=None)[0][-1]
-        return np.asarray(slope.reshape(*shape, 1) * levels)
+        means = self.runs.errors.mean(axis=2)
+        slope = np.linalg.lstsq(columns, means.reshape(len(columns), -1), rcond=None)[0][-1]
+        every = np.broadcast_to(slope.reshape(shape[0], 1, shape[2]), shape)
+        return np.asarray(every[..., np.newaxis] * levels)
 
 
 def simulator_error(

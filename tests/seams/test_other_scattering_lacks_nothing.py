@@ -1,0 +1,81 @@
+"""Nobody states how a room scatters as a tracer takes it: other scattering is no evidence of a gap."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from rtcal.finder.positions.posterior import Evidence, Hypotheses, scores, weights
+from rtcal.finder.positions.shift import NOISE, POSITION, SCATTERING, Shift, Spread
+
+ODDS = {"porous": 1.0, SCATTERING: 0.3, NOISE: 0.5, POSITION: 0.5}
+
+
+def shift(effect: str, surface: int | None) -> Shift:
+    """Return a hypothesis of two sizes whose shifts are not asked for."""
+    return Shift(
+        effect=effect,
+        family=effect,
+        surface=surface,
+        response="",
+        weights=np.zeros((2, 1, 1)),
+        odds=np.full(2, ODDS[effect] / 2),
+        sizes=np.ones(2),
+        unit="",
+        parameters=[{}, {}],
+        spectra=np.zeros((2, 1)),
+        error=np.zeros((1, 1)),
+        uneven=np.zeros(2),
+    )
+
+
+def spread(effect: str) -> Spread:
+    return Spread(effect, "S1", 1.0, "", np.arange(1), np.eye(1), ODDS[effect])
+
+
+EVERY = Hypotheses(
+    shifts=[shift("porous", 0), shift(SCATTERING, None)],
+    spreads=[spread(NOISE), spread(POSITION)],
+    off=0.1,
+)
+
+
+def score_of(**nats: float) -> tuple[float, float, float]:
+    """Return the scores where these effects explain what was measured better than nothing does."""
+    evidence = Evidence(
+        none=np.zeros(1),
+        coefficients=np.zeros(1),
+        unknown=np.zeros(1),
+        shifts=[np.full((2, 1), nats.get(s.effect, 0.0)) for s in EVERY.shifts],
+        spreads=[np.full(1, nats.get(s.effect, 0.0)) for s in EVERY.spreads],
+    )
+    score, noisy, scattered = scores(weights(evidence, EVERY), EVERY)
+    return float(score[0]), float(noisy[0]), float(scattered[0])
+
+
+@pytest.mark.parametrize("nothing", [SCATTERING, NOISE])
+@pytest.mark.parametrize("more", [5.0, 40.0])
+def test_what_lacks_nothing_lowers_the_score(nothing: str, more: float) -> None:
+    assert score_of(**{nothing: more})[0] < score_of()[0]
+
+
+@pytest.mark.parametrize("missing", ["porous", POSITION])
+def test_anything_else_raises_it(missing: str) -> None:
+    assert score_of(**{missing: 5.0})[0] > score_of()[0] + 1.0
+
+
+def test_a_room_in_which_all_explain_alike_has_no_evidence_either_way() -> None:
+    assert score_of()[0] == pytest.approx(0.0, abs=1e-9)
+
+
+def test_what_both_explain_is_no_evidence() -> None:
+    # In a flat room that scatters little an aperture explains nearly as much as the scattering.
+    assert score_of(porous=30.0)[0] > 10.0
+    assert score_of(porous=30.0, **{SCATTERING: 33.0})[0] < 0.0
+
+
+def test_the_scattering_is_told_apart_from_a_noisy_pair() -> None:
+    _, noisy, scattered = score_of(**{SCATTERING: 20.0})
+    _, noisy_then, scattered_then = score_of(**{NOISE: 20.0})
+    assert scattered > 5.0 > scattered_then
+    assert noisy_then > 5.0 > noisy
