@@ -131,9 +131,9 @@ def of_positions(room: Room, match: Sequence[str]) -> str:
     record = POSITIONS[stated, WITH_LEVEL if LEVEL.key in match else WITHOUT_LEVEL]
     right = record.right["surface"]
     return (
-        f"In simulated rooms with coefficients {stated} that were not used to make this finder, "
-        f"an earlier version of it detected {record.detected[0]} of {record.detected[1]} hidden effects, "
-        f"flagged {record.flagged[0]} of {record.flagged[1]} rooms that lacked nothing, and put "
-        f"{right[0]} of {right[1]} absorbers that it detected on the correct surface. It traced "
+        f"In simulated rooms with coefficients {stated} that were not used to make this finder, an "
+        f"earlier version of it detected {record.detected[0]} of {record.detected[1]} hidden "
+        f"effects, flagged {record.flagged[0]} of {record.flagged[1]} rooms that lacked nothing, and "
+        f"put {right[0]} of {right[1]} absorbers that it detected on the correct surface. It traced "
         f"{PATHS} paths from each source."
     )

@@ -6,7 +6,7 @@ which the kinds are mixed, so that the first N rooms are a fair sample. It was f
 before the finder that it judges was tried on it. Population 2 has further rooms for development,
 drawn as those for judging; the first 40 are built. Population 3 is for judging again: its first 150
 rooms were frozen on 2026-11-23, before any finder was tried on them. Population 4 is for judging the
-rule that other scattering lacks nothing, at 8,000 paths; it was drawn after that rule was committed.
+rule that other scattering lacks nothing, at 8,000 paths: frozen on 2026-11-23, not built yet.
 
 - Shapes: half are boxes, the others polyhedra of 6 to 10 surfaces (`tests.position_rooms.shapes`), 90
   to 3,000 m³. In half of the rooms every surface has a material of its own; in the others walls share.
@@ -67,6 +67,7 @@ FROZEN = {
     1: "142d07bf4fe2b6cb7ff03a59c911005adadf08eea830cba33a9999d50feed5be",
     2: "5679c802cb9e5c983f535eb50e63462c4d34a465f05267790f08b137d485a141",
     3: "853d857976c1f5e67e587daa9fc294eeb48e5c045bbd9f6e55a8beaa5b1818d6",
+    4: "e34d9b315afbae29afe2d0cba0806b20acaf967928ba738d6e39faf764b9de0f",
 }
 """`tests.geometric_world.generate.digest` of the first twelve rooms of each population."""
 LARGEST = 0.9  # share of a surface that something may take
