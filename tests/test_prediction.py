@@ -310,7 +310,11 @@ air = {temperature = 24, humidity = 50}
             'by = "panl"',
             r'by = "panl" is no material; the room has .*file has panel',
         ),
-        ("[[variant]]", '[[variant]]\nname = "panels"\nchange = []\n[[variant]]', "twice; each has a name of its own"),
+        (
+            "[[variant]]",
+            '[[variant]]\nname = "panels"\nchange = []\n[[variant]]',
+            "twice; each has a name of its own",
+        ),
         ("[[variant]]", "[[variants]]", "variants"),
         ("air = {temperature = 24, humidity = 50}", "air = {temperature = 24}\nby = 3", "by"),
         ("air = {temperature = 24, humidity = 50}", 'open = "x"\nair = {}', "2 of"),

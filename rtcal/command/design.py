@@ -16,7 +16,7 @@ from rtcal.command.predict import measured_states, read_changes, told, what_is_k
     "--treatments",
     type=click.Path(),
     required=True,
-    help="File of treatments and target (TOML); see docs/files.md.",
+    help="File of treatments and target (TOML): `rtcal example change` writes one; see docs/files.md.",
 )
 @click.option("--probability", type=float, help="0.8 or more; by default that of the file.")
 @what_is_known

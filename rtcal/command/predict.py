@@ -83,7 +83,7 @@ def read_changes(path: str, read: Callable[[str], Any]) -> Any:
     "--change",
     type=click.Path(),
     required=True,
-    help="File of variants (TOML); see docs/files.md.",
+    help="File of variants (TOML): `rtcal example change` writes one; see docs/files.md.",
 )
 @click.option(
     "--means",
