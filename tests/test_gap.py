@@ -26,8 +26,8 @@ from rtcal.finder.means.bootstrap import FOLDER
 from rtcal.finder.means.engines import ControlRooms
 from rtcal.finder.means.room_states import distances, state
 from rtcal.finder.model import predict
-from rtcal.report import gap_figures
-from rtcal.report import page as pages
+from rtcal.report import gap_figures, pages
+from rtcal.report.document import Heading
 from rtcal.report.gap_report import summary
 
 pytest.importorskip("numba", reason="the engines are compiled (extra fast)")
@@ -444,15 +444,14 @@ def test_the_whole_population_is_as_published() -> None:
     assert len(changed) <= 0.01 * len(rows), changed
 
 
-def test_a_folder_of_a_finding_says_where_its_page_is(
-    finding: MeansFinding, tmp_path: Path
-) -> None:
+def test_a_saved_finding_has_its_page(finding: MeansFinding, tmp_path: Path) -> None:
+    """It had been refused: the page was written by `find --out` alone."""
+    pytest.importorskip("matplotlib")
     finding.save(tmp_path)
-    with pytest.raises(rt.errors.DataError, match='of the kind "finding" has no page'):
-        pages.page_of(tmp_path)
-    (tmp_path / "report.html").write_text("the page")
-    with pytest.raises(rt.errors.DataError, match=r"has written the page of a finding, .*\.html"):
-        pages.page_of(tmp_path)
+    text = pages.page_of(tmp_path, heading=Heading(author="A. Consultant"))
+    assert "A. Consultant" in text
+    assert finding.case.room.name in text
+    assert "The evidence in numbers" in text
 
 
 def test_the_label_beside_a_flat_map_of_residuals_is_not_cropped(finding: MeansFinding) -> None:

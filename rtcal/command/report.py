@@ -30,9 +30,9 @@ _FIGURES = 5
 def report(result: str, out: str | None, heading: Heading, as_json: bool, quiet: bool) -> None:
     """Write RESULT as one HTML page: summary, doubts, tables, figures; or its tables as a workbook.
 
-    RESULT is the folder of `rtcal calibrate`, `fit`, `predict` or `design --out`, its result.json, the
-    state of an `rtcal loop`, or the file of `LoopResult.save`. The page needs no network and no other
-    file. It can be printed.
+    RESULT is the folder of `rtcal calibrate`, `fit`, `find`, `predict` or `design --out`, its
+    result.json, the state of an `rtcal loop`, or the file of `LoopResult.save`. The page needs no
+    network and no other file. It can be printed.
 
     \b
     Example: rtcal report calibrated \\
@@ -42,7 +42,7 @@ def report(result: str, out: str | None, heading: Heading, as_json: bool, quiet:
     Example: rtcal report calibrated --out hall.xlsx
     """  # noqa: D301 (click's mark for lines that are not to be wrapped)
     from rtcal.io import workbook
-    from rtcal.report import document, page, result_folder, tables
+    from rtcal.report import document, pages, result_folder, tables
     from rtcal.support.files import spare
     from rtcal.support.progress import bar
 
@@ -58,7 +58,7 @@ def report(result: str, out: str | None, heading: Heading, as_json: bool, quiet:
         tell(f"Written: {target}", done, quiet=quiet, as_json=as_json)
         return
     with bar(_FIGURES, "figure", bar_wanted(quiet), said(quiet)) as shown:
-        text = page.page_of(result, heading=heading, progress=lambda: shown.update(1))
+        text = pages.page_of(result, heading=heading, progress=lambda: shown.update(1))
     document.write(target, text)
     tell(
         f"Written: {target}",

@@ -11,7 +11,9 @@ MOST = 1e6
 """Largest odds that are printed as a number: no model is known so well."""
 _NUMBER = r"([+−-]?\d+(?:\.\d+)?)"
 _ONE = rf"{_NUMBER} nats"
-_TWO = rf"{_ONE}(; threshold:?| instead of| of the) {_NUMBER}(?: nats)?"
+_TWO = rf"{_ONE}(; threshold:?|; it must exceed| instead of| of the) {_NUMBER}(?: nats)?"
+_EXPLAINED = re.compile(r" ?2\.3 nats are odds of ten to one\.")
+"""What explains nats, and nothing else."""
 _FACTORS = (
     (rf"{_ONE} (more|less) probable", "{0} times {1} probable"),
     (rf"{_ONE} (better|worse)", "{0} times {1}"),
@@ -38,9 +40,12 @@ def in_odds(sentence: str) -> str:
     'Evidence: odds of 99 to 1; threshold 10 to 1.'
     >>> in_odds("They are 3.0 nats less probable with the effect.")
     'They are 20 times less probable with the effect.'
+    >>> in_odds("Evidence: +4.6 nats; it must exceed 3.0. 2.3 nats are odds of ten to one.")
+    'Evidence: odds of 99 to 1; it must exceed 20 to 1.'
     >>> in_odds("its evidence is +1.6 nats instead of +4.6")
     'its evidence is odds of 5 to 1 instead of 99 to 1'
     """
+    sentence = _EXPLAINED.sub("", sentence)
     for pattern, words in _FACTORS:
         sentence = re.sub(pattern, partial(_factor, words), sentence)
     sentence = re.sub(_TWO, lambda m: f"{_odds_of(m[1])}{m[2]} {odds(_value(m[3]))}", sentence)

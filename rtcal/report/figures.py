@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import io
 import os
+import textwrap
 import warnings
 from typing import TYPE_CHECKING, Any
 
@@ -61,16 +62,17 @@ def new_figure(
 
 @checked
 def shown(name: str, longest: int = _LONGEST_NAME) -> str:
-    r"""Return a name for a figure: one short line, with escaped dollars, which would begin a formula.
+    r"""Return a name for a figure, whole, in short lines; a dollar, which begins a formula, is escaped.
 
     Examples
     --------
     >>> shown("a $10 panel")
     'a \\$10 panel'
+    >>> shown("perforated gypsum board", 16)
+    'perforated\ngypsum board'
     """
     line = "".join(c if c.isprintable() else "?" for c in name)
-    line = line if len(line) <= longest else line[: longest - 1] + "…"
-    return line.replace("$", r"\$")
+    return "\n".join(textwrap.wrap(line, longest) or [line]).replace("$", r"\$")
 
 
 @checked

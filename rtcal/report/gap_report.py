@@ -102,7 +102,28 @@ def write(
     """
     verified = verify(finding) if finding.can_be_verified else None
     saved: Result = finding if verified is None else verified
-    drawn, entries = figures(finding, verified), summary(finding, verified)
+    drawn = figures(finding, verified)
+    text = page(finding, verified, drawn, reproduction, heading)
+    contents = {
+        folder / NUMBERS: saved.to_json().encode(),
+        folder / "report.html": text.encode(),
+        **{folder / f"{name}.png": rendered(figure, "png") for name, (figure, _) in drawn.items()},
+    }
+    make_folder(folder)
+    write_all(contents)
+    return list(contents)
+
+
+@checked
+def page(
+    finding: MeansFinding,
+    verified: MeansVerification | None,
+    drawn: dict[str, tuple[Any, str]],
+    reproduction: Reproduction | None = None,
+    heading: Heading | None = None,
+) -> str:
+    """Return the page; ``drawn`` are its `figures`, the other arguments those of `write`."""
+    entries = summary(finding, verified)
     entries["reproduce"] = _reproduce(finding, reproduction)
     first = finding.case.configurations[0]
     with warnings.catch_warnings():
@@ -113,15 +134,7 @@ def write(
             unreachable="nearest",
             equation=mean_equation(finding.case.equation).linear(),
         )
-    text = finding_page(usual, entries, drawn, heading=heading)
-    contents = {
-        folder / NUMBERS: saved.to_json().encode(),
-        folder / "report.html": text.encode(),
-        **{folder / f"{name}.png": rendered(figure, "png") for name, (figure, _) in drawn.items()},
-    }
-    make_folder(folder)
-    write_all(contents)
-    return list(contents)
+    return finding_page(usual, entries, drawn, heading=heading)
 
 
 @checked

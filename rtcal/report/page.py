@@ -255,11 +255,6 @@ def page_of(
         )
     if isinstance(result, CalibrationResult):
         return calibration_page(result, heading=heading, progress=progress)
-    written = (place if place.is_dir() else place.parent) / "report.html"
-    if result.record_kind.startswith(("finding", "verification")) and written.is_file():
-        raise DataError(
-            f"{place}: `rtcal find --out` has written the page of a finding, {written}: read that one"
-        )
     raise DataError(
         f'{place}: a result of the kind "{result.record_kind.rstrip(" 0123456789")}" has no page. '
         "Pages show a calibration, a loop, positions, predictions, designs and what changed; `rtcal "

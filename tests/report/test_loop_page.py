@@ -20,7 +20,7 @@ def test_a_loops_page(loop, tmp_path) -> None:
     text = page.page_of(path)
     assert f"A simulator was run {len(loop.steps)} times" in text
     assert "to no other" in text
-    assert text.count("<td>converged</td>") == 6
+    assert len(re.findall(r"<td[^>]*>converged</td>", text)) == 6
     assert f"{loop.steps[0].simulated[0]:.3f}" in text
     assert "Before and after" not in text
 
@@ -32,7 +32,9 @@ def test_a_loop_results_page(loop_result, tmp_path) -> None:
     assert "Simulated by Kuttruff&#39;s equation for BRAS CR2" in text
     after = loop_result.after.mean("t20")
     row = text.split("T20, with the coefficients returned / s")[1].split("</tr>")[0]
-    assert [float(v) for v in re.findall(r"<td>([\d.]+)</td>", row)] == np.round(after, 3).tolist()
+    assert [float(v) for v in re.findall(r"<td[^>]*>([\d.]+)</td>", row)] == np.round(
+        after, 3
+    ).tolist()
     assert "With all the coefficients returned, T20 is off by 0.0 JND at most" in text
     assert "no finding" not in text
     assert len(rt.load(path).loop.steps) == loop_result.simulations
@@ -51,7 +53,7 @@ def test_a_loops_page_says_what_the_terminal_says(
     for mark in loop_result.trust_marks:
         assert mark.advice in text
     row = text.split('<th scope="row">z</th>')[1].split("</tr>")[0]
-    shown = [float(v.replace("−", "-")) for v in re.findall(r"<td>([-−+\d.]+)</td>", row)]
+    shown = [float(v.replace("−", "-")) for v in re.findall(r"<td[^>]*>([-−+\d.]+)</td>", row)]
     assert shown == loop_result.loop.outcome.plausibility.z.round(1).tolist()
     monkeypatch.chdir(tmp_path)
     room, measured = rt.datasets.bras_cr2()
@@ -64,5 +66,5 @@ def test_a_loops_page_says_what_the_terminal_says(
     said = capsys.readouterr().out
     unfinished = page.page_of("loop.json")
     assert said.count("not yet") == 6
-    assert unfinished.count("<td>not yet</td>") == 6
+    assert len(re.findall(r"<td[^>]*>not yet</td>", unfinished)) == 6
     assert "not converging" not in unfinished
