@@ -1,7 +1,8 @@
 """The quality of the calibration to room modes, in a wave world that is not rtcal's (`modes_world`).
 
-    python -m benchmarks.modes dev        # rooms 1000 to 1011, for development
-    python -m benchmarks.modes judge      # rooms 0 to 59, judged once
+    python -m benchmarks.modes dev FILE      # rooms 1000 to 1023, for development
+    python -m benchmarks.modes judge FILE    # rooms 3000 to 3059, judged once
+    python -m benchmarks.modes judge FILE 3000 3030    # some of them
     python -m benchmarks.modes show FILE
 
 Each room has responses at 4 positions with noise, T20 of the octaves 63 and 125 Hz from them, and
@@ -51,8 +52,11 @@ def room_of(world):
     return room.replace(scene=scene), geometry
 
 
-def bound(room, modes, t, relative=0.1):
-    """Expected errors of linear Gaussian observers: of T alone, and of T with all modes too."""
+def bound(room, modes, t, low, relative=0.1):
+    """Expected errors of linear Gaussian observers: of T alone, and of T with all modes too.
+
+    Third is the share of draws in which the second is no worse than what was stated.
+    """
     correlation = w.CORRELATION ** np.abs(
         np.subtract.outer(*[np.log2(room.centre_frequencies)] * 2)
     )
@@ -81,7 +85,12 @@ def bound(room, modes, t, relative=0.1):
     noise = np.zeros((len(both),) * 2)
     noise[: len(error), : len(error)] = error
     noise[len(error) :, len(error) :] = np.diag((0.05 * b) ** 2)
-    return alone, sigma_after(both, noise)
+    rng, shape = np.random.default_rng(0), (4000, *room.alpha.shape)
+    off = np.linalg.cholesky(prior) @ rng.standard_normal((len(prior), shape[0]))
+    heard = both @ off + np.linalg.cholesky(noise) @ rng.standard_normal((len(noise), shape[0]))
+    after = off - prior @ both.T @ np.linalg.solve(both @ prior @ both.T + noise, heard)
+    mean = [np.abs(e.T.reshape(shape))[:, :, low].mean((1, 2)) for e in (off, after)]
+    return alone, sigma_after(both, noise), float((mean[1] <= mean[0]).mean())
 
 
 def true_poles(world, modes):
@@ -113,8 +122,9 @@ def judge_room(seed):
         )
     start = time.perf_counter()
     try:
+        pairs = [("S", r) for r in world.receivers]
         heard = rt.modes.find_modes(
-            world.responses, world.rate, [("S", r) for r in world.receivers], highest=highest
+            room, world.responses, world.rate, pairs, highest=highest, geometry=geometry
         )
         result = rt.calibrate_modes(room, heard, measured, geometry=geometry)
     except rt.errors.RtcalError as error:
@@ -135,8 +145,12 @@ def judge_room(seed):
     out |= {"error": error, "inside": int(inside[:, low].sum()), "of": int(inside[:, low].size)}
     top = 10 * np.ceil(1.08 * max(heard.frequencies[-1], highest) / 10)
     modes = rt.modes.modes_of(geometry, float(top), room.air.speed_of_sound)
-    of_t, of_both = bound(room, modes, t)
-    out["bound"] = {"t": float(of_t[:, low].mean()), "modes": float(of_both[:, low].mean())}
+    of_t, of_both, no_worse = bound(room, modes, t, low)
+    out["bound"] = {
+        "t": float(of_t[:, low].mean()),
+        "modes": float(of_both[:, low].mean()),
+        "no_worse": no_worse,
+    }
     out["sigma"] = float(result.sigma[:, low].mean())
     out |= matches(world, modes, heard, result, highest)
     out |= held_out(room, geometry, heard, measured, alone, result)
@@ -156,20 +170,26 @@ def matches(world, modes, heard, result, highest):
         for of in (world.sources, world.receivers)
     ]
     patterns = (at[0] * at[1]).T
-    right = 0
+    right = nearest = 0
     for k, i in enumerate(result.used):
+        if poles.frequencies[result.matched[k]] >= highest:
+            continue
         a = heard.amplitudes[i]
         mac = np.abs(patterns.conj() @ a) ** 2 / (
             (np.abs(patterns) ** 2).sum(1) * (np.abs(a) ** 2).sum()
         )
         off = (poles.frequencies - heard.frequencies[i]) / np.hypot(0.01 * poles.frequencies, 0.2)
         right += int(np.argmin(off**2 + (1 - mac) / 0.1) == result.matched[k])
+        pole = -heard.decays[i] + 2j * np.pi * heard.frequencies[i]
+        nearest += int(np.argmin(np.abs(poles.values - pole)) == result.matched[k])
+    used = int((poles.frequencies[result.matched] < highest).sum())
     there = int((poles.frequencies < highest).sum())
     return {
         "there": there,
         "found": len(heard.frequencies),
-        "used": len(result.used),
+        "used": used,
         "right": right,
+        "nearest": nearest,
     }
 
 
@@ -220,11 +240,15 @@ def summary(rows):
         "median of the rooms' ratios": round(float(np.median(error["modes"] / error["t"])), 3),
         "bound of it, all modes with 10 %": round(float(limit["modes"] / limit["t"]), 3),
         "no worse than stated, modes": round(float((error["modes"] <= error["prior"]).mean()), 3),
+        "no worse than stated, bound": round(
+            float(np.mean([r["bound"]["no_worse"] for r in good])), 3
+        ),
         "no worse than stated, T alone": round(float((error["t"] <= error["prior"]).mean()), 3),
         "90 % intervals": round(sum(r["inside"] for r in good) / sum(r["of"] for r in good), 3),
         "modes there": there,
         "found and rightly matched": round(right / there, 3),
         "wrong of those used": round(1 - right / used, 3),
+        "nearest to their own pole of all": round(sum(r["nearest"] for r in good) / used, 3),
         "held-out modes": int(n.sum()),
         "their decays' error, modes": round(float(off["modes"]), 3),
         "their decays' error, T alone": round(float(off["t"]), 3),
@@ -251,7 +275,9 @@ def main(arguments):
     if arguments[0] == "show":
         show([json.loads(line) for line in Path(arguments[1]).read_text().splitlines()])
         return
-    seeds = range(1000, 1012) if arguments[0] == "dev" else range(60)
+    seeds = range(1000, 1024) if arguments[0] == "dev" else range(3000, 3060)
+    if arguments[2:]:
+        seeds = range(*map(int, arguments[2:4]))
     path = Path(arguments[1])
     done = (
         {json.loads(x)["seed"] for x in path.read_text().splitlines()} if path.exists() else set()

@@ -18,7 +18,6 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from rtcal.acoustics.air import Air
 from rtcal.acoustics.equations import Eyring, LinearEquation
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.room import Room
@@ -30,12 +29,10 @@ from rtcal.calibration.problem import Calibration, CalibrationProblem
 from rtcal.calibration.result import CalibrationResult
 from rtcal.calibration.terms import LinearObservations, Observed, as_objective
 from rtcal.errors import DataError
-from rtcal.io import geometry_files
 from rtcal.io.sofa import Responses
-from rtcal.modes.decay_model import DecayModel
 from rtcal.modes.matching import Matches, match
 from rtcal.modes.measured import MeasuredModes
-from rtcal.modes.polyhedron import modes_of
+from rtcal.modes.model import ABOVE, RoomPoles
 from rtcal.modes.responses import modes_in
 from rtcal.modes.result import ModesResult
 from rtcal.modes.room_modes import Poles, RoomModes
@@ -46,8 +43,6 @@ from rtcal.support.types import Array
 
 MODES = LinearObservations("modes")
 
-CORRELATION = 0.8
-"""Correlation of a coefficient's error an octave apart, where the room states none."""
 MODEL_ERROR = 0.05
 """Relative standard deviation of a calculated decay: geometry, admittance that varies over a wall."""
 T_ERROR = 0.2
@@ -56,9 +51,6 @@ _NONE = (
     "none of the {} measured modes is surely a calculated one: check dimensions, temperature and the "
     "modes' frequencies"
 )
-_ABOVE = 1.08
-"""Modes are calculated up to this times the highest measured frequency."""
-_STEP = 10.0
 _STEPS = 5
 _MATCHINGS = 3
 """Largest number of matchings: the first with the prior, each further one with calibrated walls."""
@@ -137,29 +129,31 @@ def calibrate_modes(
     """
     _check(room, model_error, t_error)
     if isinstance(modes, Responses):
-        modes = modes_in(modes)
+        modes = modes_in(room, modes, geometry=geometry, room_modes=room_modes)
     if not isinstance(modes, MeasuredModes):
         raise DataError(
             f"modes = {checks.shown(modes)} is no MeasuredModes; rtcal.modes.read reads a table, and "
             "rtcal.modes.find_modes finds them in responses"
         )
-    correlation = _correlation(room, frequency_correlation)
-    if room_modes is None:
-        geometry = geometry_files.read(room) if geometry is None else geometry
-        # In steps, so that another measurement of the room needs the same modes.
-        top = _STEP * float(np.ceil(_ABOVE * modes.frequencies[-1] / _STEP))
-        room_modes = modes_of(geometry, top, (room.air or Air()).speed_of_sound)
-    if not room_modes.wanted:
-        raise DataError(_NONE.format(len(modes.frequencies)))
-    smooth = room.replace(band_correlation=correlation)
-    model = DecayModel(smooth, room_modes, correlation, _phases(room, phases))
-    every = model.poles(room.alpha)
-    patterns = _patterns(room, room_modes, every, modes)
-    found = match(modes, every.frequencies, every.decays, patterns)
+    model = RoomPoles.of(
+        room,
+        max(ABOVE * modes.frequencies[-1], modes.largest),
+        geometry=geometry,
+        room_modes=room_modes,
+        frequency_correlation=frequency_correlation,
+        phases=phases,
+    )
+    known = modes.calculated
+    if known is not None and len(known) and known.max() >= model.modes.wanted:
+        raise DataError(
+            f"calculated has mode {known.max()}; the room has {model.modes.wanted} modes"
+        )
+    every = model.calculated
+    found = match(modes, every.frequencies, every.decays)
     times = no_times(room) if measured is None else times_in_room(room, measured)
     low = _below_schroeder(room, times)
     equation = Eyring() if equation is None else equation
-    problem = _problem(smooth, times, low, equation)
+    problem = _problem(model.room, times, low, equation)
     alpha = room.alpha
     for _ in range(_MATCHINGS):
         if not len(found.measured):
@@ -177,14 +171,13 @@ def calibrate_modes(
         path = _steps(data, problem, alpha)
         # Calibrated walls say more surely which mode is which.
         alpha, after = path.end, model.poles(path.end)
-        patterns = _patterns(room, room_modes, after, modes)
-        again = match(modes, after.frequencies, after.decays, patterns, calibrated=True)
+        again = match(modes, after.frequencies, after.decays, calibrated=True)
         if _same(found, again) or not len(again.measured):
             break
         used, found = found, again
     else:
         found = used  # what the last steps were taken with
-    return _result(room, modes, found, room_modes, every, after, data, path)
+    return _result(room, modes, found, every, after, data, path)
 
 
 def _steps(data: _Data, problem: CalibrationProblem, alpha: Array) -> Steps[Array, _Linearised]:
@@ -210,7 +203,7 @@ def _same(one: Matches, other: Matches) -> bool:
 class _Data:
     """The measured decays and T, and the errors of what is compared."""
 
-    model: DecayModel
+    model: RoomPoles
     decays: Array
     uncertainty: Array
     model_error: float
@@ -326,7 +319,6 @@ def _result(
     room: Room,
     modes: MeasuredModes,
     found: Matches,
-    room_modes: RoomModes,
     every: Poles,
     after: Poles,
     data: _Data,
@@ -372,47 +364,6 @@ def _below_schroeder(room: Room, times: MeasuredTimes) -> NDArray[np.bool_]:
     middle = mid_frequency_time(t, room.centre_frequencies)
     limit = float(schroeder_frequency(np.array(middle), room.volume))
     return np.asarray(room.centre_frequencies < limit)
-
-
-def _patterns(
-    room: Room, modes: RoomModes, poles: Poles, measured: MeasuredModes
-) -> NDArray[np.complex128] | None:
-    """Return the poles' patterns over the measured pairs, (n_poles, n_pairs), where both are known."""
-    if measured.amplitudes is None or not measured.pairs:
-        return None
-    scene = room.scene
-    for source, receiver in measured.pairs:
-        if source not in scene.sources or receiver not in scene.receivers:
-            raise DataError(
-                f"pairs: {source} to {receiver} has no place; the room's scene has sources "
-                f"{', '.join(scene.sources) or 'none'} and receivers "
-                f"{', '.join(scene.receivers) or 'none'}"
-            )
-    at = [
-        modes.shapes(np.array([of[name] for name in names], dtype=float)) @ poles.mixtures
-        for of, names in (
-            (scene.sources, [s for s, _ in measured.pairs]),
-            (scene.receivers, [r for _, r in measured.pairs]),
-        )
-    ]
-    return np.asarray((at[0] * at[1]).T)
-
-
-def _phases(room: Room, phases: Mapping[str, float] | None) -> Array:
-    stated = checks.mapped("phases", phases or {})
-    out = np.zeros(room.n_materials)
-    for name, value in stated.items():
-        out[room.material_index(name)] = checks.number(f'phases["{name}"]', value)
-    return out
-
-
-def _correlation(room: Room, stated: float | None) -> float:
-    if stated is None:
-        return room.band_correlation or CORRELATION
-    value = checks.number("frequency_correlation", stated)
-    if not 0 <= value < 1:
-        raise DataError(f"frequency_correlation = {value:g} is not from 0 to below 1")
-    return value
 
 
 def _check(room: Room, model_error: float, t_error: float) -> None:

@@ -52,6 +52,10 @@ class MeasuredModes:
         Names of the positions of the pattern.
     amplitudes : complex array (n_modes, n_pairs), optional
         Complex amplitude of each mode at each pair, all in one unit: its pattern over the positions.
+    calculated : int array (n_modes,), optional
+        Which calculated mode of the room each is, where they were found as these.
+    largest : float, optional
+        Hz up to which modes of the room had been calculated then.
     notes : sequence of str
         How they were found, and what was left out.
 
@@ -73,6 +77,8 @@ class MeasuredModes:
     frequency_uncertainty: Array | None = None
     pairs: Sequence[tuple[str, str]] = ()
     amplitudes: NDArray[np.complex128] | None = None
+    calculated: NDArray[np.intp] | None = None
+    largest: float = 0.0
     notes: Sequence[str] = ()
 
     def __post_init__(self) -> None:
@@ -116,6 +122,13 @@ class MeasuredModes:
             if not np.isfinite(amplitudes).all():
                 raise DataError("amplitudes has a value that is not finite")
             put("amplitudes", amplitudes)
+        if self.calculated is not None:
+            own = np.array(self.calculated, dtype=int)
+            if own.shape != (n,) or len(np.unique(own)) < n or (own < 0).any():
+                raise DataError(
+                    f"calculated is not {n} different numbers from 0 on, one of each mode"
+                )
+            put("calculated", own)
 
     def __repr__(self) -> str:
         f = self.frequencies
@@ -143,6 +156,8 @@ class MeasuredModes:
             frequency_uncertainty=np.asarray(self.frequency_uncertainty)[rows],
             pairs=self.pairs,
             amplitudes=None if self.amplitudes is None else self.amplitudes[rows],
+            calculated=None if self.calculated is None else self.calculated[rows],
+            largest=self.largest,
             notes=self.notes,
         )
 

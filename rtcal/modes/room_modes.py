@@ -106,16 +106,17 @@ class RoomModes:
         chosen = chosen if only is None else chosen[list(only)]
         poles, shapes = first[chosen], vectors[:, chosen]
         slopes = np.empty((len(chosen), len(self.walls)), dtype=complex)
+        norms = np.empty(len(chosen), dtype=complex)
         for k in range(len(chosen)):
-            poles[k], shapes[:, k], slopes[k] = self._refined(
+            poles[k], shapes[:, k], slopes[k], norms[k] = self._refined(
                 poles[k], shapes[:, k], omega, admittances
             )
-        return Poles(poles, shapes, slopes)
+        return Poles(poles, shapes, slopes, norms)
 
     def _refined(
         self, pole: complex, shape: NDArray[np.complex128], omega: Array, admittances: Admittances
-    ) -> tuple[complex, NDArray[np.complex128], NDArray[np.complex128]]:
-        """Inverse iteration with Rayleigh's functional; the slopes ds/dbeta by wall, (n_walls,)."""
+    ) -> tuple[complex, NDArray[np.complex128], NDArray[np.complex128], complex]:
+        """Inverse iteration with Rayleigh's functional; the slopes ds/dbeta by wall, and the norm."""
         c, n = self.speed_of_sound, len(omega)
         for _ in range(_ROUNDS):
             walls = c * np.tensordot(admittances(float(pole.imag / (2 * np.pi))), self.coupling, 1)
@@ -133,7 +134,7 @@ class RoomModes:
             )
         norm = shape @ (2 * pole * shape + walls @ shape)
         slopes = np.array([-pole * c * (shape @ b @ shape) / norm for b in self.coupling])
-        return pole, shape, slopes
+        return pole, shape, slopes, complex(norm)
 
 
 def _rayleigh(
@@ -158,11 +159,15 @@ class Poles:
         Of rigid-wall modes.
     slopes : complex array (n_poles, n_walls)
         Derivative of each pole by each wall's specific admittance, in 1/s.
+    norms : complex array (n_poles,)
+        x' (2 s + c sum_i beta_i B_i) x of each mixture x: a source and a receiver at which the mixtures
+        have the values a and b excite and hear the pole with a b / norm.
     """
 
     values: NDArray[np.complex128]
     mixtures: NDArray[np.complex128]
     slopes: NDArray[np.complex128]
+    norms: NDArray[np.complex128]
 
     @property
     def frequencies(self) -> Array:

@@ -1,0 +1,161 @@
+"""The poles of a room as functions of its coefficients, and what positions hear of them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rtcal.acoustics.air import Air
+from rtcal.acoustics.room import Room
+from rtcal.errors import DataError
+from rtcal.io import geometry_files
+from rtcal.modes.frequency import AtFrequencies
+from rtcal.modes.paris import admittance, admittance_slope
+from rtcal.modes.polyhedron import modes_of
+from rtcal.modes.room_modes import Poles, RoomModes
+from rtcal.simulators.geometry import Polyhedron
+from rtcal.support import checks
+from rtcal.support.types import Array
+
+CORRELATION = 0.8
+"""Correlation of a coefficient's error an octave apart, where the room states none."""
+ABOVE = 1.08
+"""Modes are calculated up to this times the highest frequency that is asked of them."""
+_STEP = 10.0
+
+
+@dataclass(frozen=True, eq=False)
+class RoomPoles:
+    """The room's poles as functions of alpha in its bands.
+
+    ``chosen`` are the modes whose decays are compared, or all.
+    """
+
+    room: Room
+    modes: RoomModes
+    correlation: float
+    phases: Array
+    chosen: tuple[int, ...] | None = None
+    known: dict[bytes, tuple[Array, Array, Array]] = field(default_factory=dict)
+
+    @classmethod
+    def of(
+        cls,
+        room: Room,
+        largest: float,
+        *,
+        geometry: Polyhedron | None = None,
+        room_modes: RoomModes | None = None,
+        frequency_correlation: float | None = None,
+        phases: Mapping[str, float] | None = None,
+    ) -> RoomPoles:
+        """Return the poles of a room's modes up to at least ``largest`` in Hz.
+
+        Errors as `rtcal.calibrate_modes`.
+        """
+        checks.instance("room", room, Room)
+        correlation = _correlation(room, frequency_correlation)
+        turned = _phases(room, phases)
+        if room_modes is None:
+            geometry = geometry_files.read(room) if geometry is None else geometry
+            # In steps, so that another measurement of the room needs the same modes.
+            top = _STEP * float(np.ceil(largest / _STEP - 1e-9))
+            room_modes = modes_of(geometry, top, (room.air or Air()).speed_of_sound)
+        return cls(room.replace(band_correlation=correlation), room_modes, correlation, turned)
+
+    @cached_property
+    def at(self) -> AtFrequencies:
+        """The coefficients at the modes' frequencies, those that complete the shapes as well."""
+        return AtFrequencies.of(self.room, self.modes.frequencies, self.correlation)
+
+    @cached_property
+    def rows(self) -> list[int]:
+        """The material of each wall."""
+        return [self.room.material_index(m) for m in self.modes.materials]
+
+    @cached_property
+    def calculated(self) -> Poles:
+        """All poles with the room's own coefficients."""
+        return self.poles(self.room.alpha)
+
+    def poles(self, alpha: Array) -> Poles:
+        """Return the poles; the admittance between the modes' frequencies is interpolated."""
+        f = self.modes.frequencies
+        rows = zip(self.at.alpha(alpha), self.phases, strict=True)
+        beta = np.stack([admittance(a, p) for a, p in rows])
+
+        def admittances(frequency: float) -> NDArray[np.complex128]:
+            return np.array([np.interp(frequency, f, row) for row in beta])[self.rows]
+
+        return self.modes.poles(admittances, self.chosen)
+
+    def amplitudes(self, pairs: Sequence[tuple[str, str]]) -> NDArray[np.complex128]:
+        """Return what each pair of positions hears of each pole, (n_poles, n_pairs).
+
+        Of a source of the same strength at all frequencies, with the room's own coefficients.
+        """
+        scene, poles = self.room.scene, self.calculated
+        for source, receiver in pairs:
+            if source not in scene.sources or receiver not in scene.receivers:
+                raise DataError(
+                    f"pairs: {source} to {receiver} has no place; the room's scene has sources "
+                    f"{', '.join(scene.sources) or 'none'} and receivers "
+                    f"{', '.join(scene.receivers) or 'none'}"
+                )
+        at = [
+            self.modes.shapes(np.array([of[name] for name in names], dtype=float)) @ poles.mixtures
+            for of, names in (
+                (scene.sources, [s for s, _ in pairs]),
+                (scene.receivers, [r for _, r in pairs]),
+            )
+        ]
+        return np.asarray((at[0] * at[1] / poles.norms).T)
+
+    def linear(self, alpha: Array) -> tuple[Array, Array, Array]:
+        """Return the chosen modes' decays, their slopes by alpha in the bands, and the remainder.
+
+        (n_modes,), (n_modes, n_materials * n_bands) and (n_modes, n_modes), in 1/s.
+        """
+        key = alpha.tobytes()
+        if key not in self.known:
+            self.known[key] = self._linear(alpha)
+        return self.known[key]
+
+    def _linear(self, alpha: Array) -> tuple[Array, Array, Array]:
+        poles, columns = self.poles(alpha), list(self.chosen or ())
+        at = self.at.alpha(alpha)[:, columns]
+        beta_slope = np.stack(
+            [admittance_slope(a, p) for a, p in zip(at, self.phases, strict=True)]
+        )
+        by_material = np.zeros((len(columns), self.room.n_materials), dtype=complex)
+        for wall, row in enumerate(self.rows):
+            by_material[:, row] += poles.slopes[:, wall]
+        # Of delta by alpha at the mode's own frequency.
+        slope = -(by_material * beta_slope.T).real
+        matrix = slope[:, :, np.newaxis] * self.at.slope()[:, columns].transpose(1, 0, 2)
+        in_sigmas = slope * self.at.sigma[:, columns].T
+        remainder = (in_sigmas @ in_sigmas.T) * self.at.remainder[np.ix_(columns, columns)]
+        air = self.room.air_attenuation * self.modes.speed_of_sound / 2
+        decays = poles.decays + np.interp(poles.frequencies, self.room.centre_frequencies, air)
+        return decays, matrix.reshape(len(columns), -1), remainder
+
+
+def _phases(room: Room, phases: Mapping[str, float] | None) -> Array:
+    stated = checks.mapped("phases", phases or {})
+    out = np.zeros(room.n_materials)
+    for name, value in stated.items():
+        out[room.material_index(name)] = checks.number(f'phases["{name}"]', value)
+    return out
+
+
+def _correlation(room: Room, stated: float | None) -> float:
+    if stated is None:
+        return room.band_correlation or CORRELATION
+    value = checks.number("frequency_correlation", stated)
+    if not 0 <= value < 1:
+        raise DataError(f"frequency_correlation = {value:g} is not from 0 to below 1")
+    return value
