@@ -22,7 +22,7 @@ import numpy as np
 import rtcal as rt
 from benchmarks import modes_world as w
 from rtcal.acoustics.trust import schroeder_frequency
-from rtcal.modes.frequency import AtFrequencies
+from rtcal.modes.model import AtFrequencies
 from rtcal.modes.paris import admittance, admittance_slope
 from rtcal.simulators.geometry import Polyhedron
 

@@ -77,6 +77,8 @@ def box_modes(
     norms = np.sqrt(np.where(orders > 0, 2.0, 1.0) / sides)
 
     def shapes(points: Array) -> Array:
+        if ((points < 0) | (points > sides)).any():
+            raise DataError("a position lies outside the room's walls")
         angle = np.pi * np.asarray(points)[:, np.newaxis, :] * orders / sides
         return np.asarray((np.cos(angle) * norms).prod(axis=2))
 

@@ -6,7 +6,7 @@
 with d the measured decays and D those of the room's poles (`rtcal.modes.room_modes`), which are
 linearised at the last answer. Below the Schroeder frequency T is one more observation, whose error
 counts that no field is diffuse there. C is the sum of what was measured, of the model, and of what
-admittance does between the bands (`rtcal.modes.frequency`).
+admittance does between the bands (`rtcal.modes.model`).
 """
 
 from __future__ import annotations
@@ -52,8 +52,6 @@ _NONE = (
     "modes' frequencies"
 )
 _STEPS = 5
-_MATCHINGS = 3
-"""Largest number of matchings: the first with the prior, each further one with calibrated walls."""
 _HALVINGS = 3
 _SETTLED = 0.1
 """Share of a decay's uncertainty by which the linearised decay may be off the model's own."""
@@ -154,30 +152,20 @@ def calibrate_modes(
     low = _below_schroeder(room, times)
     equation = Eyring() if equation is None else equation
     problem = _problem(model.room, times, low, equation)
-    alpha = room.alpha
-    for _ in range(_MATCHINGS):
-        if not len(found.measured):
-            raise DataError(_NONE.format(len(modes.frequencies)))
-        data = _Data(
-            model=replace(model, chosen=tuple(found.calculated.tolist()), known={}),
-            decays=modes.decays[found.measured],
-            uncertainty=modes.decay_uncertainty[found.measured],
-            model_error=model_error,
-            times=times,
-            low=low,
-            t_error=t_error,
-            equation=equation,
-        )
-        path = _steps(data, problem, alpha)
-        # Calibrated walls say more surely which mode is which.
-        alpha, after = path.end, model.poles(path.end)
-        again = match(modes, after.frequencies, after.decays, calibrated=True)
-        if _same(found, again) or not len(again.measured):
-            break
-        used, found = found, again
-    else:
-        found = used  # what the last steps were taken with
-    return _result(room, modes, found, every, after, data, path)
+    if not len(found.measured):
+        raise DataError(_NONE.format(len(modes.frequencies)))
+    data = _Data(
+        model=replace(model, chosen=tuple(found.calculated.tolist()), known={}),
+        decays=modes.decays[found.measured],
+        uncertainty=modes.decay_uncertainty[found.measured],
+        model_error=model_error,
+        times=times,
+        low=low,
+        t_error=t_error,
+        equation=equation,
+    )
+    path = _steps(data, problem, room.alpha)
+    return _result(room, modes, found, every, model.poles(path.end), data, path)
 
 
 def _steps(data: _Data, problem: CalibrationProblem, alpha: Array) -> Steps[Array, _Linearised]:
@@ -190,13 +178,6 @@ def _steps(data: _Data, problem: CalibrationProblem, alpha: Array) -> Steps[Arra
         return step.model.error(step.model.towards(step.share)) < _SETTLED
 
     return gauss_newton(alpha, linearised, most=_STEPS, halvings=_HALVINGS, settled=settled)
-
-
-def _same(one: Matches, other: Matches) -> bool:
-    """Return whether two matchings use the same modes."""
-    return np.array_equal(one.measured, other.measured) and np.array_equal(
-        one.calculated, other.calculated
-    )
 
 
 @dataclass(frozen=True, eq=False)

@@ -4,10 +4,9 @@ All calculated frequencies share an error (speed of sound, size) and each has on
 mode is a calculated one, or none. The probability of each weighs the normal density of the frequencies'
 difference, and that of the logarithm of the decays' ratio.
 
-A mode found may be two in one: it is left out where another calculated mode lies within half the width
-of both, and was not found itself. No measured mode and no calculated one is used twice: a match counts
-where its probability is large seen from either side. Modes of responses need no matching: they were
-found as the room's own (`rtcal.modes.responses`).
+No measured mode and no calculated one is used twice: a match counts where its probability is large seen
+from either side. Modes of responses need no matching: they were found as the room's own
+(`rtcal.modes.responses`).
 """
 
 from __future__ import annotations
@@ -28,14 +27,10 @@ COMMON_ERROR = 0.012
 some 4 K of temperature."""
 OWN_ERROR = 0.004
 """Standard deviation of each calculated frequency's own error, relative: reactance, shape."""
-_DECAY = 0.5
-"""Standard deviation of the logarithm of a mode's decay where the walls are not calibrated yet."""
-_CALIBRATED = 0.3
-"""The same of calibrated walls."""
+DECAY_ERROR = 0.5
+"""Standard deviation of the logarithm of a calculated decay: the walls are not calibrated yet."""
 _REACTANCE = 0.7
 """Standard deviation of a frequency's shift by reactance, of half the mode's width delta / (2 pi)."""
-_APART = 0.5
-"""Distance in widths within which a mode that was not found may be part of one that was."""
 _STRANGER = 0.05
 """Prior probability that a measured mode is none of those calculated."""
 _SCALES = 121
@@ -63,13 +58,7 @@ class Matches:
     ambiguous: NDArray[np.intp]
 
 
-def match(
-    measured: MeasuredModes,
-    frequencies: Array,
-    decays: Array,
-    *,
-    calibrated: bool = False,
-) -> Matches:
+def match(measured: MeasuredModes, frequencies: Array, decays: Array) -> Matches:
     """Match measured modes to calculated ones.
 
     Parameters
@@ -77,8 +66,6 @@ def match(
     measured : MeasuredModes
     frequencies, decays : array (n_calculated,)
         Hz and 1/s.
-    calibrated : bool
-        Whether the decays are those of calibrated walls.
 
     Examples
     --------
@@ -90,7 +77,7 @@ def match(
     if measured.calculated is not None:
         return _heard(measured, frequencies)
     relative = measured.decay_uncertainty / measured.decays
-    of_decay = np.hypot(_CALIBRATED if calibrated else _DECAY, relative)[:, np.newaxis]
+    of_decay = np.hypot(DECAY_ERROR, relative)[:, np.newaxis]
     # Relative to a stranger's decay, of which nothing is known but its order of magnitude.
     plain = -((np.log(measured.decays[:, np.newaxis] / decays) / of_decay) ** 2) / 2 - np.log(
         of_decay
@@ -117,7 +104,6 @@ def match(
     best = both.argmax(axis=1)
     probability = both[np.arange(len(both)), best]
     sure = probability >= SURE
-    sure &= ~_merged(best, sure, frequencies, decays)
     return Matches(
         measured=np.flatnonzero(sure),
         calculated=best[sure],
@@ -142,17 +128,6 @@ def _heard(measured: MeasuredModes, frequencies: Array) -> Matches:
 def frequency_error(frequencies: Array, decays: Array) -> Array:
     """Return the standard deviation of each calculated frequency's own error in Hz, same shape."""
     return np.asarray(np.hypot(OWN_ERROR * frequencies, _REACTANCE * decays / (2 * np.pi)))
-
-
-def _merged(
-    best: NDArray[np.intp], sure: NDArray[np.bool_], frequencies: Array, decays: Array
-) -> NDArray[np.bool_]:
-    """Return which matches may be two modes in one: another mode nearby was not found."""
-    width = (decays[best][:, np.newaxis] + decays) / (2 * np.pi)
-    near = np.abs(frequencies[best][:, np.newaxis] - frequencies) < _APART * width
-    near[:, np.unique(best[sure])] = False
-    near[np.arange(len(best)), best] = False
-    return np.asarray(near.any(axis=1))
 
 
 def _log_sum(table: Array) -> Array:

@@ -5,7 +5,8 @@ from __future__ import annotations
 import csv
 import io
 import os
-from collections.abc import Mapping, Sequence
+import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,14 +24,12 @@ __dir__ = __all__.copy
 
 MAX_BYTES = 2**20
 _LARGEST_FREQUENCY = 1000.0
-_COLUMNS = {
-    "frequency": ("frequency", "f", "f / hz", "f/hz", "frequency / hz", "frequency (hz)"),
-    "decay": ("decay", "delta", "decay / 1/s", "decay (1/s)"),
-    "t": ("t", "t60", "rt", "mt60", "t / s", "t60 / s", "t (s)", "t60 (s)"),
-    "u_decay": ("u_decay", "decay uncertainty", "u_delta"),
-    "u_t": ("u_t", "t uncertainty", "u_t60"),
-    "u_frequency": ("u_frequency", "frequency uncertainty", "u_f"),
+_NAMES = {
+    "frequency": ("frequency", "f"),
+    "decay": ("decay", "delta"),
+    "T": ("t", "t60", "rt", "mt60"),
 }
+"""Columns of a table and their spellings, without unit; u_ before one is its uncertainty."""
 
 
 @checked
@@ -190,20 +189,29 @@ def read(path: str | os.PathLike[str]) -> MeasuredModes:
     rows = [r for r in csv.reader(io.StringIO(text), delimiter=separator) if any(map(str.strip, r))]
     if len(rows) < 2:
         raise DataError(f"{place}: a table of modes has a header and a row for each mode")
-    columns = _columns(rows[0], place)
-    values = {name: _column(rows, k, name, place) for name, k in columns.items()}
-    frequencies = values["frequency"]
-    if "decay" in values:
-        decays, uncertainty = values["decay"], values["u_decay"]
-    else:
-        _above_zero(values["t"], "T", place)
-        decays = DECAY / values["t"]
-        uncertainty = decays * values["u_t"] / values["t"]
-    order = np.argsort(frequencies, kind="stable")
+    names = [_name(cell) for cell in rows[0]]
+    for name in filter(None, names):
+        if names.count(name) > 1:
+            raise DataError(f'{place}: the column "{name}" stands there twice')
+    if "frequency" not in names or ("decay" in names) == ("T" in names):
+        raise DataError(
+            f"{place}: the header is {', '.join(c.strip() for c in rows[0])}; a table of modes has "
+            "frequency, and either decay (1/s) or T (s)"
+        )
+    of = "decay" if "decay" in names else "T"
+    if f"u_{of}" not in names:
+        raise DataError(f'{place}: the column "u_{of}" is missing: the standard uncertainty')
+    values = {n: _column(rows, k, n, place) for k, n in enumerate(names) if n is not None}
+    decays, uncertainty = values[of], values[f"u_{of}"]
+    if of == "T":
+        if (decays <= 0).any():
+            raise DataError(f"{place}: T = {decays[decays <= 0][0]:g} s is not above 0")
+        decays, uncertainty = DECAY / decays, DECAY * uncertainty / decays**2
+    order = np.argsort(values["frequency"], kind="stable")
     stated = values.get("u_frequency")
     try:
         return MeasuredModes(
-            frequencies=frequencies[order],
+            frequencies=values["frequency"][order],
             decays=decays[order],
             decay_uncertainty=uncertainty[order],
             frequency_uncertainty=None if stated is None else stated[order],
@@ -212,24 +220,15 @@ def read(path: str | os.PathLike[str]) -> MeasuredModes:
         raise DataError(f"{place}: {error}") from error
 
 
-def _columns(header: Sequence[str], place: str) -> Mapping[str, int]:
-    """Return the place of each column that is there; DataError unless the table is whole."""
-    columns: dict[str, int] = {}
-    for k, cell in enumerate(header):
-        for name, spellings in _COLUMNS.items():
-            if cell.strip().lower() in spellings:
-                if name in columns:
-                    raise DataError(f'{place}: the column "{cell.strip()}" stands there twice')
-                columns[name] = k
-    if "frequency" not in columns or ("decay" in columns) == ("t" in columns):
-        raise DataError(
-            f"{place}: the header is {', '.join(c.strip() for c in header)}; a table of modes has "
-            "frequency, and either decay (1/s) or T (s)"
-        )
-    needed = "u_decay" if "decay" in columns else "u_t"
-    if needed not in columns:
-        raise DataError(f'{place}: the column "{needed}" is missing: the standard uncertainty')
-    return columns
+def _name(cell: str) -> str | None:
+    """Return the column that a cell of the header names, None for any other."""
+    plain = re.split(r"[/(]", cell.strip().lower())[0].strip()
+    uncertain = plain.startswith("u_") or plain.endswith(" uncertainty")
+    plain = plain.removeprefix("u_").removesuffix(" uncertainty")
+    for name, spellings in _NAMES.items():
+        if plain in spellings:
+            return f"u_{name}" if uncertain else name
+    return None
 
 
 def _column(rows: Sequence[Sequence[str]], k: int, name: str, place: str) -> Array:
@@ -241,8 +240,3 @@ def _column(rows: Sequence[Sequence[str]], k: int, name: str, place: str) -> Arr
         except ValueError as error:
             raise DataError(f'{place}, row {i}: {name} = "{cell}" is not a number') from error
     return np.array(values)
-
-
-def _above_zero(values: Array, name: str, place: str) -> None:
-    if not (values > 0).all():
-        raise DataError(f"{place}: {name} = {values[~(values > 0)][0]:g} s is not above 0")

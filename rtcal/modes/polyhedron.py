@@ -103,7 +103,10 @@ def _by_elements(geometry: Polyhedron, largest: float, c: float, spacing: float)
 
     def shapes(points: Array) -> Array:
         inside = np.ascontiguousarray(np.asarray(points, dtype=float).T)
-        return np.asarray(basis.probes(inside) @ vectors)
+        try:
+            return np.asarray(basis.probes(inside) @ vectors)
+        except ValueError as error:
+            raise DataError("a position lies outside the room's walls") from error
 
     return RoomModes(
         frequencies=frequencies,

@@ -1,0 +1,289 @@
+"""The fit of a room's poles to the spectra of its responses.
+
+The spectra of the pairs r of positions are those of the room's poles s_n, in the form that samples of
+finite length have:
+
+    Y_r(w) = sum_n A_nr / (j w - s_n) + conj(A_nr) / (j w - conj(s_n)) + error.
+
+Unknown are the poles, with the calculated ones as prior, and the amplitudes, with A_nr = q(f_n) psi_nr
+as prior: psi is what the positions hear of each mode, and q, the source's spectrum, is smooth and
+follows from the amplitudes themselves. A scan finds the factor that all calculated frequencies share.
+Gauss-Newton steps with Levenberg's damping then fit everything. The amplitudes of all pairs have one
+information matrix, and fall out of the poles' (variable projection; Golub & Pereyra 1973).
+
+References
+----------
+Golub & Pereyra 1973, SIAM J. Numer. Anal. 10; Kay 1993, Fundamentals of Statistical Signal Processing.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rtcal.errors import DataError
+from rtcal.modes.matching import COMMON_ERROR, DECAY_ERROR, frequency_error
+from rtcal.modes.room_modes import Poles
+from rtcal.support.types import Array
+
+Complex = NDArray[np.complex128]
+
+AMPLITUDE = 0.3
+"""Relative standard deviation of an amplitude at a pair: positions, the walls' effect on the shape."""
+_SMOOTH = 20.0
+"""Hz over which the source's spectrum is smooth."""
+_LOCAL = 8.0
+"""Hz on either side over which the error of the fit is averaged."""
+_LEAST_RANGE = 15.0
+"""dB between the first eighth of the responses and their last eighth, within the frequencies sought."""
+_SCALES = 41
+_STEPS = 25
+
+
+@dataclass(frozen=True, eq=False)
+class Spectra:
+    """Spectra of the responses: ``values`` (n_bins, n_pairs) at ``omega`` in 1/s, and their noise.
+
+    ``noise`` is the variance of the real part of a bin.
+    """
+
+    values: Complex
+    omega: Array
+    noise: float
+    samples: int
+    step: float
+
+    @classmethod
+    def of(cls, signals: Array, rate: float, lowest: float, highest: float) -> Spectra:
+        """Return the spectra of responses (n_pairs, n_samples); DataError without a decay in them."""
+        n = signals.shape[1]
+        f = np.fft.rfftfreq(n, 1 / rate)
+        inside = (f >= 0.75 * lowest) & (f <= 1.03 * highest)
+        spectra = np.fft.rfft(signals, axis=1)[:, inside]
+        # Of the last eighth, in which the modes have died away.
+        tail = n // 8
+        end, start = (
+            np.abs(np.fft.rfft(part, n, axis=1)[:, inside]) ** 2
+            for part in (signals[:, -tail:], signals[:, :tail])
+        )
+        if start.sum() < end.sum() * 10 ** (_LEAST_RANGE / 10):
+            raise DataError(
+                f"the responses have no decay of {_LEAST_RANGE:g} dB above their noise from "
+                f"{lowest:g} to {highest:g} Hz: measure with more signal"
+            )
+        noise = max(float(end.mean()) * n / tail / 2, 1e-12 * float((np.abs(spectra) ** 2).mean()))
+        return cls(spectra.T, np.asarray(2 * np.pi * f[inside]), noise, n, 1 / rate)
+
+    def kernel(self, poles: Complex) -> tuple[Complex, Complex]:
+        """Return the spectra of exp(s t) and their derivatives by s, each (n_bins, n_poles)."""
+        n, dt = self.samples, self.step
+        step = np.exp((poles - 1j * self.omega[:, np.newaxis]) * dt)
+        last = np.exp(poles * dt * n) * np.exp(-1j * self.omega * dt * n)[:, np.newaxis]
+        value = (1 - last) / (1 - step)
+        return value, dt * (step * value - n * last) / (1 - step)
+
+    def local(self, off: Complex) -> Array:
+        """Return the variance of a bin's real part, (n_bins,), averaged over its neighbours."""
+        half = max(int(_LOCAL * 2 * np.pi / (self.omega[1] - self.omega[0])), 1)
+        window = np.ones(2 * half + 1)
+        power = np.convolve((np.abs(off) ** 2).mean(axis=1) / 2, window, "same")
+        count = np.convolve(np.ones(len(off)), window, "same")
+        # A window that is longer than the spectrum is cut to it.
+        start = (len(power) - len(off)) // 2
+        return np.maximum((power / count)[start : start + len(off)], self.noise)
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """The least squares of poles (frequencies in Hz, then logarithms of decays) and amplitudes.
+
+    ``psi`` (n_poles, n_pairs) is what the pairs hear of each calculated pole, ``scale`` times whose
+    frequencies are the ``prior``.
+    """
+
+    heard: Spectra
+    poles: Poles
+    psi: Complex
+    scale: float
+
+    @cached_property
+    def prior(self) -> Array:
+        """Frequencies and logarithms of decays, (2 n_poles,)."""
+        return np.concatenate([self.scale * self.poles.frequencies, np.log(self.poles.decays)])
+
+    @cached_property
+    def spread(self) -> Array:
+        """Standard deviations of the prior, (2 n_poles,)."""
+        own = frequency_error(self.poles.frequencies, self.poles.decays)
+        return np.concatenate([own, np.full(len(own), DECAY_ERROR)])
+
+    def parts(self, at: Array) -> tuple[Complex, Complex, Complex, Complex]:
+        """Return kernels of the poles and of their conjugates, and their derivatives."""
+        n = len(self.psi)
+        poles = -np.exp(at[n:]) + 2j * np.pi * at[:n]
+        value, slope = self.heard.kernel(poles)
+        other, other_slope = self.heard.kernel(poles.conj())
+        return value / 2, other / 2, slope / 2, other_slope / 2
+
+    def off(self, at: Array, amplitudes: Complex) -> Complex:
+        """Return what the modes leave of the spectra, (n_bins, n_pairs)."""
+        value, other, _, _ = self.parts(at)
+        return np.asarray(self.heard.values - value @ amplitudes - other @ amplitudes.conj())
+
+
+def fitted(heard: Spectra, poles: Poles, psi: Complex) -> Point:
+    """Return the poles and amplitudes of the least squares."""
+    scale, amplitudes = _scanned(heard, poles.values, psi)
+    problem = Problem(heard, poles, psi, scale)
+    point, damping = Point(problem, problem.prior, amplitudes), 1e-2
+    for _ in range(_STEPS):
+        now, settled = point.misfit(point.at, point.amplitudes), True
+        for _ in range(6):
+            move, more = point.step(damping)
+            if np.abs(move[len(psi) :]).max() < 2:
+                moved = point.at + move, point.amplitudes + more
+                fallen = now - point.misfit(*moved)
+                if fallen > 0:
+                    point, settled = Point(problem, *moved), fallen < 0.5
+                    break
+            damping *= 10
+        damping = max(damping / 10, 1e-8)
+        if settled:
+            break
+    return point
+
+
+def _scanned(heard: Spectra, poles: Complex, psi: Complex) -> tuple[float, Complex]:
+    """Return the factor of all frequencies under which the patterns explain most, and amplitudes."""
+    best = (np.inf, 1.0, psi)
+    gram = psi.conj() @ psi.T
+    total = float((np.abs(heard.values) ** 2).sum())
+    for scale in 1 + 2.5 * COMMON_ERROR * np.linspace(-1, 1, _SCALES):
+        value, _ = heard.kernel(poles.real + 1j * scale * poles.imag)
+        matrix = gram * (value.conj().T @ value) / 4
+        matrix[np.diag_indices(len(psi))] *= 1 + 1e-3
+        right = (psi.conj() * (value.conj().T @ heard.values)).sum(axis=1) / 2
+        q = np.linalg.solve(matrix, right)
+        left = max(total - float((right.conj() @ q).real), 1e-12 * total)
+        # As if an eighth of all bins were independent: the misfit is the model's.
+        cost = heard.values.size / 4 * np.log(left) + ((scale - 1) / COMMON_ERROR) ** 2
+        if cost < best[0]:
+            best = (float(cost), float(scale), q[:, np.newaxis] * psi)
+    return best[1], best[2]
+
+
+@dataclass(frozen=True, eq=False)
+class Point:
+    """Poles and amplitudes, with the errors and the source's spectrum there."""
+
+    problem: Problem
+    at: Array
+    amplitudes: Complex
+
+    @property
+    def frequencies(self) -> Array:
+        """Hz, (n_poles,)."""
+        return self.at[: len(self.amplitudes)]
+
+    @property
+    def log_decays(self) -> Array:
+        """Logarithms of the decays in 1/s, (n_poles,)."""
+        return self.at[len(self.amplitudes) :]
+
+    @cached_property
+    def off(self) -> Complex:
+        """What the modes leave of the spectra, (n_bins, n_pairs)."""
+        return self.problem.off(self.at, self.amplitudes)
+
+    @cached_property
+    def expected(self) -> Complex:
+        """Amplitudes of the calculated patterns with the source's smooth spectrum."""
+        psi, f = self.problem.psi, self.frequencies
+        near = np.exp(-(((f[:, np.newaxis] - f) / _SMOOTH) ** 2))
+        q = (
+            near
+            @ (psi.conj() * self.amplitudes).sum(axis=1)
+            / (near @ (np.abs(psi) ** 2).sum(axis=1))
+        )
+        return np.asarray(q[:, np.newaxis] * psi)
+
+    @cached_property
+    def ridge(self) -> Array:
+        """Weight of each mode's amplitudes, (n_poles,)."""
+        size = np.sqrt((np.abs(self.expected) ** 2).mean(axis=1))
+        return np.asarray(1 / np.maximum(AMPLITUDE * size, 1e-9 * size.max()) ** 2)
+
+    @cached_property
+    def weight(self) -> Array:
+        """Of each bin, (n_bins,)."""
+        return np.asarray(1 / np.sqrt(self.problem.heard.local(self.off)))
+
+    @property
+    def unexplained(self) -> float:
+        """Share of the responses' power that the modes leave."""
+        return _share(self.off, self.problem.heard.values)
+
+    @property
+    def strange(self) -> float:
+        """Share of the amplitudes' power that the calculated patterns leave."""
+        within = self.frequencies <= self.problem.heard.omega[-1] / (2 * np.pi)
+        return _share((self.amplitudes - self.expected)[within], self.amplitudes[within])
+
+    @property
+    def covariance(self) -> Array:
+        """Of the poles, (2 n_poles, 2 n_poles), with their prior."""
+        return np.asarray(np.linalg.inv(self._reduced(0.0)[0]))
+
+    def misfit(self, at: Array, amplitudes: Complex) -> float:
+        """Return the weighed squares of what is left, of amplitudes and of poles elsewhere."""
+        p = self.problem
+        left = np.abs(p.off(at, amplitudes)) ** 2 * self.weight[:, np.newaxis] ** 2
+        far = np.abs(amplitudes - self.expected) ** 2 * self.ridge[:, np.newaxis]
+        return float(left.sum() + far.sum() + (((at - p.prior) / p.spread) ** 2).sum())
+
+    def step(self, damping: float) -> tuple[Array, Complex]:
+        """Return the damped step of poles and amplitudes."""
+        matrix, right, inverse, across, sides = self._reduced(damping)
+        move = np.linalg.solve(matrix, right)
+        more = np.stack(
+            [inverse @ (s - c @ move) for c, s in zip(across, sides, strict=True)], axis=1
+        )
+        n = len(self.amplitudes)
+        return np.asarray(move), np.asarray(more[:n] + 1j * more[n:])
+
+    def _reduced(self, damping: float) -> tuple[Array, Array, Array, list[Array], list[Array]]:
+        """Return matrix and right side of the poles, without the amplitudes, and these' own."""
+        p, n = self.problem, len(self.amplitudes)
+        value, other, slope, other_slope = p.parts(self.at)
+
+        def real(columns: Complex) -> Array:
+            weighed = columns * self.weight[:, np.newaxis]
+            return np.concatenate([weighed.real, weighed.imag])
+
+        of_amplitudes = real(np.hstack([value + other, 1j * (value - other)]))
+        own = of_amplitudes.T @ of_amplitudes
+        own[np.diag_indices(2 * n)] += np.tile(self.ridge, 2)
+        own[np.diag_indices(2 * n)] *= 1 + damping
+        inverse: Array = np.asarray(np.linalg.inv(own))
+        matrix, right = np.diag(p.spread**-2), (p.prior - self.at) / p.spread**2
+        off, decays = real(self.off), np.exp(self.log_decays)
+        far = (self.expected - self.amplitudes) * self.ridge[:, np.newaxis]
+        across, sides = [], []
+        for r, a in enumerate(self.amplitudes.T):
+            one, two = slope * a, other_slope * a.conj()
+            of_poles = real(np.hstack([2j * np.pi * (one - two), -decays * (one + two)]))
+            matrix, right = matrix + of_poles.T @ of_poles, right + of_poles.T @ off[:, r]
+            across.append(of_amplitudes.T @ of_poles)
+            sides.append(of_amplitudes.T @ off[:, r] + np.append(far[:, r].real, far[:, r].imag))
+        matrix[np.diag_indices(2 * n)] *= 1 + damping
+        for c, side in zip(across, sides, strict=True):
+            matrix, right = matrix - c.T @ inverse @ c, right - c.T @ inverse @ side
+        return (matrix + matrix.T) / 2, right, inverse, across, sides
+
+
+def _share(part: Complex, whole: Complex) -> float:
+    """Return the power of a part over that of the whole."""
+    return float((np.abs(part) ** 2).sum() / max((np.abs(whole) ** 2).sum(), 1e-300))
