@@ -4,6 +4,7 @@
     python -m benchmarks.modes judge FILE    # rooms 3000 to 3059, judged once
     python -m benchmarks.modes judge FILE 3000 3030    # some of them
     python -m benchmarks.modes show FILE
+    python -m benchmarks.modes time          # of one core: a slanted room of 95 m³, modes to 200 Hz
 
 Each room has responses at 4 positions with noise, T20 of the octaves 63 and 125 Hz from them, and
 stated coefficients that are off by 40 %. The temperature told is off by 1 K.
@@ -270,8 +271,27 @@ def show(rows):
         print(f"| {name} | {value} |")
 
 
+def seconds():
+    """Print what finding and calibrating take of one core, the first time and after it."""
+    world = w.world(1001)
+    room, geometry = room_of(world)
+    pairs = [("S", r) for r in world.receivers]
+    for name in ("first", "after"):
+        start = time.process_time()
+        heard = rt.modes.find_modes(
+            room, world.responses, world.rate, pairs, highest=200.0, geometry=geometry
+        )
+        found = time.process_time()
+        rt.calibrate_modes(room, heard, geometry=geometry)
+        end = time.process_time()
+        print(f"{name}: {found - start:.1f} s to find, {end - found:.1f} s to calibrate")
+
+
 def main(arguments):
     """Run, or show what was run."""
+    if arguments[0] == "time":
+        seconds()
+        return
     if arguments[0] == "show":
         show([json.loads(line) for line in Path(arguments[1]).read_text().splitlines()])
         return

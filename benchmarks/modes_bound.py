@@ -1,7 +1,7 @@
 """How many modes of `modes_world` responses can tell at all, and what the fit refuses.
 
     python -m benchmarks.modes_bound resolved 1000 1012    # Cramer-Rao bounds, room by room
-    python -m benchmarks.modes_bound refused 1003 1010     # exchanged receivers, a late axis, wrong sides
+    python -m benchmarks.modes_bound refused 1003 1010     # exchanged receivers, late, wrong sides
 
 A mode counts as resolved where the bound of its decay's uncertainty is below 35 %: with amplitudes that
 are free at each of the four positions, or with the pattern of the true poles and one free factor for

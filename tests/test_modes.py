@@ -155,7 +155,8 @@ def test_without_t_and_without_a_change():
 def test_a_room_of_uncertain_volume():
     """T above the Schroeder frequency is matched within what the volume allows, the modes as before."""
     exact, unsure = (
-        rt.calibrate_modes(ROOM.replace(volume_sigma=v), heard(TRUTH), times(TRUTH)) for v in (0, 0.1)
+        rt.calibrate_modes(ROOM.replace(volume_sigma=v), heard(TRUTH), times(TRUTH))
+        for v in (0, 0.1)
     )
     assert unsure.certificate.worst < 1e-9
     np.testing.assert_allclose(unsure.alpha[:, 0], exact.alpha[:, 0], atol=0.005)

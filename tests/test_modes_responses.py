@@ -111,7 +111,7 @@ def test_what_the_rooms_modes_do_not_explain(wrong):
     elif wrong == "late":
         signals = np.roll(signals, int(0.02 * RATE), axis=1)
     else:
-        _, signals = heard(sides=(6.4, 3.3, 2.9))
+        _, signals = heard(sides=(6.4, 3.7, 2.9))
     with pytest.raises(DataError, match="check dimensions, positions"):
         find_modes(room, signals, RATE, PAIRS, highest=100)
 
@@ -145,7 +145,13 @@ def test_what_the_rooms_modes_do_not_explain(wrong):
 )
 def test_what_is_refused(change, words):
     _, signals = heard()
-    arguments = {"room": PLACED, "responses": signals, "rate": RATE, "pairs": PAIRS, **change(signals)}
+    arguments = {
+        "room": PLACED,
+        "responses": signals,
+        "rate": RATE,
+        "pairs": PAIRS,
+        **change(signals),
+    }
     with pytest.raises(DataError, match=words):
         find_modes(**arguments)
 

@@ -2,8 +2,8 @@
 
 A coefficient is smooth over frequency. Its error in prior sigmas, x(f) = (alpha(f) - mu(f)) / sigma(f),
 is a Gaussian process whose correlation is r ** octaves. Between the bands mu and sigma are interpolated
-over log f; outside they are those of the nearest band. Given x in the bands, x(f) has the mean W x and a
-remainder of covariance R (kriging; Rasmussen & Williams 2006, Eq. 2.19). So a mode's decay is an
+over log f; outside they are those of the nearest band. Given x in the bands, x(f) has the mean W x and
+a remainder of covariance R (kriging; Rasmussen & Williams 2006, Eq. 2.19). So a mode's decay is an
 observation of the bands' own coefficients, and the remainder is an error of it.
 """
 
