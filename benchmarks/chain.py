@@ -1,0 +1,227 @@
+"""Does adding data ever cost? T20 alone, with EDT, T30, C80 and G, and with a second configuration.
+
+    python -m benchmarks.chain table                                    # of the stored rows
+    python -m benchmarks.chain run --folder out --empty 16 --each 2     # can be resumed
+    python -m benchmarks.chain run --folder out --setting "full power" --empty 16 --each 2
+    python -m benchmarks.chain table --folder out --setting "full power"
+
+Rooms of both worlds are built from their numbers (`POPULATIONS`): so many that lack nothing, and so
+many of each effect. Control rooms are kept beside them, so that another setting or version of the
+finder reads the same rooms. A row is stored room by room. `table` prints what was flagged where nothing
+is hidden, what was detected and claimed, and the same at equal false alarms: the threshold that one in
+20 of the rooms with nothing hidden passes. Last, how often each verdict was right.
+
+The stored rows are of the present likelihood ("chosen") and of another one ("mean of normal
+densities"), which was frozen before the rooms were drawn (docs/discrepancy_study.md).
+"""
+
+from __future__ import annotations
+
+import argparse
+import gzip
+import json
+import time
+import warnings
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+from unittest import mock
+
+import numpy as np
+
+from benchmarks.judging import (
+    Judged,
+    calibration_error,
+    first_of,
+    kept_controls,
+    rate,
+    row_of,
+    stated_probabilities,
+)
+from benchmarks.second_world import truth_of
+from rtcal.finder import Case, find
+from rtcal.finder.means import likelihood
+from rtcal.finder.means.engines import ControlRooms
+from tests.hidden_world import populations as first_world
+from tests.second_world import rooms as second_world
+
+POPULATIONS = {1: 6, 2: 4}
+"""Populations that no finder had read when the rule was frozen (2026-11-23)."""
+CHAIN = {
+    "T20": ("t20",),
+    "and EDT": ("t20", "edt"),
+    "and T30": ("t20", "edt", "t30"),
+    "and C80, G": ("t20", "edt", "t30", "c80", "g"),
+}
+SECOND = "and a second configuration"
+SETTINGS: dict[str, dict[str, float]] = {
+    "chosen": {},
+    "full power": {"COARSENING": np.inf},
+    "full power, normal": {"COARSENING": np.inf, "DEGREES": np.inf},
+}
+"""Values of `rtcal.finder.means.likelihood` that are tried."""
+STORED = Path(__file__).with_name("chain.json.gz")
+Room = tuple[int, int, int]
+"""World, kind and number."""
+
+
+def kinds(world: int) -> list[int]:
+    """Numbers of a world's kinds of effects."""
+    if world == 1:
+        return list(range(1, 13))
+    every = second_world.KINDS
+    return [k for k, name in enumerate(every) if name not in ("nothing", "unknown")]
+
+
+def rooms(empty: int, each: int) -> Iterator[Room]:
+    """Rooms of both worlds in turn, in an order in which the kinds are mixed."""
+    rng, worlds = np.random.default_rng(39), []
+    for world in POPULATIONS:
+        some = [(world, 0, i) for i in range(empty)]
+        some += [(world, k, i) for k in kinds(world) for i in range(each)]
+        rng.shuffle(some)
+        worlds.append(some)
+    for place in range(max(map(len, worlds))):
+        for some in worlds:
+            if place < len(some):
+                world, kind, index = some[place]
+                yield int(world), int(kind), int(index)
+
+
+def data_sets(
+    case: Case, controls: list[ControlRooms]
+) -> Iterator[tuple[str, Case, list[ControlRooms]]]:
+    """The case with ever more data, and the control rooms that go with it."""
+    first = case.configurations[0]
+    for name, parameters in CHAIN.items():
+        some = [p for p in parameters if p in first.measured.values]
+        yield name, case.only(*some, configurations=[first.name]), first_of(controls)
+    if len(case.configurations) > 1:
+        yield SECOND, case, controls
+
+
+def made(folder: Path, room: Room) -> tuple[dict[str, Any], Case, list[ControlRooms]]:
+    """Build a room and its control rooms, or read them."""
+    world, kind, index = room
+    name = "_".join(map(str, room))
+    kept = folder / f"{name}.case.json"
+    if not kept.exists():
+        of = first_world if world == 1 else second_world
+        kept.write_text(json.dumps(of.build(POPULATIONS[world], kind, index)), encoding="utf-8")
+    whole = json.loads(kept.read_text(encoding="utf-8"))
+    case = Case.from_dict(whole["case"])
+    return whole["truth"], case, kept_controls(case, folder / f"{name}.npz")
+
+
+def run(folder: Path, setting: str, empty: int, each: int) -> None:
+    folder.mkdir(parents=True, exist_ok=True)
+    for room in rooms(empty, each):
+        path = folder / f"{'_'.join(map(str, room))}.{setting.replace(' ', '_')}.json"
+        if path.exists():
+            continue
+        truth, case, controls = made(folder, room)
+        known = truth_of(room[0], truth)
+        if known is None:
+            continue
+        row: dict[str, Any] = {"truth": sorted(known[0]), "statement": known[1]}
+        with mock.patch.multiple(likelihood, **SETTINGS[setting]):
+            for name, some, theirs in data_sets(case, controls):
+                clock = time.process_time()
+                row[name] = row_of(find(some, controls=theirs))
+                row[name]["seconds"] = time.process_time() - clock
+        path.write_text(json.dumps(row), encoding="utf-8")
+        print(
+            *room,
+            {name: row[name]["verdict"] for name in row if name in (*CHAIN, SECOND)},
+            flush=True,
+        )
+
+
+def rows_of(folder: Path | None, setting: str) -> dict[str, dict[str, Any]]:
+    """Rows by room, "world_kind_number": of a run, or those that are stored."""
+    if folder is None:
+        stored: dict[str, dict[str, dict[str, Any]]] = json.loads(
+            gzip.decompress(STORED.read_bytes())
+        )
+        return stored[setting]
+    paths = sorted(folder.glob(f"*.{setting.replace(' ', '_')}.json"))
+    return {p.name.split(".")[0]: json.loads(p.read_text(encoding="utf-8")) for p in paths}
+
+
+def judged(every: Mapping[str, dict[str, Any]], world: int, *data: str) -> list[Judged]:
+    """The rooms that were run with these data: the first of them that a room has."""
+    out = []
+    for room, row in every.items():
+        which = next((name for name in data if name in row), None)
+        if room.startswith(f"{world}_") and which is not None:
+            out.append(Judged(frozenset(row["truth"]), row[which], row["statement"]))
+    return out
+
+
+def table(rows: Mapping[str, dict[str, Any]], setting: str) -> None:
+    for world in POPULATIONS:
+        for data in (*CHAIN, SECOND):
+            every = judged(rows, world, data)
+            empty, hidden = ([r for r in every if r.nothing is which] for which in (True, False))
+            if not empty or not hidden:
+                continue
+            found = [r for r in hidden if r.flagged]
+            claimed = [r for r in found if r.row["verdict"] in ("named", "family")]
+            right = [r.right_name if r.single else r.right_family for r in claimed]
+            limit = float(np.quantile([r.row["score"] for r in empty], 0.95))
+            print(f"\n== world {world}, {data}; setting: {setting} ==")
+            print("nothing hidden, flagged    ", rate(r.flagged for r in empty))
+            print("something hidden, detected ", rate(r.flagged for r in hidden))
+            print("  at equal false alarms    ", rate(r.row["score"] > limit for r in hidden))
+            print("claimed, of the detected   ", rate(r in claimed for r in found))
+            print("  and right                ", rate(right))
+            for what in ("probabilities", "families"):
+                stated, hits = stated_probabilities(every, what)
+                error = calibration_error(stated, hits)[0]
+                print(f"{what}: error {error:.3f}, ", end="")
+                print(f"stated {np.mean(stated):.3f}, right {np.mean(hits):.3f}")
+            seconds = [r.row["seconds"] for r in every if "seconds" in r.row]
+            print(f"seconds of processor, mean {np.mean(seconds):.2f}")
+
+
+def record(rows: Mapping[str, dict[str, Any]]) -> None:
+    """Print how often each verdict was right: T20, EDT and T30, and the case as it is stated."""
+    times: list[Judged] = []
+    whole: list[Judged] = []
+    for world in POPULATIONS:
+        times += judged(rows, world, "and T30")
+        whole += judged(rows, world, *reversed((*CHAIN, SECOND)))
+    for words, every in (("T20, EDT, T30", times), ("as stated", whole)):
+        counts = {}
+        for verdict in ("named", "family", "ambiguous"):
+            said = [r for r in every if r.row["verdict"] == verdict]
+            counts[verdict] = f"{len(said)}; {sum(r.truth_in_set for r in said)}"
+        hidden, empty = ([r for r in every if r.nothing is which] for which in (False, True))
+        counts["hidden; missed"] = f"{len(hidden)}; {sum(not r.flagged for r in hidden)}"
+        counts["nothing; flagged"] = f"{len(empty)}; {sum(r.flagged for r in empty)}"
+        print(words, counts)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("what", choices=("run", "table"))
+    parser.add_argument("--folder", type=Path)
+    parser.add_argument("--setting", default="", help=f"of a run: {', '.join(SETTINGS)}")
+    parser.add_argument("--empty", type=int, default=16, help="rooms with nothing hidden")
+    parser.add_argument("--each", type=int, default=2, help="rooms with each effect")
+    given = parser.parse_args()
+    warnings.simplefilter("ignore")
+    if given.what == "run":
+        if given.folder is None:
+            parser.error("--folder is needed")
+        run(given.folder, given.setting or "chosen", given.empty, given.each)
+        return
+    both = ("chosen", "mean of normal densities") if given.folder is None else ("chosen",)
+    for setting in (given.setting,) if given.setting else both:
+        rows = rows_of(given.folder, setting)
+        table(rows, setting)
+        record(rows)
+
+
+if __name__ == "__main__":
+    main()
