@@ -151,7 +151,7 @@ def test_options_of_one_state_are_refused(panels: StatesFinding) -> None:
         rt.find(case.room, case.after, before=case.before, controls=())
     with pytest.raises(rt.errors.DataError, match="a case holds its own"):
         rt.find(case, case.after)
-    with pytest.raises(rt.errors.DataError, match="measured after"):
+    with pytest.raises(rt.errors.DataError, match="measured is missing"):
         rt.find(case.room, before=case.before)
 
 
