@@ -33,7 +33,7 @@ def computed_once(monkeypatch: pytest.MonkeyPatch) -> None:
     fit_once(monkeypatch)
     search_once(monkeypatch)
     finding = find(opened(), controls=controls_of(opened()))
-    monkeypatch.setattr(commands, "_find", lambda *_, **__: finding)
+    monkeypatch.setattr(commands, "search_case", lambda *_, **__: finding)
     for name in ("verify", "figures", "finding_page"):
         once(monkeypatch, gap_report, name)
     once(monkeypatch, page, "page_of")

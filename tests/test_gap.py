@@ -144,7 +144,7 @@ def test_a_room_and_its_measurement_are_a_case(folder: Path, tmp_path: Path) -> 
         f'room = "{room}"\n[[configuration]]\nname = "as measured"\nmeasured = "{measured}"\n'
     )
     stated = Case.from_file(str(tmp_path / "case.toml"))
-    assert commands._case(Inputs(case=room, measured=measured)).to_dict() == stated.to_dict()
+    assert commands.read_case(Inputs(case=room, measured=measured)).to_dict() == stated.to_dict()
     with pytest.raises(rt.errors.DataError, match="--paths needs a room that states its sources"):
         run("find", room, measured, "--paths", "100")
     with pytest.raises(rt.errors.DataError, match="would be written over"):

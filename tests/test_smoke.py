@@ -80,7 +80,7 @@ NOTHING_TO_ADD = """
 from rtcal.command import finder as commands
 from rtcal.report import correction
 
-commands._case = commands._find = lambda *_, **__: None
+commands.read_case = commands.search_case = lambda *_, **__: None
 correction.correct = lambda *_: correction.Correction("nothing to add", {})
 """
 

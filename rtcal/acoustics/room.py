@@ -26,6 +26,7 @@ from rtcal.acoustics.materials import (
     stacked,
     text_name,
 )
+from rtcal.acoustics.room_text import toml_text
 from rtcal.acoustics.scene import Scene
 from rtcal.errors import DataError
 from rtcal.support import checks, html
@@ -430,7 +431,7 @@ class Room:
         The scene's mesh is named as seen from ``folder``, if that is given.
         """
         room = self if folder is None else self.replace(scene=self.scene.seen_from(folder))
-        return room_files.text(room.to_dict())
+        return toml_text(room.to_dict())
 
     @checked
     def save(self, path: str) -> None:

@@ -68,7 +68,6 @@ One ``[[material]]`` per material::
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterable, Mapping
 from dataclasses import fields
 from typing import Any
@@ -94,7 +93,7 @@ _RECORD = ("method", "equation", "measured")
 _RECORD_OPTIONAL = ("solver", "version")
 _SURFACE = ("name", "material", "area")
 _MATERIAL = ("area", "sigma", "alpha_min", "scattering", "source", "area_sigma")
-_RELATIVE = ("volume_sigma", "common_area_sigma", "common_alpha_sigma")
+RELATIVE = ("volume_sigma", "common_area_sigma", "common_alpha_sigma")
 _PRIOR = ("relative", "minimum", "iso_12999_2", "in_situ_factor", "band_correlation")
 _FILE = (
     "name",
@@ -105,7 +104,7 @@ _FILE = (
     "calibration",
     "above_one",
     "clipped",
-    *_RELATIVE,
+    *RELATIVE,
     "climate_sigma",
 )
 """Optional keys that the file and the dict have in common."""
@@ -159,7 +158,7 @@ def attributes(data: Mapping[str, Any], place: str = "") -> dict[str, Any]:
     for name in ("alpha", "sigma", "alpha_min", "scattering"):
         if name in room or name in _NEEDED:
             arguments[name] = room.array(name, shape)
-    for name in _RELATIVE:
+    for name in RELATIVE:
         arguments[name] = room.number(name, 0.0)
     arguments["area_sigma"] = data.get("area_sigma", 0.0)
     arguments["climate_sigma"] = data.get("climate_sigma", (0.0, 0.0))
@@ -351,7 +350,7 @@ def plain(room: Any) -> dict[str, Any]:
         stated["author"] = room.author
     if room.clipped:
         stated["clipped"] = list(room.clipped)
-    stated |= {name: value for name in _RELATIVE if (value := getattr(room, name))}
+    stated |= {name: value for name in RELATIVE if (value := getattr(room, name))}
     if room.area_sigma.any():
         stated["area_sigma"] = json_numbers(room.area_sigma)
     if any(room.climate_sigma):
@@ -366,90 +365,3 @@ def plain(room: Any) -> dict[str, Any]:
         "air": None if room.air is None else vars(room.air).copy(),
         **stated,
     }
-
-
-def text(data: Mapping[str, Any]) -> str:
-    """Return `Room.to_dict`'s dict as the text of its TOML file."""
-    lines = [f"name = {_quoted(data['name'])}"]
-    if "author" in data:
-        lines.append(f"author = {_quoted(data['author'])}")
-    lines.append(f"volume = {data['volume']!r}")
-    lines.append(f"centre_frequencies = {_listed(data['centre_frequencies'])}")
-    if "dimensions" in data:
-        lines.append(f"dimensions = {_listed(data['dimensions'])}")
-    if "clipped" in data:
-        lines.append("clipped = [" + ", ".join(map(_quoted, data["clipped"])) + "]")
-    if "scattering_model" in data:
-        lines.append(f"scattering_model = {_quoted(data['scattering_model'])}")
-    lines += [f"{name} = {data[name]!r}" for name in _RELATIVE if name in data]
-    if "climate_sigma" in data:
-        lines.append(f"climate_sigma = {_listed(data['climate_sigma'])}")
-    lines += _scene(data.get("scene", {}))
-    if data["band_correlation"]:
-        lines += ["", "[prior]", f"band_correlation = {data['band_correlation']!r}"]
-    if data["air"] is not None:
-        lines += ["", "[air]"]
-        lines += [f"{key} = {float(data['air'][key])!r}" for key in sorted(_AIR)]
-    if "calibration" in data:
-        lines += ["", "[calibration]"]
-        lines += [f"{key} = {_quoted(value)}" for key, value in data["calibration"].items()]
-    surfaces = data.get("surfaces", [])
-    covered = {surface["material"] for surface in surfaces}
-    for i, material in enumerate(data["materials"]):
-        lines += ["", "[[material]]", f"name = {_quoted(material)}"]
-        if material not in covered:
-            lines.append(f"area = {data['areas'][i]!r}")
-        for key in ("alpha", "sigma", "alpha_min", "scattering"):
-            if key in data:
-                lines.append(f"{key} = {_listed(data[key][i])}")
-        if data.get("area_sigma", [0.0] * (i + 1))[i]:
-            lines.append(f"area_sigma = {data['area_sigma'][i]!r}")
-        if material in data.get("sources", {}):
-            lines.append(f"source = {_quoted(data['sources'][material])}")
-    for entry in data.get("material_correlation", []):
-        pair = ", ".join(map(_quoted, entry["materials"]))
-        lines += ["", "[[correlation]]", f"materials = [{pair}]", f"value = {entry['value']!r}"]
-    for surface in surfaces:
-        lines += ["", "[[surface]]", f"name = {_quoted(surface['name'])}"]
-        lines += [f"material = {_quoted(surface['material'])}", f"area = {surface['area']!r}"]
-        if surface["axis"] is not None:
-            lines.append(f"axis = {_quoted(surface['axis'])}")
-    return "\n".join(lines) + "\n"
-
-
-def _scene(tables: Mapping[str, Any]) -> list[str]:
-    """Return the lines of `Scene.to_dict`'s tables."""
-    lines: list[str] = []
-    geometry = tables.get("geometry", {})
-    if geometry:
-        lines += ["", "[geometry]"]
-        lines += [f"mesh = {_quoted(geometry[key])}" for key in ("mesh",) if key in geometry]
-        numbers = ("unit", "position_uncertainty")
-        lines += [f"{key} = {geometry[key]!r}" for key in numbers if key in geometry]
-        if "surfaces" in geometry:
-            lines += ["", "[geometry.surfaces]"]
-            for name, faces in geometry["surfaces"].items():
-                lines.append(f"{_quoted(name)} = [{', '.join(map(_quoted, faces))}]")
-    for kind in ("sources", "receivers"):
-        if kind in tables:
-            lines += ["", f"[{kind}]"]
-            lines += [f"{_quoted(n)} = {_listed(point)}" for n, point in tables[kind].items()]
-    if "directivity" in tables:
-        lines += ["", "[directivity]"]
-    for name, of in tables.get("directivity", {}).items():
-        if isinstance(of, str):
-            lines.append(f"{_quoted(name)} = {_quoted(of)}")
-        else:
-            # JSON's texts and lists of numbers are TOML's.
-            entries = ", ".join(f"{key} = {json.dumps(value)}" for key, value in of.items())
-            lines.append(f"{_quoted(name)} = {{ {entries} }}")
-    return lines
-
-
-def _quoted(text: str) -> str:
-    # A JSON string is a TOML basic string, but for DEL, which TOML wants escaped.
-    return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
-
-
-def _listed(values: Iterable[float]) -> str:
-    return "[" + ", ".join(repr(float(v)) for v in values) + "]"

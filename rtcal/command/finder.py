@@ -4,22 +4,19 @@ from __future__ import annotations
 
 import os
 import shlex
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from rtcal.command.assignments import errors_name_options, numbers, pairs
+from rtcal.command.assignments import numbers
 from rtcal.command.console import (
-    bar_wanted,
     heading_options,
     json_option,
     output_folder,
     quiet_option,
-    said,
     tell,
     written,
 )
@@ -33,11 +30,17 @@ from rtcal.command.finder_options import (
     search_options,
     seed_option,
 )
+from rtcal.command.finder_search import (
+    files_read,
+    further_places,
+    read_case,
+    refuse,
+    search_case,
+    verified,
+)
 from rtcal.command.two_states import apply_change, find_change, verify_change
 from rtcal.errors import DataError
 from rtcal.support import text
-from rtcal.support.files import spare
-from rtcal.support.progress import bar
 
 if TYPE_CHECKING:
     from rtcal.finder import positions
@@ -47,8 +50,6 @@ CHANGE = 0.2
 """Relative change of T by each effect for which ``rtcal plan`` plans, where none is stated."""
 NOTHING_TO_ADD = 6
 """Exit code of ``rtcal apply`` if the finding names nothing to add to the model."""
-SEEDS = (0, 1, 2)
-"""Seeds of the simulator over which a gap at positions is printed."""
 OF_ONE_STATE = " is not of what changed between two states"
 PROPOSED = 3
 """Places for a further receiver that are printed."""
@@ -95,17 +96,17 @@ def find(
     """
     folder = output_folder("--out", out)
     if before is not None:
-        _refuse(_more_than_one(number), OF_ONE_STATE)
+        refuse(_more_than_one(number), OF_ONE_STATE)
         find_change(inputs, search, before, folder, heading, as_json, quiet)
         return
     if folder is None:
-        finding = _find(inputs, search, quiet, number=number)
+        finding = search_case(inputs, search, quiet, number=number)
         tell(str(finding), finding.to_dict(), quiet=quiet, as_json=as_json)
         return
     from rtcal.report import gap_report, where_folder
 
     targets = [folder / name for name in {*gap_report.WRITTEN, *where_folder.FILES}]
-    finding = _find(inputs, search, quiet, targets, number)
+    finding = search_case(inputs, search, quiet, targets, number)
     numbers_stated = [
         word
         for name, value in number.items()
@@ -117,12 +118,12 @@ def find(
     if inputs.at_positions:
         verification = None
         if finding.can_be_verified:
-            verification = _verified(inputs, finding, quiet)
+            verification = verified(inputs, finding, quiet)
             first = [verification.sentence]
-        place = next(iter(_places(finding)), None)
+        place = next(iter(further_places(finding)), None)
         paths = where_folder.write(finding, verification, folder, heading, command, place)
     else:
-        files = gap_report.Reproduction(command, tuple(_files(inputs)), search.seed)
+        files = gap_report.Reproduction(command, tuple(files_read(inputs)), search.seed)
         paths = gap_report.write(finding, folder, files, heading)
     printed = "\n".join([*first, str(finding), written(paths)])
     record = {**finding.to_dict(), "written": [str(p) for p in paths]}
@@ -157,13 +158,13 @@ def verify(
     if before is not None:
         verify_change(inputs, search, before, finding, as_json, quiet)
         return
-    _refuse({"--finding": finding}, " needs --before")
-    found = _find(inputs, search, quiet)
+    refuse({"--finding": finding}, " needs --before")
+    found = search_case(inputs, search, quiet)
     if (nothing := found.reason_for_none) is not None:
         record = {"verdict": None, "sentence": nothing, "finding": found.to_dict()}
         tell(nothing, record, quiet=quiet, as_json=as_json)
         return
-    result = _verified(inputs, found, quiet)
+    result = verified(inputs, found, quiet)
     tell(str(result), result.to_dict(), quiet=quiet, as_json=as_json)
 
 
@@ -222,7 +223,7 @@ def apply(
     """  # noqa: D301 (click's mark for lines that are not to be wrapped)
     stated = {"--room": room, "--form": form, "--at": at}
     if before is not None:
-        _refuse(stated | _more_than_one(number), OF_ONE_STATE)
+        refuse(stated | _more_than_one(number), OF_ONE_STATE)
         if not apply_change(inputs, search, before, Path(out), as_json, quiet):
             raise click.exceptions.Exit(NOTHING_TO_ADD)
         return
@@ -230,15 +231,15 @@ def apply(
         from rtcal.report.correction import correct
         from rtcal.support.files import write_all
 
-        case = _case(inputs, [out] if room is None else [out, room])
+        case = read_case(inputs, [out] if room is None else [out, room])
         of_patch = {k: stated[k] for k in ("--form", "--at")}
-        _refuse(of_patch, ": a case without a geometry has no surface")
-        correction = correct(_find(inputs, search, quiet, (), number, case), out, room)
+        refuse(of_patch, ": a case without a geometry has no surface")
+        correction = correct(search_case(inputs, search, quiet, (), number, case), out, room)
         write_all(correction.files)
         tell(str(correction), correction.to_dict(), quiet=quiet, as_json=as_json)
         added = bool(correction.files)
     else:
-        _refuse({"--room": room}, ": with a geometry the room is written into the folder of --out")
+        refuse({"--room": room}, ": with a geometry the room is written into the folder of --out")
         if os.path.isfile(out):
             raise DataError(f"--out {out} is a file; with a geometry it is a folder")
         added = _add_to_geometry(
@@ -260,7 +261,7 @@ def _add_to_geometry(
     """Write the corrected room into a folder; return whether there was something to add."""
     from rtcal.finder.positions.corrected import FILES
 
-    finding = _find(inputs, search, quiet, [folder / name for name in FILES])
+    finding = search_case(inputs, search, quiet, [folder / name for name in FILES])
     if (nothing := finding.reason_for_none) is not None:
         record = {**finding.to_dict(), "written": []}
         tell(f"{nothing}\nNothing is written.", record, quiet=quiet, as_json=as_json)
@@ -316,16 +317,16 @@ def plan(
     """
     search = Search(ENGINES, seed, (), (), {})
     if inputs.at_positions:
-        _refuse(
+        refuse(
             {"--change": change, "--cost": costs or None},
             ": with a geometry a place for a receiver is proposed",
         )
-        _tell_places(_find(inputs, search, quiet), quiet, as_json)
+        _tell_places(search_case(inputs, search, quiet), quiet, as_json)
         return
     from rtcal.finder import plan as planned_with
     from rtcal.finder.means.set_posterior import MOST
 
-    read = _case(inputs)
+    read = read_case(inputs)
     planned = [c for c in read.configurations if c.planned]
     if len(planned) < len(read.configurations):
         measured = [c for c in read.configurations if not c.planned]
@@ -335,7 +336,9 @@ def plan(
     result = planned_with(
         read,
         change=CHANGE if change is None else change,
-        finding=_find(inputs, search, quiet, number={"most": MOST}, case=read) if after else None,
+        finding=search_case(inputs, search, quiet, number={"most": MOST}, case=read)
+        if after
+        else None,
         costs=numbers("--cost", costs, "MEASUREMENT=HOURS, such as G=0.5"),
         planned=planned,
     )
@@ -344,7 +347,7 @@ def plan(
 
 def _tell_places(finding: positions.PositionsFinding, quiet: bool, as_json: bool) -> None:
     """Print where a further receiver would tell the surfaces apart that are in question."""
-    places = _places(finding)[:PROPOSED]
+    places = further_places(finding)[:PROPOSED]
     lines = [*text.wrapped(finding.headline), ""]
     if places:
         names = [f'"{name}"' for name in finding.likely_surfaces]
@@ -370,29 +373,10 @@ def _tell_places(finding: positions.PositionsFinding, quiet: bool, as_json: bool
     tell("\n".join(lines), record, quiet=quiet, as_json=as_json)
 
 
-def _places(finding: positions.PositionsFinding) -> tuple[positions.Place, ...]:
-    """Return places for a further receiver, the one that tells most first; none without a question."""
-    from rtcal.finder import positions
-
-    if not finding.can_be_added or finding.surface is not None:
-        return ()
-    try:
-        return positions.next_position(finding)
-    except DataError:  # at most one surface is in question, or the room is too small for a grid
-        return ()
-
-
 def _more_than_one(number: Mapping[str, Any]) -> dict[str, Any]:
     """Return the options of how many effects may be missing, as far as they are stated."""
     most = number["most"] if number["most"] > 1 else None
     return {"--most": most, "--expected": number["expected"]}
-
-
-def _refuse(stated: Mapping[str, object], why: str) -> None:
-    """Raise DataError for the first option that is stated."""
-    for option, value in stated.items():
-        if value is not None:
-            raise DataError(f"{option}{why}")
 
 
 def _place(text: str | None) -> tuple[float, ...] | None:
@@ -406,103 +390,3 @@ def _place(text: str | None) -> tuple[float, ...] | None:
     if len(place) != 3:
         raise DataError(f'--at "{text}" is not X,Y,Z in m, such as 0,4.2,1.5')
     return place
-
-
-def _case(inputs: Inputs, targets: Sequence[str | Path] = ()) -> Any:
-    """Read the case; DataError if a file to be written is also one of those that are read."""
-    from rtcal.acoustics.measurement import Measurement
-    from rtcal.acoustics.room import Room
-    from rtcal.finder import Case
-    from rtcal.finder.search import case_of
-
-    spare(targets, [inputs.case])
-    if inputs.measured is None:
-        _refuse(inputs.stated, _NEEDS_POSITIONS)
-        case = Case.from_file(inputs.case)
-        spare(targets, _files(inputs))
-        return case
-    room = Room.from_file(inputs.case)
-    spare(targets, [path for path in (*_files(inputs), room.scene.mesh) if path is not None])
-    measured = Measurement.from_file(inputs.measured)
-    if not inputs.at_positions:
-        _refuse(inputs.stated, _NEEDS_POSITIONS)
-        return case_of(room, measured)
-    more: dict[str, Any] = {"exclude": pairs("--exclude", inputs.exclude)}
-    if inputs.simulated is not None:
-        more["simulated"] = Measurement.from_file(inputs.simulated)
-    if inputs.match:
-        more["match"] = inputs.match
-    tracing = {"n_paths": inputs.paths, "scattering": inputs.scattering}
-    with errors_name_options("scattering", "match", "exclude"):
-        return case_of(
-            room, measured, tracing={k: v for k, v in tracing.items() if v is not None}, **more
-        )
-
-
-_NEEDS_POSITIONS = " needs a room that states its sources and receivers, measured pair by pair"
-
-
-def _files(inputs: Inputs) -> list[str]:
-    """Return the paths of the files that are read."""
-    from rtcal.finder.case_files import files
-
-    if inputs.measured is None:
-        return [os.fspath(path) for path in files(inputs.case)]
-    return [f for f in (inputs.case, inputs.measured, inputs.simulated) if f is not None]
-
-
-def _find(
-    inputs: Inputs,
-    search: Search,
-    quiet: bool,
-    targets: Sequence[str | Path] = (),
-    number: Mapping[str, Any] | None = None,
-    case: Any = None,
-) -> Any:
-    """Find what a room's model misses; simulations are kept beside its file."""
-    from rtcal import finder
-
-    case = _case(inputs, targets) if case is None else case
-    options: dict[str, Any] = {"seed": search.seed, "without": search.without, "only": search.only}
-    number = {} if number is None else number
-    of_means = {"prior": search.prior, "engines": search.engines, **number}
-    if inputs.at_positions:
-        stated = {
-            "--engine": search.engines if search.engines_stated else None,
-            "--prior": search.prior or None,
-            "--most": None if number.get("most") == 1 else number.get("most"),
-            "--expected": number.get("expected"),
-        }
-        _refuse(stated, ": with a geometry there is no such option")
-    else:
-        options |= of_means
-    with _progress("control room", quiet) as progress:
-        options |= {"cache": inputs.kept, "progress": progress}
-        return finder.find(case, **options)
-
-
-def _verified(inputs: Inputs, finding: Any, quiet: bool) -> Any:
-    """Return the gaps before and after; at pairs that were not fitted over `SEEDS`."""
-    from rtcal import finder
-
-    if not inputs.at_positions:
-        return finder.verify(finding)
-    with _progress("model", quiet) as progress:
-        return finder.verify(finding, seeds=SEEDS, cache=inputs.kept, progress=progress)
-
-
-@contextmanager
-def _progress(unit: str, quiet: bool) -> Iterator[Callable[[str, int, int], None]]:
-    """Show a bar for each step of a computation."""
-    begun: list[str] = []
-    with bar(0, unit, bar_wanted(quiet), said(quiet)) as shown:
-
-        def progress(step: str, done: int, total: int) -> None:
-            if step not in begun and hasattr(shown, "reset"):
-                begun.append(step)
-                if done == 1:
-                    shown.reset(total=total)
-                shown.set_description(step)
-            shown.update(1)
-
-        yield progress
