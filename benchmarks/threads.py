@@ -46,7 +46,7 @@ def task(name: str) -> Callable[[], object]:
     if name == "posterior":
         result = rt.calibrate(room, measured, method="soft")
         return lambda: [rt.posterior.distribution(result) for _ in range(20)]
-    return lambda: rt.studies.calibration_scores(room.areas, 0.05, 500, 500)
+    return lambda: rt.studies.run(room.areas, 0.05, 500, 500).scores()
 
 
 def child(name: str, runs: int) -> None:

@@ -221,7 +221,7 @@ def test_what_would_have_no_end_is_refused() -> None:
         tracer.jacobian(hall.room.alpha, by=np.ones(3))
     for scores in (
         lambda n: rt.studies.analytic_scores([10, 20], 0.05, n),
-        lambda n: rt.studies.calibration_scores([10, 20], 0.05, n, 10),
+        lambda n: rt.studies.run([10, 20], 0.05, n, 10).scores(),
     ):
         with pytest.raises(DataError, match=r"realisations = .* is above 2\*\*53"):
             scores(10**400)

@@ -351,7 +351,7 @@ def test_a_soft_match_is_not_made_exact_behind_ones_back() -> None:
 @pytest.mark.parametrize("seed", [None, -1, 1.5, "a"])
 def test_a_study_has_a_seed_of_its_own(seed) -> None:
     with pytest.raises(DataError, match="is not a whole number of at least 0"):
-        studies.calibration_scores([35, 20], 0.05, 3, 3, seed)
+        studies.run([35, 20], 0.05, 3, 3, seed).scores()
     with pytest.raises(DataError, match="is not a whole number of at least 0"):
         studies.analytic_scores([35, 20], 0.05, 3, seed)
 
@@ -367,7 +367,7 @@ def solved(*more, **given) -> rt.calibration.result.CalibrationResult:
 
 
 def study(**given):
-    return studies.calibration_scores([35, 20, 11], 0.05, 3, 3, 1, **given)
+    return studies.run([35, 20, 11], 0.05, 3, 3, 1, **given).scores()
 
 
 HIDDEN = np.ma.array([0.1, 0.2], mask=[False, True])

@@ -202,7 +202,7 @@ def test_a_study_states_its_sampling(tmp_path: Path) -> None:
     scale = studies.run(SHOEBOX, 0.1, 50, 20, seed=1)
     assert (own.sampling, scale.sampling) == ("sigma_n", "sigma_r")
     assert own.redrawn_share > scale.redrawn_share == 0
-    same = studies.calibration_scores(SHOEBOX, 0.1, 50, 20, seed=1, sampling="sigma_n")
+    same = studies.run(SHOEBOX, 0.1, 50, 20, seed=1, sampling="sigma_n").scores()
     assert own.scores().tolist() == same.tolist() != scale.scores().tolist()
     with pytest.raises(DataError, match="another study"):
         studies.run(SHOEBOX, 0.1, 50, 20, seed=1, folder=tmp_path)
@@ -230,9 +230,7 @@ def test_simulated_scores_agree_with_the_analytic_and_their_standard_errors_hold
                 [by_method(table)[m, False][c] for c in ("score", "standard_error")]
                 for m in ("scaling", "lse", "mle")
             ]
-            for table in (
-                studies.calibration_scores(SHOEBOX, 0.1, 100, 50, seed=s) for s in range(60)
-            )
+            for table in (studies.run(SHOEBOX, 0.1, 100, 50, seed=s).scores() for s in range(60))
         ]
     )
     for k, m in enumerate(("scaling", "lse", "mle")):
@@ -472,12 +470,12 @@ def test_bad_input(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         (["a"], "numbers"),
     ):
         with pytest.raises(DataError, match=message):
-            studies.calibration_scores(areas, 0.1, 1, 1)
+            studies.run(areas, 0.1, 1, 1).scores()
     for sigma_r in (0.0, -1.0, np.nan):
         with pytest.raises(DataError, match="sigma_r"):
             studies.analytic_scores(SHOEBOX, sigma_r, 10)
     with pytest.raises(DataError, match="trials = 0"):
-        studies.calibration_scores(SHOEBOX, 0.1, 1, 0)
+        studies.run(SHOEBOX, 0.1, 1, 0).scores()
     with pytest.raises(DataError, match="realisations = -1"):
         studies.analytic_scores(SHOEBOX, 0.1, -1)
     with pytest.raises(DataError, match=r"realisations = 10\.0"):

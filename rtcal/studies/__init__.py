@@ -13,7 +13,6 @@ from rtcal.studies.study import (
     Study,
     analytic_emse,
     analytic_scores,
-    calibration_scores,
     run,
 )
 from rtcal.studies.tables import write_table
@@ -22,7 +21,6 @@ __all__ = [
     "Study",
     "analytic_emse",
     "analytic_scores",
-    "calibration_scores",
     "rooms",
     "run",
     "write_table",

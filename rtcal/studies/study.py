@@ -82,7 +82,7 @@ class Study(Result):
         }
 
     def scores(self) -> Table:
-        """Return method, bounded, aace, score and its standard error, as the paper's simulation.
+        """Return method, bounded, aace, score (a fraction) and its standard error, as in the paper.
 
         The AACE of the method and of no calibration are both estimated from the trials.
         """
@@ -184,6 +184,16 @@ def run(
     DataError
         If an area, sigma_r or a number is not positive, sigma_r leaves no interval for mu,
         ``sampling`` is no such name, or the folder holds another study.
+
+    Examples
+    --------
+    >>> table = run([35, 35, 21, 21, 15, 15], 0.05, 200, 100, seed=1).scores()
+    >>> for row in table[:4]:
+    ...     print(row.method, round(100 * row.score, 1), "%")
+    none 0.0 %
+    scaling 5.1 %
+    lse 8.7 %
+    mle 14.0 %
     """
     s = _areas(areas)
     _check(sigma_r, seed, sampling, realisations=realisations, trials=trials)
@@ -209,51 +219,6 @@ def run(
     return Study(s, sigma_r, realisations, trials, seed, sampling, moments)
 
 
-def calibration_scores(
-    areas: ArrayLike,
-    sigma_r: float,
-    realisations: int,
-    trials: int,
-    seed: int = 0,
-    *,
-    sampling: Sampling = "sigma_r",
-    executor: Executor | None = None,
-    workers: int | None = None,
-    folder: str | os.PathLike[str] | None = None,
-    progress: bool = False,
-) -> Table:
-    """Return the calibration scores of a simulated study: `run` (see there), then `Study.scores`.
-
-    Returns
-    -------
-    table
-        Columns ``method`` (none, scaling, lse, mle), ``bounded``, ``aace``, ``score`` (a fraction)
-        and its ``standard_error``.
-
-    Examples
-    --------
-    >>> table = calibration_scores([35, 35, 21, 21, 15, 15], 0.05, 200, 100, seed=1)
-    >>> for row in table[:4]:
-    ...     print(row.method, round(100 * row.score, 1), "%")
-    none 0.0 %
-    scaling 5.1 %
-    lse 8.7 %
-    mle 14.0 %
-    """
-    return run(
-        areas,
-        sigma_r,
-        realisations,
-        trials,
-        seed,
-        sampling=sampling,
-        executor=executor,
-        workers=workers,
-        folder=folder,
-        progress=progress,
-    ).scores()
-
-
 def analytic_scores(
     areas: ArrayLike,
     sigma_r: float,
@@ -266,7 +231,7 @@ def analytic_scores(
 
     Unbounded estimators are oblique projections of the error of mu, so EMSE follows from the
     truncated normal's mean and variance: E ee' = diag(variance) + bias bias'. The same seed draws
-    the same realisations as `run`. Columns as `calibration_scores`'s.
+    the same realisations as `run`. Columns as `Study.scores`'s.
 
     Examples
     --------
