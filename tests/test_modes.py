@@ -145,6 +145,16 @@ def test_modes_tell_the_pairs_of_walls_apart():
     assert ("below_schroeder", 63.0) in {(m.kind, m.frequency) for m in by_t.trust_marks}
 
 
+def test_what_modes_change_adds_up_with_correlated_walls():
+    """The pulls counted neither the materials' correlation nor what all coefficients share."""
+    first, other = ROOM.materials[0], ROOM.materials[4]
+    room = ROOM.replace(material_correlation={(first, other): 0.9}, common_alpha_sigma=0.3)
+    result = rt.calibrate_modes(room, heard(1.1 * room.alpha, error=0.02))
+    moved = (result.alpha - room.alpha) / room.sigma
+    assert np.abs(moved).max() > 0.2
+    np.testing.assert_allclose(result.pulls.sum(axis=0), moved, atol=0.02)
+
+
 def test_without_t_and_without_a_change():
     at_prior = heard(ROOM.alpha, error=0.001)
     result = rt.calibrate_modes(ROOM, at_prior)

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from rtcal.acoustics import bands
 from rtcal.acoustics.materials import CalibrationRecord
 from rtcal.acoustics.room import Room
+from rtcal.acoustics.room_errors import prior_covariance
 from rtcal.acoustics.trust import TrustMark
 from rtcal.calibration.certificate import Certificate
 from rtcal.calibration.linear_estimate import gain, learned_materials
@@ -137,20 +138,11 @@ class ModesResult(Result):
 
         Of the linear estimate from the prior and the modes alone, without bounds and T.
         """
-        of_decays = gain(self._prior_covariance, self.matrix, self.covariance)
+        of_decays = gain(prior_covariance(self.answer.prior), self.matrix, self.covariance)
         off = self.measured - self.before
         sigma = np.where(self.prior.sigma > 0, self.prior.sigma, np.inf).ravel()
         each = of_decays * off / sigma[:, np.newaxis]
         return np.asarray(each.T.reshape(len(off), *self.prior.alpha.shape))
-
-    @property
-    def _prior_covariance(self) -> Array:
-        room = self.answer.prior
-        of_bands = bands.correlation(room.centre_frequencies, room.band_correlation)
-        sigma = room.sigma.ravel()
-        return np.asarray(
-            sigma[:, np.newaxis] * np.kron(np.eye(room.n_materials), of_bands) * sigma
-        )
 
     @cached_property
     def learned(self) -> tuple[tuple[str, float, float], ...]:
