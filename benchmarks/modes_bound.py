@@ -1,4 +1,4 @@
-"""How many modes of `modes_world` responses can tell at all, and what the fit refuses.
+"""The bound of modes that responses of `modes_world` can tell, and what the fit refuses.
 
     python -m benchmarks.modes_bound resolved 1000 1012    # Cramer-Rao bounds, room by room
     python -m benchmarks.modes_bound refused 1003 1010     # exchanged receivers, late, wrong sides

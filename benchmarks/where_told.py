@@ -1,4 +1,4 @@
-"""What `finder.positions.find` says of a room where a part of the truth is told to it exactly.
+"""The score of `finder.positions.find` where a part of the truth is told to it exactly.
 
     python -m benchmarks.where_told --rooms 2.21 --folder out
 

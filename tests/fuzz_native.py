@@ -171,8 +171,11 @@ def read_piece(path: str) -> ScoreMoments:
 
 
 def piece_holds(sums: ScoreMoments) -> None:
-    """Nothing but the good piece is read."""
-    assert sums.to_bytes() == _SUMS
+    """Nothing but the good piece is read; another processor's differs in the last digits."""
+    good = ScoreMoments.from_bytes(_SUMS)
+    assert sums.count == good.count
+    for name in ("sums", "most"):
+        np.testing.assert_allclose(getattr(sums, name), getattr(good, name), rtol=1e-12)
 
 
 STUDY = (json.dumps(_IDENTITY, sort_keys=True, indent=1).encode() + b"\n",)

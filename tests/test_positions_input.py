@@ -19,6 +19,7 @@ from rtcal.errors import DataError, SimulatorError
 from rtcal.io import obj
 from rtcal.loop import control_runs
 from rtcal.loop.measured_pairs import response_noise
+from rtcal.loop.pair_misfit import rows_of_pairs
 from rtcal.loop.scattering import Scattering
 from rtcal.report import page, positions_figures, result_folder
 from rtcal.simulators import (
@@ -366,7 +367,9 @@ def test_the_page_of_a_fit_shows_what_was_learned_and_what_not_to_believe(folder
         assert " to ".join(pair) in text
     # Without a geometry there is no plan; one pair that is far off contradicts the others.
     innovation = result.innovation.copy()
-    innovation[result._rows_of_pairs[0]] += 100 * np.sqrt(result.covariance.diagonal().max())
+    innovation[rows_of_pairs(result.measured.used)[0]] += 100 * np.sqrt(
+        result.covariance.diagonal().max()
+    )
     program = EquationSimulator(rt.Eyring(), ROOM)
     scattering = Scattering(
         model="random",

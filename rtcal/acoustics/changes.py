@@ -392,6 +392,8 @@ def _least(room: Room) -> Array:
 def new_name(taken: Container[str], wanted: str) -> str:
     """Return a name that is not taken: the wanted one, or that with a number.
 
+    Examples
+    --------
     >>> new_name(["wall"], "panel"), new_name(["panel", "panel (2)"], "panel")
     ('panel', 'panel (3)')
     """

@@ -111,7 +111,7 @@ class CalibratedAtPositions(Protocol):
 
 
 @dataclass(frozen=True, eq=False)
-class Known:
+class Before:
     """The measurement before the change, against the calibrated simulator."""
 
     result: CalibratedAtPositions
@@ -137,7 +137,7 @@ class Known:
 
     @cached_property
     def by_room(self) -> Array:
-        """What errors of volume, areas and climate change of the values used, (n_errors, n_used)."""
+        """Change of the values used by errors of volume, areas and climate, (n_errors, n_used)."""
         of_level = _of_level(self.result.parameters, self.pairs, self.result.prior.n_bands)
         return heard_changes(self.result.prior, self.matrix, of_level[self.used])
 
@@ -176,7 +176,7 @@ class Known:
 class Changed:
     """One change: what is heard after it, and the covariances of errors before and after."""
 
-    known: Known
+    known: Before
     room: ChangedRoom
     match: tuple[str, ...]
     names: tuple[str, ...]
@@ -219,21 +219,21 @@ class Changed:
 
     @cached_property
     def by_covers(self) -> Array:
-        """What the error of each partial cover's area changes, (n_covers, rows)."""
+        """Change of all rows by the error of each partial cover's area, (n_covers, rows)."""
         by_areas = self.room.cover_sigma[:, np.newaxis, np.newaxis] * self.room.by_areas(self.alpha)
         rows = np.einsum("pikm,cmk->cpik", self.by_wall, by_areas)
         return np.asarray(rows.reshape(len(by_areas), self.by_alpha.shape[0]))
 
     @cached_property
     def by_room(self) -> Array:
-        """What the errors of volume, areas and climate change of all rows, (n_errors, rows)."""
+        """Change of all rows by errors of volume, areas and climate, (n_errors, rows)."""
         room = self.room.before.replace(alpha=self.walls, calibration=None)
         of_level = _of_level(self.match, self.known.pairs, room.n_bands)
         return heard_changes(room, _by_band(self.by_wall), of_level)
 
     @cached_property
     def by_places(self) -> Array:
-        """What the places of the covers change of all rows, (n_places, rows)."""
+        """Change of all rows by the places of the covers, (n_places, rows)."""
         if not self.room.moves or not isinstance(self.after, PathTracing):
             return np.zeros((0, self.by_alpha.shape[0]))
         pieces = Pieces.of(self.after, self.room.moves)

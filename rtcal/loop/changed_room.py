@@ -87,7 +87,7 @@ class ChangedRoom:
 
     @property
     def moves(self) -> tuple[Move, ...]:
-        """What each partial cover moved: from which material, to which, and its share of each wall."""
+        """Each partial cover: from which material, to which, and its share of each wall."""
         return self._mixed[1]
 
     @property

@@ -137,7 +137,7 @@ class PositionsPrediction(Result):
 
     @property
     def sentences(self) -> list[str]:
-        """What the interval of the first parameter rests on, and what to measure next."""
+        """The parts of the first parameter's interval, and what to measure next."""
         first = self.parameters[0]
         without = self._in_jnd(first, Z * self.uncalibrated_sigma)[-1]
         return words.sentences(self.parts(first), self.half_width(first)[-1], without, 1)

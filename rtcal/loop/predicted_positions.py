@@ -11,7 +11,7 @@ from rtcal.acoustics.change_files import Variant, refuse_repeated_names
 from rtcal.acoustics.observables import MATCH, OBSERVABLES, TARGET
 from rtcal.acoustics.scene import POSITION, checked_uncertainty
 from rtcal.errors import DataError
-from rtcal.loop.change_at_positions import CalibratedAtPositions, Changed, Known
+from rtcal.loop.change_at_positions import Before, CalibratedAtPositions, Changed
 from rtcal.loop.changed_room import ChangedRoom
 from rtcal.loop.control_runs import Heard, simulated_controls
 from rtcal.loop.positions_prediction import PositionsPredictions
@@ -125,7 +125,7 @@ def predict_positions(
             f"no control run tells the error of {result.simulator}: predict with a simulator that "
             "has a geometry, or T by an equation"
         )
-    known = Known(result, simulator, controls.pairs)
+    known = Before(result, simulator, controls.pairs)
     before, *after_each = (
         Changed(known, room, match, _names(match, i), controls).predicted(variant)
         for i, (room, variant) in enumerate(zip(rooms, every, strict=True))

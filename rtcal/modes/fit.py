@@ -195,7 +195,7 @@ class Point:
 
     @cached_property
     def off(self) -> Complex:
-        """What the modes leave of the spectra, (n_bins, n_pairs)."""
+        """Spectra less those of the modes, (n_bins, n_pairs)."""
         return self.problem.off(self.at, self.amplitudes)
 
     @cached_property
@@ -218,7 +218,7 @@ class Point:
 
     @cached_property
     def weight(self) -> Array:
-        """Of each bin, (n_bins,)."""
+        """Weights of the bins, (n_bins,)."""
         return np.asarray(1 / np.sqrt(self.problem.heard.local(self.off)))
 
     @property
@@ -234,7 +234,7 @@ class Point:
 
     @property
     def covariance(self) -> Array:
-        """Of the poles, (2 n_poles, 2 n_poles), with their prior."""
+        """Covariance of the poles, (2 n_poles, 2 n_poles), with their prior."""
         return np.asarray(np.linalg.inv(self._reduced(0.0)[0]))
 
     def misfit(self, at: Array, amplitudes: Complex) -> float:

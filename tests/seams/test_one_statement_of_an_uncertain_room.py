@@ -37,12 +37,14 @@ def test_a_loop_takes_it_as_exact_and_does_not_push_the_target(room: rt.Room) ->
 def test_a_prediction_counts_it(room: rt.Room) -> None:
     t = measured(room)
     change = Climate(rt.Air(25, 30))
-    usual = rt.calibrate(room, t).predict(change)
-    stated = rt.calibrate(room.replace(**STATED), t).predict(change)
-    assert (usual.assumptions.volume, usual.assumptions.areas) == (0.03, 0.03)
-    assert (stated.assumptions.volume, stated.assumptions.areas) == (0.08, 0.05)
-    part = rt.calibrate(room.replace(volume_sigma=0.08), t).predict(change)
-    assert (part.assumptions.volume, part.assumptions.areas) == (0.08, 0.03)
+    usual, alike, part, stated = (
+        rt.calibrate(room.replace(**more), t).predict(change)
+        for more in ({}, {"volume_sigma": 0.03, "area_sigma": 0.03}, {"volume_sigma": 0.08}, STATED)
+    )
+    np.testing.assert_allclose(alike.interval, usual.interval, rtol=1e-9)
+    share = [p.parts["volume, areas and climate"] for p in (usual, part, stated)]
+    assert (share[0] < share[1]).all()
+    assert (share[1] < share[2]).all()
 
 
 def test_an_archive_counts_it(room: rt.Room) -> None:

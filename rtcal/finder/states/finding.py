@@ -121,8 +121,9 @@ class StatesFinding(Finding):
         ...     rt.Measurement(centre_frequencies=[500, 1000], values={"t20": v}, n_sources=6,
         ...                    n_receivers=6) for v in t.values())
         >>> changed = rt.find(room, after, before=before).apply()
-        >>> print(rt.Eyring().reverberation_time(changed.room).round(1))
-        [0.9 0.7]
+        >>> now = rt.Eyring().reverberation_time(changed.room)
+        >>> print(abs(now / [0.9, 0.7] - 1) < 0.1)  # within 10 %
+        [ True  True]
         """
         if self.reason_for_none is not None:
             raise DataError(self.reason_for_none)
