@@ -35,7 +35,7 @@ class Drawn:
     polygons: list[Array]
     names: list[str]
     volume: float
-    area: float
+    areas: Counter[str]
     defects: list[str] = field(default_factory=list)
     walls: int = 0
 
@@ -66,7 +66,10 @@ def room(rng: np.random.Generator) -> Drawn:
         polygons.append(np.array([low[i], low[j], high[j], high[i]]))
         names.append("wall")
     volume = sum(float(p[0] @ triangles.vector_area(p)) for p in polygons) / 3
-    return Drawn(polygons, names, abs(volume), sum(map(size, polygons)), walls=n)
+    areas = Counter[str]()
+    for polygon, name in zip(polygons, names, strict=True):
+        areas[name] += size(polygon)
+    return Drawn(polygons, names, abs(volume), areas, walls=n)
 
 
 def on_wall(drawn: Drawn, rng: np.random.Generator, bottom: float) -> tuple[int, Array]:
@@ -104,6 +107,8 @@ def damage(drawn: Drawn, kind: str, rng: np.random.Generator) -> None:
         normal = triangles.vector_area(polygons[i])
         polygons.append(window - normal / np.linalg.norm(normal) * rng.uniform(0, 0.03))
         names.append("glass" if kind == "overlay" else "door")
+        drawn.areas[names[-1]] += size(window)
+        drawn.areas["wall"] -= size(window)
     elif kind == "turned":
         for k in rng.choice(len(polygons), max(1, len(polygons) // 3), replace=False):
             polygons[k] = polygons[k][::-1]
@@ -120,7 +125,7 @@ def damage(drawn: Drawn, kind: str, rng: np.random.Generator) -> None:
         panel = np.array([centre - u - v, centre + u - v, centre + u + v, centre - u + v])
         polygons.append(panel)
         names.append("reflector")
-        drawn.area += 2 * size(panel)
+        drawn.areas["reflector"] += 2 * size(panel)
     elif kind == "open bottom":
         x, y = rng.uniform(-1.5, -1.2), rng.uniform(-1.5, -1.2)
         w, d, h = rng.uniform(0.4, 1.2, 3)
@@ -130,11 +135,12 @@ def damage(drawn: Drawn, kind: str, rng: np.random.Generator) -> None:
         polygons.append(high)
         names += ["table"] * 5
         drawn.volume -= w * d * h
-        drawn.area += 2 * (w + d) * h
+        drawn.areas["table"] += 2 * (w + d) * h + w * d
+        drawn.areas["floor"] -= w * d
     elif kind == "hole":  # a wall in four parts around a hole
         i = 2 + int(rng.integers(drawn.walls))
         a, b, c, d = polygons[i]
-        share = np.sqrt(0.004 * drawn.area / size(polygons[i]))
+        share = np.sqrt(0.004 * drawn.areas.total() / size(polygons[i]))
         at = np.array([0.5 - share / 2, 0.5 + share / 2])
 
         def point(s: float, t: float) -> Array:
@@ -155,7 +161,7 @@ def damage(drawn: Drawn, kind: str, rng: np.random.Generator) -> None:
         fin = np.array([a, a + inwards, d + inwards - [0, 0, 0.8], d])
         polygons.append(fin)
         names.append("fin")
-        drawn.area += 2 * size(fin)
+        drawn.areas["fin"] += 2 * size(fin)
     elif kind == "triangles":
         new = [
             (p[list(t)], n)
@@ -204,10 +210,24 @@ def judged(seed: int) -> tuple[str, str]:
         right = any(name in str(error) for name in unmendable)
         return ("refused right" if right else "refused wrong"), f"{drawn.defects}: {error}"
     volume = done.geometry.volume / drawn.volume - 1
-    area = float(np.sum(done.geometry.face_areas)) / drawn.area - 1
+    area = float(np.sum(done.geometry.face_areas)) / drawn.areas.total() - 1
     within = abs(volume) <= 0.01 and abs(area) <= 0.01 and not unmendable
     said = f"{drawn.defects}: V {100 * volume:+.2f} %, S {100 * area:+.2f} %, {done}"
     return ("right" if within else "silent"), said
+
+
+def areas_held(seed: int) -> list[bool]:
+    """Whether each material's area is right within twice its standard uncertainty, or 0.1 %."""
+    drawn = example(seed)
+    try:
+        done = mended(drawn.faces())
+    except MeshError:
+        return []
+    u = done.area_uncertainty
+    return [
+        abs(area - drawn.areas[m]) <= max(2 * u.get(m, 0.0), 1e-3 * drawn.areas[m])
+        for m, area in done.areas.items()
+    ]
 
 
 def main() -> None:
@@ -217,6 +237,8 @@ def main() -> None:
         if what in ("silent", "refused wrong"):
             print(f"{seed}: {what}: {why}\n")
     print(dict(Counter(what for what, _ in results)))
+    held = [h for seed in range(number) for h in areas_held(seed)]
+    print(f"{sum(held)} of {len(held)} areas within twice their uncertainty, or 0.1 %")
 
 
 if __name__ == "__main__":

@@ -367,10 +367,10 @@ class ConvexProgram:
 def _attempts(model: NumpyModel, options: SolveOptions) -> Iterator[SolveOptions]:
     """The options to solve with, until an answer passes.
 
-    Where the polished answer depends on the active bounds alone, Clarabel first runs with looser
-    settings. Its full ones follow if that answer cannot be polished, does not pass, or was far off.
+    Polishing asks for the active bounds alone, so Clarabel first runs with looser settings. Its full ones
+    follow if that answer cannot be polished, does not pass, or was far off.
     """
-    if model.has_closed_form and options.settings is None and options.solver.lower() == "clarabel":
+    if options.settings is None and options.solver.lower() == "clarabel":
         yield replace(options, settings=solvers.QUICK)
     yield options
 

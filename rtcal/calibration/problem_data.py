@@ -5,12 +5,15 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
+import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from rtcal.calibration.layout import Integers, Layout
 from rtcal.calibration.observed import Whitened
+from rtcal.support.kkt import DENSE
 from rtcal.support.types import Array, read_only_view
 
 __all__ = ["Flags", "Integers", "ProblemData"]
@@ -120,6 +123,29 @@ class ProblemData:
         inverse = np.divide(1.0, size, out=np.zeros_like(size), where=self.matched & (size > 0))
         inverse.setflags(write=False)
         return inverse.ravel()
+
+    @cached_property
+    def match_rows(self) -> Any:
+        """S' over the unknowns, one row per configuration and band, 0 without T.
+
+        An array where that is small, without scipy's overhead; else sparse.
+        """
+        layout = self.layout
+        c, n, k = layout.n_configurations, layout.n_rows, layout.n_bands
+        if not layout.further and (c * k) * (n * k) <= DENSE:
+            matrix = np.zeros((c, k, n, k))
+            values = np.where(self.matched[:, np.newaxis, :], self.areas[:, :, np.newaxis], 0.0)
+            np.einsum("cknk->cnk", matrix)[...] = values  # a view of each band's own columns
+            return matrix.reshape(c * k, n * k)
+        areas = np.where(self.matched[:, :, np.newaxis], self.areas[:, np.newaxis, :], 0.0)
+        columns = np.arange(n) * k + np.arange(k)[:, np.newaxis]
+        columns = np.broadcast_to(columns, (c, k, n))
+        starts = np.arange(0, c * k * n + 1, n)
+        matrix = sp.csr_array((areas.ravel(), columns.ravel(), starts), shape=(c * k, n * k))
+        if not layout.further:
+            return matrix
+        gains = np.where(self.matched[:, :, np.newaxis], self.gains, 0.0)
+        return sp.csr_array(sp.hstack([matrix, sp.csr_array(gains.reshape(c * k, -1))]))
 
     @cached_property
     def target_covariance(self) -> Array:

@@ -90,6 +90,7 @@ def check(
         "volume": done.volume,
         "volume_uncertainty": done.volume_uncertainty,
         "areas": done.areas,
+        "area_uncertainty": done.area_uncertainty,
         "defects": [asdict(defect) for defect in done.defects],
         "notes": done.notes,
         "written": files,

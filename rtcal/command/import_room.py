@@ -24,7 +24,9 @@ if TYPE_CHECKING:
     from rtcal.io.material_list import ListedMaterial, MaterialList
 
 _LEAST_UNCERTAINTY = 1e-3
-"""Relative uncertainty of V from which the room states it: no T is measured as exactly."""
+"""Relative uncertainty of V or of an area that a room states: no T is measured as exactly."""
+_MOST_UNCERTAINTY = 0.99
+"""That of an area which may be missing: a room states less than 1."""
 
 
 @click.command("import", short_help="A program's material list and a mesh to a room.")
@@ -244,6 +246,11 @@ def import_room(
             draw(model.geometry, None, picture)
     if model is not None and model.volume_uncertainty > _LEAST_UNCERTAINTY * room.volume:
         room = room.replace(volume_sigma=float(f"{model.volume_uncertainty / room.volume:.2g}"))
+    unsure = {} if model is None else model.area_uncertainty
+    of_room = zip(room.materials, room.areas.tolist(), strict=True)
+    relative = {m: min(unsure.get(m, 0.0) / area, _MOST_UNCERTAINTY) for m, area in of_room}
+    area_sigma = {m: float(f"{u:.2g}") for m, u in relative.items() if u > _LEAST_UNCERTAINTY}
+    room = room.replace(area_sigma=area_sigma) if area_sigma else room
     room.save(out)
     in_use = {listed.listed(name).name for name in used if name not in others}
     unused = [] if program == "catalogue" else [n for n in listed.names if n not in in_use]
@@ -255,6 +262,9 @@ def import_room(
             f"V is known to {100 * room.volume_sigma:.2g} % (volume_sigma), by what was "
             + ("drawn: its faces do not close" if isinstance(model, Unclosed) else "mended")
         )
+    if area_sigma:
+        known = ", ".join(f"{m} to {100 * u:.2g} %" for m, u in area_sigma.items())
+        notes.append(f"Areas are known (area_sigma), by what was mended: {known}")
     _tell(room, unused, notes, out, as_json=as_json, quiet=quiet)
 
 

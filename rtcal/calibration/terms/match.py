@@ -18,7 +18,6 @@ from rtcal.errors import DataError, ModelError
 from rtcal.support import checks
 from rtcal.support.arguments import checked
 from rtcal.support.hessian import Squares
-from rtcal.support.kkt import DENSE
 from rtcal.support.types import Array
 
 SMALLEST_UNCERTAINTY = 1e-6
@@ -55,7 +54,7 @@ class ExactMatch:
             np.where(data.matched, v, e).ravel()
             for v, e in zip(self.target_limits(data), (-np.inf, np.inf), strict=True)
         )
-        return Rows(_match_rows(data), low, high)
+        return Rows(data.match_rows, low, high)
 
     def target_limits(self, data: ProblemData) -> tuple[Array, Array]:
         """Return b as lower and upper limit: an equality."""
@@ -132,7 +131,7 @@ class MatchWithin:
 
     def rows(self, data: ProblemData) -> Rows:
         """Lower <= S'alpha <= upper; bands without T have a row of zeros without limits."""
-        return Rows(_match_rows(data), *self.limits(data))
+        return Rows(data.match_rows, *self.limits(data))
 
     def label(self, row: int, layout: Layout) -> str:
         """Return the band that a row matches."""
@@ -212,7 +211,9 @@ class SoftMatch(BaseTerm):
 
     def gradient(self, u: Array, data: ProblemData) -> Array:
         """Return S (S'alpha - b) / u_b²."""
-        return np.asarray(_match_rows(data).T @ np.nan_to_num(self.pull(u, data)).ravel())
+        return np.asarray(
+            data.match_rows.T @ np.where(data.matched, self.pull(u, data), 0.0).ravel()
+        )
 
     def pull(self, u: Array, data: ProblemData) -> Array:
         """Return (S'alpha - b) / u_b² in 1/m², (n_configurations, n_bands), NaN without T."""
@@ -220,8 +221,8 @@ class SoftMatch(BaseTerm):
 
     def curvature(self, u: Array, data: ProblemData) -> Any:
         """Return S S' / u_b², which couples the materials of a band."""
-        steep = np.nan_to_num(1 / self.uncertainty(data).ravel())
-        rows = _match_rows(data)
+        steep = np.where(data.matched, 1 / self.uncertainty(data), 0.0).ravel()
+        rows = data.match_rows
         if sp.issparse(rows):
             return Squares(sp.csr_array(sp.diags_array(steep) @ rows))
         return Squares(steep[:, np.newaxis] * rows)
@@ -268,7 +269,7 @@ class RoomMatch(SoftMatch):
         def compute(data: ProblemData) -> tuple[Array, Array]:
             whitener = np.sqrt(data.weights[weight]) * data.match_whitener
             target = np.where(data.matched, data.target, 0.0).ravel()
-            return (whitener @ _match_rows(data))[rows, columns], -(whitener @ target)
+            return (whitener @ data.match_rows)[rows, columns], -(whitener @ target)
 
         return half_squares(context.affine(rows, columns, n_rows, compute).expression)
 
@@ -284,7 +285,7 @@ class RoomMatch(SoftMatch):
 
     def curvature(self, u: Array, data: ProblemData) -> Any:
         """Return S C⁻¹ S', which couples all matched bands."""
-        rows = _match_rows(data)
+        rows = data.match_rows
         together = data.match_whitener @ rows
         return Squares(sp.csr_array(together) if sp.issparse(rows) else together)
 
@@ -398,27 +399,4 @@ def match_values(data: ProblemData) -> Array:
 @checked
 def match_matrix(data: ProblemData) -> Any:
     """Return S' as a sparse matrix, one row per configuration and band, over the unknowns."""
-    layout = data.layout
-    c, n, k = layout.n_configurations, layout.n_rows, layout.n_bands
-    areas = np.broadcast_to(data.areas[:, np.newaxis, :], (c, k, n))
-    values = np.where(data.matched[:, :, np.newaxis], areas, 0.0)
-    columns = np.arange(n) * k + np.arange(k)[:, np.newaxis]
-    columns = np.broadcast_to(columns, (c, k, n))
-    starts = np.arange(0, c * k * n + 1, n)
-    matrix = sp.csr_array((values.ravel(), columns.ravel(), starts), shape=(c * k, n * k))
-    if not layout.further:
-        return matrix
-    gains = np.where(data.matched[:, :, np.newaxis], data.gains, 0.0)
-    return sp.csr_array(sp.hstack([matrix, sp.csr_array(gains.reshape(c * k, -1))]))
-
-
-def _match_rows(data: ProblemData) -> Any:
-    """Return S' as `match_matrix`, but as an array where that is small, without scipy's overhead."""
-    layout = data.layout
-    c, n, k = layout.n_configurations, layout.n_rows, layout.n_bands
-    if layout.further or (c * k) * (n * k) > DENSE:
-        return match_matrix(data)
-    matrix = np.zeros((c, k, n, k))
-    values = np.where(data.matched[:, np.newaxis, :], data.areas[:, :, np.newaxis], 0.0)
-    np.einsum("cknk->cnk", matrix)[...] = values  # a view of each band's own columns
-    return matrix.reshape(c * k, n * k)
+    return sp.csr_array(data.match_rows)

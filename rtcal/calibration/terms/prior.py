@@ -135,13 +135,21 @@ class PriorDeviation(BaseTerm):
         x = context.x[:n] if layout.further else context.x
         if not self.correlated():
             return half_squares(x)
+        together = context.variable(1) if self.common else None
+        if not (self.band_correlation or self.material_correlation):
+            # What is held off its mean tells of the common part alone: one square, not one each.
+            common = context.parameter(
+                (n, 1), lambda i: ((1 - _held(i)) * _together(i)[:n])[:, None]
+            )
+            told = context.parameter(2, _told)
+            rest = cp.multiply(told[:1], together) - told[1:]
+            return half_squares(x - common @ together) + half_squares(rest)
         # A coefficient held off its mean pulls at those that it is correlated with; one that is
         # known exactly (sigma = 0) says nothing of them, so there x stays free.
         keep = context.multiply(x, lambda i: 1.0 - _held(i))
         loose = half_squares(context.multiply(x, _held))
         own = keep + context.parameter(n, lambda i: _held(i) * _deviation(i.centre, i)[:n])
         if self.common:
-            together = context.variable(1)
             own = own - context.parameter((n, 1), lambda i: _together(i)[:n, None]) @ together
             loose = loose + half_squares(together)
         return half_squares(self._whitener(layout) @ own) + loose
@@ -218,6 +226,17 @@ class PriorDeviation(BaseTerm):
 def _together(data: ProblemData) -> Array:
     """The change of all coefficients together by one standard deviation, in sigmas, (size,)."""
     return np.asarray(data.common_shift * data.inverse_sigma)
+
+
+def _told(data: ProblemData) -> Array:
+    """Return a and b: t'(1 + q'q)t/2 - t q'd is ½(a t - b)² but for a constant.
+
+    d is how far held coefficients are off their mean, q their change with all others, in sigmas.
+    """
+    n = data.layout.n_alpha
+    shift, off = _held(data) * _together(data)[:n], _deviation(data.centre, data)[:n]
+    steep = np.sqrt(1 + shift @ shift)
+    return np.array([steep, shift @ off / steep])
 
 
 def _held(data: ProblemData) -> Array:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -36,6 +36,8 @@ class Defect:
         Names or corners of the first few.
     done : str
         What was done, in words.
+    area_uncertainty : mapping of str to float
+        Standard uncertainty of each material's area in m² that remains.
     """
 
     kind: str
@@ -46,6 +48,7 @@ class Defect:
     volume_uncertainty: float
     places: tuple[str, ...]
     done: str
+    area_uncertainty: Mapping[str, float] = field(default_factory=dict)
 
     def __str__(self) -> str:
         """Return the defect as one line."""
@@ -60,6 +63,8 @@ class Defect:
                 parts.append(f"{symbol} {effect:+.3g} {unit}")
         if self.volume_uncertainty > _SHOWN:
             parts.append(f"u(V) {self.volume_uncertainty:.2g} m³")
+        if (u := float(np.linalg.norm([*self.area_uncertainty.values()]))) > _SHOWN:
+            parts.append(f"u(S) {u:.2g} m²")
         more = ", ..." if self.number > len(self.places) else ""
         at = f" ({', '.join(self.places)}{more})" if self.places else ""
         return f"{self.kind}: {', '.join(parts)}{at}"
@@ -84,6 +89,11 @@ class Unclosed:
     areas: Mapping[str, float]
     defects: tuple[Defect, ...]
     notes: tuple[str, ...] = ()
+
+    @property
+    def area_uncertainty(self) -> dict[str, float]:
+        """Standard uncertainty of each material's area in m² by what was mended before."""
+        return uncertain_areas(self.defects)
 
     @property
     def surfaces(self) -> list[Surface]:
@@ -142,6 +152,11 @@ class Mended:
         """Standard uncertainty of V in m³ by mending, the root of the sum of squares."""
         return float(np.sqrt(sum(d.volume_uncertainty**2 for d in self.defects)))
 
+    @property
+    def area_uncertainty(self) -> dict[str, float]:
+        """Standard uncertainty of each material's area in m² by mending, where it is not 0."""
+        return uncertain_areas(self.defects)
+
     def __str__(self) -> str:
         """Return V, S, the areas of the materials, and each defect."""
         total = float(np.sum(self.geometry.face_areas))
@@ -149,6 +164,19 @@ class Mended:
         n = len(self.geometry.faces)
         head = f"V = {self.geometry.volume:.6g}{u} m³, S = {total:.6g} m², {n} faces"
         return "\n".join([head, *_listed(self.geometry.areas, self.defects)])
+
+
+def combined(parts: Iterable[tuple[str, float]]) -> dict[str, float]:
+    """Return the root of the sum of squares by name, where it is not 0."""
+    total: dict[str, float] = {}
+    for name, part in parts:
+        total[name] = float(np.hypot(total.get(name, 0.0), part))
+    return {name: u for name, u in total.items() if u > 0}
+
+
+def uncertain_areas(defects: Sequence[Defect]) -> dict[str, float]:
+    """Return the standard uncertainty of each material's area in m² by all defects."""
+    return combined(each for defect in defects for each in defect.area_uncertainty.items())
 
 
 def _listed(areas: Mapping[str, float], defects: Sequence[Defect]) -> list[str]:

@@ -9,7 +9,7 @@ from scipy.spatial import cKDTree
 
 from rtcal.io.mend.edges import loops_of, open_edges, sorted_edge
 from rtcal.io.mend.faces import SAME, Face, Work
-from rtcal.io.mend.mending import MOST_PLACES, Mending
+from rtcal.io.mend.mending import ANY_SHARE, MOST_PLACES, Mending
 from rtcal.io.mend.shapes import area_of, normal_of
 from rtcal.simulators.geometry import PLANARITY
 
@@ -47,7 +47,7 @@ def without_holes(mend: Mending, work: Work) -> Work:
             f"{each}{more}; holes up to {largest:.2g} m² are closed. {_hint(mend, large, work)}",
             list(missing),
         )
-    closed, area, spread = [], 0.0, 0.0
+    closed, area, spread, unsure = [], 0.0, 0.0, []
     for loop in loops:
         size = area_of(mend.points[loop])
         longest = max(
@@ -58,6 +58,7 @@ def without_holes(mend: Mending, work: Work) -> Work:
         area += size
         spread += (size**1.5 / 4) ** 2
         closed.append(f"at {mend.place(loop[0])}, {work.materials[beside]}")
+        unsure.append((work.materials[beside], ANY_SHARE * size))  # it may be of another material
         _fill(mend, work, loop, work.materials[beside])
     mend.found(
         "hole",
@@ -66,6 +67,7 @@ def without_holes(mend: Mending, work: Work) -> Work:
         area,
         surface=area,
         uncertainty=float(np.sqrt(spread)),
+        unsure=unsure,
     )
     if again := open_edges(mend, work):
         a, b = next(iter(again))

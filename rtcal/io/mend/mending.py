@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 
-from rtcal.io.mend.defects import Defect, MeshError
+from rtcal.io.mend.defects import Defect, MeshError, combined
 from rtcal.io.mend.faces import Edge, Faces, Work
 from rtcal.support.types import Array
 
 MOST_PLACES = 5
+ANY_SHARE = 1 / np.sqrt(3)
+"""Of an area of which any share may count, all shares alike: rms of what is missing or too much."""
 _FOUND = ". Found, too: "
 
 
@@ -41,8 +43,12 @@ class Mending:
         surface: float = 0.0,
         uncertainty: float = 0.0,
         number: int | None = None,
+        unsure: Iterable[tuple[str, float]] = (),
     ) -> None:
-        """Add a defect of these places, with its effects in m², m³ and m²."""
+        """Add a defect of these places, with its effects in m², m³ and m².
+
+        ``unsure`` are materials with a standard uncertainty of area in m² each.
+        """
         self.defects.append(
             Defect(
                 kind,
@@ -53,6 +59,7 @@ class Mending:
                 uncertainty,
                 tuple(places[:MOST_PLACES]),
                 done,
+                combined(unsure),
             )
         )
 

@@ -9,7 +9,7 @@ import numpy as np
 from rtcal.io.mend.defects import Unclosed
 from rtcal.io.mend.edges import open_edges
 from rtcal.io.mend.faces import SAME, Work
-from rtcal.io.mend.mending import Mending
+from rtcal.io.mend.mending import ANY_SHARE, Mending
 from rtcal.io.mend.overlays import Cut, cut, overlaid_on
 from rtcal.io.mend.panels import THICKNESS, add_slab
 from rtcal.io.mend.planes import flattened
@@ -73,6 +73,7 @@ def with_others(mend: Mending, shell: Work, others: Sequence[Work]) -> Work:
     cuts: dict[int, list[Cut]] = {}
     added, panels = Work(), list[Work]()
     told: dict[str, list[tuple[str, float, float, float]]] = {}
+    reveals: list[tuple[str, float]] = []
 
     def tell(kind: str, part: Work, size: float, volume: float, surface: float) -> None:
         told.setdefault(kind, []).append((part.names[0], size, volume, surface))
@@ -88,6 +89,8 @@ def with_others(mend: Mending, shell: Work, others: Sequence[Work]) -> Work:
             for wall, pieces, distance in flat:
                 cuts.setdefault(wall, []).extend(pieces)
                 moved += sum(distance * piece.area for piece, _, _ in pieces)
+                # The reveal from the wall to the face is not drawn; it may be of the face's material.
+                reveals += [(str(m), ANY_SHARE * distance * p.length) for p, m, _ in pieces]
             tell("overlay", part, size, moved, -size)
         elif (foot := standing_on(mend, shell, part)) is not None:
             prints, stood = foot
@@ -101,7 +104,7 @@ def with_others(mend: Mending, shell: Work, others: Sequence[Work]) -> Work:
         else:
             panels.append(part)
             tell("panel", part, size, -THICKNESS * size, size)
-    _tell_others(mend, told)
+    _tell_others(mend, told, reveals)
     shell = cut(mend, shell, cuts)
     shell.extend(added)
     if cuts:
@@ -114,7 +117,9 @@ def with_others(mend: Mending, shell: Work, others: Sequence[Work]) -> Work:
 
 
 def _tell_others(
-    mend: Mending, told: Mapping[str, Sequence[tuple[str, float, float, float]]]
+    mend: Mending,
+    told: Mapping[str, Sequence[tuple[str, float, float, float]]],
+    reveals: Sequence[tuple[str, float]],
 ) -> None:
     words = {
         "overlay": "faces on a larger one take its area",
@@ -126,7 +131,9 @@ def _tell_others(
         area, volume, surface = np.sum([row[1:] for row in rows], axis=0).tolist()
         uncertainty = abs(volume) / np.sqrt(3) if kind == "overlay" else 0.0
         names = [row[0] for row in rows]
-        mend.found(kind, words[kind], names, area, volume, surface, float(uncertainty))
+        unsure = reveals if kind == "overlay" else ()
+        done = words[kind]
+        mend.found(kind, done, names, area, volume, surface, float(uncertainty), unsure=unsure)
 
 
 def _within(mend: Mending, hull: Polyhedron, corners: Array) -> bool:

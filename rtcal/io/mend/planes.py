@@ -66,18 +66,22 @@ def _straightened(mend: Mending, loop: Face) -> Face:
 
 def flattened(mend: Mending, work: Work) -> Work:
     """Return the faces with those that are not plane divided into triangles."""
-    out, bent, area = Work(), [], 0.0
+    out, bent, area, unsure = Work(), [], 0.0, []
     for face, material, name in zip(work.faces, work.materials, work.names, strict=True):
         corners = mend.points[face]
         off = np.abs((corners - corners.mean(axis=0)) @ normal_of(corners)).max()
         if off <= PLANARITY * 0.9:
             out.add(face, material, name)
             continue
+        parts = triangles.triangulate(corners)
         if off > mend.weld:  # else it is a joint's, told already
             bent.append(name)
             area += area_of(corners)
-        for triangle in triangles.triangulate(corners):
-            out.add((face[k] for k in triangle), material, name)
+            folded = sum(area_of(corners[list(part)]) for part in parts)
+            unsure.append((material, folded - area_of(corners)))
+        for part in parts:
+            out.add((face[k] for k in part), material, name)
     if bent:
-        mend.found("bent", "faces that are not plane are divided into triangles", bent, area)
+        done = "faces that are not plane are divided into triangles"
+        mend.found("bent", done, bent, area, unsure=unsure)
     return out

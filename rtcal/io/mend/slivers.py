@@ -6,13 +6,13 @@ import numpy as np
 
 from rtcal.io.mend.edges import simplified
 from rtcal.io.mend.faces import Work
-from rtcal.io.mend.mending import Mending
+from rtcal.io.mend.mending import ANY_SHARE, Mending
 from rtcal.io.mend.shapes import area_of, extent_of
 
 
 def cleaned(mend: Mending, work: Work) -> Work:
     """Return the faces without repeated corners, and without slivers."""
-    kept, slivers, area = [], [], 0.0
+    kept, slivers, area, unsure = [], [], 0.0, []
     for i, face in enumerate(work.faces):
         work.faces[i] = face = simplified(face)
         size = area_of(mend.points[face]) if len(face) > 2 else 0.0
@@ -21,6 +21,7 @@ def cleaned(mend: Mending, work: Work) -> Work:
         if narrow:
             slivers.append(work.names[i])
             area += size
+            unsure.append((work.materials[i], ANY_SHARE * size))
     if slivers:
         mend.found(
             "sliver",
@@ -28,6 +29,7 @@ def cleaned(mend: Mending, work: Work) -> Work:
             slivers,
             area,
             surface=-area,
+            unsure=unsure,
         )
     if not any(kept):
         corners = np.concatenate([np.asarray(p) for p in mend.drawn.polygons])
@@ -43,16 +45,19 @@ def cleaned(mend: Mending, work: Work) -> Work:
 def without_repetitions(mend: Mending, work: Work) -> Work:
     """Return the faces without those that are drawn twice."""
     seen: dict[frozenset[int], int] = {}
-    kept, twice, area = [], [], 0.0
+    kept, twice, area, unsure = [], [], 0.0, []
     for i, face in enumerate(work.faces):
         key = frozenset(face)
         kept.append(key not in seen)
         if key in seen:
-            area += area_of(mend.points[face])
-            other = work.materials[seen[key]]
-            differs = f", {work.materials[i]} on {other}" if work.materials[i] != other else ""
-            twice.append(work.names[i] + differs)
+            size = area_of(mend.points[face])
+            area += size
+            own, other = work.materials[i], work.materials[seen[key]]
+            if own != other:  # either may be the one that is meant
+                unsure += [(own, size / np.sqrt(2)), (other, size / np.sqrt(2))]
+            twice.append(work.names[i] + (f", {own} on {other}" if own != other else ""))
         seen.setdefault(key, i)
     if twice:
-        mend.found("twice", "faces drawn twice are taken once", twice, area, surface=-area)
+        done = "faces drawn twice are taken once"
+        mend.found("twice", done, twice, area, surface=-area, unsure=unsure)
     return work.kept(kept)

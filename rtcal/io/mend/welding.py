@@ -30,13 +30,17 @@ def welded(mend: Mending) -> Work:
     mend.points = np.array([drawn[g].mean(axis=0) for g in groups])
     shifts = np.linalg.norm(mend.points[index] - drawn, axis=1)
     moved = [k for k, g in enumerate(groups) if shifts[g].max() > 1e-4]
-    work, first, spread = Work(), 0, 0.0
+    work, first, spread, unsure = Work(), 0, 0.0, []
     for polygon, material, name in zip(
         mend.drawn.polygons, mend.drawn.materials, mend.drawn.names, strict=True
     ):
         corners = slice(first, first + len(polygon))
         first += len(polygon)
-        spread += (area_of(np.asarray(polygon)) * float(shifts[corners].mean())) ** 2
+        points = np.asarray(polygon)
+        spread += (area_of(points) * float(shifts[corners].mean())) ** 2
+        # A corner moves the area by half of its neighbours' distance; none is drawn better than others.
+        across = np.linalg.norm(np.roll(points, 1, axis=0) - np.roll(points, -1, axis=0)) / 2
+        unsure.append((material, float(np.sqrt(np.mean(shifts**2)) * across)))
         work.add(map(int, index[corners]), material, name)
     if moved:
         mend.found(
@@ -44,6 +48,7 @@ def welded(mend: Mending) -> Work:
             f"corners that lay up to {2 * shifts.max() * 1000:.2g} mm apart are joined",
             [mend.place(k) for k in moved],
             uncertainty=float(np.sqrt(spread)),
+            unsure=unsure,
         )
     return cleaned(mend, work)
 
@@ -51,6 +56,7 @@ def welded(mend: Mending) -> Work:
 def snapped(mend: Mending, work: Work) -> Work:
     """Return the faces with corners that are near an edge moved onto it."""
     moved: dict[int, float] = {}
+    sizes = [area_of(mend.points[f]) for f in work.faces]
     for _ in range(4):
         shift = _snap_once(mend, work)
         for corner, distance in shift.items():
@@ -58,15 +64,15 @@ def snapped(mend: Mending, work: Work) -> Work:
         if not shift:
             break
     if moved:
-        size = sum(
-            (area_of(mend.points[f]) * np.mean([moved.get(v, 0.0) for v in f])) ** 2
-            for f in work.faces
-        )
+        pairs = list(zip(sizes, work.faces, strict=True))
+        spread = sum((size * np.mean([moved.get(v, 0.0) for v in f])) ** 2 for size, f in pairs)
+        changes = [size - area_of(mend.points[f]) for size, f in pairs]
         mend.found(
             "joint",
             f"corners up to {max(moved.values()) * 1000:.2g} mm beside an edge are moved onto it",
             [mend.place(v) for v in moved],
-            uncertainty=float(np.sqrt(size)),
+            uncertainty=float(np.sqrt(spread)),
+            unsure=zip(work.materials, changes, strict=True),
         )
     return cleaned(mend, work)
 
