@@ -140,7 +140,7 @@ def test_where_the_quick_answer_does_not_do_the_full_solve_follows(
     np.testing.assert_array_equal(result.alpha, usual.alpha)
 
 
-def test_a_term_without_a_closed_form_is_solved_in_full_at_once() -> None:
+def test_a_piecewise_term_is_solved_in_full_at_once() -> None:
     ((room, t),) = cases(1)
     assert rt.calibrate(room, t, method="robust").raw.settings["tol_gap_abs"] == 1e-10
 

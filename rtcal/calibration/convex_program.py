@@ -30,6 +30,7 @@ from rtcal.calibration.polish import polish_answer, undetermined
 from rtcal.calibration.problem_data import Flags, ProblemData
 from rtcal.calibration.term_check import require_agreement
 from rtcal.calibration.terms import (
+    HuberDeviation,
     LinearObservations,
     MatchConstraint,
     Objective,
@@ -367,10 +368,11 @@ class ConvexProgram:
 def _attempts(model: NumpyModel, options: SolveOptions) -> Iterator[SolveOptions]:
     """The options to solve with, until an answer passes.
 
-    Polishing asks for the active bounds alone, so Clarabel first runs with looser settings. Its full ones
-    follow if that answer cannot be polished, does not pass, or was far off.
+    Of a quadratic objective polishing asks for the active bounds alone, so Clarabel first runs with
+    looser settings. Its full ones follow if that answer cannot be polished, does not pass, or was far off.
     """
-    if options.settings is None and options.solver.lower() == "clarabel":
+    pieces = any(isinstance(t, HuberDeviation) for t in model.objective.terms)
+    if not pieces and options.settings is None and options.solver.lower() == "clarabel":
         yield replace(options, settings=solvers.QUICK)
     yield options
 
