@@ -18,7 +18,7 @@ import pytest
 import rtcal as rt
 from rtcal.command.main import main
 from rtcal.errors import DataError, MissingDependencyError
-from rtcal.io import tables, workbook
+from rtcal.io import table_columns, tables, workbook
 from tests.damage import damages
 
 Cells = Sequence[Sequence[Any]]
@@ -114,6 +114,65 @@ SAME: dict[str, bytes] = {
     ).encode(),
 }
 STATED = {"positions across in CSV": {"parameter": "t20"}}
+
+
+INSTRUMENT = [
+    ["Model", "Model 831"],
+    ["Measurement Description", "RT60"],
+    [],
+    ["Frequency (Hz)", "Leq (dB)", "T20 (ms)", "BT:T20", "BK:T20 (dB SNR)", "NL:T20 (‰)"],
+    ["125 Hz", 92.8, 1500, 24.1, 53.4, 34.1],
+    ["250 Hz", 95.0, 1400, 79.0, 60.9, 33.6],
+    [],
+    ["RT60 Measurement Grade"],
+    ["Decays per Position", 4, "Octave", "1/1", "1/1", "1/1", "1/1"],
+    ["426A12", 1, 2, 3],
+]
+"""A summary of a Larson Davis 831, with what stands above and below it, in its workbooks' form."""
+
+APP = """App measurement
+Input: phone; granted: yes, no
+
+Band (Hz) |   EDT   |  RT60   | Metric
+       63 | 1.1 s   |    —    | unmeasurable
+      125 | 1.2 s   | 1.5 s   | t20
+      250 | 1.3 s   | 1.4 s   | t30
+Mid-band RT60: 1.4 s
+(Estimates | from a phone)"""
+
+
+def test_what_an_instrument_writes_around_its_table_is_left_out() -> None:
+    read = tables.parse(book({"Summary": INSTRUMENT}), "RT_Data.xlsx")
+    assert read.measurement.values["t20"][0] == pytest.approx([1.5, 1.4], rel=1e-15)
+    assert any('line 8 on it is no table: "RT60 Measurement Grade"' in c for c in read.columns)
+    detail = [["Decay #", "Frequency (Hz)", "T20 (ms)"], [1, 125, 1500]]
+    two = book({"Summary": INSTRUMENT, "RT60 Detail": detail})
+    with pytest.raises(
+        DataError, match=r'"Decay #" is no parameter.*; or read only sheets="Summary"'
+    ):
+        tables.parse(two, "RT_Data.xlsx")
+    chosen = tables.parse(two, "x", sheets=["Summary"]).measurement
+    assert chosen.to_dict() == read.measurement.to_dict()
+
+
+def test_a_row_that_says_its_decay_time_is_believed() -> None:
+    with pytest.raises(
+        DataError, match=r"line 6: the row says .t20., and .RT60. is stated to be T30"
+    ):
+        tables.parse(APP.encode(), "app.txt", decay_time="t30")
+    of_rows = tables.parse(APP.replace("RT60   |", "value  |").encode(), "app.txt").measurement
+    assert of_rows.values["t20"][0, 1] == 1.5
+    assert of_rows.values["t30"][0, 2] == 1.4
+    assert of_rows.values["edt"].tolist() == [[1.1, 1.2, 1.3]]
+
+
+def test_a_band_typed_wrong_below_the_others_is_no_text_below_the_table() -> None:
+    with pytest.raises(DataError, match='line 3: band "25O" is no frequency'):
+        tables.parse(b"Frequency;T20\n125;1.5\n25O;1.4\n", "t.csv")
+
+
+def test_a_spanish_position_is_a_source_and_a_receiver() -> None:
+    assert table_columns.position_in("Globo F1-P9 10:52:30") == ("F1", "P9")
 
 
 @pytest.mark.parametrize("name", SAME)

@@ -48,8 +48,8 @@ _SCALES: dict[str, dict[str, float]] = {
 UNIT_WORDS = {"hz", "khz", "s", "sec", "ms", "db", "%", "percent", "-", "1"}
 
 _POSITION = re.compile(
-    r"(L?S\d+)[\s_-]*((?:MP|M|R)\d+(?:\s*#\d+)?)", re.I | re.ASCII
-)  # source and receiver
+    r"(L?S\d+|F\d+)[\s_-]*((?:MP|M|R|P)\d+(?:\s*#\d+)?)", re.I | re.ASCII
+)  # source and receiver; F1-P1 is Spanish
 _RECEIVER = re.compile(
     r"(?:MP|M|R|P|rec|receiver|mic|microphone|pos|position|mikrofon|messposition)"
     r"[\s_.-]*\d+(?:\s*#\d+)?",

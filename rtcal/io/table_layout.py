@@ -16,7 +16,7 @@ from rtcal.io.table_columns import (
     parameter_of,
     position_of,
 )
-from rtcal.io.table_words import STATISTICS
+from rtcal.io.table_words import STATISTICS, WHOLE_RANGES, plain
 from rtcal.io.text import shown
 
 MAX_COLUMNS = 200
@@ -170,14 +170,14 @@ class Headers:
             for i, (_, cells) in enumerate(rows[:MAX_LINES_BEFORE_HEADER])
             if sum(map(bool, cells)) > 1
         ]
-        named = [
-            i
+        named = {
+            i: self.names(rows[i][1])[0]
             for i in several
             if len(rows[i][1]) <= MAX_COLUMNS
             and not frequency_of(rows[i][1][0])  # a band that begins a row of values
-            and self.names(rows[i][1])[0]
-        ]
-        return (named or several or [0])[0]
+        }
+        most = max(named, key=lambda i: named[i], default=None)
+        return most if most is not None and named[most] else (several or [0])[0]
 
     def corners(self, rows: list[Row]) -> list[int]:
         """Return the rows whose first cell names a parameter, and all others bands or positions."""
@@ -222,6 +222,12 @@ class Headers:
             columns = self.columns(header, body, line)
         if columns[0] == _ROW_NUMBERS:
             notes.append("the first column has the rows' numbers, and is left out")
+        if below := _text_below(columns, body):
+            body = body[: -len(below)]
+            first = next(filter(None, below[0][1]))
+            notes.append(
+                f'from line {below[0][0]} on it is no table: "{shown(first, 60)}"; left out'
+            )
         rows_of_width = [(at, self.of_width(cells, len(columns), at)) for at, cells in body]
         titles = [next(filter(None, c)) for _, c in rows[:at] if sum(map(bool, c)) == 1]
         return TableLayout(tuple(columns), line, tuple(rows_of_width), tuple(notes), tuple(titles))
@@ -372,6 +378,17 @@ def _unknown(names: list[str]) -> str:
         f"leave {them} out with {options}, or delete {them}; or read the rows of one room or state "
         f'only: where={{"{shown(names[0])}": "..."}}'
     )
+
+
+def _text_below(columns: list[Column], body: list[Row]) -> list[Row]:
+    """Return the last rows of a table of bands down, if they are no bands and begin with a word."""
+    if columns[0].kind != "band":
+        return []
+    bands = [
+        i for i, (_, c) in enumerate(body) if frequency_of(c[0]) or plain(c[0]) in WHOLE_RANGES
+    ]
+    below = body[bands[-1] + 1 :] if bands else []
+    return below if below and _KNOWN_START.match(below[0][1][0]) else []
 
 
 def _has_corner(columns: list[Column]) -> bool:

@@ -10,7 +10,7 @@ from rtcal.errors import DataError
 from rtcal.io.table_layout import Headers, Row, Sheet
 from rtcal.io.text import Text, lines
 
-SEPARATORS = (";", "\t", ",")
+SEPARATORS = (";", "\t", "|", ",")
 _GAP = re.compile(r"(?<=\S)(?: {2,}|\t[ \t]*)")
 """What separates columns that are aligned by blanks."""
 

@@ -193,10 +193,7 @@ class Reader:
             self.unnamed_means = True
             return
         of_row = (SUMMARY, SUMMARY) if statistic is not None else self._pair_of(entries)
-        row_parameter, row_band = (
-            self._row_parameter(entries, place),
-            self._row_band(entries, place),
-        )
+        row_band = self._row_band(entries, place)
         for column, cell in zip(self.layout.columns, cells, strict=True):
             if column.kind not in ("data", "value") or cell.lower() in _MISSING:
                 continue
@@ -204,7 +201,16 @@ class Reader:
             if column.receiver:
                 pair = (column.source or of_row[0], column.receiver)
             text_name(f"{place}: a position", "".join(pair))
-            parameter = column.parameter or row_parameter
+            parameter = column.parameter or self._row_parameter(entries, place)
+            of_the_row = (
+                self._row_parameter(entries, place) if column.decay_time_open else parameter
+            )
+            if "parameter" in entries and of_the_row != parameter:
+                raise DataError(
+                    f'{place}: the row says "{shown(entries["parameter"])}", and "'
+                    f'{shown(column.header)}" is stated to be {parameter_label(column.parameter)}; '
+                    'name the column "value"'
+                )
             band = column.band if column.has_band else row_band
             if parameter is None:
                 raise DataError(

@@ -212,11 +212,7 @@ def _read(
         of_file = _sheets(content, path, where, decay_time, columns)
         chosen, left_out = _chosen(of_file, sheets, path, decay_time)
         notes += left_out
-        found += [
-            (sheet, layout)
-            for sheet in chosen
-            for layout in layout_of(sheet, decay_time=decay_time, extra_columns=columns)
-        ]
+        found += _layouts(chosen, decay_time, columns)
     _check_options(found, parameter=parameter, decay_time=decay_time, ignore=ignore)
     readers = [
         Reader(
@@ -266,6 +262,26 @@ def _chosen(
     ] or of_file
     left_out = [f'"{shown(s.name)}"' for s in of_file if s not in chosen]
     return chosen, [f"left out, without a header: {', '.join(left_out)}"] if left_out else []
+
+
+def _layouts(
+    chosen: Sequence[Sheet], decay_time: str | None, columns: Collection[str]
+) -> list[tuple[Sheet, TableLayout]]:
+    """Return the tables of the sheets; an error names the sheets that are tables."""
+    found: list[tuple[Sheet, TableLayout]] = []
+    errors = []
+    for sheet in chosen:
+        try:
+            layouts = layout_of(sheet, decay_time=decay_time, extra_columns=columns)
+        except DataError as error:
+            errors.append(error)
+        else:
+            found += [(sheet, layout) for layout in layouts]
+    if errors:
+        tables = dict.fromkeys(sheet.name for sheet, _ in found if sheet.name)
+        only = " or ".join(f'sheets="{shown(name)}"' for name in tables)
+        raise DataError(f"{errors[0]}; or read only {only}" if only else str(errors[0]))
+    return found
 
 
 def _check_options(
