@@ -199,5 +199,5 @@ def test_the_page_of_nothing_found_has_no_bars(finding: PositionsFinding, tmp_pa
     page = (tmp_path / "report.html").read_text(encoding="utf-8")
     assert page.count("<img") == 2
     assert page.count("<svg viewBox") == 2
-    assert "<td>0 %</td>" in page
+    assert ">0 %</td>" in page
     assert "There is nothing to add" in page

@@ -88,9 +88,13 @@ def render(template: str, values: Mapping[str, Any], heading: Heading) -> str:
 @checked
 def source(figure: Any, step: Callable[[], None]) -> str:
     """Return a figure as a data URI, a separate document whose ids do not clash with the page's."""
-    content = base64.b64encode(figures.rendered(figure, "svg")).decode()
     step()
-    return f"data:image/svg+xml;base64,{content}"
+    return data_of(figures.rendered(figure, "svg"), "image/svg+xml")
+
+
+def data_of(content: bytes, kind: str = "text/plain") -> str:
+    """Return a file's content as a data URI."""
+    return f"data:{kind};base64,{base64.b64encode(content).decode()}"
 
 
 @checked

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from rtcal.acoustics import room_files
 from rtcal.acoustics.equations import mean_equation
 from rtcal.calibration.presets import calibrate
 from rtcal.errors import MissingAirWarning
@@ -16,7 +17,7 @@ from rtcal.finder.means.recalibration import recalibrate
 from rtcal.finder.means.verification import MeansVerification, verify
 from rtcal.finder.wording import listed
 from rtcal.report import gap_figures, gap_words
-from rtcal.report.document import Heading, material_rows
+from rtcal.report.document import Heading, data_of, material_rows
 from rtcal.report.figures import rendered
 from rtcal.report.page import FINDING_FIGURES, finding_page
 from rtcal.support.arguments import checked
@@ -173,9 +174,13 @@ def summary(finding: MeansFinding, verification: MeansVerification | None) -> di
 
 
 def _reproduce(finding: MeansFinding, reproduction: Reproduction | None) -> dict[str, Any] | None:
-    """Return command, files, seed and engines; None if they are not known."""
+    """Return command, files, seed and engines; of a saved finding its case, and the command for it.
+
+    None if the case is too large for a page.
+    """
     if reproduction is None:
-        return None
+        case = finding.case.to_json().encode()
+        return None if len(case) > room_files.MAX_BYTES else {"case": data_of(case)}
     return {
         "command": reproduction.command,
         "files": list(reproduction.files),

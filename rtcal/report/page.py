@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import base64
 import os
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -35,7 +34,7 @@ from rtcal.report import (
     states_page,
     words,
 )
-from rtcal.report.document import Heading, blocks, material_rows, render, source
+from rtcal.report.document import Heading, blocks, data_of, material_rows, render, source
 from rtcal.support.arguments import checked
 from rtcal.support.results import load
 from rtcal.support.types import Array
@@ -363,7 +362,4 @@ def _inputs(calibration: CalibrationResult) -> dict[str, str] | None:
     texts = {key: text.encode() for key, text in inputs.items()}
     if len(texts["room"]) > room_files.MAX_BYTES:
         return None
-    return {
-        key: "data:text/plain;base64," + base64.b64encode(text).decode()
-        for key, text in texts.items()
-    }
+    return {key: data_of(text) for key, text in texts.items()}

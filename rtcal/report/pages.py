@@ -24,8 +24,8 @@ def page_of(
 ) -> str:
     """Return the page of a saved result; see `rtcal.report.page.page_of`.
 
-    The page of a finding has no commands to reproduce it: the result does not hold the names of its
-    files.
+    The result does not hold the names of its files. So the page of a finding of means has its case as
+    a file within it, and that of a finding at positions has no command to reproduce it.
     """
     result = load(path)
     if isinstance(result, MeansFinding | MeansVerification):
