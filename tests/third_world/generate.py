@@ -1,24 +1,21 @@
 """Write a population of the third world: ``python -m tests.third_world.generate 1``.
 
-Two files per population: what a finder may read and, apart from it, the truth. Rooms are kept one by
-one in a folder beside them while they are made, so that an interrupted run goes on.
+Rooms are kept one by one in a folder beside the population's files while they are made, so that an
+interrupted run goes on.
 """
 
 from __future__ import annotations
 
-import gzip
 import json
 import sys
+from functools import partial
 from pathlib import Path
-from typing import Any
 
+from tests.second_world import generate as second
 from tests.third_world.rooms import COUNTS, KINDS, build
 
 HERE = Path(__file__).parent
-
-
-def path(population: int, part: str) -> Path:
-    return HERE / f"population_{population}_{part}.jsonl.gz"
+read = partial(second.read, folder=HERE)
 
 
 def main(population: int) -> None:
@@ -34,15 +31,7 @@ def main(population: int) -> None:
             made.append(json.loads(file.read_text()))
             print(f"\r{len(made)}/{sum(counts.values())}", end="", flush=True)
     print()
-    for part in ("case", "truth"):
-        text = "\n".join(json.dumps(room[part], separators=(",", ":")) for room in made)
-        path(population, part).write_bytes(gzip.compress(text.encode(), mtime=0))
-
-
-def read(population: int, part: str) -> list[dict[str, Any]]:
-    """Read ``part`` ("case" or "truth") of a population."""
-    lines = gzip.decompress(path(population, part).read_bytes()).splitlines()
-    return [json.loads(line) for line in lines]
+    second.write(HERE, population, made)
 
 
 if __name__ == "__main__":
