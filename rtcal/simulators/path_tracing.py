@@ -414,9 +414,8 @@ class PathTracing(DirectedSources, Tracer):
         traced = self._traced[key]
         aimed = self._traced.get((*key, band))
         if aimed is None or aimed.longest != traced.longest:
-            sources, receivers = self._points()
             lobes = {s: of.in_band(band) for s, of in self.aimed_sources.items()}
-            aimed = traced.aimed(lobes, receivers - sources[:, np.newaxis])
+            aimed = traced.aimed(lobes, self.to_receivers)
             self._traced[(*key, band)] = aimed
         return aimed
 

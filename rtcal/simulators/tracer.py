@@ -122,6 +122,12 @@ class Tracer(RoomSimulator, ABC):
         """Return the positions of sources and receivers in m, each (n, 3)."""
         return np.array(list(self.sources.values())), np.array(list(self.receivers.values()))
 
+    @property
+    def to_receivers(self) -> Array:
+        """Vector from each source to each receiver in m, (n_sources, n_receivers, 3)."""
+        sources, receivers = self._points()
+        return np.asarray(receivers - sources[:, np.newaxis])
+
     def _radii(self) -> Array:
         """Return each receiver's radius in m, at most its distance from the nearest wall."""
         radius = self.radius or RADIUS_SHARE * self.geometry.volume ** (1 / 3)

@@ -229,6 +229,10 @@ class Likelihood:
         return np.asarray(-fit - (self.log_determinant + more) / 2)
 
 
+Likelihoods = tuple[Likelihood, list[Likelihood], list[Likelihood]]
+"""With coefficients as stated, off together, and of something that no effect explains."""
+
+
 def flat(values: Array) -> Array:
     """Return values (n_parameters, n_pairs, n_bands) in the order (band, parameter, pair), (n,)."""
     return np.asarray(np.moveaxis(values, 2, 0).reshape(-1))

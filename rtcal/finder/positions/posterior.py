@@ -10,7 +10,7 @@ from scipy.special import logsumexp
 
 from rtcal.finder.coefficients import SCALES
 from rtcal.finder.positions.case import Case
-from rtcal.finder.positions.evidence import Likelihood
+from rtcal.finder.positions.evidence import Likelihoods
 from rtcal.finder.positions.shift import (
     MEASUREMENT,
     NOISE,
@@ -86,11 +86,7 @@ def prior_off(case: Case) -> float:
     return off_together(case.room)
 
 
-def evaluate(
-    likelihoods: tuple[Likelihood, list[Likelihood], list[Likelihood]],
-    hypotheses: Hypotheses,
-    residuals: Array,
-) -> Evidence:
+def evaluate(likelihoods: Likelihoods, hypotheses: Hypotheses, residuals: Array) -> Evidence:
     """Return the evidence of residuals (n, n_draws)."""
     stated, off, unknown = likelihoods
     as_stated = stated.of(residuals)
@@ -197,6 +193,12 @@ def weights(evidence: Evidence, hypotheses: Hypotheses, temper: float = TEMPER) 
             for s, e in zip(hypotheses.spreads, evidence.spreads, strict=True)
         ],
     )
+
+
+def gain(other: Evidence, evidence: Evidence, hypotheses: Hypotheses) -> Array:
+    """Return the evidence in nats for another likelihood, whatever the room lacks, (n_draws,)."""
+    more = weights(other, hypotheses).total - weights(evidence, hypotheses).total
+    return np.asarray(more + (other.none - evidence.none) / TEMPER)
 
 
 def with_families(

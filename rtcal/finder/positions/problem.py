@@ -15,9 +15,15 @@ from rtcal.acoustics.room_errors import alike_alpha, prior_covariance
 from rtcal.errors import DataError
 from rtcal.finder.case import CLIMATE_UNCERTAINTY
 from rtcal.finder.coefficients import SCALES
-from rtcal.finder.positions import unevenness
+from rtcal.finder.positions import unevenness, unstated_sources
 from rtcal.finder.positions.case import Case
-from rtcal.finder.positions.evidence import Likelihood, band_first, flat, reordered
+from rtcal.finder.positions.evidence import (
+    Likelihood,
+    Likelihoods,
+    band_first,
+    flat,
+    reordered,
+)
 from rtcal.finder.positions.responses import AIR, STEP, TRACINGS, Responses
 from rtcal.finder.positions.shift import SCATTERING as SCATTERED
 from rtcal.finder.positions.shift import interpolation
@@ -56,6 +62,8 @@ class Problem:
     measurement : array (n, n)
         Covariance of the measurement's errors.
     error : SimulatorError
+    aimed : array (n, n), optional
+        Covariance of what lobes change of sources of which nothing is stated; None where all are.
     nodes : mapping of str to array (n_bands, n_values, n_nodes)
     """
 
@@ -68,6 +76,7 @@ class Problem:
     together: Array
     measurement: Array
     error: SimulatorError
+    aimed: Array | None
     nodes: Mapping[str, Array]
 
     @property
@@ -87,11 +96,16 @@ class Problem:
         return covariance * np.outer(self.scale, self.scale)
 
     def likelihoods(
-        self, without: NDArray[np.int64] | None = None
-    ) -> tuple[Likelihood, list[Likelihood], list[Likelihood]]:
-        """Return the likelihoods with coefficients as stated, off together, and of the unknown."""
+        self, without: NDArray[np.int64] | None = None, aimed: bool = False
+    ) -> Likelihoods:
+        """Return the likelihoods with coefficients as stated, off together, and of the unknown.
+
+        With ``aimed`` the sources of which nothing is stated have lobes.
+        """
         error = self.simulator_error(without)
         base = self.alpha @ self.alpha.T + self.measurement + error
+        if aimed and self.aimed is not None:
+            base = base + self.aimed
         common = self.together @ self.together.T
 
         def of(covariance: Array) -> Likelihood:
@@ -180,6 +194,11 @@ def problem_of(case: Case, made: Responses, controls: ControlRuns) -> Problem:
         together=together,
         measurement=_measurement(data) * np.outer(flat(scale), flat(scale)),
         error=error,
+        aimed=unstated_sources.covariance(
+            shifted(made.aimed), wanted.pairs, room.centre_frequencies
+        )
+        if set(tracer.sources) - set(tracer.directivity)
+        else None,
         nodes=nodes,
     )
 

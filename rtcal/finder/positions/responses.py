@@ -22,6 +22,7 @@ from rtcal.errors import DataError, TooShortError
 from rtcal.finder.positions import surfaces as of_room
 from rtcal.finder.positions.aperture import SECOND_ROOMS, Aperture
 from rtcal.finder.positions.case import Case
+from rtcal.finder.positions.unstated_sources import AIMS, INDEX, lobes
 from rtcal.finder.positions.weighing import Weighing
 from rtcal.loop.control_runs import share_of_signal
 from rtcal.simulators.observations import observe
@@ -90,6 +91,8 @@ class Responses:
         At the nodes `AIR` and `VOLUME`.
     moved : mapping of str to array (n_displacements, n_parameters, n_pairs, n_bands)
         Where a source or receiver is displaced by `MOVE`, by its name.
+    aimed : array (n_parameters, n_pairs, n_bands, n_aims)
+        Where sources of which nothing is stated are loudspeakers (`unstated_sources.lobes`).
     materials : array (n_parameters, n_pairs, n_bands, n_materials)
         Where a material's alpha is larger by `STEP` of the way to 1.
     scattering : array (n_parameters, n_pairs, n_bands, n_materials)
@@ -109,6 +112,7 @@ class Responses:
     air: Array
     volume: Array
     moved: Mapping[str, Array]
+    aimed: Array
     materials: Array
     scattering: Array
     noise: Array
@@ -172,6 +176,7 @@ def _of_tracing(
         some.observe(some.alpha, np.maximum(room.air_attenuation + t * reference, 0.0)) for t in AIR
     ]
     volume = [some.observe(some.alpha, stretch=float(np.exp(t / 3))) for t in VOLUME]
+    aimed = [replace(some, lobes=of).observe(some.alpha) if of else stated for of in lobes(tracer)]
     # Only paths of the model "random" tell the derivatives.
     if tracer.scattering_model != "random":
         tracer = _retraced(tracer, scattering_model="random")
@@ -187,6 +192,7 @@ def _of_tracing(
         air=np.stack(air, axis=-1) - stated[..., np.newaxis],
         volume=np.stack(volume, axis=-1) - stated[..., np.newaxis],
         moved=_moved(case, match, base, seed),
+        aimed=np.stack(aimed, axis=-1) - stated[..., np.newaxis],
         materials=materials,
         scattering=scattering,
         noise=groups - groups.mean(axis=0),
@@ -212,6 +218,7 @@ def _mean(tracings: Sequence[Responses]) -> Responses:
         moved={
             name: np.mean([made.moved[name] for made in tracings], axis=0) for name in first.moved
         },
+        aimed=np.mean([made.aimed for made in tracings], axis=0),
         materials=likely("materials"),
         scattering=likely("scattering"),
         noise=np.concatenate([made.noise for made in tracings]),
@@ -382,6 +389,7 @@ def _packed(made: Responses) -> Array:
         made.scattering,
         made.air,
         made.volume,
+        made.aimed,
         np.moveaxis(made.noise, 0, -1),
         np.moveaxis(made.scattering_noise, 0, -2).reshape(*made.base.shape, -1),
         *surfaces,
@@ -397,7 +405,8 @@ def _read(path: Path, case: Case) -> Responses | None:
     names = [f"{k[:-1]} {n}" for k in ("receivers", "sources") for n in getattr(tracer, k)]
     n_materials = case.room.n_materials
     n_groups = TRACINGS * BASE
-    sizes = [1, n_materials, n_materials, len(AIR), len(VOLUME), n_groups, n_groups * n_materials]
+    sizes = [1, n_materials, n_materials, len(AIR), len(VOLUME), len(AIMS)]
+    sizes += [n_groups, n_groups * n_materials]
     n_surfaces, n_parts = len(case.faces), len(case.divided.parts)
     sizes += [len(SHARES)] * (n_surfaces + n_parts)
     sizes += [len(OPEN) * len(SECOND_ROOMS)] * n_surfaces + [n_moves] * len(names)
@@ -405,7 +414,9 @@ def _read(path: Path, case: Case) -> Responses | None:
     if packed is None or packed.shape != shape or not np.isfinite(packed).all():
         return None
     columns = iter(np.split(packed, np.cumsum(sizes)[:-1], axis=-1))
-    base, materials, scattering, air, volume, noise, of_groups = (next(columns) for _ in range(7))
+    base, materials, scattering, air, volume, aimed, noise, of_groups = (
+        next(columns) for _ in range(8)
+    )
     surfaces, parts, apertures = (
         [next(columns) for _ in range(number)] for number in (n_surfaces, n_parts, n_surfaces)
     )
@@ -420,6 +431,7 @@ def _read(path: Path, case: Case) -> Responses | None:
         ),
         air=air,
         volume=volume,
+        aimed=aimed,
         surfaces=np.array(surfaces),
         parts=np.array(parts),
         apertures=np.array(apertures),
@@ -446,6 +458,6 @@ def key_of(case: Case, seed: int) -> str:
         plain_directivities(tracer.directivity),
         list(parameters(case)),
         [TRACINGS, BASE, DENSER, LARGER, STEP, seed],
-        [SHARES, SECOND_ROOMS, AIR, VOLUME, MOVE, __version__],
+        [SHARES, SECOND_ROOMS, AIR, VOLUME, MOVE, INDEX, __version__],
     ]
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:32]

@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from rtcal.acoustics.observables import observable
 from rtcal.errors import DataError
 from rtcal.finder import track_record
 from rtcal.finder.claim import CLAIMED, DISTINCT_NATS, claim
@@ -17,6 +18,7 @@ from rtcal.finder.finding import Detection
 from rtcal.finder.means.finding import MeansFinding
 from rtcal.finder.means.search import CHOSEN
 from rtcal.finder.positions import surfaces as of_room
+from rtcal.finder.positions import unstated_sources
 from rtcal.finder.positions.candidate import Candidate
 from rtcal.finder.positions.case import Case
 from rtcal.finder.positions.detection import (
@@ -28,9 +30,11 @@ from rtcal.finder.positions.evidence import Likelihood
 from rtcal.finder.positions.finding import PositionsFinding
 from rtcal.finder.positions.posterior import (
     TOLD_TEMPER,
+    Evidence,
     Hypotheses,
     Weights,
     evaluate,
+    gain,
     prior_off,
     scores,
     weights,
@@ -162,22 +166,46 @@ def find_by_positions(
     if controls is None:  # a PathTracing has control runs always
         raise DataError(f"{case.simulator.name} has no geometry to trace")
     made = responses(case, seed, cache, progress)
-    numbers = problem_of(case, made, controls)
-    hypotheses = every_hypothesis(case, made, numbers, effects, left_out)
-    likelihoods = numbers.likelihoods()
-    evidence = evaluate(likelihoods, hypotheses, numbers.residual[:, np.newaxis])
+    threshold = THRESHOLD if case.simulated is None else OF_PROGRAMS
+
+    def searched(case: Case) -> tuple[Problem, Hypotheses, Evidence]:
+        numbers = problem_of(case, made, controls)
+        hypotheses = every_hypothesis(case, made, numbers, effects, left_out)
+        residuals = numbers.residual[:, np.newaxis]
+        return numbers, hypotheses, evaluate(numbers.likelihoods(), hypotheses, residuals)
+
+    numbers, hypotheses, evidence = searched(case)
     score, noise, scattered = scores(weights(evidence, hypotheses), hypotheses)
+    aimed = 0.0
+    if score[0] > threshold and numbers.aimed is not None:
+        residuals = numbers.residual[:, np.newaxis]
+        lobes = evaluate(numbers.likelihoods(aimed=True), hypotheses, residuals)
+        aimed = float(gain(lobes, evidence, hypotheses)[0])
+    if aimed > unstated_sources.LIKELY:
+        if any(observable(p).part == "late" for p in numbers.data.observations.parameters):
+            case = unstated_sources.as_unknown(case)
+            numbers, hypotheses, evidence = searched(case)
+        else:  # nothing is left that says as much whatever the source
+            evidence = lobes
+        score, noise, scattered = scores(weights(evidence, hypotheses), hypotheses)
+        means = None if means is None else evidence_of_means(case, effects, seed, cache)
     detected = Detection(
         score=float(score[0]),
-        threshold=THRESHOLD if case.simulated is None else OF_PROGRAMS,
+        threshold=threshold,
         noise=float(noise[0]) if np.isfinite(noise[0]) else None,
         means=None if means is None else means.score,
     )
     posterior = weights(evidence, hypotheses, TOLD_TEMPER)
     if means is not None:
         posterior = with_families(posterior, hypotheses, means.families)
-    finding = _finding(case, numbers, hypotheses, posterior, likelihoods[0], detected, effects)
-    notes = (*finding.notes, _of_scattering(float(scattered[0])), untried(effects))
+    likelihood = numbers.likelihoods()[0]
+    finding = _finding(case, numbers, hypotheses, posterior, likelihood, detected, effects)
+    notes = (
+        *finding.notes,
+        unstated_sources.in_words(aimed),
+        _of_scattering(float(scattered[0])),
+        untried(effects),
+    )
     notes = (*notes, *([CHOSEN] if left_out else []))
     return replace(finding, left_out=tuple(left_out), notes=tuple(filter(None, notes)))
 

@@ -6,12 +6,13 @@ paths anew, and their random numbers cancel in the difference.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from rtcal.acoustics.directivity import Directivity
 from rtcal.acoustics.observables import longest
 from rtcal.finder.effects.covered import HARD
 from rtcal.finder.positions.surfaces import Faces
@@ -44,6 +45,8 @@ class Weighing:
     seconds: float = 0.0
     every: int = 1
     """Of the batches every n-th is weighed."""
+    lobes: Mapping[int, Directivity] = field(default_factory=dict)
+    """Other directivities than the tracer's, of one band, by the number of the source."""
 
     @property
     def alpha(self) -> Array:
@@ -188,10 +191,11 @@ class Weighing:
         n_faces = len(traced.materials)
         batches = tuple(source[:: self.every] for source in traced.batches)
         n_paths = traced.n_paths * len(batches[0]) // len(traced.batches[0])
-        return replace(
+        by_face = replace(
             traced,
             batches=batches,
             n_paths=n_paths,
             materials=np.arange(n_faces),
             n_materials=n_faces,
         )
+        return by_face.aimed(self.lobes, self.tracer.to_receivers) if self.lobes else by_face

@@ -1,0 +1,82 @@
+"""Sources of which nothing is stated: what a loudspeaker does is not claimed of the room."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import rtcal as rt
+from rtcal.finder.positions import unstated_sources
+from rtcal.simulators import PathTracing
+from tests.test_where import MATCH, RECEIVERS, SOURCES, heard, stated, tracing
+
+pytest.importorskip("numba", reason="the paths are traced by compiled code (extra fast)")
+
+MICROPHONE = {"M": (3.9, 2.2, 1.3)}
+SPEAKERS = {
+    f"L{n}": (3.9 + 1.6 * np.cos(angle), 2.2 + 1.6 * np.sin(angle), 1.3 + 0.1 * (-1) ** n)
+    for n, angle in enumerate(np.deg2rad(np.arange(10, 360, 36)))
+}
+
+
+def box(**options: object) -> PathTracing:
+    return tracing(stated(), sources=SPEAKERS, receivers=MICROPHONE, **options)
+
+
+@pytest.fixture(scope="module")
+def measured() -> rt.Measurement:
+    """The box as it is stated, measured with loudspeakers that aim at the microphone."""
+    lobes = {
+        name: rt.Directivity(index=[3, 6, 8], aim=tuple(np.subtract(MICROPHONE["M"], point)))
+        for name, point in SPEAKERS.items()
+    }
+    return heard(box(scattering=0.45, n_paths=9600, directivity=lobes), stated().alpha)
+
+
+@pytest.fixture(scope="module")
+def kept(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("kept")
+
+
+@pytest.mark.parametrize("match", [MATCH, MATCH[1:]], ids=["all", "without T"])
+def test_loudspeakers_of_which_nothing_is_stated_are_not_claimed_of_the_room(
+    measured: rt.Measurement, kept: Path, monkeypatch: pytest.MonkeyPatch, match: tuple[str, ...]
+) -> None:
+    case = rt.finder.positions.Case(simulator=box(n_paths=800), measured=measured, match=match)
+    finding = rt.finder.positions.find(case, cache=kept)
+    assert not finding.detected
+    assert any("not taken as omnidirectional" in note for note in finding.notes)
+    unknown = finding.case.simulator.unknown_sources
+    assert unknown == (tuple(SPEAKERS) if "t20" in match else ())
+    monkeypatch.setattr(unstated_sources, "LIKELY", np.inf)
+    taken = rt.finder.positions.find(case, cache=kept)
+    assert taken.detection.score > finding.detection.score + 5
+    assert taken.detected
+
+
+def test_lobes_are_those_of_the_sources_of_which_nothing_is_stated() -> None:
+    made = unstated_sources.lobes(tracing(stated(), directivity={"S1": "unknown"}))
+    assert [list(lobes) for lobes in made] == [[1]] * 7
+    middle = np.mean(list(RECEIVERS.values()), axis=0)
+    assert made[0][1].aim == pytest.approx(middle - SOURCES["S2"])
+    among = tracing(stated(), sources={"S": tuple(middle)})
+    assert np.linalg.norm(unstated_sources.lobes(among)[0][0].aim) > 0
+
+
+def test_the_covariance_is_that_of_aims_that_are_drawn() -> None:
+    rng = np.random.default_rng(1)
+    pairs, f = [("A", "1"), ("A", "2"), ("B", "1")], np.array([500.0, 2000.0])
+    nodes = rng.standard_normal((2, 6, 7))
+    got = unstated_sources.covariance(nodes, pairs, f)
+    band = np.linalg.cholesky([[1, 0.7**2], [0.7**2, 1]])
+    n = 200_000
+    together = np.einsum("kl,nl->nk", band, rng.standard_normal((n, 2)))
+    drawn = np.einsum("kv,nk->nkv", nodes[..., 0], together)
+    for source in "AB":
+        own = np.einsum("kl,nal->nka", band, rng.standard_normal((n, 6, 2))) / np.sqrt(6)
+        here = np.array([p[0] == source for p in pairs] * 2)
+        drawn[..., here] += np.einsum("kva,nka->nkv", nodes[:, here, 1:], own)
+    flat = drawn.reshape(n, -1)
+    assert got == pytest.approx(flat.T @ flat / n, abs=0.05)
