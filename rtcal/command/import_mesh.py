@@ -11,9 +11,10 @@ import click
 from click.core import ParameterSource
 
 from rtcal.command.assignments import errors_name_options, numbers
-from rtcal.command.console import tell
+from rtcal.command.console import said, tell
 from rtcal.errors import DataError
 from rtcal.support.files import spare
+from rtcal.support.progress import bar
 from rtcal.support.text import shortened
 
 if TYPE_CHECKING:
@@ -65,7 +66,7 @@ def check(
     spare([path for path in (mended, picture) if path is not None], [mesh])
     done: Mended | Unclosed
     drawn: Any
-    with errors_name_options("unit", "weld"):
+    with errors_name_options("unit", "weld"), _patience(mesh, quiet):
         try:
             done = meshes.room(mesh, unit=unit, space=space, weld=weld, largest_hole=hole)
             drawn, edges = done.geometry, None
@@ -98,6 +99,11 @@ def check(
     tell(text, record, quiet=quiet, as_json=as_json)
 
 
+def _patience(mesh: str, quiet: bool) -> Any:
+    """Return what says, once, that a mesh takes longer: how much longer is not known."""
+    return bar(1, f"mending of {mesh}", False, said(quiet))
+
+
 def geometry(
     mesh: str | None,
     unit: float | None,
@@ -108,6 +114,8 @@ def geometry(
     volume: float | None,
     areas: tuple[str, ...],
     names: Sequence[str],
+    *,
+    quiet: bool,
 ) -> tuple[Mended | Unclosed | None, float, Sequence[Surface]]:
     """Return the mesh's room, volume in m³ and surfaces, from the mesh or from the options.
 
@@ -120,7 +128,7 @@ def geometry(
     if mesh is not None and (volume is not None or areas):
         raise DataError("--mesh states volume and areas already: leave --volume and --area out")
     if mesh is not None:
-        with errors_name_options("unit", "weld"):
+        with errors_name_options("unit", "weld"), _patience(mesh, quiet):
             try:
                 model = meshes.room(mesh, unit=unit, space=space, weld=weld, largest_hole=hole)
             except MeshError as error:

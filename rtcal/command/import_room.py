@@ -206,7 +206,7 @@ def import_room(
     chosen_names = texts("--as", others_names, "MATERIAL=ENTRY")
     listed = replace(listed, aliases={**listed.aliases, **chosen_names})
     model, volume, surfaces = geometry(
-        mesh, unit, space, weld, hole, as_drawn, volume, areas, listed.names
+        mesh, unit, space, weld, hole, as_drawn, volume, areas, listed.names, quiet=quiet
     )
     used = list(dict.fromkeys(surface.material for surface in surfaces))
     chosen = texts("--catalogue", entries, "NAME=ENTRY")

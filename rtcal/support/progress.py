@@ -95,8 +95,9 @@ class _Said:
         if self.done:
             self._tell()
             return
-        of_all = f" of {self.total}" if self.total else ""
-        self.say(f"{self.what}the first {self.unit}{of_all} takes more than {PATIENCE:g} s")
+        of_all = f" of {self.total}" if self.total > 1 else ""
+        first = "" if self.total == 1 else "first "
+        self.say(f"{self.what}the {first}{self.unit}{of_all} takes more than {PATIENCE:g} s")
 
     def _tell(self) -> None:
         self.told = True
