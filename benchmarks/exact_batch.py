@@ -22,7 +22,8 @@ import numpy as np
 
 import rtcal as rt
 from rtcal import studies
-from rtcal.studies import paper, sampling
+from rtcal.report import study_report
+from rtcal.studies import sampling
 
 N = 23
 
@@ -139,7 +140,7 @@ def study() -> list[tuple[str, float, str, bool]]:
         ("shoebox", studies.rooms.SHOEBOX),
         ("lecture hall", tuple(studies.rooms.LECTURE_HALL.values())),
     ):
-        for level in paper.SIGMA_R:
+        for level in study_report.SIGMA_R:
             rng = np.random.Generator(np.random.SFC64(1))
             block = np.empty((trials, len(areas)))
 

@@ -69,11 +69,11 @@ SURVIVORS: dict[tuple[str, str], str] = {
         "+ for room, measured in zip(configurations.rooms, measured_times, strict=None)",
     ): "equivalent: there is one measurement per configuration, checked before the solve",
     (
-        "rtcal.calibration.error_bound.x__box",
+        "rtcal.calibration.certificate.x__box",
         "+ rising, falling = (np.isfinite(width) & (signed > 0), np.isfinite(width) & (signed <= 0))",
     ): "equivalent: an entry of 0 has no finite width",
     (
-        "rtcal.calibration.error_bound.x__at_bounds",
+        "rtcal.calibration.certificate.x__at_bounds",
         "+ step = np.divide(force, diagonal, out=np.zeros_like(force), where=diagonal > 1)",
     ): "looser, not wrong: the step chooses where to look for a better bound, and 1/sigma² is above 1",
     (

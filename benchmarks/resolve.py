@@ -29,15 +29,13 @@ import numpy as np
 import qpsolvers
 
 import rtcal as rt
-from rtcal.calibration.certificate import certify
+from rtcal.calibration.certificate import certify, largest_error
 from rtcal.calibration.compiled_qp import Matrices
 from rtcal.calibration.convex_program import RawSolution
-from rtcal.calibration.error_bound import largest_error
 from rtcal.calibration.numpy_model import NumpyModel
-from rtcal.calibration.options import STARTED
 from rtcal.calibration.polish import polish_answer
 from rtcal.calibration.presets import preset
-from rtcal.calibration.solvers import SETTINGS
+from rtcal.calibration.solvers import SETTINGS, STARTED
 
 BANDS = 8
 SIZES = (6, 23, 40)

@@ -45,7 +45,7 @@ from benchmarks.judging import (
     rate,
     row_of,
 )
-from rtcal.acoustics.common_errors import POWER
+from rtcal.acoustics.room_errors import POWER
 from rtcal.finder import AppliedEffect, Case, find, library
 from rtcal.finder.coefficients import NULL_POWER
 from rtcal.finder.means import bootstrap

@@ -33,8 +33,8 @@ import numpy as np
 from matplotlib.figure import Figure
 
 import rtcal as rt
-from rtcal.calibration.options import SolveKeywords
 from rtcal.calibration.problem import CalibrationProblem, JointProblem
+from rtcal.calibration.solvers import SolveKeywords
 from rtcal.errors import ModelError, RtcalError
 from rtcal.finder import AppliedEffect, Case, Change, Configuration, find, plan, verify
 from rtcal.loop.state import start

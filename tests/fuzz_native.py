@@ -21,7 +21,7 @@ from rtcal.loop import Loop, start
 from rtcal.report import words
 from rtcal.studies.moments import ScoreMoments
 from rtcal.studies.runner import _open, _Store
-from rtcal.support import kept_arrays, objects, results, transaction
+from rtcal.support import files, objects, results, transaction
 from rtcal.support.decode import json_object
 from rtcal.support.files import read_text
 from tests import faults
@@ -211,7 +211,7 @@ def read_journal(path: str) -> None:
 def _kept_array() -> bytes:
     with tempfile.TemporaryDirectory() as folder:
         place = Path(folder) / "kept.array"
-        kept_arrays.write(place, np.arange(12.0).reshape(2, 6))
+        files.write(place, np.arange(12.0).reshape(2, 6))
         return place.read_bytes()
 
 
@@ -220,7 +220,7 @@ KEPT_ARRAY = (_kept_array(),)
 
 def read_kept_array(path: str) -> np.ndarray:
     """Read a file as an array that was kept under the name kept.array."""
-    array = kept_arrays.read(Path(path).rename(Path(path).with_name("kept.array")))
+    array = files.read(Path(path).rename(Path(path).with_name("kept.array")))
     if array is None:
         raise DataError(f"{path}: computed again")
     return array

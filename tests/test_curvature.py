@@ -7,7 +7,7 @@ import pytest
 
 import rtcal as rt
 from rtcal.acoustics import decay
-from rtcal.acoustics.curvature import bent_decays, curvature_percent
+from rtcal.acoustics.decay import bent_decays, curvature_percent
 from rtcal.report import page
 
 

@@ -29,8 +29,7 @@ from rtcal.prediction import (
 )
 from rtcal.prediction.design_model import DesignModel
 from rtcal.prediction.designed import Design
-from rtcal.prediction.envelope import Ranges
-from rtcal.prediction.program import program
+from rtcal.prediction.program import Ranges, program
 
 BANDS = [250.0, 500.0, 1000.0]
 PANEL = rt.Material("panel", [0.5, 0.7, 0.8], [0.1] * 3)

@@ -14,7 +14,7 @@ import rtcal as rt
 from rtcal.command.main import main
 from rtcal.loop import positions
 from rtcal.report import figures, where_folder
-from rtcal.support import kept_arrays
+from rtcal.support import files
 from tests import faults, fuzz
 from tests.test_discrepancy import opened
 from tests.test_where_page import PLACE, finding_of, verification_of
@@ -124,7 +124,7 @@ def fit_once(monkeypatch: pytest.MonkeyPatch) -> None:
     def once(*arguments: Any, cache: Path, **options: Any) -> Any:
         if "result" not in made:
             made["result"] = calibrate(*arguments, **options)
-        kept_arrays.write(cache / "controls.array", made["result"].controls.errors)
+        files.write(cache / "controls.array", made["result"].controls.errors)
         return made["result"]
 
     def drawn(figure: Any, kind: str) -> Any:

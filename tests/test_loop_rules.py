@@ -6,15 +6,16 @@ import pytest
 import rtcal as rt
 from rtcal.loop import rules
 from rtcal.loop.matched import Matched
-from rtcal.loop.status import (
+from rtcal.loop.rules import next_targets, target_limits, target_without_t20
+from rtcal.loop.steps import (
     CLOSE_TARGETS,
+    Step,
     band_goals,
     band_statuses,
     confirmed_statuses,
+    simulated_time,
     stuck_bands,
 )
-from rtcal.loop.steps import Step, simulated_time
-from rtcal.loop.targets import next_targets, target_limits, target_without_t20
 
 LOW, HIGH = 0.01, 100.0
 

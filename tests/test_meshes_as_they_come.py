@@ -98,7 +98,7 @@ def test_one_overlay_on_another() -> None:
 def test_a_free_panel_reflects_on_both_sides() -> None:
     done = mend.mended(drawn(PANEL))
     assert done.geometry.areas["panel"] == pytest.approx(8, rel=1e-3)
-    assert done.geometry.volume == pytest.approx(V - 4 * mend.panels.THICKNESS, rel=1e-6)
+    assert done.geometry.volume == pytest.approx(V - 4 * mend.objects.THICKNESS, rel=1e-6)
     room = rt.Room(
         name="panel",
         volume=done.geometry.volume,

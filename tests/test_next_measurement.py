@@ -16,8 +16,8 @@ from rtcal.command.main import cli
 from rtcal.errors import DataError
 from rtcal.finder import Case, find, plan
 from rtcal.finder.means import likelihood
-from rtcal.finder.means.information import Information
 from rtcal.finder.means.measurements import COSTS, extended, possible
+from rtcal.finder.means.separation import Information
 from rtcal.finder.means.sets import Moments
 from tests.test_several_effects import BOTH, FEW, case_with, compared, controls_of
 

@@ -18,7 +18,7 @@ import pytest
 from rtcal import studies
 from rtcal.errors import DataError
 from rtcal.studies.runner import _open
-from rtcal.support import kept_arrays, transaction
+from rtcal.support import files, transaction
 from tests import faults
 
 SHOEBOX = [35, 35, 21, 21, 15, 15]
@@ -120,8 +120,8 @@ def test_a_study_goes_on_after_a_fault_at_any_event(tmp_path: Path) -> None:
 def test_a_kept_array_that_is_damaged_or_another_counts_as_missing(tmp_path: Path) -> None:
     """A header that asks for 500 GB ended in a traceback, and a NaN was taken."""
     place = tmp_path / "folder" / "a.array"
-    kept_arrays.write(place, np.arange(6.0).reshape(2, 3))
-    again = kept_arrays.read(place)
+    files.write(place, np.arange(6.0).reshape(2, 3))
+    again = files.read(place)
     assert again is not None
     np.testing.assert_array_equal(again, [[0, 1, 2], [3, 4, 5]])
     good = place.read_bytes()
@@ -132,11 +132,11 @@ def test_a_kept_array_that_is_damaged_or_another_counts_as_missing(tmp_path: Pat
         b"",
     ):
         place.write_bytes(damaged)
-        assert kept_arrays.read(place) is None
+        assert files.read(place) is None
     other = place.with_name("b.array")
     other.write_bytes(good)
-    assert kept_arrays.read(other) is None
+    assert files.read(other) is None
     pipe = place.with_name("c.array")
     os.mkfifo(pipe)
-    assert kept_arrays.read(pipe) is None
-    kept_arrays.write(other / "no folder" / "a.array", np.zeros(3))
+    assert files.read(pipe) is None
+    files.write(other / "no folder" / "a.array", np.zeros(3))

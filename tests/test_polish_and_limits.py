@@ -14,7 +14,7 @@ from rtcal.calibration.numpy_model import Multipliers, NumpyModel
 from rtcal.calibration.polish import active_rows, polish_answer
 from rtcal.errors import SolverError
 from rtcal.support import kkt
-from rtcal.support.hessian import Hessian
+from rtcal.support.kkt import Hessian
 
 PRIOR = terms.PriorDeviation()
 ROOM, MEASURED = rt.datasets.bras_cr2()

@@ -12,10 +12,10 @@ import pytest
 import rtcal as rt
 from rtcal.datasets import halls
 from rtcal.errors import DataError
-from rtcal.loop.listener import Listener
 from rtcal.loop.positions import precise
 from rtcal.loop.positions_result import PositionsResult
 from rtcal.loop.scattering import MaterialScattering, scattered
+from rtcal.loop.simulator_error import Listener
 from rtcal.simulators import PathTracing
 
 MATCH = ("t20", "edt", "c80", "ts", "level")

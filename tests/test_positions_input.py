@@ -21,7 +21,7 @@ from rtcal.loop import control_runs
 from rtcal.loop.measured_pairs import response_noise
 from rtcal.loop.pair_misfit import rows_of_pairs
 from rtcal.loop.scattering import Scattering
-from rtcal.report import page, positions_figures, result_folder
+from rtcal.report import loop_figures, page, result_folder
 from rtcal.simulators import (
     DifferentiableSimulator,
     ImageSource,
@@ -300,16 +300,16 @@ def test_shoebox_simulators_hear_levels_and_are_calibrated(simulator):
 
 def test_figures_show_each_position_and_each_shift(tracer, measured):
     result = calibrate(tracer, measured)
-    plan = positions_figures.plan(result, HALL.geometry, **PLACES)
+    plan = loop_figures.plan(result, HALL.geometry, **PLACES)
     texts = {t.get_text() for t in plan.axes[1].texts}
     gap = np.sqrt(np.mean(result.gap_after[:, [r == "R1" for _, r in result.pairs]] ** 2))
     assert f"R1: {gap:.1f}" in texts
     assert len(texts) == len(PLACES["sources"]) + len(PLACES["receivers"])
-    shifts = positions_figures.shifts(result)
+    shifts = loop_figures.shifts(result)
     moved = (result.alpha - ROOM.alpha) / ROOM.sigma
     assert shifts.axes[0].texts[0].get_text() == f"{moved[0, 0]:+.1f}"
     with pytest.raises(DataError, match="has no position"):
-        positions_figures.plan(result, HALL.geometry, PLACES["sources"], {"R9": (1, 1, 1)})
+        loop_figures.plan(result, HALL.geometry, PLACES["sources"], {"R9": (1, 1, 1)})
 
 
 def test_noise_of_a_response_is_that_of_iso_3382_2():

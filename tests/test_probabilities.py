@@ -10,7 +10,7 @@ import pytest
 from click.testing import CliRunner
 
 import rtcal as rt
-from rtcal.acoustics.common_errors import HANDBOOK_SIGMA
+from rtcal.acoustics.room_errors import HANDBOOK_SIGMA
 from rtcal.command.main import cli
 from rtcal.errors import DataError
 from rtcal.finder import Case, Configuration, find, library, recalibrate

@@ -29,10 +29,10 @@ from rtcal.finder import (
 )
 from rtcal.finder.claim import numbers_of
 from rtcal.finder.means import hypotheses, likelihood
-from rtcal.finder.means.doubts import Doubt
 from rtcal.finder.means.engines import ControlRooms
 from rtcal.finder.means.evidence import evaluate
 from rtcal.finder.means.features import observe
+from rtcal.finder.means.gap import Doubt
 from rtcal.finder.means.hypotheses import predict_hypotheses
 from rtcal.finder.means.likelihood import DEGREES, alpha_covariance, covariance_of
 from rtcal.finder.means.model_error import estimate_discrepancy

@@ -18,7 +18,8 @@ from rtcal import studies
 from rtcal.acoustics.priors import TruncatedNormal
 from rtcal.command.main import cli
 from rtcal.errors import DataError, MissingDependencyError
-from rtcal.studies import estimators, paper, sampling
+from rtcal.report import study_report
+from rtcal.studies import estimators, sampling
 from rtcal.studies.moments import SERIES, ScoreMoments
 from rtcal.support import jit
 
@@ -176,14 +177,14 @@ STATED: dict[sampling.Sampling, dict[str, tuple[float, ...]]] = {
 def distances(which: sampling.Sampling) -> dict[tuple[str, float], float]:
     """Distance of Table 2's scores from ours, in standard deviations of a study of 10,000 rooms."""
     rooms, found = 100_000, {}
-    for k, level in enumerate(paper.SIGMA_R):
+    for k, level in enumerate(study_report.SIGMA_R):
         table = by_method(studies.analytic_scores(SHOEBOX, level, rooms, seed=0, sampling=which))
         assert table["none", False].score == 0
         for method, values in STATED[which].items():
             row = table[method, False]
             assert 100 * row.score == pytest.approx(values[k], abs=0.15)
             spread = 100 * row.standard_error * np.sqrt(rooms / 10_000)
-            found[method, level] = abs(100 * row.score - paper.TABLE_2[method][k]) / spread
+            found[method, level] = abs(100 * row.score - study_report.TABLE_2[method][k]) / spread
     return found
 
 
@@ -260,8 +261,8 @@ def test_bounds_help_and_the_control_variate_shows_it() -> None:
 
 
 def test_table_1_within_rounding() -> None:
-    low, high = paper.table_1_range(SHOEBOX)
-    printed = np.array(list(paper.TABLE_1_EMSE.values()))
+    low, high = study_report.table_1_range(SHOEBOX)
+    printed = np.array(list(study_report.TABLE_1_EMSE.values()))
     assert np.all((printed > low) & (printed < high))
     assert np.all(high / low < 1.3)
 

@@ -218,7 +218,7 @@ def test_every_progress_bar_is_documented() -> None:
     """Those of `find` were not: what they count was said by no page."""
     root = Path(__file__).resolve().parents[1]
     shown = {
-        "find" if path.stem == "finder_search" else path.stem
+        "find" if path.stem == "finder_options" else path.stem
         for path in (root / "rtcal" / "command").glob("*.py")
         if "bar_wanted(" in path.read_text(encoding="utf-8") and path.stem != "console"
     }

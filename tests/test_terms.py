@@ -15,7 +15,7 @@ from rtcal.calibration.context import Context
 from rtcal.calibration.feasibility import reach
 from rtcal.calibration.measured import times_in_room
 from rtcal.calibration.problem_data import ProblemData
-from rtcal.support.hessian import Hessian
+from rtcal.support.kkt import Hessian
 from tests.conftest import random_room, true_times
 
 EYRING = rt.Eyring()

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import rtcal as rt
-from rtcal.calibration import options
+from rtcal.calibration import solvers
 from tests.conftest import random_room, true_times
 
 EYRING = rt.Eyring()
@@ -23,7 +23,7 @@ def cases(count: int, n: int = 12) -> list[tuple[rt.Room, np.ndarray]]:
     return made
 
 
-@pytest.mark.parametrize("solver", options.STARTED)
+@pytest.mark.parametrize("solver", solvers.STARTED)
 def test_cold_and_warm_answers_are_bit_identical(solver: str) -> None:
     if solver.startswith("qpsolvers:"):
         pytest.importorskip(solver.removeprefix("qpsolvers:").replace("proxqp", "proxsuite"))

@@ -21,7 +21,7 @@ from rtcal.calibration.configurations import Configurations
 from rtcal.calibration.presets import preset
 from rtcal.calibration.problem import CalibrationProblem, JointProblem
 from rtcal.datasets.halls import lecture_hall
-from rtcal.studies.paper import SIGMA_R, TABLE_1_MU, TABLE_1_SIGMA
+from rtcal.report.study_report import SIGMA_R, TABLE_1_MU, TABLE_1_SIGMA
 from rtcal.studies.rooms import SHOEBOX
 from rtcal.studies.sampling import realisations
 from rtcal.support.types import Array

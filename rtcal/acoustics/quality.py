@@ -61,7 +61,7 @@ class Plausibility:
         active, because then q is not chi-square.
     p_together : float or None
         The same if the coefficients may also be off together, as `rtcal.finder` assumes
-        (`rtcal.acoustics.common_errors`). None where these errors are not known.
+        (`rtcal.acoustics.room_errors`). None where these errors are not known.
     """
 
     z: Array

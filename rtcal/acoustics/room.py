@@ -11,7 +11,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from rtcal.acoustics import bands, room_checks, room_files, stated_errors
+from rtcal.acoustics import bands, room_checks, room_files
 from rtcal.acoustics.air import Air
 from rtcal.acoustics.labelled import in_order
 from rtcal.acoustics.materials import (
@@ -212,9 +212,9 @@ class Room:
             self.materials, self.band_correlation, self.material_correlation
         )
         for name in ("volume_sigma", "common_area_sigma", "common_alpha_sigma"):
-            put(name, stated_errors.relative(name, getattr(self, name)))
-        put("area_sigma", stated_errors.by_material(self.area_sigma, self.materials, self.areas))
-        put("climate_sigma", stated_errors.climate(self.climate_sigma, self.air))
+            put(name, room_checks.relative(name, getattr(self, name)))
+        put("area_sigma", room_checks.by_material(self.area_sigma, self.materials, self.areas))
+        put("climate_sigma", room_checks.climate(self.climate_sigma, self.air))
 
     def __repr__(self) -> str:
         return f"<{self._description}>"

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rtcal.acoustics.curvature import BentDecay
+from rtcal.acoustics.decay import BentDecay
 from rtcal.acoustics.enclosure import surface_doubt
 from rtcal.acoustics.observables import TARGET
 from rtcal.acoustics.room import Room

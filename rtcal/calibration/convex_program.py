@@ -24,11 +24,10 @@ from rtcal.calibration.certificate import Certificate, certify
 from rtcal.calibration.compiled_qp import CompiledQP, WhitenedQP, from_closed_form
 from rtcal.calibration.context import Context
 from rtcal.calibration.layout import Layout
-from rtcal.calibration.numpy_model import Multipliers, NumpyModel
-from rtcal.calibration.options import SolveOptions
+from rtcal.calibration.numpy_model import Multipliers, NumpyModel, require_agreement
 from rtcal.calibration.polish import polish_answer, undetermined
 from rtcal.calibration.problem_data import Flags, ProblemData
-from rtcal.calibration.term_check import require_agreement
+from rtcal.calibration.solvers import SolveOptions
 from rtcal.calibration.terms import (
     HuberDeviation,
     LinearObservations,
@@ -369,7 +368,8 @@ def _attempts(model: NumpyModel, options: SolveOptions) -> Iterator[SolveOptions
     """The options to solve with, until an answer passes.
 
     Of a quadratic objective polishing asks for the active bounds alone, so Clarabel first runs with
-    looser settings. Its full ones follow if that answer cannot be polished, does not pass, or was far off.
+    looser settings. Its full ones follow if that answer cannot be polished, does not pass, or was
+    far off.
     """
     pieces = any(isinstance(t, HuberDeviation) for t in model.objective.terms)
     if not pieces and options.settings is None and options.solver.lower() == "clarabel":

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from rtcal.acoustics import band_conversion, bands, fingerprints
-from rtcal.acoustics.curvature import BentDecay, bent_decays
+from rtcal.acoustics.decay import BentDecay, bent_decays
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.observables import REVERBERATION, TARGET
 from rtcal.acoustics.parameters import parameter_label

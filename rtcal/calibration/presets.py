@@ -9,9 +9,9 @@ from typing import Any, Unpack, overload
 from rtcal.acoustics.equations import Equation
 from rtcal.acoustics.room import Room
 from rtcal.calibration.configurations import Configurations
-from rtcal.calibration.options import SolveKeywords
 from rtcal.calibration.problem import Calibration, Times
 from rtcal.calibration.result import CalibrationResult, JointResult
+from rtcal.calibration.solvers import SolveKeywords
 from rtcal.calibration.terms import (
     BandSmoothness,
     ExactMatch,
@@ -147,7 +147,7 @@ def calibrate(
         ``solver``: ``"clarabel"`` (the default), ``"osqp"``, another solver of cvxpy's, or
         ``"qpsolvers:NAME"``. ``unreachable``: ``"raise"`` (the default), or ``"nearest"`` to take
         the nearest T within reach and list the band in the result. ``warm_start``: ``"auto"``
-        (the default), ``"closed_form"`` or ``"none"``; see `rtcal.calibration.options.SolveOptions`.
+        (the default), ``"closed_form"`` or ``"none"``; see `rtcal.calibration.solvers.SolveOptions`.
         ``settings``: a mapping of the solver's own settings.
 
     Returns

@@ -22,8 +22,8 @@ from rtcal.calibration.measured import (
     no_times,
     times_in_room,
 )
-from rtcal.calibration.options import SolveKeywords, SolveOptions
 from rtcal.calibration.result import CalibrationResult, JointResult
+from rtcal.calibration.solvers import SolveKeywords, SolveOptions
 from rtcal.calibration.terms import (
     BoundConstraint,
     ExactMatch,
@@ -252,7 +252,7 @@ class CalibrationProblem:
             The name that the result carries.
         **options
             ``solver``, ``unreachable``, ``warm_start`` and ``settings``; see
-            `rtcal.calibration.options.SolveOptions`.
+            `rtcal.calibration.solvers.SolveOptions`.
 
         Raises
         ------

@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 
 from rtcal.acoustics import room_errors
 from rtcal.acoustics.changes import Change
-from rtcal.acoustics.common_errors import of_absorption
 from rtcal.acoustics.equations import LinearEquation
 from rtcal.acoustics.quality import Plausibility, gap_jnd, plausibility
 from rtcal.acoustics.room import CalibrationRecord, Room
+from rtcal.acoustics.room_errors import of_absorption
 from rtcal.acoustics.states import State
 from rtcal.acoustics.trust import TrustMark, trust_marks
 from rtcal.calibration import record

@@ -14,11 +14,11 @@ from rtcal.command.console import (
     method_option,
     output_folder,
     quiet_option,
+    read_measured,
     tell,
     without_air_warning,
     written,
 )
-from rtcal.command.measured import read_measured
 from rtcal.errors import DataError
 
 

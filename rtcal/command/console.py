@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import os
+import re
 import sys
 import time
 import warnings
@@ -11,14 +12,131 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from rtcal.acoustics.equations import EQUATIONS, LinearEquation, equation_keys
 from rtcal.errors import DataError
-from rtcal.support.encode import json_text
+from rtcal.support.results import json_text
 from rtcal.support.text import fitted, printable, width
+
+if TYPE_CHECKING:
+    from rtcal.acoustics.measurement import Measurement
+
+
+def as_options(text: str, arguments: Sequence[str]) -> str:
+    """Return a text with the command's options in place of Python's arguments.
+
+    Examples
+    --------
+    >>> as_options('state decay_time="t20" or n_sources', ["decay_time", "n_sources"])
+    'state --decay-time t20 or --sources'
+    >>> as_options('read where={"room": "CR2"}', [])
+    'read --where "room=CR2"'
+    >>> as_options("state repeats=True", ["repeats"])
+    'state --repeats'
+    """
+    text = re.sub(r'\bwhere=\{"([^"]+)": "([^"]+)"\}', r'--where "\1=\2"', text)
+    for argument in arguments:
+        option = "--" + argument.removeprefix("n_").replace("_", "-")
+        text = text.replace(f"{argument}=True", option)
+        text = re.sub(rf'\b{argument} ?= ?(?:"(\w+)"|("[^"]*"|[\w.]+))', rf"{option} \1\2", text)
+        if "_" in argument:
+            text = re.sub(rf"(?<!-)\b{argument}\b", option, text)
+    return text
+
+
+@contextmanager
+def errors_name_options(*arguments: str) -> Iterator[None]:
+    """Replace Python's arguments by the command's options in the message of a DataError."""
+    try:
+        yield
+    except DataError as error:
+        raise DataError(as_options(str(error), arguments)) from error
+
+
+def pairs(option: str, stated: Sequence[str]) -> list[tuple[str, str]]:
+    """Return pairs of a source and a receiver; DataError for another form than SOURCE:RECEIVER."""
+    found = []
+    for text in stated:
+        source, colon, receiver = text.partition(":")
+        if not (source and colon and receiver):
+            raise DataError(f'{option}: "{text}" is not SOURCE:RECEIVER')
+        found.append((source, receiver))
+    return found
+
+
+def texts(option: str, stated: Sequence[str], form: str) -> dict[str, str]:
+    """Return the texts by name; DataError for another form than NAME=VALUE and for a repeated name.
+
+    ``form`` says in the error's message what is expected.
+    """
+    by_name: dict[str, str] = {}
+    for text in stated:
+        name, _, value = text.rpartition("=")
+        if not name or not value:
+            raise DataError(f'{option}: "{text}" is not {form}')
+        if name in by_name:
+            raise DataError(f'{option}: "{name}" is given twice')
+        by_name[name] = value
+    return by_name
+
+
+def numbers(option: str, stated: Sequence[str], form: str) -> dict[str, float]:
+    """Return the numbers by name; DataError as `texts`, and for a value that is no number."""
+    by_name = {}
+    for name, value in texts(option, stated, form).items():
+        try:
+            number = float(value)
+        except ValueError:
+            number = float("nan")
+        if number != number:
+            decimal = ""
+            if re.fullmatch(r"\d+,\d+", value):
+                decimal = f", which has a decimal point: {name}={value.replace(',', '.')}"
+            raise DataError(f'{option}: "{name}={value}" is not {form}{decimal}')
+        by_name[name] = number
+    return by_name
+
+
+ARGUMENTS = (
+    "decay_time",
+    "parameter",
+    "ignore",
+    "n_sources",
+    "n_receivers",
+    "repeats",
+    "sheets",
+)
+"""Arguments of `rtcal.io.tables.read` that its messages name, and `rtcal table` has as options."""
+
+
+def read_measured(path: str | os.PathLike[str], *, quiet: bool) -> Measurement:
+    """Return the measurement that a command takes; what was read from another format is told once.
+
+    Raises DataError as `rtcal.io.tables.measurement`; where the table leaves something open, the
+    message says how `rtcal table` is told.
+    """
+    from rtcal.io import tables
+
+    try:
+        table = tables.measurement(path)
+    except DataError as error:
+        text = as_options(str(error), ARGUMENTS)
+        if text != str(error):
+            text += f". `rtcal table {path}` takes the option, and --out writes what it read"
+        raise DataError(text) from error
+    if table.columns and not quiet:
+        measured = table.measurement
+        n = len(measured.pairs)
+        of = "means" if measured.is_summary else f"{n} pair{'s' * (n > 1)}"
+        warn(
+            f"{path}: {', '.join(p.upper() for p in measured.values)} of {of} in "
+            f"{len(measured.centre_frequencies)} bands; `rtcal table {path}` shows how it was read"
+        )
+    return table.measurement
+
 
 quiet_option = click.option(
     "--quiet", "-q", is_flag=True, help="Print nothing but errors, and the JSON."

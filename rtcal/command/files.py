@@ -9,9 +9,18 @@ import click
 import numpy as np
 
 from rtcal.acoustics.observables import OBSERVABLES
-from rtcal.command.assignments import as_options, errors_name_options, numbers, texts
-from rtcal.command.console import bar_wanted, json_option, quiet_option, said, tell
-from rtcal.command.measured import ARGUMENTS
+from rtcal.command.console import (
+    ARGUMENTS,
+    as_options,
+    bar_wanted,
+    errors_name_options,
+    json_option,
+    numbers,
+    quiet_option,
+    said,
+    tell,
+    texts,
+)
 from rtcal.errors import DataError
 from rtcal.io.table_columns import DECAY_TIMES_OF_RT60
 from rtcal.support.files import spare, write_text

@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from rtcal.command.assignments import numbers
 from rtcal.command.console import (
     heading_options,
     json_option,
+    numbers,
     output_folder,
     quiet_option,
     tell,
@@ -25,17 +25,15 @@ from rtcal.command.finder_options import (
     Inputs,
     Search,
     before_option,
-    input_options,
-    number_options,
-    search_options,
-    seed_option,
-)
-from rtcal.command.finder_search import (
     files_read,
     further_places,
+    input_options,
+    number_options,
     read_case,
     refuse,
     search_case,
+    search_options,
+    seed_option,
     verified,
 )
 from rtcal.command.two_states import apply_change, find_change, verify_change

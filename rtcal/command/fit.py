@@ -7,20 +7,21 @@ from pathlib import Path
 import click
 
 from rtcal.acoustics.observables import MATCH, OBSERVABLES
-from rtcal.command.assignments import errors_name_options, pairs
 from rtcal.command.console import (
     bar_wanted,
+    errors_name_options,
     in_the_room,
     json_option,
     output_folder,
+    pairs,
     quiet_option,
+    read_measured,
     said,
     tell,
     warn,
     without_air_warning,
     written,
 )
-from rtcal.command.measured import read_measured
 
 _START = 0.1
 """Scattering coefficient at which a fit starts where none is stated. The prior of what is fitted is

@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 from click.core import ParameterSource
 
-from rtcal.command.assignments import errors_name_options, numbers
-from rtcal.command.console import said, tell
+from rtcal.command.console import errors_name_options, numbers, said, tell
 from rtcal.errors import DataError
 from rtcal.support.files import spare
 from rtcal.support.progress import bar
@@ -164,9 +163,9 @@ def mesh_file(mesh: str, model: Mended, out: str, stated: str | None) -> str | N
 
 def draw(geometry: Any, edges: Any, path: str) -> None:
     """Write the picture (PNG) of a mesh, with its open edges."""
-    from rtcal.report import figures, mesh_figure
+    from rtcal.report import figures
 
-    figures.save(mesh_figure.wireframe(geometry, edges), path)
+    figures.save(figures.wireframe(geometry, edges), path)
 
 
 def _with_volume(error: MeshError) -> DataError:

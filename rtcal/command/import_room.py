@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from rtcal.command.assignments import texts
-from rtcal.command.console import json_option, quiet_option, tell
+from rtcal.command.console import json_option, quiet_option, tell, texts
 from rtcal.command.files import PROGRAMS
 from rtcal.command.import_mesh import check, draw, geometry, mesh_file, refuse_unused_options
 from rtcal.errors import DataError, MissingDependencyError

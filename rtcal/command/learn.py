@@ -6,8 +6,15 @@ from pathlib import Path
 
 import click
 
-from rtcal.command.assignments import numbers, texts
-from rtcal.command.console import json_option, output_folder, quiet_option, tell, written
+from rtcal.command.console import (
+    json_option,
+    numbers,
+    output_folder,
+    quiet_option,
+    tell,
+    texts,
+    written,
+)
 from rtcal.errors import DataError
 from rtcal.support import text
 from rtcal.support.files import make_folder, spare, write_all

@@ -12,15 +12,15 @@ import click
 
 from rtcal.acoustics.equations import LinearEquation
 from rtcal.acoustics.parameters import parameter_label
-from rtcal.command.assignments import numbers
 from rtcal.command.console import (
     equation_option,
     json_option,
     method_option,
+    numbers,
     quiet_option,
+    read_measured,
     tell,
 )
-from rtcal.command.measured import read_measured
 from rtcal.support.files import spare
 from rtcal.support.transaction import locked
 

@@ -12,7 +12,6 @@ import click
 
 from rtcal.command.calibrate import calibrate
 from rtcal.command.console import CannotPrint, printing, show_warning, warn
-from rtcal.command.design import design
 from rtcal.command.example import example
 from rtcal.command.files import export, measure, table
 from rtcal.command.finder import NOTHING_TO_ADD, apply, find, plan, verify
@@ -20,7 +19,7 @@ from rtcal.command.fit import fit
 from rtcal.command.import_room import import_room
 from rtcal.command.learn import learn
 from rtcal.command.loop import loop
-from rtcal.command.predict import predict
+from rtcal.command.predict import design, predict
 from rtcal.command.report import report
 from rtcal.command.study import study
 from rtcal.errors import MissingDependencyError, RtcalError, SolverError

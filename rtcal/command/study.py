@@ -4,8 +4,14 @@ from __future__ import annotations
 
 import click
 
-from rtcal.command.assignments import errors_name_options
-from rtcal.command.console import bar_wanted, json_option, output_folder, quiet_option, tell
+from rtcal.command.console import (
+    bar_wanted,
+    errors_name_options,
+    json_option,
+    output_folder,
+    quiet_option,
+    tell,
+)
 
 
 @click.command(short_help="The paper's stochastic study beside its numbers.")

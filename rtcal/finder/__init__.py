@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from rtcal.finder.effects import Effect as Effect
     from rtcal.finder.effects import library as library
     from rtcal.finder.finding import Finding as Finding
+    from rtcal.finder.finding import Verification as Verification
     from rtcal.finder.means.bootstrap import Threshold as Threshold
     from rtcal.finder.means.bootstrap import control_rooms as control_rooms
     from rtcal.finder.means.corrected import corrected_room as corrected_room
@@ -35,6 +36,5 @@ if TYPE_CHECKING:
     from rtcal.finder.means.verification import MeansVerification as MeansVerification
     from rtcal.finder.search import find as find
     from rtcal.finder.search import verify as verify
-    from rtcal.finder.verification import Verification as Verification
 else:
     __getattr__, __dir__, __all__ = lazy.exports(__name__, __file__)

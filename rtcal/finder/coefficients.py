@@ -1,6 +1,6 @@
 """Coefficients that are off together: by a factor and a tilt over frequency, for all and per material.
 
-The usual amount of such errors (`rtcal.acoustics.common_errors`) belongs to every hypothesis.
+The usual amount of such errors (`rtcal.acoustics.room_errors`) belongs to every hypothesis.
 Coefficients that are *off together* err by several times as much (`SCALES`): heavy tails.
 """
 
@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from rtcal.acoustics.bands import is_middle
-from rtcal.acoustics.common_errors import POWER, common_error_columns
+from rtcal.acoustics.room_errors import POWER, common_error_columns
 from rtcal.finder.case import Case
 from rtcal.finder.configuration import Change
 from rtcal.support.types import Array

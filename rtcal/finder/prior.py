@@ -11,8 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rtcal.acoustics.common_errors import HANDBOOK_SIGMA
 from rtcal.acoustics.room import Room
+from rtcal.acoustics.room_errors import HANDBOOK_SIGMA
 from rtcal.errors import DataError
 from rtcal.finder.effects import Effect, Parameters
 from rtcal.finder.model import State

@@ -11,9 +11,9 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from rtcal.acoustics.common_errors import HANDBOOK_SIGMA
 from rtcal.acoustics.observables import LEVEL
 from rtcal.acoustics.room import Room
+from rtcal.acoustics.room_errors import HANDBOOK_SIGMA
 from rtcal.finder.case import Case
 from rtcal.finder.configuration import LEVELS
 

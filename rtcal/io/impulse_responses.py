@@ -29,7 +29,7 @@ import numpy as np
 
 from rtcal.acoustics import bands as _bands
 from rtcal.acoustics import decay
-from rtcal.acoustics.curvature import bent_decays
+from rtcal.acoustics.decay import bent_decays
 from rtcal.acoustics.materials import text_name
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.observables import EARLY, OBSERVABLES, DecaySlope, of_kind

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from rtcal.loop.rules import Rule as Rule
     from rtcal.loop.state import Loop as Loop
     from rtcal.loop.state import start as start
-    from rtcal.loop.status import STATUSES as STATUSES
+    from rtcal.loop.steps import STATUSES as STATUSES
     from rtcal.loop.steps import Step as Step
 else:
     __getattr__, __dir__, __all__ = lazy.exports(__name__, __file__)

@@ -29,10 +29,9 @@ from rtcal.acoustics.change_files import Variant
 from rtcal.acoustics.observables import observable
 from rtcal.acoustics.room import Room
 from rtcal.acoustics.room_errors import heard_changes
-from rtcal.loop.changed_room import ChangedRoom
+from rtcal.loop.changed_room import ChangedRoom, Pieces
 from rtcal.loop.control_runs import ControlRuns, level
 from rtcal.loop.measured_pairs import MeasuredPairs
-from rtcal.loop.places import Pieces
 from rtcal.loop.positions_prediction import PositionsPrediction, Z
 from rtcal.loop.scattering import (
     MaterialScattering,

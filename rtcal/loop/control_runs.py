@@ -30,7 +30,7 @@ from rtcal.simulators.path_batch import ScatteringModel
 from rtcal.simulators.path_tracing import DENSER, PathTracing
 from rtcal.simulators.shoebox import ShoeboxSimulator
 from rtcal.simulators.tracer import eyring_seconds
-from rtcal.support import checks, kept_arrays
+from rtcal.support import checks, files
 from rtcal.support.arguments import checked
 from rtcal.support.progress import Progress
 from rtcal.support.types import Array, read_only
@@ -283,7 +283,7 @@ def simulated_controls(
             models=tuple(drawn[i][0].scattering_model for i in kept),
         )
 
-    kept = None if path is None else kept_arrays.read(path)
+    kept = None if path is None else files.read(path)
     if kept is not None and kept.shape == (RUNS, *shape):
         with suppress(RtcalError):  # another's file
             return runs(kept)
@@ -325,7 +325,7 @@ def simulated_controls(
             progress(run + 1, RUNS)
     made = np.array(errors)
     if path is not None:
-        kept_arrays.write(path, made)
+        files.write(path, made)
     return runs(made)
 
 

@@ -34,12 +34,11 @@ from rtcal.loop.control_runs import (
     simulated_controls,
     trace_ahead,
 )
-from rtcal.loop.listener import Listener
 from rtcal.loop.measured_pairs import MeasuredPairs, Pair, history, pairs_to_match
 from rtcal.loop.positions_result import GaussNewtonStep, PositionsResult
 from rtcal.loop.positions_steps import LinearisationPoint, LinearisedSimulator, steps_to_positions
 from rtcal.loop.scattering import Scattering, fitted, scattered
-from rtcal.loop.simulator_error import GROUPS, error_of_simulator, scaled_errors
+from rtcal.loop.simulator_error import GROUPS, Listener, error_of_simulator, scaled_errors
 from rtcal.simulators import base, observations
 from rtcal.simulators.base import Simulator
 from rtcal.simulators.observations import DifferentiableSimulator, Observations, observe

@@ -14,8 +14,7 @@ from rtcal.calibration.nonlinear import Steps, Taken, gauss_newton
 from rtcal.calibration.problem import Calibration
 from rtcal.calibration.result import CalibrationResult
 from rtcal.calibration.terms import LinearObservations, Observed, PriorDeviation, as_objective
-from rtcal.loop.listener import Listener
-from rtcal.loop.simulator_error import ScaledErrors
+from rtcal.loop.simulator_error import Listener, ScaledErrors
 from rtcal.simulators.observations import Observations
 from rtcal.support.types import Array
 

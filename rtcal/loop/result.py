@@ -79,7 +79,7 @@ class LoopResult(Result):
 
     @property
     def status(self) -> tuple[str, ...]:
-        """Status of each band: one of `rtcal.loop.status.STATUSES`."""
+        """Status of each band: one of `rtcal.loop.steps.STATUSES`."""
         return self.loop.confirmed(self.final)
 
     @property

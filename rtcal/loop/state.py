@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtcal.acoustics.band_conversion import measurement_in_room_bands
-from rtcal.acoustics.curvature import BentDecay
+from rtcal.acoustics.decay import BentDecay
 from rtcal.acoustics.equations import Eyring, LinearEquation
 from rtcal.acoustics.fingerprints import of_room, refuse_repeated_data
 from rtcal.acoustics.measurement import Measurement
@@ -32,16 +32,16 @@ from rtcal.calibration.result import CalibrationResult
 from rtcal.errors import DataError
 from rtcal.loop.beside import Gaps, left, means
 from rtcal.loop.matched import Matched, ParameterGap, Weights, matched_times
-from rtcal.loop.rules import RULES, Rule
-from rtcal.loop.status import (
+from rtcal.loop.rules import RULES, Rule, next_targets, target_limits, target_without_t20
+from rtcal.loop.steps import (
     CLOSE_TARGETS,
+    Step,
     band_goals,
     band_statuses,
     confirmed_statuses,
+    simulated_time,
     stuck_bands,
 )
-from rtcal.loop.steps import Step, simulated_time
-from rtcal.loop.targets import next_targets, target_limits, target_without_t20
 from rtcal.simulators.base import check_alpha
 from rtcal.support import checks
 from rtcal.support.arguments import checked
@@ -215,12 +215,12 @@ class Loop(Result):
 
     @property
     def goal(self) -> Array:
-        """Gap in JND at which each band is done, (n_bands,); see `rtcal.loop.status.band_goals`."""
+        """Gap in JND at which each band is done, (n_bands,); see `rtcal.loop.steps.band_goals`."""
         return band_goals(self.tolerance, self.steps[-1].noise / self._jnd)
 
     @property
     def status(self) -> tuple[str, ...]:
-        """Status of each band: one of `rtcal.loop.status.STATUSES`."""
+        """Status of each band: one of `rtcal.loop.steps.STATUSES`."""
         close = np.abs(np.log(self._target_without_t20 / self.best_target)) < CLOSE_TARGETS
         stuck = stuck_bands(
             np.array([step.alpha for step in self.steps]),
@@ -244,7 +244,7 @@ class Loop(Result):
     def confirmed(self, measurement: Measurement) -> tuple[str, ...]:
         """Return the status of each band after a simulation of `best_alpha` with another seed.
 
-        See `rtcal.loop.status.confirmed_statuses`.
+        See `rtcal.loop.steps.confirmed_statuses`.
         """
         noise = self.matched.noise(measurement) / self._jnd
         return confirmed_statuses(self.status, self.matched.gap(measurement), noise, self.tolerance)

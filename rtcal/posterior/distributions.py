@@ -13,8 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtcal.errors import DataError
-from rtcal.posterior.density import CoupledBands, IndependentBands
-from rtcal.posterior.integration import POINTS, Marginals
+from rtcal.posterior.density import POINTS, CoupledBands, IndependentBands, Marginals
 from rtcal.posterior.marginals import marginal_distributions, passed_on, unmatched
 from rtcal.posterior.sampler import sample
 from rtcal.support import checks

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from rtcal.errors import DataError
 from rtcal.support import kkt
 from rtcal.support.arguments import checked
-from rtcal.support.hessian import Hessian
+from rtcal.support.kkt import Hessian
 from rtcal.support.types import Array
 
 

@@ -22,10 +22,9 @@ from rtcal.acoustics.states import State
 from rtcal.acoustics.targets import Target
 from rtcal.acoustics.treatments import Treatment
 from rtcal.prediction.assumptions import Assumptions
-from rtcal.prediction.envelope import Ranges
 from rtcal.prediction.estimate import Rooms, estimated_change, near_bounds, samples
 from rtcal.prediction.predicted import SAMPLES, Prediction, predict
-from rtcal.prediction.program import TANGENTS, ProgramNumbers, program
+from rtcal.prediction.program import TANGENTS, ProgramNumbers, Ranges, program
 from rtcal.support.types import Array
 
 _ROUNDS = 12

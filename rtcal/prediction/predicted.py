@@ -16,7 +16,7 @@ from rtcal.acoustics.equations import Eyring, LinearEquation
 from rtcal.acoustics.room import Room
 from rtcal.acoustics.states import State
 from rtcal.errors import DataError
-from rtcal.posterior.integration import probability_within
+from rtcal.posterior.density import probability_within
 from rtcal.prediction import words
 from rtcal.prediction.assumptions import Assumptions
 from rtcal.prediction.estimate import (

@@ -5,6 +5,15 @@
 
 Everything but x is a parameter, and the problem is DPP: cvxpy compiles it once, and later solves
 fill in numbers.
+
+The tangents follow from the probability that T is in a range. The absorption area A of the surfaces
+is normal with mean m and standard deviation s, and
+
+    ln T = f(A) + offset + r,  r normal with standard deviation tau,
+
+f the equation's ln T. P(m, s) is the probability that T is in its range. g(m), the largest s at which
+P(m, s) is at least p, is concave for p from 0.8 on, but for rounding. Its tangents are linear
+constraints on s that cut off no design; where a tangent touches, the probability is kept.
 """
 
 from __future__ import annotations
@@ -16,9 +25,133 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from scipy.special import ndtr
 
+from rtcal.acoustics.equations import LinearEquation
+from rtcal.acoustics.room import Room
+from rtcal.acoustics.targets import Target
 from rtcal.errors import ModelError, SolverError
 from rtcal.support.types import Array
+
+_HALVINGS = 26
+# A trapezium rule: for a smooth function times the normal density it converges exponentially, also
+# where r is a few times narrower than A's spread. Gauss-Hermite nodes are too far apart there.
+_NODES = np.linspace(-4.2, 4.2, 43)
+_WEIGHTS = np.exp(-(_NODES**2) / 2) / np.exp(-(_NODES**2) / 2).sum()
+_EDGE = 1e-9
+"""Share of the whole surface by which A keeps off 0 and the equation's largest absorption."""
+_STEP = 1e-6
+"""Step of the derivatives of P, in shares of the surface."""
+_NARROWEST = 1e-6
+"""Least width of the means that are allowed, in shares of the surface: below, there is no design."""
+_LOOSE = 10.0
+"""Largest sd, in shares of the surface, of a band without a range."""
+
+
+@dataclass(frozen=True, eq=False)
+class Ranges:
+    """Ranges of T of one room, in terms of the absorption area of its surfaces.
+
+    Attributes
+    ----------
+    room : Room
+        Its volume, air and total area count.
+    equation : LinearEquation
+    target : Target
+    offset, tau : array (n_bands,)
+        Mean and standard deviation of ln T less that of the equation.
+    """
+
+    room: Room
+    equation: LinearEquation
+    target: Target
+    offset: Array
+    tau: Array
+
+    def probability(self, mean: Array, sigma: Array) -> Array:
+        """Return P that T is in range for A of mean and standard deviation in m², (..., n_bands)."""
+        area = mean[..., np.newaxis, :] + sigma[..., np.newaxis, :] * _NODES[:, np.newaxis]
+        whole = self.room.total_area
+        top = min(self.equation.largest_mean, 1.0) - _EDGE
+        area = np.clip(area, _EDGE * whole, top * whole)
+        log_time = np.log(self.equation.time(self.room, area)) + self.offset
+        tau = np.maximum(self.tau, 1e-9)
+        high = ndtr((np.log(self.target.high) - log_time) / tau)
+        low = ndtr((np.log(self.target.low) - log_time) / tau)
+        inside = np.where(np.isnan(high), 1.0, high) - np.where(np.isnan(low), 0.0, low)
+        return np.asarray(np.einsum("...qk,q->...k", inside, _WEIGHTS))
+
+    def best(self) -> tuple[Array, Array]:
+        """Return the mean at which a known A would be most probably in range, and that probability."""
+        whole = self.room.total_area
+        means = np.linspace(0.001, 0.999, 400)[:, np.newaxis] * np.full(len(self.tau), whole)
+        found = self.probability(means, np.zeros_like(means))
+        at = np.argmax(found, axis=0)
+        bands = np.arange(len(self.tau))
+        return means[at, bands], found[at, bands]
+
+    def span(self, probability: float | Array) -> tuple[Array, Array] | None:
+        """Return the least and the largest mean in m² at which a known A would do, (n_bands,) each.
+
+        None if a band cannot be in range with this probability, whatever A is.
+        """
+        whole, n_bands = self.room.total_area, len(self.tau)
+        peak, best = self.best()
+        bounded = self.target.bounded
+        if (best < probability)[bounded].any():
+            return None
+        first = self._edge(probability, peak, np.full(n_bands, _EDGE * whole))
+        last = self._edge(probability, peak, np.full(n_bands, (1 - _EDGE) * whole))
+        if ((last - first)[bounded] < _NARROWEST * whole).any():
+            return None
+        return first, last
+
+    def tangents(self, probability: float | Array, means: Array) -> tuple[Array, Array]:
+        """Return intercepts in m² and slopes of the tangents at means in m², (..., n_bands) each.
+
+        A band without a range, or a mean at which the probability is not to be had, has none: a
+        limit that never binds stands there.
+        """
+        whole = self.room.total_area
+        sigmas = self._largest(probability, means)
+        step = _STEP * whole
+        by_mean, by_sigma = (
+            self.probability(means + dm, sigmas + ds) - self.probability(means - dm, sigmas - ds)
+            for dm, ds in ((step, 0.0), (0.0, np.minimum(step, sigmas / 2)))
+        )
+        by_sigma = by_sigma / np.minimum(step, sigmas / 2)
+        touches = self.target.bounded & (sigmas > 4 * step) & (by_sigma < 0)
+        slope = np.where(touches, -(by_mean / step) / np.where(touches, by_sigma, -1.0), 0.0)
+        return np.where(touches, sigmas - slope * means, _LOOSE * whole), slope
+
+    def tangents_above(self, probability: float | Array, means: Array) -> tuple[Array, Array]:
+        """Return the tangents at means (n, n_bands), each moved up until it is above g at all of them.
+
+        Only where the spread is larger than the mean itself is g not concave, and a tangent moved.
+        """
+        intercept, slope = self.tangents(probability, means)
+        has_one = intercept < _LOOSE * self.room.total_area
+        g = np.where(has_one, intercept + slope * means, 0.0)
+        above = np.max(g - slope[:, np.newaxis] * means, axis=1)
+        return np.where(has_one, above, intercept), slope
+
+    def _edge(self, probability: float | Array, inside: Array, outside: Array) -> Array:
+        """Return the mean nearest ``outside`` at which a known A is in range with the probability."""
+        kept = self.probability(outside, np.zeros_like(outside)) >= probability
+        for _ in range(2 * _HALVINGS):
+            middle = (inside + outside) / 2
+            good = self.probability(middle, np.zeros_like(middle)) >= probability
+            inside, outside = np.where(good, middle, inside), np.where(good, outside, middle)
+        return np.where(kept, outside, inside)
+
+    def _largest(self, probability: float | Array, means: Array) -> Array:
+        low, high = np.zeros_like(means), np.full_like(means, self.room.total_area)
+        for _ in range(_HALVINGS):
+            middle = (low + high) / 2
+            good = self.probability(means, middle) >= probability
+            low, high = np.where(good, middle, low), np.where(good, high, middle)
+        return low
+
 
 TANGENTS = 16
 """Tangents to the largest allowed sd, per band."""

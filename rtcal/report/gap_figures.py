@@ -14,7 +14,7 @@ from rtcal.finder.means.finding import FEATURE_NAMES, MeansFinding
 from rtcal.finder.means.room_states import state
 from rtcal.finder.means.verification import MeansVerification, residual_map, reverberation_times
 from rtcal.finder.prior import NONE
-from rtcal.report.evidence_words import MOST, odds
+from rtcal.report.document import MOST, odds
 from rtcal.report.figures import BLACK, BLUE, GREEN, ORANGE, band_axis, jnd_band, new_figure, shown
 from rtcal.support.arguments import checked
 from rtcal.support.text import number

@@ -11,7 +11,7 @@ import numpy as np
 from rtcal.acoustics.observables import DecaySlope, of_kind
 from rtcal.acoustics.parameters import parameter_label
 from rtcal.loop.positions_result import PositionsResult
-from rtcal.report import positions_figures, room_section
+from rtcal.report import loop_figures, room_section
 from rtcal.report.document import Heading, blocks, material_rows, render, source
 from rtcal.simulators.observations import Observations
 from rtcal.simulators.path_tracing import PathTracing
@@ -35,7 +35,7 @@ def page(result: PositionsResult, heading: Heading, step: Callable[[], None]) ->
             "summary": _summary(result, order),
             "shifts": {
                 "source": source(
-                    positions_figures.draw_shifts(
+                    loop_figures.draw_shifts(
                         result.shift[order],
                         [result.prior.materials[i] for i in order],
                         result.prior.centre_frequencies,

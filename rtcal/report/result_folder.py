@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rtcal.errors import MissingDependencyError
-from rtcal.report import figures, positions_figures
+from rtcal.report import figures, loop_figures
 from rtcal.support import checks
 from rtcal.support.files import make_folder, spare, write_all
 from rtcal.support.results import NUMBERS
@@ -61,8 +61,8 @@ def write_positions(
         If the folder cannot be made, or a file cannot be written.
     """
     draw = {
-        PLAN: lambda: positions_figures.plan(result, geometry, sources, receivers),
-        SHIFTS: lambda: positions_figures.shifts(result),
+        PLAN: lambda: loop_figures.plan(result, geometry, sources, receivers),
+        SHIFTS: lambda: loop_figures.shifts(result),
     }
     return write_with_figures(result, folder, draw)
 

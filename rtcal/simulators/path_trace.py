@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtcal.errors import DataError
-from rtcal.simulators import paths, rays
+from rtcal.simulators import paths, tracer
 from rtcal.simulators.geometry import Polyhedron
 from rtcal.simulators.path_batch import LARGEST_CODE, Batch, ScatteringModel
 from rtcal.support.threads import thread_pool
@@ -87,7 +87,7 @@ def trace(
             f"{len(materials)} faces and {len(receivers)} receivers are too many: twice the faces and "
             f"the receivers are at most {LARGEST_CODE}"
         )
-    planes, sides = rays.planes(geometry)
+    planes, sides = tracer.planes(geometry)
     by_face = np.ascontiguousarray(np.asarray(scattering, dtype=float)[materials])
     per_batch = -(-n_paths // n_batches)
     run = paths.kernels().trace
@@ -99,7 +99,7 @@ def trace(
         s, b = job
         sequence = np.random.SeedSequence([seed, s, b])
         seeds = sequence.generate_state(per_batch, np.uint64)
-        directions = rays.sphere(per_batch, np.random.default_rng(sequence.spawn(1)[0]))
+        directions = tracer.sphere(per_batch, np.random.default_rng(sequence.spawn(1)[0]))
         events, starts, lengths, weights, counts = run(
             sources[s],
             directions,
@@ -128,7 +128,7 @@ def trace(
             "the room's faces leave gaps or cut through each other"
         )
     batches = tuple(tuple(done[s * n_batches : (s + 1) * n_batches]) for s in range(len(sources)))
-    direct = rays.direct_lengths(geometry, sources, receivers)
+    direct = tracer.direct_lengths(geometry, sources, receivers)
     return paths.Paths(
         batches=batches,
         materials=materials.copy(),

@@ -26,7 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtcal.errors import DataError, MissingDependencyError
-from rtcal.simulators import rays
+from rtcal.simulators import tracer
 from rtcal.simulators.base import check_alpha
 from rtcal.simulators.tracer import Tracer, check_seconds
 from rtcal.support import checks
@@ -106,7 +106,7 @@ class RayTracing(Tracer):
             for bands in self.bands_of_paths()
             for group in np.split(bands, range(_BANDS, len(bands), _BANDS))
         ]
-        direct = rays.direct_lengths(self.geometry, *self._points())
+        direct = tracer.direct_lengths(self.geometry, *self._points())
         batches = [
             [self._batch(alpha, bands, seconds, direct, rng) for bands in groups]
             for _ in range(self.n_batches)

@@ -10,13 +10,52 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, ClassVar
 
+import numpy as np
+
 from rtcal.errors import DataError
 from rtcal.support import objects
 from rtcal.support.arguments import checked
 from rtcal.support.decode import Entries, json_object
-from rtcal.support.encode import json_text
 from rtcal.support.files import make_folder, read_text, write_all
 from rtcal.support.version import __version__
+
+
+def json_text(record: Mapping[str, Any], *, ascii_only: bool = False) -> str:
+    """Return a record as JSON: arrays as lists, tables as one object per row, NaN as null.
+
+    Parameters
+    ----------
+    record : mapping
+        Of numbers, texts, arrays, lists, mappings and None.
+    ascii_only : bool
+        Whether to write other characters as escapes.
+
+    Examples
+    --------
+    >>> print(json_text({"t": np.array([1.5, np.nan])}))
+    {
+     "t": [
+      1.5,
+      null
+     ]
+    }
+    """
+    return json.dumps(_plain(record), indent=1, ensure_ascii=ascii_only, allow_nan=False)
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {str(k): _plain(v) for k, v in value.items()}
+    if isinstance(value, np.ndarray):
+        if value.dtype.names:  # a table
+            return [dict(zip(value.dtype.names, _plain(list(row)), strict=True)) for row in value]
+        return _plain(value.tolist())
+    if isinstance(value, list | tuple):
+        return [_plain(v) for v in value]
+    if isinstance(value, np.generic):
+        value = value.item()
+    return None if isinstance(value, float) and not np.isfinite(value) else value
+
 
 NUMBERS = "result.json"
 """Name of a result's file in its folder."""

@@ -9,7 +9,7 @@ import pytest
 
 import rtcal as rt
 from rtcal.finder import corrected_room, find, simulator, verify
-from rtcal.report.gap_words import rests_on, to_do
+from rtcal.report.gap_report import rests_on, to_do
 from tests.seams.turned_panels import laboratory
 
 TURNED = 0.9

@@ -45,7 +45,7 @@ class ObjectiveTerm(Protocol):
     def curvature(self, u: Array, data: ProblemData) -> Any:
         """Return the unweighted second derivative.
 
-        Its diagonal (size,), a sparse matrix, or the `rtcal.support.hessian.Squares` of few rows that
+        Its diagonal (size,), a sparse matrix, or the `rtcal.support.kkt.Squares` of few rows that
         couple many unknowns.
         """
         ...

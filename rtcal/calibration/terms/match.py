@@ -17,7 +17,7 @@ from rtcal.calibration.terms.base import BaseTerm, Rows, half_squares, limited
 from rtcal.errors import DataError, ModelError
 from rtcal.support import checks
 from rtcal.support.arguments import checked
-from rtcal.support.hessian import Squares
+from rtcal.support.kkt import Squares
 from rtcal.support.types import Array
 
 SMALLEST_UNCERTAINTY = 1e-6

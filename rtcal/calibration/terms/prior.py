@@ -18,7 +18,7 @@ from rtcal.calibration.problem_data import ProblemData
 from rtcal.calibration.terms.base import BaseTerm, half_squares
 from rtcal.errors import ModelError
 from rtcal.support import checks
-from rtcal.support.hessian import Hessian
+from rtcal.support.kkt import Hessian
 from rtcal.support.types import Array
 
 
@@ -166,7 +166,7 @@ class PriorDeviation(BaseTerm):
     def curvature(self, u: Array, data: ProblemData) -> Any:
         """Return R⁻¹ over sigma sigma': 1 / sigma² on a diagonal without correlations.
 
-        What all coefficients have in common takes one square off (`rtcal.support.hessian.Hessian`).
+        What all coefficients have in common takes one square off (`rtcal.support.kkt.Hessian`).
         """
         inverse = data.inverse_sigma.copy()
         inverse[data.layout.n_alpha :] = 0.0

@@ -34,7 +34,7 @@ from rtcal.finder.means.model_error import ModelDiscrepancy, estimate_discrepanc
 from rtcal.finder.means.room_states import distances, state
 from rtcal.finder.model import FEATURES, predict
 from rtcal.finder.prior import NONE, Prior
-from rtcal.support import checks, kept_arrays
+from rtcal.support import checks, files
 from rtcal.support.arguments import checked
 from rtcal.support.progress import TaskProgress
 from rtcal.support.threads import single_threaded_blas
@@ -103,7 +103,7 @@ def control_rooms(
         if controls is None:
             controls = ENGINES[name].run(case, seed, progress)
             if path is not None:
-                kept_arrays.write(path, controls.errors)
+                files.write(path, controls.errors)
         rooms.append(controls)
     return tuple(rooms)
 
@@ -114,7 +114,7 @@ def _key(case: Case, seed: int, engine: str) -> str:
 
 
 def _kept(path: Path, case: Case, engine: str) -> ControlRooms | None:
-    errors = kept_arrays.read(path)
+    errors = files.read(path)
     if errors is None:
         return None
     try:

@@ -16,16 +16,22 @@ s² F F', for each scale s.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from rtcal.finder.case import Case
+from rtcal.finder.case import AppliedEffect, Case
+from rtcal.finder.effects import Effect, Parameters
 from rtcal.finder.effects.checks import beyond
-from rtcal.finder.means.factorization import Factorization
 from rtcal.finder.means.features import Observed
 from rtcal.finder.means.hypotheses import Hypotheses, predict_hypotheses
-from rtcal.finder.means.likelihood import covariance_of, log_densities, log_likelihood
+from rtcal.finder.means.likelihood import (
+    Factorization,
+    covariance_of,
+    log_densities,
+    log_likelihood,
+)
 from rtcal.finder.means.model_error import ModelDiscrepancy
 from rtcal.finder.means.room_states import state
 from rtcal.finder.prior import COEFFICIENTS, NONE, UNKNOWN, grid_weights
@@ -188,3 +194,36 @@ def unknown_evidence(
     rows = np.repeat(residual[None], len(UNKNOWN_SIZES), axis=0)
     parts = log_densities(factorization, rows, len(residual), coarsened=coarsened)[0]
     return np.asarray(np.logaddexp.reduce(parts) - np.log(len(parts)))
+
+
+@dataclass(frozen=True, eq=False)
+class Searched:
+    """What a search compared: hypotheses with their evidence, the measurement, the model's error."""
+
+    case: Case
+    observed: Observed
+    predicted: Hypotheses
+    discrepancy: ModelDiscrepancy
+    evidence: Evidence
+
+    def nats(self, name: str) -> float:
+        """Return the log evidence of an effect over "none"."""
+        table = self.evidence.by_effect()
+        return float(table[name] - table[NONE])
+
+    def under(self, effect: Effect, grid: Sequence[Parameters]) -> Evidence:
+        """Return the evidence of "none", and of an effect with these sets of parameters."""
+        predicted = predict_hypotheses(self.case, [effect], [grid])
+        return evaluate(self.observed, predicted, self.discrepancy, self.evidence.prior_off)
+
+    def beside(self, name: str, others: Sequence[AppliedEffect] = ()) -> Searched:
+        """Return the search for one effect, with others in the model."""
+        case = replace(self.case, applied=(*self.case.applied, *others))
+        predicted, evidence = evaluate_beyond(
+            case,
+            self.observed,
+            predict_hypotheses(case, [self.predicted.effects[name]]),
+            self.discrepancy,
+            self.evidence.prior_off,
+        )
+        return replace(self, case=case, predicted=predicted, evidence=evidence)

@@ -17,12 +17,12 @@ from rtcal.errors import DataError
 from rtcal.finder.case import Case
 from rtcal.finder.configuration import Change, Configuration
 from rtcal.finder.effects.porous import Porous
+from rtcal.finder.means.evidence import Searched
 from rtcal.finder.means.features import Observed
-from rtcal.finder.means.information import Mask
 from rtcal.finder.means.model_error import ModelDiscrepancy
-from rtcal.finder.means.searched import Searched
 from rtcal.finder.means.separation import (
     USUAL,
+    Mask,
     covariance_with,
     separation,
     variances_of,

@@ -18,10 +18,9 @@ from rtcal.finder.effects.checks import checked_effects
 from rtcal.finder.means.features import Observed, observe
 from rtcal.finder.means.finding import MeansFinding
 from rtcal.finder.means.hypotheses import Hypotheses, predict_hypotheses
-from rtcal.finder.means.information import Information, Mask
 from rtcal.finder.means.measurements import Extended, Further, checked_costs, extended, possible
 from rtcal.finder.means.model_error import ModelDiscrepancy, checked_discrepancy
-from rtcal.finder.means.separation import Pairs, Separations, blind, separations
+from rtcal.finder.means.separation import Information, Mask, Pairs, Separations, blind, separations
 from rtcal.finder.means.sets import compare, moments
 from rtcal.finder.prior import NONE, prior_of
 from rtcal.finder.wording import listed

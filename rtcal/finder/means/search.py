@@ -22,16 +22,15 @@ from rtcal.finder.means.bootstrap import (
     control_rooms,
 )
 from rtcal.finder.means.bootstrap import score as evidence_of_something
-from rtcal.finder.means.doubts import schroeder_limit
 from rtcal.finder.means.engines import ControlRooms
-from rtcal.finder.means.evidence import evaluate_beyond
+from rtcal.finder.means.evidence import Searched, evaluate_beyond
 from rtcal.finder.means.features import Observed, observe
 from rtcal.finder.means.finding import MeansFinding
+from rtcal.finder.means.gap import schroeder_limit
 from rtcal.finder.means.hypotheses import Hypotheses, predict_hypotheses
 from rtcal.finder.means.likelihood import standardized_residuals
 from rtcal.finder.means.measurements import next_measurement
 from rtcal.finder.means.model_error import ModelDiscrepancy
-from rtcal.finder.means.searched import Searched
 from rtcal.finder.means.set_posterior import MOST, set_posterior, single_posterior
 from rtcal.finder.means.sets import Rows, averaged_alpha, compare
 from rtcal.finder.means.verdict import of_sets, of_single

@@ -28,10 +28,10 @@ from rtcal.finder.effects import Effect
 from rtcal.finder.effects.checks import added, changed_states
 from rtcal.finder.means.alpha_covariance import AlphaCovariance
 from rtcal.finder.means.evidence import unknown_evidence
-from rtcal.finder.means.factorization import Factorization
 from rtcal.finder.means.features import Observed
 from rtcal.finder.means.hypotheses import Hypotheses, LowRank, misfit
 from rtcal.finder.means.likelihood import (
+    Factorization,
     covariance_of,
     log_densities,
     student,

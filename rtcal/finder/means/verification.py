@@ -17,6 +17,7 @@ import numpy as np
 from rtcal.acoustics.observables import observable
 from rtcal.errors import DataError
 from rtcal.finder.case import Case
+from rtcal.finder.finding import Verification
 from rtcal.finder.means.features import observe
 from rtcal.finder.means.finding import FEATURE_NAMES, MeansFinding
 from rtcal.finder.means.gap import LITTLE
@@ -26,7 +27,6 @@ from rtcal.finder.means.recalibrated import Recalibrated, table
 from rtcal.finder.means.recalibration import plain, recalibrate
 from rtcal.finder.means.room_states import distances, state
 from rtcal.finder.model import FEATURES, predict
-from rtcal.finder.verification import Verification
 from rtcal.finder.wording import listed
 from rtcal.support import html, text
 from rtcal.support.arguments import checked

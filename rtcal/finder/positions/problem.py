@@ -9,9 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtcal.acoustics.air import Air
-from rtcal.acoustics.common_errors import common_error_columns
 from rtcal.acoustics.observables import observable
-from rtcal.acoustics.room_errors import alike_alpha, prior_covariance
+from rtcal.acoustics.room_errors import alike_alpha, common_error_columns, prior_covariance
 from rtcal.errors import DataError
 from rtcal.finder.case import CLIMATE_UNCERTAINTY
 from rtcal.finder.coefficients import SCALES

@@ -28,7 +28,7 @@ from rtcal.loop.control_runs import share_of_signal
 from rtcal.simulators.observations import observe
 from rtcal.simulators.path_tracing import DENSER, LARGER, PathTracing
 from rtcal.simulators.tracer import LONGEST
-from rtcal.support import checks, kept_arrays
+from rtcal.support import checks, files
 from rtcal.support.progress import TaskProgress
 from rtcal.support.types import Array
 from rtcal.support.version import __version__
@@ -138,7 +138,7 @@ def responses(
             return kept
     made = _weighed(case, seed, progress)
     if path is not None:
-        kept_arrays.write(path, _packed(made))
+        files.write(path, _packed(made))
     return made
 
 
@@ -400,7 +400,7 @@ def _packed(made: Responses) -> Array:
 
 def _read(path: Path, case: Case) -> Responses | None:
     """Return the shifts that a file holds; None if it cannot be used."""
-    packed = kept_arrays.read(path)
+    packed = files.read(path)
     tracer, n_moves = case.simulator, 6
     names = [f"{k[:-1]} {n}" for k in ("receivers", "sources") for n in getattr(tracer, k)]
     n_materials = case.room.n_materials

@@ -15,19 +15,19 @@ from rtcal.acoustics.observables import LEVEL
 from rtcal.acoustics.parameters import parameter_label
 from rtcal.acoustics.quality import gap_jnd
 from rtcal.errors import DataError
+from rtcal.finder.finding import HeldOutVerification, check_pairs
 from rtcal.finder.positions.candidate import Candidate
 from rtcal.finder.positions.case import Case
 from rtcal.finder.positions.corrected import corrected
 from rtcal.finder.positions.finding import PositionsFinding
 from rtcal.finder.positions.responses import key_of
 from rtcal.finder.positions.search import find_by_positions
-from rtcal.finder.verification import HeldOutVerification, check_pairs
 from rtcal.loop.control_runs import trace_ahead
 from rtcal.loop.measured_pairs import Pair, with_reference
 from rtcal.loop.positions import calibrate_positions
 from rtcal.simulators.observations import Observations, observe
 from rtcal.simulators.path_tracing import PathTracing
-from rtcal.support import checks, kept_arrays, text
+from rtcal.support import checks, files, text
 from rtcal.support.arguments import checked
 from rtcal.support.files import json_numbers
 from rtcal.support.progress import TaskProgress
@@ -241,11 +241,11 @@ def verify(
     path, shape = None, (len(MODELS), len(chosen), *finding.map.shape)
     if cache is not None:
         path = checks.path("cache", cache) / f"{_key(finding, chosen, searched)}.array"
-    gaps = None if path is None else kept_arrays.read(path)
+    gaps = None if path is None else files.read(path)
     if gaps is None or gaps.shape != shape:
         gaps = _gaps(finding, halves, searched, chosen, progress)
         if path is not None:
-            kept_arrays.write(path, gaps)
+            files.write(path, gaps)
     return PositionsVerification(
         finding=finding,
         before=gaps[0],

@@ -1,22 +1,165 @@
-"""Two states of one room: what was measured before and after, at the same positions."""
+"""Two states of one room: what was measured before and after, and ln T after less before, by pair."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
+import numpy as np
+from numpy.typing import NDArray
+
+from rtcal.acoustics import band_conversion
 from rtcal.acoustics.directivity import Directivity
 from rtcal.acoustics.equations import Eyring, LinearEquation
 from rtcal.acoustics.measurement import Measurement
-from rtcal.acoustics.observables import MATCH
+from rtcal.acoustics.observables import MATCH, REVERBERATION
+from rtcal.acoustics.parameters import SUMMARY, parameter_label
 from rtcal.acoustics.room import Room
 from rtcal.errors import DataError
-from rtcal.finder.states.differences import Differences
 from rtcal.simulators import observations
 from rtcal.simulators.path_tracing import PathTracing
 from rtcal.support import checks
 from rtcal.support.arguments import checked
 from rtcal.support.objects import NOT_SAVED
+from rtcal.support.types import Array
+
+_LEAST = 1e-6
+"""Least standard uncertainty that is taken of a stated mean, of its share: none is exact."""
+
+
+@dataclass(frozen=True, eq=False)
+class Differences:
+    """The differences of two states, in the room's bands.
+
+    Attributes
+    ----------
+    centre_frequencies : array (n_bands,)
+        Hz.
+    parameter : tuple of str (n_bands,)
+        "t20" or "t30", the same in both states; "" where a band has neither.
+    before, after : array (n_bands,)
+        Mean T in s over the pairs that both states have.
+    pairs : tuple of (source, receiver)
+        ``(("*", "*"),)`` of means over positions.
+    change : array (n_pairs, n_bands)
+        ln(T after / T before); NaN where one is missing.
+    variance : array (n_pairs, n_bands)
+        Of the noise of ``change``: of both states.
+    notes : tuple of str
+        Pairs that one state lacks, and where the uncertainties come from.
+    """
+
+    centre_frequencies: Array
+    parameter: tuple[str, ...]
+    before: Array
+    after: Array
+    pairs: tuple[tuple[str, str], ...]
+    change: Array
+    variance: Array
+    notes: tuple[str, ...]
+
+    @classmethod
+    def of(cls, room: Room, before: Measurement, after: Measurement) -> Differences:
+        """Return the differences of two measurements in a room.
+
+        A pair's noise is the larger of what is stated and of what theory expects of one decay,
+        0.88 / sqrt(B T) for T20. The noise of a decay does not cancel: another absorption is another
+        field. Measured in a laboratory whose panels were turned, the differences scatter by 0.9 to 1.3
+        times the theory of both states.
+
+        Raises
+        ------
+        DataError
+            If the states have no pair in common, or no T20 or T30 in any band of the room.
+        """
+        states = [
+            band_conversion.measurement_in_room_bands(m, room.centre_frequencies)
+            for m in (before, after)
+        ]
+        pairs = [p for p in states[0].pairs if p in states[1].pairs]
+        if not pairs:
+            raise DataError(
+                "before and after have no source and receiver in common; two states are measured at "
+                f"the same positions, and these are {_named(before)} and {_named(after)}"
+            )
+        notes = _lacking(states[0], states[1], pairs)
+        chosen = [m.select(pairs) for m in states]
+        shape = (len(pairs), room.n_bands)
+        change, variance = np.full(shape, np.nan), np.full(shape, np.nan)
+        times, names = np.full((2, room.n_bands), np.nan), [""] * room.n_bands
+        unstated = False
+        for o in reversed(REVERBERATION):  # the first replaces the others
+            if not all(o.key in m.values for m in chosen):
+                continue
+            values = [m.values[o.key] for m in chosen]
+            both = np.isfinite(values[0]) & np.isfinite(values[1])
+            some = both.any(axis=0)
+            count = np.maximum(both.sum(axis=0), 1)
+            means = [np.where(both, v, 0.0).sum(axis=0) / count for v in values]
+            relative = np.zeros(shape)
+            for m, v, mean in zip(chosen, values, means, strict=True):
+                if m.is_summary:
+                    u = np.fmax(m.mean_uncertainty(o.key)[np.newaxis] / v, _LEAST)
+                    unstated |= o.key not in m.uncertainty and m.n_sources is None
+                else:
+                    theory = o.scatter(room.centre_frequencies, np.where(some, mean, np.nan))
+                    stated = m.uncertainty.get(o.key, np.zeros(shape)) / v
+                    u = np.fmax(theory, stated)
+                relative = relative + u**2
+            for k in np.flatnonzero(some).tolist():
+                names[k] = o.key
+                times[:, k] = means[0][k], means[1][k]
+                change[:, k] = np.where(both[:, k], np.log(values[1] / values[0])[:, k], np.nan)
+                variance[:, k] = np.where(both[:, k], relative[:, k], np.nan)
+        if not np.isfinite(change).any():
+            labels = " or ".join(parameter_label(o.key) for o in REVERBERATION)
+            raise DataError(
+                f"no {labels} in any band of the room that before and after have in common"
+            )
+        if unstated:
+            notes.append(
+                "A mean T states neither its uncertainty nor of how many positions it is: it is taken "
+                "as that of one position (ISO 3382-2). State either, or give the pairs."
+            )
+        return cls(
+            room.centre_frequencies,
+            tuple(names),
+            times[0],
+            times[1],
+            tuple(pairs),
+            change,
+            variance,
+            tuple(notes),
+        )
+
+    @property
+    def of_means(self) -> bool:
+        """Whether they are of means over positions."""
+        return self.pairs == ((SUMMARY, SUMMARY),)
+
+    @property
+    def measured(self) -> NDArray[np.bool_]:
+        """In which bands there is a difference, (n_bands,)."""
+        return np.asarray(np.isfinite(self.change).any(axis=0))
+
+
+def _named(measured: Measurement) -> str:
+    if measured.is_summary:
+        return "means over positions"
+    source, receiver = measured.pairs[0]
+    more = "" if len(measured.pairs) == 1 else f" and {len(measured.pairs) - 1} more"
+    return f"{source} to {receiver}{more}"
+
+
+def _lacking(before: Measurement, after: Measurement, pairs: list[tuple[str, str]]) -> list[str]:
+    out = []
+    for name, state in (("before", before), ("after", after)):
+        alone = [p for p in state.pairs if p not in pairs]
+        if alone:
+            source, receiver = alone[0]
+            more = "" if len(alone) == 1 else f" and {len(alone) - 1} more"
+            out.append(f"Only {name} has {source} to {receiver}{more}: left out.")
+    return out
 
 
 @checked

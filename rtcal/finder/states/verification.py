@@ -10,11 +10,11 @@ import numpy as np
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.observables import TARGET
 from rtcal.errors import DataError
-from rtcal.finder.states.baseline import Baseline
+from rtcal.finder.finding import HeldOutVerification, check_pairs
 from rtcal.finder.states.case import Case
+from rtcal.finder.states.evidence import Baseline
 from rtcal.finder.states.finding import StatesFinding
 from rtcal.finder.states.search import find
-from rtcal.finder.verification import HeldOutVerification, check_pairs
 from rtcal.support import text
 from rtcal.support.arguments import checked
 from rtcal.support.files import json_numbers

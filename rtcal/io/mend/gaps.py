@@ -8,8 +8,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from rtcal.io.mend.edges import loops_of, open_edges, sorted_edge
-from rtcal.io.mend.faces import SAME, Face, Work
-from rtcal.io.mend.mending import ANY_SHARE, MOST_PLACES, Mending
+from rtcal.io.mend.faces import ANY_SHARE, MOST_PLACES, SAME, Face, Mending, Work
 from rtcal.io.mend.shapes import area_of, normal_of
 from rtcal.simulators.geometry import PLANARITY
 

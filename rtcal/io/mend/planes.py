@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from rtcal.io.mend.edges import edges_of, one_loop
-from rtcal.io.mend.faces import Edge, Face, Work
-from rtcal.io.mend.mending import Mending
+from rtcal.io.mend.faces import Edge, Face, Mending, Work
 from rtcal.io.mend.shapes import area_of, normal_of, plane_of
 from rtcal.simulators import triangles
 from rtcal.simulators.geometry import PLANARITY
