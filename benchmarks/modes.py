@@ -23,7 +23,7 @@ import numpy as np
 import rtcal as rt
 from benchmarks import modes_world as w
 from rtcal.acoustics.trust import schroeder_frequency
-from rtcal.modes.model import AtFrequencies
+from rtcal.modes.model import AtFrequencies, RoomPoles
 from rtcal.modes.paris import admittance, admittance_slope
 from rtcal.simulators.geometry import Polyhedron
 
@@ -94,10 +94,13 @@ def bound(room, modes, t, low, relative=0.1):
     return alone, sigma_after(both, noise), float((mean[1] <= mean[0]).mean())
 
 
-def true_poles(world, modes):
-    """The room's poles with the true admittances, by rtcal's modes: they say which mode is which."""
+def true_poles(world, modes, like=None):
+    """The room's poles with the true admittances, by rtcal's modes: they say which mode is which.
+
+    ``like`` are the shapes that they are numbered by.
+    """
     sets = [world.parameters[world.walls.index(m)] for m in modes.materials]
-    return modes.poles(lambda f: np.array([w.admittance(s, f) for s in sets]))
+    return modes.poles(lambda f: np.array([w.admittance(s, f) for s in sets]), like)
 
 
 def judge_room(seed):
@@ -164,8 +167,12 @@ def world_lowest(world):
 
 
 def matches(world, modes, heard, result, highest):
-    """Return how many modes were found and rightly matched, and how many used matches are wrong."""
-    poles = true_poles(world, modes)
+    """Return how many modes were found and rightly matched, and how many used matches are wrong.
+
+    Modes are numbered by the shapes that they have with the stated coefficients.
+    """
+    stated = RoomPoles.of(result.prior, modes.largest, room_modes=modes).calculated.mixtures
+    poles = true_poles(world, modes, stated)
     at = [
         modes.shapes(np.array(list(of.values()))) @ poles.mixtures
         for of in (world.sources, world.receivers)

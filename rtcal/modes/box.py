@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rtcal.errors import DataError
 from rtcal.modes.room_modes import RoomModes
@@ -13,10 +14,12 @@ from rtcal.support import checks
 from rtcal.support.arguments import checked
 from rtcal.support.types import Array
 
-BEYOND = 1.2
+BEYOND = 1.1
 """Modes up to this times the largest wanted frequency complete the shapes of those wanted."""
 MOST = 600
 """Largest number of modes."""
+_SUMMED = 200
+"""Modes of a pair of orders that stand for an infinite number."""
 
 
 @checked
@@ -68,34 +71,75 @@ def box_modes(
     orders = orders.reshape(-1, 3)
     frequencies = c / 2 * np.linalg.norm(orders / sides, axis=1)
     order = np.argsort(frequencies, kind="stable")
-    order = order[(frequencies[order] > 0) & (frequencies[order] <= top)]
+    order = order[frequencies[order] <= top]
     if len(order) > MOST:
         raise DataError(
             f"largest = {largest:g} Hz: the box has over {MOST} modes; state a lower one"
         )
-    orders, frequencies = orders[order], frequencies[order]
-    norms = np.sqrt(np.where(orders > 0, 2.0, 1.0) / sides)
+    # The constant one, of frequency 0, stands last.
+    order = np.roll(order, -1)
+    own, frequencies = orders[order], frequencies[order]
+    beyond = [_beyond(own, sides, axis) for axis in range(3)]
+    orders = np.concatenate([own[:-1], *(pairs for pairs, _, _ in beyond), own[-1:]])
+    more = [wavenumbers * c / (2 * np.pi) for _, _, wavenumbers in beyond]
+    frequencies = np.concatenate([frequencies[:-1], *more])
+    rows = np.split(np.arange(len(own) - 1, len(orders) - 1), np.cumsum([len(f) for f in more])[:2])
+    norms = np.sqrt(np.where(orders == 0, 1.0, 2.0) / sides)
+
+    def along(points: Array) -> Array:
+        """Return the factor of each axis, (n_points, n_modes + 1, 3)."""
+        angle = np.pi * np.asarray(points)[:, np.newaxis, :] / sides
+        out = np.cos(angle * orders)
+        for axis, (_, series, _) in enumerate(beyond):
+            waves = np.cos(angle[:, :, axis] * np.arange(series.shape[1]))
+            out[:, rows[axis], axis] = waves @ series.T
+        return np.asarray(out * norms)
 
     def shapes(points: Array) -> Array:
         if ((points < 0) | (points > sides)).any():
             raise DataError("a position lies outside the room's walls")
-        angle = np.pi * np.asarray(points)[:, np.newaxis, :] * orders / sides
-        return np.asarray((np.cos(angle) * norms).prod(axis=2))
+        return np.asarray(along(points).prod(axis=2))
 
+    at_wall = along(np.zeros((1, 3)))[0]
     coupling = np.empty((6, len(orders), len(orders)))
     for axis in range(3):
         others = [a for a in range(3) if a != axis]
         same = (orders[:, np.newaxis, others] == orders[np.newaxis, :, others]).all(axis=2)
-        near = np.outer(norms[:, axis], norms[:, axis]) * same
+        near = np.outer(at_wall[:, axis], at_wall[:, axis]) * same
         sign = np.where(orders[:, axis] % 2, -1.0, 1.0)
         coupling[2 * axis], coupling[2 * axis + 1] = near, near * np.outer(sign, sign)
+    rising = np.argsort(frequencies, kind="stable")
+    every = np.append(rising, len(rising))
     return RoomModes(
-        frequencies=frequencies,
-        coupling=coupling,
+        frequencies=frequencies[rising],
+        coupling=coupling[:, every[:, np.newaxis], every],
         walls=SHOEBOX_WALLS,
         materials=tuple(materials),
         speed_of_sound=c,
         largest=float(largest),
-        shapes=shapes,
+        shapes=lambda points: shapes(points)[:, every],
         error=np.zeros(len(frequencies)),
     )
+
+
+def _beyond(
+    orders: NDArray[np.int64], sides: Array, axis: int
+) -> tuple[NDArray[np.int64], Array, Array]:
+    """Return what the walls across an axis excite beyond the modes of these orders.
+
+    For each pair of orders along the other axes these are two static answers, an even and an odd one:
+    sums of all higher modes of the pair, weighed by 1 / wavenumber². Returned are orders, of which the
+    axis' own is -2 (even) or -1 (odd), the series over the axis' modes, and wavenumbers in 1/m.
+    """
+    others = [a for a in range(3) if a != axis]
+    pairs, place = np.unique(orders[:, others], axis=0, return_inverse=True)
+    last = np.zeros(len(pairs), dtype=int)
+    np.maximum.at(last, place.ravel(), orders[:, axis])
+    along = np.arange(_SUMMED)
+    squares = (along / sides[axis]) ** 2 + ((pairs / sides[others]) ** 2).sum(axis=1)[:, np.newaxis]
+    higher = (along > last[:, np.newaxis]) / np.maximum(squares, 1e-9)
+    series = np.concatenate([higher * (along % 2 == 0), higher * (along % 2 == 1)])
+    series /= np.linalg.norm(series, axis=1)[:, np.newaxis]
+    own = np.repeat([-2, -1], len(pairs))
+    wavenumbers = np.pi * np.sqrt((series**2 * np.tile(squares, (2, 1))).sum(axis=1))
+    return np.insert(np.tile(pairs, (2, 1)), axis, own, axis=1), series, wavenumbers

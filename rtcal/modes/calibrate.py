@@ -4,9 +4,9 @@
     subject to T matched above the Schroeder frequency,
 
 with d the measured decays and D those of the room's poles (`rtcal.modes.room_modes`), which are
-linearised at the last answer. Below the Schroeder frequency T is one more observation, whose error
-counts that no field is diffuse there. C is the sum of what was measured, of the model, and of what
-admittance does between the bands (`rtcal.modes.model`).
+linearised at the last answer. Below the Schroeder frequency no field is diffuse, and T is not used:
+there it is up to a third longer than an equation's, since modes along walls decay slowly. C is the sum
+of what was measured, of the model, and of what admittance does between the bands (`rtcal.modes.model`).
 """
 
 from __future__ import annotations
@@ -45,8 +45,6 @@ MODES = LinearObservations("modes")
 
 MODEL_ERROR = 0.05
 """Relative standard deviation of a calculated decay: geometry, admittance that varies over a wall."""
-T_ERROR = 0.2
-"""Relative standard deviation of T from an equation below the Schroeder frequency."""
 _NONE = (
     "none of the {} measured modes is surely a calculated one: check dimensions, temperature and the "
     "modes' frequencies"
@@ -68,7 +66,6 @@ def calibrate_modes(
     equation: LinearEquation | None = None,
     frequency_correlation: float | None = None,
     model_error: float = MODEL_ERROR,
-    t_error: float = T_ERROR,
     phases: Mapping[str, float] | None = None,
 ) -> ModesResult:
     """Calibrate a room's coefficients to the decays of its modes, together with T.
@@ -81,7 +78,7 @@ def calibrate_modes(
         As `rtcal.modes.read` reads them, or `rtcal.modes.find_modes` finds them; or responses as
         `rtcal.io.sofa.read` reads them.
     measured : Measurement, or T in s, (n_bands,), optional
-        Matched exactly above the Schroeder frequency. Below it T is one observation among the modes.
+        Matched exactly above the Schroeder frequency, and not used below it.
     geometry : Polyhedron, optional
         In place of the room's scene.
     room_modes : RoomModes, optional
@@ -92,9 +89,7 @@ def calibrate_modes(
         Correlation of a coefficient's error an octave apart, 0 to below 1; by default the room's
         ``band_correlation`` where it states one, else 0.8.
     model_error : float
-        Relative standard deviation of a calculated decay.
-    t_error : float
-        Relative standard deviation of the equation's T below the Schroeder frequency.
+        Relative standard deviation of a calculated decay. Beside it stands delta / omega.
     phases : mapping of material to float, optional
         Phase of its admittance in degrees; 0, a real admittance, where it is not stated.
 
@@ -125,7 +120,7 @@ def calibrate_modes(
     >>> print(result.before.round(1), result.after.round(1))
     [4.9 5.1 6. ] [5.9 5.4 6.9]
     """
-    _check(room, model_error, t_error)
+    _check(room, model_error)
     if isinstance(modes, Responses):
         modes = modes_in(room, modes, geometry=geometry, room_modes=room_modes)
     if not isinstance(modes, MeasuredModes):
@@ -154,15 +149,16 @@ def calibrate_modes(
     problem = _problem(model.room, times, low, equation)
     if not len(found.measured):
         raise DataError(_NONE.format(len(modes.frequencies)))
+    used = found.measured
     data = _Data(
         model=replace(model, chosen=tuple(found.calculated.tolist()), known={}),
-        decays=modes.decays[found.measured],
-        uncertainty=modes.decay_uncertainty[found.measured],
-        model_error=model_error,
+        decays=modes.decays[used],
+        uncertainty=modes.decay_uncertainty[used],
+        model_error=np.hypot(
+            model_error, modes.decays[used] / (2 * np.pi * modes.frequencies[used])
+        ),
         times=times,
         low=low,
-        t_error=t_error,
-        equation=equation,
     )
     path = _steps(data, problem, room.alpha)
     return _result(room, modes, found, every, model.poles(path.end), data, path)
@@ -182,16 +178,14 @@ def _steps(data: _Data, problem: CalibrationProblem, alpha: Array) -> Steps[Arra
 
 @dataclass(frozen=True, eq=False)
 class _Data:
-    """The measured decays and T, and the errors of what is compared."""
+    """The measured decays, and the errors of what is compared; T above the Schroeder frequency."""
 
     model: RoomPoles
     decays: Array
     uncertainty: Array
-    model_error: float
+    model_error: Array
     times: MeasuredTimes
     low: NDArray[np.bool_]
-    t_error: float
-    equation: LinearEquation
 
     @cached_property
     def covariance_of_decays(self) -> Array:
@@ -200,48 +194,21 @@ class _Data:
         own = self.uncertainty**2 + (self.model_error * decays) ** 2
         return np.asarray(remainder + np.diag(own))
 
-    @cached_property
-    def of_times(self) -> tuple[Array, Array, Array]:
-        """S, b and u_b of T below the Schroeder frequency, as rows over alpha."""
-        room, t = self.model.room, self.times.reverberation_time
-        bands = np.flatnonzero(self.low & np.isfinite(t))
-        matrix = np.zeros((len(bands), room.n_materials, room.n_bands))
-        matrix[np.arange(len(bands)), :, bands] = room.areas
-        relative = np.nan_to_num(self.times.uncertainty[bands]) / t[bands]
-        spread = np.hypot(relative, self.t_error) * t[bands]
-        slope = np.abs(self.equation.target_sensitivity(room, t)[bands])
-        b = self.equation.target(room, t)[bands]
-        if not np.isfinite(b).all():
-            raise DataError("T below the Schroeder frequency is beyond what the equation can have")
-        return matrix.reshape(len(bands), room.alpha.size), b, slope * spread
-
     @property
     def above(self) -> Array:
         """T in s above the Schroeder frequency, (n_bands,); NaN below it."""
         return np.where(self.low, np.nan, self.times.reverberation_time)
 
     def observed(self, alpha: Array) -> tuple[Observed, Array]:
-        """Return all rows, linearised at alpha, and the decays there."""
+        """Return the decays as rows, linearised at alpha, and the decays there."""
         decays, matrix, _ = self.model.linear(alpha)
         values = self.decays - decays + matrix @ alpha.ravel()
-        of_t, b, u_b = self.of_times
-        n, k = len(values), len(b)
-        covariance = np.zeros((n + k, n + k))
-        covariance[:n, :n] = self.covariance_of_decays
-        covariance[n:, n:] = np.diag(u_b**2)
-        numbers = Observed(
-            matrix=np.vstack([matrix, of_t]),
-            values=np.concatenate([values, b]),
-            covariance=covariance,
-        )
-        return numbers, decays
+        return Observed(matrix=matrix, values=values, covariance=self.covariance_of_decays), decays
 
-    def misfit(self, decays: Array, alpha: Array) -> float:
-        """Return half the squared misfit of decays and T in their uncertainty."""
+    def misfit(self, decays: Array) -> float:
+        """Return half the squared misfit of decays in their uncertainty."""
         off = self.decays - decays
-        matrix, b, u_b = self.of_times
-        of_t = (b - matrix @ alpha.ravel()) / u_b
-        return float(off @ np.linalg.solve(self.covariance_of_decays, off) + of_t @ of_t) / 2
+        return float(off @ np.linalg.solve(self.covariance_of_decays, off)) / 2
 
 
 @dataclass(frozen=True, eq=False)
@@ -270,20 +237,17 @@ class _Linearised:
 
         The prior pulls too: the misfit may rise to the linear answer's own.
         """
-        n = len(self.decays)
-        linear = self.observed.matrix[:n] @ (end - self.alpha).ravel() + self.decays
-        now, expected = (
-            self.data.misfit(d, a) for d, a in ((self.decays, self.alpha), (linear, end))
-        )
-        decays = self.data.model.linear(end)[0]
-        return np.array([self.data.misfit(decays, end) > max(now, expected) + 0.5])
+        now, expected = (self.data.misfit(d) for d in (self.decays, self._linear(end)))
+        there = self.data.misfit(self.data.model.linear(end)[0])
+        return np.array([there > max(now, expected) + 0.5])
 
     def error(self, end: Array) -> float:
         """Return the largest error of the linearised decays at ``end``, in their uncertainty."""
-        n = len(self.decays)
-        linear = self.decays + self.observed.matrix[:n] @ (end - self.alpha).ravel()
-        off = np.abs(self.data.model.linear(end)[0] - linear)
+        off = np.abs(self.data.model.linear(end)[0] - self._linear(end))
         return float((off / np.sqrt(np.diag(self.data.covariance_of_decays))).max())
+
+    def _linear(self, end: Array) -> Array:
+        return np.asarray(self.decays + self.observed.matrix @ (end - self.alpha).ravel())
 
 
 def _problem(
@@ -306,7 +270,6 @@ def _result(
     path: Steps[Array, _Linearised],
 ) -> ModesResult:
     last = path.steps[-1].model
-    n = len(data.decays)
     notes = list(modes.notes)
     if len(found.ambiguous):
         where = ", ".join(f"{f:.1f}" for f in modes.frequencies[found.ambiguous])
@@ -327,8 +290,8 @@ def _result(
         frequencies=every.frequencies,
         decays_before=every.decays,
         decays_after=after.decays,
-        matrix=last.observed.matrix[:n],
-        covariance=last.observed.covariance[:n, :n],
+        matrix=last.observed.matrix,
+        covariance=last.observed.covariance,
         below=data.low,
         data=data.times,
         steps=len(path.steps),
@@ -347,11 +310,8 @@ def _below_schroeder(room: Room, times: MeasuredTimes) -> NDArray[np.bool_]:
     return np.asarray(room.centre_frequencies < limit)
 
 
-def _check(room: Room, model_error: float, t_error: float) -> None:
+def _check(room: Room, model_error: float) -> None:
     if not isinstance(room, Room):
         raise DataError(f"room = {checks.shown(room)} is not a rtcal.Room")
-    for name, value in (("model_error", model_error), ("t_error", t_error)):
-        if not 0 <= checks.number(name, value) < 1:
-            raise DataError(f"{name} = {value:g} is not from 0 to below 1")
-    if not t_error:
-        raise DataError("t_error = 0: below the Schroeder frequency no equation is exact")
+    if not 0 <= checks.number("model_error", model_error) < 1:
+        raise DataError(f"model_error = {model_error:g} is not from 0 to below 1")

@@ -85,6 +85,13 @@ class Spectra:
         value = (1 - last) / (1 - step)
         return value, dt * (step * value - n * last) / (1 - step)
 
+    @cached_property
+    def residuals(self) -> Complex:
+        """Spectra of the modes below and above those sought, (n_bins, 3): 1 / w, 1 and w."""
+        x = self.omega / self.omega.mean()
+        size = np.sqrt((np.abs(self.values) ** 2).mean())
+        return np.asarray(size * x[:, np.newaxis] ** np.array([-1.0, 0.0, 1.0]), dtype=complex)
+
     def local(self, off: Complex) -> Array:
         """Return the variance of a bin's real part, (n_bins,), averaged over its neighbours."""
         half = max(int(_LOCAL * 2 * np.pi / (self.omega[1] - self.omega[0])), 1)
@@ -121,12 +128,17 @@ class Problem:
         return np.concatenate([own, np.full(len(own), DECAY_ERROR)])
 
     def parts(self, at: Array) -> tuple[Complex, Complex, Complex, Complex]:
-        """Return kernels of the poles and of their conjugates, and their derivatives."""
-        n = len(self.psi)
+        """Return kernels of the poles and of their conjugates, and their derivatives.
+
+        Last stand the residuals, which have no poles of their own.
+        """
+        n = len(self.prior) // 2
         poles = -np.exp(at[n:]) + 2j * np.pi * at[:n]
         value, slope = self.heard.kernel(poles)
         other, other_slope = self.heard.kernel(poles.conj())
-        return value / 2, other / 2, slope / 2, other_slope / 2
+        rest = self.heard.residuals
+        value, other = np.hstack([value / 2, rest]), np.hstack([other / 2, 0 * rest])
+        return value, other, slope / 2, other_slope / 2
 
     def off(self, at: Array, amplitudes: Complex) -> Complex:
         """Return what the modes leave of the spectra, (n_bins, n_pairs)."""
@@ -138,7 +150,8 @@ def fitted(heard: Spectra, poles: Poles, psi: Complex) -> Point:
     """Return the poles and amplitudes of the least squares."""
     scale, amplitudes = _scanned(heard, poles.values, psi)
     problem = Problem(heard, poles, psi, scale)
-    point, damping = Point(problem, problem.prior, amplitudes), 1e-2
+    none = np.zeros_like(amplitudes, shape=(heard.residuals.shape[1], psi.shape[1]))
+    point, damping = Point(problem, problem.prior, np.vstack([amplitudes, none])), 1e-2
     for _ in range(_STEPS):
         now, settled = point.misfit(point.at, point.amplitudes), True
         for _ in range(6):
@@ -186,35 +199,43 @@ class Point:
     @property
     def frequencies(self) -> Array:
         """Hz, (n_poles,)."""
-        return self.at[: len(self.amplitudes)]
+        return self.at[: len(self.problem.psi)]
 
     @property
     def log_decays(self) -> Array:
         """Logarithms of the decays in 1/s, (n_poles,)."""
-        return self.at[len(self.amplitudes) :]
+        return self.at[len(self.problem.psi) :]
 
     @cached_property
     def off(self) -> Complex:
         """Spectra less those of the modes, (n_bins, n_pairs)."""
         return self.problem.off(self.at, self.amplitudes)
 
+    @property
+    def own(self) -> Complex:
+        """Amplitudes of the modes, (n_poles, n_pairs)."""
+        return self.amplitudes[: len(self.problem.psi)]
+
     @cached_property
     def expected(self) -> Complex:
         """Amplitudes of the calculated patterns with the source's smooth spectrum."""
-        psi, f = self.problem.psi, self.frequencies
+        psi, f, own = self.problem.psi, self.frequencies, self.own
         near = np.exp(-(((f[:, np.newaxis] - f) / _SMOOTH) ** 2))
         q = (
             near
-            @ (psi.conj() * self.amplitudes).sum(axis=1)
+            @ (psi.conj() * own).sum(axis=1)
             / (near @ (np.abs(psi) ** 2).sum(axis=1))
         )
-        return np.asarray(q[:, np.newaxis] * psi)
+        none = np.zeros_like(self.amplitudes[len(psi) :])
+        return np.vstack([q[:, np.newaxis] * psi, none])
 
     @cached_property
     def ridge(self) -> Array:
         """Weight of each mode's amplitudes, (n_poles,)."""
-        size = np.sqrt((np.abs(self.expected) ** 2).mean(axis=1))
-        return np.asarray(1 / np.maximum(AMPLITUDE * size, 1e-9 * size.max()) ** 2)
+        n = len(self.own)
+        size = np.sqrt((np.abs(self.expected[:n]) ** 2).mean(axis=1))
+        own = 1 / np.maximum(AMPLITUDE * size, 1e-9 * size.max()) ** 2
+        return np.concatenate([own, np.ones(len(self.amplitudes) - n)])
 
     @cached_property
     def weight(self) -> Array:
@@ -230,7 +251,8 @@ class Point:
     def strange(self) -> float:
         """Share of the amplitudes' power that the calculated patterns leave."""
         within = self.frequencies <= self.problem.heard.omega[-1] / (2 * np.pi)
-        return _share((self.amplitudes - self.expected)[within], self.amplitudes[within])
+        own = self.own[within]
+        return _share(own - self.expected[: len(within)][within], own)
 
     @property
     def covariance(self) -> Array:
@@ -272,13 +294,13 @@ class Point:
         off, decays = real(self.off), np.exp(self.log_decays)
         far = (self.expected - self.amplitudes) * self.ridge[:, np.newaxis]
         across, sides = [], []
-        for r, a in enumerate(self.amplitudes.T):
+        for r, a in enumerate(self.own.T):
             one, two = slope * a, other_slope * a.conj()
             of_poles = real(np.hstack([2j * np.pi * (one - two), -decays * (one + two)]))
             matrix, right = matrix + of_poles.T @ of_poles, right + of_poles.T @ off[:, r]
             across.append(of_amplitudes.T @ of_poles)
             sides.append(of_amplitudes.T @ off[:, r] + np.append(far[:, r].real, far[:, r].imag))
-        matrix[np.diag_indices(2 * n)] *= 1 + damping
+        matrix[np.diag_indices(len(matrix))] *= 1 + damping
         for c, side in zip(across, sides, strict=True):
             matrix, right = matrix - c.T @ inverse @ c, right - c.T @ inverse @ side
         return (matrix + matrix.T) / 2, right, inverse, across, sides

@@ -22,7 +22,7 @@ from rtcal.errors import DataError
 from rtcal.io import geometry_files
 from rtcal.modes.paris import admittance, admittance_slope
 from rtcal.modes.polyhedron import modes_of
-from rtcal.modes.room_modes import Poles, RoomModes
+from rtcal.modes.room_modes import Admittances, Poles, RoomModes
 from rtcal.simulators.geometry import Polyhedron
 from rtcal.support import checks
 from rtcal.support.types import Array
@@ -151,10 +151,16 @@ class RoomPoles:
     @cached_property
     def calculated(self) -> Poles:
         """All poles with the room's own coefficients."""
-        return self.poles(self.room.alpha)
+        return self.modes.poles(self._admittances(self.room.alpha))
 
     def poles(self, alpha: Array) -> Poles:
-        """Return the poles; the admittance between the modes' frequencies is interpolated."""
+        """Return the poles of the chosen modes, or of all, with the shapes of those `calculated`."""
+        shapes = self.calculated.mixtures
+        chosen = slice(None) if self.chosen is None else list(self.chosen)
+        return self.modes.poles(self._admittances(alpha), shapes[:, chosen])
+
+    def _admittances(self, alpha: Array) -> Admittances:
+        """Return the walls' admittances; between the modes' frequencies they are interpolated."""
         f = self.modes.frequencies
         rows = zip(self.at.alpha(alpha), self.phases, strict=True)
         beta = np.stack([admittance(a, p) for a, p in rows])
@@ -162,7 +168,7 @@ class RoomPoles:
         def admittances(frequency: float) -> NDArray[np.complex128]:
             return np.array([np.interp(frequency, f, row) for row in beta])[self.rows]
 
-        return self.modes.poles(admittances, self.chosen)
+        return admittances
 
     def amplitudes(self, pairs: Sequence[tuple[str, str]]) -> NDArray[np.complex128]:
         """Return what each pair of positions hears of each pole, (n_poles, n_pairs).

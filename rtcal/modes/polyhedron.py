@@ -8,6 +8,7 @@ mesh says by how much. No other module imports scikit-fem (``rtcal[modes]``).
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -31,6 +32,10 @@ _SINGULAR = 4 / 3
 """Power of the spacing with which a frequency converges at an edge that stands out into the room."""
 _PLANE = 1e-3
 """Distance in m from the plane of a wall within which the boundary of the mesh belongs to it."""
+_PATTERN = 0.3
+"""Share of the largest power of the modes' patterns on a wall, from which one is answered."""
+_APART = 1e-3
+"""Share of the largest power of the answers, from which one is not a mixture of the others."""
 _MOST_KEPT = 4
 _kept: dict[tuple[Any, ...], RoomModes] = {}
 """Modes of the last rooms: a second calibration of a room does not calculate them again."""
@@ -93,18 +98,23 @@ def modes_of(
 
 def _by_elements(geometry: Polyhedron, largest: float, c: float, spacing: float) -> RoomModes:
     top = BEYOND * largest
-    coarse, _, _ = _eigenmodes(geometry, top, c, _COARSER * spacing)
-    frequencies, vectors, basis = _eigenmodes(geometry, top, c, spacing)
+    coarse = _Elements.of(geometry, _COARSER * spacing).eigenmodes(geometry, top, c)[0]
+    elements = _Elements.of(geometry, spacing)
+    frequencies, vectors = elements.eigenmodes(geometry, top, c)
     n = min(len(frequencies), len(coarse))
     error = np.abs(coarse[:n] - frequencies[:n]) / frequencies[:n] / (_AT_LEAST**_SINGULAR - 1)
+    walls = _integrals(elements.basis, geometry)
+    more, answers = elements.answers(vectors, walls, c)
+    # The constant one, of frequency 0, is the first that was found, and stands last.
+    vectors = np.hstack([vectors[:, 1:], answers, vectors[:, :1]])
+    frequencies = np.concatenate([frequencies, more])
     error = np.concatenate([error, np.full(len(frequencies) - n, error.max(initial=0.0))])
-    walls = _integrals(basis, geometry)
     coupling = np.stack([vectors.T @ (wall @ vectors) for wall in walls])
 
     def shapes(points: Array) -> Array:
         inside = np.ascontiguousarray(np.asarray(points, dtype=float).T)
         try:
-            return np.asarray(basis.probes(inside) @ vectors)
+            return np.asarray(elements.basis.probes(inside) @ vectors)
         except ValueError as error:
             raise DataError("a position lies outside the room's walls") from error
 
@@ -120,30 +130,63 @@ def _by_elements(geometry: Polyhedron, largest: float, c: float, spacing: float)
     )
 
 
-def _eigenmodes(
-    geometry: Polyhedron, top: float, c: float, spacing: float
-) -> tuple[Array, Array, Any]:
-    """Return frequencies up to ``top`` in Hz, the modes' vectors, and the elements."""
-    from scipy.sparse.linalg import eigsh
+@dataclass(frozen=True, eq=False)
+class _Elements:
+    """Quadratic elements of a room: stiffness, mass, and their spacing in m."""
 
-    fem = _library()
-    points, tetrahedra = fill(geometry, spacing)
-    mesh = fem.MeshTet(np.ascontiguousarray(points.T), np.ascontiguousarray(tetrahedra.T))
-    basis = fem.Basis(mesh, fem.ElementTetP2(), intorder=4)
-    stiffness = fem.BilinearForm(lambda u, v, _: fem.helpers.dot(u.grad, v.grad)).assemble(basis)
-    mass = fem.BilinearForm(lambda u, v, _: u * v).assemble(basis)
-    limit = (2 * np.pi * top / c) ** 2
-    count = _expected(geometry, top / c)
-    while True:
-        count = min(count, stiffness.shape[0] - 2)
-        values, vectors = eigsh(stiffness, count, mass, sigma=-1.0, v0=np.ones(stiffness.shape[0]))
-        if values.max() > limit or count >= stiffness.shape[0] - 2:
-            break
-        count = int(1.3 * count) + 5
-    order = np.argsort(values)
-    # The first is the constant one, of frequency 0.
-    chosen = [k for k in order[1:] if values[k] <= limit]
-    return np.sqrt(values[chosen]) * c / (2 * np.pi), np.asarray(vectors[:, chosen]), basis
+    basis: Any
+    stiffness: Any
+    mass: Any
+
+    @classmethod
+    def of(cls, geometry: Polyhedron, spacing: float) -> _Elements:
+        fem = _library()
+        points, tetrahedra = fill(geometry, spacing)
+        mesh = fem.MeshTet(np.ascontiguousarray(points.T), np.ascontiguousarray(tetrahedra.T))
+        basis = fem.Basis(mesh, fem.ElementTetP2(), intorder=4)
+        stiffness = fem.BilinearForm(lambda u, v, _: fem.helpers.dot(u.grad, v.grad))
+        mass = fem.BilinearForm(lambda u, v, _: u * v)
+        return cls(basis, stiffness.assemble(basis), mass.assemble(basis))
+
+    def eigenmodes(self, geometry: Polyhedron, top: float, c: float) -> tuple[Array, Array]:
+        """Return frequencies up to ``top`` in Hz; and the vectors, first that of frequency 0."""
+        from scipy.sparse.linalg import eigsh
+
+        size = self.stiffness.shape[0]
+        limit = (2 * np.pi * top / c) ** 2
+        count = _expected(geometry, top / c)
+        while True:
+            count = min(count, size - 2)
+            values, vectors = eigsh(self.stiffness, count, self.mass, sigma=-1.0, v0=np.ones(size))
+            if values.max() > limit or count >= size - 2:
+                break
+            count = int(1.3 * count) + 5
+        order = np.argsort(values)
+        order = order[values[order] <= limit]
+        return np.sqrt(values[order[1:]]) * c / (2 * np.pi), np.asarray(vectors[:, order])
+
+    def answers(self, vectors: Array, walls: list[Any], c: float) -> tuple[Array, Array]:
+        """Return what the walls' pressures excite beyond the modes: frequencies in Hz, and vectors.
+
+        The static answers to the modes' largest patterns on each wall, orthogonal to the modes
+        (Ritz vectors; MacNeal 1971). An infinite number of modes would add little to them.
+        """
+        from scipy.linalg import eigh
+        from scipy.sparse.linalg import splu
+
+        loads = []
+        for wall in walls:
+            on_wall = wall @ vectors
+            power, patterns = np.linalg.eigh(vectors.T @ on_wall)
+            loads.append(on_wall @ patterns[:, power > _PATTERN * power[-1]])
+        solved = splu((self.stiffness + self.mass).tocsc()).solve(np.hstack(loads))
+        solved -= vectors @ (vectors.T @ (self.mass @ solved))
+        solved /= np.sqrt((solved * (self.mass @ solved)).sum(axis=0))
+        power, turn = np.linalg.eigh(solved.T @ (self.mass @ solved))
+        apart = power > _APART * power[-1]
+        solved = solved @ (turn[:, apart] / np.sqrt(power[apart]))
+        values, turn = eigh(solved.T @ (self.stiffness @ solved))
+        return np.sqrt(values) * c / (2 * np.pi), solved @ turn
 
 
 def _expected(geometry: Polyhedron, wavenumber: float) -> int:

@@ -203,7 +203,7 @@ def _told(
         decay_uncertainty=relative[chosen] * decays,
         frequency_uncertainty=np.maximum(_INFLATED * np.sqrt(variance[chosen]), 1e-3),
         pairs=pairs,
-        amplitudes=fit.amplitudes[chosen],
+        amplitudes=fit.own[chosen],
         calculated=chosen,
         largest=largest,
         notes=notes,
@@ -212,7 +212,7 @@ def _told(
 
 def _own(fit: Point) -> NDArray[np.bool_]:
     """Return which modes are nearest to their own calculated one, by frequency and pattern."""
-    psi, heard, n = fit.problem.psi, fit.amplitudes, len(fit.amplitudes)
+    psi, heard, n = fit.problem.psi, fit.own, len(fit.own)
     common = np.abs(heard.conj() @ psi.T) ** 2
     whole = np.outer(*((np.abs(a) ** 2).sum(axis=1) for a in (heard, psi)))
     missed = 1 - common / np.maximum(whole, 1e-300)

@@ -58,7 +58,7 @@ class ModesResult(Result):
     matrix, covariance : array (n_used, n_materials * n_bands), (n_used, n_used)
         Derivative of the decays by alpha in 1/s at the last step; covariance of their errors.
     below : bool array (n_bands,)
-        Bands below the Schroeder frequency, in which T is one observation among the modes.
+        Bands below the Schroeder frequency, in which T is not used.
     data : MeasuredTimes
         The measured T.
     steps : int

@@ -43,8 +43,9 @@ class RoomModes:
     ----------
     frequencies : array (n_modes,)
         Hz, rising, without the mode of frequency 0.
-    coupling : array (n_walls, n_modes, n_modes)
-        B in 1/m: integrals over each wall of the products of two modes.
+    coupling : array (n_walls, n_modes + 1, n_modes + 1)
+        B in 1/m: integrals over each wall of the products of two modes. Last is that of frequency 0,
+        the constant pressure.
     walls : sequence of str (n_walls,)
         Names of the walls.
     materials : sequence of str (n_walls,)
@@ -54,7 +55,7 @@ class RoomModes:
     largest : float
         Frequency in Hz up to which modes are wanted; those above it complete the others' shapes.
     shapes : function
-        Of points (n_points, 3) in m: the modes' values there, (n_points, n_modes), in m^(-3/2).
+        Of points (n_points, 3) in m: the modes' values there, (n_points, n_modes + 1), in m^(-3/2).
     error : array (n_modes,)
         Estimated relative error of the frequencies by discretisation.
 
@@ -88,22 +89,28 @@ class RoomModes:
         of_walls = np.einsum("imm->im", self.coupling)[:, : self.wanted]
         return np.asarray(self.speed_of_sound / 2 * (beta.real * of_walls).sum(axis=0))
 
-    def poles(self, admittances: Admittances, only: Sequence[int] | None = None) -> Poles:
-        """Return the poles of the modes up to ``largest``, or of those of them alone.
+    def poles(
+        self, admittances: Admittances, like: NDArray[np.complex128] | None = None
+    ) -> Poles:
+        """Return the poles of the modes up to ``largest``.
+
+        With ``like``, mixtures (n_modes + 1, n_poles), those whose shapes are like these: where two
+        modes lie close together, walls decide which is which, and the rigid room does not.
 
         Raises ModelError if a pole does not converge: walls too far from rigid.
         """
         omega, c = 2 * np.pi * self.frequencies, self.speed_of_sound
         n = self.wanted
-        beta = np.stack([admittances(f) for f in self.frequencies], axis=1)
+        omega = np.append(omega, 0.0)
+        beta = np.stack([admittances(f) for f in [*self.frequencies, self.frequencies[0]]], axis=1)
         root = np.sqrt(beta)
         # Without what couples to negative frequencies the problem is an ordinary one.
         start = np.diag(1j * omega) - c / 2 * np.einsum(
             "im,imn,in->mn", root, self.coupling, root, optimize=True
         )
         first, vectors = np.linalg.eig(start)
-        chosen = _by_mode(np.abs(vectors[:n]) ** 2)
-        chosen = chosen if only is None else chosen[list(only)]
+        alike = vectors[:n] if like is None else like.conj().T @ vectors
+        chosen = _by_mode(np.abs(alike) ** 2)
         poles, shapes = first[chosen], vectors[:, chosen]
         slopes = np.empty((len(chosen), len(self.walls)), dtype=complex)
         norms = np.empty(len(chosen), dtype=complex)
