@@ -1,8 +1,8 @@
 """The quality of the calibration to room modes, in a wave world that is not rtcal's (`modes_world`).
 
     python -m benchmarks.modes dev FILE      # rooms 1000 to 1023, for development
-    python -m benchmarks.modes judge FILE    # rooms 3000 to 3059, judged once
-    python -m benchmarks.modes judge FILE 3000 3030    # some of them
+    python -m benchmarks.modes judge FILE    # rooms 4000 to 4059, judged once
+    python -m benchmarks.modes judge FILE 4000 4030    # some of them
     python -m benchmarks.modes show FILE
     python -m benchmarks.modes time          # of one core: a slanted room of 95 m³, modes to 200 Hz
 
@@ -302,7 +302,7 @@ def main(arguments):
     if arguments[0] == "show":
         show([json.loads(line) for line in Path(arguments[1]).read_text().splitlines()])
         return
-    seeds = range(1000, 1024) if arguments[0] == "dev" else range(3000, 3060)
+    seeds = range(1000, 1024) if arguments[0] == "dev" else range(4000, 4060)
     if arguments[2:]:
         seeds = range(*map(int, arguments[2:4]))
     path = Path(arguments[1])

@@ -170,21 +170,28 @@ def fitted(heard: Spectra, poles: Poles, psi: Complex) -> Point:
 
 
 def _scanned(heard: Spectra, poles: Complex, psi: Complex) -> tuple[float, Complex]:
-    """Return the factor of all frequencies under which the patterns explain most, and amplitudes."""
+    """Return the factor of all frequencies under which the calculated spectra are most like those
+    heard, with a source's spectrum that is smooth and common to all pairs; and the amplitudes.
+    """
     best = (np.inf, 1.0, psi)
-    gram = psi.conj() @ psi.T
+    f = heard.omega / (2 * np.pi)
+    half = np.arange(-round(_SMOOTH / (f[1] - f[0])), round(_SMOOTH / (f[1] - f[0])) + 1)
+    window = np.exp(-((half * (f[1] - f[0]) / _SMOOTH * 2) ** 2))
     total = float((np.abs(heard.values) ** 2).sum())
     for scale in 1 + 2.5 * COMMON_ERROR * np.linspace(-1, 1, _SCALES):
-        value, _ = heard.kernel(poles.real + 1j * scale * poles.imag)
-        matrix = gram * (value.conj().T @ value) / 4
-        matrix[np.diag_indices(len(psi))] *= 1 + 1e-3
-        right = (psi.conj() * (value.conj().T @ heard.values)).sum(axis=1) / 2
-        q = np.linalg.solve(matrix, right)
-        left = max(total - float((right.conj() @ q).real), 1e-12 * total)
+        moved = poles.real + 1j * scale * poles.imag
+        calculated = heard.kernel(moved)[0] @ psi / 2
+        across, power = (
+            np.convolve((calculated.conj() * x).sum(axis=1), window)[len(half) // 2 :][: len(f)]
+            for x in (heard.values, calculated)
+        )
+        q = across / power
+        left = float((np.abs(heard.values - q[:, np.newaxis] * calculated) ** 2).sum())
         # As if an eighth of all bins were independent: the misfit is the model's.
-        cost = heard.values.size / 4 * np.log(left) + ((scale - 1) / COMMON_ERROR) ** 2
+        cost = heard.values.size / 4 * np.log(left / total) + ((scale - 1) / COMMON_ERROR) ** 2
         if cost < best[0]:
-            best = (float(cost), float(scale), q[:, np.newaxis] * psi)
+            at = np.interp(scale * poles.imag / (2 * np.pi), f, q)
+            best = (float(cost), float(scale), at[:, np.newaxis] * psi)
     return best[1], best[2]
 
 
