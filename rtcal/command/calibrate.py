@@ -44,8 +44,8 @@ from rtcal.errors import DataError
     "--modes",
     type=click.Path(dir_okay=False),
     help="Table (CSV) of measured modes: frequency, decay or T, and its uncertainty; or responses "
-    "(SOFA), whose modes are found. Below the Schroeder frequency their decays are matched, and T is "
-    "one observation among them.",
+    "(SOFA), whose modes are found. Below the Schroeder frequency their decays are matched in place "
+    "of T.",
 )
 @click.option(
     "--out",

@@ -5,7 +5,7 @@
 
 with d the measured decays and D those of the room's poles (`rtcal.modes.room_modes`), which are
 linearised at the last answer. Below the Schroeder frequency no field is diffuse, and T is not used:
-there it is up to a third longer than an equation's, since modes along walls decay slowly. C is the sum
+there it is some 1.3 times an equation's, since modes along walls decay slowly. C is the sum
 of what was measured, of the model, and of what admittance does between the bands (`rtcal.modes.model`).
 """
 

@@ -170,19 +170,21 @@ def fitted(heard: Spectra, poles: Poles, psi: Complex) -> Point:
 
 
 def _scanned(heard: Spectra, poles: Complex, psi: Complex) -> tuple[float, Complex]:
-    """Return the factor of all frequencies under which the calculated spectra are most like those
-    heard, with a source's spectrum that is smooth and common to all pairs; and the amplitudes.
+    """Return the factor of all frequencies, and amplitudes.
+
+    Under this factor the calculated spectra, with a source's smooth spectrum that is common to all
+    pairs, are most like those heard.
     """
     best = (np.inf, 1.0, psi)
     f = heard.omega / (2 * np.pi)
-    half = np.arange(-round(_SMOOTH / (f[1] - f[0])), round(_SMOOTH / (f[1] - f[0])) + 1)
-    window = np.exp(-((half * (f[1] - f[0]) / _SMOOTH * 2) ** 2))
+    half = round(_SMOOTH / (f[1] - f[0]))
+    window = np.exp(-((2 * np.linspace(-1, 1, 2 * half + 1)) ** 2))
     total = float((np.abs(heard.values) ** 2).sum())
     for scale in 1 + 2.5 * COMMON_ERROR * np.linspace(-1, 1, _SCALES):
         moved = poles.real + 1j * scale * poles.imag
         calculated = heard.kernel(moved)[0] @ psi / 2
         across, power = (
-            np.convolve((calculated.conj() * x).sum(axis=1), window)[len(half) // 2 :][: len(f)]
+            np.convolve((calculated.conj() * x).sum(axis=1), window)[half:][: len(f)]
             for x in (heard.values, calculated)
         )
         q = across / power
@@ -228,11 +230,7 @@ class Point:
         """Amplitudes of the calculated patterns with the source's smooth spectrum."""
         psi, f, own = self.problem.psi, self.frequencies, self.own
         near = np.exp(-(((f[:, np.newaxis] - f) / _SMOOTH) ** 2))
-        q = (
-            near
-            @ (psi.conj() * own).sum(axis=1)
-            / (near @ (np.abs(psi) ** 2).sum(axis=1))
-        )
+        q = near @ (psi.conj() * own).sum(axis=1) / (near @ (np.abs(psi) ** 2).sum(axis=1))
         none = np.zeros_like(self.amplitudes[len(psi) :])
         return np.vstack([q[:, np.newaxis] * psi, none])
 

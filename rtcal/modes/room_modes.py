@@ -89,9 +89,7 @@ class RoomModes:
         of_walls = np.einsum("imm->im", self.coupling)[:, : self.wanted]
         return np.asarray(self.speed_of_sound / 2 * (beta.real * of_walls).sum(axis=0))
 
-    def poles(
-        self, admittances: Admittances, like: NDArray[np.complex128] | None = None
-    ) -> Poles:
+    def poles(self, admittances: Admittances, like: NDArray[np.complex128] | None = None) -> Poles:
         """Return the poles of the modes up to ``largest``.
 
         With ``like``, mixtures (n_modes + 1, n_poles), those whose shapes are like these: where two
