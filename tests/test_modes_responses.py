@@ -81,6 +81,24 @@ def test_uncertainty_covers_repeated_noise():
     assert 0.2 < np.std(decays) / np.mean(stated) < 1.2
 
 
+def test_the_constant_pressure_is_no_mode():
+    """It decays twice as fast as modes, and is heard at all positions alike, up into the band."""
+    poles, signals = heard()
+    t = np.arange(signals.shape[1]) / RATE
+    signals += 0.5 * np.abs(signals).max() * np.exp(-30 * t)
+    found = find_modes(PLACED, signals, RATE, PAIRS, highest=100)
+    z = (found.decays + poles.values[found.calculated].real) / found.decay_uncertainty
+    assert np.abs(z).max() < 3
+
+
+def test_frequencies_that_are_all_off_are_found_as_the_rooms_own():
+    poles, signals = heard()
+    warmer = PLACED.replace(air=rt.Air(32, 50))
+    found = find_modes(warmer, signals, RATE, PAIRS, highest=100)
+    true = poles.frequencies[found.calculated]
+    np.testing.assert_allclose(found.frequencies, true, rtol=0.02)
+
+
 def test_responses_to_coefficients():
     _, signals = heard()
     modes = find_modes(PLACED, signals, RATE, PAIRS, highest=100)

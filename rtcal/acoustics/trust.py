@@ -171,6 +171,13 @@ def bent_marks(bent: Sequence[BentDecay]) -> tuple[TrustMark, ...]:
     return tuple(TrustMark("bent", letter, band.frequency, band.text, advice) for band in bent)
 
 
+def uncarried_mark(frequency: float) -> TrustMark:
+    """Return the mark of a band below the Schroeder frequency that too few modes carry."""
+    text = "below the Schroeder frequency, and carried by fewer than three modes"
+    letter, advice = _ADVICE["below_schroeder"]
+    return TrustMark("below_schroeder", letter, frequency, text, advice)
+
+
 @checked
 def trust_marks(
     room: Room,

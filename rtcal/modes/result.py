@@ -13,7 +13,7 @@ from rtcal.acoustics import bands
 from rtcal.acoustics.materials import CalibrationRecord
 from rtcal.acoustics.room import Room
 from rtcal.acoustics.room_errors import prior_covariance
-from rtcal.acoustics.trust import TrustMark
+from rtcal.acoustics.trust import TrustMark, uncarried_mark
 from rtcal.calibration.certificate import Certificate
 from rtcal.calibration.linear_estimate import gain, learned_materials
 from rtcal.calibration.measured import MeasuredTimes, data_history
@@ -163,11 +163,16 @@ class ModesResult(Result):
     @property
     def trust_marks(self) -> tuple[TrustMark, ...]:
         """Reasons to doubt bands: below the Schroeder frequency only where no modes carry them."""
-        carried = set(self.prior.centre_frequencies[self.carried].tolist())
-        lost = ("below_schroeder", "missing")
-        return tuple(
-            m for m in self.answer.trust_marks if not (m.kind in lost and m.frequency in carried)
-        )
+        centres = self.prior.centre_frequencies
+        # The QP was not told the T of these.
+        untold = self.below & np.isfinite(self.data.reverberation_time)
+        marks = [
+            m
+            for m in self.answer.trust_marks
+            if not (m.kind == "missing" and m.frequency in centres[untold | self.carried])
+        ]
+        marks += [uncarried_mark(float(f)) for f in centres[untold & ~self.carried]]
+        return tuple(marks)
 
     def __repr__(self) -> str:
         return f"<{self._description}>"
@@ -179,7 +184,9 @@ class ModesResult(Result):
             f"{len(self.modes.frequencies)} measured modes used, {self.steps} steps"
         )
 
-    def _mode_rows(self) -> list[tuple[str, list[str]]]:
+    @property
+    def mode_rows(self) -> list[tuple[str, list[str]]]:
+        """Each mode used: frequency in Hz; T, T before and after in s, and what it tells most of."""
         strongest = np.abs(self.pulls).mean(axis=2).argmax(axis=1)
         rows = []
         for k, i in enumerate(self.used):
@@ -213,7 +220,7 @@ class ModesResult(Result):
     def __str__(self) -> str:
         low = self.prior.centre_frequencies[self.below]
         lines = text.table(
-            self._mode_rows(),
+            self.mode_rows,
             header=("mode / Hz", ["T / s", "before", "after", "tells most of"]),
         )
         table = self._material_rows(), ("alpha (90 %)", [bands.label(f) for f in low])
@@ -226,7 +233,7 @@ class ModesResult(Result):
     def _repr_html_(self) -> str:
         """Return the table of the modes."""
         header = ["mode / Hz", "T / s", "before", "after", "tells most of"]
-        cells: list[list[str | html.Cell]] = [[name, *row] for name, row in self._mode_rows()]
+        cells: list[list[str | html.Cell]] = [[name, *row] for name, row in self.mode_rows]
         return html.table(self._description, header, cells, self.every_note)
 
     @property

@@ -20,6 +20,7 @@ from rtcal.loop.positions_prediction import PositionsPrediction, PositionsPredic
 from rtcal.loop.positions_result import PositionsResult
 from rtcal.loop.result import LoopResult
 from rtcal.loop.state import Loop
+from rtcal.modes.result import ModesResult
 from rtcal.prediction.compared import Predictions
 from rtcal.prediction.designed import Design
 from rtcal.prediction.predicted import Prediction
@@ -28,6 +29,7 @@ from rtcal.report import (
     loop_figures,
     loop_words,
     material_figures,
+    modes_page,
     positions_page,
     prediction_page,
     room_section,
@@ -244,6 +246,8 @@ def page_of(
         return loop_page(result, heading=heading, progress=progress)
     if isinstance(result, PositionsResult):
         return positions_page.page(result, heading or Heading(), progress or (lambda: None))
+    if isinstance(result, ModesResult):
+        return modes_page.page(result, heading or Heading(), progress or (lambda: None))
     if isinstance(result, Prediction | Predictions | Design):
         return prediction_page.page(result, heading or Heading(), progress or (lambda: None))
     if isinstance(result, states.StatesFinding):
@@ -256,8 +260,8 @@ def page_of(
         return calibration_page(result, heading=heading, progress=progress)
     raise DataError(
         f'{place}: a result of the kind "{result.record_kind.rstrip(" 0123456789")}" has no page. '
-        "Pages show a calibration, a loop, positions, predictions, designs and what changed; `rtcal "
-        "find --out` writes that of a finding, and `rtcal learn` prints an archive"
+        "Pages show a calibration, a loop, positions, modes, predictions, designs and what changed; "
+        "`rtcal find --out` writes that of a finding, and `rtcal learn` prints an archive"
     )
 
 
