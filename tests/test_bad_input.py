@@ -208,7 +208,11 @@ BAD_FILES = [
     ),
     (ROOM.replace("[0.1, 0.1]\n", "[0.1]\n", 1), TIMES, 'material "wall": alpha has 1 values'),
     (ROOM.replace("[0.1, 0.1]\n", "[0.1, 1.1]\n", 1), TIMES, 'alpha["wall", 1000 Hz] = 1.1 is not'),
-    (ROOM.replace("sigma = 0.05\n", ""), TIMES, 'material "wall" states no sigma'),
+    (
+        ROOM.replace("sigma = 0.05\n", ""),
+        TIMES,
+        "no [prior] to derive it from; if in doubt, write [prior]",
+    ),
     (ROOM.replace("sigma = 0.05", "sigma = -1"), TIMES, 'sigma["wall", 500 Hz] = -1 is not'),
     (ROOM.replace("sigma = 0.05", "sigam = 0.05"), TIMES, '[[material]] 1 has the key "sigam"'),
     (ROOM.replace("humidity = 50", "humidity = 500"), TIMES, "air.humidity = 500 % is not above 0"),

@@ -265,6 +265,11 @@ def test_materials_are_proposed_from_the_catalogue_and_never_guessed(
     assert "brick wall: pyroomacoustics" in shown
     assert run(*command, "--catalogue", "brick wall=none_such", *out) == 2
     assert '"none_such" is no material of the catalogue' in capsys.readouterr().err
+    assert run(*command, "--catalogue", "brick wall=brick", *out) == 2
+    assert "it is like facing_brick: " in capsys.readouterr().err
+    program = ("import", "catalogue", "--volume", 60, "--area", "material=90", *out)
+    assert run(*program) == 2
+    assert '--catalogue "material=carpet" names the entries' in capsys.readouterr().err
 
 
 def test_a_material_that_the_list_lacks_is_named_with_the_list(tmp_path: Path, capsys) -> None:

@@ -290,7 +290,8 @@ def material(
         sigma = _prior_sigma(prior, alpha, frequencies).tolist()
     else:
         raise DataError(
-            f'material "{name}" states no sigma, and the file has no [prior] to derive it from'
+            f'material "{name}" states no sigma, and the file has no [prior] to derive it from; if in '
+            "doubt, write [prior] with relative = 0.3 and minimum = 0.01"
         )
     return Material(
         name=name,

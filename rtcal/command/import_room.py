@@ -352,6 +352,13 @@ def _from_catalogue(
     from rtcal.datasets import catalogue
 
     entries = catalogue.material_list()
+    for name, entry in chosen.items():
+        if entry not in {*entries.names, *entries.aliases}:
+            near = "; ".join(catalogue.nearest(entry)) or "none of its entries"
+            raise DataError(
+                f'--catalogue "{name}={entry}": "{entry}" is no material of the catalogue; it is like '
+                f"{near}"
+            )
     return {name: entries.listed(entry) for name, entry in chosen.items()}
 
 
@@ -362,7 +369,11 @@ def _proposals(name: str) -> str:
         near = catalogue.nearest(name)
     except MissingDependencyError:
         return ""
-    return f" is like {'; '.join(near)}" if near else " (nothing like it)"
+    if near:
+        return f" is like {'; '.join(near)}"
+    return (
+        f' has nothing like it: --catalogue "{name}=carpet" names the entries that are like carpet'
+    )
 
 
 def _notes(
