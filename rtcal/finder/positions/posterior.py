@@ -15,7 +15,6 @@ from rtcal.finder.positions.shift import (
     MEASUREMENT,
     NOISE,
     ODDS,
-    SCATTERING,
     UNKNOWN,
     Shift,
     Spread,
@@ -37,7 +36,7 @@ positions (`python -m benchmarks.where_temper`). Both see the same T, so neither
 LEAST_BY_MEANS = 1e-3
 """Least probability of a family by means: they have other effects, and err by more than they know."""
 _TINY = 1e-9
-"""Prior probability below which nothing else than a noisy pair or other scattering is tried."""
+"""Prior probability below which nothing else than a noisy pair is tried."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -137,37 +136,25 @@ class Weights:
         return np.asarray(logsumexp(np.array(every), axis=0))
 
 
-def scores(posterior: Weights, hypotheses: Hypotheses) -> tuple[Array, Array, Array]:
-    """Return the evidence in nats that something is other than stated, and of two that lack nothing.
+def scores(posterior: Weights, hypotheses: Hypotheses) -> tuple[Array, Array]:
+    """Return the evidence in nats that something is other than stated, and that a pair is noisy.
 
-    All (n_draws,). The second is that a pair is noisy, the third that the room scatters otherwise than
-    is assumed, each against nothing. The first is against all three: nobody states how a room scatters
-    as a tracer takes it, and the simulator's error has it already. Where nothing else is tried, the
-    first is 0.
+    Both (n_draws,). A noisy pair is no evidence of the first, which is against nothing or such a pair;
+    that of the second is against nothing. Where nothing else is tried, the first is 0.
     """
-    noisy, scattered = (
-        [np.full_like(posterior.none, -np.inf)],
-        [np.full_like(posterior.none, -np.inf)],
-    )
+    noisy = [np.full_like(posterior.none, -np.inf)]
     other, odds = [posterior.coefficients, posterior.unknown], 0.0
     for spread, weight in zip(hypotheses.spreads, posterior.spreads, strict=True):
         (noisy if spread.effect == NOISE else other).append(weight)
         odds += spread.odds if spread.effect == NOISE else 0.0
-    for shift, by_size in zip(hypotheses.shifts, posterior.shifts, strict=True):
-        weight = np.asarray(logsumexp(by_size, axis=0))
-        (scattered if shift.effect == SCATTERING else other).append(weight)
-        odds += float(shift.odds.sum()) if shift.effect == SCATTERING else 0.0
-    of_pair, of_field = logsumexp(np.array(noisy), axis=0), logsumexp(np.array(scattered), axis=0)
-    nothing = logsumexp(np.array([posterior.none, of_pair, of_field]), axis=0)
+    other += [np.asarray(logsumexp(by_size, axis=0)) for by_size in posterior.shifts]
+    of_pair = logsumexp(np.array(noisy), axis=0)
+    nothing = np.logaddexp(posterior.none, of_pair)
     prior = np.logaddexp(posterior.none, hypotheses.log_prior(odds))  # of nothing
     score = np.zeros_like(prior)
     if (prior < -_TINY).all():
         score = logsumexp(np.array(other), axis=0) - nothing - np.log1p(-np.exp(prior)) + prior
-    return (
-        np.asarray(score),
-        np.asarray(of_pair - posterior.none),
-        np.asarray(of_field - posterior.none),
-    )
+    return np.asarray(score), np.asarray(of_pair - posterior.none)
 
 
 def weights(evidence: Evidence, hypotheses: Hypotheses, temper: float = TEMPER) -> Weights:

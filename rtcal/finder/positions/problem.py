@@ -24,16 +24,13 @@ from rtcal.finder.positions.evidence import (
     reordered,
 )
 from rtcal.finder.positions.responses import AIR, STEP, TRACINGS, Responses
-from rtcal.finder.positions.shift import SCATTERING as SCATTERED
 from rtcal.finder.positions.shift import interpolation
 from rtcal.finder.positions.simulator_error import SimulatorError, simulator_error
-from rtcal.loop.control_runs import ControlRuns, level
+from rtcal.loop.control_runs import ControlRuns
 from rtcal.loop.measured_pairs import MeasuredPairs, pairs_to_match
 from rtcal.simulators.observations import Observations
 from rtcal.support.types import Array
 
-SCATTERING = np.array([0.05, 0.95])
-"""Scattering coefficients, of all surfaces, at the nodes -1 and 1."""
 UNKNOWN_SCALES = (4.0, 16.0)
 """Factors of the variance of the simulator's error if it misses something that no effect explains."""
 
@@ -168,18 +165,9 @@ def problem_of(case: Case, made: Responses, controls: ControlRuns) -> Problem:
         at_pairs(made.scattering),
         made.scattering_noise[:, rows][:, :, columns],
         TRACINGS,
+        room.centre_frequencies,
     )
-    ends = SCATTERING - level(tracer.scattering, room.areas)
-    scattered = _linear(
-        wanted.parameters,
-        stated[..., np.newaxis] + error.scattering(ends),
-        stated[..., np.newaxis],
-    )
-    nodes |= {
-        "air": shifted(made.air),
-        "volume": shifted(made.volume),
-        SCATTERED: band_first(scattered),
-    }
+    nodes |= {"air": shifted(made.air), "volume": shifted(made.volume)}
     step = STEP * (1 - room.alpha.T)  # (n_bands, n_materials)
     slopes = shifted(made.materials) / step[:, np.newaxis]
     alpha, together = _prior(case, slopes, nodes["air"])

@@ -1,9 +1,8 @@
-"""What may be other than stated of the whole room: air, volume, scattering, and one material."""
+"""What may be other than stated of the whole room: air, volume, and one material."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 
@@ -16,7 +15,6 @@ from rtcal.finder.positions.case import Case
 from rtcal.finder.positions.responses import AIR, SHARES, VOLUME
 from rtcal.finder.positions.shift import (
     ODDS,
-    SCATTERING,
     Shift,
     error_over_bands,
     interpolation,
@@ -148,22 +146,3 @@ def volume(case: Case) -> Shift:
         parameters=grid,
         error=np.full((n_bands, n_bands), 0.02**2) + 0.02**2 * np.eye(n_bands),
     )
-
-
-def scattering(case: Case) -> Shift:
-    """Return too little and too much scattering, as far as tracings at both ends show it."""
-    n_bands = case.room.n_bands
-    ends = np.array([-2.0, -1.0, 1.0, 2.0])
-    octaves = np.abs(np.subtract.outer(*(2 * [np.log2(case.room.centre_frequencies)])))
-    shift = _whole(
-        SCATTERING,
-        "field",
-        np.repeat(np.clip(ends, -1, 1)[:, np.newaxis], n_bands, axis=1),
-        (-1.0, 1.0),
-        odds=np.ones(4),
-        sizes=ends,
-        unit="of the way to 0.05 or 0.95",
-        parameters=[{"scattering": float(e)} for e in ends],
-        error=0.3**2 * 0.7**octaves,
-    )
-    return replace(shift, weights=shift.weights * np.abs(ends)[:, np.newaxis, np.newaxis])

@@ -42,7 +42,7 @@ from rtcal.finder.positions.posterior import (
 )
 from rtcal.finder.positions.problem import Problem, problem_of
 from rtcal.finder.positions.responses import Responses, parameters, responses
-from rtcal.finder.positions.shift import NOISE, POSITION, SCATTERING, UNKNOWN, Shift
+from rtcal.finder.positions.shift import NOISE, POSITION, UNKNOWN, Shift
 from rtcal.finder.positions.summary import Summary, summary_of
 from rtcal.finder.positions.surface_hypotheses import (
     COUPLED,
@@ -67,7 +67,6 @@ def tried(effects: Sequence[Effect]) -> tuple[str, ...]:
     return (
         *(e.name for e in on_surfaces(effects)),
         *(name for name in (COUPLED.name, *WHOLE) if name in names),
-        SCATTERING,
         POSITION,
         NOISE,
         COEFFICIENTS,
@@ -175,7 +174,7 @@ def find_by_positions(
         return numbers, hypotheses, evaluate(numbers.likelihoods(), hypotheses, residuals)
 
     numbers, hypotheses, evidence = searched(case)
-    score, noise, scattered = scores(weights(evidence, hypotheses), hypotheses)
+    score, noise = scores(weights(evidence, hypotheses), hypotheses)
     aimed = 0.0
     if score[0] > threshold and numbers.aimed is not None:
         residuals = numbers.residual[:, np.newaxis]
@@ -187,7 +186,7 @@ def find_by_positions(
             numbers, hypotheses, evidence = searched(case)
         else:  # nothing is left that says as much whatever the source
             evidence = lobes
-        score, noise, scattered = scores(weights(evidence, hypotheses), hypotheses)
+        score, noise = scores(weights(evidence, hypotheses), hypotheses)
         means = None if means is None else evidence_of_means(case, effects, seed, cache)
     detected = Detection(
         score=float(score[0]),
@@ -200,24 +199,9 @@ def find_by_positions(
         posterior = with_families(posterior, hypotheses, means.families)
     likelihood = numbers.likelihoods()[0]
     finding = _finding(case, numbers, hypotheses, posterior, likelihood, detected, effects)
-    notes = (
-        *finding.notes,
-        unstated_sources.in_words(aimed),
-        _of_scattering(float(scattered[0])),
-        untried(effects),
-    )
+    notes = (*finding.notes, unstated_sources.in_words(aimed), untried(effects))
     notes = (*notes, *([CHOSEN] if left_out else []))
     return replace(finding, left_out=tuple(left_out), notes=tuple(filter(None, notes)))
-
-
-def _of_scattering(nats: float) -> str:
-    """Return a note that the room scatters otherwise than is assumed; "" where it is no likelier."""
-    if nats < THRESHOLD:
-        return ""
-    return (
-        f"That the room scatters otherwise than is assumed: {nats:+.1f} nats. It lacks nothing for "
-        "that. Other scattering coefficients may explain more."
-    )
 
 
 def every_hypothesis(

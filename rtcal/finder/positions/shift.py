@@ -18,12 +18,11 @@ from rtcal.finder.means.hypotheses import spectrum_errors
 from rtcal.finder.prior import COEFFICIENTS
 from rtcal.support.types import Array
 
-POSITION, NOISE, SCATTERING, UNKNOWN = "position", "noise", "scattering", "unknown"
+POSITION, NOISE, UNKNOWN = "position", "noise", "unknown"
 MEASUREMENT = "measurement"
 ODDS = {
     POSITION: 0.5,
     NOISE: 0.5,
-    SCATTERING: 0.3,
     UNKNOWN: 0.5,
     "air": 1.0,
     "volume": 1.0,

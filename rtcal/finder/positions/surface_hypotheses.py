@@ -18,7 +18,6 @@ from rtcal.finder.positions.responses import MOVE, OPEN, SHARES
 from rtcal.finder.positions.room_hypotheses import (
     air,
     materials,
-    scattering,
     stated_room,
     volume,
 )
@@ -26,7 +25,6 @@ from rtcal.finder.positions.shift import (
     NOISE,
     ODDS,
     POSITION,
-    SCATTERING,
     Shift,
     Spread,
     error_over_bands,
@@ -79,7 +77,7 @@ def shifts(case: Case, effects: Sequence[Effect], without: Sequence[str] = ()) -
         out += _apertures(case)
     out += materials(case) if COEFFICIENTS not in without else []
     whole = [make(case) for name, make in WHOLE.items() if name in [e.name for e in tried]]
-    return [*out, *whole, *([] if SCATTERING in without else [scattering(case)])]
+    return [*out, *whole]
 
 
 def _on_surfaces(case: Case, effect: Effect) -> list[Shift]:
