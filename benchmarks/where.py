@@ -62,12 +62,12 @@ PATHS = 8000
 STATEMENTS = IN_SITU, HANDBOOK
 MATCH = ("t20", "edt", "c80", "ts", "level")
 PRESENT = "sixth"
-"""Rooms that the present finder judged."""
+"""The largest set of rooms that one finder judged: of an earlier version."""
 
 
 def population_of(which: str) -> int:
     """Return the population that rooms ``which`` of `ROOMS` belong to."""
-    return 3 if which == PRESENT else 1
+    return {"sixth": 3, "seventh": 4}.get(which, 1)
 
 
 def stored_in(which: str) -> Path:

@@ -130,7 +130,7 @@ def test_coefficients_in_situ_err_by_their_sigma() -> None:
     assert np.concatenate(every).std() == pytest.approx(1.0, abs=0.1)
 
 
-@pytest.mark.parametrize("population", [0, 1, 3])
+@pytest.mark.parametrize("population", [0, 1, 3, 4])
 def test_the_stored_rooms_are_the_first_ones_and_what_they_are_said_to_be(population: int) -> None:
     read, truth = generate.read(population, "rooms"), generate.read(population, "truth")
     assert list(read) == list(truth) == list(range(len(read)))

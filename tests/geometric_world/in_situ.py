@@ -19,6 +19,7 @@ FROZEN = {
     1: "287b2e6b1a26827a54d406c1aae5611daf07e28bcdd2183bd364dd1db7ce4c79",
     2: "07528e68a9398c18e4d3fe6be550da3421f844c2f1c10ad039b07e0ed98872ab",
     3: "93cb3e889586549e9ce1ccafbcf6528c02896a9b74c6dfbdc31775c5ccaf863e",
+    4: "3ee5445db8e5dcd24889961c3c71000fc8d17f5fdfff96cdde32527c330cbf5c",
 }
 """`digest` of what is stated in the first twelve rooms of each population."""
 
