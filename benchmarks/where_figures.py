@@ -21,8 +21,8 @@ MODELS = ("before", "plain", "corrected")
 LARGE = 0.10
 """The gap is judged where the effect changes T by more, on average over the bands."""
 ROOMS = {
-    "seventh": "0 to 14 of population 4: judged once at the defaults, without a shift of other scattering",
-    "sixth": "of population 3: judged once, by the present rule",
+    "seventh": "0 to 14 of population 4: judged once, at the defaults, by a later rule",
+    "sixth": "of population 3: judged once, by the rule before it",
     "fifth": "127 to 144 and from 154, where means detect something: the rule that they decide",
     "fresh": "128 to 144 and from 154: means alone, for the same rule",
     "fourth": "104 to 153: judged once, by the sum of the means and a quarter of the positions",

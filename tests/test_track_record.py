@@ -12,6 +12,7 @@ from rtcal.finder import track_record
 from rtcal.finder.track_record import (
     HANDBOOK,
     IN_SITU,
+    LATER,
     POSITIONS,
     WITH_LEVEL,
     WITHOUT_LEVEL,
@@ -105,6 +106,23 @@ def test_what_a_finding_with_a_geometry_says_is_the_study_s(data: str, column: i
         cell = row.split("|")[column].split()
         judged = int(cell[-1])
         assert (round(float(cell[0]) * judged), judged) == stated
+
+
+@pytest.mark.parametrize(("data", "which"), [(WITHOUT_LEVEL, "without"), (WITH_LEVEL, "level")])
+def test_what_it_says_of_a_later_version_is_what_was_judged(data: str, which: str) -> None:
+    pytest.importorskip("numba", reason="the geometric world is compiled (extra fast)")
+    from benchmarks import where, where_figures
+
+    judged = where_figures.Rows(where.kept(where.IN_SITU, "seventh")[0], 4, which)
+    detected = where_figures.flags(judged, where_figures.HIDDEN)
+    flagged = where_figures.flags(judged, (where.rooms.NOTHING,))
+    first = [
+        row["true_surface"] == next(iter(row["surfaces"]))
+        for _, row in judged.only(where_figures.ABSORBERS, True)
+    ]
+    assert LATER[data].detected == (sum(detected), len(detected))
+    assert LATER[data].flagged == (sum(flagged), len(flagged))
+    assert LATER[data].right == {"surface": (sum(first), len(first))}
 
 
 def test_what_it_says_of_a_handbook_s_coefficients_is_the_study_s() -> None:

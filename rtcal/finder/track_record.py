@@ -22,8 +22,8 @@ TIMES, ALL = "T20, EDT and T30 of one configuration", "several configurations, C
 IN_SITU, HANDBOOK = "measured in situ", "from a handbook"
 """How a room's coefficients are stated, where positions are compared."""
 WITHOUT_LEVEL, WITH_LEVEL = "without level", "with level"
-PATHS = 6000
-"""Paths from each source in all rooms in which positions were compared."""
+PATHS, LATER_PATHS = 6000, 8000
+"""Paths from each source in the rooms of `POSITIONS` and of `LATER`."""
 _ROOMS = "In simulated rooms that were not used to make the finder,"
 Share = tuple[int, int]
 """A number of rooms, cases or claims, and of how many it is."""
@@ -74,6 +74,11 @@ POSITIONS = {
     (HANDBOOK, WITH_LEVEL): TrackRecord((3, 12), (1, 8), {"surface": (2, 3)}),
 }
 """Of a search at every position, by the coefficients' source and by data."""
+LATER = {
+    WITHOUT_LEVEL: TrackRecord((5, 9), (0, 6), {"surface": (3, 5)}),
+    WITH_LEVEL: TrackRecord((5, 9), (0, 6), {"surface": (4, 5)}),
+}
+"""Of a later version of that search in fewer rooms measured in situ, by data."""
 
 
 def data_of(case: Case) -> str:
@@ -127,13 +132,21 @@ def statement(room: Room) -> str:
 
 def of_positions(room: Room, match: Sequence[str]) -> str:
     """Return how often hidden effects were detected and empty rooms flagged, with such data."""
-    stated = statement(room)
-    record = POSITIONS[stated, WITH_LEVEL if LEVEL.key in match else WITHOUT_LEVEL]
+    stated, data = statement(room), WITH_LEVEL if LEVEL.key in match else WITHOUT_LEVEL
+    record = POSITIONS[stated, data]
     right = record.right["surface"]
-    return (
+    said = (
         f"In simulated rooms with coefficients {stated} that were not used to make this finder, an "
         f"earlier version of it detected {record.detected[0]} of {record.detected[1]} hidden "
         f"effects, flagged {record.flagged[0]} of {record.flagged[1]} rooms that lacked nothing, and "
         f"put {right[0]} of {right[1]} absorbers that it detected on the correct surface. It traced "
         f"{PATHS} paths from each source."
+    )
+    if stated == HANDBOOK:
+        return said
+    later = LATER[data]
+    return (
+        f"{said} A later one, with {LATER_PATHS}, detected {later.detected[0]} of {later.detected[1]}, "
+        f"flagged {later.flagged[0]} of {later.flagged[1]}, and put {later.right['surface'][0]} of "
+        f"{later.right['surface'][1]} there."
     )
