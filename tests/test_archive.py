@@ -25,9 +25,9 @@ def small() -> tuple[list[RoomData], np.ndarray, np.ndarray, np.ndarray]:
     sigma = 0.3 * mu
     rooms = []
     for r in range(4):
-        areas = rng.uniform(10, 60, 3) * (np.arange(3) != r)
+        areas = rng.uniform(10, 60, (1 + (r == 1), 3)) * (np.arange(3) != r)  # one has two states
         target = areas @ mu * rng.uniform(0.8, 1.2, 2)
-        rooms.append(RoomData(areas, target, np.diag((0.02 * target) ** 2)))
+        rooms.append(RoomData(areas, target, np.diag((0.02 * target.ravel()) ** 2)))
     return rooms, mu, sigma, np.log2([500.0, 1000.0])
 
 
@@ -37,33 +37,36 @@ def test_the_posterior_is_that_of_all_unknowns_by_dense_algebra() -> None:
     n, k = mu.shape
     evidence = Evidence(rooms, mu, sigma, octaves)
     rho = np.array([[1, 0.6], [0.6, 1]])
-    columns = []  # of b (rooms x bands) per unknown
+    columns = []  # of b (rooms x states x bands) per unknown
     entry = []  # of the entries per unknown
     root = np.linalg.cholesky(rho)
+
+    def of(room: int, values: np.ndarray) -> np.ndarray:
+        return np.concatenate([(values if r == room else 0 * d.target).ravel() for r, d in each])
+
+    each = list(enumerate(rooms))
     for i in range(n):
         for c in range(k):
             shift = SPREAD.table * sigma[i] * root[:, c]
-            columns.append(np.concatenate([d.areas[i] * shift for d in rooms]))
+            columns.append(sum(of(r, np.outer(d.areas[:, i], shift)) for r, d in each))
             entry.append(np.kron(np.eye(n)[i], shift))
-    columns.append(np.concatenate([SPREAD.together * d.areas @ mu for d in rooms]))
+    columns.append(sum(of(r, SPREAD.together * d.areas @ mu) for r, d in each))
     entry.append(SPREAD.together * mu.ravel())
-    for r, d in enumerate(rooms):
-        own = np.eye(len(rooms))[r]
+    for r, d in each:
         for i in range(n):
             for c in range(k):
-                e = SPREAD.between * sigma[i] * root[:, c] * d.areas[i]
-                columns.append(np.kron(own, e))
+                shift = SPREAD.between * sigma[i] * root[:, c]
+                columns.append(of(r, np.outer(d.areas[:, i], shift)))
                 entry.append(np.zeros(n * k))
-        columns.append(np.kron(own, SPREAD.room * d.areas @ mu))
+        columns.append(of(r, SPREAD.room * d.areas @ mu))
         entry.append(np.zeros(n * k))
-        for c in range(k):
-            noise = np.hypot(SPREAD.equation * d.target[c], 0.02 * d.target[c])
-            columns.append(np.kron(own, noise * np.eye(k)[c]))
+        for one in np.eye(d.target.size).reshape(-1, *d.target.shape):
+            columns.append(of(r, np.hypot(SPREAD.equation, 0.02) * d.target * one))
             entry.append(np.zeros(n * k))
     matrix, entries = np.array(columns).T, np.array(entry).T
     whole = matrix @ matrix.T
     np.testing.assert_allclose(evidence.covariance(SPREAD), whole, rtol=1e-10)
-    miss = np.concatenate([d.target - d.areas @ mu for d in rooms])
+    miss = np.concatenate([(d.target - d.areas @ mu).ravel() for d in rooms])
     gain = entries @ matrix.T @ np.linalg.inv(whole)
     mean, covariance = evidence.posterior(SPREAD, np.ones(len(miss), dtype=bool))
     np.testing.assert_allclose(mean.ravel(), mu.ravel() + gain @ miss, rtol=1e-9)
@@ -166,6 +169,38 @@ def test_rooms_that_differ_too_far_give_no_room(
     archive = rt.learn(far)
     with pytest.raises(DataError, match="the archive's rooms differ from each other"):
         archive.apply(rooms[0].prior.replace(name="new"))
+
+
+def test_states_of_a_room_share_what_is_its_own() -> None:
+    """A room in two states teaches more than in one, and less than two rooms."""
+    rooms, mu, sigma, octaves = small()
+    noise = np.diag(np.diag(rooms[1].covariance)[:2])
+    apart = [RoomData(rooms[1].areas[[s]], rooms[1].target[[s]], noise) for s in (0, 1)]
+    left = []
+    for more in ([apart[0]], [rooms[1]], apart):
+        evidence = Evidence([rooms[0], *more], mu, sigma, octaves)
+        every = np.ones(len(evidence.room), dtype=bool)
+        left.append(np.trace(evidence.posterior(SPREAD, every)[1]))
+    assert left[0] > 1.01 * left[1] > 1.01 * 1.01 * left[2]
+
+
+def test_configurations_are_learned_as_one_room(
+    rooms: list[rt.calibration.CalibrationResult], tmp_path: Path
+) -> None:
+    full = rooms[0].prior
+    bare = full.replace(name="bare", areas=full.areas * [1, 1, 1, 1, 0.3])
+    pair = rt.Configurations([full, bare])
+    times = [rt.Eyring().reverberation_time(r.replace(alpha=0.8 * r.alpha)) for r in pair.rooms]
+    joint = rt.calibrate(pair, times, "soft")
+    archive = rt.learn([joint, *rooms[1:]])
+    assert [lesson.room for lesson in archive.lessons] == ["A", "B", "C"]
+    assert archive.lessons[0].degrees_of_freedom == 2 * full.n_bands
+    assert (len(archive.measured), archive.seen.tolist()) == (4, [3] * 5)
+    with pytest.raises(DataError, match="archive that has learned from these data"):
+        rt.calibrate(archive.apply(bare), times[1])
+    for i, result in enumerate((joint, *rooms[1:])):
+        result.save(tmp_path / str(i))
+    assert rt.learn(rt.archive.read_folder(tmp_path)).lessons == archive.lessons
 
 
 def test_the_library_is_the_next_calibrations_input(

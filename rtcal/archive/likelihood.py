@@ -1,14 +1,14 @@
 """The Gaussian model of an archive: what all rooms have in common, and what each has of its own.
 
-In room r, material i has in band k the coefficient
+In room r, material i has in band k the coefficient, in all states of the room,
 
     alpha_rik = mu_ik + d_ik + h mu_ik + e_rik + g_r mu_ik,
 
 with the table's entry mu and its sigma. d is how far the entry is off in all rooms, h how far all
 tables are off together, e how far the material in this room differs from others of its name, and g_r a
-factor of this room. The absorption area b_rk that its T asks for is sum S_ri alpha_rik, with an error
-of the equation relative to b, and the errors of T, volume and areas. All are normal, so the means
-follow in one linear step, and the marginal likelihood in closed form.
+factor of this room. The absorption area b_rsk that the T of its state s asks for is sum S_rsi alpha_rik,
+with an error of the equation relative to b, and the errors of T, volume and areas. All are normal, so
+the means follow in one linear step, and the marginal likelihood in closed form.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ class Spread:
     room, together : float
         Relative: the factor of a room, and of all tables together.
     equation : float
-        Relative error of b, of each room and band on its own.
+        Relative error of b, of each state and band on its own.
     correlation : float
         Of one material's errors an octave apart.
     """
@@ -84,16 +84,16 @@ def _point(spread: Spread) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class RoomData:
-    """The evidence of a room: its absorption area by band, and how sure it is.
+    """The evidence of a room: its absorption area by state and band, and how sure it is.
 
     Attributes
     ----------
-    areas : array (n_materials,)
+    areas : array (n_states, n_materials)
         m² of each of the archive's materials.
-    target : array (n_bands,)
+    target : array (n_states, n_bands)
         b in m², NaN where there is no T.
-    covariance : array (n_bands, n_bands)
-        Of b through T, volume, areas and climate, in m⁴.
+    covariance : array (n_states n_bands, n_states n_bands)
+        Of b through T, volume, areas and climate, in m⁴, the bands last.
     weight : float
         Above 0; 1 counts in full. With a weight w, what the room has of its own has 1 / w times its
         usual variance.
@@ -106,22 +106,21 @@ class RoomData:
 
 
 class Evidence:
-    """The rows b_rk of all rooms, and the model's covariance of them."""
+    """The rows b_rsk of all rooms, and the model's covariance of them."""
 
     def __init__(self, rooms: Sequence[RoomData], mu: Array, sigma: Array, octaves: Array) -> None:
         self.mu, self.sigma, self.rooms = mu, sigma, rooms
-        n_bands = len(octaves)
-        place = [(r, k) for r, d in enumerate(rooms) for k in range(n_bands) if d.target[k] > 0]
-        self.room, self.band = np.array(place, dtype=int).reshape(-1, 2).T
+        place = [(r, *at) for r, d in enumerate(rooms) for at in np.argwhere(d.target > 0).tolist()]
+        self.room, state, self.band = np.array(place, dtype=int).reshape(-1, 3).T
         self.distance = np.abs(octaves[:, np.newaxis] - octaves)
-        self.areas = np.array([rooms[r].areas for r in self.room])
-        self.target = np.array([rooms[r].target[k] for r, k in place])
+        self.areas = np.array([rooms[r].areas[s] for r, s, _ in place])
+        self.target = np.array([rooms[r].target[s, k] for r, s, k in place])
         self.weight = np.array([rooms[r].weight for r in self.room])
         self.same_room = self.room[:, np.newaxis] == self.room
         self.noise = np.zeros_like(self.same_room, dtype=float)
         for r, data in enumerate(rooms):
             rows = np.flatnonzero(self.room == r)
-            used = self.band[rows]
+            used = state[rows] * len(octaves) + self.band[rows]
             self.noise[np.ix_(rows, rows)] = data.covariance[np.ix_(used, used)]
         self.expected = self.total(mu)
         self.miss = self.target - self.expected
@@ -206,16 +205,15 @@ class Evidence:
         same = np.kron(np.eye(n), np.ones((k, k)))
         prior = spread.table**2 * same * np.tile(correlation, (n, n)) * np.outer(sigma, sigma)
         prior = prior + spread.together**2 * np.outer(mu, mu)
-        matrix = self.matrix(rows)
+        matrix = self.matrix(self.areas[rows], self.band[rows])
         whole = self.covariance(spread)[np.ix_(rows, rows)]
         cross = prior @ matrix.T
         factor = cho_factor(whole, lower=True)
         mean = mu + cross @ cho_solve(factor, self.miss[rows])
         return mean.reshape(n, k), prior - cross @ cho_solve(factor, cross.T)
 
-    def matrix(self, rows: NDArray[np.bool_]) -> Array:
-        """Return the areas of ``rows`` over the entries, (n_rows, n_materials n_bands), in m²."""
-        n, k = self.mu.shape
-        out = np.zeros((np.count_nonzero(rows), n, k))
-        out[np.arange(len(out)), :, self.band[rows]] = self.areas[rows]
-        return out.reshape(len(out), n * k)
+    def matrix(self, areas: Array, band: NDArray[np.int_]) -> Array:
+        """Return areas over the entries, (n_rows, n_materials n_bands), from those of rows, in m²."""
+        out = np.zeros((len(areas), *self.mu.shape))
+        out[np.arange(len(out)), :, band] = areas
+        return out.reshape(len(out), -1)

@@ -4,18 +4,21 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
-from rtcal.acoustics.room_errors import target_changes
+from rtcal.acoustics.room import Room
 from rtcal.archive import suspects
 from rtcal.archive.library import Archive, Lesson, Suspect
 from rtcal.archive.likelihood import Evidence, RoomData
+from rtcal.calibration.configurations import Configurations
 from rtcal.calibration.measured import data_history
-from rtcal.calibration.result import CalibrationResult
+from rtcal.calibration.result import CalibrationResult, JointResult
 from rtcal.errors import DataError
 from rtcal.support import checks, results
 from rtcal.support.arguments import checked
@@ -25,24 +28,57 @@ _MOST = 500
 """Largest number of rooms: their T together are one matrix."""
 
 
+@dataclass(frozen=True, eq=False)
+class _Calibrated:
+    """A calibrated room: the results of its states."""
+
+    results: Sequence[CalibrationResult]
+
+    @cached_property
+    def states(self) -> Configurations:
+        """The states before the calibration."""
+        return Configurations([result.prior for result in self.results])
+
+    @property
+    def room(self) -> Room:
+        """The room before the calibration, with the materials of all states."""
+        return self.states.union
+
+    def asked(self) -> tuple[Array, Array]:
+        """b in m², (n_states, n_bands), and its covariance, by no method.
+
+        T, volume, areas and climate count. A T without a stated uncertainty counts as exact: its error is
+        then part of the equation's, which the rooms tell.
+        """
+        equation = self.results[0].equation
+        t = np.array([result.measured for result in self.results])
+        each = list(zip(self.states.rooms, t, self.results, strict=True))
+        u = [r.measured_uncertainty * equation.target_sensitivity(room, t) for room, t, r in each]
+        changes = self.states.target_changes(equation, t)
+        noise = np.diag(np.nan_to_num(np.ravel(u)) ** 2)
+        b = np.array([equation.target(room, t) for room, t, _ in each])
+        return b, noise + changes.T @ changes
+
+
 @checked
 def learn(
-    rooms: Sequence[CalibrationResult],
+    rooms: Sequence[CalibrationResult | JointResult],
     names: Mapping[str, str] | None = None,
     weights: Mapping[str, float] | None = None,
 ) -> Archive:
     """Learn from calibrated rooms what the materials that they share absorb.
 
     alpha of material i in room r is the material's mean, an error of the room's own and a factor of the
-    room; see `rtcal.archive.likelihood`. How far a material differs between rooms, how far the tables
+    room, the same in all states of the room; see `rtcal.archive.likelihood`. How far a material differs between rooms, how far the tables
     are off, alone and together, follow by marginal likelihood; the means by one linear step, cut to 0
     to 1 after it. Only the rooms' stated priors and measured T count, not how they were calibrated.
     Nothing leaves the machine.
 
     Parameters
     ----------
-    rooms : sequence of CalibrationResult
-        Two or more, each with a name of its own. Their common bands are used.
+    rooms : sequence of CalibrationResult or JointResult
+        Two or more, each with a name of its own: that of the first configuration of a `JointResult`,
+        whose configurations are states of one room. Their common bands are used.
     names : mapping of str to str, optional
         From a room's name of a material to the archive's, where the two differ.
     weights : mapping of room name to float, optional
@@ -71,20 +107,20 @@ def learn(
     """
     used, of_room = _weighed(rooms, weights)
     mapped = checks.mapped("names", {} if names is None else names)
-    known = {m for result in used for m in result.prior.materials}
+    known = {m for each in used for m in each.room.materials}
     if unknown := [name for name in mapped if name not in known]:
         raise DataError(f'names: "{unknown[0]}" is a material of no room')
-    called = [_called(result, mapped) for result in used]
+    called = [_called(each.room, mapped) for each in used]
     materials = tuple(dict.fromkeys(m for row in called for m in row))
-    shared = [f for f in used[0].prior.centre_frequencies if all(_has(r, f) for r in used)]
+    shared = [f for f in used[0].room.centre_frequencies if all(_has(each.room, f) for each in used)]
     if not shared:
         raise DataError("the rooms have no band in common")
     frequencies = np.array(shared)
-    entries = [_entries(result, frequencies) for result in used]
+    entries = [_entries(each.room, frequencies) for each in used]
     mu, sigma, seen = _tables(used, called, materials, entries)
     data = [
-        _data(result, row, materials, columns, weight)
-        for result, row, columns, weight in zip(used, called, entries, of_room, strict=True)
+        _data(each, row, materials, columns, weight)
+        for each, row, columns, weight in zip(used, called, entries, of_room, strict=True)
     ]
     if not any(np.isfinite(d.target).any() for d in data):
         raise DataError("no room has a measured T in the common bands")
@@ -98,17 +134,15 @@ def learn(
     of_mean = np.mean([_sigma(c, mu.shape) ** 2 + (m - mean) ** 2 for _, m, c in mixed], axis=0)
     of_rooms = np.mean([(each.between * sigma) ** 2 for each, _, _ in mixed], axis=0)
     lessons, doubts = [], []
-    for r, result in enumerate(used):
+    for r, room in enumerate(each.room for each in used):
         if not (evidence.room == r).any():
             continue
-        lesson, doubt = _lesson(
-            result.prior.name, evidence, suspects.judged(evidence, spread, r), left
-        )
+        lesson, doubt = _lesson(room.name, evidence, suspects.judged(evidence, spread, r), left)
         lessons.append(lesson)
         doubts += [
             Suspect(
-                room=result.prior.name,
-                material=result.prior.materials[called[r].index(materials[i])],
+                room=room.name,
+                material=room.materials[called[r].index(materials[i])],
                 instead=materials[j] if j < len(materials) else "",
                 probability=p,
             )
@@ -127,7 +161,11 @@ def learn(
         room_sigma=float(np.sqrt(np.mean([each.room**2 for each, _, _ in mixed]))),
         lessons=tuple(lessons),
         suspects=tuple(sorted(doubts, key=lambda s: -s.probability)),
-        measured=tuple(data_history(result.prior, result.measured_data) for result in used),
+        measured=tuple(
+            data_history(result.prior, result.measured_data)
+            for each in used
+            for result in each.results
+        ),
     )
 
 
@@ -136,14 +174,15 @@ def _sigma(covariance: Array, shape: tuple[int, ...]) -> Array:
 
 
 def _weighed(
-    rooms: Sequence[CalibrationResult], weights: Mapping[str, float] | None
-) -> tuple[list[CalibrationResult], list[float]]:
+    rooms: Sequence[CalibrationResult | JointResult], weights: Mapping[str, float] | None
+) -> tuple[list[_Calibrated], list[float]]:
     """The rooms that count, and how far."""
     listed = checks.listed("rooms", rooms)
     for i, room in enumerate(listed):
-        if not isinstance(room, CalibrationResult):
+        if not isinstance(room, CalibrationResult | JointResult):
             raise DataError(f"rooms[{i}] = {checks.shown(room)} is no result of rtcal.calibrate")
-    names = [room.prior.name for room in listed]
+    calibrated = [_Calibrated(r.results if isinstance(r, JointResult) else (r,)) for r in listed]
+    names = [each.room.name for each in calibrated]
     if repeated := [n for i, n in enumerate(names) if n in names[:i]]:
         raise DataError(f'room "{repeated[0]}" occurs twice; its T would count twice')
     stated = checks.mapped("weights", {} if weights is None else weights)
@@ -152,35 +191,35 @@ def _weighed(
             raise DataError(f'weights: "{name}" is no room; there are {", ".join(names[:20])}')
         if not 0 <= checks.number(f'weights["{name}"]', value) <= 1:
             raise DataError(f'weights["{name}"] = {value:g} is not from 0 to 1')
-    kept = [(r, float(stated.get(r.prior.name, 1.0))) for r in listed]
+    kept = [(r, float(stated.get(name, 1.0))) for r, name in zip(calibrated, names, strict=True)]
     kept = [(r, w) for r, w in kept if w > 0]
     if not 2 <= len(kept) <= _MOST:
         raise DataError(f"{len(kept)} rooms; an archive has from 2 to {_MOST}")
     return [r for r, _ in kept], [w for _, w in kept]
 
 
-def _called(result: CalibrationResult, names: Mapping[str, str]) -> list[str]:
+def _called(room: Room, names: Mapping[str, str]) -> list[str]:
     """The archive's names of a room's materials."""
-    called = [str(names.get(m, m)) for m in result.prior.materials]
+    called = [str(names.get(m, m)) for m in room.materials]
     if repeated := [m for i, m in enumerate(called) if m in called[:i]]:
         raise DataError(
-            f'room "{result.prior.name}": two of its materials are "{repeated[0]}"; merge them there'
+            f'room "{room.name}": two of its materials are "{repeated[0]}"; merge them there'
         )
     return called
 
 
-def _has(result: CalibrationResult, frequency: float) -> bool:
-    return bool(np.isclose(result.prior.centre_frequencies, frequency, rtol=1e-6).any())
+def _has(room: Room, frequency: float) -> bool:
+    return bool(np.isclose(room.centre_frequencies, frequency, rtol=1e-6).any())
 
 
-def _entries(result: CalibrationResult, frequencies: Array) -> list[int]:
+def _entries(room: Room, frequencies: Array) -> list[int]:
     """The room's columns of the common bands."""
-    own = result.prior.centre_frequencies
+    own = room.centre_frequencies
     return [int(np.argmin(np.abs(own - f))) for f in frequencies]
 
 
 def _tables(
-    rooms: Sequence[CalibrationResult],
+    rooms: Sequence[_Calibrated],
     called: Sequence[Sequence[str]],
     materials: Sequence[str],
     entries: Sequence[Sequence[int]],
@@ -189,8 +228,8 @@ def _tables(
     mu, sigma, seen = [], [], []
     for name in materials:
         rows = [
-            (room.prior.alpha[row.index(name), columns], room.prior.sigma[row.index(name), columns])
-            for room, row, columns in zip(rooms, called, entries, strict=True)
+            (each.room.alpha[row.index(name), columns], each.room.sigma[row.index(name), columns])
+            for each, row, columns in zip(rooms, called, entries, strict=True)
             if name in row
         ]
         mu.append(np.mean([alpha for alpha, _ in rows], axis=0))
@@ -200,28 +239,18 @@ def _tables(
 
 
 def _data(
-    result: CalibrationResult,
+    calibrated: _Calibrated,
     called: Sequence[str],
     materials: Sequence[str],
     columns: Sequence[int],
     weight: float,
 ) -> RoomData:
-    areas = np.zeros(len(materials))
-    areas[[materials.index(m) for m in called]] = result.prior.areas
-    target, covariance = _asked(result)
-    return RoomData(areas, target[list(columns)], covariance[np.ix_(columns, columns)], weight)
-
-
-def _asked(result: CalibrationResult) -> tuple[Array, Array]:
-    """b in m², (n_bands,), and its covariance through T, volume, areas and climate, by no method.
-
-    A T without a stated uncertainty counts as exact: its error is then part of the equation's, which
-    the rooms tell.
-    """
-    room, equation, t = result.prior, result.equation, result.measured
-    u = np.nan_to_num(result.measured_uncertainty * equation.target_sensitivity(room, t))
-    changes = target_changes(equation, room, t)
-    return equation.target(room, t), np.diag(u**2) + changes.T @ changes
+    target, covariance = calibrated.asked()
+    n_states, n_bands = target.shape
+    areas = np.zeros((n_states, len(materials)))
+    areas[:, [materials.index(m) for m in called]] = calibrated.states.areas
+    used = (np.arange(n_states)[:, np.newaxis] * n_bands + columns).ravel()
+    return RoomData(areas, target[:, columns], covariance[np.ix_(used, used)], weight)
 
 
 def _lesson(
@@ -248,7 +277,7 @@ def _lesson(
 
 
 @checked
-def read_folder(folder: str | os.PathLike[str]) -> list[CalibrationResult]:
+def read_folder(folder: str | os.PathLike[str]) -> list[CalibrationResult | JointResult]:
     """Return the calibrations in a folder: each ``result.json`` of ``rtcal calibrate --out`` below it.
 
     Raises DataError if there is none, or one that cannot be read. Files of other results are left out.
@@ -268,7 +297,7 @@ def read_folder(folder: str | os.PathLike[str]) -> list[CalibrationResult]:
             f"folder {folder} has no {results.NUMBERS}; rtcal calibrate --out writes one"
         )
     found = [results.load(file) for file in files[: _MOST + 1]]
-    kept = [result for result in found if isinstance(result, CalibrationResult)]
+    kept = [result for result in found if isinstance(result, CalibrationResult | JointResult)]
     if not kept:
         raise DataError(f"folder {folder} has results, but no calibration among them")
     return kept

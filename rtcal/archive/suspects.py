@@ -45,45 +45,41 @@ def judged(evidence: Evidence, spread: Spread, room: int) -> Judged:
     of all rooms, with which the search begins.
     """
     own = evidence.room == room
-    n, k = evidence.mu.shape
+    n = len(evidence.mu)
     # With the spread of all rooms, so that the difference is what this room taught of the means.
     less = np.diag(evidence.posterior(spread, ~own)[1])
     spread = evidence.fitted(~own, spread)
     mean, covariance = evidence.posterior(spread, ~own)
-    band, areas = evidence.band[own], evidence.areas[own]
+    band, stated = evidence.band[own], evidence.areas[own]
     correlation = evidence.correlation(spread)[np.ix_(band, band)]
     target = evidence.target[own]
     noise = evidence.noise[np.ix_(own, own)] + np.diag((spread.equation * target) ** 2)
     # A material that the archive lacks: like one of its entries, but nobody knows which.
     other = mean.mean(axis=0)[band]
     width = np.sqrt(mean.var(axis=0) + np.mean(evidence.sigma**2, axis=0))[band]
-    places = np.arange(n)[:, np.newaxis] * k + band  # of each entry in the room's bands
 
-    def predicted(covered: Array, alien: float = 0.0) -> tuple[Array, Array]:
+    def predicted(covered: Array, alien: Array) -> tuple[Array, Array]:
         """b and its covariance with ``covered`` m² of each entry and ``alien`` m² of none of them."""
-        total = covered @ mean[:, band] + alien * other
-        shared = np.zeros((len(band), len(band)))
-        used = np.flatnonzero(covered)
-        for i in used:
-            for j in used:
-                shared += covered[i] * covered[j] * covariance[np.ix_(places[i], places[j])]
-        sigma = evidence.sigma[:, band] * covered[:, np.newaxis]
-        between = spread.between**2 * (sigma.T @ sigma) + alien**2 * np.outer(width, width)
+        matrix = evidence.matrix(covered, band)
+        total = matrix @ mean.ravel() + alien * other
+        sigma = evidence.sigma.T[band] * covered
+        between = spread.between**2 * (sigma @ sigma.T) + np.outer(alien * width, alien * width)
         factor = spread.room**2 * np.outer(total, total)
-        return total, shared + between * correlation + factor + noise
+        return total, matrix @ covariance @ matrix.T + between * correlation + factor + noise
 
-    stated = areas[0]
-    total, whole = predicted(stated)
+    none = np.zeros(len(band))
+    total, whole = predicted(stated, none)
     base = _log_density(target - total, whole)
-    found = np.flatnonzero(stated)
+    found = np.flatnonzero(stated.any(axis=0))
     ratio = np.full((n, n + 1), -np.inf)
     for i in found:
         without = np.where(np.arange(n) == i, 0.0, stated)
+        area = stated[:, i]
         for j in range(n + 1):
             if j == i:
                 continue
-            covered = without + np.where(np.arange(n) == j, stated[i], 0.0)
-            total_j, whole_j = predicted(covered, stated[i] if j == n else 0.0)
+            covered = without + np.where(np.arange(n) == j, area[:, np.newaxis], 0.0)
+            total_j, whole_j = predicted(covered, area if j == n else none)
             ratio[i, j] = _log_density(target - total_j, whole_j) - base
     odds = MISNAMED / n * np.exp(np.minimum(ratio, 600.0))
     rest = 1 - MISNAMED * len(found)
@@ -92,7 +88,7 @@ def judged(evidence: Evidence, spread: Spread, room: int) -> Judged:
     return Judged(
         miss=target - total,
         covariance=whole,
-        sigma=np.sqrt(np.maximum(less, 0.0)).reshape(n, k),
+        sigma=np.sqrt(np.maximum(less, 0.0)).reshape(n, -1),
         factor=float(gain @ (target - total)),
         factor_sigma=float(np.sqrt(np.maximum(spread.room**2 - gain @ pull, 0.0))),
         suspicion=odds / (rest + odds.sum()),

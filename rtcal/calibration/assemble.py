@@ -11,7 +11,6 @@ import numpy as np
 from rtcal.acoustics import bands
 from rtcal.acoustics.equations import LinearEquation
 from rtcal.acoustics.room import Room
-from rtcal.acoustics.room_errors import target_changes
 from rtcal.calibration.configurations import Configurations
 from rtcal.calibration.layout import Layout
 from rtcal.calibration.measured import MeasuredTimes
@@ -124,26 +123,12 @@ class Assembler:
                 np.where(lower == upper, lower, alpha), [max(t.mean, 0.0) for t in further]
             ),
             observed=self._observed(observed or {}),
-            room_changes=self._room_changes(configurations, times),
+            room_changes=configurations.target_changes(self.equation, times),
             common=room.common_alpha_sigma,
         )
         for soft in self._soft:
             data = replace(data, target_uncertainty=soft.uncertainty(data))
         return data
-
-    def _room_changes(self, configurations: Configurations, times: Array) -> Array:
-        """Return `target_changes` over configurations; each has a climate of its own."""
-        rooms, materials = configurations.rooms, configurations.materials
-        if not any(room.is_uncertain for room in rooms):
-            return np.zeros((0, 0))
-        n, (c, k) = len(materials), times.shape
-        changes = np.zeros((2 + n + 2 * c, c, k))
-        for i, (room, t) in enumerate(zip(rooms, times, strict=True)):
-            of_room = target_changes(self.equation, room, t)
-            changes[:2, i] = of_room[:2]
-            changes[[2 + materials.index(m) for m in room.materials], i] = of_room[2:-2]
-            changes[2 + n + 2 * i : 4 + n + 2 * i, i] = of_room[-2:]
-        return changes.reshape(len(changes), c * k)
 
     def _observed(self, observed: Mapping[LinearObservations, Observed]) -> dict[object, Whitened]:
         """Return the numbers of each term of linear observations; DataError unless each has some."""

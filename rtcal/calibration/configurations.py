@@ -9,7 +9,9 @@ from functools import cached_property
 import numpy as np
 
 from rtcal.acoustics import bands
+from rtcal.acoustics.equations import LinearEquation
 from rtcal.acoustics.room import Room
+from rtcal.acoustics.room_errors import target_changes
 from rtcal.acoustics.states import refuse_other_priors
 from rtcal.errors import DataError
 from rtcal.support.text import shortened
@@ -122,6 +124,23 @@ class Configurations:
         for c, room in enumerate(self.rooms):
             areas[c, [materials.index(m) for m in room.materials]] = room.areas
         return areas
+
+    def target_changes(self, equation: LinearEquation, times: Array) -> Array:
+        """Return `rtcal.acoustics.room_errors.target_changes`, (n_changes, n_configurations n_bands).
+
+        Configurations share the volume and the areas; each has a climate of its own. Without any change
+        where no room is uncertain. ``times`` is (n_configurations, n_bands) in s.
+        """
+        if not any(room.is_uncertain for room in self.rooms):
+            return np.zeros((0, times.size))
+        n, (c, k) = len(self.materials), times.shape
+        changes = np.zeros((2 + n + 2 * c, c, k))
+        for i, (room, t) in enumerate(zip(self.rooms, times, strict=True)):
+            of_room = target_changes(equation, room, t)
+            changes[:2, i] = of_room[:2]
+            changes[[2 + self.materials.index(m) for m in room.materials], i] = of_room[2:-2]
+            changes[2 + n + 2 * i : 4 + n + 2 * i, i] = of_room[-2:]
+        return changes.reshape(len(changes), c * k)
 
     @cached_property
     def union(self) -> Room:
