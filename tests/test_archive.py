@@ -228,6 +228,32 @@ def test_the_library_is_the_next_calibrations_input(
         archive.apply(new, names={"roof": "linoleum"})
 
 
+def test_a_name_with_another_table_is_another_material(
+    rooms: list[rt.calibration.CalibrationResult],
+) -> None:
+    """CR3's plaster absorbs twice as much by its table as CR2's: they have only the name in common."""
+    room, other = rooms[0].prior, rooms[1].prior
+    i = room.material_index("plaster")
+    alpha = other.alpha.copy()
+    alpha[i] += 1.5 * np.hypot(room.sigma[i], other.sigma[i])
+    apart = rt.calibrate(other.replace(alpha=alpha), rooms[1].measured)
+    archive = rt.learn([rooms[0], apart, rooms[2]])
+    assert archive.materials[-1] == "plaster (B)"
+    assert dict(zip(archive.materials, archive.seen.tolist(), strict=True)) == {
+        **dict.fromkeys(room.materials, 3), "plaster": 2, "plaster (B)": 1
+    }  # fmt: skip
+    new = apart.prior.replace(name="new")
+    assert (archive.apply(new).alpha[i] == alpha[i]).all()
+    assert archive.left_as_stated(new) == (
+        "Left as the room states them, since the archive has another material of that name, by its "
+        'table: "plaster".',
+    )
+    for called, entry in (("plaster (B)", -1), ("plaster", i)):
+        known = archive.apply(new, names={"plaster": called})
+        assert (known.alpha[i] == archive.alpha[entry]).all()
+    assert rt.learn([rooms[0], apart], names={"plaster": "plaster"}).materials == room.materials
+
+
 def test_what_it_has_not_learned_is_said_and_what_it_has_learned_from_is_not_taken_again(
     rooms: list[rt.calibration.CalibrationResult],
 ) -> None:

@@ -23,6 +23,15 @@ from rtcal.support.version import __version__
 
 _OFF = 2.0
 """Standard deviations from which a table's entry is printed as off."""
+_ALIKE = 1.0
+"""Largest difference of one material's tables: rms over the bands, in their standard deviations."""
+
+
+def is_one_material(mu: Array, sigma: Array, other: Array, other_sigma: Array) -> bool:
+    """Whether two tables under one name are near enough to be of one material; (n_bands,) each."""
+    off, spread = np.abs(mu - other), np.hypot(sigma, other_sigma)
+    z = np.divide(off, spread, out=np.where(off > 0, np.inf, 0.0), where=spread > 0)
+    return bool(np.sqrt(np.mean(z**2)) <= _ALIKE)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -130,17 +139,18 @@ class Archive(Result):
     def apply(self, room: Room, names: Mapping[str, str] | None = None) -> Room:
         """Return a room with the library's alpha and sigma where the archive knows the material.
 
-        The room's other materials and bands stay. ``common_alpha_sigma`` becomes the factor by which
-        rooms differ. An ``alpha_min`` above the new coefficient is kept, and the coefficient raised to
-        it. The room's record names the T that the archive has learned from, so that a calibration to
-        one of them is refused.
+        The room's other materials and bands stay, and a material whose table is too far from that of
+        the archive's rooms to be one with it: ``names`` takes it nevertheless. ``common_alpha_sigma``
+        becomes the factor by which rooms differ. An ``alpha_min`` above the new coefficient is kept, and
+        the coefficient raised to it. The room's record names the T that the archive has learned from, so
+        that a calibration to one of them is refused.
 
         Parameters
         ----------
         room : Room
             Not calibrated yet.
         names : mapping of str to str, optional
-            From the room's names of materials to the archive's.
+            From the room's names of materials to the archive's. They may be alike.
 
         Raises
         ------
@@ -195,15 +205,20 @@ class Archive(Result):
         DataError if ``names`` has an unknown one.
         """
         pairs, columns = self._known(room, names)
-        unknown = [m for i, m in enumerate(room.materials) if i not in {i for i, _ in pairs}]
+        left = [m for i, m in enumerate(room.materials) if i not in {i for i, _ in pairs}]
         rest = np.delete(room.centre_frequencies, [k for k, _ in columns])
-        said = [
-            "Left as the room states them, since the archive does not know them: "
-            + ", ".join(these)
-            for these in ([f'"{m}"' for m in unknown], [_listed(rest)] if rest.size else [])
+        unknown, lacks = [f'"{m}"' for m in left if m not in self.materials], "does not know them"
+        apart = [f'"{m}"' for m in left if m in self.materials]
+        reasons = (
+            (unknown, lacks),
+            (apart, "has another material of that name, by its table"),
+            ([_listed(rest)] if rest.size else [], lacks),
+        )
+        return tuple(
+            f"Left as the room states them, since the archive {why}: {', '.join(these)}."
+            for these, why in reasons
             if these
-        ]
-        return tuple(f"{sentence}." for sentence in said)
+        )
 
     def _known(
         self, room: Room, names: Mapping[str, str] | None
@@ -215,16 +230,20 @@ class Archive(Result):
                 raise DataError(
                     f'names: "{own}" = "{entry}": no material of the room, or none known'
                 )
-        pairs = [
-            (i, self.materials.index(called))
-            for i, m in enumerate(room.materials)
-            if (called := mapped.get(m, m)) in self.materials
-        ]
         columns = [
             (k, place)
             for k, f in enumerate(room.centre_frequencies)
             if (place := bands.index(self.centre_frequencies, float(f))) is not None
         ]
+        own, entry = [k for k, _ in columns], [k for _, k in columns]
+        pairs = []
+        for i, m in enumerate(room.materials):
+            if (called := mapped.get(m, m)) in self.materials:
+                j = self.materials.index(called)
+                tables = (room.alpha[i, own], room.sigma[i, own])
+                known = (self.table[j, entry], self.table_sigma[j, entry])
+                if m in mapped or not columns or is_one_material(*tables, *known):
+                    pairs.append((i, j))
         return pairs, columns
 
     def _source(self, i: int) -> str:

@@ -6,9 +6,9 @@ In room r, material i has in band k the coefficient, in all states of the room,
 
 with the table's entry mu and its sigma. d is how far the entry is off in all rooms, h how far all
 tables are off together, e how far the material in this room differs from others of its name, and g_r a
-factor of this room. The absorption area b_rsk that the T of its state s asks for is sum S_rsi alpha_rik,
-with an error of the equation relative to b, and the errors of T, volume and areas. All are normal, so
-the means follow in one linear step, and the marginal likelihood in closed form.
+factor of this room. The absorption area b_rsk that the T of its state s asks for is
+sum S_rsi alpha_rik, with an error of the equation relative to b, and the errors of T, volume and areas.
+All are normal, so the means follow in one linear step, and the marginal likelihood in closed form.
 """
 
 from __future__ import annotations

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping, Sequence, Set
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -14,7 +14,7 @@ from scipy.stats import chi2
 
 from rtcal.acoustics.room import Room
 from rtcal.archive import suspects
-from rtcal.archive.library import Archive, Lesson, Suspect
+from rtcal.archive.library import Archive, Lesson, Suspect, is_one_material
 from rtcal.archive.likelihood import Evidence, RoomData
 from rtcal.calibration.configurations import Configurations
 from rtcal.calibration.measured import data_history
@@ -47,8 +47,8 @@ class _Calibrated:
     def asked(self) -> tuple[Array, Array]:
         """b in m², (n_states, n_bands), and its covariance, by no method.
 
-        T, volume, areas and climate count. A T without a stated uncertainty counts as exact: its error is
-        then part of the equation's, which the rooms tell.
+        T, volume, areas and climate count. A T without a stated uncertainty counts as exact: its error
+        is then part of the equation's, which the rooms tell.
         """
         equation = self.results[0].equation
         t = np.array([result.measured for result in self.results])
@@ -69,10 +69,10 @@ def learn(
     """Learn from calibrated rooms what the materials that they share absorb.
 
     alpha of material i in room r is the material's mean, an error of the room's own and a factor of the
-    room, the same in all states of the room; see `rtcal.archive.likelihood`. How far a material differs between rooms, how far the tables
-    are off, alone and together, follow by marginal likelihood; the means by one linear step, cut to 0
-    to 1 after it. Only the rooms' stated priors and measured T count, not how they were calibrated.
-    Nothing leaves the machine.
+    room, the same in all states of the room; see `rtcal.archive.likelihood`. How far a material differs
+    between rooms, how far the tables are off, alone and together, follow by marginal likelihood; the
+    means by one linear step, cut to 0 to 1 after it. Only the rooms' stated priors and measured T count,
+    not how they were calibrated. Nothing leaves the machine.
 
     Parameters
     ----------
@@ -80,7 +80,8 @@ def learn(
         Two or more, each with a name of its own: that of the first configuration of a `JointResult`,
         whose configurations are states of one room. Their common bands are used.
     names : mapping of str to str, optional
-        From a room's name of a material to the archive's, where the two differ.
+        From a room's name of a material to the archive's, where the two differ. A name that it does not
+        give is one material where the rooms' tables are near; else the later room's name stands by it.
     weights : mapping of room name to float, optional
         Between 0 and 1: how far a room counts; 0 leaves it out. 1 if not given.
 
@@ -111,12 +112,15 @@ def learn(
     if unknown := [name for name in mapped if name not in known]:
         raise DataError(f'names: "{unknown[0]}" is a material of no room')
     called = [_called(each.room, mapped) for each in used]
-    materials = tuple(dict.fromkeys(m for row in called for m in row))
-    shared = [f for f in used[0].room.centre_frequencies if all(_has(each.room, f) for each in used)]
+    shared = [
+        f for f in used[0].room.centre_frequencies if all(_has(each.room, f) for each in used)
+    ]
     if not shared:
         raise DataError("the rooms have no band in common")
     frequencies = np.array(shared)
     entries = [_entries(each.room, frequencies) for each in used]
+    called = _told_apart(used, called, entries, {*mapped.values()})
+    materials = tuple(dict.fromkeys(m for row in called for m in row))
     mu, sigma, seen = _tables(used, called, materials, entries)
     data = [
         _data(each, row, materials, columns, weight)
@@ -206,6 +210,32 @@ def _called(room: Room, names: Mapping[str, str]) -> list[str]:
             f'room "{room.name}": two of its materials are "{repeated[0]}"; merge them there'
         )
     return called
+
+
+def _told_apart(
+    rooms: Sequence[_Calibrated],
+    called: Sequence[Sequence[str]],
+    entries: Sequence[Sequence[int]],
+    stated: Set[str],
+) -> list[list[str]]:
+    """The names, each for one table: of another table under it, "name (room)". ``stated`` are one."""
+    tables: dict[str, list[tuple[str, tuple[Array, Array]]]] = {}
+
+    def entry(name: str, room: Room, table: tuple[Array, Array]) -> str:
+        known = tables.setdefault(name, [])
+        for found, other in known:
+            if name in stated or is_one_material(*table, *other):
+                return found
+        known.append((f"{name} ({room.name})" if known else name, table))
+        return known[-1][0]
+
+    return [
+        [
+            entry(name, each.room, (each.room.alpha[i, columns], each.room.sigma[i, columns]))
+            for i, name in enumerate(row)
+        ]
+        for each, row, columns in zip(rooms, called, entries, strict=True)
+    ]
 
 
 def _has(room: Room, frequency: float) -> bool:

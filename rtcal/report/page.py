@@ -349,6 +349,12 @@ def _materials(calibration: CalibrationResult) -> list[dict[str, Any]]:
 
 
 def _interval_note(calibration: CalibrationResult) -> str:
+    if calibration.interval is not None and calibration.joint.has_shared_errors:
+        return (
+            "The intervals are those of a normal density within the bounds, for each coefficient by "
+            "itself: all bands share what the room states of its uncertainty, and the exact posterior "
+            "distribution would need samples. Each holds its calibrated coefficient."
+        )
     if calibration.interval is not None:
         return (
             "The intervals are those of the exact posterior distribution, within the bounds, with the "

@@ -42,6 +42,17 @@ def test_the_page_says_what_it_must(html, result) -> None:
     assert html.count("data:image/svg+xml") == 5
 
 
+@pytest.mark.parametrize(
+    ("stated", "words_of_it"),
+    [({}, "those of the exact posterior"), ({"volume_sigma": 0.05}, "those of a normal density")],
+)
+def test_the_page_says_what_its_intervals_are(stated, words_of_it, monkeypatch) -> None:
+    monkeypatch.setattr(page, "_figures", no_figures)
+    room, measured = rt.datasets.bras_cr2()
+    text = page.calibration_page(rt.calibrate(room.replace(**stated), measured))
+    assert f"The intervals are {words_of_it}" in " ".join(text.split())
+
+
 def test_the_page_needs_nothing_else(html, evil_html) -> None:
     for text in (html, evil_html):
         assert not re.search(r"<script|<iframe|<object|@import|url\(", text, re.I)
