@@ -1,6 +1,6 @@
 """Hidden firms: what an archive of rooms knows of its materials, judged in a room that it lacks.
 
-    python -m benchmarks.archive firms [--firms 100] [--first 0] [--out FILE.json]
+    python -m benchmarks.archive firms [--firms 100] [--first 0] [--rooms 20] [--out FILE.json]
     python -m benchmarks.archive misnamed [--firms 100]
     python -m benchmarks.archive tables [--firms 18] [--first 5000]
     python -m benchmarks.archive real
@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import argparse
 import json
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -101,10 +102,10 @@ def error(alpha: Array, truth: Array) -> float:
     return float(np.sqrt(np.mean((alpha - truth) ** 2)))
 
 
-def judge(seed: int) -> dict[str, Any]:
-    """Errors and coverage in the firm's twenty-first room."""
+def judge(seed: int, rooms: int = ROOMS) -> dict[str, Any]:
+    """Errors and coverage in the firm's twenty-first room, with so many of its rooms in the archive."""
     firm = Firm(seed)
-    archive = rt.learn([calibrated(room, t) for room, _, t in firm.rooms[:-1]])
+    archive = rt.learn([calibrated(room, t) for room, _, t in firm.rooms[:rooms]])
     room, truth, t = firm.rooms[-1]
     known = archive.apply(room)
     before, after = calibrated(room, t), calibrated(known, t)
@@ -353,13 +354,14 @@ def main() -> None:
     parser.add_argument("what", choices=("firms", "misnamed", "tables", "real"))
     parser.add_argument("--firms", type=int, default=100)
     parser.add_argument("--first", type=int, default=0)
+    parser.add_argument("--rooms", type=int, default=ROOMS)
     parser.add_argument("--out", type=Path)
     arguments = parser.parse_args()
     if arguments.what == "real":
         print(real_table())
         return
     one, table = {
-        "firms": (judge, firms_table),
+        "firms": (partial(judge, rooms=arguments.rooms), firms_table),
         "misnamed": (misnamed, misnamed_table),
         "tables": (tables, tables_table),
     }[arguments.what]

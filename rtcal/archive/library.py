@@ -141,9 +141,9 @@ class Archive(Result):
 
         The room's other materials and bands stay, and a material whose table is too far from that of
         the archive's rooms to be one with it: ``names`` takes it nevertheless. ``common_alpha_sigma``
-        becomes the factor by which rooms differ. An ``alpha_min`` above the new coefficient is kept, and
-        the coefficient raised to it. The room's record names the T that the archive has learned from, so
-        that a calibration to one of them is refused.
+        becomes the factor by which rooms differ. An ``alpha_min`` above the new coefficient is kept,
+        and the coefficient raised to it. The room's record names the T that the archive has learned
+        from, so that a calibration to one of them is refused.
 
         Parameters
         ----------

@@ -71,8 +71,8 @@ def learn(
     alpha of material i in room r is the material's mean, an error of the room's own and a factor of the
     room, the same in all states of the room; see `rtcal.archive.likelihood`. How far a material differs
     between rooms, how far the tables are off, alone and together, follow by marginal likelihood; the
-    means by one linear step, cut to 0 to 1 after it. Only the rooms' stated priors and measured T count,
-    not how they were calibrated. Nothing leaves the machine.
+    means by one linear step, cut to 0 to 1 after it. Only the rooms' stated priors and measured T
+    count, not how they were calibrated. Nothing leaves the machine.
 
     Parameters
     ----------
