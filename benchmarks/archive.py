@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import argparse
 import json
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -360,11 +361,12 @@ def main() -> None:
     if arguments.what == "real":
         print(real_table())
         return
-    one, table = {
+    studies: dict[str, tuple[Callable[[int], dict[str, Any]], Callable[[Any], str]]] = {
         "firms": (partial(judge, rooms=arguments.rooms), firms_table),
         "misnamed": (misnamed, misnamed_table),
         "tables": (tables, tables_table),
-    }[arguments.what]
+    }
+    one, table = studies[arguments.what]
     rows = [one(seed) for seed in range(arguments.first, arguments.first + arguments.firms)]
     print(table(rows))
     if arguments.out:
