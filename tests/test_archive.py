@@ -252,6 +252,11 @@ def test_a_name_with_another_table_is_another_material(
         known = archive.apply(new, names={"plaster": called})
         assert (known.alpha[i] == archive.alpha[entry]).all()
     assert rt.learn([rooms[0], apart], names={"plaster": "plaster"}).materials == room.materials
+    # With the record of an archive the same coefficients are no table.
+    made = archive.apply(new, names={"plaster": "plaster"}).replace(alpha=alpha)
+    again = rt.learn([rooms[0], rt.calibrate(made, 1.02 * rooms[1].measured)])
+    assert again.materials == room.materials
+    assert again.left_as_stated(made) == ()
 
 
 def test_what_it_has_not_learned_is_said_and_what_it_has_learned_from_is_not_taken_again(

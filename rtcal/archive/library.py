@@ -242,7 +242,9 @@ class Archive(Result):
                 j = self.materials.index(called)
                 tables = (room.alpha[i, own], room.sigma[i, own])
                 known = (self.table[j, entry], self.table_sigma[j, entry])
-                if m in mapped or not columns or is_one_material(*tables, *known):
+                # A room that has a record states no table, but what data made of one.
+                sure = m in mapped or room.calibration is not None or not columns
+                if sure or is_one_material(*tables, *known):
                     pairs.append((i, j))
         return pairs, columns
 

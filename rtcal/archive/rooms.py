@@ -218,13 +218,16 @@ def _told_apart(
     entries: Sequence[Sequence[int]],
     stated: Set[str],
 ) -> list[list[str]]:
-    """The names, each for one table: of another table under it, "name (room)". ``stated`` are one."""
+    """The names, each for one table: of another table under it, "name (room)". ``stated`` are one.
+
+    A room that has a record states no table, but what an archive or a calibration made of one.
+    """
     tables: dict[str, list[tuple[str, tuple[Array, Array]]]] = {}
 
     def entry(name: str, room: Room, table: tuple[Array, Array]) -> str:
         known = tables.setdefault(name, [])
         for found, other in known:
-            if name in stated or is_one_material(*table, *other):
+            if name in stated or room.calibration or is_one_material(*table, *other):
                 return found
         known.append((f"{name} ({room.name})" if known else name, table))
         return known[-1][0]
