@@ -32,8 +32,8 @@ LARGEST_ERROR = 0.5
 UNEXPLAINED = 0.2
 """Share of the responses' power, or of the amplitudes', from which these are not the room's modes.
 
-In eight rooms with their own positions at most 5 % of the amplitudes' were unexplained. With receivers
-exchanged or a time axis 20 ms late it was 36 % or more.
+In seven rooms with their own positions at most 2 % of the amplitudes' were unexplained. With receivers
+exchanged or a time axis 20 ms late it was 33 % or more.
 """
 _INFLATED = 1.5
 """Uncertainty over what independent errors would give: what the modes leave is no white noise."""
