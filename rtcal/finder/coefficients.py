@@ -95,7 +95,7 @@ def drawn(d: Directions, rng: np.random.Generator, n: int) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class OffTogether:
-    """What the data say of coefficients that are off together.
+    """The posterior of coefficients that are off together.
 
     Attributes
     ----------

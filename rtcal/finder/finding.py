@@ -54,7 +54,7 @@ class Verification(Result):
     @property
     @abstractmethod
     def sentence(self) -> str:
-        """What became of the gap, in words; the verdict first."""
+        """The change of the gap, in words; the verdict first."""
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain values for JSON."""
@@ -72,11 +72,11 @@ class HeldOutVerification(Verification):
     @property
     @abstractmethod
     def gains(self) -> Array:
-        """By how much each pair's mean absolute gap shrinks, (n_seeds, n_pairs), in JND."""
+        """The decrease of each pair's mean absolute gap, (n_seeds, n_pairs), in JND."""
 
     @property
     def gain(self) -> float:
-        """By how much the mean absolute gap shrinks with what was found, in JND."""
+        """The decrease of the mean absolute gap with what was found, in JND."""
         return float(self.gains.mean())
 
     @property
@@ -134,7 +134,7 @@ class Detection:
 
     @property
     def verdict(self) -> str | None:
-        """What is said where nothing is detected, "none" or "hint"; None where something is."""
+        """The verdict where nothing is detected, "none" or "hint"; None where something is."""
         if self.score > self.threshold:
             return None
         return "hint" if max(self.score, self.noise or 0.0) > 0 else "none"
@@ -203,7 +203,7 @@ class AbsorptionChange:
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Finding(Result):
-    """What a search found: `MeansFinding` of means, `PositionsFinding` of every position.
+    """The result of a search: `MeansFinding` of means, `PositionsFinding` of every position.
 
     Attributes
     ----------
@@ -276,7 +276,7 @@ class Finding(Result):
     @property
     @abstractmethod
     def what(self) -> str:
-        """What was found, in a few words."""
+        """The effect that was found, in a few words."""
 
     def __repr__(self) -> str:
         """Return one line: verdict, what was found, score and threshold."""

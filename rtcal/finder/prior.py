@@ -1,4 +1,4 @@
-"""What is believed before anything was measured: which effect, how much of it, which coefficients.
+"""The prior: which effect, how much of it, which coefficients, before anything was measured.
 
 Every number of this page is an assumption. It decides where the data do not. The odds are an argument
 of `rtcal.finder.find`; an effect states its own in its class.

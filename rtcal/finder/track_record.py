@@ -1,4 +1,4 @@
-"""How often answers were right in rooms that were not used to make the finder.
+"""The track record: how often answers were right in rooms not used to make the finder.
 
 The figures of means over positions are those of the judging rooms of both hidden worlds, and of the
 measured cases (docs/discrepancy_study.md; `benchmarks.second_world both`, `benchmarks.real_rooms`,

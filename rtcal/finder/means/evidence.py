@@ -1,4 +1,4 @@
-"""How well each effect explains the measurement: evidence in closed form.
+"""The evidence of each effect: how well it explains the measurement, in closed form.
 
     log E_k = log of the sum over theta of p(theta) N(y; y_k(theta) + bias, C)
     C = J Sigma J' + R + D + M + B
@@ -198,7 +198,7 @@ def unknown_evidence(
 
 @dataclass(frozen=True, eq=False)
 class Searched:
-    """What a search compared: hypotheses with their evidence, the measurement, the model's error."""
+    """The parts of a search: hypotheses with their evidence, the measurement, the model's error."""
 
     case: Case
     observed: Observed

@@ -30,7 +30,7 @@ FEATURE_NAMES = ("T20", "EDT/T20", "T30/T20", "C80", "G")
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class MeansFinding(SetsFinding):
-    """What the data of a case say about its model; attributes beside those of `SetsFinding`.
+    """The finding of means over positions; attributes beside those of `SetsFinding`.
 
     Attributes
     ----------
@@ -118,7 +118,7 @@ class MeansFinding(SetsFinding):
 
     @property
     def coefficients(self) -> OffTogether | None:
-        """How the coefficients are off together, if that is likely beside the most probable set."""
+        """The common error of the coefficients, if one is likely beside the most probable set."""
         return self.fits[self.members[-1]].coefficients if self.members else None
 
     @property
@@ -204,7 +204,7 @@ class MeansFinding(SetsFinding):
 
     @property
     def added(self) -> str:
-        """What `apply` adds, and what explains the data nearly as well, in words."""
+        """The effects that `apply` adds, and those that explain the data nearly as well, in words."""
         if len(self.members) > 1:
             titles = [f"{self.title_of(n)} ({self.percent(n)})" for n in self.members]
             share = 100 * self.sets[self.members]
@@ -318,7 +318,7 @@ class MeansFinding(SetsFinding):
 
     @property
     def evidence_in_words(self) -> str:
-        """What the headline leaves out: other probable effects, the evidence and its threshold."""
+        """The rest of the headline: other probable effects, the evidence and its threshold."""
         said = self.candidates if self.verdict in ("family", "ambiguous") else ()
         others = [k for k, p in self.probabilities.items() if p >= SAID and k not in said]
         listing = ", ".join(f"{k} {self.percent(k)}" for k in others)
@@ -335,7 +335,7 @@ class MeansFinding(SetsFinding):
 
     @property
     def track_record(self) -> str:
-        """How often such a verdict was right in rooms that were not used to make the finder."""
+        """The share of such verdicts that were right in rooms that were not used to make the finder."""
         if self.more_than_one and self.verdict not in ("none", "hint"):
             claimed = {"families": self.named_families, "sets of families": self.named_set}
             return track_record.of_several([kind for kind, names in claimed.items() if names])
@@ -348,7 +348,7 @@ class MeansFinding(SetsFinding):
 
     @property
     def sentence(self) -> str:
-        """What the verdict says of the model; of a hint, the reason first."""
+        """The verdict as a sentence about the model; of a hint, the reason first."""
         if len(self.members) > 1 or (self.named and self.named != self.members):
             if self.verdict == "ambiguous":
                 return f"Something is missing; {self.likely_in_words}."
@@ -373,7 +373,7 @@ class MeansFinding(SetsFinding):
 
     @property
     def amount(self) -> str:
-        """How much more or less absorption the room has; "" where that is not claimed."""
+        """The absorption that the room has more or less; "" where that is not claimed."""
         fit = self.fits.get(str(self.best))
         if self.verdict not in ("named", "family") or fit is None or fit.absorption is None:
             return ""
@@ -404,7 +404,7 @@ class MeansFinding(SetsFinding):
 
     @property
     def coefficients_in_words(self) -> str:
-        """How the coefficients are off together; "" where they are not."""
+        """The common error of the coefficients, in words; "" where there is none."""
         off = self.coefficients
         if off is None:
             return ""

@@ -137,7 +137,7 @@ def _calibrated(
 
 @dataclass(frozen=True, eq=False)
 class _Point:
-    """What a step starts from: the case with its effects' sizes, and the coefficients."""
+    """The start of a step: the case with its effects' sizes, and the coefficients."""
 
     case: Case
     alpha: Array

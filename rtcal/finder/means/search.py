@@ -150,7 +150,7 @@ LEAST_EXPECTED, MOST_EXPECTED = 0.01, 10.0
 
 @dataclass(frozen=True)
 class _Numbers:
-    """How many effects may be missing at most, and how many are expected."""
+    """The largest number of missing effects, and the expected one."""
 
     most: int
     expected: float

@@ -38,7 +38,7 @@ MOST = 3
 
 @dataclass(frozen=True)
 class Kept:
-    """Which parameters of two effects are evaluated, if these have the probability ``least``.
+    """The parameters of two effects that are evaluated, if these have the probability ``least``.
 
     The most probable ones of the screen, until they have a ``share`` of the two effects' probability;
     at most so many. The screen estimates the others' share.
@@ -70,7 +70,7 @@ DISTINCT = 0.1
 
 @dataclass(frozen=True, eq=False)
 class SetPosterior:
-    """What the data say of sets of effects.
+    """The posterior of sets of effects.
 
     ``sets`` maps each set, as names in the order in which they act, to its probability, the most
     probable first; () is "none". ``rows`` maps it to its most probable parameters. ``off`` maps it to

@@ -45,7 +45,7 @@ from rtcal.support.types import Array
 
 @dataclass(frozen=True, eq=False)
 class Comparison:
-    """What is compared: a case, its measured features, the single hypotheses, and the model's error.
+    """A comparison: a case, its measured features, the single hypotheses, and the model's error.
 
     ``cells`` (n, n_used, n_parameters) are the changes of the features over the cell of the grid that a
     hypothesis stands for, one standard deviation of each parameter.

@@ -1,4 +1,4 @@
-"""What a search for sets of effects says: which are claimed, which stand for one another."""
+"""The finding of sets of effects: which are claimed, which stand for one another."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _NUMBERS = ("none", "one", "two", "three")
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class SetsFinding(Finding):
-    """What the data say of sets of effects; attributes beside those of `Finding`.
+    """The finding of sets of effects; attributes beside those of `Finding`.
 
     Each set has one effect unless `rtcal.finder.find` was told of more (``most``).
 
@@ -58,7 +58,7 @@ class SetsFinding(Finding):
 
     @property
     def claimed_of_members(self) -> str:
-        """What of the set that `apply` adds is claimed, in words."""
+        """The claimed part of the set that `apply` adds, in words."""
         if set(self.members) <= set(self.named):
             return "It is claimed."
         families = dict.fromkeys((*self.families_claimed_alone, *self.named_set))
@@ -73,7 +73,7 @@ class SetsFinding(Finding):
 
     @property
     def claims(self) -> str:
-        """What is claimed of two or more effects."""
+        """The claims about two or more effects."""
         claimed = self.claimed_in_words()
         said = f"Missing from the model, or not as stated: {claimed}." if claimed else ""
         return f"{said} {self.set_in_words}".strip()
@@ -102,7 +102,7 @@ class SetsFinding(Finding):
 
     @property
     def set_in_words(self) -> str:
-        """What is claimed of several families together; "" where nothing is."""
+        """The claim about several families together; "" where there is none."""
         if not self.named_set:
             return ""
         several, share = sum(self.numbers[2:]), self.family_sets[self.named_set]
@@ -113,7 +113,7 @@ class SetsFinding(Finding):
 
     @property
     def sets_in_words(self) -> list[str]:
-        """What else explains each of two or more effects, and the probabilities of their number."""
+        """Other explanations of each of two or more effects, and the probabilities of their number."""
         if not self.more_than_one:
             return []
         numbers = ", ".join(

@@ -215,7 +215,7 @@ class Fit:
 
 @dataclass(frozen=True, kw_only=True)
 class Verdict:
-    """What is claimed; its fields are those of `rtcal.finder.MeansFinding`."""
+    """The verdict; its fields are those of `rtcal.finder.MeansFinding`."""
 
     verdict: str
     family: str | None = None

@@ -127,7 +127,7 @@ class MeansVerification(Verification):
 
     @property
     def sentence(self) -> str:
-        """What became of the gap, in numbers, and how sure the effect's name is."""
+        """The change of the gap, in numbers, and how sure the effect's name is."""
         f, name = self.finding, self.finding.title
         sure = f"The finding was {f.support}."
         if np.isnan(self.before):
@@ -159,7 +159,7 @@ class MeansVerification(Verification):
 
     @property
     def _fitted_in_words(self) -> str:
-        """How closely the two calibrations meet the T that they were fitted to."""
+        """The misfit of the two calibrations to the T that they were fitted to."""
         off = self.corrected.off
         if off <= MET:
             plainly = next((g.before for g in self.gaps if g.fitted), 0.0)

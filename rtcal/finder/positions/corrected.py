@@ -80,7 +80,7 @@ class Corrected:
 
     @property
     def in_words(self) -> list[str]:
-        """What was added, why in another form than was asked for, and what the lists lack."""
+        """The effect that was added, why in another form than asked for, and what the lists lack."""
         said = f"Added {self.added.title}, {self.added.in_words}, as {self.form}"
         rows = [f'{said}: material "{self.material}".', *([self.note] if self.note else [])]
         return rows + [f"{name} lacks: {', '.join(lost)}." for name, lost in self.lost.items()]
@@ -123,7 +123,7 @@ class Corrected:
 
     @property
     def lost(self) -> dict[str, tuple[str, ...]]:
-        """What the room states and a list of materials does not hold, by the list's file name."""
+        """The entries that a list of materials does not hold, by the list's file name."""
         return {name: lost for name, (_, lost) in self._lists.items() if lost}
 
     @cached_property

@@ -1,4 +1,4 @@
-"""What a search found: what is other than stated, and where."""
+"""The finding at positions: what is other than stated, and where."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ _LEAST = 1e-3
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class PositionsFinding(Finding):
-    """What is other than stated, and where; attributes beside those of `Finding`.
+    """The finding at positions: what is other than stated, and where; see `Finding`, too.
 
     Attributes
     ----------
@@ -191,7 +191,7 @@ class PositionsFinding(Finding):
 
     @property
     def place_in_words(self) -> str:
-        """Where it is, as far as the positions tell."""
+        """The place, as far as the positions tell."""
         best = self.best
         if best is None or best.surface is None:
             return "" if best is None or not best.place else f"Most probably {best.place}."

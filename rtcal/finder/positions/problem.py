@@ -37,7 +37,7 @@ UNKNOWN_SCALES = (4.0, 16.0)
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """What a search compares.
+    """The problem of a search: its data, its hypotheses, its errors.
 
     All arrays are in the order (band, parameter, pair).
 

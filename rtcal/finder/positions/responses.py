@@ -1,4 +1,4 @@
-"""What the positions hear if something of the room is other than stated: the shifts of every parameter.
+"""The shifts of every parameter at every position if something of the room is other than stated.
 
 They come from two tracings of the room, so what differs between them is their noise. They are computed
 once per room and kept.

@@ -1,4 +1,4 @@
-"""What may be other than stated of the whole room: air, volume, and one material."""
+"""Hypotheses of the whole room: other air or volume, and one material."""
 
 from __future__ import annotations
 

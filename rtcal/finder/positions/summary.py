@@ -1,4 +1,4 @@
-"""What the weights of a search say of each effect, family and surface."""
+"""The probability of each effect, family and surface, from the weights of a search."""
 
 from __future__ import annotations
 

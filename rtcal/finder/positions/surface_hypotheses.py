@@ -1,4 +1,4 @@
-"""What may be other than stated, and where: a surface or part of one, the room, the measurement."""
+"""Hypotheses and where they stand: a surface or part of one, the room, the measurement."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How what stands on a part of a surface differs from what is spread over all of it.
+"""The difference of a patch on a part of a surface from one that is spread over all of it.
 
 A hypothesis spreads an absorber over its surface. In truth it hangs somewhere: receivers near it lose
 more than others, and T changes by more or less. Neither is known before the place is, so it is an error

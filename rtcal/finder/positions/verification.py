@@ -117,7 +117,7 @@ class PositionsVerification(HeldOutVerification):
 
     @property
     def verdict_in_words(self) -> str:
-        """What the verdict rests on, in a sentence."""
+        """The grounds of the verdict, in a sentence."""
         size = f"{abs(self.gain):.2f} ± {self.uncertainty:.2f} JND"
         if self.verdict == "supported":
             return (
@@ -129,7 +129,7 @@ class PositionsVerification(HeldOutVerification):
 
     @property
     def sentence(self) -> str:
-        """What became of the gap, in words; the verdict first."""
+        """The change of the gap, in words; the verdict first."""
         before, plain, after = (self.gap(m).mean() for m in MODELS)
         return (
             f"{self.verdict_in_words} At positions that were not fitted it is {before:.2f} JND as "
@@ -138,7 +138,7 @@ class PositionsVerification(HeldOutVerification):
 
     @property
     def support(self) -> str:
-        """How the uncertainty came about, in words."""
+        """The sources of the uncertainty, in words."""
         seeds = "1 seed" if len(self.seeds) == 1 else f"{len(self.seeds)} seeds"
         return (
             f"± is the standard error over {len(self.finding.pairs)} pairs and {seeds} of the "
@@ -172,7 +172,7 @@ class PositionsVerification(HeldOutVerification):
 
     @property
     def halves_in_words(self) -> tuple[str, ...]:
-        """What each half of the pairs added, a sentence each."""
+        """The effects that each half of the pairs added, a sentence each."""
         out = []
         for half, added in zip(self.halves, self.added, strict=True):
             names = ", ".join(" to ".join(pair) for pair in half)

@@ -1,4 +1,4 @@
-"""What each position hears when one surface, the air or the size of the room changes.
+"""The energies at each position when one surface, the air or the size of the room changes.
 
 The paths of a `PathTracing` do not depend on what the walls absorb. So every change weighs the same
 paths anew, and their random numbers cancel in the difference.

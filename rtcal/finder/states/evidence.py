@@ -1,4 +1,4 @@
-"""How well each kind of change explains the differences of two states.
+"""The evidence of each kind of change: how well it explains the differences of two states.
 
 ln T of a pair shifts by m + e. m is the shift of all pairs: the predicted one, with the errors of the
 spectrum and of the equation, and what a remeasurement adds by itself. e is what the pair has alone:
@@ -84,14 +84,14 @@ class Baseline:
         return np.asarray(self.total_area * exponent + self.air)
 
     def _left(self, size: Array) -> Array:
-        """What there is to cover, or to remove, in m²."""
+        """The area to cover, or to remove, in m²."""
         left = np.where(size > 0, self.total_area - self.area, self.area)
         return np.maximum(left, 1e-6 * self.total_area)
 
 
 @dataclass(frozen=True)
 class Errors:
-    """What is assumed of the errors; chosen on the development part, `docs/two_states_study.md`.
+    """Assumptions on the errors; chosen on the development part, `docs/two_states_study.md`.
 
     Attributes
     ----------

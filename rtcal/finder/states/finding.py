@@ -1,4 +1,4 @@
-"""What changed between two measurements of one room."""
+"""The finding of two states: what changed between two measurements of one room."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ class Kind:
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class StatesFinding(Finding):
-    """What changed between two states of a room; attributes beside those of `Finding`.
+    """The change between two states of a room; attributes beside those of `Finding`.
 
     The verdict is "family" where something changed and what, such as "added absorption, rising", has a
     probability of at least 0.9; "named" where that is the climate; "ambiguous" where it is not told.
@@ -142,7 +142,7 @@ class StatesFinding(Finding):
 
     @property
     def what(self) -> str:
-        """What changed, in words: more or less absorption, its spectrum and its amount."""
+        """The change in words: more or less absorption, its spectrum and its amount."""
         if self.verdict == NONE:
             return "nothing"
         if self.family == "climate":
@@ -162,7 +162,7 @@ class StatesFinding(Finding):
 
     @property
     def spectrum(self) -> str:
-        """How the change goes with frequency: rising, falling or alike; "" of a single band."""
+        """The trend of the change over frequency: rising, falling or alike; "" of a single band."""
         change = self.change[0][np.isfinite(self.change[0])]
         return over_frequency(change) if len(change) > 1 else ""
 
@@ -199,7 +199,7 @@ class StatesFinding(Finding):
 
     @property
     def sentences(self) -> tuple[str, ...]:
-        """What cannot be told apart, what the score says, reasons and notes."""
+        """Sentences on what cannot be told apart, on the score, reasons and notes."""
         score = (
             f"Evidence that something changed: {self.score:+.1f} nats; threshold "
             f"{self.threshold:.1f} nats."

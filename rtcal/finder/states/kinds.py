@@ -1,4 +1,4 @@
-"""What may have changed between two states: absorption that was added or removed, or the air."""
+"""The kinds of change between two states: absorption added or removed, or the air."""
 
 from __future__ import annotations
 

@@ -26,7 +26,7 @@ _LEAST_NEW = 2
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class StatesVerification(HeldOutVerification):
-    """How T changes at pairs that were not fitted: measured, and as the fitted pairs say.
+    """The change of T at pairs that were not fitted: measured, and as the fitted pairs say.
 
     Attributes
     ----------
