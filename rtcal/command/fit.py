@@ -24,8 +24,10 @@ from rtcal.command.console import (
 )
 
 _START = 0.1
-"""Scattering coefficient at which a fit starts where none is stated. The prior of what is fitted is
-wide (`rtcal.loop.scattering`), so that the start decides little."""
+"""Scattering coefficient at which a fit starts where none is stated. No source says so: it is a choice,
+with a wide prior around it (`rtcal.loop.scattering`). In one simulated room, 4,000 paths, starts of
+0.05 and 0.1 ended at 0.28 and 0.27 in the mean. Alpha moved by up to 0.38 of the stated sigma, 0.06 in
+the median."""
 
 
 @click.command(short_help="Calibrate to what every position heard, in the room's mesh.")
