@@ -25,9 +25,8 @@ from rtcal.command.console import (
 
 _START = 0.1
 """Scattering coefficient at which a fit starts where none is stated. No source says so: it is a choice,
-with a wide prior around it (`rtcal.loop.scattering`). In one simulated room, 4,000 paths, starts of
-0.05 and 0.1 ended at 0.28 and 0.27 in the mean. Alpha moved by up to 0.38 of the stated sigma, 0.06 in
-the median."""
+and it matters. In one simulated room, 4,000 paths, starts of 0.05, 0.1 and 0.2 ended at 0.28, 0.27 and
+0.54 in the mean. Against 0.1 alpha moved by up to 0.38 and 1.13 of the stated sigma."""
 
 
 @click.command(short_help="Calibrate to what every position heard, in the room's mesh.")
