@@ -14,6 +14,7 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
+from scipy.special import ndtri
 
 from rtcal.acoustics.changes import changed
 from rtcal.acoustics.equations import LinearEquation
@@ -51,6 +52,17 @@ class DesignModel:
     target: Target
     equation: LinearEquation
     assumptions: Assumptions
+
+    def of(self, names: tuple[str, ...]) -> DesignModel:
+        """Return the model with these treatments alone; what is known of it is kept."""
+        if names not in self._some:
+            used = tuple(t for t in self.treatments if t.name in names)
+            self._some[names] = replace(self, treatments=used)
+        return self._some[names]
+
+    @cached_property
+    def _some(self) -> dict[tuple[str, ...], DesignModel]:
+        return {tuple(t.name for t in self.treatments): self}
 
     @cached_property
     def rooms(self) -> Rooms:
@@ -145,9 +157,15 @@ class DesignModel:
         """Return the target's ranges in the room with these areas: its whole surface counts."""
         _, _, _, offset, tau = self._known
         whole = self.before.total_area + float(self.steps.sum(axis=0) @ x)
-        room = changed(self.before, [])
-        room = room.replace(areas=room.areas * (whole / room.total_area))
-        return Ranges(room, self.equation, target or self.target, offset, tau)
+        if whole not in self._sized:
+            areas = self.before.areas * (whole / self.before.total_area)
+            self._sized[whole] = changed(self.before, []).replace(areas=areas)
+        return Ranges(self._sized[whole], self.equation, target or self.target, offset, tau)
+
+    @cached_property
+    def _sized(self) -> dict[float, Room]:
+        """The room with another whole surface in m²."""
+        return {}
 
     def area(self, x: Array, at: Array | None = None) -> tuple[Array, Array]:
         """Return mean and standard deviation of A in m², (n_bands,) each, for areas x in m².
@@ -169,36 +187,85 @@ class DesignModel:
         times = [self.equation.time(room, mean + s) for s in (-step, step)]
         return np.asarray(2 * step / np.log(times[0] / times[1]))
 
-    def probability(self, x: Array) -> Array:
+    def probability(self, x: Array, target: Target | None = None) -> Array:
         """Return the probability that T is in its range, (n_bands,)."""
-        return self.ranges(x).probability(*self.area(x))
+        return self.ranges(x, target).probability(*self.area(x))
 
-    def cheapest(self, probability: float | Array, target: Target | None = None) -> Array | None:
+    def cheapest(
+        self,
+        probability: float | Array,
+        target: Target | None = None,
+        start: Array | None = None,
+    ) -> Array | None:
         """Return the cheapest areas in m², whole panels where asked for; None if there are none.
 
         The ``probability`` is that of all bands, or one of each, (n_bands,).
 
         The slope of ln T and a free-standing treatment's surface depend on the answer: rounds follow
-        until it no longer moves.
+        from ``start`` until it no longer moves. Where the program of a round has no answer, the next
+        one is linear at the most probable areas.
         """
-        x = np.zeros(len(self.treatments))
-        mean, _ = self.ranges(x, target).best()
-        bounded = (target or self.target).bounded
-        mean = np.where(bounded, mean, self.area(x)[0])
+        x, sought = self._upper / 2 if start is None else start, False
         means: tuple[Array, ...] = ()
         for _ in range(_ROUNDS):
+            mean = self.area(x)[0]
             numbers = self.numbers(probability, x, mean, target, means)
             after = None if numbers is None else self._solve(numbers)
+            if after is None and not sought:
+                x, margin = self.most_probable(probability, target)
+                if margin < 0:
+                    return None
+                means, sought = (self.area(x)[0],), True
+                continue
             if after is None:
-                return None
+                break
             moved = float(np.max(np.abs(after - x))) / self.before.total_area
-            x, mean = after, self.area(after)[0]
+            x = after
             if moved < _SETTLED and self._lacks(probability, x, target) <= _SLACK:
                 break
-            means = (*means[1 - _LAST :], mean)
-        if numbers is not None and any(t.unit is not None for t in self.treatments):
+            means = (*means[1 - _LAST :], self.area(x)[0])
+        if any(t.unit is not None for t in self.treatments):
             return self._whole_panels(probability, x, target)
         return x
+
+    def most_probable(
+        self, probability: float | Array, target: Target | None = None
+    ) -> tuple[Array, float]:
+        """Return the areas whose least margin is largest, and that margin, in standard deviations.
+
+        The margin of a band is ndtri(P) - ndtri(probability). Panels need not be whole.
+        """
+        from scipy.optimize import minimize
+
+        bounded, upper = (target or self.target).bounded, self._upper
+        limits, largest = self.covering
+        asked = ndtri(np.broadcast_to(probability, bounded.shape))
+
+        def margins(shares: Array) -> Array:
+            found = self.probability(shares * upper, target)
+            return np.asarray((ndtri(np.clip(found, 1e-12, 1 - 1e-12)) - asked)[bounded])
+
+        n, best = len(upper), (self._upper * 0, -np.inf)
+        most = min(1.0, float(np.min(largest / np.maximum(limits @ upper, 1e-300))))
+        for start in most * np.array([0.0, 0.25, 0.5, 1.0]):
+            found = minimize(
+                lambda v: -v[-1],
+                np.append(np.full(n, start), margins(np.full(n, start)).min()),
+                jac=lambda v: np.append(np.zeros(n), -1.0),
+                bounds=[*[(0.0, 1.0)] * n, (None, None)],
+                constraints=[
+                    {"type": "ineq", "fun": lambda v: margins(v[:-1]) - v[-1]},
+                    {"type": "ineq", "fun": lambda v: 1 - limits @ (v[:-1] * upper) / largest},
+                ],
+                method="SLSQP",
+                options={"maxiter": 40, "ftol": 1e-5, "eps": 1e-5},
+            )
+            shares = np.clip(found.x[:-1], 0, 1)
+            shares = shares / max(1.0, float(np.max(limits @ (shares * upper) / largest)))
+            margin = float(margins(shares).min())
+            if margin > best[1]:
+                best = shares * upper, margin
+        return best
 
     def _lacks(self, probability: float | Array, x: Array, target: Target | None) -> float:
         """Return what the worst band's probability lacks of the promised one; below 0 nothing."""
@@ -221,6 +288,8 @@ class DesignModel:
         """
         ranges = self.ranges(x, target)
         whole = ranges.room.total_area
+        mean, root, beta, _, _ = self._known
+        gains = mean @ self.steps
         key = (
             np.asarray(probability).tobytes(),
             whole,
@@ -228,7 +297,11 @@ class DesignModel:
             ranges.target.high.tobytes(),
         )
         if key not in self._spans:
-            span = ranges.span(probability)
+            reach = [
+                mean @ self.areas + bound(gains, 0.0) @ self._upper
+                for bound in (np.minimum, np.maximum)
+            ]
+            span = ranges.span(probability, reach[0], reach[1])
             n = TANGENTS - _LAST
             # Closer towards both ends, where g rises most steeply.
             places = (1 - np.cos(np.pi * (np.arange(n) + 0.5) / n))[:, np.newaxis] / 2
@@ -244,7 +317,6 @@ class DesignModel:
         further = np.array([*means, *[first] * (_LAST - len(means))])
         off = _INSIDE * (last - first)
         cuts = ranges.tangents(probability, np.clip(further, first + off, last - off))
-        mean, root, beta, _, _ = self._known
         q = self._slope(at, x)[:, np.newaxis]
         limits, largest = self.covering
         return ProgramNumbers(
@@ -256,7 +328,7 @@ class DesignModel:
             start=np.einsum("kij,kj->ki", root, self.areas - q * beta),
             steps=root @ self.steps,
             mean=mean @ self.areas,
-            gains=mean @ self.steps,
+            gains=gains,
             intercept=np.vstack([intercept, cuts[0]]).T,
             slope=np.vstack([slope, cuts[1]]).T,
             scale=whole,

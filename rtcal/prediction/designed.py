@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, ClassVar, Protocol
 
 import numpy as np
+from scipy.special import ndtr, ndtri
 
 from rtcal.acoustics import bands
 from rtcal.acoustics.equations import Eyring, LinearEquation
@@ -30,12 +31,16 @@ from rtcal.support.types import Array
 FRONTIER = (0.8, 0.85, 0.9, 0.95)
 """Probabilities of `Design.frontier`."""
 _BEST = 0.99
-_PASSES = 3
-_LACK = 0.002
+_PASSES = 6
+_LACK = 0.001
 """Probability that a band may lack of the promised one."""
+_SETTLED = 3e-4
+"""Largest change of what is asked of the program in the last pass."""
+_FAR = 1.05
+"""Cost of the program's answer, over that of a design, from which it is not looked at further."""
 _HARDLY = 0.01
 """Probability below which a range is almost surely missed."""
-_TRIES = 7
+_TRIES = 8
 _WIDEST = 20.0
 """Most JND by which a range is widened in search of a feasible one."""
 
@@ -270,21 +275,59 @@ def design(
 def _cheapest(model: DesignModel, probability: float) -> Design | None:
     """Return the cheapest design that keeps the probability with the whole posterior; None if none.
 
-    The program takes A as normal. What a band of its answer lacks is asked of it once more. Where
-    more is not to be had, the first answer stands.
+    A surface that may be covered is less sure, also where little of it is: so fewer treatments may do
+    with less. What an answer does not use is left out, and then one treatment after the other.
     """
-    asked = np.full(model.before.n_bands, probability)
-    best: Design | None = None
-    for _ in range(_PASSES):
-        areas = model.cheapest(asked)
-        if areas is None:
-            break
-        best = Design(model=model, promised=probability, areas=areas)
-        lacks = np.where(model.target.bounded, probability - best.probability, 0.0)
-        if lacks.max() <= _LACK:
-            break
-        asked = np.minimum(asked + np.maximum(lacks, 0.0), _BEST)
+    names = tuple(t.name for t in model.treatments)
+    best, waiting, seen = None, [names], set()
+    while waiting:
+        used = waiting.pop()
+        if not used or used in seen:
+            continue
+        seen.add(used)
+        areas = _settled(model.of(used), probability, np.inf if best is None else best.cost)
+        if areas is not None:
+            put = dict(zip(used, areas.tolist(), strict=True))
+            every = np.array([put.get(name, 0.0) for name in names])
+            best = Design(model=model, promised=probability, areas=every)
+            used = tuple(name for name in used if put[name] > 0)
+            waiting.append(used)
+        if areas is not None or (best is None and used == names):
+            waiting += [tuple(n for n in used if n != name) for name in used]
     return best
+
+
+def _settled(model: DesignModel, probability: float, dearest: float) -> Array | None:
+    """Return the cheapest areas below a cost that keep the probability with the whole posterior.
+
+    The program takes A as normal. Each pass asks of it what its last answer had of its own where the
+    whole posterior had the promised probability, more or less.
+    """
+    bounded, best, x = model.target.bounded, None, None
+    asked = np.full(model.before.n_bands, probability)
+    for _ in range(_PASSES):
+        found = model.cheapest(asked, start=x)
+        # Where there is none, the normal A may be what forbids it.
+        x = model.most_probable(asked)[0] if found is None else found
+        cost = float(model.prices @ x)
+        if found is not None and cost > _FAR * dearest:
+            break
+        exact = model.prediction(x).probability(model.target.low, model.target.high)
+        if (probability - exact)[bounded].max() <= _LACK and cost < dearest:
+            best, dearest = x, cost
+        before = asked
+        asked = np.where(
+            bounded,
+            ndtr(ndtri(probability) + _normal(model.probability(x)) - _normal(exact)),
+            asked,
+        )
+        if np.abs(asked - before).max() <= _SETTLED:
+            break
+    return best
+
+
+def _normal(probability: Array) -> Array:
+    return np.asarray(ndtri(np.clip(probability, 1e-6, 1 - 1e-6)))
 
 
 def can_be_had(model: DesignModel, probability: float) -> list[str]:
@@ -307,13 +350,13 @@ def can_be_had(model: DesignModel, probability: float) -> list[str]:
         alone_in = Target(
             np.where(here, model.target.low, np.nan), np.where(here, model.target.high, np.nan)
         )
-        each.append((labels[k], _best(replace(model, target=alone_in))[0]))
+        each.append((labels[k], _best(model, probability, alone_in)[0]))
     listed = ", ".join(f"{label} {p:.2f}" for label, p in each)
     said.append(f"Best probability of each band alone: {listed}.")
-    best, at = _best(model)
+    best, at = _best(model, probability, model.target)
     if best < _HARDLY:
         said.append("With the best areas found, some band stays almost surely out of its range.")
-    elif at is not None:
+    else:
         said.append(
             "With the best areas found, every band is in its range with a probability of "
             f"{best:.2f} or more, at a cost of {model.prices @ at:.0f}."
@@ -323,39 +366,30 @@ def can_be_had(model: DesignModel, probability: float) -> list[str]:
         said.append(f"A range wider by {_WIDEST:g} JND at both ends is not met either.")
     else:
         said.append(f"A range wider by {widening:.1f} JND at both ends is met.")
-    parts = model.prediction(x if at is None else at).parts
+    parts = model.prediction(at).parts
     said.append(f"To narrow the interval, {words.advice(next(iter(parts)), len(model.states))}.")
     return said
 
 
-def _best(model: DesignModel) -> tuple[float, Array | None]:
-    """Return the largest probability for which areas are found, to 0.01, and the areas.
-
-    Below 0.8 the program is an approximation, so the probability is that of the areas found.
-    """
-    plain = replace(model, treatments=tuple(replace(t, unit=None) for t in model.treatments))
-    _, best = _largest(plain.cheapest, 1.0)
-    if best is None:
-        return 0.0, None
-    found = plain.probability(best)[model.target.bounded]
-    return float(found.min()), best
+def _best(model: DesignModel, probability: float, target: Target) -> tuple[float, Array]:
+    """Return the largest probability that every band has, of the whole posterior, and the areas."""
+    best, at = -1.0, np.zeros(0)
+    asked: float | Array = probability
+    for _ in range(2):
+        x = model.most_probable(asked, target)[0]
+        exact = model.prediction(x).probability(target.low, target.high)
+        least = float(exact[target.bounded].min())
+        best, at = (least, x) if least > best else (best, at)
+        asked = ndtr(ndtri(probability) + _normal(model.probability(x, target)) - _normal(exact))
+    return best, at
 
 
 def _widening(model: DesignModel, probability: float) -> float | None:
     """Return by how many JND both ends must move for a design to exist, to 0.2; None above 20."""
-
-    def met(narrower: float) -> Array | None:
-        wider = float(np.exp(JND * (_WIDEST - narrower)))
-        return model.cheapest(probability, model.target.widened(wider))
-
-    return None if met(0.0) is None else _WIDEST - _largest(met, _WIDEST)[0]
-
-
-def _largest(areas: Callable[[float], Array | None], high: float) -> tuple[float, Array | None]:
-    """Return the largest value from 0 on for which there are areas, by halves, and the areas."""
-    low, best = 0.0, None
+    low, high = 0.0, 2 * _WIDEST
     for _ in range(_TRIES):
         middle = (low + high) / 2
-        x = areas(middle)
-        low, high, best = (low, middle, best) if x is None else (middle, high, x)
-    return low, best
+        wider = model.target.widened(float(np.exp(JND * middle)))
+        met = _best(model, probability, wider)[0] >= probability
+        low, high = (low, middle) if met else (middle, high)
+    return None if high > _WIDEST else high

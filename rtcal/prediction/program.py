@@ -90,10 +90,13 @@ class Ranges:
         bands = np.arange(len(self.tau))
         return means[at, bands], found[at, bands]
 
-    def span(self, probability: float | Array) -> tuple[Array, Array] | None:
+    def span(
+        self, probability: float | Array, least: Array, most: Array
+    ) -> tuple[Array, Array] | None:
         """Return the least and the largest mean in m² at which a known A would do, (n_bands,) each.
 
-        None if a band cannot be in range with this probability, whatever A is.
+        They are from ``least`` to ``most`` m², (n_bands,) each, which is what the treatments reach:
+        far beyond, g need not be concave. None if a band cannot be in range with this probability.
         """
         whole, n_bands = self.room.total_area, len(self.tau)
         peak, best = self.best()
@@ -102,6 +105,7 @@ class Ranges:
             return None
         first = self._edge(probability, peak, np.full(n_bands, _EDGE * whole))
         last = self._edge(probability, peak, np.full(n_bands, (1 - _EDGE) * whole))
+        first, last = np.maximum(first, least), np.minimum(last, most)
         if ((last - first)[bounded] < _NARROWEST * whole).any():
             return None
         return first, last
@@ -127,12 +131,14 @@ class Ranges:
     def tangents_above(self, probability: float | Array, means: Array) -> tuple[Array, Array]:
         """Return the tangents at means (n, n_bands), each moved up until it is above g at all of them.
 
-        Only where the spread is larger than the mean itself is g not concave, and a tangent moved.
+        Only where the spread is large beside the mean is g not concave, and a tangent moved. Between
+        the means, and the ends, g is looked at once more.
         """
         intercept, slope = self.tangents(probability, means)
         has_one = intercept < _LOOSE * self.room.total_area
-        g = np.where(has_one, intercept + slope * means, 0.0)
-        above = np.max(g - slope[:, np.newaxis] * means, axis=1)
+        dense = np.concatenate([means, (means[1:] + means[:-1]) / 2])
+        g = self._largest(probability, dense)
+        above = np.max(g - slope[:, np.newaxis] * dense, axis=1)
         return np.where(has_one, above, intercept), slope
 
     def _edge(self, probability: float | Array, inside: Array, outside: Array) -> Array:
