@@ -399,3 +399,55 @@ def test_what_all_areas_reach_is_found() -> None:
     every = model.prediction(np.array([40.0, 20.0])).probability(strict.low, strict.high)
     assert every.min() > 0.95
     assert model.cheapest(0.95) is not None
+
+
+PANEL = rt.Material("panel", [0.4] * 6, [0.1] * 6)
+
+
+@pytest.mark.parametrize(
+    ("treatment", "rule"),
+    [
+        ({"largest": 60, "unit": 52}, 'largest = 60 m² is more than the 51.62 m² of "ceiling"'),
+        ({"largest": 1e300}, "is more than the 51.62 m²"),
+        ({"largest": 40, "unit": 0.01}, "allows more than 500 panels"),
+        ({"largest": 40, "cost": 1e308}, 'treatment "a": cost = 1e\\+308 is not from 0 to 1e\\+09'),
+    ],
+)
+def test_a_treatment_that_cannot_be_is_refused(treatment: dict[str, float], rule: str) -> None:
+    result, _, target = a_seminar_room()
+    with pytest.raises(DataError, match=rule):
+        rt.design(
+            result, [Treatment("a", PANEL, **{"cost": 9, **treatment}, covers="ceiling")], target
+        )
+
+
+def test_a_room_is_no_result() -> None:
+    result, panel, target = a_seminar_room()
+    with pytest.raises(DataError, match="is not a calibration's result"):
+        rt.design(result.room, [panel], target)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "rule"),
+    [
+        ([1.0] * 6, [0.5] * 6, "low = 1 s is not below high = 0.5 s"),
+        (-1.0, 2.0, "low = -1 s is not finite and above 0"),
+        ([1.0] * 6, [2.0] * 5, "high has shape"),
+    ],
+)
+def test_a_range_that_is_none_has_no_probability(low: object, high: object, rule: str) -> None:
+    predicted = a_seminar_room()[0].predict(rt.prediction.Cover("ceiling", PANEL, 20))
+    with pytest.raises(DataError, match=rule):
+        predicted.probability(low, high)  # type: ignore[arg-type]
+
+
+def test_a_volume_that_no_room_of_these_surfaces_has_is_refused() -> None:
+    with pytest.raises(DataError, match="volume = 1e-09 m³ is not from"):
+        a_seminar_room()[0].predict(rt.prediction.NewVolume(1e-9))
+
+
+def test_a_material_of_the_catalogue_states_no_alpha() -> None:
+    room, _ = rt.datasets.bras_cr2()
+    text = '[[material]]\nname = "c"\ncatalogue = "carpet_cotton"\nsigma = 0.4\n[[variant]]\n'
+    with pytest.raises(DataError, match=r"\[\[material\]\] 1: catalogue and sigma are both stated"):
+        rt.prediction.read_variants(text, room, rt.datasets.catalogue.material)

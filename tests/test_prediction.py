@@ -155,7 +155,7 @@ def test_calibrating_says_where_it_gains_and_where_not() -> None:
     state = measured(a_room(), u=0.01)
     gains = str(predict([state], Climate(rt.Air(25, 50))))
     none = str(predict([state], Cover("wall", unsure, 90)))
-    assert "it corrects what" in gains
+    assert "it tells of what" in gains
     assert "which the calibration does not know" in " ".join(none.split())
     assert 'measure alpha of "panel"' in " ".join(none.split())
 

@@ -134,7 +134,10 @@ def read_variants(
             raise DataError(f"{place}, {error}") from error
         name = entry.text("name", "; ".join(map(str, made)))
         cost = entry.number("cost") if "cost" in entry else None
-        variants.append(Variant(name, made, cost))
+        try:
+            variants.append(Variant(name, made, cost))
+        except DataError as error:
+            raise DataError(f"{place}: {error}") from error
     if not variants:
         raise DataError("no [[variant]]; the file has at least one")
     refuse_repeated_names(variants)
@@ -201,7 +204,12 @@ def new_material(
     if "catalogue" in entry:
         if catalogue is None:
             raise DataError(f'{place}: no catalogue to look "{entry.text("catalogue")}" up in')
-        found = catalogue(entry.text("catalogue"), room.centre_frequencies)
+        if both := [key for key in ("alpha", "sigma") if key in entry]:
+            raise DataError(f"{place}: catalogue and {both[0]} are both stated; a material has one")
+        try:
+            found = catalogue(entry.text("catalogue"), room.centre_frequencies)
+        except DataError as error:
+            raise DataError(f"{place}: {error}") from error
         return Material(name, found.alpha, found.sigma, source=found.source)
     own = {key: table[key] for key in ("name", "alpha", "sigma", "source") if key in table}
     return room_files.material(place, own, room.centre_frequencies, None)

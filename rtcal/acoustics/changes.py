@@ -23,6 +23,8 @@ OPENING = "opening"
 """Name of the material of what is opened: alpha = 1, exactly."""
 MOST_ADDED = 10.0
 """Largest area that is added, in shares of the room's surface: more is a slip of the decimal point."""
+MOST_VOLUME = 100.0
+"""Largest ratio of the volumes before and after: more is a slip of the unit."""
 _ROUNDING = 1e-9
 """Relative difference below which an area is the whole area."""
 
@@ -222,7 +224,13 @@ class NewVolume(Change):
     volume: float
 
     def apply(self, room: Room) -> Room:
-        """Return the room with this volume."""
+        """Return the room with this volume; DataError for one a hundred times as small or large."""
+        least, most = room.volume / MOST_VOLUME, room.volume * MOST_VOLUME
+        if not least <= checks.positive("volume", self.volume, "m³") <= most:
+            raise DataError(
+                f"volume = {self.volume:g} m³ is not from {least:g} to {most:g} m³: the room has "
+                f"{room.volume:g} m³"
+            )
         return room.replace(volume=self.volume)
 
     def __str__(self) -> str:
@@ -275,7 +283,7 @@ def _taken(room: Room, surface: str, area: float | None) -> float:
     has = float(room.areas[room.material_index(surface)])
     if area is None:
         return has
-    if checks.positive("area", area, " m²") > has * (1 + _ROUNDING):
+    if checks.positive("area", area, "m²") > has * (1 + _ROUNDING):
         raise DataError(f'area = {area:g} m² is more than the {has:g} m² of "{surface}"')
     return has if area > has * (1 - _ROUNDING) else area
 

@@ -28,8 +28,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import numpy as np
-
 from rtcal.acoustics.change_files import (
     Catalogue,
     material_name,
@@ -48,6 +46,11 @@ from rtcal.support.decode import Entries, toml_table
 
 LEAST = 0.8
 """Least probability that a design takes: below it the allowed sd is no concave function of the mean."""
+
+MOST_COST = 1e9
+"""Largest cost per m²: larger numbers are slips, and leave no digits to the others."""
+MOST_PANELS = 500
+"""Most whole panels of a treatment: with more, whole ones are no rule that costs anything."""
 
 
 @checked
@@ -89,13 +92,20 @@ class Treatment:
     unit: float | None = None
 
     def __post_init__(self) -> None:
-        checks.positive("largest", self.largest, " m²")
-        if not 0 <= checks.number("cost", self.cost) < np.inf:
-            raise DataError(f"cost = {self.cost:g} is not finite and 0 or more")
-        if self.unit is not None and checks.positive("unit", self.unit, " m²") > self.largest:
+        place = f'treatment "{self.name}": '
+        checks.positive(f"{place}largest", self.largest, "m²")
+        if not 0 <= checks.number(f"{place}cost", self.cost) <= MOST_COST:
+            raise DataError(f"{place}cost = {self.cost:g} is not from 0 to {MOST_COST:g} per m²")
+        if self.unit is None:
+            return
+        if checks.positive(f"{place}unit", self.unit, "m²") > self.largest:
             raise DataError(
-                f'treatment "{self.name}": unit = {self.unit:g} m² is more than largest = '
-                f"{self.largest:g} m²"
+                f"{place}unit = {self.unit:g} m² is more than largest = {self.largest:g} m²"
+            )
+        if self.largest > MOST_PANELS * self.unit:
+            raise DataError(
+                f"{place}unit = {self.unit:g} m² allows more than {MOST_PANELS} panels in largest = "
+                f"{self.largest:g} m²; left out, any area may be had"
             )
 
     def change(self, area: float) -> Change:
@@ -167,7 +177,12 @@ def check_treatments(treatments: Sequence[Treatment], room: Room) -> tuple[Treat
         raise DataError(f'treatments has "{repeated[0]}" twice')
     for treatment in listed:
         if treatment.covers is not None:
-            room.material_index(treatment.covers)
+            has = float(room.areas[room.material_index(treatment.covers)])
+            if treatment.largest > has * (1 + 1e-9):
+                raise DataError(
+                    f'treatment "{treatment.name}": largest = {treatment.largest:g} m² is more than '
+                    f'the {has:g} m² of "{treatment.covers}"'
+                )
         elif treatment.largest > (most := MOST_ADDED * room.total_area):
             raise DataError(
                 f'treatment "{treatment.name}": largest = {treatment.largest:g} m² is more than '

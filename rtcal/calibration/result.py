@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtcal.acoustics import room_errors
+from rtcal.acoustics.assumptions import Assumptions
 from rtcal.acoustics.changes import Change
 from rtcal.acoustics.equations import LinearEquation
 from rtcal.acoustics.quality import Plausibility, gap_jnd, plausibility
@@ -30,7 +31,6 @@ from rtcal.errors import ModelError
 from rtcal.posterior.density import CoupledBands, IndependentBands
 from rtcal.posterior.distributions import exact_interval
 from rtcal.posterior.sensitivities import Optimality
-from rtcal.prediction.assumptions import Assumptions
 from rtcal.prediction.predicted import Prediction, predict
 from rtcal.support.files import json_numbers
 from rtcal.support.results import Result

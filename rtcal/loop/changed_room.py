@@ -21,12 +21,12 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from rtcal.acoustics.assumptions import Assumptions
 from rtcal.acoustics.changes import Change, Climate, Cover, Open, changed
 from rtcal.acoustics.equations import Eyring
+from rtcal.acoustics.joint_states import Rooms
 from rtcal.acoustics.room import Room
 from rtcal.errors import DataError
-from rtcal.prediction.assumptions import Assumptions
-from rtcal.prediction.estimate import Rooms
 from rtcal.simulators import polygons
 from rtcal.simulators.base import Simulator
 from rtcal.simulators.geometry import WELD, Polyhedron

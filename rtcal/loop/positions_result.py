@@ -9,6 +9,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from rtcal.acoustics.assumptions import Assumptions
 from rtcal.acoustics.change_files import Variant
 from rtcal.acoustics.changes import Change
 from rtcal.acoustics.observables import LEVEL, observable
@@ -27,7 +28,6 @@ from rtcal.loop.positions_prediction import PositionsPrediction
 from rtcal.loop.positions_tables import Table, gap_table, material_table, rms
 from rtcal.loop.predicted_positions import WANTED, predict_positions
 from rtcal.loop.scattering import Scattering
-from rtcal.prediction.assumptions import Assumptions
 from rtcal.simulators.base import Simulator
 from rtcal.simulators.observations import Observations, observe
 from rtcal.support import html, text

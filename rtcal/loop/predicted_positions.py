@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from rtcal.acoustics.assumptions import Assumptions
 from rtcal.acoustics.change_files import Variant, refuse_repeated_names
 from rtcal.acoustics.observables import MATCH, OBSERVABLES, TARGET
 from rtcal.acoustics.scene import POSITION, checked_uncertainty
@@ -15,7 +16,6 @@ from rtcal.loop.change_at_positions import Before, CalibratedAtPositions, Change
 from rtcal.loop.changed_room import ChangedRoom
 from rtcal.loop.control_runs import Heard, simulated_controls
 from rtcal.loop.positions_prediction import PositionsPredictions
-from rtcal.prediction.assumptions import Assumptions
 from rtcal.simulators.base import Simulator
 from rtcal.simulators.observations import checked_parameters, observe
 from rtcal.simulators.path_tracing import PathTracing

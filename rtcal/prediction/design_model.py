@@ -16,14 +16,15 @@ from typing import Any
 import numpy as np
 from scipy.special import ndtri
 
+from rtcal.acoustics.assumptions import Assumptions
 from rtcal.acoustics.changes import changed
 from rtcal.acoustics.equations import LinearEquation
+from rtcal.acoustics.joint_states import Rooms
 from rtcal.acoustics.room import Room
 from rtcal.acoustics.states import State
 from rtcal.acoustics.targets import Target
 from rtcal.acoustics.treatments import Treatment
-from rtcal.prediction.assumptions import Assumptions
-from rtcal.prediction.estimate import Rooms, estimated_change, near_bounds, samples
+from rtcal.prediction.estimate import estimated_change, near_bounds, samples
 from rtcal.prediction.predicted import SAMPLES, Prediction, predict
 from rtcal.prediction.program import TANGENTS, ProgramNumbers, Ranges, program
 from rtcal.support.types import Array

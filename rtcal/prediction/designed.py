@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, ClassVar, Protocol
+from typing import Any, ClassVar, Protocol, runtime_checkable
 
 import numpy as np
 from scipy.special import ndtr, ndtri
 
 from rtcal.acoustics import bands
+from rtcal.acoustics.assumptions import Assumptions
 from rtcal.acoustics.equations import Eyring, LinearEquation
 from rtcal.acoustics.room import Room
 from rtcal.acoustics.states import State
@@ -18,7 +19,6 @@ from rtcal.acoustics.targets import Target
 from rtcal.acoustics.treatments import LEAST, Treatment, check_treatments
 from rtcal.errors import DataError, InfeasibleError
 from rtcal.prediction import words
-from rtcal.prediction.assumptions import Assumptions
 from rtcal.prediction.design_model import DesignModel
 from rtcal.prediction.predicted import JND, Prediction
 from rtcal.support import checks, text
@@ -45,6 +45,7 @@ _WIDEST = 20.0
 """Most JND by which a range is widened in search of a feasible one."""
 
 
+@runtime_checkable
 class Measured(Protocol):
     """A result whose states and room a design takes, such as a `CalibrationResult`."""
 
@@ -255,6 +256,8 @@ def design(
             f"probability = {probability:g} is not from {LEAST:g} to {_BEST:g}: below, the program "
             "finds no sure optimum"
         )
+    if not isinstance(result, Measured):
+        raise DataError(f"result = {checks.shown(result)} is not a calibration's result, or Known")
     room = result.prior
     if target.low.shape != (room.n_bands,):
         raise DataError(f"target has {len(target.low)} bands; the room has {room.n_bands}")

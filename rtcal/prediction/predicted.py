@@ -11,22 +11,17 @@ import numpy as np
 from scipy.special import ndtr, ndtri
 
 from rtcal.acoustics import bands
+from rtcal.acoustics.assumptions import Assumptions
 from rtcal.acoustics.changes import Change, changed
 from rtcal.acoustics.equations import Eyring, LinearEquation
+from rtcal.acoustics.joint_states import Flags, Rooms
 from rtcal.acoustics.room import Room
 from rtcal.acoustics.states import State
+from rtcal.acoustics.targets import Target
 from rtcal.errors import DataError
 from rtcal.posterior.density import probability_within
 from rtcal.prediction import words
-from rtcal.prediction.assumptions import Assumptions
-from rtcal.prediction.estimate import (
-    Estimate,
-    Flags,
-    Rooms,
-    estimated_change,
-    near_bounds,
-    samples,
-)
+from rtcal.prediction.estimate import Estimate, estimated_change, near_bounds, samples
 from rtcal.support import checks
 from rtcal.support.arguments import checked
 from rtcal.support.files import json_numbers
@@ -202,7 +197,7 @@ class Prediction(Result):
     def probability(self, low: Array, high: Array) -> Array:
         """Return the probability that T is from ``low`` to ``high`` in s, (n_bands,).
 
-        NaN at an end leaves it open. DataError for another shape.
+        NaN at an end leaves it open. DataError for another shape, and as `Target`.
         """
         below, above = self._levels(low, high)
         return np.asarray(above - below)
@@ -218,13 +213,13 @@ class Prediction(Result):
 
     def _levels(self, low: Array, high: Array) -> tuple[Array, Array]:
         """Probabilities of a T below each end, (n_bands,) each."""
-        shape = (self.after.n_bands,)
-        ends = []
-        for name, stated, unstated in (("low", low, 0.0), ("high", high, np.inf)):
-            values = np.broadcast_to(checks.array(name, stated), shape)
-            ends.append(np.where(np.isnan(values), unstated, values))
+        every = np.ones(self.after.n_bands)
+        for name, ends in (("low", low), ("high", high)):
+            if np.shape(ends) not in ((), every.shape):
+                raise DataError(f"{name} has shape {np.shape(ends)}; it is {every.shape}")
+        target = Target(every * low, every * high)
         with np.errstate(divide="ignore"):
-            logs = np.log(ends)
+            logs = np.log([np.nan_to_num(target.low), np.nan_to_num(target.high, nan=np.inf)])
         levels = ndtr((logs - self.linear_mean) / self.linear_sigma)
         for k, draws in self._draws.items():
             own = max(self.assumptions.own, 1e-12)

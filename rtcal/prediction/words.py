@@ -38,6 +38,8 @@ _MOST = 0.5
 
 def advice(part: str, n_states: int) -> str:
     """Return what to measure next to narrow one part of an interval, after so many states."""
+    if n_states == 0 and part in (STAYS, EQUATION):
+        return "measure T in the room as it is"
     if part == EQUATION and n_states > 1:
         return (
             "use a simulator: several states are measured, and what is left is the equation's own"
@@ -64,7 +66,7 @@ def sentences(
     if without is None:
         said.append("Nothing was measured: the interval is that of the stated coefficients.")
     else:
-        told = "it corrects what stays, and alpha of what changes is"
+        told = "it tells of what stays; alpha of what changes is"
         if new > _MOST:
             told = "alpha of what changes itself, which the calibration does not know, is"
         said.append(

@@ -341,6 +341,7 @@ def _reproduce(finding: MeansFinding, reproduction: Reproduction | None) -> dict
         case = finding.case.to_json().encode()
         return None if len(case) > room_files.MAX_BYTES else {"case": data_of(case)}
     return {
+        "case": "",
         "command": reproduction.command,
         "files": list(reproduction.files),
         "seed": reproduction.seed,

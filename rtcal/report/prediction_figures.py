@@ -98,9 +98,10 @@ def frontier(costs: Mapping[float, float], promised: float, cost: float) -> Any:
     for p in costs:
         if p not in known:
             axes.axvline(p, color="0.6", linestyle=":")
-            axes.annotate("none", (p, 0.02), xycoords=("data", "axes fraction"), fontsize="small")
+            place = {"xytext": (-3, 4), "textcoords": "offset points", "ha": "right"}
+            axes.annotate("none", (p, 0), xycoords=("data", "axes fraction"), **place)
     axes.set_xlabel("probability of each band")
     axes.set_ylabel("cost")
-    axes.set_ylim(bottom=0)
+    axes.set_ylim(0, 1.08 * max(known.values(), default=1.0) or 1.0)
     axes.legend(fontsize="small")
     return figure
