@@ -3,6 +3,7 @@
     python -m benchmarks.prediction toggles            # real rooms in several states
     python -m benchmarks.prediction worlds --rooms 200 # another tracer's rooms, one change each
     python -m benchmarks.prediction designs --rooms 200
+    python -m benchmarks.prediction one-sided --rooms 60 # rt.design: a largest T alone
     python -m benchmarks.prediction resolve            # processor time of a re-solve
 
 The measured rooms are not shipped: `benchmarks.real_data` says where they are looked for. The rule
@@ -466,6 +467,48 @@ def cheapest_of(model: DesignModel, p: float, grid: Array, cost: Array) -> Array
     return None
 
 
+def one_sided(rooms: int) -> None:
+    """Print what `rt.design` gives for a largest T alone, beside a treatment that nobody would use."""
+    rows, falsely, neither, broken = [], 0, 0, 0
+    for index in range(1000, 1000 + rooms):
+        model, p = random_design(index)
+        target = Target(np.full(6, np.nan), model.target.high)
+        dear = Treatment("dear", model.treatments[1].material, 5.0, 1e5, covers="floor")
+        known = Known(model.states, model.before)
+        try:
+            every = (*model.treatments, dear)
+            found = rt.design(known, every, target, p, assumptions=model.assumptions)
+        except rt.errors.InfeasibleError:
+            found = None
+        best = cheapest_exactly(replace(model, target=target), p)
+        if found is None or best is None:
+            falsely += found is None and best is not None
+            neither += found is None and best is None
+            broken += found is not None and found.probability.min() < p - 0.002
+        else:
+            rows.append((float(found.probability.min() - p), found.cost / best))
+    tell_designs(rooms, rows, neither, falsely)
+    print(
+        f"found where the grid has none: {rooms - len(rows) - neither - falsely}, {broken} broken"
+    )
+
+
+def cheapest_exactly(model: DesignModel, p: float) -> float | None:
+    """Return the least cost of a grid, and of a finer one about it, by the whole posterior's probability."""
+    largest, best = np.array([t.largest for t in model.treatments]), None
+    shares = np.array(list(itertools.product(np.linspace(0, 1, 41), repeat=2)))
+    for grid in (shares, (shares - 0.5) / 20):
+        points = (grid if best is None else np.clip(best + grid, 0, 1)) * largest
+        points = points[(witness(model, points, 20) >= p - 0.05).all(axis=1)]
+        points = points[np.argsort(points @ model.prices)]
+        ends = model.target.low, model.target.high
+        good = (x for x in points if (model.prediction(x).probability(*ends) >= p).all())
+        if (x := next(good, None)) is None:
+            break
+        best = x / largest
+    return None if best is None else float(model.prices @ (best * largest))
+
+
 def resolve() -> None:
     model, p = random_design(1)
     x = model.cheapest(p)
@@ -496,7 +539,7 @@ def median_time(call: Callable[[], object], repeats: int = 31) -> float:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("part", choices=("toggles", "worlds", "designs", "resolve"))
+    parser.add_argument("part", choices=("toggles", "worlds", "designs", "one-sided", "resolve"))
     parser.add_argument("--rooms", type=int, default=200)
     stated = parser.parse_args()
     if stated.part == "toggles":
@@ -505,6 +548,8 @@ def main() -> None:
         worlds(stated.rooms)
     elif stated.part == "designs":
         designs(stated.rooms)
+    elif stated.part == "one-sided":
+        one_sided(stated.rooms)
     else:
         resolve()
 
