@@ -494,7 +494,7 @@ def one_sided(rooms: int) -> None:
 
 
 def cheapest_exactly(model: DesignModel, p: float) -> float | None:
-    """Return the least cost of a grid, and of a finer one about it, by the whole posterior's probability."""
+    """Return the least cost of a grid, and of a finer one about it, by the whole posterior."""
     largest, best = np.array([t.largest for t in model.treatments]), None
     shares = np.array(list(itertools.product(np.linspace(0, 1, 41), repeat=2)))
     for grid in (shares, (shares - 0.5) / 20):
