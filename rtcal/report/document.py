@@ -46,6 +46,8 @@ _FACTORS = (
 def odds(nats: float) -> str:
     """Return evidence in nats as odds, to two digits.
 
+    Examples
+    --------
     >>> odds(2.3026), odds(-4.0), odds(0.0), odds(40.0)
     ('10 to 1', '1 to 55', 'even', 'over a million to 1')
     """
@@ -58,6 +60,8 @@ def odds(nats: float) -> str:
 def in_odds(sentence: str) -> str:
     """Return a sentence with odds in place of nats.
 
+    Examples
+    --------
     >>> in_odds("Evidence: +4.6 nats; threshold 2.3.")
     'Evidence: odds of 99 to 1; threshold 10 to 1.'
     >>> in_odds("They are 3.0 nats less probable with the effect.")
