@@ -401,7 +401,7 @@ def test_what_all_areas_reach_is_found() -> None:
     assert model.cheapest(0.95) is not None
 
 
-PANEL = rt.Material("panel", [0.4] * 6, [0.1] * 6)
+BOARD = rt.Material("board", [0.4] * 6, [0.1] * 6)
 
 
 @pytest.mark.parametrize(
@@ -417,7 +417,7 @@ def test_a_treatment_that_cannot_be_is_refused(treatment: dict[str, float], rule
     result, _, target = a_seminar_room()
     with pytest.raises(DataError, match=rule):
         rt.design(
-            result, [Treatment("a", PANEL, **{"cost": 9, **treatment}, covers="ceiling")], target
+            result, [Treatment("a", BOARD, **{"cost": 9, **treatment}, covers="ceiling")], target
         )
 
 
@@ -436,7 +436,7 @@ def test_a_room_is_no_result() -> None:
     ],
 )
 def test_a_range_that_is_none_has_no_probability(low: object, high: object, rule: str) -> None:
-    predicted = a_seminar_room()[0].predict(rt.prediction.Cover("ceiling", PANEL, 20))
+    predicted = a_seminar_room()[0].predict(rt.prediction.Cover("ceiling", BOARD, 20))
     with pytest.raises(DataError, match=rule):
         predicted.probability(low, high)  # type: ignore[arg-type]
 
