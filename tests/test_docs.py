@@ -75,8 +75,11 @@ LONG = {
         if name != "docs/extending.md"  # tests/test_extending.py runs each block by itself
     ],
 )
-def test_python_blocks_run_and_print_what_they_say(page: Path) -> None:
-    """The blocks of a page run one after the other, in one namespace."""
+def test_python_blocks_run_and_print_what_they_say(
+    page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The blocks of a page run one after the other, in one namespace and an empty folder."""
+    monkeypatch.chdir(tmp_path)
     names: dict[str, object] = {}
     for block in blocks(page, "python"):
         run_and_compare(block, str(page), names)
