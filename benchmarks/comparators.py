@@ -25,9 +25,9 @@ from scipy import optimize
 import rtcal as rt
 from rtcal.acoustics.decay import clarity, decay_time
 from rtcal.datasets import halls
-from rtcal.errors import RtcalError
 from rtcal.simulators.external import External
 from rtcal.simulators.path_tracing import PathTracing
+from rtcal.support.errors import RtcalError
 
 BAND = 3  # 1 kHz
 JND = np.array([0.05, 0.05, 1.0])  # T20, EDT relative; C80 in dB

@@ -16,7 +16,7 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
-from rtcal.errors import SolverError
+from rtcal.support.errors import SolverError
 from tests import coupled
 
 ROUNDING = 2e-16

@@ -16,7 +16,7 @@ import numpy as np
 
 import rtcal as rt
 from rtcal import exact
-from rtcal.errors import SolverError
+from rtcal.support.errors import SolverError
 from rtcal.support.types import Array
 
 FREQUENCIES = (125.0, 250.0, 500.0, 1000.0, 2000.0, 4000.0)

@@ -14,10 +14,10 @@ import argparse
 import numpy as np
 
 import rtcal as rt
-from rtcal.errors import DataError
 from rtcal.loop.calibrate import calibrate_simulator
 from rtcal.loop.rules import Rule
 from rtcal.simulators.sdn import ScatteringDelayNetwork
+from rtcal.support.errors import DataError
 
 ALPHAS = np.array([0.05, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9])
 SIDES = (5.0, 7.0, 3.0)

@@ -2,7 +2,7 @@
 
 Each function gets valid arguments, then one of them is replaced by each of `WRONG`, None, texts, empty
 and object arrays, NaN, wrong shapes, and by a generator. A call may work or raise a typed error
-(`rtcal.errors`). Counted are the untyped exceptions (asked: at most 1 %) and the calls without an end
+(`rt.errors`). Counted are the untyped exceptions (asked: at most 1 %) and the calls without an end
 within `LIMIT` (asked: 0). Public are the names that the packages list, the functions of the modules
 among them, and the methods of the classes for which `instances` has an example.
 
@@ -35,7 +35,6 @@ from matplotlib.figure import Figure
 import rtcal as rt
 from rtcal.calibration.problem import CalibrationProblem, JointProblem
 from rtcal.calibration.solvers import SolveKeywords
-from rtcal.errors import ModelError, RtcalError
 from rtcal.finder import AppliedEffect, Case, Change, Configuration, find, plan, verify
 from rtcal.loop.state import start
 from rtcal.posterior.distributions import distribution
@@ -43,6 +42,7 @@ from rtcal.simulators.equation import EquationSimulator
 from rtcal.simulators.geometry import SHOEBOX_WALLS, Polyhedron
 from rtcal.simulators.image_source import ImageSource
 from rtcal.simulators.path_tracing import PathTracing
+from rtcal.support.errors import ModelError, RtcalError
 
 LIMIT = 10.0
 """s of processor time per call, so that a busy machine changes nothing. `find` takes some 3 s."""

@@ -19,7 +19,6 @@ if TYPE_CHECKING:
     from rtcal import archive as archive
     from rtcal import calibration as calibration
     from rtcal import datasets as datasets
-    from rtcal import errors as errors
     from rtcal import exact as exact
     from rtcal import finder as finder
     from rtcal import io as io
@@ -55,6 +54,7 @@ if TYPE_CHECKING:
     from rtcal.loop.positions import calibrate_positions as calibrate_positions
     from rtcal.modes.calibrate import calibrate_modes as calibrate_modes
     from rtcal.prediction.designed import design as design
+    from rtcal.support import errors as errors
     from rtcal.support.results import load as load
 else:
     __getattr__, __dir__, __all__ = lazy.exports(__name__, __file__)

@@ -17,13 +17,13 @@ import numpy as np
 from hypothesis import strategies as st
 
 import rtcal as rt
-from rtcal.errors import DataError
 from rtcal.finder import Case
 from rtcal.io import bras, catt, impulse_responses, obj, odeon, pyroomacoustics, sigma_table, tables
 from rtcal.io.material_list import MaterialList
 from rtcal.io.text import number
 from rtcal.loop import Loop
 from rtcal.support import results
+from rtcal.support.errors import DataError
 from tests import fuzz_native as native
 
 

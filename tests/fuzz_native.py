@@ -14,7 +14,6 @@ import numpy as np
 
 import rtcal as rt
 from rtcal import studies
-from rtcal.errors import DataError
 from rtcal.finder import Case
 from rtcal.finder.case import AppliedEffect
 from rtcal.loop import Loop, start
@@ -23,6 +22,7 @@ from rtcal.studies.moments import ScoreMoments
 from rtcal.studies.runner import _open, _Store
 from rtcal.support import files, objects, results, transaction
 from rtcal.support.decode import json_object
+from rtcal.support.errors import DataError
 from rtcal.support.files import read_text
 from tests import faults
 from tests.test_discrepancy import opened

@@ -13,8 +13,8 @@ import rtcal as rt
 from benchmarks import archive as study
 from rtcal.archive.likelihood import Evidence, RoomData, Spread
 from rtcal.command.main import cli
-from rtcal.errors import DataError
 from rtcal.report import page
+from rtcal.support.errors import DataError
 
 SPREAD = Spread(table=0.9, between=0.3, room=0.05, together=0.1, equation=0.02, correlation=0.6)
 

@@ -12,9 +12,9 @@ import pytest
 
 import rtcal as rt
 from rtcal.acoustics import decay, quality, trust
-from rtcal.errors import DataError
 from rtcal.finder import Case, Change, Configuration, plan, recalibrate, simulator
 from rtcal.support.arguments import checked
+from rtcal.support.errors import DataError
 from rtcal.support.types import Array
 
 PACKAGE = Path(rt.__file__).parent

@@ -12,7 +12,7 @@ import pytest
 import rtcal as rt
 from rtcal.calibration.feasibility import Unreachable
 from rtcal.command import main as cli
-from rtcal.errors import DataError, InfeasibleError, MissingDependencyError, ModelError
+from rtcal.support.errors import DataError, InfeasibleError, MissingDependencyError, ModelError
 
 GOOD = {
     "name": "r",

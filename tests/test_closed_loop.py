@@ -12,12 +12,12 @@ from rtcal.acoustics.quality import gap_jnd
 from rtcal.calibration.problem import Calibration
 from rtcal.command.main import cli
 from rtcal.datasets import halls
-from rtcal.errors import DataError, SimulatorError
 from rtcal.loop import rules as loop_rules
 from rtcal.loop.calibrate import calibrate_simulator
 from rtcal.simulators.equation import EquationSimulator
 from rtcal.simulators.external import External
 from rtcal.simulators.path_tracing import PathTracing
+from rtcal.support.errors import DataError, SimulatorError
 
 
 def bent(room, factor, power):

@@ -7,12 +7,12 @@ import pytest
 
 import rtcal as rt
 from rtcal.datasets import halls
-from rtcal.errors import DataError
 from rtcal.loop.control_runs import ControlRuns, simulated_controls
 from rtcal.loop.scattering import COMMON_LEFT, basis, errors_by_scattering
 from rtcal.loop.simulator_error import error_scale
 from rtcal.simulators import PathTracing, Polyhedron, path_trace
 from rtcal.simulators.geometry import SHOEBOX_WALLS
+from rtcal.support.errors import DataError
 
 PAIRS = tuple(("S", f"R{i}") for i in range(6))
 RUNS = 400

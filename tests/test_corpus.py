@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from rtcal.errors import DataError
 from rtcal.io import bras, catt, obj, odeon, pyroomacoustics, tables
+from rtcal.support.errors import DataError
 from tests import corpus
 
 READERS: dict[str, Any] = {

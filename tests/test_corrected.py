@@ -16,7 +16,6 @@ from click.testing import CliRunner
 import rtcal as rt
 from rtcal.acoustics.room import Surface
 from rtcal.command.main import cli
-from rtcal.errors import DataError
 from rtcal.finder import AppliedEffect, Case, corrected_room, recalibrate, simulator
 from rtcal.finder.means.room_states import distances, state
 from rtcal.finder.model import predict
@@ -25,6 +24,7 @@ from rtcal.simulators.base import Simulator, run
 from rtcal.simulators.equation import EquationSimulator
 from rtcal.simulators.geometry import SHOEBOX_WALLS, Polyhedron
 from rtcal.simulators.image_source import ImageSource
+from rtcal.support.errors import DataError
 
 OPENING = AppliedEffect("opening", {"area": 40.0}, (20.0, 56.0))
 ABSORBERS = [

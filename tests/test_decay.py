@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rtcal.acoustics import decay
-from rtcal.errors import DataError, TooShortError
+from rtcal.support.errors import DataError, TooShortError
 
 
 def exponential(t: float, width: float = 1e-4, length: float = 1.5) -> np.ndarray:

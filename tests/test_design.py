@@ -14,7 +14,6 @@ import pytest
 
 import rtcal as rt
 from benchmarks.prediction import cheapest_of, random_design, witness
-from rtcal.errors import DataError, InfeasibleError
 from rtcal.prediction import (
     Assumptions,
     Known,
@@ -30,6 +29,7 @@ from rtcal.prediction import (
 from rtcal.prediction.design_model import DesignModel
 from rtcal.prediction.designed import Design
 from rtcal.prediction.program import Ranges, program
+from rtcal.support.errors import DataError, InfeasibleError
 
 BANDS = [250.0, 500.0, 1000.0]
 PANEL = rt.Material("panel", [0.5, 0.7, 0.8], [0.1] * 3)

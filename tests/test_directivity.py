@@ -6,10 +6,10 @@ import pytest
 import rtcal as rt
 from rtcal.acoustics.directivity import Directivity, DirectivityFile
 from rtcal.datasets import halls
-from rtcal.errors import DataError
 from rtcal.io import balloon, geometry_files
 from rtcal.simulators.path_tracing import PathTracing
 from rtcal.support import jit
+from rtcal.support.errors import DataError
 
 HALL = halls.lecture_hall()
 SOURCE, RECEIVER = HALL.sources["S1"], next(iter(HALL.receivers))

@@ -17,7 +17,6 @@ from scipy.stats import chi2, multivariate_t
 from threadpoolctl import threadpool_info
 
 import rtcal as rt
-from rtcal.errors import DataError
 from rtcal.finder import (
     Absorber,
     AppliedEffect,
@@ -49,6 +48,7 @@ from rtcal.finder.means.likelihood import alpha_covariance, goodness_of_fit
 from rtcal.finder.means.model_error import ModelDiscrepancy, estimate_discrepancy
 from rtcal.finder.means.room_states import distances, state
 from rtcal.finder.model import State, predict, sensitivities
+from rtcal.support.errors import DataError
 
 F = 125.0 * 2.0 ** np.arange(7)
 AREAS = np.array([60.0, 60.0, 30.0, 50.0])

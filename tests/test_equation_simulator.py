@@ -5,9 +5,9 @@ import pytest
 
 import rtcal as rt
 from rtcal.acoustics.equations import Kuttruff
-from rtcal.errors import DataError
 from rtcal.simulators import base
 from rtcal.simulators.equation import EquationSimulator
+from rtcal.support.errors import DataError
 
 
 def test_it_returns_the_equations_times(cr2):

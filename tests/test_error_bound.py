@@ -12,7 +12,7 @@ import rtcal as rt
 from rtcal.calibration.certificate import certify
 from rtcal.calibration.convex_program import Solution
 from rtcal.calibration.numpy_model import Multipliers
-from rtcal.errors import SolverError
+from rtcal.support.errors import SolverError
 from tests import coupled
 
 

@@ -12,9 +12,9 @@ from hypothesis import strategies as st
 
 import rtcal as rt
 from rtcal import exact
-from rtcal.errors import DataError, MissingDependencyError
 from rtcal.exact.batch import _excess
 from rtcal.support import jit
+from rtcal.support.errors import DataError, MissingDependencyError
 from tests import rational
 from tests.problems import Problem, problems
 

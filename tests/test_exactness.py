@@ -11,7 +11,7 @@ import pytest
 
 import rtcal as rt
 from rtcal.calibration.presets import preset
-from rtcal.errors import InfeasibleError, SolverError
+from rtcal.support.errors import InfeasibleError, SolverError
 from tests import rational
 from tests.problems import Problem, problems
 

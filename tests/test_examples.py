@@ -13,8 +13,8 @@ import rtcal as rt
 from rtcal.command.example import _PURPOSES
 from rtcal.command.main import main
 from rtcal.datasets import examples
-from rtcal.errors import DataError
 from rtcal.finder.positions import Case
+from rtcal.support.errors import DataError
 from tests.position_rooms import shipped as where_room
 from tests.position_rooms.shapes import area
 

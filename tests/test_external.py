@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 
 import rtcal as rt
-from rtcal.errors import DataError, SimulatorError
 from rtcal.simulators import base
 from rtcal.simulators.external import External
 from rtcal.simulators.program import command
+from rtcal.support.errors import DataError, SimulatorError
 
 PROGRAM = """
 import os

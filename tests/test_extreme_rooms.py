@@ -14,7 +14,7 @@ from rtcal import exact, terms
 from rtcal.calibration import convex_program, separable, solvers
 from rtcal.calibration.certificate import certify
 from rtcal.calibration.numpy_model import Multipliers
-from rtcal.errors import SolverError
+from rtcal.support.errors import SolverError
 
 PRIOR = terms.PriorDeviation()
 

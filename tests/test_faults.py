@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from rtcal.errors import DataError
+from rtcal.support.errors import DataError
 from rtcal.support.files import read_text, write_all, write_text
 from rtcal.support.transaction import recover
 from tests import faults

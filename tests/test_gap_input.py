@@ -16,7 +16,6 @@ from click.testing import CliRunner
 
 import rtcal as rt
 from rtcal.command.main import cli
-from rtcal.errors import DataError, OtherBandsWarning, RtcalError
 from rtcal.finder import (
     Absorber,
     AppliedEffect,
@@ -38,6 +37,7 @@ from rtcal.finder.means.engines import ControlRooms, Engine
 from rtcal.finder.means.model_error import ModelDiscrepancy
 from rtcal.finder.means.room_states import state
 from rtcal.finder.model import Decay, State
+from rtcal.support.errors import DataError, OtherBandsWarning, RtcalError
 from tests.test_discrepancy import F, Organ, case_with, controls_of, opened
 
 

@@ -11,7 +11,7 @@ import pytest
 import rtcal as rt
 from rtcal import terms
 from rtcal.calibration import joint_solution, uncertainty
-from rtcal.errors import ModelError
+from rtcal.support.errors import ModelError
 
 
 def large_room(n_materials: int, seed: int = 0, name: str = "large") -> rt.Room:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from rtcal.datasets import boxes, halls
-from rtcal.errors import DataError
+from rtcal.support.errors import DataError
 
 HALLS = (halls.lecture_hall, halls.hard_hall, halls.theatre, halls.corridor)
 

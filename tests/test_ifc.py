@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from rtcal.errors import DataError
 from rtcal.io import mesh
+from rtcal.support.errors import DataError
 from tests.report.pages import run
 
 pytest.importorskip("ifcopenshell", reason="needs the extra ifc")

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from scipy.io import wavfile
 
-from rtcal.errors import DataError
 from rtcal.io import impulse_responses as ir
 from rtcal.io.wav import clipped_samples
+from rtcal.support.errors import DataError
 from tests.fuzz import wav
 
 pyfar = pytest.importorskip("pyfar")

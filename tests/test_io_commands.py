@@ -12,8 +12,8 @@ import pytest
 
 import rtcal as rt
 from rtcal.command.main import main
-from rtcal.errors import DataError
 from rtcal.io import geometry_files
+from rtcal.support.errors import DataError
 from tests import fuzz
 
 

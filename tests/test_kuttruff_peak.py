@@ -9,7 +9,7 @@ import pytest
 
 import rtcal as rt
 from rtcal import terms
-from rtcal.errors import InfeasibleError
+from rtcal.support.errors import InfeasibleError
 
 KUTTRUFF = rt.Kuttruff()
 PEAK = KUTTRUFF.largest_mean

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 import rtcal as rt
-from rtcal.errors import DataError
 from rtcal.simulators.base import check_alpha
+from rtcal.support.errors import DataError
 
 pandas = pytest.importorskip("pandas", reason="needs pandas")
 

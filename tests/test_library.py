@@ -11,8 +11,8 @@ import pytest
 
 import rtcal as rt
 from rtcal.command.main import main
-from rtcal.errors import DataError
 from rtcal.io import library
+from rtcal.support.errors import DataError
 
 
 def run(*arguments: object) -> int:

@@ -8,7 +8,7 @@ import pytest
 import rtcal as rt
 from rtcal import terms
 from rtcal.calibration.convex_program import ConvexProgram
-from rtcal.errors import DataError
+from rtcal.support.errors import DataError
 
 ROOM = rt.Room(
     name="box",

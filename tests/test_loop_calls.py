@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 import rtcal as rt
-from rtcal.errors import DataError, SimulatorError
 from rtcal.simulators.external import External
+from rtcal.support.errors import DataError, SimulatorError
 
 
 class Program:

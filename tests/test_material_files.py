@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 import rtcal as rt
-from rtcal.errors import DataError
 from rtcal.io import bras, catt, odeon, pyroomacoustics
+from rtcal.support.errors import DataError
 from tests import fuzz
 
 FORMATS: dict[str, Any] = {

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 import rtcal as rt
-from rtcal.errors import DataError
 from rtcal.io import catt, obj, tables
 from rtcal.simulators.geometry import Polyhedron
+from rtcal.support.errors import DataError
 from tests import fuzz
 
 

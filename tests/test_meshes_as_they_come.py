@@ -13,9 +13,9 @@ import trimesh
 import rtcal as rt
 from benchmarks import defective_meshes
 from rtcal.command.main import main
-from rtcal.errors import DataError, MissingDependencyError
 from rtcal.io import geometry_files, mend, mesh
 from rtcal.simulators.geometry import Polyhedron
+from rtcal.support.errors import DataError, MissingDependencyError
 from tests.damage import damages
 
 BOX = Polyhedron.shoebox((10, 7, 4), "plaster")

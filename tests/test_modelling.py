@@ -14,7 +14,7 @@ import rtcal as rt
 from rtcal import terms
 from rtcal.calibration.configurations import Configurations
 from rtcal.calibration.presets import METHODS, preset
-from rtcal.errors import ModelError
+from rtcal.support.errors import ModelError
 from tests.conftest import random_room, true_times
 
 EYRING = rt.Eyring()

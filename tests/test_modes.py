@@ -12,13 +12,13 @@ from scipy.optimize import fsolve
 
 import rtcal as rt
 from rtcal.command.main import cli
-from rtcal.errors import DataError
 from rtcal.modes import MeasuredModes, absorption, admittance, box_modes
 from rtcal.modes.matching import match
 from rtcal.modes.model import AtFrequencies
 from rtcal.modes.paris import admittance_slope
 from rtcal.report.page import page_of
 from rtcal.simulators.geometry import SHOEBOX_WALLS
+from rtcal.support.errors import DataError
 from tests.test_saved_results import back
 
 SIDES = (5.2, 4.1, 2.6)

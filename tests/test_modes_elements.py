@@ -7,10 +7,10 @@ import pytest
 
 import rtcal as rt
 from rtcal.datasets.boxes import polyhedron
-from rtcal.errors import ModelError
 from rtcal.modes import box_modes, modes_of
 from rtcal.modes.tetrahedra import fill
 from rtcal.simulators.geometry import SHOEBOX_WALLS, Polyhedron
+from rtcal.support.errors import ModelError
 from tests.test_modes import TRUTH
 
 pytest.importorskip("skfem")

@@ -8,8 +8,8 @@ from click.testing import CliRunner
 
 import rtcal as rt
 from rtcal.command.main import cli
-from rtcal.errors import DataError
 from rtcal.modes import find_modes
+from rtcal.support.errors import DataError
 from tests.test_modes import BOX, ROOM, SHOEBOX_WALLS, SIDES, TRUTH, C, times
 
 RATE = 800.0

@@ -18,12 +18,12 @@ import pytest
 import rtcal as rt
 from rtcal.acoustics.equations import EQUATIONS, LinearEquation, linear_equation, register
 from rtcal.acoustics.equations import base as registry
-from rtcal.errors import DataError
 from rtcal.finder.means.recalibration import plain, recalibrate
 from rtcal.finder.means.room_states import state
 from rtcal.finder.model import STEEPEST, sensitivities
 from rtcal.loop.state import Loop, start
 from rtcal.simulators.equation import EquationSimulator
+from rtcal.support.errors import DataError
 
 ONE_FILE = '''
 class Quadratic(LinearEquation):

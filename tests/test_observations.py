@@ -11,7 +11,6 @@ import rtcal as rt
 from rtcal.acoustics.decay import gradients
 from rtcal.acoustics.observables import MATCH, OBSERVABLES, observable
 from rtcal.datasets import halls
-from rtcal.errors import DataError, SimulatorError
 from rtcal.simulators import (
     DifferentiableSimulator,
     ImageSource,
@@ -25,6 +24,7 @@ from rtcal.simulators import (
 )
 from rtcal.simulators.geometry import SHOEBOX_WALLS
 from rtcal.simulators.observations import differences, jacobian, observe
+from rtcal.support.errors import DataError, SimulatorError
 
 
 @pytest.fixture(scope="module")

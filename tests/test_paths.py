@@ -7,10 +7,10 @@ import pytest
 
 from rtcal.acoustics.decay import decay_time
 from rtcal.datasets import halls
-from rtcal.errors import DataError
 from rtcal.simulators import path_numba, path_numpy, path_trace, paths
 from rtcal.simulators.geometry import Polyhedron
 from rtcal.simulators.tracer import jackknife
+from rtcal.support.errors import DataError
 
 C = 343.0
 BIN = 0.002 * C  # m

@@ -16,9 +16,9 @@ import numpy as np
 import pytest
 
 from rtcal import studies
-from rtcal.errors import DataError
 from rtcal.studies.runner import _open
 from rtcal.support import files, transaction
+from rtcal.support.errors import DataError
 from tests import faults
 
 SHOEBOX = [35, 35, 21, 21, 15, 15]

@@ -11,12 +11,12 @@ import pytest
 
 import rtcal as rt
 from rtcal.datasets import halls
-from rtcal.errors import DataError
 from rtcal.loop.positions import precise
 from rtcal.loop.positions_result import PositionsResult
 from rtcal.loop.scattering import MaterialScattering, scattered
 from rtcal.loop.simulator_error import Listener
 from rtcal.simulators import PathTracing
+from rtcal.support.errors import DataError
 
 MATCH = ("t20", "edt", "c80", "ts", "level")
 HALL = halls.lecture_hall()

@@ -15,7 +15,6 @@ import rtcal as rt
 from rtcal.acoustics.observables import MATCH
 from rtcal.command.main import cli
 from rtcal.datasets import halls
-from rtcal.errors import DataError, SimulatorError
 from rtcal.io import obj
 from rtcal.loop import control_runs
 from rtcal.loop.measured_pairs import response_noise
@@ -30,6 +29,7 @@ from rtcal.simulators import (
     path_trace,
 )
 from rtcal.simulators.equation import EquationSimulator
+from rtcal.support.errors import DataError, SimulatorError
 
 HALL = halls.lecture_hall()
 ROOM = HALL.room

@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 
 import rtcal as rt
-from rtcal.errors import DataError, ModelError
 from rtcal.prediction import (
     Add,
     Assumptions,
@@ -29,6 +28,7 @@ from rtcal.prediction import (
     read_variants,
 )
 from rtcal.prediction.estimate import Rooms, estimated_change
+from rtcal.support.errors import DataError, ModelError
 
 BANDS = [500.0, 1000.0]
 PANEL = rt.Material("panel", [0.8, 0.9], [0.1, 0.1])

@@ -12,7 +12,6 @@ from click.testing import CliRunner
 import rtcal as rt
 from rtcal.acoustics.room_errors import HANDBOOK_SIGMA
 from rtcal.command.main import cli
-from rtcal.errors import DataError
 from rtcal.finder import Case, Configuration, find, library, recalibrate
 from rtcal.finder.claim import by_family, claim
 from rtcal.finder.effects.audience import Audience
@@ -29,6 +28,7 @@ from rtcal.finder.means.hypotheses import LowRank, predict_hypotheses
 from rtcal.finder.means.room_states import distances, state
 from rtcal.finder.model import predict
 from rtcal.finder.prior import SHARPER, off_together, prior_of
+from rtcal.support.errors import DataError
 
 F = [125.0, 250.0, 500.0, 1000.0, 2000.0, 4000.0]
 ALPHA = np.array([[0.05] * 6, [0.1, 0.15, 0.2, 0.3, 0.35, 0.4], [0.3, 0.2, 0.1, 0.08, 0.07, 0.06]])

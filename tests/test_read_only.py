@@ -10,13 +10,13 @@ import pytest
 
 import rtcal as rt
 from rtcal import terms
-from rtcal.errors import DataError, SimulatorError
 from rtcal.finder.case import Case
 from rtcal.finder.configuration import Configuration
 from rtcal.finder.effects.base import Effect
 from rtcal.finder.effects.checks import changed_states
 from rtcal.finder.means.room_states import state
 from rtcal.finder.model import State
+from rtcal.support.errors import DataError, SimulatorError
 
 
 def test_a_loop_cannot_be_changed_from_after_step(cr2: Any) -> None:

@@ -13,7 +13,6 @@ from rtcal import studies
 from rtcal.acoustics.decay import clarity, decay_time
 from rtcal.calibration.configurations import Configurations
 from rtcal.command import main as cli
-from rtcal.errors import DataError, InfeasibleError, ModelError, RtcalError
 from rtcal.posterior import distribution, sensitivity
 from rtcal.simulators.equation import EquationSimulator
 from rtcal.simulators.external import External
@@ -21,6 +20,7 @@ from rtcal.simulators.geometry import SHOEBOX_WALLS, Polyhedron
 from rtcal.simulators.path_tracing import PathTracing
 from rtcal.simulators.program import command
 from rtcal.simulators.shoebox import shoebox_of
+from rtcal.support.errors import DataError, InfeasibleError, ModelError, RtcalError
 from tests.test_bad_input import ROOM, TIMES, run  # noqa: F401
 
 AIR = rt.Air()

@@ -14,10 +14,10 @@ import numpy as np
 import pytest
 
 import rtcal as rt
-from rtcal.errors import DataError
 from rtcal.loop.control_runs import ControlRuns
 from rtcal.simulators import EquationSimulator, PathTracing
 from rtcal.support import objects
+from rtcal.support.errors import DataError
 from rtcal.support.results import NUMBERS, Result
 from tests.test_positions import HALL, MATCH, heard, tracing
 from tests.test_where_page import finding_of, verification_of

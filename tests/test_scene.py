@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import rtcal as rt
-from rtcal.errors import DataError
+from rtcal.support.errors import DataError
 
 STATED = rt.Scene(
     mesh="meshes/room.obj",

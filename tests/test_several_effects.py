@@ -17,7 +17,6 @@ from scipy.stats import multivariate_t
 
 import rtcal as rt
 from rtcal.command.main import cli
-from rtcal.errors import DataError
 from rtcal.finder import (
     AppliedEffect,
     Case,
@@ -49,6 +48,7 @@ from rtcal.finder.means.sets import (
 from rtcal.finder.model import FEATURES
 from rtcal.finder.prior import UNKNOWN, prior_of
 from rtcal.report import gap_report
+from rtcal.support.errors import DataError
 
 F = 125.0 * 2.0 ** np.arange(7)
 AREAS = np.array([60.0, 60.0, 30.0, 50.0])

@@ -7,12 +7,12 @@ import pytest
 
 import rtcal as rt
 from rtcal.acoustics import decay
-from rtcal.errors import DataError, TooShortError
 from rtcal.simulators import base
 from rtcal.simulators.geometry import SHOEBOX_WALLS, Polyhedron
 from rtcal.simulators.image_source import ImageSource, lattice
 from rtcal.simulators.sdn import ScatteringDelayNetwork, _blocks
 from rtcal.support import jit
+from rtcal.support.errors import DataError, TooShortError
 
 SOURCE, RECEIVER = {"S": (4.5, 3.5, 2.0)}, {"R": (2.0, 2.0, 1.5)}
 APART = {"R": (2.1, 2.3, 1.4)}  # no two first reflections arrive in one sample

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 import rtcal as rt
-from rtcal.errors import DataError
 from rtcal.simulators.base import Simulator
+from rtcal.support.errors import DataError
 
 SHOEBOX = rt.Room(
     name="box",

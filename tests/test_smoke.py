@@ -67,7 +67,7 @@ def fails_with(error: str) -> str:
     """Return code after which calibration raises ``error``: no input makes a solver fail at will."""
     return f"""
 import rtcal.calibration.presets as presets
-from rtcal.errors import SolverError
+from rtcal.support.errors import SolverError
 
 def calibrate(*_, **__):
     raise {error}

@@ -13,9 +13,9 @@ import sofar
 
 from rtcal.acoustics.directivity import Directivity
 from rtcal.command.main import main
-from rtcal.errors import DataError, MissingDependencyError
 from rtcal.io import balloon as balloons
 from rtcal.io import impulse_responses, sofa
+from rtcal.support.errors import DataError, MissingDependencyError
 
 RATE = 8000
 

@@ -11,10 +11,10 @@ import pytest
 import rtcal as rt
 from rtcal.acoustics import band_conversion
 from rtcal.acoustics.observables import observable
-from rtcal.errors import DataError
 from rtcal.finder import Case, Configuration
 from rtcal.finder.means.features import _uncertainty, observe
 from rtcal.io.analysis import with_uncertainty
+from rtcal.support.errors import DataError
 
 F = [125.0, 250.0, 500.0, 1000.0, 2000.0, 4000.0]
 PAIRS = [("S1", "R1"), ("S1", "R2"), ("S1", "R3"), ("S1", "R4")]

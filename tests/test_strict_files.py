@@ -11,10 +11,10 @@ from typing import Any
 import pytest
 
 import rtcal as rt
-from rtcal.errors import DataError
 from rtcal.finder import Case
 from rtcal.finder.finding import Detection
 from rtcal.support.decode import json_object
+from rtcal.support.errors import DataError
 from tests.test_discrepancy import opened
 
 

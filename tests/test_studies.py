@@ -17,11 +17,11 @@ import rtcal as rt
 from rtcal import studies
 from rtcal.acoustics.priors import TruncatedNormal
 from rtcal.command.main import cli
-from rtcal.errors import DataError, MissingDependencyError
 from rtcal.report import study_report
 from rtcal.studies import estimators, sampling
 from rtcal.studies.moments import SERIES, ScoreMoments
 from rtcal.support import jit
+from rtcal.support.errors import DataError, MissingDependencyError
 
 SHOEBOX = np.array(studies.rooms.SHOEBOX)
 HALL = np.array(list(studies.rooms.LECTURE_HALL.values()))

@@ -17,8 +17,8 @@ import pytest
 
 import rtcal as rt
 from rtcal.command.main import main
-from rtcal.errors import DataError, MissingDependencyError
 from rtcal.io import table_columns, tables, workbook
+from rtcal.support.errors import DataError, MissingDependencyError
 from tests.damage import damages
 
 Cells = Sequence[Sequence[Any]]

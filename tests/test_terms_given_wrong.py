@@ -11,7 +11,7 @@ import rtcal as rt
 from rtcal import terms
 from rtcal.calibration.measured import times_in_room
 from rtcal.calibration.terms import BaseTerm
-from rtcal.errors import ModelError, SolverError, TermError
+from rtcal.support.errors import ModelError, SolverError, TermError
 
 PRIOR = terms.PriorDeviation()
 

@@ -8,12 +8,12 @@ import pytest
 from rtcal.acoustics.air import Air
 from rtcal.acoustics.decay import decay_time
 from rtcal.datasets import halls
-from rtcal.errors import DataError, MissingDependencyError, TooShortError
 from rtcal.simulators import base
 from rtcal.simulators.geometry import Polyhedron
 from rtcal.simulators.path_tracing import PathTracing
 from rtcal.simulators.ray_tracing import RayTracing
 from rtcal.simulators.tracer import jackknife, measurement
+from rtcal.support.errors import DataError, MissingDependencyError, TooShortError
 
 pytest.importorskip("pyroomacoustics")
 

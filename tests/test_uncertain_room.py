@@ -14,7 +14,6 @@ from rtcal import terms
 from rtcal.acoustics.changes import Change
 from rtcal.acoustics.room_errors import target_changes
 from rtcal.calibration.configurations import Configurations
-from rtcal.errors import DataError, ModelError
 from rtcal.prediction import (
     Add,
     Cover,
@@ -28,6 +27,7 @@ from rtcal.prediction import (
     predict,
 )
 from rtcal.report import words
+from rtcal.support.errors import DataError, ModelError
 
 AREAS = np.array([35.0, 30.0, 21.0, 15.0])
 BANDS = (250, 500, 1000, 2000)
@@ -74,7 +74,7 @@ def by_areas(room: rt.Room, t: np.ndarray, solver: str) -> np.ndarray:
     return np.asarray(mu + (absorbed.value - mean.value) / s0[:, np.newaxis])
 
 
-@pytest.mark.filterwarnings("ignore::rtcal.errors.MissingAirWarning")
+@pytest.mark.filterwarnings("ignore::rtcal.support.errors.MissingAirWarning")
 @pytest.mark.parametrize("solver", ["CLARABEL", "HIGHS"])
 @pytest.mark.parametrize("seed", range(3))
 def test_it_is_the_qp_with_areas_and_volume_among_the_unknowns(solver: str, seed: int) -> None:
@@ -87,7 +87,7 @@ def test_it_is_the_qp_with_areas_and_volume_among_the_unknowns(solver: str, seed
     assert np.abs(result.shift).max() > 0.01
 
 
-@pytest.mark.filterwarnings("ignore::rtcal.errors.MissingAirWarning")
+@pytest.mark.filterwarnings("ignore::rtcal.support.errors.MissingAirWarning")
 @pytest.mark.parametrize("seed", range(3))
 def test_against_rational_arithmetic(seed: int) -> None:
     """On the active set the stationarity solved in fractions, and the KKT signs beside it."""

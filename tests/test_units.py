@@ -14,10 +14,10 @@ from rtcal.acoustics.quality import agreement, plausibility
 from rtcal.acoustics.trust import explained
 from rtcal.calibration import closed_form
 from rtcal.calibration.terms import SoftMatch
-from rtcal.errors import RtcalError
 from rtcal.finder import Change, Configuration
 from rtcal.loop.state import start
 from rtcal.studies import analytic_scores
+from rtcal.support.errors import RtcalError
 
 
 def room(**changes: Any) -> rt.Room:

@@ -15,13 +15,13 @@ from click.testing import CliRunner
 import rtcal as rt
 from rtcal.acoustics.observables import observable
 from rtcal.command.main import cli
-from rtcal.errors import DataError
 from rtcal.finder.effects import library
 from rtcal.finder.positions.detection import THRESHOLD
 from rtcal.finder.positions.patch import patched
 from rtcal.finder.positions.search import find_by_positions
 from rtcal.simulators import PathTracing, Polyhedron
 from rtcal.simulators.geometry import SHOEBOX_WALLS
+from rtcal.support.errors import DataError
 
 pytest.importorskip("numba", reason="the paths are traced by compiled code (extra fast)")
 

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 import rtcal as rt
-from rtcal.errors import DataError
 from rtcal.finder.positions.candidate import Candidate
 from rtcal.finder.positions.case import Case
 from rtcal.finder.positions.corrected import corrected
@@ -18,6 +17,7 @@ from rtcal.finder.positions.surfaces import of_geometry
 from rtcal.io import catt, geometry_files, obj, odeon
 from rtcal.simulators import ImageSource, PathTracing, Polyhedron, RayTracing
 from rtcal.simulators.geometry import SHOEBOX_WALLS
+from rtcal.support.errors import DataError
 
 pytest.importorskip("numba", reason="the paths are traced by compiled code (extra fast)")
 

@@ -12,12 +12,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from rtcal.errors import DataError
 from rtcal.finder.finding import Detection
 from rtcal.finder.positions import Place, PositionsFinding, PositionsVerification, verification
 from rtcal.loop.control_runs import ControlRuns
 from rtcal.report import where_figures, where_folder
 from rtcal.report.document import Heading
+from rtcal.support.errors import DataError
 from tests.test_figures import LEAST, PHONE, texts
 from tests.test_where_corrected import L_PLAN, candidate, case_in, prism, triangulated
 

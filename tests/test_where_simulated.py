@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 import rtcal as rt
-from rtcal.errors import DataError
 from rtcal.finder.positions.corrected import corrected
 from rtcal.simulators import RayTracing
+from rtcal.support.errors import DataError
 from tests.test_where import BANDS, RECEIVERS, SOURCES, measured, stated, tracing
 from tests.test_where_corrected import candidate
 

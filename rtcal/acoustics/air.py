@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rtcal.errors import DataError
 from rtcal.support import checks
 from rtcal.support.arguments import checked
+from rtcal.support.errors import DataError
 from rtcal.support.types import Array
 
 _REFERENCE_PRESSURE = 101.325  # kPa

@@ -28,9 +28,9 @@ from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.observables import TARGET, observable
 from rtcal.acoustics.observables.base import ITSELF, Scale
 from rtcal.acoustics.room import Room
-from rtcal.errors import DataError
 from rtcal.support import checks
 from rtcal.support.arguments import checked
+from rtcal.support.errors import DataError
 from rtcal.support.types import Array
 
 __all__ = [

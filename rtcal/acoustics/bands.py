@@ -8,8 +8,8 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from rtcal.errors import DataError
 from rtcal.support.arguments import checked
+from rtcal.support.errors import DataError
 from rtcal.support.types import Array
 
 __all__ = [

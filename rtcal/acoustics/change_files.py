@@ -55,10 +55,10 @@ from rtcal.acoustics.changes import (
 from rtcal.acoustics.materials import Material
 from rtcal.acoustics.room import Room
 from rtcal.acoustics.targets import Target, target_of
-from rtcal.errors import DataError
 from rtcal.support import checks
 from rtcal.support.arguments import checked
 from rtcal.support.decode import Entries, toml_table
+from rtcal.support.errors import DataError
 
 Catalogue = Callable[[str, Any], Material]
 """Returns the catalogue's material of a name for centre frequencies in Hz."""

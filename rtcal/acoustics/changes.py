@@ -14,9 +14,9 @@ from rtcal.acoustics.air import Air
 from rtcal.acoustics.materials import Material
 from rtcal.acoustics.room import Room
 from rtcal.acoustics.scene import Scene
-from rtcal.errors import DataError
 from rtcal.support import checks
 from rtcal.support.arguments import checked
+from rtcal.support.errors import DataError
 from rtcal.support.types import Array
 
 OPENING = "opening"

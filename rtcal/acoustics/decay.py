@@ -21,9 +21,9 @@ from rtcal.acoustics.decay_curve import bins as bins
 from rtcal.acoustics.decay_curve import checked_decay
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.observables import OBSERVABLES, TARGET, DecaySlope, observable, of_kind
-from rtcal.errors import DataError, TooShortError, of_bands
 from rtcal.support import checks
 from rtcal.support.arguments import checked
+from rtcal.support.errors import DataError, TooShortError, of_bands
 from rtcal.support.types import Array
 
 __all__ = ["decay_time", "gradients", "measurement", "parameters", "slope_time", "too_short"]

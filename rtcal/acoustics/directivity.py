@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from rtcal.errors import DataError
 from rtcal.support import checks
 from rtcal.support.arguments import checked
 from rtcal.support.decode import Entries
+from rtcal.support.errors import DataError
 from rtcal.support.types import Array, read_only
 
 LARGEST_INDEX = 25.0

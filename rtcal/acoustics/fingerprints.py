@@ -9,7 +9,7 @@ import numpy as np
 
 from rtcal.acoustics.materials import ARCHIVE
 from rtcal.acoustics.room import Room
-from rtcal.errors import DataError
+from rtcal.support.errors import DataError
 from rtcal.support.types import Array
 
 _SAME = 1e-4

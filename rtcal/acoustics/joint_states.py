@@ -18,7 +18,7 @@ from rtcal.acoustics.equations import LinearEquation
 from rtcal.acoustics.room import Room
 from rtcal.acoustics.room_errors import alpha_covariance, between_materials, of_climate
 from rtcal.acoustics.states import refuse_other_priors
-from rtcal.errors import ModelError
+from rtcal.support.errors import ModelError
 from rtcal.support.types import Array
 
 Flags = NDArray[np.bool_]

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from rtcal.acoustics import bands
-from rtcal.errors import DataError
+from rtcal.support.errors import DataError
 from rtcal.support.text import shortened
 from rtcal.support.types import Array
 

@@ -9,9 +9,9 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from rtcal.errors import DataError
 from rtcal.support import checks
 from rtcal.support.arguments import checked
+from rtcal.support.errors import DataError
 from rtcal.support.types import Array
 
 AXES = ("x", "y", "z")

@@ -12,9 +12,9 @@ from rtcal.acoustics import bands, measurement_files, repeats
 from rtcal.acoustics.materials import text_name
 from rtcal.acoustics.observables import OBSERVABLES, REVERBERATION, observable
 from rtcal.acoustics.parameters import SUMMARY, parameter_label
-from rtcal.errors import DataError
 from rtcal.support import checks, html
 from rtcal.support.arguments import checked
+from rtcal.support.errors import DataError
 from rtcal.support.files import write_text
 from rtcal.support.types import Array
 

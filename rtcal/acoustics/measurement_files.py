@@ -28,8 +28,8 @@ import numpy as np
 from rtcal.acoustics import bands
 from rtcal.acoustics.observables import OBSERVABLES
 from rtcal.acoustics.parameters import SUMMARY, parameter_label
-from rtcal.errors import DataError
 from rtcal.support.decode import Entries
+from rtcal.support.errors import DataError
 from rtcal.support.files import json_numbers, read_text
 from rtcal.support.types import Array
 

@@ -17,9 +17,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from rtcal.acoustics import bands
-from rtcal.errors import DataError
 from rtcal.support import checks
 from rtcal.support.arguments import checked
+from rtcal.support.errors import DataError
 from rtcal.support.types import Array, read_only
 
 __all__ = ["TIERS", "TruncatedNormal", "in_situ", "sigma_iso_12999_2", "sigma_relative"]

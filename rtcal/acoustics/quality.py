@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from rtcal.acoustics.observables import TARGET, observable
-from rtcal.errors import DataError
 from rtcal.support import checks
 from rtcal.support.arguments import checked
+from rtcal.support.errors import DataError
 from rtcal.support.types import Array
 
 __all__ = ["Plausibility", "agreement", "gap_jnd", "plausibility"]

@@ -11,7 +11,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 
 import numpy as np
 
-from rtcal.errors import DataError
+from rtcal.support.errors import DataError
 from rtcal.support.types import Array
 
 Pair = tuple[str, str]

@@ -28,9 +28,9 @@ from rtcal.acoustics.materials import (
 )
 from rtcal.acoustics.room_text import toml_text
 from rtcal.acoustics.scene import Scene
-from rtcal.errors import DataError
 from rtcal.support import checks, html
 from rtcal.support.arguments import checked
+from rtcal.support.errors import DataError
 from rtcal.support.files import read_text, write_text
 from rtcal.support.text import shortened
 from rtcal.support.types import Array, read_only

@@ -9,8 +9,8 @@ import numpy as np
 
 from rtcal.acoustics.air import Air
 from rtcal.acoustics.materials import Surface, array_of
-from rtcal.errors import DataError
 from rtcal.support import checks
+from rtcal.support.errors import DataError
 from rtcal.support.types import Array, read_only
 
 _AREA_UNIT = "m²"

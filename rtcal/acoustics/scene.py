@@ -10,10 +10,10 @@ from typing import Any, Literal
 
 from rtcal.acoustics.directivity import Directivity, DirectivityFile
 from rtcal.acoustics.materials import number, text_name
-from rtcal.errors import DataError
 from rtcal.support import checks
 from rtcal.support.arguments import checked
 from rtcal.support.decode import Entries
+from rtcal.support.errors import DataError
 
 Point = tuple[float, float, float]
 Stated = Directivity | DirectivityFile | Literal["unknown"]

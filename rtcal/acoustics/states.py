@@ -10,9 +10,9 @@ import numpy as np
 
 from rtcal.acoustics import bands, fingerprints
 from rtcal.acoustics.room import Room
-from rtcal.errors import DataError
 from rtcal.support import checks
 from rtcal.support.arguments import checked
+from rtcal.support.errors import DataError
 from rtcal.support.types import Array
 
 

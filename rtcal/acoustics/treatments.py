@@ -39,10 +39,10 @@ from rtcal.acoustics.changes import MOST_ADDED, Add, Change, Cover
 from rtcal.acoustics.materials import Material
 from rtcal.acoustics.room import Room
 from rtcal.acoustics.targets import Target
-from rtcal.errors import DataError
 from rtcal.support import checks
 from rtcal.support.arguments import checked
 from rtcal.support.decode import Entries, toml_table
+from rtcal.support.errors import DataError
 
 LEAST = 0.8
 """Least probability that a design takes: below it the allowed sd is no concave function of the mean."""

@@ -13,9 +13,9 @@ from rtcal.acoustics import bands
 from rtcal.acoustics.materials import ARCHIVE, CalibrationRecord
 from rtcal.acoustics.room import Material, Room
 from rtcal.archive.likelihood import Spread
-from rtcal.errors import DataError
 from rtcal.support import checks, text
 from rtcal.support.arguments import checked
+from rtcal.support.errors import DataError
 from rtcal.support.files import json_numbers
 from rtcal.support.results import Result
 from rtcal.support.types import Array

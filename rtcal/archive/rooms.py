@@ -19,9 +19,9 @@ from rtcal.archive.likelihood import Evidence, RoomData
 from rtcal.calibration.configurations import Configurations
 from rtcal.calibration.measured import data_history
 from rtcal.calibration.result import CalibrationResult, JointResult
-from rtcal.errors import DataError
 from rtcal.support import checks, results
 from rtcal.support.arguments import checked
+from rtcal.support.errors import DataError
 from rtcal.support.types import Array
 
 _MOST = 500

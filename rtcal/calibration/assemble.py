@@ -24,8 +24,8 @@ from rtcal.calibration.terms import (
     SharedMaterials,
     SoftMatch,
 )
-from rtcal.errors import DataError, ModelError
 from rtcal.support import checks
+from rtcal.support.errors import DataError, ModelError
 from rtcal.support.types import Array
 
 

@@ -11,8 +11,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from rtcal.errors import DataError
 from rtcal.support import checks
+from rtcal.support.errors import DataError
 from rtcal.support.types import Array
 
 __all__ = ["least_squares", "maximum_likelihood", "multiplier", "scaling"]

@@ -13,7 +13,7 @@ from rtcal.acoustics.equations import LinearEquation
 from rtcal.acoustics.room import Room
 from rtcal.acoustics.room_errors import target_changes
 from rtcal.acoustics.states import refuse_other_priors
-from rtcal.errors import DataError
+from rtcal.support.errors import DataError
 from rtcal.support.text import shortened
 from rtcal.support.types import Array
 

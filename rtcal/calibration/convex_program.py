@@ -37,7 +37,7 @@ from rtcal.calibration.terms import (
     RowConstraint,
 )
 from rtcal.calibration.terms.base import BaseTerm
-from rtcal.errors import InfeasibleError, ModelError, SolverError
+from rtcal.support.errors import InfeasibleError, ModelError, SolverError
 from rtcal.support.types import Array
 
 _ACCEPTED = 1e-9

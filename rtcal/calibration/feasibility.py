@@ -17,7 +17,7 @@ from rtcal.acoustics.equations import LinearEquation
 from rtcal.acoustics.room import Room
 from rtcal.calibration.numpy_model import NumpyModel
 from rtcal.calibration.problem_data import Flags, ProblemData
-from rtcal.errors import InfeasibleError, ModelError
+from rtcal.support.errors import InfeasibleError, ModelError
 from rtcal.support.types import Array
 
 _MARGIN = 1e-9

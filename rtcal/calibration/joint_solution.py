@@ -31,9 +31,9 @@ from rtcal.calibration.uncertainty import (
     innovation,
     optimality,
 )
-from rtcal.errors import ModelError
 from rtcal.posterior.density import CoupledBands, IndependentBands
 from rtcal.posterior.sensitivities import Optimality
+from rtcal.support.errors import ModelError
 from rtcal.support.types import Array
 
 

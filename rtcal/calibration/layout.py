@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtcal.acoustics import bands
-from rtcal.errors import DataError
+from rtcal.support.errors import DataError
 from rtcal.support.types import Array
 
 Integers = NDArray[np.intp]

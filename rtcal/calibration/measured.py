@@ -13,8 +13,8 @@ from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.observables import REVERBERATION, TARGET
 from rtcal.acoustics.parameters import parameter_label
 from rtcal.acoustics.room import Room
-from rtcal.errors import DataError
 from rtcal.support import checks
+from rtcal.support.errors import DataError
 from rtcal.support.text import shortened
 from rtcal.support.types import Array
 

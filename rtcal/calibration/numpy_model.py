@@ -26,7 +26,7 @@ from rtcal.calibration.terms import (
     PriorDeviation,
     RowConstraint,
 )
-from rtcal.errors import TermError
+from rtcal.support.errors import TermError
 from rtcal.support.kkt import DENSE, Hessian
 from rtcal.support.types import Array, read_only_view
 

@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 
 from rtcal.calibration.numpy_model import Multipliers, NumpyModel
 from rtcal.calibration.problem_data import Flags
-from rtcal.errors import SolverError
 from rtcal.support import kkt
+from rtcal.support.errors import SolverError
 from rtcal.support.types import Array
 
 _ROUNDS = 60

@@ -20,8 +20,8 @@ from rtcal.calibration.terms import (
     RoomMatch,
     SoftMatch,
 )
-from rtcal.errors import DataError, ModelError
 from rtcal.support.arguments import checked
+from rtcal.support.errors import DataError, ModelError
 
 _RELATIVE = 0.05
 """u_T / T where the measurement states no uncertainty: one just noticeable difference."""

@@ -37,9 +37,9 @@ from rtcal.calibration.terms import (
     as_objective,
     lacking,
 )
-from rtcal.errors import DataError, MissingAirWarning, ModelError
 from rtcal.support import checks
 from rtcal.support.arguments import checked
+from rtcal.support.errors import DataError, MissingAirWarning, ModelError
 from rtcal.support.types import Array
 
 Constraint = RowConstraint | BoundConstraint | SharedMaterials

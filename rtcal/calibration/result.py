@@ -27,11 +27,11 @@ from rtcal.calibration.joint_solution import JointSolution
 from rtcal.calibration.measured import MeasuredTimes, data_history
 from rtcal.calibration.problem_data import ProblemData
 from rtcal.calibration.table import html_table, text_table
-from rtcal.errors import ModelError
 from rtcal.posterior.density import CoupledBands, IndependentBands
 from rtcal.posterior.distributions import exact_interval
 from rtcal.posterior.sensitivities import Optimality
 from rtcal.prediction.predicted import Prediction, predict
+from rtcal.support.errors import ModelError
 from rtcal.support.files import json_numbers
 from rtcal.support.results import Result
 from rtcal.support.text import shortened

@@ -20,7 +20,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from rtcal.calibration.compiled_qp import CompiledQP
-from rtcal.errors import DataError, MissingDependencyError, ModelError, SolverError
+from rtcal.support.errors import DataError, MissingDependencyError, ModelError, SolverError
 from rtcal.support.types import Array
 
 Unreachable = Literal["raise", "nearest"]

@@ -24,9 +24,9 @@ from rtcal.calibration.terms import (
     SoftMatch,
     match_matrix,
 )
-from rtcal.errors import ModelError
 from rtcal.posterior.density import CoupledBands, IndependentBands, JointTruncatedNormal
 from rtcal.posterior.sensitivities import Optimality, linear_estimate_sigma
+from rtcal.support.errors import ModelError
 from rtcal.support.types import Array
 
 Assemble = Callable[[Sequence[MeasuredTimes]], ProblemData]

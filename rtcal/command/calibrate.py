@@ -19,7 +19,7 @@ from rtcal.command.console import (
     without_air_warning,
     written,
 )
-from rtcal.errors import DataError
+from rtcal.support.errors import DataError
 
 
 @click.command(short_help="Calibrate a room to measured reverberation times.")

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from rtcal.acoustics.equations import EQUATIONS, LinearEquation, equation_keys
-from rtcal.errors import DataError
+from rtcal.support.errors import DataError
 from rtcal.support.results import json_text
 from rtcal.support.text import fitted, printable, width
 
@@ -299,6 +299,6 @@ def _json_text(record: Mapping[str, Any]) -> str:
 
 def without_air_warning() -> warnings.catch_warnings[None]:
     """Return a context without the warning of a missing air, which the printed text contains."""
-    from rtcal.errors import MissingAirWarning
+    from rtcal.support.errors import MissingAirWarning
 
     return warnings.catch_warnings(action="ignore", category=MissingAirWarning)

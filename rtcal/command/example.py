@@ -39,7 +39,7 @@ _LIST = "\b\n" + "\n".join(f"    {name:16s}{text}" for name, text in _PURPOSES.i
 def example(name: str, out: str | None, as_json: bool, quiet: bool) -> None:
     """Write the files of a small project, and print the commands that use them."""
     from rtcal.datasets import examples
-    from rtcal.errors import DataError
+    from rtcal.support.errors import DataError
     from rtcal.support.files import make_folder, write_all
     from rtcal.support.text import shell
 

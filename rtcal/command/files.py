@@ -21,8 +21,8 @@ from rtcal.command.console import (
     tell,
     texts,
 )
-from rtcal.errors import DataError
 from rtcal.io.table_columns import DECAY_TIMES_OF_RT60
+from rtcal.support.errors import DataError
 from rtcal.support.files import spare, write_text
 
 if TYPE_CHECKING:

@@ -37,8 +37,8 @@ from rtcal.command.finder_options import (
     verified,
 )
 from rtcal.command.two_states import apply_change, find_change, verify_change
-from rtcal.errors import DataError
 from rtcal.support import text
+from rtcal.support.errors import DataError
 
 if TYPE_CHECKING:
     from rtcal.finder import positions

@@ -21,7 +21,7 @@ from rtcal.command.console import (
     quiet_option,
     said,
 )
-from rtcal.errors import DataError
+from rtcal.support.errors import DataError
 from rtcal.support.files import spare
 from rtcal.support.progress import bar
 

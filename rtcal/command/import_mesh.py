@@ -11,7 +11,7 @@ import click
 from click.core import ParameterSource
 
 from rtcal.command.console import errors_name_options, numbers, said, tell
-from rtcal.errors import DataError
+from rtcal.support.errors import DataError
 from rtcal.support.files import spare
 from rtcal.support.progress import bar
 from rtcal.support.text import shortened

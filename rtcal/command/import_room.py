@@ -13,7 +13,7 @@ import click
 from rtcal.command.console import json_option, quiet_option, tell, texts
 from rtcal.command.files import PROGRAMS
 from rtcal.command.import_mesh import check, draw, geometry, mesh_file, refuse_unused_options
-from rtcal.errors import DataError, MissingDependencyError
+from rtcal.support.errors import DataError, MissingDependencyError
 from rtcal.support.files import spare
 from rtcal.support.text import shortened
 

@@ -15,8 +15,8 @@ from rtcal.command.console import (
     texts,
     written,
 )
-from rtcal.errors import DataError
 from rtcal.support import text
+from rtcal.support.errors import DataError
 from rtcal.support.files import make_folder, spare, write_all
 
 LIBRARY_ROOM = "room.toml"

@@ -22,7 +22,7 @@ from rtcal.command.loop import loop
 from rtcal.command.predict import design, predict
 from rtcal.command.report import report
 from rtcal.command.study import study
-from rtcal.errors import MissingDependencyError, RtcalError, SolverError
+from rtcal.support.errors import MissingDependencyError, RtcalError, SolverError
 from rtcal.support.version import __version__
 
 EXIT_CODES = {

@@ -20,7 +20,7 @@ from rtcal.command.console import (
     without_air_warning,
     written,
 )
-from rtcal.errors import DataError
+from rtcal.support.errors import DataError
 from rtcal.support.files import read_text
 
 if TYPE_CHECKING:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import click
 
 from rtcal.command.console import bar_wanted, heading_options, json_option, quiet_option, said, tell
-from rtcal.errors import DataError
+from rtcal.support.errors import DataError
 
 if TYPE_CHECKING:
     from rtcal.report.document import Heading

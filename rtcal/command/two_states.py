@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from rtcal.command.console import tell, written
 from rtcal.command.finder_options import Inputs, Search
-from rtcal.errors import DataError
+from rtcal.support.errors import DataError
 
 if TYPE_CHECKING:
     from rtcal.finder.states import StatesFinding

@@ -6,9 +6,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from rtcal.errors import DataError
 from rtcal.simulators.geometry import Polyhedron
 from rtcal.support.arguments import checked
+from rtcal.support.errors import DataError
 
 __all__ = ["polyhedron"]
 __dir__ = __all__.copy

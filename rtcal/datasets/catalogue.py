@@ -19,10 +19,10 @@ import numpy as np
 from rtcal.acoustics import bands
 from rtcal.acoustics.priors import in_situ, sigma_iso_12999_2
 from rtcal.acoustics.room import Material
-from rtcal.errors import DataError, MissingDependencyError
 from rtcal.io import pyroomacoustics
 from rtcal.io.material_list import MaterialList
 from rtcal.support.arguments import checked
+from rtcal.support.errors import DataError, MissingDependencyError
 from rtcal.support.text import shortened
 from rtcal.support.types import Array
 

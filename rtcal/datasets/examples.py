@@ -14,11 +14,11 @@ from rtcal.acoustics.room import Room
 from rtcal.acoustics.scene import Scene
 from rtcal.datasets import halls
 from rtcal.datasets.shipped import path
-from rtcal.errors import DataError
 from rtcal.io import obj
 from rtcal.simulators.geometry import SHOEBOX_WALLS, Polyhedron
 from rtcal.simulators.path_tracing import PathTracing
 from rtcal.support.arguments import checked
+from rtcal.support.errors import DataError
 
 __all__ = ["NAMES", "Example", "example"]
 __dir__ = __all__.copy

@@ -19,9 +19,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from rtcal.errors import DataError, MissingDependencyError
 from rtcal.support import checks, jit
 from rtcal.support.arguments import checked
+from rtcal.support.errors import DataError, MissingDependencyError
 from rtcal.support.types import Array
 
 OK, BELOW, ABOVE, BAD_INPUT = 0, 1, 2, 3

@@ -16,7 +16,6 @@ from rtcal.acoustics.fingerprints import refuse_repeated_data
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.room import Room
 from rtcal.calibration.measured import times_in_room
-from rtcal.errors import DataError
 from rtcal.finder import case_files
 from rtcal.finder.case_checks import check_configuration, check_room, in_room_bands, shares
 from rtcal.finder.configuration import Configuration, checked_uncertainty
@@ -25,6 +24,7 @@ from rtcal.finder.effects.checks import check_parameters
 from rtcal.support import checks
 from rtcal.support.arguments import checked
 from rtcal.support.decode import Entries
+from rtcal.support.errors import DataError
 from rtcal.support.files import write_text
 from rtcal.support.text import shortened
 from rtcal.support.types import Array

@@ -11,9 +11,9 @@ import numpy as np
 from rtcal.acoustics import band_conversion, bands
 from rtcal.acoustics.observables import observable
 from rtcal.acoustics.room import AXES, Room, text_name
-from rtcal.errors import DataError, OtherBandsWarning
 from rtcal.finder.configuration import PARAMETERS, Configuration
 from rtcal.support import checks
+from rtcal.support.errors import DataError, OtherBandsWarning
 from rtcal.support.types import Array
 
 LEVELS = {"c80": (-30.0, 60.0), "g": (-40.0, 60.0)}

@@ -35,10 +35,10 @@ from typing import Any
 from rtcal.acoustics.materials import text_name
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.room import Room
-from rtcal.errors import DataError
 from rtcal.finder.configuration import LEVELS, PARAMETERS
 from rtcal.support import checks
 from rtcal.support.decode import Entries, json_object, toml_table
+from rtcal.support.errors import DataError
 from rtcal.support.files import read_text
 
 MAX_BYTES = 50_000_000

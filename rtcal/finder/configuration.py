@@ -14,10 +14,10 @@ from rtcal.acoustics.materials import text_name
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.measurement_files import OPTIONAL
 from rtcal.acoustics.room import Room
-from rtcal.errors import DataError
 from rtcal.support import checks
 from rtcal.support.arguments import checked
 from rtcal.support.decode import Entries
+from rtcal.support.errors import DataError
 from rtcal.support.files import json_numbers
 from rtcal.support.types import Array, read_only
 

@@ -10,10 +10,10 @@ from typing import Any, Literal
 import numpy as np
 from scipy import stats
 
-from rtcal.errors import DataError
 from rtcal.finder.effects import Effect
 from rtcal.finder.wording import amount, over_frequency
 from rtcal.support.arguments import checked
+from rtcal.support.errors import DataError
 from rtcal.support.results import Result
 from rtcal.support.types import Array
 

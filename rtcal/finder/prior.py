@@ -13,10 +13,10 @@ import numpy as np
 
 from rtcal.acoustics.room import Room
 from rtcal.acoustics.room_errors import HANDBOOK_SIGMA
-from rtcal.errors import DataError
 from rtcal.finder.effects import Effect, Parameters
 from rtcal.finder.model import State
 from rtcal.support import checks
+from rtcal.support.errors import DataError
 from rtcal.support.types import Array
 
 NONE, COEFFICIENTS, UNKNOWN = "none", "coefficients", "unknown"

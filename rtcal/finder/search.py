@@ -8,7 +8,6 @@ from typing import Any, overload
 
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.room import Room
-from rtcal.errors import DataError
 from rtcal.finder import positions, states
 from rtcal.finder.case import Case
 from rtcal.finder.configuration import Configuration
@@ -24,6 +23,7 @@ from rtcal.loop.control_runs import ControlRuns
 from rtcal.simulators.path_tracing import PathTracing
 from rtcal.support import checks
 from rtcal.support.arguments import checked
+from rtcal.support.errors import DataError
 from rtcal.support.progress import TaskProgress
 
 AnyCase = Case | positions.Case | states.Case

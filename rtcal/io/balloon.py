@@ -20,9 +20,9 @@ import numpy as np
 
 from rtcal.acoustics import bands
 from rtcal.acoustics.directivity import UPWARDS, Directivity, DirectivityFile
-from rtcal.errors import DataError
 from rtcal.io import sofa, text
 from rtcal.support.arguments import checked
+from rtcal.support.errors import DataError
 from rtcal.support.files import read_bytes
 from rtcal.support.types import Array
 

@@ -22,12 +22,12 @@ from collections.abc import Sequence
 from rtcal.acoustics import band_conversion
 from rtcal.acoustics.equations import LinearEquation
 from rtcal.acoustics.room import Room
-from rtcal.errors import DataError
 from rtcal.io import material_list
 from rtcal.io.material_export import ExportReport, write_list
 from rtcal.io.material_list import ListedMaterial, MaterialList
 from rtcal.io.text import MAX_TEXT, decode, lines, number, shown
 from rtcal.support.arguments import checked
+from rtcal.support.errors import DataError
 from rtcal.support.files import read_bytes
 from rtcal.support.types import Array
 

@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 
 from rtcal.acoustics.materials import text_name
-from rtcal.errors import DataError, MissingDependencyError
 from rtcal.io.mend import Faces
+from rtcal.support.errors import DataError, MissingDependencyError
 
 MAX_FACES = 100_000
 

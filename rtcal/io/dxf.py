@@ -15,9 +15,9 @@ from itertools import pairwise
 import numpy as np
 
 from rtcal.acoustics.materials import text_name
-from rtcal.errors import DataError
 from rtcal.io.mend import Faces
 from rtcal.io.text import decode, lines, number, shown
+from rtcal.support.errors import DataError
 from rtcal.support.types import Array
 
 MAX_FACES = 100_000

@@ -7,11 +7,11 @@ from typing import Any
 
 from rtcal.acoustics.directivity import DirectivityFile
 from rtcal.acoustics.room import Room
-from rtcal.errors import DataError
 from rtcal.io import balloon, obj
 from rtcal.simulators.geometry import SHOEBOX_WALLS, Polyhedron
 from rtcal.simulators.path_tracing import PathTracing
 from rtcal.support.arguments import checked
+from rtcal.support.errors import DataError
 
 __all__ = ["path_tracing", "read"]
 __dir__ = __all__.copy

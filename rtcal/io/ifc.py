@@ -17,10 +17,10 @@ from typing import Any
 import numpy as np
 
 from rtcal.acoustics.materials import text_name
-from rtcal.errors import DataError, MissingDependencyError
 from rtcal.io.mend import Faces
 from rtcal.io.mend.shapes import axes_of, normal_of, polygon_of
 from rtcal.io.text import shown
+from rtcal.support.errors import DataError, MissingDependencyError
 from rtcal.support.types import Array
 
 MAX_FACES = 100_000

@@ -35,12 +35,12 @@ from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.observables import EARLY, OBSERVABLES, DecaySlope, of_kind
 from rtcal.acoustics.parameters import parameter_label
 from rtcal.acoustics.repeats import groups, in_words, names_of_repeats, places_of
-from rtcal.errors import DataError, MissingDependencyError
 from rtcal.io import sofa
 from rtcal.io.analysis import Analysis, pairs_in_words, shortened_list, spread
 from rtcal.io.wav import LEAST_CLIPPED, check_finite, check_header, check_usable, prepared
 from rtcal.support import checks
 from rtcal.support.arguments import checked
+from rtcal.support.errors import DataError, MissingDependencyError
 from rtcal.support.types import Array
 
 __all__ = ["analyse", "of_energy", "read"]

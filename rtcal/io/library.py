@@ -19,7 +19,6 @@ from pathlib import Path
 
 from rtcal.acoustics import bands
 from rtcal.acoustics.observables import TARGET
-from rtcal.errors import DataError
 from rtcal.io import workbook
 from rtcal.io.material_list import ListedMaterial, MaterialList
 from rtcal.io.table_columns import LEAST_BAND, frequency_of, nearest_band
@@ -27,6 +26,7 @@ from rtcal.io.table_layout import Row, Sheet
 from rtcal.io.table_text import sheet_of_text
 from rtcal.io.text import MAX_TEXT, Text, decode, number, shown
 from rtcal.support.arguments import checked
+from rtcal.support.errors import DataError
 from rtcal.support.files import read_bytes
 
 __all__ = ["read"]

@@ -12,9 +12,9 @@ import numpy as np
 from rtcal.acoustics import band_conversion, bands, quality
 from rtcal.acoustics.equations import Eyring, LinearEquation
 from rtcal.acoustics.room import Room
-from rtcal.errors import DataError
 from rtcal.io.material_list import ListedMaterial, MaterialList
 from rtcal.support import text
+from rtcal.support.errors import DataError
 from rtcal.support.files import write_bytes
 from rtcal.support.types import Array
 

@@ -15,8 +15,8 @@ from rtcal.acoustics import band_conversion, bands, priors
 from rtcal.acoustics.air import Air
 from rtcal.acoustics.materials import text_name
 from rtcal.acoustics.room import Material, Room, Surface
-from rtcal.errors import DataError
 from rtcal.io.text import Text
+from rtcal.support.errors import DataError
 from rtcal.support.types import Array
 
 

@@ -17,11 +17,11 @@ from typing import Any
 import numpy as np
 
 from rtcal.acoustics.materials import text_name
-from rtcal.errors import DataError, MissingDependencyError
 from rtcal.io import collada, dxf, ifc, obj
 from rtcal.io.mend import OFFSET, WELD, Faces, Mended, closed, mended
 from rtcal.io.text import shown
 from rtcal.support.arguments import checked
+from rtcal.support.errors import DataError, MissingDependencyError
 from rtcal.support.files import read_bytes
 from rtcal.support.types import Array
 

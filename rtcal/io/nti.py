@@ -13,10 +13,10 @@ import re
 from collections.abc import Mapping
 from pathlib import PureWindowsPath
 
-from rtcal.errors import DataError
 from rtcal.io.table_columns import position_in
 from rtcal.io.table_layout import Row, Sheet
 from rtcal.io.text import decode, lines, number
+from rtcal.support.errors import DataError
 
 _START = b"XL2 RT60 Reporting"
 _AVERAGES = "# rt60 average results"

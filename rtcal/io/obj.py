@@ -22,11 +22,11 @@ from collections import Counter
 import numpy as np
 
 from rtcal.acoustics.materials import text_name
-from rtcal.errors import DataError
 from rtcal.io.mend import Faces
 from rtcal.io.text import MAX_TEXT, decode, lines, number, shown
 from rtcal.simulators.geometry import Polyhedron
 from rtcal.support.arguments import checked
+from rtcal.support.errors import DataError
 from rtcal.support.files import read_bytes
 
 __all__ = ["MAX_FACES", "parse", "read", "text", "write"]
@@ -174,7 +174,7 @@ def check_volume(volume: float, unit: float, path: str) -> None:
     >>> check_volume(60e9, 1.0, "room.obj")  # doctest: +ELLIPSIS
     Traceback (most recent call last):
     ...
-    rtcal.errors.DataError: room.obj: V = 6e+10 m³ is not from 0.001 to 2e+07 m³, as in any room; ...
+    rtcal.support.errors.DataError: room.obj: V = 6e+10 m³ is not from 0.001 to 2e+07 m³, as ...
     """
     low, high = VOLUME_LIMITS
     if low <= volume <= high:

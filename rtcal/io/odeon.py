@@ -23,12 +23,12 @@ from collections import Counter
 
 from rtcal.acoustics.equations import LinearEquation
 from rtcal.acoustics.room import Room
-from rtcal.errors import DataError
 from rtcal.io import material_list
 from rtcal.io.material_export import ExportReport, write_list
 from rtcal.io.material_list import ListedMaterial, MaterialList
 from rtcal.io.text import MAX_TEXT, Text, decode, lines, number, shown
 from rtcal.support.arguments import checked
+from rtcal.support.errors import DataError
 from rtcal.support.files import read_bytes
 
 __all__ = ["parse", "read", "write"]

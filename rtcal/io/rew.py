@@ -13,10 +13,10 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 
-from rtcal.errors import DataError
 from rtcal.io.table_columns import column_of, position_in
 from rtcal.io.table_layout import Row, Sheet
 from rtcal.io.text import Text, decode, lines, shown
+from rtcal.support.errors import DataError
 
 _START = re.compile(r"\W*RT60 data (?:saved|measured) by REW", re.I)
 _FORMAT = re.compile(r"\W*Format is\s+(.*)", re.I)

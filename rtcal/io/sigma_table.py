@@ -10,10 +10,10 @@ from __future__ import annotations
 
 import os
 
-from rtcal.errors import DataError
 from rtcal.io import bras
 from rtcal.io.material_list import ListedMaterial
 from rtcal.io.text import MAX_TEXT, decode, lines, number
+from rtcal.support.errors import DataError
 from rtcal.support.files import read_bytes
 
 

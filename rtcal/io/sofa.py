@@ -20,9 +20,9 @@ from typing import Any
 import numpy as np
 
 from rtcal.acoustics.repeats import SAME_PLACE
-from rtcal.errors import DataError, MissingDependencyError
 from rtcal.io.wav import MAX_CHANNEL_SAMPLES
 from rtcal.support.arguments import checked
+from rtcal.support.errors import DataError, MissingDependencyError
 from rtcal.support.types import Array
 
 __all__ = ["Responses", "claims", "read"]

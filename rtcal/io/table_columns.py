@@ -14,7 +14,6 @@ import numpy as np
 from rtcal.acoustics import bands
 from rtcal.acoustics.observables import REVERBERATION, observable
 from rtcal.acoustics.parameters import parameter_label
-from rtcal.errors import DataError
 from rtcal.io.table_words import (
     COLUMNS,
     MEASURED,
@@ -24,6 +23,7 @@ from rtcal.io.table_words import (
     plain,
 )
 from rtcal.io.text import shown
+from rtcal.support.errors import DataError
 from rtcal.support.types import Array
 
 MAX_HEADER = 200

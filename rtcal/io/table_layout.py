@@ -7,7 +7,6 @@ from collections.abc import Collection
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
-from rtcal.errors import DataError
 from rtcal.io.table_columns import (
     UNIT_WORDS,
     Column,
@@ -18,6 +17,7 @@ from rtcal.io.table_columns import (
 )
 from rtcal.io.table_words import STATISTICS, WHOLE_RANGES, plain
 from rtcal.io.text import shown
+from rtcal.support.errors import DataError
 
 MAX_COLUMNS = 200
 MAX_LINES_BEFORE_HEADER = 40

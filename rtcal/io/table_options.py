@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Collection
 
-from rtcal.errors import DataError
 from rtcal.io.table_columns import leaves_decay_time_open
 from rtcal.io.table_layout import TableLayout
 from rtcal.io.text import shown
+from rtcal.support.errors import DataError
 
 _MOST_COLUMNS = 20
 """Largest number of columns that a message names."""

@@ -6,9 +6,9 @@ import csv
 import re
 from collections.abc import Collection
 
-from rtcal.errors import DataError
 from rtcal.io.table_layout import Headers, Row, Sheet
 from rtcal.io.text import Text, lines
+from rtcal.support.errors import DataError
 
 SEPARATORS = (";", "\t", "|", ",")
 _GAP = re.compile(r"(?<=\S)(?: {2,}|\t[ \t]*)")

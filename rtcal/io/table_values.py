@@ -10,7 +10,6 @@ from rtcal.acoustics.materials import text_name
 from rtcal.acoustics.observables import OBSERVABLES
 from rtcal.acoustics.parameters import SUMMARY, parameter_label
 from rtcal.acoustics.repeats import names_of_repeats
-from rtcal.errors import DataError
 from rtcal.io.table_columns import (
     Column,
     frequency_of,
@@ -24,6 +23,7 @@ from rtcal.io.table_columns import (
 from rtcal.io.table_layout import Row, TableLayout
 from rtcal.io.table_words import STATISTICS, WHOLE_RANGES, plain
 from rtcal.io.text import number, shown
+from rtcal.support.errors import DataError
 
 MAX_CELL = 60
 """Largest length of a cell in characters; the pattern for number and unit is slow on longer ones."""

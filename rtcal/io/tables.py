@@ -29,7 +29,6 @@ from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.observables import OBSERVABLES, TARGET
 from rtcal.acoustics.parameters import parameter_label
 from rtcal.acoustics.repeats import in_words, places_of
-from rtcal.errors import DataError
 from rtcal.io import nti, rew, workbook
 from rtcal.io.analysis import means
 from rtcal.io.table_columns import (
@@ -45,6 +44,7 @@ from rtcal.io.table_values import Key, Reader, Values
 from rtcal.io.text import decode, shown
 from rtcal.support import checks
 from rtcal.support.arguments import checked
+from rtcal.support.errors import DataError
 from rtcal.support.files import read_bytes
 
 __all__ = ["FORMATS", "Table", "measurement", "parse", "read", "write"]

@@ -6,7 +6,7 @@ import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from rtcal.errors import DataError
+from rtcal.support.errors import DataError
 
 MAX_TEXT = 2**18
 """Largest size in bytes of a material list, a table or a mesh: twice ODEON's own library."""

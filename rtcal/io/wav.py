@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from rtcal.errors import DataError
+from rtcal.support.errors import DataError
 from rtcal.support.types import Array
 
 MAX_SAMPLES = 2**22

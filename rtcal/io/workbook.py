@@ -17,10 +17,10 @@ import zipfile
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
-from rtcal.errors import DataError, MissingDependencyError
 from rtcal.io.table_layout import Row, Sheet
 from rtcal.io.text import shown
 from rtcal.support.arguments import checked
+from rtcal.support.errors import DataError, MissingDependencyError
 from rtcal.support.files import write_bytes
 
 ENDING = ".xlsx"

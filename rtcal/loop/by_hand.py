@@ -15,8 +15,8 @@ import numpy as np
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.measurement_files import MAX_BYTES
 from rtcal.acoustics.room import Room
-from rtcal.errors import DataError
 from rtcal.loop.state import Loop
+from rtcal.support.errors import DataError
 from rtcal.support.files import read_text, write_all
 from rtcal.support.types import Array
 

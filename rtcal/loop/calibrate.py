@@ -18,7 +18,6 @@ from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.observables import TARGET
 from rtcal.acoustics.room import Room
 from rtcal.calibration.measured import times_in_room
-from rtcal.errors import DataError, RtcalError, SimulatorError
 from rtcal.loop.matched import Weights
 from rtcal.loop.measured_pairs import Pair, left_out, refuse_unknown
 from rtcal.loop.result import LoopResult
@@ -26,6 +25,7 @@ from rtcal.loop.rules import Rule
 from rtcal.loop.state import Loop, start
 from rtcal.simulators.base import Simulator, at_places, check_fits, lost_paths, run
 from rtcal.support import checks
+from rtcal.support.errors import DataError, RtcalError, SimulatorError
 from rtcal.support.types import Array
 
 

@@ -26,13 +26,13 @@ from rtcal.acoustics.changes import Change, Climate, Cover, Open, changed
 from rtcal.acoustics.equations import Eyring
 from rtcal.acoustics.joint_states import Rooms
 from rtcal.acoustics.room import Room
-from rtcal.errors import DataError
 from rtcal.simulators import polygons
 from rtcal.simulators.base import Simulator
 from rtcal.simulators.geometry import WELD, Polyhedron
 from rtcal.simulators.observations import observe
 from rtcal.simulators.path_tracing import PathTracing
 from rtcal.simulators.polygons import Plane
+from rtcal.support.errors import DataError
 from rtcal.support.types import Array
 
 _FLAT = 0.05

@@ -22,7 +22,6 @@ from rtcal.acoustics import bands, decay
 from rtcal.acoustics.observables import REVERBERATION
 from rtcal.acoustics.room import Room
 from rtcal.acoustics.scene import POSITION, checked_uncertainty, plain_directivities
-from rtcal.errors import DataError, RtcalError, TooShortError
 from rtcal.simulators.base import Simulator
 from rtcal.simulators.geometry import SHOEBOX_WALLS, Polyhedron
 from rtcal.simulators.observations import Observations, observe
@@ -32,6 +31,7 @@ from rtcal.simulators.shoebox import ShoeboxSimulator
 from rtcal.simulators.tracer import eyring_seconds
 from rtcal.support import checks, files
 from rtcal.support.arguments import checked
+from rtcal.support.errors import DataError, RtcalError, TooShortError
 from rtcal.support.progress import Progress
 from rtcal.support.types import Array, read_only
 from rtcal.support.version import __version__

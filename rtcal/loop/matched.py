@@ -20,8 +20,8 @@ from rtcal.acoustics.observables import EARLY, TARGET
 from rtcal.acoustics.parameters import parameter_label
 from rtcal.acoustics.quality import gap_jnd
 from rtcal.acoustics.room import Room
-from rtcal.errors import DataError
 from rtcal.support import checks
+from rtcal.support.errors import DataError
 from rtcal.support.types import Array, read_only
 
 PARAMETERS = (TARGET.key, EARLY.key)

@@ -22,8 +22,8 @@ from rtcal.acoustics.observables import LEVEL, OBSERVABLES, REVERBERATION, obser
 from rtcal.acoustics.parameters import parameter_label
 from rtcal.acoustics.room import Room
 from rtcal.calibration.measured import copied, times_in_room
-from rtcal.errors import DataError
 from rtcal.simulators.observations import Observations
+from rtcal.support.errors import DataError
 from rtcal.support.types import Array
 
 Pair = tuple[str, str]

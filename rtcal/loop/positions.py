@@ -26,7 +26,6 @@ from rtcal.acoustics.room_errors import in_words, prior_covariance
 from rtcal.acoustics.scene import POSITION, checked_uncertainty
 from rtcal.calibration.nonlinear import Steps
 from rtcal.calibration.problem import Calibration
-from rtcal.errors import DataError, SimulatorError
 from rtcal.loop.beside import Beside
 from rtcal.loop.beside import means as measured_beside
 from rtcal.loop.control_runs import (
@@ -45,6 +44,7 @@ from rtcal.simulators.observations import DifferentiableSimulator, Observations,
 from rtcal.simulators.path_tracing import PathTracing
 from rtcal.support import checks
 from rtcal.support.arguments import checked
+from rtcal.support.errors import DataError, SimulatorError
 from rtcal.support.progress import Progress
 from rtcal.support.types import Array
 from rtcal.support.version import __version__

@@ -14,10 +14,10 @@ from rtcal.acoustics.changes import Change
 from rtcal.acoustics.observables import observable
 from rtcal.acoustics.parameters import parameter_label
 from rtcal.acoustics.room import Room
-from rtcal.errors import DataError
 from rtcal.prediction import words
 from rtcal.prediction.predicted import LEVEL
 from rtcal.support import text
+from rtcal.support.errors import DataError
 from rtcal.support.files import json_numbers
 from rtcal.support.results import Result
 from rtcal.support.text import shortened

@@ -11,7 +11,6 @@ from rtcal.acoustics.assumptions import Assumptions
 from rtcal.acoustics.change_files import Variant, refuse_repeated_names
 from rtcal.acoustics.observables import MATCH, OBSERVABLES, TARGET
 from rtcal.acoustics.scene import POSITION, checked_uncertainty
-from rtcal.errors import DataError
 from rtcal.loop.change_at_positions import Before, CalibratedAtPositions, Changed
 from rtcal.loop.changed_room import ChangedRoom
 from rtcal.loop.control_runs import Heard, simulated_controls
@@ -19,6 +18,7 @@ from rtcal.loop.positions_prediction import PositionsPredictions
 from rtcal.simulators.base import Simulator
 from rtcal.simulators.observations import checked_parameters, observe
 from rtcal.simulators.path_tracing import PathTracing
+from rtcal.support.errors import DataError
 from rtcal.support.progress import Progress
 from rtcal.support.types import Array
 

@@ -29,7 +29,6 @@ from rtcal.calibration.measured import data_history, times_in_room
 from rtcal.calibration.presets import preset
 from rtcal.calibration.problem import CalibrationProblem
 from rtcal.calibration.result import CalibrationResult
-from rtcal.errors import DataError
 from rtcal.loop.beside import Gaps, left, means
 from rtcal.loop.matched import Matched, ParameterGap, Weights, matched_times
 from rtcal.loop.rules import RULES, Rule, next_targets, target_limits, target_without_t20
@@ -45,6 +44,7 @@ from rtcal.loop.steps import (
 from rtcal.simulators.base import check_alpha
 from rtcal.support import checks
 from rtcal.support.arguments import checked
+from rtcal.support.errors import DataError
 from rtcal.support.objects import NOT_SAVED
 from rtcal.support.results import Result, load
 from rtcal.support.text import shortened

@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 from rtcal.acoustics.bands import label, span
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.parameters import parameter_label
-from rtcal.errors import DataError
 from rtcal.loop.matched import Matched
 from rtcal.support import checks
 from rtcal.support.arguments import checked
+from rtcal.support.errors import DataError
 from rtcal.support.types import Array, read_only
 
 STATUSES = ("converged", "no measured T", "unreachable", "not converging", "not confirmed")

@@ -28,7 +28,6 @@ from rtcal.calibration.presets import preset
 from rtcal.calibration.problem import Calibration, CalibrationProblem
 from rtcal.calibration.result import CalibrationResult
 from rtcal.calibration.terms import LinearObservations, Observed, as_objective
-from rtcal.errors import DataError
 from rtcal.io.sofa import Responses
 from rtcal.modes.matching import Matches, match
 from rtcal.modes.measured import MeasuredModes
@@ -39,6 +38,7 @@ from rtcal.modes.room_modes import Poles, RoomModes
 from rtcal.simulators.geometry import Polyhedron
 from rtcal.support import checks
 from rtcal.support.arguments import checked
+from rtcal.support.errors import DataError
 from rtcal.support.types import Array
 
 MODES = LinearObservations("modes")

@@ -24,9 +24,9 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from rtcal.errors import DataError
 from rtcal.modes.matching import COMMON_ERROR, DECAY_ERROR, frequency_error
 from rtcal.modes.room_modes import Poles
+from rtcal.support.errors import DataError
 from rtcal.support.types import Array
 
 Complex = NDArray[np.complex128]

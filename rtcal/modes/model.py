@@ -18,13 +18,13 @@ from numpy.typing import NDArray
 
 from rtcal.acoustics.air import Air
 from rtcal.acoustics.room import Room
-from rtcal.errors import DataError
 from rtcal.io import geometry_files
 from rtcal.modes.paris import admittance, admittance_slope
 from rtcal.modes.polyhedron import modes_of
 from rtcal.modes.room_modes import Admittances, Poles, RoomModes
 from rtcal.simulators.geometry import Polyhedron
 from rtcal.support import checks
+from rtcal.support.errors import DataError
 from rtcal.support.types import Array
 
 CORRELATION = 0.8

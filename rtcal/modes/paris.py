@@ -18,9 +18,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from rtcal.errors import DataError
 from rtcal.support import checks
 from rtcal.support.arguments import checked
+from rtcal.support.errors import DataError
 from rtcal.support.types import Array
 
 LARGEST = 0.9

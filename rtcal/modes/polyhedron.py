@@ -14,13 +14,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rtcal.errors import DataError, MissingDependencyError
 from rtcal.modes.box import BEYOND, box_modes
 from rtcal.modes.room_modes import RoomModes
 from rtcal.modes.tetrahedra import fill
 from rtcal.simulators.geometry import SHOEBOX_WALLS, Polyhedron
 from rtcal.support import checks
 from rtcal.support.arguments import checked
+from rtcal.support.errors import DataError, MissingDependencyError
 from rtcal.support.types import Array
 
 PER_WAVELENGTH = 3.5

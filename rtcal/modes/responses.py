@@ -14,7 +14,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtcal.acoustics.room import Room
-from rtcal.errors import DataError
 from rtcal.io.sofa import Responses
 from rtcal.modes.fit import AMPLITUDE, Point, Spectra, fitted
 from rtcal.modes.matching import DECAY_ERROR
@@ -24,6 +23,7 @@ from rtcal.modes.room_modes import RoomModes
 from rtcal.simulators.geometry import Polyhedron
 from rtcal.support import checks
 from rtcal.support.arguments import checked
+from rtcal.support.errors import DataError
 from rtcal.support.types import Array
 
 LEAST_PAIRS = 2

@@ -22,7 +22,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from rtcal.errors import ModelError
+from rtcal.support.errors import ModelError
 from rtcal.support.types import Array
 
 DECAY = 3 * float(np.log(10))

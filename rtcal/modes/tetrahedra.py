@@ -13,8 +13,8 @@ from itertools import pairwise, permutations
 import numpy as np
 from numpy.typing import NDArray
 
-from rtcal.errors import ModelError
 from rtcal.simulators.geometry import WELD, Polyhedron
+from rtcal.support.errors import ModelError
 from rtcal.support.types import Array
 
 Integers = NDArray[np.int64]

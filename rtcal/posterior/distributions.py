@@ -12,12 +12,12 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
-from rtcal.errors import DataError
 from rtcal.posterior.density import POINTS, CoupledBands, IndependentBands, Marginals
 from rtcal.posterior.marginals import marginal_distributions, passed_on, unmatched
 from rtcal.posterior.sampler import sample
 from rtcal.support import checks
 from rtcal.support.arguments import checked
+from rtcal.support.errors import DataError
 from rtcal.support.types import Array
 
 Rows = NDArray[np.intp]

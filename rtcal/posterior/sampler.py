@@ -14,8 +14,8 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from rtcal.errors import ModelError, SolverError
 from rtcal.posterior.density import JointTruncatedNormal
+from rtcal.support.errors import ModelError, SolverError
 from rtcal.support.types import Array
 
 Integers = NDArray[np.intp]

@@ -8,9 +8,9 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
-from rtcal.errors import DataError
 from rtcal.support import kkt
 from rtcal.support.arguments import checked
+from rtcal.support.errors import DataError
 from rtcal.support.kkt import Hessian
 from rtcal.support.types import Array
 

@@ -13,10 +13,10 @@ from rtcal.acoustics.equations import LinearEquation
 from rtcal.acoustics.room import Room
 from rtcal.acoustics.states import State
 from rtcal.acoustics.targets import Target
-from rtcal.errors import DataError
 from rtcal.prediction.predicted import Prediction, predict
 from rtcal.support import text
 from rtcal.support.arguments import checked
+from rtcal.support.errors import DataError
 from rtcal.support.files import json_numbers
 from rtcal.support.results import Result
 

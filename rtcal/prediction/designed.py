@@ -17,12 +17,12 @@ from rtcal.acoustics.room import Room
 from rtcal.acoustics.states import State
 from rtcal.acoustics.targets import Target
 from rtcal.acoustics.treatments import LEAST, Treatment, check_treatments
-from rtcal.errors import DataError, InfeasibleError
 from rtcal.prediction import words
 from rtcal.prediction.design_model import DesignModel
 from rtcal.prediction.predicted import JND, Prediction
 from rtcal.support import checks, text
 from rtcal.support.arguments import checked
+from rtcal.support.errors import DataError, InfeasibleError
 from rtcal.support.files import json_numbers
 from rtcal.support.results import Result
 from rtcal.support.text import shortened

@@ -30,7 +30,7 @@ from scipy.special import ndtr
 from rtcal.acoustics.equations import LinearEquation
 from rtcal.acoustics.room import Room
 from rtcal.acoustics.targets import Target
-from rtcal.errors import ModelError, SolverError
+from rtcal.support.errors import ModelError, SolverError
 from rtcal.support.types import Array
 
 _HALVINGS = 26

@@ -16,11 +16,11 @@ import numpy as np
 
 from rtcal.acoustics.observables import TARGET
 from rtcal.acoustics.trust import letters
-from rtcal.errors import DataError, MissingDependencyError
 from rtcal.io.mend import Faces
 from rtcal.simulators.geometry import Polyhedron
 from rtcal.support import checks
 from rtcal.support.arguments import checked
+from rtcal.support.errors import DataError, MissingDependencyError
 from rtcal.support.files import write_bytes
 from rtcal.support.types import Array
 

@@ -13,7 +13,6 @@ import numpy as np
 from rtcal.acoustics import room_files
 from rtcal.acoustics.equations import mean_equation
 from rtcal.calibration.presets import calibrate
-from rtcal.errors import MissingAirWarning
 from rtcal.finder.claim import CLAIMED, SAID
 from rtcal.finder.means.bootstrap import QUANTILE
 from rtcal.finder.means.finding import MeansFinding
@@ -26,6 +25,7 @@ from rtcal.report.document import Heading, data_of, material_rows, odds
 from rtcal.report.figures import rendered
 from rtcal.report.page import FINDING_FIGURES, finding_page
 from rtcal.support.arguments import checked
+from rtcal.support.errors import MissingAirWarning
 from rtcal.support.files import make_folder, write_all
 from rtcal.support.results import NUMBERS, Result
 

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from rtcal.acoustics.quality import gap_jnd
-from rtcal.errors import DataError
 from rtcal.report.figures import BLACK, BLUE, ORANGE, band_axis, jnd_band, new_figure, shown
 from rtcal.support.arguments import checked
+from rtcal.support.errors import DataError
 from rtcal.support.types import Array
 
 if TYPE_CHECKING:

@@ -6,9 +6,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from rtcal.errors import DataError
 from rtcal.report.figures import BLACK, BLUE, GREEN, ORANGE, band_axis, new_figure, shown
 from rtcal.support.arguments import checked
+from rtcal.support.errors import DataError
 from rtcal.support.types import Array
 
 if TYPE_CHECKING:

@@ -13,7 +13,6 @@ from rtcal.acoustics import room_files
 from rtcal.acoustics.trust import letters
 from rtcal.calibration import record
 from rtcal.calibration.result import CalibrationResult
-from rtcal.errors import DataError
 from rtcal.finder import states
 from rtcal.loop import beside
 from rtcal.loop.positions_prediction import PositionsPrediction, PositionsPredictions
@@ -38,6 +37,7 @@ from rtcal.report import (
 )
 from rtcal.report.document import Heading, blocks, data_of, material_rows, render, source
 from rtcal.support.arguments import checked
+from rtcal.support.errors import DataError
 from rtcal.support.results import load
 from rtcal.support.types import Array
 

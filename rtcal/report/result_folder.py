@@ -8,9 +8,9 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from rtcal.errors import MissingDependencyError
 from rtcal.report import figures, loop_figures
 from rtcal.support import checks
+from rtcal.support.errors import MissingDependencyError
 from rtcal.support.files import make_folder, spare, write_all
 from rtcal.support.results import NUMBERS
 

@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from rtcal.acoustics.room import Room
-from rtcal.errors import DataError
 from rtcal.io import geometry_files
 from rtcal.report import room_view
 from rtcal.report.room_view import Quantity, RoomView
 from rtcal.simulators.geometry import Polyhedron
+from rtcal.support.errors import DataError
 
 if TYPE_CHECKING:
     from rtcal.calibration.result import CalibrationResult

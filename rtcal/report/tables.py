@@ -17,13 +17,13 @@ from pathlib import Path
 from typing import Any
 
 from rtcal.acoustics import bands
-from rtcal.errors import DataError
 from rtcal.io import workbook
 from rtcal.loop.result import LoopResult
 from rtcal.loop.state import Loop
 from rtcal.report import loop_words
 from rtcal.support.arguments import checked
 from rtcal.support.decode import json_object
+from rtcal.support.errors import DataError
 from rtcal.support.files import json_numbers, read_text
 from rtcal.support.results import MAX_BYTES, NUMBERS, load
 

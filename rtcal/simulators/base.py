@@ -21,8 +21,8 @@ from rtcal.acoustics.labelled import in_order
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.observables import TARGET
 from rtcal.acoustics.room import Room
-from rtcal.errors import DataError, RtcalError, SimulatorError, of_bands
 from rtcal.support import checks
+from rtcal.support.errors import DataError, RtcalError, SimulatorError, of_bands
 from rtcal.support.text import shortened
 from rtcal.support.types import Array, read_only
 

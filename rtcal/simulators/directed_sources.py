@@ -10,8 +10,8 @@ from rtcal.acoustics.directivity import Directivity, DirectivityFile
 from rtcal.acoustics.observables import OBSERVABLES
 from rtcal.acoustics.room import Room
 from rtcal.acoustics.scene import directivities
-from rtcal.errors import DataError
 from rtcal.simulators.observations import checked_parameters
+from rtcal.support.errors import DataError
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)

@@ -11,9 +11,9 @@ from rtcal.acoustics.equations import Equation
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.observables import TARGET
 from rtcal.acoustics.room import Room
-from rtcal.errors import DataError, of_bands
 from rtcal.simulators.base import RoomSimulator, check_alpha
 from rtcal.support import checks
+from rtcal.support.errors import DataError, of_bands
 from rtcal.support.types import Array
 
 

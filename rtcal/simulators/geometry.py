@@ -16,10 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtcal.acoustics.room import AXES, Surface, text_name
-from rtcal.errors import DataError
 from rtcal.simulators import triangles as _triangles
 from rtcal.support import checks
 from rtcal.support.arguments import checked
+from rtcal.support.errors import DataError
 from rtcal.support.files import write_text
 from rtcal.support.types import Array
 

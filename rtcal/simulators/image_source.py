@@ -18,10 +18,10 @@ from numpy.typing import NDArray
 
 from rtcal.acoustics import decay
 from rtcal.acoustics.measurement import Measurement
-from rtcal.errors import DataError
 from rtcal.simulators.base import check_alpha
 from rtcal.simulators.shoebox import ShoeboxSimulator
 from rtcal.support import checks, jit
+from rtcal.support.errors import DataError
 from rtcal.support.types import Array
 
 _MOST_IMAGES = 50_000_000

@@ -21,11 +21,11 @@ from rtcal.acoustics.decay_curve import checked_decay
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.observables import MATCH, OBSERVABLES, observable
 from rtcal.acoustics.parameters import parameter_label
-from rtcal.errors import DataError, SimulatorError, TooShortError
 from rtcal.simulators import base
 from rtcal.simulators.base import Simulator
 from rtcal.support import checks
 from rtcal.support.arguments import checked
+from rtcal.support.errors import DataError, SimulatorError, TooShortError
 from rtcal.support.types import Array, read_only
 
 LARGEST_ALPHA = 0.999

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from rtcal.errors import DataError
 from rtcal.simulators import paths, tracer
 from rtcal.simulators.geometry import Polyhedron
 from rtcal.simulators.path_batch import LARGEST_CODE, Batch, ScatteringModel
+from rtcal.support.errors import DataError
 from rtcal.support.threads import thread_pool
 from rtcal.support.types import Array
 

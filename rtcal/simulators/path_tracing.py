@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtcal.acoustics.observables import MATCH, longest
-from rtcal.errors import DataError
 from rtcal.simulators import observations, path_trace, paths
 from rtcal.simulators.base import check_alpha
 from rtcal.simulators.directed_sources import DirectedSources
@@ -27,6 +26,7 @@ from rtcal.simulators.tracer import (
 )
 from rtcal.support import checks
 from rtcal.support.arguments import checked
+from rtcal.support.errors import DataError
 from rtcal.support.types import Array
 
 _REFLECTING = 0.7

@@ -20,10 +20,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtcal.acoustics.directivity import Directivity
-from rtcal.errors import DataError
 from rtcal.simulators import path_numpy
 from rtcal.simulators.path_batch import Batch, ScatteringModel, joined
 from rtcal.support import jit
+from rtcal.support.errors import DataError
 from rtcal.support.types import Array
 
 _LARGEST_POWER = 600.0

@@ -17,8 +17,8 @@ from typing import IO
 
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.room import Room
-from rtcal.errors import DataError, SimulatorError
 from rtcal.support import checks
+from rtcal.support.errors import DataError, SimulatorError
 from rtcal.support.text import printable
 from rtcal.support.types import Array
 

@@ -25,11 +25,11 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from rtcal.errors import DataError, MissingDependencyError
 from rtcal.simulators import tracer
 from rtcal.simulators.base import check_alpha
 from rtcal.simulators.tracer import Tracer, check_seconds
 from rtcal.support import checks
+from rtcal.support.errors import DataError, MissingDependencyError
 from rtcal.support.types import Array
 
 ENERGY_THRESHOLD = 1e-16

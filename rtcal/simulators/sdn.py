@@ -18,11 +18,11 @@ from numpy.typing import NDArray
 from rtcal.acoustics import decay
 from rtcal.acoustics.equations import Eyring
 from rtcal.acoustics.measurement import Measurement
-from rtcal.errors import DataError
 from rtcal.simulators.base import check_alpha
 from rtcal.simulators.shoebox import ShoeboxSimulator
 from rtcal.support import checks, jit
 from rtcal.support.arguments import checked
+from rtcal.support.errors import DataError
 from rtcal.support.types import Array
 
 _NODES = 6

@@ -14,12 +14,12 @@ from rtcal.acoustics.decay import gradients
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.observables import MATCH
 from rtcal.acoustics.room import Room
-from rtcal.errors import DataError
 from rtcal.simulators import observations
 from rtcal.simulators.base import RoomSimulator, check_alpha
 from rtcal.simulators.geometry import SHOEBOX_WALLS, Polyhedron
 from rtcal.simulators.observations import Observations
 from rtcal.support import checks
+from rtcal.support.errors import DataError
 from rtcal.support.types import Array
 
 Point = Sequence[float]

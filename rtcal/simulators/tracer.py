@@ -17,11 +17,11 @@ from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.observables import OBSERVABLES, TARGET, DecaySlope
 from rtcal.acoustics.room import Room
 from rtcal.acoustics.trust import OFF_VOLUME
-from rtcal.errors import DataError
 from rtcal.simulators import path_numpy
 from rtcal.simulators.base import RoomSimulator, check_alpha
 from rtcal.simulators.geometry import Polyhedron
 from rtcal.support import checks
+from rtcal.support.errors import DataError
 from rtcal.support.types import Array, read_only
 
 

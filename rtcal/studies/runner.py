@@ -19,10 +19,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from rtcal.errors import DataError
 from rtcal.studies.moments import ScoreMoments
 from rtcal.support import checks, transaction
 from rtcal.support.decode import json_object
+from rtcal.support.errors import DataError
 from rtcal.support.files import make_folder, read_text, write_bytes, write_text
 from rtcal.support.progress import bar as progress_bar
 from rtcal.support.threads import thread_pool

@@ -19,7 +19,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from rtcal.acoustics.priors import TruncatedNormal
-from rtcal.errors import DataError
 from rtcal.studies import estimators
 from rtcal.studies import sampling as draws
 from rtcal.studies.estimators import CALIBRATIONS, METHODS, TrialSums
@@ -28,6 +27,7 @@ from rtcal.studies.runner import run_pieces
 from rtcal.studies.sampling import SAMPLINGS, SIGMA_LIMIT, Sampling
 from rtcal.support import checks
 from rtcal.support.arguments import checked
+from rtcal.support.errors import DataError
 from rtcal.support.results import Result
 from rtcal.support.types import Array
 

@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from rtcal.errors import DataError, MissingDependencyError
 from rtcal.support import checks
 from rtcal.support.arguments import checked
+from rtcal.support.errors import DataError, MissingDependencyError
 from rtcal.support.files import write_bytes
 
 

@@ -1,6 +1,6 @@
 """Check the arguments of public functions against their annotations, after a call has failed.
 
-`checked` does nothing if a call succeeds or raises one of `rtcal.errors`. After any other exception it
+`checked` does nothing if a call succeeds or raises one of `rt.errors`. After any other exception it
 compares the arguments with the annotations. An argument of another type becomes a DataError that names
 function, argument, value and rule. So does a number or nothing in place of an array, and so do arrays
 whose shapes NumPy cannot combine. A successful call costs no check, and the functions' own, more
@@ -27,8 +27,8 @@ from typing import Any, Literal, TypeVar, get_args, get_origin
 import numpy as np
 from numpy.typing import ArrayLike
 
-from rtcal.errors import DataError, RtcalError
 from rtcal.support.checks import public_name, shown
+from rtcal.support.errors import DataError, RtcalError
 from rtcal.support.lazy import typing_imports
 
 F = TypeVar("F", bound=Callable[..., Any])
@@ -56,7 +56,7 @@ def checked(target: F) -> F:
     8
     >>> area("2", [1.5])
     Traceback (most recent call last):
-    rtcal.errors.DataError: arguments.area: width = '2' is not a number
+    rtcal.support.errors.DataError: arguments.area: width = '2' is not a number
     """
     if isinstance(target, type):
         target.__init__ = _wrapped(target.__init__, target.__name__)  # type: ignore[misc]

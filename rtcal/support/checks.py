@@ -10,7 +10,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from rtcal.errors import DataError, RtcalError
+from rtcal.support.errors import DataError, RtcalError
 from rtcal.support.types import Array
 
 T = TypeVar("T")

@@ -12,8 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from rtcal.errors import DataError
 from rtcal.support import checks
+from rtcal.support.errors import DataError
 from rtcal.support.types import Array
 
 MAX_DEPTH = 20

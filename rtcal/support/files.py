@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from rtcal.errors import DataError
 from rtcal.support import transaction
+from rtcal.support.errors import DataError
 from rtcal.support.types import Array
 
 MAX_BYTES = 2**28

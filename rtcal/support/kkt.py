@@ -18,7 +18,7 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 from scipy.sparse.csgraph import connected_components
 
-from rtcal.errors import SolverError
+from rtcal.support.errors import SolverError
 from rtcal.support.types import Array
 
 

@@ -23,9 +23,9 @@ from typing import Any
 
 import numpy as np
 
-from rtcal.errors import DataError
 from rtcal.support import checks
 from rtcal.support.decode import Entries
+from rtcal.support.errors import DataError
 
 MAX_LEVELS = 60
 """Largest nesting depth of lists and tables; results need at most 10."""

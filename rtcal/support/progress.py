@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable
 from typing import Any
 
-from rtcal.errors import MissingDependencyError
+from rtcal.support.errors import MissingDependencyError
 from rtcal.support.text import width
 
 Progress = Callable[[int, int], None]

@@ -12,10 +12,10 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from rtcal.errors import DataError
 from rtcal.support import objects
 from rtcal.support.arguments import checked
 from rtcal.support.decode import Entries, json_object
+from rtcal.support.errors import DataError
 from rtcal.support.files import make_folder, read_text, write_all
 from rtcal.support.version import __version__
 

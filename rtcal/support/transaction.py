@@ -22,7 +22,7 @@ from contextlib import AbstractContextManager, ExitStack, contextmanager, suppre
 from pathlib import Path
 from types import FrameType
 
-from rtcal.errors import DataError
+from rtcal.support.errors import DataError
 
 try:
     import fcntl

@@ -13,12 +13,12 @@ from rtcal.calibration.presets import METHODS
 from rtcal.command import console
 from rtcal.command.finder import NOTHING_TO_ADD
 from rtcal.command.main import EXIT_CODES, cli
-from rtcal.errors import MissingDependencyError
 from rtcal.report import (
     document,
     page,
     result_folder,
 )
+from rtcal.support.errors import MissingDependencyError
 from tests.report.pages import no_figures, run
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 import rtcal as rt
-from rtcal.errors import DataError
 from rtcal.report import (
     figures,
     loop_figures,
     material_figures,
 )
+from rtcal.support.errors import DataError
 
 
 def line(axes, label):

@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 
 import rtcal as rt
-from rtcal.errors import DataError
 from rtcal.report import (
     document,
     page,
     words,
 )
+from rtcal.support.errors import DataError
 from tests.report.pages import FINDING, evil_room, no_figures, run
 
 

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 import rtcal as rt
-from rtcal.errors import DataError
 from rtcal.loop import Loop
 from rtcal.report import (
     page,
 )
+from rtcal.support.errors import DataError
 
 
 def test_what_is_no_result_is_refused(tmp_path) -> None:

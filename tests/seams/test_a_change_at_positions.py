@@ -12,12 +12,12 @@ from click.testing import CliRunner
 import rtcal as rt
 from rtcal.acoustics.change_files import Variant
 from rtcal.command.main import cli
-from rtcal.errors import DataError
 from rtcal.loop import PositionsPredictions, predict_positions
 from rtcal.prediction import Add, Climate, Cover, Open
 from rtcal.prediction.words import ALIKE, CHANGED_ALONE, PLACES, SIZES
 from rtcal.report import page
 from rtcal.simulators import PathTracing, Polyhedron
+from rtcal.support.errors import DataError
 
 pytest.importorskip("matplotlib", reason="needs the extra report")
 pytest.importorskip("numba", reason="the control runs are compiled (extra fast)")

@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 import rtcal as rt
-from rtcal.errors import DataError
 from rtcal.finder.effects import Absorber, Parameters
 from rtcal.finder.positions.detection import of_means
+from rtcal.support.errors import DataError
 from rtcal.support.types import Array
 from tests.test_where import measured, stated, tracing
 

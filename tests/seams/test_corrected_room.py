@@ -17,7 +17,6 @@ import pytest
 
 import rtcal as rt
 from rtcal.acoustics.equations import mean_equation
-from rtcal.errors import DataError
 from rtcal.finder import AppliedEffect, Case, corrected_room, recalibrate, simulator
 from rtcal.finder.effects import Effect, library
 from rtcal.finder.effects.checks import checked_grid
@@ -25,6 +24,7 @@ from rtcal.finder.means.corrected import not_in_room
 from rtcal.finder.means.room_states import distances, state
 from rtcal.finder.model import FEATURES, State, predict
 from rtcal.simulators.equation import EquationSimulator
+from rtcal.support.errors import DataError
 
 ROUNDING = 1e-9
 ONLY_DECAY = "a room has surfaces and air only"

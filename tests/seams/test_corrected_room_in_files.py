@@ -16,11 +16,11 @@ import numpy as np
 import pytest
 
 import rtcal as rt
-from rtcal.errors import DataError
 from rtcal.finder import Case, corrected_room, simulator
 from rtcal.finder.effects import Effect, library
 from rtcal.finder.means.corrected import not_in_room
 from rtcal.io import bras, catt, odeon, pyroomacoustics
+from rtcal.support.errors import DataError
 from tests.seams.test_corrected_room import EVERY, of
 
 FORMATS: dict[str, tuple[ModuleType, dict[str, str]]] = {

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 import rtcal as rt
-from rtcal.errors import DataError
 from rtcal.loop.measured_pairs import fingerprints, pairs_to_match
 from rtcal.simulators.observations import Observations
+from rtcal.support.errors import DataError
 
 
 @pytest.fixture(scope="module")

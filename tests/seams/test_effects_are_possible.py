@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 import rtcal as rt
-from rtcal.errors import DataError
 from rtcal.finder import AppliedEffect, Case
 from rtcal.finder.effects import Effect, library
 from rtcal.finder.effects.checks import checked_grid
 from rtcal.finder.means.room_states import state
+from rtcal.support.errors import DataError
 
 
 @pytest.fixture(scope="module")

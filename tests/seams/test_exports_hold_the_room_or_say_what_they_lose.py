@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 import rtcal as rt
-from rtcal.errors import DataError
 from rtcal.io import bras, catt, odeon, pyroomacoustics
+from rtcal.support.errors import DataError
 
 FORMATS = {"catt": catt, "odeon": odeon, "pyroomacoustics": pyroomacoustics, "bras": bras}
 OCTAVES = [63.0, 125.0, 250.0, 500.0, 1000.0, 2000.0, 4000.0, 8000.0]

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 import rtcal as rt
-from rtcal.errors import DataError
 from rtcal.finder.positions.surfaces import merged, of_geometry
+from rtcal.support.errors import DataError
 from tests.test_where import RECEIVERS, measured, stated, tracing
 from tests.test_where_corrected import L_PLAN, prism, triangulated
 

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 import rtcal as rt
-from rtcal.errors import DataError
 from rtcal.io import obj
 from rtcal.simulators import Polyhedron
+from rtcal.support.errors import DataError
 
 BANDS = [500.0, 1000.0]
 MATERIALS = [

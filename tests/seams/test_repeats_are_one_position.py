@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 import rtcal as rt
-from rtcal.errors import DataError
 from rtcal.finder.positions import Case
 from rtcal.loop.positions import calibrate_positions
 from rtcal.simulators.geometry import SHOEBOX_WALLS
+from rtcal.support.errors import DataError
 
 BANDS = [250.0, 500.0, 1000.0]
 RNG = np.random.default_rng(3)

@@ -13,10 +13,10 @@ from click.testing import CliRunner
 
 import rtcal as rt
 from rtcal.command.main import cli
-from rtcal.errors import DataError
 from rtcal.loop import Loop
 from rtcal.report import page, positions_page
 from rtcal.report.document import Heading
+from rtcal.support.errors import DataError
 
 
 @dataclass(frozen=True)

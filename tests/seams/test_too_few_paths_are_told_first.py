@@ -10,9 +10,9 @@ from click.testing import CliRunner
 
 import rtcal as rt
 from rtcal.command.main import cli
-from rtcal.errors import DataError
 from rtcal.io import obj
 from rtcal.loop import positions
+from rtcal.support.errors import DataError
 
 pytest.importorskip("numba", reason="the paths are traced by compiled code (extra fast)")
 

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 import rtcal as rt
-from rtcal.errors import RtcalError
 from rtcal.loop import start
+from rtcal.support.errors import RtcalError
 
 
 @pytest.mark.parametrize(

@@ -9,8 +9,8 @@ from typing import Any, ClassVar, Protocol, TypeVar, runtime_checkable
 import numpy as np
 
 from rtcal.acoustics.room import Room
-from rtcal.errors import DataError, ModelError
 from rtcal.support import checks
+from rtcal.support.errors import DataError, ModelError
 from rtcal.support.types import Array
 
 PAPER_SPEED_OF_SOUND = 24 * np.log(10) / 0.164

@@ -14,8 +14,8 @@ import numpy as np
 from rtcal.acoustics.equations.base import ReverberationEquation, register
 from rtcal.acoustics.equations.eyring import Eyring
 from rtcal.acoustics.room import AXES, Room
-from rtcal.errors import ModelError
 from rtcal.support import checks
+from rtcal.support.errors import ModelError
 from rtcal.support.types import Array
 
 

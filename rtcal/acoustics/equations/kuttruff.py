@@ -9,9 +9,9 @@ import numpy as np
 
 from rtcal.acoustics.equations.base import register
 from rtcal.acoustics.equations.mean import LinearEquation
-from rtcal.errors import DataError, ModelError, of_bands
 from rtcal.support import checks
 from rtcal.support.arguments import checked
+from rtcal.support.errors import DataError, ModelError, of_bands
 from rtcal.support.types import Array
 
 

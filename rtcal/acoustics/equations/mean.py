@@ -17,9 +17,9 @@ import numpy as np
 from rtcal.acoustics import bands
 from rtcal.acoustics.equations.base import EQUATIONS, ReverberationEquation, equation_keys
 from rtcal.acoustics.room import Room
-from rtcal.errors import DataError, InfeasibleError
 from rtcal.support import checks
 from rtcal.support.arguments import checked
+from rtcal.support.errors import DataError, InfeasibleError
 from rtcal.support.types import Array
 
 

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtcal.acoustics import bands
-from rtcal.errors import DataError
+from rtcal.support.errors import DataError
 from rtcal.support.types import Array
 
 DB = 10 / np.log(10)

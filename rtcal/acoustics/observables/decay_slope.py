@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from rtcal.acoustics import bands
 from rtcal.acoustics.decay_curve import decay_time, ends_above, slope_time
 from rtcal.acoustics.observables.base import DB, Observable, Part, Scale
-from rtcal.errors import DataError
+from rtcal.support.errors import DataError
 from rtcal.support.types import Array
 
 LIMITS = (0.01, 120.0)

@@ -14,9 +14,9 @@ from rtcal.acoustics.room import Room
 from rtcal.calibration.context import Context
 from rtcal.calibration.layout import Integers, Layout
 from rtcal.calibration.problem_data import ProblemData
-from rtcal.errors import ModelError
 from rtcal.support import checks
 from rtcal.support.arguments import checked
+from rtcal.support.errors import ModelError
 from rtcal.support.types import Array
 
 

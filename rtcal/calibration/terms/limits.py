@@ -14,8 +14,8 @@ from rtcal.calibration.context import Context
 from rtcal.calibration.layout import Integers, Layout
 from rtcal.calibration.problem_data import ProblemData
 from rtcal.calibration.terms.base import BaseTerm, Rows, half_squares, limited, reciprocal
-from rtcal.errors import DataError, ModelError
 from rtcal.support import checks
+from rtcal.support.errors import DataError, ModelError
 from rtcal.support.types import Array
 
 

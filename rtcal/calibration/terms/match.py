@@ -14,9 +14,9 @@ from rtcal.calibration.context import Context
 from rtcal.calibration.layout import Layout
 from rtcal.calibration.problem_data import ProblemData
 from rtcal.calibration.terms.base import BaseTerm, Rows, half_squares, limited
-from rtcal.errors import DataError, ModelError
 from rtcal.support import checks
 from rtcal.support.arguments import checked
+from rtcal.support.errors import DataError, ModelError
 from rtcal.support.kkt import Squares
 from rtcal.support.types import Array
 

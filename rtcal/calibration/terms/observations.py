@@ -12,7 +12,7 @@ from rtcal.calibration.context import Context
 from rtcal.calibration.observed import Observed, Whitened
 from rtcal.calibration.problem_data import ProblemData
 from rtcal.calibration.terms.base import BaseTerm, half_squares
-from rtcal.errors import ModelError
+from rtcal.support.errors import ModelError
 from rtcal.support.types import Array
 
 __all__ = ["LinearObservations", "Observed"]

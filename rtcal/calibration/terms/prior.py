@@ -16,8 +16,8 @@ from rtcal.calibration.context import Context
 from rtcal.calibration.layout import Layout
 from rtcal.calibration.problem_data import ProblemData
 from rtcal.calibration.terms.base import BaseTerm, half_squares
-from rtcal.errors import ModelError
 from rtcal.support import checks
+from rtcal.support.errors import ModelError
 from rtcal.support.kkt import Hessian
 from rtcal.support.types import Array
 

@@ -13,9 +13,9 @@ from rtcal.acoustics import bands
 from rtcal.acoustics.air import Air
 from rtcal.acoustics.room import Room
 from rtcal.acoustics.room_checks import LARGEST
-from rtcal.errors import DataError
 from rtcal.finder.model import Decay, State
 from rtcal.support import checks
+from rtcal.support.errors import DataError
 from rtcal.support.types import Array
 
 Parameters = Mapping[str, float]

@@ -12,10 +12,10 @@ import numpy as np
 
 from rtcal.acoustics.equations import mean_equation
 from rtcal.acoustics.room import Room
-from rtcal.errors import DataError, RtcalError
 from rtcal.finder.effects.base import Effect, Limits, Parameters
 from rtcal.finder.model import Decay, State
 from rtcal.support import checks
+from rtcal.support.errors import DataError, RtcalError
 from rtcal.support.text import shortened
 from rtcal.support.types import Array
 

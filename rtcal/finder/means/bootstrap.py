@@ -18,7 +18,6 @@ from pathlib import Path
 
 import numpy as np
 
-from rtcal.errors import DataError
 from rtcal.finder.case import Case
 from rtcal.finder.coefficients import NULL_POWER, directions, drawn
 from rtcal.finder.means.engines import (
@@ -36,6 +35,7 @@ from rtcal.finder.model import FEATURES, predict
 from rtcal.finder.prior import NONE, Prior
 from rtcal.support import checks, files
 from rtcal.support.arguments import checked
+from rtcal.support.errors import DataError
 from rtcal.support.progress import TaskProgress
 from rtcal.support.threads import single_threaded_blas
 from rtcal.support.types import Array

@@ -21,7 +21,6 @@ from rtcal.acoustics.equations import mean_equation
 from rtcal.acoustics.materials import Material
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.room import Room
-from rtcal.errors import DataError
 from rtcal.finder.case import NORMAL_90, AppliedEffect, Case
 from rtcal.finder.configuration import Configuration
 from rtcal.finder.means.room_states import distances, seen, state, with_applied
@@ -30,6 +29,7 @@ from rtcal.finder.wording import amount
 from rtcal.simulators.base import RoomSimulator, Simulator, check_alpha, run
 from rtcal.simulators.geometry import Polyhedron
 from rtcal.support.arguments import checked
+from rtcal.support.errors import DataError
 from rtcal.support.types import Array
 
 _LARGEST_SHARE = 0.5

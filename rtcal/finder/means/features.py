@@ -10,10 +10,10 @@ from rtcal.acoustics import bands
 from rtcal.acoustics.measurement import MAX_POSITIONS, Measurement
 from rtcal.acoustics.observables import observable
 from rtcal.acoustics.parameters import parameter_label
-from rtcal.errors import DataError
 from rtcal.finder.case import Case
 from rtcal.finder.configuration import Configuration
 from rtcal.finder.model import FEATURES
+from rtcal.support.errors import DataError
 from rtcal.support.types import Array
 
 LARGEST_UNCERTAINTY = 0.15

@@ -9,7 +9,6 @@ from typing import Any, ClassVar
 import numpy as np
 
 from rtcal.acoustics import bands
-from rtcal.errors import DataError
 from rtcal.finder import track_record
 from rtcal.finder.case import AppliedEffect, Case
 from rtcal.finder.claim import SAID, Names
@@ -22,6 +21,7 @@ from rtcal.finder.prior import COEFFICIENTS, NONE, Prior
 from rtcal.finder.wording import NATS, as_sentence, engine_title, listed
 from rtcal.support import html, text
 from rtcal.support.arguments import checked
+from rtcal.support.errors import DataError
 from rtcal.support.files import json_numbers
 from rtcal.support.types import Array
 

@@ -9,7 +9,6 @@ from itertools import groupby
 import numpy as np
 from numpy.typing import NDArray
 
-from rtcal.errors import DataError
 from rtcal.finder.case import AppliedEffect, Case
 from rtcal.finder.configuration import Configuration
 from rtcal.finder.effects import Effect, Parameters
@@ -18,6 +17,7 @@ from rtcal.finder.means.alpha_covariance import AlphaCovariance
 from rtcal.finder.means.room_states import DISTANCE_ERROR, distances, state
 from rtcal.finder.model import FEATURES, State, predict
 from rtcal.finder.prior import NONE, grid_weights
+from rtcal.support.errors import DataError
 from rtcal.support.types import Array
 
 SHAPE_CHANGE = (("edt", 0.12), ("t30", 0.06))

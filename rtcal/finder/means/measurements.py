@@ -13,7 +13,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from rtcal.acoustics.air import Air
-from rtcal.errors import DataError
 from rtcal.finder.case import Case
 from rtcal.finder.configuration import Change, Configuration
 from rtcal.finder.effects.porous import Porous
@@ -31,6 +30,7 @@ from rtcal.finder.means.separation import (
 from rtcal.finder.model import FEATURES
 from rtcal.finder.prior import COEFFICIENTS, UNKNOWN
 from rtcal.support import checks
+from rtcal.support.errors import DataError
 
 COSTS: Mapping[str, float] = {
     "EDT and T30": 0.2,

@@ -7,11 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rtcal.errors import DataError
 from rtcal.finder.case import Case
 from rtcal.finder.means.engines import ControlRooms, bias_estimates
 from rtcal.finder.model import FEATURES
 from rtcal.support import checks
+from rtcal.support.errors import DataError
 from rtcal.support.types import Array
 
 COMMON_UNCERTAINTY: Mapping[str, float] = {"edt": 0.05, "t30": 0.018, "c80": 0.5, "g": 0.5}

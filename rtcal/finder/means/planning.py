@@ -9,7 +9,6 @@ from typing import Any, ClassVar
 import numpy as np
 
 from rtcal.acoustics.parameters import parameter_label
-from rtcal.errors import DataError
 from rtcal.finder.case import AppliedEffect, Case
 from rtcal.finder.claim import DISTINCT_NATS
 from rtcal.finder.configuration import Configuration
@@ -26,6 +25,7 @@ from rtcal.finder.prior import NONE, prior_of
 from rtcal.finder.wording import listed
 from rtcal.support import checks, text
 from rtcal.support.arguments import checked
+from rtcal.support.errors import DataError
 from rtcal.support.results import Result
 from rtcal.support.threads import single_threaded_blas
 

@@ -25,7 +25,6 @@ from rtcal.calibration.presets import calibrate
 from rtcal.calibration.problem import Calibration
 from rtcal.calibration.result import JointResult
 from rtcal.calibration.terms import AddedAbsorption, PriorDeviation, SoftMatch
-from rtcal.errors import MissingAirWarning
 from rtcal.finder.case import AppliedEffect, Case
 from rtcal.finder.configuration import Configuration
 from rtcal.finder.means.features import observe
@@ -34,6 +33,7 @@ from rtcal.finder.means.recalibrated import Recalibrated
 from rtcal.finder.means.room_states import air_of, distances, seen, state
 from rtcal.finder.model import FEATURES, STEEPEST, State, predict
 from rtcal.support.arguments import checked
+from rtcal.support.errors import MissingAirWarning
 from rtcal.support.threads import single_threaded_blas
 from rtcal.support.types import Array
 

@@ -9,7 +9,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from rtcal.acoustics import bands
-from rtcal.errors import DataError
 from rtcal.finder.case import AppliedEffect, Case
 from rtcal.finder.claim import by_family, credible_set, posterior
 from rtcal.finder.effects import Effect, library
@@ -44,6 +43,7 @@ from rtcal.finder.prior import (
 )
 from rtcal.support import checks
 from rtcal.support.arguments import checked
+from rtcal.support.errors import DataError
 from rtcal.support.progress import TaskProgress
 from rtcal.support.threads import single_threaded_blas
 

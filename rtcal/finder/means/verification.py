@@ -15,7 +15,6 @@ from typing import Any, ClassVar
 import numpy as np
 
 from rtcal.acoustics.observables import observable
-from rtcal.errors import DataError
 from rtcal.finder.case import Case
 from rtcal.finder.finding import Verification
 from rtcal.finder.means.features import observe
@@ -30,6 +29,7 @@ from rtcal.finder.model import FEATURES, predict
 from rtcal.finder.wording import listed
 from rtcal.support import html, text
 from rtcal.support.arguments import checked
+from rtcal.support.errors import DataError
 from rtcal.support.files import json_numbers
 from rtcal.support.threads import single_threaded_blas
 from rtcal.support.types import Array

@@ -7,13 +7,13 @@ from itertools import product
 
 import numpy as np
 
-from rtcal.errors import DataError
 from rtcal.finder.positions.candidate import Candidate
 from rtcal.finder.positions.case import Case
 from rtcal.finder.positions.finding import PositionsFinding
 from rtcal.finder.positions.weighing import Weighing
 from rtcal.support import checks
 from rtcal.support.arguments import checked
+from rtcal.support.errors import DataError
 from rtcal.support.types import Array
 
 MARGIN = 0.7

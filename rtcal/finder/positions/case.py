@@ -15,7 +15,6 @@ from rtcal.acoustics.observables import MATCH, observable
 from rtcal.acoustics.parameters import parameter_label
 from rtcal.acoustics.room import Room
 from rtcal.acoustics.scene import POSITION, checked_uncertainty
-from rtcal.errors import DataError
 from rtcal.finder.positions import parts
 from rtcal.finder.positions import surfaces as of_room
 from rtcal.finder.positions.parts import Divided
@@ -27,6 +26,7 @@ from rtcal.simulators.geometry import Polyhedron
 from rtcal.simulators.path_tracing import PathTracing
 from rtcal.support import checks
 from rtcal.support.arguments import checked
+from rtcal.support.errors import DataError
 from rtcal.support.text import shortened
 
 

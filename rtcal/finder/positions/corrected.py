@@ -17,7 +17,6 @@ from rtcal.acoustics.changes import Further, new_name, with_materials
 from rtcal.acoustics.materials import Material
 from rtcal.acoustics.room import Room
 from rtcal.acoustics.scene import Scene
-from rtcal.errors import DataError
 from rtcal.finder.positions.candidate import Candidate
 from rtcal.finder.positions.case import Case
 from rtcal.finder.positions.patch import NEAR, face_at, patched
@@ -26,6 +25,7 @@ from rtcal.simulators.geometry import Polyhedron
 from rtcal.simulators.path_tracing import PathTracing
 from rtcal.support import checks
 from rtcal.support.arguments import checked
+from rtcal.support.errors import DataError
 from rtcal.support.files import make_folder, write_all
 from rtcal.support.types import Array
 

@@ -14,7 +14,6 @@ import numpy as np
 
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.observables import observable
-from rtcal.errors import DataError
 from rtcal.finder.case import Case as MeansCase
 from rtcal.finder.configuration import PARAMETERS, Configuration
 from rtcal.finder.effects import Effect
@@ -22,6 +21,7 @@ from rtcal.finder.finding import Detection
 from rtcal.finder.means.finding import MeansFinding
 from rtcal.finder.means.search import find as find_by_means
 from rtcal.finder.positions.case import Case
+from rtcal.support.errors import DataError
 from rtcal.support.types import Array
 
 THRESHOLD = 2.5

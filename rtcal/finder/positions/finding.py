@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
-from rtcal.errors import DataError
 from rtcal.finder.claim import SAID
 from rtcal.finder.effects.coupled_room import CoupledRoom
 from rtcal.finder.finding import LEAST_PAIRS, Finding
@@ -20,6 +19,7 @@ from rtcal.finder.wording import listed
 from rtcal.loop.control_runs import ControlRuns
 from rtcal.support import html, text
 from rtcal.support.arguments import checked
+from rtcal.support.errors import DataError
 from rtcal.support.files import json_numbers
 from rtcal.support.types import Array
 

@@ -7,10 +7,10 @@ from itertools import count
 
 import numpy as np
 
-from rtcal.errors import DataError
 from rtcal.simulators import polygons
 from rtcal.simulators.geometry import WELD, Polyhedron
 from rtcal.simulators.polygons import Plane, is_face
+from rtcal.support.errors import DataError
 from rtcal.support.types import Array
 
 LARGEST = 0.95

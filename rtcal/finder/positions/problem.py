@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from rtcal.acoustics.air import Air
 from rtcal.acoustics.observables import observable
 from rtcal.acoustics.room_errors import alike_alpha, common_error_columns, prior_covariance
-from rtcal.errors import DataError
 from rtcal.finder.case import CLIMATE_UNCERTAINTY
 from rtcal.finder.coefficients import SCALES
 from rtcal.finder.positions import unevenness, unstated_sources
@@ -29,6 +28,7 @@ from rtcal.finder.positions.simulator_error import SimulatorError, simulator_err
 from rtcal.loop.control_runs import ControlRuns
 from rtcal.loop.measured_pairs import MeasuredPairs, pairs_to_match
 from rtcal.simulators.observations import Observations
+from rtcal.support.errors import DataError
 from rtcal.support.types import Array
 
 UNKNOWN_SCALES = (4.0, 16.0)

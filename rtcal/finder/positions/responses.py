@@ -18,7 +18,6 @@ import numpy as np
 from rtcal.acoustics.air import Air
 from rtcal.acoustics.observables import MATCH
 from rtcal.acoustics.scene import plain_directivities
-from rtcal.errors import DataError, TooShortError
 from rtcal.finder.positions import surfaces as of_room
 from rtcal.finder.positions.aperture import SECOND_ROOMS, Aperture
 from rtcal.finder.positions.case import Case
@@ -29,6 +28,7 @@ from rtcal.simulators.observations import observe
 from rtcal.simulators.path_tracing import DENSER, LARGER, PathTracing
 from rtcal.simulators.tracer import LONGEST
 from rtcal.support import checks, files
+from rtcal.support.errors import DataError, TooShortError
 from rtcal.support.progress import TaskProgress
 from rtcal.support.types import Array
 from rtcal.support.version import __version__

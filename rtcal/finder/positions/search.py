@@ -9,7 +9,6 @@ from dataclasses import replace
 import numpy as np
 
 from rtcal.acoustics.observables import observable
-from rtcal.errors import DataError
 from rtcal.finder import track_record
 from rtcal.finder.claim import CLAIMED, DISTINCT_NATS, claim
 from rtcal.finder.effects import Effect, library
@@ -56,6 +55,7 @@ from rtcal.finder.prior import COEFFICIENTS, NONE, left_out_of
 from rtcal.loop.control_runs import ControlRuns, simulated_controls
 from rtcal.support import checks
 from rtcal.support.arguments import checked
+from rtcal.support.errors import DataError
 from rtcal.support.progress import TaskProgress
 from rtcal.support.threads import single_threaded_blas
 from rtcal.support.types import Array

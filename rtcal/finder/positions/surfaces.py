@@ -12,9 +12,9 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from rtcal.errors import DataError
 from rtcal.simulators.geometry import Polyhedron
 from rtcal.support import checks
+from rtcal.support.errors import DataError
 
 FLAT = 0.01
 """Largest distance in m of two parallel faces from one plane, and largest sine between their normals.

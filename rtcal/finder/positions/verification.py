@@ -14,7 +14,6 @@ import numpy as np
 from rtcal.acoustics.observables import LEVEL
 from rtcal.acoustics.parameters import parameter_label
 from rtcal.acoustics.quality import gap_jnd
-from rtcal.errors import DataError
 from rtcal.finder.finding import HeldOutVerification, check_pairs
 from rtcal.finder.positions.candidate import Candidate
 from rtcal.finder.positions.case import Case
@@ -29,6 +28,7 @@ from rtcal.simulators.observations import Observations, observe
 from rtcal.simulators.path_tracing import PathTracing
 from rtcal.support import checks, files, text
 from rtcal.support.arguments import checked
+from rtcal.support.errors import DataError
 from rtcal.support.files import json_numbers
 from rtcal.support.progress import TaskProgress
 from rtcal.support.types import Array

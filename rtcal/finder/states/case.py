@@ -15,11 +15,11 @@ from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.observables import MATCH, REVERBERATION
 from rtcal.acoustics.parameters import SUMMARY, parameter_label
 from rtcal.acoustics.room import Room
-from rtcal.errors import DataError
 from rtcal.simulators import observations
 from rtcal.simulators.path_tracing import PathTracing
 from rtcal.support import checks
 from rtcal.support.arguments import checked
+from rtcal.support.errors import DataError
 from rtcal.support.objects import NOT_SAVED
 from rtcal.support.types import Array
 

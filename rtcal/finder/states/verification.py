@@ -9,7 +9,6 @@ import numpy as np
 
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.observables import TARGET
-from rtcal.errors import DataError
 from rtcal.finder.finding import HeldOutVerification, check_pairs
 from rtcal.finder.states.case import Case
 from rtcal.finder.states.evidence import Baseline
@@ -17,6 +16,7 @@ from rtcal.finder.states.finding import StatesFinding
 from rtcal.finder.states.search import find
 from rtcal.support import text
 from rtcal.support.arguments import checked
+from rtcal.support.errors import DataError
 from rtcal.support.files import json_numbers
 from rtcal.support.types import Array
 

@@ -23,7 +23,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from rtcal.errors import DataError
 from rtcal.io.mend.defects import Defect, Mended, MeshError, Unclosed
 from rtcal.io.mend.edges import shell_of
 from rtcal.io.mend.faces import MOST_FACES, OFFSET, SAME, WELD, Faces, Mending, Work, numbered
@@ -33,6 +32,7 @@ from rtcal.io.mend.planes import flattened, joined
 from rtcal.io.mend.welding import snapped, welded, without_repetitions
 from rtcal.simulators.geometry import Polyhedron
 from rtcal.support.arguments import checked
+from rtcal.support.errors import DataError
 
 __all__ = [
     "OFFSET",

@@ -8,8 +8,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from rtcal.acoustics.room import Surface
-from rtcal.errors import DataError
 from rtcal.simulators.geometry import Polyhedron
+from rtcal.support.errors import DataError
 from rtcal.support.types import Array
 
 _SHOWN = 1e-6

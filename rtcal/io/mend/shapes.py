@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from rtcal.errors import MissingDependencyError
 from rtcal.simulators import triangles
+from rtcal.support.errors import MissingDependencyError
 from rtcal.support.types import Array
 
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial import cKDTree
 
-from rtcal.errors import DataError
 from rtcal.io.mend.edges import edges_of, simplified
 from rtcal.io.mend.faces import ANY_SHARE, SAME, Mending, Work
 from rtcal.io.mend.shapes import area_of, extent_of
+from rtcal.support.errors import DataError
 from rtcal.support.types import Array
 
 
