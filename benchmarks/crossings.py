@@ -1,11 +1,11 @@
-"""Calls from one file of rtcal into another in a search at every pair: how far one must read to follow it.
+"""Calls from one file of rtcal into another in a search at every pair: how far its reader must follow.
 
     python -m benchmarks.crossings               # two to three minutes
     python -m benchmarks.crossings --most 40     # the forty most frequent ones
 
 The room is that of `rtcal example where`, with few paths. Control runs are computed first and handed
-over, since they are the simulator's. A call counts where the caller's file and the called one's are both
-in rtcal and not the same; a decorator is a file of its own, and what NumPy calls is not counted.
+over, since they are the simulator's. A call counts where the caller's file and the called one's are
+both in rtcal and not the same. A decorator is a file of its own; what NumPy calls is not counted.
 """
 
 from __future__ import annotations
@@ -71,9 +71,7 @@ def main() -> None:
             Path(folder, name).write_bytes(content)
         room = rt.Room.from_file(str(Path(folder, "room.toml")))
         measured = rt.Measurement.from_file(str(Path(folder, "pairs.csv")))
-        case = rt.finder.positions.Case.from_room(
-            room, measured, tracing={"n_paths": given.paths}
-        )
+        case = rt.finder.positions.Case.from_room(room, measured, tracing={"n_paths": given.paths})
         controls = simulated_controls(
             case.simulator,
             case.room,

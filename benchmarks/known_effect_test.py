@@ -27,11 +27,10 @@ from rtcal.finder.means import likelihood
 from rtcal.finder.means.bootstrap import score
 from rtcal.finder.means.engines import ControlRooms
 from rtcal.finder.means.evidence import evaluate
-from rtcal.finder.means.features import Observed, observe
+from rtcal.finder.means.features import Observed, distances, observe, state
 from rtcal.finder.means.hypotheses import Hypotheses, predict_hypotheses
 from rtcal.finder.means.likelihood import DEGREES, alpha_covariance
 from rtcal.finder.means.model_error import ModelDiscrepancy, estimate_discrepancy
-from rtcal.finder.means.room_states import distances, state
 from rtcal.finder.model import predict
 from rtcal.finder.prior import prior_of
 from rtcal.support.types import Array

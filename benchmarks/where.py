@@ -39,8 +39,7 @@ from benchmarks.judging import FLAGS, rounded, row_of
 from benchmarks.where_figures import DATA, LARGE, MODELS, ROOMS, chosen, table
 from rtcal.acoustics.quality import gap_jnd
 from rtcal.finder import find, library
-from rtcal.finder.positions.detection import of_means
-from rtcal.finder.positions.posterior import Hypotheses
+from rtcal.finder.positions.posterior import Hypotheses, of_means
 from rtcal.finder.positions.problem import Problem, problem_of
 from rtcal.finder.positions.responses import parameters, responses
 from rtcal.finder.positions.search import every_hypothesis

@@ -17,7 +17,7 @@ from typing import Any
 from benchmarks.where import read
 from benchmarks.where_figures import DATA
 from benchmarks.where_temper import STORED
-from rtcal.finder.positions.detection import THRESHOLD
+from rtcal.finder.positions.posterior import THRESHOLD
 from tests.geometric_world.rooms import NOTHING
 
 Row = dict[str, Any]

@@ -27,13 +27,12 @@ from scipy.special import logsumexp
 from benchmarks.positions_table import bootstrap
 from benchmarks.where import case_of, prepared
 from benchmarks.where_figures import ABSORBERS, DATA
-from rtcal.finder.positions import unevenness
 from rtcal.finder.positions.evidence import Likelihood
 from rtcal.finder.positions.finding import LIKELY
+from rtcal.finder.positions.hypotheses import COUPLED
 from rtcal.finder.positions.posterior import Hypotheses, evaluate, scores, weights
 from rtcal.finder.positions.problem import Problem
-from rtcal.finder.positions.shift import MEASUREMENT, POSITION, Shift, Spread
-from rtcal.finder.positions.surface_hypotheses import COUPLED
+from rtcal.finder.positions.shift import MEASUREMENT, POSITION, Shift, Spread, uneven_amount
 from tests.geometric_world.load import IN_SITU, load
 
 STORED = Path(__file__).with_name("where_ideal.json.gz")
@@ -100,7 +99,7 @@ def averaged(numbers: Problem, likelihoods: Likelihoods) -> tuple[np.ndarray, Li
             numbers.used.reshape(-1, i).all(axis=1),
             {name: within @ nodes for name, nodes in likelihood.nodes.items()},
             uneven=within @ likelihood.uneven,
-            amount=unevenness.amount(names, 1),
+            amount=uneven_amount(names, 1),
         )
 
     stated, off, unknown = likelihoods

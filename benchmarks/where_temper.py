@@ -28,10 +28,15 @@ from benchmarks.where_figures import ABSORBERS, DATA, family_of, right_families
 from benchmarks.where_threshold import numbers_of
 from rtcal.finder.claim import CLAIMED
 from rtcal.finder.positions import search
-from rtcal.finder.positions.detection import THRESHOLD, evidence_of_means
-from rtcal.finder.positions.posterior import LEAST_BY_MEANS, evaluate, weights
+from rtcal.finder.positions.hypotheses import COUPLED
+from rtcal.finder.positions.posterior import (
+    LEAST_BY_MEANS,
+    THRESHOLD,
+    evaluate,
+    evidence_of_means,
+    weights,
+)
 from rtcal.finder.positions.shift import MEASUREMENT, UNKNOWN
-from rtcal.finder.positions.surface_hypotheses import COUPLED
 from rtcal.finder.prior import COEFFICIENTS, NONE
 from tests.geometric_world.load import IN_SITU, load, truth
 from tests.geometric_world.rooms import NOTHING

@@ -17,7 +17,7 @@ import rtcal as rt
 from rtcal.acoustics.room import Surface
 from rtcal.command.main import cli
 from rtcal.finder import AppliedEffect, Case, corrected_room, recalibrate, simulator
-from rtcal.finder.means.room_states import distances, state
+from rtcal.finder.means.features import distances, state
 from rtcal.finder.model import predict
 from rtcal.posterior import distribution
 from rtcal.simulators.base import Simulator, run

@@ -42,11 +42,10 @@ from rtcal.finder.means.bootstrap import control_rooms
 from rtcal.finder.means.corrected import not_in_room
 from rtcal.finder.means.engines import ControlRooms, recentred
 from rtcal.finder.means.evidence import evaluate
-from rtcal.finder.means.features import observe
+from rtcal.finder.means.features import distances, observe, state
 from rtcal.finder.means.hypotheses import predict_hypotheses
 from rtcal.finder.means.likelihood import alpha_covariance, goodness_of_fit
 from rtcal.finder.means.model_error import ModelDiscrepancy, estimate_discrepancy
-from rtcal.finder.means.room_states import distances, state
 from rtcal.finder.model import State, predict, sensitivities
 from rtcal.support.errors import DataError
 

@@ -10,13 +10,12 @@ import pytest
 from rtcal.finder import Change
 from rtcal.finder.effects.noise_floor import NoiseFloor
 from rtcal.finder.effects.opening import Opening
-from rtcal.finder.means.alpha_covariance import AlphaCovariance
 from rtcal.finder.means.engines import ControlRooms
 from rtcal.finder.means.evidence import evaluate
 from rtcal.finder.means.features import observe
 from rtcal.finder.means.hypotheses import predict_hypotheses
 from rtcal.finder.means.likelihood import Factorization
-from rtcal.finder.means.model_error import estimate_discrepancy
+from rtcal.finder.means.model_error import AlphaCovariance, estimate_discrepancy
 from rtcal.support.threads import single_threaded_blas
 from tests.test_discrepancy import ALPHA, opened
 

@@ -24,7 +24,7 @@ from rtcal.finder.finding import Size
 from rtcal.finder.means import evidence
 from rtcal.finder.means.bootstrap import FOLDER
 from rtcal.finder.means.engines import ControlRooms
-from rtcal.finder.means.room_states import distances, state
+from rtcal.finder.means.features import distances, state
 from rtcal.finder.model import predict
 from rtcal.report import gap_figures, pages
 from rtcal.report.document import Heading

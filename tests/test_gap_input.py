@@ -34,8 +34,8 @@ from rtcal.finder import (
 )
 from rtcal.finder.effects.opening import Opening
 from rtcal.finder.means.engines import ControlRooms, Engine
+from rtcal.finder.means.features import state
 from rtcal.finder.means.model_error import ModelDiscrepancy
-from rtcal.finder.means.room_states import state
 from rtcal.finder.model import Decay, State
 from rtcal.support.errors import DataError, OtherBandsWarning, RtcalError
 from tests.test_discrepancy import F, Organ, case_with, controls_of, opened

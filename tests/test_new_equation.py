@@ -18,8 +18,8 @@ import pytest
 import rtcal as rt
 from rtcal.acoustics.equations import EQUATIONS, LinearEquation, linear_equation, register
 from rtcal.acoustics.equations import base as registry
+from rtcal.finder.means.features import state
 from rtcal.finder.means.recalibration import plain, recalibrate
-from rtcal.finder.means.room_states import state
 from rtcal.finder.model import STEEPEST, sensitivities
 from rtcal.loop.state import Loop, start
 from rtcal.simulators.equation import EquationSimulator

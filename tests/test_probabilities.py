@@ -13,7 +13,7 @@ import rtcal as rt
 from rtcal.acoustics.room_errors import HANDBOOK_SIGMA
 from rtcal.command.main import cli
 from rtcal.finder import Case, Configuration, find, library, recalibrate
-from rtcal.finder.claim import by_family, claim
+from rtcal.finder.claim import by_family, claimed
 from rtcal.finder.effects.audience import Audience
 from rtcal.finder.effects.coupled_room import CoupledRoom
 from rtcal.finder.effects.opening import Opening
@@ -23,11 +23,10 @@ from rtcal.finder.means import bootstrap
 from rtcal.finder.means.bootstrap import draw_null_features
 from rtcal.finder.means.engines import ControlRooms
 from rtcal.finder.means.evidence import Evidence
-from rtcal.finder.means.features import observe
+from rtcal.finder.means.features import distances, observe, state
 from rtcal.finder.means.hypotheses import LowRank, predict_hypotheses
-from rtcal.finder.means.room_states import distances, state
 from rtcal.finder.model import predict
-from rtcal.finder.prior import SHARPER, off_together, prior_of
+from rtcal.finder.prior import SHARPER, prior_of, probability_off
 from rtcal.support.errors import DataError
 
 F = [125.0, 250.0, 500.0, 1000.0, 2000.0, 4000.0]
@@ -102,11 +101,11 @@ def test_coefficients_off_together_are_a_verdict_in_words_and_a_prior_to_go_on_f
 
 
 def test_measured_coefficients_are_hardly_off_together() -> None:
-    assert off_together(room(HANDBOOK_SIGMA)) == pytest.approx(0.2)
-    assert off_together(room(1.0)) == pytest.approx(0.2)
-    assert off_together(room(0.1)) == pytest.approx(0.2 / 9)
+    assert probability_off(room(HANDBOOK_SIGMA)) == pytest.approx(0.2)
+    assert probability_off(room(1.0)) == pytest.approx(0.2)
+    assert probability_off(room(0.1)) == pytest.approx(0.2 / 9)
     exact = room(0.0)
-    assert off_together(exact) == 0.0
+    assert probability_off(exact) == 0.0
     assert prior_of(exact, library(), {}).log_probability["coefficients"] == -np.inf
 
 
@@ -255,10 +254,10 @@ def test_a_room_s_coupling_is_claimed_by_its_family() -> None:
     rough = [name for name, effect in effects.items() if not effect.alone]
     probabilities = {"coupled room": 0.97, "non-diffuse field": 0.02, "none": 0.01}
     families = by_family(probabilities, effects)
-    assert claim(None, probabilities, families, rough) == ("family", "field")
+    assert claimed(None, probabilities, families, rough) == ("family", "field")
     probabilities = {"opening": 0.97, "none": 0.03}
     families = by_family(probabilities, effects)
-    assert claim(None, probabilities, families, rough)[0] == "named"
+    assert claimed(None, probabilities, families, rough)[0] == "named"
 
 
 def with_levels(*, stated: bool) -> Case:

@@ -14,7 +14,7 @@ from rtcal.finder.case import Case
 from rtcal.finder.configuration import Configuration
 from rtcal.finder.effects.base import Effect
 from rtcal.finder.effects.checks import changed_states
-from rtcal.finder.means.room_states import state
+from rtcal.finder.means.features import state
 from rtcal.finder.model import State
 from rtcal.support.errors import DataError, SimulatorError
 

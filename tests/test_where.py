@@ -16,9 +16,9 @@ import rtcal as rt
 from rtcal.acoustics.observables import observable
 from rtcal.command.main import cli
 from rtcal.finder.effects import library
-from rtcal.finder.positions.detection import THRESHOLD
-from rtcal.finder.positions.patch import patched
+from rtcal.finder.positions.posterior import THRESHOLD
 from rtcal.finder.positions.search import find_by_positions
+from rtcal.finder.positions.surfaces import patched
 from rtcal.simulators import PathTracing, Polyhedron
 from rtcal.simulators.geometry import SHOEBOX_WALLS
 from rtcal.support.errors import DataError

@@ -7,7 +7,7 @@ import pytest
 
 import rtcal as rt
 from rtcal.acoustics import decay
-from rtcal.finder.positions.aperture import SECOND_ROOMS, Aperture
+from rtcal.finder.positions.weighing import SECOND_ROOMS, Aperture
 
 WIDTH = 0.002
 

@@ -12,8 +12,7 @@ import rtcal as rt
 from rtcal.finder.positions.candidate import Candidate
 from rtcal.finder.positions.case import Case
 from rtcal.finder.positions.corrected import corrected
-from rtcal.finder.positions.patch import patched
-from rtcal.finder.positions.surfaces import of_geometry
+from rtcal.finder.positions.surfaces import of_geometry, patched
 from rtcal.io import catt, geometry_files, obj, odeon
 from rtcal.simulators import ImageSource, PathTracing, Polyhedron, RayTracing
 from rtcal.simulators.geometry import SHOEBOX_WALLS

@@ -14,16 +14,19 @@ import rtcal as rt
 from rtcal.finder import track_record
 from rtcal.finder.effects import library
 from rtcal.finder.finding import Detection
-from rtcal.finder.positions.detection import (
+from rtcal.finder.positions.hypotheses import shifts
+from rtcal.finder.positions.posterior import (
     OF_PROGRAMS,
     THRESHOLD,
+    Evidence,
+    Hypotheses,
+    detection_in_words,
     evidence_of_means,
-    in_words,
     of_means,
+    scores,
+    weights,
 )
-from rtcal.finder.positions.posterior import Evidence, Hypotheses, scores, weights
 from rtcal.finder.positions.shift import NOISE, POSITION, Spread
-from rtcal.finder.positions.surface_hypotheses import shifts
 from tests.test_where import MATCH, measured, stated, tracing
 
 pytest.importorskip("numba", reason="the paths are traced by compiled code (extra fast)")
@@ -46,14 +49,16 @@ def test_the_positions_decide() -> None:
 def test_a_noisy_pair_is_a_hint() -> None:
     assert Detection(-5.0, THRESHOLD, noise=3.0).verdict == "hint"
     assert Detection(-5.0, THRESHOLD, noise=-3.0).verdict == "none"
-    assert "noisier than assumed: +3.0 nats" in in_words(Detection(-5.0, THRESHOLD, noise=3.0))
-    assert "noisier" not in in_words(Detection(THRESHOLD + 1, THRESHOLD, noise=3.0))
+    assert "noisier than assumed: +3.0 nats" in detection_in_words(
+        Detection(-5.0, THRESHOLD, noise=3.0)
+    )
+    assert "noisier" not in detection_in_words(Detection(THRESHOLD + 1, THRESHOLD, noise=3.0))
 
 
 def test_a_score_near_its_threshold_says_that_a_seed_may_decide() -> None:
-    assert "another seed" in in_words(Detection(THRESHOLD - 0.5, THRESHOLD))
-    assert "another seed" in in_words(Detection(THRESHOLD + 0.5, THRESHOLD))
-    assert "another seed" not in in_words(Detection(THRESHOLD + 20, THRESHOLD))
+    assert "another seed" in detection_in_words(Detection(THRESHOLD - 0.5, THRESHOLD))
+    assert "another seed" in detection_in_words(Detection(THRESHOLD + 0.5, THRESHOLD))
+    assert "another seed" not in detection_in_words(Detection(THRESHOLD + 20, THRESHOLD))
 
 
 def spread(effect: str) -> Spread:

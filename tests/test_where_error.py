@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from rtcal.finder.positions.model_error import COMMON, OWN, simulator_error
 from rtcal.finder.positions.responses import TRACINGS, _at_shares, without_noise
-from rtcal.finder.positions.simulator_error import COMMON, OWN, simulator_error
 from rtcal.loop.control_runs import ControlRuns
 from rtcal.support.errors import DataError
 

@@ -11,11 +11,10 @@ import pytest
 
 import rtcal as rt
 from rtcal.acoustics import decay
-from rtcal.finder.positions import unevenness
-from rtcal.finder.positions.aperture import Aperture
 from rtcal.finder.positions.candidate import Candidate
 from rtcal.finder.positions.evidence import Likelihood
-from rtcal.finder.positions.shift import Shift
+from rtcal.finder.positions.shift import Shift, uneven_amount, uneven_columns, unevenness
+from rtcal.finder.positions.weighing import Aperture
 
 WIDTH = 0.002
 
@@ -126,20 +125,20 @@ def test_the_error_of_a_place_is_integrated_as_a_covariance(uneven: float) -> No
     rng = np.random.default_rng(4)
     root = rng.standard_normal((n, n)) / 10
     covariance = root @ root.T + 0.01 * np.eye(n)
-    uneven_columns = unevenness.columns(names, n_pairs)
+    columns = uneven_columns(names, n_pairs)
     likelihood = Likelihood(
         covariance,
         np.ones(n, dtype=bool),
         {"surface 0": nodes},
-        uneven=uneven_columns,
-        amount=unevenness.amount(names, n_pairs),
+        uneven=columns,
+        amount=uneven_amount(names, n_pairs),
     )
     residual = 0.1 * rng.standard_normal(n)
     change = nodes[:, :, 0]
     of_bands = np.zeros((n, 2))
     of_bands[:6, 0], of_bands[6:, 1] = change
     amount = -change.mean(axis=1)  # both parameters fall with the absorption
-    of_pairs = uneven * np.vstack([a * uneven_columns for a in amount])
+    of_pairs = uneven * np.vstack([a * columns for a in amount])
     full = covariance + of_bands @ hypothesis.error @ of_bands.T + of_pairs @ of_pairs.T
     off = residual - change.ravel()
     square = off @ np.linalg.solve(full, off)
@@ -153,7 +152,7 @@ def test_the_error_of_a_place_is_integrated_as_a_covariance(uneven: float) -> No
 
 
 def test_what_covers_a_whole_surface_is_even() -> None:
-    factors = unevenness.factor(np.array([1.0, 0.5, 1 / 9, 0.01]))
+    factors = unevenness(np.array([1.0, 0.5, 1 / 9, 0.01]))
     assert factors == pytest.approx([0.0, 1.0, np.sqrt(8), np.sqrt(8)])
 
 

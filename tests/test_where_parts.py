@@ -12,10 +12,8 @@ import rtcal as rt
 from rtcal.finder.effects import library
 from rtcal.finder.positions import surfaces
 from rtcal.finder.positions.corrected import corrected
-from rtcal.finder.positions.parts import divided
-from rtcal.finder.positions.patch import face_at, patched
-from rtcal.finder.positions.room_hypotheses import materials
-from rtcal.finder.positions.surface_hypotheses import on_parts, shifts
+from rtcal.finder.positions.hypotheses import materials, on_parts, shifts
+from rtcal.finder.positions.surfaces import divided, face_at, patched
 from rtcal.report import where_figures
 from rtcal.simulators import PathTracing, Polyhedron
 from rtcal.simulators.geometry import SHOEBOX_WALLS

@@ -14,17 +14,17 @@ from scipy.stats import multivariate_normal
 
 import rtcal as rt
 from rtcal.finder.effects import library
-from rtcal.finder.positions.detection import THRESHOLD
+from rtcal.finder.positions.hypotheses import shifts
 from rtcal.finder.positions.posterior import (
     LEAST_BY_MEANS,
     MEANS_POWER,
+    THRESHOLD,
     TOLD_TEMPER,
     Evidence,
     Hypotheses,
     weights,
     with_families,
 )
-from rtcal.finder.positions.surface_hypotheses import shifts
 from tests.test_where import MATCH, measured, stated, tracing
 
 pytest.importorskip("numba", reason="the paths are traced by compiled code (extra fast)")

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import rtcal as rt
-from rtcal.finder.positions import unstated_sources
+from rtcal.finder.positions import model_error
 from rtcal.simulators import PathTracing
 from tests.test_where import MATCH, RECEIVERS, SOURCES, heard, stated, tracing
 
@@ -50,26 +50,26 @@ def test_loudspeakers_of_which_nothing_is_stated_are_not_claimed_of_the_room(
     assert any("not taken as omnidirectional" in note for note in finding.notes)
     unknown = finding.case.simulator.unknown_sources
     assert unknown == (tuple(SPEAKERS) if "t20" in match else ())
-    monkeypatch.setattr(unstated_sources, "LIKELY", np.inf)
+    monkeypatch.setattr(model_error, "LIKELY_LOBES", np.inf)
     taken = rt.finder.positions.find(case, cache=kept)
     assert taken.detection.score > finding.detection.score + 5
     assert taken.detected
 
 
 def test_lobes_are_those_of_the_sources_of_which_nothing_is_stated() -> None:
-    made = unstated_sources.lobes(tracing(stated(), directivity={"S1": "unknown"}))
+    made = model_error.lobes(tracing(stated(), directivity={"S1": "unknown"}))
     assert [list(lobes) for lobes in made] == [[1]] * 7
     middle = np.mean(list(RECEIVERS.values()), axis=0)
     assert made[0][1].aim == pytest.approx(middle - SOURCES["S2"])
     among = tracing(stated(), sources={"S": tuple(middle)})
-    assert np.linalg.norm(unstated_sources.lobes(among)[0][0].aim) > 0
+    assert np.linalg.norm(model_error.lobes(among)[0][0].aim) > 0
 
 
 def test_the_covariance_is_that_of_aims_that_are_drawn() -> None:
     rng = np.random.default_rng(1)
     pairs, f = [("A", "1"), ("A", "2"), ("B", "1")], np.array([500.0, 2000.0])
     nodes = rng.standard_normal((2, 6, 7))
-    got = unstated_sources.covariance(nodes, pairs, f)
+    got = model_error.covariance_of_lobes(nodes, pairs, f)
     band = np.linalg.cholesky([[1, 0.7**2], [0.7**2, 1]])
     n = 200_000
     together = np.einsum("kl,nl->nk", band, rng.standard_normal((n, 2)))

@@ -69,10 +69,10 @@ _NEEDS_POSITIONS = " needs a room that states its sources and receivers, measure
 
 def files_read(inputs: Inputs) -> list[str]:
     """Return the paths of the files that are read."""
-    from rtcal.finder.case_files import files
+    from rtcal.finder.case import files_of_case
 
     if inputs.measured is None:
-        return [os.fspath(path) for path in files(inputs.case)]
+        return [os.fspath(path) for path in files_of_case(inputs.case)]
     return [f for f in (inputs.case, inputs.measured, inputs.simulated) if f is not None]
 
 

@@ -104,7 +104,7 @@ def narrowest_family(families: Mapping[str, float], least: float) -> str | None:
     return max(probable, key=lambda family: family.count(",")) if probable else None
 
 
-def claim(
+def claimed(
     detected: str | None,
     probabilities: Mapping[str, float],
     families: Mapping[str, float],

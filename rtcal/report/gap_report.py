@@ -14,12 +14,12 @@ from rtcal.acoustics import room_files
 from rtcal.acoustics.equations import mean_equation
 from rtcal.calibration.presets import calibrate
 from rtcal.finder.claim import CLAIMED, SAID
+from rtcal.finder.finding import as_sentence, listed
 from rtcal.finder.means.bootstrap import QUANTILE
 from rtcal.finder.means.finding import MeansFinding
 from rtcal.finder.means.recalibration import recalibrate
 from rtcal.finder.means.verdict import TWO
 from rtcal.finder.means.verification import MeansVerification, verify
-from rtcal.finder.wording import as_sentence, listed
 from rtcal.report import gap_figures
 from rtcal.report.document import Heading, data_of, material_rows, odds
 from rtcal.report.figures import rendered

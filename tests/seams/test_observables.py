@@ -203,12 +203,12 @@ def named(path: Path) -> set[str]:
 
 
 THE_MEANS_HAVE_FIVE = {
-    *(f"finder/{name}.py" for name in ("case_checks", "case_files", "configuration", "model")),
+    *(f"finder/{name}.py" for name in ("case", "configuration", "model")),
     *(
         f"finder/means/{name}.py"
         for name in (
             *("corrected", "engines", "features", "hypotheses", "measurements"),
-            *("model_error", "planning", "recalibration", "search", "separation"),
+            *("model_error", "planning", "recalibration", "search"),
         )
     ),
 }

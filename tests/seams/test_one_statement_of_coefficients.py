@@ -9,7 +9,7 @@ from scipy import stats
 import rtcal as rt
 from rtcal.acoustics.quality import agreement
 from rtcal.finder import Case, Configuration
-from rtcal.finder.coefficients import directions
+from rtcal.finder.prior import directions
 from rtcal.report.words import verdict
 
 

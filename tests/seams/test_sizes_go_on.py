@@ -10,9 +10,9 @@ import pytest
 from rtcal.finder import Case, find
 from rtcal.finder.effects import Effect, NoiseFloor, NonDiffuse, Opening, Porous, WrongArea
 from rtcal.finder.effects.checks import checked_grid
+from rtcal.finder.means.features import state
 from rtcal.finder.means.gap import Doubt
 from rtcal.finder.means.hypotheses import predict_hypotheses
-from rtcal.finder.means.room_states import state
 from rtcal.finder.means.verdict import doubted
 from tests.test_discrepancy import case_with, controls_of, opened
 

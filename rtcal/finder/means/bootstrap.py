@@ -19,7 +19,6 @@ from pathlib import Path
 import numpy as np
 
 from rtcal.finder.case import Case
-from rtcal.finder.coefficients import NULL_POWER, directions, drawn
 from rtcal.finder.means.engines import (
     ENGINES,
     ControlRooms,
@@ -27,12 +26,11 @@ from rtcal.finder.means.engines import (
     recentred,
 )
 from rtcal.finder.means.evidence import Evidence, evaluate
-from rtcal.finder.means.features import LEVELS, Observed
+from rtcal.finder.means.features import LEVELS, Observed, distances, state
 from rtcal.finder.means.hypotheses import Hypotheses, LowRank
 from rtcal.finder.means.model_error import ModelDiscrepancy, estimate_discrepancy
-from rtcal.finder.means.room_states import distances, state
 from rtcal.finder.model import FEATURES, predict
-from rtcal.finder.prior import NONE, Prior
+from rtcal.finder.prior import NONE, NULL_POWER, Prior, directions, drawn
 from rtcal.support import checks, files
 from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError

@@ -23,9 +23,9 @@ from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.room import Room
 from rtcal.finder.case import NORMAL_90, AppliedEffect, Case
 from rtcal.finder.configuration import Configuration
-from rtcal.finder.means.room_states import distances, seen, state, with_applied
+from rtcal.finder.finding import amount
+from rtcal.finder.means.features import distances, seen, state, with_applied
 from rtcal.finder.model import FEATURES, State, highest, mean_contributions, predict
-from rtcal.finder.wording import amount
 from rtcal.simulators.base import RoomSimulator, Simulator, check_alpha, run
 from rtcal.simulators.geometry import Polyhedron
 from rtcal.support.arguments import checked

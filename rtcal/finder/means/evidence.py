@@ -24,7 +24,7 @@ import numpy as np
 from rtcal.finder.case import AppliedEffect, Case
 from rtcal.finder.effects import Effect, Parameters
 from rtcal.finder.effects.checks import beyond
-from rtcal.finder.means.features import Observed
+from rtcal.finder.means.features import Observed, state
 from rtcal.finder.means.hypotheses import Hypotheses, predict_hypotheses
 from rtcal.finder.means.likelihood import (
     Factorization,
@@ -33,7 +33,6 @@ from rtcal.finder.means.likelihood import (
     log_likelihood,
 )
 from rtcal.finder.means.model_error import ModelDiscrepancy
-from rtcal.finder.means.room_states import state
 from rtcal.finder.prior import COEFFICIENTS, NONE, UNKNOWN, grid_weights
 from rtcal.support.types import Array
 

@@ -12,13 +12,11 @@ from rtcal.acoustics import bands
 from rtcal.finder import track_record
 from rtcal.finder.case import AppliedEffect, Case
 from rtcal.finder.claim import SAID, Names
-from rtcal.finder.coefficients import OffTogether
-from rtcal.finder.finding import Size
+from rtcal.finder.finding import NATS, Size, as_sentence, engine_title, listed
 from rtcal.finder.means.model_error import ModelDiscrepancy
 from rtcal.finder.means.sets_finding import SetsFinding
 from rtcal.finder.means.verdict import Fit
-from rtcal.finder.prior import COEFFICIENTS, NONE, Prior
-from rtcal.finder.wording import NATS, as_sentence, engine_title, listed
+from rtcal.finder.prior import COEFFICIENTS, NONE, OffTogether, Prior
 from rtcal.support import html, text
 from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError

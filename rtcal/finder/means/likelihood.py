@@ -10,10 +10,10 @@ import numpy as np
 from scipy.linalg.lapack import dpotrf, dtrtrs
 from scipy.special import chdtrc, gammaln
 
-from rtcal.finder.coefficients import SCALES
 from rtcal.finder.means.features import Observed
 from rtcal.finder.means.hypotheses import Hypotheses, LowRank, misfit
 from rtcal.finder.means.model_error import ModelDiscrepancy
+from rtcal.finder.prior import SCALES
 from rtcal.support.types import Array
 
 

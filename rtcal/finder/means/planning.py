@@ -14,15 +14,26 @@ from rtcal.finder.claim import DISTINCT_NATS
 from rtcal.finder.configuration import Configuration
 from rtcal.finder.effects import Effect, library
 from rtcal.finder.effects.checks import checked_effects
+from rtcal.finder.finding import listed
 from rtcal.finder.means.features import Observed, observe
 from rtcal.finder.means.finding import MeansFinding
 from rtcal.finder.means.hypotheses import Hypotheses, predict_hypotheses
-from rtcal.finder.means.measurements import Extended, Further, checked_costs, extended, possible
+from rtcal.finder.means.measurements import (
+    Extended,
+    Further,
+    Information,
+    Mask,
+    Pairs,
+    Separations,
+    blind,
+    checked_costs,
+    extended,
+    possible,
+    separations,
+)
 from rtcal.finder.means.model_error import ModelDiscrepancy, checked_discrepancy
-from rtcal.finder.means.separation import Information, Mask, Pairs, Separations, blind, separations
 from rtcal.finder.means.sets import compare, moments
 from rtcal.finder.prior import NONE, prior_of
-from rtcal.finder.wording import listed
 from rtcal.support import checks, text
 from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError

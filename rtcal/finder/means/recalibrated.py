@@ -13,8 +13,8 @@ from rtcal.acoustics.room import CalibrationRecord, Room
 from rtcal.calibration.measured import data_history, times_in_room
 from rtcal.calibration.result import JointResult
 from rtcal.finder.case import NORMAL_90, AppliedEffect, Case
+from rtcal.finder.finding import amount
 from rtcal.finder.means.corrected import corrected_room
-from rtcal.finder.wording import amount
 from rtcal.support import text
 from rtcal.support.results import Result
 from rtcal.support.types import Array

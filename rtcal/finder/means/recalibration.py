@@ -27,10 +27,9 @@ from rtcal.calibration.result import JointResult
 from rtcal.calibration.terms import AddedAbsorption, PriorDeviation, SoftMatch
 from rtcal.finder.case import AppliedEffect, Case
 from rtcal.finder.configuration import Configuration
-from rtcal.finder.means.features import observe
+from rtcal.finder.means.features import air_of, distances, observe, seen, state
 from rtcal.finder.means.model_error import ModelDiscrepancy, checked_discrepancy
 from rtcal.finder.means.recalibrated import Recalibrated
-from rtcal.finder.means.room_states import air_of, distances, seen, state
 from rtcal.finder.model import FEATURES, STEEPEST, State, predict
 from rtcal.support.arguments import checked
 from rtcal.support.errors import MissingAirWarning

@@ -26,9 +26,8 @@ from rtcal.acoustics.bands import correlation
 from rtcal.finder.case import Case
 from rtcal.finder.effects import Effect
 from rtcal.finder.effects.checks import added, changed_states
-from rtcal.finder.means.alpha_covariance import AlphaCovariance
 from rtcal.finder.means.evidence import unknown_evidence
-from rtcal.finder.means.features import Observed
+from rtcal.finder.means.features import Observed, distances, state
 from rtcal.finder.means.hypotheses import Hypotheses, LowRank, misfit
 from rtcal.finder.means.likelihood import (
     Factorization,
@@ -37,8 +36,7 @@ from rtcal.finder.means.likelihood import (
     student,
     without_alpha,
 )
-from rtcal.finder.means.model_error import COMMON_CORRELATION, ModelDiscrepancy
-from rtcal.finder.means.room_states import distances, state
+from rtcal.finder.means.model_error import COMMON_CORRELATION, AlphaCovariance, ModelDiscrepancy
 from rtcal.finder.model import State, predict, sensitivities
 from rtcal.support.types import Array
 

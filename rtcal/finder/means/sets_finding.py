@@ -6,9 +6,8 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 from rtcal.finder.claim import SAID, Names, by_family_sets, family_of, numbers_of
-from rtcal.finder.finding import Finding
+from rtcal.finder.finding import Finding, listed
 from rtcal.finder.prior import NONE, UNKNOWN
-from rtcal.finder.wording import listed
 
 _NUMBERS = ("none", "one", "two", "three")
 

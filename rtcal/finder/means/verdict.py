@@ -10,23 +10,23 @@ from typing import Any
 import numpy as np
 from scipy.special import logsumexp
 
-from rtcal.finder import coefficients
+from rtcal.finder import prior
 from rtcal.finder.case import AppliedEffect, Case
 from rtcal.finder.claim import (
     CLAIMED,
     Names,
     by_family_sets,
-    claim,
+    claimed,
     credible_set,
     family_of,
     narrowest_family,
     numbers_of,
 )
-from rtcal.finder.coefficients import SCALES, OffTogether
 from rtcal.finder.effects import Effect, Parameters
 from rtcal.finder.effects.checks import changed_states
 from rtcal.finder.finding import AbsorptionChange, End, Size
 from rtcal.finder.means.evidence import NEGLIGIBLE, Searched
+from rtcal.finder.means.features import state
 from rtcal.finder.means.gap import (
     Doubt,
     GapCheck,
@@ -40,10 +40,9 @@ from rtcal.finder.means.gap import (
 )
 from rtcal.finder.means.hypotheses import predict_hypotheses
 from rtcal.finder.means.likelihood import covariance_of, goodness_of_fit, spreading
-from rtcal.finder.means.room_states import state
 from rtcal.finder.means.set_posterior import SetPosterior
 from rtcal.finder.model import rates
-from rtcal.finder.prior import COEFFICIENTS, NONE, UNKNOWN
+from rtcal.finder.prior import COEFFICIENTS, NONE, SCALES, UNKNOWN, OffTogether
 from rtcal.support.types import Array
 
 _AT_END = 2.0
@@ -243,7 +242,7 @@ def of_single(
     effects = searched.predicted.effects
     best = next(k for k in probabilities if k != NONE)
     rough = [name for name, effect in effects.items() if not effect.alone]
-    verdict, family = claim(detected, probabilities, families, rough)
+    verdict, family = claimed(detected, probabilities, families, rough)
     if verdict == "none":
         return Verdict(verdict=verdict, family=family)
     fits, found = dict[str, Fit](), tuple[Doubt, ...]()
@@ -255,12 +254,12 @@ def of_single(
     for name in candidates:
         if name not in (best, UNKNOWN):
             fits[name] = fit(searched, name, precise=False)
-    claimed = family is not None and verdict in ("named", "family")
+    sure = family is not None and verdict in ("named", "family")
     return Verdict(
         verdict=verdict,
         family=family,
         named=(best,) if verdict == "named" else (),
-        named_families=(str(family),) if claimed else (),
+        named_families=(str(family),) if sure else (),
         members=(best,) if best in fits else (),
         candidates=candidates,
         fits=fits,
@@ -375,7 +374,7 @@ def fit(searched: Searched, name: str, *, precise: bool) -> Fit:
         alpha, other = covariance_of(observed, alone, discrepancy, row)
         mask = observed.used.ravel()
         residual = observed.values - alone.features[row].ravel()[mask] - discrepancy.bias[mask]
-        off = coefficients.off_together(
+        off = prior.off_together(
             case,
             alone.alpha_covariance.slopes(row),
             spreading(observed, alone, row),

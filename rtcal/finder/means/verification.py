@@ -16,17 +16,15 @@ import numpy as np
 
 from rtcal.acoustics.observables import observable
 from rtcal.finder.case import Case
-from rtcal.finder.finding import Verification
-from rtcal.finder.means.features import observe
+from rtcal.finder.finding import Verification, listed
+from rtcal.finder.means.features import distances, observe, state
 from rtcal.finder.means.finding import FEATURE_NAMES, MeansFinding
 from rtcal.finder.means.gap import LITTLE
 from rtcal.finder.means.hypotheses import predict_hypotheses
 from rtcal.finder.means.likelihood import standardized_residuals
 from rtcal.finder.means.recalibrated import Recalibrated, table
 from rtcal.finder.means.recalibration import plain, recalibrate
-from rtcal.finder.means.room_states import distances, state
 from rtcal.finder.model import FEATURES, predict
-from rtcal.finder.wording import listed
 from rtcal.support import html, text
 from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError

@@ -15,10 +15,9 @@ from rtcal.acoustics.observables import MATCH, observable
 from rtcal.acoustics.parameters import parameter_label
 from rtcal.acoustics.room import Room
 from rtcal.acoustics.scene import POSITION, checked_uncertainty
-from rtcal.finder.positions import parts
+from rtcal.finder.positions import surfaces
 from rtcal.finder.positions import surfaces as of_room
-from rtcal.finder.positions.parts import Divided
-from rtcal.finder.positions.surfaces import Faces
+from rtcal.finder.positions.surfaces import Divided, Faces
 from rtcal.io import geometry_files
 from rtcal.loop.measured_pairs import Pair, history, refuse_unknown
 from rtcal.simulators.base import at_places
@@ -198,7 +197,7 @@ class Case:
     @cached_property
     def divided(self) -> Divided:
         """The geometry with its long surfaces divided."""
-        return parts.divided(self.geometry, self.faces)
+        return surfaces.divided(self.geometry, self.faces)
 
     @property
     def areas(self) -> dict[str, float]:

@@ -19,7 +19,7 @@ from rtcal.acoustics.room import Room
 from rtcal.acoustics.scene import Scene
 from rtcal.finder.positions.candidate import Candidate
 from rtcal.finder.positions.case import Case
-from rtcal.finder.positions.patch import NEAR, face_at, patched
+from rtcal.finder.positions.surfaces import NEAR, face_at, patched
 from rtcal.io import catt, obj, odeon
 from rtcal.simulators.geometry import Polyhedron
 from rtcal.simulators.path_tracing import PathTracing

@@ -9,7 +9,7 @@ A shift of band k is a mixture of the shifts at the nodes of one response, and n
 depends on another band. So each hypothesis needs products of nodes alone: N' K⁻¹ N and N' K⁻¹ r.
 
 The error of d_h has two parts. Each band's shift is larger or smaller by a factor (`Shift.error`), and
-pairs hear more or less of it than if it were spread evenly (`rtcal.finder.positions.unevenness`).
+pairs hear more or less of it than if it were spread evenly (`rtcal.finder.positions.shift`).
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ class Likelihood:
     nodes : mapping of str to array (n_bands, n_values, n_nodes)
         Shifts at the nodes of each response, by band.
     uneven : array (n_values, n_columns)
-        Deviations by pair at a change of 1 of the absorption; see `rtcal.finder.positions.unevenness`.
+        Deviations by pair at a change of 1 of the absorption; see `rtcal.finder.positions.shift`.
     amount : array (n_values,)
         Weights of a band's shift in that change.
     """

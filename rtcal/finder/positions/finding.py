@@ -10,12 +10,11 @@ import numpy as np
 
 from rtcal.finder.claim import SAID
 from rtcal.finder.effects.coupled_room import CoupledRoom
-from rtcal.finder.finding import LEAST_PAIRS, Finding
+from rtcal.finder.finding import LEAST_PAIRS, Finding, listed
 from rtcal.finder.positions.candidate import Candidate
 from rtcal.finder.positions.case import Case
-from rtcal.finder.positions.detection import in_words
+from rtcal.finder.positions.posterior import detection_in_words
 from rtcal.finder.prior import NONE
-from rtcal.finder.wording import listed
 from rtcal.loop.control_runs import ControlRuns
 from rtcal.support import html, text
 from rtcal.support.arguments import checked
@@ -187,7 +186,7 @@ class PositionsFinding(Finding):
     @property
     def detection_in_words(self) -> str:
         """The score and its threshold in a sentence or two."""
-        return in_words(self.detection)
+        return detection_in_words(self.detection)
 
     @property
     def place_in_words(self) -> str:

@@ -12,8 +12,6 @@ from rtcal.acoustics.air import Air
 from rtcal.acoustics.observables import observable
 from rtcal.acoustics.room_errors import alike_alpha, common_error_columns, prior_covariance
 from rtcal.finder.case import CLIMATE_UNCERTAINTY
-from rtcal.finder.coefficients import SCALES
-from rtcal.finder.positions import unevenness, unstated_sources
 from rtcal.finder.positions.case import Case
 from rtcal.finder.positions.evidence import (
     Likelihood,
@@ -22,9 +20,10 @@ from rtcal.finder.positions.evidence import (
     flat,
     reordered,
 )
+from rtcal.finder.positions.model_error import TracingError, covariance_of_lobes, simulator_error
 from rtcal.finder.positions.responses import AIR, STEP, TRACINGS, Responses
-from rtcal.finder.positions.shift import interpolation
-from rtcal.finder.positions.simulator_error import SimulatorError, simulator_error
+from rtcal.finder.positions.shift import interpolation, uneven_amount, uneven_columns
+from rtcal.finder.prior import SCALES
 from rtcal.loop.control_runs import ControlRuns
 from rtcal.loop.measured_pairs import MeasuredPairs, pairs_to_match
 from rtcal.simulators.observations import Observations
@@ -57,7 +56,7 @@ class Problem:
         The part of it that is a common error of the coefficients.
     measurement : array (n, n)
         Covariance of the measurement's errors.
-    error : SimulatorError
+    error : TracingError
     aimed : array (n, n), optional
         Covariance of what lobes change of sources of which nothing is stated; None where all are.
     nodes : mapping of str to array (n_bands, n_values, n_nodes)
@@ -71,7 +70,7 @@ class Problem:
     alpha: Array
     together: Array
     measurement: Array
-    error: SimulatorError
+    error: TracingError
     aimed: Array | None
     nodes: Mapping[str, Array]
 
@@ -110,8 +109,8 @@ class Problem:
                 covariance,
                 self.used,
                 self.nodes,
-                uneven=unevenness.columns(names, n_pairs),
-                amount=unevenness.amount(names, n_pairs),
+                uneven=uneven_columns(names, n_pairs),
+                amount=uneven_amount(names, n_pairs),
             )
 
         off = [of(base + (scale**2 - 1) * common) for scale, _ in SCALES]
@@ -181,9 +180,7 @@ def problem_of(case: Case, made: Responses, controls: ControlRuns) -> Problem:
         together=together,
         measurement=_measurement(data) * np.outer(flat(scale), flat(scale)),
         error=error,
-        aimed=unstated_sources.covariance(
-            shifted(made.aimed), wanted.pairs, room.centre_frequencies
-        )
+        aimed=covariance_of_lobes(shifted(made.aimed), wanted.pairs, room.centre_frequencies)
         if set(tracer.sources) - set(tracer.directivity)
         else None,
         nodes=nodes,

@@ -19,10 +19,9 @@ from rtcal.acoustics.air import Air
 from rtcal.acoustics.observables import MATCH
 from rtcal.acoustics.scene import plain_directivities
 from rtcal.finder.positions import surfaces as of_room
-from rtcal.finder.positions.aperture import SECOND_ROOMS, Aperture
 from rtcal.finder.positions.case import Case
-from rtcal.finder.positions.unstated_sources import AIMS, INDEX, lobes
-from rtcal.finder.positions.weighing import Weighing
+from rtcal.finder.positions.model_error import AIMS, LOBE_INDEX, lobes
+from rtcal.finder.positions.weighing import SECOND_ROOMS, Aperture, Weighing
 from rtcal.loop.control_runs import share_of_signal
 from rtcal.simulators.observations import observe
 from rtcal.simulators.path_tracing import DENSER, LARGER, PathTracing
@@ -92,7 +91,7 @@ class Responses:
     moved : mapping of str to array (n_displacements, n_parameters, n_pairs, n_bands)
         Where a source or receiver is displaced by `MOVE`, by its name.
     aimed : array (n_parameters, n_pairs, n_bands, n_aims)
-        Where sources of which nothing is stated are loudspeakers (`unstated_sources.lobes`).
+        Where sources of which nothing is stated are loudspeakers (`model_error.lobes`).
     materials : array (n_parameters, n_pairs, n_bands, n_materials)
         Where a material's alpha is larger by `STEP` of the way to 1.
     scattering : array (n_parameters, n_pairs, n_bands, n_materials)
@@ -458,6 +457,6 @@ def key_of(case: Case, seed: int) -> str:
         plain_directivities(tracer.directivity),
         list(parameters(case)),
         [TRACINGS, BASE, DENSER, LARGER, STEP, seed],
-        [SHARES, SECOND_ROOMS, AIR, VOLUME, MOVE, INDEX, __version__],
+        [SHARES, SECOND_ROOMS, AIR, VOLUME, MOVE, LOBE_INDEX, __version__],
     ]
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:32]

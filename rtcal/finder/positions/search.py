@@ -10,40 +10,19 @@ import numpy as np
 
 from rtcal.acoustics.observables import observable
 from rtcal.finder import track_record
-from rtcal.finder.claim import CLAIMED, DISTINCT_NATS, claim
+from rtcal.finder.claim import CLAIMED, DISTINCT_NATS, claimed
 from rtcal.finder.effects import Effect, library
 from rtcal.finder.effects.checks import checked_effects
 from rtcal.finder.finding import Detection
 from rtcal.finder.means.finding import MeansFinding
 from rtcal.finder.means.search import CHOSEN
+from rtcal.finder.positions import model_error
 from rtcal.finder.positions import surfaces as of_room
-from rtcal.finder.positions import unstated_sources
-from rtcal.finder.positions.candidate import Candidate
+from rtcal.finder.positions.candidate import Candidate, Summary, summary_of
 from rtcal.finder.positions.case import Case
-from rtcal.finder.positions.detection import (
-    OF_PROGRAMS,
-    THRESHOLD,
-    evidence_of_means,
-)
 from rtcal.finder.positions.evidence import Likelihood
 from rtcal.finder.positions.finding import PositionsFinding
-from rtcal.finder.positions.posterior import (
-    TOLD_TEMPER,
-    Evidence,
-    Hypotheses,
-    Weights,
-    evaluate,
-    gain,
-    prior_off,
-    scores,
-    weights,
-    with_families,
-)
-from rtcal.finder.positions.problem import Problem, problem_of
-from rtcal.finder.positions.responses import Responses, parameters, responses
-from rtcal.finder.positions.shift import NOISE, POSITION, UNKNOWN, Shift
-from rtcal.finder.positions.summary import Summary, summary_of
-from rtcal.finder.positions.surface_hypotheses import (
+from rtcal.finder.positions.hypotheses import (
     COUPLED,
     WHOLE,
     on_parts,
@@ -51,7 +30,24 @@ from rtcal.finder.positions.surface_hypotheses import (
     shifts,
     spreads,
 )
-from rtcal.finder.prior import COEFFICIENTS, NONE, left_out_of
+from rtcal.finder.positions.posterior import (
+    OF_PROGRAMS,
+    THRESHOLD,
+    TOLD_TEMPER,
+    Evidence,
+    Hypotheses,
+    Weights,
+    evaluate,
+    evidence_of_means,
+    gain,
+    scores,
+    weights,
+    with_families,
+)
+from rtcal.finder.positions.problem import Problem, problem_of
+from rtcal.finder.positions.responses import Responses, parameters, responses
+from rtcal.finder.positions.shift import NOISE, POSITION, UNKNOWN, Shift
+from rtcal.finder.prior import COEFFICIENTS, NONE, left_out_of, probability_off
 from rtcal.loop.control_runs import ControlRuns, simulated_controls
 from rtcal.support import checks
 from rtcal.support.arguments import checked
@@ -180,9 +176,9 @@ def find_by_positions(
         residuals = numbers.residual[:, np.newaxis]
         lobes = evaluate(numbers.likelihoods(aimed=True), hypotheses, residuals)
         aimed = float(gain(lobes, evidence, hypotheses)[0])
-    if aimed > unstated_sources.LIKELY:
+    if aimed > model_error.LIKELY_LOBES:
         if any(observable(p).part == "late" for p in numbers.data.observations.parameters):
-            case = unstated_sources.as_unknown(case)
+            case = model_error.as_unknown(case)
             numbers, hypotheses, evidence = searched(case)
         else:  # nothing is left that says as much whatever the source
             evidence = lobes
@@ -199,7 +195,7 @@ def find_by_positions(
         posterior = with_families(posterior, hypotheses, means.families)
     likelihood = numbers.likelihoods()[0]
     finding = _finding(case, numbers, hypotheses, posterior, likelihood, detected, effects)
-    notes = (*finding.notes, unstated_sources.in_words(aimed), untried(effects))
+    notes = (*finding.notes, model_error.lobes_in_words(aimed), untried(effects))
     notes = (*notes, *([CHOSEN] if left_out else []))
     return replace(finding, left_out=tuple(left_out), notes=tuple(filter(None, notes)))
 
@@ -225,7 +221,7 @@ def every_hypothesis(
     return Hypotheses(
         shifts=on_parts(case, shifts(case, effects, left_out)),
         spreads=[spread for spread in places if spread.effect not in left_out],
-        off=0.0 if COEFFICIENTS in left_out else prior_off(case),
+        off=0.0 if COEFFICIENTS in left_out else probability_off(case.room),
         unknown=UNKNOWN not in left_out,
     )
 
@@ -241,7 +237,7 @@ def _finding(
 ) -> PositionsFinding:
     summary = summary_of(case, hypotheses, posterior)
     groups = _groups(case, hypotheses, summary, likelihood)
-    verdict, family = claim(detected.verdict, summary.probabilities, summary.families)
+    verdict, family = claimed(detected.verdict, summary.probabilities, summary.families)
     best = next(e for e in summary.probabilities if e != NONE)
     placed = _first_placed(summary, verdict)
     reasons = _reasons(case, verdict, placed)

@@ -2,6 +2,12 @@
 
 One of the room shifts the parameters at every pair: `Shift`. One of the measurement widens the errors
 of some pairs: `Spread`.
+
+A hypothesis spreads an absorber over its surface. In truth it hangs somewhere: receivers near it lose
+more than others, and T changes by more or less. Neither is known before the place is, so it is an error
+of the hypothesis, in proportion to its change of the absorption. The shares come from patches on walls
+of development boxes, which are weighed on the same paths (`python -m benchmarks.where_patches`). They
+are over sqrt(1 / s - 1), s being the part of the surface that is covered.
 """
 
 from __future__ import annotations
@@ -12,6 +18,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from rtcal.acoustics.observables import observable
 from rtcal.finder.effects.base import Effect, Parameters
 from rtcal.finder.effects.covered import HARD
 from rtcal.finder.means.hypotheses import spectrum_errors
@@ -54,7 +61,7 @@ class Shift:
     error : array (n_bands, n_bands)
         Covariance of the relative error of the change, band by band.
     uneven : array (n_hypotheses,)
-        How far pairs may hear more or less of it; see `rtcal.finder.positions.unevenness.factor`.
+        How far pairs may hear more or less of it; see `rtcal.finder.positions.shift.factor`.
     size_error : float
         Standard deviation of ln size that the effect's description leaves open.
     place : str
@@ -139,3 +146,44 @@ def towards(moved: Array, stated: Array) -> Array:
     up = moved / np.maximum(1 - stated, 1e-6)
     down = moved / np.maximum(stated - HARD, 1e-6)
     return np.asarray(np.where(moved >= 0, up, np.maximum(down, -1.0)))
+
+
+LEAST_COVERED = 1 / 9
+"""Least part of a surface for which the shares were found; smaller ones have its error."""
+COMMON_UNEVENNESS = {"late": 0.05, "early": 0.06, "level": 0.14}
+"""Relative deviation that all pairs share, by `Observable.part`. That of T and of the early parameters
+is the same one."""
+OWN_UNEVENNESS = {"late": 0.06, "early": 0.06, "level": 0.24}
+"""Relative deviation of each pair: one for T, one for all early parameters, one for the level."""
+
+
+def sign(parameter: str) -> float:
+    """Return whether a parameter's linear scale rises or falls with the absorption."""
+    return 1.0 if observable(parameter).rises else -1.0
+
+
+def unevenness(covered: Array) -> Array:
+    """Return the size of the deviation where these parts of a surface are covered."""
+    return np.asarray(np.sqrt(1 / np.clip(covered, LEAST_COVERED, 1.0) - 1))
+
+
+def uneven_amount(parameters: Sequence[str], n_pairs: int) -> Array:
+    """Return the weights of a mean change of the absorption, (n_parameters n_pairs,)."""
+    signs = np.array([sign(name) for name in parameters])
+    return np.repeat(signs, n_pairs) / (len(parameters) * n_pairs)
+
+
+def uneven_columns(parameters: Sequence[str], n_pairs: int) -> Array:
+    """Return the deviations at a change of 1, (n_parameters n_pairs, n_columns)."""
+    signs = np.array([sign(name) for name in parameters])
+    groups = [observable(name).part for name in parameters]
+    out = []
+    for shared in (("late", "early"), ("level",)):
+        row = [COMMON_UNEVENNESS[g] if g in shared else 0.0 for g in groups]
+        out.append(np.repeat(signs * row, n_pairs))
+    for group in OWN_UNEVENNESS:
+        own = np.array([OWN_UNEVENNESS[g] if g == group else 0.0 for g in groups])
+        for pair in np.eye(n_pairs):
+            out.append(np.outer(signs * own, pair).ravel())
+    every = np.array(out).T
+    return np.asarray(every[:, np.abs(every).max(axis=0) > 0])

@@ -1,20 +1,32 @@
-"""The surfaces of a geometry on which something may stand.
+"""The surfaces of a geometry on which something may stand, their parts, and patches on them.
 
 A mesh divides a wall into triangles. So coplanar faces of one material are one surface, unless the user
 says otherwise.
+
+Two ends of a long wall are heard as two places, on each of which something may stand alone. So a long
+surface is cut into quarters along its longer side, and every two quarters that touch are a part: its
+first half, its middle and its last half. The geometry is divided for the weighing only. Its faces lie
+in the same planes and have the same materials, so the same paths are traced in it.
+
+A patch is a part of one surface as faces of their own, in the same geometry.
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import count
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rtcal.simulators.geometry import Polyhedron
+from rtcal.simulators import polygons
+from rtcal.simulators.geometry import WELD, Polyhedron
+from rtcal.simulators.polygons import Plane, is_face
 from rtcal.support import checks
 from rtcal.support.errors import DataError
+from rtcal.support.types import Array
 
 FLAT = 0.01
 """Largest distance in m of two parallel faces from one plane, and largest sine between their normals.
@@ -132,3 +144,262 @@ def kind(geometry: Polyhedron, faces: Faces) -> str:
     if upward < -_HORIZONTAL:
         return "floor"
     return "ceiling" if upward > _HORIZONTAL else "wall"
+
+
+LONG = 2.0
+"""Length of a surface that is divided, in mean free paths of the room. A part is half as long."""
+QUARTERS = 4
+
+
+@dataclass(frozen=True, eq=False)
+class Part:
+    """A part of a surface.
+
+    Attributes
+    ----------
+    surface : int
+        Number of its surface.
+    faces : int array
+        Its faces in the divided geometry.
+    area : float
+        m².
+    middle : (x, y, z)
+        A point in its middle, in m.
+    """
+
+    surface: int
+    faces: Faces
+    area: float
+    middle: tuple[float, float, float]
+
+
+@dataclass(frozen=True, eq=False)
+class Divided:
+    """A geometry whose long surfaces are divided.
+
+    Attributes
+    ----------
+    geometry : Polyhedron
+    surfaces : tuple of int arrays
+        Faces of each surface in it.
+    parts : tuple of Part
+        Of all surfaces that are divided, surface by surface.
+    """
+
+    geometry: Polyhedron
+    surfaces: tuple[Faces, ...]
+    parts: tuple[Part, ...]
+
+
+def divided(geometry: Polyhedron, surfaces: Mapping[str, Faces]) -> Divided:
+    """Return the geometry with its long surfaces divided."""
+    pieces: list[tuple[str, str, Array]] = []
+    number = np.full(len(geometry.faces), -1)
+    planes: dict[int, Plane] = {}
+    for j, faces in enumerate(surfaces.values()):
+        number[faces] = j
+        plane = _plane(geometry, faces)
+        if plane.size.max() > LONG * geometry.mean_free_path:
+            planes[j] = plane
+    places: list[tuple[int, int]] = []  # surface and quarter of each piece
+    for i, (name, material) in enumerate(zip(geometry.names, geometry.materials, strict=True)):
+        cut = [(0, geometry.vertices[list(geometry.faces[i])])]
+        if number[i] in planes:
+            cut = _quarters(geometry, i, planes[int(number[i])])
+        for quarter, piece in cut:
+            pieces.append((f"{name} ({len(pieces) + 1})", material, piece))
+            places.append((int(number[i]), quarter))
+    solid = Polyhedron.from_polygons(pieces)
+    owner, quarters = np.array(places).T
+    return Divided(
+        geometry=solid,
+        surfaces=tuple(np.flatnonzero(owner == j) for j in range(len(surfaces))),
+        parts=tuple(part for j in planes for part in _parts(solid, j, owner, quarters)),
+    )
+
+
+def _plane(geometry: Polyhedron, faces: Faces) -> Plane:
+    """Return the plane of a surface's largest face, and the rectangle that bounds the surface."""
+    largest_first = np.argsort(-geometry.face_areas[faces], kind="stable")
+    return Plane.of(geometry, faces[largest_first].tolist())
+
+
+def _quarters(geometry: Polyhedron, face: int, plane: Plane) -> list[tuple[int, Array]]:
+    """Return the pieces of a face, and in which quarter of the surface's longer side each lies."""
+    side = int(np.argmax(plane.size))
+    axis = (plane.along, plane.across)[side]
+    start = float(plane.middle @ axis) - plane.size[side] / 2
+    ends = start + np.arange(1, QUARTERS + 1) / QUARTERS * plane.size[side]
+    ends[-1] = np.inf
+    corners = geometry.vertices[list(geometry.faces[face])]
+    reach = corners @ axis
+    first, last = np.searchsorted(ends, [reach.min() + WELD, reach.max() - WELD]).tolist()
+    if first == last:
+        return [(first, corners)]
+    out = []
+    for polygon in polygons.convex_parts(geometry, face):
+        left = polygon
+        for quarter, end in enumerate(ends):
+            piece, left = polygons.cut(left, axis, end)
+            if polygons.is_face(piece):
+                out.append((quarter, piece))
+            if not polygons.is_face(left):
+                break
+    return out
+
+
+def _parts(geometry: Polyhedron, surface: int, owner: Faces, quarters: Faces) -> list[Part]:
+    """Return the parts of a surface, without those that have no face."""
+    out = []
+    for first in range(QUARTERS - 1):
+        inside = (owner == surface) & (quarters >= first) & (quarters <= first + 1)
+        faces = np.flatnonzero(inside)
+        if len(faces):
+            area = float(geometry.face_areas[faces].sum())
+            out.append(Part(surface, faces, area, _part_middle(geometry, faces)))
+    return out
+
+
+def _part_middle(geometry: Polyhedron, faces: Faces) -> tuple[float, float, float]:
+    """Return the middle of some faces, or if it is off them that of the largest convex piece."""
+    convex = [piece for i in faces.tolist() for piece in polygons.convex_parts(geometry, i)]
+    areas = [polygons.area(piece) for piece in convex]
+    middles = np.array([piece.mean(axis=0) for piece in convex])
+    middle = np.average(middles, axis=0, weights=areas)
+    largest = int(np.argmax(areas))
+    normal = geometry.normals[faces[np.argmax(geometry.face_areas[faces])]]
+    off = polygons.distance(middle, normal, convex)
+    x, y, z = (middle if off < WELD else middles[largest]).tolist()
+    return x, y, z
+
+
+LARGEST_PATCH = 0.95
+"""Largest share of a surface that is drawn as a patch. The rim around a larger one is narrower than
+2.5 % of the surface's width."""
+NEAR = 0.1
+"""Largest distance in m of a stated place from its surface: how well places are measured."""
+_HALVINGS = 60
+"""Of the interval that holds the patch's scale: to the last digit."""
+
+Polygon = tuple[str, str, Array]
+"""Name, material and corners of a face."""
+
+
+def patched(
+    geometry: Polyhedron,
+    faces: Iterable[int],
+    area: float,
+    material: str,
+    name: str,
+    at: Array | None = None,
+) -> Polyhedron | None:
+    """Return the geometry with a patch on a surface; None where the surface is too small for it.
+
+    The patch is a rectangle in the proportions of the surface's bounding rectangle. It ends at the
+    surface's edge, and is larger elsewhere instead. So its area is exact on a surface of any outline,
+    which may consist of several faces in one plane.
+
+    Parameters
+    ----------
+    geometry : Polyhedron
+    faces : iterable of int
+        The surface's faces. Those in the plane of the largest one have the patch, or with ``at`` those
+        in the plane nearest to it.
+    area : float
+        m².
+    material, name : str
+        Of the patch.
+    at : array (3,), optional
+        Its middle in m; by default the middle of the surface.
+
+    Raises
+    ------
+    DataError
+        If ``at`` is further than `NEAR` from the surface.
+    """
+    flat = _in_one_plane(geometry, [int(i) for i in faces], at)
+    parts = {i: polygons.convex_parts(geometry, i) for i in flat}
+    every = [part for some in parts.values() for part in some]
+    if area >= LARGEST_PATCH * sum(map(polygons.area, every)):
+        return None
+    normal = geometry.normals[flat[0]]
+    plane = Plane.of(geometry, flat)
+    centre = _patch_middle(plane, normal, every) if at is None else _on(at, normal, every)
+    sides = plane.half_planes(centre, _scale(plane, centre, every, area))
+    taken = set(geometry.names)
+    pieces: list[Polygon] = []
+    for i, (other, made_of) in enumerate(zip(geometry.names, geometry.materials, strict=True)):
+        if not any(is_face(polygons.inside(part, sides)) for part in parts.get(i, ())):
+            pieces.append((other, made_of, geometry.vertices[list(geometry.faces[i])]))
+            continue
+        rim = [other]
+        for part in parts[i]:
+            inner, outer = polygons.divided(part, sides)
+            if is_face(inner):
+                pieces.append((_new_name(name, taken), material, inner))
+            for piece in outer:
+                pieces.append((rim.pop() if rim else _new_name(other, taken), made_of, piece))
+    return Polyhedron.from_polygons(pieces)
+
+
+def _new_name(name: str, taken: set[str]) -> str:
+    """Return a name that no face has, and keep it."""
+    new = next(n for k in count(1) if (n := name if k == 1 else f"{name} {k}") not in taken)
+    taken.add(new)
+    return new
+
+
+def face_at(geometry: Polyhedron, point: Array) -> tuple[int, float]:
+    """Return the face nearest to a point, and its distance in m."""
+    distances = [_away(point, geometry, i) for i in range(len(geometry.faces))]
+    nearest = int(np.argmin(distances))
+    return nearest, distances[nearest]
+
+
+def _away(point: Array, geometry: Polyhedron, face: int) -> float:
+    """Return a point's distance in m from a face."""
+    return polygons.distance(point, geometry.normals[face], polygons.convex_parts(geometry, face))
+
+
+def _in_one_plane(geometry: Polyhedron, faces: list[int], at: Array | None) -> list[int]:
+    """Return the faces in the plane of the largest one, or of the one nearest to a point."""
+    first = max(faces, key=lambda i: float(geometry.face_areas[i]))
+    if at is not None:
+        first = min(faces, key=lambda i: _away(at, geometry, i))
+    normal, origin = geometry.normals[first], geometry.vertices[geometry.faces[first][0]]
+    return [
+        i
+        for i in faces
+        if geometry.normals[i] @ normal > 1 - 1e-4
+        and np.abs((geometry.vertices[list(geometry.faces[i])] - origin) @ normal).max() < 0.01
+    ]
+
+
+def _scale(plane: Plane, centre: Array, parts: Sequence[Array], area: float) -> float:
+    """Return the scale at which the rectangle about a point holds an area of the surface."""
+    low, high = 0.0, 2.0  # twice the bounding rectangle about any of its points covers it
+    for _ in range(_HALVINGS):
+        scale = (low + high) / 2
+        sides = plane.half_planes(centre, scale)
+        if sum(polygons.area(polygons.inside(part, sides)) for part in parts) < area:
+            low = scale
+        else:
+            high = scale
+    return (low + high) / 2
+
+
+def _patch_middle(plane: Plane, normal: Array, parts: Sequence[Array]) -> Array:
+    """Return the middle of the bounding rectangle, or if it is off the surface of the largest part."""
+    if polygons.distance(plane.middle, normal, parts) < WELD:
+        return plane.middle
+    return np.asarray(max(parts, key=polygons.area).mean(axis=0))
+
+
+def _on(point: Array, normal: Array, parts: Sequence[Array]) -> Array:
+    """Return the place of the surface nearest to a point; DataError if that is far."""
+    if (distance := polygons.distance(point, normal, parts)) > NEAR:
+        raise DataError(
+            f"at = ({', '.join(f'{x:g}' for x in point)}) m is {distance:.2g} m from the surface; the "
+            f"limit is {NEAR:g} m"
+        )
+    return np.asarray(point + ((parts[0][0] - point) @ normal) * normal)

@@ -17,9 +17,9 @@ from rtcal.acoustics.room import Room
 from rtcal.acoustics.scene import Scene
 from rtcal.calibration.presets import calibrate
 from rtcal.finder.case import NORMAL_90
+from rtcal.finder.finding import listed
 from rtcal.finder.positions import surfaces as of_room
 from rtcal.finder.states.case import Case
-from rtcal.finder.wording import listed
 from rtcal.io import obj
 from rtcal.simulators.geometry import Polyhedron
 from rtcal.simulators.path_tracing import PathTracing

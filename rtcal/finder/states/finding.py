@@ -10,12 +10,20 @@ import numpy as np
 
 from rtcal.acoustics import bands
 from rtcal.finder.claim import CLAIMED
-from rtcal.finder.finding import LEAST_PAIRS, Finding, Size
+from rtcal.finder.finding import (
+    LEAST_PAIRS,
+    NATS,
+    Finding,
+    Size,
+    amount,
+    as_sentence,
+    listed,
+    over_frequency,
+)
 from rtcal.finder.prior import NONE
 from rtcal.finder.states.case import Case
 from rtcal.finder.states.changed import SecondState, changed_room
 from rtcal.finder.states.kinds import ADDED
-from rtcal.finder.wording import NATS, amount, as_sentence, listed, over_frequency
 from rtcal.support import html, text
 from rtcal.support.errors import DataError
 from rtcal.support.files import json_numbers

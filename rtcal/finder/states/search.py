@@ -20,7 +20,7 @@ from rtcal.acoustics import band_conversion, bands
 from rtcal.acoustics.decay import gradients
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.observables import EARLY, OBSERVABLES, TARGET
-from rtcal.finder.claim import SAID, claim, most_probable_first
+from rtcal.finder.claim import SAID, claimed, most_probable_first
 from rtcal.finder.effects import Effect, library
 from rtcal.finder.finding import Detection, Size
 from rtcal.finder.positions import surfaces as of_room
@@ -320,7 +320,7 @@ def find(
     families = _with_sums(_summed(tried.families, given, none))
     detection = Detection(score, THRESHOLD)
     by_family_alone = [name for name in probabilities if name != AIR]
-    verdict, family = claim(detection.verdict, probabilities, families, by_family_alone)
+    verdict, family = claimed(detection.verdict, probabilities, families, by_family_alone)
     samples, drawn = _samples(fits, tried, baseline, given, seed)
     changes = np.full((3, room.n_bands), np.nan)
     changes[0, measured] = samples.mean(axis=0)
