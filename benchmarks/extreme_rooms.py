@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 import rtcal as rt
-from rtcal import exact
+from rtcal.calibration import exact
 from rtcal.support.errors import SolverError
 from rtcal.support.types import Array
 

@@ -39,16 +39,16 @@ SURVIVED = {
 }
 SURVIVORS: dict[tuple[str, str], str] = {
     (
-        "rtcal.exact.batch.x__solve_chunk",
+        "rtcal.calibration.exact.batch.x__solve_chunk",
         "+ alpha[unsolved] = None",
     ): "equivalent: NumPy writes None as NaN into an array of floats",
     (
-        "rtcal.exact.batch.x__fix",
+        "rtcal.calibration.exact.batch.x__fix",
         "+ to_high = (a > hi) & (under < over)[:, np.newaxis]",
     ): "speed only: if both sides are violated alike, D is the answer's already, and what is not "
     "fixed at its upper bound now is clipped to it at the end (2,000 such ties: no difference)",
     (
-        "rtcal.exact.batch.x__fix",
+        "rtcal.calibration.exact.batch.x__fix",
         "+ alpha = np.clip(base - d[:, np.newaxis] * free, low, None)",
     ): "equivalent: after the last round no free coefficient is above its upper bound (60,000 random "
     "bands: no difference)",

@@ -19,8 +19,8 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 
 import rtcal as rt
 from rtcal import terms
-from rtcal.posterior.density import CoupledBands
-from rtcal.posterior.sampler import sample
+from rtcal.calibration.posterior.density import CoupledBands
+from rtcal.support.sampler import sample
 from tests.test_sampler import hard_room
 
 N_SAMPLES = 4000

@@ -33,11 +33,11 @@ import numpy as np
 from matplotlib.figure import Figure
 
 import rtcal as rt
+from rtcal.calibration.posterior.distributions import distribution
 from rtcal.calibration.problem import CalibrationProblem, JointProblem
 from rtcal.calibration.solvers import SolveKeywords
 from rtcal.finder import AppliedEffect, Case, Change, Configuration, find, plan, verify
 from rtcal.loop.state import start
-from rtcal.posterior.distributions import distribution
 from rtcal.simulators.equation import EquationSimulator
 from rtcal.simulators.geometry import SHOEBOX_WALLS, Polyhedron
 from rtcal.simulators.image_source import ImageSource

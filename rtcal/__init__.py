@@ -19,12 +19,10 @@ if TYPE_CHECKING:
     from rtcal import archive as archive
     from rtcal import calibration as calibration
     from rtcal import datasets as datasets
-    from rtcal import exact as exact
     from rtcal import finder as finder
     from rtcal import io as io
     from rtcal import loop as loop
     from rtcal import modes as modes
-    from rtcal import posterior as posterior
     from rtcal import prediction as prediction
     from rtcal import report as report
     from rtcal import simulators as simulators
@@ -45,6 +43,8 @@ if TYPE_CHECKING:
     from rtcal.acoustics.scene import Scene as Scene
     from rtcal.archive.rooms import learn as learn
     from rtcal.calibration import closed_form as closed_form
+    from rtcal.calibration import exact as exact
+    from rtcal.calibration import posterior as posterior
     from rtcal.calibration import terms as terms
     from rtcal.calibration.configurations import Configurations as Configurations
     from rtcal.calibration.presets import calibrate as calibrate

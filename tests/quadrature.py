@@ -1,4 +1,4 @@
-"""Posterior moments of one band by quadrature alone, to check `rtcal.posterior.marginals`.
+"""Posterior moments of one band by quadrature alone, to check `rtcal.calibration.posterior.marginals`.
 
 The density of a sum is built by adding one truncated normal after the other, the widest first, by
 Gauss-Legendre quadrature between cubic splines. No transform and no common grid.
@@ -194,7 +194,7 @@ def errors(band: Band, rng: np.random.Generator) -> tuple[float, float, float, f
     The coefficient is drawn at random; the correlation is that of the two that share most.
     sd and width have relative errors, the correlation an absolute one.
     """
-    from rtcal.posterior.marginals import marginal_distributions
+    from rtcal.calibration.posterior.marginals import marginal_distributions
 
     found = marginal_distributions(
         band.mu,

@@ -15,11 +15,11 @@ from click.testing import CliRunner
 
 import rtcal as rt
 from rtcal.acoustics.room import Surface
+from rtcal.calibration.posterior import distribution
 from rtcal.command.main import cli
 from rtcal.finder import AppliedEffect, Case, corrected_room, recalibrate, simulator
 from rtcal.finder.means.features import distances, state
 from rtcal.finder.model import predict
-from rtcal.posterior import distribution
 from rtcal.simulators.base import Simulator, run
 from rtcal.simulators.equation import EquationSimulator
 from rtcal.simulators.geometry import SHOEBOX_WALLS, Polyhedron

@@ -11,8 +11,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import rtcal as rt
-from rtcal import exact
-from rtcal.exact.batch import _excess
+from rtcal.calibration import exact
+from rtcal.calibration.exact.batch import _excess
 from rtcal.support import jit
 from rtcal.support.errors import DataError, MissingDependencyError
 from tests import rational

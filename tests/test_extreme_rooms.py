@@ -10,8 +10,8 @@ import pytest
 
 import rtcal as rt
 from benchmarks.extreme_rooms import Counts, extreme_room
-from rtcal import exact, terms
-from rtcal.calibration import convex_program, separable, solvers
+from rtcal import terms
+from rtcal.calibration import convex_program, exact, separable, solvers
 from rtcal.calibration.certificate import certify
 from rtcal.calibration.numpy_model import Multipliers
 from rtcal.support.errors import SolverError

@@ -9,8 +9,8 @@ from scipy import stats
 import rtcal as rt
 from rtcal import terms
 from rtcal.calibration.configurations import Configurations
-from rtcal.posterior import distribution, sensitivity
-from rtcal.posterior.marginals import marginal_distributions
+from rtcal.calibration.posterior import distribution, sensitivity
+from rtcal.calibration.posterior.marginals import marginal_distributions
 from tests.conftest import random_room, true_times
 from tests.quadrature import errors, random_band
 

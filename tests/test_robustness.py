@@ -12,8 +12,8 @@ from rtcal import loop as closed_loop
 from rtcal import studies
 from rtcal.acoustics.decay import clarity, decay_time
 from rtcal.calibration.configurations import Configurations
+from rtcal.calibration.posterior import distribution, sensitivity
 from rtcal.command import main as cli
-from rtcal.posterior import distribution, sensitivity
 from rtcal.simulators.equation import EquationSimulator
 from rtcal.simulators.external import External
 from rtcal.simulators.geometry import SHOEBOX_WALLS, Polyhedron

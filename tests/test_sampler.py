@@ -9,9 +9,9 @@ from scipy.special import log_ndtr
 
 import rtcal as rt
 from rtcal import terms
-from rtcal.posterior import distribution
-from rtcal.posterior.density import CoupledBands, JointTruncatedNormal
-from rtcal.posterior.sampler import sample, truncated_normal
+from rtcal.calibration.posterior import distribution
+from rtcal.calibration.posterior.density import CoupledBands
+from rtcal.support.sampler import JointTruncatedNormal, sample, truncated_normal
 from tests.conftest import random_room, true_times
 
 EYRING = rt.Eyring()

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import qpsolvers
 
-from rtcal import exact
+from rtcal.calibration import exact
 
 pytest.importorskip("qpbenchmark")
 pytest.importorskip("piqp")

@@ -6,6 +6,8 @@ from rtcal.support import lazy
 
 if TYPE_CHECKING:
     from rtcal.calibration import closed_form as closed_form
+    from rtcal.calibration import exact as exact
+    from rtcal.calibration import posterior as posterior
     from rtcal.calibration import terms as terms
     from rtcal.calibration.configurations import Configurations as Configurations
     from rtcal.calibration.convex_program import forget as forget

@@ -16,6 +16,8 @@ from rtcal.calibration.certificate import Certificate
 from rtcal.calibration.configurations import Configurations
 from rtcal.calibration.convex_program import Solution
 from rtcal.calibration.measured import MeasuredTimes
+from rtcal.calibration.posterior.density import CoupledBands, IndependentBands
+from rtcal.calibration.posterior.distributions import Optimality
 from rtcal.calibration.problem_data import ProblemData
 from rtcal.calibration.terms import (
     LinearObservations,
@@ -31,8 +33,6 @@ from rtcal.calibration.uncertainty import (
     innovation,
     optimality,
 )
-from rtcal.posterior.density import CoupledBands, IndependentBands
-from rtcal.posterior.sensitivities import Optimality
 from rtcal.support.errors import ModelError
 from rtcal.support.types import Array
 

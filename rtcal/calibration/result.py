@@ -25,11 +25,10 @@ from rtcal.calibration.convex_program import RawSolution
 from rtcal.calibration.feasibility import Unreachable, where_valid
 from rtcal.calibration.joint_solution import JointSolution
 from rtcal.calibration.measured import MeasuredTimes, data_history
+from rtcal.calibration.posterior.density import CoupledBands, IndependentBands
+from rtcal.calibration.posterior.distributions import Optimality, exact_interval
 from rtcal.calibration.problem_data import ProblemData
 from rtcal.calibration.table import html_table, text_table
-from rtcal.posterior.density import CoupledBands, IndependentBands
-from rtcal.posterior.distributions import exact_interval
-from rtcal.posterior.sensitivities import Optimality
 from rtcal.prediction.predicted import Prediction, predict
 from rtcal.support.errors import ModelError
 from rtcal.support.files import json_numbers

@@ -15,6 +15,8 @@ from rtcal.calibration.configurations import Configurations
 from rtcal.calibration.convex_program import Solution
 from rtcal.calibration.measured import MeasuredTimes
 from rtcal.calibration.numpy_model import NumpyModel
+from rtcal.calibration.posterior.density import CoupledBands, IndependentBands
+from rtcal.calibration.posterior.distributions import Optimality, linear_estimate_sigma
 from rtcal.calibration.problem_data import ProblemData
 from rtcal.calibration.terms import (
     ExactMatch,
@@ -24,9 +26,8 @@ from rtcal.calibration.terms import (
     SoftMatch,
     match_matrix,
 )
-from rtcal.posterior.density import CoupledBands, IndependentBands, JointTruncatedNormal
-from rtcal.posterior.sensitivities import Optimality, linear_estimate_sigma
 from rtcal.support.errors import ModelError
+from rtcal.support.sampler import JointTruncatedNormal
 from rtcal.support.types import Array
 
 Assemble = Callable[[Sequence[MeasuredTimes]], ProblemData]

@@ -17,8 +17,8 @@ import numpy as np
 
 from rtcal.acoustics.joint_states import Flags, Rooms
 from rtcal.acoustics.states import State, refuse_counted_twice
-from rtcal.posterior.sampler import samples_of_normal
 from rtcal.support.errors import SolverError
+from rtcal.support.sampler import samples_of_normal
 from rtcal.support.types import Array
 
 _STEPS = 60

@@ -18,7 +18,6 @@ from rtcal.acoustics.joint_states import Flags, Rooms
 from rtcal.acoustics.room import Room
 from rtcal.acoustics.states import State
 from rtcal.acoustics.targets import Target
-from rtcal.posterior.density import probability_within
 from rtcal.prediction import words
 from rtcal.prediction.estimate import Estimate, estimated_change, near_bounds, samples
 from rtcal.support import checks
@@ -26,6 +25,7 @@ from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError
 from rtcal.support.files import json_numbers
 from rtcal.support.results import Result
+from rtcal.support.sampler import probability_within
 from rtcal.support.text import shortened
 from rtcal.support.types import Array
 

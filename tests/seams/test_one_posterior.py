@@ -12,7 +12,7 @@ from scipy import stats
 import rtcal as rt
 from benchmarks import interval_coverage
 from rtcal import terms
-from rtcal.posterior import distribution
+from rtcal.calibration.posterior import distribution
 from rtcal.report.material_figures import intervals
 
 EYRING = rt.Eyring()

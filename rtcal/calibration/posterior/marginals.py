@@ -25,7 +25,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from rtcal.posterior.density import POINTS, Marginals, integrated
+from rtcal.calibration.posterior.density import POINTS, Marginals, integrated
 from rtcal.support.types import Array
 
 Waves = NDArray[np.complex128]

@@ -9,12 +9,12 @@ is about isotropic, rotated at random for every sweep.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from rtcal.posterior.density import JointTruncatedNormal
 from rtcal.support.errors import ModelError, SolverError
 from rtcal.support.types import Array
 
@@ -35,12 +35,48 @@ _UNREACHED = 100.0
 beyond it is at most exp(-49), even if the standard deviation is underestimated twofold."""
 _DRAWS = 8
 """Number of plain draws per sample, before a chain is asked."""
+_DRAWS_WITHIN = 100_000
+"""Number of draws of `probability_within`."""
 _EXACT = 1e-12
 """Standard deviation up to which an unknown is known."""
 _LEAST = 1e-300
 """Positive number in place of a distance of 0, to avoid divisions by 0."""
 _FAR = 25.0
 """Normal tails that begin beyond this use an asymptotic expansion; its error is 1 / _FAR⁴ = 3e-6."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class JointTruncatedNormal:
+    """A normal density within bounds, linear equalities and linear inequalities.
+
+    The density of u is proportional to exp(-g'(u - p) - ½ (u - p)'H(u - p)).
+
+    Attributes
+    ----------
+    point : array (size,)
+        p, where the equalities hold.
+    gradient : array (size,)
+        g.
+    curvature : array (size,) or sparse array (size, size)
+        H; its diagonal if H is diagonal.
+    scale : array (size,)
+        The scale of each unknown; 0 for a fixed one.
+    lower, upper : array (size,)
+        The bounds.
+    matrix : array or sparse array (n_rows, size)
+    row_lower, row_upper : array (n_rows,)
+        Limits of ``matrix @ u``; equal for an equality.
+    """
+
+    point: Array
+    gradient: Array
+    curvature: Any
+    scale: Array
+    lower: Array
+    upper: Array
+    matrix: Any
+    row_lower: Array
+    row_upper: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -351,3 +387,19 @@ def _tail(a: Array, b: Array, uniform: Array) -> Array:
     t = -wanted / a
     mills = np.sqrt(np.pi / 2) * erfcx((a + t) / np.sqrt(2))
     return np.asarray(a + t + (log_tail(t) - wanted) * mills)
+
+
+def probability_within(below: Array, above: Array, correlation: Array) -> float:
+    """Return the probability that standard normal errors are all within limits, (n,) each.
+
+    Of 100,000 draws: its error is at most 0.0016.
+
+    Examples
+    --------
+    >>> limit = np.full(2, 1.645)
+    >>> round(probability_within(-limit, limit, np.eye(2)), 2)
+    0.81
+    """
+    root = np.linalg.cholesky(correlation)
+    drawn = np.random.default_rng(0).standard_normal((_DRAWS_WITHIN, len(root))) @ root.T
+    return float(((drawn >= below) & (drawn <= above)).all(axis=1).mean())

@@ -167,7 +167,7 @@ def solve(
         b = np.where(((g > 0) & (g < LEAST_SIGMA)).any(axis=-1), np.nan, b)
     data = (m, g, s, b, low, high, give, slack)
     if _engine(engine) == "numba":
-        from rtcal.exact import kernel as exact_kernel
+        from rtcal.calibration.exact import kernel as exact_kernel
 
         exact_kernel.solve_rows(*data, a, d, code)
     else:

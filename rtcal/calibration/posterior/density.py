@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
+from rtcal.support.sampler import JointTruncatedNormal
 from rtcal.support.types import Array
 
 POINTS = 801
 """Points of each density; an odd number for Simpson's rule."""
-_DRAWS = 100_000
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,22 +43,6 @@ def integrated(t: Array, density: Array) -> Marginals:
     cumulative = np.cumsum(np.maximum(cells, 0.0), axis=1)
     cumulative = np.concatenate([np.zeros((len(t), 1)), cumulative], axis=1)
     return Marginals(t, cumulative / cumulative[:, -1:], mean, np.diag(variance))
-
-
-def probability_within(below: Array, above: Array, correlation: Array) -> float:
-    """Return the probability that standard normal errors are all within limits, (n,) each.
-
-    Of 100,000 draws: its error is at most 0.0016.
-
-    Examples
-    --------
-    >>> limit = np.full(2, 1.645)
-    >>> round(probability_within(-limit, limit, np.eye(2)), 2)
-    0.81
-    """
-    root = np.linalg.cholesky(correlation)
-    drawn = np.random.default_rng(0).standard_normal((_DRAWS, len(root))) @ root.T
-    return float(((drawn >= below) & (drawn <= above)).all(axis=1).mean())
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -96,40 +79,6 @@ class IndependentBands:
     noise: Array
     exact: bool
     multiplier: Array
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class JointTruncatedNormal:
-    """A normal density within bounds, linear equalities and linear inequalities.
-
-    The density of u is proportional to exp(-g'(u - p) - ½ (u - p)'H(u - p)).
-
-    Attributes
-    ----------
-    point : array (size,)
-        p, where the equalities hold.
-    gradient : array (size,)
-        g.
-    curvature : array (size,) or sparse array (size, size)
-        H; its diagonal if H is diagonal.
-    scale : array (size,)
-        The scale of each unknown; 0 for a fixed one.
-    lower, upper : array (size,)
-        The bounds.
-    matrix : array or sparse array (n_rows, size)
-    row_lower, row_upper : array (n_rows,)
-        Limits of ``matrix @ u``; equal for an equality.
-    """
-
-    point: Array
-    gradient: Array
-    curvature: Any
-    scale: Array
-    lower: Array
-    upper: Array
-    matrix: Any
-    row_lower: Array
-    row_upper: Array
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
