@@ -306,7 +306,7 @@ def test_the_command_reads_a_folder_and_writes_a_room(
         result.save(tmp_path / "rooms" / result.prior.name)
     rooms[0].prior.save(str(tmp_path / "new.toml"))
     out = tmp_path / "library"
-    stated = ["learn", str(tmp_path / "rooms"), "--name", "floor=linoleum", "--weight", "C=0.5"]
+    stated = ["learn", str(tmp_path / "rooms"), "--as", "floor=linoleum", "--room-weight", "C=0.5"]
     run = CliRunner().invoke(
         cli, [*stated, "--apply", str(tmp_path / "new.toml"), "--out", str(out), "--json"]
     )
@@ -327,7 +327,7 @@ def test_the_command_reads_a_folder_and_writes_a_room(
     assert "would be written over" in refused(folder, "--out", str(tmp_path / "rooms" / "A"))
     assert "has no result.json" in refused(str(tmp_path / "nothing"))
     assert "no calibration among them" in refused(str(out))
-    assert "--weight" in refused(folder, "--weight", "C=much")
+    assert "--room-weight" in refused(folder, "--room-weight", "C=much")
 
 
 def test_bad_input_is_named(rooms: list[rt.calibration.CalibrationResult]) -> None:

@@ -479,7 +479,7 @@ def test_the_page_of_a_compromise_says_what_was_matched(cr2, tmp_path):
     assert CliRunner().invoke(cli, arguments, catch_exceptions=False).exit_code == 0
     page = (tmp_path / "page.html").read_text(encoding="utf-8")
     assert "gap of the weighted mean of T20 and EDT / JND" in page
-    assert "--weights t20=0.5 --weights edt=0.5" in page
+    assert "--weight t20=0.5 --weight edt=0.5" in page
     assert "Only T20 was fitted" not in page
 
 

@@ -157,7 +157,7 @@ def fitted_once(monkeypatch: pytest.MonkeyPatch) -> None:
     fit_once(monkeypatch)
 
 
-STUDY = "study --room shoebox --sigma-r 0.05 --out @made"
+STUDY = "study --kind shoebox --sigma-r 0.05 --out @made"
 
 WRITERS = {
     "calibrate": Writer(calibrated, "calibrate @room.toml @t.csv --out @made"),

@@ -28,7 +28,7 @@ def interrupted(folder: Path, seconds: float) -> int:
     size = ["--realisations", "300", "--trials", "100", "--sigma-r", "0.05"]
     places = ["--folder", str(folder / "pieces"), "--out", str(folder / "made")]
     process = subprocess.Popen(
-        [sys.executable, "-c", STARTED, "study", "--room", "shoebox", *size, *places],
+        [sys.executable, "-c", STARTED, "study", "--kind", "shoebox", *size, *places],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,

@@ -12,9 +12,12 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
+import click
 import pytest
 
 import rtcal as rt
+from rtcal.command.console import PATHS
+from rtcal.command.main import cli
 
 PACKAGE = Path(rt.__file__).parent
 PARSED = {
@@ -92,6 +95,8 @@ def test_every_docstring_beside_the_package_has_a_subject(folder: str) -> None:
 DIRECTORIES = """
 import types
 import rtcal as rt
+from rtcal.command.console import PATHS
+from rtcal.command.main import cli
 
 rt.calibrate(*rt.datasets.bras_cr2())  # imports many a module past its package
 modules = [rt]
@@ -146,3 +151,65 @@ def test_every_formula_has_a_source() -> None:
             module = sys.modules[value.__module__].__doc__ or ""
             assert SOURCE.search(text) or SOURCE.search(module), f"{name} has no source"
     assert len(with_formula) > 10
+
+
+def options_by_name() -> dict[str, dict[str, dict[str, Any]]]:
+    """Return what each option is in each command that has it."""
+    found: dict[str, dict[str, dict[str, Any]]] = {}
+
+    def walk(command: click.Command, name: str) -> None:
+        for key, inner in getattr(command, "commands", {}).items():
+            walk(inner, f"{name} {key}")
+        for option in command.params:
+            if isinstance(option, click.Option):
+                stated = option.to_info_dict()
+                stated.pop("name")  # the argument of the function in Python
+                for said in option.opts:
+                    found.setdefault(said, {})[name.strip()] = stated
+
+    walk(cli, "")
+    return found
+
+
+OPTIONS = options_by_name()
+WRITTEN = re.compile(
+    r"^Folder (for|to write)|\bto write\b|into this folder|with a geometry, a folder"
+)
+
+
+@pytest.mark.parametrize("option", sorted(OPTIONS.keys() - {"--out"}))
+def test_an_option_is_the_same_in_every_command(option: str) -> None:
+    """`--seed` was of three types, and `--change` a file in one command and a number in another."""
+    first, *others = OPTIONS[option].values()
+    for other in others:
+        assert other == first
+    assert first["help"].endswith("."), option
+    assert not first["hidden"], option
+
+
+def test_out_names_what_is_written() -> None:
+    for command, stated in OPTIONS["--out"].items():
+        assert stated["type"]["param_type"] == "Path", command
+        assert WRITTEN.search(stated["help"]), command
+
+
+def test_no_option_is_another_s_plural() -> None:
+    """`learn --weight` and `loop start --weights` were two things."""
+    assert {f"{option}s" for option in OPTIONS} & {*OPTIONS} == set()
+
+
+def test_every_command_that_prints_prints_json_and_can_be_quiet() -> None:
+    commands = {command for stated in OPTIONS.values() for command in stated} - {""}
+    assert {*OPTIONS["--json"]} == {*OPTIONS["--quiet"]} == {*OPTIONS["-q"]} == commands
+
+
+def test_the_page_lists_every_option_that_commands_share() -> None:
+    page = (PACKAGE.parent / "docs" / "command_line.md").read_text(encoding="utf-8")
+    for option, stated in OPTIONS.items():
+        if len({name.partition(" ")[0] for name in stated}) > 1:
+            assert f"`{option}" in page, option
+
+
+def test_the_default_number_of_paths_is_the_tracer_s() -> None:
+    stated = inspect.signature(rt.simulators.PathTracing).parameters["n_paths"].default
+    assert stated == PATHS

@@ -389,13 +389,7 @@ def test_the_page_of_a_fit_shows_what_was_learned_and_what_not_to_believe(folder
     ("options", "said"),
     [
         (("--exclude", "S1R1"), "is not SOURCE:RECEIVER"),
-        (
-            ("--mesh", "x.obj"),
-            "--mesh is no option: write it into the room's file ([geometry], mesh",
-        ),
-        (("--positions", "p.toml"), "the room's file ([sources] and [receivers])"),
         (("--out", ""), "--out is empty"),
-        (("--position-uncertainty", "0.2"), "([geometry], position_uncertainty)"),
     ],
 )
 def test_wrong_options_are_named(folder, options, said):

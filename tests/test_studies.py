@@ -425,9 +425,9 @@ def test_command(tmp_path: Path) -> None:
         "40",
         "--sampling",
         "sigma_n",
-        "--room",
+        "--kind",
         "shoebox",
-        "--room",
+        "--kind",
         "halls",
         "--out",
         str(tmp_path),
@@ -453,7 +453,7 @@ def test_command(tmp_path: Path) -> None:
     } <= names
     analytic = CliRunner().invoke(
         cli,
-        ["study", "--trials", "0", "--realisations", "50", "--room", "lecture-hall"],
+        ["study", "--trials", "0", "--realisations", "50", "--kind", "lecture-hall"],
         catch_exceptions=False,
     )
     assert "stand-in" in analytic.output

@@ -98,7 +98,7 @@ CALLS: list[tuple[str, list[str], int]] = [
     ("missing-effect", ["apply", "case.json", "--out", "c.json", "--room", "c.toml"], 0),
     (
         "room",
-        ["study", "--trials", "9", "--realisations", "30", "--room", "shoebox", "--room", "halls"],
+        ["study", "--trials", "9", "--realisations", "30", "--kind", "shoebox", "--kind", "halls"],
         0,
     ),
 ]

@@ -93,7 +93,7 @@ def test_the_next_position_is_proposed(
 
 
 @pytest.mark.usefixtures("found")
-@pytest.mark.parametrize("option", ["--change=0.3", "--cost=G=0.5"])
+@pytest.mark.parametrize("option", ["--relative-change=0.3", "--cost=G=0.5"])
 def test_options_of_a_plan_with_means_are_refused(
     option: str, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from rtcal.acoustics.equations import EQUATIONS, LinearEquation, equation_keys
+from rtcal.acoustics.observables import MATCH, OBSERVABLES
 from rtcal.support.errors import DataError
 from rtcal.support.results import json_text
 from rtcal.support.text import fitted, printable, width
@@ -138,6 +139,9 @@ def read_measured(path: str | os.PathLike[str], *, quiet: bool) -> Measurement:
     return table.measurement
 
 
+PATHS = 8000
+"""Paths from each source, by default; the number of `PathTracing`."""
+
 quiet_option = click.option(
     "--quiet", "-q", is_flag=True, help="Print nothing but errors, and the JSON."
 )
@@ -158,6 +162,67 @@ equation_option = click.option(
     callback=lambda context, parameter, key: EQUATIONS[key](),
     help="The reverberation equation.",
 )
+seed_option = click.option(
+    "--seed",
+    type=click.IntRange(0),
+    default=0,
+    show_default=True,
+    help="Seed of the random numbers.",
+)
+exclude_option = click.option(
+    "--exclude",
+    multiple=True,
+    metavar="SOURCE:RECEIVER",
+    help="Leave a pair out. The option may be repeated.",
+)
+match_option = click.option(
+    "--match",
+    multiple=True,
+    type=click.Choice(tuple(OBSERVABLES)),
+    help="What is compared at every position. The option may be repeated; by default "
+    f"{', '.join(MATCH)}.",
+)
+paths_option = click.option(
+    "--paths",
+    type=click.IntRange(100, 10_000_000),
+    help=f"Paths that are traced from each source; by default {PATHS}.",
+)
+scattering_option = click.option(
+    "--scattering", type=float, help="Scattering coefficient where none is stated."
+)
+bands_option = click.option(
+    "--bands",
+    metavar="octave|third-octave|HZ,HZ...",
+    callback=lambda context, parameter, text: bands(text),
+    help="The bands; by default octaves where responses are measured, and the list's for a room.",
+)
+decimals_option = click.option(
+    "--decimals",
+    type=click.IntRange(1, 15),
+    help="Decimals of a coefficient in the program (3 for CATT: 0.1 %).",
+)
+entries_option = click.option(
+    "--as",
+    "entries",
+    multiple=True,
+    metavar="MATERIAL=ENTRY",
+    help="Name of a material in the list or library, if another. The option may be repeated.",
+)
+repeats_option = click.option(
+    "--repeats",
+    is_flag=True,
+    help="Several values of one source and receiver are repeats: average.",
+)
+
+
+def bands(text: str | None) -> str | list[float] | None:
+    """Return what --bands states: a width in words, or frequencies in Hz; DataError for others."""
+    if text is None or text in ("octave", "third-octave"):
+        return text
+    try:
+        return [float(f) for f in text.split(",")]
+    except ValueError as error:
+        raise DataError(f'--bands: "{text}" is not octave, third-octave or HZ,HZ...') from error
 
 
 def heading_options(command: Callable[..., None]) -> Callable[..., None]:
@@ -194,17 +259,6 @@ class CannotPrint(click.ClickException):
     """The standard output is closed or full."""
 
     exit_code = 5
-
-
-def in_the_room(option: str, keys: str) -> Callable[[Callable[..., None]], Callable[..., None]]:
-    """Add an option of earlier versions: its error says what to write into the room's file instead."""
-
-    def refuse(_: click.Context, __: click.Parameter, value: str | None) -> None:
-        if value is not None:
-            raise DataError(f"{option} is no option: write it into the room's file ({keys})")
-
-    said = f"Stands in the room's file: {keys}."
-    return click.option(option, hidden=True, expose_value=False, callback=refuse, help=said)
 
 
 def tell(text: str, record: Mapping[str, Any], *, quiet: bool, as_json: bool) -> None:

@@ -12,11 +12,14 @@ from rtcal.acoustics.observables import OBSERVABLES
 from rtcal.command.console import (
     ARGUMENTS,
     as_options,
+    bands_option,
     bar_wanted,
+    decimals_option,
     errors_name_options,
     json_option,
     numbers,
     quiet_option,
+    repeats_option,
     said,
     tell,
     texts,
@@ -34,13 +37,7 @@ PROGRAMS = ("catt", "odeon", "pyroomacoustics", "bras")
 
 @click.command(short_help="Impulse responses (WAV, SOFA) to T20, EDT, C80, STI and others.")
 @click.argument("responses", type=click.Path(), nargs=-1, required=True)
-@click.option(
-    "--bands",
-    type=click.Choice(("octave", "third-octave")),
-    default="octave",
-    show_default=True,
-    help="Width of the bands.",
-)
+@bands_option
 @click.option(
     "--minimum-range",
     "ranges",
@@ -59,9 +56,7 @@ PROGRAMS = ("catt", "odeon", "pyroomacoustics", "bras")
     help="Write the standard uncertainty of T20, T30, EDT, C50 and C80 too: per value that of one "
     "decay, in common what teams differ by.",
 )
-@click.option(
-    "--repeats", is_flag=True, help="Several files of one source and receiver are repeats: average."
-)
+@repeats_option
 @click.option(
     "--positions",
     type=click.Path(dir_okay=False),
@@ -72,7 +67,7 @@ PROGRAMS = ("catt", "odeon", "pyroomacoustics", "bras")
 @quiet_option
 def measure(
     responses: tuple[str, ...],
-    bands: str,
+    bands: str | list[float] | None,
     ranges: tuple[str, ...],
     channels: str | None,
     uncertainty: bool,
@@ -100,7 +95,7 @@ def measure(
     ):
         analysis = impulse_responses.read(
             responses,
-            bands=bands,
+            bands="octave" if bands is None else bands,
             channels=int(channels) if channels and channels.isdecimal() else channels,
             minimum_range=numbers("--minimum-range", ranges, "PARAMETER=DB"),
             repeats=repeats,
@@ -154,11 +149,7 @@ def _positions_text(responses: tuple[str, ...]) -> str:
 @click.option("--ignore", multiple=True, metavar="COLUMN", help="Leave a column out.")
 @click.option("--sources", type=click.IntRange(1), help="The values are means over N sources.")
 @click.option("--receivers", type=click.IntRange(1), help="And over N receivers.")
-@click.option(
-    "--repeats",
-    is_flag=True,
-    help="Several values of one source and receiver are repeats: average.",
-)
+@repeats_option
 @click.option(
     "--sheets", multiple=True, metavar="SHEET", help="Read only this sheet of a workbook."
 )
@@ -236,11 +227,7 @@ def _write_and_tell(
     type=click.Path(),
     help="Program's file whose changed copy is MATERIALS; by default MATERIALS itself.",
 )
-@click.option(
-    "--decimals",
-    type=click.IntRange(0, 15),
-    help="Decimals of a coefficient (3: a tenth of a percent); by default the format's.",
-)
+@decimals_option
 @click.option(
     "--missing-bands",
     type=click.Choice(("refuse", "nearest")),

@@ -17,6 +17,7 @@ from rtcal.command.console import (
     numbers,
     output_folder,
     quiet_option,
+    seed_option,
     tell,
     written,
 )
@@ -33,7 +34,6 @@ from rtcal.command.finder_options import (
     refuse,
     search_case,
     search_options,
-    seed_option,
     verified,
 )
 from rtcal.command.two_states import apply_change, find_change, verify_change
@@ -275,7 +275,8 @@ def _add_to_geometry(
 @click.command(short_help="Which effects the data could tell apart; what to measure next.")
 @input_options
 @click.option(
-    "--change",
+    "--relative-change",
+    "change",
     type=float,
     help="Relative change of T by each effect, in the band that changes most; "
     f"{CHANGE:g} unless stated.",
@@ -316,7 +317,7 @@ def plan(
     search = Search(ENGINES, seed, (), (), {})
     if inputs.at_positions:
         refuse(
-            {"--change": change, "--cost": costs or None},
+            {"--relative-change": change, "--cost": costs or None},
             ": with a geometry a place for a receiver is proposed",
         )
         _tell_places(search_case(inputs, search, quiet), quiet, as_json)

@@ -15,11 +15,16 @@ import click
 from rtcal.command.console import (
     bar_wanted,
     errors_name_options,
+    exclude_option,
     json_option,
+    match_option,
     numbers,
     pairs,
+    paths_option,
     quiet_option,
     said,
+    scattering_option,
+    seed_option,
 )
 from rtcal.support.errors import DataError
 from rtcal.support.files import spare
@@ -153,9 +158,6 @@ def refuse(stated: Mapping[str, object], why: str) -> None:
 
 
 ENGINES = ("path tracing", "network")
-seed_option = click.option(
-    "--seed", default=0, show_default=True, help="Seed of the control rooms and the bootstrap."
-)
 
 before_option = click.option(
     "--before",
@@ -223,27 +225,10 @@ def input_options(command: Any) -> Any:
         return command(inputs=Inputs(**of_inputs), **stated)
 
     for option in (
-        click.option(
-            "--paths",
-            type=click.IntRange(100, 10_000_000),
-            help="Paths from each source, with positions; 8000 unless stated.",
-        ),
-        click.option(
-            "--scattering",
-            type=float,
-            help="Scattering coefficient of all materials, with positions, if the room states none.",
-        ),
-        click.option(
-            "--exclude",
-            multiple=True,
-            metavar="SOURCE:RECEIVER",
-            help="Leave a pair out, with positions.",
-        ),
-        click.option(
-            "--match",
-            multiple=True,
-            help="Compare this parameter alone, with positions; may repeat.",
-        ),
+        paths_option,
+        scattering_option,
+        exclude_option,
+        match_option,
         click.option(
             "--simulated",
             type=click.Path(dir_okay=False),

@@ -6,17 +6,22 @@ from pathlib import Path
 
 import click
 
-from rtcal.acoustics.observables import MATCH, OBSERVABLES
+from rtcal.acoustics.observables import MATCH
 from rtcal.command.console import (
+    PATHS,
     bar_wanted,
     errors_name_options,
-    in_the_room,
+    exclude_option,
     json_option,
+    match_option,
     output_folder,
     pairs,
+    paths_option,
     quiet_option,
     read_measured,
     said,
+    scattering_option,
+    seed_option,
     tell,
     warn,
     without_air_warning,
@@ -32,37 +37,10 @@ and it matters. In one simulated room, 4,000 paths, starts of 0.05, 0.1 and 0.2 
 @click.command(short_help="Calibrate to what every position heard, in the room's mesh.")
 @click.argument("room", type=click.Path())
 @click.argument("measured", type=click.Path())
-@in_the_room("--mesh", "[geometry], mesh")
-@in_the_room("--unit", "[geometry], unit")
-@in_the_room("--position-uncertainty", "[geometry], position_uncertainty")
-@in_the_room("--positions", "[sources] and [receivers]")
-@click.option(
-    "--match",
-    multiple=True,
-    type=click.Choice(tuple(OBSERVABLES)),
-    default=MATCH,
-    show_default=True,
-    help="What is matched at every position. The option may be repeated.",
-)
-@click.option(
-    "--exclude",
-    multiple=True,
-    metavar="SOURCE:RECEIVER",
-    help="Leave a pair out. The option may be repeated.",
-)
-@click.option(
-    "--scattering",
-    type=float,
-    help="Scattering coefficient of all materials, if the room states none; the fit starts at 0.1 "
-    "without it.",
-)
-@click.option(
-    "--paths",
-    type=click.IntRange(100),
-    default=8000,
-    show_default=True,
-    help="Paths; four times as many are weighed.",
-)
+@match_option
+@exclude_option
+@scattering_option
+@paths_option
 @click.option(
     "--scattering-model",
     type=click.Choice(["random", "vector"]),
@@ -73,13 +51,7 @@ and it matters. In one simulated room, 4,000 paths, starts of 0.05, 0.1 and 0.2 
     is_flag=True,
     help="Keep the stated scattering; by default it is fitted too.",
 )
-@click.option(
-    "--seed",
-    type=click.IntRange(0),
-    default=0,
-    show_default=True,
-    help="Seed of the random numbers.",
-)
+@seed_option
 @click.option(
     "--out",
     type=click.Path(file_okay=False),
@@ -96,7 +68,7 @@ def fit(
     scattering: float | None,
     scattering_model: str | None,
     keep_scattering: bool,
-    paths: int,
+    paths: int | None,
     seed: int,
     out: str | None,
     as_json: bool,
@@ -104,10 +76,11 @@ def fit(
 ) -> None:
     """Calibrate ROOM (TOML) to every pair of MEASURED (CSV) by path tracing.
 
-    ROOM states its mesh, sources and receivers (docs/files.md).
+    ROOM states its mesh, sources and receivers (docs/files.md). Where neither it nor --scattering
+    states a scattering coefficient, the fit starts at 0.1.
 
-    The control runs take most of the time. They are kept beside ROOM, in .rtcal_cache, so that a second
-    calibration is quicker.
+    Four times as many paths as --paths are weighed. The control runs take most of the time. They are
+    kept beside ROOM, in .rtcal_cache, so that a second calibration is quicker.
 
     Example: rtcal fit room.toml pairs.csv --out fitted
     """
@@ -135,14 +108,14 @@ def fit(
             )
     with errors_name_options("scattering", "n_paths"), without_air_warning():
         tracer = geometry_files.path_tracing(
-            stated, scattering=scattering, scattering_model=scattering_model, n_paths=paths
+            stated, scattering=scattering, scattering_model=scattering_model, n_paths=paths or PATHS
         )
         with bar(RUNS, "control run", bar_wanted(quiet), said(quiet)) as shown:
             result = calibrate_positions(
                 tracer,
                 stated,
                 heard,
-                match,
+                match or MATCH,
                 exclude=pairs("--exclude", exclude),
                 cache=Path(room).parent / FOLDER,
                 position_uncertainty=stated.scene.position_uncertainty,

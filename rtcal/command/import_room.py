@@ -10,7 +10,15 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from rtcal.command.console import json_option, quiet_option, tell, texts
+from rtcal.command.console import (
+    bands_option,
+    entries_option,
+    json_option,
+    quiet_option,
+    scattering_option,
+    tell,
+    texts,
+)
 from rtcal.command.files import PROGRAMS
 from rtcal.command.import_mesh import check, draw, geometry, mesh_file, refuse_unused_options
 from rtcal.support.errors import DataError, MissingDependencyError
@@ -74,23 +82,13 @@ _MOST_UNCERTAINTY = 0.99
 )
 @click.option(
     "--catalogue",
-    "entries",
+    "in_catalogue",
     multiple=True,
     metavar="MATERIAL=ENTRY",
     help="Take a material from the catalogue (Vorländer 2008).",
 )
-@click.option(
-    "--as",
-    "others_names",
-    multiple=True,
-    metavar="MATERIAL=ENTRY",
-    help="Take a material from the list's entry of another name.",
-)
-@click.option(
-    "--bands",
-    metavar="octave|third-octave|HZ,HZ...",
-    help="The room's bands; by default the list's.",
-)
+@entries_option
+@bands_option
 @click.option(
     "--temperature", type=float, help="Temperature of the air in °C (20 with --humidity alone)."
 )
@@ -121,9 +119,7 @@ _MOST_UNCERTAINTY = 0.99
     show_default=True,
     help="Factor on every sigma, such as 2 where specimens were mounted otherwise.",
 )
-@click.option(
-    "--scattering", type=float, help="Scattering coefficient of materials that state none."
-)
+@scattering_option
 @click.option("--out", type=click.Path(dir_okay=False), help="Room (TOML) to write.")
 @json_option
 @quiet_option
@@ -141,9 +137,9 @@ def import_room(
     name: str | None,
     volume: float | None,
     areas: tuple[str, ...],
+    in_catalogue: tuple[str, ...],
     entries: tuple[str, ...],
-    others_names: tuple[str, ...],
-    bands: str | None,
+    bands: str | list[float] | None,
     temperature: float | None,
     humidity: float | None,
     sigma_table: str | None,
@@ -202,13 +198,13 @@ def import_room(
     written = [path for path in (out, mended, picture) if path is not None]
     spare(written, [path for path in (materials, mesh, sigma_table) if path is not None])
     listed = _materials(program, materials)
-    chosen_names = texts("--as", others_names, "MATERIAL=ENTRY")
+    chosen_names = texts("--as", entries, "MATERIAL=ENTRY")
     listed = replace(listed, aliases={**listed.aliases, **chosen_names})
     model, volume, surfaces = geometry(
         mesh, unit, space, weld, hole, as_drawn, volume, areas, listed.names, quiet=quiet
     )
     used = list(dict.fromkeys(surface.material for surface in surfaces))
-    chosen = texts("--catalogue", entries, "NAME=ENTRY")
+    chosen = texts("--catalogue", in_catalogue, "NAME=ENTRY")
     others = _from_catalogue(listed, program, used, chosen, "--area" if mesh is None else mesh)
     rule = SigmaRule(
         relative=sigma_relative,
@@ -281,7 +277,7 @@ def _materials(program: str, path: str | None) -> MaterialList:
 
 
 def _centre_frequencies(
-    bands: str | None, materials: Sequence[ListedMaterial]
+    bands: str | list[float] | None, materials: Sequence[ListedMaterial]
 ) -> list[float] | None:
     """Return the room's bands in Hz as stated; None for those that the materials have."""
     from rtcal.acoustics.band_conversion import obtainable
@@ -289,17 +285,14 @@ def _centre_frequencies(
 
     if bands is None:
         return None
-    if bands in ("octave", "third-octave"):
+    if isinstance(bands, str):
         wanted = OCTAVES if bands == "octave" else THIRD_OCTAVES
         return [
             float(f)
             for f in wanted
             if all(obtainable(m.centre_frequencies, [f]).size for m in materials)
         ]
-    try:
-        return [float(f) for f in bands.split(",")]
-    except ValueError as error:
-        raise DataError(f'--bands: "{bands}" is not octave, third-octave or HZ,HZ...') from error
+    return bands
 
 
 def _air(temperature: float | None, humidity: float | None) -> Air | None:

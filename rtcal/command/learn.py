@@ -7,6 +7,7 @@ from pathlib import Path
 import click
 
 from rtcal.command.console import (
+    entries_option,
     json_option,
     numbers,
     output_folder,
@@ -24,15 +25,9 @@ LIBRARY_ROOM = "room.toml"
 
 @click.command(short_help="A library of materials from a folder of calibrated rooms.")
 @click.argument("folder", type=click.Path())
+@entries_option
 @click.option(
-    "--name",
-    "names",
-    multiple=True,
-    metavar="MATERIAL=ENTRY",
-    help="The library's name of a material, if rooms call it otherwise. The option may be repeated.",
-)
-@click.option(
-    "--weight",
+    "--room-weight",
     "weights",
     multiple=True,
     metavar="ROOM=WEIGHT",
@@ -53,7 +48,7 @@ LIBRARY_ROOM = "room.toml"
 @quiet_option
 def learn(
     folder: str,
-    names: tuple[str, ...],
+    entries: tuple[str, ...],
     weights: tuple[str, ...],
     room: str | None,
     out: str | None,
@@ -77,11 +72,11 @@ def learn(
     if target is not None:
         read = [*map(str, Path(folder).rglob(NUMBERS)), *([] if room is None else [room])]
         spare([target / NUMBERS, target / LIBRARY_ROOM], read)
-    called = texts("--name", names, "MATERIAL=ENTRY")
+    called = texts("--as", entries, "MATERIAL=ENTRY")
     archive = rooms.learn(
         rooms.read_folder(folder),
         called,
-        numbers("--weight", weights, "ROOM=WEIGHT, such as hall=0.5"),
+        numbers("--room-weight", weights, "ROOM=WEIGHT, such as hall=0.5"),
     )
     said, record = str(archive), archive.to_dict()
     if target is not None:

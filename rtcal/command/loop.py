@@ -13,6 +13,7 @@ import click
 from rtcal.acoustics.equations import LinearEquation
 from rtcal.acoustics.parameters import parameter_label
 from rtcal.command.console import (
+    decimals_option,
     equation_option,
     json_option,
     method_option,
@@ -23,6 +24,19 @@ from rtcal.command.console import (
 )
 from rtcal.support.files import spare
 from rtcal.support.transaction import locked
+
+_state_option = click.option(
+    "--state",
+    type=click.Path(dir_okay=False),
+    required=True,
+    help="File of the loop's state (JSON).",
+)
+_out_option = click.option(
+    "--out",
+    type=click.Path(dir_okay=False),
+    required=True,
+    help="Room to simulate next (TOML) to write.",
+)
 
 
 def _holding_state(command: Callable[..., None]) -> Callable[..., None]:
@@ -45,15 +59,8 @@ def loop() -> None:
 @loop.command(short_help="Begin: write what to simulate first.")
 @click.argument("room", type=click.Path())
 @click.argument("measured", type=click.Path())
-@click.option(
-    "--state",
-    type=click.Path(dir_okay=False),
-    required=True,
-    help="File for the loop's state (JSON).",
-)
-@click.option(
-    "--out", type=click.Path(dir_okay=False), required=True, help="Room to simulate next (TOML)."
-)
+@_state_option
+@_out_option
 @method_option
 @equation_option
 @click.option(
@@ -64,16 +71,13 @@ def loop() -> None:
     help="How the loop chooses the next target; see docs/closed_loop.md.",
 )
 @click.option(
-    "--weights",
+    "--weight",
+    "weights",
     multiple=True,
     metavar="PARAMETER=NUMBER",
-    help="Match the mean of T20 and EDT with these weights: --weights t20=1 --weights edt=0.5.",
+    help="Match the mean of T20 and EDT with these weights: --weight t20=1 --weight edt=0.5.",
 )
-@click.option(
-    "--decimals",
-    type=click.IntRange(1),
-    help="Decimals of alpha that the program reads; 3 for CATT (0.1 %).",
-)
+@decimals_option
 @json_option
 @quiet_option
 @_holding_state
@@ -106,7 +110,7 @@ def start(
     spare([state, out], [room, measured])
     by_hand.refuse_progress(state)
     data = read_measured(measured, quiet=quiet)
-    stated = numbers("--weights", weights, "PARAMETER=NUMBER, such as edt=0.5")
+    stated = numbers("--weight", weights, "PARAMETER=NUMBER, such as edt=0.5")
     begun = begin(
         Room.from_file(room),
         data,
@@ -145,12 +149,8 @@ def _next_step(out: str) -> str:
 @loop.command(name="next", short_help="Go on: read what was simulated.")
 @click.argument("room", type=click.Path())
 @click.argument("simulated", type=click.Path())
-@click.option(
-    "--state", type=click.Path(dir_okay=False), required=True, help="File of the loop's state."
-)
-@click.option(
-    "--out", type=click.Path(dir_okay=False), required=True, help="Room to simulate next (TOML)."
-)
+@_state_option
+@_out_option
 @click.option(
     "--again",
     is_flag=True,
@@ -224,12 +224,8 @@ def next_(
 
 @loop.command(short_help="Take the last step back.")
 @click.argument("room", type=click.Path())
-@click.option(
-    "--state", type=click.Path(dir_okay=False), required=True, help="File of the loop's state."
-)
-@click.option(
-    "--out", type=click.Path(dir_okay=False), required=True, help="Room to simulate next (TOML)."
-)
+@_state_option
+@_out_option
 @json_option
 @quiet_option
 @_holding_state

@@ -10,10 +10,12 @@ import click
 
 from rtcal.acoustics.equations import LinearEquation
 from rtcal.command.console import (
+    PATHS,
     bar_wanted,
     equation_option,
     json_option,
     output_folder,
+    paths_option,
     quiet_option,
     said,
     tell,
@@ -91,20 +93,14 @@ def read_changes(path: str, read: Callable[[str], Any]) -> Any:
     is_flag=True,
     help="Predict T by an equation, although ROOM states a mesh and positions.",
 )
-@click.option(
-    "--paths",
-    type=click.IntRange(100),
-    default=8000,
-    show_default=True,
-    help="Paths of a calibration to every position; four times as many are weighed.",
-)
+@paths_option
 @what_is_known
 def predict(
     room: str,
     measured: str | None,
     change: str,
     means: bool,
-    paths: int,
+    paths: int | None,
     also: tuple[tuple[str, str], ...],
     equation: LinearEquation,
     out: str | None,
@@ -148,7 +144,7 @@ def predict(
         stated = "--also" if also else f"{change}: a target"
         raise DataError(f"{stated} takes T by an equation; add --means")
     if isinstance(known, Measurement):
-        known = calibrated_to_positions(Path(room), before, known, paths, quiet=quiet)
+        known = calibrated_to_positions(Path(room), before, known, paths or PATHS, quiet=quiet)
     with bar(RUNS, "control run", bar_wanted(quiet), said(quiet)) as shown:
         at_positions = predict_positions(
             known,

@@ -10,13 +10,14 @@ from rtcal.command.console import (
     json_option,
     output_folder,
     quiet_option,
+    seed_option,
     tell,
 )
 
 
 @click.command(short_help="The paper's stochastic study beside its numbers.")
 @click.option(
-    "--room",
+    "--kind",
     "rooms",
     type=click.Choice(("shoebox", "lecture-hall", "halls")),
     multiple=True,
@@ -55,13 +56,7 @@ from rtcal.command.console import (
     show_default=True,
     help="Draws of the true coefficients per room; 0 for the analytic study only.",
 )
-@click.option(
-    "--seed",
-    type=click.IntRange(min=0),
-    default=0,
-    show_default=True,
-    help="Seed of the random numbers; the same seed gives the same tables.",
-)
+@seed_option
 @click.option("--workers", type=click.IntRange(1), help="Threads; default: all cores.")
 @click.option(
     "--folder",
@@ -90,7 +85,9 @@ def study(
 ) -> None:
     """Simulate random rooms and score every calibration method, beside the paper's tables.
 
-    Example: rtcal study --room shoebox --sampling sigma_n --out study
+    The same --seed gives the same tables.
+
+    Example: rtcal study --kind shoebox --sampling sigma_n --out study
     """
     from rtcal.report import study_report
     from rtcal.support.files import make_folder, write_all

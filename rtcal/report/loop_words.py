@@ -91,7 +91,7 @@ def weights_option(loop: Loop) -> str | None:
         return ""
     if any(np.ptp(share) > 0 for share in shares.values()):
         return None
-    return "".join(f" --weights {p}={share[0]:.3g}" for p, share in shares.items())
+    return "".join(f" --weight {p}={share[0]:.3g}" for p, share in shares.items())
 
 
 def lost_rows(compromise: Mapping[str, ParameterGap]) -> list[tuple[str, Any, int, bool]]:

@@ -144,7 +144,7 @@ def test_a_loop_by_hand_shows_it_too(cost: float, tmp_path: Path) -> None:
 
 
 def test_weights_are_an_option_and_what_they_cost_is_shown(tmp_path: Path) -> None:
-    options = ("--weights", "t20=1", "--weights", "edt=0.5")
+    options = ("--weight", "t20=1", "--weight", "edt=0.5")
     loop, printed, html = by_hand(tmp_path, 0.0, options)
     np.testing.assert_allclose(loop.matched.shares["edt"], 1 / 3)
     assert set(loop.beside) == {"c80"}
@@ -155,7 +155,7 @@ def test_weights_are_an_option_and_what_they_cost_is_shown(tmp_path: Path) -> No
     for said in (printed, html):
         assert "EDT, lost / JND" in said
         assert "T20, lost / JND" in said
-    assert "--weights t20=0.667 --weights edt=0.333" in html
+    assert "--weight t20=0.667 --weight edt=0.333" in html
 
 
 @pytest.mark.parametrize(
@@ -167,7 +167,7 @@ def test_wrong_weights_are_named(weight: str, said: str, tmp_path: Path) -> None
     names = [str(tmp_path / n) for n in ("room.toml", "t.csv", "loop.json", "next.toml")]
     room.save(names[0])
     measured.save(names[1])
-    arguments = [*names[:2], "--state", names[2], "--out", names[3], "--weights", weight]
+    arguments = [*names[:2], "--state", names[2], "--out", names[3], "--weight", weight]
     done = CliRunner().invoke(cli, ["loop", "start", *arguments])
     assert isinstance(done.exception, DataError)
     assert "weights" in str(done.exception)
