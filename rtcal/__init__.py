@@ -42,7 +42,6 @@ if TYPE_CHECKING:
     from rtcal.acoustics.room import Room as Room
     from rtcal.acoustics.scene import Scene as Scene
     from rtcal.archive.rooms import learn as learn
-    from rtcal.calibration import closed_form as closed_form
     from rtcal.calibration import exact as exact
     from rtcal.calibration import posterior as posterior
     from rtcal.calibration import terms as terms

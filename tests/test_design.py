@@ -22,12 +22,11 @@ from rtcal.prediction import (
     Treatment,
     ansi_s12_60,
     changed,
-    design,
     din_18041,
     read_treatments,
 )
 from rtcal.prediction.design_model import DesignModel
-from rtcal.prediction.designed import Design
+from rtcal.prediction.designed import Design, design
 from rtcal.prediction.program import Ranges, program
 from rtcal.support.errors import DataError, InfeasibleError
 

@@ -213,3 +213,28 @@ def test_the_page_lists_every_option_that_commands_share() -> None:
 def test_the_default_number_of_paths_is_the_tracer_s() -> None:
     stated = inspect.signature(rt.simulators.PathTracing).parameters["n_paths"].default
     assert stated == PATHS
+
+
+def public_paths() -> dict[int, set[str]]:
+    """Return the paths below `rtcal` by which a user reaches each public object."""
+    paths: dict[int, set[str]] = {}
+
+    def walk(module: ModuleType, path: str) -> None:
+        for name in module.__all__:
+            value = getattr(module, name)
+            if isinstance(value, ModuleType) or inspect.isclass(value) or callable(value):
+                paths.setdefault(id(value), set()).add(f"{path}.{name}")
+            if isinstance(value, ModuleType):
+                walk(value, f"{path}.{name}")
+
+    walk(rt, "rtcal")
+    return paths
+
+
+def test_every_public_object_has_one_path() -> None:
+    """`rtcal.calibrate`, `rtcal.calibration.calibrate`: a reader asks how they differ."""
+    paths = public_paths()
+    assert len(paths) > 300
+    finder = {"rtcal.finder.find"}
+    assert [names for names in paths.values() if len(names - finder) > 1] == []
+    assert len(rt.__all__) <= 40

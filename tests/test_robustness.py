@@ -11,6 +11,7 @@ import rtcal as rt
 from rtcal import loop as closed_loop
 from rtcal import studies
 from rtcal.acoustics.decay import clarity, decay_time
+from rtcal.calibration import closed_form
 from rtcal.calibration.configurations import Configurations
 from rtcal.calibration.posterior import distribution, sensitivity
 from rtcal.command import main as cli
@@ -324,7 +325,7 @@ def test_tiny_sigmas_pass_the_certificate() -> None:
         known = room(sigma=np.full((2, 2), scale))
         result = rt.calibrate(known, [0.8, 0.75])
         assert np.abs(result.gap_after).max() < 1e-6
-        oracle = rt.closed_form.maximum_likelihood(
+        oracle = closed_form.maximum_likelihood(
             known.alpha, known.sigma, known.areas, result.target
         )
         np.testing.assert_allclose(result.alpha, oracle, atol=1e-9)
@@ -394,7 +395,10 @@ WRONG_KINDS = [
     (lambda: rt.exact.solve(*SMALL[:3], HIDDEN), "target is a masked array with hidden entries"),
     (lambda: rt.exact.solve(*SMALL, out=[0, 0]), "out is not an array that can be written to"),
     (lambda: rt.exact.solve(*SMALL, out=READ_ONLY), "out is read-only"),
-    (lambda: rt.closed_form.least_squares(HIDDEN, [10, 10], 3.0), "mu is a masked array"),
+    (
+        lambda: closed_form.least_squares(HIDDEN, [10, 10], 3.0),
+        "mu is a masked array",
+    ),
     (lambda: room(areas=HIDDEN), "areas is a masked array with hidden entries"),
     (lambda: rt.calibrate(room(), HIDDEN), "measured is a masked array with hidden entries"),
     (lambda: studies.analytic_scores(HIDDEN, 0.1, 3), "areas is a masked array"),
@@ -451,7 +455,10 @@ WRONG_KINDS = [
     (lambda: rt.Eyring("a"), "speed_of_sound = 'a' is not a number"),
     (lambda: rt.Millington("a"), "speed_of_sound = 'a' is not a number"),
     (lambda: rt.Eyring().absorption_area(room(), "a"), "T is not an array of real numbers"),
-    (lambda: rt.closed_form.scaling([np.nan, 0.1], [1, 1], 1), "mu has a value that is not finite"),
+    (
+        lambda: closed_form.scaling([np.nan, 0.1], [1, 1], 1),
+        "mu has a value that is not finite",
+    ),
     (lambda: rt.calibrate(room(), [0.8, 0.7], settings={5: 1}), "settings has 5, which is no"),
     (lambda: rt.calibrate_simulator(5, room(), [0.8, 0.7]), "simulator = 5 is no Simulator"),
     (lambda: closed_loop.start(5, [0.8, 0.7]), "room = 5 is not a rtcal.Room"),

@@ -16,6 +16,7 @@ from click.testing import CliRunner
 import rtcal as rt
 from rtcal import studies
 from rtcal.acoustics.priors import TruncatedNormal
+from rtcal.calibration import closed_form
 from rtcal.command.main import cli
 from rtcal.report import study_report
 from rtcal.studies import estimators, sampling
@@ -122,11 +123,9 @@ def test_errors_against_the_exact_solver_and_the_closed_forms() -> None:
         }
         want = [np.mean((each - truth) ** 2)]
         closed = [
-            np.array([rt.closed_form.scaling(room.mu, SHOEBOX, x) for x in b]),
-            np.array([rt.closed_form.least_squares(room.mu, SHOEBOX, x) for x in b]),
-            np.array(
-                [rt.closed_form.maximum_likelihood(room.mu, room.sigma, SHOEBOX, x) for x in b]
-            ),
+            np.array([closed_form.scaling(room.mu, SHOEBOX, x) for x in b]),
+            np.array([closed_form.least_squares(room.mu, SHOEBOX, x) for x in b]),
+            np.array([closed_form.maximum_likelihood(room.mu, room.sigma, SHOEBOX, x) for x in b]),
         ]
         want += [np.mean((a - truth) ** 2) for a in closed]
         for k, spread in enumerate(cases.values()):

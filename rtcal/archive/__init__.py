@@ -9,7 +9,6 @@ if TYPE_CHECKING:
     from rtcal.archive.library import Lesson as Lesson
     from rtcal.archive.library import Suspect as Suspect
     from rtcal.archive.likelihood import Spread as Spread
-    from rtcal.archive.rooms import learn as learn
     from rtcal.archive.rooms import read_folder as read_folder
 else:
     __getattr__, __dir__, __all__ = lazy.exports(__name__, __file__)

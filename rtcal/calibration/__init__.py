@@ -6,13 +6,7 @@ from rtcal.support import lazy
 
 if TYPE_CHECKING:
     from rtcal.calibration import closed_form as closed_form
-    from rtcal.calibration import exact as exact
-    from rtcal.calibration import posterior as posterior
-    from rtcal.calibration import terms as terms
-    from rtcal.calibration.configurations import Configurations as Configurations
     from rtcal.calibration.convex_program import forget as forget
-    from rtcal.calibration.presets import calibrate as calibrate
-    from rtcal.calibration.problem import Calibration as Calibration
     from rtcal.calibration.problem import CalibrationProblem as CalibrationProblem
     from rtcal.calibration.problem import JointProblem as JointProblem
     from rtcal.calibration.result import CalibrationResult as CalibrationResult

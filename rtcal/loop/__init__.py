@@ -5,9 +5,7 @@ from typing import TYPE_CHECKING
 from rtcal.support import lazy
 
 if TYPE_CHECKING:
-    from rtcal.loop.calibrate import calibrate_simulator as calibrate_simulator
     from rtcal.loop.control_runs import ControlRuns as ControlRuns
-    from rtcal.loop.positions import calibrate_positions as calibrate_positions
     from rtcal.loop.positions_prediction import PositionsPrediction as PositionsPrediction
     from rtcal.loop.positions_prediction import PositionsPredictions as PositionsPredictions
     from rtcal.loop.positions_result import PositionsResult as PositionsResult

@@ -6,7 +6,6 @@ from rtcal.support import lazy
 
 if TYPE_CHECKING:
     from rtcal.modes.box import box_modes as box_modes
-    from rtcal.modes.calibrate import calibrate_modes as calibrate_modes
     from rtcal.modes.measured import MeasuredModes as MeasuredModes
     from rtcal.modes.measured import read as read
     from rtcal.modes.paris import absorption as absorption

@@ -25,7 +25,6 @@ if TYPE_CHECKING:
     from rtcal.prediction.compared import compare as compare
     from rtcal.prediction.designed import Design as Design
     from rtcal.prediction.designed import Known as Known
-    from rtcal.prediction.designed import design as design
     from rtcal.prediction.predicted import Prediction as Prediction
     from rtcal.prediction.predicted import predict as predict
 else:
