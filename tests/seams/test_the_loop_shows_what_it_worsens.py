@@ -170,7 +170,7 @@ def test_wrong_weights_are_named(weight: str, said: str, tmp_path: Path) -> None
     arguments = [*names[:2], "--state", names[2], "--out", names[3], "--weight", weight]
     done = CliRunner().invoke(cli, ["loop", "start", *arguments])
     assert isinstance(done.exception, DataError)
-    assert "weights" in str(done.exception)
+    assert "weight" in str(done.exception)
     assert said in str(done.exception)
 
 
