@@ -290,15 +290,23 @@ def _place(point: Array) -> str:
 def _welded(vertices: Array) -> tuple[Array, NDArray[np.int64]]:
     """Return vertices of which no two are closer than `WELD`, and the new number of each old one."""
     index = np.zeros(len(vertices), dtype=np.int64)
-    kept = np.zeros_like(vertices)
-    n = 0
-    for i, vertex in enumerate(vertices):
-        near = np.flatnonzero((np.abs(kept[:n] - vertex) < WELD).all(axis=1))
-        if near.size:
-            index[i] = near[0]
+    kept: list[int] = []
+    is_kept = np.zeros(len(vertices), dtype=bool)
+    for i, near in enumerate(_tree(vertices).query_ball_point(vertices, WELD, p=np.inf)):
+        before = np.array([k for k in near if is_kept[k]], dtype=np.int64)
+        before = before[(np.abs(vertices[before] - vertices[i]) < WELD).all(axis=1)]
+        if before.size:
+            index[i] = index[before].min()
         else:
-            kept[n], index[i], n = vertex, n, n + 1
-    return kept[:n].copy(), index
+            index[i], is_kept[i] = len(kept), True
+            kept.append(i)
+    return vertices[kept], index
+
+
+def _tree(points: Array) -> Any:
+    from scipy.spatial import cKDTree
+
+    return cKDTree(points)
 
 
 def _volume(vertices: Array, faces: Sequence[Sequence[int]], areas: Array) -> float:
@@ -307,21 +315,45 @@ def _volume(vertices: Array, faces: Sequence[Sequence[int]], areas: Array) -> fl
     return float(np.sum(first * areas) / 3)
 
 
-def _pieces(vertices: Array, face: Sequence[int]) -> list[Edge]:
-    """Return the edges of a face, split at every vertex that lies on them."""
-    pieces: list[Edge] = []
-    for k, end in enumerate(face):
-        start = face[k - 1]
-        along = vertices[end] - vertices[start]
-        length = float(np.linalg.norm(along))
-        position = (vertices - vertices[start]) @ along / length
-        distance = np.linalg.norm(
-            vertices - vertices[start] - position[:, np.newaxis] * along / length, axis=1
-        )
-        between = np.flatnonzero((distance < WELD) & (position > WELD) & (position < length - WELD))
-        chain = [start, *between[np.argsort(position[between])], end]
-        pieces += [(int(a), int(b)) for a, b in pairwise(chain)]
-    return pieces
+def edge_owners(
+    vertices: Array, faces: Sequence[Sequence[int]]
+) -> dict[Edge, list[tuple[int, bool]]]:
+    """Return the faces at each piece of an edge, and whether each runs from its lower vertex.
+
+    Every vertex of the ``faces`` that lies on an edge divides it.
+    """
+    sides = [(i, face[k - 1], face[k]) for i, face in enumerate(faces) for k in range(len(face))]
+    edges = list({(min(a, b), max(a, b)): None for _, a, b in sides})
+    if not edges:
+        return {}
+    used = np.unique(edges)
+    ends = vertices[np.array(edges)]
+    lengths = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
+    near = _tree(vertices[used]).query_ball_point(ends.mean(axis=1), lengths / 2 + WELD)
+    divided = {
+        edge: [edge[0], *_between(vertices, edge, used[candidates]), edge[1]]
+        for edge, candidates in zip(edges, near, strict=True)
+    }
+    owners: dict[Edge, list[tuple[int, bool]]] = {}
+    for i, a, b in sides:
+        chain = divided[a, b] if a < b else divided[b, a][::-1]
+        for start, end in pairwise(chain):
+            owners.setdefault((min(start, end), max(start, end)), []).append((i, start < end))
+    return owners
+
+
+def _between(vertices: Array, edge: Edge, candidates: NDArray[np.int64]) -> list[int]:
+    """Return the candidates that lie on an edge between its ends, in order."""
+    start, along = vertices[edge[0]], vertices[edge[1]] - vertices[edge[0]]
+    length = float(np.linalg.norm(along))
+    if len(candidates) < 3 or length <= 2 * WELD:
+        return []
+    local = vertices[candidates] - start
+    position = local @ along / length
+    distance = np.linalg.norm(local - position[:, np.newaxis] * along / length, axis=1)
+    between = np.flatnonzero((distance < WELD) & (position > WELD) & (position < length - WELD))
+    inner: list[int] = candidates[between[np.argsort(position[between])]].tolist()
+    return inner
 
 
 def _turned_outward(
@@ -330,10 +362,7 @@ def _turned_outward(
     """Return the faces with normals out of the room's air; DataError if they do not close."""
     if not faces:
         raise DataError("there is no face; a room has at least 4")
-    owners: dict[Edge, list[tuple[int, bool]]] = {}
-    for i, face in enumerate(faces):
-        for a, b in _pieces(vertices, face):
-            owners.setdefault((min(a, b), max(a, b)), []).append((i, a < b))
+    owners = edge_owners(vertices, faces)
     neighbours: list[list[tuple[int, bool]]] = [[] for _ in faces]
     for (a, b), sides in owners.items():
         if len(sides) % 2:  # four faces meet in an edge of a wall that is an object's edge too

@@ -3,21 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from itertools import pairwise
-from typing import Any
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from rtcal.io.mend.faces import Edge, Face, Mending, Work
 from rtcal.io.mend.shapes import area_of, plane_of
+from rtcal.simulators.geometry import edge_owners
 
 
 def shell_of(mend: Mending, work: Work) -> tuple[Work, list[Work]]:
     """Return the shell of the room, which may have holes, and the other components."""
-    parts = [
-        work.kept([i in set(p) for i in range(len(work.faces))]) for p in _parts_of(mend, work)
-    ]
+    parts = [work.of(members) for members in _parts_of(mend, work)]
     sizes = [float(np.prod(np.sort(np.ptp(mend.corners(p), axis=0))[1:])) for p in parts]
     areas = [sum(area_of(mend.points[f]) for f in p.faces) for p in parts]
     # The shell encloses all: its box is the largest, and no flat component's is a room's.
@@ -47,7 +43,7 @@ def _parts_of(mend: Mending, work: Work) -> list[list[int]]:
                 if not done[j]:
                     done[j] = True
                     part.append(j)
-        parts.append(part)
+        parts.append(sorted(part))
     return parts
 
 
@@ -57,33 +53,8 @@ MOST_OPEN = 5000
 
 def owners(mend: Mending, faces: Sequence[Face]) -> dict[Edge, list[int]]:
     """Return the faces at each piece of an edge, which every corner on it divides."""
-    used = sorted({v for face in faces for v in face})
-    tree = cKDTree(mend.points[used])
-    pieces: dict[Edge, list[int]] = {}
-    divided: dict[Edge, list[int]] = {}
-    for i, face in enumerate(faces):
-        for a, b in edges_of(face):
-            low, high = min(a, b), max(a, b)
-            if (low, high) not in divided:
-                divided[low, high] = _divided(mend, low, high, used, tree)
-            for edge in pairwise(divided[low, high]):
-                pieces.setdefault((min(edge), max(edge)), []).append(i)
-    return pieces
-
-
-def _divided(mend: Mending, a: int, b: int, used: Sequence[int], tree: Any) -> list[int]:
-    start, along = mend.points[a], mend.points[b] - mend.points[a]
-    length = float(np.linalg.norm(along))
-    if length < 1e-9:
-        return [a, b]
-    between = []
-    for k in tree.query_ball_point(start + along / 2, length / 2):
-        v = used[k]
-        position = float((mend.points[v] - start) @ along) / length
-        away = np.linalg.norm(mend.points[v] - start - along * position / length)
-        if v not in (a, b) and away < 1e-4 and 1e-4 < position < length - 1e-4:
-            between.append((position, v))
-    return [a, *(v for _, v in sorted(between)), b]
+    owners = edge_owners(mend.points, faces)
+    return {edge: [i for i, _ in sides] for edge, sides in owners.items()}
 
 
 def open_edges(mend: Mending, work: Work) -> dict[Edge, int]:

@@ -141,7 +141,10 @@ class Work:
 
     def kept(self, which: Sequence[bool]) -> Work:
         """Return the faces that are to be kept."""
-        index = [i for i, keep in enumerate(which) if keep]
+        return self.of([i for i, keep in enumerate(which) if keep])
+
+    def of(self, index: Sequence[int]) -> Work:
+        """Return the faces of these numbers."""
         return Work(
             [self.faces[i] for i in index],
             [self.materials[i] for i in index],

@@ -32,17 +32,35 @@ Cut = tuple[Any, str | None, str]
 """A shape on a face, with the material and the name of what lies there; None where an object stands."""
 
 
+class Walls:
+    """The faces of a shell, to be found by where they are."""
+
+    def __init__(self, mend: Mending, shell: Work) -> None:
+        self.faces, self._mend = shell.faces, mend
+        starts = np.cumsum([0, *map(len, shell.faces)])[:-1]
+        corners = mend.points[np.concatenate(shell.faces)]
+        # An object that stands on a wall is moved onto it by as much as the offset.
+        margin = 2 * mend.offset + mend.weld
+        self._low = np.minimum.reduceat(corners, starts) - margin
+        self._high = np.maximum.reduceat(corners, starts) + margin
+
+    def near(self, corners: Array) -> list[tuple[int, Array]]:
+        """Return the number and the corners of each face that may touch what has these corners."""
+        low, high = corners.min(axis=0), corners.max(axis=0)
+        near = ((self._low <= high) & (low <= self._high)).all(axis=1)
+        return [(i, self._mend.points[self.faces[i]]) for i in np.flatnonzero(near).tolist()]
+
+
 def overlaid_on(
-    mend: Mending, shell: Work, part: Work
+    mend: Mending, walls: Walls, part: Work
 ) -> list[tuple[int, list[Cut], float]] | None:
-    """Return the pieces of a plane component on each face of the shell; None if it lies on none."""
+    """Return the pieces of a plane component on each wall; None if it lies on none."""
     corners = mend.corners(part)
     normal, thick = plane_of(corners)
     if thick > max(mend.weld, PLANARITY):
         return None
     total, found = 0.0, list[tuple[int, list[Cut], float]]()
-    for i, face in enumerate(shell.faces):
-        base = mend.points[face]
+    for i, base in walls.near(corners):
         wall = normal_of(base)
         distance = np.abs((corners - base.mean(axis=0)) @ wall).max()
         if abs(float(wall @ normal)) < 0.99 or distance > mend.offset:
@@ -142,9 +160,9 @@ def add_slab(mend: Mending, shell: Work, face: Face, material: str, name: str) -
 
 
 def standing_on(
-    mend: Mending, shell: Work, part: Work
+    mend: Mending, walls: Walls, part: Work
 ) -> tuple[list[tuple[int, Any]], Work] | None:
-    """Return the footprint of an object with an open bottom on each face, and its faces there."""
+    """Return the footprint of an object with an open bottom on each wall, and its faces there."""
     loops = loops_of(open_edges(mend, part))
     if loops is None or len(loops) != 1:
         return None
@@ -153,8 +171,7 @@ def standing_on(
     if size > 0.5 * sum(area_of(mend.points[f]) for f in part.faces):
         return None  # a sheet, whose boundary it is
     found, total, moved = [], 0.0, {}
-    for i, face in enumerate(shell.faces):
-        base = mend.points[face]
+    for i, base in walls.near(mend.points[loop]):
         normal = normal_of(base)
         away = (mend.points[loop] - base.mean(axis=0)) @ normal
         if np.abs(away).max() > mend.offset:
@@ -219,12 +236,13 @@ _LOOSE = {
 def tell_loose(mend: Mending, shell: Work, others: Sequence[Work]) -> None:
     """Note what else there is where the shell is open; nothing is cut, since nothing is in a room."""
     told: dict[str, list[tuple[str, float]]] = {}
+    walls = Walls(mend, shell)
     for part in others:
         if not open_edges(mend, part):
             kind = "object"
-        elif overlaid_on(mend, shell, part) is not None:
+        elif overlaid_on(mend, walls, part) is not None:
             kind = "overlay"
-        elif standing_on(mend, shell, part) is not None:
+        elif standing_on(mend, walls, part) is not None:
             kind = "open bottom"
         else:
             kind = "panel"
@@ -262,6 +280,7 @@ def with_others(mend: Mending, shell: Work, others: Sequence[Work]) -> Work:
     added, panels = Work(), list[Work]()
     told: dict[str, list[tuple[str, float, float, float]]] = {}
     reveals: list[tuple[str, float]] = []
+    walls = Walls(mend, shell)
 
     def tell(kind: str, part: Work, size: float, volume: float, surface: float) -> None:
         told.setdefault(kind, []).append((part.names[0], size, volume, surface))
@@ -272,7 +291,7 @@ def with_others(mend: Mending, shell: Work, others: Sequence[Work]) -> Work:
             tell("outside", part, size, 0.0, 0.0)
         elif not open_edges(mend, part):
             added.extend(part)
-        elif (flat := overlaid_on(mend, shell, part)) is not None:
+        elif (flat := overlaid_on(mend, walls, part)) is not None:
             moved = 0.0
             for wall, pieces, distance in flat:
                 cuts.setdefault(wall, []).extend(pieces)
@@ -280,7 +299,7 @@ def with_others(mend: Mending, shell: Work, others: Sequence[Work]) -> Work:
                 # The reveal from the wall to the face is not drawn; it may be of the face's material.
                 reveals += [(str(m), ANY_SHARE * distance * p.length) for p, m, _ in pieces]
             tell("overlay", part, size, moved, -size)
-        elif (foot := standing_on(mend, shell, part)) is not None:
+        elif (foot := standing_on(mend, walls, part)) is not None:
             prints, stood = foot
             for wall, footprint in prints:
                 cuts.setdefault(wall, []).append((footprint, None, ""))
@@ -326,6 +345,5 @@ def _tell_others(
 
 def _within(mend: Mending, hull: Polyhedron, corners: Array) -> bool:
     """Return whether a component is in the room: its corners, but for those at the walls, are."""
-    away = hull.wall_distance(corners) > mend.offset + mend.weld
-    outside = ~hull.contains(corners)
-    return not bool((away & outside).any())
+    outside = corners[~hull.contains(corners)]
+    return not (hull.wall_distance(outside) > mend.offset + mend.weld).any()

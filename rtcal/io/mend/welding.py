@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial import cKDTree
 
-from rtcal.io.mend.edges import edges_of, simplified
+from rtcal.io.mend.edges import edges_of, simplified, sorted_edge
 from rtcal.io.mend.faces import ANY_SHARE, SAME, Mending, Work
 from rtcal.io.mend.shapes import area_of, extent_of
 from rtcal.support.errors import DataError
@@ -129,24 +129,23 @@ def snapped(mend: Mending, work: Work) -> Work:
 
 
 def _snap_once(mend: Mending, work: Work) -> dict[int, float]:
-    tree = cKDTree(mend.points)
+    edges = sorted({sorted_edge(*e) for face in work.faces for e in edges_of(face)})
+    ends = mend.points[np.array(edges)]
+    lengths = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
+    near = cKDTree(mend.points).query_ball_point(ends.mean(axis=1), lengths / 2 + mend.weld)
     best: dict[int, tuple[float, Array]] = {}
-    for a, b in {(min(e), max(e)) for face in work.faces for e in edges_of(face)}:
-        start, along = mend.points[a], mend.points[b] - mend.points[a]
-        length = float(np.linalg.norm(along))
-        near = tree.query_ball_point(start + along / 2, length / 2 + mend.weld)
-        for v in near:
-            if v in (a, b):
-                continue
-            position = float((mend.points[v] - start) @ along) / length
-            foot = start + along * position / length
-            distance = float(np.linalg.norm(mend.points[v] - foot))
-            if (
-                SAME < distance <= mend.weld
-                and mend.weld < position < length - mend.weld
-                and distance < best.get(v, (np.inf,))[0]
-            ):
-                best[v] = distance, foot
+    for (start, end), length, corners in zip(ends, lengths, near, strict=True):
+        if len(corners) < 3 or length <= 2 * mend.weld:
+            continue
+        points, along = mend.points[corners], (end - start) / length
+        position = (points - start) @ along
+        feet = start + position[:, np.newaxis] * along
+        distance = np.linalg.norm(points - feet, axis=1)
+        beside = (SAME < distance) & (distance <= mend.weld)
+        beside &= (mend.weld < position) & (position < length - mend.weld)
+        for k in np.flatnonzero(beside).tolist():
+            if distance[k] < best.get(corners[k], (np.inf,))[0]:
+                best[corners[k]] = float(distance[k]), feet[k]
     for v, (_, foot) in best.items():
         mend.points[v] = foot
     return {v: distance for v, (distance, _) in best.items()}
