@@ -98,8 +98,10 @@ def main() -> None:
         begin = time.process_time()
         v, s, n, found = room(model, given.folder)
         taken = time.process_time() - begin
-        print(f"| {model.path} | {v} | {s} | {model.stated} | {n} | {taken:.1f} s | {found} |",
-              flush=True)
+        print(
+            f"| {model.path} | {v} | {s} | {model.stated} | {n} | {taken:.1f} s | {found} |",
+            flush=True,
+        )
 
 
 if __name__ == "__main__":

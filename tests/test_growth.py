@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 import tracemalloc
 from unittest.mock import Mock
 
@@ -11,6 +12,8 @@ import pytest
 import rtcal as rt
 from rtcal import terms
 from rtcal.calibration import joint_solution, uncertainty
+from rtcal.io import mend
+from rtcal.simulators import Polyhedron
 from rtcal.support.errors import ModelError
 
 
@@ -85,3 +88,25 @@ def test_derivative_with_respect_to_every_time_takes_two_assemblies(
     again = rt.calibrate(rt.Configurations(rooms), changed, method="joint")
     difference = (again.solution.unknowns - joint.solution.unknowns) / (step * times[2][3])
     np.testing.assert_allclose(derivative[:, 2 * 6 + 3], difference, rtol=2e-3, atol=1e-7)
+
+
+def seconds_of_mending(n: int) -> float:
+    """Processor time in s of mending a hall with n panels over its floor."""
+    hall = Polyhedron.shoebox((40.0, 30.0, 8.0), "plaster")
+    polygons = [hall.vertices[list(face)] for face in hall.faces]
+    panel = np.array([[0, 0, 4], [0.4, 0, 4], [0.4, 0.4, 4.1], [0, 0.4, 4.1]])
+    places = [(1 + 0.9 * (k % 40), 1 + 0.9 * (k // 40), 0) for k in range(n)]
+    polygons += [panel + place for place in places]
+    names = [f"face {i}" for i in range(len(polygons))]
+    drawn = mend.Faces("hall.obj", polygons, ["plaster"] * len(names), names)
+    begin = time.process_time()
+    done = mend.mended(drawn)
+    taken = time.process_time() - begin
+    assert [defect.number for defect in done.defects] == [n]
+    return taken
+
+
+def test_time_of_mending_grows_with_the_faces_not_with_their_square() -> None:
+    seconds_of_mending(20)  # imports
+    small, large = (min(seconds_of_mending(n) for _ in range(2)) for n in (200, 800))
+    assert np.log(large / small) / np.log(4) < 1.5

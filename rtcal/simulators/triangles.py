@@ -26,7 +26,9 @@ def vector_area(polygon: Array) -> Array:
     local = polygon - polygon[0]  # near the origin the products lose no digits
     after = np.concatenate((local[1:], local[:1]))
     # np.cross takes as long for one polygon as these lines for ten.
-    crossed = local.take(_NEXT, 1) * after.take(_LAST, 1) - local.take(_LAST, 1) * after.take(_NEXT, 1)
+    crossed = local.take(_NEXT, 1) * after.take(_LAST, 1) - local.take(_LAST, 1) * after.take(
+        _NEXT, 1
+    )
     return np.asarray(0.5 * crossed.sum(axis=0))
 
 

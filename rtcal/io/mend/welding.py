@@ -141,7 +141,7 @@ def _snap_once(mend: Mending, work: Work) -> dict[int, float]:
         position = (points - start) @ along
         feet = start + position[:, np.newaxis] * along
         distance = np.linalg.norm(points - feet, axis=1)
-        beside = (SAME < distance) & (distance <= mend.weld)
+        beside = (distance > SAME) & (distance <= mend.weld)
         beside &= (mend.weld < position) & (position < length - mend.weld)
         for k in np.flatnonzero(beside).tolist():
             if distance[k] < best.get(corners[k], (np.inf,))[0]:
