@@ -17,9 +17,9 @@ from typing import Any
 
 import numpy as np
 
-from rtcal.errors import DataError
 from rtcal.io import mesh
 from rtcal.io.mend import MeshError
+from rtcal.support.errors import DataError
 
 WAYVERB = "reuk/wayverb (GPL 2)"
 ASSETS, MODELS = "demo/assets/test_models", "demo/evaluation/models/object"

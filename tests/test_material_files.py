@@ -181,7 +181,7 @@ def test_a_new_file_reads_back(name: str, step: float, tmp_path: Path) -> None:
     columns = [list(room.centre_frequencies).index(f) for f in back.centre_frequencies]
     assert back.n_bands >= 8
     assert np.abs(back.alpha - room.alpha[:, columns]).max() <= step + 1e-12
-    assert np.array_equal(report.room.alpha[:, columns], back.alpha)
+    assert np.array_equal(report.room.alpha, back.alpha)
     if name == "catt":
         assert report.bands_not_written == (63.0,)
         assert "63 Hz" in str(report)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +19,29 @@ from rtcal.support.files import write_bytes
 from rtcal.support.types import Array
 
 RECORD = "the record of the calibration"
+HELD = ("materials", "alpha", "scattering", "centre_frequencies")
+"""What a list of materials holds of a room."""
+LOST = {
+    "name": ("name", "author"),
+    "areas and volume": ("areas", "volume", "surfaces", "dimensions"),
+    "sigma": ("sigma",),
+    "uncertainties of areas, volume and climate": (
+        "area_sigma",
+        "volume_sigma",
+        "common_area_sigma",
+        "common_alpha_sigma",
+        "climate_sigma",
+    ),
+    "alpha_min": ("alpha_min",),
+    "correlations": ("band_correlation", "material_correlation"),
+    "what scattering means": ("scattering_model",),
+    "air": ("air",),
+    "mesh, sources and receivers": ("scene",),
+    "where coefficients are from": ("sources",),
+    "coefficients that were above 1": ("clipped",),
+    RECORD: ("calibration",),
+}
+"""What it does not hold, in words, and the fields of a room that these are."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -39,7 +62,7 @@ class ExportReport:
     reverberation_time_as_read : array (n_bands,)
         T in s of ``room``.
     bands_not_written : sequence of float
-        Bands of the exported room in Hz that the file does not have.
+        Bands of the exported room in Hz that the file does not have for every material.
     notes : sequence of str
         How bands were converted or filled.
     lost : sequence of str
@@ -133,16 +156,14 @@ def write_list(
         )
     content, as_read, lacking = listed.with_room(room)
     time = equation.reverberation_time(room)
-    held = {f for m in listed.materials for f in m.centre_frequencies}
-    not_written = np.array([f for f in room.centre_frequencies if f not in held])
-    rule = band_conversion.rule(room.centre_frequencies, as_read.centre_frequencies, "alpha")
+    between = room.centre_frequencies, as_read.centre_frequencies
+    not_written = band_conversion.unused(*between)
+    rule = band_conversion.rule(*between, "alpha")
     if rule:
-        between = room.centre_frequencies, as_read.centre_frequencies
-        time, not_written = (
-            band_conversion.parameter(time, *between),
-            band_conversion.unused(*between),
-        )
+        time = band_conversion.parameter(time, *between)
         notes.append(f"{rule}; T of the room by the mean of 1/T")
+    else:
+        time = time[np.isin(*between)]
     report = ExportReport(
         path=os.fspath(path),
         template=None if template is None else os.fspath(template),
@@ -161,17 +182,18 @@ def write_list(
 def _lost(room: Room, lacking: Sequence[str]) -> tuple[str, ...]:
     """Return what a room states and no list of materials holds, after ``lacking`` scattering."""
     of = "" if len(lacking) == room.n_materials else f" of {', '.join(lacking)}"
-    stated = {
-        f"scattering{of}": bool(lacking),
-        "areas and volume": True,
-        "sigma": bool(room.sigma.any()),
-        "alpha_min": room.alpha_min is not None,
-        "correlations": bool(room.band_correlation or room.material_correlation),
-        "air": room.air is not None,
-        "sources": bool(room.sources),
-        RECORD: room.calibration is not None,
-    }
-    return tuple(name for name, is_stated in stated.items() if is_stated)
+    usual = {f.name: f.default for f in fields(room)}
+
+    def is_stated(name: str) -> bool:
+        value = getattr(room, name)
+        if isinstance(value, np.ndarray):
+            return bool(value.any())
+        return bool(value) and value != usual[name]
+
+    return (
+        *((f"scattering{of}",) if lacking else ()),
+        *(words for words, names in LOST.items() if any(map(is_stated, names))),
+    )
 
 
 def _in_new_bands(

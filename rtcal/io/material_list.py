@@ -316,6 +316,14 @@ class MaterialList:
             else:
                 lacking.append(name)
         as_read = room.replace(alpha=alpha, scattering=None if lacking else scattering)
+        in_file = set.intersection(
+            *(set(self.listed(name).centre_frequencies) for name in room.materials)
+        )
+        shared = [f for f in room.centre_frequencies if f in in_file]
+        if not shared:
+            raise DataError(f"{self.path}: its materials have none of the room's bands in common")
+        if len(shared) < room.n_bands:
+            as_read = band_conversion.room(as_read, shared)
         return self.text.encode(change.text(self.text.characters)), as_read, tuple(lacking)
 
 

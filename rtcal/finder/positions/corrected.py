@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from rtcal.acoustics.changes import Further, new_name, with_materials
+from rtcal.acoustics.directivity import DirectivityFile
 from rtcal.acoustics.materials import Material
 from rtcal.acoustics.room import Room
 from rtcal.acoustics.scene import Scene
@@ -104,22 +105,52 @@ class Corrected:
         character that CATT does not read.
         """
         where = checks.path("folder", folder)
-        simulator = self.case.simulator
-        scene = Scene(
-            mesh=MESH,
-            sources=simulator.sources,
-            receivers=simulator.receivers,
-            directivity=simulator.directivity,
-            position_uncertainty=self.case.position_uncertainty,
-        )
         contents = {
-            ROOM: self.room.replace(scene=scene).to_text().encode(),
+            ROOM: self._with_scene(where / MESH).to_text(where).encode(),
             MESH: obj.text(self.geometry).encode(),
             **{name: content for name, (content, _) in self._lists.items()},
         }
         make_folder(where)
         write_all({where / name: content for name, content in contents.items()})
         return [where / name for name in contents]
+
+    def _with_scene(self, mesh: Path) -> Room:
+        """Return the room with its mesh, sources and receivers, as its file states it."""
+        simulator = self.case.simulator
+        of_files = {
+            name: of
+            for name, of in self.case.room.scene.directivity.items()
+            if isinstance(of, DirectivityFile)
+        }
+        scene = Scene(
+            mesh=mesh,
+            sources=simulator.sources,
+            receivers=simulator.receivers,
+            directivity={**simulator.directivity, **of_files},  # a balloon is too much for a file
+            position_uncertainty=self.case.position_uncertainty,
+            surfaces=self._surfaces,
+        )
+        return self.room.replace(scene=scene)
+
+    @property
+    def _surfaces(self) -> dict[str, list[str]]:
+        """The faces that each surface of the case has now, and the patch; none if it states none."""
+        if self.case.surfaces is None:
+            return {}
+        before = self.case.geometry.names
+        owners = {before[i]: name for name, faces in self.case.faces.items() for i in faces}
+        made: dict[str, list[str]] = {}
+        solid = self.geometry
+        for name, material, face in zip(solid.names, solid.materials, solid.faces, strict=True):
+            if name not in before:
+                middle = solid.vertices[list(face)].mean(axis=0)  # of a convex piece
+                patch = material == self.material
+                made.setdefault(material if patch else surface_at(self.case, middle), []).append(
+                    name
+                )
+            elif name in owners:
+                made.setdefault(owners[name], []).append(name)
+        return made
 
     @property
     def lost(self) -> dict[str, tuple[str, ...]]:
@@ -129,20 +160,33 @@ class Corrected:
     @cached_property
     def _lists(self) -> dict[str, tuple[bytes, tuple[str, ...]]]:
         """The lists of materials for CATT and ODEON, and what they lack, by file name."""
+        stated = self._with_scene(Path(MESH))
         names = [re.sub(r"[^!-~]|[=<>{};:]", "_", m) for m in self.room.materials]
         if len(set(names)) < len(names):
             names = [f"{name}_{i + 1}" for i, name in enumerate(names)]
-        plain = self.room.replace(materials=names, surfaces=(), material_correlation={}, sources={})
+        plain = _renamed(stated, names)
         # Their writers fill in a list that exists; these are new ones.
         with tempfile.TemporaryDirectory(prefix="rtcal-") as empty:
             reports = {
                 CATT: catt.write(plain, Path(empty, CATT), missing_bands="nearest"),
-                ODEON: odeon.write(self.room, Path(empty, ODEON), missing_bands="nearest"),
+                ODEON: odeon.write(stated, Path(empty, ODEON), missing_bands="nearest"),
             }
             return {n: (Path(empty, n).read_bytes(), r.lost) for n, r in reports.items()}
 
     def __repr__(self) -> str:
         return f'<Corrected room: {self.added.title} as {self.form} "{self.material}">'
+
+
+def _renamed(room: Room, names: Sequence[str]) -> Room:
+    """Return the room with other names of its materials."""
+    new = dict(zip(room.materials, names, strict=True))
+    pairs = room.material_correlation.items()
+    return room.replace(
+        materials=names,
+        surfaces=[replace(s, material=new[s.material]) for s in room.surfaces],
+        material_correlation={(new[a], new[b]): value for (a, b), value in pairs},
+        sources={new[name]: source for name, source in room.sources.items()},
+    )
 
 
 def corrected(
