@@ -30,7 +30,7 @@ from rtcal.finder.means.features import observe
 from rtcal.finder.means.hypotheses import predict_hypotheses
 from rtcal.finder.means.model_error import estimate_discrepancy
 from rtcal.finder.prior import Prior, prior_of, relative_sigma
-from rtcal.support.threads import single_threaded_blas
+from rtcal.support.speed import single_threaded_blas
 
 CHOSEN = (likelihood.DEGREES, likelihood.COARSENING)
 SETTINGS = (

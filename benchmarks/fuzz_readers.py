@@ -38,9 +38,9 @@ MAX_KEPT_BYTES = 60_000
 """Size of all the files of a reader that are kept in the repository."""
 KERNELS = [
     "rtcal.calibration.exact.kernel",
-    "rtcal.simulators.image_numba",
+    "rtcal.simulators.shoebox_numba",
     "rtcal.simulators.path_numba",
-    "rtcal.simulators.sdn_numba",
+    "rtcal.simulators.shoebox_numba",
     "rtcal.studies.trials_kernel",
 ]
 """Modules that numba compiles: it does not know what atheris writes into them."""

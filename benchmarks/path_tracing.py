@@ -19,7 +19,7 @@ import numpy as np
 from rtcal.datasets import halls
 from rtcal.simulators import path_numpy, paths
 from rtcal.simulators.path_tracing import PathTracing
-from rtcal.support import jit
+from rtcal.support import speed
 
 SECONDS = 1.5
 LIMIT = 20  # promised: re-weighting at least this many times quicker than tracing
@@ -71,7 +71,7 @@ def main() -> int:
             seconds(lambda alpha=alpha: whole.simulate(alpha))  # type: ignore[misc]
         )
     middle = {label: median(values) for label, values in times.items()}
-    if jit.available():
+    if speed.available():
         paths.kernels = lambda: path_numpy  # the twin, for comparison
         twin = tracer(1)
         middle["NumPy twin: trace"] = seconds(lambda: twin.traced(0, SECONDS))

@@ -44,7 +44,7 @@ from rtcal.acoustics.room_errors import prior_covariance
 from rtcal.loop.control_runs import ControlRuns, simulated_controls, trace_ahead
 from rtcal.loop.measured_pairs import pairs_to_match
 from rtcal.loop.positions import MORE_PATHS, precise
-from rtcal.loop.simulator_error import Listener
+from rtcal.loop.positions_steps import Listener
 from rtcal.simulators import PathTracing, path_trace, paths
 from rtcal.simulators.observations import Observations
 from rtcal.simulators.path_batch import ScatteringModel

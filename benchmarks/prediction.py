@@ -30,7 +30,7 @@ from benchmarks.real_data import (
     ptb_measured,
     ptb_room,
 )
-from rtcal.calibration.measured import times_in_room
+from rtcal.calibration.problem_data import times_in_room
 from rtcal.prediction import Assumptions, Known, State, Target, Treatment, predict
 from rtcal.prediction.design_model import DesignModel
 from rtcal.prediction.predicted import JND, Prediction

@@ -38,7 +38,7 @@ from rtcal.calibration.problem import CalibrationProblem, JointProblem
 from rtcal.calibration.solvers import SolveKeywords
 from rtcal.finder import AppliedEffect, Case, Change, Configuration, find, plan, verify
 from rtcal.loop.state import start
-from rtcal.simulators.equation import EquationSimulator
+from rtcal.simulators.external import EquationSimulator
 from rtcal.simulators.geometry import SHOEBOX_WALLS, Polyhedron
 from rtcal.simulators.image_source import ImageSource
 from rtcal.simulators.path_tracing import PathTracing

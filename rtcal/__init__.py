@@ -12,7 +12,7 @@ Each name is imported when it is first used.
 from typing import TYPE_CHECKING
 
 from rtcal.support import lazy
-from rtcal.support.version import __version__ as __version__
+from rtcal.support.lazy import __version__ as __version__
 
 if TYPE_CHECKING:
     from rtcal import acoustics as acoustics

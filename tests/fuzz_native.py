@@ -18,8 +18,7 @@ from rtcal.finder import Case
 from rtcal.finder.case import AppliedEffect
 from rtcal.loop import Loop, start
 from rtcal.report import words
-from rtcal.studies.moments import ScoreMoments
-from rtcal.studies.runner import _open, _Store
+from rtcal.studies.runner import ScoreMoments, _open, _Store
 from rtcal.support import files, objects, results, transaction
 from rtcal.support.decode import json_object
 from rtcal.support.errors import DataError

@@ -14,8 +14,7 @@ from rtcal.command.main import cli
 from rtcal.datasets import halls
 from rtcal.loop import rules as loop_rules
 from rtcal.loop.calibrate import calibrate_simulator
-from rtcal.simulators.equation import EquationSimulator
-from rtcal.simulators.external import External
+from rtcal.simulators.external import EquationSimulator, External
 from rtcal.simulators.path_tracing import PathTracing
 from rtcal.support.errors import DataError, SimulatorError
 

@@ -8,8 +8,8 @@ import pytest
 import rtcal as rt
 from rtcal.datasets import halls
 from rtcal.loop.control_runs import ControlRuns, simulated_controls
+from rtcal.loop.positions_steps import error_scale
 from rtcal.loop.scattering import COMMON_LEFT, basis, errors_by_scattering
-from rtcal.loop.simulator_error import error_scale
 from rtcal.simulators import PathTracing, Polyhedron, path_trace
 from rtcal.simulators.geometry import SHOEBOX_WALLS
 from rtcal.support.errors import DataError

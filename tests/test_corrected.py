@@ -21,7 +21,7 @@ from rtcal.finder import AppliedEffect, Case, corrected_room, recalibrate, simul
 from rtcal.finder.means.features import distances, state
 from rtcal.finder.model import predict
 from rtcal.simulators.base import Simulator, run
-from rtcal.simulators.equation import EquationSimulator
+from rtcal.simulators.external import EquationSimulator
 from rtcal.simulators.geometry import SHOEBOX_WALLS, Polyhedron
 from rtcal.simulators.image_source import ImageSource
 from rtcal.support.errors import DataError

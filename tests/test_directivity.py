@@ -8,7 +8,7 @@ from rtcal.acoustics.directivity import Directivity, DirectivityFile
 from rtcal.datasets import halls
 from rtcal.io import balloon, geometry_files
 from rtcal.simulators.path_tracing import PathTracing
-from rtcal.support import jit
+from rtcal.support import speed
 from rtcal.support.errors import DataError
 
 HALL = halls.lecture_hall()
@@ -95,11 +95,11 @@ def test_derivatives_are_those_of_the_aimed_source():
     assert change[0] / step == pytest.approx(jacobian, rel=1e-2, abs=1e-3)
 
 
-@pytest.mark.skipif(not jit.available(), reason="needs numba")
+@pytest.mark.skipif(not speed.available(), reason="needs numba")
 def test_both_kernels_trace_the_same_aimed_paths(monkeypatch):
     aimed = {"directivity": speaker([1.0, 2, 3, 4, 5, 6, 7]), "n_paths": 160}
     compiled = tracer(**aimed).energy(HALL.room.alpha, 0.1, seed=1)
-    monkeypatch.setattr(jit, "available", lambda: False)
+    monkeypatch.setattr(speed, "available", lambda: False)
     assert tracer(**aimed).energy(HALL.room.alpha, 0.1, seed=1) == pytest.approx(compiled, rel=1e-5)
 
 

@@ -6,7 +6,7 @@ import pytest
 import rtcal as rt
 from rtcal.acoustics.equations import Kuttruff
 from rtcal.simulators import base
-from rtcal.simulators.equation import EquationSimulator
+from rtcal.simulators.external import EquationSimulator
 from rtcal.support.errors import DataError
 
 

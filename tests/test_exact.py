@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 import rtcal as rt
 from rtcal.calibration import exact
 from rtcal.calibration.exact.batch import _excess
-from rtcal.support import jit
+from rtcal.support import speed
 from rtcal.support.errors import DataError, MissingDependencyError
 from tests import rational
 from tests.problems import Problem, problems
@@ -23,7 +23,7 @@ ENGINES = [
     pytest.param(
         "numba",
         marks=pytest.mark.skipif(
-            not jit.available(), reason="numba is not installed (rtcal[fast])"
+            not speed.available(), reason="numba is not installed (rtcal[fast])"
         ),
     ),
 ]
@@ -262,7 +262,7 @@ def test_what_does_not_fit_is_an_error() -> None:
 
 
 def test_without_numba(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(jit, "available", lambda: False)
+    monkeypatch.setattr(speed, "available", lambda: False)
     with pytest.raises(MissingDependencyError, match=r"rtcal\[fast\]"):
         exact.solve([0.1], [0.1], [1], 0.05, engine="numba")
     assert exact.solve([0.1], [0.1], [1], 0.05).alpha == pytest.approx(0.05)
@@ -286,7 +286,7 @@ def test_shapes_broadcast(engine: str) -> None:
     np.testing.assert_allclose((areas * alpha).sum(-1), target, rtol=1e-13)
 
 
-@pytest.mark.skipif(not jit.available(), reason="numba is not installed (rtcal[fast])")
+@pytest.mark.skipif(not speed.available(), reason="numba is not installed (rtcal[fast])")
 @given(st.integers(1, 30), st.integers(0, 2**32), st.floats(0, 3))
 def test_the_twins_agree(n: int, seed: int, spread: float) -> None:
     rng = np.random.default_rng(seed)

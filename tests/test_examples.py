@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 import rtcal as rt
-from rtcal.command.example import _PURPOSES
+from rtcal.command.files import _PURPOSES
 from rtcal.command.main import main
 from rtcal.datasets import examples
 from rtcal.finder.positions import Case

@@ -12,8 +12,7 @@ import pytest
 
 import rtcal as rt
 from rtcal.simulators import base
-from rtcal.simulators.external import External
-from rtcal.simulators.program import command
+from rtcal.simulators.external import External, command
 from rtcal.support.errors import DataError, SimulatorError
 
 PROGRAM = """

@@ -16,7 +16,7 @@ from rtcal.finder.means.features import observe
 from rtcal.finder.means.hypotheses import predict_hypotheses
 from rtcal.finder.means.likelihood import Factorization
 from rtcal.finder.means.model_error import AlphaCovariance, estimate_discrepancy
-from rtcal.support.threads import single_threaded_blas
+from rtcal.support.speed import single_threaded_blas
 from tests.test_discrepancy import ALPHA, opened
 
 

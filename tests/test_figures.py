@@ -17,7 +17,7 @@ from tests.test_several_effects import BOTH, case_with, sought
 pytest.importorskip("matplotlib", reason="needs the extra report")
 from matplotlib.text import Text
 
-from rtcal.report import figures, gap_figures, loop_figures, study_figures
+from rtcal.report import figures, gap_figures, loop_figures, study_report
 
 ROOT = Path(__file__).resolve().parents[1]
 PHONE = 370  # px: a screen of 400 px less the page's margins
@@ -47,7 +47,7 @@ def drawn(kept: Path) -> dict[str, Any]:
     bands = [125.0, 250.0, 500.0, 1000.0, 2000.0, 4000.0, 8000.0]
     moved = np.linspace(-2, 2, 21).reshape(3, 7)
     found["shifts of positions"] = loop_figures.draw_shifts(moved, ["a", "b", "c"], bands)
-    found["priors of six"] = study_figures.priors([0.1, 0.2, 0.3, 0.4, 0.5, 0.6], [0.05] * 6, "")
+    found["priors of six"] = study_report.priors([0.1, 0.2, 0.3, 0.4, 0.5, 0.6], [0.05] * 6, "")
     return found
 
 

@@ -6,15 +6,17 @@ import pytest
 import rtcal as rt
 from rtcal.loop import rules
 from rtcal.loop.matched import Matched
-from rtcal.loop.rules import next_targets, target_limits, target_without_t20
-from rtcal.loop.steps import (
+from rtcal.loop.rules import (
     CLOSE_TARGETS,
     Step,
     band_goals,
     band_statuses,
     confirmed_statuses,
+    next_targets,
     simulated_time,
     stuck_bands,
+    target_limits,
+    target_without_t20,
 )
 
 LOW, HIGH = 0.01, 100.0

@@ -22,7 +22,7 @@ from rtcal.finder.means.features import state
 from rtcal.finder.means.recalibration import plain, recalibrate
 from rtcal.finder.model import STEEPEST, sensitivities
 from rtcal.loop.state import Loop, start
-from rtcal.simulators.equation import EquationSimulator
+from rtcal.simulators.external import EquationSimulator
 from rtcal.support.errors import DataError
 
 ONE_FILE = '''

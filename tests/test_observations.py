@@ -183,7 +183,7 @@ def test_what_scatters_nothing_or_everything_has_no_derivative_by_scattering(tra
 @pytest.mark.parametrize("compiled", [True, False])
 @pytest.mark.parametrize("kind", [ImageSource, ScatteringDelayNetwork])
 def test_shoebox_simulators_have_exact_derivatives(kind, compiled, monkeypatch):
-    monkeypatch.setattr("rtcal.support.jit.available", lambda: compiled)
+    monkeypatch.setattr("rtcal.support.speed.available", lambda: compiled)
     monkeypatch.setattr(observations, "STEP", 1e-5)  # decays of one length, no curvature
     areas = [21, 21, 15, 15, 35, 35]
     room = rt.Room(

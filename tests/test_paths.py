@@ -76,7 +76,7 @@ def test_numba_and_numpy_trace_the_same_paths(scattering_model, monkeypatch):
 
 def test_without_numba_the_twin_is_used(monkeypatch):
     assert paths.kernels() is path_numba
-    monkeypatch.setattr("rtcal.support.jit.available", lambda: False)
+    monkeypatch.setattr("rtcal.support.speed.available", lambda: False)
     assert paths.kernels() is path_numpy
 
 

@@ -13,8 +13,8 @@ import rtcal as rt
 from rtcal.datasets import halls
 from rtcal.loop.positions import precise
 from rtcal.loop.positions_result import PositionsResult
+from rtcal.loop.positions_steps import Listener
 from rtcal.loop.scattering import MaterialScattering, scattered
-from rtcal.loop.simulator_error import Listener
 from rtcal.simulators import PathTracing
 from rtcal.support.errors import DataError
 

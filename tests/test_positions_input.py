@@ -17,8 +17,7 @@ from rtcal.command.main import cli
 from rtcal.datasets import halls
 from rtcal.io import obj
 from rtcal.loop import control_runs
-from rtcal.loop.measured_pairs import response_noise
-from rtcal.loop.pair_misfit import rows_of_pairs
+from rtcal.loop.measured_pairs import response_noise, rows_of_pairs
 from rtcal.loop.scattering import Scattering
 from rtcal.report import loop_figures, page, result_folder
 from rtcal.simulators import (
@@ -28,7 +27,7 @@ from rtcal.simulators import (
     ScatteringDelayNetwork,
     path_trace,
 )
-from rtcal.simulators.equation import EquationSimulator
+from rtcal.simulators.external import EquationSimulator
 from rtcal.support.errors import DataError, SimulatorError
 
 HALL = halls.lecture_hall()

@@ -15,11 +15,9 @@ from rtcal.calibration import closed_form
 from rtcal.calibration.configurations import Configurations
 from rtcal.calibration.posterior import distribution, sensitivity
 from rtcal.command import main as cli
-from rtcal.simulators.equation import EquationSimulator
-from rtcal.simulators.external import External
+from rtcal.simulators.external import EquationSimulator, External, command
 from rtcal.simulators.geometry import SHOEBOX_WALLS, Polyhedron
 from rtcal.simulators.path_tracing import PathTracing
-from rtcal.simulators.program import command
 from rtcal.simulators.shoebox import shoebox_of
 from rtcal.support.errors import DataError, InfeasibleError, ModelError, RtcalError
 from tests.test_bad_input import ROOM, TIMES, run  # noqa: F401
@@ -590,7 +588,7 @@ def test_a_model_error_is_no_data_error() -> None:
 
 
 @pytest.mark.parametrize(("sampling", "most"), [("sigma_r", 0.25), ("sigma_n", 10.0)])
-def test_a_study_of_no_sense_is_refused(sampling: studies.sampling.Sampling, most: float) -> None:
+def test_a_study_of_no_sense_is_refused(sampling: studies.draws.Sampling, most: float) -> None:
     for sigma_r in (1e-300, 1e9, 1e300):
         with pytest.raises(DataError, match=f"is not from 1e-09 to {most:g}"):
             studies.analytic_scores([35, 20], sigma_r, 3, sampling=sampling)

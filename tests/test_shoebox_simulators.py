@@ -11,7 +11,7 @@ from rtcal.simulators import base
 from rtcal.simulators.geometry import SHOEBOX_WALLS, Polyhedron
 from rtcal.simulators.image_source import ImageSource, lattice
 from rtcal.simulators.sdn import ScatteringDelayNetwork, _blocks
-from rtcal.support import jit
+from rtcal.support import speed
 from rtcal.support.errors import DataError, TooShortError
 
 SOURCE, RECEIVER = {"S": (4.5, 3.5, 2.0)}, {"R": (2.0, 2.0, 1.5)}
@@ -70,9 +70,9 @@ def test_sdn_keeps_its_energy_without_absorption() -> None:
 
 
 def test_sdn_numba_and_numpy_are_one_network() -> None:
-    if not jit.available():
+    if not speed.available():
         pytest.skip("needs numba")
-    from rtcal.simulators.sdn_numba import blocks
+    from rtcal.simulators.shoebox_numba import blocks
 
     sdn = ScatteringDelayNetwork(room=box(), sources=SOURCE, receivers=RECEIVER, sampling_rate=8000)
     network, rng = sdn.networks[0], np.random.default_rng(1)
@@ -178,11 +178,11 @@ def test_image_sources_by_hand() -> None:
 
 
 def test_image_numba_and_numpy_weigh_alike(monkeypatch: pytest.MonkeyPatch) -> None:
-    if not jit.available():
+    if not speed.available():
         pytest.skip("needs numba")
     images = ImageSource(room=box(rt.Air()), sources=SOURCE, receivers=RECEIVER, duration=0.2)
     compiled = images.energy(ALPHA)
-    monkeypatch.setattr(jit, "available", lambda: False)
+    monkeypatch.setattr(speed, "available", lambda: False)
     assert compiled.min() >= 0
     assert compiled.sum() > 0
     assert images.energy(ALPHA) == pytest.approx(compiled, rel=1e-12, abs=0)

@@ -19,9 +19,9 @@ from rtcal.acoustics.priors import TruncatedNormal
 from rtcal.calibration import closed_form
 from rtcal.command.main import cli
 from rtcal.report import study_report
-from rtcal.studies import estimators, sampling
-from rtcal.studies.moments import SERIES, ScoreMoments
-from rtcal.support import jit
+from rtcal.studies import draws
+from rtcal.studies.runner import SERIES, ScoreMoments
+from rtcal.support import speed
 from rtcal.support.errors import DataError, MissingDependencyError
 
 SHOEBOX = np.array(studies.rooms.SHOEBOX)
@@ -32,7 +32,7 @@ def drawn(
     n: int = 6, sigma_r: float = 0.1, count: int = 20, seed: int = 0
 ) -> tuple[np.random.Generator, np.ndarray, np.ndarray]:
     rng = np.random.default_rng(seed)
-    return rng, *sampling.realisations(rng, count, n, sigma_r)
+    return rng, *draws.realisations(rng, count, n, sigma_r)
 
 
 def by_method(table: np.recarray) -> dict[tuple[str, bool], np.record]:
@@ -45,12 +45,10 @@ def by_method(table: np.recarray) -> dict[tuple[str, bool], np.record]:
 def test_sigma_has_the_law_that_redrawing_leaves() -> None:
     rng = np.random.default_rng(1)
     redrawn = rng.rayleigh(0.1, 400_000)
-    assert np.mean(redrawn >= 0.25) == pytest.approx(
-        sampling.redrawn_share(0.1, "sigma_n"), rel=0.03
-    )
-    assert sampling.redrawn_share(0.1, "sigma_n") == pytest.approx(0.0439, abs=1e-4)
+    assert np.mean(redrawn >= 0.25) == pytest.approx(draws.redrawn_share(0.1, "sigma_n"), rel=0.03)
+    assert draws.redrawn_share(0.1, "sigma_n") == pytest.approx(0.0439, abs=1e-4)
     redrawn = redrawn[redrawn < 0.25]
-    mu, sigma = sampling.realisations(rng, 60_000, 6, 0.1, "sigma_n")
+    mu, sigma = draws.realisations(rng, 60_000, 6, 0.1, "sigma_n")
     assert sigma.min() > 0
     assert sigma.max() < 0.25
     shares = (0.05, 0.25, 0.5, 0.75, 0.95)
@@ -64,8 +62,8 @@ def test_sigma_has_the_law_that_redrawing_leaves() -> None:
 
 def test_mu_keeps_twice_sigma_r_from_0_and_1_whatever_sigma_is() -> None:
     rng = np.random.default_rng(1)
-    mu, sigma = sampling.realisations(rng, 60_000, 6, 0.1, "sigma_r")
-    assert sampling.redrawn_share(0.1, "sigma_r") == 0
+    mu, sigma = draws.realisations(rng, 60_000, 6, 0.1, "sigma_r")
+    assert draws.redrawn_share(0.1, "sigma_r") == 0
     shares = np.array([0.05, 0.25, 0.5, 0.75, 0.95])
     rayleigh = 0.1 * np.sqrt(-2 * np.log(1 - shares))  # its quantiles, by inversion
     np.testing.assert_allclose(np.quantile(sigma, shares), rayleigh, atol=1.5e-3)
@@ -80,7 +78,7 @@ def test_trials_are_truncated_normal() -> None:
     rng = np.random.default_rng(2)
     mu, sigma = np.array([0.45, 0.1, 0.9]), np.array([0.22, 0.05, 0.05])
     z = np.empty((3, 200_000))
-    sampling.trials(rng, mu, sigma, z)
+    draws.trials(rng, mu, sigma, z)
     alpha = mu[:, np.newaxis] + sigma[:, np.newaxis] * z
     assert alpha.min() >= 0
     assert alpha.max() <= 1
@@ -91,10 +89,10 @@ def test_trials_are_truncated_normal() -> None:
     assert np.all((abs(law.mean() - mu) > 4 * standard_error)[1:])  # the bias is seen
 
 
-@pytest.mark.skipif(not jit.available(), reason="numba is not installed (rtcal[fast])")
+@pytest.mark.skipif(not speed.available(), reason="numba is not installed (rtcal[fast])")
 def test_kernels_and_twins_agree(monkeypatch: pytest.MonkeyPatch) -> None:
     compiled = studies.run(SHOEBOX, 0.1, 30, 700, seed=3)
-    monkeypatch.setattr(jit, "available", lambda: False)
+    monkeypatch.setattr(speed, "available", lambda: False)
     plain = studies.run(SHOEBOX, 0.1, 30, 700, seed=3)
     assert plain.moments.active.sum() > 100
     assert np.array_equal(plain.moments.active, compiled.moments.active)
@@ -108,10 +106,10 @@ def test_errors_against_the_exact_solver_and_the_closed_forms() -> None:
     """Every method's error, trial by trial, from alpha itself: no shared formula."""
     rng, mu, sigma = drawn(sigma_r=0.2, count=12, seed=4)
     trials, active = 400, 0
-    for room in estimators.realisations(mu, sigma, SHOEBOX):
+    for room in draws.tabulated(mu, sigma, SHOEBOX):
         z = np.empty((6, trials))
-        sampling.trials(rng, room.mu, room.sigma, z)
-        sums = estimators.score(z, room)
+        draws.trials(rng, room.mu, room.sigma, z)
+        sums = draws.score(z, room)
         got = sums.errors(room, trials)
         truth = (room.mu[:, np.newaxis] + room.sigma[:, np.newaxis] * z).T
         b = truth @ SHOEBOX
@@ -158,7 +156,7 @@ def test_analytic_emse_is_the_mean_over_trials() -> None:
 # Scores -------------------------------------------------------------------------------------------
 
 
-STATED: dict[sampling.Sampling, dict[str, tuple[float, ...]]] = {
+STATED: dict[draws.Sampling, dict[str, tuple[float, ...]]] = {
     # Own simulations of 60 studies of 10,000 rooms (issue 36), and STATISTICS.md.
     "sigma_r": {
         "scaling": (4.34, 5.48, 6.44),
@@ -173,7 +171,7 @@ STATED: dict[sampling.Sampling, dict[str, tuple[float, ...]]] = {
 }
 
 
-def distances(which: sampling.Sampling) -> dict[tuple[str, float], float]:
+def distances(which: draws.Sampling) -> dict[tuple[str, float], float]:
     """Distance of Table 2's scores from ours, in standard deviations of a study of 10,000 rooms."""
     rooms, found = 100_000, {}
     for k, level in enumerate(study_report.SIGMA_R):

@@ -10,11 +10,10 @@ import scipy.sparse as sp
 import rtcal as rt
 from rtcal import terms
 from rtcal.calibration.assemble import Assembler, layout_of
+from rtcal.calibration.compiled_qp import Context
 from rtcal.calibration.configurations import Configurations
-from rtcal.calibration.context import Context
 from rtcal.calibration.feasibility import reach
-from rtcal.calibration.measured import times_in_room
-from rtcal.calibration.problem_data import ProblemData
+from rtcal.calibration.problem_data import ProblemData, times_in_room
 from rtcal.support.kkt import Hessian
 from tests.conftest import random_room, true_times
 

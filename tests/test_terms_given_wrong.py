@@ -9,7 +9,7 @@ import pytest
 
 import rtcal as rt
 from rtcal import terms
-from rtcal.calibration.measured import times_in_room
+from rtcal.calibration.problem_data import times_in_room
 from rtcal.calibration.terms import BaseTerm
 from rtcal.support.errors import ModelError, SolverError, TermError
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from rtcal.support import html, text
+from rtcal.support import text
 
 
 @pytest.fixture(autouse=True)
@@ -51,7 +51,7 @@ def test_no_terminal_obeys_what_is_printed() -> None:
 
 
 def test_an_html_table_escapes_and_shades() -> None:
-    page = html.table("<T>", ["", "125"], [["a & b", html.Cell("<3", -2.0)]], notes=["x < y"])
+    page = text.html_table("<T>", ["", "125"], [["a & b", text.Cell("<3", -2.0)]], notes=["x < y"])
     assert "&lt;T&gt;" in page
     assert "a &amp; b" in page
     assert "rgba(0, 114, 178, 0.45)" in page

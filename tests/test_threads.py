@@ -7,7 +7,7 @@ import threading
 import pytest
 from threadpoolctl import threadpool_info
 
-from rtcal.support.threads import single_threaded_blas
+from rtcal.support.speed import single_threaded_blas
 
 
 def threads() -> set[int]:

@@ -12,7 +12,7 @@ from rtcal.acoustics import bands, measurement_files, repeats
 from rtcal.acoustics.materials import text_name
 from rtcal.acoustics.observables import OBSERVABLES, REVERBERATION, observable
 from rtcal.acoustics.parameters import SUMMARY, parameter_label
-from rtcal.support import checks, html
+from rtcal.support import checks, text
 from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError
 from rtcal.support.files import write_text
@@ -222,7 +222,7 @@ class Measurement:
             means = zip(self.mean(parameter), self.mean_uncertainty(parameter), strict=True)
             rows.append([parameter_label(parameter) + unit, *(_mean_text(m, u) for m, u in means)])
         labels = [bands.label(f) for f in self.centre_frequencies]
-        return html.table(self._description, ["mean ± u", *labels], rows)
+        return text.html_table(self._description, ["mean ± u", *labels], rows)
 
     def refuse_large_uncertainty(self) -> None:
         """Raise DataError if a stated uncertainty is larger than the value, or than its whole range.

@@ -13,7 +13,6 @@ import numpy as np
 
 from rtcal.acoustics import bands, room_checks, room_files
 from rtcal.acoustics.air import Air
-from rtcal.acoustics.labelled import in_order
 from rtcal.acoustics.materials import (
     ARCHIVE,
     AXES,
@@ -26,9 +25,10 @@ from rtcal.acoustics.materials import (
     stacked,
     text_name,
 )
+from rtcal.acoustics.room_checks import in_order
 from rtcal.acoustics.room_text import toml_text
 from rtcal.acoustics.scene import Scene
-from rtcal.support import checks, html
+from rtcal.support import checks, text
 from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError
 from rtcal.support.files import read_text, write_text
@@ -221,19 +221,19 @@ class Room:
 
     def _repr_html_(self) -> str:
         """Return a table of alpha ± sigma per material and band, darker where more is absorbed."""
-        rows: list[list[str | html.Cell]] = [
+        rows: list[list[str | text.Cell]] = [
             [
                 name,
                 f"{area:.4g}",
                 *(
-                    html.Cell(f"{alpha:.3f} ± {sigma:.3f}", float(alpha))
+                    text.Cell(f"{alpha:.3f} ± {sigma:.3f}", float(alpha))
                     for alpha, sigma in zip(self.alpha[i], self.sigma[i], strict=True)
                 ),
             ]
             for i, (name, area) in enumerate(zip(self.materials, self.areas, strict=True))
         ]
         labels = [bands.label(f) for f in self.centre_frequencies]
-        return html.table(self._description, ["α ± σ", "S / m²", *labels], rows)
+        return text.html_table(self._description, ["α ± σ", "S / m²", *labels], rows)
 
     @property
     def _description(self) -> str:

@@ -1,4 +1,4 @@
-"""The checks of what a room states: areas, coefficients, their surfaces and correlations."""
+"""The checks of what a room states: areas, coefficients, tables with labels, correlations."""
 
 from __future__ import annotations
 
@@ -7,11 +7,59 @@ from typing import Any
 
 import numpy as np
 
+from rtcal.acoustics import bands
 from rtcal.acoustics.air import Air
 from rtcal.acoustics.materials import Surface, array_of
 from rtcal.support import checks
 from rtcal.support.errors import DataError
+from rtcal.support.text import shortened
 from rtcal.support.types import Array, read_only
+
+
+def in_order(place: str, value: Any, materials: Sequence[str], frequencies: Array) -> Any:
+    """Return the values of a mapping, DataFrame or Series in the room's order; others as they are.
+
+    A mapping has the materials as keys. Rows are ordered by their labels if these are texts, which have
+    to be the materials. Columns are ordered by theirs unless they are 0, 1, 2, ...: they have to be the
+    bands, in Hz.
+
+    Raises
+    ------
+    DataError
+        If labels are not the room's materials or bands.
+    """
+    if isinstance(value, Mapping):
+        _places(f"{place}: keys", list(value), list(materials))
+        return [value[name] for name in materials]
+    index = getattr(value, "index", None)
+    if index is None or callable(index) or not hasattr(value, "to_numpy"):
+        return value
+    array = value.to_numpy()
+    if array.shape[:1] == (len(materials),) and any(isinstance(name, str) for name in index):
+        array = array[_places(f"{place}: rows", list(index), list(materials))]
+    columns = list(getattr(value, "columns", ()))
+    if columns != list(range(len(columns))) and len(columns) == len(frequencies):
+        place = f"{place}: columns"
+        array = array[:, _places(place, [_band(c) for c in columns], frequencies.tolist())]
+    return array
+
+
+def _band(label: object) -> object:
+    """Return a column's label as a nominal frequency, or as it is if it is none."""
+    try:
+        return bands.nominal(float(str(label).removesuffix("Hz")))
+    except ValueError:
+        return label
+
+
+def _places(place: str, labels: list[Any], wanted: list[Any]) -> list[int]:
+    """Return where each of the wanted labels stands; DataError unless the labels are these."""
+    if len(set(labels)) < len(labels) or set(labels) != set(wanted):
+        others = shortened(", ".join(str(label) for label in labels), 60)
+        needed = shortened(", ".join(f"{label}" for label in wanted), 60)
+        raise DataError(f"{place} are {others}; the room has {needed}")
+    return [int(np.flatnonzero([label == name for label in labels])[0]) for name in wanted]
+
 
 _AREA_UNIT = "m²"
 

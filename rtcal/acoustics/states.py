@@ -1,18 +1,26 @@
-"""States of one room: what they have in common, and T with the areas that it had then."""
+"""States of one room: what they have in common, T with the areas that each had, joint unknowns.
+
+Per band, the unknowns of joint states are alpha of every material of any state, ln V, ln S_i, the
+air's attenuation ln m and g, the error of ln T that the equation makes in all states alike.
+"""
 
 from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 
-from rtcal.acoustics import bands, fingerprints
+from rtcal.acoustics import bands, repeats
+from rtcal.acoustics.equations import LinearEquation
 from rtcal.acoustics.room import Room
+from rtcal.acoustics.room_errors import Assumptions, alpha_covariance, between_materials, of_climate
 from rtcal.support import checks
 from rtcal.support.arguments import checked
-from rtcal.support.errors import DataError
+from rtcal.support.errors import DataError, ModelError
 from rtcal.support.types import Array
 
 
@@ -74,16 +82,16 @@ class State:
 def refuse_counted_twice(rooms: Sequence[Room], states: Sequence[State]) -> None:
     """Raise DataError if a room was calibrated on a state's T, or two states are one."""
     known = [s for s in states if np.isfinite(s.reverberation_time).any()]
-    names = [fingerprints.of_times(s.room, s.reverberation_time) for s in known]
+    names = [repeats.of_times(s.room, s.reverberation_time) for s in known]
     for room in rooms:
-        fingerprints.refuse_repeated_data(room, *names)
+        repeats.refuse_repeated_data(room, *names)
     for i, j in itertools.combinations(range(len(known)), 2):
         one, other = known[i].room, known[j].room
         same_room = one.volume == other.volume and (
             dict(zip(one.materials, one.areas.tolist(), strict=True))
             == dict(zip(other.materials, other.areas.tolist(), strict=True))
         )
-        if same_room and fingerprints.same_data(names[i], names[j]):
+        if same_room and repeats.same_data(names[i], names[j]):
             raise DataError(
                 f'room "{one.name}": two states have the same areas and the same measured T, which '
                 "would count twice; leave one out"
@@ -109,3 +117,142 @@ def refuse_other_priors(rooms: Sequence[Room], places: Sequence[str]) -> None:
                         f"{place}: {room.place(name, i, k)} = {values[k]:g}, but {places[owner]} says "
                         f"{first[k]:g}; a shared material has one prior"
                     )
+
+
+Flags = NDArray[np.bool_]
+
+_LEAST_AREA = 1e-5
+"""Least relative error of an area beside one of all areas: the covariance has an inverse."""
+
+
+@dataclass(frozen=True, eq=False)
+class Rooms:
+    """States of one room on common unknowns: alpha of every material, ln V, ln S of each, ln m and g.
+
+    Raises DataError if bands differ, or a material's alpha or sigma.
+    """
+
+    rooms: Sequence[Room]
+    equation: LinearEquation
+    assumptions: Assumptions
+
+    def __post_init__(self) -> None:
+        refuse_other_priors(self.rooms, [f'room "{room.name}"' for room in self.rooms])
+
+    def _owner(self, material: str) -> Room:
+        return next(r for r in self.rooms if material in r.materials)
+
+    @cached_property
+    def materials(self) -> tuple[str, ...]:
+        """Every material of any state."""
+        return tuple(dict.fromkeys(m for room in self.rooms for m in room.materials))
+
+    @cached_property
+    def areas(self) -> Array:
+        """Areas in m², (n_states, n_materials); 0 where a state lacks a material."""
+        out = np.zeros((len(self.rooms), len(self.materials)))
+        for row, room in zip(out, self.rooms, strict=True):
+            row[[self.materials.index(m) for m in room.materials]] = room.areas
+        return out
+
+    @cached_property
+    def changing(self) -> Flags:
+        """Which materials have another area in some state, (n_materials,) of bool."""
+        return np.asarray(np.ptp(self.areas, axis=0) > 0)
+
+    def stacked(self, name: str) -> Array:
+        """Return ``alpha`` or another field of all materials, (n_materials, n_bands)."""
+        owners = [(self._owner(m), m) for m in self.materials]
+        return np.array([getattr(r, name)[r.materials.index(m)] for r, m in owners])
+
+    @cached_property
+    def lower(self) -> Array:
+        """Lower bounds of alpha, (n_materials, n_bands)."""
+        return self._most("alpha_min", np.zeros((len(self.materials), self.rooms[0].n_bands)))
+
+    def _most(self, name: str, least: Array) -> Array:
+        """Return the largest that any room states of each material, at least ``least``."""
+        for room in self.rooms:
+            if (stated := getattr(room, name)) is not None:
+                rows = [self.materials.index(m) for m in room.materials]
+                least[rows] = np.maximum(least[rows], stated)
+        return least
+
+    @cached_property
+    def sigma(self) -> Array:
+        """Sigma of alpha, (n_materials, n_bands), at least the assumed one where the area changes."""
+        stated = self.stacked("sigma")
+        raised = self.changing[:, np.newaxis] & (stated > 0)
+        return np.where(raised, np.maximum(stated, self.assumptions.changed), stated)
+
+    @property
+    def size(self) -> int:
+        """Number of unknowns per band."""
+        return 2 * len(self.materials) + 3
+
+    @cached_property
+    def area_sigma(self) -> Array:
+        """Relative error of each material's own area, (n_materials,): as stated, or as assumed."""
+        if not any(room.area_sigma.any() or room.common_area_sigma for room in self.rooms):
+            return np.full(len(self.materials), self.assumptions.areas)
+        return self._most("area_sigma", np.full(len(self.materials), _LEAST_AREA))
+
+    @cached_property
+    def air_sigma(self) -> Array:
+        """Relative error of the air's attenuation by the stated climate's, (n_bands,)."""
+        found = np.zeros(self.rooms[0].n_bands)
+        for room in self.rooms:
+            of_m = np.linalg.norm(of_climate(room, lambda changed: changed.air_attenuation), axis=0)
+            np.maximum(found, of_m / np.where(of_m > 0, room.air_attenuation, 1.0), out=found)
+        return found
+
+    @cached_property
+    def prior(self) -> tuple[Array, Array]:
+        """Mean (n_bands, size) and covariance (n_bands, size, size) of the unknowns."""
+        n, assumed = len(self.materials), self.assumptions
+        mean = np.zeros((self.rooms[0].n_bands, self.size))
+        mean[:, :n] = self.stacked("alpha").T
+        covariance = np.zeros((*mean.shape, self.size))
+        common = max(room.common_alpha_sigma for room in self.rooms)
+        between = between_materials(self.materials, self.rooms)
+        covariance[:, :n, :n] = alpha_covariance(mean[:, :n], self.sigma.T, between, common)
+        volume = max(room.volume_sigma for room in self.rooms) or assumed.volume
+        covariance[:, n, n] = volume**2
+        areas = slice(n + 1, 2 * n + 1)
+        covariance[:, areas, areas] = np.diag(self.area_sigma**2)
+        covariance[:, areas, areas] += max(room.common_area_sigma for room in self.rooms) ** 2
+        covariance[:, -2, -2] = self.air_sigma**2
+        covariance[:, -1, -1] = assumed.common**2
+        return mean, covariance
+
+    def log_time(self, state: int, unknowns: Array) -> tuple[Array, Array]:
+        """Return ln T + g, (..., n_bands), and its gradient, (..., n_bands, size).
+
+        ``unknowns`` is (..., n_bands, size). ModelError where nothing absorbs, or everything.
+        """
+        room, n = self.rooms[state], len(self.materials)
+        alpha, s = unknowns[..., :n], unknowns[..., n + 1 : -2]
+        volume = room.volume * np.exp(unknowns[..., n])
+        areas = self.areas[state] * np.exp(s)
+        total = areas.sum(axis=-1)
+        mean = (areas * alpha).sum(axis=-1) / total
+        exponent, slope = self.equation.exponent(mean), self.equation.slope(mean)
+        air = 4 * room.air_attenuation * np.exp(unknowns[..., -2]) * volume
+        whole = total * exponent + air
+        if not (np.isfinite(whole) & np.isfinite(slope) & (whole > 0)).all():
+            raise ModelError(
+                f'room "{room.name}": {self.equation.name}\'s equation gives no T where the mean alpha '
+                f"is {np.min(mean):.3g} to {np.max(mean):.3g}"
+            )
+        gradient = np.empty(unknowns.shape)
+        w = whole[..., np.newaxis]
+        gradient[..., :n] = -areas * slope[..., np.newaxis] / w
+        gradient[..., n] = 1 - air / whole
+        per_area = exponent[..., np.newaxis] + slope[..., np.newaxis] * (
+            alpha - mean[..., np.newaxis]
+        )
+        gradient[..., n + 1 : -2] = -areas * per_area / w
+        gradient[..., -2] = -air / whole
+        gradient[..., -1] = 1.0
+        constant = self.equation.room_constant(room)
+        return np.log(constant * volume / whole) + unknowns[..., -1], gradient

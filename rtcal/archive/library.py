@@ -17,9 +17,9 @@ from rtcal.support import checks, text
 from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError
 from rtcal.support.files import json_numbers
+from rtcal.support.lazy import __version__
 from rtcal.support.results import Result
 from rtcal.support.types import Array
-from rtcal.support.version import __version__
 
 _OFF = 2.0
 """Standard deviations from which a table's entry is printed as off."""

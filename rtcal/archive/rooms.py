@@ -17,7 +17,7 @@ from rtcal.archive import suspects
 from rtcal.archive.library import Archive, Lesson, Suspect, is_one_material
 from rtcal.archive.likelihood import Evidence, RoomData
 from rtcal.calibration.configurations import Configurations
-from rtcal.calibration.measured import data_history
+from rtcal.calibration.problem_data import data_history
 from rtcal.calibration.result import CalibrationResult, JointResult
 from rtcal.support import checks, results
 from rtcal.support.arguments import checked

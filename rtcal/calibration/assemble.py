@@ -12,10 +12,8 @@ from rtcal.acoustics import bands
 from rtcal.acoustics.equations import LinearEquation
 from rtcal.acoustics.room import Room
 from rtcal.calibration.configurations import Configurations
-from rtcal.calibration.layout import Layout
-from rtcal.calibration.measured import MeasuredTimes
-from rtcal.calibration.observed import Observed, Whitened
-from rtcal.calibration.problem_data import ProblemData
+from rtcal.calibration.layout import Layout, Observed, Whitened
+from rtcal.calibration.problem_data import MeasuredTimes, ProblemData
 from rtcal.calibration.terms import (
     BoundConstraint,
     LinearObservations,

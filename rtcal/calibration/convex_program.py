@@ -21,8 +21,7 @@ from rtcal.acoustics.equations import LinearEquation
 from rtcal.acoustics.room import Room
 from rtcal.calibration import feasibility, separable, solvers
 from rtcal.calibration.certificate import Certificate, certify
-from rtcal.calibration.compiled_qp import CompiledQP, WhitenedQP, from_closed_form
-from rtcal.calibration.context import Context
+from rtcal.calibration.compiled_qp import CompiledQP, Context, WhitenedQP, from_closed_form
 from rtcal.calibration.layout import Layout
 from rtcal.calibration.numpy_model import Multipliers, NumpyModel, require_agreement
 from rtcal.calibration.polish import polish_answer, undetermined

@@ -12,9 +12,9 @@ import numpy as np
 import scipy.sparse as sp
 
 from rtcal.acoustics import bands
-from rtcal.acoustics.enclosure import surface_doubt
 from rtcal.acoustics.equations import LinearEquation
 from rtcal.acoustics.room import Room
+from rtcal.acoustics.trust import surface_doubt
 from rtcal.calibration.numpy_model import NumpyModel
 from rtcal.calibration.problem_data import Flags, ProblemData
 from rtcal.support.errors import InfeasibleError, ModelError

@@ -11,14 +11,13 @@ from numpy.typing import NDArray
 
 from rtcal.acoustics.equations import LinearEquation
 from rtcal.acoustics.states import State
-from rtcal.calibration import record
+from rtcal.calibration import table
 from rtcal.calibration.certificate import Certificate
 from rtcal.calibration.configurations import Configurations
 from rtcal.calibration.convex_program import Solution
-from rtcal.calibration.measured import MeasuredTimes
 from rtcal.calibration.posterior.density import CoupledBands, IndependentBands
 from rtcal.calibration.posterior.distributions import Optimality
-from rtcal.calibration.problem_data import ProblemData
+from rtcal.calibration.problem_data import MeasuredTimes, ProblemData
 from rtcal.calibration.terms import (
     LinearObservations,
     MatchConstraint,
@@ -63,7 +62,7 @@ class JointSolution:
     solver: str
     measured_times: tuple[MeasuredTimes, ...]
     assemble: Callable[[Sequence[MeasuredTimes]], ProblemData]
-    versions: Mapping[str, str] = field(default_factory=record.versions)
+    versions: Mapping[str, str] = field(default_factory=table.versions)
 
     @property
     def materials(self) -> tuple[str, ...]:

@@ -15,7 +15,7 @@ import cvxpy as cp
 import numpy as np
 import scipy.sparse as sp
 
-from rtcal.calibration.context import Context
+from rtcal.calibration.compiled_qp import Context
 from rtcal.calibration.layout import Integers
 from rtcal.calibration.problem_data import Flags, ProblemData
 from rtcal.calibration.terms import (

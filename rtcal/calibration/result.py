@@ -11,31 +11,29 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtcal.acoustics import room_errors
-from rtcal.acoustics.assumptions import Assumptions
 from rtcal.acoustics.changes import Change
 from rtcal.acoustics.equations import LinearEquation
 from rtcal.acoustics.quality import Plausibility, gap_jnd, plausibility
 from rtcal.acoustics.room import CalibrationRecord, Room
-from rtcal.acoustics.room_errors import of_absorption
+from rtcal.acoustics.room_errors import Assumptions, of_absorption
 from rtcal.acoustics.states import State
 from rtcal.acoustics.trust import TrustMark, trust_marks
-from rtcal.calibration import record
+from rtcal.calibration import table
 from rtcal.calibration.certificate import Certificate
 from rtcal.calibration.convex_program import RawSolution
 from rtcal.calibration.feasibility import Unreachable, where_valid
 from rtcal.calibration.joint_solution import JointSolution
-from rtcal.calibration.measured import MeasuredTimes, data_history
 from rtcal.calibration.posterior.density import CoupledBands, IndependentBands
 from rtcal.calibration.posterior.distributions import Optimality, exact_interval
-from rtcal.calibration.problem_data import ProblemData
+from rtcal.calibration.problem_data import MeasuredTimes, ProblemData, data_history
 from rtcal.calibration.table import html_table, text_table
 from rtcal.prediction.predicted import Prediction, predict
 from rtcal.support.errors import ModelError
 from rtcal.support.files import json_numbers
+from rtcal.support.lazy import __version__
 from rtcal.support.results import Result
 from rtcal.support.text import shortened
 from rtcal.support.types import Array, read_only_view
-from rtcal.support.version import __version__
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -45,7 +43,7 @@ class CalibrationResult(Result):
     Of several configurations, it is the result of one; see `JointResult`.
     """
 
-    record_kind: ClassVar[str] = record.KIND
+    record_kind: ClassVar[str] = table.KIND
 
     joint: JointResult
     configuration: int
@@ -318,12 +316,12 @@ class CalibrationResult(Result):
         """
         room, model = self.prior, self.joint.solution.model
         return {
-            "rtcal": record.KIND,
+            "rtcal": table.KIND,
             "versions": dict(self.joint.versions),
             "room": room.name,
             "method": self.method,
             "equation": self.equation.name,
-            "equation_parameters": record.equation_parameters(self.equation),
+            "equation_parameters": table.equation_parameters(self.equation),
             "objective": [repr(term) for term in model.objective.terms],
             "constraints": [repr(row) for row in model.row_constraints],
             "matches_measured_time": self.joint.asks_for_measured_time,
@@ -331,14 +329,14 @@ class CalibrationResult(Result):
             "air": None if room.air is None else vars(room.air),
             **({"room_uncertainty": words} if (words := room_errors.in_words(room)) else {}),
             "centre_frequencies": json_numbers(room.centre_frequencies),
-            "measured": record.measurement(self.measured_data),
+            "measured": table.measurement(self.measured_data),
             "reverberation_time_before": json_numbers(self.reverberation_time_before),
             "reverberation_time_after": json_numbers(self.reverberation_time_after),
             "gap_before_jnd": json_numbers(self.gap_before),
             "gap_after_jnd": json_numbers(self.gap_after),
             "target": json_numbers(self.target),
             "target_uncertainty": json_numbers(self.target_uncertainty),
-            "materials": record.materials(
+            "materials": table.materials(
                 room,
                 self.room,
                 self.shift_in_sigmas,
@@ -364,9 +362,9 @@ class CalibrationResult(Result):
             "trust_marks": [vars(mark) for mark in self.trust_marks],
             "multipliers": json_numbers(self.multipliers),
             "unreachable": [str(band) for band in self.unreachable],
-            "certificate": record.residuals(self.certificate),
-            "solver": record.solver(self.solver, self.raw, self.polished),
-            "inputs": record.inputs(room, self.measured_data),
+            "certificate": table.residuals(self.certificate),
+            "solver": table.solver(self.solver, self.raw, self.polished),
+            "inputs": table.inputs(room, self.measured_data),
         }
 
     def __repr__(self) -> str:

@@ -1,18 +1,144 @@
-"""A saved calibration (`CalibrationResult.to_dict`) as printed text and as a notebook's table."""
+"""A saved calibration: its parts, ready for JSON, as printed text and as a notebook's table."""
 
 from __future__ import annotations
 
+import functools
+import platform
 from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from importlib import metadata
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rtcal.acoustics import bands
+from rtcal.acoustics.equations import LinearEquation
+from rtcal.acoustics.measurement import Measurement
+from rtcal.acoustics.observables import TARGET
 from rtcal.acoustics.parameters import parameter_label
 from rtcal.acoustics.quality import P_CONTRADICTION, agreement, together_in_words, weak_agreement
+from rtcal.acoustics.room import Room
 from rtcal.acoustics.trust import TrustMark, explained, letters
-from rtcal.support import html, text
+from rtcal.calibration.certificate import Certificate
+from rtcal.calibration.convex_program import RawSolution
+from rtcal.calibration.problem_data import MeasuredTimes
+from rtcal.support import text
+from rtcal.support.files import json_numbers
+from rtcal.support.lazy import __version__
 from rtcal.support.types import Array
+
+KIND = "calibration 1"
+"""The value of the key ``rtcal`` in a saved calibration."""
+
+_LIBRARIES = ("numpy", "scipy", "cvxpy", "clarabel", "osqp", "qpsolvers")
+_ENDS = {-1: "lower", 0: "", 1: "upper"}
+
+
+def versions() -> dict[str, str]:
+    """Return the versions of rtcal, Python and the required libraries."""
+    rtcal_and_python = {"rtcal": __version__, "Python": platform.python_version()}
+    return rtcal_and_python | {name: _version(name) for name in _LIBRARIES}
+
+
+@functools.cache
+def _version(library: str) -> str:
+    return metadata.version(library)  # it reads and parses a file
+
+
+def inputs(room: Room, measured: MeasuredTimes) -> dict[str, Any]:
+    """Return the room as TOML and the mean T as CSV; the two suffice to repeat the calibration."""
+    return {
+        "room": room.to_text(),
+        "measured": _mean_measurement(room, measured).to_text(),
+    }
+
+
+def measurement(measured: MeasuredTimes) -> dict[str, Any]:
+    """Return the measured T in the room's bands, and the caution about its conversion."""
+    return {
+        "reverberation_time": json_numbers(measured.reverberation_time),
+        "uncertainty": json_numbers(measured.uncertainty),
+        "parameter": list(measured.parameter),
+        "bands_not_in_room": list(measured.ignored),
+        "fingerprint": measured.fingerprint,
+        "caution": measured.caution,
+    }
+
+
+def equation_parameters(equation: LinearEquation) -> dict[str, Any]:
+    """Return the equation's parameters that differ from their defaults."""
+    usual = asdict(type(equation)())
+    return {name: value for name, value in asdict(equation).items() if value != usual[name]}
+
+
+def materials(
+    prior: Room,
+    calibrated: Room,
+    shift_in_sigmas: Array,
+    interval: Sequence[Array] | None,
+    active: NDArray[np.int8],
+    error_bound: Array,
+) -> list[dict[str, Any]]:
+    """Return one entry per material; every array is (n_materials, n_bands)."""
+    return [
+        {
+            "name": name,
+            "area": float(prior.areas[i]),
+            "source": prior.sources.get(name, ""),
+            "alpha_before": json_numbers(prior.alpha[i]),
+            "sigma_before": json_numbers(prior.sigma[i]),
+            "alpha_after": json_numbers(calibrated.alpha[i]),
+            "sigma_after": json_numbers(calibrated.sigma[i]),
+            "interval_after": None
+            if interval is None
+            else [json_numbers(end[i]) for end in interval],
+            "alpha_min": None if prior.alpha_min is None else json_numbers(prior.alpha_min[i]),
+            "shift_in_sigmas": json_numbers(shift_in_sigmas[i]),
+            "at_bound": [_ENDS[int(v)] for v in active[i]],
+            "error_bound": json_numbers(error_bound[i]),
+        }
+        for i, name in enumerate(prior.materials)
+    ]
+
+
+def solver(name: str, raw: RawSolution, polished: bool) -> dict[str, Any]:
+    """Return the solver's name, status, iterations and time, and whether polishing succeeded."""
+    return {
+        "name": name,
+        "status": raw.status,
+        "iterations": raw.iterations,
+        "seconds": None if np.isnan(raw.seconds) else raw.seconds,
+        "polished": polished,
+        "raw_certificate": residuals(raw.certificate),
+        "raw_alpha": json_numbers(raw.alpha),
+    }
+
+
+def residuals(certificate: Certificate) -> dict[str, list[float | None]]:
+    """Return the certificate's residuals per band."""
+    return {
+        "primal_residual": json_numbers(certificate.primal_residual),
+        "dual_residual": json_numbers(certificate.dual_residual),
+        "duality_gap": json_numbers(certificate.duality_gap),
+    }
+
+
+def _mean_measurement(room: Room, measured: MeasuredTimes) -> Measurement:
+    """Return the matched T per band as a measurement: a summary over the pairs."""
+    values, uncertainty = {}, {}
+    for parameter in dict.fromkeys(p for p in measured.parameter if p):
+        of_parameter = np.array([p == parameter for p in measured.parameter])
+        values[parameter] = np.where(of_parameter, measured.reverberation_time, np.nan)[np.newaxis]
+        u = np.where(of_parameter, measured.uncertainty, np.nan)[np.newaxis]
+        if np.isfinite(u).any():
+            uncertainty[parameter] = u
+    if not values:  # no T was matched
+        values[TARGET.key] = np.full((1, room.n_bands), np.nan)
+    return Measurement(
+        centre_frequencies=room.centre_frequencies, values=values, uncertainty=uncertainty
+    )
+
 
 _STRONG_SHIFT = 3.0
 """Shift (in sigmas) and gap (in JND) at which the notebook's shading saturates."""
@@ -62,13 +188,13 @@ def text_table(record: Mapping[str, Any]) -> str:
 
 def html_table(record: Mapping[str, Any]) -> str:
     """Return the HTML table of a notebook: gaps and coefficients, shaded by gap and by shift."""
-    rows: list[list[str | html.Cell]] = []
+    rows: list[list[str | text.Cell]] = []
     for label, cells in _band_rows(record):
         shades = np.zeros(len(cells))
         if label.startswith("gap"):
             key = "gap_before_jnd" if "before" in label else "gap_after_jnd"
             shades = np.nan_to_num(_numbers(record[key])) / _STRONG_SHIFT
-        rows.append([label, *map(html.Cell, cells, shades)])
+        rows.append([label, *map(text.Cell, cells, shades)])
     for material in record["materials"]:
         shifts = _numbers(material["shift_in_sigmas"])
         cells = [
@@ -77,9 +203,9 @@ def html_table(record: Mapping[str, Any]) -> str:
                 material["alpha_after"], material["at_bound"], shifts, strict=True
             )
         ]
-        rows.append([_area(material), *map(html.Cell, cells, shifts / _STRONG_SHIFT)])
+        rows.append([_area(material), *map(text.Cell, cells, shifts / _STRONG_SHIFT)])
     title, settings = _header(record)
-    return html.table(
+    return text.html_table(
         f"{title}; {settings}. alpha after (shift in sigmas of the prior; * at a bound)",
         ["", *_band_labels(record)],
         rows,

@@ -13,11 +13,10 @@ from scipy.stats import truncnorm
 from rtcal.acoustics.equations import LinearEquation
 from rtcal.calibration.configurations import Configurations
 from rtcal.calibration.convex_program import Solution
-from rtcal.calibration.measured import MeasuredTimes
 from rtcal.calibration.numpy_model import NumpyModel
 from rtcal.calibration.posterior.density import CoupledBands, IndependentBands
 from rtcal.calibration.posterior.distributions import Optimality, linear_estimate_sigma
-from rtcal.calibration.problem_data import ProblemData
+from rtcal.calibration.problem_data import MeasuredTimes, ProblemData
 from rtcal.calibration.terms import (
     ExactMatch,
     LinearObservations,

@@ -1,8 +1,10 @@
-"""``rtcal measure``, ``table`` and ``export``: foreign measurements in, materials out."""
+"""``rtcal example``, ``measure``, ``table``, ``export`` and ``report``: files in and out."""
 
 from __future__ import annotations
 
+import shlex
 from dataclasses import replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -16,13 +18,16 @@ from rtcal.command.console import (
     bar_wanted,
     decimals_option,
     errors_name_options,
+    heading_options,
     json_option,
     numbers,
+    output_folder,
     quiet_option,
     repeats_option,
     said,
     tell,
     texts,
+    written,
 )
 from rtcal.io.table_columns import DECAY_TIMES_OF_RT60
 from rtcal.support.errors import DataError
@@ -31,6 +36,8 @@ from rtcal.support.files import spare, write_text
 if TYPE_CHECKING:
     from rtcal.io.analysis import Analysis
     from rtcal.io.tables import Table
+    from rtcal.report.document import Heading
+
 
 PROGRAMS = ("catt", "odeon", "pyroomacoustics", "bras")
 
@@ -282,3 +289,110 @@ def export(
         "not_in_file": done.lost,
     }
     tell(str(done), record, quiet=quiet, as_json=as_json)
+
+
+_PURPOSES = {
+    "room": "a room and a measured T",
+    "change": "variants to predict, a target to design to",
+    "responses": "impulse responses and a mesh",
+    "program": "a CATT list and a table of T",
+    "simulator": "a simulator in Python",
+    "optimisation": "terms, solvers and the certificate",
+    "missing-effect": "a model that may lack something",
+    "told": "two rooms: one effect named, one not",
+    "where": "a mesh and twelve pairs: on which surface?",
+}
+_LIST = "\b\n" + "\n".join(f"    {name:16s}{text}" for name, text in _PURPOSES.items())
+
+
+@click.command(
+    short_help="Write files to start from.",
+    help=f"""Write the files of a small project, and print the commands that use them.
+
+    {_LIST}
+
+    Example: rtcal example room --out my-room
+    """,
+)
+@click.argument("name", type=click.Choice(tuple(_PURPOSES)))
+@click.option("--out", type=click.Path(file_okay=False), help="Folder to write; NAME if not given.")
+@json_option
+@quiet_option
+def example(name: str, out: str | None, as_json: bool, quiet: bool) -> None:
+    """Write the files of a small project, and print the commands that use them."""
+    from rtcal.datasets import examples
+    from rtcal.support.errors import DataError
+    from rtcal.support.files import make_folder, write_all
+    from rtcal.support.text import shell
+
+    project = examples.example(name)
+    folder = output_folder("--out", out) or Path(name)
+    targets = {folder / file: content for file, content in project.files.items()}
+    if present := [path for path in targets if path.exists()]:
+        raise DataError(f"{present[0]} exists; an example writes over no file: give another --out")
+    make_folder(folder)
+    write_all(targets)
+    commands = [f"cd {shlex.quote(str(folder))}", *project.commands]
+    lines = [written(list(targets)), "", "Next:"]
+    lines += [line for command in commands for line in shell(command, "  ")]
+    tell(
+        "\n".join(lines),
+        {"written": [str(path) for path in targets], "commands": list(project.commands)},
+        quiet=quiet,
+        as_json=as_json,
+    )
+
+
+_FIGURES = 5
+
+
+@click.command(short_help="Write a saved result as one HTML page.")
+@click.argument("result", type=click.Path())
+@click.option(
+    "--out",
+    type=click.Path(dir_okay=False),
+    help="Page (HTML) to write, by default report.html beside the result; or, as tables.xlsx, a "
+    "workbook of all its tables.",
+)
+@heading_options
+@json_option
+@quiet_option
+def report(result: str, out: str | None, heading: Heading, as_json: bool, quiet: bool) -> None:
+    """Write RESULT as one HTML page: summary, doubts, tables, figures; or its tables as a workbook.
+
+    RESULT is the folder of `rtcal calibrate`, `fit`, `find`, `predict` or `design --out`, its
+    result.json, the state of an `rtcal loop`, or the file of `LoopResult.save`. The page needs no
+    network and no other file. It can be printed.
+
+    \b
+    Example: rtcal report calibrated \\
+        --author "A. Consultant" --out hall.html
+
+    \b
+    Example: rtcal report calibrated --out hall.xlsx
+    """  # noqa: D301 (click's mark for lines that are not to be wrapped)
+    from rtcal.io import workbook
+    from rtcal.report import document, pages, result_folder, tables
+    from rtcal.support.files import spare
+    from rtcal.support.progress import bar
+
+    if out == "":
+        raise DataError("--out is empty; it is a file")
+    folder = Path(result) if Path(result).is_dir() else Path(result).parent
+    kept = [folder / name for name in result_folder.FILES if (folder / name).exists()]
+    target = Path(out) if out is not None else folder / "report.html"
+    spare([target], [result, *kept])
+    if target.suffix.lower() == workbook.ENDING:
+        tables.write(result, target)
+        done = {"written": str(target), "bytes": target.stat().st_size}
+        tell(f"Written: {target}", done, quiet=quiet, as_json=as_json)
+        return
+    with bar(_FIGURES, "figure", bar_wanted(quiet), said(quiet)) as shown:
+        text = pages.page_of(result, heading=heading, progress=lambda: shown.update(1))
+    document.write(target, text)
+    tell(
+        f"Written: {target}",
+        {"written": str(target), "bytes": len(text.encode())},
+        quiet=quiet,
+        as_json=as_json,
+    )

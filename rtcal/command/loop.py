@@ -103,12 +103,12 @@ def start(
         --state loop.json --out next.toml --decimals 3
     """  # noqa: D301 (click's mark for lines that are not to be wrapped)
     from rtcal.acoustics.room import Room
-    from rtcal.calibration.measured import times_in_room
-    from rtcal.loop import by_hand
+    from rtcal.calibration.problem_data import times_in_room
+    from rtcal.loop import calibrate
     from rtcal.loop.state import start as begin
 
     spare([state, out], [room, measured])
-    by_hand.refuse_progress(state)
+    calibrate.refuse_progress(state)
     data = read_measured(measured, quiet=quiet)
     stated = numbers("--weight", weights, "PARAMETER=NUMBER, such as edt=0.5")
     begun = begin(
@@ -121,7 +121,7 @@ def start(
         weights=stated or None,
     )
     first = begun.calibrated(begun.wanted)
-    by_hand.write(begun, state, out)
+    calibrate.write(begun, state, out)
     beyond = [f"{band} (the nearest is taken)" for band in first.unreachable]
     parameters = [
         parameter_label(p) for p in sorted(set(times_in_room(begun.room, data).parameter)) if p
@@ -174,16 +174,16 @@ def next_(
     from rtcal.acoustics import bands
     from rtcal.acoustics.room import Room
     from rtcal.acoustics.trust import explained
-    from rtcal.loop import by_hand
-    from rtcal.loop.beside import sentences
+    from rtcal.loop import calibrate
+    from rtcal.loop.matched import sentences
     from rtcal.loop.state import Loop
     from rtcal.report.loop_words import beside_rows, lost_rows, statuses
     from rtcal.support import text
 
     spare([state, out], [room, simulated])
     before = Loop.load(state, Room.from_file(room))
-    after = by_hand.record(before, simulated, state, out, again=again)
-    by_hand.write(after, state, out)
+    after = calibrate.record(before, simulated, state, out, again=again)
+    calibrate.write(after, state, out)
     finished, frequencies, shown = after.finished, after.room.centre_frequencies, statuses(after)
     rows = [
         (bands.label(frequency), [text.number(wanted, ".2f"), text.number(gap, "+.2f"), status])
@@ -207,7 +207,7 @@ def next_(
     for sentence in sentences(after.gaps_beside, frequencies):
         lines += text.wrapped(sentence)
     lines += explained(after.trust_marks)
-    lines.append(by_hand.conclusion(after, out) if finished else _next_step(out))
+    lines.append(calibrate.conclusion(after, out) if finished else _next_step(out))
     record = {
         "finished": finished,
         "state": state,
@@ -237,12 +237,12 @@ def back(room: str, state: str, out: str, as_json: bool, quiet: bool) -> None:
         --state loop.json --out next.toml
     """  # noqa: D301 (click's mark for lines that are not to be wrapped)
     from rtcal.acoustics.room import Room
-    from rtcal.loop import by_hand
+    from rtcal.loop import calibrate
     from rtcal.loop.state import Loop
 
     spare([state, out], [room])
     before = Loop.load(state, Room.from_file(room)).back()
-    by_hand.write(before, state, out)
+    calibrate.write(before, state, out)
     record = {"simulations": len(before.steps), "state": state, "simulate": out}
     text = (
         f"{state} now holds {len(before.steps)} "

@@ -10,20 +10,16 @@ from collections.abc import Sequence
 
 import click
 
-from rtcal.command.calibrate import calibrate
+from rtcal.command.calibrate import calibrate, fit, learn
 from rtcal.command.console import CannotPrint, printing, show_warning, warn
-from rtcal.command.example import example
-from rtcal.command.files import export, measure, table
+from rtcal.command.files import example, export, measure, report, table
 from rtcal.command.finder import NOTHING_TO_ADD, apply, find, plan, verify
-from rtcal.command.fit import fit
 from rtcal.command.import_room import import_room
-from rtcal.command.learn import learn
 from rtcal.command.loop import loop
 from rtcal.command.predict import design, predict
-from rtcal.command.report import report
 from rtcal.command.study import study
 from rtcal.support.errors import MissingDependencyError, RtcalError, SolverError
-from rtcal.support.version import __version__
+from rtcal.support.lazy import __version__
 
 EXIT_CODES = {
     0: "done",

@@ -209,7 +209,7 @@ def measured_states(
     from rtcal.acoustics.measurement import Measurement
     from rtcal.acoustics.room import Room
     from rtcal.acoustics.states import State
-    from rtcal.calibration.measured import times_in_room
+    from rtcal.calibration.problem_data import times_in_room
 
     def state(stated: Room, path: str) -> State:
         times = times_in_room(stated, Measurement.from_file(path))

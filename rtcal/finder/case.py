@@ -40,11 +40,11 @@ import numpy as np
 
 from rtcal.acoustics import bands
 from rtcal.acoustics.equations import mean_equation
-from rtcal.acoustics.fingerprints import refuse_repeated_data
 from rtcal.acoustics.materials import text_name
 from rtcal.acoustics.measurement import Measurement
+from rtcal.acoustics.repeats import refuse_repeated_data
 from rtcal.acoustics.room import Room
-from rtcal.calibration.measured import times_in_room
+from rtcal.calibration.problem_data import times_in_room
 from rtcal.finder.configuration import (
     LEVELS,
     PARAMETERS,

@@ -11,10 +11,10 @@ if TYPE_CHECKING:
     from rtcal.loop.positions_result import PositionsResult as PositionsResult
     from rtcal.loop.predicted_positions import predict_positions as predict_positions
     from rtcal.loop.result import LoopResult as LoopResult
+    from rtcal.loop.rules import STATUSES as STATUSES
     from rtcal.loop.rules import Rule as Rule
+    from rtcal.loop.rules import Step as Step
     from rtcal.loop.state import Loop as Loop
     from rtcal.loop.state import start as start
-    from rtcal.loop.steps import STATUSES as STATUSES
-    from rtcal.loop.steps import Step as Step
 else:
     __getattr__, __dir__, __all__ = lazy.exports(__name__, __file__)

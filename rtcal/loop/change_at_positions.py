@@ -33,13 +33,13 @@ from rtcal.loop.changed_room import ChangedRoom, Pieces
 from rtcal.loop.control_runs import ControlRuns, level
 from rtcal.loop.measured_pairs import MeasuredPairs
 from rtcal.loop.positions_prediction import PositionsPrediction, Z
+from rtcal.loop.positions_steps import GROUPS, groups_of_paths, noise_of_a_run
 from rtcal.loop.scattering import (
     MaterialScattering,
     Scattering,
     errors_by_scattering,
     material_scattering,
 )
-from rtcal.loop.simulator_error import GROUPS, groups_of_paths, noise_of_a_run
 from rtcal.prediction import words
 from rtcal.prediction.predicted import LEVEL
 from rtcal.simulators.base import Simulator

@@ -21,11 +21,11 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from rtcal.acoustics.assumptions import Assumptions
 from rtcal.acoustics.changes import Change, Climate, Cover, Open, changed
 from rtcal.acoustics.equations import Eyring
-from rtcal.acoustics.joint_states import Rooms
 from rtcal.acoustics.room import Room
+from rtcal.acoustics.room_errors import Assumptions
+from rtcal.acoustics.states import Rooms
 from rtcal.simulators import polygons
 from rtcal.simulators.base import Simulator
 from rtcal.simulators.geometry import WELD, Polyhedron

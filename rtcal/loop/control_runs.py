@@ -32,9 +32,9 @@ from rtcal.simulators.tracer import eyring_seconds
 from rtcal.support import checks, files
 from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError, RtcalError, TooShortError
+from rtcal.support.lazy import __version__
 from rtcal.support.progress import Progress
 from rtcal.support.types import Array, read_only
-from rtcal.support.version import __version__
 
 RUNS = 16
 """Traces for the control runs."""

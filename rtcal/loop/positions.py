@@ -26,18 +26,25 @@ from rtcal.acoustics.room_errors import in_words, prior_covariance
 from rtcal.acoustics.scene import POSITION, checked_uncertainty
 from rtcal.calibration.nonlinear import Steps
 from rtcal.calibration.problem import Calibration
-from rtcal.loop.beside import Beside
-from rtcal.loop.beside import means as measured_beside
 from rtcal.loop.control_runs import (
     ControlRuns,
     simulated_controls,
     trace_ahead,
 )
+from rtcal.loop.matched import Beside
+from rtcal.loop.matched import means as measured_beside
 from rtcal.loop.measured_pairs import MeasuredPairs, Pair, history, pairs_to_match
 from rtcal.loop.positions_result import GaussNewtonStep, PositionsResult
-from rtcal.loop.positions_steps import LinearisationPoint, LinearisedSimulator, steps_to_positions
+from rtcal.loop.positions_steps import (
+    GROUPS,
+    LinearisationPoint,
+    LinearisedSimulator,
+    Listener,
+    error_of_simulator,
+    scaled_errors,
+    steps_to_positions,
+)
 from rtcal.loop.scattering import Scattering, fitted, scattered
-from rtcal.loop.simulator_error import GROUPS, Listener, error_of_simulator, scaled_errors
 from rtcal.simulators import base, observations
 from rtcal.simulators.base import Simulator
 from rtcal.simulators.observations import DifferentiableSimulator, Observations, observe
@@ -45,9 +52,9 @@ from rtcal.simulators.path_tracing import PathTracing
 from rtcal.support import checks
 from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError, SimulatorError
+from rtcal.support.lazy import __version__
 from rtcal.support.progress import Progress
 from rtcal.support.types import Array
-from rtcal.support.version import __version__
 
 MORE_PATHS = 4
 """Factor of the number of paths that are weighed: EDT of a pair has a noise of 2 to 9 % with 6000. In a

@@ -9,28 +9,35 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from rtcal.acoustics.assumptions import Assumptions
 from rtcal.acoustics.change_files import Variant
 from rtcal.acoustics.changes import Change
 from rtcal.acoustics.observables import LEVEL, observable
 from rtcal.acoustics.parameters import parameter_label
 from rtcal.acoustics.quality import gap_jnd
 from rtcal.acoustics.room import Room
+from rtcal.acoustics.room_errors import Assumptions
 from rtcal.acoustics.scene import POSITION
 from rtcal.calibration.certificate import Certificate
-from rtcal.calibration.linear_estimate import gain, learned_materials
+from rtcal.calibration.nonlinear import gain, learned_materials
 from rtcal.calibration.result import CalibrationResult
-from rtcal.loop.beside import Beside, left, sentences
 from rtcal.loop.control_runs import ControlRuns
-from rtcal.loop.measured_pairs import MeasuredPairs, Pair, with_reference
-from rtcal.loop.pair_misfit import chi_square, contradicting, relative_misfit, rows_of_pairs
+from rtcal.loop.matched import Beside, left, sentences
+from rtcal.loop.measured_pairs import (
+    MeasuredPairs,
+    Pair,
+    chi_square,
+    contradicting,
+    relative_misfit,
+    rows_of_pairs,
+    with_reference,
+)
 from rtcal.loop.positions_prediction import PositionsPrediction
 from rtcal.loop.positions_tables import Table, gap_table, material_table, rms
 from rtcal.loop.predicted_positions import WANTED, predict_positions
 from rtcal.loop.scattering import Scattering
 from rtcal.simulators.base import Simulator
 from rtcal.simulators.observations import Observations, observe
-from rtcal.support import html, text
+from rtcal.support import text
 from rtcal.support.files import json_numbers
 from rtcal.support.results import Result
 from rtcal.support.types import Array
@@ -329,11 +336,11 @@ class PositionsResult(Result):
     def _repr_html_(self) -> str:
         """Return the table of the materials, darker where more was learned."""
         header, rows = self._material_table()
-        cells: list[list[str | html.Cell]] = [[*row] for row in rows]
+        cells: list[list[str | text.Cell]] = [[*row] for row in rows]
         for row, (_, before, after) in zip(cells, self.learned, strict=True):
             share = 1 - after / before if before > 0 else 0.0
-            row[2] = html.Cell(str(row[2]), float(np.clip(share, 0, 1)))
-        return html.table(self._description, header, cells, self.every_note)
+            row[2] = text.Cell(str(row[2]), float(np.clip(share, 0, 1)))
+        return text.html_table(self._description, header, cells, self.every_note)
 
     def _material_table(self) -> Table:
         scattering = self.scattering

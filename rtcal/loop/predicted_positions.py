@@ -7,9 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from rtcal.acoustics.assumptions import Assumptions
 from rtcal.acoustics.change_files import Variant, refuse_repeated_names
 from rtcal.acoustics.observables import MATCH, OBSERVABLES, TARGET
+from rtcal.acoustics.room_errors import Assumptions
 from rtcal.acoustics.scene import POSITION, checked_uncertainty
 from rtcal.loop.change_at_positions import Before, CalibratedAtPositions, Changed
 from rtcal.loop.changed_room import ChangedRoom

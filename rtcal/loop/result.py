@@ -17,10 +17,9 @@ from rtcal.acoustics.room import Room
 from rtcal.acoustics.room_errors import in_words
 from rtcal.acoustics.trust import TrustMark, explained
 from rtcal.calibration.result import CalibrationResult
-from rtcal.loop.beside import SHOWN, Gaps, left, sentences
-from rtcal.loop.matched import ParameterGap
+from rtcal.loop.matched import SHOWN, Gaps, ParameterGap, left, sentences
 from rtcal.loop.state import Loop
-from rtcal.support import html, text
+from rtcal.support import text
 from rtcal.support.files import json_numbers
 from rtcal.support.results import Result
 from rtcal.support.types import Array
@@ -79,7 +78,7 @@ class LoopResult(Result):
 
     @property
     def status(self) -> tuple[str, ...]:
-        """Status of each band: one of `rtcal.loop.steps.STATUSES`."""
+        """Status of each band: one of `rtcal.loop.rules.STATUSES`."""
         return self.loop.confirmed(self.final)
 
     @property
@@ -178,11 +177,11 @@ class LoopResult(Result):
             for row, beside in zip(rows, rows_beside, strict=bool(more)):
                 row.extend(beside[1:])
         column = header.index("gap / JND")
-        shaded: list[list[str | html.Cell]] = [[*row] for row in rows]
+        shaded: list[list[str | text.Cell]] = [[*row] for row in rows]
         for cells, gap in zip(shaded, np.nan_to_num(self.gap), strict=True):
             shade = float(np.clip(gap / _STRONGEST_SHADE, -1, 1))
-            cells[column] = html.Cell(str(cells[column]), shade)
-        return html.table(self._description, header, shaded, self._notes())
+            cells[column] = text.Cell(str(cells[column]), shade)
+        return text.html_table(self._description, header, shaded, self._notes())
 
     def _table(self) -> tuple[list[str], list[list[str]]]:
         """Return the header and one row per band."""

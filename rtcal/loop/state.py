@@ -19,27 +19,30 @@ from numpy.typing import NDArray
 from rtcal.acoustics.band_conversion import measurement_in_room_bands
 from rtcal.acoustics.decay import BentDecay
 from rtcal.acoustics.equations import Eyring, LinearEquation
-from rtcal.acoustics.fingerprints import of_room, refuse_repeated_data
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.observables import TARGET
 from rtcal.acoustics.quality import gap_jnd
+from rtcal.acoustics.repeats import of_room, refuse_repeated_data
 from rtcal.acoustics.room import Room
 from rtcal.acoustics.trust import TrustMark, bent_marks
-from rtcal.calibration.measured import data_history, times_in_room
 from rtcal.calibration.presets import preset
 from rtcal.calibration.problem import CalibrationProblem
+from rtcal.calibration.problem_data import data_history, times_in_room
 from rtcal.calibration.result import CalibrationResult
-from rtcal.loop.beside import Gaps, left, means
-from rtcal.loop.matched import Matched, ParameterGap, Weights, matched_times
-from rtcal.loop.rules import RULES, Rule, next_targets, target_limits, target_without_t20
-from rtcal.loop.steps import (
+from rtcal.loop.matched import Gaps, Matched, ParameterGap, Weights, left, matched_times, means
+from rtcal.loop.rules import (
     CLOSE_TARGETS,
+    RULES,
+    Rule,
     Step,
     band_goals,
     band_statuses,
     confirmed_statuses,
+    next_targets,
     simulated_time,
     stuck_bands,
+    target_limits,
+    target_without_t20,
 )
 from rtcal.simulators.base import check_alpha
 from rtcal.support import checks
@@ -215,12 +218,12 @@ class Loop(Result):
 
     @property
     def goal(self) -> Array:
-        """Gap in JND at which each band is done, (n_bands,); see `rtcal.loop.steps.band_goals`."""
+        """Gap in JND at which each band is done, (n_bands,); see `rtcal.loop.rules.band_goals`."""
         return band_goals(self.tolerance, self.steps[-1].noise / self._jnd)
 
     @property
     def status(self) -> tuple[str, ...]:
-        """Status of each band: one of `rtcal.loop.steps.STATUSES`."""
+        """Status of each band: one of `rtcal.loop.rules.STATUSES`."""
         close = np.abs(np.log(self._target_without_t20 / self.best_target)) < CLOSE_TARGETS
         stuck = stuck_bands(
             np.array([step.alpha for step in self.steps]),
@@ -244,7 +247,7 @@ class Loop(Result):
     def confirmed(self, measurement: Measurement) -> tuple[str, ...]:
         """Return the status of each band after a simulation of `best_alpha` with another seed.
 
-        See `rtcal.loop.steps.confirmed_statuses`.
+        See `rtcal.loop.rules.confirmed_statuses`.
         """
         noise = self.matched.noise(measurement) / self._jnd
         return confirmed_statuses(self.status, self.matched.gap(measurement), noise, self.tolerance)

@@ -22,10 +22,10 @@ from rtcal.acoustics.equations import Eyring, LinearEquation
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.room import Room
 from rtcal.acoustics.trust import mid_frequency_time, schroeder_frequency
-from rtcal.calibration.measured import MeasuredTimes, no_times, times_in_room
 from rtcal.calibration.nonlinear import Steps, Taken, gauss_newton
 from rtcal.calibration.presets import preset
 from rtcal.calibration.problem import Calibration, CalibrationProblem
+from rtcal.calibration.problem_data import MeasuredTimes, no_times, times_in_room
 from rtcal.calibration.result import CalibrationResult
 from rtcal.calibration.terms import LinearObservations, Observed, as_objective
 from rtcal.io.sofa import Responses

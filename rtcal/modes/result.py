@@ -15,16 +15,16 @@ from rtcal.acoustics.room import Room
 from rtcal.acoustics.room_errors import prior_covariance
 from rtcal.acoustics.trust import TrustMark, uncarried_mark
 from rtcal.calibration.certificate import Certificate
-from rtcal.calibration.linear_estimate import gain, learned_materials
-from rtcal.calibration.measured import MeasuredTimes, data_history
+from rtcal.calibration.nonlinear import gain, learned_materials
+from rtcal.calibration.problem_data import MeasuredTimes, data_history
 from rtcal.calibration.result import CalibrationResult
 from rtcal.modes.measured import MeasuredModes
 from rtcal.modes.room_modes import DECAY
-from rtcal.support import html, text
+from rtcal.support import text
 from rtcal.support.files import json_numbers
+from rtcal.support.lazy import __version__
 from rtcal.support.results import Result
 from rtcal.support.types import Array
-from rtcal.support.version import __version__
 
 KIND = "modes 1"
 CARRIED = 3
@@ -233,8 +233,8 @@ class ModesResult(Result):
     def _repr_html_(self) -> str:
         """Return the table of the modes."""
         header = ["mode / Hz", "T / s", "before", "after", "tells most of"]
-        cells: list[list[str | html.Cell]] = [[name, *row] for name, row in self.mode_rows]
-        return html.table(self._description, header, cells, self.every_note)
+        cells: list[list[str | text.Cell]] = [[name, *row] for name, row in self.mode_rows]
+        return text.html_table(self._description, header, cells, self.every_note)
 
     @property
     def every_note(self) -> list[str]:

@@ -5,7 +5,6 @@ from typing import TYPE_CHECKING
 from rtcal.support import lazy
 
 if TYPE_CHECKING:
-    from rtcal.acoustics.assumptions import Assumptions as Assumptions
     from rtcal.acoustics.change_files import Variant as Variant
     from rtcal.acoustics.change_files import read_variants as read_variants
     from rtcal.acoustics.changes import Add as Add
@@ -15,6 +14,7 @@ if TYPE_CHECKING:
     from rtcal.acoustics.changes import Open as Open
     from rtcal.acoustics.changes import Remove as Remove
     from rtcal.acoustics.changes import changed as changed
+    from rtcal.acoustics.room_errors import Assumptions as Assumptions
     from rtcal.acoustics.states import State as State
     from rtcal.acoustics.targets import Target as Target
     from rtcal.acoustics.targets import ansi_s12_60 as ansi_s12_60

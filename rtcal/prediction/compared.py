@@ -7,10 +7,10 @@ from dataclasses import dataclass
 from typing import Any, ClassVar
 
 from rtcal.acoustics import bands
-from rtcal.acoustics.assumptions import Assumptions
 from rtcal.acoustics.change_files import Variant, refuse_repeated_names
 from rtcal.acoustics.equations import LinearEquation
 from rtcal.acoustics.room import Room
+from rtcal.acoustics.room_errors import Assumptions
 from rtcal.acoustics.states import State
 from rtcal.acoustics.targets import Target
 from rtcal.prediction.predicted import Prediction, predict

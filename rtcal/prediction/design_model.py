@@ -16,12 +16,11 @@ from typing import Any
 import numpy as np
 from scipy.special import ndtri
 
-from rtcal.acoustics.assumptions import Assumptions
 from rtcal.acoustics.changes import changed
 from rtcal.acoustics.equations import LinearEquation
-from rtcal.acoustics.joint_states import Rooms
 from rtcal.acoustics.room import Room
-from rtcal.acoustics.states import State
+from rtcal.acoustics.room_errors import Assumptions
+from rtcal.acoustics.states import Rooms, State
 from rtcal.acoustics.targets import Target
 from rtcal.acoustics.treatments import Treatment
 from rtcal.prediction.estimate import estimated_change, near_bounds, samples

@@ -1,6 +1,6 @@
 """The most probable coefficients, volume, areas and equation error, from measured states of a room.
 
-With the unknowns of `rtcal.acoustics.joint_states`, each measured state gives per band
+With the unknowns of `rtcal.acoustics.states`, each measured state gives per band
 
     ln T = ln T(alpha, V, S, m) + g + e,  var e = u_T² / T² + own².
 
@@ -15,8 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rtcal.acoustics.joint_states import Flags, Rooms
-from rtcal.acoustics.states import State, refuse_counted_twice
+from rtcal.acoustics.states import Flags, Rooms, State, refuse_counted_twice
 from rtcal.support.errors import SolverError
 from rtcal.support.sampler import samples_of_normal
 from rtcal.support.types import Array

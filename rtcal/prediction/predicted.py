@@ -11,12 +11,11 @@ import numpy as np
 from scipy.special import ndtr, ndtri
 
 from rtcal.acoustics import bands
-from rtcal.acoustics.assumptions import Assumptions
 from rtcal.acoustics.changes import Change, changed
 from rtcal.acoustics.equations import Eyring, LinearEquation
-from rtcal.acoustics.joint_states import Flags, Rooms
 from rtcal.acoustics.room import Room
-from rtcal.acoustics.states import State
+from rtcal.acoustics.room_errors import Assumptions
+from rtcal.acoustics.states import Flags, Rooms, State
 from rtcal.acoustics.targets import Target
 from rtcal.prediction import words
 from rtcal.prediction.estimate import Estimate, estimated_change, near_bounds, samples

@@ -21,9 +21,9 @@ from rtcal.report import figures
 from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError, MissingDependencyError
 from rtcal.support.files import write_text
+from rtcal.support.lazy import __version__
 from rtcal.support.text import shortened
 from rtcal.support.types import Array
-from rtcal.support.version import __version__
 
 __all__ = ["Heading"]
 __dir__ = __all__.copy

@@ -11,10 +11,10 @@ import numpy as np
 
 from rtcal.acoustics import room_files
 from rtcal.acoustics.trust import letters
-from rtcal.calibration import record
+from rtcal.calibration import table
 from rtcal.calibration.result import CalibrationResult
 from rtcal.finder import states
-from rtcal.loop import beside
+from rtcal.loop import matched
 from rtcal.loop.positions_prediction import PositionsPrediction, PositionsPredictions
 from rtcal.loop.positions_result import PositionsResult
 from rtcal.loop.result import LoopResult
@@ -28,7 +28,6 @@ from rtcal.report import (
     loop_figures,
     loop_words,
     material_figures,
-    modes_page,
     positions_page,
     prediction_page,
     room_section,
@@ -193,7 +192,7 @@ def loop_page(
     summary = loop_words.summary(loop, status)
     if ends is not None:
         summary.append(loop_words.confirmed(loop, ends))
-    summary += beside.sentences(result.gaps_beside, loop.room.centre_frequencies)
+    summary += matched.sentences(result.gaps_beside, loop.room.centre_frequencies)
     bands = loop_words.bands_table(loop, status)
     bands["numbers"] += loop_words.lost_rows(result.compromise)
     if ends is None:
@@ -247,7 +246,7 @@ def page_of(
     if isinstance(result, PositionsResult):
         return positions_page.page(result, heading or Heading(), progress or (lambda: None))
     if isinstance(result, ModesResult):
-        return modes_page.page(result, heading or Heading(), progress or (lambda: None))
+        return positions_page.modes_page(result, heading or Heading(), progress or (lambda: None))
     if isinstance(result, Prediction | Predictions | Design):
         return prediction_page.page(result, heading or Heading(), progress or (lambda: None))
     if isinstance(result, states.StatesFinding):
@@ -368,7 +367,7 @@ def _interval_note(calibration: CalibrationResult) -> str:
 
 def _inputs(calibration: CalibrationResult) -> dict[str, str] | None:
     """Return the two files as data URIs; None if the room exceeds the largest size of a file."""
-    inputs = record.inputs(calibration.prior, calibration.measured_data)
+    inputs = table.inputs(calibration.prior, calibration.measured_data)
     texts = {key: text.encode() for key, text in inputs.items()}
     if len(texts["room"]) > room_files.MAX_BYTES:
         return None

@@ -1,4 +1,7 @@
-"""The stochastic study as printed text, tables and figures, beside the paper's numbers."""
+"""The stochastic study as printed text, tables and figures, beside the paper's numbers.
+
+The figures are like Figs. 2 and 4 of Bellows & Katz (2025).
+"""
 
 from __future__ import annotations
 
@@ -9,15 +12,76 @@ from typing import Any
 
 import numpy as np
 
-from rtcal.report import study_figures
+from rtcal.acoustics.priors import TruncatedNormal
 from rtcal.report.figures import new_figure, rendered
-from rtcal.report.study_figures import NAMES
+from rtcal.studies.draws import Sampling, redrawn_share
 from rtcal.studies.rooms import HALL_SEEDS, LECTURE_HALL, SHOEBOX, random_hall
-from rtcal.studies.sampling import Sampling, redrawn_share
+from rtcal.studies.runner import table_csv
 from rtcal.studies.study import Study, Table, analytic_emse, analytic_scores, run
-from rtcal.studies.tables import table_csv
 from rtcal.support import text
+from rtcal.support.arguments import checked
 from rtcal.support.types import Array
+
+__all__ = ["StudyReport", "priors", "report", "spread"]
+__dir__ = __all__.copy
+
+
+_STYLES = ("-", "--", "-.", ":", (0, (9, 3)), (0, (7, 2, 1, 2, 1, 2)))
+_MARKERS = "os^Dv*"
+NAMES = {"none": "BASE", "scaling": "REF", "lse": "LSE", "mle": "MLE"}
+
+
+@checked
+def priors(mu: Sequence[float], sigma: Sequence[float], title: str) -> Any:
+    """Return the figure of truncated normal densities on [0, 1] (Figs. 2 and 4a)."""
+    figure, axes = new_figure()
+    alpha = np.linspace(0, 1, 1001)
+    for i, (m, s) in enumerate(zip(mu, sigma, strict=True)):
+        density = TruncatedNormal(np.asarray(m), np.asarray(s)).pdf(alpha)
+        label = f"μ = {m:g}, σ = {s:g}"
+        axes.plot(
+            alpha,
+            density,
+            linestyle=_STYLES[i % len(_STYLES)],
+            marker=_MARKERS[(i + i // len(_STYLES)) % len(_MARKERS)],
+            markevery=[int(density.argmax())],
+            label=label,
+        )
+    axes.set_xlabel("Absorption coefficient α")
+    axes.set_ylabel("Probability density")
+    axes.set_xlim(0, 1)
+    axes.set_ylim(bottom=0)
+    axes.set_title(title)
+    axes.legend()
+    return figure
+
+
+@checked
+def spread(table: Table, aace: Sequence[float], title: str) -> Any:
+    """Return the box plot of the root of EMSE over realisations (Fig. 4b).
+
+    ``table`` is `Study.spread`'s, ``aace`` the mean line of each of its rows.
+    """
+    figure, axes = new_figure()
+    boxes = [
+        {
+            "label": NAMES[str(r.method)] + ("\nbounded" if r.bounded else ""),
+            "whislo": r.least,
+            "q1": r.first_quartile,
+            "med": r.median,
+            "q3": r.third_quartile,
+            "whishi": r.most,
+            "mean": mean,
+        }
+        for r, mean in zip(table, aace, strict=True)
+    ]
+    axes.bxp(boxes, showfliers=False, showmeans=True, meanline=True)
+    axes.set_ylabel("Root of EMSE of α, over realisations")
+    axes.set_ylim(bottom=0)
+    axes.set_title(title + " (dashed: AACE)")
+    axes.set_xlabel("Calibration method")
+    return figure
+
 
 SIGMA_R = (0.01, 0.05, 0.1)
 
@@ -282,7 +346,7 @@ def _study_files(study: Study, stem: str) -> dict[str, bytes]:
         "spread": study.spread(),
     }
     title = f"{stem}: {study.realisations:,} realisations of {study.trials:,} trials"
-    figure = study_figures.spread(study.spread(), study.scores().aace.tolist(), title)
+    figure = spread(study.spread(), study.scores().aace.tolist(), title)
     return {
         **{f"{stem}-{name}.csv": table_csv(table) for name, table in tables.items()},
         f"{stem}-spread.png": rendered(figure, "png"),
@@ -290,10 +354,8 @@ def _study_files(study: Study, stem: str) -> dict[str, bytes]:
 
 
 def _prior_files() -> dict[str, bytes]:
-    figure_2 = study_figures.priors(
-        (0.2, 0.5, 0.7), (0.02, 0.05, 0.1), "Truncated normals (Fig. 2)"
-    )
-    figure_4a = study_figures.priors(TABLE_1_MU, TABLE_1_SIGMA, "Table 1's room (Fig. 4a)")
+    figure_2 = priors((0.2, 0.5, 0.7), (0.02, 0.05, 0.1), "Truncated normals (Fig. 2)")
+    figure_4a = priors(TABLE_1_MU, TABLE_1_SIGMA, "Table 1's room (Fig. 4a)")
     return {
         "priors.png": rendered(figure_2, "png"),
         "table-1-priors.png": rendered(figure_4a, "png"),

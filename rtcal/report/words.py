@@ -14,8 +14,8 @@ from rtcal.acoustics.parameters import parameter_label
 from rtcal.acoustics.quality import P_CONTRADICTION, agreement, together_in_words, weak_agreement
 from rtcal.acoustics.trust import TrustMark
 from rtcal.calibration.presets import METHODS
-from rtcal.calibration.record import equation_parameters
 from rtcal.calibration.result import CalibrationResult
+from rtcal.calibration.table import equation_parameters
 
 LARGE_SHIFT = 2.0
 """Shift in standard deviations of the prior above which T contradicts a material's stated alpha."""

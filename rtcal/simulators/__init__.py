@@ -12,14 +12,14 @@ from rtcal.support import lazy
 
 if TYPE_CHECKING:
     from rtcal.simulators.base import Simulator as Simulator
-    from rtcal.simulators.equation import EquationSimulator as EquationSimulator
+    from rtcal.simulators.external import EquationSimulator as EquationSimulator
     from rtcal.simulators.external import External as External
+    from rtcal.simulators.external import command as command
     from rtcal.simulators.geometry import Polyhedron as Polyhedron
     from rtcal.simulators.image_source import ImageSource as ImageSource
     from rtcal.simulators.observations import DifferentiableSimulator as DifferentiableSimulator
     from rtcal.simulators.observations import Observations as Observations
     from rtcal.simulators.path_tracing import PathTracing as PathTracing
-    from rtcal.simulators.program import command as command
     from rtcal.simulators.ray_tracing import RayTracing as RayTracing
     from rtcal.simulators.sdn import ScatteringDelayNetwork as ScatteringDelayNetwork
 else:

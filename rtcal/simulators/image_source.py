@@ -20,7 +20,7 @@ from rtcal.acoustics import decay
 from rtcal.acoustics.measurement import Measurement
 from rtcal.simulators.base import check_alpha
 from rtcal.simulators.shoebox import ShoeboxSimulator
-from rtcal.support import checks, jit
+from rtcal.support import checks, speed
 from rtcal.support.errors import DataError
 from rtcal.support.types import Array
 
@@ -142,10 +142,10 @@ class ImageSource(ShoeboxSimulator):
     def _summed(self, images: Images, reflected: Array) -> Array:
         """Return the energy of a pair's bins, (n_bands, n_bins), by a factor per wall and hits."""
         weigh = _weigh
-        if jit.available():
-            from rtcal.simulators import image_numba
+        if speed.available():
+            from rtcal.simulators import shoebox_numba
 
-            weigh = image_numba.weigh
+            weigh = shoebox_numba.weigh
         x, y, z = (
             near[:, hits[:, 0]] * far[:, hits[:, 1]]
             for near, far, hits in zip(reflected[::2], reflected[1::2], images.hits, strict=True)

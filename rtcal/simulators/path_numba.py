@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from rtcal.support.jit import compiled
+from rtcal.support.speed import compiled
 from rtcal.support.types import Array
 
 # splitmix64 (Steele, Lea & Flood 2014) with one 64-bit state per path: a path does not depend on the

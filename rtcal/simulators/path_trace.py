@@ -9,7 +9,7 @@ from rtcal.simulators import paths, tracer
 from rtcal.simulators.geometry import Polyhedron
 from rtcal.simulators.path_batch import LARGEST_CODE, Batch, ScatteringModel
 from rtcal.support.errors import DataError
-from rtcal.support.threads import thread_pool
+from rtcal.support.speed import thread_pool
 from rtcal.support.types import Array
 
 MOST_LOST = 0.01

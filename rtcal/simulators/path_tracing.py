@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 from rtcal.acoustics.observables import MATCH, longest
 from rtcal.simulators import observations, path_trace, paths
 from rtcal.simulators.base import check_alpha
-from rtcal.simulators.directed_sources import DirectedSources
 from rtcal.simulators.observations import Observations
 from rtcal.simulators.tracer import (
     LONGEST,
+    DirectedSources,
     Tracer,
     check_seconds,
     decay_long_enough,

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from rtcal.acoustics.directivity import Directivity
 from rtcal.simulators import path_numpy
 from rtcal.simulators.path_batch import Batch, ScatteringModel, joined
-from rtcal.support import jit
+from rtcal.support import speed
 from rtcal.support.errors import DataError
 from rtcal.support.types import Array
 
@@ -417,7 +417,7 @@ class Paths:
 
 def kernels() -> ModuleType:
     """Return the module with the inner loops: numba's, or NumPy's where numba is absent."""
-    if jit.available():
+    if speed.available():
         from rtcal.simulators import path_numba
 
         return path_numba

@@ -20,7 +20,7 @@ from rtcal.acoustics.equations import Eyring
 from rtcal.acoustics.measurement import Measurement
 from rtcal.simulators.base import check_alpha
 from rtcal.simulators.shoebox import ShoeboxSimulator
-from rtcal.support import checks, jit
+from rtcal.support import checks, speed
 from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError
 from rtcal.support.types import Array
@@ -229,10 +229,10 @@ class ScatteringDelayNetwork(ShoeboxSimulator):
         injected = np.exp(-half * source) / source
         heard = np.exp(-half * tap) / (1 + tap / source)
         run = _blocks
-        if jit.available():
-            from rtcal.simulators import sdn_numba
+        if speed.available():
+            from rtcal.simulators import shoebox_numba
 
-            run = sdn_numba.blocks
+            run = shoebox_numba.blocks
         out[:] = run(
             network.lines,
             network.source_delays,

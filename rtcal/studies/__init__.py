@@ -9,13 +9,13 @@ mle
 """
 
 from rtcal.studies import rooms
+from rtcal.studies.runner import write_table
 from rtcal.studies.study import (
     Study,
     analytic_emse,
     analytic_scores,
     run,
 )
-from rtcal.studies.tables import write_table
 
 __all__ = [
     "Study",

@@ -3,29 +3,199 @@
 A piece draws from a generator seeded by (seed, number). The result does not depend on the number of
 workers, nor on which of them computes what. A kept piece states its study and its number, and has a
 checksum. A piece with wrong data is computed again.
+
+The sums over realisations, from which scores, standard errors and box plots are calculated, do not
+grow with the number of rooms, so neither does the study's memory.
 """
 
 from __future__ import annotations
 
+import csv
 import hashlib
+import io
 import json
+import math
 import os
 import zlib
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Executor, Future
 from contextlib import ExitStack, nullcontext
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
-from rtcal.studies.moments import ScoreMoments
+import numpy as np
+
+from rtcal.studies.draws import CALIBRATIONS, METHODS
 from rtcal.support import checks, transaction
+from rtcal.support.arguments import checked
 from rtcal.support.decode import json_object
-from rtcal.support.errors import DataError
+from rtcal.support.errors import DataError, MissingDependencyError
 from rtcal.support.files import make_folder, read_text, write_bytes, write_text
 from rtcal.support.progress import bar as progress_bar
-from rtcal.support.threads import thread_pool
+from rtcal.support.speed import thread_pool
+from rtcal.support.types import Array
+
+
+@checked
+def write_table(table: np.recarray[Any, Any], path: str | os.PathLike[str]) -> None:
+    """Write a table as .csv or .parquet, whole or not at all; numbers keep all their digits.
+
+    Raises
+    ------
+    DataError
+        If the path has another ending or cannot be written, or ``table`` is no table.
+    MissingDependencyError
+        For Parquet where pyarrow is not installed (extra ``studies``).
+    """
+    ending = checks.path("path", path).suffix.lower()
+    if not isinstance(table, np.ndarray) or table.dtype.names is None or table.ndim != 1:
+        raise DataError("table is not a table of named columns, such as Study.scores returns")
+    names = list(table.dtype.names)
+    if ending == ".csv":
+        write_bytes(path, table_csv(table))
+    elif ending == ".parquet":
+        try:
+            import pyarrow
+            from pyarrow import parquet
+        except ImportError as error:
+            raise MissingDependencyError(
+                "Parquet files need pyarrow: pip install 'rtcal[studies]'"
+            ) from error
+        content = io.BytesIO()
+        parquet.write_table(pyarrow.table({c: table[c].tolist() for c in names}), content)
+        write_bytes(path, content.getvalue())
+    else:
+        raise DataError(f'{path}: a table ends with .csv or .parquet, not "{ending}"')
+
+
+def table_csv(table: np.recarray[Any, Any]) -> bytes:
+    """Return a table as the bytes of a CSV file; numbers keep all their digits."""
+    stream = io.StringIO()
+    writer = csv.writer(stream, lineterminator="\n")
+    writer.writerow(table.dtype.names)
+    writer.writerows(table.tolist())
+    return stream.getvalue().encode()
+
+
+SAMPLED = METHODS + tuple(f"{m} bounded" for m in CALIBRATIONS)
+ANALYTIC = tuple(f"{m} analytic" for m in METHODS)
+SERIES = SAMPLED + ANALYTIC
+"""Names of the eleven EMSE that each realisation has."""
+
+EDGES = np.linspace(0.0, 0.5, 4001)  # of sqrt(EMSE); the last bin holds all larger values
+
+
+@dataclass(frozen=True, eq=False)
+class ScoreMoments:
+    """Sums over realisations.
+
+    ``count`` is the number of realisations, ``active`` the number of trials with an active bound,
+    by calibration. ``sums`` are those of the series, ``products`` those of each pair of series. The
+    sampled series also have a histogram of sqrt(EMSE) and its extremes.
+    """
+
+    count: int
+    sums: Array
+    products: Array
+    active: Array
+    histogram: Array
+    least: Array
+    most: Array
+
+    @classmethod
+    def of(cls, emse: Array, active: Array) -> ScoreMoments:
+        """Sum up the series of some realisations, (r, 11), and their active trials, (r, 3)."""
+        root = np.sqrt(emse[:, : len(SAMPLED)])
+        bins = np.minimum(np.searchsorted(EDGES, root, side="right") - 1, EDGES.size - 2)
+        histogram = np.stack([np.bincount(b, minlength=EDGES.size - 1) for b in bins.T])
+        return cls(
+            count=len(emse),
+            sums=emse.sum(0),
+            products=np.einsum("ri,rj->ij", emse, emse),
+            active=active.sum(0).astype(float),
+            histogram=histogram.astype(float),
+            least=root.min(0),
+            most=root.max(0),
+        )
+
+    def __add__(self, other: ScoreMoments) -> ScoreMoments:
+        return ScoreMoments(
+            self.count + other.count,
+            self.sums + other.sums,
+            self.products + other.products,
+            self.active + other.active,
+            self.histogram + other.histogram,
+            np.minimum(self.least, other.least),
+            np.maximum(self.most, other.most),
+        )
+
+    def to_bytes(self) -> bytes:
+        """Return the sums as bytes: always the same number of them, little-endian floats."""
+        values = [np.ravel(getattr(self, f.name)).astype("<f8") for f in fields(self)]
+        return np.concatenate(values).tobytes()
+
+    @classmethod
+    def from_bytes(cls, content: bytes) -> ScoreMoments:
+        """Return what `to_bytes` wrote; ValueError if it is something else."""
+        values = np.frombuffer(content, "<f8")
+        if values.size != sum(math.prod(shape) for shape in _SHAPES.values()):
+            raise ValueError("not the size of a piece")
+        if not np.isfinite(values).all() or values[0] < 1 or values[0] % 1:
+            raise ValueError("not the values of a piece")
+        arrays: dict[str, Any] = {}
+        start = 0
+        for name, shape in _SHAPES.items():
+            end = start + math.prod(shape)
+            arrays[name], start = values[start:end].reshape(shape).astype(float), end
+        return cls(**{**arrays, "count": int(arrays["count"])})
+
+    def mean(self, weights: dict[str, float]) -> float:
+        """Return the mean over realisations of a weighted sum of series."""
+        return float(_vector(weights) @ self.sums / self.count)
+
+    def score(self, method: dict[str, float], baseline: dict[str, float]) -> tuple[float, Array]:
+        """Return 1 - sqrt(mean method / mean baseline) and its gradient by the series' means."""
+        top, bottom = self.mean(method), self.mean(baseline)
+        if top == 0:  # exact in every realisation: there is no error to propagate
+            return 1.0, np.zeros(len(SERIES))
+        ratio = np.sqrt(top / bottom)
+        gradient = -ratio / 2 * (_vector(method) / top - _vector(baseline) / bottom)
+        return float(1 - ratio), gradient
+
+    def standard_error(self, gradient: Array) -> float:
+        """Return the standard error of a smooth function of the means with that gradient.
+
+        The delta method on independent realisations; NaN for a single one.
+        """
+        if self.count < 2:
+            return float("nan")
+        means = self.sums / self.count
+        covariance = self.products / self.count - np.outer(means, means)
+        variance = float(gradient @ covariance @ gradient) / (self.count - 1)
+        return float(max(variance, 0.0) ** 0.5)
+
+    def quantile(self, series: int, share: float) -> float:
+        """Return a quantile of sqrt(EMSE) of a sampled series, to a histogram bin (1.25e-4)."""
+        running = np.cumsum(self.histogram[series])
+        return float(np.interp(share * running[-1], np.concatenate([[0.0], running]), EDGES))
+
+
+_SHAPES: dict[str, tuple[int, ...]] = {
+    "count": (),
+    "sums": (len(SERIES),),
+    "products": (len(SERIES), len(SERIES)),
+    "active": (len(CALIBRATIONS),),
+    "histogram": (len(SAMPLED), EDGES.size - 1),
+    "least": (len(SAMPLED),),
+    "most": (len(SAMPLED),),
+}
+
+
+def _vector(weights: dict[str, float]) -> Array:
+    return np.array([weights.get(name, 0.0) for name in SERIES])
+
 
 IN_FLIGHT = 64
 """Largest number of submitted pieces whose results are not yet collected; it bounds the memory."""

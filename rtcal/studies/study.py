@@ -19,12 +19,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from rtcal.acoustics.priors import TruncatedNormal
-from rtcal.studies import estimators
-from rtcal.studies import sampling as draws
-from rtcal.studies.estimators import CALIBRATIONS, METHODS, TrialSums
-from rtcal.studies.moments import SAMPLED, ScoreMoments
-from rtcal.studies.runner import run_pieces
-from rtcal.studies.sampling import SAMPLINGS, SIGMA_LIMIT, Sampling
+from rtcal.studies import draws
+from rtcal.studies.draws import CALIBRATIONS, METHODS, SAMPLINGS, SIGMA_LIMIT, Sampling, TrialSums
+from rtcal.studies.runner import SAMPLED, ScoreMoments, run_pieces
 from rtcal.support import checks
 from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError
@@ -257,7 +254,7 @@ def analytic_emse(mu: Array, sigma: Array, areas: Array) -> Array:
     bias = mu - prior.mean()
     second = bias[..., :, np.newaxis] * bias[..., np.newaxis, :]
     second += np.eye(areas.size) * prior.variance()[..., np.newaxis, :]
-    return estimators.expected_errors(second, estimators.directions(mu, sigma, areas), areas)
+    return draws.expected_errors(second, draws.directions(mu, sigma, areas), areas)
 
 
 def _drawn(
@@ -301,13 +298,13 @@ def _piece(
     active = np.empty((len(mu), len(CALIBRATIONS)))
     block = min(trials, max(1, BLOCK // areas.size))
     buffer = np.empty(areas.size * block)
-    for r, room in enumerate(estimators.realisations(mu, sigma, areas)):
+    for r, room in enumerate(draws.tabulated(mu, sigma, areas)):
         sums: list[TrialSums] = []
         for start in range(0, trials, block):
             few = min(block, trials - start)
             z = buffer[: areas.size * few].reshape(areas.size, few)
             draws.trials(rng, room.mu, room.sigma, z)
-            sums.append(estimators.score(z, room))
+            sums.append(draws.score(z, room))
         total = functools.reduce(operator.add, sums)
         sampled[r], active[r] = total.errors(room, trials), total.active
     return ScoreMoments.of(np.hstack([sampled, analytic_emse(mu, sigma, areas)]), active)

@@ -1,4 +1,4 @@
-"""Lazy packages: each public name is imported at its first use. Editors read the same list."""
+"""The version, and lazy packages: each public name is imported at its first use."""
 
 from __future__ import annotations
 
@@ -59,3 +59,6 @@ def typing_imports(source: str) -> dict[str, str]:
         if isinstance(node, ast.ImportFrom)
         for alias in node.names
     }
+
+
+__version__ = "0.1.0"

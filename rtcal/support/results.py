@@ -17,7 +17,7 @@ from rtcal.support.arguments import checked
 from rtcal.support.decode import Entries, json_object
 from rtcal.support.errors import DataError
 from rtcal.support.files import make_folder, read_text, write_all
-from rtcal.support.version import __version__
+from rtcal.support.lazy import __version__
 
 
 def json_text(record: Mapping[str, Any], *, ascii_only: bool = False) -> str:

@@ -10,7 +10,7 @@ from rtcal.loop import Loop, LoopResult
 from rtcal.report import (
     page,
 )
-from rtcal.simulators.equation import EquationSimulator
+from rtcal.simulators.external import EquationSimulator
 from tests.report.pages import evil_room
 
 pytest.importorskip("matplotlib", reason="matplotlib is not installed (rtcal[report])")

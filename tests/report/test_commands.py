@@ -147,7 +147,7 @@ def test_progress_bars_only_where_someone_looks(tmp_path, monkeypatch, capsys, e
     assert not console.bar_wanted(quiet=False)  # standard error is caught here, no terminal
     (tmp_path / "result.json").write_text(evil.to_json(), encoding="utf-8")
     monkeypatch.setattr(page, "source", lambda _, step: step() or "data:,")
-    monkeypatch.setattr("rtcal.command.report.bar_wanted", lambda quiet: not quiet)
+    monkeypatch.setattr("rtcal.command.files.bar_wanted", lambda quiet: not quiet)
     monkeypatch.setattr("rtcal.support.progress.DELAY", 1000.0)
     assert run("report", tmp_path) == 0
     assert capsys.readouterr().err == ""  # done before the delay is over

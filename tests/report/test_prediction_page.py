@@ -10,7 +10,7 @@ import pytest
 
 import rtcal as rt
 from rtcal.prediction import Open, Target, Treatment, Variant, compare
-from rtcal.report import page, prediction_figures
+from rtcal.report import page, prediction_page
 
 pytest.importorskip("matplotlib", reason="needs the extra report")
 pytest.importorskip("jinja2", reason="needs the extra report")
@@ -95,7 +95,7 @@ def test_the_interval_is_drawn_where_it_is(result) -> None:
     variant = result.predict(Open("windows", 2.0), name="open")
     low, high = variant.interval
     f = variant.after.centre_frequencies
-    drawn = prediction_figures.times(
+    drawn = prediction_page.times(
         f, variant.time_before, [("open", variant.mean, (low, high))], (0.5 * low, high)
     )
     (axes,) = drawn.axes
@@ -103,6 +103,6 @@ def test_the_interval_is_drawn_where_it_is(result) -> None:
     ends = np.array(segments.get_segments())[:, :, 1]
     assert ends[:, 0] == pytest.approx(low)
     assert ends[:, 1] == pytest.approx(high)
-    shares = prediction_figures.parts(f, variant.parts).axes[0]
+    shares = prediction_page.parts(f, variant.parts).axes[0]
     tops = [p.get_y() + p.get_height() for p in shares.patches]
     assert max(tops) == pytest.approx(100)

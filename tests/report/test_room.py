@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import rtcal as rt
-from rtcal.loop.beside import Beside
+from rtcal.loop.matched import Beside
 from rtcal.report import page, room_section, room_still, room_view
 from rtcal.simulators.geometry import Polyhedron
 from rtcal.simulators.observations import Observations

@@ -10,8 +10,8 @@ import pytest
 
 import rtcal as rt
 from rtcal.acoustics.air import Air
-from rtcal.acoustics.joint_states import Rooms
 from rtcal.acoustics.room_errors import heard_changes
+from rtcal.acoustics.states import Rooms
 from rtcal.finder.positions.problem import _prior
 from rtcal.finder.positions.responses import AIR
 from rtcal.prediction import Assumptions

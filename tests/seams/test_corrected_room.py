@@ -23,7 +23,7 @@ from rtcal.finder.effects.checks import checked_grid
 from rtcal.finder.means.corrected import not_in_room
 from rtcal.finder.means.features import distances, state
 from rtcal.finder.model import FEATURES, State, predict
-from rtcal.simulators.equation import EquationSimulator
+from rtcal.simulators.external import EquationSimulator
 from rtcal.support.errors import DataError
 
 ROUNDING = 1e-9

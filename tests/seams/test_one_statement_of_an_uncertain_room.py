@@ -9,7 +9,7 @@ import pytest
 
 import rtcal as rt
 from rtcal.prediction import Climate
-from rtcal.simulators.equation import EquationSimulator
+from rtcal.simulators.external import EquationSimulator
 
 STATED = {"volume_sigma": 0.08, "area_sigma": 0.05}
 

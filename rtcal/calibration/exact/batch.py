@@ -19,7 +19,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from rtcal.support import checks, jit
+from rtcal.support import checks, speed
 from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError, MissingDependencyError
 from rtcal.support.types import Array
@@ -181,9 +181,9 @@ def solve(
 def _engine(name: str) -> str:
     if name not in ("auto", "numba", "numpy"):
         raise DataError(f'engine = "{name}" is not one of "auto", "numba", "numpy"')
-    if name == "numba" and not jit.available():
+    if name == "numba" and not speed.available():
         raise MissingDependencyError('engine="numba" needs numba: pip install "rtcal[fast]"')
-    return "numpy" if name == "numpy" or not jit.available() else "numba"
+    return "numpy" if name == "numpy" or not speed.available() else "numba"
 
 
 def _rows(x: Array, batch: tuple[int, ...], n: int) -> Array:

@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from rtcal.support.jit import compiled
+from rtcal.support.speed import compiled
 from rtcal.support.types import Array
 
 EPS = float(np.finfo(float).eps)

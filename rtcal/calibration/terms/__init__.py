@@ -6,7 +6,7 @@ its value, gradient and curvature, a constraint its rows. The certificate is com
 description, so a wrong expression cannot certify itself. Tests compare the two descriptions.
 
 In both the unknowns u are one flat vector: alpha row by row with the bands last, then further
-unknowns (`rtcal.calibration.layout.Layout`).
+unknowns (`rtcal.calibration.problem_data.Layout`).
 """
 
 from rtcal.calibration.terms.base import (

@@ -11,7 +11,7 @@ import cvxpy as cp
 import numpy as np
 
 from rtcal.acoustics.room import Room
-from rtcal.calibration.context import Context
+from rtcal.calibration.compiled_qp import Context
 from rtcal.calibration.layout import Integers, Layout
 from rtcal.calibration.problem_data import ProblemData
 from rtcal.support import checks

@@ -10,7 +10,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from rtcal.acoustics.room import Room
-from rtcal.calibration.context import Context
+from rtcal.calibration.compiled_qp import Context
 from rtcal.calibration.layout import Integers, Layout
 from rtcal.calibration.problem_data import ProblemData
 from rtcal.calibration.terms.base import BaseTerm, Rows, half_squares, limited, reciprocal

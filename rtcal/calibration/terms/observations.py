@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from rtcal.calibration.context import Context
-from rtcal.calibration.observed import Observed, Whitened
+from rtcal.calibration.compiled_qp import Context
+from rtcal.calibration.layout import Observed, Whitened
 from rtcal.calibration.problem_data import ProblemData
 from rtcal.calibration.terms.base import BaseTerm, half_squares
 from rtcal.support.errors import ModelError

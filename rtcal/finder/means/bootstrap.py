@@ -34,10 +34,10 @@ from rtcal.finder.prior import NONE, NULL_POWER, Prior, directions, drawn
 from rtcal.support import checks, files
 from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError
+from rtcal.support.lazy import __version__
 from rtcal.support.progress import TaskProgress
-from rtcal.support.threads import single_threaded_blas
+from rtcal.support.speed import single_threaded_blas
 from rtcal.support.types import Array
-from rtcal.support.version import __version__
 
 QUANTILE = 0.95
 """Quantile of the null rooms' scores that is the threshold: 5 % false alarms."""

@@ -17,7 +17,7 @@ from rtcal.finder.means.model_error import ModelDiscrepancy
 from rtcal.finder.means.sets_finding import SetsFinding
 from rtcal.finder.means.verdict import Fit
 from rtcal.finder.prior import COEFFICIENTS, NONE, OffTogether, Prior
-from rtcal.support import html, text
+from rtcal.support import text
 from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError
 from rtcal.support.files import json_numbers
@@ -277,7 +277,7 @@ class MeansFinding(SetsFinding):
             ]
             for name in self.probabilities
         ]
-        return html.table(
+        return text.html_table(
             f"{self.headline}; threshold {self.threshold:.1f} nats",
             ["effect", "probability", "evidence / nats", ""],
             rows,

@@ -38,7 +38,7 @@ from rtcal.support import checks, text
 from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError
 from rtcal.support.results import Result
-from rtcal.support.threads import single_threaded_blas
+from rtcal.support.speed import single_threaded_blas
 
 STEPS = 3
 """Measurements that are proposed one after the other."""

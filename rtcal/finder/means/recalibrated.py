@@ -10,15 +10,15 @@ from typing import Any, ClassVar
 import numpy as np
 
 from rtcal.acoustics.room import CalibrationRecord, Room
-from rtcal.calibration.measured import data_history, times_in_room
+from rtcal.calibration.problem_data import data_history, times_in_room
 from rtcal.calibration.result import JointResult
 from rtcal.finder.case import NORMAL_90, AppliedEffect, Case
 from rtcal.finder.finding import amount
 from rtcal.finder.means.corrected import corrected_room
 from rtcal.support import text
+from rtcal.support.lazy import __version__
 from rtcal.support.results import Result
 from rtcal.support.types import Array
-from rtcal.support.version import __version__
 
 
 @dataclass(frozen=True, eq=False, repr=False)

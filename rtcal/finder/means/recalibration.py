@@ -33,7 +33,7 @@ from rtcal.finder.means.recalibrated import Recalibrated
 from rtcal.finder.model import FEATURES, STEEPEST, State, predict
 from rtcal.support.arguments import checked
 from rtcal.support.errors import MissingAirWarning
-from rtcal.support.threads import single_threaded_blas
+from rtcal.support.speed import single_threaded_blas
 from rtcal.support.types import Array
 
 _ROUNDS = 5

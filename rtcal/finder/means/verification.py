@@ -25,11 +25,11 @@ from rtcal.finder.means.likelihood import standardized_residuals
 from rtcal.finder.means.recalibrated import Recalibrated, table
 from rtcal.finder.means.recalibration import plain, recalibrate
 from rtcal.finder.model import FEATURES, predict
-from rtcal.support import html, text
+from rtcal.support import text
 from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError
 from rtcal.support.files import json_numbers
-from rtcal.support.threads import single_threaded_blas
+from rtcal.support.speed import single_threaded_blas
 from rtcal.support.types import Array
 
 EXACT = 0.005
@@ -190,7 +190,7 @@ class MeansVerification(Verification):
             for g in self.gaps
         ]
         header = ["mean gap / JND", "plain", f"with {self.finding.title}"]
-        return html.table(f"Verification: {self.verdict}", header, rows, [self.sentence])
+        return text.html_table(f"Verification: {self.verdict}", header, rows, [self.sentence])
 
     def __str__(self) -> str:
         """Return the sentence, the gaps and the coefficients."""

@@ -16,7 +16,7 @@ from rtcal.finder.positions.case import Case
 from rtcal.finder.positions.posterior import detection_in_words
 from rtcal.finder.prior import NONE
 from rtcal.loop.control_runs import ControlRuns
-from rtcal.support import html, text
+from rtcal.support import text
 from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError
 from rtcal.support.files import json_numbers
@@ -219,13 +219,13 @@ class PositionsFinding(Finding):
         return "\n".join(lines)
 
     def _repr_html_(self) -> str:
-        rows: list[list[str | html.Cell]] = [
+        rows: list[list[str | text.Cell]] = [
             [c.title, f"{100 * c.probability:.0f} %", c.in_words]
             for c in self.candidates
             if c.probability >= SAID
         ]
         header = ["", "probability", "size"]
-        return html.table(self.headline, header, rows, [*self.reasons, *self.notes])
+        return text.html_table(self.headline, header, rows, [*self.reasons, *self.notes])
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain values for JSON."""

@@ -28,9 +28,9 @@ from rtcal.simulators.path_tracing import DENSER, LARGER, PathTracing
 from rtcal.simulators.tracer import LONGEST
 from rtcal.support import checks, files
 from rtcal.support.errors import DataError, TooShortError
+from rtcal.support.lazy import __version__
 from rtcal.support.progress import TaskProgress
 from rtcal.support.types import Array
-from rtcal.support.version import __version__
 
 SHARES = (-1.0, -0.5, 0.08, 0.25, 0.55, 1.0)
 """Nodes of a surface's alpha: from what it is towards 1, or (below 0) towards that of a hard wall. The

@@ -24,7 +24,7 @@ from rtcal.finder.prior import NONE
 from rtcal.finder.states.case import Case
 from rtcal.finder.states.changed import SecondState, changed_room
 from rtcal.finder.states.kinds import ADDED
-from rtcal.support import html, text
+from rtcal.support import text
 from rtcal.support.errors import DataError
 from rtcal.support.files import json_numbers
 from rtcal.support.types import Array
@@ -246,9 +246,9 @@ class StatesFinding(Finding):
         return "\n".join(lines)
 
     def _repr_html_(self) -> str:
-        rows: list[list[str | html.Cell]] = [[band, *cells] for band, cells in self._rows()]
+        rows: list[list[str | text.Cell]] = [[band, *cells] for band, cells in self._rows()]
         header = [self._header[0], *self._header[1]]
-        return html.table(self.headline, header, rows, [*self.sentences, as_sentence(NATS)])
+        return text.html_table(self.headline, header, rows, [*self.sentences, as_sentence(NATS)])
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain values for JSON."""

@@ -1,4 +1,8 @@
-"""Threads: BLAS limited to one (only this module imports threadpoolctl); a pool that an error ends.
+"""Speed: BLAS limited to one thread, a pool that an error ends, loops that numba compiles.
+
+Only this module imports threadpoolctl and numba (extra ``fast``). Modules of compiled functions
+decorate them with `compiled` and are imported only if numba is `available`. Each has a NumPy version,
+which is used without numba.
 
 Factoring a matrix of a hundred rows takes less time than waking a second thread. On a machine with
 busy cores the second thread also waits for a core, so that `find` takes more than ten times as long
@@ -7,11 +11,13 @@ busy cores the second thread also waits for a core, so that `find` takes more th
 
 from __future__ import annotations
 
+import functools
 import os
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
+from typing import Any, TypeVar
 
 _held = threading.Lock()
 
@@ -50,3 +56,31 @@ def thread_pool(workers: int | None) -> Iterator[ThreadPoolExecutor]:
         pool.shutdown(wait=False, cancel_futures=True)
         raise
     pool.shutdown()
+
+
+Kernel = TypeVar("Kernel", bound=Callable[..., Any])
+
+
+@functools.cache
+def available() -> bool:
+    """Return whether numba is installed and can be imported."""
+    try:
+        import numba  # noqa: F401
+    except ImportError:
+        return False
+    return True
+
+
+def compiled(*, reorder: bool) -> Callable[[Kernel], Kernel]:
+    """Return the decorator that compiles a function; it runs without the interpreter's lock.
+
+    ``reorder`` allows the compiler to reorder sums, which vector instructions need. Compensated sums
+    need it to be False. NaN and infinities are handled correctly in both cases.
+    """
+    import numba
+
+    freedom = {"reassoc", "contract", "nsz"} if reorder else False
+    decorate: Callable[[Kernel], Kernel] = numba.njit(
+        cache=True, nogil=True, fastmath=freedom, error_model="numpy"
+    )
+    return decorate
