@@ -1,107 +1,143 @@
-"""Models that others have published, each read by one call: V and S beside what their authors state.
+"""Models that others have published, each by one command: V and S beside what their authors state.
 
-    python -m benchmarks.public_models FOLDER
+    python -m benchmarks.public_models FOLDER [--only PART]
 
 FOLDER holds clones of the repositories named below, each under its own name. The models are not part of
-rtcal. The rows are those of the table in docs/io.md; the seconds are of this process.
+rtcal. It prints the table of docs/io.md, and the processor time of the slowest.
 """
 
 from __future__ import annotations
 
 import argparse
-import time
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+import json
+import os
+import subprocess
+import sys
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
-import numpy as np
-
-from rtcal.io import mesh
-from rtcal.io.mend import MeshError
-from rtcal.support.errors import DataError
-
-WAYVERB = "reuk/wayverb (GPL 2)"
-ASSETS, MODELS = "demo/assets/test_models", "demo/evaluation/models/object"
-STUDIO = "jdginn/go-recording-studio (MIT)"
-BUILDINGS = "youshengCode/IfcSampleFiles (none stated)"
+LICENCES = {
+    "reuk/wayverb": "GPL 2",
+    "LCAV/pyroomacoustics": "MIT",
+    "jdginn/go-recording-studio": "MIT",
+    "youshengCode/IfcSampleFiles": "none stated",
+}
 
 
 @dataclass(frozen=True)
 class Model:
-    """A file, where it is from, the options that it needs, and what its authors state."""
+    """A file of a repository, the options that it needs, and what its authors state."""
 
-    source: str
+    repository: str
     path: str
-    stated: str = "nothing"
-    options: Mapping[str, Any] = field(default_factory=dict)
-
-    def file(self, folder: Path) -> Path:
-        return folder / self.source.split(" ")[0].split("/")[1] / self.path
+    options: str = ""
+    stated: str = ""
 
 
-def _spaces(path: str, **stated: str) -> list[Model]:
-    return [
-        Model(BUILDINGS, path, said, {"space": space.replace("_", " ")})
-        for space, said in stated.items()
-    ]
+def _of(repository: str, folder: str, *rows: str) -> list[Model]:
+    """Return models of rows "file; options; what is stated"."""
+    cells = [[cell.strip() for cell in row.split(";")] for row in rows]
+    return [Model(repository, os.path.join(folder, name), *rest) for name, *rest in cells]
 
 
-EVERY = (
-    Model(WAYVERB, f"{MODELS}/small_cuboid.obj", "2 x 2.5 x 3 m: 15 m³, 37 m²"),
-    Model(WAYVERB, f"{MODELS}/medium_cuboid.obj", "4.5 x 2.5 x 3.5 m: 39.375 m³, 71.5 m²"),
-    Model(WAYVERB, f"{MODELS}/large_cuboid.obj", "12 x 4 x 8 m: 384 m³, 352 m²"),
-    Model(WAYVERB, f"{MODELS}/echo_tunnel.obj", "4 x 7 x 100 m: 2800 m³, 2256 m²"),
-    Model(WAYVERB, f"{MODELS}/concert.obj", "about 33 x 15 x 50 m around it"),
-    *(Model(WAYVERB, f"{ASSETS}/{name}.obj") for name in ("vault", "bedroom", "basic",
-                                                          "random_pillars")),
-    Model(WAYVERB, f"{ASSETS}/murphy2008.dae"),
-    Model(WAYVERB, f"{ASSETS}/southern2013_2.dae"),
-    *(Model(WAYVERB, f"{ASSETS}/room{k}.dxf", options={"unit": 0.1}) for k in (1, 2, 3)),
-    Model(
-        "LCAV/pyroomacoustics (MIT)",
-        "examples/data/INRIA_MUSIS.stl",
-        'a unit of 1/500 m, for "a realistic size"',
-        {"unit": 0.001},
+EVERY = [
+    *_of(
+        "reuk/wayverb",
+        "demo/evaluation/models/object",
+        "small_cuboid.obj; ; 15 m³, 37 m² (2 × 2.5 × 3 m)",
+        "medium_cuboid.obj; ; 39.375 m³, 71.5 m² (4.5 × 2.5 × 3.5 m)",
+        "large_cuboid.obj; ; 384 m³, 352 m² (12 × 4 × 8 m)",
+        "echo_tunnel.obj; ; 2800 m³, 2256 m² (4 × 7 × 100 m)",
+        "concert.obj; ; about 33 × 15 × 50 m around it",
     ),
-    *(Model(STUDIO, f"testdata/{name}.3mf") for name in ("Cutout", "Modified", "without_walls",
-                                                          "angled_difuser")),
-)  # fmt: skip
+    *_of(
+        "reuk/wayverb",
+        "demo/assets/test_models",
+        *(f"{name}.obj" for name in ("vault", "bedroom", "basic", "random_pillars")),
+        "murphy2008.dae",
+        "southern2013_2.dae",
+        *(f"room{k}.dxf; --unit 0.1" for k in (1, 2, 3)),
+    ),
+    *_of(
+        "LCAV/pyroomacoustics",
+        "examples/data",
+        'INRIA_MUSIS.stl; --unit 0.001; a unit of 1/500 m, for "a realistic size"',
+    ),
+    *_of(
+        "jdginn/go-recording-studio",
+        "testdata",
+        "Cutout.3mf",
+        *(f"{name}.3mf; --open" for name in ("Modified", "without_walls", "angled_difuser")),
+    ),
+    *_of(
+        "youshengCode/IfcSampleFiles",
+        "",
+        *(
+            f"Ifc4_SampleHouse.ifc; --space {space}; {volume} m³"
+            for space, volume in (
+                ('"1 - Living room"', 129.987),
+                ('"2 - Bedroom"', 38.542),
+                ('"3 - Entrance hall"', 21.734),
+                ('"4 - Roof"', 76.466),
+            )
+        ),
+        *(
+            f"Ifc2x3_Duplex_Architecture.ifc; --space {space}; {volume} m³"
+            for space, volume in (
+                ("A101", 40.241),
+                ("A102", 71.391),
+                ("A103", 33.512),
+                ("A104", 8.177),
+                ("A105", 20.796),
+                ("A201", 18.115),
+                ("A202", 56.894),
+                ("A203", 56.894),
+                ("A204", 12.240),
+            )
+        ),
+    ),
+]
 
 
-def room(model: Model, folder: Path) -> tuple[str, str, int, str]:
-    """Return V, S, the number of faces and what was found, in words."""
-    try:
-        done = mesh.room(model.file(folder), **model.options)
-    except MeshError as error:
-        if error.unclosed is None:
-            return "refused", "", 0, str(error)
-        left = error.unclosed
-        volume = f"{left.volume:.6g} ± {left.volume_uncertainty:.2g} (--open)"
-        return volume, f"{sum(left.areas.values()):.4g}, as drawn", 0, ""
-    except DataError as error:
-        return "refused", "", 0, str(error)
-    found = ", ".join(f"{d.number} {d.kind}" for d in done.defects)
-    u = f" ± {done.volume_uncertainty:.2g}" if done.volume_uncertainty > 1e-4 * done.volume else ""
-    area = float(np.sum(done.geometry.face_areas))
-    return f"{done.volume:.6g}{u}", f"{area:.4g}", len(done.geometry.faces), found
+def checked(model: Model, folder: Path) -> tuple[str, str, float]:
+    """Return V and S as ``rtcal import check`` has them, in words, and its processor time in s."""
+    file = folder / model.repository.split("/")[1] / model.path
+    options = model.options.split(" ", 1) if model.options else []
+    options = [o.strip('"') for o in options]
+    before = os.times().children_user
+    done = subprocess.run(
+        [sys.executable, "-m", "rtcal", "import", "check", str(file), *options, "--json", "-q"],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    taken = os.times().children_user - before
+    if done.returncode:
+        return "refused", done.stderr.strip().replace(str(folder), ""), taken
+    made = json.loads(done.stdout)
+    volume, u = made["volume"], made["volume_uncertainty"]
+    digits = f"{volume:.3f}" if u < 1e-3 * volume else f"{volume:.1f} ± {u:.1f}"
+    return digits, f"{sum(made['areas'].values()):.1f}", taken
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("folder", type=Path)
-    parser.add_argument("--only", default="", help="part of the path")
+    parser.add_argument("--only", default="", metavar="PART", help="of the file's name")
     given = parser.parse_args()
+    print("| model | options | V / m³ | S / m² | its authors state |\n|---|---|---|---|---|")
+    slowest, last = (0.0, ""), ""
     for model in EVERY:
         if given.only not in model.path:
             continue
-        begin = time.process_time()
-        v, s, n, found = room(model, given.folder)
-        taken = time.process_time() - begin
-        print(
-            f"| {model.path} | {v} | {s} | {model.stated} | {n} | {taken:.1f} s | {found} |",
-            flush=True,
-        )
+        volume, area, taken = checked(model, given.folder)
+        slowest = max(slowest, (taken, model.path))
+        source = f"{model.repository} ({LICENCES[model.repository]}), "
+        name = f"{source if source != last else ''}{Path(model.path).name}"
+        last = source
+        options = f"`{model.options}`" if model.options else ""
+        print(f"| {name} | {options} | {volume} | {area} | {model.stated} |", flush=True)
+    print(f"\nThe slowest took {slowest[0]:.1f} s of processor: {slowest[1]}")
 
 
 if __name__ == "__main__":
