@@ -306,6 +306,10 @@ BAD: list[tuple[bytes, str]] = [
         book({"Sheet1": ACROSS}),
         r'line 2: no heading says which parameter the value "1.5" is; state it: parameter=',
     ),
+    (
+        b"Nachhallzeit T30 [s], Wohnzimmer\nPosition;125 Hz;250 Hz\nS1-R1;0,66;0,6\n",
+        'line 3: no heading says .* state it: parameter="t30", if the title means this table',
+    ),
     (book({"RT60": ACROSS}), r'sheet "RT60": "RT60" does not say which decay time it is'),
     (book({"a": [["x"]]}), r'sheet "a", line 1: column "x" is no parameter'),
     (

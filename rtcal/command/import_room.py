@@ -331,7 +331,7 @@ def _from_catalogue(
         )
     in_list = {*listed.names, *listed.aliases}
     if missing := [n for n in used if n not in in_list and n not in chosen]:
-        proposals = ";".join(f'\n- "{name}"{_proposals(name)}' for name in missing)
+        proposals = ";".join(f'\n- "{name}"{_proposals(name, listed, program)}' for name in missing)
         options = " ".join(f'--catalogue "{name}=ENTRY"' for name in missing)
         if program == "catalogue":
             raise DataError(f"{place}: not in the catalogue:{proposals}.\nState {options}")
@@ -355,13 +355,16 @@ def _from_catalogue(
     return {name: entries.listed(entry) for name, entry in chosen.items()}
 
 
-def _proposals(name: str) -> str:
+def _proposals(name: str, listed: MaterialList, program: str) -> str:
     from rtcal.datasets import catalogue
 
+    own = {} if program == "catalogue" else dict.fromkeys(listed.names, "")
+    near = [f'"{entry}" of the list' for entry in catalogue.similar(name, 2, own)]
     try:
-        near = catalogue.nearest(name)
+        near += catalogue.nearest(name)
     except MissingDependencyError:
-        return ""
+        if not near:
+            return ""
     if near:
         return f" is like {'; '.join(near)}"
     return (

@@ -9,7 +9,7 @@ from __future__ import annotations
 import difflib
 import json
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from importlib import metadata, resources
 from typing import Any
@@ -147,18 +147,19 @@ def material_list() -> MaterialList:
 
 
 @checked
-def similar(name: str, most: int = 5) -> list[str]:
+def similar(name: str, most: int = 5, among: Mapping[str, str] | None = None) -> list[str]:
     """Return the names of entries whose name or description resembles a material's name.
 
     A word counts the more, the fewer entries have it, and more in an entry's name than in its
     description. Words may differ in their ending, and `_SYNONYMS` of the trade stand for each other.
+    ``among`` are other entries than the catalogue's, with a description each.
 
     Examples
     --------
     >>> similar("vinyl floor", 1), similar("perforated metal panel", 1)
     (['linoleum_on_concrete'], ['ceiling_fibre_absorber'])
     """
-    described = names()
+    described = names() if among is None else among
     of_entry = {n: (_words(n), _words(text)) for n, text in described.items()}
     scores = dict.fromkeys(described, 0.0)
     for word in _words(name):

@@ -21,7 +21,7 @@ from rtcal.io.table_columns import (
     scale_of,
 )
 from rtcal.io.table_layout import Row, TableLayout
-from rtcal.io.table_words import STATISTICS, WHOLE_RANGES, plain
+from rtcal.io.table_words import PARAMETERS, STATISTICS, WHOLE_RANGES, plain
 from rtcal.io.text import number, shown
 from rtcal.support.errors import DataError
 
@@ -215,7 +215,7 @@ class Reader:
             if parameter is None:
                 raise DataError(
                     f'{place}: no heading says which parameter the value "{shown(cell)}" is; '
-                    'state it: parameter="t20", for instance'
+                    f"state it: {self._likely_parameter()}"
                 )
             if band is None:
                 raise DataError(f'{place}: no band for the value "{shown(cell)}"')
@@ -254,6 +254,14 @@ class Reader:
         if self.example_of_both and receiver and (both := position_of(receiver)):
             source, receiver = both
         return source or self.pair[0], receiver or self.pair[1]
+
+    def _likely_parameter(self) -> str:
+        """Return the option for a table whose title has other words beside its parameter."""
+        words = re.findall(r"[A-Za-z]+\d*", " ".join(self.layout.titles))
+        likely = {p for word in words if word.isupper() and (p := PARAMETERS.get(plain(word)))}
+        if len(likely) != 1:
+            return 'parameter="t20", for instance'
+        return f'parameter="{likely.pop()}", if the title means this table'
 
     def _row_parameter(self, entries: Mapping[str, str], place: str) -> str | None:
         if "parameter" not in entries:
