@@ -105,11 +105,15 @@ def _summary(result: PositionsResult, order: list[int]) -> list[str]:
         if learned
         else "The measurement tells hardly anything of any single material."
     )
+    tested = ""
+    if result.held_out is not None:
+        before, after = _rms(result.held_out.gap_before), _rms(result.held_out.gap_after)
+        tested = f"; at the pairs that were held out it went from {before:.1f} to {after:.1f}"
     return [
         f"The absorption coefficients were fitted to {parameters} at "
         f"{n_pairs} pair{'s' * (n_pairs > 1)} of a source and a receiver.",
         f"The root mean square gap went from {_rms(result.gap_before):.1f} to "
-        f"{_rms(result.gap_after):.1f} just noticeable differences (JND).",
+        f"{_rms(result.gap_after):.1f} just noticeable differences (JND){tested}.",
         told,
     ]
 
@@ -173,8 +177,10 @@ def _command(result: PositionsResult) -> str | None:
     if result.prior.scattering is None:  # it was stated to the simulator
         kept = result.scattering is None and np.ptp(tracer.scattering) == 0
         chosen += ["--scattering", f"{tracer.scattering.flat[0]:g}" if kept else "S"]
-    if tracer.scattering_model != result.prior.scattering_model:
-        chosen += ["--scattering-model", str(tracer.scattering_model)]
+    # Scattering is fitted with "random" alone, whatever the fitted tracer has.
+    given = tracer.scattering_model if result.scattering is None else "random"
+    if given != result.prior.scattering_model:
+        chosen += ["--scattering-model", str(given)]
     return shlex.join(["rtcal", "fit", "room.toml", "measured.csv", *chosen, "--out", "fitted"])
 
 

@@ -106,7 +106,7 @@ def of_finding(
     )[-1]
     sources, receivers = case.simulator.sources, dict(case.simulator.receivers)
     if place is not None:
-        receivers["measure here"] = place.point
+        receivers["to measure here"] = place.point
     gaps, whens = [], []
     if verification is not None:
         gaps = [np.concatenate(gap) for gap in (verification.before, verification.corrected)]

@@ -75,7 +75,7 @@ class Quantity:
         """Return a value as the page prints it."""
         if not np.isfinite(value):
             return "–"
-        return f"{self.factor * value:.{self.digits}f}{self.unit}".replace("-", "−")
+        return f"{self.factor * value:z.{self.digits}f}{self.unit}".replace("-", "−")
 
     def colour(self, value: float) -> str:
         """Return the colour of a value, grey for NaN."""

@@ -20,8 +20,10 @@ from rtcal.calibration.table import equation_parameters
 LARGE_SHIFT = 2.0
 """Shift in standard deviations of the prior above which T contradicts a material's stated alpha."""
 _MOST_SHIFTS = 20
-_MET = 0.05
-"""Gap in JND below which the words count the measured T as met: too small to hear by a factor of 20."""
+_MET = 0.5
+"""Gap in JND below which the words count the measured T as met: half of what can be heard."""
+_PRINTED = 0.05
+"""Gap in JND that is not 0.0 when it is printed."""
 
 PROVES_NOTHING = (
     "That the model agrees with the measurement now proves nothing. It agrees by construction, and "
@@ -143,7 +145,8 @@ def _after(calibration: CalibrationResult) -> str:
         "little as what was known of them allows, and now the model has the measured T in "
     )
     if met == count:
-        return text + f"all {count} bands."
+        within = f", to within {gap.max():.1f} JND" if gap.max() >= _PRINTED else ""
+        return text + f"all {count} bands{within}."
     return text + f"{met} of {count} bands; the largest gap that remains is {gap.max():.1f} JND."
 
 
@@ -274,7 +277,7 @@ def not_met(calibration: CalibrationResult) -> list[str]:
             f"{hertz(missing)}: no T was measured, the coefficients are the stated ones."
         )
     left = [
-        f"{f:g} Hz ({g:+.1f} JND)"
+        f"{f:g} Hz ({g:+.1f} JND)".replace("-", "−")
         for f, g in zip(calibration.prior.centre_frequencies, calibration.gap_after, strict=True)
         if abs(g) >= _MET
     ]

@@ -126,6 +126,17 @@ def test_verdicts() -> None:
     assert shifts[0].sigmas >= shifts[-1].sigmas > 2
 
 
+def test_a_gap_that_nobody_hears_is_met_and_printed() -> None:
+    room, measured = rt.datasets.bras_cr2()
+    result = rt.calibrate(room.replace(common_area_sigma=0.01), measured)
+    gap = np.nanmax(np.abs(result.gap_after))
+    assert 0.05 < gap < 0.5
+    n = int(np.isfinite(result.gap_after).sum())
+    assert f"in all {n} bands, to within {gap:.1f} JND." in " ".join(words.summary(result))
+    assert "bands" not in words.headline(result)
+    assert not any("gap remains" in sentence for sentence in words.not_met(result))
+
+
 def test_a_calibrations_page_opens_with_a_headline_three_sentences_and_a_figure(html) -> None:
     lead = html.split("<main>")[1].split("<h2")[0]
     said = "The model has the measured reverberation time, but not with its materials as they were"

@@ -23,7 +23,7 @@ from rtcal.finder.positions.case import Case
 from rtcal.finder.positions.corrected import Corrected, corrected
 from rtcal.io import bras, catt, geometry_files, odeon, pyroomacoustics, tables
 from rtcal.loop.positions_result import PositionsResult
-from rtcal.report import result_folder
+from rtcal.report import positions_page, result_folder
 from rtcal.simulators import EquationSimulator, Polyhedron
 from rtcal.support.errors import DataError
 from tests.test_saved_results import same
@@ -275,6 +275,16 @@ def test_what_a_fit_has_gained_is_in_the_file(name: str, tmp_path: Path) -> None
     )
     np.testing.assert_allclose(heard, fit, rtol=0.01 if name == "catt" else 1e-9)
     assert np.abs(first / fit - 1).max() > 0.05
+
+
+def test_the_page_of_a_fit_names_the_command_that_made_it() -> None:
+    """A scattering that was fitted began with "random", whatever meaning the fit has chosen."""
+    result = replace(fitted(), tracer=replace(fitted().tracer, scattering_model="vector"))
+    assert "--scattering-model" not in str(positions_page._command(result))
+    other = replace(result, prior=result.prior.replace(scattering_model="vector"))
+    assert "--scattering-model random" in str(positions_page._command(other))
+    kept = replace(result, scattering=None)
+    assert "--scattering-model vector" in str(positions_page._command(kept))
 
 
 def test_a_patchs_folder_holds_the_mesh_and_its_surfaces(tmp_path: Path) -> None:

@@ -30,7 +30,7 @@
     ? [200, 200, 200] : mix(scale.colours, (value - scale.low) / (scale.high - scale.low));
   const css = rgb => `rgb(${rgb.join(",")})`;
   const words = (scale, value) => value === null || value === undefined
-    ? "–" : ((scale.factor * value).toFixed(scale.digits) + scale.unit).replace("-", "−");
+    ? "–" : ((scale.factor * value).toFixed(scale.digits).replace(/^-(?=[0.]*$)/, "") + scale.unit).replace("-", "−");
   const quantity = () => data.quantities[state.quantity];
   const value = part => part < 0 ? null : quantity().values[part][state.column];
   const gapOf = i => data.gap.columns.length ? data.gap.values[i][state.when] : null;
