@@ -57,6 +57,9 @@ LONG = {
         "discrepancy",
         "closed_loop",
         "where",
+        "design",
+        "discrepancy_study",
+        "qp",
         *(
             f"api/{n}"
             for n in ("discrepancy", "independent_solvers", "other", "simulators", "where")

@@ -23,6 +23,7 @@ def test_there_are_six_extensions() -> None:
     assert kinds == ["equation", "term", "observable", "effect", "format", "simulator"]
 
 
+@pytest.mark.long  # six programs, each with its own start
 @pytest.mark.parametrize(("title", "program"), SECTIONS, ids=[t for t, _ in SECTIONS])
 def test_an_extension_works_from_outside(title: str, program: str, tmp_path: Path) -> None:
     """The package's own files stay as they are, and the last line prints what it says."""
@@ -41,6 +42,7 @@ def test_an_extension_works_from_outside(title: str, program: str, tmp_path: Pat
     assert [path.stat().st_mtime_ns for path in package] == before
 
 
+@pytest.mark.long
 def test_a_program_that_prints_otherwise_is_refused(tmp_path: Path) -> None:
     with pytest.raises(AssertionError):
         test_an_extension_works_from_outside("wrong", "print(1)  # 2", tmp_path)

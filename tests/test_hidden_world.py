@@ -93,7 +93,8 @@ def test_level_is_the_diffuse_field_s_and_seeds_repeat() -> None:
     level = (found.sum(2) - direct.sum(2)).mean(0)
     a = CUBE.alpha[0]
     np.testing.assert_allclose(level, 4 * (1 - a) / (216 * a), rtol=0.04)
-    np.testing.assert_array_equal(found, trace(world, 2000, 3, radius=0.6))
+    again = [trace(CUBE, 500, 3, radius=0.6) for _ in range(2)]
+    np.testing.assert_array_equal(*again)
 
 
 def test_a_dead_room_behind_an_aperture_is_an_opening() -> None:

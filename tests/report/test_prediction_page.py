@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import rtcal as rt
-from rtcal.prediction import Open, Target, Treatment, Variant, compare
+from rtcal.prediction import Design, Open, Target, Treatment, Variant, compare
 from rtcal.report import page, prediction_page
 
 pytest.importorskip("matplotlib", reason="needs the extra report")
@@ -44,18 +44,24 @@ def test_variants_stand_side_by_side_and_names_are_text(folder: Path) -> None:
     assert "://" not in html
 
 
-def test_a_designs_page_has_its_treatments_target_and_frontier(result, tmp_path: Path) -> None:
+@pytest.fixture(scope="module")
+def designed(result, tmp_path_factory) -> tuple[Design, Path, str]:
+    """A design whose page compares it with designs of other probabilities."""
     panel = rt.Material("panel", [0.5, 0.6, 0.9, 0.9, 0.9, 0.9], [0.1] * 6)
     treatment = Treatment("panels", panel, 45, cost=90, covers="ceiling", unit=1.44)
-    none = [np.nan] * 6
-    found = rt.design(result, [treatment], Target(none, [0.9] * 6))
-    found.save(tmp_path)
-    html = page.page_of(tmp_path)
+    found = rt.design(result, [treatment], Target([np.nan] * 6, [0.95] * 6), 0.85)
+    path = tmp_path_factory.mktemp("designed")
+    found.save(path)
+    return found, path, page.page_of(path)
+
+
+def test_a_designs_page_has_its_treatments_target_and_frontier(designed) -> None:
+    found, folder, html = designed
     assert f"Cost {found.cost:.0f}." in html
     assert f">{found.areas[0] / 1.44:.0f}</td>" in html
     assert f"all bands at once with {found.probability_together:.2f}" in html
     assert "Cost against the probability" in html
-    assert html == page.page_of(tmp_path)
+    assert html == page.page_of(folder)
 
 
 def test_variants_have_cost_and_probability_of_a_target(result, tmp_path: Path) -> None:
@@ -77,12 +83,9 @@ def test_variants_have_cost_and_probability_of_a_target(result, tmp_path: Path) 
     assert html.count('<th scope="row">probability</th>') == 2
 
 
-def test_a_designs_page_compares_designs_of_other_probabilities(result, tmp_path: Path) -> None:
-    panel = rt.Material("panel", [0.5, 0.6, 0.9, 0.9, 0.9, 0.9], [0.1] * 6)
-    treatment = Treatment("panels", panel, 45, cost=90, covers="ceiling")
-    found = rt.design(result, [treatment], Target([np.nan] * 6, [1.0] * 6), 0.85)
-    found.save(tmp_path)
-    html = re.sub(' data-of="[^"]*"', "", page.page_of(tmp_path))
+def test_a_designs_page_compares_designs_of_other_probabilities(designed) -> None:
+    found, _, html = designed
+    html = re.sub(' data-of="[^"]*"', "", html)
     costs = list(found.frontier.values())
     assert costs == sorted(costs)
     assert "0.85 (this design)" in html

@@ -12,7 +12,7 @@ from click.testing import CliRunner
 import rtcal as rt
 from rtcal.acoustics.change_files import Variant
 from rtcal.command.main import cli
-from rtcal.loop import PositionsPredictions, predict_positions
+from rtcal.loop import ControlRuns, PositionsPredictions, PositionsResult, predict_positions
 from rtcal.prediction import Add, Climate, Cover, Open
 from rtcal.prediction.words import ALIKE, CHANGED_ALONE, PLACES, SIZES
 from rtcal.report import page
@@ -164,12 +164,25 @@ def test_an_uncertain_room_counts_before_and_after_the_change(result, predicted)
     assert (shared < 0.5 * alone).all()
 
 
-def test_a_change_without_a_place_is_refused(result) -> None:
+@pytest.fixture(scope="module")
+def small() -> PositionsResult:
+    """Few paths: what is refused is refused before they count."""
+    few = tracing(a_room(), n_paths=160)
+    controls = ControlRuns(
+        parameters=("t20",), pairs=few.pairs, errors=0.1 * np.ones((4, 1, len(few.pairs), 2))
+    )
+    heard = few.simulate(TRUTH, seed=9)
+    return rt.calibrate_positions(
+        few, a_room(), heard, ("t20",), controls=controls, more_paths=1, fit_scattering=False
+    )
+
+
+def test_a_change_without_a_place_is_refused(small) -> None:
     with pytest.raises(DataError, match='add 3 m² of "panel": a simulator does not know where'):
-        result.predict(Add(PANEL, 3))
+        small.predict(Add(PANEL, 3))
 
 
-def test_what_can_be_checked_is_refused_before_anything_is_simulated(result) -> None:
+def test_what_can_be_checked_is_refused_before_anything_is_simulated(small) -> None:
     def told(done: int, total: int) -> None:
         raise AssertionError("a control run was simulated")
 
@@ -178,9 +191,9 @@ def test_what_can_be_checked_is_refused_before_anything_is_simulated(result) -> 
         (Open("door"), '"door" is no material'),
     ):
         with pytest.raises(DataError, match=said):
-            predict_positions(result, [HALF, Variant("wrong", (change,))], progress=told)
+            predict_positions(small, [HALF, Variant("wrong", (change,))], progress=told)
     with pytest.raises(DataError, match="t99"):
-        predict_positions(result, [HALF], wanted=("t99",), progress=told)
+        predict_positions(small, [HALF], wanted=("t99",), progress=told)
 
 
 def test_the_command_refuses_a_change_before_it_calibrates(tmp_path: Path) -> None:

@@ -12,6 +12,8 @@ import rtcal as rt
 from rtcal.finder.positions import Case, PositionsFinding, find
 from tests.test_where import heard, stated, tracing
 
+pytestmark = pytest.mark.long  # three searches, each with control runs of its own sources
+
 LOBE = np.linspace(1, 8, 3)
 """dB per band."""
 
