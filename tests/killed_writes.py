@@ -5,9 +5,12 @@ A process of its own is small. Each fork of one that holds all tests costs fifty
 
 from __future__ import annotations
 
+import subprocess
 import sys
+from contextlib import suppress
 from pathlib import Path
 
+from rtcal.support.errors import DataError
 from rtcal.support.files import read_text, write_all
 from rtcal.support.transaction import recover
 from tests import faults
@@ -88,7 +91,42 @@ def reader(folder: Path) -> None:
     assert kills > 40
 
 
-if __name__ == "__main__":
-    {"old_or_new": old_or_new, "recovery": recovery, "reader": reader}[sys.argv[1]](
-        Path(sys.argv[2])
+def run_study(folder: Path | None, seed: int = 3) -> list[object]:
+    from rtcal import studies
+
+    areas = [35, 35, 21, 21, 15, 15]
+    table: list[object] = studies.run(areas, 0.05, 250, 20, seed, folder=folder).scores().tolist()
+    return table
+
+
+def pieces(folder: Path) -> None:
+    whole = run_study(None)
+    with faults.faulty(None) as layer:
+        run_study(folder / "counted")
+    assert layer.count > 10
+    for nth in range(1, layer.count + 1, 3):
+        place = folder / f"fault {nth}"
+        with faults.faulty(nth), suppress(DataError):
+            assert run_study(place) == whole
+        faults.killed(lambda p=place: run_study(p), nth)
+        assert run_study(place) == whole
+        assert faults.left_over(place) == []
+
+
+LAWS = {law.__name__: law for law in (old_or_new, recovery, reader, pieces)}
+
+
+def run_killed(law: str, folder: Path) -> None:
+    """Run a law in a process of its own, which must end well."""
+    done = subprocess.run(
+        [sys.executable, "-m", "tests.killed_writes", law, str(folder)],
+        capture_output=True,
+        text=True,
+        cwd=Path(__file__).resolve().parents[1],
+        check=False,
     )
+    assert done.returncode == 0, done.stderr
+
+
+if __name__ == "__main__":
+    LAWS[sys.argv[1]](Path(sys.argv[2]))

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import os
 import stat
-import subprocess
-import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -15,7 +13,7 @@ from rtcal.support.errors import DataError
 from rtcal.support.files import read_text, write_all, write_text
 from rtcal.support.transaction import recover
 from tests import faults
-from tests.killed_writes import AFTER, BEFORE, events, remove_new, set_of
+from tests.killed_writes import AFTER, BEFORE, events, remove_new, run_killed, set_of
 
 
 @pytest.mark.parametrize("fault", [faults.full, faults.interrupt])
@@ -41,14 +39,7 @@ def test_a_fault_at_any_event_leaves_a_set_old_or_new(
 @pytest.mark.parametrize("law", ["old_or_new", "recovery", "reader"])
 def test_a_kill_at_any_event_leaves_a_set_old_or_new(law: str, tmp_path: Path) -> None:
     """Whoever comes next, by either folder, sees the whole. Recovery may be killed, too."""
-    done = subprocess.run(
-        [sys.executable, "-m", "tests.killed_writes", law, str(tmp_path)],
-        capture_output=True,
-        text=True,
-        cwd=Path(__file__).resolve().parents[1],
-        check=False,
-    )
-    assert done.returncode == 0, done.stderr
+    run_killed(law, tmp_path)
 
 
 def test_a_hidden_folder_that_rtcal_did_not_write_touches_nothing(tmp_path: Path) -> None:

@@ -9,24 +9,16 @@ import shutil
 import tracemalloc
 import zlib
 from collections.abc import Callable
-from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from rtcal import studies
 from rtcal.studies.runner import _open
 from rtcal.support import files, transaction
 from rtcal.support.errors import DataError
-from tests import faults
-
-SHOEBOX = [35, 35, 21, 21, 15, 15]
-
-
-def run(folder: Path | None, seed: int = 3) -> list[object]:
-    table: list[object] = studies.run(SHOEBOX, 0.05, 250, 20, seed, folder=folder).scores().tolist()
-    return table
+from tests.killed_writes import run_killed
+from tests.killed_writes import run_study as run
 
 
 @pytest.fixture
@@ -105,16 +97,7 @@ def test_two_studies_in_one_folder_are_refused(folder: Path) -> None:
 
 
 def test_a_study_goes_on_after_a_fault_at_any_event(tmp_path: Path) -> None:
-    whole = run(None)
-    with faults.faulty(None) as layer:
-        run(tmp_path / "counted")
-    for nth in range(1, layer.count + 1, 3):
-        place = tmp_path / f"fault {nth}"
-        with faults.faulty(nth), suppress(DataError):
-            assert run(place) == whole
-        faults.killed(lambda p=place: run(p), nth)
-        assert run(place) == whole
-        assert faults.left_over(place) == []
+    run_killed("pieces", tmp_path)
 
 
 def test_a_kept_array_that_is_damaged_or_another_counts_as_missing(tmp_path: Path) -> None:

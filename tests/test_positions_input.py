@@ -48,9 +48,14 @@ def measured(tracer):
     return tracer.simulate(ROOM.alpha * 1.1, seed=3)
 
 
+FOLDER: dict[str, Path] = {}
+"""The folder of control runs, for `calibrate`."""
+
+
 @pytest.fixture(autouse=True)
-def few_runs(monkeypatch):
+def few_runs(monkeypatch, kept):
     monkeypatch.setattr(control_runs, "RUNS", 2)
+    monkeypatch.setitem(FOLDER, "cache", kept)
 
 
 def test_too_few_paths_are_not_taken_for_too_much_absorption(measured):
@@ -62,7 +67,7 @@ def test_too_few_paths_are_not_taken_for_too_much_absorption(measured):
         few.observe(black, ("t20",))
 
 
-def kept(measured, rows, pairs=None, **values):
+def only(measured, rows, pairs=None, **values):
     return rt.Measurement(
         centre_frequencies=measured.centre_frequencies,
         pairs=pairs or [measured.pairs[i] for i in rows],
@@ -71,7 +76,7 @@ def kept(measured, rows, pairs=None, **values):
 
 
 def calibrate(tracer, measured, match=("t20", "c80"), **options):
-    return rt.calibrate_positions(tracer, ROOM, measured, match=match, **options)
+    return rt.calibrate_positions(tracer, ROOM, measured, match=match, **(FOLDER | options))
 
 
 def test_a_mean_over_pairs_is_refused(tracer):
@@ -82,17 +87,17 @@ def test_a_mean_over_pairs_is_refused(tracer):
 
 def test_pairs_that_the_simulator_lacks_are_left_out_or_refused(tracer, measured):
     names = [("S1", "R1"), ("S1", "R9")]
-    result = calibrate(tracer, kept(measured, [0, 1], names))
+    result = calibrate(tracer, only(measured, [0, 1], names))
     assert result.pairs == (("S1", "R1"),)
     assert "the simulator has no such pair: S1 to R9" in " ".join(str(result).split())
     with pytest.raises(DataError, match="no pair is left: the measurement has X to Y"):
-        calibrate(tracer, kept(measured, [0], [("X", "Y")]))
+        calibrate(tracer, only(measured, [0], [("X", "Y")]))
 
 
 def test_parameters_that_were_not_measured_are_left_out_or_refused(tracer, measured):
     nothing = np.full((len(measured.pairs), ROOM.n_bands), np.nan)
     every = list(range(len(measured.pairs)))
-    result = calibrate(tracer, kept(measured, every, c80=nothing))
+    result = calibrate(tracer, only(measured, every, c80=nothing))
     assert result.parameters == ("t20",)
     assert "not measured: C80" in str(result)
     with pytest.raises(DataError, match="none of level"):
@@ -113,7 +118,7 @@ def test_t30_is_matched_where_t20_is_absent(tracer, measured):
 def test_a_missing_value_is_left_out_alone(tracer, measured):
     c80 = measured.values["c80"].copy()
     c80[0, 2] = np.nan
-    result = calibrate(tracer, kept(measured, list(range(len(c80))), c80=c80))
+    result = calibrate(tracer, only(measured, list(range(len(c80))), c80=c80))
     assert result.measured.used.sum() == result.measured.used.size - 1
     assert np.isnan(result.gap_after[1, 0, 2])
     assert np.isfinite(result.alpha).all()
@@ -143,7 +148,7 @@ def test_stated_uncertainties_replace_the_assumed_ones(tracer, measured):
     own, common = np.full(shape, 0.02), np.full(shape[1], 0.1)
 
     def covariance(**stated):
-        m = dataclasses.replace(kept(measured, rows), **stated)
+        m = dataclasses.replace(only(measured, rows), **stated)
         t = m.values["t20"][:, 0]
         first_band = np.s_[0 : t.size * shape[1] : shape[1]]
         return calibrate(tracer, m).measured.covariance[first_band, first_band], t
@@ -176,7 +181,7 @@ def test_all_pairs_at_one_place_are_refused(measured):
         scattering=0.5,
     )
     with pytest.raises(DataError, match="pairs stand at one place"):
-        calibrate(tracer, kept(measured, [0, 1, 2], [("S1", f"R{i}") for i in (1, 2, 3)]))
+        calibrate(tracer, only(measured, [0, 1, 2], [("S1", f"R{i}") for i in (1, 2, 3)]))
 
 
 def test_a_place_outside_the_room_is_refused():
@@ -216,7 +221,7 @@ def test_paths_that_leave_through_gaps_are_said(measured, monkeypatch):
 
 
 def test_control_runs_of_another_simulator_are_refused(tracer, measured):
-    controls = calibrate(tracer, kept(measured, [0, 1])).controls
+    controls = calibrate(tracer, only(measured, [0, 1])).controls
     one = PathTracing(
         geometry=HALL.geometry,
         room=ROOM,
@@ -226,7 +231,7 @@ def test_control_runs_of_another_simulator_are_refused(tracer, measured):
         scattering=0.5,
     )
     with pytest.raises(DataError, match="the control runs lack S1 to new"):
-        calibrate(one, kept(measured, [0], [("S1", "new")]), controls=controls)
+        calibrate(one, only(measured, [0], [("S1", "new")]), controls=controls)
     with pytest.raises(DataError, match="at least 2 runs"):
         control_runs.ControlRuns(
             parameters=("t20",), pairs=(("S", "R"),), errors=np.zeros((1, 1, 1, 3))

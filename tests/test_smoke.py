@@ -6,6 +6,7 @@ import json
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -62,6 +63,11 @@ def test_file_round_trip(tmp_path) -> None:
         rt.calibrate(again, measured)
 
 
+def long(*values: object) -> Any:
+    """A process that imports a solver takes more than a second; other tests call the command itself."""
+    return pytest.param(*values, marks=pytest.mark.long)
+
+
 CALIBRATE = ["calibrate", "room.toml", "measured.csv"]
 
 
@@ -90,21 +96,23 @@ correction.correct = lambda *_: correction.Correction("nothing to add", {})
 @pytest.mark.parametrize(
     ("code", "setting", "arguments", "said"),
     [
-        (0, "", CALIBRATE, ""),
+        long(0, "", CALIBRATE, ""),
         (2, "", [], "Usage: rtcal"),
         (2, "", ["nonsense"], "rtcal: No such command"),
         (2, "", ["loop"], "Usage: rtcal loop"),
         (2, "", ["calibrate", "room.toml"], "rtcal: Missing argument"),
-        (2, "", ["calibrate", "room.toml", "none.csv"], "rtcal: none.csv: No such file"),
+        long(2, "", ["calibrate", "room.toml", "none.csv"], "rtcal: none.csv: No such file"),
         (
             3,
             fails_with("SolverError('no values')"),
             CALIBRATE,
             "no values",
         ),
-        (4, "import sys; sys.modules['jinja2'] = None", ["report", "calibrated"], "rtcal[report]"),
-        (6, NOTHING_TO_ADD, ["apply", "case.toml", "--out", "c.json"], ""),
-        (130, fails_with("KeyboardInterrupt"), CALIBRATE, ""),
+        long(
+            4, "import sys; sys.modules['jinja2'] = None", ["report", "calibrated"], "rtcal[report]"
+        ),
+        long(6, NOTHING_TO_ADD, ["apply", "case.toml", "--out", "c.json"], ""),
+        long(130, fails_with("KeyboardInterrupt"), CALIBRATE, ""),
     ],
 )
 def test_each_exit_code(tmp_path, code: int, setting: str, arguments: list[str], said: str) -> None:
@@ -142,7 +150,9 @@ def command(folder, arguments: list[str], setting: str, **streams) -> subprocess
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="a POSIX shell closes the output")
-@pytest.mark.parametrize(("shell", "codes"), [(">&-", {5}), ("| head -1", {0}), ("| true", {0})])
+@pytest.mark.parametrize(
+    ("shell", "codes"), [long(">&-", {5}), long("| head -1", {0}), ("| true", {0})]
+)
 def test_an_output_that_the_shell_closes(tmp_path, shell: str, codes: set[int]) -> None:
     """The files are written first; what cannot be printed is said in one line."""
     room, measured = rt.datasets.bras_cr2()

@@ -185,6 +185,7 @@ def distances(which: draws.Sampling) -> dict[tuple[str, float], float]:
     return found
 
 
+@pytest.mark.long
 def test_all_nine_scores_of_table_2_lie_within_three_standard_deviations_of_one_study() -> None:
     """The paper's numbers are those of one study; what its text reads misses some of them."""
     found = distances("sigma_r")
@@ -332,6 +333,7 @@ def test_what_was_finished_before_a_failure_is_kept(tmp_path: Path) -> None:
     assert len(list(tmp_path.glob("*.sums"))) == 3
 
 
+@pytest.mark.long
 @pytest.mark.filterwarnings("ignore")  # dask's and tornado's own
 def test_dask_cluster_of_two_processes_loses_nothing_when_a_worker_is_killed(
     tmp_path: Path,

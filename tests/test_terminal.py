@@ -106,12 +106,13 @@ CALLS: list[tuple[str, list[str], int]] = [
 
 @pytest.fixture(scope="module")
 def computed() -> Any:
-    """The slow part of `find` and `fit`, once for all widths: what is tested is their text."""
+    """The slow part of each command, once for all widths: what is tested is their text."""
     from rtcal import finder
 
     # It shall not import what is replaced below.
     from rtcal.finder.positions import verification  # noqa: F401
     from rtcal.loop import positions as loop_positions
+    from rtcal.prediction import designed
     from rtcal.report import gap_report, page, result_folder
 
     def once(function: Any) -> Any:
@@ -128,6 +129,8 @@ def computed() -> Any:
         for module, name in (
             (finder, "find"),
             (finder, "verify"),
+            (finder, "plan"),
+            (designed, "design"),
             (gap_report, "verify"),
             (loop_positions, "calibrate_positions"),
         ):
