@@ -34,7 +34,12 @@ def run_line(line: str) -> None:
 
 
 @pytest.mark.parametrize(
-    "name", [n for n in _PURPOSES if n not in ("missing-effect", "told", "where")]
+    "name",
+    [
+        pytest.param(n, marks=[pytest.mark.long] if n == "change" else [])
+        for n in _PURPOSES
+        if n not in ("missing-effect", "told", "where")
+    ],
 )
 def test_the_printed_commands_run(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]

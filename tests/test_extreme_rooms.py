@@ -19,9 +19,10 @@ from rtcal.support.errors import SolverError
 PRIOR = terms.PriorDeviation()
 
 
-def test_no_failure_and_no_answer_outside_its_bound() -> None:
+@pytest.mark.parametrize("n", [20, pytest.param(60, marks=pytest.mark.long)])
+def test_no_failure_and_no_answer_outside_its_bound(n: int) -> None:
     counts = Counts()
-    for seed in range(60):
+    for seed in range(n):
         counts.add(seed)
     assert counts.failed == []
     assert counts.raw_outside == []

@@ -235,7 +235,9 @@ def attempt(name: str, tmp_path: Path, between: int) -> tuple[int, int]:
     return tried, lost
 
 
-@pytest.mark.parametrize("name", ["apply with a geometry", "find with a geometry"])
+@pytest.mark.parametrize(
+    "name", [pytest.param("apply with a geometry", marks=pytest.mark.long), "find with a geometry"]
+)
 def test_a_corrected_geometry_is_written_all_or_nothing(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -246,7 +248,11 @@ def test_a_corrected_geometry_is_written_all_or_nothing(
 
 
 @pytest.mark.parametrize(
-    "name", ["loop start", "loop next", "loop back", "import", "export", "measure", "table", "fit"]
+    "name",
+    [
+        *("loop start", "loop next", "loop back", "import", "export", "measure", "table"),
+        pytest.param("fit", marks=pytest.mark.long),
+    ],
 )
 def test_a_command_writes_all_or_nothing(name: str, tmp_path: Path) -> None:
     tried, lost = attempt(name, tmp_path, BETWEEN)

@@ -253,6 +253,8 @@ MANY_ARGUMENTS = {
     "rtcal.calibrate_modes": "all of one calibration; the modes of the room come from "
     "its geometry or are given",
     "rtcal.report.material_figures.plane": "the numbers of one QP of two materials, and its captions",
+    "rtcal.report.study_report.report": "what `rtcal study` states: five say what is drawn, and the "
+    "others where it runs and what is written",
     "rtcal.studies.run": "five say what is drawn, four where it runs",
 }
 """Public functions of more than eight arguments, and why these belong together."""

@@ -84,6 +84,7 @@ def test_the_wall_that_changed_is_claimed_and_no_other(finding: StatesFinding) -
     np.testing.assert_allclose(sum(p for _, p in finding.sets), 1, rtol=1e-9)
 
 
+@pytest.mark.long
 def test_in_the_other_order_it_is_the_same_wall(
     finding: StatesFinding, states: tuple[rt.Measurement, rt.Measurement]
 ) -> None:

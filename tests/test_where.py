@@ -137,6 +137,7 @@ def test_nothing_is_found_where_nothing_is_hidden(kept: Path) -> None:
         finding.apply()
 
 
+@pytest.mark.long
 def test_random_numbers_hardly_move_the_score_of_a_room_that_scatters_little(kept: Path) -> None:
     """A law: where 0.1 is scattered and 0.4 assumed, seeds had moved the score by 0.6 nats (sd)."""
     case = rt.finder.positions.Case(
@@ -258,9 +259,11 @@ def test_a_calibrated_room_is_refused() -> None:
 
 
 def test_effects_that_were_not_tried_are_said(
-    finding: rt.finder.positions.PositionsFinding,
+    finding: rt.finder.positions.PositionsFinding, kept: Path
 ) -> None:
-    limited = rt.finder.positions.find(finding.case, controls=finding.controls, only=["curtain"])
+    limited = rt.finder.positions.find(
+        finding.case, controls=finding.controls, cache=kept, only=["curtain"]
+    )
     assert "whole library" in str(limited)
     assert "whole library" not in str(finding)
 

@@ -13,6 +13,7 @@ import pytest
 import rtcal as rt
 from rtcal.command.main import main
 from rtcal.finder.positions import PositionsFinding, PositionsVerification
+from rtcal.loop import control_runs
 from tests.test_terminal import longest
 from tests.test_where import RECEIVERS, SOURCES, measured, stated, tracing
 from tests.test_where_page import PLACE, finding_of, verification_of
@@ -154,7 +155,10 @@ def test_a_place_needs_a_geometry(
     assert "--at: a case without a geometry has no surface" in capsys.readouterr().err
 
 
-def test_a_search_that_was_interrupted_goes_on_from_its_control_runs(tmp_path: Path) -> None:
+def test_a_search_that_was_interrupted_goes_on_from_its_control_runs(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(control_runs, "RUNS", 4)
     case = rt.finder.positions.Case(
         simulator=tracing(stated(), n_paths=800), measured=measured(False)
     )

@@ -157,6 +157,7 @@ def test_the_odds_of_a_surface_do_not_depend_on_its_parts(case: rt.finder.positi
     assert all(s.sizes.max() <= case.divided.parts[s.part].area for s in on_one)
 
 
+@pytest.mark.long
 def test_an_opening_at_an_end_of_a_long_room_is_found_at_this_end(
     case: rt.finder.positions.Case, tmp_path: Path
 ) -> None:

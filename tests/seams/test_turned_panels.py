@@ -15,7 +15,10 @@ from tests.seams.turned_panels import laboratory
 TURNED = 0.9
 
 
-@pytest.mark.parametrize("again", [False, True], ids=["once", "turned back"])
+@pytest.mark.parametrize(
+    "again",
+    [pytest.param(False, id="once", marks=pytest.mark.long), pytest.param(True, id="turned back")],
+)
 def test_turned_panels_are_named_added_and_verified(
     again: bool, tmp_path: Path, kept: Path
 ) -> None:
