@@ -71,7 +71,9 @@ def main() -> None:
             Path(folder, name).write_bytes(content)
         room = rt.Room.from_file(str(Path(folder, "room.toml")))
         measured = rt.Measurement.from_file(str(Path(folder, "pairs.csv")))
-        case = rt.finder.positions.Case.from_room(room, measured, tracing={"n_paths": given.paths})
+        case = rt.finder.positions.PositionsCase.from_room(
+            room, measured, tracing={"n_paths": given.paths}
+        )
         controls = simulated_controls(
             case.simulator,
             case.room,

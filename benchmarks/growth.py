@@ -24,7 +24,7 @@ LARGEST = 1.2
 def child(name: str, n_materials: int, n_configurations: int) -> None:
     """Print seconds and MB of one call."""
     import rtcal as rt
-    from rtcal.finder import Case, Change, Configuration, find
+    from rtcal.finder import Case, ChangedMaterial, Configuration, find
     from rtcal.finder.means.engines import ControlRooms
 
     rng = np.random.default_rng(0)
@@ -51,7 +51,9 @@ def child(name: str, n_materials: int, n_configurations: int) -> None:
                 },
                 uncertainty=dict.fromkeys(("t20", "edt"), 0.02 * t20[None]),
             ),
-            changes={} if i == 0 else {"material 0": Change(alpha[0] * 1.1, np.full(4, 0.05))},
+            changes={}
+            if i == 0
+            else {"material 0": ChangedMaterial(alpha[0] * 1.1, np.full(4, 0.05))},
         )
         for i in range(n_configurations)
     ]

@@ -24,7 +24,7 @@ from rtcal.finder.means.engines import ControlRooms
 from rtcal.finder.means.features import observe
 from rtcal.finder.means.hypotheses import predict_hypotheses
 from rtcal.finder.means.model_error import estimate_discrepancy
-from rtcal.finder.means.set_posterior import set_posterior
+from rtcal.finder.means.set_posterior import posterior_of_sets
 from rtcal.finder.means.sets import Comparison, Rows, acting_order, compare, moments, shapes
 from rtcal.finder.means.verdict import TWO
 from rtcal.finder.prior import UNKNOWN, Prior, prior_of
@@ -71,7 +71,7 @@ def examined(
     predicted, prior = predict_hypotheses(case, library()), prior_of(case.room, library(), {})
     compared = compare(case, observed, predicted, estimate_discrepancy(case, controls))
     rows = drawn(compared, prior, number, rng)
-    posterior = set_posterior(measured(compared, rows, rng), prior, most=2)
+    posterior = posterior_of_sets(measured(compared, rows, rng), prior, most=2)
     truth = families_of(tuple(predicted.names[i] for i in rows), predicted.effects)
     sets = by_family_sets(posterior.sets, predicted.effects)
     likeliest = next(s for s in sets if len(s) == 2 and UNKNOWN not in s)

@@ -27,8 +27,8 @@ from rtcal.finder.means import likelihood
 from rtcal.finder.means.bootstrap import score
 from rtcal.finder.means.engines import ControlRooms
 from rtcal.finder.means.evidence import evaluate
-from rtcal.finder.means.features import Observed, distances, observe, state
-from rtcal.finder.means.hypotheses import Hypotheses, predict_hypotheses
+from rtcal.finder.means.features import ObservedFeatures, distances, observe, state
+from rtcal.finder.means.hypotheses import MeansHypotheses, predict_hypotheses
 from rtcal.finder.means.likelihood import DEGREES, alpha_covariance
 from rtcal.finder.means.model_error import ModelDiscrepancy, estimate_discrepancy
 from rtcal.finder.model import predict
@@ -62,7 +62,10 @@ class Told:
 
 
 def told(
-    case: Case, truth: Sequence[Case], controls: Sequence[ControlRooms], right: frozenset[str]
+    case: Case,
+    truth: Sequence[Case],
+    controls: Sequence[ControlRooms],
+    right: frozenset[str],
 ) -> Told:
     """Return the distances of a case.
 
@@ -111,8 +114,8 @@ def told(
 
 def drawn_scores(
     case: Case,
-    observed: Observed,
-    predicted: Hypotheses,
+    observed: ObservedFeatures,
+    predicted: MeansHypotheses,
     error: ModelDiscrepancy,
     means: Sequence[Array],
     scale: Array,

@@ -30,7 +30,7 @@ from rtcal.finder.means.features import observe
 from rtcal.finder.means.hypotheses import predict_hypotheses
 from rtcal.finder.means.measurements import COSTS
 from rtcal.finder.means.model_error import estimate_discrepancy
-from rtcal.finder.means.set_posterior import MOST, set_posterior
+from rtcal.finder.means.set_posterior import MOST, posterior_of_sets
 from rtcal.finder.means.sets import compare
 from rtcal.finder.prior import prior_of
 from tests.hidden_world.populations import Hidden, make, measure
@@ -45,7 +45,7 @@ def said(case: Case, made: list[ControlRooms], truth: list[str]) -> dict[str, An
     observed, _ = observe(case)
     predicted = predict_hypotheses(case, library())
     error, prior = estimate_discrepancy(case, made), prior_of(case.room, library(), {})
-    posterior = set_posterior(compare(case, observed, predicted, error), prior)
+    posterior = posterior_of_sets(compare(case, observed, predicted, error), prior)
     best = posterior.best(predicted.effects)
     right = [s for s in posterior.sets if "unknown" not in s and wide(list(s)) == wide(truth)]
     return {

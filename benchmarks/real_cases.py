@@ -19,7 +19,7 @@ import numpy as np
 from benchmarks import real_data as data
 from benchmarks.judging import NOTHING
 from rtcal.acoustics.room import Room
-from rtcal.finder import Case, Change
+from rtcal.finder import Case, ChangedMaterial
 
 ADDED = ("opening", "furniture", "audience", "porous", "curtain", "people")
 """Absorption that is not low alone: families that say that the model lacks absorption."""
@@ -89,7 +89,7 @@ def ptb_pair(parameters: tuple[str, ...], stated: bool) -> Callable[[Path], Case
         else:
             room = data.ptb_room((OPEN,))
             i = room.material_index(CLOSED)
-            changes = {CLOSED: Change(room.alpha[i], room.sigma[i])}
+            changes = {CLOSED: ChangedMaterial(room.alpha[i], room.sigma[i])}
             area, gathered = data.ptb_materials()[OPEN]
             alpha, sigma = room.alpha.copy(), room.sigma.copy()
             alpha[i] = gathered * area / room.areas[i]

@@ -17,7 +17,7 @@ import numpy as np
 from scipy.optimize import least_squares
 
 import rtcal as rt
-from rtcal.finder import Change, Configuration
+from rtcal.finder import ChangedMaterial, Configuration
 from rtcal.support.types import Array
 
 DATA = Path(os.environ.get("RTCAL_SHARED_DATA", Path(__file__).parents[2] / "shared" / "data"))
@@ -76,7 +76,7 @@ def ptb_measured(
     sources: Sequence[str] = ("S1", "S2"),
     name: str = "measured",
     removed: bool = False,
-    changes: Mapping[str, Change] | None = None,
+    changes: Mapping[str, ChangedMaterial] | None = None,
 ) -> Configuration:
     """Means over the teams per pair; their standard deviation over the teams is the uncertainty."""
     rows = {

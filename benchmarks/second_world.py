@@ -114,7 +114,10 @@ def run(folder: str, world: int, population: int, step: int, label: str) -> None
         path = place(folder, world, population, label, index, "json")
         if path.exists() or not kept.exists() or truth_of(world, truths[index]) is None:
             continue
-        case, made = Case.from_dict(rooms[index]), kept_controls(Case.from_dict(rooms[index]), kept)
+        case, made = (
+            Case.from_dict(rooms[index]),
+            kept_controls(Case.from_dict(rooms[index]), kept),
+        )
         row = {
             "one": row_of(find(one(case), controls=first_of(made))),
             "all": row_of(find(case, controls=made)),

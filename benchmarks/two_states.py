@@ -15,7 +15,7 @@ import numpy as np
 
 import rtcal as rt
 from benchmarks.real_data import lines
-from rtcal.finder.states import Case, StatesFinding
+from rtcal.finder.states import StatesCase, StatesFinding
 from rtcal.simulators import PathTracing, Polyhedron
 from rtcal.simulators.geometry import SHOEBOX_WALLS
 from rtcal.support.types import Array
@@ -227,7 +227,7 @@ def hidden(number: int = 40) -> None:
         room = synthetic.room()
         a, b = (eyring.absorption_area(room, t)[2:5].mean() for t in times)
         two = [synthetic.measured(t, FIRST + 2 * i + j, uneven=0.03) for j, t in enumerate(times)]
-        finding = rt.find(Case(room=room, before=two[0], after=two[1]))
+        finding = rt.find(StatesCase(room=room, before=two[0], after=two[1]))
         detected += finding.detected
         if finding.detected:
             held += finding.size.low <= b - a <= finding.size.high
@@ -236,7 +236,7 @@ def hidden(number: int = 40) -> None:
             claimed += 1
             right += finding.family in ("added absorption", "added absorption, rising")
         same = [synthetic.measured(times[0], 2 * FIRST + 2 * i + j) for j in range(2)]
-        flagged += rt.find(Case(room=room, before=same[0], after=same[1])).detected
+        flagged += rt.find(StatesCase(room=room, before=same[0], after=same[1])).detected
     print(
         f"panels of 1 to 40 m², {number} rooms: detected {detected}, intervals that hold "
         f"{held}, ratio of the amounts {np.median(ratios):.2f} (90 %: {np.quantile(ratios, 0.05):.2f} "

@@ -39,9 +39,9 @@ from benchmarks.judging import FLAGS, rounded, row_of
 from benchmarks.where_figures import DATA, LARGE, MODELS, ROOMS, chosen, table
 from rtcal.acoustics.quality import gap_jnd
 from rtcal.finder import find, library
-from rtcal.finder.positions.posterior import Hypotheses, of_means
-from rtcal.finder.positions.problem import Problem, problem_of
-from rtcal.finder.positions.responses import parameters, responses
+from rtcal.finder.positions.posterior import PositionsHypotheses, of_means
+from rtcal.finder.positions.problem import PositionsProblem, problem_of
+from rtcal.finder.positions.responses import parameters, responses_of
 from rtcal.finder.positions.search import every_hypothesis
 from rtcal.loop.control_runs import simulated_controls
 from tests.geometric_world import rooms
@@ -74,9 +74,9 @@ def stored_in(which: str) -> Path:
     return HERE / f"population_{population_of(which)}_results.jsonl.gz"
 
 
-def case_of(room: GeometricRoom, data: str) -> rt.finder.positions.Case:
+def case_of(room: GeometricRoom, data: str) -> rt.finder.positions.PositionsCase:
     level = data == "level"
-    return rt.finder.positions.Case(
+    return rt.finder.positions.PositionsCase(
         simulator=room.simulator(n_paths=PATHS),
         measured=room.measured if level else room.without_level(),
         match=MATCH if level else MATCH[:-1],
@@ -98,7 +98,9 @@ class Judging:
         return self.folder / f"{step}_{self.population}_{self.statement.replace(' ', '_')}.jsonl"
 
 
-def prepared(case: rt.finder.positions.Case, cache: Path) -> tuple[Problem, Hypotheses]:
+def prepared(
+    case: rt.finder.positions.PositionsCase, cache: Path
+) -> tuple[PositionsProblem, PositionsHypotheses]:
     """Return the numbers and the hypotheses of a search, as `finder.positions.find` makes them."""
     controls: Any = simulated_controls(
         case.simulator,
@@ -107,7 +109,7 @@ def prepared(case: rt.finder.positions.Case, cache: Path) -> tuple[Problem, Hypo
         position_uncertainty=case.position_uncertainty,
         cache=cache,
     )
-    made = responses(case, 0, cache)
+    made = responses_of(case, 0, cache)
     numbers = problem_of(case, made, controls)
     return numbers, every_hypothesis(case, made, numbers, library())
 

@@ -30,9 +30,15 @@ from benchmarks.where_figures import ABSORBERS, DATA
 from rtcal.finder.positions.evidence import Likelihood
 from rtcal.finder.positions.finding import LIKELY
 from rtcal.finder.positions.hypotheses import COUPLED
-from rtcal.finder.positions.posterior import Hypotheses, evaluate, scores, weights
-from rtcal.finder.positions.problem import Problem
-from rtcal.finder.positions.shift import MEASUREMENT, POSITION, Shift, Spread, uneven_amount
+from rtcal.finder.positions.posterior import PositionsHypotheses, evaluate, scores, weights
+from rtcal.finder.positions.problem import PositionsProblem
+from rtcal.finder.positions.shift import (
+    MEASUREMENT,
+    POSITION,
+    ShiftHypothesis,
+    SpreadHypothesis,
+    uneven_amount,
+)
 from tests.geometric_world.load import IN_SITU, load
 
 STORED = Path(__file__).with_name("where_ideal.json.gz")
@@ -46,13 +52,16 @@ Row = dict[str, Any]
 
 
 def drawn(
-    numbers: Problem, likelihood: Likelihood, every: Hypotheses, rng: np.random.Generator
-) -> tuple[list[Shift | Spread | None], np.ndarray]:
+    numbers: PositionsProblem,
+    likelihood: Likelihood,
+    every: PositionsHypotheses,
+    rng: np.random.Generator,
+) -> tuple[list[ShiftHypothesis | SpreadHypothesis | None], np.ndarray]:
     """Draw `DRAWS` rooms with something hidden and as many as stated, and what is measured in them.
 
     Returns what is hidden and the residuals (n_values, 2 DRAWS).
     """
-    chances: list[tuple[float, Shift | Spread, int]] = [
+    chances: list[tuple[float, ShiftHypothesis | SpreadHypothesis, int]] = [
         (float(odds), shift, row)
         for shift in every.shifts
         if shift.effect in HIDDEN
@@ -64,11 +73,11 @@ def drawn(
     factor = np.linalg.cholesky(likelihood.covariance[np.ix_(kept, kept)])
     out = np.zeros((len(numbers.used), 2 * DRAWS))
     out[kept] = factor @ rng.standard_normal((len(kept), 2 * DRAWS))
-    hidden: list[Shift | Spread | None] = []
+    hidden: list[ShiftHypothesis | SpreadHypothesis | None] = []
     for column, choice in enumerate(rng.choice(len(odds), DRAWS, p=odds / odds.sum())):
         _, what, row = chances[choice]
         hidden.append(what)
-        if isinstance(what, Spread):
+        if isinstance(what, SpreadHypothesis):
             size = len(what.rows)
             out[what.rows, column] += rng.multivariate_normal(np.zeros(size), what.covariance)
         else:
@@ -76,7 +85,9 @@ def drawn(
     return [*hidden, *[None] * DRAWS], out
 
 
-def shifted(likelihood: Likelihood, shift: Shift, row: int, rng: np.random.Generator) -> np.ndarray:
+def shifted(
+    likelihood: Likelihood, shift: ShiftHypothesis, row: int, rng: np.random.Generator
+) -> np.ndarray:
     """Draw the shift of a hypothesis with the errors of its spectrum and of its place, (n,)."""
     nodes, share = likelihood.nodes[shift.response], shift.weights[row]
     exact = np.einsum("kvn,kn->kv", nodes, share)
@@ -86,7 +97,7 @@ def shifted(likelihood: Likelihood, shift: Shift, row: int, rng: np.random.Gener
     return np.asarray((exact * factor[:, np.newaxis] + np.outer(change, place)).ravel())
 
 
-def averaged(numbers: Problem, likelihoods: Likelihoods) -> tuple[np.ndarray, Likelihoods]:
+def averaged(numbers: PositionsProblem, likelihoods: Likelihoods) -> tuple[np.ndarray, Likelihoods]:
     """Return the matrix of the means over pairs, and the likelihoods of the means."""
     p, i, k = numbers.shape
     names = numbers.data.observations.parameters
@@ -106,7 +117,7 @@ def averaged(numbers: Problem, likelihoods: Likelihoods) -> tuple[np.ndarray, Li
     return mean, (of(stated), [of(one) for one in off], [of(one) for one in unknown])
 
 
-def spread_of_means(spread: Spread, mean: np.ndarray) -> Spread:
+def spread_of_means(spread: SpreadHypothesis, mean: np.ndarray) -> SpreadHypothesis:
     moved = mean[:, spread.rows]
     rows = np.flatnonzero(np.abs(moved).sum(axis=1))
     return replace(spread, rows=rows, covariance=moved[rows] @ spread.covariance @ moved[rows].T)
@@ -114,9 +125,9 @@ def spread_of_means(spread: Spread, mean: np.ndarray) -> Spread:
 
 def said(
     likelihoods: Likelihoods,
-    every: Hypotheses,
+    every: PositionsHypotheses,
     residuals: np.ndarray,
-    hidden: Sequence[Shift | Spread | None],
+    hidden: Sequence[ShiftHypothesis | SpreadHypothesis | None],
     n_surfaces: int,
 ) -> list[Row]:
     """Return what the observer says of each draw."""
@@ -137,9 +148,9 @@ def said(
         row: Row = {"score": round(float(score[column]), 2)}
         if what is not None:
             best = names[int(by_family[:, column].argmax())]
-            family = what.family if isinstance(what, Shift) else MEASUREMENT
+            family = what.family if isinstance(what, ShiftHypothesis) else MEASUREMENT
             row |= {"effect": what.effect, "family": best == family}
-        if isinstance(what, Shift) and what.effect in ABSORBERS:
+        if isinstance(what, ShiftHypothesis) and what.effect in ABSORBERS:
             order = np.argsort(-chance[:, column])
             held = np.cumsum(chance[order, column])
             row["rank"] = int(np.flatnonzero(order == what.surface)[0])

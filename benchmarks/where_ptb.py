@@ -34,8 +34,8 @@ from benchmarks.where import PATHS, plain, said
 from benchmarks.where_figures import MODELS, first
 from rtcal.acoustics.observables import observable
 from rtcal.finder.positions.evidence import flat
-from rtcal.finder.positions.problem import Problem, problem_of
-from rtcal.finder.positions.responses import parameters, precisely, responses
+from rtcal.finder.positions.problem import PositionsProblem, problem_of
+from rtcal.finder.positions.responses import parameters, precisely, responses_of
 from rtcal.finder.positions.weighing import Weighing
 from rtcal.loop.control_runs import simulated_controls
 from rtcal.simulators import PathTracing, Polyhedron
@@ -223,11 +223,11 @@ def judged(model: str, state: str, folder: Path, workers: int | None) -> dict[st
     return dict(plain(row))
 
 
-def case_of(model: str, state: str, workers: int | None) -> rt.finder.positions.Case:
+def case_of(model: str, state: str, workers: int | None) -> rt.finder.positions.PositionsCase:
     """Return a model against the measurement in a state."""
     others = None if model == OWN else simulated(model)
     match = tuple(p for p in QUANTITIES if others is None or p in others.values)
-    return rt.finder.positions.Case(
+    return rt.finder.positions.PositionsCase(
         simulator=simulator(workers),
         measured=measured(state),
         match=(*match, "level"),
@@ -273,7 +273,7 @@ def told(folder: Path, only: str | None, workers: int | None) -> None:
         position_uncertainty=own.position_uncertainty,
         cache=controls,
     )
-    made = responses(own, 0, controls)
+    made = responses_of(own, 0, controls)
     closed = simulator(workers, "closed")
     heard = Weighing(precisely(closed), names).observe(Weighing(closed, names).alpha)
     print(f"{'nats: got / expected':28}" + "".join(f"{state:>16}" for state in STATES))
@@ -300,7 +300,7 @@ def print_ratios(name: str, columns: Iterable[Iterable[float]]) -> None:
 
 
 def ratios(
-    numbers: Problem, names: Sequence[str], opened: Array, closed: Array, changed: bool
+    numbers: PositionsProblem, names: Sequence[str], opened: Array, closed: Array, changed: bool
 ) -> dict[str, tuple[float, float]]:
     """Return the log likelihood ratio of a told change and its expectation, by the errors assumed.
 

@@ -20,8 +20,8 @@ import numpy as np
 
 from benchmarks.where import case_of, prepared
 from benchmarks.where_figures import DATA
-from rtcal.finder.positions.posterior import TEMPER, Hypotheses, evaluate, scores, weights
-from rtcal.finder.positions.problem import Problem
+from rtcal.finder.positions.posterior import TEMPER, PositionsHypotheses, evaluate, scores, weights
+from rtcal.finder.positions.problem import PositionsProblem
 from tests.geometric_world.load import HANDBOOK, IN_SITU, load, truth
 
 FOLDS, DRAWS = 4, 25
@@ -43,7 +43,7 @@ def folds(n_runs: int) -> list[np.ndarray]:
     return [np.flatnonzero(group == g) for g in range(FOLDS)]
 
 
-def drawn(numbers: Problem, fold: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+def drawn(numbers: PositionsProblem, fold: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     """Draw residuals of rooms that are as stated, (n_values, DRAWS), with the errors of some runs."""
     kept = np.flatnonzero(numbers.used)
     covariance = numbers.measurement[np.ix_(kept, kept)] + 1e-12 * np.eye(len(kept))
@@ -56,7 +56,9 @@ def drawn(numbers: Problem, fold: np.ndarray, rng: np.random.Generator) -> np.nd
     return np.asarray(out + numbers.errors[chosen].T)
 
 
-def control_scores(numbers: Problem, hypotheses: Hypotheses, seed: int) -> tuple[np.ndarray, float]:
+def control_scores(
+    numbers: PositionsProblem, hypotheses: PositionsHypotheses, seed: int
+) -> tuple[np.ndarray, float]:
     """Return the scores of control rooms, (FOLDS DRAWS,), and the mean square of the projections."""
     rng = np.random.default_rng([seed, 22])
     every, squares = [], []

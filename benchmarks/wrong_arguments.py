@@ -36,7 +36,15 @@ import rtcal as rt
 from rtcal.calibration.posterior.distributions import distribution
 from rtcal.calibration.problem import CalibrationProblem, JointProblem
 from rtcal.calibration.solvers import SolveKeywords
-from rtcal.finder import AppliedEffect, Case, Change, Configuration, find, plan, verify
+from rtcal.finder import (
+    AppliedEffect,
+    Case,
+    ChangedMaterial,
+    Configuration,
+    find,
+    plan,
+    verify,
+)
 from rtcal.loop.state import start
 from rtcal.simulators.external import EquationSimulator
 from rtcal.simulators.geometry import SHOEBOX_WALLS, Polyhedron
@@ -141,7 +149,7 @@ def instances(folder: Path) -> tuple[dict[str, Any], dict[str, Any]]:
     geometry = Polyhedron.shoebox(
         (5, 4, 3), {w: "floor" if w in ("floor", "ceiling") else "wall" for w in SHOEBOX_WALLS}
     )
-    change = Change(np.array([0.2, 0.2]), np.array([0.02, 0.02]))
+    change = ChangedMaterial(np.array([0.2, 0.2]), np.array([0.02, 0.02]))
     configuration = Configuration(name="A", measured=measured, distances=np.array([2.0]))
     case = Case(room=room, configurations=[configuration])
     finding = find(rt.datasets.hidden_room()[0])

@@ -12,7 +12,7 @@ import pytest
 
 import rtcal as rt
 from rtcal.acoustics import decay, quality, trust
-from rtcal.finder import Case, Change, Configuration, plan, recalibrate, simulator
+from rtcal.finder import Case, ChangedMaterial, Configuration, plan, recalibrate, simulator
 from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError
 from rtcal.support.types import Array
@@ -98,7 +98,7 @@ def test_a_typed_error_from_inside_comes_first() -> None:
     ("call", "place"),
     [
         (lambda: rt.finder.find(3), "case = 3 is not a rtcal.finder.Case"),
-        (lambda: rt.finder.positions.find(3), "is not a rtcal.finder.positions.Case"),
+        (lambda: rt.finder.positions.find(3), "is not a rtcal.finder.positions.PositionsCase"),
         (lambda: rt.finder.corrected_room(3), "finder.corrected_room: case = 3"),
     ],
 )
@@ -123,7 +123,7 @@ CALLS: list[Callable[[Any], Any]] = [
     lambda wrong: rt.io.obj.parse(wrong),
     lambda wrong: rt.io.pyroomacoustics.parse(wrong),
     lambda wrong: Configuration(name="a", measured=wrong),
-    lambda wrong: Change(wrong, wrong),
+    lambda wrong: ChangedMaterial(wrong, wrong),
     lambda wrong: Case(room=wrong, configurations=[]),
     lambda wrong: recalibrate(wrong),
     lambda wrong: simulator(wrong),

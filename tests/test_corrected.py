@@ -90,7 +90,9 @@ def test_the_room_has_the_corrected_model_s_time(
         assert "rtcal find: 40 m²" in room.sources["opening"]
 
 
-def test_an_absorber_at_its_own_size_raises_no_alarm(hidden: tuple[Case, np.ndarray]) -> None:
+def test_an_absorber_at_its_own_size_raises_no_alarm(
+    hidden: tuple[Case, np.ndarray],
+) -> None:
     """It may be larger as well as smaller: no bound is active, and p is printed."""
     room = corrected_room(replace(hidden[0], applied=[OPENING]))
     t = rt.Eyring().reverberation_time(room)

@@ -21,7 +21,7 @@ from rtcal.finder import (
     Absorber,
     AppliedEffect,
     Case,
-    Change,
+    ChangedMaterial,
     Configuration,
     Effect,
     Threshold,
@@ -46,7 +46,7 @@ from rtcal.finder.means.features import distances, observe, state
 from rtcal.finder.means.hypotheses import predict_hypotheses
 from rtcal.finder.means.likelihood import alpha_covariance, goodness_of_fit
 from rtcal.finder.means.model_error import ModelDiscrepancy, estimate_discrepancy
-from rtcal.finder.model import State, predict, sensitivities
+from rtcal.finder.model import RoomState, predict, sensitivities
 from rtcal.support.errors import DataError
 
 F = 125.0 * 2.0 ** np.arange(7)
@@ -54,8 +54,8 @@ AREAS = np.array([60.0, 60.0, 30.0, 50.0])
 ALPHA = np.outer([0.1, 0.3, 0.05, 0.2], np.linspace(0.7, 1.2, 7))
 
 
-def made(**changes: object) -> State:
-    base = State(
+def made(**changes: object) -> RoomState:
+    base = RoomState(
         volume=300.0,
         areas=AREAS,
         alpha=ALPHA,
@@ -810,7 +810,7 @@ def test_covariances_of_many_configurations_are_those_of_their_pairs() -> None:
     # Alone, 3 configurations have their covariances stored; with 40 more, only the factors.
     case = opened()
     (c,) = case.configurations
-    change = Change(ALPHA[1] * 1.3, np.full(7, 0.02))
+    change = ChangedMaterial(ALPHA[1] * 1.3, np.full(7, 0.02))
     several = [replace(c, name=str(i), changes={"b": change} if i == 1 else {}) for i in range(43)]
     few = predict_hypotheses(replace(case, configurations=several[:3]), [Opening()])
     many = predict_hypotheses(replace(case, configurations=several), [Opening()])

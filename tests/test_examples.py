@@ -13,7 +13,7 @@ import rtcal as rt
 from rtcal.command.files import _PURPOSES
 from rtcal.command.main import main
 from rtcal.datasets import examples
-from rtcal.finder.positions import Case
+from rtcal.finder.positions import PositionsCase
 from rtcal.support.errors import DataError
 from tests.position_rooms import shipped as where_room
 from tests.position_rooms.shapes import area
@@ -73,7 +73,7 @@ def test_the_case_with_a_geometry_is_read(tmp_path: Path, monkeypatch: pytest.Mo
     monkeypatch.chdir(tmp_path)
     assert run("example", "where", "-q") == 0
     measured = rt.Measurement.from_file("where/pairs.csv")
-    case = Case.from_room(rt.Room.from_file("where/room.toml"), measured)
+    case = PositionsCase.from_room(rt.Room.from_file("where/room.toml"), measured)
     assert len(case.pairs) == 12
     assert set(case.faces) == {"floor", "ceiling", *examples._WALLS}
     areas = {material: 0.0 for material, _ in where_room.surfaces()}

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from rtcal.finder import Change
+from rtcal.finder import ChangedMaterial
 from rtcal.finder.effects.noise_floor import NoiseFloor
 from rtcal.finder.effects.opening import Opening
 from rtcal.finder.means.engines import ControlRooms
@@ -57,7 +57,7 @@ def test_evidence_of_many_configurations_is_the_same_by_blocks(
 ) -> None:
     case = opened()
     (c,) = case.configurations
-    change = Change(ALPHA[1] * 1.3, np.full(7, 0.02))
+    change = ChangedMaterial(ALPHA[1] * 1.3, np.full(7, 0.02))
     case = replace(
         case,
         configurations=[

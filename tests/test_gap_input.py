@@ -20,7 +20,7 @@ from rtcal.finder import (
     Absorber,
     AppliedEffect,
     Case,
-    Change,
+    ChangedMaterial,
     Configuration,
     Effect,
     control_rooms,
@@ -36,7 +36,7 @@ from rtcal.finder.effects.opening import Opening
 from rtcal.finder.means.engines import ControlRooms, Engine
 from rtcal.finder.means.features import state
 from rtcal.finder.means.model_error import ModelDiscrepancy
-from rtcal.finder.model import Decay, State
+from rtcal.finder.model import Decay, RoomState
 from rtcal.support.errors import DataError, OtherBandsWarning, RtcalError
 from tests.test_discrepancy import F, Organ, case_with, controls_of, opened
 
@@ -141,13 +141,13 @@ class Bent(Effect):
     size: ClassVar[str] = "share"
     unit: ClassVar[str] = "of the energy"
 
-    def grid(self, state: State) -> list[dict[str, float]]:
+    def grid(self, state: RoomState) -> list[dict[str, float]]:
         return [{"share": s} for s in (0.05, 0.1, 0.2)]
 
-    def change(self, state: State, parameters: Any) -> State:
+    def change(self, state: RoomState, parameters: Any) -> RoomState:
         share = parameters["share"]
 
-        def shape(s: State) -> Decay:
+        def shape(s: RoomState) -> Decay:
             return Decay(
                 np.stack([np.full_like(s.rate, 1 - share), np.full_like(s.rate, share)], -1)
                 / s.volume,
@@ -415,7 +415,10 @@ def test_a_configuration_has_a_name(name: str, tmp_path: Path) -> None:
 def test_dimensions_are_three_lengths(stated: str, tmp_path: Path) -> None:
     room = ROOM.replace("{dimensions}", f"dimensions = {stated}")
     path = written(tmp_path, MEASURED, room)
-    refused(lambda: Case.from_file(str(path)), f"dimensions = {stated} is not the three lengths")
+    refused(
+        lambda: Case.from_file(str(path)),
+        f"dimensions = {stated} is not the three lengths",
+    )
 
 
 def test_distances_stay_within_a_box_s_diagonal(tmp_path: Path) -> None:
@@ -544,8 +547,8 @@ def test_arguments_of_the_wrong_kind_are_named(wrong: Any) -> None:
     fine = np.full(7, 0.1)
     stated = {"name": "A", "measured": c.measured}
     calls: list[tuple[Callable[[], object], str]] = [
-        (lambda: Change(wrong, fine), "change: alpha"),
-        (lambda: Change(fine, wrong), "change: sigma"),
+        (lambda: ChangedMaterial(wrong, fine), "change: alpha"),
+        (lambda: ChangedMaterial(fine, wrong), "change: sigma"),
         (lambda: Configuration(name="A", measured=wrong), "measured"),
         (lambda: Configuration(**stated | {"changes": wrong}), "changes"),
         (lambda: Configuration(**stated | {"changes": {"a": wrong}}), "changes['a']"),

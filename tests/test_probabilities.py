@@ -22,7 +22,7 @@ from rtcal.finder.effects.stated import WrongVolume
 from rtcal.finder.means import bootstrap
 from rtcal.finder.means.bootstrap import draw_null_features
 from rtcal.finder.means.engines import ControlRooms
-from rtcal.finder.means.evidence import Evidence
+from rtcal.finder.means.evidence import MeansEvidence
 from rtcal.finder.means.features import distances, observe, state
 from rtcal.finder.means.hypotheses import LowRank, predict_hypotheses
 from rtcal.finder.model import predict
@@ -241,7 +241,7 @@ def test_coefficients_off_together_given_an_effect_follow_bayes() -> None:
     stated, off = np.array([-3.0, -1.0, -2.0, -9.0]), np.array([-2.5, -4.0, -0.5, -9.0])
     weights, prior = np.array([1.0, 0.7, 0.3, 0.0]), 0.2
     names = ("none", "air", "air", "air")
-    evidence = Evidence(stated, off, np.array(-5.0), names, weights, prior)
+    evidence = MeansEvidence(stated, off, np.array(-5.0), names, weights, prior)
     for name, rows in (("none", [0]), ("air", [1, 2, 3])):
         with_off = prior * (weights[rows] @ np.exp(off[rows]))
         without = (1 - prior) * (weights[rows] @ np.exp(stated[rows]))

@@ -15,7 +15,7 @@ from rtcal.finder.configuration import Configuration
 from rtcal.finder.effects.base import Effect
 from rtcal.finder.effects.checks import changed_states
 from rtcal.finder.means.features import state
-from rtcal.finder.model import State
+from rtcal.finder.model import RoomState
 from rtcal.support.errors import DataError, SimulatorError
 
 
@@ -96,10 +96,10 @@ class Painted(Effect):
     size: ClassVar[str] = "share"
     unit: ClassVar[str] = ""
 
-    def grid(self, state: State) -> list[dict[str, float]]:
+    def grid(self, state: RoomState) -> list[dict[str, float]]:
         return [{"share": 0.5}, {"share": 0.9}]
 
-    def change(self, state: State, parameters: Any) -> State:
+    def change(self, state: RoomState, parameters: Any) -> RoomState:
         alpha = state.alpha
         alpha *= parameters["share"]
         return replace(state, alpha=alpha)

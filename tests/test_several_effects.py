@@ -31,11 +31,11 @@ from rtcal.finder.means import hypotheses, likelihood
 from rtcal.finder.means.engines import ControlRooms
 from rtcal.finder.means.evidence import evaluate
 from rtcal.finder.means.features import observe
-from rtcal.finder.means.gap import Doubt
+from rtcal.finder.means.gap import Objection
 from rtcal.finder.means.hypotheses import predict_hypotheses
 from rtcal.finder.means.likelihood import DEGREES, alpha_covariance, covariance_of
 from rtcal.finder.means.model_error import estimate_discrepancy
-from rtcal.finder.means.set_posterior import Kept, log_prior, set_posterior
+from rtcal.finder.means.set_posterior import Kept, log_prior, posterior_of_sets
 from rtcal.finder.means.sets import (
     Comparison,
     Screen,
@@ -154,8 +154,8 @@ def test_what_lies_between_the_points_of_a_grid_is_no_second_effect() -> None:
     case = case_with(AppliedEffect("noise floor", {"level": -35.0, "record": 2.0}))
     c = compared_case(case, library())
     prior = prior_of(case.room, library(), {})
-    assert sum(numbers_of(set_posterior(c, prior, most=2).sets)[2:]) < 0.05
-    assert sum(numbers_of(set_posterior(at_the_points(c), prior, most=2).sets)[2:]) > 0.1
+    assert sum(numbers_of(posterior_of_sets(c, prior, most=2).sets)[2:]) < 0.05
+    assert sum(numbers_of(posterior_of_sets(at_the_points(c), prior, most=2).sets)[2:]) > 0.1
 
 
 def test_a_set_of_one_is_the_single_hypothesis(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -298,9 +298,9 @@ def test_likely_pairs_are_evaluated_deeply_enough(monkeypatch: pytest.MonkeyPatc
     case = case_with(AppliedEffect("coupled room", coupled), BOTH[0])
     c = compared_case(case, [e for e in library() if e.name in ("volume", "coupled room", "air")])
     prior = prior_of(case.room, list(c.predicted.effects.values()), {})
-    some = set_posterior(c, prior, most=2).sets
+    some = posterior_of_sets(c, prior, most=2).sets
     monkeypatch.setattr("rtcal.finder.means.set_posterior.KEPT", (Kept(0.0, 1.0, 10_000),))
-    every = set_posterior(c, prior, most=2).sets
+    every = posterior_of_sets(c, prior, most=2).sets
     assert sum(abs(p - some[s]) for s, p in every.items()) < 0.02
 
 
@@ -460,7 +460,7 @@ def test_a_doubt_of_a_size_leaves_the_families_of_a_set_claimed(
     of: str, families: set[str], together: tuple[str, ...], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """As of one effect: a doubt of the size or the fit speaks against no family."""
-    doubt = Doubt("it is odd", of)  # type: ignore[arg-type]
+    doubt = Objection("it is odd", of)  # type: ignore[arg-type]
     monkeypatch.setattr("rtcal.finder.means.verdict.doubts", lambda *_: (doubt,))
     found = sought(case_with(*BOTH))
     assert found.named == ()

@@ -11,7 +11,7 @@ import pytest
 
 import rtcal as rt
 from rtcal.command.main import main
-from rtcal.finder.states import Case, Differences, StatesFinding
+from rtcal.finder.states import Differences, StatesCase, StatesFinding
 from tests.two_states import BANDS, measured, room, times
 
 
@@ -39,7 +39,7 @@ def test_panels_are_found_with_their_amount_and_spectrum(panels: StatesFinding) 
 
 def test_what_was_added_is_removed_in_the_other_order(panels: StatesFinding) -> None:
     case = panels.case
-    back = rt.find(Case(room=case.room, before=case.after, after=case.before))
+    back = rt.find(StatesCase(room=case.room, before=case.after, after=case.before))
     assert back.family is not None
     assert back.family.startswith("removed absorption")
     assert "less absorption" in back.headline
@@ -139,10 +139,10 @@ def test_states_without_a_common_pair_are_refused() -> None:
     before = measured(times(), 1)
     other = replace(before, pairs=[(f"T{i}", "R1") for i in range(6)])
     with pytest.raises(rt.errors.DataError, match="no source and receiver in common"):
-        Case(room=room(), before=before, after=other)
+        StatesCase(room=room(), before=before, after=other)
     edt = rt.Measurement.from_values(BANDS, edt=times())
     with pytest.raises(rt.errors.DataError, match="T20 or T30"):
-        Case(room=room(), before=edt, after=edt)
+        StatesCase(room=room(), before=edt, after=edt)
 
 
 def test_options_of_one_state_are_refused(panels: StatesFinding) -> None:

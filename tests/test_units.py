@@ -14,7 +14,7 @@ from rtcal.acoustics.quality import agreement, plausibility
 from rtcal.acoustics.trust import explained
 from rtcal.calibration import closed_form
 from rtcal.calibration.terms import SoftMatch
-from rtcal.finder import Change, Configuration
+from rtcal.finder import ChangedMaterial, Configuration
 from rtcal.loop.state import start
 from rtcal.studies import analytic_scores
 from rtcal.support.errors import RtcalError
@@ -122,7 +122,7 @@ def test_dimensions_of_another_volume_are_marked() -> None:
 
 def test_what_was_checked_cannot_be_altered() -> None:
     alpha, distances, sigma = np.array([0.1, 0.2]), np.array([3.0]), np.array([0.1])
-    change = Change(alpha, alpha)
+    change = ChangedMaterial(alpha, alpha)
     configuration = Configuration(
         name="c", measured=measured(t20=[1, 1]), changes={"a": change}, distances=distances
     )

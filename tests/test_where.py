@@ -108,7 +108,7 @@ def measured(
 
 @pytest.fixture(scope="module")
 def finding(kept: Path) -> rt.finder.positions.PositionsFinding:
-    case = rt.finder.positions.Case(simulator=tracing(stated()), measured=measured(True))
+    case = rt.finder.positions.PositionsCase(simulator=tracing(stated()), measured=measured(True))
     return rt.finder.positions.find(case, cache=kept)
 
 
@@ -129,7 +129,7 @@ def test_an_opening_is_found_on_its_wall(finding: rt.finder.positions.PositionsF
 
 
 def test_nothing_is_found_where_nothing_is_hidden(kept: Path) -> None:
-    case = rt.finder.positions.Case(simulator=tracing(stated()), measured=measured(False))
+    case = rt.finder.positions.PositionsCase(simulator=tracing(stated()), measured=measured(False))
     finding = rt.finder.positions.find(case, cache=kept)
     assert finding.verdict in ("none", "hint")
     assert finding.surface is None
@@ -140,7 +140,7 @@ def test_nothing_is_found_where_nothing_is_hidden(kept: Path) -> None:
 @pytest.mark.long
 def test_random_numbers_hardly_move_the_score_of_a_room_that_scatters_little(kept: Path) -> None:
     """A law: where 0.1 is scattered and 0.4 assumed, seeds had moved the score by 0.6 nats (sd)."""
-    case = rt.finder.positions.Case(
+    case = rt.finder.positions.PositionsCase(
         simulator=tracing(stated()), measured=measured(False, scattering=0.1)
     )
     scores = [find_by_positions(case, library(), None, kept, seed, ()).score for seed in range(3)]
@@ -149,7 +149,9 @@ def test_random_numbers_hardly_move_the_score_of_a_room_that_scatters_little(kep
 
 
 def test_a_level_between_positions_is_enough(kept: Path) -> None:
-    case = rt.finder.positions.Case(simulator=tracing(stated()), measured=measured(True, "level"))
+    case = rt.finder.positions.PositionsCase(
+        simulator=tracing(stated()), measured=measured(True, "level")
+    )
     finding = rt.finder.positions.find(case, cache=kept)
     assert finding.detected
     assert "east" in finding.likely_surfaces
@@ -158,7 +160,7 @@ def test_a_level_between_positions_is_enough(kept: Path) -> None:
 def test_a_receiver_that_stands_elsewhere_is_a_hint(kept: Path) -> None:
     """With three receivers the evidence stays below the threshold."""
     truth = tracing(stated(), receivers=RECEIVERS | {"R1": (2.2, 2.0, 1.2)}, n_paths=19200)
-    case = rt.finder.positions.Case(
+    case = rt.finder.positions.PositionsCase(
         simulator=tracing(stated()), measured=heard(truth, truth.room.alpha)
     )
     finding = rt.finder.positions.find(case, cache=kept)
@@ -220,10 +222,10 @@ def test_surfaces_join_the_faces_of_a_plane() -> None:
         centre_frequencies=BANDS,
     )
     simulator = tracing(room, made)
-    case = rt.finder.positions.Case(simulator=simulator, measured=measured(False))
+    case = rt.finder.positions.PositionsCase(simulator=simulator, measured=measured(False))
     assert len(case.faces) == 6
     assert max(len(faces) for faces in case.faces.values()) == 5
-    two = rt.finder.positions.Case(
+    two = rt.finder.positions.PositionsCase(
         simulator=simulator,
         measured=measured(False),
         surfaces={"side": ["west"], "ends": ["south", "north"]},
@@ -248,14 +250,14 @@ def test_surfaces_join_the_faces_of_a_plane() -> None:
 def test_a_wrong_case_is_refused(changes: dict[str, object], message: str, kept: Path) -> None:
     arguments = {"simulator": tracing(stated()), "measured": measured(False)} | changes
     with pytest.raises(DataError, match="(?s)" + re.escape(message)):
-        rt.finder.positions.find(rt.finder.positions.Case(**arguments), cache=kept)  # type: ignore[arg-type]
+        rt.finder.positions.find(rt.finder.positions.PositionsCase(**arguments), cache=kept)  # type: ignore[arg-type]
 
 
 def test_a_calibrated_room_is_refused() -> None:
     room, data = stated(), measured(False)
     result = rt.calibrate(room, data)
     with pytest.raises(DataError, match="is calibrated: its coefficients hide"):
-        rt.finder.positions.Case(simulator=tracing(result.room), measured=data)
+        rt.finder.positions.PositionsCase(simulator=tracing(result.room), measured=data)
 
 
 def test_effects_that_were_not_tried_are_said(
@@ -277,7 +279,7 @@ def test_an_unknown_effect_is_refused(finding: rt.finder.positions.PositionsFind
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A user's files: room, mesh and measurement."""
     where = tmp_path_factory.mktemp("case")
-    case = rt.finder.positions.Case(simulator=tracing(stated()), measured=measured(True))
+    case = rt.finder.positions.PositionsCase(simulator=tracing(stated()), measured=measured(True))
     scene = rt.Scene(mesh=where / "room.obj", sources=SOURCES, receivers=RECEIVERS)
     case.room.replace(scene=scene).save(str(where / "room.toml"))
     rt.io.obj.write(case.geometry, where / "room.obj")
@@ -399,7 +401,7 @@ def test_coefficients_that_are_all_off_are_no_surface(kept: Path) -> None:
     room = stated().replace(sigma=0.3 * stated().alpha)
     data = heard(truth, 1.5 * stated().alpha)
     finding = rt.finder.positions.find(
-        rt.finder.positions.Case(simulator=tracing(room), measured=data), cache=kept
+        rt.finder.positions.PositionsCase(simulator=tracing(room), measured=data), cache=kept
     )
     assert finding.surface is None
 

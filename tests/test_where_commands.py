@@ -159,7 +159,7 @@ def test_a_search_that_was_interrupted_goes_on_from_its_control_runs(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(control_runs, "RUNS", 4)
-    case = rt.finder.positions.Case(
+    case = rt.finder.positions.PositionsCase(
         simulator=tracing(stated(), n_paths=800), measured=measured(False)
     )
     told: list[str] = []

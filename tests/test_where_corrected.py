@@ -10,8 +10,8 @@ import pytest
 
 import rtcal as rt
 from rtcal.finder.positions.candidate import Candidate
-from rtcal.finder.positions.case import Case
-from rtcal.finder.positions.corrected import corrected
+from rtcal.finder.positions.case import PositionsCase
+from rtcal.finder.positions.corrected import corrected_geometry
 from rtcal.finder.positions.surfaces import of_geometry, patched
 from rtcal.io import catt, geometry_files, obj, odeon
 from rtcal.simulators import ImageSource, PathTracing, Polyhedron, RayTracing
@@ -106,7 +106,7 @@ def room_of(geometry: Polyhedron, alpha: float = 0.12, **options: object) -> rt.
     )
 
 
-def case_in(geometry: Polyhedron, **options: object) -> Case:
+def case_in(geometry: Polyhedron, **options: object) -> PositionsCase:
     tracer = PathTracing(
         geometry=geometry,
         room=room_of(geometry, **options),
@@ -115,7 +115,7 @@ def case_in(geometry: Polyhedron, **options: object) -> Case:
         scattering=0.5,
         n_paths=6400,
     )
-    return Case(
+    return PositionsCase(
         simulator=tracer,
         measured=rt.Measurement(
             centre_frequencies=BANDS, pairs=tracer.pairs, values={"t20": np.ones((2, 2))}
@@ -140,7 +140,7 @@ def candidate(surface: str, size: float, alpha: float = 0.8) -> Candidate:
 
 
 @pytest.fixture(scope="module")
-def box() -> Case:
+def box() -> PositionsCase:
     geometry = Polyhedron.shoebox(SIZE, {w: f"{w} wall" for w in SHOEBOX_WALLS})
     return case_in(geometry, dimensions=SIZE, surfaces=geometry.surfaces)
 
@@ -150,7 +150,9 @@ def test_what_is_stated_of_the_areas_stays_in_the_corrected_room(form: str) -> N
     """A room that stated how sure its areas are had no corrected room: a row was missing."""
     geometry = Polyhedron.shoebox(SIZE, {w: f"{w} wall" for w in SHOEBOX_WALLS})
     stated = {"east wall": 0.05, "floor wall": 0.02}
-    made = corrected(case_in(geometry, area_sigma=stated), candidate("east", 6.0), form).room
+    made = corrected_geometry(
+        case_in(geometry, area_sigma=stated), candidate("east", 6.0), form
+    ).room
     assert dict(zip(made.materials, made.area_sigma.tolist(), strict=True)) == {
         **dict.fromkeys(made.materials, 0.0),
         **{name: sigma for name, sigma in stated.items() if name in made.materials},
@@ -159,8 +161,8 @@ def test_what_is_stated_of_the_areas_stays_in_the_corrected_room(form: str) -> N
 
 
 @pytest.mark.parametrize("form", ["patch", "material"])
-def test_the_corrected_room_absorbs_what_was_found(box: Case, form: str) -> None:
-    made = corrected(box, candidate("east", 6.0), form)
+def test_the_corrected_room_absorbs_what_was_found(box: PositionsCase, form: str) -> None:
+    made = corrected_geometry(box, candidate("east", 6.0), form)
     assert made.form == form
     assert made.room.total_area == pytest.approx(box.room.total_area)
     added = made.room.absorption_area - box.room.absorption_area
@@ -168,21 +170,21 @@ def test_the_corrected_room_absorbs_what_was_found(box: Case, form: str) -> None
     assert np.array_equal(made.simulator.scattering, made.room.scattering)
 
 
-def test_a_patch_of_alpha_1_is_drawn_larger(box: Case) -> None:
+def test_a_patch_of_alpha_1_is_drawn_larger(box: PositionsCase) -> None:
     """So that a calibration can make it absorb more as well as less."""
-    made = corrected(box, candidate("east", 6.0, 1.0))
+    made = corrected_geometry(box, candidate("east", 6.0, 1.0))
     assert made.geometry.areas[made.material] == pytest.approx(6.0 / 0.9)
     assert made.room.alpha[-1] == pytest.approx(np.full(2, 0.12 + 0.88 * 0.9))
 
 
-def test_a_patch_that_does_not_fit_is_the_whole_surface_and_says_so(box: Case) -> None:
-    made = corrected(box, candidate("east", 16.0))
+def test_a_patch_that_does_not_fit_is_the_whole_surface_and_says_so(box: PositionsCase) -> None:
+    made = corrected_geometry(box, candidate("east", 16.0))
     assert made.form == "material"
     assert made.note == (
         'A patch of 16 m² does not fit on "east" of 15 m²: the whole surface is the new material.'
     )
     assert made.room.alpha[-1] == pytest.approx([0.8, 0.8])
-    assert not corrected(box, candidate("east", 6.0), "material").note
+    assert not corrected_geometry(box, candidate("east", 6.0), "material").note
 
 
 @pytest.mark.parametrize(
@@ -196,19 +198,21 @@ def test_a_patch_that_does_not_fit_is_the_whole_surface_and_says_so(box: Case) -
         ({"at": (7, 2, 1), "form": "material"}, "at is the middle of a patch"),
     ],
 )
-def test_a_wrong_place_is_refused(box: Case, options: dict[str, object], message: str) -> None:
+def test_a_wrong_place_is_refused(
+    box: PositionsCase, options: dict[str, object], message: str
+) -> None:
     with pytest.raises(DataError, match=re.escape(message)):
-        corrected(box, candidate("east", 6.0), **options)  # type: ignore[arg-type]
+        corrected_geometry(box, candidate("east", 6.0), **options)  # type: ignore[arg-type]
 
 
 def mean_t(simulator: object, alpha: np.ndarray) -> np.ndarray:
     return np.asarray(simulator.simulate(alpha, seed=2).mean("t20"))  # type: ignore[attr-defined]
 
 
-def test_every_engine_hears_the_correction(box: Case) -> None:
+def test_every_engine_hears_the_correction(box: PositionsCase) -> None:
     """T falls as in Eyring's formula, within what placing the absorber on one wall changes."""
-    patch = corrected(box, candidate("east", 8.0))
-    wall = corrected(box, candidate("east", 8.0), "material")
+    patch = corrected_geometry(box, candidate("east", 8.0))
+    wall = corrected_geometry(box, candidate("east", 8.0), "material")
     wanted = rt.Eyring().reverberation_time(wall.room) / rt.Eyring().reverberation_time(box.room)
     assert (wanted < 0.85).all()
 
@@ -225,7 +229,7 @@ def test_every_engine_hears_the_correction(box: Case) -> None:
         ImageSource(room=patch.room, **places, duration=1.5)
 
 
-def test_pyroomacoustics_hears_the_correction(box: Case) -> None:
+def test_pyroomacoustics_hears_the_correction(box: PositionsCase) -> None:
     """The other ray tracer, which shares no code with rtcal's: the same fall of T, patch or wall."""
     pytest.importorskip("pyroomacoustics")
 
@@ -242,7 +246,7 @@ def test_pyroomacoustics_hears_the_correction(box: Case) -> None:
 
     before = rays(box.geometry, box.room)
     for form in ("patch", "material"):
-        made = corrected(box, candidate("east", 8.0), form)
+        made = corrected_geometry(box, candidate("east", 8.0), form)
         other = mean_t(made.simulator, made.room.alpha) / mean_t(box.simulator, box.room.alpha)
         ratio = rays(made.geometry, made.room) / before
         assert ratio == pytest.approx(other, rel=0.06), form
@@ -253,8 +257,8 @@ def test_pyroomacoustics_hears_the_correction(box: Case) -> None:
 def test_what_is_written_is_read_again(geometry: Polyhedron, tmp_path: Path) -> None:
     """Areas, names and materials by rtcal's own readers; the lists have the room's coefficients."""
     case = case_in(geometry, alpha=0.2)
-    made = corrected(case, candidate("floor", 10.0), at=(6.0, 2.0, 0.0))
-    corrected(case, candidate("ceiling", 4.0)).save(tmp_path)  # which is written over
+    made = corrected_geometry(case, candidate("floor", 10.0), at=(6.0, 2.0, 0.0))
+    corrected_geometry(case, candidate("ceiling", 4.0)).save(tmp_path)  # which is written over
     made.save(tmp_path)
     room = rt.Room.from_file(str(tmp_path / "room.toml"))
     mesh = obj.read(tmp_path / "room.obj")

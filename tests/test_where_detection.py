@@ -18,23 +18,23 @@ from rtcal.finder.positions.hypotheses import shifts
 from rtcal.finder.positions.posterior import (
     OF_PROGRAMS,
     THRESHOLD,
-    Evidence,
-    Hypotheses,
+    PositionsEvidence,
+    PositionsHypotheses,
     detection_in_words,
     evidence_of_means,
     of_means,
     scores,
     weights,
 )
-from rtcal.finder.positions.shift import NOISE, POSITION, Spread
+from rtcal.finder.positions.shift import NOISE, POSITION, SpreadHypothesis
 from tests.test_where import MATCH, measured, stated, tracing
 
 pytest.importorskip("numba", reason="the paths are traced by compiled code (extra fast)")
 
 
 @pytest.fixture(scope="module")
-def case() -> rt.finder.positions.Case:
-    return rt.finder.positions.Case(simulator=tracing(stated()), measured=measured(True))
+def case() -> rt.finder.positions.PositionsCase:
+    return rt.finder.positions.PositionsCase(simulator=tracing(stated()), measured=measured(True))
 
 
 def test_the_positions_decide() -> None:
@@ -61,24 +61,24 @@ def test_a_score_near_its_threshold_says_that_a_seed_may_decide() -> None:
     assert "another seed" not in detection_in_words(Detection(THRESHOLD + 20, THRESHOLD))
 
 
-def spread(effect: str) -> Spread:
-    return Spread(effect, "S1", 3.0, "", np.arange(1), np.eye(1), 0.5)
+def spread(effect: str) -> SpreadHypothesis:
+    return SpreadHypothesis(effect, "S1", 3.0, "", np.arange(1), np.eye(1), 0.5)
 
 
 def scored(
-    of_noise: float, of_position: float, of_shift: float, case: rt.finder.positions.Case
+    of_noise: float, of_position: float, of_shift: float, case: rt.finder.positions.PositionsCase
 ) -> float:
     """The score where hypotheses have these log evidences, over that of nothing."""
     one = next(s for s in shifts(case, library()) if s.effect == "opening").some(slice(0, 1))
-    every = Hypotheses([one], [spread(NOISE), spread(POSITION)], off=0.0, unknown=False)
+    every = PositionsHypotheses([one], [spread(NOISE), spread(POSITION)], off=0.0, unknown=False)
     none = np.zeros(1)
     spreads = [np.full(1, of_noise), np.full(1, of_position)]
-    evidence = Evidence(none, none - 99, none - 99, [np.full((1, 1), of_shift)], spreads)
+    evidence = PositionsEvidence(none, none - 99, none - 99, [np.full((1, 1), of_shift)], spreads)
     return float(scores(weights(evidence, every, 1.0), every)[0][0])
 
 
 def test_a_noisy_pair_is_no_evidence_that_the_room_is_other_than_stated(
-    case: rt.finder.positions.Case,
+    case: rt.finder.positions.PositionsCase,
 ) -> None:
     assert scored(0, 0, 0, case) == pytest.approx(0, abs=1e-9)
     assert scored(20, 0, 0, case) < -10
@@ -87,7 +87,7 @@ def test_a_noisy_pair_is_no_evidence_that_the_room_is_other_than_stated(
 
 
 def test_the_means_have_the_pairs_and_the_geometry_of_the_case(
-    case: rt.finder.positions.Case,
+    case: rt.finder.positions.PositionsCase,
 ) -> None:
     less = replace(case, exclude=[("S1", "R2")], match=("t20", "c80", "ts"))
     (configuration,) = of_means(less).configurations
@@ -107,13 +107,17 @@ def test_the_means_have_the_pairs_and_the_geometry_of_the_case(
     np.testing.assert_allclose(along["floor wall"], [0, 0, 1], atol=1e-12)
 
 
-def test_the_means_say_nothing_without_a_decay_time(case: rt.finder.positions.Case) -> None:
+def test_the_means_say_nothing_without_a_decay_time(
+    case: rt.finder.positions.PositionsCase,
+) -> None:
     assert evidence_of_means(replace(case, match=("c80", "ts", "level"))) is None
 
 
 @pytest.mark.parametrize("options", [{"without": ["air"]}, {"only": ["opening", "porous"]}])
 def test_fewer_effects_are_asked_of_the_positions_alone(
-    case: rt.finder.positions.Case, options: dict[str, list[str]], monkeypatch: pytest.MonkeyPatch
+    case: rt.finder.positions.PositionsCase,
+    options: dict[str, list[str]],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """The means know neither those effects nor their names."""
     module = sys.modules["rtcal.finder.positions.search"]
@@ -123,7 +127,7 @@ def test_fewer_effects_are_asked_of_the_positions_alone(
 
 
 def test_a_search_for_a_noisy_pair_alone_detects_nothing(
-    case: rt.finder.positions.Case, kept: Path
+    case: rt.finder.positions.PositionsCase, kept: Path
 ) -> None:
     finding = rt.finder.positions.find(case, only=["noise"], cache=kept)
     assert (finding.detected, finding.score) == (False, 0.0)
@@ -134,7 +138,7 @@ def test_a_search_for_a_noisy_pair_alone_detects_nothing(
 
 @pytest.mark.parametrize("effect", ["coefficients", "unknown"])
 def test_a_candidate_without_a_size_has_none_in_words_and_in_json(
-    case: rt.finder.positions.Case, effect: str, kept: Path
+    case: rt.finder.positions.PositionsCase, effect: str, kept: Path
 ) -> None:
     """A full search ended `to_json` in a ValueError where one was among the first twenty."""
     finding = rt.finder.positions.find(case, only=[effect], cache=kept)
@@ -144,7 +148,7 @@ def test_a_candidate_without_a_size_has_none_in_words_and_in_json(
 
 
 def test_the_record_is_that_of_what_was_measured(
-    case: rt.finder.positions.Case, kept: Path
+    case: rt.finder.positions.PositionsCase, kept: Path
 ) -> None:
     """It was that of all that may be matched, with level, though none had been measured."""
     whole = measured(True)
@@ -153,7 +157,7 @@ def test_the_record_is_that_of_what_was_measured(
         values={name: v for name, v in whole.values.items() if name != "g"},
         pairs=whole.pairs,
     )
-    lacking = rt.finder.positions.Case(simulator=case.simulator, measured=without)
+    lacking = rt.finder.positions.PositionsCase(simulator=case.simulator, measured=without)
     assert "level" in lacking.match
     finding = rt.finder.positions.find(lacking, cache=kept)
     assert track_record.of_positions(case.room, finding.parameters) == finding.notes[0]
@@ -161,7 +165,7 @@ def test_the_record_is_that_of_what_was_measured(
 
 
 def test_a_finding_tells_what_means_and_positions_say(
-    case: rt.finder.positions.Case, kept: Path
+    case: rt.finder.positions.PositionsCase, kept: Path
 ) -> None:
     finding = rt.finder.positions.find(replace(case, match=MATCH), cache=kept)
     assert finding.detection.means is not None

@@ -13,7 +13,7 @@ import rtcal as rt
 from rtcal.acoustics import decay
 from rtcal.finder.positions.candidate import Candidate
 from rtcal.finder.positions.evidence import Likelihood
-from rtcal.finder.positions.shift import Shift, uneven_amount, uneven_columns, unevenness
+from rtcal.finder.positions.shift import ShiftHypothesis, uneven_amount, uneven_columns, unevenness
 from rtcal.finder.positions.weighing import Aperture
 
 WIDTH = 0.002
@@ -97,11 +97,11 @@ def test_the_surface_of_an_aperture_is_not_claimed() -> None:
         assert said in find._reasons(case, "named", aperture)[0]
 
 
-def shift(uneven: float) -> tuple[Shift, np.ndarray]:
+def shift(uneven: float) -> tuple[ShiftHypothesis, np.ndarray]:
     """Return one hypothesis of two bands, and its change in the order (band, parameter, pair)."""
     rng = np.random.default_rng(3)
     nodes = -rng.uniform(0.1, 0.3, (2, 2 * 3, 1))
-    made = Shift(
+    made = ShiftHypothesis(
         effect="opening",
         family="added absorption, flat",
         surface=0,

@@ -11,7 +11,7 @@ import pytest
 import rtcal as rt
 from rtcal.finder.effects import library
 from rtcal.finder.positions import surfaces
-from rtcal.finder.positions.corrected import corrected
+from rtcal.finder.positions.corrected import corrected_geometry
 from rtcal.finder.positions.hypotheses import materials, on_parts, shifts
 from rtcal.finder.positions.surfaces import divided, face_at, patched
 from rtcal.report import where_figures
@@ -63,7 +63,7 @@ def tracing(
 
 
 @pytest.fixture(scope="module")
-def case() -> rt.finder.positions.Case:
+def case() -> rt.finder.positions.PositionsCase:
     south = SHOEBOX_WALLS.index("south")
     opened = patched(box(), [south], 6.0, "hole", "hole", np.array(PLACE))
     assert opened is not None
@@ -74,10 +74,12 @@ def case() -> rt.finder.positions.Case:
         pairs=heard.pairs,
         values={("g" if p == "level" else p): heard.natural(p) for p in MATCH},
     )
-    return rt.finder.positions.Case(simulator=tracing(box()), measured=measured)
+    return rt.finder.positions.PositionsCase(simulator=tracing(box()), measured=measured)
 
 
-def test_long_surfaces_are_divided_and_short_ones_are_not(case: rt.finder.positions.Case) -> None:
+def test_long_surfaces_are_divided_and_short_ones_are_not(
+    case: rt.finder.positions.PositionsCase,
+) -> None:
     names = [list(case.faces)[part.surface] for part in case.divided.parts]
     assert names == [w for w in SHOEBOX_WALLS if w not in ("west", "east") for _ in range(3)]
     for name, faces in zip(case.faces, case.divided.surfaces, strict=True):
@@ -90,7 +92,9 @@ def test_long_surfaces_are_divided_and_short_ones_are_not(case: rt.finder.positi
     )
 
 
-def test_the_same_paths_are_traced_in_the_divided_geometry(case: rt.finder.positions.Case) -> None:
+def test_the_same_paths_are_traced_in_the_divided_geometry(
+    case: rt.finder.positions.PositionsCase,
+) -> None:
     whole, alpha = case.simulator, case.room.alpha
     parts = tracing(case.divided.geometry)
     assert len(case.divided.geometry.faces) > len(whole.geometry.faces)
@@ -141,7 +145,9 @@ def test_a_mesh_of_triangles_is_divided_as_its_walls_are() -> None:
     assert np.ptp(hole, axis=0) == pytest.approx([0.0, 2.0, 1.5])
 
 
-def test_the_odds_of_a_surface_do_not_depend_on_its_parts(case: rt.finder.positions.Case) -> None:
+def test_the_odds_of_a_surface_do_not_depend_on_its_parts(
+    case: rt.finder.positions.PositionsCase,
+) -> None:
     def odds(every: list) -> dict[tuple[str, int | None, str], float]:
         total: dict[tuple[str, int | None, str], float] = {}
         for s in every:
@@ -159,7 +165,7 @@ def test_the_odds_of_a_surface_do_not_depend_on_its_parts(case: rt.finder.positi
 
 @pytest.mark.long
 def test_an_opening_at_an_end_of_a_long_room_is_found_at_this_end(
-    case: rt.finder.positions.Case, tmp_path: Path
+    case: rt.finder.positions.PositionsCase, tmp_path: Path
 ) -> None:
     """All four long surfaces say so, and patch and picture show it there."""
     pytest.importorskip("matplotlib", reason="needs the extra report")
@@ -172,7 +178,7 @@ def test_an_opening_at_an_end_of_a_long_room_is_found_at_this_end(
     south = next(c for c in finding.candidates if c.title == 'opening on "south"')
     assert south.middle == pytest.approx((3.0, 0.0, 1.5))
     assert 0.6 * south.probability < sum(p for _, p in south.parts) <= south.probability
-    made = corrected(case, south)
+    made = corrected_geometry(case, south)
     hole = made.geometry.names.index(made.material)
     assert made.geometry.vertices[list(made.geometry.faces[hole])].mean(axis=0) == pytest.approx(
         [3.0, 0.0, 1.5]
@@ -189,7 +195,9 @@ def test_an_opening_at_an_end_of_a_long_room_is_found_at_this_end(
     assert "most probable part of its surface" in legend
 
 
-def test_coefficients_that_were_measured_are_seldom_off(case: rt.finder.positions.Case) -> None:
+def test_coefficients_that_were_measured_are_seldom_off(
+    case: rt.finder.positions.PositionsCase,
+) -> None:
     """A material off by a factor was as probable in situ as with coefficients from a handbook."""
 
     def odds(sigma: float) -> float:

@@ -20,8 +20,8 @@ from rtcal.finder.positions.posterior import (
     MEANS_POWER,
     THRESHOLD,
     TOLD_TEMPER,
-    Evidence,
-    Hypotheses,
+    PositionsEvidence,
+    PositionsHypotheses,
     weights,
     with_families,
 )
@@ -32,22 +32,24 @@ from benchmarks import where_ideal, where_temper
 
 
 @pytest.fixture(scope="module")
-def case() -> rt.finder.positions.Case:
-    return rt.finder.positions.Case(
+def case() -> rt.finder.positions.PositionsCase:
+    return rt.finder.positions.PositionsCase(
         simulator=tracing(stated()), measured=measured(True), match=MATCH
     )
 
 
-def test_the_families_of_the_means_are_multiplied_in(case: rt.finder.positions.Case) -> None:
+def test_the_families_of_the_means_are_multiplied_in(
+    case: rt.finder.positions.PositionsCase,
+) -> None:
     some = [
         s.some(slice(0, 1))
         for s in shifts(case, library())
         if s.effect in ("opening", "covered surface")
     ]
     pair = [some[0], next(s for s in some if s.family != some[0].family)]
-    every = Hypotheses(pair, [], off=0.1)
+    every = PositionsHypotheses(pair, [], off=0.1)
     one = np.zeros(1)
-    flat = Evidence(one, one, one, [np.zeros((1, 1))] * 2, [])
+    flat = PositionsEvidence(one, one, one, [np.zeros((1, 1))] * 2, [])
     before = weights(flat, every, TOLD_TEMPER)
     after = with_families(before, every, {"none": 1e-9, pair[0].family: 0.64})
     changed = [float(b[0, 0] - a[0, 0]) for a, b in zip(before.shifts, after.shifts, strict=True)]
@@ -56,7 +58,7 @@ def test_the_families_of_the_means_are_multiplied_in(case: rt.finder.positions.C
 
 
 def test_a_finding_names_the_family_that_means_know_of(
-    case: rt.finder.positions.Case, kept: Path, monkeypatch: pytest.MonkeyPatch
+    case: rt.finder.positions.PositionsCase, kept: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The positions say the same; the families of the means differ."""
     found = {}
@@ -97,7 +99,7 @@ def test_the_stored_rows_are_pooled_as_a_finding_is() -> None:
 
 
 def test_the_means_of_a_drawn_room_have_the_density_of_means(
-    case: rt.finder.positions.Case, kept: Path
+    case: rt.finder.positions.PositionsCase, kept: Path
 ) -> None:
     numbers, every = where_ideal.prepared(case, kept)
     likelihoods = numbers.likelihoods()
@@ -121,7 +123,7 @@ def test_the_means_of_a_drawn_room_have_the_density_of_means(
 
 
 def test_drawn_rooms_scatter_as_the_likelihood_says(
-    case: rt.finder.positions.Case, kept: Path
+    case: rt.finder.positions.PositionsCase, kept: Path
 ) -> None:
     numbers, every = where_ideal.prepared(case, kept)
     likelihood = numbers.likelihoods()[0]

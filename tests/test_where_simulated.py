@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import rtcal as rt
-from rtcal.finder.positions.corrected import corrected
+from rtcal.finder.positions.corrected import corrected_geometry
 from rtcal.loop import ControlRuns
 from rtcal.simulators import RayTracing
 from rtcal.support.errors import DataError
@@ -23,8 +23,8 @@ pytest.importorskip("numba", reason="the paths are traced by compiled code (extr
 MATCH = ("t20", "edt", "c80", "ts")
 
 
-def read(folder: Path, measured: str = "measured.csv") -> rt.finder.positions.Case:
-    return rt.finder.positions.Case.from_room(
+def read(folder: Path, measured: str = "measured.csv") -> rt.finder.positions.PositionsCase:
+    return rt.finder.positions.PositionsCase.from_room(
         rt.Room.from_file(str(folder / "room.toml")),
         rt.Measurement.from_file(str(folder / measured)),
         tracing={"scattering": 0.4, "n_paths": 4800},
@@ -38,8 +38,8 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A user's files: what pyroomacoustics says of the model, and of the room with 10 m² more."""
     where = tmp_path_factory.mktemp("program")
     room = stated()
-    case = rt.finder.positions.Case(simulator=tracing(room), measured=measured(False))
-    made = corrected(case, replace(candidate("east", 10.0), spectrum=np.ones(len(BANDS))))
+    case = rt.finder.positions.PositionsCase(simulator=tracing(room), measured=measured(False))
+    made = corrected_geometry(case, replace(candidate("east", 10.0), spectrum=np.ones(len(BANDS))))
 
     def program(geometry: object, of: rt.Room, seed: int) -> rt.Measurement:
         tracer = RayTracing(
@@ -131,7 +131,7 @@ def test_a_level_without_its_reference_is_no_g(folder: Path) -> None:
     level = np.zeros((len(given.pairs), len(BANDS)))
     values = {name: given.values[name] for name in MATCH} | {"level": level}
     with pytest.raises(DataError, match="simulated has no G, which was measured"):
-        rt.finder.positions.Case(
+        rt.finder.positions.PositionsCase(
             simulator=case.simulator,
             measured=measured(False),
             simulated=rt.Measurement(

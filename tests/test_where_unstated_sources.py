@@ -44,7 +44,9 @@ def kept(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_loudspeakers_of_which_nothing_is_stated_are_not_claimed_of_the_room(
     measured: rt.Measurement, kept: Path, monkeypatch: pytest.MonkeyPatch, match: tuple[str, ...]
 ) -> None:
-    case = rt.finder.positions.Case(simulator=box(n_paths=800), measured=measured, match=match)
+    case = rt.finder.positions.PositionsCase(
+        simulator=box(n_paths=800), measured=measured, match=match
+    )
     finding = rt.finder.positions.find(case, cache=kept)
     assert not finding.detected
     assert any("not taken as omnidirectional" in note for note in finding.notes)

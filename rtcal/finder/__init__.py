@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from rtcal.finder import states as states
     from rtcal.finder.case import AppliedEffect as AppliedEffect
     from rtcal.finder.case import Case as Case
-    from rtcal.finder.configuration import Change as Change
+    from rtcal.finder.configuration import ChangedMaterial as ChangedMaterial
     from rtcal.finder.configuration import Configuration as Configuration
     from rtcal.finder.effects import Absorber as Absorber
     from rtcal.finder.effects import Effect as Effect

@@ -36,7 +36,7 @@ _KEYS = ("name", "changes", "suspect_removed", "air", "distances", "distance", "
 
 @checked
 @dataclass(frozen=True)
-class Change:
+class ChangedMaterial:
     """Coefficients of one material in one configuration: alpha and sigma, (n_bands,).
 
     Raises
@@ -85,7 +85,7 @@ class Configuration:
 
     name: str
     measured: Measurement
-    changes: Mapping[str, Change] = field(default_factory=dict)
+    changes: Mapping[str, ChangedMaterial] = field(default_factory=dict)
     suspect_removed: bool = False
     air: Air | None = None
     distances: Array | None = None
@@ -98,8 +98,10 @@ class Configuration:
         changes = checks.mapped(f"{where}: changes", self.changes)
         for material, change in changes.items():
             text_name(f"{where}: changes: material", material)
-            if not isinstance(change, Change):
-                raise DataError(f"{where}: changes[{material!r}] is not a rtcal.finder.Change")
+            if not isinstance(change, ChangedMaterial):
+                raise DataError(
+                    f"{where}: changes[{material!r}] is not a rtcal.finder.ChangedMaterial"
+                )
         object.__setattr__(self, "changes", changes)
         for name in ("suspect_removed", "planned"):
             checks.flag(f"{where}: {name}", getattr(self, name))
@@ -244,9 +246,9 @@ def _rows(place: str, values: Any) -> list[Any]:
     return rows if rows and isinstance(rows[0], list | tuple | np.ndarray) else [rows]
 
 
-def _change(place: str, data: Any) -> Change:
+def _change(place: str, data: Any) -> ChangedMaterial:
     change = Entries(f"{place}: ", data, ("alpha", "sigma"))
-    return Change(change.array("alpha", (None,)), change.array("sigma", (None,)))
+    return ChangedMaterial(change.array("alpha", (None,)), change.array("sigma", (None,)))
 
 
 LEVEL_LIMITS = {"c80": (-30.0, 60.0), "g": (-40.0, 60.0)}

@@ -1,6 +1,6 @@
 """A model's predictions for a room in one state.
 
-A `State` holds all data of the prediction. An effect returns a changed state: with more absorption,
+A `RoomState` holds all data of the prediction. An effect returns a changed state: with more absorption,
 another volume or equation, a noise floor, or another ``shape`` of the decay.
 """
 
@@ -38,7 +38,7 @@ class Decay:
 
 
 @dataclass(frozen=True, eq=False)
-class State:
+class RoomState:
     """A room in one configuration: the data of a prediction.
 
     ``areas`` (n_materials,), ``alpha`` (n_materials, n_bands), ``facing`` (n_materials, 3), ``air``
@@ -59,7 +59,7 @@ class State:
     equation: str = "eyring"
     covering: Array | float = 0.0
     objects: Array | float = 0.0
-    shape: Callable[[State], Decay] | None = None
+    shape: Callable[[RoomState], Decay] | None = None
     floor_db: float | None = None
     record: float = 2.0
     direct_db: float = 0.0
@@ -73,7 +73,7 @@ class State:
                 object.__setattr__(self, name, locked)
 
     @classmethod
-    def of_room(cls, room: Room, facing: Array, equation: str = "eyring") -> State:
+    def of_room(cls, room: Room, facing: Array, equation: str = "eyring") -> RoomState:
         """Return a room as it is stated; ``facing`` as `Case` has it."""
         return cls(
             volume=room.volume,
@@ -122,19 +122,19 @@ class State:
         rate = self.rate[:, None]
         return Decay(np.full_like(rate, 1 / self.volume), rate)
 
-    def covered(self, area: float, spectrum: Array) -> State:
+    def covered(self, area: float, spectrum: Array) -> RoomState:
         """Return the state with ``area`` m² of wall replaced by a covering with these coefficients."""
         law = self._law
         patch = law.contribution(np.minimum(spectrum, law.largest_alpha))
         gain = area * (patch - self._wall_contribution)
         return replace(self, covering=self.covering + gain)
 
-    def with_objects(self, absorption_area: Array) -> State:
+    def with_objects(self, absorption_area: Array) -> RoomState:
         """Return the state with free-standing objects of this absorption area in m²."""
         return replace(self, objects=self.objects + absorption_area)
 
 
-def _attribute(states: Sequence[State], name: str) -> Array:
+def _attribute(states: Sequence[RoomState], name: str) -> Array:
     """One attribute of all states, (n, n_bands)."""
     out = np.empty((len(states), len(states[0].air)))
     for i, s in enumerate(states):
@@ -142,7 +142,7 @@ def _attribute(states: Sequence[State], name: str) -> Array:
     return out
 
 
-def _by_equation(states: Sequence[State]) -> list[tuple[MeanEquation, list[int]]]:
+def _by_equation(states: Sequence[RoomState]) -> list[tuple[MeanEquation, list[int]]]:
     """Return the equations of the states, each with the indices of its states."""
     places: dict[str, list[int]] = {}
     for i, s in enumerate(states):
@@ -150,7 +150,7 @@ def _by_equation(states: Sequence[State]) -> list[tuple[MeanEquation, list[int]]
     return [(mean_equation(key), where) for key, where in places.items()]
 
 
-def _stacked(states: Sequence[State]) -> tuple[Array, Array]:
+def _stacked(states: Sequence[RoomState]) -> tuple[Array, Array]:
     """Return the areas (n, n_materials) and alpha (n, n_materials, n_bands) of states."""
     return np.array([s.areas for s in states]), np.array([s.alpha for s in states])
 
@@ -160,7 +160,7 @@ def highest(equation: MeanEquation) -> float:
     return (1 - _FROM_ENDS) * equation.largest_mean
 
 
-def mean_contributions(equation: MeanEquation, states: Sequence[State]) -> Array:
+def mean_contributions(equation: MeanEquation, states: Sequence[RoomState]) -> Array:
     """Return the equation's mean over the walls, (n, n_bands), within the equation's range."""
     areas, alpha = _stacked(states)
     walls = equation.contribution(np.minimum(alpha, equation.largest_alpha))
@@ -168,7 +168,7 @@ def mean_contributions(equation: MeanEquation, states: Sequence[State]) -> Array
     return np.asarray(np.clip(total / areas.sum(1)[:, None], _FROM_ENDS, highest(equation)))
 
 
-def surface_absorption(states: Sequence[State]) -> Array:
+def surface_absorption(states: Sequence[RoomState]) -> Array:
     """Return S a(alpha) in m² of many states of one room, (n, n_bands)."""
     out = np.empty((len(states), len(states[0].air)))
     for equation, where in _by_equation(states):
@@ -178,12 +178,12 @@ def surface_absorption(states: Sequence[State]) -> Array:
     return out
 
 
-def speeds(states: Sequence[State]) -> Array:
+def speeds(states: Sequence[RoomState]) -> Array:
     """Return the speeds of sound in m/s, (n,)."""
     return np.array([s.speed_of_sound for s in states])
 
 
-def rates(states: Sequence[State]) -> Array:
+def rates(states: Sequence[RoomState]) -> Array:
     """Return k = c (S a + 4 m V + A_objects) / 4 V in 1/s of many states, (n, n_bands)."""
     volume = np.array([s.volume for s in states])[:, None]
     absorbed = surface_absorption(states) + 4 * _attribute(states, "air") * volume
@@ -191,7 +191,7 @@ def rates(states: Sequence[State]) -> Array:
     return np.asarray(speeds(states)[:, None] * absorbed / (4 * volume))
 
 
-def sensitivities(states: Sequence[State]) -> Array:
+def sensitivities(states: Sequence[RoomState]) -> Array:
     """Return d k / d alpha in 1/s of many states, (n, n_materials, n_bands)."""
     out = np.empty((len(states), *states[0].alpha.shape))
     for equation, where in _by_equation(states):
@@ -215,7 +215,7 @@ class Predicted:
     reverberation_time: Array = field(repr=False)
 
 
-def predict(states: Sequence[State], distance: Array) -> Predicted:
+def predict(states: Sequence[RoomState], distance: Array) -> Predicted:
     """Return the features of many states of one room, (n, n_features, n_bands)."""
     n_bands = len(states[0].air)
     features = np.empty((len(states), len(FEATURES), n_bands))
@@ -241,7 +241,7 @@ def predict(states: Sequence[State], distance: Array) -> Predicted:
     )
 
 
-def _alike(states: Sequence[State]) -> list[tuple[list[int], Decay]]:
+def _alike(states: Sequence[RoomState]) -> list[tuple[list[int], Decay]]:
     """Group the states by their number of decay terms and by the presence of a noise floor.
 
     Return the indices of each group and its decays, (n, n_bands, n_terms).

@@ -20,9 +20,9 @@ from rtcal.acoustics.bands import is_middle
 from rtcal.acoustics.room import Room
 from rtcal.acoustics.room_errors import HANDBOOK_SIGMA, POWER, common_error_columns
 from rtcal.finder.case import Case
-from rtcal.finder.configuration import Change
+from rtcal.finder.configuration import ChangedMaterial
 from rtcal.finder.effects import Effect, Parameters
-from rtcal.finder.model import State
+from rtcal.finder.model import RoomState
 from rtcal.support import checks
 from rtcal.support.errors import DataError
 from rtcal.support.types import Array
@@ -155,7 +155,7 @@ def checked_odds(effects: Sequence[Effect], prior: object) -> dict[str, float]:
     return {name: checks.positive(f'prior["{name}"]', odds) for name, odds in stated.items()}
 
 
-def grid_weights(effect: Effect, grid: Sequence[Parameters], state: State) -> Array:
+def grid_weights(effect: Effect, grid: Sequence[Parameters], state: RoomState) -> Array:
     """Return the prior probability of each set of parameters given the effect, (n,); they sum to 1.
 
     It is the effect's density times the width of the set's cell: half of the distance between the
@@ -304,7 +304,7 @@ class OffTogether:
         configurations = []
         for c in case.configurations:
             changes = {
-                m: Change(*self._moved(v.alpha, v.sigma, room.material_index(m)))
+                m: ChangedMaterial(*self._moved(v.alpha, v.sigma, room.material_index(m)))
                 for m, v in c.changes.items()
             }
             configurations.append(replace(c, changes=changes))

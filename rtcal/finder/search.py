@@ -26,7 +26,7 @@ from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError
 from rtcal.support.progress import TaskProgress
 
-AnyCase = Case | positions.Case | states.Case
+AnyCase = Case | positions.PositionsCase | states.StatesCase
 
 
 def case_of(
@@ -38,8 +38,8 @@ def case_of(
 ) -> AnyCase:
     """Return the case of a room and what was measured in it: of its positions, where both have them.
 
-    With ``before`` it is that of two states. ``stated`` are further parameters of `positions.Case`, and
-    of no other.
+    With ``before`` it is that of two states. ``stated`` are further parameters of
+    `positions.PositionsCase`, and of no other.
     """
     checks.instance("room", room, Room)
     checks.instance("measured", measured, Measurement)
@@ -49,11 +49,11 @@ def case_of(
         pairs = not (measured.is_summary or before.is_summary)
         if simulator is None and pairs and room.scene.sources:
             simulator = geometry_files.path_tracing(room)
-        return states.Case(room=room, before=before, after=measured, simulator=simulator)
+        return states.StatesCase(room=room, before=before, after=measured, simulator=simulator)
     if not measured.is_summary and simulator is not None:
-        return positions.Case(simulator=simulator, measured=measured, **stated)
+        return positions.PositionsCase(simulator=simulator, measured=measured, **stated)
     if not measured.is_summary and room.scene.sources:
-        return positions.Case.from_room(room, measured, **stated)
+        return positions.PositionsCase.from_room(room, measured, **stated)
     for name in stated:
         raise DataError(
             f"{name} needs a room that states its sources and receivers, measured pair by pair"
@@ -64,9 +64,9 @@ def case_of(
 @overload
 def find(room: Case, **options: Any) -> MeansFinding: ...
 @overload
-def find(room: positions.Case, **options: Any) -> positions.PositionsFinding: ...
+def find(room: positions.PositionsCase, **options: Any) -> positions.PositionsFinding: ...
 @overload
-def find(room: states.Case, **options: Any) -> states.StatesFinding: ...
+def find(room: states.StatesCase, **options: Any) -> states.StatesFinding: ...
 @overload
 def find(
     room: Room, measured: Measurement, *, before: Measurement, **options: Any
@@ -101,7 +101,7 @@ def find(
     ----------
     room : Room, or a case
         A `rtcal.finder.Case` has several configurations or another equation, a
-        `rtcal.finder.positions.Case` a simulator; both hold what was measured.
+        `rtcal.finder.positions.PositionsCase` a simulator; both hold what was measured.
     measured : Measurement
         In a `Room`.
     simulator : PathTracing, optional
@@ -152,7 +152,7 @@ def find(
         if not (measured is None and simulator is None and before is None):
             raise DataError("measured, before and simulator belong to a room; a case holds its own")
         case = room
-    if isinstance(case, states.Case):
+    if isinstance(case, states.StatesCase):
         for name, value in {"controls": controls, **of_means}.items():
             if value is not None:
                 raise DataError(f"{name} is not of a search for what changed between two states")
@@ -167,7 +167,7 @@ def find(
         "cache": cache,
         "progress": progress,
     }
-    if not isinstance(case, positions.Case):
+    if not isinstance(case, positions.PositionsCase):
         return find_by_means(checks.instance("case", case, Case), **common, **of_means)
     for name in of_means:
         raise DataError(f"{name} is of a search by means over positions")

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import rtcal as rt
-from rtcal.finder.positions.corrected import corrected
+from rtcal.finder.positions.corrected import corrected_geometry
 from rtcal.io import catt, geometry_files, obj, odeon
 from rtcal.simulators import Polyhedron
 from tests.test_where_corrected import BANDS, L_PLAN, candidate, case_in, prism, triangulated
@@ -28,7 +28,7 @@ def test_every_file_has_the_patch(
     shape: str, surface: str, wall_alpha: float, form: str, tmp_path: Path
 ) -> None:
     case = case_in(SHAPES[shape], alpha=wall_alpha)
-    made = corrected(case, candidate(surface, 4.0), form)
+    made = corrected_geometry(case, candidate(surface, 4.0), form)
     made.save(tmp_path)
     room = rt.Room.from_file(str(tmp_path / "room.toml"))
     mesh = obj.read(tmp_path / "room.obj")

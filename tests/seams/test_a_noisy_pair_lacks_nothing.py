@@ -5,15 +5,15 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from rtcal.finder.positions.posterior import Evidence, Hypotheses, scores, weights
-from rtcal.finder.positions.shift import NOISE, POSITION, Shift, Spread
+from rtcal.finder.positions.posterior import PositionsEvidence, PositionsHypotheses, scores, weights
+from rtcal.finder.positions.shift import NOISE, POSITION, ShiftHypothesis, SpreadHypothesis
 
 ODDS = {"porous": 1.0, NOISE: 0.5, POSITION: 0.5}
 
 
-def shift(effect: str) -> Shift:
+def shift(effect: str) -> ShiftHypothesis:
     """Return a hypothesis of two sizes whose shifts are not asked for."""
-    return Shift(
+    return ShiftHypothesis(
         effect=effect,
         family=effect,
         surface=0,
@@ -29,11 +29,11 @@ def shift(effect: str) -> Shift:
     )
 
 
-def spread(effect: str) -> Spread:
-    return Spread(effect, "S1", 1.0, "", np.arange(1), np.eye(1), ODDS[effect])
+def spread(effect: str) -> SpreadHypothesis:
+    return SpreadHypothesis(effect, "S1", 1.0, "", np.arange(1), np.eye(1), ODDS[effect])
 
 
-EVERY = Hypotheses(
+EVERY = PositionsHypotheses(
     shifts=[shift("porous")],
     spreads=[spread(NOISE), spread(POSITION)],
     off=0.1,
@@ -42,7 +42,7 @@ EVERY = Hypotheses(
 
 def score_of(**nats: float) -> tuple[float, float]:
     """Return the scores where these effects explain what was measured better than nothing does."""
-    evidence = Evidence(
+    evidence = PositionsEvidence(
         none=np.zeros(1),
         coefficients=np.zeros(1),
         unknown=np.zeros(1),

@@ -36,12 +36,12 @@ OWN = [e for e in rt.finder.library() if e.name != "opening"] + [Hatch()]
 
 
 @pytest.fixture(scope="module")
-def case() -> rt.finder.positions.Case:
-    return rt.finder.positions.Case(simulator=tracing(stated()), measured=measured(True))
+def case() -> rt.finder.positions.PositionsCase:
+    return rt.finder.positions.PositionsCase(simulator=tracing(stated()), measured=measured(True))
 
 
 def test_it_is_found_on_the_wall_where_it_stands(
-    case: rt.finder.positions.Case, kept: Path
+    case: rt.finder.positions.PositionsCase, kept: Path
 ) -> None:
     finding = rt.finder.positions.find(case, effects=OWN, cache=kept)
     hatches = [c for c in finding.candidates if c.effect == "hatch"]
@@ -53,7 +53,7 @@ def test_it_is_found_on_the_wall_where_it_stands(
     assert rt.finder.positions.verify(finding, cache=kept).ratio < 0.9
 
 
-def test_it_is_found_by_means_over_positions(case: rt.finder.positions.Case) -> None:
+def test_it_is_found_by_means_over_positions(case: rt.finder.positions.PositionsCase) -> None:
     finding = rt.find(of_means(case), effects=OWN)
     assert finding.families["added absorption, hatches"] > 0.05
 
@@ -63,7 +63,7 @@ def test_it_is_found_by_means_over_positions(case: rt.finder.positions.Case) -> 
     [(("roof",), "stands_on has 'roof', which is not one of floor, wall, ceiling")],
 )
 def test_a_place_that_no_room_has_is_named(
-    places: Sequence[str], message: str, case: rt.finder.positions.Case
+    places: Sequence[str], message: str, case: rt.finder.positions.PositionsCase
 ) -> None:
     wrong = type("Wrong", (Hatch,), {"stands_on": places})()
     with pytest.raises(DataError, match=message):

@@ -22,7 +22,7 @@ from rtcal.finder.effects import Effect, library
 from rtcal.finder.effects.checks import checked_grid
 from rtcal.finder.means.corrected import not_in_room
 from rtcal.finder.means.features import distances, state
-from rtcal.finder.model import FEATURES, State, predict
+from rtcal.finder.model import FEATURES, RoomState, predict
 from rtcal.simulators.external import EquationSimulator
 from rtcal.support.errors import DataError
 
@@ -35,7 +35,7 @@ class Own(Effect):
     """A user's effect, which changes a state as a function says."""
 
     called: str
-    by: Callable[[State, float], State]
+    by: Callable[[RoomState, float], RoomState]
 
     size = "much"
     unit = ""
@@ -44,14 +44,14 @@ class Own(Effect):
     def name(self) -> str:  # type: ignore[override]
         return self.called
 
-    def grid(self, state: State) -> list[dict[str, float]]:
+    def grid(self, state: RoomState) -> list[dict[str, float]]:
         return [{"much": x} for x in (0.2, 0.5, 0.9)]
 
-    def change(self, state: State, parameters: Mapping[str, float]) -> State:
+    def change(self, state: RoomState, parameters: Mapping[str, float]) -> RoomState:
         return self.by(state, parameters["much"])
 
 
-def repainted(s: State, much: float) -> State:
+def repainted(s: RoomState, much: float) -> RoomState:
     """Change some bands of one material, and raise another."""
     alpha = np.array(s.alpha)
     alpha[0, ::2] *= 1 - much
@@ -59,7 +59,7 @@ def repainted(s: State, much: float) -> State:
     return replace(s, alpha=alpha)
 
 
-def hung_and_bent(s: State, much: float) -> State:
+def hung_and_bent(s: RoomState, much: float) -> RoomState:
     """Absorb, and listen at the end of a decay with a noise floor."""
     return replace(s.covered(20 * much, np.full_like(s.air, 0.8)), floor_db=-40.0)
 

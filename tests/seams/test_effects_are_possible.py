@@ -56,7 +56,10 @@ def test_each_parameter_has_limits_and_values_beyond_them_are_refused(
     ],
 )
 def test_what_no_room_can_have_is_no_part_of_a_case(
-    case: Case, name: str, parameters: dict[str, float], interval: tuple[float, float] | None
+    case: Case,
+    name: str,
+    parameters: dict[str, float],
+    interval: tuple[float, float] | None,
 ) -> None:
     with pytest.raises(DataError, match=f'effect "{name}"'):
         replace(case, applied=[AppliedEffect(name, parameters, interval)])

@@ -43,7 +43,7 @@ def simulator() -> PathTracing:
 
 @pytest.mark.parametrize("hidden", [False, True])
 def test_no_reference_changes_a_finding(hidden: bool, kept: Path) -> None:
-    case = rt.finder.positions.Case(simulator=simulator(), measured=relative(hidden))
+    case = rt.finder.positions.PositionsCase(simulator=simulator(), measured=relative(hidden))
     found = rt.finder.positions.find(case, cache=kept)
     other = rt.finder.positions.find(replace(case, measured=referred(case.measured)), cache=kept)
     assert other.verdict == found.verdict
@@ -64,7 +64,9 @@ def test_no_reference_of_another_programs_level_changes_a_finding(kept: Path) ->
         pairs=heard.pairs,
         values={p: heard.natural(p) for p in MATCH},
     )
-    case = rt.finder.positions.Case(simulator=tracer, measured=relative(True), simulated=program)
+    case = rt.finder.positions.PositionsCase(
+        simulator=tracer, measured=relative(True), simulated=program
+    )
     found = rt.finder.positions.find(case, cache=kept)
     other = rt.finder.positions.find(replace(case, simulated=referred(program)), cache=kept)
     assert other.detection.score == pytest.approx(found.detection.score, abs=1e-6)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from rtcal.finder.effects import library
-from rtcal.finder.positions.corrected import corrected
+from rtcal.finder.positions.corrected import corrected_geometry
 from rtcal.finder.positions.hypotheses import on_surfaces
 from rtcal.simulators import Polyhedron
 from rtcal.simulators.geometry import SHOEBOX_WALLS
@@ -28,7 +28,7 @@ def test_the_corrected_room_has_the_change_that_was_found(
     kinds = [spectrum for _, spectrum in effect.on_surface(np.array(BANDS))]  # type: ignore[arg-type]
     for spectrum in (kinds[0], kinds[-1]):
         found = replace(candidate("east", size), effect=effect.name, spectrum=spectrum)  # type: ignore[attr-defined]
-        made = corrected(stated, found, form)
+        made = corrected_geometry(stated, found, form)
         added = made.room.absorption_area - stated.room.absorption_area
         assert added == pytest.approx(size * (spectrum - wall_alpha), rel=1e-6)
         in_geometry = made.room.alpha.T @ [

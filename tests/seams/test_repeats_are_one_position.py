@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import rtcal as rt
-from rtcal.finder.positions import Case
+from rtcal.finder.positions import PositionsCase
 from rtcal.loop.positions import calibrate_positions
 from rtcal.simulators.geometry import SHOEBOX_WALLS
 from rtcal.support.errors import DataError
@@ -107,7 +107,7 @@ def test_by_position() -> None:
     room, tracer = box()
     measured = of_names(["R1", "R2", "R3"])
     joined = measured.with_repeats(receivers={"R2": "R1"})
-    assert Case(simulator=tracer, measured=measured).measured.pairs == joined.pairs
+    assert PositionsCase(simulator=tracer, measured=measured).measured.pairs == joined.pairs
     to_all = calibrate_positions(
         tracer, room, measured, ("t20", "edt"), fit_scattering=False, more_paths=1
     )

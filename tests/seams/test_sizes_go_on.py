@@ -11,7 +11,7 @@ from rtcal.finder import Case, find
 from rtcal.finder.effects import Effect, NoiseFloor, NonDiffuse, Opening, Porous, WrongArea
 from rtcal.finder.effects.checks import checked_grid
 from rtcal.finder.means.features import state
-from rtcal.finder.means.gap import Doubt
+from rtcal.finder.means.gap import Objection
 from rtcal.finder.means.hypotheses import predict_hypotheses
 from rtcal.finder.means.verdict import doubted
 from tests.test_discrepancy import case_with, controls_of, opened
@@ -78,7 +78,7 @@ def test_a_doubt_about_the_size_leaves_the_family_and_the_amount_leads() -> None
 
 
 def test_only_a_doubt_about_the_effect_leaves_a_hint() -> None:
-    size, fit, effect = (Doubt("why", of) for of in ("size", "fit", "effect"))
+    size, fit, effect = (Objection("why", of) for of in ("size", "fit", "effect"))
     assert doubted("named", "field", []) == "named"
     assert doubted("named", "field", [size]) == doubted("family", "field", [fit, size]) == "family"
     assert doubted("named", "field", [size, effect]) == doubted("family", None, [fit]) == "hint"

@@ -13,7 +13,7 @@ import numpy as np
 from rtcal.acoustics.air import Air
 from rtcal.acoustics.room import Room
 from rtcal.finder.effects.base import Effect, Limits, Parameters, read_only
-from rtcal.finder.model import State
+from rtcal.finder.model import RoomState
 from rtcal.support.types import Array
 
 
@@ -34,7 +34,7 @@ class OmittedAir(Effect):
         "humidity": (20.0, 70.0, 10.0),
     }
 
-    def grid(self, state: State) -> Sequence[Parameters]:
+    def grid(self, state: RoomState) -> Sequence[Parameters]:
         """Return 10 to 35 °C and 8 to 95 %."""
         temperatures = (10.0, 14.0, 18.0, 22.0, 26.0, 30.0, 35.0)
         humidities = (8.0, 13.0, 20.0, 27.0, 35.0, 45.0, 57.0, 70.0, 95.0)
@@ -44,7 +44,7 @@ class OmittedAir(Effect):
         """Return the range of ISO 9613-1."""
         return {"temperature": (-20.0, 50.0), "humidity": (1.01, 100.0)}
 
-    def density(self, parameters: Parameters, state: State) -> float:
+    def density(self, parameters: Parameters, state: RoomState) -> float:
         """Return the density of an indoor climate: even over `INDOORS`, normal tails beyond it."""
         out = 1.0
         for name, (low, high, tail) in self.INDOORS.items():
@@ -61,7 +61,7 @@ class OmittedAir(Effect):
         """
         return 3.0 if room.air is None else 0.3
 
-    def change(self, state: State, parameters: Parameters) -> State:
+    def change(self, state: RoomState, parameters: Parameters) -> RoomState:
         """Return the room with this air: its attenuation and its speed of sound."""
         climate = parameters["temperature"], parameters["humidity"]
         return replace(

@@ -17,7 +17,7 @@ from rtcal.finder.effects.base import (
     interpolate_octaves,
     middle_absorption,
 )
-from rtcal.finder.model import State
+from rtcal.finder.model import RoomState
 from rtcal.support.types import Array
 
 SEATED_ALPHA = 0.86
@@ -42,7 +42,7 @@ class Audience(AbsorbingObject):
     # Relative to 1 kHz, 63 Hz to 8 kHz.
     SEATED: ClassVar[tuple[float, ...]] = (0.30, 0.42, 0.58, 0.80, 1.0, 1.07, 1.05, 0.97)
 
-    def grid(self, state: State) -> Sequence[Parameters]:
+    def grid(self, state: RoomState) -> Sequence[Parameters]:
         """Return 0.08 to 1.3 times the room's absorption area."""
         sizes = np.geomspace(0.08, 1.3, 10) * middle_absorption(state)
         return [{"absorption_area": float(a)} for a in sizes]
@@ -51,7 +51,7 @@ class Audience(AbsorbingObject):
         """Return what covers at most all surfaces."""
         return {self.size: (0.0, SEATED_ALPHA * all_surfaces(room))}
 
-    def change(self, state: State, parameters: Parameters) -> State:
+    def change(self, state: RoomState, parameters: Parameters) -> RoomState:
         """Return the room with the audience."""
         return state.covered(
             parameters["absorption_area"] / SEATED_ALPHA, self._alpha(state.frequencies)

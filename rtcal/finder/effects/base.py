@@ -13,7 +13,7 @@ from rtcal.acoustics import bands
 from rtcal.acoustics.air import Air
 from rtcal.acoustics.room import Room
 from rtcal.acoustics.room_checks import LARGEST
-from rtcal.finder.model import Decay, State
+from rtcal.finder.model import Decay, RoomState
 from rtcal.support import checks
 from rtcal.support.errors import DataError
 from rtcal.support.types import Array
@@ -100,18 +100,18 @@ class Effect(ABC):
     )
 
     @abstractmethod
-    def grid(self, state: State) -> Sequence[Parameters]:
+    def grid(self, state: RoomState) -> Sequence[Parameters]:
         """Return the parameters to try."""
 
     @abstractmethod
-    def change(self, state: State, parameters: Parameters) -> State:
+    def change(self, state: RoomState, parameters: Parameters) -> RoomState:
         """Return the room with the effect in it."""
 
     def on_surface(self, frequencies: Array) -> Sequence[tuple[Parameters, Array]]:
         """Return what may stand on a surface: parameters without a size, and alpha, (n_bands,)."""
         return []
 
-    def density(self, parameters: Parameters, state: State) -> float:
+    def density(self, parameters: Parameters, state: RoomState) -> float:
         """Return the prior density of the parameters, but for a factor: 1 everywhere.
 
         It is a density per unit of ln of each parameter that is above 0, and of any other parameter
@@ -163,7 +163,7 @@ class Effect(ABC):
         """Return the air of the corrected room."""
         return stated
 
-    def added_absorption(self, without: State, with_effect: State) -> Array | None:
+    def added_absorption(self, without: RoomState, with_effect: RoomState) -> Array | None:
         """Return the absorption area that the effect adds in m², (n_bands,).
 
         The QP then has the effect's size as an unknown. None, the default, keeps the size fixed: the
@@ -177,7 +177,7 @@ class AbsorbingObject(Effect):
 
     removable: ClassVar[bool] = True
 
-    def added_absorption(self, without: State, with_effect: State) -> Array | None:
+    def added_absorption(self, without: RoomState, with_effect: RoomState) -> Array | None:
         """Return the difference of the absorption areas in m², (n_bands,)."""
         added = with_effect.surface_absorption - without.surface_absorption
         return np.asarray(added + with_effect.objects - without.objects)
@@ -221,12 +221,12 @@ class Absorber(AbsorbingObject):
         alpha = self.spectrum(frequencies, parameters)
         return checked_spectrum(self.name, alpha, frequencies)
 
-    def grid(self, state: State) -> Sequence[Parameters]:
+    def grid(self, state: RoomState) -> Sequence[Parameters]:
         """Return every kind with every area."""
         sizes = np.geomspace(self.least, self.most, self.steps) * middle_absorption(state)
         return [{**kind, self.size: float(a)} for kind, a in product(self.kinds(), sizes)]
 
-    def change(self, state: State, parameters: Parameters) -> State:
+    def change(self, state: RoomState, parameters: Parameters) -> RoomState:
         """Return the room with the absorber in place of wall."""
         return state.covered(
             parameters[self.size], self._checked_alpha(state.frequencies, parameters)
@@ -253,7 +253,7 @@ def all_surfaces(room: Room | None) -> float:
     return LARGEST if room is None else room.total_area
 
 
-def middle_absorption(state: State) -> float:
+def middle_absorption(state: RoomState) -> float:
     """Return S'alpha at 500 to 2000 Hz in m², averaged over bands; over all bands if it has none."""
     area = state.areas @ state.alpha
     middle = bands.is_middle(state.frequencies)

@@ -13,7 +13,7 @@ import numpy as np
 from rtcal.acoustics.equations import mean_equation
 from rtcal.acoustics.room import Room
 from rtcal.finder.effects.base import Effect, Limits, Parameters
-from rtcal.finder.model import Decay, State
+from rtcal.finder.model import Decay, RoomState
 from rtcal.support import checks
 from rtcal.support.errors import DataError, RtcalError
 from rtcal.support.text import shortened
@@ -82,7 +82,9 @@ def _check(place: str, effect: Any) -> None:
             raise DataError(f"{where}: shares has {share:g}, which is not above 0 and at most 1")
 
 
-def checked_grid(effect: Effect, state: State, room: Room | None = None) -> Sequence[Parameters]:
+def checked_grid(
+    effect: Effect, state: RoomState, room: Room | None = None
+) -> Sequence[Parameters]:
     """Return the effect's grid: at least one set of the same finite numbers, its size among them.
 
     Sets outside the limits of the room (`Effect.limits`) are left out, if others are within.
@@ -170,13 +172,13 @@ def _limits(effect: Effect, room: Room | None) -> Limits:
     return checks.mapped(where, _run(where, lambda: effect.limits(room)))
 
 
-def changed_states(effect: Effect, state: State, grid: Sequence[Parameters]) -> list[State]:
+def changed_states(effect: Effect, state: RoomState, grid: Sequence[Parameters]) -> list[RoomState]:
     """Return the state with the effect in it, by parameters; DataError if a state is impossible."""
     where = f'effect "{effect.name}": change'
     made = added(effect, state, grid)
     for after in made:
-        if not isinstance(after, State):
-            raise DataError(f"{where} returns {type(after).__name__}; it returns a State")
+        if not isinstance(after, RoomState):
+            raise DataError(f"{where} returns {type(after).__name__}; it returns a RoomState")
     for name in _FIELDS:
         before, values = getattr(state, name), [getattr(after, name) for after in made]
         new = [i for i, value in enumerate(values) if value is not before]
@@ -189,16 +191,16 @@ def changed_states(effect: Effect, state: State, grid: Sequence[Parameters]) -> 
     return made
 
 
-def added(effect: Effect, state: State, grid: Sequence[Parameters]) -> list[State]:
+def added(effect: Effect, state: RoomState, grid: Sequence[Parameters]) -> list[RoomState]:
     """Return the state with the effect in it, by parameters, where `changed_states` passed it alone."""
     where = f'effect "{effect.name}": change'
     return [_run(where, partial(effect.change, state, theta), theta) for theta in grid]
 
 
-_FIELDS = tuple(f.name for f in fields(State))
+_FIELDS = tuple(f.name for f in fields(RoomState))
 
 
-def _plainly_right(name: str, values: Sequence[Any], state: State) -> bool:
+def _plainly_right(name: str, values: Sequence[Any], state: RoomState) -> bool:
     """Return whether all values of a field are arrays that obey its rule: quicker than one by one."""
     if name not in _ARRAYS:
         return False
@@ -208,7 +210,7 @@ def _plainly_right(name: str, values: Sequence[Any], state: State) -> bool:
     ) and _within(np.array(values), *_ARRAYS[name])
 
 
-def _shape(name: str, state: State) -> tuple[int, ...]:
+def _shape(name: str, state: RoomState) -> tuple[int, ...]:
     return np.shape(getattr(state, name) if name in ("areas", "alpha") else state.air)
 
 
@@ -216,7 +218,7 @@ def _within(array: Array, least: float, most: float) -> bool:
     return bool((np.isfinite(array) & (array >= least) & (array <= most)).all())
 
 
-def _check_field(where: str, name: str, value: Any, state: State) -> None:
+def _check_field(where: str, name: str, value: Any, state: RoomState) -> None:
     if name in _ARRAYS:
         array, shape = checks.array(where, value), _shape(name, state)
         if array.shape != shape and not (array.shape == () and name in ("covering", "objects")):
@@ -240,7 +242,7 @@ def _rule(least: float, most: float) -> str:
     return f"finite and {least:g} or more" if np.isinf(most) else f"from {least:g} to {most:g}"
 
 
-def _check_shape(name: str, made: State) -> None:
+def _check_shape(name: str, made: RoomState) -> None:
     where = f'effect "{name}": shape'
     shape = made.shape
     if shape is None:

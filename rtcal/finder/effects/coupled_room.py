@@ -18,7 +18,7 @@ from rtcal.finder.effects.base import (
     first_decay,
     middle_absorption,
 )
-from rtcal.finder.model import Decay, State, rates, speeds
+from rtcal.finder.model import Decay, RoomState, rates, speeds
 
 
 @dataclass(frozen=True)
@@ -41,7 +41,7 @@ class CoupledRoom(Effect):
         "the simulator has no second room; draw it in its geometry"
     )
 
-    def grid(self, state: State) -> Sequence[Parameters]:
+    def grid(self, state: RoomState) -> Sequence[Parameters]:
         """Return apertures of 0.05 to 1.2 A, rooms of 0.2 to 3 V, alpha of 0.02 to 0.3."""
         area = middle_absorption(state)
         return [
@@ -59,7 +59,7 @@ class CoupledRoom(Effect):
         """Return the aperture."""
         return float(parameters["aperture"])
 
-    def change(self, state: State, parameters: Parameters) -> State:
+    def change(self, state: RoomState, parameters: Parameters) -> RoomState:
         """Return the room coupled to the other one."""
         return replace(state, shape=CoupledDecay(**parameters))
 
@@ -76,12 +76,12 @@ class CoupledDecay:
     volume: float
     alpha: float
 
-    def __call__(self, state: State) -> Decay:
+    def __call__(self, state: RoomState) -> Decay:
         """Return the state's decay, of two terms."""
         return first_decay(self.together([state], [self]))
 
     @staticmethod
-    def together(states: Sequence[State], shapes: Sequence[CoupledDecay]) -> Decay:
+    def together(states: Sequence[RoomState], shapes: Sequence[CoupledDecay]) -> Decay:
         """Return the decays of many states, each with its shape: (n, n_bands, 2)."""
         c, opening = speeds(states)[:, None], np.ones_like(states[0].frequencies)
         aperture = np.array([[s.aperture] for s in shapes])

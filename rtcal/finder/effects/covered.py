@@ -12,7 +12,7 @@ import numpy as np
 from rtcal.acoustics.room import Room
 from rtcal.finder.effects.base import Limits, Parameters
 from rtcal.finder.effects.stated import OfMaterial
-from rtcal.finder.model import State
+from rtcal.finder.model import RoomState
 from rtcal.support.types import Array
 
 HARD = 0.04
@@ -39,7 +39,7 @@ class CoveredSurface(OfMaterial):
     stands_on: ClassVar[Sequence[str]] = ("floor", "wall", "ceiling")
     shares: ClassVar[Sequence[float]] = (0.12, 0.2, 0.33, 0.55, 0.9)
 
-    def grid(self, state: State) -> Sequence[Parameters]:
+    def grid(self, state: RoomState) -> Sequence[Parameters]:
         """Return each material that is softer than the cover, covered by 0.12 to 0.9."""
         middle = state.alpha.mean(1)
         rows = np.flatnonzero(middle > 2 * HARD)
@@ -54,7 +54,7 @@ class CoveredSurface(OfMaterial):
         """Return the cover's alpha."""
         return [({}, np.full(len(frequencies), HARD))]
 
-    def change(self, state: State, parameters: Parameters) -> State:
+    def change(self, state: RoomState, parameters: Parameters) -> RoomState:
         """Return the room with that share of the material covered."""
         alpha, row = np.array(state.alpha), int(parameters["material"])
         share = parameters["share"]

@@ -8,7 +8,7 @@ from typing import ClassVar
 
 from rtcal.acoustics.room import Room
 from rtcal.finder.effects.base import Effect, Limits, Parameters
-from rtcal.finder.model import State
+from rtcal.finder.model import RoomState
 
 
 @dataclass(frozen=True)
@@ -25,7 +25,7 @@ class DirectSound(Effect):
     # A simulator's source has a directivity of its own.
     not_in_simulator: ClassVar[str | None] = None
 
-    def grid(self, state: State) -> Sequence[Parameters]:
+    def grid(self, state: RoomState) -> Sequence[Parameters]:
         """Return -9 to +9 dB."""
         return [{"gain": g} for g in (-9.0, -6.0, -4.0, -2.0, 2.0, 4.0, 6.0, 9.0)]
 
@@ -33,6 +33,6 @@ class DirectSound(Effect):
         """Return -40 to +40 dB, beyond any loudspeaker's directivity."""
         return {"gain": (-40.0, 40.0)}
 
-    def change(self, state: State, parameters: Parameters) -> State:
+    def change(self, state: RoomState, parameters: Parameters) -> RoomState:
         """Return the room with the direct sound so much stronger."""
         return replace(state, direct_db=state.direct_db + parameters["gain"])

@@ -16,7 +16,7 @@ from rtcal.finder.effects.base import (
     interpolate_octaves,
     middle_absorption,
 )
-from rtcal.finder.model import State
+from rtcal.finder.model import RoomState
 
 
 @dataclass(frozen=True)
@@ -33,7 +33,7 @@ class Furniture(AbsorbingObject):
     }
     SPECTRUM: ClassVar[tuple[float, ...]] = (0.45, 0.6, 0.75, 0.88, 1.0, 1.08, 1.1, 1.1)
 
-    def grid(self, state: State) -> Sequence[Parameters]:
+    def grid(self, state: RoomState) -> Sequence[Parameters]:
         """Return 0.05 to 1.1 times the room's absorption area."""
         sizes = np.geomspace(0.05, 1.1, 12) * middle_absorption(state)
         return [{"absorption_area": float(a)} for a in sizes]
@@ -42,7 +42,7 @@ class Furniture(AbsorbingObject):
         """Return 0 or more: objects need no wall."""
         return {self.size: (0.0, np.inf)}
 
-    def change(self, state: State, parameters: Parameters) -> State:
+    def change(self, state: RoomState, parameters: Parameters) -> RoomState:
         """Return the room with the objects."""
         spectrum = interpolate_octaves(state.frequencies, self.SPECTRUM)
         return state.with_objects(parameters["absorption_area"] * spectrum)

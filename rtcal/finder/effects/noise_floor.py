@@ -11,7 +11,7 @@ import numpy as np
 
 from rtcal.acoustics.room import Room
 from rtcal.finder.effects.base import Effect, Limits, Parameters
-from rtcal.finder.model import State
+from rtcal.finder.model import RoomState
 
 
 @dataclass(frozen=True)
@@ -29,7 +29,7 @@ class NoiseFloor(Effect):
         "a simulator's decay has no noise; take the noise off the measurement"
     )
 
-    def grid(self, state: State) -> Sequence[Parameters]:
+    def grid(self, state: RoomState) -> Sequence[Parameters]:
         """Return -62 to -30 dB, over 1.5 and 2.5 reverberation times."""
         levels = np.linspace(-62, -30, 17).tolist()
         return [{"level": x, "record": r} for x, r in product(levels, (1.5, 2.5))]
@@ -38,6 +38,6 @@ class NoiseFloor(Effect):
         """Return noise that is weaker than the start of the decay, over 0.1 T or longer."""
         return {"level": (-200.0, 0.0), "record": (0.1, 100.0)}
 
-    def change(self, state: State, parameters: Parameters) -> State:
+    def change(self, state: RoomState, parameters: Parameters) -> RoomState:
         """Return the room with this noise in its decays."""
         return replace(state, floor_db=parameters["level"], record=parameters["record"])

@@ -11,7 +11,7 @@ import numpy as np
 
 from rtcal.acoustics.room import Room
 from rtcal.finder.effects.base import Effect, Limits, Parameters, first_decay
-from rtcal.finder.model import Decay, State, speeds, surface_absorption
+from rtcal.finder.model import Decay, RoomState, speeds, surface_absorption
 from rtcal.support.types import Array
 
 _TERMS = 12
@@ -36,7 +36,7 @@ class NonDiffuse(Effect):
     # A simulator with geometry has such a field by itself.
     not_in_simulator: ClassVar[str | None] = None
 
-    def grid(self, state: State) -> Sequence[Parameters]:
+    def grid(self, state: RoomState) -> Sequence[Parameters]:
         """Return s = 0.01 to 0.3."""
         return [{"scattering": float(s)} for s in np.geomspace(0.01, 0.3, 9)]
 
@@ -44,7 +44,7 @@ class NonDiffuse(Effect):
         """Return 0 to 1."""
         return {"scattering": (0.0, 1.0)}
 
-    def change(self, state: State, parameters: Parameters) -> State:
+    def change(self, state: RoomState, parameters: Parameters) -> RoomState:
         """Return the room with this scattering."""
         return replace(state, shape=DirectionalDecay(**parameters))
 
@@ -60,12 +60,12 @@ class DirectionalDecay:
 
     scattering: float
 
-    def __call__(self, state: State) -> Decay:
+    def __call__(self, state: RoomState) -> Decay:
         """Return the state's decay, a term for each direction."""
         return first_decay(self.together([state], [self]))
 
     @staticmethod
-    def together(states: Sequence[State], shapes: Sequence[DirectionalDecay]) -> Decay:
+    def together(states: Sequence[RoomState], shapes: Sequence[DirectionalDecay]) -> Decay:
         """Return the decays of many states, each with its shape: (n, n_bands, n_directions)."""
         u, weight = _directions()
         c = speeds(states)[:, None]

@@ -16,7 +16,7 @@ from rtcal.finder.effects.base import (
     interpolate_octaves,
     middle_absorption,
 )
-from rtcal.finder.model import State
+from rtcal.finder.model import RoomState
 
 PER_PERSON = (0.08, 0.15, 0.29, 0.56, 0.85, 0.98, 0.95, 0.95)
 """Absorption area of one person in m², 63 Hz to 8 kHz: the mean of an audience of 0.72 and of 1 person
@@ -41,7 +41,7 @@ class People(AbsorbingObject):
     unit: ClassVar[str] = "persons"
     parameter_units: ClassVar[Mapping[str, str]] = {"persons": " persons"}
 
-    def grid(self, state: State) -> Sequence[Parameters]:
+    def grid(self, state: RoomState) -> Sequence[Parameters]:
         """Return as many as make 0.08 to 1.3 times the room's absorption area at 1 kHz."""
         counts = np.geomspace(0.08, 1.3, 10) * middle_absorption(state) / AT_1_KHZ
         return [{"persons": float(n)} for n in counts]
@@ -50,7 +50,7 @@ class People(AbsorbingObject):
         """Return 0 or more: objects need no wall."""
         return {self.size: (0.0, np.inf)}
 
-    def change(self, state: State, parameters: Parameters) -> State:
+    def change(self, state: RoomState, parameters: Parameters) -> RoomState:
         """Return the room with the people."""
         each = interpolate_octaves(state.frequencies, PER_PERSON)
         return state.with_objects(parameters["persons"] * each)

@@ -12,7 +12,7 @@ import numpy as np
 from rtcal.acoustics.equations import Eyring, MeanEquation, Millington, Sabine
 from rtcal.acoustics.room import Room
 from rtcal.finder.effects.base import Effect, Limits, Parameters
-from rtcal.finder.model import State
+from rtcal.finder.model import RoomState
 
 RATIOS = (1e-3, 1e3)
 """Ratios of a true area or volume to the stated one: a unit taken for another is a factor of 1000."""
@@ -62,7 +62,7 @@ class WrongArea(OfMaterial):
     discrete: ClassVar[Sequence[str]] = ("material",)
     size_error: ClassVar[float] = 0.0
 
-    def grid(self, state: State) -> Sequence[Parameters]:
+    def grid(self, state: RoomState) -> Sequence[Parameters]:
         """Return each material with 0.35 to 2.9 times its area."""
         ratios = [r for r in np.geomspace(0.35, 2.9, 12) if abs(r - 1) > 0.05]
         both = product(range(len(state.areas)), ratios)
@@ -72,11 +72,11 @@ class WrongArea(OfMaterial):
         """Return a material of the room, and `RATIOS` of its area."""
         return {**super().limits(room), "ratio": RATIOS}
 
-    def density(self, parameters: Parameters, state: State) -> float:
+    def density(self, parameters: Parameters, state: RoomState) -> float:
         """Return a normal density of ln ratio, of standard deviation 0.5."""
         return float(np.exp(-0.5 * (np.log(parameters["ratio"]) / 0.5) ** 2))
 
-    def change(self, state: State, parameters: Parameters) -> State:
+    def change(self, state: RoomState, parameters: Parameters) -> RoomState:
         """Return the room with that area."""
         areas = state.areas.copy()
         areas[int(parameters["material"])] *= parameters["ratio"]
@@ -93,7 +93,7 @@ class WrongVolume(WrongStatement):
     neutral: ClassVar[float] = 1.0
     size_error: ClassVar[float] = 0.04
 
-    def grid(self, state: State) -> Sequence[Parameters]:
+    def grid(self, state: RoomState) -> Sequence[Parameters]:
         """Return 0.6 to 1.7."""
         return [{"ratio": float(r)} for r in np.geomspace(0.6, 1.7, 18)]
 
@@ -101,11 +101,11 @@ class WrongVolume(WrongStatement):
         """Return `RATIOS`."""
         return {"ratio": RATIOS}
 
-    def density(self, parameters: Parameters, state: State) -> float:
+    def density(self, parameters: Parameters, state: RoomState) -> float:
         """Return a normal density of ln ratio, of standard deviation 0.2."""
         return float(np.exp(-0.5 * (np.log(parameters["ratio"]) / 0.2) ** 2))
 
-    def change(self, state: State, parameters: Parameters) -> State:
+    def change(self, state: RoomState, parameters: Parameters) -> RoomState:
         """Return the room with that volume."""
         return replace(state, volume=state.volume * parameters["ratio"])
 
@@ -126,7 +126,7 @@ class WrongFormula(WrongStatement):
         "equation": [f"{e.name}'s equation" for e in EQUATIONS]
     }
 
-    def grid(self, state: State) -> Sequence[Parameters]:
+    def grid(self, state: RoomState) -> Sequence[Parameters]:
         """Return the equations that the model does not use."""
         return [
             {"equation": float(i)} for i, e in enumerate(self.EQUATIONS) if e.key != state.equation
@@ -136,6 +136,6 @@ class WrongFormula(WrongStatement):
         """Return the equations' numbers."""
         return {"equation": (0.0, len(self.EQUATIONS) - 1.0)}
 
-    def change(self, state: State, parameters: Parameters) -> State:
+    def change(self, state: RoomState, parameters: Parameters) -> RoomState:
         """Return the room under that equation."""
         return replace(state, equation=self.EQUATIONS[int(parameters["equation"])].key)

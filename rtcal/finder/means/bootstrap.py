@@ -25,9 +25,9 @@ from rtcal.finder.means.engines import (
     draw_alpha,
     recentred,
 )
-from rtcal.finder.means.evidence import Evidence, evaluate
-from rtcal.finder.means.features import LEVELS, Observed, distances, state
-from rtcal.finder.means.hypotheses import Hypotheses, LowRank
+from rtcal.finder.means.evidence import MeansEvidence, evaluate
+from rtcal.finder.means.features import LEVELS, ObservedFeatures, distances, state
+from rtcal.finder.means.hypotheses import LowRank, MeansHypotheses
 from rtcal.finder.means.model_error import ModelDiscrepancy, estimate_discrepancy
 from rtcal.finder.model import FEATURES, predict
 from rtcal.finder.prior import NONE, NULL_POWER, Prior, directions, drawn
@@ -153,8 +153,8 @@ def checked_controls(case: Case, controls: object, least: int = 2) -> tuple[Cont
 
 def bootstrap_threshold(
     case: Case,
-    observed: Observed,
-    predicted: Hypotheses,
+    observed: ObservedFeatures,
+    predicted: MeansHypotheses,
     controls: Sequence[ControlRooms],
     prior: Prior,
     seed: int = 0,
@@ -174,7 +174,7 @@ def bootstrap_threshold(
     return Threshold(value, table, estimate_discrepancy(case, controls))
 
 
-def smallest(observed: Observed) -> float:
+def smallest(observed: ObservedFeatures) -> float:
     """Return the smallest threshold for these data, in nats."""
     if observed.unstated & {*LEVELS}:
         return MINIMUM_UNSTATED
@@ -191,7 +191,7 @@ def _part(controls: ControlRooms, fold: int) -> ControlRooms:
     return ControlRooms(controls.engine, errors[fold::2] if len(errors) >= _FEW else errors)
 
 
-def score(evidence: Evidence, prior: Prior) -> Array:
+def score(evidence: MeansEvidence, prior: Prior) -> Array:
     """Return the log evidence that something is missing, over "none", in nats.
 
     It is that of every hypothesis but "none", weighted by its prior probability.
@@ -206,7 +206,7 @@ def score(evidence: Evidence, prior: Prior) -> Array:
 
 def draw_null_features(
     case: Case,
-    observed: Observed,
+    observed: ObservedFeatures,
     applied: LowRank,
     errors: Sequence[Array],
     rng: np.random.Generator,

@@ -25,7 +25,7 @@ from rtcal.finder.case import NORMAL_90, AppliedEffect, Case
 from rtcal.finder.configuration import Configuration
 from rtcal.finder.finding import amount
 from rtcal.finder.means.features import distances, seen, state, with_applied
-from rtcal.finder.model import FEATURES, State, highest, mean_contributions, predict
+from rtcal.finder.model import FEATURES, RoomState, highest, mean_contributions, predict
 from rtcal.simulators.base import RoomSimulator, Simulator, check_alpha, run
 from rtcal.simulators.geometry import Polyhedron
 from rtcal.support.arguments import checked
@@ -109,7 +109,7 @@ def simulator(case: Case, make: Callable[[Room], Simulator] | None = None) -> Si
         if p.name in c.absent and p.effect.not_in_simulator is not None:
             why = c.absent[p.name]
             raise DataError(f"{p.name}: {p.effect.not_in_simulator if why == _DECAY else why}")
-    return Spread(case, make(c.stated))
+    return SpreadAbsorbers(case, make(c.stated))
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -149,7 +149,7 @@ class CaseModel(RoomSimulator):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Spread(RoomSimulator):
+class SpreadAbsorbers(RoomSimulator):
     """A simulator of the stated materials, with a corrected room's absorbers spread over its walls."""
 
     case: Case
@@ -235,13 +235,13 @@ class _Corrected:
 
     room: Room
     stated: Room
-    whole: State
-    kept: State
+    whole: RoomState
+    kept: RoomState
     shares: tuple[float, ...]
     n_coverings: int
     absent: dict[str, str]
 
-    def state(self, alpha: Array) -> State:
+    def state(self, alpha: Array) -> RoomState:
         """Return the state with the room's coefficients (n_materials, n_bands).
 
         Coverings and objects stay what they are, so that a decay's shape is the same, too.
@@ -276,7 +276,7 @@ def _corrected(case: Case) -> _Corrected:
                 each.append((p, gain))
         if any(
             not np.array_equal(getattr(after, f.name), getattr(before, f.name))
-            for f in fields(State)
+            for f in fields(RoomState)
             if f.name not in _HELD
         ):
             absent[p.name] = _DECAY
@@ -303,7 +303,7 @@ def _corrected(case: Case) -> _Corrected:
 
 def _with_absorbers(
     stated: Room,
-    whole: State,
+    whole: RoomState,
     gains: dict[str, list[tuple[AppliedEffect, Array]]],
     absent: dict[str, str],
 ) -> _Corrected:
@@ -358,13 +358,13 @@ def _with_absorbers(
     return _Corrected(room, stated, whole, kept, tuple(shares), n_coverings, absent)
 
 
-def _is_air(air: Air | None, s: State) -> bool:
+def _is_air(air: Air | None, s: RoomState) -> bool:
     """Return whether a state has this air's attenuation."""
     attenuation = 0.0 if air is None else air.attenuation(s.frequencies)
     return bool(np.allclose(attenuation, s.air, rtol=1e-12, atol=0))
 
 
-def _sigma(case: Case, before: State, after: State) -> Array:
+def _sigma(case: Case, before: RoomState, after: RoomState) -> Array:
     """Return sigma of the stated materials: that of what is seen of them, and of the effects' sizes."""
     if after.alpha is before.alpha:
         return case.room.sigma
@@ -392,7 +392,7 @@ def _spread(p: AppliedEffect) -> float:
     return p.size_sigma / max(abs(p.parameters[p.effect.size]), 1e-9)
 
 
-def _absorption(s: State) -> Array:
+def _absorption(s: RoomState) -> Array:
     """The equation's mean over walls, coverings and objects, without the air."""
     exponent = (s.surface_absorption + s.objects) / s.total_area
     return mean_equation(s.equation).inverse(exponent)

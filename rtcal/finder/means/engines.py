@@ -18,7 +18,7 @@ from rtcal.acoustics.equations import Eyring, mean_equation
 from rtcal.acoustics.materials import Surface
 from rtcal.acoustics.room import Room
 from rtcal.finder.case import Case
-from rtcal.finder.model import FEATURES, State, predict
+from rtcal.finder.model import FEATURES, RoomState, predict
 from rtcal.simulators.geometry import SHOEBOX_WALLS, Polyhedron
 from rtcal.simulators.path_batch import ScatteringModel
 from rtcal.simulators.path_tracing import PathTracing
@@ -358,7 +358,7 @@ def _theory(case: Case, setup: Setup, alpha: Array) -> Array:
     """Return the model's features of the control room, (n_configurations, n_features, n_bands)."""
     room = setup.room
     states = [
-        State(
+        RoomState(
             volume=room.volume,
             areas=room.areas,
             alpha=_by_axis(setup.share, values),

@@ -24,8 +24,8 @@ import numpy as np
 from rtcal.finder.case import AppliedEffect, Case
 from rtcal.finder.effects import Effect, Parameters
 from rtcal.finder.effects.checks import beyond
-from rtcal.finder.means.features import Observed, state
-from rtcal.finder.means.hypotheses import Hypotheses, predict_hypotheses
+from rtcal.finder.means.features import ObservedFeatures, state
+from rtcal.finder.means.hypotheses import MeansHypotheses, predict_hypotheses
 from rtcal.finder.means.likelihood import (
     Factorization,
     covariance_of,
@@ -55,7 +55,7 @@ NEGLIGIBLE = 8.0
 
 
 @dataclass(frozen=True, eq=False)
-class Evidence:
+class MeansEvidence:
     """Log likelihood of every hypothesis, in nats: (n_hypotheses,), or (n_hypotheses, n_draws).
 
     ``stated`` with the coefficients as stated, ``off`` with coefficients that are off together.
@@ -103,12 +103,12 @@ def _weighted(log: Array, weights: Array) -> Array:
 
 
 def evaluate(
-    observed: Observed,
-    predicted: Hypotheses,
+    observed: ObservedFeatures,
+    predicted: MeansHypotheses,
     discrepancy: ModelDiscrepancy,
     prior_off: float,
     values: Array | None = None,
-) -> Evidence:
+) -> MeansEvidence:
     """Return the evidence of every hypothesis and of an unknown effect.
 
     ``values`` (n_draws, n_used) replace the observed features; ``prior_off`` is the prior probability
@@ -122,16 +122,16 @@ def evaluate(
     unknown = unknown_evidence(residual, alpha + other, observed.used)
     if values is None:
         stated, off, unknown = stated[:, 0], off[:, 0], unknown[0]
-    return Evidence(stated, off, unknown, predicted.names, predicted.weights, prior_off)
+    return MeansEvidence(stated, off, unknown, predicted.names, predicted.weights, prior_off)
 
 
 def evaluate_beyond(
     case: Case,
-    observed: Observed,
-    predicted: Hypotheses,
+    observed: ObservedFeatures,
+    predicted: MeansHypotheses,
     discrepancy: ModelDiscrepancy,
     prior_off: float,
-) -> tuple[Hypotheses, Evidence]:
+) -> tuple[MeansHypotheses, MeansEvidence]:
     """Return hypotheses and their evidence, with grids that go on until the evidence falls.
 
     An effect whose likeliest size is the last of its grid gets further sizes, in the grid's own steps
@@ -200,17 +200,17 @@ class Searched:
     """The parts of a search: hypotheses with their evidence, the measurement, the model's error."""
 
     case: Case
-    observed: Observed
-    predicted: Hypotheses
+    observed: ObservedFeatures
+    predicted: MeansHypotheses
     discrepancy: ModelDiscrepancy
-    evidence: Evidence
+    evidence: MeansEvidence
 
     def nats(self, name: str) -> float:
         """Return the log evidence of an effect over "none"."""
         table = self.evidence.by_effect()
         return float(table[name] - table[NONE])
 
-    def under(self, effect: Effect, grid: Sequence[Parameters]) -> Evidence:
+    def under(self, effect: Effect, grid: Sequence[Parameters]) -> MeansEvidence:
         """Return the evidence of "none", and of an effect with these sets of parameters."""
         predicted = predict_hypotheses(self.case, [effect], [grid])
         return evaluate(self.observed, predicted, self.discrepancy, self.evidence.prior_off)

@@ -15,7 +15,7 @@ from rtcal.acoustics.parameters import parameter_label
 from rtcal.finder.case import AppliedEffect, Case
 from rtcal.finder.configuration import Configuration
 from rtcal.finder.effects.checks import changed_states
-from rtcal.finder.model import FEATURES, State
+from rtcal.finder.model import FEATURES, RoomState
 from rtcal.support.errors import DataError
 from rtcal.support.types import Array
 
@@ -35,7 +35,7 @@ MADE = "not stated; made from scatter over pairs, theory and reproducibility"
 
 
 @dataclass(frozen=True, eq=False)
-class Observed:
+class ObservedFeatures:
     """The measured features.
 
     Attributes
@@ -63,7 +63,7 @@ class Observed:
         return np.asarray(self.features[self.used])
 
 
-def observe(case: Case) -> tuple[Observed, list[str]]:
+def observe(case: Case) -> tuple[ObservedFeatures, list[str]]:
     """Return the measured features, and in words which bands were dropped.
 
     Raises
@@ -102,7 +102,7 @@ def observe(case: Case) -> tuple[Observed, list[str]]:
     words = "; ".join(f"{', '.join(ps)}: {origin}" for origin, ps in origins.items())
     covariance = full.reshape(size, size)[np.ix_(flat, flat)]
     unstated = frozenset(p.lower() for p in origins.get(MADE, ()))
-    return Observed(table, used, covariance, f"uncertainty of {words}", unstated), notes
+    return ObservedFeatures(table, used, covariance, f"uncertainty of {words}", unstated), notes
 
 
 def _features(configuration: Configuration, origins: dict[str, list[str]]) -> tuple[Array, Array]:
@@ -180,7 +180,7 @@ _STEP = 1e-4
 """Step of alpha for a derivative."""
 
 
-def state(case: Case, configuration: Configuration, alpha: Array | None = None) -> State:
+def state(case: Case, configuration: Configuration, alpha: Array | None = None) -> RoomState:
     """Return the case's room in one configuration, with the applied effects.
 
     ``alpha`` (n_materials, n_bands) replaces the room's; the configuration's changes apply on top.
@@ -189,7 +189,7 @@ def state(case: Case, configuration: Configuration, alpha: Array | None = None) 
     values = np.array(room.alpha if alpha is None else alpha)
     for material, change in configuration.changes.items():
         values[room.material_index(material)] = change.alpha
-    unchanged = replace(State.of_room(room, case.facing, case.equation), alpha=values)
+    unchanged = replace(RoomState.of_room(room, case.facing, case.equation), alpha=values)
     if air := configuration.air:
         unchanged = replace(
             unchanged,
@@ -200,8 +200,8 @@ def state(case: Case, configuration: Configuration, alpha: Array | None = None) 
 
 
 def with_applied(
-    unchanged: State, applied: Sequence[AppliedEffect], configuration: Configuration
-) -> State:
+    unchanged: RoomState, applied: Sequence[AppliedEffect], configuration: Configuration
+) -> RoomState:
     """Return the state with effects; removable effects are left out if the suspect was removed."""
     for added in applied:
         if not (configuration.suspect_removed and added.effect.removable):

@@ -20,8 +20,8 @@ from rtcal.finder.claim import DISTINCT_NATS
 from rtcal.finder.effects import Effect, Parameters
 from rtcal.finder.finding import Size
 from rtcal.finder.means.evidence import Searched, evaluate
-from rtcal.finder.means.features import Observed
-from rtcal.finder.means.hypotheses import Hypotheses
+from rtcal.finder.means.features import ObservedFeatures
+from rtcal.finder.means.hypotheses import MeansHypotheses
 from rtcal.finder.means.likelihood import covariance_of, log_density
 from rtcal.finder.means.model_error import ModelDiscrepancy
 from rtcal.finder.model import FEATURES
@@ -37,7 +37,7 @@ SURPRISING = 1e-3
 
 
 @dataclass(frozen=True)
-class Doubt:
+class Objection:
     """A reason against a claim, and what it speaks against.
 
     ``of`` is "size" or "fit" where it leaves the effect's family as probable as it is, else "effect".
@@ -47,16 +47,16 @@ class Doubt:
     of: Literal["size", "fit", "effect"]
 
 
-def end_of_range(name: str, size: Size | None) -> list[Doubt]:
+def end_of_range(name: str, size: Size | None) -> list[Objection]:
     """Return a doubt where the data do not bound the size."""
     if size is None or not size.end:
         return []
     larger = "larger" if size.end == "least" else "smaller"
     words = f"{name}: {size.words}; the measurement does not tell it from any {larger} size"
-    return [Doubt(words, "size")]
+    return [Objection(words, "size")]
 
 
-def too_large(case: Case, effect: Effect, parameters: Parameters) -> list[Doubt]:
+def too_large(case: Case, effect: Effect, parameters: Parameters) -> list[Objection]:
     """Return a doubt where the effect needs more wall than a room has for it."""
     share = effect.wall_area(parameters) / case.room.total_area
     if share <= effect.largest_share:
@@ -65,10 +65,10 @@ def too_large(case: Case, effect: Effect, parameters: Parameters) -> list[Doubt]
         f"{effect.name}: it would be {100 * share:.0f} % of all surfaces; at most "
         f"{100 * effect.largest_share:.0f} % is believed"
     )
-    return [Doubt(words, "size")]
+    return [Objection(words, "size")]
 
 
-def unexplained(name: str, times: float, probability: float) -> list[Doubt]:
+def unexplained(name: str, times: float, probability: float) -> list[Objection]:
     """Return a doubt where the residuals are larger than all uncertainties allow."""
     if probability >= SURPRISING:
         return []
@@ -77,23 +77,23 @@ def unexplained(name: str, times: float, probability: float) -> list[Doubt]:
         f"model it is {times:.1f} times as far off as all uncertainties allow. Check volume, "
         "areas, coefficients, units and bands"
     )
-    return [Doubt(words, "fit")]
+    return [Objection(words, "fit")]
 
 
-def gap_against(name: str, gap: GapCheck) -> list[Doubt]:
+def gap_against(name: str, gap: GapCheck) -> list[Objection]:
     """Return a doubt where the gap grows, or where what alpha cannot fit contradicts the effect."""
     if gap.grows:
         words = (
             f"with {name} in the model the gap that alpha cannot close grows from {gap.before:.2f} to "
             f"{gap.after:.2f} JND"
         )
-        return [Doubt(words, "effect")]
+        return [Objection(words, "effect")]
     if gap.contradicts:
         words = (
             f"decay shape, level and the other configurations speak against {name} "
             f"({gap.predictive:.1f} nats)"
         )
-        return [Doubt(words, "effect")]
+        return [Objection(words, "effect")]
     return []
 
 
@@ -112,7 +112,9 @@ def schroeder_limit(case: Case, times: Array) -> float:
     return float(schroeder_frequency(np.array(middle), case.room.volume))
 
 
-def decided_below_schroeder(searched: Searched, predicted: Hypotheses, name: str) -> list[Doubt]:
+def decided_below_schroeder(
+    searched: Searched, predicted: MeansHypotheses, name: str
+) -> list[Objection]:
     """Return a doubt where the evidence for ``name`` comes from bands below Schroeder's frequency.
 
     ``predicted`` holds the hypotheses of that effect.
@@ -134,10 +136,10 @@ def decided_below_schroeder(searched: Searched, predicted: Hypotheses, name: str
         f"{name} rests on {', '.join(places)}, below Schroeder's frequency, where no field is diffuse: "
         f"without them its evidence is {rest:+.1f} nats instead of {nats:+.1f}"
     )
-    return [Doubt(words, "effect")]
+    return [Objection(words, "effect")]
 
 
-def gross(observed: Observed, predicted: Hypotheses, gap: GapCheck) -> list[Doubt]:
+def gross(observed: ObservedFeatures, predicted: MeansHypotheses, gap: GapCheck) -> list[Objection]:
     """Return a doubt where T is twice or half the model's.
 
     None where decay shape, level and the other configurations show the effect by themselves: a noise
@@ -150,7 +152,7 @@ def gross(observed: Observed, predicted: Hypotheses, gap: GapCheck) -> list[Doub
         f"T is {np.exp(change):.2g} times the model's: look for a mistake in volume, areas, "
         "coefficients and units before any effect is believed"
     )
-    return [Doubt(words, "effect")]
+    return [Objection(words, "effect")]
 
 
 LITTLE = 0.1
@@ -190,7 +192,11 @@ class GapCheck:
 
 
 def gap_check(
-    observed: Observed, predicted: Hypotheses, discrepancy: ModelDiscrepancy, i: int, scale: float
+    observed: ObservedFeatures,
+    predicted: MeansHypotheses,
+    discrepancy: ModelDiscrepancy,
+    i: int,
+    scale: float,
 ) -> GapCheck:
     """Return the gap under "none" and under hypothesis ``i``.
 

@@ -15,7 +15,7 @@ from rtcal.finder.effects import Effect, Parameters
 from rtcal.finder.effects.checks import changed_states, checked_grid
 from rtcal.finder.means.features import DISTANCE_ERROR, distances, state
 from rtcal.finder.means.model_error import AlphaCovariance
-from rtcal.finder.model import FEATURES, State, predict
+from rtcal.finder.model import FEATURES, RoomState, predict
 from rtcal.finder.prior import NONE, grid_weights
 from rtcal.support.errors import DataError
 from rtcal.support.types import Array
@@ -49,7 +49,7 @@ class LowRank:
 
 
 @dataclass(frozen=True, eq=False)
-class Hypotheses:
+class MeansHypotheses:
     """Every effect with every set of its parameters, and the predictions of the case's model.
 
     Attributes
@@ -88,7 +88,7 @@ class Hypotheses:
 
 def predict_hypotheses(
     case: Case, effects: Sequence[Effect], grids: Sequence[Sequence[Parameters]] | None = None
-) -> Hypotheses:
+) -> MeansHypotheses:
     """Predict the case under every effect and set of parameters.
 
     ``grids`` has the sets of each effect; the effects' own grids if not given.
@@ -136,7 +136,7 @@ def predict_hypotheses(
         np.repeat(spectrum_errors(effect, frequencies)[None], len(grid), axis=0)
         for effect, grid in zip(effects, grids, strict=True)
     ]
-    return Hypotheses(
+    return MeansHypotheses(
         names=tuple(NONE if effect is None else effect.name for effect, _ in every),
         parameters=tuple(theta for _, theta in every),
         weights=np.concatenate([np.ones(1), *weights]),
@@ -167,10 +167,12 @@ def check_size(case: Case, n_hypotheses: int) -> None:
 
 
 def _states(
-    part: Sequence[tuple[Effect | None, Parameters]], unchanged: State, configuration: Configuration
-) -> list[State]:
+    part: Sequence[tuple[Effect | None, Parameters]],
+    unchanged: RoomState,
+    configuration: Configuration,
+) -> list[RoomState]:
     """Return the states of hypotheses in one configuration."""
-    states: list[State] = []
+    states: list[RoomState] = []
     for effect, members in groupby(part, key=lambda member: member[0]):
         grid = [theta for _, theta in members]
         absent = effect is None or (configuration.suspect_removed and effect.removable)

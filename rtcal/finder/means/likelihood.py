@@ -10,8 +10,8 @@ import numpy as np
 from scipy.linalg.lapack import dpotrf, dtrtrs
 from scipy.special import chdtrc, gammaln
 
-from rtcal.finder.means.features import Observed
-from rtcal.finder.means.hypotheses import Hypotheses, LowRank, misfit
+from rtcal.finder.means.features import ObservedFeatures
+from rtcal.finder.means.hypotheses import LowRank, MeansHypotheses, misfit
 from rtcal.finder.means.model_error import ModelDiscrepancy
 from rtcal.finder.prior import SCALES
 from rtcal.support.types import Array
@@ -136,8 +136,8 @@ to them, has this power (Miller & Dunson 2019, the coarsened posterior). Chosen 
 
 
 def log_likelihood(
-    observed: Observed,
-    predicted: Hypotheses,
+    observed: ObservedFeatures,
+    predicted: MeansHypotheses,
     discrepancy: ModelDiscrepancy,
     values: Array,
     *,
@@ -174,7 +174,7 @@ class _Likelihood:
     """
 
     def __init__(
-        self, observed: Observed, predicted: Hypotheses, discrepancy: ModelDiscrepancy
+        self, observed: ObservedFeatures, predicted: MeansHypotheses, discrepancy: ModelDiscrepancy
     ) -> None:
         c, f, b = np.nonzero(observed.used)
         self._observed, self._predicted, self._discrepancy = observed, predicted, discrepancy
@@ -255,8 +255,8 @@ class _Likelihood:
 
 
 def goodness_of_fit(
-    observed: Observed,
-    predicted: Hypotheses,
+    observed: ObservedFeatures,
+    predicted: MeansHypotheses,
     discrepancy: ModelDiscrepancy,
     i: int,
     scale: float = 1.0,
@@ -275,8 +275,8 @@ def goodness_of_fit(
 
 
 def covariance_of(
-    observed: Observed,
-    predicted: Hypotheses,
+    observed: ObservedFeatures,
+    predicted: MeansHypotheses,
     discrepancy: ModelDiscrepancy,
     i: int,
     scale: float = 1.0,
@@ -296,7 +296,7 @@ def covariance_of(
     return alpha, fixed + model.misfit(part).covariance[0]
 
 
-def spreading(observed: Observed, predicted: Hypotheses, i: int) -> Array:
+def spreading(observed: ObservedFeatures, predicted: MeansHypotheses, i: int) -> Array:
     """Return d feature / d ln T20, (n_used, n_configurations * n_bands)."""
     c, f, b = np.nonzero(observed.used)
     count, _, bands = observed.used.shape
@@ -315,7 +315,7 @@ def log_density(residual: Array, covariance: Array) -> float:
 
 
 def without_alpha(
-    observed: Observed, predicted: Hypotheses, discrepancy: ModelDiscrepancy
+    observed: ObservedFeatures, predicted: MeansHypotheses, discrepancy: ModelDiscrepancy
 ) -> Array:
     """Return R + D + the covariance from the applied effects, of the features in use."""
     mask = observed.used.ravel()
@@ -327,7 +327,7 @@ _AT_ONCE = 32  # hypotheses
 _ELEMENTS = 4_000_000  # numbers in an array of covariances: 32 MB
 
 
-def alpha_covariance(predicted: Hypotheses, i: int) -> Array:
+def alpha_covariance(predicted: MeansHypotheses, i: int) -> Array:
     """Return J Sigma J' of one hypothesis, over all features raveled."""
     slopes = predicted.slopes[i]  # (configurations, features, bands)
     count, kinds, bands = slopes.shape
@@ -378,9 +378,9 @@ def student(square: Array, half_log_determinant: Array, m: int, *, coarsened: bo
 
 
 def standardized_residuals(
-    observed: Observed, predicted: Hypotheses, discrepancy: ModelDiscrepancy
+    observed: ObservedFeatures, predicted: MeansHypotheses, discrepancy: ModelDiscrepancy
 ) -> Array:
-    """Return modelled less measured over its standard deviation, shaped as `Observed.features`."""
+    """Return modelled less measured over its standard deviation, shaped as `ObservedFeatures.features`."""
     mask = observed.used.ravel()
     c = alpha_covariance(predicted, 0) + discrepancy.covariance
     spread = np.sqrt(np.diag(c)[mask] + np.diag(observed.covariance))

@@ -21,11 +21,11 @@ from numpy.typing import NDArray
 from rtcal.acoustics.air import Air
 from rtcal.finder.case import Case
 from rtcal.finder.claim import DISTINCT_NATS
-from rtcal.finder.configuration import Change, Configuration
+from rtcal.finder.configuration import ChangedMaterial, Configuration
 from rtcal.finder.effects.porous import Porous
 from rtcal.finder.means.evidence import Searched
-from rtcal.finder.means.features import Observed
-from rtcal.finder.means.hypotheses import Hypotheses
+from rtcal.finder.means.features import ObservedFeatures
+from rtcal.finder.means.hypotheses import MeansHypotheses
 from rtcal.finder.means.likelihood import alpha_covariance, student
 from rtcal.finder.means.model_error import ModelDiscrepancy
 from rtcal.finder.means.sets import Moments
@@ -132,7 +132,7 @@ Separations = Mapping[tuple[str, str], float]
 
 
 def separation(
-    predicted: Hypotheses, covariance: Array, mask: Array, first: int, second: str
+    predicted: MeansHypotheses, covariance: Array, mask: Array, first: int, second: str
 ) -> float:
     """Return the expected evidence in nats against effect ``second`` if ``first`` is true.
 
@@ -146,13 +146,13 @@ def separation(
 
 
 def covariance_with(
-    predicted: Hypotheses, discrepancy: ModelDiscrepancy, measured: Array, i: int
+    predicted: MeansHypotheses, discrepancy: ModelDiscrepancy, measured: Array, i: int
 ) -> Array:
     """Return the covariance of all features under hypothesis ``i``, ``measured`` their variances."""
     return np.asarray(alpha_covariance(predicted, i) + discrepancy.covariance + np.diag(measured))
 
 
-def variances_of(observed: Observed) -> Array:
+def variances_of(observed: ObservedFeatures) -> Array:
     """Measurement variance of every feature, also of features that were not measured."""
     shape = observed.used.shape
     table = np.broadcast_to(USUAL[None, :, None] ** 2, shape).copy()
@@ -162,8 +162,8 @@ def variances_of(observed: Observed) -> Array:
 
 def separations(
     case: Case,
-    observed: Observed,
-    predicted: Hypotheses,
+    observed: ObservedFeatures,
+    predicted: MeansHypotheses,
     discrepancy: ModelDiscrepancy,
     change: float,
 ) -> tuple[dict[str, float], dict[str, Separations]]:
@@ -242,7 +242,7 @@ _PARAMETERS = {"EDT and T30": ("edt", "t30"), "C80": ("c80",), "G": ("g",)}
 
 
 @dataclass(frozen=True, eq=False)
-class Further:
+class FurtherMeasurement:
     """A measurement that could be made next.
 
     ``parameters`` are measured in the configurations that there are, or ``configuration`` is measured.
@@ -258,18 +258,18 @@ class Further:
     share: float = 1.0
 
 
-def possible(case: Case, planned: Sequence[Configuration] = ()) -> list[Further]:
+def possible(case: Case, planned: Sequence[Configuration] = ()) -> list[FurtherMeasurement]:
     """Return the measurements that a user can make in a case's room."""
     first = case.configurations[0]
     out = []
     for kind, parameters in _PARAMETERS.items():
         lacking = [c for c in case.configurations if not set(parameters) <= set(c.measured.values)]
         if lacking:
-            out.append(Further(kind, _in_words(kind), parameters))
+            out.append(FurtherMeasurement(kind, _in_words(kind), parameters))
     again = replace(first, name="further", planned=True)
     pairs = max(len(next(iter(first.measured.values.values()))), 1)
     out.append(
-        Further(
+        FurtherMeasurement(
             "more positions",
             f"{MORE_POSITIONS} more positions",
             configuration=again,
@@ -281,14 +281,18 @@ def possible(case: Case, planned: Sequence[Configuration] = ()) -> list[Further]
         humidity = 30.0 if air.humidity > 45 else 65.0
         other = Air(air.temperature, humidity)
         words = f"another climate: {humidity:.0f} % of humidity at {air.temperature:.0f} °C"
-        out.append(Further("another climate", words, configuration=replace(again, air=other)))
+        out.append(
+            FurtherMeasurement("another climate", words, configuration=replace(again, air=other))
+        )
     out.append(_covered(case, again))
     bare = replace(again, suspect_removed=True)
     if not any(c.suspect_removed for c in case.configurations):
         words = "without all that can be taken out or closed: objects, people, openings"
-        out.append(Further("removed", words, configuration=bare))
+        out.append(FurtherMeasurement("removed", words, configuration=bare))
     out += [
-        Further("planned", f'configuration "{c.name}"', configuration=replace(c, planned=True))
+        FurtherMeasurement(
+            "planned", f'configuration "{c.name}"', configuration=replace(c, planned=True)
+        )
         for c in planned
     ]
     return out
@@ -298,14 +302,16 @@ def _in_words(kind: str) -> str:
     return "G, with a calibrated source" if kind == "G" else kind
 
 
-def _covered(case: Case, again: Configuration) -> Further:
+def _covered(case: Case, again: Configuration) -> FurtherMeasurement:
     """Return the largest surface covered with mineral wool of known coefficients."""
     row = int(np.argmax(case.room.areas))
     material = case.room.materials[row]
     alpha = np.clip(Porous().spectrum(case.room.centre_frequencies, _ABSORBER), 0.02, 0.98)
-    change = Change(alpha, 0.01 + 0.07 * alpha)
+    change = ChangedMaterial(alpha, 0.01 + 0.07 * alpha)
     words = f'"{material}" covered with 50 mm of mineral wool of known coefficients'
-    return Further("covered", words, configuration=replace(again, changes={material: change}))
+    return FurtherMeasurement(
+        "covered", words, configuration=replace(again, changes={material: change})
+    )
 
 
 def checked_costs(costs: object) -> dict[str, float]:
@@ -326,14 +332,17 @@ class Extended:
     """
 
     case: Case
-    observed: Observed
+    observed: ObservedFeatures
     discrepancy: ModelDiscrepancy
     measured: Mask
     masks: Mapping[str, Mask]
 
 
 def extended(
-    case: Case, observed: Observed, discrepancy: ModelDiscrepancy, further: Sequence[Further]
+    case: Case,
+    observed: ObservedFeatures,
+    discrepancy: ModelDiscrepancy,
+    further: Sequence[FurtherMeasurement],
 ) -> Extended:
     """Return the case with every further configuration in it."""
     new = [(f, f.configuration) for f in further if f.configuration is not None]
@@ -367,7 +376,7 @@ def extended(
     full[np.ix_(places, places)] = observed.covariance
     return Extended(
         replace(case, configurations=configurations),
-        Observed(np.zeros(every.shape), every, full[np.ix_(flat, flat)]),
+        ObservedFeatures(np.zeros(every.shape), every, full[np.ix_(flat, flat)]),
         _model_error(discrepancy, count, [f.same_error for f, _ in new]),
         used.ravel()[flat],
         {words: mask.ravel()[flat] for words, mask in masks.items()},

@@ -12,7 +12,7 @@ from rtcal.acoustics.air import Air
 from rtcal.acoustics.bands import correlation
 from rtcal.finder.case import Case
 from rtcal.finder.means.engines import ControlRooms, bias_estimates
-from rtcal.finder.model import FEATURES, Predicted, State, sensitivities
+from rtcal.finder.model import FEATURES, Predicted, RoomState, sensitivities
 from rtcal.finder.prior import directions, factors
 from rtcal.support import checks
 from rtcal.support.errors import DataError
@@ -118,7 +118,7 @@ class AlphaCovariance:
         self._off = np.empty((n, size, min(size, 2 + 2 * room.n_materials))) if whole else None
 
     def fill(
-        self, rows: slice, states: Sequence[Sequence[State]], predicted: Sequence[Predicted]
+        self, rows: slice, states: Sequence[Sequence[RoomState]], predicted: Sequence[Predicted]
     ) -> None:
         """Store some hypotheses, from their states and predictions by configuration."""
         slopes = np.empty((len(states[0]), *self._sigma.shape))

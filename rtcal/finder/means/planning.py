@@ -15,12 +15,12 @@ from rtcal.finder.configuration import Configuration
 from rtcal.finder.effects import Effect, library
 from rtcal.finder.effects.checks import checked_effects
 from rtcal.finder.finding import listed
-from rtcal.finder.means.features import Observed, observe
+from rtcal.finder.means.features import ObservedFeatures, observe
 from rtcal.finder.means.finding import MeansFinding
-from rtcal.finder.means.hypotheses import Hypotheses, predict_hypotheses
+from rtcal.finder.means.hypotheses import MeansHypotheses, predict_hypotheses
 from rtcal.finder.means.measurements import (
     Extended,
-    Further,
+    FurtherMeasurement,
     Information,
     Mask,
     Pairs,
@@ -325,7 +325,7 @@ _NEGLIGIBLE = 1e-4
 Weighted = Sequence[tuple[tuple[AppliedEffect, ...], float]]
 
 
-def _before(case: Case, predicted: Hypotheses) -> Weighted:
+def _before(case: Case, predicted: MeansHypotheses) -> Weighted:
     """Return a few parameter sets of each effect with their prior probabilities, and "none"."""
     prior = prior_of(case.room, list(predicted.effects.values()), {}).log_probability
     out: list[tuple[tuple[AppliedEffect, ...], float]] = [((), float(np.exp(prior[NONE])))]
@@ -340,7 +340,9 @@ def _before(case: Case, predicted: Hypotheses) -> Weighted:
     return [(applied, p / total) for applied, p in out]
 
 
-def _information(whole: Extended, every: Weighted, observed: Observed | None) -> Information:
+def _information(
+    whole: Extended, every: Weighted, observed: ObservedFeatures | None
+) -> Information:
     """Return the information about the hypotheses, given what was ``observed``."""
     grids: dict[str, list[Mapping[str, float]]] = {}
     effects: dict[str, Effect] = {}
@@ -372,7 +374,7 @@ def _information(whole: Extended, every: Weighted, observed: Observed | None) ->
 def _ranked(
     about: Information,
     whole: Extended,
-    further: Sequence[Further],
+    further: Sequence[FurtherMeasurement],
     hours: Mapping[str, float],
     before: Mask | None = None,
 ) -> list[Proposal]:
@@ -393,7 +395,10 @@ def _ranked(
 
 
 def _greedy(
-    about: Information, whole: Extended, further: Sequence[Further], hours: Mapping[str, float]
+    about: Information,
+    whole: Extended,
+    further: Sequence[FurtherMeasurement],
+    hours: Mapping[str, float],
 ) -> list[Proposal]:
     """Return `STEPS` measurements, each the best after those before it."""
     out: list[Proposal] = []

@@ -30,7 +30,7 @@ from rtcal.finder.configuration import Configuration
 from rtcal.finder.means.features import air_of, distances, observe, seen, state
 from rtcal.finder.means.model_error import ModelDiscrepancy, checked_discrepancy
 from rtcal.finder.means.recalibrated import Recalibrated
-from rtcal.finder.model import FEATURES, STEEPEST, State, predict
+from rtcal.finder.model import FEATURES, STEEPEST, RoomState, predict
 from rtcal.support.arguments import checked
 from rtcal.support.errors import MissingAirWarning
 from rtcal.support.speed import single_threaded_blas
@@ -143,7 +143,7 @@ class _Point:
     changed: Mapping[tuple[str, str], Array]
 
     @cached_property
-    def states(self) -> list[State]:
+    def states(self) -> list[RoomState]:
         each = zip(self.case.configurations, self.coefficients, strict=True)
         return [state(self.case, replace(c, changes={}), alpha) for c, alpha in each]
 
@@ -283,7 +283,7 @@ def _name(c: Configuration, material: str) -> str:
     return f"{material} in {c.name}" if material in c.changes else material
 
 
-def _room(case: Case, c: Configuration, s: State) -> Room:
+def _room(case: Case, c: Configuration, s: RoomState) -> Room:
     """The configuration's room for the QP: areas that are seen, volume, prior alpha and sigma."""
     room = case.room
     visible = np.clip(seen(case, c).mean(1), _LEAST_SEEN, None)
@@ -347,7 +347,7 @@ def _gains(point: _Point) -> list[tuple[AppliedEffect, Array]]:
     return gains
 
 
-def _slope(s: State) -> Array:
+def _slope(s: RoomState) -> Array:
     """d (S a) / d (S'alpha) of the QP's equation."""
     equation = mean_equation(s.equation).linear()
     mean = (s.areas @ s.alpha + s.covering) / s.total_area

@@ -23,14 +23,14 @@ from rtcal.finder.means.bootstrap import (
 from rtcal.finder.means.bootstrap import score as evidence_of_something
 from rtcal.finder.means.engines import ControlRooms
 from rtcal.finder.means.evidence import Searched, evaluate_beyond
-from rtcal.finder.means.features import Observed, observe
+from rtcal.finder.means.features import ObservedFeatures, observe
 from rtcal.finder.means.finding import MeansFinding
 from rtcal.finder.means.gap import schroeder_limit
-from rtcal.finder.means.hypotheses import Hypotheses, predict_hypotheses
+from rtcal.finder.means.hypotheses import MeansHypotheses, predict_hypotheses
 from rtcal.finder.means.likelihood import standardized_residuals
 from rtcal.finder.means.measurements import next_measurement
 from rtcal.finder.means.model_error import ModelDiscrepancy
-from rtcal.finder.means.set_posterior import MOST, set_posterior, single_posterior
+from rtcal.finder.means.set_posterior import MOST, posterior_of_sets, single_posterior
 from rtcal.finder.means.sets import Rows, averaged_alpha, compare
 from rtcal.finder.means.verdict import of_sets, of_single
 from rtcal.finder.prior import (
@@ -192,8 +192,8 @@ CHOSEN = (
 
 def _conclude(
     case: Case,
-    observed: Observed,
-    predicted: Hypotheses,
+    observed: ObservedFeatures,
+    predicted: MeansHypotheses,
     discrepancy: ModelDiscrepancy,
     limit: float,
     prior: Prior,
@@ -213,7 +213,7 @@ def _conclude(
     if number.most == 1:
         sets = single_posterior(evidence, predicted, of_one)
     else:
-        sets = set_posterior(compared, prior, expected=number.expected, most=number.most)
+        sets = posterior_of_sets(compared, prior, expected=number.expected, most=number.most)
         probabilities, families = sets.effects(), sets.families(predicted.effects)
     if number.most == 1 or detected is not None:
         verdict = of_single(searched, of_one, of_one_family, detected)
@@ -240,7 +240,7 @@ def _conclude(
     )
 
 
-def _applied(predicted: Hypotheses, rows: Rows) -> tuple[AppliedEffect, ...]:
+def _applied(predicted: MeansHypotheses, rows: Rows) -> tuple[AppliedEffect, ...]:
     """Return the effects of a set with their parameters."""
     names, parameters = predicted.names, predicted.parameters
     return tuple(AppliedEffect.of(predicted.effects[names[i]], parameters[i]) for i in rows)

@@ -17,8 +17,8 @@ from scipy.special import logsumexp
 from rtcal.finder.case import AppliedEffect
 from rtcal.finder.claim import Names, families_of, family_of, most_probable_first
 from rtcal.finder.effects import Effect
-from rtcal.finder.means.evidence import Evidence
-from rtcal.finder.means.hypotheses import Hypotheses, predict_hypotheses
+from rtcal.finder.means.evidence import MeansEvidence
+from rtcal.finder.means.hypotheses import MeansHypotheses, predict_hypotheses
 from rtcal.finder.means.likelihood import goodness_of_fit
 from rtcal.finder.means.sets import (
     Comparison,
@@ -135,7 +135,7 @@ class SetPosterior:
 
 
 def single_posterior(
-    evidence: Evidence, predicted: Hypotheses, probabilities: Mapping[str, float]
+    evidence: MeansEvidence, predicted: MeansHypotheses, probabilities: Mapping[str, float]
 ) -> SetPosterior:
     """Return what the data say of sets of one, from the ``probabilities`` of a single effect.
 
@@ -168,7 +168,7 @@ def single_posterior(
     )
 
 
-def set_posterior(
+def posterior_of_sets(
     compared: Comparison,
     prior: Prior,
     *,

@@ -1,6 +1,6 @@
 """Evidence of sets of effects: several effects in the model at once.
 
-A hypothesis here is a set of rows of `Hypotheses`, each of another effect. There are some 200,000
+A hypothesis here is a set of rows of `MeansHypotheses`, each of another effect. There are some 200,000
 pairs, so all are screened in closed form, and the best of each two effects are evaluated as `evidence`
 does. The screen adds the changes that the effects cause alone. With C = L L' the covariance under
 "none", M = U U' the misfit of an effect's change and W = L⁻¹ U, a pair costs one system of a few rows
@@ -27,8 +27,8 @@ from rtcal.finder.case import Case
 from rtcal.finder.effects import Effect
 from rtcal.finder.effects.checks import added, changed_states
 from rtcal.finder.means.evidence import unknown_evidence
-from rtcal.finder.means.features import Observed, distances, state
-from rtcal.finder.means.hypotheses import Hypotheses, LowRank, misfit
+from rtcal.finder.means.features import ObservedFeatures, distances, state
+from rtcal.finder.means.hypotheses import LowRank, MeansHypotheses, misfit
 from rtcal.finder.means.likelihood import (
     Factorization,
     covariance_of,
@@ -37,7 +37,7 @@ from rtcal.finder.means.likelihood import (
     without_alpha,
 )
 from rtcal.finder.means.model_error import COMMON_CORRELATION, AlphaCovariance, ModelDiscrepancy
-from rtcal.finder.model import State, predict, sensitivities
+from rtcal.finder.model import RoomState, predict, sensitivities
 from rtcal.support.types import Array
 
 
@@ -50,14 +50,17 @@ class Comparison:
     """
 
     case: Case
-    observed: Observed
-    predicted: Hypotheses
+    observed: ObservedFeatures
+    predicted: MeansHypotheses
     discrepancy: ModelDiscrepancy
     cells: Array
 
 
 def compare(
-    case: Case, observed: Observed, predicted: Hypotheses, discrepancy: ModelDiscrepancy
+    case: Case,
+    observed: ObservedFeatures,
+    predicted: MeansHypotheses,
+    discrepancy: ModelDiscrepancy,
 ) -> Comparison:
     """Return what is compared, with the error of the direct sound (`DIRECT_SOUND`) and of the grids."""
     columns = np.zeros((*predicted.features.shape[1:], case.room.n_bands))
@@ -75,7 +78,7 @@ def compare(
     return Comparison(case, observed, predicted, discrepancy, _cells(observed, predicted))
 
 
-def _cells(observed: Observed, predicted: Hypotheses) -> Array:
+def _cells(observed: ObservedFeatures, predicted: MeansHypotheses) -> Array:
     """Return the changes of the features over each hypothesis's cell of the grid.
 
     The standard deviation of an even distribution is the step over sqrt(12). Without it, what lies
@@ -109,11 +112,11 @@ Objects between source and receiver shade it, and the directivity of a source ma
 Table 1, 4 kHz). No formula has either in it, so that C80 and G would speak for a second effect."""
 Indices = NDArray[np.intp]
 Rows = tuple[int, ...]
-"""A set of effects with their parameters: rows of `Hypotheses`, in the order in which they act."""
+"""A set of effects with their parameters: rows of `MeansHypotheses`, in the order in which they act."""
 _AT_ONCE = 256
 
 
-def acting_order(case: Case, predicted: Hypotheses) -> list[str]:
+def acting_order(case: Case, predicted: MeansHypotheses) -> list[str]:
     """Return the effects' names in the order in which they act on a state.
 
     Another equation comes first, since absorbers are added in its terms; then whatever contradicts
@@ -129,7 +132,7 @@ def acting_order(case: Case, predicted: Hypotheses) -> list[str]:
     return [e.name for e in sorted(predicted.effects.values(), key=rank)]
 
 
-def shapes(case: Case, predicted: Hypotheses) -> frozenset[str]:
+def shapes(case: Case, predicted: MeansHypotheses) -> frozenset[str]:
     """Return the effects that replace the decay's shape: a set holds one of them at most."""
     base = state(case, case.configurations[0])
     out = set()
@@ -290,7 +293,7 @@ def moments(compared: Comparison, sets: Sequence[Rows]) -> Moments:
     return Moments(mean, covariance, common.swapaxes(1, 2), possible)
 
 
-def states_of(compared: Comparison, sets: Sequence[Rows]) -> list[list[State]]:
+def states_of(compared: Comparison, sets: Sequence[Rows]) -> list[list[RoomState]]:
     """Return the states of sets in each configuration."""
     case, predicted = compared.case, compared.predicted
     return [
@@ -300,11 +303,15 @@ def states_of(compared: Comparison, sets: Sequence[Rows]) -> list[list[State]]:
 
 
 def _states(
-    case: Case, predicted: Hypotheses, base: State, configuration: int, sets: Sequence[Rows]
-) -> list[State]:
+    case: Case,
+    predicted: MeansHypotheses,
+    base: RoomState,
+    configuration: int,
+    sets: Sequence[Rows],
+) -> list[RoomState]:
     """Return the state of each set in one configuration; what is removed there is left out."""
     removed = case.configurations[configuration].suspect_removed
-    made: dict[Rows, State] = {(): base}
+    made: dict[Rows, RoomState] = {(): base}
     for length in range(1, max(map(len, sets)) + 1):
         groups: dict[tuple[Rows, str], list[int]] = {}
         for rows in dict.fromkeys(s[:length] for s in sets if len(s) >= length):

@@ -28,8 +28,8 @@ from rtcal.finder.finding import AbsorptionChange, End, Size
 from rtcal.finder.means.evidence import NEGLIGIBLE, Searched
 from rtcal.finder.means.features import state
 from rtcal.finder.means.gap import (
-    Doubt,
     GapCheck,
+    Objection,
     decided_below_schroeder,
     end_of_range,
     gap_against,
@@ -245,7 +245,7 @@ def of_single(
     verdict, family = claimed(detected, probabilities, families, rough)
     if verdict == "none":
         return Verdict(verdict=verdict, family=family)
-    fits, found = dict[str, Fit](), tuple[Doubt, ...]()
+    fits, found = dict[str, Fit](), tuple[Objection, ...]()
     if best != UNKNOWN:
         fits[best] = fit(searched, best, precise=True)
         found = doubts(searched, fits[best])
@@ -315,7 +315,7 @@ def of_sets(
 
 def _members(
     searched: Searched, posterior: SetPosterior, best: Names
-) -> tuple[dict[str, Fit], dict[str, tuple[Doubt, ...]]]:
+) -> tuple[dict[str, Fit], dict[str, tuple[Objection, ...]]]:
     """Return the fit of each effect of a set with the others in the model, and the doubts about it."""
     effects, parameters = searched.predicted.effects, searched.predicted.parameters
     model = {
@@ -323,7 +323,7 @@ def _members(
         for name, i in zip(best, posterior.rows[best], strict=True)
     }
     fits: dict[str, Fit] = {}
-    found: dict[str, tuple[Doubt, ...]] = {}
+    found: dict[str, tuple[Objection, ...]] = {}
     # The others' sizes enter each fit, so the first is fitted again.
     for name in (*best, best[0]) if len(best) > 1 else best:
         beside = searched.beside(name, [model[n] for n in best if n != name])
@@ -387,7 +387,7 @@ def fit(searched: Searched, name: str, *, precise: bool) -> Fit:
     return Fit(name, parameters, size, off, gap, likely, surprise, absorption)
 
 
-def doubts(searched: Searched, best: Fit) -> tuple[Doubt, ...]:
+def doubts(searched: Searched, best: Fit) -> tuple[Objection, ...]:
     """Return the doubts about the best candidate."""
     out = gross(searched.observed, searched.predicted, best.gap)
     out += unexplained(best.name, *best.surprise)
@@ -401,7 +401,7 @@ def doubts(searched: Searched, best: Fit) -> tuple[Doubt, ...]:
     return (*out, *decided_below_schroeder(searched, hypotheses, best.name))
 
 
-def doubted(verdict: str, family: str | None, found: Sequence[Doubt]) -> str:
+def doubted(verdict: str, family: str | None, found: Sequence[Objection]) -> str:
     """Return what is left of a claim after the doubts about its best candidate.
 
     Doubts about the size or the fit leave the family claimed, where it has the probability.

@@ -1,7 +1,7 @@
 """Say where: what is other than stated in a geometry, and on which surface.
 
     >>> import rtcal as rt
-    >>> case = rt.finder.positions.Case.from_room(room, measured)     # doctest: +SKIP
+    >>> case = rt.finder.positions.PositionsCase.from_room(room, measured)     # doctest: +SKIP
     >>> print(rt.finder.positions.find(case))                         # doctest: +SKIP
 
 docs/where.md has the method and what it can and cannot do.
@@ -9,7 +9,7 @@ docs/where.md has the method and what it can and cannot do.
 
 from rtcal.finder.positions.advice import Place, next_position
 from rtcal.finder.positions.candidate import Candidate
-from rtcal.finder.positions.case import Case
+from rtcal.finder.positions.case import PositionsCase
 from rtcal.finder.positions.corrected import Corrected
 from rtcal.finder.positions.finding import PositionsFinding
 from rtcal.finder.positions.search import EFFECTS, find
@@ -18,9 +18,9 @@ from rtcal.finder.positions.verification import PositionsVerification, verify
 __all__ = [
     "EFFECTS",
     "Candidate",
-    "Case",
     "Corrected",
     "Place",
+    "PositionsCase",
     "PositionsFinding",
     "PositionsVerification",
     "find",

@@ -8,7 +8,7 @@ from itertools import product
 import numpy as np
 
 from rtcal.finder.positions.candidate import Candidate
-from rtcal.finder.positions.case import Case
+from rtcal.finder.positions.case import PositionsCase
 from rtcal.finder.positions.finding import PositionsFinding
 from rtcal.finder.positions.weighing import Weighing
 from rtcal.support import checks
@@ -100,7 +100,7 @@ def _rivals(finding: PositionsFinding) -> list[Candidate]:
     return out
 
 
-def _grid(case: Case, number: int) -> Array:
+def _grid(case: PositionsCase, number: int) -> Array:
     """Return up to ``number`` free places, (n, 3), spread over the room."""
     corners = case.geometry.vertices
     low, high = corners.min(axis=0), corners.max(axis=0)
@@ -122,7 +122,7 @@ def _grid(case: Case, number: int) -> Array:
     raise DataError(f"the room has no {number} places {MARGIN:g} m from walls and sources")
 
 
-def _with(case: Case, alpha: Array, rival: Candidate) -> Array:
+def _with(case: PositionsCase, alpha: Array, rival: Candidate) -> Array:
     """Return alpha (n_faces, n_bands) of the divided geometry with a candidate.
 
     It is spread over the part that holds at least half of its probability, else over its surface.

@@ -13,9 +13,9 @@ from rtcal.finder.case import NORMAL_90
 from rtcal.finder.claim import most_probable_first, with_added
 from rtcal.finder.effects.coupled_room import CoupledRoom
 from rtcal.finder.finding import amount
-from rtcal.finder.positions.case import Case
-from rtcal.finder.positions.posterior import Hypotheses, Weights
-from rtcal.finder.positions.shift import MEASUREMENT, UNKNOWN, Shift
+from rtcal.finder.positions.case import PositionsCase
+from rtcal.finder.positions.posterior import PositionsHypotheses, Weights
+from rtcal.finder.positions.shift import MEASUREMENT, UNKNOWN, ShiftHypothesis
 from rtcal.finder.prior import COEFFICIENTS, NONE
 from rtcal.support.files import json_numbers
 from rtcal.support.types import Array
@@ -128,11 +128,11 @@ class Summary:
     on_surfaces: float
 
 
-def summary_of(case: Case, hypotheses: Hypotheses, posterior: Weights) -> Summary:
+def summary_of(case: PositionsCase, hypotheses: PositionsHypotheses, posterior: Weights) -> Summary:
     """Return what the weights of a single set of residuals say."""
     total = float(posterior.total[0])
     names = list(case.faces)
-    grouped: dict[tuple[str, int | None, str], list[tuple[Shift, Array]]] = {}
+    grouped: dict[tuple[str, int | None, str], list[tuple[ShiftHypothesis, Array]]] = {}
     for shift, logs in zip(hypotheses.shifts, posterior.shifts, strict=True):
         key = (shift.effect, shift.surface, shift.place)
         grouped.setdefault(key, []).append((shift, np.exp(logs[:, 0] - total)))
@@ -175,7 +175,7 @@ def _shares(chances: Array) -> Array:
     return chances / total if total > 0 else np.full(len(chances), 1 / len(chances))
 
 
-def _candidate(case: Case, members: Sequence[tuple[Shift, Array]]) -> Candidate:
+def _candidate(case: PositionsCase, members: Sequence[tuple[ShiftHypothesis, Array]]) -> Candidate:
     """Return the candidate of an effect in one place: spread over a surface, and on its parts."""
     shift = members[0][0]
     chances = np.concatenate([some for _, some in members])

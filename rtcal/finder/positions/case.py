@@ -31,7 +31,7 @@ from rtcal.support.text import shortened
 
 @checked
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Case:
+class PositionsCase:
     """A simulator of a room, and what was measured at its source-receiver pairs.
 
     Parameters
@@ -159,7 +159,7 @@ class Case:
         *,
         tracing: Mapping[str, Any] | None = None,
         **stated: Any,
-    ) -> Case:
+    ) -> PositionsCase:
         """Return the case of a room that states its scene: mesh, sources, receivers, names of surfaces.
 
         Parameters
@@ -169,12 +169,12 @@ class Case:
         tracing : mapping, optional
             Arguments of `PathTracing`, such as ``n_paths`` and ``scattering``.
         **stated
-            Further parameters of `Case`.
+            Further parameters of `PositionsCase`.
 
         Raises
         ------
         DataError
-            As `rtcal.io.geometry_files.path_tracing` and `Case` do.
+            As `rtcal.io.geometry_files.path_tracing` and `PositionsCase` do.
         """
         return cls(
             simulator=geometry_files.path_tracing(room, **(tracing or {})),
@@ -212,7 +212,7 @@ class Case:
         )
 
     @checked
-    def only(self, pairs: Sequence[Pair]) -> Case:
+    def only(self, pairs: Sequence[Pair]) -> PositionsCase:
         """Return the case with these measured pairs alone; DataError for one that it lacks."""
         wanted = checks.pairs("pairs", pairs)
         if lacking := [p for p in wanted if p not in self.pairs]:
@@ -222,6 +222,6 @@ class Case:
 
     def __repr__(self) -> str:
         return (
-            f'<Case "{shortened(self.room.name)}" in its geometry: {len(self.faces)} surfaces, '
+            f'<PositionsCase "{shortened(self.room.name)}": {len(self.faces)} surfaces, '
             f"{len(self.pairs)} pairs, {bands.span(self.room.centre_frequencies)}>"
         )

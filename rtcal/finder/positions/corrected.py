@@ -19,7 +19,7 @@ from rtcal.acoustics.materials import Material
 from rtcal.acoustics.room import Room
 from rtcal.acoustics.scene import Scene
 from rtcal.finder.positions.candidate import Candidate
-from rtcal.finder.positions.case import Case
+from rtcal.finder.positions.case import PositionsCase
 from rtcal.finder.positions.surfaces import NEAR, face_at, patched
 from rtcal.io import catt, obj, odeon
 from rtcal.simulators.geometry import Polyhedron
@@ -61,7 +61,7 @@ class Corrected:
         Why the form is another than the one that was asked for; "" if it is not.
     """
 
-    case: Case
+    case: PositionsCase
     added: Candidate
     room: Room
     geometry: Polyhedron
@@ -189,8 +189,8 @@ def _renamed(room: Room, names: Sequence[str]) -> Room:
     )
 
 
-def corrected(
-    case: Case, added: Candidate, form: str = "patch", at: Sequence[float] | None = None
+def corrected_geometry(
+    case: PositionsCase, added: Candidate, form: str = "patch", at: Sequence[float] | None = None
 ) -> Corrected:
     """Return room and geometry with a candidate on its surface; see `PositionsFinding.apply`."""
     if form not in ("patch", "material"):
@@ -219,13 +219,13 @@ def corrected(
     return _made(case, added, geometry, material, alpha, "patch")
 
 
-def _replaced(case: Case, geometry: Polyhedron) -> Array:
+def _replaced(case: PositionsCase, geometry: Polyhedron) -> Array:
     """Return the area of each material that is no longer in the geometry, (n_materials,) in m²."""
     stated, left = case.geometry.areas, geometry.areas
     return np.array([stated.get(m, 0.0) - left.get(m, 0.0) for m in case.room.materials])
 
 
-def surface_at(case: Case, at: Sequence[float]) -> str:
+def surface_at(case: PositionsCase, at: Sequence[float]) -> str:
     """Return the name of the surface at a place; DataError if it is far from every surface."""
     place = point(at)
     face, distance = face_at(case.geometry, place)
@@ -245,7 +245,7 @@ def point(at: Sequence[float]) -> Array:
     return place
 
 
-def _as_material(case: Case, added: Candidate, material: str) -> Corrected:
+def _as_material(case: PositionsCase, added: Candidate, material: str) -> Corrected:
     """Return the room in which the whole surface absorbs what the candidate does."""
     faces = case.faces[str(added.surface)]
     area = float(case.geometry.face_areas[faces].sum())
@@ -261,7 +261,12 @@ def _as_material(case: Case, added: Candidate, material: str) -> Corrected:
 
 
 def _made(
-    case: Case, added: Candidate, geometry: Polyhedron, material: str, alpha: Array, form: str
+    case: PositionsCase,
+    added: Candidate,
+    geometry: Polyhedron,
+    material: str,
+    alpha: Array,
+    form: str,
 ) -> Corrected:
     room, areas = case.room, geometry.areas
     kept = [i for i, m in enumerate(room.materials) if m in areas or m not in case.geometry.areas]
@@ -304,7 +309,7 @@ def _made(
     )
 
 
-def _material_below(case: Case, added: Candidate) -> str:
+def _material_below(case: PositionsCase, added: Candidate) -> str:
     """Return the material of the largest face of the candidate's surface."""
     faces = case.faces[str(added.surface)]
     return case.geometry.materials[int(faces[np.argmax(case.geometry.face_areas[faces])])]

@@ -8,8 +8,9 @@ prior of alpha and the error of d_h are integrated. All values are ordered (band
 A shift of band k is a mixture of the shifts at the nodes of one response, and no parameter of a band
 depends on another band. So each hypothesis needs products of nodes alone: N' K⁻¹ N and N' K⁻¹ r.
 
-The error of d_h has two parts. Each band's shift is larger or smaller by a factor (`Shift.error`), and
-pairs hear more or less of it than if it were spread evenly (`rtcal.finder.positions.shift`).
+The error of d_h has two parts. Each band's shift is larger or smaller by a factor
+(`ShiftHypothesis.error`), and pairs hear more or less of it than if it were spread evenly
+(`rtcal.finder.positions.shift`).
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from rtcal.finder.positions.shift import Shift, Spread
+from rtcal.finder.positions.shift import ShiftHypothesis, SpreadHypothesis
 from rtcal.support.types import Array
 
 _AT_ONCE = 256
@@ -94,14 +95,14 @@ class Likelihood:
         """Return the log density if nothing is other than stated, (n_draws,)."""
         return self._log(residuals.square, 0.0)
 
-    def shifted(self, shift: Shift, residuals: Residuals) -> Array:
+    def shifted(self, shift: ShiftHypothesis, residuals: Residuals) -> Array:
         """Return the log density by hypothesis, (n_hypotheses, n_draws)."""
         parts = range(0, len(shift.weights), _AT_ONCE)
         return np.concatenate(
             [self._shifted(shift.some(slice(p, p + _AT_ONCE)), residuals) for p in parts]
         )
 
-    def _shifted(self, shift: Shift, residuals: Residuals) -> Array:
+    def _shifted(self, shift: ShiftHypothesis, residuals: Residuals) -> Array:
         projected, forms = self._forms(shift, residuals)
         error = np.asarray(np.linalg.cholesky(shift.error + 1e-9 * np.eye(len(shift.error))))
         whole = residuals.square - 2 * projected.sum(1)
@@ -119,7 +120,12 @@ class Likelihood:
         return self._log(whole, more[:, np.newaxis])
 
     def _with_uneven(
-        self, shift: Shift, residuals: Residuals, error: Array, inner: Array, turned: Array
+        self,
+        shift: ShiftHypothesis,
+        residuals: Residuals,
+        error: Array,
+        inner: Array,
+        turned: Array,
     ) -> tuple[Array, Array]:
         """Return products with K⁻¹ of the errors' columns, those of the pairs after the bands'."""
         nodes = self.nodes[shift.response]
@@ -145,7 +151,7 @@ class Likelihood:
         )
         return joined, np.concatenate([turned, toward], axis=1)
 
-    def inverse_with_place(self, shift: Shift, row: int) -> Array:
+    def inverse_with_place(self, shift: ShiftHypothesis, row: int) -> Array:
         """Return the inverse of the covariance with the error of a hypothesis' place, (n, n)."""
         nodes = self.nodes[shift.response]
         change = np.einsum("kn,kvn,v->k", shift.weights[row], nodes, self.amount)
@@ -176,7 +182,7 @@ class Likelihood:
             self._products[key] = np.einsum("vc,kvln->kcln", self.uneven, half, optimize=True)
         return self._products[key]
 
-    def spread(self, spread: Spread, residuals: Residuals) -> Array:
+    def spread(self, spread: SpreadHypothesis, residuals: Residuals) -> Array:
         """Return the log density with some errors wider, (n_draws,)."""
         rows = spread.rows[self.used[spread.rows]]
         if not len(rows):
@@ -189,19 +195,19 @@ class Likelihood:
         gained = np.einsum("rm,rm->m", pulled, np.linalg.solve(inner, added @ pulled))
         return self._log(residuals.square - gained, float(np.linalg.slogdet(inner)[1]))
 
-    def standardised(self, shift: Shift, residuals: Residuals) -> Array:
+    def standardised(self, shift: ShiftHypothesis, residuals: Residuals) -> Array:
         """Return d' K⁻¹ r over its standard deviation, (n_hypotheses, n_draws)."""
         projected, forms = self._forms(shift, residuals)
         size = np.sqrt(np.maximum(forms.sum((1, 2)), 1e-12))
         return np.asarray(projected.sum(1) / size[:, np.newaxis])
 
-    def forms(self, shift: Shift) -> Array:
+    def forms(self, shift: ShiftHypothesis) -> Array:
         """Return d' K⁻¹ d by pairs of bands, (n_hypotheses, n_bands, n_bands)."""
         products = self._node_products(shift.response)
         right = np.einsum("kmln,hln->hkml", products, shift.weights, optimize=True)
         return np.asarray((shift.weights[..., np.newaxis] * right).sum(axis=2))
 
-    def _forms(self, shift: Shift, residuals: Residuals) -> tuple[Array, Array]:
+    def _forms(self, shift: ShiftHypothesis, residuals: Residuals) -> tuple[Array, Array]:
         nodes = self.nodes[shift.response]
         pulled = residuals.pull.reshape(len(nodes), nodes.shape[1], -1)
         by_node = nodes.swapaxes(1, 2) @ pulled

@@ -12,7 +12,7 @@ from rtcal.finder.claim import SAID
 from rtcal.finder.effects.coupled_room import CoupledRoom
 from rtcal.finder.finding import LEAST_PAIRS, Finding, listed
 from rtcal.finder.positions.candidate import Candidate
-from rtcal.finder.positions.case import Case
+from rtcal.finder.positions.case import PositionsCase
 from rtcal.finder.positions.posterior import detection_in_words
 from rtcal.finder.prior import NONE
 from rtcal.loop.control_runs import ControlRuns
@@ -60,7 +60,7 @@ class PositionsFinding(Finding):
 
     record_kind: ClassVar[str] = "finding at positions 1"
 
-    case: Case
+    case: PositionsCase
     effect: str | None
     surface: str | None
     surfaces: Mapping[str, float]
@@ -136,12 +136,12 @@ class PositionsFinding(Finding):
             If nothing is other than stated, or not on a surface, or a second room; or if ``at`` is on
             no surface, or on one on which nothing was found.
         """
-        from rtcal.finder.positions.corrected import corrected
+        from rtcal.finder.positions.corrected import corrected_geometry
 
         if (nothing := self.reason_for_none) is not None:
             raise DataError(nothing)
         best = self.candidates[0] if at is None else self._candidate_at(at)
-        return corrected(self.case, best, form, at)
+        return corrected_geometry(self.case, best, form, at)
 
     def _candidate_at(self, at: Sequence[float]) -> Candidate:
         """Return the most probable candidate on the surface at a place."""

@@ -13,15 +13,15 @@ from rtcal.finder.effects.air import OmittedAir
 from rtcal.finder.effects.base import Effect, Parameters, middle_absorption
 from rtcal.finder.effects.coupled_room import CoupledRoom
 from rtcal.finder.effects.stated import WrongVolume
-from rtcal.finder.model import State
-from rtcal.finder.positions.case import Case
+from rtcal.finder.model import RoomState
+from rtcal.finder.positions.case import PositionsCase
 from rtcal.finder.positions.responses import AIR, MOVE, OPEN, SHARES, VOLUME
 from rtcal.finder.positions.shift import (
     NOISE,
     ODDS,
     POSITION,
-    Shift,
-    Spread,
+    ShiftHypothesis,
+    SpreadHypothesis,
     error_over_bands,
     interpolation,
     towards,
@@ -40,7 +40,7 @@ FACTOR_SCALE = 0.35
 tables, and now and then by a factor of three."""
 
 
-def materials(case: Case) -> list[Shift]:
+def materials(case: PositionsCase) -> list[ShiftHypothesis]:
     """Return each material's coefficients off by a factor.
 
     Its surfaces then hear what an absorber on all of them would do, with the material's own spectrum.
@@ -63,7 +63,7 @@ def materials(case: Case) -> list[Shift]:
         moved = np.minimum(np.exp(FACTORS)[:, np.newaxis] * alpha, 1.0) - alpha
         every = interpolation(SHARES, towards(moved, alpha))
         made.append(
-            Shift(
+            ShiftHypothesis(
                 effect=COEFFICIENTS,
                 family=COEFFICIENTS,
                 surface=None,
@@ -93,9 +93,9 @@ def _whole(
     unit: str,
     parameters: Sequence[Parameters],
     error: Array,
-) -> Shift:
+) -> ShiftHypothesis:
     odds = odds * ODDS[effect] / odds.sum()
-    return Shift(
+    return ShiftHypothesis(
         effect=effect,
         family=family,
         surface=None,
@@ -111,12 +111,12 @@ def _whole(
     )
 
 
-def stated_room(case: Case) -> State:
+def stated_room(case: PositionsCase) -> RoomState:
     """Return the room as it is stated; which way its materials face changes no whole-room effect."""
-    return State.of_room(case.room, np.full((case.room.n_materials, 3), 1 / 3))
+    return RoomState.of_room(case.room, np.full((case.room.n_materials, 3), 1 / 3))
 
 
-def air(case: Case) -> Shift:
+def air(case: PositionsCase) -> ShiftHypothesis:
     """Return other climates, or air where none is stated."""
     effect, room = OmittedAir(), case.room
     f = room.centre_frequencies
@@ -138,7 +138,7 @@ def air(case: Case) -> Shift:
     )
 
 
-def volume(case: Case) -> Shift:
+def volume(case: PositionsCase) -> ShiftHypothesis:
     """Return other volumes, the geometry scaled."""
     effect, n_bands = WrongVolume(), case.room.n_bands
     stated = stated_room(case)
@@ -177,7 +177,7 @@ def on_surfaces(effects: Sequence[Effect]) -> list[Effect]:
     return sorted(standing, key=lambda e: (bool(e.shares), "wall" not in e.stands_on))
 
 
-def surface_alpha(case: Case) -> Array:
+def surface_alpha(case: PositionsCase) -> Array:
     """Return the mean alpha of each surface, (n_surfaces, n_bands)."""
     rows = np.array([case.room.material_index(m) for m in case.geometry.materials])
     areas = case.geometry.face_areas
@@ -189,9 +189,11 @@ def surface_alpha(case: Case) -> Array:
     )
 
 
-def shifts(case: Case, effects: Sequence[Effect], without: Sequence[str] = ()) -> list[Shift]:
+def shifts(
+    case: PositionsCase, effects: Sequence[Effect], without: Sequence[str] = ()
+) -> list[ShiftHypothesis]:
     """Return the hypotheses of the room, but for some effects."""
-    out: list[Shift] = []
+    out: list[ShiftHypothesis] = []
     tried = [effect for effect in effects if effect.name not in without]
     for effect in on_surfaces(tried):
         out += _on_surfaces(case, effect)
@@ -202,7 +204,7 @@ def shifts(case: Case, effects: Sequence[Effect], without: Sequence[str] = ()) -
     return [*out, *whole]
 
 
-def _on_surfaces(case: Case, effect: Effect) -> list[Shift]:
+def _on_surfaces(case: PositionsCase, effect: Effect) -> list[ShiftHypothesis]:
     """Return an effect on each surface that can have it."""
     frequencies, areas = case.room.centre_frequencies, np.array(list(case.areas.values()))
     stated = surface_alpha(case)
@@ -234,7 +236,7 @@ def _on_surfaces(case: Case, effect: Effect) -> list[Shift]:
                 alpha.append(spectrum)
         if changes:
             made.append(
-                Shift(
+                ShiftHypothesis(
                     effect=effect.name,
                     family=effect.family,
                     surface=int(j),
@@ -254,7 +256,7 @@ def _on_surfaces(case: Case, effect: Effect) -> list[Shift]:
     return _normalised(made, effect.prior_odds(case.room))
 
 
-def _normalised(shifts: Sequence[Shift], odds: float) -> list[Shift]:
+def _normalised(shifts: Sequence[ShiftHypothesis], odds: float) -> list[ShiftHypothesis]:
     """Return an effect's hypotheses with odds whose sum is the effect's."""
     total = sum(s.odds.sum() for s in shifts)
     return [replace(s, odds=s.odds * odds / total) for s in shifts]
@@ -264,7 +266,7 @@ _LEAST_COVERED = 0.1
 """A cover that takes less than this share of a surface's absorption is no hypothesis."""
 
 
-def _apertures(case: Case) -> list[Shift]:
+def _apertures(case: PositionsCase) -> list[ShiftHypothesis]:
     """Return an aperture to a second room on each wall and ceiling."""
     room, areas = case.room, np.array(list(case.areas.values()))
     middle, n_bands = middle_absorption(stated_room(case)), case.room.n_bands
@@ -280,7 +282,7 @@ def _apertures(case: Case) -> list[Shift]:
             weights[n, :, :, n] = share
         odds = areas[j] / np.array([areas[possible & (areas >= a)].sum() for a in area])
         made.append(
-            Shift(
+            ShiftHypothesis(
                 effect=COUPLED.name,
                 family=COUPLED.family,
                 surface=int(j),
@@ -303,7 +305,7 @@ def _apertures(case: Case) -> list[Shift]:
     return _normalised(made, COUPLED.odds)
 
 
-def on_parts(case: Case, shifts: Sequence[Shift]) -> list[Shift]:
+def on_parts(case: PositionsCase, shifts: Sequence[ShiftHypothesis]) -> list[ShiftHypothesis]:
     """Return the hypotheses with those of each part beside those of its surface.
 
     `LOCATED` of the odds of a size go to the parts that hold it. The others stay with what is spread
@@ -327,8 +329,13 @@ def on_parts(case: Case, shifts: Sequence[Shift]) -> list[Shift]:
 
 
 def _on_part(
-    shift: Shift, p: int, part: Part, stated: Array, rows: NDArray[np.bool_], number: Array
-) -> Shift:
+    shift: ShiftHypothesis,
+    p: int,
+    part: Part,
+    stated: Array,
+    rows: NDArray[np.bool_],
+    number: Array,
+) -> ShiftHypothesis:
     spectra = shift.spectra[rows]
     moved = shift.sizes[rows, np.newaxis] / part.area * (spectra - stated)
     return replace(
@@ -349,7 +356,7 @@ def spreads(
     moved: Mapping[str, Array],
     errors: Array,
     columns: Sequence[int],
-) -> list[Spread]:
+) -> list[SpreadHypothesis]:
     """Return the hypotheses of the measurement.
 
     Parameters
@@ -378,12 +385,14 @@ def spreads(
         for distance in DISPLACEMENTS:
             odds = ODDS[POSITION] / (len(moved) * len(DISPLACEMENTS))
             scaled = (distance / MOVE) ** 2 * covariance
-            out.append(Spread(POSITION, place, distance, "m", rows, scaled, odds))
+            out.append(SpreadHypothesis(POSITION, place, distance, "m", rows, scaled, odds))
     for i, pair in enumerate(measured):
         rows = number[:, :, i].ravel()
         for factor in NOISES:
             odds = ODDS[NOISE] / (n_pairs * len(NOISES))
             scaled = (factor**2 - 1) * full[np.ix_(rows, rows)]
             name = " to ".join(pair)
-            out.append(Spread(NOISE, name, factor, "times as uncertain", rows, scaled, odds))
+            out.append(
+                SpreadHypothesis(NOISE, name, factor, "times as uncertain", rows, scaled, odds)
+            )
     return out

@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from rtcal.acoustics import bands
 from rtcal.acoustics.directivity import Directivity
 from rtcal.acoustics.scene import UNKNOWN
-from rtcal.finder.positions.case import Case
+from rtcal.finder.positions.case import PositionsCase
 from rtcal.loop.control_runs import ControlRuns
 from rtcal.loop.measured_pairs import Pair
 from rtcal.loop.scattering import MaterialScattering
@@ -170,7 +170,7 @@ def covariance_of_lobes(nodes: Array, pairs: Sequence[Pair], frequencies: Array)
     return np.asarray(every.reshape(n_bands * n_values, -1))
 
 
-def as_unknown(case: Case) -> Case:
+def as_unknown(case: PositionsCase) -> PositionsCase:
     """Return the case where the directivities of which nothing is stated are unknown."""
     stated = {
         name: case.simulator.directivity.get(name, UNKNOWN) for name in case.simulator.sources

@@ -18,21 +18,21 @@ from scipy.special import logsumexp
 
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.observables import observable
-from rtcal.finder.case import Case as MeansCase
+from rtcal.finder.case import Case
 from rtcal.finder.configuration import PARAMETERS, Configuration
 from rtcal.finder.effects import Effect
 from rtcal.finder.finding import Detection
 from rtcal.finder.means.finding import MeansFinding
 from rtcal.finder.means.search import find as find_by_means
-from rtcal.finder.positions.case import Case
+from rtcal.finder.positions.case import PositionsCase
 from rtcal.finder.positions.evidence import Likelihoods
 from rtcal.finder.positions.shift import (
     MEASUREMENT,
     NOISE,
     ODDS,
     UNKNOWN,
-    Shift,
-    Spread,
+    ShiftHypothesis,
+    SpreadHypothesis,
 )
 from rtcal.finder.prior import COEFFICIENTS, NO_EFFECT, NONE, SCALES
 from rtcal.support.errors import DataError
@@ -56,11 +56,11 @@ _TINY = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
-class Evidence:
+class PositionsEvidence:
     """Log evidence of every hypothesis, for n_draws sets of residuals.
 
-    ``none`` (n_draws,). ``shifts`` has an array (n_hypotheses, n_draws) for each `Shift`, ``spreads``
-    an array (n_draws,) for each `Spread`.
+    ``none`` (n_draws,). ``shifts`` has an array (n_hypotheses, n_draws) for each `ShiftHypothesis`,
+    ``spreads`` an array (n_draws,) for each `SpreadHypothesis`.
     """
 
     none: Array
@@ -71,11 +71,11 @@ class Evidence:
 
 
 @dataclass(frozen=True, eq=False)
-class Hypotheses:
+class PositionsHypotheses:
     """All hypotheses with their prior log probabilities, given that something is other than stated."""
 
-    shifts: Sequence[Shift]
-    spreads: Sequence[Spread]
+    shifts: Sequence[ShiftHypothesis]
+    spreads: Sequence[SpreadHypothesis]
     off: float
     unknown: bool = True
 
@@ -96,7 +96,9 @@ class Hypotheses:
             return np.asarray(np.log(np.asarray(odds) / self.total * (1 - NO_EFFECT)))
 
 
-def evaluate(likelihoods: Likelihoods, hypotheses: Hypotheses, residuals: Array) -> Evidence:
+def evaluate(
+    likelihoods: Likelihoods, hypotheses: PositionsHypotheses, residuals: Array
+) -> PositionsEvidence:
     """Return the evidence of residuals (n, n_draws)."""
     stated, off, unknown = likelihoods
     as_stated = stated.of(residuals)
@@ -107,7 +109,7 @@ def evaluate(likelihoods: Likelihoods, hypotheses: Hypotheses, residuals: Array)
     )
     none = stated.stated(as_stated)
 
-    def either(shift: Shift) -> Array:
+    def either(shift: ShiftHypothesis) -> Array:
         first = stated.shifted(shift, as_stated)
         if hypotheses.off <= 0:
             return first
@@ -118,7 +120,7 @@ def evaluate(likelihoods: Likelihoods, hypotheses: Hypotheses, residuals: Array)
         ]
         return np.asarray(logsumexp(both, axis=0))
 
-    return Evidence(
+    return PositionsEvidence(
         none=none,
         coefficients=np.asarray(together),
         unknown=np.asarray(
@@ -131,7 +133,7 @@ def evaluate(likelihoods: Likelihoods, hypotheses: Hypotheses, residuals: Array)
 
 @dataclass(frozen=True, eq=False)
 class Weights:
-    """Log posterior weights of every hypothesis, for n_draws sets of residuals; see `Evidence`."""
+    """Log posterior weights of every hypothesis, (n_draws,) each; see `PositionsEvidence`."""
 
     none: Array
     coefficients: Array
@@ -147,7 +149,7 @@ class Weights:
         return np.asarray(logsumexp(np.array(every), axis=0))
 
 
-def scores(posterior: Weights, hypotheses: Hypotheses) -> tuple[Array, Array]:
+def scores(posterior: Weights, hypotheses: PositionsHypotheses) -> tuple[Array, Array]:
     """Return the evidence in nats that something is other than stated, and that a pair is noisy.
 
     Both (n_draws,). A noisy pair is no evidence of the first, which is against nothing or such a pair;
@@ -168,7 +170,9 @@ def scores(posterior: Weights, hypotheses: Hypotheses) -> tuple[Array, Array]:
     return np.asarray(score), np.asarray(of_pair - posterior.none)
 
 
-def weights(evidence: Evidence, hypotheses: Hypotheses, temper: float = TEMPER) -> Weights:
+def weights(
+    evidence: PositionsEvidence, hypotheses: PositionsHypotheses, temper: float = TEMPER
+) -> Weights:
     """Return log posterior weights, the weight of "none" being its prior.
 
     Log evidences are divided by ``temper``.
@@ -193,14 +197,16 @@ def weights(evidence: Evidence, hypotheses: Hypotheses, temper: float = TEMPER) 
     )
 
 
-def gain(other: Evidence, evidence: Evidence, hypotheses: Hypotheses) -> Array:
+def gain(
+    other: PositionsEvidence, evidence: PositionsEvidence, hypotheses: PositionsHypotheses
+) -> Array:
     """Return the evidence in nats for another likelihood, whatever the room lacks, (n_draws,)."""
     more = weights(other, hypotheses).total - weights(evidence, hypotheses).total
     return np.asarray(more + (other.none - evidence.none) / TEMPER)
 
 
 def with_families(
-    posterior: Weights, hypotheses: Hypotheses, families: Mapping[str, float]
+    posterior: Weights, hypotheses: PositionsHypotheses, families: Mapping[str, float]
 ) -> Weights:
     """Return weights times the probabilities of their families by means, to `MEANS_POWER`.
 
@@ -250,7 +256,7 @@ def detection_in_words(detection: Detection) -> str:
 
 
 def evidence_of_means(
-    case: Case,
+    case: PositionsCase,
     effects: Sequence[Effect] | None = None,
     seed: int = 0,
     cache: str | os.PathLike[str] | None = None,
@@ -265,7 +271,7 @@ def evidence_of_means(
         return None
 
 
-def of_means(case: Case) -> MeansCase:
+def of_means(case: PositionsCase) -> Case:
     """Return the case without its geometry; DataError where it has no T that can be trusted."""
     measured, tracer = case.measured, case.simulator
     names = [observable(name).stand_in or name for name in case.match]
@@ -284,7 +290,7 @@ def of_means(case: Case) -> MeansCase:
         },
     )
     distances = [math.dist(tracer.sources[s], tracer.receivers[r]) for s, r in case.pairs]
-    return MeansCase(
+    return Case(
         room=case.room,
         configurations=[
             Configuration(name="measured", measured=kept, distances=np.array(distances))
@@ -293,7 +299,7 @@ def of_means(case: Case) -> MeansCase:
     )
 
 
-def _facing(case: Case) -> Array:
+def _facing(case: PositionsCase) -> Array:
     """Return the share of each material's area whose normal is along x, y and z."""
     geometry = case.geometry
     rows = np.array([case.room.material_index(m) for m in geometry.materials])

@@ -12,7 +12,7 @@ from rtcal.acoustics.air import Air
 from rtcal.acoustics.observables import observable
 from rtcal.acoustics.room_errors import alike_alpha, common_error_columns, prior_covariance
 from rtcal.finder.case import CLIMATE_UNCERTAINTY
-from rtcal.finder.positions.case import Case
+from rtcal.finder.positions.case import PositionsCase
 from rtcal.finder.positions.evidence import (
     Likelihood,
     Likelihoods,
@@ -21,7 +21,7 @@ from rtcal.finder.positions.evidence import (
     reordered,
 )
 from rtcal.finder.positions.model_error import TracingError, covariance_of_lobes, simulator_error
-from rtcal.finder.positions.responses import AIR, STEP, TRACINGS, Responses
+from rtcal.finder.positions.responses import AIR, STEP, TRACINGS, PairShifts
 from rtcal.finder.positions.shift import interpolation, uneven_amount, uneven_columns
 from rtcal.finder.prior import SCALES
 from rtcal.loop.control_runs import ControlRuns
@@ -35,7 +35,7 @@ UNKNOWN_SCALES = (4.0, 16.0)
 
 
 @dataclass(frozen=True, eq=False)
-class Problem:
+class PositionsProblem:
     """The problem of a search: its data, its hypotheses, its errors.
 
     All arrays are in the order (band, parameter, pair).
@@ -118,7 +118,7 @@ class Problem:
         return of(base), off, unknown
 
 
-def problem_of(case: Case, made: Responses, controls: ControlRuns) -> Problem:
+def problem_of(case: PositionsCase, made: PairShifts, controls: ControlRuns) -> PositionsProblem:
     """Return the numbers of a search; DataError if too little was measured."""
     tracer, room = case.simulator, case.room
     base = made.base
@@ -170,7 +170,7 @@ def problem_of(case: Case, made: Responses, controls: ControlRuns) -> Problem:
     step = STEP * (1 - room.alpha.T)  # (n_bands, n_materials)
     slopes = shifted(made.materials) / step[:, np.newaxis]
     alpha, together = _prior(case, slopes, nodes["air"])
-    return Problem(
+    return PositionsProblem(
         data=data,
         controls=controls,
         residual=np.where(used, flat(_linear(wanted.parameters, measured, stated)), 0.0),
@@ -203,7 +203,7 @@ def _smooth(measured: Array, stated: Array) -> Array:
     return np.asarray(stated + (measured - stated).mean(axis=1, keepdims=True))
 
 
-def _of_materials(case: Case, nodes: Mapping[str, Array]) -> dict[str, Array]:
+def _of_materials(case: PositionsCase, nodes: Mapping[str, Array]) -> dict[str, Array]:
     """Return the nodes of each material: those of all its surfaces, one after the other."""
     made_of = np.array([case.room.material_index(m) for m in case.geometry.materials])
     out = {}
@@ -226,7 +226,7 @@ def _measurement(data: MeasuredPairs) -> Array:
     return reordered(full, data.used.shape)
 
 
-def _prior(case: Case, slopes: Array, air: Array) -> tuple[Array, Array]:
+def _prior(case: PositionsCase, slopes: Array, air: Array) -> tuple[Array, Array]:
     """Return the factors of what alpha and the climate leave open, and of the common errors."""
     n_bands, n_values, n_materials = slopes.shape
     full = np.zeros((n_bands, n_values, n_materials, n_bands))
@@ -245,14 +245,14 @@ def _prior(case: Case, slopes: Array, air: Array) -> tuple[Array, Array]:
     return np.hstack([own, shifts, matrix @ of_room.T, together]), together
 
 
-def usual_errors(case: Case) -> Array:
+def usual_errors(case: PositionsCase) -> Array:
     """Return the changes of alpha that catalogues err by in common, (n, n_materials, n_bands)."""
     room = case.room
     both, own = common_error_columns(room.alpha, room.sigma, room.centre_frequencies)
     return np.concatenate([both, *np.eye(room.n_materials)[:, :, np.newaxis] * own[:, np.newaxis]])
 
 
-def climate_error(case: Case) -> Array:
+def climate_error(case: PositionsCase) -> Array:
     """Return the standard deviations of the air's attenuation by an uncertain climate, (2, n_bands).
 
     Over that at 20 °C and 50 %, as `AIR`; none where the room has no air.

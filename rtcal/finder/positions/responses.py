@@ -19,7 +19,7 @@ from rtcal.acoustics.air import Air
 from rtcal.acoustics.observables import MATCH
 from rtcal.acoustics.scene import plain_directivities
 from rtcal.finder.positions import surfaces as of_room
-from rtcal.finder.positions.case import Case
+from rtcal.finder.positions.case import PositionsCase
 from rtcal.finder.positions.model_error import AIMS, LOBE_INDEX, lobes
 from rtcal.finder.positions.weighing import SECOND_ROOMS, Aperture, Weighing
 from rtcal.loop.control_runs import share_of_signal
@@ -72,7 +72,7 @@ _TASKS = ("paths", "surfaces", "places")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Responses:
+class PairShifts:
     """Shifts of the parameters at all pairs of a simulator.
 
     Attributes
@@ -118,17 +118,17 @@ class Responses:
     scattering_noise: Array
 
 
-def parameters(case: Case) -> tuple[str, ...]:
+def parameters(case: PositionsCase) -> tuple[str, ...]:
     """Return the parameters that are computed: all usual ones, so that any choice of them is kept."""
     return tuple(dict.fromkeys((*MATCH, *case.match)))
 
 
-def responses(
-    case: Case,
+def responses_of(
+    case: PositionsCase,
     seed: int = 0,
     cache: str | os.PathLike[str] | None = None,
     progress: TaskProgress | None = None,
-) -> Responses:
+) -> PairShifts:
     """Return the shifts in a case's room, from a folder where they are kept or newly weighed."""
     path = None
     if cache is not None:
@@ -141,7 +141,7 @@ def responses(
     return made
 
 
-def _weighed(case: Case, seed: int, progress: TaskProgress | None) -> Responses:
+def _weighed(case: PositionsCase, seed: int, progress: TaskProgress | None) -> PairShifts:
     match, done = parameters(case), 0
 
     def tell(task: str) -> None:
@@ -156,8 +156,12 @@ def _weighed(case: Case, seed: int, progress: TaskProgress | None) -> Responses:
 
 
 def _of_tracing(
-    case: Case, match: tuple[str, ...], seed: int, seconds: float, tell: Callable[[str], None]
-) -> Responses:
+    case: PositionsCase,
+    match: tuple[str, ...],
+    seed: int,
+    seconds: float,
+    tell: Callable[[str], None],
+) -> PairShifts:
     """Return the shifts of one tracing, whose paths are followed for ``seconds`` at least."""
     tell("paths")
     tracer = _retraced(precisely(case.simulator), geometry=case.divided.geometry)
@@ -182,7 +186,7 @@ def _of_tracing(
     slopes = tracer.scattering_jacobian(room.alpha, match, number=BASE, seed=seed)
     scattering = slopes.mean(axis=0)
     tell("places")
-    return Responses(
+    return PairShifts(
         parameters=match,
         base=base,
         surfaces=surfaces,
@@ -199,14 +203,14 @@ def _of_tracing(
     )
 
 
-def _mean(tracings: Sequence[Responses]) -> Responses:
+def _mean(tracings: Sequence[PairShifts]) -> PairShifts:
     """Return the mean of tracings, its shifts as far as they differ between the pairs by no noise."""
     first = tracings[0]
 
     def likely(name: str) -> Array:
         return without_noise(np.array([getattr(made, name) for made in tracings]))
 
-    return Responses(
+    return PairShifts(
         parameters=first.parameters,
         base=np.mean([made.base for made in tracings], axis=0),
         surfaces=likely("surfaces"),
@@ -245,7 +249,7 @@ def without_noise(shifts: Array) -> Array:
     return np.asarray(common + share_of_signal(square(mean - common), noise) * (mean - common))
 
 
-def _seconds(case: Case, match: Sequence[str], seed: int) -> float:
+def _seconds(case: PositionsCase, match: Sequence[str], seed: int) -> float:
     """Return how long paths must be where any surface is hard, so that they are traced once."""
     few = Weighing(_retraced(case.simulator, n_paths=_FEW_PATHS), match, seed)
     for _ in few.of_groups([*case.faces.values()], [min(SHARES)]):
@@ -258,8 +262,10 @@ def precisely(tracer: PathTracing) -> PathTracing:
     return tracer.denser(BASE)
 
 
-def _of_surfaces(case: Case, weighing: Weighing, base: Array) -> tuple[Array, Array, Array, Array]:
-    """Return the shifts by surfaces, parts, apertures and materials; see `Responses`."""
+def _of_surfaces(
+    case: PositionsCase, weighing: Weighing, base: Array
+) -> tuple[Array, Array, Array, Array]:
+    """Return the shifts by surfaces, parts, apertures and materials; see `PairShifts`."""
     room, divided = case.room, case.divided
     made_of = np.array([room.material_index(m) for m in divided.geometry.materials])
     of_materials = [np.flatnonzero(made_of == row) for row in range(room.n_materials)]
@@ -304,7 +310,9 @@ def _at_shares(weighing: Weighing, decays: Iterable[Array]) -> list[Array]:
     return heard
 
 
-def _apertures(case: Case, weighing: Weighing, name: str, decays: Array, base: Array) -> Array:
+def _apertures(
+    case: PositionsCase, weighing: Weighing, name: str, decays: Array, base: Array
+) -> Array:
     """Return the shifts with an aperture on a surface, from its decays at `SHARES`."""
     if of_room.kind(case.geometry, case.faces[name]) == "floor":
         return np.zeros((*base.shape, len(SECOND_ROOMS) * len(OPEN)))
@@ -323,7 +331,7 @@ def _retraced(tracer: PathTracing, **changes: object) -> PathTracing:
     return replace(tracer, **changes)  # type: ignore[arg-type]
 
 
-def _moved(case: Case, match: Sequence[str], base: Array, seed: int) -> dict[str, Array]:
+def _moved(case: PositionsCase, match: Sequence[str], base: Array, seed: int) -> dict[str, Array]:
     """Return the shifts where each source or receiver is displaced."""
     tracer = case.simulator
     out: dict[str, Array] = {}
@@ -369,7 +377,7 @@ def _moved(case: Case, match: Sequence[str], base: Array, seed: int) -> dict[str
     return out
 
 
-def _inside(case: Case, point: Array, step: Array) -> Array:
+def _inside(case: PositionsCase, point: Array, step: Array) -> Array:
     """Return the point moved by the step, or by less where a wall is in the way."""
     for share in (1.0, 0.5, 0.25, -0.5):
         trial = point + share * step
@@ -378,7 +386,7 @@ def _inside(case: Case, point: Array, step: Array) -> Array:
     return point
 
 
-def _packed(made: Responses) -> Array:
+def _packed(made: PairShifts) -> Array:
     """Return all shifts as one array, (n_parameters, n_pairs, n_bands, n_columns)."""
     moved = [np.moveaxis(shift, 0, -1) for shift in made.moved.values()]
     surfaces = [*made.surfaces, *made.parts, *made.apertures]
@@ -397,7 +405,7 @@ def _packed(made: Responses) -> Array:
     return np.concatenate(columns, axis=-1)
 
 
-def _read(path: Path, case: Case) -> Responses | None:
+def _read(path: Path, case: PositionsCase) -> PairShifts | None:
     """Return the shifts that a file holds; None if it cannot be used."""
     packed = files.read(path)
     tracer, n_moves = case.simulator, 6
@@ -419,7 +427,7 @@ def _read(path: Path, case: Case) -> Responses | None:
     surfaces, parts, apertures = (
         [next(columns) for _ in range(number)] for number in (n_surfaces, n_parts, n_surfaces)
     )
-    return Responses(
+    return PairShifts(
         parameters=parameters(case),
         base=base[..., 0],
         materials=materials,
@@ -438,7 +446,7 @@ def _read(path: Path, case: Case) -> Responses | None:
     )
 
 
-def key_of(case: Case, seed: int) -> str:
+def key_of(case: PositionsCase, seed: int) -> str:
     """Return a hash of all that the shifts depend on."""
     tracer, room, geometry = case.simulator, case.room, case.geometry
     content = [

@@ -19,7 +19,7 @@ from rtcal.finder.means.search import CHOSEN
 from rtcal.finder.positions import model_error
 from rtcal.finder.positions import surfaces as of_room
 from rtcal.finder.positions.candidate import Candidate, Summary, summary_of
-from rtcal.finder.positions.case import Case
+from rtcal.finder.positions.case import PositionsCase
 from rtcal.finder.positions.evidence import Likelihood
 from rtcal.finder.positions.finding import PositionsFinding
 from rtcal.finder.positions.hypotheses import (
@@ -34,8 +34,8 @@ from rtcal.finder.positions.posterior import (
     OF_PROGRAMS,
     THRESHOLD,
     TOLD_TEMPER,
-    Evidence,
-    Hypotheses,
+    PositionsEvidence,
+    PositionsHypotheses,
     Weights,
     evaluate,
     evidence_of_means,
@@ -44,9 +44,9 @@ from rtcal.finder.positions.posterior import (
     weights,
     with_families,
 )
-from rtcal.finder.positions.problem import Problem, problem_of
-from rtcal.finder.positions.responses import Responses, parameters, responses
-from rtcal.finder.positions.shift import NOISE, POSITION, UNKNOWN, Shift
+from rtcal.finder.positions.problem import PositionsProblem, problem_of
+from rtcal.finder.positions.responses import PairShifts, parameters, responses_of
+from rtcal.finder.positions.shift import NOISE, POSITION, UNKNOWN, ShiftHypothesis
 from rtcal.finder.prior import COEFFICIENTS, NONE, left_out_of, probability_off
 from rtcal.loop.control_runs import ControlRuns, simulated_controls
 from rtcal.support import checks
@@ -87,7 +87,7 @@ _AT_END = 0.9
 @single_threaded_blas()
 @checked
 def find(
-    case: Case,
+    case: PositionsCase,
     *,
     effects: Sequence[Effect] | None = None,
     controls: ControlRuns | None = None,
@@ -133,7 +133,7 @@ def find(
 
 @single_threaded_blas()
 def find_by_positions(
-    case: Case,
+    case: PositionsCase,
     effects: Sequence[Effect],
     controls: ControlRuns | None,
     cache: str | os.PathLike[str] | None,
@@ -160,10 +160,12 @@ def find_by_positions(
         )
     if controls is None:  # a PathTracing has control runs always
         raise DataError(f"{case.simulator.name} has no geometry to trace")
-    made = responses(case, seed, cache, progress)
+    made = responses_of(case, seed, cache, progress)
     threshold = THRESHOLD if case.simulated is None else OF_PROGRAMS
 
-    def searched(case: Case) -> tuple[Problem, Hypotheses, Evidence]:
+    def searched(
+        case: PositionsCase,
+    ) -> tuple[PositionsProblem, PositionsHypotheses, PositionsEvidence]:
         numbers = problem_of(case, made, controls)
         hypotheses = every_hypothesis(case, made, numbers, effects, left_out)
         residuals = numbers.residual[:, np.newaxis]
@@ -201,12 +203,12 @@ def find_by_positions(
 
 
 def every_hypothesis(
-    case: Case,
-    made: Responses,
-    numbers: Problem,
+    case: PositionsCase,
+    made: PairShifts,
+    numbers: PositionsProblem,
     effects: Sequence[Effect],
     left_out: Sequence[str] = (),
-) -> Hypotheses:
+) -> PositionsHypotheses:
     """Return the hypotheses of a search, but for some effects."""
     observations, (p, i, k) = numbers.data.observations, numbers.shape
     columns = [case.simulator.pairs.index(pair) for pair in observations.pairs]
@@ -218,7 +220,7 @@ def every_hypothesis(
         moved[name][:, :, columns] = shift[:, rows][:, :, columns] * scale
     errors = (numbers.measurement + numbers.simulator_error()).reshape(k, p, i, k, p, i)
     places = spreads(observations.pairs, moved, errors, columns)
-    return Hypotheses(
+    return PositionsHypotheses(
         shifts=on_parts(case, shifts(case, effects, left_out)),
         spreads=[spread for spread in places if spread.effect not in left_out],
         off=0.0 if COEFFICIENTS in left_out else probability_off(case.room),
@@ -227,9 +229,9 @@ def every_hypothesis(
 
 
 def _finding(
-    case: Case,
-    numbers: Problem,
-    hypotheses: Hypotheses,
+    case: PositionsCase,
+    numbers: PositionsProblem,
+    hypotheses: PositionsHypotheses,
     posterior: Weights,
     likelihood: Likelihood,
     detected: Detection,
@@ -272,7 +274,7 @@ def _finding(
     )
 
 
-def _assumed(case: Case) -> tuple[str, ...]:
+def _assumed(case: PositionsCase) -> tuple[str, ...]:
     """Return notes of what the search takes together."""
     together = "" if case.surfaces is not None else of_room.merged(case.geometry, case.faces)
     return tuple(note for note in (*case.simulator.source_notes, together) if note)
@@ -297,14 +299,14 @@ def _first_placed(summary: Summary, verdict: str) -> Candidate | None:
     return first if first.surface is not None else None
 
 
-def _reasons(case: Case, verdict: str, best: Candidate | None) -> tuple[str, ...]:
+def _reasons(case: PositionsCase, verdict: str, best: Candidate | None) -> tuple[str, ...]:
     """Return why the most probable surface is not claimed."""
     if verdict in ("named", "family", "ambiguous") and case.simulator.unknown_sources:
         return (_AIMED,)
     return (_ANYWHERE,) if best is not None and best.effect == COUPLED.name else ()
 
 
-def _of_size(hypotheses: Hypotheses, best: Candidate | None) -> tuple[str, ...]:
+def _of_size(hypotheses: PositionsHypotheses, best: Candidate | None) -> tuple[str, ...]:
     """Return the doubt of a size at the end of what is tried. It concerns no surface."""
     if best is None:
         return ()
@@ -314,7 +316,7 @@ def _of_size(hypotheses: Hypotheses, best: Candidate | None) -> tuple[str, ...]:
     return (f"The size of {best.title} stands at the end of what is tried: it may be larger.",)
 
 
-def _map(numbers: Problem, likelihood: Likelihood) -> Array:
+def _map(numbers: PositionsProblem, likelihood: Likelihood) -> Array:
     """Return simulated less measured in standard deviations, (n_parameters, n_pairs, n_bands)."""
     p, i, k = numbers.shape
     variance = np.diag(likelihood.covariance).copy()
@@ -323,8 +325,8 @@ def _map(numbers: Problem, likelihood: Likelihood) -> Array:
 
 
 def _groups(
-    case: Case,
-    hypotheses: Hypotheses,
+    case: PositionsCase,
+    hypotheses: PositionsHypotheses,
     summary: Summary,
     likelihood: Likelihood,
 ) -> tuple[tuple[str, ...], ...]:
@@ -361,7 +363,7 @@ def _groups(
     return _joined(names, np.minimum(nats, nats.T) < DISTINCT_NATS)
 
 
-def _unlike(shift: Shift, best: Candidate) -> Array:
+def _unlike(shift: ShiftHypothesis, best: Candidate) -> Array:
     """Return how far each hypothesis' spectrum is from the candidate's, (n_hypotheses,)."""
     return np.asarray(np.abs(shift.spectra - best.spectrum).max(axis=1))
 

@@ -1,7 +1,7 @@
 """A hypothesis: how it shifts what the positions hear, or which errors it widens.
 
-One of the room shifts the parameters at every pair: `Shift`. One of the measurement widens the errors
-of some pairs: `Spread`.
+One of the room shifts the parameters at every pair: `ShiftHypothesis`. One of the measurement widens
+the errors of some pairs: `SpreadHypothesis`.
 
 A hypothesis spreads an absorber over its surface. In truth it hangs somewhere: receivers near it lose
 more than others, and T changes by more or less. Neither is known before the place is, so it is an error
@@ -39,7 +39,7 @@ ODDS = {
 
 
 @dataclass(frozen=True, eq=False)
-class Shift:
+class ShiftHypothesis:
     """Hypotheses of one effect in one place, with their sizes.
 
     Attributes
@@ -89,7 +89,7 @@ class Shift:
     part: int | None = None
     divisible: bool = False
 
-    def some(self, which: slice) -> Shift:
+    def some(self, which: slice) -> ShiftHypothesis:
         """Return some of the hypotheses."""
         return replace(
             self,
@@ -103,7 +103,7 @@ class Shift:
 
 
 @dataclass(frozen=True, eq=False)
-class Spread:
+class SpreadHypothesis:
     """A hypothesis that some values err by more: their covariance grows by ``covariance``.
 
     ``rows`` are the values' numbers in the order (band, parameter, pair). ``place`` names the

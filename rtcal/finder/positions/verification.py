@@ -16,8 +16,8 @@ from rtcal.acoustics.parameters import parameter_label
 from rtcal.acoustics.quality import gap_jnd
 from rtcal.finder.finding import HeldOutVerification, check_pairs
 from rtcal.finder.positions.candidate import Candidate
-from rtcal.finder.positions.case import Case
-from rtcal.finder.positions.corrected import corrected
+from rtcal.finder.positions.case import PositionsCase
+from rtcal.finder.positions.corrected import corrected_geometry
 from rtcal.finder.positions.finding import PositionsFinding
 from rtcal.finder.positions.responses import key_of
 from rtcal.finder.positions.search import find_by_positions
@@ -283,7 +283,7 @@ def _gaps(
     # in the stated geometry.
     stated = case.simulator.denser()
     with_added = [
-        stated if best is None else corrected(case.only(half), best).simulator.denser()
+        stated if best is None else corrected_geometry(case.only(half), best).simulator.denser()
         for half, best in zip(halves, added, strict=True)
     ]
     for n, seed in enumerate(seeds):
@@ -331,7 +331,7 @@ def halves_of(pairs: Sequence[Pair]) -> tuple[tuple[Pair, ...], ...]:
 
 
 def heard_calibrated(
-    fitted: Case, simulator: PathTracing, finding: PositionsFinding, seed: int
+    fitted: PositionsCase, simulator: PathTracing, finding: PositionsFinding, seed: int
 ) -> Observations:
     """Return what all positions hear in a model that is calibrated on the fitted pairs."""
     result = calibrate_positions(
@@ -349,7 +349,7 @@ def heard_calibrated(
 
 
 def gap_in_jnd(
-    case: Case, finding: PositionsFinding, heard: Observations, pairs: Sequence[Pair]
+    case: PositionsCase, finding: PositionsFinding, heard: Observations, pairs: Sequence[Pair]
 ) -> Array:
     """Return simulated less measured at pairs in JND, (n_parameters, n_pairs, n_bands).
 

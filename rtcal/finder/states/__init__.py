@@ -5,8 +5,8 @@ from typing import TYPE_CHECKING
 from rtcal.support import lazy
 
 if TYPE_CHECKING:
-    from rtcal.finder.states.case import Case as Case
     from rtcal.finder.states.case import Differences as Differences
+    from rtcal.finder.states.case import StatesCase as StatesCase
     from rtcal.finder.states.changed import SecondState as SecondState
     from rtcal.finder.states.finding import Kind as Kind
     from rtcal.finder.states.finding import StatesFinding as StatesFinding

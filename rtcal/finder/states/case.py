@@ -164,7 +164,7 @@ def _lacking(before: Measurement, after: Measurement, pairs: list[tuple[str, str
 
 @checked
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Case:
+class StatesCase:
     """A room that was measured twice, at the same positions with the same equipment.
 
     Parameters
@@ -200,7 +200,7 @@ class Case:
     ...                sigma=[[0.05] * 2], centre_frequencies=[500, 1000])
     >>> before = rt.Measurement.from_values([500, 1000], t20=[1.5, 1.4])
     >>> after = rt.Measurement.from_values([500, 1000], t20=[1.1, 0.9])
-    >>> case = rt.finder.states.Case(room=room, before=before, after=after)
+    >>> case = rt.finder.states.StatesCase(room=room, before=before, after=after)
     >>> print(case.differences.change.round(2))
     [[-0.31 -0.44]]
     """

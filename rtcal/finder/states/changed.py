@@ -19,7 +19,7 @@ from rtcal.calibration.presets import calibrate
 from rtcal.finder.case import NORMAL_90
 from rtcal.finder.finding import listed
 from rtcal.finder.positions import surfaces as of_room
-from rtcal.finder.states.case import Case
+from rtcal.finder.states.case import StatesCase
 from rtcal.io import obj
 from rtcal.simulators.geometry import Polyhedron
 from rtcal.simulators.path_tracing import PathTracing
@@ -87,7 +87,7 @@ class SecondState:
 
 
 def changed_room(
-    case: Case, area: Array, change: Array, surfaces: Sequence[str], kinds: Sequence[str]
+    case: StatesCase, area: Array, change: Array, surfaces: Sequence[str], kinds: Sequence[str]
 ) -> SecondState:
     """Return the room of the second state; see `StatesFinding.apply`.
 

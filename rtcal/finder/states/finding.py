@@ -21,7 +21,7 @@ from rtcal.finder.finding import (
     over_frequency,
 )
 from rtcal.finder.prior import NONE
-from rtcal.finder.states.case import Case
+from rtcal.finder.states.case import StatesCase
 from rtcal.finder.states.changed import SecondState, changed_room
 from rtcal.finder.states.kinds import ADDED
 from rtcal.support import text
@@ -81,7 +81,7 @@ class StatesFinding(Finding):
 
     record_kind: ClassVar[str] = "finding of two states 1"
 
-    case: Case
+    case: StatesCase
     kinds: tuple[Kind, ...]
     area: Array
     change: Array

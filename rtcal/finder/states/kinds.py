@@ -13,7 +13,7 @@ from rtcal.acoustics.bands import is_middle
 from rtcal.acoustics.room import Room
 from rtcal.finder.effects import Effect
 from rtcal.finder.means.hypotheses import spectrum_errors
-from rtcal.finder.model import State
+from rtcal.finder.model import RoomState
 from rtcal.finder.prior import UNKNOWN, UNKNOWN_ODDS
 from rtcal.support.types import Array
 
@@ -59,7 +59,7 @@ class Shape:
 def shapes(room: Room, effects: Sequence[Effect]) -> list[Shape]:
     """Return the spectra of all effects that add absorption, and one that no effect has."""
     frequencies = room.centre_frequencies
-    base = State.of_room(room, np.zeros(len(room.areas)))
+    base = RoomState.of_room(room, np.zeros(len(room.areas)))
     out = []
     for effect in effects:
         if not effect.family.startswith(f"{_FAMILY}, "):
@@ -83,7 +83,7 @@ def shapes(room: Room, effects: Sequence[Effect]) -> list[Shape]:
     return out
 
 
-def _of_objects(effect: Effect, base: State) -> Array:
+def _of_objects(effect: Effect, base: RoomState) -> Array:
     """Return what one size of an effect of objects adds in m², (n_bands,)."""
     added = effect.added_absorption(base, effect.change(base, effect.grid(base)[0]))
     return np.ones(len(base.frequencies)) if added is None else added

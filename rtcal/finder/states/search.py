@@ -28,7 +28,7 @@ from rtcal.finder.positions.surfaces import Faces
 from rtcal.finder.positions.weighing import Weighing
 from rtcal.finder.prior import NO_EFFECT, NONE
 from rtcal.finder.states import evidence
-from rtcal.finder.states.case import Case
+from rtcal.finder.states.case import StatesCase
 from rtcal.finder.states.evidence import Baseline, Errors, Fits
 from rtcal.finder.states.finding import Kind, StatesFinding
 from rtcal.finder.states.kinds import ADDED, AIR, REMOVED, Grid, grid
@@ -262,7 +262,7 @@ _INTERVAL = (0.05, 0.95)
 
 @checked
 def find(
-    case: Case,
+    case: StatesCase,
     *,
     effects: Sequence[Effect] | None = None,
     errors: Errors | None = None,
@@ -296,7 +296,7 @@ def find(
     >>> print(finding.verdict, finding.family)
     family added absorption
     """
-    checks.instance("case", case, Case)
+    checks.instance("case", case, StatesCase)
     assumed = Errors() if errors is None else checks.instance("errors", errors, Errors)
     found, room = case.differences, case.room
     if found.of_means:
@@ -368,7 +368,7 @@ _OF_MEANS = "T alone does not tell on which surface something changed."
 
 
 def _located(
-    case: Case, change: Array, variance: Array, added: bool, errors: Errors, seed: int
+    case: StatesCase, change: Array, variance: Array, added: bool, errors: Errors, seed: int
 ) -> tuple[Located | None, str]:
     """Return on which surfaces something changed; or None, and why no surface is told."""
     if case.simulator is None:

@@ -10,7 +10,7 @@ import numpy as np
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.observables import TARGET
 from rtcal.finder.finding import HeldOutVerification, check_pairs
-from rtcal.finder.states.case import Case
+from rtcal.finder.states.case import StatesCase
 from rtcal.finder.states.evidence import Baseline
 from rtcal.finder.states.finding import StatesFinding
 from rtcal.finder.states.search import find
@@ -45,7 +45,7 @@ class StatesVerification(HeldOutVerification):
     finding: StatesFinding
     before: Array
     after: Array
-    case: Case | None = None
+    case: StatesCase | None = None
 
     @property
     def gaps(self) -> tuple[float, float]:
@@ -153,7 +153,7 @@ def _gaps(change: Array, predicted: Array) -> tuple[Array, Array]:
     return -change / jnd, (predicted - change) / jnd
 
 
-def _at_new_pairs(finding: StatesFinding, before: Measurement, after: Measurement) -> Case:
+def _at_new_pairs(finding: StatesFinding, before: Measurement, after: Measurement) -> StatesCase:
     """Return the case of the pairs that a finding had not; DataError for fewer than two."""
     fitted = finding.case.differences.pairs
     if finding.case.differences.of_means or before.is_summary or after.is_summary:
@@ -165,14 +165,14 @@ def _at_new_pairs(finding: StatesFinding, before: Measurement, after: Measuremen
             f"{_LEAST_NEW} are needed"
         )
     case = finding.case
-    return Case(
+    return StatesCase(
         room=case.room, before=before.select(new), after=after.select(new), equation=case.equation
     )
 
 
-def _predicted(case: Case, pairs: list[tuple[str, str]], seed: int) -> Array:
+def _predicted(case: StatesCase, pairs: list[tuple[str, str]], seed: int) -> Array:
     """Return the shift of ln T that these pairs alone tell, (n_bands,); NaN where they have no T."""
-    of_half = Case(
+    of_half = StatesCase(
         room=case.room,
         before=case.before.select(pairs),
         after=case.after.select(pairs),
