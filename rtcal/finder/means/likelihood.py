@@ -380,7 +380,7 @@ def student(square: Array, half_log_determinant: Array, m: int, *, coarsened: bo
 def standardized_residuals(
     observed: ObservedFeatures, predicted: MeansHypotheses, discrepancy: ModelDiscrepancy
 ) -> Array:
-    """Return modelled less measured over its standard deviation, shaped as `ObservedFeatures.features`."""
+    """Return modelled less measured over its standard deviation, as `ObservedFeatures.features`."""
     mask = observed.used.ravel()
     c = alpha_covariance(predicted, 0) + discrepancy.covariance
     spread = np.sqrt(np.diag(c)[mask] + np.diag(observed.covariance))
