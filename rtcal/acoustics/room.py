@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rtcal.acoustics import bands, room_checks, room_files
 from rtcal.acoustics.air import Air
@@ -324,6 +325,14 @@ class Room:
                 f'"{name}" is no material of room "{self.name}"; it has {", ".join(self.materials)}'
             )
         return self.materials.index(name)
+
+    @checked
+    def material_rows(self, names: Sequence[str]) -> NDArray[np.int64]:
+        """Return the rows of materials, (n,); DataError as `material_index`."""
+        rows = {name: i for i, name in enumerate(self.materials)}
+        for name in {*names} - {*rows}:
+            self.material_index(name)
+        return np.array([rows[name] for name in names], dtype=np.int64)
 
     def replace(self, **changes: Any) -> Room:
         """Return the room with some fields changed, checked like a new one.

@@ -73,7 +73,7 @@ class Pieces:
     def of(cls, tracer: PathTracing, moves: Sequence[Move]) -> Pieces:
         """Return the tracing with the covered surfaces cut."""
         geometry, room = tracer.geometry, tracer.room
-        owner = np.array([room.material_index(m) for m in geometry.materials])
+        owner = room.material_rows(geometry.materials)
         ends = [_ends(geometry, owner, moved) for _, _, moved in moves]
         cut: list[tuple[str, str, Array]] = []
         parent: list[int] = []

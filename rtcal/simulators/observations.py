@@ -267,15 +267,19 @@ def values_of_decays(
     centre_frequencies: Array,
     cause: str = "too little is reflected",
 ) -> Array:
-    """Return the values of `of_decays`, of decays that need no check."""
+    """Return the values of `of_decays`, of decays that need no check.
+
+    Decays (..., n_pairs, n_bands, n_bins) give (n_parameters, ..., n_pairs, n_bands).
+    """
     values = np.empty((len(match), *energy.shape[:-1]))
     for row, name in zip(values, match, strict=True):
         kind = OBSERVABLES[name]
         row[:] = kind.observed(kind.value(energy, bin_width))
         if (lost := ~np.isfinite(row)).any():
-            pair, band = (int(i) for i in np.argwhere(lost)[0])
+            first = tuple(np.argwhere(lost)[0].tolist())
+            *_, pair, band = first
             place = f"{' to '.join(pairs[pair])}, {bands.label(centre_frequencies[band])}"
-            if kind.too_short(energy)[pair, band]:
+            if kind.too_short(energy)[first]:
                 raise TooShortError(
                     f"the decay from {place} is too short to hold {parameter_label(name)}: {cause}"
                 )

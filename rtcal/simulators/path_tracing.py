@@ -421,7 +421,7 @@ class PathTracing(DirectedSources, Tracer):
 
     def _materials(self) -> NDArray[np.int64]:
         """Return the number of each face's material, (n_faces,)."""
-        return np.array([self.room.material_index(m) for m in self.geometry.materials])
+        return self.room.material_rows(self.geometry.materials)
 
     def _trace(self, scattering: Array, longest: float, seed: int) -> paths.Paths:
         sources, receivers = self._points()

@@ -250,7 +250,7 @@ def _as_material(case: PositionsCase, added: Candidate, material: str) -> Correc
     faces = case.faces[str(added.surface)]
     area = float(case.geometry.face_areas[faces].sum())
     share = min(added.size / area, 1.0)
-    rows = [case.room.material_index(case.geometry.materials[i]) for i in faces]
+    rows = case.room.material_rows([case.geometry.materials[i] for i in faces])
     stated = np.average(case.room.alpha[rows], axis=0, weights=case.geometry.face_areas[faces])
     materials = list(case.geometry.materials)
     for i in faces:

@@ -46,7 +46,7 @@ def materials(case: PositionsCase) -> list[ShiftHypothesis]:
     Its surfaces then hear what an absorber on all of them would do, with the material's own spectrum.
     """
     room = case.room
-    made_of = np.array([room.material_index(m) for m in case.geometry.materials])
+    made_of = room.material_rows(case.geometry.materials)
     octaves = np.abs(np.subtract.outer(*(2 * [np.log2(room.centre_frequencies)])))
     density = np.exp(-np.abs(FACTORS) / FACTOR_SCALE)
     # Who states a small sigma knows the coefficients from a measurement (`probability_off`).
@@ -179,7 +179,7 @@ def on_surfaces(effects: Sequence[Effect]) -> list[Effect]:
 
 def surface_alpha(case: PositionsCase) -> Array:
     """Return the mean alpha of each surface, (n_surfaces, n_bands)."""
-    rows = np.array([case.room.material_index(m) for m in case.geometry.materials])
+    rows = case.room.material_rows(case.geometry.materials)
     areas = case.geometry.face_areas
     return np.array(
         [

@@ -302,7 +302,7 @@ def of_means(case: PositionsCase) -> Case:
 def _facing(case: PositionsCase) -> Array:
     """Return the share of each material's area whose normal is along x, y and z."""
     geometry = case.geometry
-    rows = np.array([case.room.material_index(m) for m in geometry.materials])
+    rows = case.room.material_rows(geometry.materials)
     along = geometry.face_areas[:, np.newaxis] * geometry.normals**2
     facing = np.array([along[rows == row].sum(axis=0) for row in range(case.room.n_materials)])
     total = facing.sum(axis=1, keepdims=True)

@@ -205,7 +205,7 @@ def _smooth(measured: Array, stated: Array) -> Array:
 
 def _of_materials(case: PositionsCase, nodes: Mapping[str, Array]) -> dict[str, Array]:
     """Return the nodes of each material: those of all its surfaces, one after the other."""
-    made_of = np.array([case.room.material_index(m) for m in case.geometry.materials])
+    made_of = case.room.material_rows(case.geometry.materials)
     out = {}
     for row in range(case.room.n_materials):
         members = [

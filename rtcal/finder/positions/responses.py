@@ -9,7 +9,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -21,7 +21,7 @@ from rtcal.acoustics.scene import plain_directivities
 from rtcal.finder.positions import surfaces as of_room
 from rtcal.finder.positions.case import PositionsCase
 from rtcal.finder.positions.model_error import AIMS, LOBE_INDEX, lobes
-from rtcal.finder.positions.weighing import SECOND_ROOMS, Aperture, Weighing
+from rtcal.finder.positions.weighing import SECOND_ROOMS, Weighing
 from rtcal.loop.control_runs import share_of_signal
 from rtcal.simulators.observations import observe
 from rtcal.simulators.path_tracing import DENSER, LARGER, PathTracing
@@ -168,7 +168,7 @@ def _of_tracing(
     weighing = Weighing(tracer, match, seed, seconds)
     energy = weighing.energy(weighing.alpha, number=BASE)
     base = weighing.parameters(energy.mean(axis=0))
-    groups = np.array([weighing.parameters(group) for group in energy])
+    groups = np.ascontiguousarray(np.moveaxis(weighing.parameters(energy), 1, 0))
     tell("surfaces")
     some = replace(weighing, every=_EVERY)
     stated = some.observe(some.alpha)
@@ -267,7 +267,7 @@ def _of_surfaces(
 ) -> tuple[Array, Array, Array, Array]:
     """Return the shifts by surfaces, parts, apertures and materials; see `PairShifts`."""
     room, divided = case.room, case.divided
-    made_of = np.array([room.material_index(m) for m in divided.geometry.materials])
+    made_of = room.material_rows(divided.geometry.materials)
     of_materials = [np.flatnonzero(made_of == row) for row in range(room.n_materials)]
     of_parts = [part.faces for part in divided.parts]
     groups = {frozenset(f.tolist()): f for f in (*divided.surfaces, *of_parts, *of_materials)}
@@ -277,8 +277,7 @@ def _of_surfaces(
     shares = [*(min(t, 0.98) for t in SHARES), STEP]
     shifts, apertures = {}, {}
     for members, decays in zip(groups, weighing.of_groups([*groups.values()], shares), strict=True):
-        heard = np.stack(_at_shares(weighing, decays), axis=-1)
-        shifts[members] = heard - base[..., np.newaxis]
+        shifts[members] = _at_shares(weighing, decays) - base[..., np.newaxis]
         if members in names:
             apertures[members] = _apertures(case, weighing, names[members], decays, base)
     by_part = [shifts[frozenset(f.tolist())][..., :-1] for f in of_parts]
@@ -291,12 +290,16 @@ def _of_surfaces(
     )
 
 
-def _at_shares(weighing: Weighing, decays: Iterable[Array]) -> list[Array]:
-    """Return the parameters of decays at rising shares.
+def _at_shares(weighing: Weighing, decays: Array) -> Array:
+    """Return the parameters of decays at rising shares, (n_parameters, n_pairs, n_bands, n_shares).
 
     A surface that takes nearly all may leave a decay without EDT or T. Then the parameters are those
     at the share before: more absorption is not told from it.
     """
+    try:
+        return np.moveaxis(weighing.parameters(decays), 1, -1)
+    except DataError:
+        pass  # one by one
     heard: list[Array] = []
     for energy in decays:
         try:
@@ -307,7 +310,7 @@ def _at_shares(weighing: Weighing, decays: Iterable[Array]) -> list[Array]:
             if not heard:
                 raise
             heard.append(heard[-1])
-    return heard
+    return np.stack(heard, axis=-1)
 
 
 def _apertures(
@@ -316,15 +319,8 @@ def _apertures(
     """Return the shifts with an aperture on a surface, from its decays at `SHARES`."""
     if of_room.kind(case.geometry, case.faces[name]) == "floor":
         return np.zeros((*base.shape, len(SECOND_ROOMS) * len(OPEN)))
-    room, tracer = case.room, weighing.tracer
-    heard = []
-    for volume, alpha in SECOND_ROOMS:
-        for share in OPEN:
-            aperture = Aperture(share * case.areas[name], volume * room.volume, alpha)
-            opened = decays[SHARES.index(share)]
-            with_return = aperture.returned_to(opened, room, tracer.bin_width, len(tracer.sources))
-            heard.append(weighing.parameters(with_return))
-    return np.stack(heard, axis=-1) - base[..., np.newaxis]
+    opened = decays[[SHARES.index(share) for share in OPEN]]
+    return weighing.with_apertures(case.areas[name], opened, OPEN) - base[..., np.newaxis]
 
 
 def _retraced(tracer: PathTracing, **changes: object) -> PathTracing:

@@ -24,9 +24,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
-from rtcal.acoustics import decay
 from rtcal.acoustics.directivity import Directivity
-from rtcal.acoustics.observables import longest
+from rtcal.acoustics.observables import TARGET, longest
 from rtcal.acoustics.room import Room
 from rtcal.finder.effects.covered import HARD
 from rtcal.finder.positions.surfaces import Faces
@@ -66,7 +65,14 @@ class Aperture:
         air = 4 * self.volume * room.air_attenuation
         return np.asarray(room.speed_of_sound * (absorbed + air) / (4 * self.volume))
 
-    def returned_to(self, energy: Array, room: Room, bin_width: float, n_sources: int) -> Array:
+    def returned_to(
+        self,
+        energy: Array,
+        room: Room,
+        bin_width: float,
+        n_sources: int,
+        rate: Array | None = None,
+    ) -> Array:
         """Return what is heard with the second room.
 
         Parameters
@@ -77,13 +83,15 @@ class Aperture:
         bin_width : float
             In s.
         n_sources : int
+        rate : array (n_bands,), optional
+            At which the mean decay falls, in 1/s (`decay_rate`); by default it is computed.
 
         Returns
         -------
         array (n_pairs, n_bands, n_bins)
             With as many more bins as the slower decay needs.
         """
-        first = _NEPERS / decay.decay_time(energy.mean(axis=0), bin_width)
+        first = decay_rate(energy, bin_width) if rate is None else rate
         second = self.second_rate(room)
         c = room.speed_of_sound
         # No more can go through it than the room loses: a field that is not diffuse decays more slowly.
@@ -105,6 +113,14 @@ class Aperture:
             ]
             back[:, k] = exchange[k] * bin_width * (both[0] - both[1]) / (fast[k] - slow[k])
         return np.asarray((heard.reshape(shape) + back[:, np.newaxis]).reshape(heard.shape))
+
+
+def decay_rate(energy: Array, bin_width: float) -> Array:
+    """Return the rates of the mean decays over pairs in 1/s, (..., n_bands).
+
+    Of decays (..., n_pairs, n_bands, n_bins).
+    """
+    return np.asarray(_NEPERS / TARGET.value(energy.mean(axis=-3), bin_width))
 
 
 def _followed(energy: Array, rate: Array, n_bins: int, bin_width: float) -> Array:
@@ -149,8 +165,8 @@ class Weighing:
     @property
     def alpha(self) -> Array:
         """Alpha of each face, (n_faces, n_bands)."""
-        rows = [self.tracer.room.material_index(m) for m in self.tracer.geometry.materials]
-        return np.asarray(self.tracer.room.alpha[rows])
+        room = self.tracer.room
+        return np.asarray(room.alpha[room.material_rows(self.tracer.geometry.materials)])
 
     def observe(
         self, alpha: Array, attenuation: Array | None = None, stretch: float = 1.0
@@ -193,8 +209,45 @@ class Weighing:
                     break
             yield from energy
 
+    def with_apertures(self, area: float, opened: Array, shares: Sequence[float]) -> Array:
+        """Return the parameters with an aperture to each of `SECOND_ROOMS`, for each of its shares.
+
+        Parameters
+        ----------
+        area : float
+            Of the surface in m².
+        opened : array (n_shares, n_pairs, n_bands, n_bins)
+            Decays with an opening in place of the aperture.
+        shares : sequence of float
+            Of the surface.
+
+        Returns
+        -------
+        array (n_parameters, n_pairs, n_bands, n_second_rooms n_shares)
+        """
+        tracer, room = self.tracer, self.tracer.room
+        width, n_sources = tracer.bin_width, len(tracer.sources)
+        rates = decay_rate(opened, width)
+        decays = [
+            Aperture(share * area, volume * room.volume, alpha).returned_to(
+                energy, room, width, n_sources, rate
+            )
+            for volume, alpha in SECOND_ROOMS
+            for share, energy, rate in zip(shares, opened, rates, strict=True)
+        ]
+        lengths = np.array([energy.shape[-1] for energy in decays])
+        heard = np.empty((len(self.match), *opened.shape[1:-1], len(decays)))
+        for length in np.unique(lengths):
+            alike = np.flatnonzero(lengths == length)
+            values = self.parameters(np.array([decays[i] for i in alike]))
+            heard[..., alike] = np.moveaxis(values, 1, -1)
+        return heard
+
     def parameters(self, energy: Array) -> Array:
-        """Return the parameters of decays, (n_pairs, n_bands, n_bins), as `observe` does."""
+        """Return the parameters of decays, (..., n_pairs, n_bands, n_bins), as `observe` does.
+
+        (n_parameters, ..., n_pairs, n_bands).
+        """
         tracer = self.tracer
         return observations.values_of_decays(
             energy, tracer.bin_width, self.match, tracer.pairs, tracer.centre_frequencies
@@ -246,7 +299,7 @@ class Weighing:
         tracer = self.tracer
         # A part's faces have one material, and belong to the same groups.
         held = np.array([np.isin(np.arange(len(alpha)), group) for group in groups])
-        made_of = [tracer.room.material_index(m) for m in tracer.geometry.materials]
+        made_of = tracer.room.material_rows(tracer.geometry.materials)
         kinds, first, parts = np.unique(
             np.vstack([made_of, held]), axis=1, return_index=True, return_inverse=True
         )

@@ -173,7 +173,7 @@ def _on_surfaces(
     rows, names, areas = [], [], []
     taken, materials = list(before.materials), list(geometry.materials)
     for surface in surfaces:
-        of_face = np.array([before.material_index(geometry.materials[i]) for i in faces[surface]])
+        of_face = before.material_rows([geometry.materials[i] for i in faces[surface]])
         sizes = geometry.face_areas[faces[surface]]
         weights = np.bincount(of_face, sizes, before.n_materials)
         rows.append(weights / weights.sum())
