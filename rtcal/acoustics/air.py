@@ -81,6 +81,9 @@ class Air:
 
         ISO 9613-1:1993, Eqs. 3 to 5 and B.2, B.3.
         """
+        return self._db_per_metre(frequencies)
+
+    def _db_per_metre(self, frequencies: Iterable[float]) -> Array:
         f = np.asarray(list(frequencies), dtype=float)
         kelvin = self.temperature + 273.15
         t = kelvin / _REFERENCE_TEMPERATURE
@@ -103,4 +106,4 @@ class Air:
         The intensity of a plane wave falls as exp(-m x); m = (dB/m) / (10 lg e). The reverberation
         equations' 4mV needs this unit: with dB/m in its place the air counts 4.3 times.
         """
-        return np.asarray(self.attenuation_db(frequencies) / _DB_PER_NEPER_OF_ENERGY)
+        return np.asarray(self._db_per_metre(frequencies) / _DB_PER_NEPER_OF_ENERGY)

@@ -20,7 +20,14 @@ from rtcal.acoustics.decay_curve import MARGIN_DB as MARGIN_DB
 from rtcal.acoustics.decay_curve import bins as bins
 from rtcal.acoustics.decay_curve import checked_decay
 from rtcal.acoustics.measurement import Measurement
-from rtcal.acoustics.observables import OBSERVABLES, TARGET, DecaySlope, observable, of_kind
+from rtcal.acoustics.observables import (
+    OBSERVABLES,
+    TARGET,
+    DecaySlope,
+    Observable,
+    observable,
+    of_kind,
+)
 from rtcal.support import checks
 from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError, TooShortError, of_bands
@@ -197,7 +204,7 @@ def parameters(
     if names is None:
         names = [key for key, o in OBSERVABLES.items() if o.minimum_range is not None]
     energy = checked_decay(energy, bin_width)
-    values = {name: observable(name).value(energy, bin_width) for name in names}
+    values = {o.key: o.value(energy, bin_width) for o in _observables(names)}
     return {name: np.where(np.isfinite(v), v, np.nan) for name, v in values.items()}
 
 
@@ -238,10 +245,15 @@ def gradients(energy: Array, bin_width: float, parameters: Sequence[str]) -> Arr
     energy = checked_decay(energy, bin_width)
     level = decay_curve.decay_curve_db(energy)
     out = np.empty((len(parameters), *energy.shape))
-    for row, name in zip(out, parameters, strict=True):
+    for row, kind in zip(out, _observables(parameters), strict=True):
         with np.errstate(divide="ignore", invalid="ignore"):
-            row[:] = observable(name).gradient(energy, level, bin_width)
+            row[:] = kind.gradient(energy, level, bin_width)
     return out
+
+
+def _observables(names: Sequence[str]) -> list[Observable]:
+    """Return observables by their keys; DataError for a name that is none."""
+    return [OBSERVABLES[name] if name in OBSERVABLES else observable(name) for name in names]
 
 
 @checked

@@ -330,8 +330,9 @@ class Room:
     def material_rows(self, names: Sequence[str]) -> NDArray[np.int64]:
         """Return the rows of materials, (n,); DataError as `material_index`."""
         rows = {name: i for i, name in enumerate(self.materials)}
-        for name in {*names} - {*rows}:
-            self.material_index(name)
+        for name in names:
+            if name not in rows:
+                self.material_index(name)
         return np.array([rows[name] for name in names], dtype=np.int64)
 
     def replace(self, **changes: Any) -> Room:

@@ -32,6 +32,7 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import combinations
 from pathlib import Path
 from typing import Any
@@ -109,11 +110,8 @@ class AppliedEffect:
                 raise DataError(
                     f"effect: size_interval = {self.size_interval!r} is not two numbers in order"
                 )
-        if self.custom is not None:
-            if not isinstance(self.custom, Effect):
-                raise DataError(f"effect: custom = {self.custom!r} is no rtcal.finder.Effect")
-        elif self.name not in {e.name for e in library()}:
-            raise DataError(f'effect "{self.name}" is not in the library')
+        if self.custom is not None and not isinstance(self.custom, Effect):
+            raise DataError(f"effect: custom = {self.custom!r} is no rtcal.finder.Effect")
         check_parameters(self.effect, self.parameters, interval=self.size_interval)
 
     @classmethod
@@ -128,10 +126,13 @@ class AppliedEffect:
         custom = None if effect in library() else effect
         return cls(effect.name, dict(parameters), size_interval, custom)
 
-    @property
+    @cached_property
     def effect(self) -> Effect:
         """The effect, from the library or ``custom``."""
-        return self.custom or next(e for e in library() if e.name == self.name)
+        effect = self.custom or next((e for e in library() if e.name == self.name), None)
+        if effect is None:
+            raise DataError(f'effect "{self.name}" is not in the library')
+        return effect
 
     @property
     def size_sigma(self) -> float:

@@ -376,12 +376,15 @@ def _check_distances(where: str, room: Room, distances: Array) -> None:
 
 
 def _check_values(where: str, room: Room, name: str, values: Array) -> None:
-    for i, k in np.argwhere(np.isfinite(values)):
+    kind = observable(name)
+    least, most = LEVEL_LIMITS.get(name, kind.limits)
+    with np.errstate(invalid="ignore"):
+        outside = np.isfinite(values) & ~((values >= least) & (values <= most))
+    for i, k in np.argwhere(outside):
         place, value = f"{where}: {name} at {bands.label(room.centre_frequencies[k])}", values[i, k]
         if name not in LEVEL_LIMITS:
-            observable(name).refuse(place, value)
-        elif not LEVEL_LIMITS[name][0] <= value <= LEVEL_LIMITS[name][1]:
-            least, most = LEVEL_LIMITS[name]
+            kind.refuse(place, value)
+        else:
             raise DataError(
                 f"{place} = {value:g} dB is not from {least:g} to {most:g} dB, which no room exceeds"
             )

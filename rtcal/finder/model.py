@@ -102,18 +102,9 @@ class RoomState:
         return np.asarray(rates([self])[0])
 
     @cached_property
-    def _wall(self) -> Array:
+    def wall(self) -> Array:
         """Mean alpha of the materials; cached, since every grid point covers part of one state."""
         return np.asarray(self.areas @ self.alpha / self.total_area)
-
-    @cached_property
-    def _wall_contribution(self) -> Array:
-        """The contribution of 1 m² of mean wall to the equation's sum, cached as `_wall` is."""
-        return np.asarray(self._law.contribution(self._wall))
-
-    @cached_property
-    def _law(self) -> MeanEquation:
-        return mean_equation(self.equation)
 
     def decay(self) -> Decay:
         """Return the decay: that of the state's ``shape``, else one exponential."""
@@ -124,14 +115,26 @@ class RoomState:
 
     def covered(self, area: float, spectrum: Array) -> RoomState:
         """Return the state with ``area`` m² of wall replaced by a covering with these coefficients."""
-        law = self._law
-        patch = law.contribution(np.minimum(spectrum, law.largest_alpha))
-        gain = area * (patch - self._wall_contribution)
-        return replace(self, covering=self.covering + gain)
+        return covered([self], np.array([area]), np.asarray(spectrum)[np.newaxis])[0]
 
     def with_objects(self, absorption_area: Array) -> RoomState:
         """Return the state with free-standing objects of this absorption area in m²."""
         return replace(self, objects=self.objects + absorption_area)
+
+
+def covered(states: Sequence[RoomState], areas: Array, spectra: Array) -> list[RoomState]:
+    """Return each state with an area of wall in m² replaced by a covering: areas (n,).
+
+    ``spectra`` (n, n_bands) are the coverings' alpha.
+    """
+    out = list(states)
+    for equation, where in _by_equation(states):
+        patches = equation.contribution(np.minimum(spectra[where], equation.largest_alpha))
+        walls = equation.contribution(np.array([states[i].wall for i in where]))
+        gains = areas[where][:, np.newaxis] * (patches - walls)
+        for i, gain in zip(where, gains, strict=True):
+            out[i] = replace(states[i], covering=states[i].covering + gain)
+    return out
 
 
 def _attribute(states: Sequence[RoomState], name: str) -> Array:

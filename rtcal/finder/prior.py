@@ -162,7 +162,7 @@ def grid_weights(effect: Effect, grid: Sequence[Parameters], state: RoomState) -
     neighbours on either side, in ln of a parameter that is above 0. So a grid twice as fine gives each
     point half of the weight, and the effect the same evidence.
     """
-    weights = np.array([effect.density(theta, state) for theta in grid], dtype=float)
+    weights = effect.densities(grid, state)
     for name in grid[0]:
         if name not in effect.discrete:
             weights *= _cells(np.array([theta[name] for theta in grid]))

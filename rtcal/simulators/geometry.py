@@ -133,6 +133,8 @@ class Polyhedron:
         name = self.names[i]
         vertices = checks.listed(f'face "{name}"', self.faces[i])
         for v in vertices:
+            if type(v) is int and 0 <= v < len(index):
+                continue
             if checks.whole(f'a vertex of face "{name}"', v, 0) >= len(index):
                 raise DataError(
                     f'face "{name}" has vertex {v}; there are vertices 0 to {len(index) - 1}'
@@ -263,11 +265,14 @@ class Polyhedron:
         """
         if not checks.mapped(f"{kind}s", points):
             raise DataError(f"there is no {kind}; at least one is needed")
-        for name, point in points.items():
-            where = _points(f'{kind} "{name}"', [point])
-            if not (self.contains(where)[0] and self.wall_distance(where)[0] > WELD):
-                raise DataError(f'{kind} "{name}" = {_place(where[0])} is outside the room')
-        return np.array([np.asarray(p, dtype=float) for p in points.values()])
+        places = np.array(
+            [_points(f'{kind} "{name}"', [point])[0] for name, point in points.items()]
+        )
+        inside = self.contains(places) & (self.wall_distance(places) > WELD)
+        for name, place, free in zip(points, places, inside, strict=True):
+            if not free:
+                raise DataError(f'{kind} "{name}" = {_place(place)} is outside the room')
+        return places
 
 
 def _points(place: str, values: Any) -> Array:

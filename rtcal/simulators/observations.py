@@ -274,7 +274,8 @@ def values_of_decays(
     values = np.empty((len(match), *energy.shape[:-1]))
     for row, name in zip(values, match, strict=True):
         kind = OBSERVABLES[name]
-        row[:] = kind.observed(kind.value(energy, bin_width))
+        value = kind.value(energy, bin_width)
+        row[:] = kind.observed(value) if kind.logarithmic else value
         if (lost := ~np.isfinite(row)).any():
             first = tuple(np.argwhere(lost)[0].tolist())
             *_, pair, band = first

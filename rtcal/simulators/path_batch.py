@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any, Literal
 
 import numpy as np
@@ -45,7 +46,7 @@ class Batch:
         for values in (*self.arrays, self.directions):
             values.setflags(write=False)
 
-    @property
+    @cached_property
     def arrays(self) -> tuple[NDArray[Any], ...]:
         """Events, starts, lengths and weights, as the kernels take them."""
         return self.events, self.starts, self.lengths, self.weights

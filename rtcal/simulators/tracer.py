@@ -265,8 +265,7 @@ def check_seconds(seconds: float) -> float:
 
 def check_walls(geometry: Polyhedron, room: Room) -> None:
     """Raise DataError for a wall material that the room lacks, or a volume off by `OFF_VOLUME`."""
-    for material in geometry.materials:
-        room.material_index(material)
+    room.material_rows(geometry.materials)
     if abs(room.volume / geometry.volume - 1) > OFF_VOLUME:
         raise DataError(
             f"room: volume = {room.volume:g} m³, but the geometry holds {geometry.volume:g} m³; they "
@@ -330,7 +329,9 @@ def measurement(
 
 def eyring_seconds(room: Room, alpha: Array) -> float:
     """Return the longest of Eyring's T over the bands in s, from 0.2 to `LONGEST`."""
-    times = Eyring().reverberation_time(room.replace(alpha=alpha, calibration=None))
+    if not np.array_equal(alpha, room.alpha):
+        room = room.replace(alpha=alpha, calibration=None)
+    times = Eyring().reverberation_time(room)
     return float(np.clip(np.max(times), 0.2, LONGEST))
 
 

@@ -63,12 +63,10 @@ class OmittedAir(Effect):
 
     def change(self, state: RoomState, parameters: Parameters) -> RoomState:
         """Return the room with this air: its attenuation and its speed of sound."""
-        climate = parameters["temperature"], parameters["humidity"]
-        return replace(
-            state,
-            air=_attenuation(tuple(state.frequencies), *climate),
-            speed_of_sound=Air(*climate).speed_of_sound,
+        attenuation, speed = _climate(
+            tuple(state.frequencies), parameters["temperature"], parameters["humidity"]
         )
+        return replace(state, air=attenuation, speed_of_sound=speed)
 
     def describe(self, parameters: Parameters, without: str = "") -> str:
         """Return the climate, with what is known of it."""
@@ -87,6 +85,9 @@ class OmittedAir(Effect):
 
 
 @lru_cache(maxsize=256)
-def _attenuation(frequencies: tuple[float, ...], temperature: float, humidity: float) -> Array:
-    """Return the air's energy attenuation in 1/m, (n_bands,)."""
-    return read_only(Air(temperature, humidity).attenuation(frequencies))
+def _climate(
+    frequencies: tuple[float, ...], temperature: float, humidity: float
+) -> tuple[Array, float]:
+    """Return the air's energy attenuation in 1/m, (n_bands,), and its speed of sound in m/s."""
+    air = Air(temperature, humidity)
+    return read_only(air.attenuation(frequencies)), air.speed_of_sound

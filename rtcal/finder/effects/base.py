@@ -13,12 +13,14 @@ from rtcal.acoustics import bands
 from rtcal.acoustics.air import Air
 from rtcal.acoustics.room import Room
 from rtcal.acoustics.room_checks import LARGEST
-from rtcal.finder.model import Decay, RoomState
+from rtcal.finder.model import Decay, RoomState, covered
 from rtcal.support import checks
 from rtcal.support.errors import DataError
 from rtcal.support.types import Array
 
 Parameters = Mapping[str, float]
+Kind = tuple[tuple[str, float], ...]
+"""The parameters of an absorber but for its size."""
 Limits = Mapping[str, tuple[float, float]]
 """Least and largest possible value of each parameter."""
 
@@ -107,6 +109,10 @@ class Effect(ABC):
     def change(self, state: RoomState, parameters: Parameters) -> RoomState:
         """Return the room with the effect in it."""
 
+    def changes(self, state: RoomState, grid: Sequence[Parameters]) -> list[RoomState]:
+        """Return the room with the effect in it, for each set of parameters."""
+        return [self.change(state, theta) for theta in grid]
+
     def on_surface(self, frequencies: Array) -> Sequence[tuple[Parameters, Array]]:
         """Return what may stand on a surface: parameters without a size, and alpha, (n_bands,)."""
         return []
@@ -118,6 +124,10 @@ class Effect(ABC):
         itself; of a discrete parameter, a probability.
         """
         return 1.0
+
+    def densities(self, grid: Sequence[Parameters], state: RoomState) -> Array:
+        """Return the `density` of each set of parameters, (n,)."""
+        return np.array([self.density(theta, state) for theta in grid], dtype=float)
 
     def limits(self, room: Room | None) -> Limits:
         """Return where the physics of the parameters ends, in this room; None: in any room.
@@ -199,7 +209,7 @@ class Absorber(AbsorbingObject):
 
     @abstractmethod
     def spectrum(self, frequencies: Array, parameters: Parameters) -> Array:
-        """Return alpha, (n_bands,)."""
+        """Return alpha, (n_bands,), which the size does not change."""
 
     def limits(self, room: Room | None) -> Limits:
         """Return an area from 0 to that of all surfaces."""
@@ -228,9 +238,19 @@ class Absorber(AbsorbingObject):
 
     def change(self, state: RoomState, parameters: Parameters) -> RoomState:
         """Return the room with the absorber in place of wall."""
-        return state.covered(
-            parameters[self.size], self._checked_alpha(state.frequencies, parameters)
-        )
+        return self.changes(state, [parameters])[0]
+
+    def changes(self, state: RoomState, grid: Sequence[Parameters]) -> list[RoomState]:
+        """Return the room with the absorber in place of wall, for each set of parameters."""
+        if type(self).change is not Absorber.change:
+            return super().changes(state, grid)
+        spectra: dict[Kind, Array] = {}
+        kinds = [tuple((k, v) for k, v in theta.items() if k != self.size) for theta in grid]
+        for kind, theta in zip(kinds, grid, strict=True):
+            if kind not in spectra:
+                spectra[kind] = self._checked_alpha(state.frequencies, theta)
+        areas = np.array([theta[self.size] for theta in grid])
+        return covered([state] * len(grid), areas, np.array([spectra[kind] for kind in kinds]))
 
 
 def checked_spectrum(name: str, alpha: object, frequencies: Array) -> Array:

@@ -18,7 +18,7 @@ from rtcal.finder.effects.base import (
     first_decay,
     middle_absorption,
 )
-from rtcal.finder.model import Decay, RoomState, rates, speeds
+from rtcal.finder.model import Decay, RoomState, covered, rates, speeds
 
 
 @dataclass(frozen=True)
@@ -88,12 +88,7 @@ class CoupledDecay:
         volume = np.array([[s.volume] for s in shapes])
         first_volume = np.array([[s.volume] for s in states])
         alpha, air = np.array([[s.alpha] for s in shapes]), np.array([s.air for s in states])
-        first = rates(
-            [
-                state.covered(shape.aperture, opening)
-                for state, shape in zip(states, shapes, strict=True)
-            ]
-        )
+        first = rates(covered(states, aperture[:, 0], np.tile(opening, (len(states), 1))))
         absorbed = -np.log1p(-alpha) * 6 * volume ** (2 / 3) + 4 * air * volume + aperture
         second = c * absorbed / (4 * volume)
         # The exchange is symmetric in E1 sqrt(V1) and E2 sqrt(V2).

@@ -26,7 +26,7 @@ from rtcal.finder.means.engines import (
     recentred,
 )
 from rtcal.finder.means.evidence import MeansEvidence, evaluate
-from rtcal.finder.means.features import LEVELS, ObservedFeatures, distances, state
+from rtcal.finder.means.features import LEVELS, ObservedFeatures, distances, states
 from rtcal.finder.means.hypotheses import LowRank, MeansHypotheses
 from rtcal.finder.means.model_error import ModelDiscrepancy, estimate_discrepancy
 from rtcal.finder.model import FEATURES, predict
@@ -219,7 +219,7 @@ def draw_null_features(
     alphas = draw_alpha(case, rng, n) + drawn(directions(case, NULL_POWER), rng, n)
     alphas = np.clip(alphas, 0.001, 0.99)
     rows = [
-        predict([state(case, c, a[i]) for a in alphas], distances(case, c)).features
+        predict(states(case, c, [a[i] for a in alphas]), distances(case, c)).features
         for i, c in enumerate(case.configurations)
     ]
     values = np.stack(rows, axis=1)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -57,7 +58,7 @@ class ObservedFeatures:
     origin: str = ""
     unstated: frozenset[str] = frozenset()
 
-    @property
+    @cached_property
     def values(self) -> Array:
         """The features in use, (n_used,)."""
         return np.asarray(self.features[self.used])
@@ -185,18 +186,28 @@ def state(case: Case, configuration: Configuration, alpha: Array | None = None) 
 
     ``alpha`` (n_materials, n_bands) replaces the room's; the configuration's changes apply on top.
     """
+    return states(case, configuration, [case.room.alpha if alpha is None else alpha])[0]
+
+
+def states(case: Case, configuration: Configuration, alphas: Sequence[Array]) -> list[RoomState]:
+    """Return the `state` of a configuration with each of these alpha (n_materials, n_bands)."""
     room = case.room
-    values = np.array(room.alpha if alpha is None else alpha)
-    for material, change in configuration.changes.items():
-        values[room.material_index(material)] = change.alpha
-    unchanged = replace(RoomState.of_room(room, case.facing, case.equation), alpha=values)
+    changed = {room.material_index(m): c.alpha for m, c in configuration.changes.items()}
+    unchanged = RoomState.of_room(room, case.facing, case.equation)
     if air := configuration.air:
         unchanged = replace(
             unchanged,
             air=air.attenuation(room.centre_frequencies),
             speed_of_sound=air.speed_of_sound,
         )
-    return with_applied(unchanged, case.applied, configuration)
+    out = []
+    for alpha in alphas:
+        values = np.array(alpha)
+        for row, of_material in changed.items():
+            values[row] = of_material
+        made = replace(unchanged, alpha=values)
+        out.append(with_applied(made, case.applied, configuration))
+    return out
 
 
 def with_applied(

@@ -206,7 +206,7 @@ def gap_check(
     fitted = (c == 0) & (f == 0)
     if fitted.all():
         return GapCheck(np.nan, np.nan, np.nan, 0.0)
-    jnd = np.array([observable(FEATURES[k]).jnd for k in f])[~fitted]
+    jnd = np.array([observable(name).jnd for name in FEATURES])[f[~fitted]]
     mask = observed.used.ravel()
     gaps, moves, density = [], [], []
     for row, factor, exact in ((0, 1.0, True), (i, scale, False)):

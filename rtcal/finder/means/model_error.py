@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +17,7 @@ from rtcal.finder.model import FEATURES, Predicted, RoomState, sensitivities
 from rtcal.finder.prior import directions, factors
 from rtcal.support import checks
 from rtcal.support.errors import DataError
-from rtcal.support.types import Array
+from rtcal.support.types import Array, read_only
 
 COMMON_UNCERTAINTY: Mapping[str, float] = {"edt": 0.05, "t30": 0.018, "c80": 0.5, "g": 0.5}
 """Standard uncertainty of the model common to all bands and configurations, in ln and dB. The scatter
@@ -205,12 +206,15 @@ def _climate(case: Case) -> Array:
         if air is not None:
             first = 2 * place[owner]
             out[c, first : first + 2] = air.speed_of_sound * _attenuation_changes(
-                air, case.climate_uncertainty, room.centre_frequencies
+                air, case.climate_uncertainty, tuple(room.centre_frequencies.tolist())
             )
     return out
 
 
-def _attenuation_changes(air: Air, by: tuple[float, float], frequencies: Array) -> Array:
+@lru_cache(maxsize=64)
+def _attenuation_changes(
+    air: Air, by: tuple[float, float], frequencies: tuple[float, ...]
+) -> Array:
     """Return the change of m in 1/m by so many K and by so many % of humidity, (2, n_bands)."""
     warm = min(air.temperature, 50 - by[0])
     damp = min(air.humidity, 100 - by[1])
@@ -218,4 +222,6 @@ def _attenuation_changes(air: Air, by: tuple[float, float], frequencies: Array) 
         (replace(air, temperature=warm), replace(air, temperature=warm + by[0])),
         (replace(air, humidity=damp), replace(air, humidity=damp + by[1])),
     ]
-    return np.array([b.attenuation(frequencies) - a.attenuation(frequencies) for a, b in pairs])
+    return read_only(
+        np.array([b.attenuation(frequencies) - a.attenuation(frequencies) for a, b in pairs])
+    )

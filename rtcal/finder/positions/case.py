@@ -27,6 +27,7 @@ from rtcal.support import checks
 from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError
 from rtcal.support.text import shortened
+from rtcal.support.types import Array
 
 
 @checked
@@ -198,6 +199,19 @@ class PositionsCase:
     def divided(self) -> Divided:
         """The geometry with its long surfaces divided."""
         return surfaces.divided(self.geometry, self.faces)
+
+    @cached_property
+    def kinds(self) -> tuple[str, ...]:
+        """The kind of each surface: "floor", "wall" or "ceiling"."""
+        return tuple(of_room.kind(self.geometry, faces) for faces in self.faces.values())
+
+    @cached_property
+    def surface_alpha(self) -> Array:
+        """Mean alpha of each surface, (n_surfaces, n_bands)."""
+        alpha = self.room.alpha[self.room.material_rows(self.geometry.materials)]
+        areas = self.geometry.face_areas
+        faces = self.faces.values()
+        return np.array([np.average(alpha[f], axis=0, weights=areas[f]) for f in faces])
 
     @property
     def areas(self) -> dict[str, float]:

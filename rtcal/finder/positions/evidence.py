@@ -97,6 +97,8 @@ class Likelihood:
 
     def shifted(self, shift: ShiftHypothesis, residuals: Residuals) -> Array:
         """Return the log density by hypothesis, (n_hypotheses, n_draws)."""
+        if len(shift.weights) <= _AT_ONCE:
+            return self._shifted(shift, residuals)
         parts = range(0, len(shift.weights), _AT_ONCE)
         return np.concatenate(
             [self._shifted(shift.some(slice(p, p + _AT_ONCE)), residuals) for p in parts]

@@ -27,7 +27,7 @@ from rtcal.finder.positions.shift import (
     towards,
     unevenness,
 )
-from rtcal.finder.positions.surfaces import Part, kind
+from rtcal.finder.positions.surfaces import Part
 from rtcal.finder.positions.weighing import SECOND_ROOMS
 from rtcal.finder.prior import COEFFICIENTS, grid_weights, relative_sigma
 from rtcal.loop.measured_pairs import Pair
@@ -123,7 +123,7 @@ def air(case: PositionsCase) -> ShiftHypothesis:
     reference = Air(20, 50).attenuation(f)
     stated = stated_room(case)
     grid = effect.grid(stated)
-    attenuation = np.array([Air(p["temperature"], p["humidity"]).attenuation(f) for p in grid])
+    attenuation = np.array([state.air for state in effect.changes(stated, grid)])
     density = grid_weights(effect, grid, stated)
     return _whole(
         "air",
@@ -177,18 +177,6 @@ def on_surfaces(effects: Sequence[Effect]) -> list[Effect]:
     return sorted(standing, key=lambda e: (bool(e.shares), "wall" not in e.stands_on))
 
 
-def surface_alpha(case: PositionsCase) -> Array:
-    """Return the mean alpha of each surface, (n_surfaces, n_bands)."""
-    rows = case.room.material_rows(case.geometry.materials)
-    areas = case.geometry.face_areas
-    return np.array(
-        [
-            np.average(case.room.alpha[rows[f]], axis=0, weights=areas[f])
-            for f in case.faces.values()
-        ]
-    )
-
-
 def shifts(
     case: PositionsCase, effects: Sequence[Effect], without: Sequence[str] = ()
 ) -> list[ShiftHypothesis]:
@@ -207,9 +195,8 @@ def shifts(
 def _on_surfaces(case: PositionsCase, effect: Effect) -> list[ShiftHypothesis]:
     """Return an effect on each surface that can have it."""
     frequencies, areas = case.room.centre_frequencies, np.array(list(case.areas.values()))
-    stated = surface_alpha(case)
-    kinds = [kind(case.geometry, f) for f in case.faces.values()]
-    possible = np.array([k in effect.stands_on for k in kinds])
+    stated = case.surface_alpha
+    possible = np.array([k in effect.stands_on for k in case.kinds])
     spectra = effect.on_surface(frequencies)
     middle = middle_absorption(stated_room(case))
     covering = bool(effect.shares)
@@ -270,7 +257,7 @@ def _apertures(case: PositionsCase) -> list[ShiftHypothesis]:
     """Return an aperture to a second room on each wall and ceiling."""
     room, areas = case.room, np.array(list(case.areas.values()))
     middle, n_bands = middle_absorption(stated_room(case)), case.room.n_bands
-    possible = np.array([kind(case.geometry, f) in COUPLED.stands_on for f in case.faces.values()])
+    possible = np.array([k in COUPLED.stands_on for k in case.kinds])
     made = []
     for j in np.flatnonzero(possible):
         area = np.array([size * middle for size in SIZES if size * middle <= areas[j]])
@@ -312,7 +299,7 @@ def on_parts(case: PositionsCase, shifts: Sequence[ShiftHypothesis]) -> list[Shi
     over the surface. So the odds of a surface do not depend on the number of its parts. What covers a
     stated absorber is a share of the whole surface, and has no parts; nor has an aperture.
     """
-    stated, every = surface_alpha(case), list(enumerate(case.divided.parts))
+    stated, every = case.surface_alpha, list(enumerate(case.divided.parts))
     out = []
     for shift in shifts:
         own = [(p, part) for p, part in every if part.surface == shift.surface]

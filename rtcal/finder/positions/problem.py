@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtcal.acoustics.air import Air
-from rtcal.acoustics.observables import observable
+from rtcal.acoustics.observables import Observable, observable
 from rtcal.acoustics.room_errors import alike_alpha, common_error_columns, prior_covariance
 from rtcal.finder.case import CLIMATE_UNCERTAINTY
 from rtcal.finder.positions.case import PositionsCase
@@ -102,16 +102,11 @@ class PositionsProblem:
         if aimed and self.aimed is not None:
             base = base + self.aimed
         common = self.together @ self.together.T
+        names, n_pairs = self.data.observations.parameters, self.shape[1]
+        uneven, amount = uneven_columns(names, n_pairs), uneven_amount(names, n_pairs)
 
         def of(covariance: Array) -> Likelihood:
-            names, n_pairs = self.data.observations.parameters, self.shape[1]
-            return Likelihood(
-                covariance,
-                self.used,
-                self.nodes,
-                uneven=uneven_columns(names, n_pairs),
-                amount=uneven_amount(names, n_pairs),
-            )
+            return Likelihood(covariance, self.used, self.nodes, uneven=uneven, amount=amount)
 
         off = [of(base + (scale**2 - 1) * common) for scale, _ in SCALES]
         unknown = [of(base + (scale - 1) * error) for scale in UNKNOWN_SCALES]
@@ -148,11 +143,13 @@ def problem_of(case: PositionsCase, made: PairShifts, controls: ControlRuns) -> 
     if not used.any():
         raise DataError("no value was both measured and simulated")
     measured = np.where(np.isfinite(wanted.values), wanted.values, stated)
-    scale = _slopes(wanted.parameters, _smooth(measured, stated), stated)
+    kinds = [observable(name) for name in wanted.parameters]
+    rows_of = zip(kinds, _smooth(measured, stated), stated, strict=True)
+    scale = np.array([kind.linear_slope(value, at) for kind, value, at in rows_of])
 
     def shifted(values: Array) -> Array:
         ends = stated[..., np.newaxis] + at_pairs(values)
-        return band_first(_linear(wanted.parameters, ends, stated[..., np.newaxis]))
+        return band_first(_linear(kinds, ends, stated[..., np.newaxis]))
 
     nodes = {f"surface {j}": shifted(s) for j, s in enumerate(made.surfaces)}
     nodes |= {f"part {p}": shifted(s) for p, s in enumerate(made.parts)}
@@ -173,7 +170,7 @@ def problem_of(case: PositionsCase, made: PairShifts, controls: ControlRuns) -> 
     return PositionsProblem(
         data=data,
         controls=controls,
-        residual=np.where(used, flat(_linear(wanted.parameters, measured, stated)), 0.0),
+        residual=np.where(used, flat(_linear(kinds, measured, stated)), 0.0),
         scale=flat(scale),
         used=used,
         alpha=alpha,
@@ -187,15 +184,10 @@ def problem_of(case: PositionsCase, made: PairShifts, controls: ControlRuns) -> 
     )
 
 
-def _linear(parameters: Sequence[str], values: Array, stated: Array) -> Array:
+def _linear(kinds: Sequence[Observable], values: Array, stated: Array) -> Array:
     """Return values (n_parameters, ...) on the scales of `Observable.linear`."""
-    rows = zip(parameters, values, stated, strict=True)
-    return np.array([observable(name).linear(value, at) for name, value, at in rows])
-
-
-def _slopes(parameters: Sequence[str], values: Array, stated: Array) -> Array:
-    rows = zip(parameters, values, stated, strict=True)
-    return np.array([observable(name).linear_slope(value, at) for name, value, at in rows])
+    rows = zip(kinds, values, stated, strict=True)
+    return np.array([kind.linear(value, at) for kind, value, at in rows])
 
 
 def _smooth(measured: Array, stated: Array) -> Array:

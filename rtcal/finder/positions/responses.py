@@ -43,6 +43,8 @@ OPEN = tuple(share for share in SHARES if share > 0)
 """Nodes of an aperture: shares of its surface."""
 MOVE = 0.5
 """Distance in m by which a source or receiver is displaced, along each axis and both ways."""
+_FROM_WALLS = 0.05
+"""Least distance in m of a displaced position from a wall."""
 _SOURCE_PATHS = 4000
 """Paths from each displaced source."""
 
@@ -333,13 +335,6 @@ def _moved(case: PositionsCase, match: Sequence[str], base: Array, seed: int) ->
     out: dict[str, Array] = {}
     steps = [sign * axis for axis in np.eye(3) for sign in (-MOVE, MOVE)]
 
-    def displaced(points: Mapping[str, object]) -> dict[str, Array]:
-        places = {}
-        for name, point in points.items():
-            for i, step in enumerate(steps):
-                places[f"{name} {i}"] = _inside(case, np.array(point, dtype=float), step)
-        return places
-
     n_sources, n_receivers = len(tracer.sources), len(tracer.receivers)
     shape = (len(match), n_sources, n_receivers, base.shape[-1])
     stated = base.reshape(shape)
@@ -349,7 +344,9 @@ def _moved(case: PositionsCase, match: Sequence[str], base: Array, seed: int) ->
         aimed = {
             f"{name} {i}": of for name, of in tracer.directivity.items() for i in range(len(steps))
         }
-        changes = {kind: displaced(points), "n_paths": fewer}
+        moved = _inside(case, np.array([*points.values()], dtype=float), np.array(steps))
+        names = [f"{name} {i}" for name in points for i in range(len(steps))]
+        changes = {kind: dict(zip(names, moved, strict=True)), "n_paths": fewer}
         changed = _retraced(
             tracer.denser(), **changes, **({"directivity": aimed} if kind == "sources" else {})
         )
@@ -373,13 +370,19 @@ def _moved(case: PositionsCase, match: Sequence[str], base: Array, seed: int) ->
     return out
 
 
-def _inside(case: PositionsCase, point: Array, step: Array) -> Array:
-    """Return the point moved by the step, or by less where a wall is in the way."""
-    for share in (1.0, 0.5, 0.25, -0.5):
-        trial = point + share * step
-        if case.geometry.contains([trial])[0] and case.geometry.wall_distance([trial])[0] > 0.05:
-            return np.asarray(trial)
-    return point
+def _inside(case: PositionsCase, points: Array, steps: Array) -> Array:
+    """Return each point moved by each step, or by less where a wall is in the way.
+
+    Points (n, 3) and steps (m, 3) in m give (n m, 3).
+    """
+    shares = np.array([1.0, 0.5, 0.25, -0.5, 0.0])[:, np.newaxis]
+    trials = points[:, np.newaxis, np.newaxis] + shares * steps[:, np.newaxis]
+    flat = trials.reshape(-1, 3)
+    free = case.geometry.contains(flat) & (case.geometry.wall_distance(flat) > _FROM_WALLS)
+    free = free.reshape(trials.shape[:-1])
+    free[..., -1] = True  # not moved
+    first = np.argmax(free, axis=-1)[..., np.newaxis, np.newaxis]
+    return np.asarray(np.take_along_axis(trials, first, axis=2).reshape(-1, 3))
 
 
 def _packed(made: PairShifts) -> Array:

@@ -18,6 +18,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from itertools import product
 
 import numpy as np
@@ -248,10 +249,15 @@ class Weighing:
 
         (n_parameters, ..., n_pairs, n_bands).
         """
-        tracer = self.tracer
+        pairs, frequencies = self._named
         return observations.values_of_decays(
-            energy, tracer.bin_width, self.match, tracer.pairs, tracer.centre_frequencies
+            energy, self.tracer.bin_width, self.match, pairs, frequencies
         )
+
+    @cached_property
+    def _named(self) -> tuple[Sequence[tuple[str, str]], Array]:
+        """The pairs and bands that an error names."""
+        return self.tracer.pairs, self.tracer.centre_frequencies
 
     def energy(
         self,
@@ -332,7 +338,7 @@ class Weighing:
             out[:, :, bands] = cut.reshape(len(cut), n_pairs, len(bands), n_bins)
         return out
 
-    @property
+    @cached_property
     def _bands(self) -> list[NDArray[np.int64]]:
         return self.tracer.bands_of_paths()
 
