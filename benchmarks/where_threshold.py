@@ -20,8 +20,10 @@ import numpy as np
 
 from benchmarks.where import case_of, prepared
 from benchmarks.where_figures import DATA
+from rtcal.finder.positions.evidence import Likelihood, Residuals
 from rtcal.finder.positions.posterior import TEMPER, PositionsHypotheses, evaluate, scores, weights
 from rtcal.finder.positions.problem import PositionsProblem
+from rtcal.finder.positions.shift import ShiftHypothesis
 from tests.geometric_world.load import HANDBOOK, IN_SITU, load, truth
 
 FOLDS, DRAWS = 4, 25
@@ -69,11 +71,22 @@ def control_scores(
         every.append(scores(posterior, hypotheses)[0])
         observed = likelihoods[0].of(residuals)
         squares += [
-            np.mean(likelihoods[0].standardised(shift, observed) ** 2)
+            np.mean(standardised(likelihoods[0], shift, observed) ** 2)
             for shift in hypotheses.shifts
             if shift.surface is not None
         ]
     return np.concatenate(every), float(np.mean(squares))
+
+
+def standardised(
+    likelihood: Likelihood, shift: ShiftHypothesis, residuals: Residuals
+) -> np.ndarray:
+    """Return d' K⁻¹ r over its standard deviation, (n_hypotheses, n_draws)."""
+    nodes = likelihood.nodes[shift.response]
+    by_node = nodes.swapaxes(1, 2) @ residuals.pull.reshape(len(nodes), nodes.shape[1], -1)
+    projected = np.einsum("hkn,knm->hm", shift.weights, by_node)
+    size = np.sqrt(np.maximum(likelihood.forms(shift).sum((1, 2)), 1e-12))
+    return np.asarray(projected / size[:, np.newaxis])
 
 
 def of_room(index: int, statement: str, data: str, cache: Path) -> dict[str, Any]:

@@ -1,4 +1,8 @@
-"""A case in a geometry: a simulator, and what was measured at its pairs."""
+"""A case in a geometry: a simulator, and what was measured at its pairs.
+
+It is no `rtcal.finder.Case`: a tracer has one configuration and no equation, and a pair is compared by
+its names.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,8 @@
-"""Room and geometry with what was found on a surface."""
+"""Room and geometry with what was found on a surface.
+
+`rtcal.finder.means.corrected` spreads what was found over all walls, since means know no place; here it
+has a surface, and so a geometry.
+"""
 
 from __future__ import annotations
 

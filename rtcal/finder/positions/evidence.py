@@ -11,6 +11,10 @@ depends on another band. So each hypothesis needs products of nodes alone: N' K�
 The error of d_h has two parts. Each band's shift is larger or smaller by a factor
 (`ShiftHypothesis.error`), and pairs hear more or less of it than if it were spread evenly
 (`rtcal.finder.positions.shift`).
+
+All hypotheses share one covariance and differ in a product. Those on means
+(`rtcal.finder.means.likelihood`) have a covariance each, since a closed form gives the derivatives by
+alpha of every one.
 """
 
 from __future__ import annotations
@@ -196,12 +200,6 @@ class Likelihood:
         inner = np.eye(len(rows)) + added @ inside
         gained = np.einsum("rm,rm->m", pulled, np.linalg.solve(inner, added @ pulled))
         return self._log(residuals.square - gained, float(np.linalg.slogdet(inner)[1]))
-
-    def standardised(self, shift: ShiftHypothesis, residuals: Residuals) -> Array:
-        """Return d' K⁻¹ r over its standard deviation, (n_hypotheses, n_draws)."""
-        projected, forms = self._forms(shift, residuals)
-        size = np.sqrt(np.maximum(forms.sum((1, 2)), 1e-12))
-        return np.asarray(projected.sum(1) / size[:, np.newaxis])
 
     def forms(self, shift: ShiftHypothesis) -> Array:
         """Return d' K⁻¹ d by pairs of bands, (n_hypotheses, n_bands, n_bands)."""

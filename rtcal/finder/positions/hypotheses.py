@@ -1,4 +1,8 @@
-"""Hypotheses by place: a surface or part of one, the whole room, one material, the measurement."""
+"""Hypotheses by place: a surface or part of one, the whole room, one material, the measurement.
+
+An effect gives its alpha here, and its whole state to means (`rtcal.finder.means.hypotheses`): what
+stands on a surface is traced, not calculated.
+"""
 
 from __future__ import annotations
 

@@ -4,6 +4,9 @@ The positions decide; means over them tell the family, too.
 
 A noisy pair is no evidence that the room is other than stated. In rooms that lack nothing, one pair
 often errs by more than is assumed, and the other pairs do not.
+
+One effect in one place is weighed against another: a hypothesis at positions has a place, and no sets
+are formed as on means (`rtcal.finder.means.set_posterior`).
 """
 
 from __future__ import annotations

@@ -1,4 +1,8 @@
-"""Whether the gap shrinks at positions that were not fitted."""
+"""Whether the gap shrinks at positions that were not fitted.
+
+Every model is traced anew, so that it has the prediction of a tracer; `rtcal.finder.states` predicts by
+an equation, and means over positions have no pairs to hold out.
+"""
 
 from __future__ import annotations
 

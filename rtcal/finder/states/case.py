@@ -1,4 +1,8 @@
-"""Two states of one room: what was measured before and after, and ln T after less before, by pair."""
+"""Two states of one room: what was measured before and after, and ln T after less before, by pair.
+
+It is no `rtcal.finder.Case`: two measurements are compared with each other, so that neither the
+coefficients' prior nor a configuration counts.
+"""
 
 from __future__ import annotations
 

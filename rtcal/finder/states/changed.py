@@ -1,4 +1,8 @@
-"""The room of the second state: the first state's, with what changed in it."""
+"""The room of the second state: the first state's, with what changed in it.
+
+It is made of a measured difference, band by band, and not of an effect with its parameters as in
+`rtcal.finder.means.corrected` and `rtcal.finder.positions.corrected`.
+"""
 
 from __future__ import annotations
 

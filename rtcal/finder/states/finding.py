@@ -23,7 +23,7 @@ from rtcal.finder.finding import (
 from rtcal.finder.prior import NONE
 from rtcal.finder.states.case import StatesCase
 from rtcal.finder.states.changed import SecondState, changed_room
-from rtcal.finder.states.kinds import ADDED
+from rtcal.finder.states.evidence import ADDED
 from rtcal.support import text
 from rtcal.support.errors import DataError
 from rtcal.support.files import json_numbers

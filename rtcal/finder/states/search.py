@@ -29,9 +29,8 @@ from rtcal.finder.positions.weighing import Weighing
 from rtcal.finder.prior import NO_EFFECT, NONE
 from rtcal.finder.states import evidence
 from rtcal.finder.states.case import StatesCase
-from rtcal.finder.states.evidence import Baseline, Errors, Fits
+from rtcal.finder.states.evidence import ADDED, AIR, REMOVED, Baseline, Errors, Fits, Grid, grid
 from rtcal.finder.states.finding import Kind, StatesFinding
-from rtcal.finder.states.kinds import ADDED, AIR, REMOVED, Grid, grid
 from rtcal.simulators import observations
 from rtcal.simulators.observations import Observations
 from rtcal.simulators.path_tracing import PathTracing
