@@ -38,7 +38,9 @@ def counted(run: Callable[[], Any]) -> tuple[Counter[Call], set[str]]:
     files: set[str] = set()
 
     def seen(frame: FrameType, event: str, _: object) -> None:
-        function = frame.f_code.co_flags & inspect.CO_OPTIMIZED  # no module or class that is imported
+        function = (
+            frame.f_code.co_flags & inspect.CO_OPTIMIZED
+        )  # no module or class that is imported
         if event != "call" or not (function and frame.f_code.co_filename.startswith(PACKAGE)):
             return
         here, caller = frame.f_code.co_filename, frame.f_back
