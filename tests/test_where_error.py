@@ -141,12 +141,17 @@ def test_patterns_over_the_pairs_that_are_noise_are_drawn_to_their_mean(
 def test_a_surface_that_leaves_a_decay_without_a_parameter_is_that_of_a_smaller_share() -> None:
     """Room 163 of the geometric world: a search ended in an error where one surface was open."""
 
-    def parameters(energy: float) -> np.ndarray:
-        if energy <= 0:
+    def parameters(energy: np.ndarray) -> np.ndarray:
+        if (energy <= 0).any():
             raise DataError("the decay has no EDT")
-        return np.array([energy])
+        return energy[np.newaxis]
 
     weighing: Any = SimpleNamespace(parameters=parameters)
-    assert np.ravel(_at_shares(weighing, [3.0, 1.0, 0.0, 2.0])).tolist() == [3.0, 1.0, 1.0, 2.0]
+
+    def at_shares(*energy: float) -> list[float]:
+        return np.ravel(_at_shares(weighing, np.array(energy))).tolist()
+
+    assert at_shares(3.0, 1.0, 2.0) == [3.0, 1.0, 2.0]
+    assert at_shares(3.0, 1.0, 0.0, 2.0) == [3.0, 1.0, 1.0, 2.0]
     with pytest.raises(DataError, match="no EDT"):
-        _at_shares(weighing, [0.0, 1.0])
+        at_shares(0.0, 1.0)
