@@ -19,8 +19,8 @@ import pytest
 
 import rtcal as rt
 from rtcal.acoustics.directivity import DirectivityFile
-from rtcal.finder.positions.case import Case
-from rtcal.finder.positions.corrected import Corrected, corrected
+from rtcal.finder.positions.case import PositionsCase
+from rtcal.finder.positions.corrected import Corrected, corrected_geometry
 from rtcal.io import bras, catt, geometry_files, odeon, pyroomacoustics, tables
 from rtcal.loop.positions_result import PositionsResult
 from rtcal.report import positions_page, result_folder
@@ -128,8 +128,10 @@ def patched() -> Corrected:
     ones = {"t20": np.ones((2, 8))}
     pairs = [("S1", "R1"), ("S1", "R2")]
     measured = rt.Measurement(centre_frequencies=OCTAVES, pairs=pairs, values=ones)
-    case = Case.from_room(stated(scattering_model="random"), measured, tracing={"n_paths": 800})
-    return corrected(case, replace(candidate("floor", 4.0), spectrum=np.full(8, 0.8)))
+    case = PositionsCase.from_room(
+        stated(scattering_model="random"), measured, tracing={"n_paths": 800}
+    )
+    return corrected_geometry(case, replace(candidate("floor", 4.0), spectrum=np.full(8, 0.8)))
 
 
 ROOMS: dict[str, Callable[[], rt.Room]] = {
@@ -299,7 +301,7 @@ def test_a_patchs_folder_holds_the_mesh_and_its_surfaces(tmp_path: Path) -> None
     for field in ("sources", "receivers", "position_uncertainty"):
         assert getattr(room.scene, field) == getattr(stated, field)
     assert same(room.scene.directivity, stated.directivity)
-    again = Case.from_room(room, made.case.measured)
+    again = PositionsCase.from_room(room, made.case.measured)
     whole = dict(made.case.areas)
     assert again.areas.keys() == {*whole, made.material}
     assert again.areas["floor"] == pytest.approx(whole.pop("floor") - 4.0, rel=1e-6)
