@@ -34,6 +34,7 @@ pytest.importorskip("numba", reason="the engines are compiled (extra fast)")
 
 from tests.hidden_world import populations
 from tests.hidden_world.generate import numbers, read
+from tests.typed import wrongly_typed
 
 HERE = Path(__file__).parent / "hidden_world"
 STORED = HERE / "population_1_findings.jsonl.gz"
@@ -190,6 +191,8 @@ def test_every_verdict_has_a_headline_and_says_what_to_do(
         finding, verdict=verdict, candidates=() if verdict == "none" else finding.candidates
     )
     proved = verify(seen) if seen.can_be_added else None
+    assert wrongly_typed(seen) == []
+    assert proved is None or wrongly_typed(proved) == []
     page = summary(seen, proved)
     for sentence in (page["headline"], *page["rests_on"], *page["to_do"]):
         assert re.match(r"[A-Z].*\.$", sentence), sentence

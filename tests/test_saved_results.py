@@ -21,6 +21,7 @@ from rtcal.support.errors import DataError
 from rtcal.support.results import NUMBERS, Result
 from tests.test_positions import HALL, MATCH, heard, tracing
 from tests.test_where_page import finding_of, verification_of
+from tests.typed import wrongly_typed
 
 
 def same(one: Any, other: Any) -> bool:
@@ -50,7 +51,11 @@ def same(one: Any, other: Any) -> bool:
 
 
 def back(result: Result, folder: Path) -> Any:
-    """Return a result after it was saved and loaded; what it says and holds must be the same."""
+    """Return a result after it was saved and loaded; what it says and holds must be the same.
+
+    And every attribute is of the type that its class states.
+    """
+    assert wrongly_typed(result) == []
     result.save(folder)
     again = rt.load(folder)
     assert same(again, result)

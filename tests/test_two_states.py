@@ -13,6 +13,7 @@ import rtcal as rt
 from rtcal.command.main import main
 from rtcal.finder.states import Differences, StatesCase, StatesFinding
 from tests.two_states import BANDS, measured, room, times
+from tests.typed import wrongly_typed
 
 
 @pytest.fixture(scope="module")
@@ -23,6 +24,7 @@ def panels() -> StatesFinding:
 
 def test_panels_are_found_with_their_amount_and_spectrum(panels: StatesFinding) -> None:
     assert panels.verdict == "family"
+    assert wrongly_typed(panels) == []
     assert panels.family is not None
     assert panels.family.startswith("added absorption")
     assert panels.probabilities["none"] < 1e-6
@@ -51,12 +53,12 @@ def test_what_was_added_is_removed_in_the_other_order(panels: StatesFinding) -> 
 @pytest.mark.parametrize("noisy", [0, 1])
 def test_noise_is_no_change(noisy: int) -> None:
     """Also where one source is three times as noisy as theory says."""
-    scores = [
-        rt.find(
-            room(), measured(times(), 2 * s + 1, noisy=noisy), before=measured(times(), 2 * s)
-        ).score
+    findings = [
+        rt.find(room(), measured(times(), 2 * s + 1, noisy=noisy), before=measured(times(), 2 * s))
         for s in range(10, 16)
     ]
+    assert [wrongly_typed(found) for found in findings] == [[]] * 6
+    scores = [found.score for found in findings]
     assert sum(score > np.log(20) for score in scores) <= 1
     assert np.median(scores) < 0
 

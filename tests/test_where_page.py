@@ -20,6 +20,7 @@ from rtcal.report.document import Heading
 from rtcal.support.errors import DataError
 from tests.test_figures import LEAST, PHONE, texts
 from tests.test_where_corrected import L_PLAN, candidate, case_in, prism, triangulated
+from tests.typed import wrongly_typed
 
 pytest.importorskip("matplotlib", reason="needs the extra report")
 pytest.importorskip("jinja2", reason="needs the extra report")
@@ -98,6 +99,23 @@ def test_a_gap_that_changes_by_less_than_its_uncertainty_is_unproven(
     assert result.gain == pytest.approx(plain - corrected, abs=0.06)
     assert 0.005 < result.uncertainty < 0.05
     assert np.isfinite(list(result.spread["plain"].values())).all()
+
+
+@pytest.mark.parametrize("verdict", ["none", "hint", "named", "family", "ambiguous", "unknown"])
+def test_attributes_have_one_type_whatever_was_found(
+    finding: PositionsFinding, verdict: str
+) -> None:
+    nothing = verdict == "none"
+    found = replace(
+        finding,
+        verdict=verdict,
+        effect="porous" if verdict == "named" else None,
+        family="added absorption" if verdict in ("named", "family") else None,
+        surface=None if nothing else "wall 5",
+        surfaces={} if nothing else finding.surfaces,
+        candidates=() if nothing else finding.candidates,
+    )
+    assert wrongly_typed(found) == []
 
 
 def test_a_gap_that_shrinks_at_one_pair_alone_is_unproven() -> None:
