@@ -39,9 +39,10 @@ from benchmarks.judging import (
     stated_probabilities,
 )
 from benchmarks.second_world import truth_of
-from rtcal.finder import Case, find
+from rtcal.finder import Case
 from rtcal.finder.means import likelihood
 from rtcal.finder.means.engines import ControlRooms
+from rtcal.finder.search import find
 from tests.hidden_world import populations as first_world
 from tests.second_world import rooms as second_world
 

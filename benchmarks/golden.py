@@ -34,9 +34,10 @@ from benchmarks.judging import one
 from benchmarks.positions import MATCH
 from benchmarks.real_cases import every_case
 from rtcal.acoustics.equations import EQUATIONS
-from rtcal.finder import Case, control_rooms, find, verify
+from rtcal.finder import Case, control_rooms, verify
 from rtcal.finder.means.engines import ControlRooms
 from rtcal.finder.means.set_posterior import MOST
+from rtcal.finder.search import find
 from tests.geometric_world import load as geometric
 from tests.position_rooms import load as positions
 

@@ -24,8 +24,9 @@ LARGEST = 1.2
 def child(name: str, n_materials: int, n_configurations: int) -> None:
     """Print seconds and MB of one call."""
     import rtcal as rt
-    from rtcal.finder import Case, ChangedMaterial, Configuration, find
+    from rtcal.finder import Case, ChangedMaterial, Configuration
     from rtcal.finder.means.engines import ControlRooms
+    from rtcal.finder.search import find
 
     rng = np.random.default_rng(0)
     bands = 250.0 * 2.0 ** np.arange(4)

@@ -23,7 +23,6 @@ import numpy as np
 from benchmarks.judging import FLAGS, NOTHING, first_of, kept_controls, one, rate, row_of
 from rtcal.finder import (
     Case,
-    find,
     verify,
 )
 from rtcal.finder.effects.people import AT_1_KHZ
@@ -31,6 +30,7 @@ from rtcal.finder.means.bootstrap import (
     MINIMUM_LEVELS,
 )
 from rtcal.finder.means.engines import ControlRooms
+from rtcal.finder.search import find
 from tests.hidden_world.generate import read
 from tests.hidden_world.populations import DOUBLE, TOGGLED, TWINS
 

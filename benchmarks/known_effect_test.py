@@ -4,7 +4,7 @@ The test is told which effect is hidden and how large it is, against one alterna
 well. No finder knows as much, so none names the truth more often at as few wrong claims. A second test
 is told the library and the priors alone: the weighted likelihood ratio is then the most powerful.
 
-The data are drawn from what `rtcal.finder.find` assumes: the prior of the coefficients with their
+The data are drawn from what `rtcal.find` assumes: the prior of the coefficients with their
 usual error in common, the measurement's uncertainty, and the model's error as control rooms show it.
 Their density is Student's t of the finder's degrees of freedom, or a normal one.
 

@@ -29,7 +29,8 @@ from typing import Any
 from benchmarks import known_effect_test
 from benchmarks.judging import FLAGS, NOTHING, Judged, families_of, kept_controls, rate, row_of
 from benchmarks.real_cases import COEFFICIENTS, RealCase, case, every_case
-from rtcal.finder import AppliedEffect, Case, find
+from rtcal.finder import AppliedEffect, Case
+from rtcal.finder.search import find
 
 STORED = Path(__file__).parent / "real_rooms.json"
 """The rows of the run that the study shows: what the finder said, no measured value."""

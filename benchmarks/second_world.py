@@ -46,7 +46,7 @@ from benchmarks.judging import (
     row_of,
 )
 from rtcal.acoustics.room_errors import POWER
-from rtcal.finder import AppliedEffect, Case, find, library
+from rtcal.finder import AppliedEffect, Case, library
 from rtcal.finder.means import bootstrap
 from rtcal.finder.means.bootstrap import QUANTILE
 from rtcal.finder.means.engines import ControlRooms
@@ -54,6 +54,7 @@ from rtcal.finder.means.evidence import evaluate
 from rtcal.finder.means.features import observe
 from rtcal.finder.means.hypotheses import predict_hypotheses
 from rtcal.finder.prior import NULL_POWER, prior_of
+from rtcal.finder.search import find
 from tests.hidden_world import generate as first_world
 from tests.hidden_world.populations import TOGGLED
 from tests.second_world import generate as second_world

@@ -43,7 +43,7 @@ from benchmarks.several_effects_rooms import (
     rooms,
     true_effects,
 )
-from rtcal.finder import Case, find, recalibrate
+from rtcal.finder import Case, recalibrate
 from rtcal.finder.means.engines import ControlRooms
 from rtcal.finder.means.features import observe
 from rtcal.finder.means.hypotheses import predict_hypotheses
@@ -52,6 +52,7 @@ from rtcal.finder.means.model_error import ModelDiscrepancy, estimate_discrepanc
 from rtcal.finder.means.recalibration import plain
 from rtcal.finder.means.set_posterior import MOST
 from rtcal.finder.means.sets import averaged_alpha, compare, covariance_with_alpha, moments
+from rtcal.finder.search import find
 from tests.hidden_world.generate import read
 from tests.hidden_world.populations import DOUBLE
 

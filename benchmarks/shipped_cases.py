@@ -21,7 +21,8 @@ from typing import Any
 import numpy as np
 
 from benchmarks.hidden_effects import NAMES
-from rtcal.finder import Case, find
+from rtcal.finder import Case
+from rtcal.finder.search import find
 from tests.hidden_world.populations import KINDS, build
 
 POPULATION = 4

@@ -39,7 +39,7 @@ def task(name: str) -> Callable[[], object]:
             ControlRooms(engine, scale * rng.standard_normal(shape))
             for engine in ("path tracing", "network")
         ]
-        return lambda: rt.finder.find(case, controls=controls)
+        return lambda: rt.find(case, controls=controls)
     room, measured = rt.datasets.bras_cr2()
     if name == "calibrate":
         return lambda: [rt.calibrate(room, measured) for _ in range(20)]

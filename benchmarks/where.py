@@ -11,7 +11,7 @@
 
 tests/geometric_world describes the rooms. Each is judged on T20, EDT, C80 and Ts ("without level") and
 with G beside them ("level"). Control runs and weighings are kept in the folder's `controls`, so that
-another run of a room takes seconds. `means` is `rtcal.finder.find` on the same values, without
+another run of a room takes seconds. `means` is `rtcal.find` on the same values, without
 a geometry.
 
 The gap is at held-out pairs, in JND: `positions.verify` fits on half of the pairs and predicts the
@@ -38,11 +38,12 @@ import rtcal as rt
 from benchmarks.judging import FLAGS, rounded, row_of
 from benchmarks.where_figures import DATA, LARGE, MODELS, ROOMS, chosen, table
 from rtcal.acoustics.quality import gap_jnd
-from rtcal.finder import find, library
+from rtcal.finder import library
 from rtcal.finder.positions.posterior import PositionsHypotheses, of_means
 from rtcal.finder.positions.problem import PositionsProblem, problem_of
 from rtcal.finder.positions.responses import parameters, responses_of
 from rtcal.finder.positions.search import every_hypothesis
+from rtcal.finder.search import find
 from rtcal.loop.control_runs import simulated_controls
 from tests.geometric_world import rooms
 from tests.geometric_world.generate import HERE

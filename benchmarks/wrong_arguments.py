@@ -41,10 +41,10 @@ from rtcal.finder import (
     Case,
     ChangedMaterial,
     Configuration,
-    find,
     plan,
     verify,
 )
+from rtcal.finder.search import find
 from rtcal.loop.state import start
 from rtcal.simulators.external import EquationSimulator
 from rtcal.simulators.geometry import SHOEBOX_WALLS, Polyhedron

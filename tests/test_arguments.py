@@ -97,7 +97,7 @@ def test_a_typed_error_from_inside_comes_first() -> None:
 @pytest.mark.parametrize(
     ("call", "place"),
     [
-        (lambda: rt.finder.find(3), "case = 3 is not a rtcal.finder.Case"),
+        (lambda: rt.find(3), "case = 3 is not a rtcal.finder.Case"),
         (lambda: rt.finder.positions.find(3), "is not a rtcal.finder.positions.PositionsCase"),
         (lambda: rt.finder.corrected_room(3), "finder.corrected_room: case = 3"),
     ],

@@ -16,8 +16,9 @@ import pytest
 import rtcal as rt
 from rtcal import terms
 from rtcal.calibration import convex_program, solvers
-from rtcal.finder import AppliedEffect, find, recalibrate, verify
+from rtcal.finder import AppliedEffect, recalibrate, verify
 from rtcal.finder.effects.opening import Opening
+from rtcal.finder.search import find
 from rtcal.support.errors import SolverError
 from tests.conftest import random_room, true_times
 from tests.test_discrepancy import controls_of, opened

@@ -25,7 +25,6 @@ from rtcal.finder import (
     Configuration,
     Effect,
     Threshold,
-    find,
     library,
     plan,
     recalibrate,
@@ -47,6 +46,7 @@ from rtcal.finder.means.hypotheses import predict_hypotheses
 from rtcal.finder.means.likelihood import alpha_covariance, goodness_of_fit
 from rtcal.finder.means.model_error import ModelDiscrepancy, estimate_discrepancy
 from rtcal.finder.model import RoomState, predict, sensitivities
+from rtcal.finder.search import find
 from rtcal.support.errors import DataError
 
 F = 125.0 * 2.0 ** np.arange(7)

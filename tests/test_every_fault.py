@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from rtcal.command import finder as commands
-from rtcal.finder import find
+from rtcal.finder.search import find
 from rtcal.report import figures, gap_report, page, result_folder, study_report
 from tests.test_discrepancy import controls_of, opened
 from tests.test_fault_commands import WRITERS, attempt, fit_once, search_once

@@ -144,7 +144,7 @@ def search_once(monkeypatch: pytest.MonkeyPatch) -> None:
     verified = verification_of(finding, {"before": 3.0, "plain": 2.0, "corrected": 1.0})
     drawn = where_folder.drawn(finding, verified, PLACE)
     pictures = {id(figure): figures.rendered(figure, "png") for figure in drawn.values()}
-    monkeypatch.setattr(rt.finder, "find", lambda *_, **__: finding)
+    monkeypatch.setattr("rtcal.finder.search.find", lambda *_, **__: finding)
     monkeypatch.setattr(rt.finder, "verify", lambda *_, **__: verified)
     monkeypatch.setattr(rt.finder.positions, "next_position", lambda *_, **__: (PLACE,))
     monkeypatch.setattr(where_folder, "drawn", lambda *_: drawn)

@@ -33,7 +33,7 @@ def drawn(kept: Path) -> dict[str, Any]:
         exec(block, names)
         found[block.rsplit("figure = ", 1)[1].split("(")[0]] = names["figure"]
     case, _ = rt.datasets.hidden_room()
-    finding = rt.finder.find(case, cache=kept)
+    finding = rt.find(case, cache=kept)
     verification = rt.finder.verify(finding)
     found["evidence"] = gap_figures.evidence(finding)
     found["residuals"] = gap_figures.residuals(finding)

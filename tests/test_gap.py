@@ -19,13 +19,14 @@ import rtcal as rt
 from rtcal.command import finder as commands
 from rtcal.command.finder_options import Inputs
 from rtcal.command.main import cli
-from rtcal.finder import Case, MeansFinding, control_rooms, find, verify
+from rtcal.finder import Case, MeansFinding, control_rooms, verify
 from rtcal.finder.finding import Size
 from rtcal.finder.means import evidence
 from rtcal.finder.means.bootstrap import FOLDER
 from rtcal.finder.means.engines import ControlRooms
 from rtcal.finder.means.features import distances, state
 from rtcal.finder.model import predict
+from rtcal.finder.search import find
 from rtcal.report import gap_figures, pages
 from rtcal.report.document import Heading
 from rtcal.report.gap_report import summary
@@ -281,7 +282,7 @@ def test_how_closely_t_is_met_is_said_as_it_is(
 def test_an_ambiguous_effect_is_not_added_silently(
     folder: Path, finding: MeansFinding, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(rt.finder, "find", lambda *_, **__: unsure(finding))
+    monkeypatch.setattr("rtcal.finder.search.find", lambda *_, **__: unsure(finding))
     out = folder / "torn.json"
     text = " ".join(run("apply", str(folder / "case.json"), "--out", str(out)).split())
     name = f'area of "{finding.case.room.materials[1]}"'

@@ -25,7 +25,6 @@ from rtcal.finder import (
     Effect,
     control_rooms,
     corrected_room,
-    find,
     library,
     plan,
     recalibrate,
@@ -37,6 +36,7 @@ from rtcal.finder.means.engines import ControlRooms, Engine
 from rtcal.finder.means.features import state
 from rtcal.finder.means.model_error import ModelDiscrepancy
 from rtcal.finder.model import Decay, RoomState
+from rtcal.finder.search import find
 from rtcal.support.errors import DataError, OtherBandsWarning, RtcalError
 from tests.test_discrepancy import F, Organ, case_with, controls_of, opened
 

@@ -91,8 +91,6 @@ def test_every_docstring_beside_the_package_has_a_subject(folder: str) -> None:
 DIRECTORIES = """
 import types
 import rtcal as rt
-from rtcal.command.console import PATHS
-from rtcal.command.main import cli
 
 rt.calibrate(*rt.datasets.bras_cr2())  # imports many a module past its package
 modules = [rt]
@@ -125,7 +123,7 @@ def public_objects() -> dict[str, Any]:
 
 
 def test_public_names_are_the_fields_words() -> None:
-    names = [name for name in public_objects() if not name.startswith("rtcal.finder.")]
+    names = [*public_objects()]
     assert len(names) > 200
     for name in names:
         words = {*re.findall("[a-z]+", name.rpartition(".")[2].lower())}
@@ -232,7 +230,7 @@ def test_every_public_object_has_one_path() -> None:
     paths = public_paths()
     assert len(paths) > 300
     times = Counter(map(id, paths.values()))
-    assert {n for n, v in paths.items() if times[id(v)] > 1} == {"rtcal.find", "rtcal.finder.find"}
+    assert [name for name, value in paths.items() if times[id(value)] > 1] == []
     assert len(rt.__all__) <= 40
 
 
@@ -267,6 +265,6 @@ def test_a_function_of_many_arguments_has_a_reason() -> None:
             if inspect.isfunction(function) or inspect.ismethod(function):
                 parameters = inspect.signature(function).parameters
                 found[place] = len([p for p in parameters if p != "self"])
-    many = {name for name, n in found.items() if n > 8} - {"rtcal.finder.find"}
+    many = {name for name, n in found.items() if n > 8}
     assert many == MANY_ARGUMENTS.keys()
     assert max(found.values()) <= 13

@@ -13,10 +13,11 @@ from scipy.integrate import quad
 from scipy.stats import norm
 
 from rtcal.command.main import cli
-from rtcal.finder import Case, find, plan
+from rtcal.finder import Case, plan
 from rtcal.finder.means import likelihood
 from rtcal.finder.means.measurements import COSTS, Information, extended, possible
 from rtcal.finder.means.sets import Moments
+from rtcal.finder.search import find
 from rtcal.support.errors import DataError
 from tests.test_several_effects import BOTH, FEW, case_with, compared, controls_of
 

@@ -12,7 +12,7 @@ from click.testing import CliRunner
 import rtcal as rt
 from rtcal.acoustics.room_errors import HANDBOOK_SIGMA
 from rtcal.command.main import cli
-from rtcal.finder import Case, Configuration, find, library, recalibrate
+from rtcal.finder import Case, Configuration, library, recalibrate
 from rtcal.finder.claim import by_family, claimed
 from rtcal.finder.effects.audience import Audience
 from rtcal.finder.effects.coupled_room import CoupledRoom
@@ -27,6 +27,7 @@ from rtcal.finder.means.features import distances, observe, state
 from rtcal.finder.means.hypotheses import LowRank, predict_hypotheses
 from rtcal.finder.model import predict
 from rtcal.finder.prior import SHARPER, prior_of, probability_off
+from rtcal.finder.search import find
 from rtcal.support.errors import DataError
 
 F = [125.0, 250.0, 500.0, 1000.0, 2000.0, 4000.0]

@@ -23,7 +23,6 @@ from rtcal.finder import (
     Configuration,
     Effect,
     MeansFinding,
-    find,
     library,
 )
 from rtcal.finder.claim import numbers_of
@@ -47,6 +46,7 @@ from rtcal.finder.means.sets import (
 )
 from rtcal.finder.model import FEATURES
 from rtcal.finder.prior import UNKNOWN, prior_of
+from rtcal.finder.search import find
 from rtcal.report import gap_report
 from rtcal.support.errors import DataError
 
@@ -408,7 +408,7 @@ def test_sets_of_a_single_effect_are_refused() -> None:
     case, _ = rt.datasets.hidden_room()
     first = case.only("t20", configurations=["A"])
     with pytest.raises(DataError, match="most = 3, and 1 effect is tried"):
-        rt.finder.find(first, only=("opening",), most=3)
+        rt.find(first, only=("opening",), most=3)
 
 
 def test_what_of_the_added_set_is_claimed_is_said() -> None:
@@ -425,7 +425,7 @@ def test_what_of_the_added_set_is_claimed_is_said() -> None:
 def test_prior_odds_of_none_are_refused_for_several_effects() -> None:
     case, _ = rt.datasets.hidden_room()
     with pytest.raises(DataError, match=r'prior has odds of "none".*expected'):
-        rt.finder.find(case, prior={"none": 2.0}, most=3)
+        rt.find(case, prior={"none": 2.0}, most=3)
 
 
 @pytest.mark.parametrize(
@@ -448,7 +448,7 @@ def test_options_of_several_effects_that_would_do_nothing_are_refused(
 def test_a_library_that_was_cut_is_said(kept: Path) -> None:
     case, _ = rt.datasets.hidden_room()
     first = case.only("t20", configurations=["A"])
-    cut = rt.finder.find(first, only=("opening",), cache=kept)
+    cut = rt.find(first, only=("opening",), cache=kept)
     assert any("weighted by hand" in note for note in cut.notes)
 
 

@@ -46,11 +46,11 @@ def test_the_true_coefficients_are_as_far_off_as_is_stated(name: str) -> None:
 def test_one_is_named_and_one_is_not_told() -> None:
     """It fails where the finder is changed: run `benchmarks/shipped_cases.py`, and the pages."""
     case, truth = rt.datasets.named_room()
-    finding = rt.finder.find(case)
+    finding = rt.find(case)
     assert (finding.verdict, finding.effect) == ("named", truth["hidden"])
     case, truth = rt.datasets.untold_room()
     assert truth["hidden"] not in ("", "nothing")
-    assert rt.finder.find(case).verdict in ("none", "hint")
+    assert rt.find(case).verdict in ("none", "hint")
 
 
 def test_the_rule_tries_every_kind_that_the_library_has() -> None:

@@ -83,7 +83,7 @@ def test_json_in_latin_1_is_refused(name: str, tmp_path: Path) -> None:
 
 def test_a_findings_file_holds_no_nan(tmp_path: Path) -> None:
     """NaN is no JSON: strict readers refuse the file."""
-    unknown = dataclasses.replace(rt.finder.find(opened()), detection=Detection(float("nan"), 1.0))
+    unknown = dataclasses.replace(rt.find(opened()), detection=Detection(float("nan"), 1.0))
     text = unknown.save(tmp_path).read_text(encoding="utf-8")
     assert json_object(text)["score"] is None
 

@@ -108,6 +108,7 @@ CALLS: list[tuple[str, list[str], int]] = [
 def computed() -> Any:
     """The slow part of each command, once for all widths: what is tested is their text."""
     from rtcal import finder
+    from rtcal.finder import search
 
     # It shall not import what is replaced below.
     from rtcal.finder.positions import verification  # noqa: F401
@@ -127,7 +128,7 @@ def computed() -> Any:
 
     with pytest.MonkeyPatch.context() as patch:
         for module, name in (
-            (finder, "find"),
+            (search, "find"),
             (finder, "verify"),
             (finder, "plan"),
             (designed, "design"),

@@ -73,7 +73,7 @@ def test_claims_beside_others_are_those_of_the_table(label: str, kind: str) -> N
 
 def test_every_verdict_says_how_often_it_was_right(kept: Path) -> None:
     case, _ = rt.datasets.hidden_room()
-    finding = rt.finder.find(case, cache=kept)
+    finding = rt.find(case, cache=kept)
     assert finding.track_record == track_record.of_means(finding.verdict, track_record.ALL)
     assert finding.track_record in " ".join(str(finding).split())
     for data in (track_record.TIMES, track_record.ALL):

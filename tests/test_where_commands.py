@@ -54,7 +54,7 @@ def found(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> PositionsFinding:
     def verified(*_: Any, **__: Any) -> PositionsVerification:
         return verification_of(finding, {"before": 3.0, "plain": 2.0, "corrected": 1.0})
 
-    monkeypatch.setattr(rt.finder, "find", lambda *_, **__: finding)
+    monkeypatch.setattr("rtcal.finder.search.find", lambda *_, **__: finding)
     monkeypatch.setattr(rt.finder, "verify", verified)
     monkeypatch.setattr(rt.finder.positions, "next_position", lambda *_, **__: (PLACE,))
     monkeypatch.chdir(tmp_path)
@@ -88,7 +88,7 @@ def test_the_next_position_is_proposed(
         {"point": list(PLACE.point), "source": PLACE.source, "nats": PLACE.nats}
     ]
     claimed = replace(found, surface="floor")
-    monkeypatch.setattr(rt.finder, "find", lambda *_, **__: claimed)
+    monkeypatch.setattr("rtcal.finder.search.find", lambda *_, **__: claimed)
     assert run("plan", *FILES) == 0
     assert "No surfaces are in question" in " ".join(capsys.readouterr().out.split())
 
@@ -109,7 +109,7 @@ def test_nothing_found_is_said_and_nothing_is_written(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     nothing = replace(found, verdict="none", effect=None, family=None)
-    monkeypatch.setattr(rt.finder, "find", lambda *_, **__: nothing)
+    monkeypatch.setattr("rtcal.finder.search.find", lambda *_, **__: nothing)
     assert run("apply", *FILES, "--out", "corrected") == 6
     assert not (tmp_path / "corrected").exists()
     assert run("verify", *FILES) == 0

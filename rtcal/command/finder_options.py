@@ -90,7 +90,7 @@ def search_case(
     case: Any = None,
 ) -> Any:
     """Find what a room's model misses; simulations are kept beside its file."""
-    from rtcal import finder
+    from rtcal.finder.search import find
 
     case = read_case(inputs, targets) if case is None else case
     options: dict[str, Any] = {"seed": search.seed, "without": search.without, "only": search.only}
@@ -108,7 +108,7 @@ def search_case(
         options |= of_means
     with _progress("control room", quiet) as progress:
         options |= {"cache": inputs.kept, "progress": progress}
-        return finder.find(case, **options)
+        return find(case, **options)
 
 
 def verified(inputs: Inputs, finding: Any, quiet: bool) -> Any:
@@ -243,7 +243,7 @@ def input_options(command: Any) -> Any:
 
 @dataclass(frozen=True)
 class Search:
-    """Settings of the search beside the case, as `rtcal.finder.find` does."""
+    """Settings of the search beside the case, as `rtcal.find` does."""
 
     engines: tuple[str, ...]
     seed: int

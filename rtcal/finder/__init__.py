@@ -2,7 +2,7 @@
 
     >>> import rtcal as rt
     >>> case = rt.finder.Case.from_file("case.toml")     # doctest: +SKIP
-    >>> print(rt.finder.find(case))                      # doctest: +SKIP
+    >>> print(rt.find(case))                      # doctest: +SKIP
 
 docs/discrepancy.md has the method and what it can and cannot do.
 """
@@ -34,7 +34,6 @@ if TYPE_CHECKING:
     from rtcal.finder.means.recalibrated import Recalibrated as Recalibrated
     from rtcal.finder.means.recalibration import recalibrate as recalibrate
     from rtcal.finder.means.verification import MeansVerification as MeansVerification
-    from rtcal.finder.search import find as find
     from rtcal.finder.search import verify as verify
 else:
     __getattr__, __dir__, __all__ = lazy.exports(__name__, __file__)

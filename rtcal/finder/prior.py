@@ -1,7 +1,7 @@
 """The prior: which effect, how much of it, which coefficients, before anything was measured.
 
 Every number of this page is an assumption. It decides where the data do not. The odds are an argument
-of `rtcal.finder.find`; an effect states its own in its class.
+of `rtcal.find`; an effect states its own in its class.
 
 Coefficients may err together: by a factor and a tilt over frequency, for all and per material. The
 usual amount of such errors (`rtcal.acoustics.room_errors`) belongs to every hypothesis. Coefficients

@@ -7,13 +7,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from rtcal.finder import Case, find
+from rtcal.finder import Case
 from rtcal.finder.effects import Effect, NoiseFloor, NonDiffuse, Opening, Porous, WrongArea
 from rtcal.finder.effects.checks import checked_grid
 from rtcal.finder.means.features import state
 from rtcal.finder.means.gap import Objection
 from rtcal.finder.means.hypotheses import predict_hypotheses
 from rtcal.finder.means.verdict import doubted
+from rtcal.finder.search import find
 from tests.test_discrepancy import case_with, controls_of, opened
 
 FAR: list[tuple[Effect, dict[str, float]]] = [

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 import rtcal as rt
-from rtcal.finder import corrected_room, find, simulator, verify
+from rtcal.finder import corrected_room, simulator, verify
+from rtcal.finder.search import find
 from rtcal.report.gap_report import rests_on, to_do
 from tests.seams.turned_panels import laboratory
 

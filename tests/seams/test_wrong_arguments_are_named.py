@@ -52,7 +52,7 @@ def test_an_unknown_option() -> None:
 
 @pytest.fixture(scope="module")
 def finding(kept: Path) -> rt.finder.Finding:
-    return rt.finder.find(rt.datasets.hidden_room()[0], cache=kept)
+    return rt.find(rt.datasets.hidden_room()[0], cache=kept)
 
 
 @pytest.mark.parametrize("wrong", [[], {}, set(), np.ones(3)], ids=str)
@@ -66,11 +66,11 @@ def test_a_name_of_a_finding(finding, method: str, wrong: object) -> None:
 def test_arrays_and_generators_of_effects(names: str, kept: Path) -> None:
     case, _ = rt.datasets.hidden_room()
     known = ["opening", "volume", "air"]
-    by_list = rt.finder.find(case, cache=kept, **{names: known})
-    by_array = rt.finder.find(case, cache=kept, **{names: np.array(known)})
+    by_list = rt.find(case, cache=kept, **{names: known})
+    by_array = rt.find(case, cache=kept, **{names: np.array(known)})
     assert by_array.candidates == by_list.candidates
     with pytest.raises(RtcalError, match=names):
-        rt.finder.find(case, cache=kept, **{names: (name for name in known)})
+        rt.find(case, cache=kept, **{names: (name for name in known)})
 
 
 def test_progress_of_another_kind() -> None:

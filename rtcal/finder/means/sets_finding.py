@@ -16,7 +16,7 @@ _NUMBERS = ("none", "one", "two", "three")
 class SetsFinding(Finding):
     """The finding of sets of effects; attributes beside those of `Finding`.
 
-    Each set has one effect unless `rtcal.finder.find` was told of more (``most``).
+    Each set has one effect unless `rtcal.find` was told of more (``most``).
 
     Attributes
     ----------

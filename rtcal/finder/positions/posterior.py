@@ -264,7 +264,7 @@ def evidence_of_means(
     seed: int = 0,
     cache: str | os.PathLike[str] | None = None,
 ) -> MeansFinding | None:
-    """Return what `rtcal.finder.find` says of the means over positions.
+    """Return what `rtcal.find` says of the means over positions.
 
     None where that finder has nothing to compare: no T, or none that can be trusted.
     """
