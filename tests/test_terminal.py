@@ -268,6 +268,10 @@ def test_a_long_step_says_once_what_it_does_without_a_terminal(monkeypatch) -> N
         shown.update(2)
     time.sleep(0.1)
     assert lines == []
+    with progress.bar(16, "control run", wanted=False, say=lines.append) as shown:
+        progress.following(shown)(16, 16)  # they were kept; the fit itself takes long
+        time.sleep(0.15)
+    assert lines == ["what follows the control runs takes more than 0.05 s"]
 
 
 def test_a_mesh_that_takes_long_says_so(tmp_path: Path, monkeypatch, capsys) -> None:

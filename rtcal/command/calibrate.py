@@ -212,7 +212,7 @@ def fit(
     from rtcal.loop.positions import calibrate_positions
     from rtcal.report import result_folder
     from rtcal.support.files import spare
-    from rtcal.support.progress import bar
+    from rtcal.support.progress import bar, following
 
     folder = output_folder("--out", out)
     stated = Room.from_file(room)
@@ -242,7 +242,7 @@ def fit(
                 position_uncertainty=stated.scene.position_uncertainty,
                 fit_scattering=not keep_scattering,
                 seed=seed,
-                progress=lambda done, total: shown.update(1),
+                progress=following(shown),
             ).traced()
     text = str(result)
     if folder is not None:

@@ -124,7 +124,7 @@ def predict(
     from rtcal.loop.control_runs import RUNS
     from rtcal.loop.predicted_positions import predict_positions
     from rtcal.prediction.compared import compare
-    from rtcal.support.progress import bar
+    from rtcal.support.progress import bar, following
 
     output_folder("--out", out)
     # What the file of variants states is checked before anything is calibrated.
@@ -150,7 +150,7 @@ def predict(
             known,
             variants,
             position_uncertainty=before.scene.position_uncertainty,
-            progress=lambda done, total: shown.update(1),
+            progress=following(shown),
         )
     told(at_positions, out, quiet=quiet, as_json=as_json)
 
@@ -189,7 +189,7 @@ def calibrated_to_positions(
     from rtcal.io import geometry_files
     from rtcal.loop.control_runs import RUNS
     from rtcal.loop.positions import calibrate_positions
-    from rtcal.support.progress import bar
+    from rtcal.support.progress import bar, following
 
     with without_air_warning(), bar(RUNS, "control run", bar_wanted(quiet), said(quiet)) as shown:
         return calibrate_positions(
@@ -198,7 +198,7 @@ def calibrated_to_positions(
             heard,
             cache=file.parent / FOLDER,
             position_uncertainty=room.scene.position_uncertainty,
-            progress=lambda done, total: shown.update(1),
+            progress=following(shown),
         )
 
 

@@ -33,6 +33,8 @@ _BANDS = "centre_frequencies"
 _LOOPS = (Loop.record_kind, LoopResult.record_kind)
 _FOR_PROGRAMS = {"object", "inputs", "settings"}
 """Entries that only rtcal reads: the result's pieces, and the text of its input files."""
+_BY_MATERIAL = ("raw_alpha", "scattering coefficients", "scattering sigma")
+"""Ends of the names of tables with a row per material and a column per band."""
 
 
 @checked
@@ -97,6 +99,7 @@ def tables_of(record: Mapping[str, Any]) -> dict[str, Table]:
     of_bands: dict[str, Sequence[Any]] = {}
     lists: dict[str, Table] = {}
     entries = dict(_entries(record, ""))
+    materials = [m.get("name") for m in record.get("materials", ()) if isinstance(m, Mapping)]
     for name, value in entries.items():
         if name.endswith(_BANDS):
             continue
@@ -112,6 +115,9 @@ def tables_of(record: Mapping[str, Any]) -> dict[str, Table]:
             summary.append([name, ", ".join(map(str, value))])
         elif len(shape) == 3 and shape[2] == len(labels):
             lists[name] = _by_position(value, labels, entries, f"{beside} ".lstrip())
+        elif len(shape) == 2 and name.endswith(_BY_MATERIAL) and len(value) == len(materials):
+            rows = zip(materials, value, strict=True)
+            lists[name] = [["material", *labels], *([m, *map(_cell, row)] for m, row in rows)]
         elif len(shape) > 1:
             lists[name] = [
                 ["source", "receiver"] if name.endswith("pairs") else _columns(value, labels),

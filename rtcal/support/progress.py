@@ -48,10 +48,23 @@ def bar(count: int, unit: str, wanted: bool, say: Callable[[str], None] | None =
     )
 
 
+def following(shown: Any) -> Progress:
+    """Return what moves a bar to the number of finished steps."""
+    last = 0
+
+    def progress(done: int, _: int) -> None:
+        nonlocal last
+        shown.update(done - last)
+        last = done
+
+    return progress
+
+
 class _Said:
     """Says once, after `PATIENCE`, how many steps are done and how long the others may take.
 
-    If not one is done by then, it says so, and the time when the first is.
+    If not one is done by then, it says so, and the time when the first is. What follows the last step
+    is a step of its own.
     """
 
     def __init__(self, count: int, unit: str, say: Callable[[str], None]) -> None:
@@ -62,10 +75,7 @@ class _Said:
         self._stop()
         self.total, self.done, self.asked, self.told = total, 0, False, False
         self.begun = time.monotonic()
-        self._timer = threading.Timer(PATIENCE, self._ask)
-        self._timer.daemon = True
-        if self._entered:
-            self._timer.start()
+        self._wait(self._ask)
 
     _entered = False
     _timer: threading.Timer | None = None
@@ -85,6 +95,18 @@ class _Said:
         self.done += steps
         if self.asked and not self.told:
             self._tell()
+        if 0 < self.total <= self.done:
+            self._stop()
+            self._wait(self._rest)
+
+    def _wait(self, then: Callable[[], None]) -> None:
+        self._timer = threading.Timer(PATIENCE, then)
+        self._timer.daemon = True
+        if self._entered:
+            self._timer.start()
+
+    def _rest(self) -> None:
+        self.say(f"{self.what}what follows the {self.unit}s takes more than {PATIENCE:g} s")
 
     def _stop(self) -> None:
         if self._timer is not None:

@@ -54,3 +54,13 @@ def test_a_loop_has_its_bands_materials_and_simulations(loop_result, tmp_path) -
     )
     assert book["simulated"].max_row == 1 + len(loop.steps)
     assert book["simulated"]["B1"].value == "target 125 Hz"
+
+
+def test_what_is_of_each_material_says_of_which() -> None:
+    stated = {
+        "centre_frequencies": [125, 250],
+        "materials": [{"name": "floor"}, {"name": "wall"}],
+        "scattering": {"sigma": [[0.1, 0.2], [0.3, 0.4]]},
+    }
+    sheet = tables.tables_of(stated)["scattering sigma"]
+    assert sheet == [["material", "125 Hz", "250 Hz"], ["floor", 0.1, 0.2], ["wall", 0.3, 0.4]]
