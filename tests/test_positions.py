@@ -12,11 +12,12 @@ import pytest
 import rtcal as rt
 from rtcal.datasets import halls
 from rtcal.loop import control_runs
+from rtcal.loop.matched import Beside
 from rtcal.loop.positions import precise
 from rtcal.loop.positions_result import PositionsResult
 from rtcal.loop.positions_steps import Listener
 from rtcal.loop.scattering import MaterialScattering, scattered
-from rtcal.simulators import PathTracing
+from rtcal.simulators import Observations, PathTracing
 from rtcal.support.errors import DataError
 
 MATCH = ("t20", "edt", "c80", "ts", "level")
@@ -251,18 +252,18 @@ def test_a_second_calibration_traces_no_control_run(case, result, tmp_path, monk
     first = calibrate()
     assert runs == [(n, 4) for n in range(1, 5)]
     second = calibrate()
-    assert len(runs) == 4
+    assert runs[4:] == [(4, 4)]  # at once: they were kept
     # The control runs made the first one's decays longer, by which Ts changes a little.
     np.testing.assert_allclose(first.alpha, second.alpha, atol=1e-3)
     next(iter(tmp_path.iterdir())).write_bytes(b"broken")
     third = calibrate()
-    assert len(runs) == 8
+    assert runs[5:] == runs[:4]
     np.testing.assert_allclose(first.alpha, third.alpha, atol=1e-3)
     given = rt.calibrate_positions(
         tracing(room), room, measured, match=("t20", *MATCH[2:]), controls=result.controls
     )
     assert given.parameters == ("t20", "c80", "ts", "level")
-    assert len(runs) == 8
+    assert runs[5:] == runs[:4]
 
 
 def test_the_result_says_what_was_learned_and_from_whom(case, result):
@@ -387,3 +388,17 @@ def test_any_simulator_is_calibrated_without_an_interval():
     assert "No interval" in text
     assert np.abs(result.gap_after).max() < np.abs(result.gap_before).max()
     np.testing.assert_array_equal(result.room.sigma, room.sigma)
+
+
+def test_what_was_not_measured_is_not_beside(result):
+    """A table of dashes stood for every parameter that nobody had measured."""
+    measured = result.measured.observations
+    one = rt.Measurement(
+        centre_frequencies=result.prior.centre_frequencies,
+        pairs=measured.pairs,
+        values={"t20": measured.natural("t20")},
+    )
+    t20 = Observations.of_measurement(one, ["t20"], measured.pairs)
+    beside = Beside.of(one, t20, result.before, result.after)
+    assert beside.parameters == ()
+    assert beside.gaps == {}

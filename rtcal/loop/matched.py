@@ -233,7 +233,9 @@ class Beside:
     ) -> Beside:
         """Return what is in ``before`` and not in ``matched``, at the pairs that are matched."""
         names = [p for p in before.parameters if p not in matched.parameters]
-        wanted = Observations.of_measurement(measured, names, matched.pairs)
+        heard = Observations.of_measurement(measured, names, matched.pairs)
+        there = [p for p in names if np.isfinite(heard.natural(p)).any()]
+        wanted = Observations.of_measurement(measured, there, matched.pairs)
         return cls(measured=wanted, before=before.at(wanted), after=after.at(wanted))
 
     @classmethod
