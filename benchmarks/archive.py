@@ -3,12 +3,11 @@
     python -m benchmarks.archive firms [--firms 100] [--first 0] [--rooms 20] [--out FILE.json]
     python -m benchmarks.archive misnamed [--firms 100]
     python -m benchmarks.archive tables [--firms 18] [--first 5000]
+    python -m benchmarks.archive unknown [--firms 100] [--rooms 3]
     python -m benchmarks.archive real
 
-A firm has 20 measured rooms and 12 materials, 4 to 8 in each room. The tables that it uses are off:
-together by 10 %, each entry by 25 % (its bands go together), and a material differs between rooms by
-10 %. Volume and areas are off by 3 %, and T is measured to 3 %. The tables state sigma = 0.3 alpha.
-The archive is told the firm's rooms, and judged in the twenty-first.
+The firms are those of `benchmarks.firms`. The archive is told a firm's rooms, and judged in the
+twenty-first.
 """
 
 from __future__ import annotations
@@ -24,79 +23,22 @@ import numpy as np
 
 import rtcal as rt
 from benchmarks import real_data
-from rtcal.archive.suspects import MISNAMED
+from benchmarks.firms import (
+    BETWEEN,
+    EQUATION,
+    MATERIALS,
+    ROOMS,
+    SIZE,
+    STATED,
+    TABLE,
+    TOGETHER,
+    Firm,
+    bound,
+    calibrated,
+    knowing,
+    together,
+)
 from rtcal.support.types import Array
-
-BANDS = np.array([125, 250, 500, 1000, 2000, 4000])
-ROOMS, MATERIALS = 20, 12
-TOGETHER, TABLE, BETWEEN, CORRELATION = 0.10, 0.25, 0.10, 0.7
-SIZE, TIME = 0.03, 0.03
-STATED = {"volume_sigma": SIZE, "area_sigma": SIZE}
-EQUATION = rt.Sabine()
-
-
-def together(rng: np.random.Generator, n: int) -> Array:
-    """Errors of n materials that go together over the bands, (n, n_bands)."""
-    octaves = np.log2(BANDS / 1000)
-    correlation = CORRELATION ** np.abs(octaves[:, np.newaxis] - octaves)
-    return rng.standard_normal((n, len(BANDS))) @ np.linalg.cholesky(correlation).T
-
-
-class Firm:
-    """True materials, the tables that the firm uses, and its rooms."""
-
-    def __init__(self, seed: int) -> None:
-        self.rng = rng = np.random.default_rng([seed, 41])
-        octaves = np.log2(BANDS / 1000)
-        level = np.exp(rng.uniform(np.log(0.04), np.log(0.6), (MATERIALS, 1)))
-        slope = rng.uniform(-0.25, 0.35, (MATERIALS, 1))
-        bump = 0.25 * together(rng, MATERIALS)
-        self.table = np.clip(level * np.exp(slope * octaves + bump), 0.01, 0.85)
-        off = np.exp(TOGETHER * rng.standard_normal() + TABLE * together(rng, MATERIALS))
-        self.true = np.clip(self.table * off, 0.005, 0.95)
-        self.names = [f"material {i + 1}" for i in range(MATERIALS)]
-        # One room is the twenty-first; most materials are in several rooms.
-        self.rooms = [self.room(f"room {r + 1}") for r in range(ROOMS + 1)]
-
-    def room(self, name: str) -> tuple[rt.Room, Array, Array]:
-        """A room as stated, its true coefficients, and the measured T."""
-        rng = self.rng
-        which = np.sort(rng.choice(MATERIALS, rng.integers(4, 9), replace=False))
-        sides = np.exp(rng.uniform(np.log([4, 5, 2.5]), np.log([15, 25, 8])))
-        surface = 2 * (sides[0] * sides[1] + sides[1] * sides[2] + sides[0] * sides[2])
-        areas = surface * rng.dirichlet(np.full(len(which), 2.0))
-        alpha = self.true[which] * np.exp(BETWEEN * together(rng, len(which)))
-        alpha = np.clip(alpha, 0.002, 0.98)
-        stated = rt.Room(
-            name=name,
-            volume=float(np.prod(sides)),
-            materials=[self.names[i] for i in which],
-            areas=np.maximum(areas, 0.5),
-            alpha=self.table[which],
-            sigma=0.3 * self.table[which],
-            centre_frequencies=BANDS,
-            air=rt.Air(),
-            **STATED,  # type: ignore[arg-type]
-        )
-        true = stated.replace(
-            alpha=alpha,
-            volume=stated.volume * np.exp(SIZE * rng.standard_normal()),
-            areas=stated.areas * np.exp(SIZE * rng.standard_normal(len(which))),
-        )
-        t = EQUATION.reverberation_time(true)
-        return stated, alpha, t * np.exp(TIME * rng.standard_normal(len(BANDS)))
-
-
-def measured(t: Array) -> rt.Measurement:
-    return rt.Measurement(
-        centre_frequencies=BANDS,
-        values={"t30": t[np.newaxis]},
-        uncertainty={"t30": TIME * t[np.newaxis]},
-    )
-
-
-def calibrated(room: rt.Room, t: Array) -> rt.calibration.CalibrationResult:
-    return rt.calibrate(room, measured(t), "soft", EQUATION)
 
 
 def error(alpha: Array, truth: Array) -> float:
@@ -110,6 +52,7 @@ def judge(seed: int, rooms: int = ROOMS) -> dict[str, Any]:
     room, truth, t = firm.rooms[-1]
     known = archive.apply(room)
     before, after = calibrated(room, t), calibrated(known, t)
+    best = knowing(firm, rooms)
     low, high = after.interval  # type: ignore[misc]
     width = 1.645 * known.sigma
     return {
@@ -118,6 +61,8 @@ def judge(seed: int, rooms: int = ROOMS) -> dict[str, Any]:
         "archive": error(known.alpha, truth),
         "table, calibrated": error(before.alpha, truth),
         "archive, calibrated": error(after.alpha, truth),
+        "knowing": error(best.alpha, truth),
+        "knowing, calibrated": error(calibrated(best, t).alpha, truth),
         "coverage": float(np.mean((low <= truth) & (truth <= high))),
         "coverage before T": float(np.mean(np.abs(known.alpha - truth) <= width)),
         "false suspects": len(archive.suspects),
@@ -145,11 +90,12 @@ def misnamed(seed: int) -> dict[str, Any]:
     change = float(np.sqrt(np.mean((room.areas[i] * (firm.true[j] - true[i]) / absorbed) ** 2)))
     stated[r] = (room.replace(materials=names, alpha=alpha, sigma=sigma), t)
     archive = rt.learn([calibrated(each, time) for each, time in stated])
+    bounds = bound(firm, stated, (r, i))
     first = archive.suspects[0] if archive.suspects else None
     hidden = (room.name, wrong)
     return {
         "firm": seed,
-        "bound": bound(firm, room, t, names, (i, firm.names.index(room.materials[i]))),
+        **bounds,
         "found": first is not None and (first.room, first.material) == hidden,
         "its name": first is not None and first.instead == room.materials[i],
         "listed": hidden in [(s.room, s.material) for s in archive.suspects],
@@ -159,34 +105,59 @@ def misnamed(seed: int) -> dict[str, Any]:
     }
 
 
-def bound(firm: Firm, room: rt.Room, t: Array, names: list[str], hidden: tuple[int, int]) -> bool:
-    """Whether an observer who knows the firm's materials and all spreads finds the misnamed one.
+def unknown(seed: int, rooms: int) -> dict[str, Any]:
+    """Errors in a room of which the archive knows one small material, and how far all tables are off.
 
-    That is the most that any archive can find: its materials are known without an error. ``names`` are
-    those of the room, of which number ``hidden[0]`` is truly the firm's material ``hidden[1]``.
+    Its tables are those of the firm, or each room has tables of its own.
     """
-    octaves = np.log2(BANDS / 1000)
-    correlation = CORRELATION ** np.abs(octaves[:, np.newaxis] - octaves)
-    b = EQUATION.target(room, t)
+    found: dict[str, Any] = {"firm": seed}
+    for tables_of in ("firm", "room"):
+        firm = Firm(seed)
+        rng = np.random.default_rng([seed, 44])
+        each = []
+        for r, (room, alpha, t) in enumerate(firm.rooms):
+            if tables_of == "room":
+                off = TOGETHER * rng.standard_normal() + TABLE * together(rng, room.n_materials)
+                table = np.clip(alpha / np.exp(off), 0.01, 0.85)
+                names = [f"{m} of {r}" for m in room.materials]
+                room = room.replace(materials=names, alpha=table, sigma=0.3 * table)
+            each.append((room, alpha, t))
+        archive = rt.learn([calibrated(room, t) for room, _, t in each[:rooms]])
+        room, truth, t = each[-1]
+        entry = archive.materials[0]
+        room = room.replace(
+            materials=[entry, *(f"{m}, new" for m in room.materials)],
+            areas=[0.01, *room.areas],
+            alpha=[archive.table[0], *room.alpha],
+            sigma=[archive.table_sigma[0], *room.sigma],
+            area_sigma=SIZE,
+        )
+        known = archive.apply(room)
+        for name, of in (("table", room), ("archive", known)):
+            gap = EQUATION.reverberation_time(of) / t - 1
+            found[f"{name} of the {tables_of}"] = (
+                error(of.alpha[1:], truth),
+                float(np.sqrt(np.mean(gap**2))),
+                float(np.mean(np.abs(gap) <= 0.1)),
+            )
+    return found
 
-    def density(which: list[int]) -> float:
-        own = room.areas[:, np.newaxis] * firm.true[which] * np.exp(BETWEEN**2 / 2)
-        total = own.sum(axis=0)
-        covariance = own.T @ own * (BETWEEN**2 * correlation + SIZE**2)
-        covariance += SIZE**2 * np.outer(total, total) + np.diag((TIME * total) ** 2)
-        factor = np.linalg.cholesky(covariance)
-        miss = np.linalg.solve(factor, b - total)
-        return float(-0.5 * miss @ miss - np.log(np.diag(factor)).sum())
 
-    stated = [firm.names.index(m) for m in names]
-    base = density(stated)
-    odds = np.zeros((len(stated), MATERIALS))
-    for i in range(len(stated)):
-        for j in set(range(MATERIALS)) - set(stated):
-            ratio = density([*stated[:i], j, *stated[i + 1 :]]) - base
-            odds[i, j] = MISNAMED / MATERIALS * np.exp(min(ratio, 600.0))
-    by_material = odds.sum(axis=1) / (1 - MISNAMED * len(stated) + odds.sum())
-    return bool(by_material[hidden[0]] > 0.5)
+def unknown_table(rows: list[dict[str, Any]]) -> str:
+    lines = [
+        "| tables of the | error of α, archive / table | error of T | T within 10 %: table | archive |",
+        "|---|---|---|---|---|",
+    ]
+    for of in ("firm", "room"):
+        table, known = (
+            np.array([row[f"{name} of the {of}"] for row in rows]) for name in ("table", "archive")
+        )
+        ratio = np.sqrt(np.mean(known**2, axis=0) / np.mean(table**2, axis=0))
+        lines.append(
+            f"| {of} | {ratio[0]:.2f} | {ratio[1]:.2f} | {table[:, 2].mean():.2f} | "
+            f"{known[:, 2].mean():.2f} |"
+        )
+    return "\n".join(lines)
 
 
 def tables(seed: int) -> dict[str, Any]:
@@ -244,8 +215,13 @@ def firms_table(rows: list[dict[str, Any]]) -> str:
     def ratios(key: str, other: str) -> Array:
         return np.array([row[key] / row[other] for row in rows])
 
-    lines = ["| firms: " + str(len(rows)) + " | before T | calibrated |", "|---|---|---|"]
-    pairs = (("archive", "table"), ("archive, calibrated", "table, calibrated"))
+    head = f"| firms: {len(rows)} | before T | calibrated | before T, spreads known | calibrated |"
+    lines = [head, "|---|---|---|---|---|"]
+    pairs = [
+        (f"{of}{when}", f"table{when}")
+        for of in ("archive", "knowing")
+        for when in ("", ", calibrated")
+    ]
     cells = [f"{rms(a) / rms(b):.2f}" for a, b in pairs]
     lines.append(f"| error of α, archive / table | {' | '.join(cells)} |")
     cells = [f"{np.median(ratios(a, b)):.2f}" for a, b in pairs]
@@ -253,18 +229,21 @@ def firms_table(rows: list[dict[str, Any]]) -> str:
     cells = [f"{np.mean(ratios(a, b) <= 1):.2f}" for a, b in pairs]
     lines.append(f"| firms no worse than the table | {' | '.join(cells)} |")
     cells = [f"{np.mean([row[k] for row in rows]):.3f}" for k in ("coverage before T", "coverage")]
-    lines.append(f"| 90 % intervals hold | {' | '.join(cells)} |")
+    lines.append(f"| 90 % intervals hold | {' | '.join(cells)} | | |")
     ratio = rms("archive, calibrated") / rms("table")
-    lines.append(f"| error of α, archive and T / table alone | | {ratio:.2f} |")
+    lines.append(f"| error of α, archive and T / table alone | | {ratio:.2f} | | |")
     false = np.mean([row["false suspects"] for row in rows])
-    lines.append(f"| suspects per firm, none misnamed | {false:.2f} | |")
+    lines.append(f"| suspects per firm, none misnamed | {false:.2f} | | | |")
     return "\n".join(lines)
 
 
 def misnamed_table(rows: list[dict[str, Any]]) -> str:
-    keys = ("bound", "found", "listed", "its name", "room has the least p", "false suspects")
+    keys = (
+        *("bound", "name of two", "room of two", "found", "listed", "its name"),
+        *("room has the least p", "false suspects"),
+    )
     head = f"| change of the room's absorption | firms | {' | '.join(keys)} |"
-    lines = [head, "|---|---|---|---|---|---|---|---|"]
+    lines = [head, "|---" * (len(keys) + 2) + "|"]
     for low, high in ((0, 0.1), (0.1, 0.2), (0.2, 0.3), (0.3, np.inf), (0, np.inf)):
         few = [r for r in rows if low <= r["change of absorption"] < high]
         cells = [f"{np.mean([r[k] for r in few]):.2f}" if few else "" for k in keys]
@@ -352,7 +331,7 @@ def real_table() -> str:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("what", choices=("firms", "misnamed", "tables", "real"))
+    parser.add_argument("what", choices=("firms", "misnamed", "tables", "unknown", "real"))
     parser.add_argument("--firms", type=int, default=100)
     parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--rooms", type=int, default=ROOMS)
@@ -365,6 +344,7 @@ def main() -> None:
         "firms": (partial(judge, rooms=arguments.rooms), firms_table),
         "misnamed": (misnamed, misnamed_table),
         "tables": (tables, tables_table),
+        "unknown": (partial(unknown, rooms=arguments.rooms), unknown_table),
     }
     one, table = studies[arguments.what]
     rows = [one(seed) for seed in range(arguments.first, arguments.first + arguments.firms)]

@@ -74,6 +74,12 @@ def test_the_posterior_is_that_of_all_unknowns_by_dense_algebra() -> None:
         covariance, entries @ entries.T - gain @ matrix @ entries.T, atol=1e-12
     )
     assert np.abs(mean - mu).max() > 0.01
+    pull = SPREAD.together * matrix[:, n * k]  # the column of h, in standard deviations
+    expected = pull @ np.linalg.solve(whole, miss), pull @ np.linalg.solve(whole, pull)
+    off, variance = evidence.together(SPREAD)
+    np.testing.assert_allclose(off, expected[0], rtol=1e-9)
+    np.testing.assert_allclose(variance, SPREAD.together**2 - expected[1], rtol=1e-9)
+    assert abs(off) > 1e-3
 
 
 def test_the_spread_of_a_drawn_firm_is_found() -> None:
@@ -271,20 +277,45 @@ def test_what_it_has_not_learned_is_said_and_what_it_has_learned_from_is_not_tak
         sources={"plaster": "a handbook"},
     )
     assert archive.left_as_stated(new) == (
-        'Left as the room states them, since the archive does not know them: "moss".',
+        f"The archive does not know them, so the room's own tables count, times "
+        f'{1 + archive.together:.2f}, as all tables are off: "moss".',
         "Left as the room states them, since the archive does not know them: 8000 Hz.",
     )
     known = archive.apply(new)
     assert known.sources["plaster"] == "archive of 3 rooms, in 3 of them; 8000 Hz: a handbook"
     assert known.sources["floor"].endswith("8000 Hz: the room's table")
-    assert "moss" not in known.sources
-    assert (known.alpha[0, 5], *known.alpha[1]) == (new.alpha[0, 5], *new.alpha[1])
+    assert (known.alpha[0, 5], known.alpha[1, 5]) == (new.alpha[0, 5], new.alpha[1, 5])
     again = archive.apply(old.replace(name="again"))
     assert "coefficients of an archive" in repr(again)
     for made in (again, rt.Room.from_text(again.to_text(), "room.toml")):
         with pytest.raises(DataError, match="archive that has learned from these data"):
             rt.calibrate(made, rooms[0].measured)
     assert rt.calibrate(again, 1.01 * rooms[0].measured).room.calibration is not None
+
+
+def test_a_material_that_it_does_not_know_is_off_as_all_tables_are(
+    rooms: list[rt.calibration.CalibrationResult],
+) -> None:
+    """Its table moves by h and is less certain by it; an exact one, and what data made, do not."""
+    archive = rt.learn(rooms)
+    assert archive.together < -0.02  # T is 1.2 times what the tables say
+    assert 0.01 < archive.together_sigma < archive.spread.together
+    old = rooms[0].prior
+    sigma = old.sigma.copy()
+    sigma[2] = 0
+    materials = ["plaster", "moss", "mirror", *old.materials[3:]]
+    new = old.replace(name="new", materials=materials, sigma=sigma, sources={"moss": "a handbook"})
+    known = archive.apply(new)
+    np.testing.assert_allclose(known.alpha[1], (1 + archive.together) * new.alpha[1])
+    off = archive.together_sigma * new.alpha[1]
+    np.testing.assert_allclose(known.sigma[1], np.hypot(new.sigma[1], off))
+    assert known.sources["moss"] == f"a handbook times {1 + archive.together:.2f}"
+    assert (known.alpha[2] == new.alpha[2]).all()
+    assert (known.sigma[2] == 0).all()
+    assert archive.left_as_stated(new)[1].endswith('does not know them: "mirror".')
+    again = archive.apply(known)
+    np.testing.assert_array_equal(again.alpha, known.alpha)
+    assert again.sources == known.sources
 
 
 def test_it_is_saved_and_read_back(

@@ -342,6 +342,18 @@ def test_the_file_says_it_and_is_read_back() -> None:
     assert "The room is uncertain as stated" in str(result)
 
 
+def test_a_room_that_is_taken_as_exact_is_said_to_be() -> None:
+    room = room_of(0, volume_sigma=0.05)
+    for stated, method, sentence in (
+        (room.as_exact, "mle", "taken as exact: the room states no uncertainty of them."),
+        (room, "lse", "taken as exact; stated is (standard deviations): volume 5 %."),
+        (room, "mle", "The room is uncertain as stated"),
+    ):
+        said = str(rt.calibrate(stated, times(stated, 0), method, SABINE))
+        assert sentence in " ".join(said.split())
+        assert said.count("taken as exact") == sentence.startswith("taken as exact")
+
+
 @pytest.mark.parametrize(
     ("stated", "message"),
     [

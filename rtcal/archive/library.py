@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any, ClassVar
 
@@ -95,6 +95,8 @@ class Archive(Result):
         In how many rooms.
     spread : Spread
         The likeliest. Those above count what it leaves open.
+    together, together_sigma : float
+        How far all tables are off together, relative, and its standard deviation.
     room_sigma : float
         Relative standard deviation of the next room's common factor.
     lessons : tuple of Lesson
@@ -115,6 +117,8 @@ class Archive(Result):
     mean_sigma: Array
     seen: NDArray[np.int_]
     spread: Spread
+    together: float
+    together_sigma: float
     room_sigma: float
     lessons: tuple[Lesson, ...]
     suspects: tuple[Suspect, ...]
@@ -139,11 +143,12 @@ class Archive(Result):
     def apply(self, room: Room, names: Mapping[str, str] | None = None) -> Room:
         """Return a room with the library's alpha and sigma where the archive knows the material.
 
-        The room's other materials and bands stay, and a material whose table is too far from that of
-        the archive's rooms to be one with it: ``names`` takes it nevertheless. ``common_alpha_sigma``
-        becomes the factor by which rooms differ. An ``alpha_min`` above the new coefficient is kept,
-        and the coefficient raised to it. The room's record names the T that the archive has learned
-        from, so that a calibration to one of them is refused.
+        A material that it does not know keeps its table times the factor by which all tables are off
+        together, unless the table is exact or made by an archive. Other bands stay, and a material
+        whose table is too far from that of the archive's rooms to be one with it: ``names`` takes it
+        nevertheless. ``common_alpha_sigma`` becomes the factor by which rooms differ. An ``alpha_min``
+        above the new coefficient is kept, and the coefficient raised to it. The room's record names the
+        T that the archive has learned from, so that a calibration to one of them is refused.
 
         Parameters
         ----------
@@ -168,21 +173,26 @@ class Archive(Result):
                 "factor whose standard deviation is not below 1, so they say nothing of the next; look "
                 "at those with a small p"
             )
-        own = np.ix_([i for i, _ in pairs], [k for k, _ in columns])
+        learned = [k for k, _ in columns]
+        own = np.ix_([i for i, _ in pairs], learned)
         entry = np.ix_([j for _, j in pairs], [k for _, k in columns])
         alpha, sigma = room.alpha.copy(), room.sigma.copy()
-        alpha[own], sigma[own] = self.alpha[entry], np.minimum(self.sigma[entry], 1.0)
+        alpha[own], sigma[own] = self.alpha[entry], self.sigma[entry]
+        unknown = self._unknown(room, pairs)
+        other = np.ix_(unknown, learned)
+        inexact = sigma[other] > 0
+        sigma[other] = np.hypot(sigma[other], inexact * self.together_sigma * alpha[other])
+        alpha[other] *= 1 + inexact * self.together
+        alpha, sigma = np.clip(alpha, 0.0, 1.0), np.minimum(sigma, 1.0)
         if room.alpha_min is not None:
             alpha = np.maximum(alpha, room.alpha_min)
         sources = dict(room.sources)
-        learned = [k for k, _ in columns]
         rest = np.delete(room.centre_frequencies, learned)
-        for i, j in pairs:
-            name, label = room.materials[i], self._source(j)
-            if rest.size:
-                held = sources.get(name, "the room's table")
-                label += f"; {_listed(rest)}: {held}"
-            sources[name] = label
+        for i, j in [*pairs, *((i, None) for i in unknown)]:
+            name = room.materials[i]
+            held = sources.get(name, "the room's table")
+            label = f"{held} times {1 + self.together:.2f}" if j is None else self._source(j)
+            sources[name] = f"{label}; {_listed(rest)}: {held}" if rest.size else label
         before = [] if room.calibration is None else [room.calibration.measured]
         record = CalibrationRecord(
             method=ARCHIVE,
@@ -200,25 +210,40 @@ class Archive(Result):
 
     @checked
     def left_as_stated(self, room: Room, names: Mapping[str, str] | None = None) -> tuple[str, ...]:
-        """Return in sentences what `apply` leaves as the room states it: materials, and bands.
+        """Return in sentences what `apply` takes from the room's own tables: materials, and bands.
 
         DataError if ``names`` has an unknown one.
         """
         pairs, columns = self._known(room, names)
-        left = [m for i, m in enumerate(room.materials) if i not in {i for i, _ in pairs}]
+        moved = self._unknown(room, pairs)
+        left = [i for i in range(room.n_materials) if i not in {i for i, _ in pairs} | {*moved}]
+        apart = [i for i in left if room.materials[i] in self.materials]
         rest = np.delete(room.centre_frequencies, [k for k, _ in columns])
-        unknown, lacks = [f'"{m}"' for m in left if m not in self.materials], "does not know them"
-        apart = [f'"{m}"' for m in left if m in self.materials]
+        bands_left = [_listed(rest)] if rest.size else []
+
+        def quoted(rows: list[int]) -> list[str]:
+            return [f'"{room.materials[i]}"' for i in rows]
+
+        kept, lacks = "Left as the room states them, since the archive", "does not know them"
+        factor = f"times {1 + self.together:.2f}, as all tables are off"
         reasons = (
-            (unknown, lacks),
-            (apart, "has another material of that name, by its table"),
-            ([_listed(rest)] if rest.size else [], lacks),
+            (f"The archive {lacks}, so the room's own tables count, {factor}", quoted(moved)),
+            (f"{kept} {lacks}", quoted([i for i in left if i not in apart])),
+            (f"{kept} has another material of that name, by its table", quoted(apart)),
+            (f"{kept} {lacks}", bands_left),
         )
-        return tuple(
-            f"Left as the room states them, since the archive {why}: {', '.join(these)}."
-            for these, why in reasons
-            if these
-        )
+        return tuple(f"{why}: {', '.join(these)}." for why, these in reasons if these)
+
+    def _unknown(self, room: Room, pairs: Sequence[tuple[int, int]]) -> list[int]:
+        """The materials whose tables count as much as all tables do; none where they are no tables."""
+        if room.calibration is not None:
+            return []
+        known = {i for i, _ in pairs}
+        return [
+            i
+            for i, m in enumerate(room.materials)
+            if i not in known and m not in self.materials and (room.sigma[i] > 0).any()
+        ]
 
     def _known(
         self, room: Room, names: Mapping[str, str] | None
@@ -274,6 +299,8 @@ class Archive(Result):
                 for i, name in enumerate(self.materials)
             ],
             "spread": asdict(self.spread),
+            "together": self.together,
+            "together_sigma": self.together_sigma,
             "room_sigma": self.room_sigma,
             "rooms": [asdict(lesson) for lesson in self.lessons],
             "suspects": [asdict(suspect) for suspect in self.suspects],
@@ -310,9 +337,9 @@ class Archive(Result):
         spread = self.spread
         notes = [
             f"An entry is off by {spread.table:.2g} of its stated sigma, a material differs between "
-            f"rooms by {spread.between:.2g} of it. Rooms differ by {100 * spread.room:.0f} %, all "
-            f"tables are off together by {100 * spread.together:.0f} %, the equation by "
-            f"{100 * spread.equation:.0f} % a band (standard deviations).",
+            f"rooms by {spread.between:.2g} of it. Rooms differ by {100 * spread.room:.0f} %, the "
+            f"equation by {100 * spread.equation:.0f} % per band (standard deviations). All tables "
+            f"are off together by {100 * self.together:+.0f} ± {100 * self.together_sigma:.0f} %.",
             *(
                 f'In room "{s.room}", "{s.material}" is likely '
                 + (f'"{s.instead}"' if s.instead else "none of the archive's materials")

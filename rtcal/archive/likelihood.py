@@ -212,6 +212,12 @@ class Evidence:
         mean = mu + cross @ cho_solve(factor, self.miss[rows])
         return mean.reshape(n, k), prior - cross @ cho_solve(factor, cross.T)
 
+    def together(self, spread: Spread) -> tuple[float, float]:
+        """Return the mean and the variance of h, by which all tables are off together."""
+        cross = spread.together**2 * self.expected
+        gain = cho_solve(cho_factor(self.covariance(spread), lower=True), cross)
+        return float(gain @ self.miss), float(spread.together**2 - gain @ cross)
+
     def matrix(self, areas: Array, band: NDArray[np.int_]) -> Array:
         """Return areas over the entries, (n_rows, n_materials n_bands), from those of rows, in m²."""
         out = np.zeros((len(areas), *self.mu.shape))

@@ -136,6 +136,7 @@ def learn(
     mixed = [(each, *evidence.posterior(each, every)) for each in evidence.plausible(spread)]
     mean = np.mean([m for _, m, _ in mixed], axis=0)
     of_mean = np.mean([_sigma(c, mu.shape) ** 2 + (m - mean) ** 2 for _, m, c in mixed], axis=0)
+    off, off_variance = np.array([evidence.together(each) for each, _, _ in mixed]).T
     of_rooms = np.mean([(each.between * sigma) ** 2 for each, _, _ in mixed], axis=0)
     lessons, doubts = [], []
     for r, room in enumerate(each.room for each in used):
@@ -162,6 +163,8 @@ def learn(
         mean_sigma=np.sqrt(of_mean),
         seen=seen,
         spread=spread,
+        together=float(off.mean()),
+        together_sigma=float(np.sqrt(off_variance.mean() + off.var())),
         room_sigma=float(np.sqrt(np.mean([each.room**2 for each, _, _ in mixed]))),
         lessons=tuple(lessons),
         suspects=tuple(sorted(doubts, key=lambda s: -s.probability)),

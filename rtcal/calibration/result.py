@@ -327,6 +327,7 @@ class CalibrationResult(Result):
             "matches_measured_time": self.joint.asks_for_measured_time,
             "volume": room.volume,
             "air": None if room.air is None else vars(room.air),
+            "room_taken_as_exact": not self.joint.matches_uncertain_room,
             **({"room_uncertainty": words} if (words := room_errors.in_words(room)) else {}),
             "centre_frequencies": json_numbers(room.centre_frequencies),
             "measured": table.measurement(self.measured_data),

@@ -319,11 +319,19 @@ def _notes(record: Mapping[str, Any]) -> list[tuple[str, str]]:
                 "",
             )
         )
-    if "room_uncertainty" in record:
+    stated = record.get("room_uncertainty")
+    if record["room_taken_as_exact"]:
+        said = (
+            f"; stated is (standard deviations): {stated}"
+            if stated
+            else ": the room states no uncertainty of them"
+        )
+        notes.append((f"Volume and areas are taken as exact{said}.", ""))
+    else:
         notes.append(
             (
-                f"The room is uncertain as stated (standard deviations): {record['room_uncertainty']}. "
-                "T after is that of the room as stated.",
+                f"The room is uncertain as stated (standard deviations): {stated}. T after is that of "
+                "the room as stated.",
                 "",
             )
         )
