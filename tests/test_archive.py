@@ -350,20 +350,37 @@ def test_the_command_reads_a_folder_and_writes_a_room(
     assert rt.Room.from_file(str(out / "room.toml")).common_alpha_sigma > 0
     assert rt.load(out).materials[3] == "linoleum"
 
+    # A name of the next room alone.
+    renamed = rooms[0].prior.replace(materials=["gypsum", *rooms[0].prior.materials[1:]])
+    renamed.replace(sources={}).save(str(tmp_path / "renamed.toml"))
+    folders = [
+        str(tmp_path / "rooms"),
+        "--apply",
+        str(tmp_path / "renamed.toml"),
+        "--out",
+        str(out),
+    ]
+    run = CliRunner().invoke(cli, ["learn", *folders, "--as", "gypsum=plaster", "--json"])
+    assert run.exit_code == 0, run.output
+    assert json.loads(run.output)["left_as_stated"] == []
+
     def refused(*more: str) -> str:
         return str(CliRunner().invoke(cli, ["learn", *more]).exception)
 
     folder = str(tmp_path / "rooms")
     assert "say where with --out" in refused(folder, "--apply", "room.toml")
     assert "would be written over" in refused(folder, "--out", str(tmp_path / "rooms" / "A"))
-    assert "has no result.json" in refused(str(tmp_path / "nothing"))
+    assert "no such folder" in refused(str(tmp_path / "nothing"))
+    (tmp_path / "empty").mkdir()
+    assert "has no result.json" in refused(str(tmp_path / "empty"))
+    assert '"roof" is a material of no room; there are ' in refused(folder, "--as", "roof=floor")
     assert "no calibration among them" in refused(str(out))
     assert "--room-weight" in refused(folder, "--room-weight", "C=much")
 
 
 def test_bad_input_is_named(rooms: list[rt.calibration.CalibrationResult]) -> None:
     for stated, message in (
-        (([rooms[0]],), "1 rooms"),
+        (([rooms[0]],), "rooms that count: 1"),
         (([rooms[0], rooms[0]],), 'room "A" occurs twice'),
         (([rooms[0], "B"],), r"rooms\[1\]"),
         ((rooms, {"roof": "plaster"}), '"roof" is a material of no room'),

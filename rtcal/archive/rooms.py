@@ -44,6 +44,11 @@ class _Calibrated:
         """The room before the calibration, with the materials of all states."""
         return self.states.union
 
+    @classmethod
+    def of(cls, result: CalibrationResult | JointResult) -> _Calibrated:
+        """The room of a result."""
+        return cls(result.results if isinstance(result, JointResult) else (result,))
+
     def asked(self) -> tuple[Array, Array]:
         """b in m², (n_states, n_bands), and its covariance, by no method.
 
@@ -110,7 +115,9 @@ def learn(
     mapped = checks.mapped("names", {} if names is None else names)
     known = {m for each in used for m in each.room.materials}
     if unknown := [name for name in mapped if name not in known]:
-        raise DataError(f'names: "{unknown[0]}" is a material of no room')
+        raise DataError(
+            f'names: "{unknown[0]}" is a material of no room; there are {", ".join(sorted(known)[:20])}'
+        )
     called = [_called(each.room, mapped) for each in used]
     shared = [
         f for f in used[0].room.centre_frequencies if all(_has(each.room, f) for each in used)
@@ -188,7 +195,7 @@ def _weighed(
     for i, room in enumerate(listed):
         if not isinstance(room, CalibrationResult | JointResult):
             raise DataError(f"rooms[{i}] = {checks.shown(room)} is no result of rtcal.calibrate")
-    calibrated = [_Calibrated(r.results if isinstance(r, JointResult) else (r,)) for r in listed]
+    calibrated = [_Calibrated.of(result) for result in listed]
     names = [each.room.name for each in calibrated]
     if repeated := [n for i, n in enumerate(names) if n in names[:i]]:
         raise DataError(f'room "{repeated[0]}" occurs twice; its T would count twice')
@@ -201,7 +208,7 @@ def _weighed(
     kept = [(r, float(stated.get(name, 1.0))) for r, name in zip(calibrated, names, strict=True)]
     kept = [(r, w) for r, w in kept if w > 0]
     if not 2 <= len(kept) <= _MOST:
-        raise DataError(f"{len(kept)} rooms; an archive has from 2 to {_MOST}")
+        raise DataError(f"rooms that count: {len(kept)}; an archive has from 2 to {_MOST}")
     return [r for r, _ in kept], [w for _, w in kept]
 
 
@@ -312,6 +319,11 @@ def _lesson(
     ]
 
 
+def materials(result: CalibrationResult | JointResult) -> tuple[str, ...]:
+    """Return the names of the materials of all states of a calibrated room."""
+    return tuple(_Calibrated.of(result).room.materials)
+
+
 @checked
 def read_folder(folder: str | os.PathLike[str]) -> list[CalibrationResult | JointResult]:
     """Return the calibrations in a folder: each ``result.json`` of ``rtcal calibrate --out`` below it.
@@ -327,6 +339,8 @@ def read_folder(folder: str | os.PathLike[str]) -> list[CalibrationResult | Join
     ...     print([result.prior.name for result in read_folder(folder)])
     ['BRAS CR2, seminar room']
     """
+    if not Path(folder).is_dir():
+        raise DataError(f"{folder}: no such folder")
     files = sorted(Path(folder).rglob(results.NUMBERS))
     if not files:
         raise DataError(

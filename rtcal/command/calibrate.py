@@ -306,21 +306,23 @@ def learn(
         read = [*map(str, Path(folder).rglob(NUMBERS)), *([] if room is None else [room])]
         spare([target / NUMBERS, target / LIBRARY_ROOM], read)
     called = texts("--as", entries, "MATERIAL=ENTRY")
+    calibrated = rooms.read_folder(folder)
+    new = None if room is None else Room.from_file(room)
+    of_room = {} if new is None else {m: e for m, e in called.items() if m in new.materials}
+    known = {m for result in calibrated for m in rooms.materials(result)}
     archive = rooms.learn(
-        rooms.read_folder(folder),
-        called,
+        calibrated,
+        {m: entry for m, entry in called.items() if m in known or m not in of_room},
         numbers("--room-weight", weights, "ROOM=WEIGHT, such as hall=0.5"),
     )
     said, record = str(archive), archive.to_dict()
     if target is not None:
         files = {target / NUMBERS: archive.to_json().encode()}
-        if room is not None:
-            new = Room.from_file(room)
-            of_room = {name: entry for name, entry in called.items() if name in new.materials}
-            known, left = archive.apply(new, of_room), archive.left_as_stated(new, of_room)
+        if new is not None:
+            applied, left = archive.apply(new, of_room), archive.left_as_stated(new, of_room)
             record["left_as_stated"] = list(left)
             said = "\n".join([said, *(line for each in left for line in text.wrapped(each))])
-            files[target / LIBRARY_ROOM] = known.to_text(target).encode()
+            files[target / LIBRARY_ROOM] = applied.to_text(target).encode()
         make_folder(target)
         write_all(files)
         said += "\n" + written([*files])
