@@ -21,9 +21,9 @@ import rtcal as rt
 from rtcal.acoustics.decay import decay_time
 from rtcal.datasets import halls
 from rtcal.simulators.geometry import Polyhedron
-from rtcal.simulators.image_source import ImageSource
 from rtcal.simulators.path_tracing import PathTracing
 from rtcal.simulators.ray_tracing import RayTracing
+from rtcal.simulators.shoebox import ImageSource
 from rtcal.simulators.tracer import jackknife
 
 SIDES = (5.0, 7.0, 3.0)

@@ -48,8 +48,8 @@ from rtcal.finder.search import find
 from rtcal.loop.state import start
 from rtcal.simulators.external import EquationSimulator
 from rtcal.simulators.geometry import SHOEBOX_WALLS, Polyhedron
-from rtcal.simulators.image_source import ImageSource
 from rtcal.simulators.path_tracing import PathTracing
+from rtcal.simulators.shoebox import ImageSource
 from rtcal.support.errors import ModelError, RtcalError
 
 LIMIT = 10.0

@@ -29,7 +29,7 @@ def _interrupt(*_: object) -> None:
 
     An exception that may come anywhere does harm: libraries turn it into others while they load, and
     a lock that was just taken is never let go. Files are whole at any moment, also after a kill, and
-    `rtcal.support.transaction` holds the signal back while it writes.
+    `rtcal.support.files` holds the signal back while it writes.
     """
     _end()
 

@@ -1,6 +1,6 @@
 """A file layer that fails: the nth event raises, or the process is killed there.
 
-Events are the calls of the operating system that `rtcal.support.transaction` makes to write.
+Events are the calls of the operating system that `rtcal.support.files` makes to write.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from typing import Any
 
 import pytest
 
-from rtcal.support import transaction
+from rtcal.support import files
 
 EVENTS = (
     "open",
@@ -74,8 +74,8 @@ def faulty(nth: int | None, fault: Callable[[str], None] = full) -> Iterator[Fau
     """Let the nth event fail in this process."""
     with pytest.MonkeyPatch.context() as patch:
         layer = FaultyOs(nth, fault)
-        patch.setattr(transaction, "os", layer)
-        patch.setattr(transaction, "shutil", layer)
+        patch.setattr(files, "os", layer)
+        patch.setattr(files, "shutil", layer)
         yield layer
 
 
@@ -96,10 +96,10 @@ def snapshot(folder: Path) -> dict[str, bytes]:
     return {
         str(path.relative_to(folder)): path.read_bytes()
         for path in sorted(folder.rglob("*"))
-        if path.is_file() and transaction.PREFIX not in str(path)
+        if path.is_file() and files.PREFIX not in str(path)
     }
 
 
 def left_over(folder: Path) -> list[str]:
     """Hidden folders of interrupted writes."""
-    return [str(path) for path in folder.rglob(f"{transaction.PREFIX}*")]
+    return [str(path) for path in folder.rglob(f"{files.PREFIX}*")]

@@ -19,7 +19,7 @@ from rtcal.finder.case import AppliedEffect
 from rtcal.loop import Loop, start
 from rtcal.report import words
 from rtcal.studies.runner import ScoreMoments, _open, _Store
-from rtcal.support import files, objects, results, transaction
+from rtcal.support import files, objects, results
 from rtcal.support.decode import json_object
 from rtcal.support.errors import DataError
 from rtcal.support.files import read_text
@@ -193,7 +193,7 @@ def read_journal(path: str) -> None:
     """Recover a folder from an interrupted write that left a file as its journal."""
     folder = Path(path).parent / "folder"
     shutil.rmtree(folder, ignore_errors=True)
-    left = folder / f"{transaction.PREFIX}0"
+    left = folder / f"{files.PREFIX}0"
     left.mkdir(parents=True)
     Path(path).rename(left / "journal")
     for name in ("a", "b", ".rtcal-0/0.new", ".rtcal-0/1.new"):
@@ -202,7 +202,7 @@ def read_journal(path: str) -> None:
     precious = folder.parent / "precious"
     precious.write_text("kept")
     with faults.faulty(None):  # no fsync
-        transaction.recover([folder])
+        files.recover([folder])
     assert precious.read_text() == "kept"
     assert not left.exists()
 

@@ -11,8 +11,7 @@ from contextlib import suppress
 from pathlib import Path
 
 from rtcal.support.errors import DataError
-from rtcal.support.files import read_text, write_all
-from rtcal.support.transaction import recover
+from rtcal.support.files import read_text, recover, write_all
 from tests import faults
 
 OLD, NEW = b"old " * 3000, b"new " * 4000

@@ -13,7 +13,7 @@ import rtcal as rt
 from benchmarks import archive as study
 from rtcal.archive.likelihood import Evidence, RoomData, Spread
 from rtcal.command.main import cli
-from rtcal.report import page
+from rtcal.report import pages
 from rtcal.support.errors import DataError
 
 SPREAD = Spread(table=0.9, between=0.3, room=0.05, together=0.1, equation=0.02, correlation=0.6)
@@ -327,7 +327,7 @@ def test_it_is_saved_and_read_back(
     assert str(again) == str(archive)
     assert (again.alpha == archive.alpha).all()
     with pytest.raises(DataError, match='a result of the kind "archive" has no page'):
-        page.page_of(tmp_path)
+        pages.page_of(tmp_path)
 
 
 def test_the_command_reads_a_folder_and_writes_a_room(

@@ -23,7 +23,7 @@ from rtcal.finder.model import predict
 from rtcal.simulators.base import Simulator, run
 from rtcal.simulators.external import EquationSimulator
 from rtcal.simulators.geometry import SHOEBOX_WALLS, Polyhedron
-from rtcal.simulators.image_source import ImageSource
+from rtcal.simulators.shoebox import ImageSource
 from rtcal.support.errors import DataError
 
 OPENING = AppliedEffect("opening", {"area": 40.0}, (20.0, 56.0))

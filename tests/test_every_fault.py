@@ -9,7 +9,7 @@ import pytest
 
 from rtcal.command import finder as commands
 from rtcal.finder.search import find
-from rtcal.report import figures, gap_report, page, result_folder, study_report
+from rtcal.report import figures, gap_report, pages, result_folder, study_report
 from tests.test_discrepancy import controls_of, opened
 from tests.test_fault_commands import WRITERS, attempt, fit_once, search_once
 
@@ -36,7 +36,7 @@ def computed_once(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(commands, "search_case", lambda *_, **__: finding)
     for name in ("verify", "figures", "finding_page"):
         once(monkeypatch, gap_report, name)
-    once(monkeypatch, page, "page_of")
+    once(monkeypatch, pages, "page_of")
     for module in (figures, gap_report, result_folder.figures, study_report):
         if hasattr(module, "rendered"):
             once(monkeypatch, module, "rendered")

@@ -13,7 +13,7 @@ import pytest
 import rtcal as rt
 from rtcal.command.main import main
 from rtcal.loop import positions
-from rtcal.report import figures, where_folder
+from rtcal.report import figures, finding_pages
 from rtcal.support import files
 from tests import faults, fuzz
 from tests.test_discrepancy import opened
@@ -142,14 +142,14 @@ def search_once(monkeypatch: pytest.MonkeyPatch) -> None:
     """`rtcal find` with a geometry searches and verifies once."""
     finding = finding_of({"floor": 0.7, "wall 5": 0.3})
     verified = verification_of(finding, {"before": 3.0, "plain": 2.0, "corrected": 1.0})
-    drawn = where_folder.drawn(finding, verified, PLACE)
+    drawn = finding_pages.drawn(finding, verified, PLACE)
     pictures = {id(figure): figures.rendered(figure, "png") for figure in drawn.values()}
     monkeypatch.setattr("rtcal.finder.search.find", lambda *_, **__: finding)
     monkeypatch.setattr(rt.finder, "verify", lambda *_, **__: verified)
     monkeypatch.setattr(rt.finder.positions, "next_position", lambda *_, **__: (PLACE,))
-    monkeypatch.setattr(where_folder, "drawn", lambda *_: drawn)
-    monkeypatch.setattr(where_folder, "rendered", lambda figure, _: pictures[id(figure)])
-    monkeypatch.setattr(where_folder, "page", lambda *_: "<p>a page</p>")
+    monkeypatch.setattr(finding_pages, "drawn", lambda *_: drawn)
+    monkeypatch.setattr(finding_pages, "rendered", lambda figure, _: pictures[id(figure)])
+    monkeypatch.setattr(finding_pages, "where_page", lambda *_: "<p>a page</p>")
 
 
 @pytest.fixture(autouse=True)
@@ -225,7 +225,7 @@ def attempt(name: str, tmp_path: Path, between: int) -> tuple[int, int]:
                 with faults.faulty(nth, fault):
                     call(writer.command, work)
             for folder in {work, *(p.parent for p in work.rglob("*"))}:
-                faults.transaction.recover([folder])
+                files.recover([folder])
             now = state()
             tried += 1
             lost += now not in (before, after) or bool(faults.left_over(work))

@@ -10,8 +10,7 @@ from pathlib import Path
 import pytest
 
 from rtcal.support.errors import DataError
-from rtcal.support.files import read_text, write_all, write_text
-from rtcal.support.transaction import recover
+from rtcal.support.files import read_text, recover, write_all, write_text
 from tests import faults
 from tests.killed_writes import AFTER, BEFORE, events, remove_new, run_killed, set_of
 

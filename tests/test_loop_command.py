@@ -12,7 +12,7 @@ from click.testing import CliRunner
 
 import rtcal as rt
 from rtcal.command.main import cli, main
-from rtcal.support import transaction
+from rtcal.support.files import locked
 
 
 def unwrapped(output: str) -> str:
@@ -346,10 +346,10 @@ def test_two_commands_at_once_do_not_lose_a_step(cr2, tmp_path, monkeypatch):
     room, measured = cr2
     _, runner, command, files = begun(room, measured, tmp_path)
     table = simulate(tmp_path)
-    monkeypatch.setattr(transaction, "LONGEST_WAIT", 0.1)
+    monkeypatch.setattr("rtcal.support.files.LONGEST_WAIT", 0.1)
     child = os.fork()
     if child == 0:  # another command is at work
-        with transaction.locked(tmp_path):
+        with locked(tmp_path):
             time.sleep(30)
         os._exit(0)
     try:

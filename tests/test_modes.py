@@ -16,7 +16,7 @@ from rtcal.modes import MeasuredModes, absorption, admittance, box_modes
 from rtcal.modes.matching import match
 from rtcal.modes.model import AtFrequencies
 from rtcal.modes.paris import admittance_slope
-from rtcal.report.page import page_of
+from rtcal.report.pages import page_of
 from rtcal.simulators.geometry import SHOEBOX_WALLS
 from rtcal.support.errors import DataError
 from tests.test_saved_results import back

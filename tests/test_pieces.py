@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from rtcal.studies.runner import _open
-from rtcal.support import files, transaction
+from rtcal.support import files
 from rtcal.support.errors import DataError
 from tests.killed_writes import run_killed
 from tests.killed_writes import run_study as run
@@ -89,7 +89,7 @@ def test_a_pipe_in_place_of_a_piece_does_not_hang(folder: Path) -> None:
 
 def test_two_studies_in_one_folder_are_refused(folder: Path) -> None:
     with (
-        transaction.held(folder / "study.json"),
+        files.held(folder / "study.json"),
         pytest.raises(DataError, match="is in use: another process works"),
     ):
         run(folder)

@@ -19,7 +19,7 @@ from rtcal.io import obj
 from rtcal.loop import control_runs
 from rtcal.loop.measured_pairs import response_noise, rows_of_pairs
 from rtcal.loop.scattering import Scattering
-from rtcal.report import loop_figures, page, result_folder
+from rtcal.report import loop_figures, pages, result_folder
 from rtcal.simulators import (
     DifferentiableSimulator,
     ImageSource,
@@ -383,7 +383,7 @@ def test_the_page_of_a_fit_shows_what_was_learned_and_what_not_to_believe(folder
         limited=(),
     )
     replace(result, tracer=program, innovation=innovation, scattering=scattering).save(made)
-    text = page.page_of(made)
+    text = pages.page_of(made)
     assert text.count("data:image/svg+xml;base64,") == 1
     assert f"--exclude {':'.join(result.pairs[0])}" in text
     assert text.count("0.35 ± 0.10") == len(ROOM.materials)

@@ -127,7 +127,7 @@ def test_positions_are_read_back(tmp_path: Path) -> None:
     again = back(result, tmp_path)
     assert isinstance(again.tracer, PathTracing)
     np.testing.assert_array_equal(again.pulls, result.pulls)
-    rt.report.page.page_of(tmp_path)
+    rt.report.pages.page_of(tmp_path)
 
 
 def test_findings_are_read_back(tmp_path: Path, kept: Path) -> None:

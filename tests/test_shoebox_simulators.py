@@ -9,8 +9,8 @@ import rtcal as rt
 from rtcal.acoustics import decay
 from rtcal.simulators import base
 from rtcal.simulators.geometry import SHOEBOX_WALLS, Polyhedron
-from rtcal.simulators.image_source import ImageSource, lattice
 from rtcal.simulators.sdn import ScatteringDelayNetwork, _blocks
+from rtcal.simulators.shoebox import ImageSource, lattice
 from rtcal.support import speed
 from rtcal.support.errors import DataError, TooShortError
 

@@ -86,10 +86,10 @@ presets.calibrate = calibrate
 
 NOTHING_TO_ADD = """
 from rtcal.command import finder as commands
-from rtcal.report import correction
+from rtcal.report import finding_pages
 
 commands.read_case = commands.search_case = lambda *_, **__: None
-correction.correct = lambda *_: correction.Correction("nothing to add", {})
+finding_pages.correct = lambda *_: finding_pages.Correction("nothing to add", {})
 """
 
 

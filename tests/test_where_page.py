@@ -15,7 +15,7 @@ import pytest
 from rtcal.finder.finding import Detection
 from rtcal.finder.positions import Place, PositionsFinding, PositionsVerification, verification
 from rtcal.loop.control_runs import ControlRuns
-from rtcal.report import where_figures, where_folder
+from rtcal.report import finding_pages, where_figures
 from rtcal.report.document import Heading
 from rtcal.support.errors import DataError
 from tests.test_figures import LEAST, PHONE, texts
@@ -148,7 +148,7 @@ def test_a_seed_stands_once(finding: PositionsFinding) -> None:
 
 
 def test_the_figures_are_legible_and_show_the_groups(finding: PositionsFinding) -> None:
-    drawn = where_folder.drawn(
+    drawn = finding_pages.drawn(
         finding, verification_of(finding, {"before": 3, "plain": 2, "corrected": 1}), PLACE
     )
     assert set(drawn) == {"room.png", "plan.png", "map.png", "gap.png"}
@@ -186,7 +186,7 @@ def test_pairs_and_bands_that_were_not_measured_are_left_out(finding: PositionsF
 
 def test_the_page_begins_with_the_three_bars(finding: PositionsFinding, tmp_path: Path) -> None:
     result = verification_of(finding, {"before": 3.0, "plain": 2.0, "corrected": 1.99}, 1.0)
-    where_folder.write(finding, result, tmp_path, command="rtcal find", place=PLACE)
+    finding_pages.write_where(finding, result, tmp_path, command="rtcal find", place=PLACE)
     page = (tmp_path / "report.html").read_text(encoding="utf-8")
     body = page[page.index("<main>") :]
     assert body.index("<img") < body.index("Unproven") < body.index("What was found")
@@ -202,8 +202,8 @@ def test_parameters_are_called_as_everywhere(finding: PositionsFinding) -> None:
     """The page, its figures and the printed gaps had "TS" and "LEVEL"."""
     called = replace(finding, parameters=("ts", "level"))
     result = verification_of(called, {"before": 3.0, "plain": 2.0, "corrected": 1.0})
-    figures = where_folder.drawn(called, result, PLACE)
-    page = where_folder.page(called, result, figures, Heading())
+    figures = finding_pages.drawn(called, result, PLACE)
+    page = finding_pages.where_page(called, result, figures, Heading())
     labels = {t.get_text() for t in texts(where_figures.disagreement(called))}
     assert {"Ts", "level"} <= labels
     for said in (str(result), re.sub('src="[^"]+"', "", page), " ".join(labels)):
@@ -213,7 +213,7 @@ def test_parameters_are_called_as_everywhere(finding: PositionsFinding) -> None:
 
 def test_the_page_of_nothing_found_has_no_bars(finding: PositionsFinding, tmp_path: Path) -> None:
     nothing = replace(finding, verdict="none", effect=None, family=None)
-    where_folder.write(nothing, None, tmp_path)
+    finding_pages.write_where(nothing, None, tmp_path)
     page = (tmp_path / "report.html").read_text(encoding="utf-8")
     assert page.count("<img") == 2
     assert page.count("<svg viewBox") == 2

@@ -10,8 +10,13 @@ import numpy as np
 
 from rtcal.acoustics import bands, measurement_files, repeats
 from rtcal.acoustics.materials import text_name
-from rtcal.acoustics.observables import OBSERVABLES, REVERBERATION, observable
-from rtcal.acoustics.parameters import SUMMARY, parameter_label
+from rtcal.acoustics.observables import (
+    OBSERVABLES,
+    REVERBERATION,
+    SUMMARY,
+    observable,
+    parameter_label,
+)
 from rtcal.support import checks, text
 from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError

@@ -26,8 +26,7 @@ from typing import Any
 import numpy as np
 
 from rtcal.acoustics import bands
-from rtcal.acoustics.observables import OBSERVABLES
-from rtcal.acoustics.parameters import SUMMARY, parameter_label
+from rtcal.acoustics.observables import OBSERVABLES, SUMMARY, parameter_label
 from rtcal.support.decode import Entries
 from rtcal.support.errors import DataError
 from rtcal.support.files import json_numbers, read_text

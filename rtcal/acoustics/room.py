@@ -12,22 +12,32 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from rtcal.acoustics import bands, room_checks, room_files
+from rtcal.acoustics import bands, room_files
 from rtcal.acoustics.air import Air
 from rtcal.acoustics.materials import (
     ARCHIVE,
     AXES,
+    LARGEST,
     CalibrationRecord,
     Geometry,
     Material,
     Surface,
+    by_material,
+    check_correlation,
+    check_minimum,
+    check_surfaces,
+    checked_areas,
+    checked_coefficients,
+    climate,
+    cut_to_one,
+    in_order,
     number,
+    relative,
     short_name,
     stacked,
     text_name,
 )
-from rtcal.acoustics.room_checks import in_order
-from rtcal.acoustics.room_text import toml_text
+from rtcal.acoustics.room_files import toml_text
 from rtcal.acoustics.scene import Scene
 from rtcal.support import checks, text
 from rtcal.support.arguments import checked
@@ -174,8 +184,8 @@ class Room:
             raise DataError("surfaces has something that is no rtcal.Surface")
         put("centre_frequencies", read_only(bands.as_bands(self.centre_frequencies)))
         put("volume", number("volume", self.volume, " m³"))
-        if self.volume > room_checks.LARGEST:
-            raise DataError(f"volume = {self.volume:g} m³ is above {room_checks.LARGEST:g} m³")
+        if self.volume > LARGEST:
+            raise DataError(f"volume = {self.volume:g} m³ is above {LARGEST:g} m³")
         n, k = self.n_materials, self.n_bands
         if n == 0:
             raise DataError("materials is empty; a room has at least one material")
@@ -187,17 +197,17 @@ class Room:
         for name in ("areas", "alpha", "sigma", "scattering", "alpha_min"):
             stated = getattr(self, name)
             put(name, in_order(name, stated, self.materials, self.centre_frequencies))
-        put("areas", room_checks.checked_areas(self.materials, self.areas))
+        put("areas", checked_areas(self.materials, self.areas))
         if above_one == "clip":
-            alpha, cut = room_checks.cut_to_one(self.alpha, (n, k), self.place)
+            alpha, cut = cut_to_one(self.alpha, (n, k), self.place)
             put("alpha", alpha)
             put("clipped", (*self.clipped, *cut))
         for name in ("alpha", "sigma", "scattering", "alpha_min"):
             value = getattr(self, name)
             if value is not None:
-                put(name, room_checks.checked_coefficients(name, value, (n, k), self.place))
+                put(name, checked_coefficients(name, value, (n, k), self.place))
         if self.alpha_min is not None:
-            room_checks.check_minimum(self.alpha, self.alpha_min, self.place)
+            check_minimum(self.alpha, self.alpha_min, self.place)
         if self.dimensions is not None:
             stated = checks.listed("dimensions", self.dimensions)
             sides = tuple(number("dimensions", side, " m") for side in stated)
@@ -208,14 +218,12 @@ class Room:
             model = checks.shown(self.scattering_model)
             raise DataError(f'scattering_model = {model} is not "random" or "vector"')
         checks.instance("scene", self.scene, Scene)
-        room_checks.check_surfaces(self.materials, self.areas, self.surfaces)
-        room_checks.check_correlation(
-            self.materials, self.band_correlation, self.material_correlation
-        )
+        check_surfaces(self.materials, self.areas, self.surfaces)
+        check_correlation(self.materials, self.band_correlation, self.material_correlation)
         for name in ("volume_sigma", "common_area_sigma", "common_alpha_sigma"):
-            put(name, room_checks.relative(name, getattr(self, name)))
-        put("area_sigma", room_checks.by_material(self.area_sigma, self.materials, self.areas))
-        put("climate_sigma", room_checks.climate(self.climate_sigma, self.air))
+            put(name, relative(name, getattr(self, name)))
+        put("area_sigma", by_material(self.area_sigma, self.materials, self.areas))
+        put("climate_sigma", climate(self.climate_sigma, self.air))
 
     def __repr__(self) -> str:
         return f"<{self._description}>"

@@ -78,7 +78,7 @@ from rtcal.acoustics import bands
 from rtcal.acoustics.air import Air
 from rtcal.acoustics.materials import CalibrationRecord, Material, Surface, stacked
 from rtcal.acoustics.priors import TIERS, in_situ, sigma_iso_12999_2, sigma_relative
-from rtcal.acoustics.scene import TABLES, Scene
+from rtcal.acoustics.scene import TABLES, Scene, listed, quoted, scene_lines
 from rtcal.support.decode import Entries, toml_table
 from rtcal.support.errors import DataError
 from rtcal.support.files import json_numbers
@@ -366,3 +366,52 @@ def plain(room: Any) -> dict[str, Any]:
         "air": None if room.air is None else vars(room.air).copy(),
         **stated,
     }
+
+
+def toml_text(data: Mapping[str, Any]) -> str:
+    """Return `Room.to_dict`'s dict as the text of its TOML file."""
+    lines = [f"name = {quoted(data['name'])}"]
+    if "author" in data:
+        lines.append(f"author = {quoted(data['author'])}")
+    lines.append(f"volume = {data['volume']!r}")
+    lines.append(f"centre_frequencies = {listed(data['centre_frequencies'])}")
+    if "dimensions" in data:
+        lines.append(f"dimensions = {listed(data['dimensions'])}")
+    if "clipped" in data:
+        lines.append("clipped = [" + ", ".join(map(quoted, data["clipped"])) + "]")
+    if "scattering_model" in data:
+        lines.append(f"scattering_model = {quoted(data['scattering_model'])}")
+    lines += [f"{name} = {data[name]!r}" for name in RELATIVE if name in data]
+    if "climate_sigma" in data:
+        lines.append(f"climate_sigma = {listed(data['climate_sigma'])}")
+    lines += scene_lines(data.get("scene", {}))
+    if data["band_correlation"]:
+        lines += ["", "[prior]", f"band_correlation = {data['band_correlation']!r}"]
+    if data["air"] is not None:
+        lines += ["", "[air]"]
+        lines += [f"{key} = {float(data['air'][key])!r}" for key in sorted(data["air"])]
+    if "calibration" in data:
+        lines += ["", "[calibration]"]
+        lines += [f"{key} = {quoted(value)}" for key, value in data["calibration"].items()]
+    surfaces = data.get("surfaces", [])
+    covered = {surface["material"] for surface in surfaces}
+    for i, material in enumerate(data["materials"]):
+        lines += ["", "[[material]]", f"name = {quoted(material)}"]
+        if material not in covered:
+            lines.append(f"area = {data['areas'][i]!r}")
+        for key in ("alpha", "sigma", "alpha_min", "scattering"):
+            if key in data:
+                lines.append(f"{key} = {listed(data[key][i])}")
+        if data.get("area_sigma", [0.0] * (i + 1))[i]:
+            lines.append(f"area_sigma = {data['area_sigma'][i]!r}")
+        if material in data.get("sources", {}):
+            lines.append(f"source = {quoted(data['sources'][material])}")
+    for entry in data.get("material_correlation", []):
+        pair = ", ".join(map(quoted, entry["materials"]))
+        lines += ["", "[[correlation]]", f"materials = [{pair}]", f"value = {entry['value']!r}"]
+    for surface in surfaces:
+        lines += ["", "[[surface]]", f"name = {quoted(surface['name'])}"]
+        lines += [f"material = {quoted(surface['material'])}", f"area = {surface['area']!r}"]
+        if surface["axis"] is not None:
+            lines.append(f"axis = {quoted(surface['axis'])}")
+    return "\n".join(lines) + "\n"

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import json
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path, PurePath
 from typing import Any, Literal
@@ -231,3 +232,43 @@ def _points(kind: str, stated: Mapping[str, Sequence[float]]) -> dict[str, Point
         x, y, z = coordinates.tolist()
         made[name] = (x, y, z)
     return made
+
+
+def scene_lines(tables: Mapping[str, Any]) -> list[str]:
+    """Return the lines of `Scene.to_dict`'s tables."""
+    lines: list[str] = []
+    geometry = tables.get("geometry", {})
+    if geometry:
+        lines += ["", "[geometry]"]
+        lines += [f"mesh = {quoted(geometry[key])}" for key in ("mesh",) if key in geometry]
+        numbers = ("unit", "position_uncertainty")
+        lines += [f"{key} = {geometry[key]!r}" for key in numbers if key in geometry]
+        if "surfaces" in geometry:
+            lines += ["", "[geometry.surfaces]"]
+            for name, faces in geometry["surfaces"].items():
+                lines.append(f"{quoted(name)} = [{', '.join(map(quoted, faces))}]")
+    for kind in ("sources", "receivers"):
+        if kind in tables:
+            lines += ["", f"[{kind}]"]
+            lines += [f"{quoted(n)} = {listed(point)}" for n, point in tables[kind].items()]
+    if "directivity" in tables:
+        lines += ["", "[directivity]"]
+    for name, of in tables.get("directivity", {}).items():
+        if isinstance(of, str):
+            lines.append(f"{quoted(name)} = {quoted(of)}")
+        else:
+            # JSON's texts and lists of numbers are TOML's.
+            entries = ", ".join(f"{key} = {json.dumps(value)}" for key, value in of.items())
+            lines.append(f"{quoted(name)} = {{ {entries} }}")
+    return lines
+
+
+def quoted(text: str) -> str:
+    """Return a text as TOML writes it."""
+    # A JSON string is a TOML basic string, but for DEL, which TOML wants escaped.
+    return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
+
+
+def listed(values: Iterable[float]) -> str:
+    """Return numbers as TOML writes them."""
+    return "[" + ", ".join(repr(float(v)) for v in values) + "]"

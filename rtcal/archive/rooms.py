@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from rtcal.acoustics.room import Room
-from rtcal.archive import suspects
+from rtcal.archive import likelihood
 from rtcal.archive.library import Archive, Lesson, Suspect, is_one_material
 from rtcal.archive.likelihood import Evidence, RoomData
 from rtcal.calibration.configurations import Configurations
@@ -149,7 +149,7 @@ def learn(
     for r, room in enumerate(each.room for each in used):
         if not (evidence.room == r).any():
             continue
-        lesson, doubt = _lesson(room.name, evidence, suspects.judged(evidence, spread, r), left)
+        lesson, doubt = _lesson(room.name, evidence, likelihood.judged(evidence, spread, r), left)
         lessons.append(lesson)
         doubts += [
             Suspect(
@@ -297,7 +297,7 @@ def _data(
 
 
 def _lesson(
-    name: str, evidence: Evidence, room: suspects.Judged, left: Array
+    name: str, evidence: Evidence, room: likelihood.Judged, left: Array
 ) -> tuple[Lesson, list[tuple[int, int, float]]]:
     """The contribution of one room, and its materials that are likelier than not another one."""
     q = float(room.miss @ np.linalg.solve(room.covariance, room.miss))

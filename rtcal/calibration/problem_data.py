@@ -14,8 +14,7 @@ from numpy.typing import NDArray
 from rtcal.acoustics import band_conversion, bands, repeats
 from rtcal.acoustics.decay import BentDecay, bent_decays
 from rtcal.acoustics.measurement import Measurement
-from rtcal.acoustics.observables import REVERBERATION, TARGET
-from rtcal.acoustics.parameters import parameter_label
+from rtcal.acoustics.observables import REVERBERATION, TARGET, parameter_label
 from rtcal.acoustics.room import Room
 from rtcal.calibration.layout import Layout, Whitened
 from rtcal.support import checks

@@ -101,9 +101,9 @@ def find(
         finding = search_case(inputs, search, quiet, number=number)
         tell(str(finding), finding.to_dict(), quiet=quiet, as_json=as_json)
         return
-    from rtcal.report import gap_report, where_folder
+    from rtcal.report import finding_pages, gap_report
 
-    targets = [folder / name for name in {*gap_report.WRITTEN, *where_folder.FILES}]
+    targets = [folder / name for name in {*gap_report.WRITTEN, *finding_pages.FILES}]
     finding = search_case(inputs, search, quiet, targets, number)
     numbers_stated = [
         word
@@ -119,7 +119,7 @@ def find(
             verification = verified(inputs, finding, quiet)
             first = [verification.sentence]
         place = next(iter(further_places(finding)), None)
-        paths = where_folder.write(finding, verification, folder, heading, command, place)
+        paths = finding_pages.write_where(finding, verification, folder, heading, command, place)
     else:
         files = gap_report.Reproduction(command, tuple(files_read(inputs)), search.seed)
         paths = gap_report.write(finding, folder, files, heading)
@@ -226,7 +226,7 @@ def apply(
             raise click.exceptions.Exit(NOTHING_TO_ADD)
         return
     if not inputs.at_positions:
-        from rtcal.report.correction import correct
+        from rtcal.report.finding_pages import correct
         from rtcal.support.files import write_all
 
         case = read_case(inputs, [out] if room is None else [out, room])

@@ -11,7 +11,7 @@ from typing import Any
 import click
 
 from rtcal.acoustics.equations import LinearEquation
-from rtcal.acoustics.parameters import parameter_label
+from rtcal.acoustics.observables import parameter_label
 from rtcal.command.console import (
     decimals_option,
     equation_option,
@@ -22,8 +22,7 @@ from rtcal.command.console import (
     read_measured,
     tell,
 )
-from rtcal.support.files import spare
-from rtcal.support.transaction import locked
+from rtcal.support.files import locked, spare
 
 _state_option = click.option(
     "--state",

@@ -250,7 +250,7 @@ def design(
 
     Example: rtcal design room.toml t20.csv --treatments treatments.toml
     """
-    from rtcal.acoustics.treatments import read_treatments
+    from rtcal.acoustics.change_files import read_treatments
     from rtcal.datasets import catalogue
     from rtcal.prediction.designed import Known
     from rtcal.prediction.designed import design as cheapest

@@ -34,7 +34,7 @@ def find_change(
         Without a room and what was measured in it, and as `rtcal.find` does.
     """
     from rtcal.finder.search import verify
-    from rtcal.report import document, states_page
+    from rtcal.report import document, finding_pages
     from rtcal.support.results import NUMBERS
 
     written_here = [] if folder is None else [folder / NUMBERS, folder / PAGE]
@@ -45,7 +45,7 @@ def find_change(
             verification = verify(finding)
             printed = f"{verification}\n{printed}"
             record["verification"] = verification.to_dict()
-        page = states_page.page(finding, heading, lambda: None)
+        page = finding_pages.states_page(finding, heading, lambda: None)
         paths = [finding.save(folder), folder / PAGE]
         document.write(paths[1], page)
         printed += "\n" + written(paths)

@@ -9,8 +9,7 @@ import numpy as np
 
 from rtcal.acoustics import bands
 from rtcal.acoustics.measurement import Measurement
-from rtcal.acoustics.observables import observable
-from rtcal.acoustics.parameters import parameter_label
+from rtcal.acoustics.observables import observable, parameter_label
 from rtcal.support import text
 from rtcal.support.types import Array
 

@@ -32,8 +32,7 @@ from rtcal.acoustics import decay
 from rtcal.acoustics.decay import bent_decays
 from rtcal.acoustics.materials import text_name
 from rtcal.acoustics.measurement import Measurement
-from rtcal.acoustics.observables import EARLY, OBSERVABLES, DecaySlope, of_kind
-from rtcal.acoustics.parameters import parameter_label
+from rtcal.acoustics.observables import EARLY, OBSERVABLES, DecaySlope, of_kind, parameter_label
 from rtcal.acoustics.repeats import groups, in_words, names_of_repeats, places_of
 from rtcal.io import sofa
 from rtcal.io.analysis import Analysis, pairs_in_words, shortened_list, spread

@@ -12,8 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from rtcal.acoustics import bands
-from rtcal.acoustics.observables import REVERBERATION, observable
-from rtcal.acoustics.parameters import parameter_label
+from rtcal.acoustics.observables import REVERBERATION, observable, parameter_label
 from rtcal.io.table_words import (
     COLUMNS,
     MEASURED,

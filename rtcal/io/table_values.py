@@ -7,8 +7,7 @@ from collections.abc import Collection, Iterator, Mapping
 
 from rtcal.acoustics import bands
 from rtcal.acoustics.materials import text_name
-from rtcal.acoustics.observables import OBSERVABLES
-from rtcal.acoustics.parameters import SUMMARY, parameter_label
+from rtcal.acoustics.observables import OBSERVABLES, SUMMARY, parameter_label
 from rtcal.acoustics.repeats import names_of_repeats
 from rtcal.io.table_columns import (
     Column,

@@ -26,8 +26,7 @@ from typing import Any
 
 from rtcal.acoustics import bands, measurement_files
 from rtcal.acoustics.measurement import Measurement
-from rtcal.acoustics.observables import OBSERVABLES, TARGET
-from rtcal.acoustics.parameters import parameter_label
+from rtcal.acoustics.observables import OBSERVABLES, TARGET, parameter_label
 from rtcal.acoustics.repeats import in_words, places_of
 from rtcal.io import nti, rew, workbook
 from rtcal.io.analysis import means

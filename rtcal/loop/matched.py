@@ -16,8 +16,7 @@ import numpy as np
 from rtcal.acoustics import band_conversion
 from rtcal.acoustics.bands import label
 from rtcal.acoustics.measurement import Measurement
-from rtcal.acoustics.observables import EARLY, LEVEL, OBSERVABLES, TARGET
-from rtcal.acoustics.parameters import parameter_label
+from rtcal.acoustics.observables import EARLY, LEVEL, OBSERVABLES, TARGET, parameter_label
 from rtcal.acoustics.quality import gap_jnd
 from rtcal.acoustics.room import Room
 from rtcal.simulators.observations import Observations

@@ -19,8 +19,13 @@ from scipy.stats import chi2
 from rtcal.acoustics import band_conversion, bands
 from rtcal.acoustics.decay import gradients
 from rtcal.acoustics.measurement import Measurement
-from rtcal.acoustics.observables import LEVEL, OBSERVABLES, REVERBERATION, observable
-from rtcal.acoustics.parameters import parameter_label
+from rtcal.acoustics.observables import (
+    LEVEL,
+    OBSERVABLES,
+    REVERBERATION,
+    observable,
+    parameter_label,
+)
 from rtcal.acoustics.repeats import fingerprint, refuse_repeated_data
 from rtcal.acoustics.room import Room
 from rtcal.calibration.problem_data import copied, times_in_room

@@ -19,8 +19,7 @@ import numpy as np
 from rtcal.acoustics.band_conversion import measurement_in_room_bands
 from rtcal.acoustics.materials import CalibrationRecord
 from rtcal.acoustics.measurement import Measurement
-from rtcal.acoustics.observables import MATCH, REVERBERATION, TARGET
-from rtcal.acoustics.parameters import parameter_label
+from rtcal.acoustics.observables import MATCH, REVERBERATION, TARGET, parameter_label
 from rtcal.acoustics.room import Room
 from rtcal.acoustics.room_errors import in_words, prior_covariance
 from rtcal.acoustics.scene import POSITION, checked_uncertainty

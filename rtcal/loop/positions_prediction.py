@@ -11,8 +11,7 @@ from scipy.special import ndtri
 
 from rtcal.acoustics import bands
 from rtcal.acoustics.changes import Change
-from rtcal.acoustics.observables import observable
-from rtcal.acoustics.parameters import parameter_label
+from rtcal.acoustics.observables import observable, parameter_label
 from rtcal.acoustics.room import Room
 from rtcal.prediction import words
 from rtcal.prediction.predicted import LEVEL

@@ -11,8 +11,7 @@ import numpy as np
 
 from rtcal.acoustics.change_files import Variant
 from rtcal.acoustics.changes import Change
-from rtcal.acoustics.observables import LEVEL, observable
-from rtcal.acoustics.parameters import parameter_label
+from rtcal.acoustics.observables import LEVEL, observable, parameter_label
 from rtcal.acoustics.quality import gap_jnd
 from rtcal.acoustics.room import Room
 from rtcal.acoustics.room_errors import Assumptions

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from rtcal.acoustics.parameters import parameter_label
+from rtcal.acoustics.observables import parameter_label
 from rtcal.acoustics.room import Room
 from rtcal.loop.measured_pairs import Pair
 from rtcal.loop.scattering import Scattering

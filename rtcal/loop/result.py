@@ -10,8 +10,7 @@ import numpy as np
 
 from rtcal.acoustics.bands import label
 from rtcal.acoustics.measurement import Measurement
-from rtcal.acoustics.observables import TARGET, observable
-from rtcal.acoustics.parameters import parameter_label
+from rtcal.acoustics.observables import TARGET, observable, parameter_label
 from rtcal.acoustics.quality import gap_jnd
 from rtcal.acoustics.room import Room
 from rtcal.acoustics.room_errors import in_words

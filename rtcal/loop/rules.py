@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from rtcal.acoustics.bands import label, span
 from rtcal.acoustics.equations import LinearEquation
 from rtcal.acoustics.measurement import Measurement
-from rtcal.acoustics.parameters import parameter_label
+from rtcal.acoustics.observables import parameter_label
 from rtcal.acoustics.quality import gap_jnd
 from rtcal.acoustics.room import Room
 from rtcal.loop.matched import Matched

@@ -5,7 +5,9 @@ from typing import TYPE_CHECKING
 from rtcal.support import lazy
 
 if TYPE_CHECKING:
+    from rtcal.acoustics.change_files import Treatment as Treatment
     from rtcal.acoustics.change_files import Variant as Variant
+    from rtcal.acoustics.change_files import read_treatments as read_treatments
     from rtcal.acoustics.change_files import read_variants as read_variants
     from rtcal.acoustics.changes import Add as Add
     from rtcal.acoustics.changes import Climate as Climate
@@ -19,8 +21,6 @@ if TYPE_CHECKING:
     from rtcal.acoustics.targets import Target as Target
     from rtcal.acoustics.targets import ansi_s12_60 as ansi_s12_60
     from rtcal.acoustics.targets import din_18041 as din_18041
-    from rtcal.acoustics.treatments import Treatment as Treatment
-    from rtcal.acoustics.treatments import read_treatments as read_treatments
     from rtcal.prediction.compared import Predictions as Predictions
     from rtcal.prediction.compared import compare as compare
     from rtcal.prediction.designed import Design as Design

@@ -16,13 +16,13 @@ from typing import Any
 import numpy as np
 from scipy.special import ndtri
 
+from rtcal.acoustics.change_files import Treatment
 from rtcal.acoustics.changes import changed
 from rtcal.acoustics.equations import LinearEquation
 from rtcal.acoustics.room import Room
 from rtcal.acoustics.room_errors import Assumptions
 from rtcal.acoustics.states import Rooms, State
 from rtcal.acoustics.targets import Target
-from rtcal.acoustics.treatments import Treatment
 from rtcal.prediction.estimate import estimated_change, near_bounds, samples
 from rtcal.prediction.predicted import SAMPLES, Prediction, predict
 from rtcal.prediction.program import TANGENTS, ProgramNumbers, Ranges, program

@@ -11,12 +11,12 @@ import numpy as np
 from scipy.special import ndtr, ndtri
 
 from rtcal.acoustics import bands
+from rtcal.acoustics.change_files import LEAST, Treatment, check_treatments
 from rtcal.acoustics.equations import Eyring, LinearEquation
 from rtcal.acoustics.room import Room
 from rtcal.acoustics.room_errors import Assumptions
 from rtcal.acoustics.states import State
 from rtcal.acoustics.targets import Target
-from rtcal.acoustics.treatments import LEAST, Treatment, check_treatments
 from rtcal.prediction import words
 from rtcal.prediction.design_model import DesignModel
 from rtcal.prediction.predicted import JND, Prediction

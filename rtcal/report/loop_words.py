@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from rtcal.acoustics.equations import Eyring
-from rtcal.acoustics.observables import OBSERVABLES, TARGET, observable
-from rtcal.acoustics.parameters import parameter_label
+from rtcal.acoustics.observables import OBSERVABLES, TARGET, observable, parameter_label
 from rtcal.acoustics.quality import gap_jnd
 from rtcal.report.document import material_rows
 from rtcal.report.words import hertz

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Mapping
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,34 +11,22 @@ from rtcal.acoustics import room_files
 from rtcal.acoustics.trust import letters
 from rtcal.calibration import table
 from rtcal.calibration.result import CalibrationResult
-from rtcal.finder import states
 from rtcal.loop import matched
-from rtcal.loop.positions_prediction import PositionsPrediction, PositionsPredictions
-from rtcal.loop.positions_result import PositionsResult
 from rtcal.loop.result import LoopResult
 from rtcal.loop.state import Loop
-from rtcal.modes.result import ModesResult
-from rtcal.prediction.compared import Predictions
-from rtcal.prediction.designed import Design
-from rtcal.prediction.predicted import Prediction
 from rtcal.report import (
     figures,
     loop_figures,
     loop_words,
     material_figures,
-    positions_page,
-    prediction_page,
     room_section,
-    states_page,
     words,
 )
 from rtcal.report.document import Heading, blocks, data_of, material_rows, render, source
 from rtcal.support.arguments import checked
-from rtcal.support.errors import DataError
-from rtcal.support.results import load
 from rtcal.support.types import Array
 
-__all__ = ["calibration_page", "finding_page", "loop_page", "page_of"]
+__all__ = ["calibration_page", "finding_page", "loop_page"]
 __dir__ = __all__.copy
 
 MOST_MATERIALS = 100
@@ -222,45 +208,6 @@ def loop_page(
             "weights_option": loop_words.weights_option(loop),
         },
         (heading or Heading()).completed(loop.room.name, loop.room.author),
-    )
-
-
-@checked
-def page_of(
-    path: str | os.PathLike[str],
-    *,
-    heading: Heading | None = None,
-    progress: Callable[[], None] | None = None,
-) -> str:
-    """Return the page of a saved result: its folder, its ``result.json``, or the state of a loop.
-
-    Raises
-    ------
-    DataError
-        For a folder that has no result, or a file that is none.
-    """
-    place = Path(path)
-    result = load(place)
-    if isinstance(result, Loop | LoopResult):
-        return loop_page(result, heading=heading, progress=progress)
-    if isinstance(result, PositionsResult):
-        return positions_page.page(result, heading or Heading(), progress or (lambda: None))
-    if isinstance(result, ModesResult):
-        return positions_page.modes_page(result, heading or Heading(), progress or (lambda: None))
-    if isinstance(result, Prediction | Predictions | Design):
-        return prediction_page.page(result, heading or Heading(), progress or (lambda: None))
-    if isinstance(result, states.StatesFinding):
-        return states_page.page(result, heading or Heading(), progress or (lambda: None))
-    if isinstance(result, PositionsPrediction | PositionsPredictions):
-        return prediction_page.page_at_positions(
-            result, heading or Heading(), progress or (lambda: None)
-        )
-    if isinstance(result, CalibrationResult):
-        return calibration_page(result, heading=heading, progress=progress)
-    raise DataError(
-        f'{place}: a result of the kind "{result.record_kind.rstrip(" 0123456789")}" has no page. '
-        "Pages show a calibration, a loop, positions, modes, predictions, designs and what changed; "
-        "`rtcal find --out` writes that of a finding, and `rtcal learn` prints an archive"
     )
 
 

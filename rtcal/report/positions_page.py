@@ -8,8 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from rtcal.acoustics.observables import DecaySlope, of_kind
-from rtcal.acoustics.parameters import parameter_label
+from rtcal.acoustics.observables import DecaySlope, of_kind, parameter_label
 from rtcal.loop.positions_result import PositionsResult
 from rtcal.modes.result import ModesResult
 from rtcal.modes.room_modes import DECAY

@@ -8,8 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from rtcal.acoustics.observables import observable
-from rtcal.acoustics.parameters import parameter_label
+from rtcal.acoustics.observables import observable, parameter_label
 from rtcal.loop.positions_prediction import PositionsPrediction, PositionsPredictions
 from rtcal.prediction.compared import Predictions
 from rtcal.prediction.designed import Design

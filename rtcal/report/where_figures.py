@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rtcal.acoustics.parameters import parameter_label
+from rtcal.acoustics.observables import parameter_label
 from rtcal.finder.positions.advice import Place
 from rtcal.finder.positions.finding import PositionsFinding
 from rtcal.finder.positions.surfaces import Faces, kind

@@ -10,7 +10,7 @@ import numpy as np
 
 from rtcal.acoustics import bands, room_errors
 from rtcal.acoustics.equations import EQUATIONS
-from rtcal.acoustics.parameters import parameter_label
+from rtcal.acoustics.observables import parameter_label
 from rtcal.acoustics.quality import P_CONTRADICTION, agreement, together_in_words, weak_agreement
 from rtcal.acoustics.trust import TrustMark
 from rtcal.calibration.presets import METHODS

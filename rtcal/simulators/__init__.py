@@ -16,11 +16,11 @@ if TYPE_CHECKING:
     from rtcal.simulators.external import External as External
     from rtcal.simulators.external import command as command
     from rtcal.simulators.geometry import Polyhedron as Polyhedron
-    from rtcal.simulators.image_source import ImageSource as ImageSource
     from rtcal.simulators.observations import DifferentiableSimulator as DifferentiableSimulator
     from rtcal.simulators.observations import Observations as Observations
     from rtcal.simulators.path_tracing import PathTracing as PathTracing
     from rtcal.simulators.ray_tracing import RayTracing as RayTracing
     from rtcal.simulators.sdn import ScatteringDelayNetwork as ScatteringDelayNetwork
+    from rtcal.simulators.shoebox import ImageSource as ImageSource
 else:
     __getattr__, __dir__, __all__ = lazy.exports(__name__, __file__)

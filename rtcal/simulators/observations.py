@@ -19,8 +19,7 @@ from rtcal.acoustics import bands
 from rtcal.acoustics.decay import gradients
 from rtcal.acoustics.decay_curve import checked_decay
 from rtcal.acoustics.measurement import Measurement
-from rtcal.acoustics.observables import MATCH, OBSERVABLES, observable
-from rtcal.acoustics.parameters import parameter_label
+from rtcal.acoustics.observables import MATCH, OBSERVABLES, observable, parameter_label
 from rtcal.simulators import base
 from rtcal.simulators.base import Simulator
 from rtcal.support import checks

@@ -1,15 +1,24 @@
-"""A `Room` as a shoebox with sources and receivers, and the base of shoebox simulators."""
+"""A `Room` as a shoebox: the base of its simulators, and image sources.
+
+The position of an image source and the walls it was mirrored in do not depend on absorption. The
+images are therefore stored with their hits per wall. For any alpha and band, an image at the
+distance d contributes the energy (Allen & Berkley 1979; energies are added, not pressures)
+
+    E = product over walls (1 - alpha)^hits exp(-m d) / (4 pi d²).
+"""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import product
 from typing import ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
+from rtcal.acoustics import decay
 from rtcal.acoustics.decay import gradients
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.observables import MATCH
@@ -18,7 +27,7 @@ from rtcal.simulators import observations
 from rtcal.simulators.base import RoomSimulator, check_alpha
 from rtcal.simulators.geometry import SHOEBOX_WALLS, Polyhedron
 from rtcal.simulators.observations import Observations
-from rtcal.support import checks
+from rtcal.support import checks, speed
 from rtcal.support.errors import DataError
 from rtcal.support.types import Array
 
@@ -184,3 +193,246 @@ def shoebox_of(room: Room, sources: Mapping[str, Point], receivers: Mapping[str,
         receivers=box.require_inside("receiver", receivers),
         pairs=tuple((s, r) for s in sources for r in receivers),
     )
+
+
+_MOST_IMAGES = 50_000_000
+
+
+@dataclass(frozen=True, eq=False)
+class Images:
+    """The images of one source as heard by one receiver. All arrays are read-only.
+
+    A run is a sequence of images that differ only in their position along the last axis.
+
+    Attributes
+    ----------
+    hits : tuple of int arrays (n_lattice, 2)
+        By axis: hits on the near and on the far wall.
+    rows : int array (n_runs, 3)
+        By axis, the row of ``hits`` of the run's first image.
+    starts : int array (n_runs + 1,)
+        Index of each run's first image.
+    bins : int array (n_images,)
+        Time bin of each image.
+    weights : array (n_images,)
+        1 / (4 pi d²) in 1/m².
+    lengths : array (n_bins,)
+        Mean d of each bin's images in m.
+    """
+
+    hits: tuple[NDArray[np.int64], ...]
+    rows: NDArray[np.int64]
+    starts: NDArray[np.int64]
+    bins: NDArray[np.uint32]
+    weights: Array
+    lengths: Array
+
+    def __post_init__(self) -> None:
+        for hits in self.hits:
+            hits.setflags(write=False)
+        for values in (self.rows, self.starts, self.bins, self.weights, self.lengths):
+            values.setflags(write=False)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class ImageSource(ShoeboxSimulator):
+    """The image sources of a shoebox, whose energies are added in time bins.
+
+    Parameters
+    ----------
+    room : Room
+        A shoebox: with dimensions, and a surface for each of
+        `rtcal.simulators.geometry.SHOEBOX_WALLS` or a single material.
+    sources, receivers : mapping of name to (x, y, z)
+        In m, inside the room.
+    duration : float
+        Length of the decay in s after the direct sound. A decay of two thirds of T holds T20. The
+        number of images grows with the cube of the duration.
+    bin_width : float
+        Width of the bins in s, at most 0.01.
+
+    Raises
+    ------
+    DataError
+        If the room is no shoebox, a position is outside it, or a pair needs over 50 million images.
+
+    References
+    ----------
+    J. B. Allen, D. A. Berkley: Image method for efficiently simulating small-room acoustics.
+    J. Acoust. Soc. Am. 65, 1979.
+
+    Examples
+    --------
+    >>> from rtcal.acoustics.room import Room
+    >>> room = Room(name="box", volume=105, materials=["all"], areas=[142], alpha=[[0.3]],
+    ...             sigma=[[0.1]], centre_frequencies=[1000], dimensions=(5, 7, 3))
+    >>> images = ImageSource(
+    ...     room=room, sources={"S": (4.5, 3.5, 2)}, receivers={"R": (2, 2, 1.5)}, duration=0.4)
+    >>> print(images.simulate(room.alpha).mean("t20").round(2))
+    [0.42]
+    """
+
+    duration: float
+    bin_width: float = 0.001
+    images: tuple[Images, ...] = field(init=False)
+
+    def __post_init__(self) -> None:
+        checks.positive("duration", self.duration, "s")
+        decay.bins(self.bin_width)
+        super().__post_init__()
+        radius = self.duration * self.room.speed_of_sound
+        with np.errstate(over="ignore"):
+            number = 4 / 3 * np.pi * np.float64(radius) ** 3 / np.prod(self.box.dimensions)
+        if number > _MOST_IMAGES:
+            raise DataError(
+                f"duration = {self.duration:g} s needs {number / 1e6:.0f} million image sources per "
+                f"pair; the limit is {_MOST_IMAGES // 1_000_000} million"
+            )
+        positions = product(self.box.sources, self.box.receivers)
+        object.__setattr__(self, "images", tuple(self._images(s, r) for s, r in positions))
+
+    @property
+    def name(self) -> str:
+        """Name that calibrated coefficients belong to."""
+        return "image sources"
+
+    def energy(self, alpha: Array) -> Array:
+        """Return the energy in each bin after the direct sound, (n_pairs, n_bands, n_bins), in 1/m².
+
+        The source has unit energy: the direct sound is 1 / (4 pi d²). The air attenuates each bin
+        by the mean length of its images.
+        """
+        reflected = self._reflected(check_alpha(self, alpha))
+        return np.stack([self._summed(images, reflected) for images in self.images])
+
+    def _reflected(self, alpha: Array) -> Array:
+        """Return (1 - alpha)^hits of every wall and number of hits, (6, n_bands, n_hits); 0**0 is 1."""
+        most = max(int(axis.max()) for images in self.images for axis in images.hits)
+        return np.asarray((1 - alpha[self.box.walls])[..., np.newaxis] ** np.arange(most + 1))
+
+    def _summed(self, images: Images, reflected: Array) -> Array:
+        """Return the energy of a pair's bins, (n_bands, n_bins), by a factor per wall and hits."""
+        weigh = _weigh
+        if speed.available():
+            from rtcal.simulators import shoebox_numba
+
+            weigh = shoebox_numba.weigh
+        x, y, z = (
+            near[:, hits[:, 0]] * far[:, hits[:, 1]]
+            for near, far, hits in zip(reflected[::2], reflected[1::2], images.hits, strict=True)
+        )
+        energy = weigh(
+            x, y, z, images.rows, images.starts, images.bins, images.weights, self._n_bins
+        )
+        return energy * np.exp(-np.multiply.outer(self.room.air_attenuation, images.lengths))
+
+    def _wall_gradients(self, alpha: Array, n_bins: int) -> Iterator[Array]:
+        """Yield each pair's derivatives: those of (1 - alpha)^n, summed over the images."""
+        reflected = self._reflected(alpha)
+        slopes = np.zeros_like(reflected)
+        slopes[..., 1:] = -np.arange(1, reflected.shape[-1]) * reflected[..., :-1]
+        walls = np.arange(len(reflected))[:, np.newaxis, np.newaxis]
+        for images in self.images:
+            yield np.stack(
+                [
+                    self._summed(images, np.where(walls == wall, slopes, reflected))[:, :n_bins]
+                    for wall in range(len(walls))
+                ]
+            )
+
+    def decays(self, alpha: Array) -> tuple[Array, float]:
+        """Return `energy` and the width of its bins in s."""
+        return self.energy(alpha), self.bin_width
+
+    def simulate(self, alpha: Array, *, seed: int = 0) -> Measurement:
+        """Return the parameters of a response by pair; the seed has no effect.
+
+        Raises
+        ------
+        TooShortError
+            If a decay of ``duration`` does not hold T20.
+        """
+        checks.whole("seed", seed, 0)
+        return decay.measurement(
+            self.energy(alpha), self.bin_width, self.centre_frequencies, self.box.pairs
+        )
+
+    @property
+    def _n_bins(self) -> int:
+        return int(np.ceil(self.duration / self.bin_width))
+
+    def _images(self, source: Array, receiver: Array) -> Images:
+        direct = float(np.linalg.norm(receiver - source))
+        c, width = self.room.speed_of_sound, self.bin_width
+        coordinates, hits = lattice(self.box.dimensions, source, direct + self._n_bins * width * c)
+        square = [(x - r) ** 2 for x, r in zip(coordinates, receiver, strict=True)]
+        across = square[1][:, np.newaxis] + square[2]
+        bins, lengths, rows, sizes = [], [], [], []
+        for i, x2 in enumerate(square[0]):
+            length = np.sqrt(x2 + across)
+            arrival = (length - direct) / (c * width) + 1e-9
+            # Coordinates increase, so the images within the duration are contiguous in each row.
+            inside = arrival < self._n_bins
+            size = inside.sum(axis=1)
+            heard = np.flatnonzero(size)
+            first = inside[heard].argmax(axis=1)
+            rows.append(np.stack([np.full(heard.size, i), heard, first], axis=1))
+            sizes.append(size[heard])
+            bins.append(arrival[inside].astype(np.uint32))
+            lengths.append(length[inside])
+        bin_, length = np.concatenate(bins), np.concatenate(lengths)
+        images_per_bin = np.bincount(bin_, minlength=self._n_bins)
+        return Images(
+            hits=tuple(hits),
+            rows=np.concatenate(rows),
+            starts=np.concatenate([[0], np.cumsum(np.concatenate(sizes))]),
+            bins=bin_,
+            weights=1 / (4 * np.pi * length**2),
+            lengths=np.bincount(bin_, length, self._n_bins) / np.maximum(images_per_bin, 1),
+        )
+
+
+def _weigh(
+    x: Array,
+    y: Array,
+    z: Array,
+    rows: NDArray[np.int64],
+    starts: NDArray[np.int64],
+    bins: NDArray[np.uint32],
+    weights: Array,
+    n_bins: int,
+) -> Array:
+    """Return the energy of each bin, (n_bands, n_bins).
+
+    ``x``, ``y`` and ``z``, (n_bands, n_lattice): product of (1 - alpha) over the hits along an axis.
+    """
+    size = np.diff(starts)
+    row_of_z = np.arange(len(bins)) + np.repeat(rows[:, 2] - starts[:-1], size)
+    run = np.repeat(np.arange(len(rows)), size)
+    reflected_xy = x[:, rows[:, 0]] * y[:, rows[:, 1]]
+    return np.array(
+        [
+            np.bincount(bins, xy[run] * z_of_band[row_of_z] * weights, n_bins)
+            for xy, z_of_band in zip(reflected_xy, z, strict=True)
+        ]
+    )
+
+
+def lattice(
+    dimensions: Array, source: Array, radius: float
+) -> tuple[list[Array], list[NDArray[np.int64]]]:
+    """Return the images' coordinates and wall hits by axis, at least to the distance ``radius`` m.
+
+    Coordinates (n_lattice,) in m increase. Hits (n_lattice, 2) count the near and the far wall: the
+    image (-1)^u x + 2 n L was mirrored |n - u| times in the wall at 0 and |n| times in that at L
+    (Allen & Berkley 1979, Eq. 10).
+    """
+    coordinates, hits = [], []
+    for length, x in zip(dimensions, source, strict=True):
+        most = int(np.ceil(radius / (2 * length))) + 1
+        n, u = (v.ravel() for v in np.meshgrid(np.arange(-most, most + 1), [0, 1], indexing="ij"))
+        coordinate = np.asarray(np.where(u, -x, x) + 2 * n * length)
+        order = np.argsort(coordinate)
+        coordinates.append(coordinate[order])
+        hits.append(np.stack([np.abs(n - u), np.abs(n)], axis=1)[order])
+    return coordinates, hits

@@ -28,10 +28,10 @@ from typing import Any
 import numpy as np
 
 from rtcal.studies.draws import CALIBRATIONS, METHODS
-from rtcal.support import checks, transaction
+from rtcal.support import checks, files
 from rtcal.support.arguments import checked
 from rtcal.support.decode import json_object
-from rtcal.support.errors import DataError, MissingDependencyError
+from rtcal.support.errors import DataError
 from rtcal.support.files import make_folder, read_text, write_bytes, write_text
 from rtcal.support.progress import bar as progress_bar
 from rtcal.support.speed import thread_pool
@@ -40,34 +40,19 @@ from rtcal.support.types import Array
 
 @checked
 def write_table(table: np.recarray[Any, Any], path: str | os.PathLike[str]) -> None:
-    """Write a table as .csv or .parquet, whole or not at all; numbers keep all their digits.
+    """Write a table as .csv, whole or not at all; numbers keep all their digits.
 
     Raises
     ------
     DataError
         If the path has another ending or cannot be written, or ``table`` is no table.
-    MissingDependencyError
-        For Parquet where pyarrow is not installed (extra ``studies``).
     """
     ending = checks.path("path", path).suffix.lower()
     if not isinstance(table, np.ndarray) or table.dtype.names is None or table.ndim != 1:
         raise DataError("table is not a table of named columns, such as Study.scores returns")
-    names = list(table.dtype.names)
-    if ending == ".csv":
-        write_bytes(path, table_csv(table))
-    elif ending == ".parquet":
-        try:
-            import pyarrow
-            from pyarrow import parquet
-        except ImportError as error:
-            raise MissingDependencyError(
-                "Parquet files need pyarrow: pip install 'rtcal[studies]'"
-            ) from error
-        content = io.BytesIO()
-        parquet.write_table(pyarrow.table({c: table[c].tolist() for c in names}), content)
-        write_bytes(path, content.getvalue())
-    else:
-        raise DataError(f'{path}: a table ends with .csv or .parquet, not "{ending}"')
+    if ending != ".csv":
+        raise DataError(f'{path}: a table ends with .csv, not "{ending}"')
+    write_bytes(path, table_csv(table))
 
 
 def table_csv(table: np.recarray[Any, Any]) -> bytes:
@@ -253,7 +238,7 @@ def run_pieces(
         store = None
         if folder is not None:
             store = _open(checks.path("folder", folder), identity)
-            stack.enter_context(transaction.held(store.record))
+            stack.enter_context(files.held(store.record))
         pool = stack.enter_context(
             thread_pool(workers) if executor is None else nullcontext(executor)
         )
@@ -330,7 +315,7 @@ def _open(folder: Path, identity: dict[str, Any]) -> _Store:
     make_folder(folder)
     text = json.dumps(identity, sort_keys=True, indent=1) + "\n"
     store = _Store(folder, hashlib.sha256(text.encode()).hexdigest()[:16])
-    transaction.recover([folder])
+    files.recover([folder])
     if not store.record.exists():
         write_text(store.record, text)
         return store

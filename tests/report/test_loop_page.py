@@ -10,6 +10,7 @@ import numpy as np
 import rtcal as rt
 from rtcal.report import (
     page,
+    pages,
 )
 from tests.report.pages import run
 
@@ -17,7 +18,7 @@ from tests.report.pages import run
 def test_a_loops_page(loop, tmp_path) -> None:
     path = tmp_path / "loop.json"
     loop.save(str(path))
-    text = page.page_of(path)
+    text = pages.page_of(path)
     assert f"A simulator was run {len(loop.steps)} times" in text
     assert "to no other" in text
     assert len(re.findall(r"<td[^>]*>converged</td>", text)) == 6
@@ -27,8 +28,8 @@ def test_a_loops_page(loop, tmp_path) -> None:
 
 def test_a_loop_results_page(loop_result, tmp_path) -> None:
     path = loop_result.save(tmp_path)
-    text = page.page_of(path)
-    assert text == page.page_of(tmp_path) == page.loop_page(loop_result)
+    text = pages.page_of(path)
+    assert text == pages.page_of(tmp_path) == page.loop_page(loop_result)
     assert "Simulated by Kuttruff&#39;s equation for BRAS CR2" in text
     after = loop_result.after.mean("t20")
     row = text.split("T20, with the coefficients returned / s")[1].split("</tr>")[0]
@@ -64,7 +65,7 @@ def test_a_loops_page_says_what_the_terminal_says(
     assert run("loop", "start", "room.toml", "t.csv", *files, "--quiet") == 0
     assert run("loop", "next", "room.toml", "simulated.csv", *files) == 0
     said = capsys.readouterr().out
-    unfinished = page.page_of("loop.json")
+    unfinished = pages.page_of("loop.json")
     assert said.count("not yet") == 6
     assert len(re.findall(r"<td[^>]*>not yet</td>", unfinished)) == 6
     assert "not converging" not in unfinished

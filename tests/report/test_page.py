@@ -14,6 +14,7 @@ import rtcal as rt
 from rtcal.report import (
     document,
     page,
+    pages,
     words,
 )
 from rtcal.support.errors import DataError
@@ -190,7 +191,7 @@ def test_the_author_of_a_room_stands_on_its_pages(loop, tmp_path) -> None:
         heading = document.Heading(author="C")
         for text in (
             page.calibration_page(result),
-            page.page_of(tmp_path),
+            pages.page_of(tmp_path),
             page.loop_page(replace(loop, room=signed)),
         ):
             assert "· B &amp; Sons" in text

@@ -10,7 +10,7 @@ import pytest
 
 import rtcal as rt
 from rtcal.prediction import Design, Open, Target, Treatment, Variant, compare
-from rtcal.report import page, prediction_page
+from rtcal.report import pages, prediction_page
 
 pytest.importorskip("matplotlib", reason="needs the extra report")
 pytest.importorskip("jinja2", reason="needs the extra report")
@@ -35,7 +35,7 @@ def folder(result, tmp_path_factory) -> Path:
 
 
 def test_variants_stand_side_by_side_and_names_are_text(folder: Path) -> None:
-    html = page.page_of(folder)
+    html = pages.page_of(folder)
     assert "window open" in html
     assert "<b>" not in html
     assert "panel &lt;b&gt;" in html
@@ -52,7 +52,7 @@ def designed(result, tmp_path_factory) -> tuple[Design, Path, str]:
     found = rt.design(result, [treatment], Target([np.nan] * 6, [0.95] * 6), 0.85)
     path = tmp_path_factory.mktemp("designed")
     found.save(path)
-    return found, path, page.page_of(path)
+    return found, path, pages.page_of(path)
 
 
 def test_a_designs_page_has_its_treatments_target_and_frontier(designed) -> None:
@@ -61,7 +61,7 @@ def test_a_designs_page_has_its_treatments_target_and_frontier(designed) -> None
     assert f">{found.areas[0] / 1.44:.0f}</td>" in html
     assert f"all bands at once with {found.probability_together:.2f}" in html
     assert "Cost against the probability" in html
-    assert html == page.page_of(folder)
+    assert html == pages.page_of(folder)
 
 
 def test_variants_have_cost_and_probability_of_a_target(result, tmp_path: Path) -> None:
@@ -72,7 +72,7 @@ def test_variants_have_cost_and_probability_of_a_target(result, tmp_path: Path) 
     target = Target([0.5] * 6, [1.1] * 6)
     found = compare(result.states, variants, target=target)
     found.save(tmp_path)
-    html = re.sub(' data-of="[^"]*"', "", page.page_of(tmp_path))
+    html = re.sub(' data-of="[^"]*"', "", pages.page_of(tmp_path))
     for prediction in found.predictions:
         each = prediction.probability(target.low, target.high)
         together = prediction.probability_together(target.low, target.high)

@@ -8,7 +8,7 @@ import pytest
 import rtcal as rt
 from rtcal.loop import Loop
 from rtcal.report import (
-    page,
+    pages,
 )
 from rtcal.support.errors import DataError
 
@@ -23,9 +23,9 @@ def test_what_is_no_result_is_refused(tmp_path) -> None:
     ):
         path.write_text(content)
         with pytest.raises(DataError, match=said):
-            page.page_of(path)
+            pages.page_of(path)
     with pytest.raises(DataError, match=r"has no result\.json"):
-        page.page_of(tmp_path)
+        pages.page_of(tmp_path)
 
 
 def test_a_loops_file_holds_its_room_and_equation(loop, tmp_path) -> None:

@@ -15,7 +15,7 @@ from rtcal.command.main import cli
 from rtcal.loop import ControlRuns, PositionsPredictions, PositionsResult, predict_positions
 from rtcal.prediction import Add, Climate, Cover, Open
 from rtcal.prediction.words import ALIKE, CHANGED_ALONE, PLACES, SIZES
-from rtcal.report import page
+from rtcal.report import pages
 from rtcal.simulators import PathTracing, Polyhedron
 from rtcal.support.errors import DataError
 
@@ -142,7 +142,7 @@ def test_every_observable_has_pairs_mean_and_interval(predicted, tmp_path: Path)
     assert (found.change("t20")[-1] < 0).all()
     assert (found.change("level")[-1] < 0).all()
     predicted.save(tmp_path)
-    html = page.page_of(tmp_path)
+    html = pages.page_of(tmp_path)
     assert html.count("C80 after / dB") == 3
     assert "heard before and after the change" in html
     again = rt.load(tmp_path)

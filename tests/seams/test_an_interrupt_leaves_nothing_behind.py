@@ -11,10 +11,10 @@ from typing import Any
 
 import pytest
 
-from rtcal.support import transaction
+from rtcal.support import files
 from rtcal.support.files import write_all
 
-OWN = transaction.__file__
+OWN = files.__file__
 
 
 class Interrupter:
@@ -51,7 +51,7 @@ def interrupted(folder: Path, n: int) -> bool:
         pass
     finally:
         sys.settrace(before)
-    assert not [*folder.rglob(f"{transaction.PREFIX}*")], n
+    assert not [*folder.rglob(f"{files.PREFIX}*")], n
     there = {path: path.read_bytes() for path in new if path.exists()}
     assert there in (old, new), n
     return tracer.sent

@@ -14,7 +14,7 @@ from click.testing import CliRunner
 import rtcal as rt
 from rtcal.command.main import cli
 from rtcal.loop import Loop
-from rtcal.report import page, positions_page
+from rtcal.report import page, pages, positions_page
 from rtcal.report.document import Heading
 from rtcal.support.errors import DataError
 
@@ -126,7 +126,7 @@ def by_hand(folder: Path, cost: float, options: Sequence[str]) -> tuple[Loop, st
         if "Done" in done.output:
             break
     loop = Loop.load(names["loop.json"])
-    return loop, " ".join(done.output.split()), page.page_of(names["loop.json"])
+    return loop, " ".join(done.output.split()), pages.page_of(names["loop.json"])
 
 
 @pytest.mark.parametrize("cost", [0.0, 30.0])

@@ -16,7 +16,15 @@ import pkgutil
 from collections.abc import Iterable
 
 from rtcal.acoustics.observables.base import DB as DB
-from rtcal.acoustics.observables.base import OBSERVABLES, Observable, observable, of_kind, register
+from rtcal.acoustics.observables.base import (
+    OBSERVABLES,
+    SUMMARY,
+    Observable,
+    observable,
+    of_kind,
+    parameter_label,
+    register,
+)
 from rtcal.acoustics.observables.decay_slope import DecaySlope
 
 __all__ = [
@@ -25,12 +33,14 @@ __all__ = [
     "MATCH",
     "OBSERVABLES",
     "REVERBERATION",
+    "SUMMARY",
     "TARGET",
     "DecaySlope",
     "Observable",
     "longest",
     "observable",
     "of_kind",
+    "parameter_label",
     "register",
 ]
 __dir__ = __all__.copy

@@ -278,3 +278,19 @@ def observable(key: str) -> Observable:
 def of_kind(kind: type[O]) -> dict[str, O]:
     """Return the observables that are of one class, by key."""
     return {key: o for key, o in OBSERVABLES.items() if isinstance(o, kind)}
+
+
+SUMMARY = "*"
+"""Name of the source and of the receiver in a row that holds means over several pairs."""
+
+
+def parameter_label(parameter: str) -> str:
+    """Return a parameter as it is printed; a name that is none in capitals.
+
+    Examples
+    --------
+    >>> [parameter_label(parameter) for parameter in ("t20", "ts", "level")]
+    ['T20', 'Ts', 'level']
+    """
+    known = OBSERVABLES.get(parameter)
+    return parameter.upper() if known is None else known.label

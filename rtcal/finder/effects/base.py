@@ -11,8 +11,8 @@ import numpy as np
 
 from rtcal.acoustics import bands
 from rtcal.acoustics.air import Air
+from rtcal.acoustics.materials import LARGEST
 from rtcal.acoustics.room import Room
-from rtcal.acoustics.room_checks import LARGEST
 from rtcal.finder.model import Decay, RoomState, covered
 from rtcal.support import checks
 from rtcal.support.errors import DataError

@@ -70,7 +70,7 @@ class Threshold:
 
 
 FOLDER = ".rtcal_cache"
-"""Name of the folder beside a case's file; `support.transaction` removes those named ``.rtcal-*``."""
+"""Name of the folder beside a case's file; `support.files` removes those named ``.rtcal-*``."""
 
 
 @single_threaded_blas()

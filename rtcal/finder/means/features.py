@@ -11,8 +11,7 @@ import numpy as np
 from rtcal.acoustics import bands
 from rtcal.acoustics.air import Air
 from rtcal.acoustics.measurement import MAX_POSITIONS, Measurement
-from rtcal.acoustics.observables import observable
-from rtcal.acoustics.parameters import parameter_label
+from rtcal.acoustics.observables import observable, parameter_label
 from rtcal.finder.case import AppliedEffect, Case
 from rtcal.finder.configuration import Configuration
 from rtcal.finder.effects.checks import changed_states

@@ -8,7 +8,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from rtcal.acoustics.parameters import parameter_label
+from rtcal.acoustics.observables import parameter_label
 from rtcal.finder.case import AppliedEffect, Case
 from rtcal.finder.claim import DISTINCT_NATS
 from rtcal.finder.configuration import Configuration

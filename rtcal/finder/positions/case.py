@@ -15,8 +15,7 @@ import numpy as np
 
 from rtcal.acoustics import band_conversion, bands
 from rtcal.acoustics.measurement import Measurement
-from rtcal.acoustics.observables import MATCH, observable
-from rtcal.acoustics.parameters import parameter_label
+from rtcal.acoustics.observables import MATCH, observable, parameter_label
 from rtcal.acoustics.room import Room
 from rtcal.acoustics.scene import POSITION, checked_uncertainty
 from rtcal.finder.positions import surfaces

@@ -15,8 +15,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from rtcal.acoustics.observables import LEVEL
-from rtcal.acoustics.parameters import parameter_label
+from rtcal.acoustics.observables import LEVEL, parameter_label
 from rtcal.acoustics.quality import gap_jnd
 from rtcal.finder.finding import HeldOutVerification, check_pairs
 from rtcal.finder.positions.candidate import Candidate

@@ -16,8 +16,7 @@ from rtcal.acoustics import band_conversion
 from rtcal.acoustics.directivity import Directivity
 from rtcal.acoustics.equations import Eyring, LinearEquation
 from rtcal.acoustics.measurement import Measurement
-from rtcal.acoustics.observables import MATCH, REVERBERATION
-from rtcal.acoustics.parameters import SUMMARY, parameter_label
+from rtcal.acoustics.observables import MATCH, REVERBERATION, SUMMARY, parameter_label
 from rtcal.acoustics.room import Room
 from rtcal.simulators import observations
 from rtcal.simulators.path_tracing import PathTracing
