@@ -15,6 +15,8 @@ from rtcal.finder.positions.candidate import Candidate
 from rtcal.finder.positions.evidence import Likelihood
 from rtcal.finder.positions.shift import ShiftHypothesis, uneven_amount, uneven_columns, unevenness
 from rtcal.finder.positions.weighing import Aperture
+from rtcal.simulators.observations import values_of_decays
+from rtcal.support.errors import DataError
 
 WIDTH = 0.002
 
@@ -157,6 +159,24 @@ def test_what_covers_a_whole_surface_is_even() -> None:
 
 
 @pytest.mark.study
+def test_decays_together_have_the_values_of_each() -> None:
+    pairs, parameters = (("S", "R1"), ("S", "R2")), ("t20", "edt", "c80", "ts", "level")
+    t = WIDTH * np.arange(900)
+    times = np.array([0.3, 0.5, 0.8, 1.2])[:, np.newaxis, np.newaxis, np.newaxis]
+    energy = np.exp(
+        -6 * np.log(10) * t / (times * np.array([[1.0, 1.1], [0.9, 1.0]])[..., np.newaxis])
+    )
+    frequencies = np.array([500.0, 1000.0])
+    every = values_of_decays(energy, WIDTH, parameters, pairs, frequencies)
+    assert every.shape == (5, 4, 2, 2)
+    for n, decay_of_one in enumerate(energy):
+        alone = values_of_decays(decay_of_one, WIDTH, parameters, pairs, frequencies)
+        np.testing.assert_array_equal(every[:, n], alone)
+    energy[2, 1, 0, 30:] = 0.0  # nothing comes after 60 ms
+    with pytest.raises(DataError, match="from S to R2, 500 Hz has no C80"):
+        values_of_decays(energy, WIDTH, ("c80",), pairs, frequencies)
+
+
 def test_the_hidden_worlds_tracer_hears_the_same_second_room() -> None:
     # Room 14 of development: 3.3 m² of 48 m² to a room of 1.7 times the volume. T20 falls by 12 %; an
     # opening of that area would take 15 %.

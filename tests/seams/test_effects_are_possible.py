@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
@@ -12,6 +12,7 @@ from rtcal.finder import AppliedEffect, Case
 from rtcal.finder.effects import Effect, library
 from rtcal.finder.effects.checks import checked_grid
 from rtcal.finder.means.features import state
+from rtcal.finder.model import RoomState, covered
 from rtcal.support.errors import DataError
 
 
@@ -39,6 +40,34 @@ def test_each_parameter_has_limits_and_values_beyond_them_are_refused(
         lacking = {k: v for k, v in grid[0].items() if k != name}
         with pytest.raises(DataError, match=f'has no "{name}"'):
             AppliedEffect(effect.name, lacking)
+
+
+@pytest.mark.parametrize("effect", library(), ids=lambda e: str(e.name))
+def test_a_grid_at_once_is_each_set_by_itself(effect: Effect, case: Case) -> None:
+    before = state(case, case.configurations[0])
+    grid = checked_grid(effect, before, case.room)
+    made = effect.changes(before, grid)
+    assert len(made) == len(grid)
+    for theta, after in zip(grid, made, strict=True):
+        alone = effect.change(before, theta)
+        for f in fields(RoomState):
+            one, other = getattr(after, f.name), getattr(alone, f.name)
+            same = one == other if f.name == "shape" else np.array_equal(one, other)
+            assert same, f"{effect.name}: {f.name}"
+    alone = [effect.density(theta, before) for theta in grid]
+    assert effect.densities(grid, before).tolist() == alone
+
+
+def test_many_states_are_covered_as_one_is(case: Case) -> None:
+    # 1 m² adds alpha by Eyring's equation and -ln(1 - alpha) by Millington's; the wall below it goes.
+    one = replace(state(case, case.configurations[0]), equation="eyring")
+    other = replace(one, equation="millington", alpha=0.5 * one.alpha)
+    areas, alpha = np.array([2.0, 30.0]), np.array([np.full(len(one.air), a) for a in (0.3, 0.6)])
+    first, second = covered([one, other], areas, alpha)
+    wall = one.areas @ one.alpha / one.total_area
+    np.testing.assert_allclose(first.covering, 2.0 * (0.3 - wall), rtol=1e-12)
+    wall = other.areas @ other.alpha / other.total_area
+    np.testing.assert_allclose(second.covering, 30.0 * np.log((1 - wall) / 0.4), rtol=1e-12)
 
 
 @pytest.mark.parametrize(

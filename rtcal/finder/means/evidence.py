@@ -10,7 +10,7 @@ shape that the effect's position causes (`SHAPE_CHANGE`). N is Student's t with 
 (`DEGREES`).
 
 Each hypothesis is evaluated twice: with the coefficients as stated, and with coefficients that are off
-together (`coefficients`). C has the usual error F F' that they have in common; off together, it has
+together (`rtcal.finder.prior`). C has the usual error F F' that they have in common; off together, it has
 s² F F', for each scale s.
 """
 
