@@ -64,28 +64,33 @@ def _name(frame: FrameType) -> str:
     return f"{code.co_filename.removeprefix(PACKAGE)}:{code.co_name}"
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--most", type=int, default=12, help="lines of the most frequent calls")
-    parser.add_argument("--paths", type=int, default=PATHS)
-    given = parser.parse_args()
+def search(paths: int = PATHS) -> tuple[Counter[Call], set[str]]:
+    """Return the calls and the files of a search in the example's room."""
     with tempfile.TemporaryDirectory() as folder:
         for name, content in example("where").files.items():
             Path(folder, name).write_bytes(content)
         room = rt.Room.from_file(str(Path(folder, "room.toml")))
         measured = rt.Measurement.from_file(str(Path(folder, "pairs.csv")))
         case = rt.finder.positions.PositionsCase.from_room(
-            room, measured, tracing={"n_paths": given.paths}
+            room, measured, tracing={"n_paths": paths}
         )
-        controls = simulated_controls(
-            case.simulator,
-            case.room,
-            parameters(case),
-            seed=RUNS_SEED,
-            position_uncertainty=case.position_uncertainty,
-        )
-        find = rt.find  # imported before it is counted
-        calls, files = counted(lambda: find(case, controls=controls))
+    controls = simulated_controls(
+        case.simulator,
+        case.room,
+        parameters(case),
+        seed=RUNS_SEED,
+        position_uncertainty=case.position_uncertainty,
+    )
+    find = rt.find  # imported before it is counted
+    return counted(lambda: find(case, controls=controls))
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--most", type=int, default=12, help="lines of the most frequent calls")
+    parser.add_argument("--paths", type=int, default=PATHS)
+    given = parser.parse_args()
+    calls, files = search(given.paths)
     print(f"{calls.total()} calls from one file into another, {len(files)} files entered")
     for (caller, called), number in calls.most_common(given.most):
         print(f"{number:7d}  {caller} -> {called}")

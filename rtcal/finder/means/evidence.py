@@ -10,8 +10,8 @@ shape that the effect's position causes (`SHAPE_CHANGE`). N is Student's t with 
 (`DEGREES`).
 
 Each hypothesis is evaluated twice: with the coefficients as stated, and with coefficients that are off
-together (`rtcal.finder.prior`). C has the usual error F F' that they have in common; off together, it has
-s² F F', for each scale s.
+together (`rtcal.finder.prior`). C has the usual error F F' that they have in common; off together, it
+has s² F F', for each scale s.
 """
 
 from __future__ import annotations

@@ -11,10 +11,9 @@ import numpy as np
 from rtcal.acoustics import bands
 from rtcal.finder import track_record
 from rtcal.finder.case import AppliedEffect, Case
-from rtcal.finder.claim import SAID, Names
+from rtcal.finder.claim import SAID, Names, SetsFinding
 from rtcal.finder.finding import NATS, Size, as_sentence, engine_title, listed
 from rtcal.finder.means.model_error import ModelDiscrepancy
-from rtcal.finder.means.sets_finding import SetsFinding
 from rtcal.finder.means.verdict import Fit
 from rtcal.finder.prior import COEFFICIENTS, NONE, OffTogether, Prior
 from rtcal.support import text
