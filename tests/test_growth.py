@@ -115,7 +115,7 @@ def test_time_of_mending_grows_with_the_faces_not_with_their_square() -> None:
 
 @pytest.mark.long
 def test_a_search_at_every_pair_is_followed_in_few_files() -> None:
-    """What runs for every hypothesis, pair or band takes all of them at once."""
+    """A loop over hypotheses, pairs or bands stands in one file, and takes all of them at once."""
     calls, files = crossings.search()
     assert 1000 < calls.total() <= 20_000
     assert len(files) <= 105

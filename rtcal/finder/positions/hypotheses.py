@@ -354,7 +354,7 @@ def spreads(
     ----------
     measured : sequence of (source, receiver)
     moved : mapping of str to array (n_displacements, n_parameters, n_pairs, n_bands)
-        Shifts of the measured parameters where a source or receiver is displaced; see `Responses`.
+        Shifts of the measured parameters where a source or receiver is displaced; see `PairShifts`.
     errors : array (n_bands, n_parameters, n_pairs, same three)
         Covariance of the errors of simulator and measurement.
     columns : sequence of int
