@@ -155,6 +155,16 @@ def headers() -> list[Case]:
             said="line 2 has the units",
         ),
         Case(
+            "parameters down, under a header that names the bands",
+            "tables",
+            b"Band (Hz)\t500\t1000\nT20 (s)\t1.5\t1.4\nSPL (dB)\t60\t61\nTs (ms)\t90\t80\n",
+            values={
+                **{("R1", "t20", f): t for f, t in ((500, 1.5), (1000, 1.4))},
+                **{("R1", "ts", f): t for f, t in ((500, 0.09), (1000, 0.08))},
+            },
+            said='as a parameter: "SPL (dB)"',
+        ),
+        Case(
             "merged parameters",
             "tables",
             b"Position;T20 [s];;EDT [s];\n;500;1000;500;1000\nR1;1,5;1,4;1,2;1,1\n",

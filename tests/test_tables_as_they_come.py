@@ -320,6 +320,7 @@ BAD: list[tuple[bytes, str]] = [
     (book({"T20": [ACROSS[0], [125, "NaN", 1]]}), r'line 2: "NaN" is not a finite number'),
     (book({"T20": []}), "no visible sheet has a cell"),
     (b"\xd0\xcf\x11\xe0" + bytes(600), r"Excel's old format \(xls\); save it as xlsx"),
+    (b"%PDF-1.7 " + bytes(600), "a PDF; copy its table into a workbook"),
     (b"\x89HDF\r\n\x1a\n" + bytes(600), "a SOFA .* file: `rtcal measure` reads"),
     (b"PK\x03\x04broken", r"not a workbook \(xlsx\)"),
     (zipped("content.xml"), r"a zip file, but no workbook \(xlsx\)"),

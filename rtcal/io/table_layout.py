@@ -12,6 +12,7 @@ from rtcal.io.table_columns import (
     Column,
     column_of,
     frequency_of,
+    name_and_unit,
     parameter_of,
     position_of,
 )
@@ -321,8 +322,12 @@ class Headers:
             )
         if unknown:
             raise DataError(f"{place}: {_unknown(unknown)}")
+        first = [r[0] for _, r in body if r and r[0]]
         if columns and columns[0].kind == "first":
-            columns[0] = self.unnamed(columns[1:], [r[0] for _, r in body if r and r[0]])
+            columns[0] = self.unnamed(columns[1:], first)
+        names_across = columns and columns[0].kind == "band" and any(c.has_band for c in columns)
+        if names_across and any(map(self.is_parameter, first)):
+            columns[0] = replace(columns[0], kind="parameter")  # "Band (Hz)" is said of the header
         if _has_corner(columns):
             columns = _without_corner(columns)
         self.check_twice(columns, place)
@@ -357,7 +362,7 @@ class Headers:
     def is_parameter(self, cell: str) -> bool:
         """Return whether a cell names a parameter."""
         try:
-            return parameter_of(cell, "", self.decay_time) is not None
+            return parameter_of(name_and_unit(cell)[0], "", self.decay_time) is not None
         except DataError:
             return True
 

@@ -47,7 +47,7 @@ UNUSED_PARAMETERS = frozenset(
     _words(
         "t10 t15 t40 t50 topt toptstart toptend t60m tc tmid br bassratio treble brilliance "
         "c20 c7 c30 ct edtt tt lf lfc lfcearly lj lg glg stearly stlate st1 st2 sttotal "
-        "iacc iacce iaccearly iaccl iacclate tiacc wiacc inr snr itdg "
+        "spl lf80 lfc80 lg80 iacc iacce iaccearly iaccl iacclate tiacc wiacc inr snr itdg "
         "r r2 correlation correltn curvature nonlinearity xi leq lmax lbk "
         "btt20 bkt20 nlt20 cut20 sdt20 btt30 bkt30 nlt30 cut30 sdt30"
     )

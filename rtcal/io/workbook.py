@@ -32,7 +32,11 @@ MAX_NAME = 31
 """Largest length of a sheet's name in Excel."""
 
 _ZIP, _OLE = b"PK\x03\x04", b"\xd0\xcf\x11\xe0"
-_OTHERS = {b"\x89HDF": "a SOFA (HDF5) file: `rtcal measure` reads its responses"}
+_OTHERS = {
+    b"\x89HDF": "a SOFA (HDF5) file: `rtcal measure` reads its responses",
+    b"%PDF": "a PDF; copy its table into a workbook (xlsx) or a CSV",
+    b"\x89PNG": "a picture; type its table into a workbook (xlsx) or a CSV",
+}
 _NOT_IN_NAMES = dict.fromkeys(map(ord, "[]:*?/\\"), " ")
 
 
