@@ -273,6 +273,7 @@ unit = 1.44
 """
 
 
+@pytest.mark.long
 def test_the_command_designs_and_its_result_is_read_back(tmp_path: Path) -> None:
     for name, content in rt.datasets.examples.example("room").files.items():
         (tmp_path / name).write_bytes(content)

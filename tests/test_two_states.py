@@ -50,7 +50,7 @@ def test_what_was_added_is_removed_in_the_other_order(panels: StatesFinding) -> 
     np.testing.assert_allclose(back.score, panels.score, rtol=0.05)
 
 
-@pytest.mark.parametrize("noisy", [0, 1])
+@pytest.mark.parametrize("noisy", [pytest.param(0, marks=pytest.mark.long), 1])
 def test_noise_is_no_change(noisy: int) -> None:
     """Also where one source is three times as noisy as theory says."""
     findings = [

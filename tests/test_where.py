@@ -395,6 +395,7 @@ def test_the_scales_are_linear_in_absorption() -> None:
         assert observable(name).linear_slope(each, each[:1]) == pytest.approx(slope, rel=1e-4), name
 
 
+@pytest.mark.long
 def test_coefficients_that_are_all_off_are_no_surface(kept: Path) -> None:
     """Half as much again of all coefficients, with the prior of a handbook, names no surface."""
     truth = tracing(stated(), n_paths=19200, scattering=0.5)
