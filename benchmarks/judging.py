@@ -54,7 +54,7 @@ def row_of(finding: MeansFinding) -> dict[str, Any]:
         "candidates": list(finding.candidates),
         "score": finding.score,
         "threshold": finding.threshold,
-        "parameters": dict(finding.parameters),
+        "parameters": dict(finding.best_parameters),
         "evidence": {k: round(v, 2) for k, v in finding.evidence.items()},
         "probabilities": rounded(finding.probabilities),
         "families": rounded(finding.families),

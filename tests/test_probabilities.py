@@ -200,7 +200,7 @@ def test_a_stated_climate_is_a_measurement() -> None:
     dry = case_of(room(**large, air=None), room(**large))
     finding = find(dry, controls=controls(dry))
     assert finding.candidates[0] == "air"
-    found = finding.parameters
+    found = finding.best_parameters
     assert 10 <= found["temperature"] <= 33
     sure = replace(damp, climate_uncertainty=(0.1, 0.1))
     assert Case.from_dict(sure.to_dict()).climate_uncertainty == (0.1, 0.1)

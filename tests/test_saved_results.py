@@ -21,7 +21,7 @@ from rtcal.support.errors import DataError
 from rtcal.support.results import NUMBERS, Result
 from tests.test_positions import HALL, MATCH, heard, tracing
 from tests.test_where_page import finding_of, verification_of
-from tests.typed import wrongly_typed
+from tests.typed import types_by_attribute, wrongly_typed
 
 
 def same(one: Any, other: Any) -> bool:
@@ -217,3 +217,24 @@ def test_a_kind_that_went_says_what_to_do(kind: str, tmp_path: Path) -> None:
     path.write_text(json.dumps({"rtcal": kind, "object": {}}), encoding="utf-8")
     with pytest.raises(DataError, match=f'"{kind}" of an earlier version.*search again with rtcal'):
         rt.load(tmp_path)
+
+
+OF_ITS_KIND = {
+    "case": "what was searched",
+    "best": "of means a name; in a geometry a candidate, which has a place",
+    "candidates": "as best",
+}
+"""Attributes of findings whose type is that of what was observed."""
+
+
+def test_findings_of_every_kind_have_one_type_for_one_name() -> None:
+    """`finding.parameters` was a mapping of numbers, or a tuple of names, by what was measured."""
+    kinds = (
+        rt.finder.MeansFinding,
+        rt.finder.positions.PositionsFinding,
+        rt.finder.states.StatesFinding,
+    )
+    types = types_by_attribute(*kinds)
+    several = {name for name, stated in types.items() if len(stated) > 1}
+    assert several == OF_ITS_KIND.keys()
+    assert {"verdict", "family", "effect", "size", "sets", "detection"} <= types.keys()

@@ -81,7 +81,7 @@ def test_the_wall_that_changed_is_claimed_and_no_other(finding: StatesFinding) -
     assert finding.claimed_surfaces == ("east",)
     assert 'It is on "east".' in finding.headline
     assert finding.surfaces["east"] == max(finding.surfaces.values())
-    np.testing.assert_allclose(sum(p for _, p in finding.sets), 1, rtol=1e-9)
+    np.testing.assert_allclose(sum(finding.sets.values()), 1, rtol=1e-9)
 
 
 @pytest.mark.long

@@ -36,3 +36,13 @@ def wrongly_typed(result: Result) -> list[str]:
         if rule is not None and not rule[0](value):
             wrong.append(f"{type(result).__name__}.{name} = {value!r:.60} is not {rule[1]}")
     return wrong
+
+
+def types_by_attribute(*kinds: type) -> dict[str, set[str]]:
+    """Return the types that classes state of an attribute of one name, without what may be None."""
+    found: dict[str, set[str]] = {}
+    for kind in kinds:
+        for name, (annotation, _) in stated_types(kind).items():
+            if "ClassVar" not in annotation:
+                found.setdefault(name, set()).add(annotation.removesuffix(" | None"))
+    return found

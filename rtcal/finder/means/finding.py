@@ -102,7 +102,7 @@ class MeansFinding(SetsFinding):
         return others[0] if others else NONE
 
     @property
-    def parameters(self) -> Mapping[str, float]:
+    def best_parameters(self) -> Mapping[str, float]:
         """The best effect's parameters; the size among them is the `size`'s mean."""
         fit = self.fits.get(str(self.best))
         return {} if fit is None else fit.parameters
@@ -242,8 +242,8 @@ class MeansFinding(SetsFinding):
                 "ratio": self.coefficients.ratio.tolist(),
             },
             "engines": list(self.engines),
-            "parameters": dict(self.parameters),
-            "material": effect and effect.material(self.parameters, self.case.room),
+            "parameters": dict(self.best_parameters),
+            "material": effect and effect.material(self.best_parameters, self.case.room),
             "size": size and size.to_dict(),
             "runner_up": self.runner_up,
             "advice": self.advice,

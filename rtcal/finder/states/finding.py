@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from itertools import islice
 from typing import Any, ClassVar
 
 import numpy as np
 
 from rtcal.acoustics import bands
-from rtcal.finder.claim import CLAIMED
+from rtcal.finder.claim import CLAIMED, Names
 from rtcal.finder.finding import (
     LEAST_PAIRS,
     NATS,
@@ -75,7 +76,7 @@ class StatesFinding(Finding):
         Bands in Hz: those of 500 Hz to 2 kHz, or all where none of them was measured.
     surfaces : mapping of str to float
         Probability of each surface that something changed on it; empty where none is told.
-    sets : tuple of (names, probability)
+    sets : mapping of (names of surfaces) to float
         Sets of surfaces that changed together, the most probable first.
     """
 
@@ -88,7 +89,7 @@ class StatesFinding(Finding):
     size: Size
     middle: tuple[float, ...]
     surfaces: Mapping[str, float]
-    sets: tuple[tuple[tuple[str, ...], float], ...]
+    sets: Mapping[Names, float]
 
     @property
     def can_be_added(self) -> bool:
@@ -257,7 +258,10 @@ class StatesFinding(Finding):
             **super().to_dict(),
             "surfaces": dict(self.surfaces),
             "claimed_surfaces": list(self.claimed_surfaces),
-            "sets": [{"surfaces": list(names), "probability": p} for names, p in self.sets[:20]],
+            "sets": [
+                {"surfaces": list(names), "probability": p}
+                for names, p in islice(self.sets.items(), 20)
+            ],
             "size": self.size.to_dict(),
             "bands_of_size": list(self.middle),
             "kinds": [{**vars(k), "size": k.size.to_dict()} for k in self.kinds],

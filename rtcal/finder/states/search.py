@@ -63,12 +63,12 @@ class Located:
     ----------
     surfaces : mapping of str to float
         Probability of each surface, the most probable first.
-    sets : tuple of (names, probability)
+    sets : mapping of (names of surfaces) to float
         Of the sets that were tried, the most probable first.
     """
 
     surfaces: Mapping[str, float]
-    sets: tuple[tuple[tuple[str, ...], float], ...]
+    sets: Mapping[tuple[str, ...], float]
 
 
 def sets_of(simulator: PathTracing, surfaces: Mapping[str, Faces]) -> list[tuple[str, ...]]:
@@ -135,8 +135,8 @@ def locate(
     evidence = [_evidence(change, of_set, noise, match, frequencies) for of_set in shifts]
     log_p = np.array(evidence) - logsumexp(evidence)
     order = np.argsort(-log_p)
-    sets = tuple((tried[i], float(np.exp(log_p[i]))) for i in order)
-    by_surface = {n: sum(p for names, p in sets if n in names) for n in faces}
+    sets = {tried[i]: float(np.exp(log_p[i])) for i in order}
+    by_surface = {n: sum(p for names, p in sets.items() if n in names) for n in faces}
     return Located(most_probable_first(by_surface), sets)
 
 
@@ -357,7 +357,7 @@ def find(
         size=_size(middle),
         middle=tuple(frequencies[inside].tolist()),
         surfaces={} if located is None else located.surfaces,
-        sets=() if located is None else located.sets,
+        sets={} if located is None else located.sets,
         reasons=(),
         notes=(*found.notes, *filter(None, [why])),
     )
