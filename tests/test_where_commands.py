@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import json
+import re
+import shlex
 from dataclasses import replace
+from html import unescape
 from pathlib import Path
 from typing import Any
 
@@ -100,6 +103,17 @@ def test_options_of_a_plan_with_means_are_refused(
 ) -> None:
     assert run("plan", *FILES, option) == 2
     assert f"{option.split('=')[0]}: with a geometry" in capsys.readouterr().err
+
+
+@pytest.mark.usefixtures("found")
+def test_the_command_of_a_page_can_be_run_again(tmp_path: Path) -> None:
+    """It named engines, which are refused with a geometry."""
+    assert run("find", *FILES, "--seed", "3", "--without", "air", "--out", "page") == 0
+    html = (tmp_path / "page" / "report.html").read_text(encoding="utf-8")
+    (stated,) = re.findall(r"<pre>(rtcal find .*?)</pre>", html, re.DOTALL)
+    command = shlex.split(unescape(stated))
+    assert {"--seed", "3", "--without", "air"} <= set(command)
+    assert run(*command[1:]) == 0
 
 
 def test_nothing_found_is_said_and_nothing_is_written(

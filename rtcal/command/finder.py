@@ -111,7 +111,13 @@ def find(
         if value not in (None, 1)
         for word in (f"--{name}", f"{value:g}")
     ]
-    words = [*inputs.arguments(), *search.arguments(), *numbers_stated, "--out", str(out)]
+    words = [
+        *inputs.arguments(),
+        *search.arguments(inputs.at_positions),
+        *numbers_stated,
+        "--out",
+        str(out),
+    ]
     command, first = shlex.join(["rtcal", "find", *words]), []
     if inputs.at_positions:
         verification = None

@@ -252,11 +252,11 @@ class Search:
     prior: Mapping[str, float]
     engines_stated: bool = False
 
-    def arguments(self) -> list[str]:
+    def arguments(self, at_positions: bool) -> list[str]:
         """Return the options of a command that repeats the search."""
         out = ["--seed", str(self.seed)]
         for option, values in (
-            ("--engine", self.engines),
+            ("--engine", () if at_positions else self.engines),  # with a geometry there are none
             ("--without", self.without),
             ("--only", self.only),
             ("--prior", [f"{k}={v:g}" for k, v in self.prior.items()]),
