@@ -309,17 +309,14 @@ class Room:
         Only the air's attenuation and the speed of sound change; without air the climate's
         uncertainty goes.
         """
-        return self.replace(
-            air=air, climate_sigma=(0.0, 0.0) if air is None else self.climate_sigma
-        )
+        sigma = (0.0, 0.0) if air is None else self.climate_sigma
+        return self.replace(air=air, climate_sigma=sigma)
 
     @checked
     def place(self, name: str, material: int, band: int) -> str:
         """Return the name of one value in messages: ``alpha["carpet", 500 Hz]``."""
-        for axis, place, count in (
-            ("material", material, self.n_materials),
-            ("band", band, self.n_bands),
-        ):
+        axes = (("material", material, self.n_materials), ("band", band, self.n_bands))
+        for axis, place, count in axes:
             if not 0 <= place < count:
                 raise DataError(f"{axis} = {checks.shown(place)} is not from 0 to {count - 1}")
         frequency = bands.label(self.centre_frequencies[band])
@@ -328,19 +325,15 @@ class Room:
     @checked
     def material_index(self, name: str) -> int:
         """Return the row of the material ``name``; DataError if the room has none of that name."""
-        if name not in self.materials:
-            raise DataError(
-                f'"{name}" is no material of room "{self.name}"; it has {", ".join(self.materials)}'
-            )
-        return self.materials.index(name)
+        return int(self.material_rows([name])[0])
 
     @checked
     def material_rows(self, names: Sequence[str]) -> NDArray[np.int64]:
         """Return the rows of materials, (n,); DataError as `material_index`."""
         rows = {name: i for i, name in enumerate(self.materials)}
-        for name in names:
-            if name not in rows:
-                self.material_index(name)
+        if lacking := [name for name in names if name not in rows]:
+            known = ", ".join(self.materials)
+            raise DataError(f'"{lacking[0]}" is no material of room "{self.name}"; it has {known}')
         return np.array([rows[name] for name in names], dtype=np.int64)
 
     def replace(self, **changes: Any) -> Room:

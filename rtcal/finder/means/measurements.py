@@ -31,8 +31,6 @@ from rtcal.finder.means.model_error import ModelDiscrepancy
 from rtcal.finder.means.sets import Moments
 from rtcal.finder.model import FEATURES
 from rtcal.finder.prior import COEFFICIENTS, NONE, UNKNOWN
-from rtcal.support import checks
-from rtcal.support.errors import DataError
 from rtcal.support.types import Array
 
 Mask = NDArray[np.bool_]
@@ -312,15 +310,6 @@ def _covered(case: Case, again: Configuration) -> FurtherMeasurement:
     return FurtherMeasurement(
         "covered", words, configuration=replace(again, changes={material: change})
     )
-
-
-def checked_costs(costs: object) -> dict[str, float]:
-    """Return `COSTS` with a user's in place; DataError for another name, or a cost not above 0."""
-    stated = {} if costs is None else checks.mapped("costs", costs)
-    for name in stated:
-        if name not in COSTS:
-            raise DataError(f'costs has "{name}", which is not one of {", ".join(COSTS)}')
-    return {**COSTS, **{k: checks.positive(f'costs["{k}"]', v) for k, v in stated.items()}}
 
 
 @dataclass(frozen=True, eq=False)

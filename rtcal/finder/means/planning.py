@@ -19,6 +19,7 @@ from rtcal.finder.means.features import ObservedFeatures, observe
 from rtcal.finder.means.finding import MeansFinding
 from rtcal.finder.means.hypotheses import MeansHypotheses, predict_hypotheses
 from rtcal.finder.means.measurements import (
+    COSTS,
     Extended,
     FurtherMeasurement,
     Information,
@@ -26,7 +27,6 @@ from rtcal.finder.means.measurements import (
     Pairs,
     Separations,
     blind,
-    checked_costs,
     extended,
     possible,
     separations,
@@ -279,7 +279,7 @@ def plan(
     change = checks.number("change", change)
     if not 0 < change <= 1:
         raise DataError(f"change = {change:g} is not above 0 and at most 1 (a share of T)")
-    hours = checked_costs(costs)
+    hours = _checked_costs(costs)
     if finding is not None and finding.case is not case:
         raise DataError("finding is of another case: state the case that it was found in")
     observed, _ = observe(case)
@@ -318,6 +318,15 @@ def plan(
         tuple(_greedy(about, whole, further, hours)),
         about.entropy(),
     )
+
+
+def _checked_costs(costs: object) -> dict[str, float]:
+    """Return `COSTS` with a user's in place; DataError for another name, or a cost not above 0."""
+    stated = {} if costs is None else checks.mapped("costs", costs)
+    for name in stated:
+        if name not in COSTS:
+            raise DataError(f'costs has "{name}", which is not one of {", ".join(COSTS)}')
+    return {**COSTS, **{k: checks.positive(f'costs["{k}"]', v) for k, v in stated.items()}}
 
 
 _NEGLIGIBLE = 1e-4

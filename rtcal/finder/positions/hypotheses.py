@@ -19,7 +19,7 @@ from rtcal.finder.effects.coupled_room import CoupledRoom
 from rtcal.finder.effects.stated import WrongVolume
 from rtcal.finder.model import RoomState
 from rtcal.finder.positions.case import PositionsCase
-from rtcal.finder.positions.responses import AIR, MOVE, OPEN, SHARES, VOLUME
+from rtcal.finder.positions.responses import AIR, OPEN, SHARES, VOLUME
 from rtcal.finder.positions.shift import (
     NOISE,
     ODDS,
@@ -32,7 +32,7 @@ from rtcal.finder.positions.shift import (
     unevenness,
 )
 from rtcal.finder.positions.surfaces import Part
-from rtcal.finder.positions.weighing import SECOND_ROOMS
+from rtcal.finder.positions.weighing import MOVE, SECOND_ROOMS
 from rtcal.finder.prior import COEFFICIENTS, grid_weights, relative_sigma
 from rtcal.loop.measured_pairs import Pair
 from rtcal.support.types import Array

@@ -21,9 +21,8 @@ from rtcal.acoustics.scene import plain_directivities
 from rtcal.finder.positions import surfaces as of_room
 from rtcal.finder.positions.case import PositionsCase
 from rtcal.finder.positions.model_error import AIMS, LOBE_INDEX, lobes
-from rtcal.finder.positions.weighing import SECOND_ROOMS, Weighing
+from rtcal.finder.positions.weighing import MOVE, SECOND_ROOMS, Weighing, displaced
 from rtcal.loop.control_runs import share_of_signal
-from rtcal.simulators.observations import observe
 from rtcal.simulators.path_tracing import DENSER, LARGER, PathTracing
 from rtcal.simulators.tracer import LONGEST
 from rtcal.support import checks, files
@@ -41,16 +40,6 @@ VOLUME = (-0.5, -0.25, 0.25, 0.5)
 """Nodes of ln volume over what is stated."""
 OPEN = tuple(share for share in SHARES if share > 0)
 """Nodes of an aperture: shares of its surface."""
-MOVE = 0.5
-"""Distance in m by which a source or receiver is displaced, along each axis and both ways."""
-_FROM_WALLS = 0.05
-"""Least distance in m of a displaced position from a wall."""
-_SOURCE_PATHS = 4000
-"""Paths from each displaced source."""
-
-_MORE_PATHS = 8
-"""Factor of the paths to displaced places where one hears too few of them. In a judged room the
-search ended in an error."""
 _FEW_PATHS = 1600
 """Paths from each source that tell how long the others must be."""
 _SPARE = 1.15
@@ -196,7 +185,7 @@ def _of_tracing(
         apertures=apertures,
         air=np.stack(air, axis=-1) - stated[..., np.newaxis],
         volume=np.stack(volume, axis=-1) - stated[..., np.newaxis],
-        moved=_moved(case, match, base, seed),
+        moved=displaced(case, match, base, seed),
         aimed=np.stack(aimed, axis=-1) - stated[..., np.newaxis],
         materials=materials,
         scattering=scattering,
@@ -327,62 +316,6 @@ def _apertures(
 
 def _retraced(tracer: PathTracing, **changes: object) -> PathTracing:
     return replace(tracer, **changes)  # type: ignore[arg-type]
-
-
-def _moved(case: PositionsCase, match: Sequence[str], base: Array, seed: int) -> dict[str, Array]:
-    """Return the shifts where each source or receiver is displaced."""
-    tracer = case.simulator
-    out: dict[str, Array] = {}
-    steps = [sign * axis for axis in np.eye(3) for sign in (-MOVE, MOVE)]
-
-    n_sources, n_receivers = len(tracer.sources), len(tracer.receivers)
-    shape = (len(match), n_sources, n_receivers, base.shape[-1])
-    stated = base.reshape(shape)
-    for kind in ("receivers", "sources"):
-        points: Mapping[str, object] = getattr(tracer, kind)
-        fewer = min(tracer.n_paths, _SOURCE_PATHS) if kind == "sources" else tracer.n_paths
-        aimed = {
-            f"{name} {i}": of for name, of in tracer.directivity.items() for i in range(len(steps))
-        }
-        moved = _inside(case, np.array([*points.values()], dtype=float), np.array(steps))
-        names = [f"{name} {i}" for name in points for i in range(len(steps))]
-        changes = {kind: dict(zip(names, moved, strict=True)), "n_paths": fewer}
-        changed = _retraced(
-            tracer.denser(), **changes, **({"directivity": aimed} if kind == "sources" else {})
-        )
-        try:
-            heard = observe(changed, case.room.alpha, match, seed=seed)
-        except TooShortError:  # more paths would be as short
-            raise
-        except DataError:  # a decay with too few paths for its T20
-            changed = _retraced(changed, n_paths=_MORE_PATHS * fewer)
-            heard = observe(changed, case.room.alpha, match, seed=seed)
-        values = heard.values
-        axis = 1 if kind == "sources" else 2
-        sizes = list(shape)
-        sizes[axis : axis + 1] = [len(points), len(steps)]
-        values = np.moveaxis(values.reshape(sizes), axis + 1, 0)
-        for i, name in enumerate(points):
-            shift = np.zeros((len(steps), *shape))
-            rows = (slice(None),) * (axis + 1) + (i,)
-            shift[rows] = values[rows] - np.broadcast_to(stated, shift.shape)[rows]
-            out[f"{kind[:-1]} {name}"] = shift.reshape(len(steps), *base.shape)
-    return out
-
-
-def _inside(case: PositionsCase, points: Array, steps: Array) -> Array:
-    """Return each point moved by each step, or by less where a wall is in the way.
-
-    Points (n, 3) and steps (m, 3) in m give (n m, 3).
-    """
-    shares = np.array([1.0, 0.5, 0.25, -0.5, 0.0])[:, np.newaxis]
-    trials = points[:, np.newaxis, np.newaxis] + shares * steps[:, np.newaxis]
-    flat = trials.reshape(-1, 3)
-    free = case.geometry.contains(flat) & (case.geometry.wall_distance(flat) > _FROM_WALLS)
-    free = free.reshape(trials.shape[:-1])
-    free[..., -1] = True  # not moved
-    first = np.argmax(free, axis=-1)[..., np.newaxis, np.newaxis]
-    return np.asarray(np.take_along_axis(trials, first, axis=2).reshape(-1, 3))
 
 
 def _packed(made: PairShifts) -> Array:

@@ -1,4 +1,4 @@
-"""The energies at each position when one surface, the air or the size of the room changes.
+"""The energies at each position when a surface, the air, the room's size or a position changes.
 
 The paths of a `PathTracing` do not depend on what the walls absorb. So every change weighs the same
 paths anew, and their random numbers cancel in the difference.
@@ -20,6 +20,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import product
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,10 +30,12 @@ from rtcal.acoustics.directivity import Directivity
 from rtcal.acoustics.observables import TARGET, longest
 from rtcal.acoustics.room import Room
 from rtcal.finder.effects.covered import HARD
+from rtcal.finder.positions.case import PositionsCase
 from rtcal.finder.positions.surfaces import Faces
 from rtcal.simulators import observations, paths
 from rtcal.simulators.path_tracing import PathTracing
 from rtcal.simulators.tracer import LONGEST, decay_long_enough, eyring_seconds
+from rtcal.support.errors import DataError, TooShortError
 from rtcal.support.types import Array
 
 VOLUMES = (0.3, 0.9, 2.7)
@@ -356,3 +359,76 @@ class Weighing:
             n_materials=n_faces,
         )
         return by_face.aimed(self.lobes, self.tracer.to_receivers) if self.lobes else by_face
+
+
+MOVE = 0.5
+"""Distance in m by which a source or receiver is displaced, along each axis and both ways."""
+_FROM_WALLS = 0.05
+"""Least distance in m of a displaced position from a wall."""
+_SOURCE_PATHS = 4000
+"""Paths from each displaced source."""
+
+_MORE_PATHS = 8
+"""Factor of the paths to displaced places where one hears too few of them. In a judged room the
+search ended in an error."""
+
+
+def displaced(
+    case: PositionsCase, match: Sequence[str], base: Array, seed: int
+) -> dict[str, Array]:
+    """Return the shifts where each source or receiver is displaced by `MOVE`, by its name.
+
+    (n_displacements, n_parameters, n_pairs, n_bands) each; ``base`` is what is simulated as stated.
+    """
+    tracer = case.simulator
+    out: dict[str, Array] = {}
+    steps = [sign * axis for axis in np.eye(3) for sign in (-MOVE, MOVE)]
+
+    n_sources, n_receivers = len(tracer.sources), len(tracer.receivers)
+    shape = (len(match), n_sources, n_receivers, base.shape[-1])
+    stated = base.reshape(shape)
+    for kind in ("receivers", "sources"):
+        points: Mapping[str, object] = getattr(tracer, kind)
+        fewer = min(tracer.n_paths, _SOURCE_PATHS) if kind == "sources" else tracer.n_paths
+        aimed = {
+            f"{name} {i}": of for name, of in tracer.directivity.items() for i in range(len(steps))
+        }
+        moved = _inside(case, np.array([*points.values()], dtype=float), np.array(steps))
+        names = [f"{name} {i}" for name in points for i in range(len(steps))]
+        changes: dict[str, Any] = {kind: dict(zip(names, moved, strict=True)), "n_paths": fewer}
+        if kind == "sources":
+            changes["directivity"] = aimed
+        changed = replace(tracer.denser(), **changes)
+        try:
+            heard = observations.observe(changed, case.room.alpha, match, seed=seed)
+        except TooShortError:  # more paths would be as short
+            raise
+        except DataError:  # a decay with too few paths for its T20
+            changed = replace(changed, n_paths=_MORE_PATHS * fewer)
+            heard = observations.observe(changed, case.room.alpha, match, seed=seed)
+        values = heard.values
+        axis = 1 if kind == "sources" else 2
+        sizes = list(shape)
+        sizes[axis : axis + 1] = [len(points), len(steps)]
+        values = np.moveaxis(values.reshape(sizes), axis + 1, 0)
+        for i, name in enumerate(points):
+            shift = np.zeros((len(steps), *shape))
+            rows = (slice(None),) * (axis + 1) + (i,)
+            shift[rows] = values[rows] - np.broadcast_to(stated, shift.shape)[rows]
+            out[f"{kind[:-1]} {name}"] = shift.reshape(len(steps), *base.shape)
+    return out
+
+
+def _inside(case: PositionsCase, points: Array, steps: Array) -> Array:
+    """Return each point moved by each step, or by less where a wall is in the way.
+
+    Points (n, 3) and steps (m, 3) in m give (n m, 3).
+    """
+    shares = np.array([1.0, 0.5, 0.25, -0.5, 0.0])[:, np.newaxis]
+    trials = points[:, np.newaxis, np.newaxis] + shares * steps[:, np.newaxis]
+    flat = trials.reshape(-1, 3)
+    free = case.geometry.contains(flat) & (case.geometry.wall_distance(flat) > _FROM_WALLS)
+    free = free.reshape(trials.shape[:-1])
+    free[..., -1] = True  # not moved
+    first = np.argmax(free, axis=-1)[..., np.newaxis, np.newaxis]
+    return np.asarray(np.take_along_axis(trials, first, axis=2).reshape(-1, 3))
