@@ -286,10 +286,7 @@ def simulated_controls(
     kept = None if path is None else files.read(path)
     if kept is not None and kept.shape == (RUNS, *shape):
         with suppress(RtcalError):  # another's file
-            read = runs(kept)
-            if progress is not None:
-                progress(RUNS, RUNS)
-            return read
+            return runs(kept)
     trace_ahead(simulator, room.alpha, seed)
     errors, factors, left_out = [], list[float](), 0
     for run, (control, alpha) in enumerate(drawn):

@@ -25,6 +25,7 @@ from rtcal.acoustics.room_errors import in_words, prior_covariance
 from rtcal.acoustics.scene import POSITION, checked_uncertainty
 from rtcal.calibration.nonlinear import Steps
 from rtcal.calibration.problem import Calibration
+from rtcal.loop import control_runs
 from rtcal.loop.control_runs import (
     ControlRuns,
     simulated_controls,
@@ -170,6 +171,13 @@ def calibrate_positions(
     if isinstance(simulator, PathTracing):  # too few paths are told before the control runs
         simulator.observe_in_groups(room.alpha, GROUPS, match, seed=seed)
     if controls is None:
+        told: list[int] = []
+
+        def tell(done: int, total: int) -> None:
+            told.append(done)
+            if progress is not None:
+                progress(done, total)
+
         controls = simulated_controls(
             simulator,
             room,
@@ -177,8 +185,10 @@ def calibrate_positions(
             seed=seed,
             position_uncertainty=position_uncertainty,
             cache=cache,
-            progress=progress,
+            progress=tell,
         )
+        if controls is not None and not told:  # they were kept
+            tell(control_runs.RUNS, control_runs.RUNS)
     in_room = measurement_in_room_bands(measured, room.centre_frequencies)
     listener = Listener(simulator, data, first, room.alpha, seed)
     before = listener.values()
