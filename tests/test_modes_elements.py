@@ -7,10 +7,11 @@ import pytest
 
 import rtcal as rt
 from rtcal.datasets.boxes import polyhedron
-from rtcal.modes import box_modes, modes_of
+from rtcal.modes import modes_of
+from rtcal.modes.box import box_modes
 from rtcal.modes.tetrahedra import fill
 from rtcal.simulators.geometry import SHOEBOX_WALLS, Polyhedron
-from rtcal.support.errors import ModelError
+from rtcal.support.errors import DataError, ModelError
 from tests.test_modes import TRUTH
 
 pytest.importorskip("skfem")
@@ -23,6 +24,11 @@ L_SHAPE = polyhedron(
 FURNISHED = polyhedron(
     air=[((0, 5), (0, 4), (0, 2.5))],
     solid=[((1, 2), (1, 2), (0, 0.8))],
+    paint=[("wall", "plaster", ((-9, 9), (-9, 9), (-9, 9)))],
+)
+TEN_WALLS = polyhedron(  # a U of eight walls, with a cupboard
+    air=[((0, 4), (0, 1.5), (0, 2)), ((0, 1.2), (1.5, 3), (0, 2)), ((2.8, 4), (1.5, 3), (0, 2))],
+    solid=[((1.6, 2.4), (0, 0.6), (0, 1.2))],
     paint=[("wall", "plaster", ((-9, 9), (-9, 9), (-9, 9)))],
 )
 
@@ -44,7 +50,7 @@ def crooked():
     return Polyhedron(vertices=vertices, faces=faces, materials=["a"] * 6)
 
 
-@pytest.mark.parametrize("room", [L_SHAPE, FURNISHED, slanted(), crooked()])
+@pytest.mark.parametrize("room", [L_SHAPE, FURNISHED, TEN_WALLS, slanted(), crooked()])
 @pytest.mark.parametrize("spacing", [1.0, 0.6])
 def test_tetrahedra_fill_the_room_and_fit_together(room, spacing):
     points, tetrahedra = fill(room, spacing)
@@ -63,13 +69,11 @@ def test_tetrahedra_fill_the_room_and_fit_together(room, spacing):
 
 
 def test_a_box_has_its_closed_form():
-    sides = (5.2, 4.1, 2.7)
+    sides = np.array([5.2, 4.1, 2.7])
     box = Polyhedron.shoebox(sides, "plaster")
-    exact, found = box_modes(sides, ["plaster"] * 6, 90), modes_of(box, 90, spacing=0.6)
+    exact, found = box_modes(sides, ["plaster"] * 6, 90, 343.2), modes_of(box, 90, spacing=0.6)
     n = exact.wanted
     np.testing.assert_allclose(found.frequencies[:n], exact.frequencies[:n], rtol=2e-3)
-    off = np.abs(found.frequencies[:n] / exact.frequencies[:n] - 1)
-    assert (off <= found.error[:n] + 1e-9).all()
     for k in range(5):
         np.testing.assert_allclose(found.coupling[:, k, k], exact.coupling[:, k, k], rtol=0.01)
     inside = np.array([[1.3, 0.7, 1.1], [4.9, 3.9, 0.3]])
@@ -85,7 +89,6 @@ def test_the_l_shape_of_the_literature():
     for spacing in (0.5, 0.25):
         found = modes_of(L_SHAPE, 140, spacing=spacing)
         errors.append(found.frequencies[:2] / exact - 1)
-        assert (np.abs(errors[-1]) < 1.5 * found.error[:2]).all()
     assert (np.array(errors) > 0).all()  # Rayleigh and Ritz: from above
     # The edge lets the first converge as spacing^(4/3).
     order = np.log2(errors[0][0] / errors[1][0])
@@ -103,8 +106,43 @@ def test_two_refinements_converge():
     assert (np.abs(middle / fine - 1) < 1e-3).all()
 
 
+def test_ten_walls_and_a_cupboard():
+    """The constant pressure sees each wall's area; the cupboard is left out of the room's volume."""
+    coarse, fine = (modes_of(TEN_WALLS, 90, spacing=h) for h in (0.5, 0.3))
+    assert len(fine.materials) > 10
+    np.testing.assert_allclose(
+        fine.coupling[:, -1, -1], TEN_WALLS.face_areas / TEN_WALLS.volume, rtol=1e-6
+    )
+    n = fine.wanted
+    assert n >= 4
+    np.testing.assert_allclose(coarse.frequencies[:n], fine.frequencies[:n], rtol=5e-3)
+    with pytest.raises(DataError, match="outside the room's walls"):
+        fine.shapes(np.array([[2.0, 0.3, 0.5]]))
+
+
+def test_furniture_lowers_the_first_mode():
+    empty = Polyhedron.shoebox((5, 4, 2.5), "plaster")
+    furnished, alone = modes_of(FURNISHED, 60, spacing=0.5), modes_of(empty, 60, spacing=0.5)
+    assert 0.005 < 1 - furnished.frequencies[0] / alone.frequencies[0] < 0.1
+
+
+def test_a_mesh_that_is_open_is_refused(tmp_path):
+    text = slanted().to_text().rstrip().rsplit("\n", 1)[0]
+    (tmp_path / "open.obj").write_text(text)
+    room = rt.Room.from_geometry(
+        slanted(),
+        name="open",
+        materials=[rt.Material(m, [0.1], [0.05]) for m in dict.fromkeys(slanted().materials)],
+        centre_frequencies=[63],
+        air=rt.Air(20, 50),
+    ).replace(scene=rt.Scene(mesh=str(tmp_path / "open.obj")))
+    heard = rt.modes.MeasuredModes(frequencies=[34.0], decays=[5.0], decay_uncertainty=[0.2])
+    with pytest.raises(DataError, match=r"open\.obj"):
+        rt.calibrate_modes(room, heard)
+
+
 def test_too_many_planes():
-    with pytest.raises(ModelError, match="simpler mesh"):
+    with pytest.raises(ModelError, match="small objects"):
         fill(Polyhedron.shoebox((50, 50, 50), "plaster"), 0.5)
 
 
@@ -142,5 +180,6 @@ def test_which_wall_absorbs_in_a_slanted_room(tmp_path):
 
 
 def test_shoebox_names_are_those_of_the_closed_form():
-    assert modes_of(Polyhedron.shoebox((5, 4, 3), "a"), 50).walls == SHOEBOX_WALLS
+    walls = dict(zip(SHOEBOX_WALLS, SHOEBOX_WALLS, strict=True))
+    assert modes_of(Polyhedron.shoebox((5, 4, 3), walls), 50).materials == SHOEBOX_WALLS
     assert TRUTH.shape == (6, 3)

@@ -244,8 +244,7 @@ MANY_ARGUMENTS = {
     "rtcal.calibrate_simulator": "all of the one loop on mean values",
     "rtcal.calibrate_positions": "all of one calibration; three matter to simulators "
     "that trace, and change nothing for others",
-    "rtcal.calibrate_modes": "all of one calibration; the modes of the room come from "
-    "its geometry or are given",
+    "rtcal.loop.start": "all of the one loop on mean values, for a program that is run by hand",
     "rtcal.report.material_figures.plane": "the numbers of one QP of two materials, and its captions",
     "rtcal.report.study_report.report": "what `rtcal study` states: five say what is drawn, and the "
     "others where it runs and what is written",

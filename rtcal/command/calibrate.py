@@ -19,12 +19,14 @@ from rtcal.command.console import (
     json_option,
     match_option,
     method_option,
+    modes_option,
     numbers,
     output_folder,
     pairs,
     paths_option,
     quiet_option,
     read_measured,
+    read_modes,
     said,
     scattering_option,
     seed_option,
@@ -57,13 +59,7 @@ from rtcal.support.files import make_folder, spare, write_all
     show_default=True,
     help="If no coefficients give the measured T: stop, or use the nearest T.",
 )
-@click.option(
-    "--modes",
-    type=click.Path(dir_okay=False),
-    help="Table (CSV) of measured modes: frequency, decay or T, and its uncertainty; or responses "
-    "(SOFA), whose modes are found. Below the Schroeder frequency their decays are matched in place "
-    "of T.",
-)
+@modes_option
 @click.option(
     "--out",
     type=click.Path(file_okay=False),
@@ -131,15 +127,13 @@ def _by_modes(
 ) -> None:
     """Calibrate to measured modes and T, and tell the result."""
     from rtcal.acoustics.room import Room
-    from rtcal.io import sofa
     from rtcal.modes.calibrate import calibrate_modes
-    from rtcal.modes.measured import read
     from rtcal.report import result_folder
 
     with without_air_warning():
         result = calibrate_modes(
             Room.from_file(room),
-            sofa.read(modes) if sofa.claims(modes) else read(modes),
+            read_modes(modes),
             read_measured(measured, quiet=quiet),
             equation=equation,
         )
@@ -173,6 +167,7 @@ and it matters. In one simulated room, 4,000 paths, starts of 0.05, 0.1 and 0.2 
     help="Keep the stated scattering; by default it is fitted too.",
 )
 @seed_option
+@modes_option
 @click.option(
     "--out",
     type=click.Path(file_okay=False),
@@ -191,6 +186,7 @@ def fit(
     keep_scattering: bool,
     paths: int | None,
     seed: int,
+    modes: str | None,
     out: str | None,
     as_json: bool,
     quiet: bool,
@@ -210,6 +206,7 @@ def fit(
     from rtcal.io import geometry_files
     from rtcal.loop.control_runs import RUNS
     from rtcal.loop.positions import calibrate_positions
+    from rtcal.modes.calibrate import calibrate_modes
     from rtcal.report import result_folder
     from rtcal.support.files import spare
     from rtcal.support.progress import bar, following
@@ -218,7 +215,8 @@ def fit(
     stated = Room.from_file(room)
     if folder is not None:
         mesh = [] if stated.scene.mesh is None else [stated.scene.mesh]
-        spare([folder / name for name in result_folder.POSITION_FILES], [room, measured, *mesh])
+        read = [room, measured, *mesh, *([] if modes is None else [modes])]
+        spare([folder / name for name in result_folder.POSITION_FILES], read)
     heard = read_measured(measured, quiet=quiet)
     if stated.scattering is None and scattering is None and not keep_scattering:
         scattering = _START
@@ -234,7 +232,7 @@ def fit(
         with bar(RUNS, "control run", bar_wanted(quiet), said(quiet)) as shown:
             result = calibrate_positions(
                 tracer,
-                stated,
+                stated if modes is None else calibrate_modes(stated, read_modes(modes)),
                 heard,
                 match or MATCH,
                 exclude=pairs("--exclude", exclude),

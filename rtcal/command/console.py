@@ -24,6 +24,8 @@ from rtcal.support.text import fitted, printable, width
 
 if TYPE_CHECKING:
     from rtcal.acoustics.measurement import Measurement
+    from rtcal.io.sofa import Responses
+    from rtcal.modes.measured import MeasuredModes
 
 
 def as_options(text: str, arguments: Sequence[str]) -> str:
@@ -142,6 +144,21 @@ def read_measured(path: str | os.PathLike[str], *, quiet: bool) -> Measurement:
 PATHS = 8000
 """Paths from each source, by default; the number of `PathTracing`."""
 
+
+def read_modes(path: str) -> MeasuredModes | Responses:
+    """Return the modes of a table, or the responses of a SOFA file; DataError as their readers."""
+    from rtcal.io import sofa
+    from rtcal.modes import measured
+
+    return sofa.read(path) if sofa.claims(path) else measured.read(path)
+
+
+modes_option = click.option(
+    "--modes",
+    type=click.Path(dir_okay=False),
+    help="Table (CSV) of measured modes: frequency, decay or T, and its uncertainty; or responses "
+    "(SOFA), whose modes are found. Below the Schroeder frequency they stand in place of T.",
+)
 quiet_option = click.option(
     "--quiet", "-q", is_flag=True, help="Print nothing but errors, and the JSON."
 )

@@ -17,9 +17,11 @@ from rtcal.command.console import (
     equation_option,
     json_option,
     method_option,
+    modes_option,
     numbers,
     quiet_option,
     read_measured,
+    read_modes,
     tell,
 )
 from rtcal.support.files import locked, spare
@@ -77,6 +79,7 @@ def loop() -> None:
     help="Match the mean of T20 and EDT with these weights: --weight t20=1 --weight edt=0.5.",
 )
 @decimals_option
+@modes_option
 @json_option
 @quiet_option
 @_holding_state
@@ -90,6 +93,7 @@ def start(
     rule: str,
     weights: tuple[str, ...],
     decimals: int | None,
+    modes: str | None,
     as_json: bool,
     quiet: bool,
 ) -> None:
@@ -105,19 +109,23 @@ def start(
     from rtcal.calibration.problem_data import times_in_room
     from rtcal.loop import calibrate
     from rtcal.loop.state import start as begin
+    from rtcal.modes.calibrate import calibrate_modes
+    from rtcal.support import text
 
-    spare([state, out], [room, measured])
+    spare([state, out], [room, measured, *([] if modes is None else [modes])])
     calibrate.refuse_progress(state)
+    stated_room = Room.from_file(room)
     data = read_measured(measured, quiet=quiet)
     stated = numbers("--weight", weights, "PARAMETER=NUMBER, such as edt=0.5")
     begun = begin(
-        Room.from_file(room),
+        stated_room,
         data,
         rule=rule,  # type: ignore[arg-type]
         method=method,
         equation=equation,
         decimals=decimals,
         weights=stated or None,
+        modes=None if modes is None else calibrate_modes(stated_room, read_modes(modes)),
     )
     first = begun.calibrated(begun.wanted)
     calibrate.write(begun, state, out)
@@ -136,6 +144,7 @@ def start(
         f"Taken as the measured T: {' and '.join(parameters)}.",
         *([f"Matched: {begun.matched.label}."] if weights else []),
         *beyond,
+        *([] if begun.low is None else text.wrapped(begun.low.note)),
         _next_step(out),
     ]
     tell("\n".join(lines), record, quiet=quiet, as_json=as_json)

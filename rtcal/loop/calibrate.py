@@ -28,8 +28,9 @@ from rtcal.calibration.problem_data import times_in_room
 from rtcal.loop.matched import Weights
 from rtcal.loop.measured_pairs import Pair, left_out, refuse_unknown
 from rtcal.loop.result import LoopResult
-from rtcal.loop.rules import Rule
+from rtcal.loop.rules import LEFT_ALONE, Rule
 from rtcal.loop.state import Loop, start
+from rtcal.modes.result import ModesResult
 from rtcal.simulators.base import Simulator, at_places, check_fits, lost_paths, run
 from rtcal.support import checks
 from rtcal.support.errors import DataError, RtcalError, SimulatorError
@@ -39,7 +40,7 @@ from rtcal.support.types import Array
 
 def calibrate_simulator(
     simulator: Simulator,
-    room: Room,
+    room: Room | ModesResult,
     measured: Measurement,
     rule: Rule | None = None,
     *,
@@ -60,8 +61,10 @@ def calibrate_simulator(
     Parameters
     ----------
     simulator : Simulator
-    room : Room
-        Its alpha and sigma are the prior. In large rooms with hard walls, sigma should be
+    room : Room or ModesResult
+        Its alpha and sigma are the prior. A result of ``calibrate_modes(room, ...)`` without T stands
+        in place of T below the Schroeder frequency: coefficients stay there as it left them. In large
+        rooms with hard walls, sigma should be
         proportional to alpha: equal sigmas drive large hard walls to alpha = 0.
     measured : Measurement
     rule : {"secant", "safeguarded", "regression"}, optional
@@ -115,6 +118,8 @@ def calibrate_simulator(
     >>> rt.calibrate_simulator(program, room, measured)
     <LoopResult of "reverb 3000": 2 simulations, 6 of 6 bands converged>
     """
+    modes = room if isinstance(room, ModesResult) else None
+    room = room.prior if isinstance(room, ModesResult) else room
     check_fits(simulator, room)
     exclude = checks.pairs("exclude", exclude)
     checks.whole("seed", seed, 0)
@@ -126,6 +131,7 @@ def calibrate_simulator(
     loop = start(
         room,
         measured,
+        modes=modes,
         rule=rule or ("safeguarded" if simulator.smooth else "regression"),
         method=method,
         equation=equation,
@@ -340,7 +346,7 @@ def write(loop: Loop, state: str, out: str) -> None:
 
 def conclusion(loop: Loop, out: str) -> str:
     """Return what a user does with the last room written, for a finished loop."""
-    left = len([s for s in loop.status if s not in ("converged", "no measured T")])
+    left = len([s for s in loop.status if s not in LEFT_ALONE])
     missed = f", but {left} of {loop.room.n_bands} bands were not reached" if left else ""
     return (
         f"Done{missed}. {out} has the coefficients, those of each band's best step: give it to the "

@@ -26,6 +26,7 @@ from rtcal.acoustics.scene import POSITION, checked_uncertainty
 from rtcal.calibration.nonlinear import Steps
 from rtcal.calibration.problem import Calibration
 from rtcal.loop import control_runs
+from rtcal.loop.below_schroeder import BelowSchroeder
 from rtcal.loop.control_runs import (
     ControlRuns,
     simulated_controls,
@@ -45,6 +46,7 @@ from rtcal.loop.positions_steps import (
     steps_to_positions,
 )
 from rtcal.loop.scattering import Scattering, fitted, scattered
+from rtcal.modes.result import ModesResult
 from rtcal.simulators import base, observations
 from rtcal.simulators.base import Simulator
 from rtcal.simulators.observations import DifferentiableSimulator, Observations, observe
@@ -67,7 +69,7 @@ _BATCHES = 16
 @checked
 def calibrate_positions(
     simulator: Simulator,
-    room: Room,
+    room: Room | ModesResult,
     measured: Measurement,
     match: Sequence[str] = MATCH,
     *,
@@ -87,8 +89,10 @@ def calibrate_positions(
     ----------
     simulator : Simulator
         A `PathTracing` is followed with more paths.
-    room : Room
-        Its alpha and sigma are the prior.
+    room : Room or ModesResult
+        Its alpha and sigma are the prior. A result of ``calibrate_modes(room, ...)`` without T stands
+        in place of what was heard below the Schroeder frequency: coefficients stay there as it left
+        them.
     measured : Measurement
         Of pairs that the simulator has, too.
     match : sequence of str
@@ -141,6 +145,8 @@ def calibrate_positions(
     >>> len(result.before.pairs)
     4
     """
+    modes = room if isinstance(room, ModesResult) else None
+    room = room.prior if isinstance(room, ModesResult) else room
     base.check_fits(simulator, room)
     match = observations.checked_parameters(match)
     exclude = checks.pairs("exclude", exclude)
@@ -150,6 +156,10 @@ def calibrate_positions(
     if calibration is not None:
         checks.instance("calibration", calibration, Calibration)
     measured, repeated = base.at_places(simulator, measured)
+    if modes is not None:
+        low = BelowSchroeder.of(modes, room, measured)
+        room, measured = low.room, low.above(measured)
+        repeated = (*repeated, low.note)
     tracer = simulator
     simulator = precise(simulator, more_paths)
     trace_ahead(simulator, room.alpha, seed)

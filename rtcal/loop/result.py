@@ -238,6 +238,8 @@ class LoopResult(Result):
                 "simulator in the room as stated, and carry the room's error, too. Those of the "
                 "materials are in result.of_uncertain_room."
             )
+        if self.loop.low is not None:
+            notes.append(self.loop.low.note)
         return [*notes, *self.notes]
 
 

@@ -26,8 +26,22 @@ from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError
 from rtcal.support.types import Array, read_only
 
-STATUSES = ("converged", "no measured T", "unreachable", "not converging", "not confirmed")
+STATUSES = (
+    "converged",
+    "no measured T",
+    "by modes",
+    "too few modes",
+    "unreachable",
+    "not converging",
+    "not confirmed",
+)
 """Status of a band. Only a `LoopResult` has the last one: the loop itself has no confirmation."""
+
+LEFT_ALONE = STATUSES[:4]
+"""Statuses of bands of which the loop asks nothing more."""
+
+MAX_DECIMALS = 12
+"""Largest number of decimals of alpha that a program reads."""
 
 CLOSE_TARGETS = np.log(1.1)
 """If log targets with and without a simulated T20 are closer, another simulation gains little: T is
@@ -37,6 +51,12 @@ STUCK_STEPS = 3
 """Steps with different coefficients and the same T20 after which T does not depend on alpha."""
 
 _AT_LIMIT = 1e-9  # relative; rounding of a target that was set to the limit
+
+
+def check_decimals(decimals: object) -> None:
+    """Refuse a number of decimals that is not from 1 to 12; None is all of them."""
+    if decimals is not None and checks.whole("decimals", decimals, 1) > MAX_DECIMALS:
+        raise DataError(f"decimals = {decimals} is more than {MAX_DECIMALS}")
 
 
 def band_goals(tolerance: float, noise: Array) -> Array:

@@ -29,6 +29,7 @@ from rtcal.calibration.presets import preset
 from rtcal.calibration.problem import CalibrationProblem
 from rtcal.calibration.problem_data import data_history, times_in_room
 from rtcal.calibration.result import CalibrationResult
+from rtcal.loop.below_schroeder import BelowSchroeder
 from rtcal.loop.matched import Gaps, Matched, ParameterGap, Weights, left, matched_times, means
 from rtcal.loop.rules import (
     CLOSE_TARGETS,
@@ -37,6 +38,7 @@ from rtcal.loop.rules import (
     Step,
     band_goals,
     band_statuses,
+    check_decimals,
     confirmed_statuses,
     next_targets,
     simulated_time,
@@ -44,6 +46,7 @@ from rtcal.loop.rules import (
     target_limits,
     target_without_t20,
 )
+from rtcal.modes.result import ModesResult
 from rtcal.simulators.base import check_alpha
 from rtcal.support import checks
 from rtcal.support.arguments import checked
@@ -52,8 +55,6 @@ from rtcal.support.objects import NOT_SAVED
 from rtcal.support.results import Result, load
 from rtcal.support.text import shortened
 from rtcal.support.types import Array
-
-MAX_DECIMALS = 12
 
 
 @checked
@@ -86,6 +87,8 @@ class Loop(Result):
         Bands whose measured decay is not straight.
     beside : dict of parameter to array (n_bands,)
         Measured means of what is shown and not matched.
+    low : BelowSchroeder, optional
+        What room modes tell of the bands below the Schroeder frequency.
 
     Examples
     --------
@@ -111,6 +114,7 @@ class Loop(Result):
     steps: tuple[Step, ...] = ()
     bent: tuple[BentDecay, ...] = ()
     beside: Mapping[str, Array] = field(default_factory=dict)
+    low: BelowSchroeder | None = None
     _problems: list[CalibrationProblem] = field(default_factory=list, metadata=NOT_SAVED)
 
     def __repr__(self) -> str:
@@ -129,9 +133,8 @@ class Loop(Result):
     def calibrated(self, target: Array) -> CalibrationResult:
         """Return the equation's calibration to a target T in s, (n_bands,), or the nearest one.
 
-        The problem is built once, and shared with the loops that `record` returns. The room's volume
-        and areas are taken as exact: a loop that hunts for the measured T would otherwise move the
-        target until the coefficients carry the room's share too.
+        The problem is built once, and shared with the loops that `record` returns. Volume and areas are
+        exact: a loop that hunts for T would let the coefficients carry their share, too.
         """
         if not self._problems:
             room = self.room.as_exact
@@ -209,12 +212,11 @@ class Loop(Result):
     def trust_marks(self) -> tuple[TrustMark, ...]:
         """Bands of the `outcome` whose coefficients are at a bound, or contradict the prior (z over 2).
 
-        Also bands whose measured decay is bent.
-        A simulator can be brought to almost any T, so a small gap does not confirm the coefficients.
+        Also bands whose measured decay is bent, and those of `low` that no modes carry.
+        A simulator can be brought to almost any T: a small gap confirms nothing.
         """
-        kinds = ("at_bound", "implausible")
-        marks = [mark for mark in self.outcome.trust_marks if mark.kind in kinds]
-        return (*marks, *bent_marks(self.bent))
+        marks = [m for m in self.outcome.trust_marks if m.kind in ("at_bound", "implausible")]
+        return (*marks, *bent_marks(self.bent), *(self.low.trust_marks if self.low else ()))
 
     @property
     def goal(self) -> Array:
@@ -229,7 +231,7 @@ class Loop(Result):
             np.array([step.alpha for step in self.steps]),
             np.array([step.simulated for step in self.steps]),
         )
-        return band_statuses(
+        every = band_statuses(
             self.gap,
             self.goal,
             self.steps[-1].target,
@@ -237,6 +239,7 @@ class Loop(Result):
             close | stuck,
             np.isfinite(self.wanted),
         )
+        return self.low.statuses(every) if self.low else every
 
     @property
     def finished(self) -> bool:
@@ -381,6 +384,7 @@ class Loop(Result):
             "wanted": self.wanted,
             "equation": {"name": self.equation.name, **asdict(self.equation)},
             "bent": [vars(band) for band in self.bent],
+            "low": None if self.low is None else self.low.to_dict(),
             "steps": [vars(step) for step in self.steps],
         }
 
@@ -393,19 +397,12 @@ class Loop(Result):
         loop = load(path)
         if not isinstance(loop, Loop):
             raise DataError(f"{path} is no state of a loop: it holds a {type(loop).__name__}")
-        if room is None:
-            return loop
-        if of_room(room) != of_room(loop.room):
+        own = loop.low.modes.prior if loop.low else loop.room
+        if room is not None and of_room(room) != of_room(own):
             raise DataError(
                 f'{path} is the state of another room, or room "{room.name}" was changed since'
             )
-        return replace(loop, room=room)
-
-
-def _check_decimals(decimals: object) -> None:
-    """Refuse a number of decimals that is not from 1 to 12; None is all of them."""
-    if decimals is not None and checks.whole("decimals", decimals, 1) > MAX_DECIMALS:
-        raise DataError(f"decimals = {decimals} is more than {MAX_DECIMALS}")
+        return loop if room is None or loop.low else replace(loop, room=room)
 
 
 @checked
@@ -419,18 +416,21 @@ def start(
     decimals: int | None = None,
     tolerance: float = 1.0,
     weights: Weights | None = None,
+    modes: ModesResult | None = None,
 ) -> Loop:
     """Return a loop before its first simulation; see `Loop` for the parameters.
 
-    ``weights`` are those of `calibrate_simulator`. Raises DataError if an argument breaks its rule, or
-    the room was calibrated to these data before.
+    ``weights`` and ``modes`` are those of `calibrate_simulator`. Raises DataError if an argument breaks
+    its rule, or the room was calibrated to these data before.
     """
     if not isinstance(rule, str) or rule not in RULES:
         raise DataError(f'rule = "{rule}" is not one of {", ".join(RULES)}')
     checks.instance("room", room, Room)
     preset(method)
-    _check_decimals(decimals)
+    check_decimals(decimals)
     checks.positive("tolerance", tolerance, "JND")
+    low = None if modes is None else BelowSchroeder.of(modes, room, measured)
+    room, measured = (low.room, low.above(measured)) if low else (room, measured)
     data = times_in_room(room, measured)
     refuse_repeated_data(room, data.fingerprint)
     what = matched_times(room, measured, data.reverberation_time, weights)
@@ -446,4 +446,5 @@ def start(
         tolerance=tolerance,
         bent=data.bent,
         beside={p: mean for p, mean in heard.items() if p not in what.shares},
+        low=low,
     )

@@ -5,7 +5,6 @@ from typing import TYPE_CHECKING
 from rtcal.support import lazy
 
 if TYPE_CHECKING:
-    from rtcal.modes.box import box_modes as box_modes
     from rtcal.modes.measured import MeasuredModes as MeasuredModes
     from rtcal.modes.measured import read as read
     from rtcal.modes.paris import absorption as absorption

@@ -8,62 +8,28 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtcal.modes.room_modes import RoomModes
-from rtcal.simulators.geometry import SHOEBOX_WALLS
-from rtcal.support import checks
-from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError
 from rtcal.support.types import Array
 
 BEYOND = 1.1
 """Modes up to this times the largest wanted frequency complete the shapes of those wanted."""
 MOST = 600
-"""Largest number of modes."""
+"""Largest number of modes, about."""
 _SUMMED = 200
 """Modes of a pair of orders that stand for an infinite number."""
 
 
-@checked
-def box_modes(
-    dimensions: Sequence[float],
-    materials: Sequence[str],
-    largest: float,
-    speed_of_sound: float = 343.2,
-) -> RoomModes:
-    """Return the modes of a box from the origin to ``dimensions`` (x, y, z) in m.
+def box_modes(sides: Array, materials: Sequence[str], largest: float, c: float) -> RoomModes:
+    """Return the modes of a box from the origin to ``sides`` (3,) in m; see `modes_of`.
 
     phi = prod cos(n_i pi x_i / L_i) / norm, f = c / 2 |n / L| (Kuttruff 2009, Eq. 3.15 and 3.17).
 
-    Parameters
-    ----------
-    dimensions : (x, y, z)
-        m.
-    materials : sequence of str (6,)
-        Of the walls west, east (x = 0 and its opposite), south, north, floor and ceiling.
-    largest : float
-        Frequency in Hz up to which modes are wanted.
-    speed_of_sound : float
-        m/s.
-
-    Raises
-    ------
-    DataError
-        For a length that is not above 0, another number of materials, or too many modes.
-
-    Examples
-    --------
-    >>> modes = box_modes((5, 4, 2.5), ["wall"] * 6, largest=60)
-    >>> print(modes.frequencies[: modes.wanted].round(2))
-    [34.32 42.9  54.94]
+    ``materials`` (6,) are of west (x = 0), east, south, north, floor and ceiling; ``c`` is the speed of
+    sound in m/s. Raises DataError for too many modes up to ``largest``.
     """
-    sides = checks.array("dimensions", dimensions)
-    if sides.shape != (3,) or not (np.isfinite(sides) & (sides > 0)).all():
-        raise DataError(f"dimensions = {dimensions!r} is not three finite lengths above 0 m")
-    if len(materials) != 6:
-        raise DataError(f"materials has {len(materials)} names; a box has 6 walls")
-    top = BEYOND * checks.positive("largest", largest, "Hz")
-    c = checks.positive("speed_of_sound", speed_of_sound, "m/s")
+    top = BEYOND * largest
     counts = np.floor(2 * top * sides / c).astype(int)
-    if np.prod(counts + 1.0) > 20 * MOST:
+    if np.prod(counts + 1.0) > 2 * MOST:  # about half of these orders lie within the ellipsoid
         raise DataError(
             f"largest = {largest:g} Hz: the box has over {MOST} modes; state a lower one"
         )
@@ -72,10 +38,6 @@ def box_modes(
     frequencies = c / 2 * np.linalg.norm(orders / sides, axis=1)
     order = np.argsort(frequencies, kind="stable")
     order = order[frequencies[order] <= top]
-    if len(order) > MOST:
-        raise DataError(
-            f"largest = {largest:g} Hz: the box has over {MOST} modes; state a lower one"
-        )
     # The constant one, of frequency 0, stands last.
     order = np.roll(order, -1)
     own, frequencies = orders[order], frequencies[order]
@@ -113,12 +75,10 @@ def box_modes(
     return RoomModes(
         frequencies=frequencies[rising],
         coupling=coupling[:, every[:, np.newaxis], every],
-        walls=SHOEBOX_WALLS,
         materials=tuple(materials),
         speed_of_sound=c,
         largest=float(largest),
         shapes=lambda points: shapes(points)[:, every],
-        error=np.zeros(len(frequencies)),
     )
 
 

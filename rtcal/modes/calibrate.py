@@ -11,7 +11,7 @@ of what was measured, of the model, and of what admittance does between the band
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -34,7 +34,7 @@ from rtcal.modes.measured import MeasuredModes
 from rtcal.modes.model import ABOVE, RoomPoles
 from rtcal.modes.responses import modes_in
 from rtcal.modes.result import ModesResult
-from rtcal.modes.room_modes import Poles, RoomModes
+from rtcal.modes.room_modes import Poles
 from rtcal.simulators.geometry import Polyhedron
 from rtcal.support import checks
 from rtcal.support.arguments import checked
@@ -44,13 +44,9 @@ from rtcal.support.types import Array
 MODES = LinearObservations("modes")
 
 MODEL_ERROR = 0.05
-"""Relative standard deviation of a calculated decay: geometry, admittance that varies over a wall."""
-_NONE = (
-    "none of the {} measured modes is surely a calculated one: check dimensions, temperature and the "
-    "modes' frequencies"
-)
+"""Relative standard deviation of a calculated decay: geometry, admittance that varies over a wall.
+Beside it stands delta / omega."""
 _STEPS = 5
-_HALVINGS = 3
 _SETTLED = 0.1
 """Share of a decay's uncertainty by which the linearised decay may be off the model's own."""
 
@@ -62,18 +58,15 @@ def calibrate_modes(
     measured: Measurement | Sequence[float] | Array | None = None,
     *,
     geometry: Polyhedron | None = None,
-    room_modes: RoomModes | None = None,
     equation: LinearEquation | None = None,
-    frequency_correlation: float | None = None,
-    model_error: float = MODEL_ERROR,
-    phases: Mapping[str, float] | None = None,
 ) -> ModesResult:
     """Calibrate a room's coefficients to the decays of its modes, together with T.
 
     Parameters
     ----------
     room : Room
-        Its alpha and sigma are the prior. It states a mesh, or dimensions and a surface per wall.
+        Its alpha and sigma are the prior. It states a mesh, or dimensions and a surface per wall. A
+        coefficient's errors an octave apart have its ``band_correlation``, or 0.8 where it states none.
     modes : MeasuredModes or Responses
         As `rtcal.modes.read` reads them, or `rtcal.modes.find_modes` finds them; or responses as
         `rtcal.io.sofa.read` reads them.
@@ -81,17 +74,8 @@ def calibrate_modes(
         Matched exactly above the Schroeder frequency, and not used below it.
     geometry : Polyhedron, optional
         In place of the room's scene.
-    room_modes : RoomModes, optional
-        Modes that were calculated before, of this room's materials.
     equation : Equation, optional
         `rtcal.Eyring` if not given.
-    frequency_correlation : float, optional
-        Correlation of a coefficient's error an octave apart, 0 to below 1; by default the room's
-        ``band_correlation`` where it states one, else 0.8.
-    model_error : float
-        Relative standard deviation of a calculated decay. Beside it stands delta / omega.
-    phases : mapping of material to float, optional
-        Phase of its admittance in degrees; 0, a real admittance, where it is not stated.
 
     Returns
     -------
@@ -120,22 +104,14 @@ def calibrate_modes(
     >>> print(result.before.round(1), result.after.round(1))
     [4.9 5.1 6. ] [5.9 5.4 6.9]
     """
-    _check(room, model_error)
     if isinstance(modes, Responses):
-        modes = modes_in(room, modes, geometry=geometry, room_modes=room_modes)
+        modes = modes_in(room, modes, geometry)
     if not isinstance(modes, MeasuredModes):
         raise DataError(
             f"modes = {checks.shown(modes)} is no MeasuredModes; rtcal.modes.read reads a table, and "
             "rtcal.modes.find_modes finds them in responses"
         )
-    model = RoomPoles.of(
-        room,
-        max(ABOVE * modes.frequencies[-1], modes.largest),
-        geometry=geometry,
-        room_modes=room_modes,
-        frequency_correlation=frequency_correlation,
-        phases=phases,
-    )
+    model = RoomPoles.of(room, max(ABOVE * modes.frequencies[-1], modes.largest), geometry)
     known = modes.calculated
     if known is not None and len(known) and known.max() >= model.modes.wanted:
         raise DataError(
@@ -144,19 +120,21 @@ def calibrate_modes(
     every = model.calculated
     found = match(modes, every.frequencies, every.decays)
     times = no_times(room) if measured is None else times_in_room(room, measured)
-    low = _below_schroeder(room, times)
+    low = below_schroeder(room, times)
     equation = Eyring() if equation is None else equation
     problem = _problem(model.room, times, low, equation)
     if not len(found.measured):
-        raise DataError(_NONE.format(len(modes.frequencies)))
+        raise DataError(
+            f"none of the {len(modes.frequencies)} measured modes is surely a calculated one: check "
+            "dimensions, temperature and the modes' frequencies"
+        )
     used = found.measured
+    of_pole = modes.decays[used] / (2 * np.pi * modes.frequencies[used])
     data = _Data(
         model=replace(model, chosen=tuple(found.calculated.tolist()), known={}),
         decays=modes.decays[used],
         uncertainty=modes.decay_uncertainty[used],
-        model_error=np.hypot(
-            model_error, modes.decays[used] / (2 * np.pi * modes.frequencies[used])
-        ),
+        model_error=np.hypot(MODEL_ERROR, of_pole),
         times=times,
         low=low,
     )
@@ -173,7 +151,7 @@ def _steps(data: _Data, problem: CalibrationProblem, alpha: Array) -> Steps[Arra
     def settled(step: Taken[_Linearised]) -> bool:
         return step.model.error(step.model.towards(step.share)) < _SETTLED
 
-    return gauss_newton(alpha, linearised, most=_STEPS, halvings=_HALVINGS, settled=settled)
+    return gauss_newton(alpha, linearised, most=_STEPS, halvings=3, settled=settled)
 
 
 @dataclass(frozen=True, eq=False)
@@ -193,11 +171,6 @@ class _Data:
         decays, _, remainder = self.model.linear(self.model.room.alpha)
         own = self.uncertainty**2 + (self.model_error * decays) ** 2
         return np.asarray(remainder + np.diag(own))
-
-    @property
-    def above(self) -> Array:
-        """T in s above the Schroeder frequency, (n_bands,); NaN below it."""
-        return np.where(self.low, np.nan, self.times.reverberation_time)
 
     def observed(self, alpha: Array) -> tuple[Observed, Array]:
         """Return the decays as rows, linearised at alpha, and the decays there."""
@@ -224,8 +197,9 @@ class _Linearised:
     @classmethod
     def of(cls, data: _Data, problem: CalibrationProblem, alpha: Array) -> _Linearised:
         observed, decays = data.observed(alpha)
-        t = data.above if np.isfinite(data.above).any() else None
-        answer = problem.solve(t, observed={MODES: observed}, method="modes")
+        t = np.where(data.low, np.nan, data.times.reverberation_time)
+        times = t if np.isfinite(t).any() else None
+        answer = problem.solve(times, observed={MODES: observed}, method="modes")
         return cls(data, alpha, observed, decays, answer)
 
     def towards(self, share: Array) -> Array:
@@ -300,7 +274,7 @@ def _result(
     )
 
 
-def _below_schroeder(room: Room, times: MeasuredTimes) -> NDArray[np.bool_]:
+def below_schroeder(room: Room, times: MeasuredTimes) -> NDArray[np.bool_]:
     """Return which bands lie below the Schroeder frequency; all where no T was measured."""
     t = times.reverberation_time
     if not np.isfinite(t).any():
@@ -308,10 +282,3 @@ def _below_schroeder(room: Room, times: MeasuredTimes) -> NDArray[np.bool_]:
     middle = mid_frequency_time(t, room.centre_frequencies)
     limit = float(schroeder_frequency(np.array(middle), room.volume))
     return np.asarray(room.centre_frequencies < limit)
-
-
-def _check(room: Room, model_error: float) -> None:
-    if not isinstance(room, Room):
-        raise DataError(f"room = {checks.shown(room)} is not a rtcal.Room")
-    if not 0 <= checks.number("model_error", model_error) < 1:
-        raise DataError(f"model_error = {model_error:g} is not from 0 to below 1")

@@ -18,7 +18,7 @@ Golub & Pereyra 1973, SIAM J. Numer. Anal. 10; Kay 1993, Fundamentals of Statist
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -32,7 +32,10 @@ from rtcal.support.types import Array
 Complex = NDArray[np.complex128]
 
 AMPLITUDE = 0.3
-"""Relative standard deviation of an amplitude at a pair: positions, the walls' effect on the shape."""
+"""Relative standard deviation of an amplitude at a pair, before anything was heard: positions, the
+walls' effect on the shape."""
+LEAST_AMPLITUDE = 0.15
+"""Least standard deviation that the amplitudes heard may tell."""
 _SMOOTH = 20.0
 """Hz over which the source's spectrum is smooth."""
 _LOCAL = 8.0
@@ -115,6 +118,7 @@ class Problem:
     poles: Poles
     psi: Complex
     scale: float
+    spread_of_amplitudes: float = AMPLITUDE
 
     @cached_property
     def prior(self) -> Array:
@@ -147,16 +151,27 @@ class Problem:
 
 
 def fitted(heard: Spectra, poles: Poles, psi: Complex) -> Point:
-    """Return the poles and amplitudes of the least squares."""
+    """Return the poles and amplitudes of the least squares.
+
+    How far amplitudes are from the calculated patterns is known only then, and counts in a second fit.
+    """
     scale, amplitudes = _scanned(heard, poles.values, psi)
     problem = Problem(heard, poles, psi, scale)
     none = np.zeros_like(amplitudes, shape=(heard.residuals.shape[1], psi.shape[1]))
-    point, damping = Point(problem, problem.prior, np.vstack([amplitudes, none])), 1e-2
+    first = _settled(Point(problem, problem.prior, np.vstack([amplitudes, none])))
+    spread = float(np.clip(np.sqrt(first.strange), LEAST_AMPLITUDE, AMPLITUDE))
+    told = replace(problem, spread_of_amplitudes=spread)
+    return _settled(Point(told, first.at, first.amplitudes))
+
+
+def _settled(point: Point) -> Point:
+    """Take steps with Levenberg's damping until the misfit falls no more."""
+    problem, n, damping = point.problem, len(point.problem.psi), 1e-2
     for _ in range(_STEPS):
         now, settled = point.misfit(point.at, point.amplitudes), True
         for _ in range(6):
             move, more = point.step(damping)
-            if np.abs(move[len(psi) :]).max() < 2:
+            if np.abs(move[n:]).max() < 2:
                 moved = point.at + move, point.amplitudes + more
                 fallen = now - point.misfit(*moved)
                 if fallen > 0:
@@ -239,7 +254,8 @@ class Point:
         """Weight of each mode's amplitudes, (n_poles,)."""
         n = len(self.own)
         size = np.sqrt((np.abs(self.expected[:n]) ** 2).mean(axis=1))
-        own = 1 / np.maximum(AMPLITUDE * size, 1e-9 * size.max()) ** 2
+        spread = self.problem.spread_of_amplitudes
+        own = 1 / np.maximum(spread * size, 1e-9 * size.max()) ** 2
         return np.concatenate([own, np.ones(len(self.amplitudes) - n)])
 
     @cached_property

@@ -33,22 +33,15 @@ _REACTANCE = 0.7
 """Standard deviation of a frequency's shift by reactance, of half the mode's width delta / (2 pi)."""
 _STRANGER = 0.05
 """Prior probability that a measured mode is none of those calculated."""
-_SCALES = 121
 
 
 @dataclass(frozen=True, eq=False)
 class Matches:
     """Measured modes and the calculated ones that they are.
 
-    Attributes
-    ----------
-    measured, calculated : int arrays (n_matches,)
-        Indices of the modes that belong together.
-    probability : array (n_matches,)
-    scale : float
-        Factor of the calculated frequencies under which the measured ones are likeliest.
-    ambiguous : int array
-        Measured modes that could be several, or none.
+    ``measured`` and ``calculated`` (n_matches,) are indices of the modes that belong together, with
+    their ``probability``. ``scale`` is the factor of the calculated frequencies under which those
+    measured are likeliest. ``ambiguous`` are measured modes that could be several, or none.
     """
 
     measured: NDArray[np.intp]
@@ -74,6 +67,8 @@ def match(measured: MeasuredModes, frequencies: Array, decays: Array) -> Matches
     >>> print(found.calculated, round(found.scale, 3))
     [0 1] 1.004
     """
+    from scipy.special import logsumexp
+
     if measured.calculated is not None:
         return _heard(measured, frequencies)
     relative = measured.decay_uncertainty / measured.decays
@@ -84,7 +79,7 @@ def match(measured: MeasuredModes, frequencies: Array, decays: Array) -> Matches
     )
     stated = np.asarray(measured.frequency_uncertainty)[:, np.newaxis]
     spread = np.hypot(stated, frequency_error(frequencies, decays))
-    tried = 1 + COMMON_ERROR * np.linspace(-3, 3, _SCALES)
+    tried = 1 + COMMON_ERROR * np.linspace(-3, 3, 121)
     # The modes per Hz of a stranger's frequency: those of the room itself.
     span = max(float(frequencies[-1] - frequencies[0]), 1.0)
     stranger = math.log(_STRANGER * len(frequencies) / span)
@@ -94,10 +89,10 @@ def match(measured: MeasuredModes, frequencies: Array, decays: Array) -> Matches
         near = plain - off**2 / 2 - np.log(spread * np.sqrt(2 * np.pi))
         return np.column_stack([near, np.full(len(near), stranger)])
 
-    likely = [float(_log_sum(joint(s)).sum()) - ((s - 1) / COMMON_ERROR) ** 2 / 2 for s in tried]
+    likely = [logsumexp(joint(s), axis=1).sum() - ((s - 1) / COMMON_ERROR) ** 2 / 2 for s in tried]
     scale = float(tried[int(np.argmax(likely))])
     table = joint(scale)
-    by_row = np.exp(table - _log_sum(table)[:, np.newaxis])
+    by_row = np.exp(table - logsumexp(table, axis=1, keepdims=True))
     # Seen from the calculated mode: which measured one is it?
     by_column = by_row[:, :-1] / np.maximum(by_row[:, :-1].sum(axis=0), 1e-300)
     both = by_row[:, :-1] * by_column
@@ -128,8 +123,3 @@ def _heard(measured: MeasuredModes, frequencies: Array) -> Matches:
 def frequency_error(frequencies: Array, decays: Array) -> Array:
     """Return the standard deviation of each calculated frequency's own error in Hz, same shape."""
     return np.asarray(np.hypot(OWN_ERROR * frequencies, _REACTANCE * decays / (2 * np.pi)))
-
-
-def _log_sum(table: Array) -> Array:
-    top = table.max(axis=1)
-    return np.asarray(top + np.log(np.exp(table - top[:, np.newaxis]).sum(axis=1)))

@@ -7,7 +7,7 @@ import io
 import os
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,6 +30,8 @@ _NAMES = {
     "T": ("t", "t60", "rt", "mt60"),
 }
 """Columns of a table and their spellings, without unit; u_ before one is its uncertainty."""
+_NUMBERS = ("frequencies", "decays", "decay_uncertainty", "frequency_uncertainty")
+_OF_MODES = (*_NUMBERS, "amplitudes", "calculated")
 
 
 @checked
@@ -47,10 +49,8 @@ class MeasuredModes:
         Standard uncertainty of delta in 1/s, above 0.
     frequency_uncertainty : array (n_modes,), optional
         Hz; a hundredth of a hertz where it is not stated.
-    pairs : sequence of (source, receiver)
-        Names of the positions of the pattern.
     amplitudes : complex array (n_modes, n_pairs), optional
-        Complex amplitude of each mode at each pair, all in one unit: its pattern over the positions.
+        Complex amplitude of each mode at each pair of positions: its pattern over them.
     calculated : int array (n_modes,), optional
         Which calculated mode of the room each is, where they were found as these.
     largest : float, optional
@@ -74,7 +74,6 @@ class MeasuredModes:
     decays: Array
     decay_uncertainty: Array
     frequency_uncertainty: Array | None = None
-    pairs: Sequence[tuple[str, str]] = ()
     amplitudes: NDArray[np.complex128] | None = None
     calculated: NDArray[np.intp] | None = None
     largest: float = 0.0
@@ -90,7 +89,7 @@ class MeasuredModes:
             raise DataError("frequencies is empty; at least one mode is needed")
         if self.frequency_uncertainty is None:
             put("frequency_uncertainty", np.full(n, 0.01))
-        for name in ("frequencies", "decays", "decay_uncertainty", "frequency_uncertainty"):
+        for name in _NUMBERS:
             values = read_only(checks.array(name, getattr(self, name)).copy())
             if values.shape != (n,):
                 raise DataError(f"{name} has shape {values.shape}; with {n} modes it is ({n},)")
@@ -109,14 +108,12 @@ class MeasuredModes:
                 f"frequencies[{n - 1}] = {self.frequencies[-1]:g} Hz is above {_LARGEST_FREQUENCY:g} "
                 "Hz, where no room has single modes"
             )
-        put("pairs", checks.pairs("pairs", self.pairs))
         put("notes", tuple(checks.listed("notes", self.notes)))
         if self.amplitudes is not None:
             amplitudes = np.array(self.amplitudes, dtype=complex)
-            if amplitudes.shape != (n, len(self.pairs)):
+            if amplitudes.ndim != 2 or len(amplitudes) != n:
                 raise DataError(
-                    f"amplitudes has shape {amplitudes.shape}; with {n} modes and {len(self.pairs)} "
-                    f"pairs it is ({n}, {len(self.pairs)})"
+                    f"amplitudes has shape {amplitudes.shape}; with {n} modes it is ({n}, n_pairs)"
                 )
             if not np.isfinite(amplitudes).all():
                 raise DataError("amplitudes has a value that is not finite")
@@ -131,9 +128,7 @@ class MeasuredModes:
 
     def __repr__(self) -> str:
         f = self.frequencies
-        return (
-            f"<MeasuredModes: {f.size} from {f[0]:.1f} to {f[-1]:.1f} Hz, {len(self.pairs)} pairs>"
-        )
+        return f"<MeasuredModes: {f.size} from {f[0]:.1f} to {f[-1]:.1f} Hz>"
 
     @property
     def decay_times(self) -> Array:
@@ -148,17 +143,8 @@ class MeasuredModes:
             raise DataError(
                 f"chosen = {checks.shown(chosen)}: modes are 0 to {self.decays.size - 1}"
             )
-        return MeasuredModes(
-            frequencies=self.frequencies[rows],
-            decays=self.decays[rows],
-            decay_uncertainty=self.decay_uncertainty[rows],
-            frequency_uncertainty=np.asarray(self.frequency_uncertainty)[rows],
-            pairs=self.pairs,
-            amplitudes=None if self.amplitudes is None else self.amplitudes[rows],
-            calculated=None if self.calculated is None else self.calculated[rows],
-            largest=self.largest,
-            notes=self.notes,
-        )
+        of_modes = {name: getattr(self, name) for name in _OF_MODES}
+        return replace(self, **{n: v[rows] for n, v in of_modes.items() if v is not None})
 
 
 @checked
@@ -181,7 +167,7 @@ def read(path: str | os.PathLike[str]) -> MeasuredModes:
     ...     with open(path, "w") as file:
     ...         _ = file.write("frequency,T,u_T\n34.1,1.33,0.05\n42.7,1.15,0.04\n")
     ...     print(read(path))
-    <MeasuredModes: 2 from 34.1 to 42.7 Hz, 0 pairs>
+    <MeasuredModes: 2 from 34.1 to 42.7 Hz>
     """
     place = os.fspath(checks.path("path", path))
     text = read_text(path, MAX_BYTES)

@@ -9,7 +9,7 @@ observation of the bands' own coefficients, and the remainder is an error of it.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -38,15 +38,9 @@ _STEP = 10.0
 class AtFrequencies:
     """The coefficients of a room's materials at single frequencies.
 
-    Attributes
-    ----------
-    mean, sigma : array (n_materials, n_frequencies)
-        Prior of alpha there.
-    weights : array (n_frequencies, n_bands)
-        W of the errors in prior sigmas.
-    remainder : array (n_frequencies, n_frequencies)
-        R in prior variances.
-    prior : Room
+    ``mean`` and ``sigma`` (n_materials, n_frequencies) are alpha's prior there, ``weights``
+    (n_frequencies, n_bands) W of the errors in prior sigmas, and ``remainder`` (n_frequencies,
+    n_frequencies) R in prior variances.
     """
 
     mean: Array
@@ -56,21 +50,12 @@ class AtFrequencies:
     prior: Room
 
     @classmethod
-    def of(cls, room: Room, frequencies: Array, correlation: float) -> AtFrequencies:
-        """Return a room's coefficients at these frequencies in Hz, (n_frequencies,).
-
-        Examples
-        --------
-        >>> room = Room(name="box", volume=60, materials=["wall"], areas=[94], alpha=[[0.1, 0.2]],
-        ...             sigma=[[0.1, 0.1]], centre_frequencies=[63, 125])
-        >>> at = AtFrequencies.of(room, np.array([31.25, 88.4]), 0.7)
-        >>> print(at.mean.round(3), at.weights.round(3).tolist())
-        [[0.1   0.149]] [[0.697, 0.0], [0.498, 0.487]]
-        """
+    def of(cls, room: Room, frequencies: Array) -> AtFrequencies:
+        """Return the coefficients of a room with correlated bands at these frequencies in Hz."""
         bands, places = np.log2(room.centre_frequencies), np.log2(frequencies)
 
         def between(a: Array, b: Array) -> Array:
-            return np.asarray(correlation ** np.abs(a[:, np.newaxis] - b))
+            return np.asarray(room.band_correlation ** np.abs(a[:, np.newaxis] - b))
 
         across = between(places, bands)
         weights: Array = np.asarray(np.linalg.solve(between(bands, bands), across.T).T)
@@ -101,47 +86,34 @@ class AtFrequencies:
 class RoomPoles:
     """The room's poles as functions of alpha in its bands.
 
-    ``chosen`` are the modes whose decays are compared, or all.
+    ``room`` states the correlation of its bands. ``chosen`` are the modes whose decays are compared, or
+    all.
     """
 
     room: Room
     modes: RoomModes
-    correlation: float
-    phases: Array
     chosen: tuple[int, ...] | None = None
     known: dict[bytes, tuple[Array, Array, Array]] = field(default_factory=dict)
 
     @classmethod
-    def of(
-        cls,
-        room: Room,
-        largest: float,
-        *,
-        geometry: Polyhedron | None = None,
-        room_modes: RoomModes | None = None,
-        frequency_correlation: float | None = None,
-        phases: Mapping[str, float] | None = None,
-    ) -> RoomPoles:
+    def of(cls, room: Room, largest: float, geometry: Polyhedron | None = None) -> RoomPoles:
         """Return the poles of a room's modes up to at least ``largest`` in Hz.
 
         Errors as `rtcal.calibrate_modes`.
         """
         checks.instance("room", room, Room)
-        correlation = _correlation(room, frequency_correlation)
-        turned = _phases(room, phases)
-        if room_modes is None:
-            geometry = geometry_files.read(room) if geometry is None else geometry
-            # In steps, so that another measurement of the room needs the same modes.
-            top = _STEP * float(np.ceil(largest / _STEP - 1e-9))
-            room_modes = modes_of(geometry, top, (room.air or Air()).speed_of_sound)
-        if not room_modes.wanted:
-            raise DataError(f"the room has no mode up to {room_modes.largest:g} Hz")
-        return cls(room.replace(band_correlation=correlation), room_modes, correlation, turned)
+        geometry = geometry_files.read(room) if geometry is None else geometry
+        # In steps, so that another measurement of the room needs the same modes.
+        top = _STEP * float(np.ceil(largest / _STEP - 1e-9))
+        modes = modes_of(geometry, top, (room.air or Air()).speed_of_sound)
+        if not modes.wanted:
+            raise DataError(f"the room has no mode up to {modes.largest:g} Hz")
+        return cls(room.replace(band_correlation=room.band_correlation or CORRELATION), modes)
 
     @cached_property
     def at(self) -> AtFrequencies:
         """The coefficients at the modes' frequencies, those that complete the shapes as well."""
-        return AtFrequencies.of(self.room, self.modes.frequencies, self.correlation)
+        return AtFrequencies.of(self.room, self.modes.frequencies)
 
     @cached_property
     def rows(self) -> list[int]:
@@ -162,8 +134,7 @@ class RoomPoles:
     def _admittances(self, alpha: Array) -> Admittances:
         """Return the walls' admittances; between the modes' frequencies they are interpolated."""
         f = self.modes.frequencies
-        rows = zip(self.at.alpha(alpha), self.phases, strict=True)
-        beta = np.stack([admittance(a, p) for a, p in rows])
+        beta = admittance(self.at.alpha(alpha))
 
         def admittances(frequency: float) -> NDArray[np.complex128]:
             return np.array([np.interp(frequency, f, row) for row in beta])[self.rows]
@@ -204,10 +175,7 @@ class RoomPoles:
 
     def _linear(self, alpha: Array) -> tuple[Array, Array, Array]:
         poles, columns = self.poles(alpha), list(self.chosen or ())
-        at = self.at.alpha(alpha)[:, columns]
-        beta_slope = np.stack(
-            [admittance_slope(a, p) for a, p in zip(at, self.phases, strict=True)]
-        )
+        beta_slope = admittance_slope(self.at.alpha(alpha)[:, columns])
         by_material = np.zeros((len(columns), self.room.n_materials), dtype=complex)
         for wall, row in enumerate(self.rows):
             by_material[:, row] += poles.slopes[:, wall]
@@ -219,20 +187,3 @@ class RoomPoles:
         air = self.room.air_attenuation * self.modes.speed_of_sound / 2
         decays = poles.decays + np.interp(poles.frequencies, self.room.centre_frequencies, air)
         return decays, matrix.reshape(len(columns), -1), remainder
-
-
-def _phases(room: Room, phases: Mapping[str, float] | None) -> Array:
-    stated = checks.mapped("phases", phases or {})
-    out = np.zeros(room.n_materials)
-    for name, value in stated.items():
-        out[room.material_index(name)] = checks.number(f'phases["{name}"]', value)
-    return out
-
-
-def _correlation(room: Room, stated: float | None) -> float:
-    if stated is None:
-        return room.band_correlation or CORRELATION
-    value = checks.number("frequency_correlation", stated)
-    if not 0 <= value < 1:
-        raise DataError(f"frequency_correlation = {value:g} is not from 0 to below 1")
-    return value

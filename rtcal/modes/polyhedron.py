@@ -2,8 +2,8 @@
 
 Quadratic tetrahedra of scikit-fem (Gustafsson & McBain 2020) on a mesh that fills the room exactly
 (`rtcal.modes.tetrahedra`). Their frequencies err by the fourth power of the spacing; in a room with
-edges that stand out into it, by its power of 4/3 (Strang & Fix 1973, Ch. 6 and 8). A second, coarser
-mesh says by how much. No other module imports scikit-fem (``rtcal[modes]``).
+edges that stand out into it, by its power of 4/3 (Strang & Fix 1973, Ch. 6 and 8). No other module
+imports scikit-fem (``rtcal[modes]``).
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ from rtcal.modes.box import BEYOND, box_modes
 from rtcal.modes.room_modes import RoomModes
 from rtcal.modes.tetrahedra import fill
 from rtcal.simulators.geometry import SHOEBOX_WALLS, Polyhedron
+from rtcal.simulators.triangles import distances
 from rtcal.support import checks
 from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError, MissingDependencyError
@@ -25,13 +26,8 @@ from rtcal.support.types import Array
 
 PER_WAVELENGTH = 3.5
 """Grid lines per wavelength of the highest mode that is wanted."""
-_COARSER = 2.0
-_AT_LEAST = 1.5
-"""Factor of the spacing of the coarser mesh, and the least that whole numbers of cells leave of it."""
-_SINGULAR = 4 / 3
-"""Power of the spacing with which a frequency converges at an edge that stands out into the room."""
 _PLANE = 1e-3
-"""Distance in m from the plane of a wall within which the boundary of the mesh belongs to it."""
+"""Distance in m from a wall within which the boundary of the mesh belongs to it."""
 _PATTERN = 0.3
 """Share of the largest power of the modes' patterns on a wall, from which one is answered."""
 _APART = 1e-3
@@ -76,8 +72,6 @@ def modes_of(
     >>> box = Polyhedron.shoebox((5, 4, 2.5), "plaster")
     >>> print(modes_of(box, 50).frequencies[:2])
     [34.32 42.9 ]
-    >>> print(modes_of(box, 50, spacing=1.0).frequencies[:2].round(2))
-    [34.32 42.91]
     """
     checks.instance("geometry", geometry, Polyhedron)
     largest = checks.positive("largest", largest, "Hz")
@@ -98,17 +92,13 @@ def modes_of(
 
 def _by_elements(geometry: Polyhedron, largest: float, c: float, spacing: float) -> RoomModes:
     top = BEYOND * largest
-    coarse = _Elements.of(geometry, _COARSER * spacing).eigenmodes(geometry, top, c)[0]
     elements = _Elements.of(geometry, spacing)
     frequencies, vectors = elements.eigenmodes(geometry, top, c)
-    n = min(len(frequencies), len(coarse))
-    error = np.abs(coarse[:n] - frequencies[:n]) / frequencies[:n] / (_AT_LEAST**_SINGULAR - 1)
     walls = _integrals(elements.basis, geometry)
     more, answers = elements.answers(vectors, walls, c)
     # The constant one, of frequency 0, is the first that was found, and stands last.
     vectors = np.hstack([vectors[:, 1:], answers, vectors[:, :1]])
     frequencies = np.concatenate([frequencies, more])
-    error = np.concatenate([error, np.full(len(frequencies) - n, error.max(initial=0.0))])
     coupling = np.stack([vectors.T @ (wall @ vectors) for wall in walls])
 
     def shapes(points: Array) -> Array:
@@ -121,12 +111,10 @@ def _by_elements(geometry: Polyhedron, largest: float, c: float, spacing: float)
     return RoomModes(
         frequencies=frequencies,
         coupling=coupling,
-        walls=tuple(geometry.names),
         materials=tuple(geometry.materials),
         speed_of_sound=c,
         largest=largest,
         shapes=shapes,
-        error=error,
     )
 
 
@@ -211,22 +199,10 @@ def _integrals(basis: Any, geometry: Polyhedron) -> list[Any]:
 
 def _walls_of(points: Array, geometry: Polyhedron) -> NDArray[np.intp]:
     """Return the wall on which each point lies, (n_points,)."""
-    a, b, c = (geometry.triangles[:, k] for k in range(3))
-    normal = np.cross(b - a, c - a)
-    size = np.linalg.norm(normal, axis=1)
-    off = np.abs(np.einsum("ptk,tk->pt", points[:, np.newaxis] - a, normal / size[:, np.newaxis]))
-    # The smallest of the three barycentric coordinates is 0 or more within a triangle.
-    within = np.min(
-        [
-            np.einsum("ptk,tk->pt", np.cross(q - p, points[:, np.newaxis] - p), normal) / size**2
-            for p, q in ((a, b), (b, c), (c, a))
-        ],
-        axis=0,
-    )
-    best = np.where(off < _PLANE, within, -np.inf).argmax(axis=1)
-    if (within[np.arange(len(points)), best] < -1e-6).any():
+    off = distances(points, geometry.triangles)
+    if (off.min(axis=1) > _PLANE).any():
         raise DataError("a wall of the mesh overlaps another: the mesh's boundary is not its faces")
-    return np.asarray(geometry.triangle_faces[best])
+    return np.asarray(geometry.triangle_faces[off.argmin(axis=1)])
 
 
 def _library() -> Any:

@@ -19,14 +19,12 @@ from rtcal.modes.fit import AMPLITUDE, Point, Spectra, fitted
 from rtcal.modes.matching import DECAY_ERROR
 from rtcal.modes.measured import MeasuredModes
 from rtcal.modes.model import ABOVE, RoomPoles
-from rtcal.modes.room_modes import RoomModes
 from rtcal.simulators.geometry import Polyhedron
 from rtcal.support import checks
 from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError
 from rtcal.support.types import Array
 
-LEAST_PAIRS = 2
 LARGEST_ERROR = 0.5
 """Largest relative uncertainty of a decay that is used."""
 UNEXPLAINED = 0.2
@@ -51,7 +49,6 @@ def find_modes(
     lowest: float = 20.0,
     highest: float = 150.0,
     geometry: Polyhedron | None = None,
-    room_modes: RoomModes | None = None,
 ) -> MeasuredModes:
     """Find the modes of a room in impulse responses at several positions.
 
@@ -69,8 +66,6 @@ def find_modes(
         Hz within which modes are sought.
     geometry : Polyhedron, optional
         In place of the room's scene.
-    room_modes : RoomModes, optional
-        Modes that were calculated before, up to 1.08 times ``highest`` or above.
 
     Raises
     ------
@@ -97,7 +92,7 @@ def find_modes(
     """
     pairs = checks.pairs("pairs", pairs)
     signals = _checked(responses, rate, pairs, lowest, highest)
-    model = RoomPoles.of(room, ABOVE * highest, geometry=geometry, room_modes=room_modes)
+    model = RoomPoles.of(room, ABOVE * highest, geometry)
     heard = Spectra.of(signals, rate, lowest, highest)
     fit = fitted(heard, model.calculated, model.amplitudes(pairs))
     if max(fit.unexplained, fit.strange) > UNEXPLAINED:
@@ -109,13 +104,7 @@ def find_modes(
     return _told(fit, pairs, model.modes.largest, lowest, highest)
 
 
-def modes_in(
-    room: Room,
-    responses: Responses,
-    *,
-    geometry: Polyhedron | None = None,
-    room_modes: RoomModes | None = None,
-) -> MeasuredModes:
+def modes_in(room: Room, responses: Responses, geometry: Polyhedron | None) -> MeasuredModes:
     """Return the modes of a SOFA file's responses, of the first channel; errors as `find_modes`.
 
     A pair that was measured several times counts once.
@@ -124,8 +113,7 @@ def modes_in(
     for pair, samples in zip(responses.pairs, responses.samples, strict=True):
         first.setdefault(pair, samples[0])
     heard = np.array([*first.values()])
-    rate = responses.sampling_rate
-    return find_modes(room, heard, rate, [*first], geometry=geometry, room_modes=room_modes)
+    return find_modes(room, heard, responses.sampling_rate, [*first], geometry=geometry)
 
 
 def _checked(
@@ -138,10 +126,8 @@ def _checked(
             f"responses has shape {signals.shape}; with {len(pairs)} pairs it is ({len(pairs)}, "
             "n_samples)"
         )
-    if len(pairs) < LEAST_PAIRS:
-        raise DataError(
-            f"responses has {len(pairs)} pair; modes need {LEAST_PAIRS}, of different positions"
-        )
+    if len(pairs) < 2:
+        raise DataError(f"responses has {len(pairs)} pair; modes need 2, of different positions")
     if not np.isfinite(signals).all():
         raise DataError("responses has a value that is not finite")
     if not 0 < lowest < highest <= rate / 2.5:
@@ -202,7 +188,6 @@ def _told(
         decays=decays,
         decay_uncertainty=relative[chosen] * decays,
         frequency_uncertainty=np.maximum(_INFLATED * np.sqrt(variance[chosen]), 1e-3),
-        pairs=pairs,
         amplitudes=fit.own[chosen],
         calculated=chosen,
         largest=largest,

@@ -15,7 +15,7 @@ from rtcal.acoustics.room import Room
 from rtcal.acoustics.room_errors import prior_covariance
 from rtcal.acoustics.trust import TrustMark, uncarried_mark
 from rtcal.calibration.certificate import Certificate
-from rtcal.calibration.nonlinear import gain, learned_materials
+from rtcal.calibration.nonlinear import gain
 from rtcal.calibration.problem_data import MeasuredTimes, data_history
 from rtcal.calibration.result import CalibrationResult
 from rtcal.modes.measured import MeasuredModes
@@ -29,6 +29,7 @@ from rtcal.support.types import Array
 KIND = "modes 1"
 CARRIED = 3
 """Modes in or below a band from which its mark of the Schroeder frequency falls away."""
+_HEADER = ["mode / Hz", "T / s", "before", "after", "tells most of"]
 _REACH = 2.0
 """Ratio of frequencies within which a mode below the lowest band carries it."""
 
@@ -145,12 +146,6 @@ class ModesResult(Result):
         return np.asarray(each.T.reshape(len(off), *self.prior.alpha.shape))
 
     @cached_property
-    def learned(self) -> tuple[tuple[str, float, float], ...]:
-        """Materials with prior and posterior sigma (rms over the low bands), most learned first."""
-        low = self.below if self.below.any() else np.ones(self.prior.n_bands, dtype=bool)
-        return learned_materials(self.prior, self.sigma, low)
-
-    @cached_property
     def carried(self) -> NDArray[np.bool_]:
         """Bands below the Schroeder frequency that at least three used modes carry, (n_bands,)."""
         f, centres = self.modes.frequencies[self.used], self.prior.centre_frequencies
@@ -207,8 +202,7 @@ class ModesResult(Result):
     def _material_rows(self) -> list[tuple[str, list[str]]]:
         low, ends = np.flatnonzero(self.below), self.interval
         rows = []
-        for name, _, _ in self.learned:
-            i = self.prior.material_index(name)
+        for i, name in enumerate(self.prior.materials):
             cells = [
                 f"{self.prior.alpha[i, k]:.2f} > {self.alpha[i, k]:.2f} "
                 f"({ends[0][i, k]:.2f}-{ends[1][i, k]:.2f})"
@@ -219,10 +213,7 @@ class ModesResult(Result):
 
     def __str__(self) -> str:
         low = self.prior.centre_frequencies[self.below]
-        lines = text.table(
-            self.mode_rows,
-            header=("mode / Hz", ["T / s", "before", "after", "tells most of"]),
-        )
+        lines = text.table(self.mode_rows, header=(_HEADER[0], _HEADER[1:]))
         table = self._material_rows(), ("alpha (90 %)", [bands.label(f) for f in low])
         lines += ["", *text.table(table[0], header=table[1])]
         lines.append("")
@@ -232,9 +223,8 @@ class ModesResult(Result):
 
     def _repr_html_(self) -> str:
         """Return the table of the modes."""
-        header = ["mode / Hz", "T / s", "before", "after", "tells most of"]
         cells: list[list[str | text.Cell]] = [[name, *row] for name, row in self.mode_rows]
-        return text.html_table(self._description, header, cells, self.every_note)
+        return text.html_table(self._description, _HEADER, cells, self.every_note)
 
     @property
     def every_note(self) -> list[str]:

@@ -46,8 +46,6 @@ class RoomModes:
     coupling : array (n_walls, n_modes + 1, n_modes + 1)
         B in 1/m: integrals over each wall of the products of two modes. Last is that of frequency 0,
         the constant pressure.
-    walls : sequence of str (n_walls,)
-        Names of the walls.
     materials : sequence of str (n_walls,)
         The material of each wall.
     speed_of_sound : float
@@ -56,38 +54,25 @@ class RoomModes:
         Frequency in Hz up to which modes are wanted; those above it complete the others' shapes.
     shapes : function
         Of points (n_points, 3) in m: the modes' values there, (n_points, n_modes + 1), in m^(-3/2).
-    error : array (n_modes,)
-        Estimated relative error of the frequencies by discretisation.
 
     Examples
     --------
-    Of a box, to the first order:
-
     >>> import rtcal as rt
-    >>> modes = rt.modes.box_modes((5, 4, 2.5), ["wall"] * 6, largest=60)
-    >>> beta = np.full((6, modes.wanted), 0.01 + 0j)
-    >>> print(modes.frequencies[:2].round(1), modes.first_order(beta)[:2].round(2))
-    [34.3 42.9] [3.6  3.78]
+    >>> rt.modes.modes_of(rt.simulators.Polyhedron.shoebox((5, 4, 2.5), "wall"), 60).wanted
+    3
     """
 
     frequencies: Array
     coupling: Array
-    walls: Sequence[str]
     materials: Sequence[str]
     speed_of_sound: float
     largest: float
     shapes: Callable[[Array], Array]
-    error: Array
 
     @property
     def wanted(self) -> int:
         """Number of modes up to ``largest``."""
         return int(np.searchsorted(self.frequencies, self.largest, side="right"))
-
-    def first_order(self, beta: NDArray[np.complex128]) -> Array:
-        """Return delta to the first order in 1/s, (wanted,); ``beta`` (n_walls, wanted)."""
-        of_walls = np.einsum("imm->im", self.coupling)[:, : self.wanted]
-        return np.asarray(self.speed_of_sound / 2 * (beta.real * of_walls).sum(axis=0))
 
     def poles(self, admittances: Admittances, like: NDArray[np.complex128] | None = None) -> Poles:
         """Return the poles of the modes up to ``largest``.
@@ -110,7 +95,7 @@ class RoomModes:
         alike = vectors[:n] if like is None else like.conj().T @ vectors
         chosen = _by_mode(np.abs(alike) ** 2)
         poles, shapes = first[chosen], vectors[:, chosen]
-        slopes = np.empty((len(chosen), len(self.walls)), dtype=complex)
+        slopes = np.empty((len(chosen), len(self.materials)), dtype=complex)
         norms = np.empty(len(chosen), dtype=complex)
         for k in range(len(chosen)):
             poles[k], shapes[:, k], slopes[k], norms[k] = self._refined(

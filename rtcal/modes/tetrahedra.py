@@ -21,6 +21,7 @@ Integers = NDArray[np.int64]
 
 MOST = 150_000
 """Largest number of tetrahedra."""
+_TOO_MANY = f"the room's {{}} need over {MOST} tetrahedra: state a mesh without small objects"
 _NEAR = 1e-7
 """Distance in m within which a vertex lies on a plane."""
 _MOVED = 0.2
@@ -33,20 +34,10 @@ def fill(geometry: Polyhedron, spacing: float) -> tuple[Array, Integers]:
 
     ``spacing`` is the largest distance of grid lines in m. Raises ModelError for a room that would need
     more than `MOST` tetrahedra.
-
-    Examples
-    --------
-    >>> box = Polyhedron.shoebox((4, 3, 2), "plaster")
-    >>> points, tetrahedra = fill(box, 1.0)
-    >>> len(points), len(tetrahedra)
-    (60, 144)
     """
     lines = [_lines(geometry.vertices[:, axis], spacing) for axis in range(3)]
     if 6 * np.prod([len(line) - 1.0 for line in lines]) > MOST:
-        raise ModelError(
-            f"the room's corners need over {MOST} tetrahedra: state a simpler mesh, without small "
-            "objects, which low modes do not see"
-        )
+        raise ModelError(_TOO_MANY.format("corners"))
     points, tetrahedra = _kuhn(lines)
     planes = _oblique(geometry)
     fixed = _on_axial_walls(points, geometry)
@@ -56,10 +47,7 @@ def fill(geometry: Polyhedron, spacing: float) -> tuple[Array, Integers]:
         points, tetrahedra = _cut(points, tetrahedra, normal, offset)
         fixed = np.append(fixed, np.ones(len(points) - len(fixed), dtype=bool))
         if len(tetrahedra) > MOST:
-            raise ModelError(
-                f"the room's {len(planes)} oblique planes need over {MOST} tetrahedra: state a "
-                "simpler mesh, without small objects, which low modes do not see"
-            )
+            raise ModelError(_TOO_MANY.format(f"{len(planes)} oblique planes"))
     corners = points[tetrahedra]
     size = np.abs(np.linalg.det(corners[:, 1:] - corners[:, :1]))
     tetrahedra = tetrahedra[size > 1e-12]

@@ -103,7 +103,12 @@ def winding_number(points: Array, triangles: Array) -> Array:
 
 
 def distance(points: Array, triangles: Array) -> Array:
-    """Return each point's distance in m from the nearest triangle, (n_points,).
+    """Return each point's distance in m from the nearest triangle, (n_points,); see `distances`."""
+    return np.asarray(np.min(distances(points, triangles), axis=-1))
+
+
+def distances(points: Array, triangles: Array) -> Array:
+    """Return each point's distance in m from each triangle, (n_points, n_triangles).
 
     The distance is perpendicular if the foot lies in the triangle, else that from the nearest edge.
     """
@@ -121,4 +126,4 @@ def distance(points: Array, triangles: Array) -> Array:
         share = np.sum((p - start) * edge, axis=-1) / np.sum(edge * edge, axis=-1)
         on_edge = start + np.clip(share, 0, 1)[..., np.newaxis] * edge
         nearest = np.minimum(nearest, np.linalg.norm(p - on_edge, axis=-1))
-    return np.asarray(np.min(np.where(inside, np.abs(height), nearest), axis=-1))
+    return np.asarray(np.where(inside, np.abs(height), nearest))
