@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 import rtcal as rt
 from rtcal import terms
 from rtcal.calibration.configurations import Configurations
+from rtcal.calibration.nonlinear import Taken, gauss_newton
 from rtcal.calibration.presets import METHODS, preset
 from rtcal.support.errors import ModelError
 from tests.conftest import random_room, true_times
@@ -435,3 +436,43 @@ def test_terms_can_be_added_by_sum() -> None:
     for other in (1, 0.0, "prior", None):
         with pytest.raises(ModelError, match="is not an objective term"):
             other + prior  # type: ignore[operator]
+
+
+class Tangent:
+    """The root of x² = 2, linearised in x."""
+
+    def __init__(self, x: np.ndarray) -> None:
+        self.x, self.step = x, (2 - x**2) / (2 * x)
+
+    def towards(self, share: np.ndarray) -> np.ndarray:
+        return self.x + share * self.step
+
+    def worse(self, end: np.ndarray) -> np.ndarray:
+        return np.abs(end**2 - 2) > np.abs(self.x**2 - 2)
+
+
+@pytest.mark.parametrize(("most", "settled"), [(9, True), (2, False)])
+def test_steps_say_whether_they_settled(most: int, settled: bool) -> None:
+    def small(taken: Taken[Tangent]) -> bool:
+        return bool(np.abs(taken.model.step).max() < 1e-6)
+
+    path = gauss_newton(np.array([1.0]), Tangent, most=most, halvings=3, settled=small)
+    assert path.settled is settled
+    assert len(path.steps) == (5 if settled else most)
+    assert path.end == pytest.approx(np.sqrt(2), abs=1e-9 if settled else 0.01)
+
+
+def test_correlations_between_materials_are_pairs_or_their_matrix() -> None:
+    room = random_room(np.random.default_rng(3))
+    matrix = np.eye(room.n_materials)
+    matrix[1, 3] = matrix[3, 1] = 0.5
+    t = 0.9 * rt.Eyring().reverberation_time(room)
+    alike, apart, pairs = (
+        rt.Calibration(terms.PriorDeviation(material_correlation=stated), [terms.ExactMatch()])
+        .build(room)
+        .solve(t)
+        .alpha
+        for stated in (matrix, {}, {("m1", "m3"): 0.5})
+    )
+    np.testing.assert_allclose(alike, pairs, rtol=0, atol=1e-10)
+    assert np.abs(alike - apart).max() > 1e-4
