@@ -46,10 +46,6 @@ MINIMUM_TIMES = 0.0
 MINIMUM_LEVELS = 0.5
 """The same with C80 or G. The model errs more in them than its control rooms do: of 36 development
 rooms of the second world that lack nothing, 6 lie above 95 % of the bootstrap's (1 without levels)."""
-MINIMUM_UNSTATED = 1.6
-"""The same where C80 or G have no stated uncertainty, as it stands for positions too. It is the
-smallest of those tried that flags at most 5 % of 25 development rooms that lack nothing: 0.5 flags 5,
-1.1 three, 1.3 two and 1.6 one."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -176,8 +172,6 @@ def bootstrap_threshold(
 
 def smallest(observed: ObservedFeatures) -> float:
     """Return the smallest threshold for these data, in nats."""
-    if observed.unstated & {*LEVELS}:
-        return MINIMUM_UNSTATED
     levels = [FEATURES.index(name) for name in LEVELS]
     return MINIMUM_LEVELS if observed.used[:, levels].any() else MINIMUM_TIMES
 

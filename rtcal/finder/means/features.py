@@ -47,15 +47,12 @@ class ObservedFeatures:
         R, the measurement covariance of the features in use.
     origin : str
         Where the uncertainties come from, in words.
-    unstated : frozenset of str
-        The parameters without a stated uncertainty.
     """
 
     features: Array
     used: Array
     covariance: Array
     origin: str = ""
-    unstated: frozenset[str] = frozenset()
 
     @cached_property
     def values(self) -> Array:
@@ -101,8 +98,7 @@ def observe(case: Case) -> tuple[ObservedFeatures, list[str]]:
         )
     words = "; ".join(f"{', '.join(ps)}: {origin}" for origin, ps in origins.items())
     covariance = full.reshape(size, size)[np.ix_(flat, flat)]
-    unstated = frozenset(p.lower() for p in origins.get(MADE, ()))
-    return ObservedFeatures(table, used, covariance, f"uncertainty of {words}", unstated), notes
+    return ObservedFeatures(table, used, covariance, f"uncertainty of {words}"), notes
 
 
 def _features(configuration: Configuration, origins: dict[str, list[str]]) -> tuple[Array, Array]:

@@ -70,7 +70,7 @@ class MeansHypotheses:
         Standard deviation of the relative error of the change of each feature by itself.
     applied : LowRank
         Covariance over all features, raveled, from the uncertainty of the effects that the model has
-        already, and of distances that are not stated.
+        already, of stated changes of materials, and of distances that are not stated.
     effects : mapping of str to Effect
     """
 
@@ -201,7 +201,10 @@ def _check_finite(
 
 
 def _applied(case: Case) -> LowRank:
-    """Return the covariance over all features, raveled, of distances, applied sizes and misfits."""
+    """Return the covariance over all features, raveled.
+
+    Of distances, of stated changes, and of applied sizes and misfits.
+    """
 
     def features(applied: Sequence[AppliedEffect]) -> Array:
         changed = replace(case, applied=applied)
@@ -212,9 +215,9 @@ def _applied(case: Case) -> LowRank:
             ]
         ).ravel()
 
-    columns = [_distance_errors(case)]
-    diagonal = np.zeros(len(columns[0]))
-    base = features(case.applied) if case.applied else diagonal
+    changed = _change_errors(case)
+    columns, diagonal = [_distance_errors(case), changed.factor], changed.diagonal
+    base = features(case.applied) if case.applied else np.zeros_like(diagonal)
     for i, a in enumerate(case.applied):
         if a.size_sigma > 0:
             size, most = (
@@ -253,6 +256,36 @@ def _distance_errors(case: Case) -> Array:
             far = predict(s, at * np.exp(DISTANCE_ERROR)).features[0]
             shift[i, ..., i] = far - predict(s, at).features[0]
     return shift.reshape(-1, count)
+
+
+def _change_errors(case: Case) -> LowRank:
+    """Return the covariance over all features, raveled, of what stated changes of materials cause.
+
+    A changed material stands somewhere, as an effect does, and the formula errs in proportion to what
+    it changes, as for any effect. Configurations with the same changes share the common part.
+    """
+    made: dict[tuple[tuple[str, bytes], ...], Array] = {}
+    shape = (len(case.configurations), len(FEATURES), case.room.n_bands)
+    diagonal = np.zeros(shape)
+    feature = np.repeat(np.arange(len(FEATURES)), case.room.n_bands)
+    common, _, _ = Effect.spectrum_error
+    errors = np.full((feature.size, 1), common)
+    for i, c in enumerate(case.configurations):
+        if not c.changes:
+            continue
+        both = [state(case, replace(c, changes=changes)) for changes in ({}, c.changes)]
+        before, after = predict(both, distances(case, c)).features
+        d = after - before
+        amount = np.broadcast_to(d[:1], d.shape).ravel()
+        error = misfit(d.ravel(), amount, feature, errors, Effect.formula_error)
+        diagonal[i] = error.diagonal.reshape(d.shape)
+        key = tuple(sorted((m, change.alpha.tobytes()) for m, change in c.changes.items()))
+        columns = made.setdefault(key, np.zeros((*shape, error.factor.shape[1])))
+        columns[i] = error.factor.reshape(*d.shape, -1)
+    factor = [columns.reshape(diagonal.size, -1) for columns in made.values()]
+    return LowRank(
+        np.concatenate([np.zeros((diagonal.size, 0)), *factor], axis=1), diagonal.ravel()
+    )
 
 
 def spectrum_errors(effect: Effect, frequencies: Array) -> Array:
