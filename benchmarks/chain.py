@@ -11,8 +11,10 @@ finder reads the same rooms. A row is stored room by room. `table` prints what w
 is hidden, what was detected and claimed, and the same at equal false alarms: the threshold that one in
 20 of the rooms with nothing hidden passes. Last, how often each verdict was right.
 
-The stored rows are of the present likelihood ("chosen") and of another one ("mean of normal
-densities"), which was frozen before the rooms were drawn (docs/discrepancy_study.md).
+The stored rows are of the present rule ("chosen") and of the one before it ("before"; of what it
+changes only). Those of a likelihood that was not taken ("mean of normal densities", and "beside it" the
+rule of that day) are of earlier rooms. Each rule was frozen before its rooms were read
+(docs/discrepancy_study.md).
 """
 
 from __future__ import annotations
@@ -22,7 +24,9 @@ import gzip
 import json
 import time
 import warnings
+from collections import Counter
 from collections.abc import Iterator, Mapping
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 from unittest import mock
@@ -56,11 +60,13 @@ CHAIN = {
 }
 SECOND = "and a second configuration"
 SETTINGS: dict[str, dict[str, float]] = {
-    "chosen": {},
+    "chosen": {"COARSENING": likelihood.COARSENING},
     "full power": {"COARSENING": np.inf},
     "full power, normal": {"COARSENING": np.inf, "DEGREES": np.inf},
 }
 """Values of `rtcal.finder.means.likelihood` that are tried."""
+TRIED = ("chosen", "before", "mean of normal densities", "beside it")
+"""Of the rows that are stored."""
 STORED = Path(__file__).with_name("chain.json.gz")
 Room = tuple[int, int, int]
 """World, kind and number."""
@@ -185,6 +191,22 @@ def table(rows: Mapping[str, dict[str, Any]], setting: str) -> None:
             print(f"seconds of processor, mean {np.mean(seconds):.2f}")
 
 
+def steps(rows: Mapping[str, dict[str, Any]]) -> None:
+    """Print what each step of the chain detects more and less, in the same rooms."""
+    for world in POPULATIONS:
+        for fewer, more in pairwise((*CHAIN, SECOND)):
+            counts = Counter[tuple[bool, bool]]()
+            for room, row in rows.items():
+                if room.startswith(f"{world}_") and fewer in row and more in row:
+                    kinds = (judged({room: row}, world, data)[0] for data in (fewer, more))
+                    first, second = kinds
+                    counts[first.flagged, second.flagged] += not first.nothing
+            if counts.total():
+                gained, lost = counts[False, True], counts[True, False]
+                print(f"world {world}, {fewer} -> {more}: {gained} more, {lost} fewer, ", end="")
+                print(f"of {counts.total()}")
+
+
 def record(rows: Mapping[str, dict[str, Any]]) -> None:
     """Print how often each verdict was right: T20, EDT and T30, and the case as it is stated."""
     times: list[Judged] = []
@@ -217,10 +239,11 @@ def main() -> None:
             parser.error("--folder is needed")
         run(given.folder, given.setting or "chosen", given.empty, given.each)
         return
-    both = ("chosen", "mean of normal densities") if given.folder is None else ("chosen",)
+    both = TRIED if given.folder is None else ("chosen",)
     for setting in (given.setting,) if given.setting else both:
         rows = rows_of(given.folder, setting)
         table(rows, setting)
+        steps(rows)
         record(rows)
 
 

@@ -8,6 +8,7 @@
     python -m benchmarks.second_world bound --folder out --population 1      # what any test detects
     python -m benchmarks.second_world both --folder out                      # of all judging rows
     python -m benchmarks.second_world null --folder out --world 1   # is the threshold's rate right?
+    python -m benchmarks.second_world residuals --folder out --world 1   # are the errors as assumed?
 
 A case is judged as it is stated ("all": T20, EDT, T30, C80 and G, every second room in two
 configurations) and cut down to T20, EDT and T30 in one configuration ("one"). Rows of the first world
@@ -49,10 +50,13 @@ from rtcal.acoustics.room_errors import POWER
 from rtcal.finder import AppliedEffect, Case, library
 from rtcal.finder.means import bootstrap
 from rtcal.finder.means.bootstrap import QUANTILE
-from rtcal.finder.means.engines import ControlRooms
+from rtcal.finder.means.engines import ControlRooms, recentred
 from rtcal.finder.means.evidence import evaluate
 from rtcal.finder.means.features import observe
 from rtcal.finder.means.hypotheses import predict_hypotheses
+from rtcal.finder.means.likelihood import covariance_of
+from rtcal.finder.means.model_error import estimate_discrepancy
+from rtcal.finder.model import FEATURES
 from rtcal.finder.prior import NULL_POWER, prior_of
 from rtcal.finder.search import find
 from tests.hidden_world import generate as first_world
@@ -277,6 +281,7 @@ def bound(folder: str, world: int, population: int, step: int, label: str) -> No
         known_effect_test.detections(told[data], said[data])
 
 
+COMMANDS = ("controls", "run", "table", "bound", "null", "residuals", "both")
 NULL_POWERS = (POWER, NULL_POWER)
 
 
@@ -322,9 +327,55 @@ def scored(case: Case, controls: list[ControlRooms]) -> tuple[float, np.ndarray]
     return float(bootstrap.score(evidence, prior)), drawn.scores
 
 
+def residuals(folder: str, world: int, population: int, step: int) -> None:
+    """Print chi-square per value of each kind, given the kinds before it, where nothing is hidden.
+
+    As measured in the rooms of two configurations, and in the bootstrap's rooms.
+    """
+    warnings.simplefilter("ignore")
+    rooms, truths = (WORLDS[world].read(population, part) for part in ("case", "truth"))
+    of_kind: dict[tuple[int, str], list[np.ndarray]] = {}
+    for index in order(len(rooms), step):
+        kept = place(folder, world, population, "controls", index, "npz")
+        known = truth_of(world, truths[index])
+        case = Case.from_dict(rooms[index])
+        nothing = known is not None and NOTHING in known[0]
+        if not kept.exists() or not nothing or len(case.configurations) < 2:
+            continue
+        made = kept_controls(case, kept)
+        observed, _ = observe(case)
+        predicted, error = predict_hypotheses(case, []), estimate_discrepancy(case, made)
+        centre = (predicted.features[0].ravel() + error.bias)[observed.used.ravel()]
+        drawn = bootstrap.draw_null_features(
+            case,
+            observed,
+            predicted.applied,
+            [c.errors for c in recentred(made)],
+            np.random.default_rng(0),
+            DRAWN,
+        )
+        factor = np.linalg.cholesky(sum(covariance_of(observed, predicted, error, 0)))
+        rows = np.concatenate([observed.values[np.newaxis], drawn]) - centre
+        square = np.linalg.solve(factor, rows.T) ** 2
+        configuration, feature, _ = np.nonzero(observed.used)
+        for c, f in sorted({*zip(configuration.tolist(), feature.tolist(), strict=True)}):
+            mean = square[(configuration == c) & (feature == f)].mean(axis=0)
+            of_kind.setdefault((c, FEATURES[f]), []).append(mean)
+    for (c, name), values in of_kind.items():
+        measured, *others = np.array(values).T
+        print(
+            f"world {world}, configuration {c + 1}, {name}, {len(measured)} rooms: measured "
+            f"{measured.mean():.2f}, drawn {np.mean(others):.2f}"
+        )
+
+
+DRAWN = 100
+"""Rooms that the bootstrap draws for each measured one."""
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("what", choices=("controls", "run", "table", "bound", "null", "both"))
+    parser.add_argument("what", choices=COMMANDS)
     parser.add_argument("--folder", required=True)
     parser.add_argument("--world", type=int, choices=tuple(WORLDS), default=2)
     parser.add_argument("--population", type=int, default=0)
@@ -341,6 +392,8 @@ def main() -> None:
         both(given.folder, given.label)
     elif given.what == "null":
         null(given.folder, given.world, given.population, given.step)
+    elif given.what == "residuals":
+        residuals(given.folder, given.world, given.population, given.step)
     else:
         table(given.folder, given.world, given.population, given.label)
 
