@@ -3,13 +3,14 @@
     python -m benchmarks.where_seeds --rooms 2.21 --seeds 0,1 --paths 8000 --folder out
 
 Prints the score, with level and in situ, for each seed of the control runs and each of the paths, at
-once. What is traced is kept in the folder, so that an interrupted run goes on. A seed takes about 35 s
-of processor with 8000 paths.
+once, and the seconds of processor. What is traced is kept in the folder, so that an interrupted run
+goes on. The first of a seed's control runs and the first of a seed's paths are a whole search.
 """
 
 from __future__ import annotations
 
 import argparse
+import time
 import warnings
 from collections.abc import Iterator
 from dataclasses import replace
@@ -27,17 +28,19 @@ from tests.geometric_world.load import IN_SITU, load
 
 def scores(
     population: int, index: int, seeds: list[int], paths: int, folder: Path
-) -> Iterator[tuple[int, int, float]]:
-    """Yield the seed of the control runs, that of the paths, and the score in nats."""
+) -> Iterator[tuple[int, int, float, float]]:
+    """Yield the seeds of control runs and paths, the score in nats, and the seconds of processor."""
     case = case_of(load(population, index, IN_SITU), "level")
     case = replace(case, simulator=replace(case.simulator, n_paths=paths))
+    begin = time.process_time()
     for of_runs in seeds:
         controls = simulated_controls(
             case.simulator, case.room, parameters(case), seed=of_runs, cache=folder
         )
         for of_paths in seeds:
             found = find_by_positions(case, library(), controls, folder, of_paths, ())
-            yield of_runs, of_paths, found.score
+            yield of_runs, of_paths, found.score, time.process_time() - begin
+            begin = time.process_time()
 
 
 def main() -> None:
@@ -53,8 +56,11 @@ def main() -> None:
     for room in given.rooms.split(","):
         population, index = map(int, room.split("."))
         every = []
-        for runs, of_paths, score in scores(population, index, seeds, given.paths, given.folder):
-            print(f"{room}, control runs {runs}, paths {of_paths}: {score:+.2f}", flush=True)
+        for runs, of_paths, score, seconds in scores(
+            population, index, seeds, given.paths, given.folder
+        ):
+            said = f"{room}, control runs {runs}, paths {of_paths}: {score:+.2f}"
+            print(f"{said} in {seconds:.1f} s", flush=True)
             every.append(score)
         if len(every) > 1:
             print(f"{room}: standard deviation {np.std(every, ddof=1):.2f}", flush=True)

@@ -261,7 +261,7 @@ def _of_surfaces(
     made_of = room.material_rows(divided.geometry.materials)
     of_materials = [np.flatnonzero(made_of == row) for row in range(room.n_materials)]
     of_parts = [part.faces for part in divided.parts]
-    groups = {frozenset(f.tolist()): f for f in (*divided.surfaces, *of_parts, *of_materials)}
+    groups = {frozenset(f.tolist()): f for f in (*divided.surfaces, *of_parts)}
     by_surface = [frozenset(faces.tolist()) for faces in divided.surfaces]
     names = dict(zip(by_surface, case.faces, strict=True))
     # An alpha of 1 leaves no sound after the first reflection where a surface is all of the room.
@@ -271,6 +271,10 @@ def _of_surfaces(
         shifts[members] = _at_shares(weighing, decays) - base[..., np.newaxis]
         if members in names:
             apertures[members] = _apertures(case, weighing, names[members], decays, base)
+    # Several surfaces together: paths would be followed for long where all of them are hard.
+    other = {frozenset(f.tolist()): f for f in of_materials if frozenset(f.tolist()) not in groups}
+    for members, (decay,) in zip(other, weighing.of_groups([*other.values()], [STEP]), strict=True):
+        shifts[members] = (weighing.parameters(decay) - base)[..., np.newaxis]
     by_part = [shifts[frozenset(f.tolist())][..., :-1] for f in of_parts]
     by_material = [shifts[frozenset(f.tolist())][..., -1] for f in of_materials]
     return (
