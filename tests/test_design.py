@@ -8,6 +8,7 @@ import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -451,3 +452,37 @@ def test_a_material_of_the_catalogue_states_no_alpha() -> None:
     text = '[[material]]\nname = "c"\ncatalogue = "carpet_cotton"\nsigma = 0.4\n[[variant]]\n'
     with pytest.raises(DataError, match=r"\[\[material\]\] 1: catalogue and sigma are both stated"):
         rt.prediction.read_variants(text, room, rt.datasets.catalogue.material)
+
+
+def test_a_program_that_has_hardly_an_answer_is_decided(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where Clarabel makes no progress, another solver says whether there is one."""
+    import cvxpy as cp
+
+    solved = cp.Problem.solve
+
+    def fails(self: cp.Problem, *args: Any, solver: str, **settings: Any) -> Any:
+        if solver == cp.CLARABEL:
+            raise cp.error.SolverError("Solver 'CLARABEL' failed.")
+        return solved(self, *args, solver=solver, **settings)
+
+    expected = design(known(), TREATMENTS, TARGET)
+    monkeypatch.setattr(cp.Problem, "solve", fails)
+    found = design(known(), TREATMENTS, TARGET)
+    assert found.cost == pytest.approx(expected.cost, rel=1e-3)
+
+
+def test_rounding_draws_the_same_samples() -> None:
+    """A covariance that is another in its last digits, as on another processor, changes no sample."""
+    from rtcal.support.sampler import samples_of_normal
+
+    rng = np.random.default_rng(4)
+    n = 9
+    factor = rng.standard_normal((n, 4))
+    covariance = 0.01 * np.eye(n) + factor @ factor.T  # five eigenvalues are one: any basis will do
+    bounds = np.full(n, -1.0), np.full(n, 5.0)
+    other = covariance * (1 + 1e-12 * rng.standard_normal((n, n)))
+    a, b = (
+        samples_of_normal(np.ones(n), (c + c.T) / 2, bounds, np.ones(n), 400, 0)
+        for c in (covariance, other)
+    )
+    np.testing.assert_allclose(a, b, atol=1e-6)

@@ -163,6 +163,8 @@ TANGENTS = 16
 """Tangents to the largest allowed sd, per band."""
 _LOOSER = {"tol_gap_abs": 1e-6, "tol_gap_rel": 1e-6, "tol_feas": 1e-7}
 """Settings for numbers with which Clarabel makes no progress to its usual 1e-8."""
+_SCS = {"eps": 1e-8, "max_iters": 100_000}
+"""Settings of SCS, a first-order method, which needs many short iterations."""
 _MISSED = 1e-6
 """Largest violation of a constraint, in shares of the room's surface."""
 _GONE = 1e-7
@@ -275,9 +277,15 @@ class Program:
                     parameter.value = value
             failure = ""
             # Clarabel's workspace keeps the scaling of the numbers before, which may not suit these.
-            for kept, settings in ((True, {}), (False, {}), (False, _LOOSER)):
+            # Where an answer hardly exists, or hardly not, it makes no progress. SCS decides then.
+            for solver, kept, settings in (
+                (cp.CLARABEL, True, {}),
+                (cp.CLARABEL, False, {}),
+                (cp.CLARABEL, False, _LOOSER),
+                (cp.SCS, False, _SCS),
+            ):
                 try:
-                    self._problem.solve(solver=cp.CLARABEL, warm_start=kept, **settings)
+                    self._problem.solve(solver=solver, warm_start=kept, **settings)
                 except cp.error.SolverError as error:
                     failure = str(error)
                     continue

@@ -159,10 +159,12 @@ def samples_of_normal(
     """
     lower, upper = bounds
     value, vector = np.linalg.eigh(covariance)
-    root = vector * np.sqrt(np.maximum(value, 0))
-    drawn = np.random.default_rng(seed).standard_normal((_DRAWS * number, len(mean)))
+    # The symmetric root: it depends on the covariance alone, and not on the eigenvectors' signs, so
+    # that another processor's rounding draws the same samples.
+    root = (vector * np.sqrt(np.maximum(value, 0))) @ vector.T
+    drawn = _even_normal(_DRAWS * number, len(mean), seed)
     sigma = np.sqrt(np.maximum(np.diagonal(covariance), 0))
-    drawn = mean + np.where(sigma > _EXACT, drawn @ root.T, 0.0)
+    drawn = mean + np.where(sigma > _EXACT, drawn @ root, 0.0)
     kept = ((drawn >= lower) & (drawn <= upper)).all(axis=1)
     if kept.sum() >= number:
         return np.asarray(drawn[kept][:number])
@@ -184,6 +186,19 @@ def samples_of_normal(
         row_upper=np.zeros(0),
     )
     return sample(density, number, seed).values
+
+
+def _even_normal(number: int, size: int, seed: int) -> Array:
+    """Return standard normal numbers (number, size) that fill space evenly (Sobol 1967, scrambled).
+
+    A mean of some thousand has a fraction of the noise that random numbers give it.
+    """
+    from scipy.special import ndtri
+    from scipy.stats import qmc
+
+    bits = (number - 1).bit_length()
+    even = qmc.Sobol(size, seed=np.random.default_rng(seed)).random_base2(bits)[:number]
+    return np.asarray(ndtri(np.clip(even, 1e-12, 1 - 1e-12)))
 
 
 def _effective(values: Array) -> Array:
