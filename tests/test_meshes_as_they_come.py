@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import sys
 from pathlib import Path
 
@@ -14,6 +15,7 @@ import rtcal as rt
 from benchmarks import defective_meshes
 from rtcal.command.main import main
 from rtcal.io import geometry_files, mend, mesh
+from rtcal.io.mend.rays import volume_by_rays
 from rtcal.simulators.geometry import Polyhedron
 from rtcal.support.errors import DataError, MissingDependencyError
 from tests.damage import damages
@@ -134,11 +136,11 @@ def test_what_is_outside_is_left_out() -> None:
 
 def test_a_large_hole_is_refused_and_says_how_to_mend_it() -> None:
     with pytest.raises(
-        mend.MeshError, match=r"hole of 70 m² at .* up to 2\.1 m² are closed"
+        mend.MeshError, match=r"hole of 70 m² at .* up to 2\.06 m² are closed"
     ) as error:
         mend.mended(drawn(without="ceiling"))
     assert "In your program, close the hole with a face" in str(error.value)
-    assert "or state --hole 71" in str(error.value)
+    assert "or state --hole 70.7" in str(error.value)
     assert error.value.edges.shape == (4, 2, 3)
     done = mend.mended(drawn(without="ceiling"), largest_hole=71)
     assert done.geometry.volume == pytest.approx(V, rel=1e-12)
@@ -147,6 +149,24 @@ def test_a_large_hole_is_refused_and_says_how_to_mend_it() -> None:
     assert done.area_uncertainty[name] == pytest.approx(70 / np.sqrt(3))
     assert name in BOX.names
     assert "u(S) 40 m²" in str(done)
+
+
+@pytest.mark.parametrize("factor", [1.0, 1.47, 3.0, 12.0])
+def test_the_advised_size_of_a_hole_is_one_that_closes_it(factor: float) -> None:
+    """A hole of 150 m² had been told to take --hole 1.5e+02, and was refused again."""
+    faces = drawn(without="ceiling")
+    large = mend.Faces("room.obj", [factor * p for p in faces.polygons], faces.names, faces.names)
+    with pytest.raises(mend.MeshError) as refused:
+        mend.mended(large)
+    assert "e+" not in str(refused.value)
+    (advised,) = re.findall(r"--hole ([0-9.]+)$", str(refused.value))
+    assert kinds(mend.mended(large, largest_hole=float(advised))) == ["hole"]
+
+
+def test_a_face_without_area_has_no_part_in_the_volume_by_rays() -> None:
+    line = np.array([[0.0, 0, 0], [5, 0, 0], [10, 0, 0]])
+    faces = drawn(without="ceiling").polygons
+    assert volume_by_rays([*faces, line]) == volume_by_rays(faces)
 
 
 def test_all_large_holes_are_named() -> None:

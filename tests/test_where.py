@@ -16,12 +16,13 @@ import rtcal as rt
 from rtcal.acoustics.observables import observable
 from rtcal.command.main import cli
 from rtcal.finder.effects import library
+from rtcal.finder.finding import Detection
 from rtcal.finder.positions.posterior import THRESHOLD
 from rtcal.finder.positions.search import find_by_positions
 from rtcal.finder.positions.surfaces import patched
 from rtcal.simulators import PathTracing, Polyhedron
 from rtcal.simulators.geometry import SHOEBOX_WALLS
-from rtcal.support.errors import DataError
+from rtcal.support.errors import DataError, ModelError
 
 pytest.importorskip("numba", reason="the paths are traced by compiled code (extra fast)")
 
@@ -135,6 +136,27 @@ def test_nothing_is_found_where_nothing_is_hidden(kept: Path) -> None:
     assert finding.surface is None
     with pytest.raises(DataError, match="no surface lacks anything"):
         finding.apply()
+
+
+@pytest.mark.parametrize(("extreme", "near"), [(0.0, 0.001), (1.0, 0.99)])
+def test_a_coefficient_of_0_or_1_is_weighed(extreme: float, near: float, kept: Path) -> None:
+    """The derivative by an alpha of 1.0 had been 0 / 0, and the score nan."""
+
+    def score(value: float) -> float:
+        room = stated()
+        alpha, sigma = room.alpha.copy(), room.sigma.copy()
+        alpha[0, -1], sigma[0, -1] = value, 0.3
+        tracer = tracing(room.replace(alpha=alpha, sigma=sigma))
+        case = rt.finder.positions.PositionsCase(simulator=tracer, measured=measured(False))
+        return rt.finder.positions.find(case, cache=kept).score
+
+    assert score(extreme) == pytest.approx(score(near), abs=0.5)
+
+
+@pytest.mark.parametrize("name", ["score", "noise", "means"])
+def test_a_score_that_is_no_number_is_refused(name: str) -> None:
+    with pytest.raises(ModelError, match=rf"\({name}\) is nan nats, no finite number"):
+        Detection(**({"score": 0.0, "threshold": THRESHOLD} | {name: float("nan")}))
 
 
 @pytest.mark.long

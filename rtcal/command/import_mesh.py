@@ -14,7 +14,7 @@ from rtcal.command.console import errors_name_options, numbers, said, tell
 from rtcal.support.errors import DataError
 from rtcal.support.files import spare
 from rtcal.support.progress import bar
-from rtcal.support.text import shortened
+from rtcal.support.text import rounded, shortened
 
 if TYPE_CHECKING:
     from rtcal.acoustics.materials import Surface
@@ -174,6 +174,6 @@ def _with_volume(error: MeshError) -> DataError:
         return error
     v, u = error.unclosed.volume, error.unclosed.volume_uncertainty
     return DataError(
-        f"{error}. By rays V = {v:.4g} ± {u:.2g} m³: `rtcal import` takes it with --open, for "
+        f"{error}. By rays V = {rounded(v, 4)} ± {rounded(u, 2)} m³: `rtcal import` takes it with --open, for "
         "equations alone"
     )

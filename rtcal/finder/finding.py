@@ -12,7 +12,7 @@ from scipy import stats
 
 from rtcal.finder.effects import Effect
 from rtcal.support.arguments import checked
-from rtcal.support.errors import DataError
+from rtcal.support.errors import DataError, ModelError
 from rtcal.support.results import Result
 from rtcal.support.types import Array
 
@@ -182,12 +182,26 @@ class Detection:
         that was not tried.
     means : float or None
         Of means over positions, where positions decide; None where they were not asked.
+
+    Raises
+    ------
+    ModelError
+        For a score that is no finite number.
     """
 
     score: float
     threshold: float
     noise: float | None = None
     means: float | None = None
+
+    def __post_init__(self) -> None:
+        for name in ("score", "noise", "means"):
+            value = getattr(self, name)
+            if value is not None and not np.isfinite(value):
+                raise ModelError(
+                    f"the evidence that something is other than stated ({name}) is {value} nats, no "
+                    "finite number: the errors of the model or of the measurement cannot be weighed"
+                )
 
     @property
     def verdict(self) -> str | None:

@@ -113,6 +113,15 @@ def number(value: float, form: str) -> str:
     return printed if float(printed) else printed.lstrip("+-")
 
 
+def rounded(value: float, digits: int) -> str:
+    """Return a value with so many significant digits and without an exponent.
+
+    >>> rounded(151.49, 2), rounded(10530.4, 4), rounded(0.0123, 2)
+    ('150', '10530', '0.012')
+    """
+    return f"{float(f'{value:.{digits}g}'):.15g}"
+
+
 def table(
     rows: Sequence[Row], *, header: Row | Sequence[Row] | None = None, gap: int = 2
 ) -> list[str]:

@@ -26,7 +26,7 @@ from rtcal.finder.positions.shift import interpolation, uneven_amount, uneven_co
 from rtcal.finder.prior import SCALES
 from rtcal.loop.control_runs import ControlRuns
 from rtcal.loop.measured_pairs import MeasuredPairs, pairs_to_match
-from rtcal.simulators.observations import Observations
+from rtcal.simulators.observations import LARGEST_ALPHA, Observations
 from rtcal.support.errors import DataError
 from rtcal.support.types import Array
 
@@ -164,7 +164,8 @@ def problem_of(case: PositionsCase, made: PairShifts, controls: ControlRuns) -> 
         room.centre_frequencies,
     )
     nodes |= {"air": shifted(made.air), "volume": shifted(made.volume)}
-    step = STEP * (1 - room.alpha.T)  # (n_bands, n_materials)
+    traced = np.minimum(room.alpha, LARGEST_ALPHA)
+    step = STEP * (1 - traced.T)  # (n_bands, n_materials)
     slopes = shifted(made.materials) / step[:, np.newaxis]
     alpha, together = _prior(case, slopes, nodes["air"])
     return PositionsProblem(

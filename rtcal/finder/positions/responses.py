@@ -23,6 +23,7 @@ from rtcal.finder.positions.case import PositionsCase
 from rtcal.finder.positions.model_error import AIMS, LOBE_INDEX, lobes
 from rtcal.finder.positions.weighing import MOVE, SECOND_ROOMS, Weighing, displaced
 from rtcal.loop.control_runs import share_of_signal
+from rtcal.simulators.observations import LARGEST_ALPHA
 from rtcal.simulators.path_tracing import DENSER, LARGER, PathTracing
 from rtcal.simulators.tracer import LONGEST
 from rtcal.support import checks, files
@@ -390,7 +391,10 @@ def key_of(case: PositionsCase, seed: int) -> str:
         tracer.name,
         tracer.scattering_model,
         [tracer.n_paths, tracer.n_batches, tracer.radius, tracer.bin_width],
-        [room.to_dict()[name] for name in ("alpha", "centre_frequencies", "air")],
+        [
+            np.minimum(room.alpha, LARGEST_ALPHA).tolist(),
+            *(room.to_dict()[name] for name in ("centre_frequencies", "air")),
+        ],
         geometry.vertices.tolist(),
         [list(map(int, face)) for face in geometry.faces],
         list(geometry.materials),

@@ -168,9 +168,10 @@ class Weighing:
 
     @property
     def alpha(self) -> Array:
-        """Alpha of each face, (n_faces, n_bands)."""
+        """Alpha of each face as it is traced, (n_faces, n_bands): less than 1."""
         room = self.tracer.room
-        return np.asarray(room.alpha[room.material_rows(self.tracer.geometry.materials)])
+        alpha = np.minimum(room.alpha, observations.LARGEST_ALPHA)
+        return np.asarray(alpha[room.material_rows(self.tracer.geometry.materials)])
 
     def observe(
         self, alpha: Array, attenuation: Array | None = None, stretch: float = 1.0
@@ -201,13 +202,12 @@ class Weighing:
         ------
         array (n_shares, n_pairs, n_bands, n_bins)
         """
-        alpha = np.minimum(self.alpha, observations.LARGEST_ALPHA)
         if not self.seconds:
             self.seconds = eyring_seconds(self.tracer.room, self.tracer.room.alpha)
         for start in range(0, len(groups), _AT_ONCE):
             some = groups[start : start + _AT_ONCE]
             while True:
-                energy = self._of_groups(alpha, some, shares)
+                energy = self._of_groups(self.alpha, some, shares)
                 every = energy.reshape(-1, *energy.shape[2:])
                 if self._long_enough(every):
                     break

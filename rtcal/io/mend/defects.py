@@ -10,6 +10,7 @@ import numpy as np
 from rtcal.acoustics.room import Surface
 from rtcal.simulators.geometry import Polyhedron
 from rtcal.support.errors import DataError
+from rtcal.support.text import rounded
 from rtcal.support.types import Array
 
 _SHOWN = 1e-6
@@ -54,7 +55,7 @@ class Defect:
         """Return the defect as one line."""
         parts = [f"{self.number} {self.done}"]
         if self.area:
-            parts.append(f"{self.area:.3g} m²")
+            parts.append(f"{rounded(self.area, 3)} m²")
         for symbol, effect, unit in (
             ("V", self.volume_effect, "m³"),
             ("S", self.area_effect, "m²"),
@@ -62,9 +63,9 @@ class Defect:
             if abs(effect) > _SHOWN:
                 parts.append(f"{symbol} {effect:+.3g} {unit}")
         if self.volume_uncertainty > _SHOWN:
-            parts.append(f"u(V) {self.volume_uncertainty:.2g} m³")
+            parts.append(f"u(V) {rounded(self.volume_uncertainty, 2)} m³")
         if (u := float(np.linalg.norm([*self.area_uncertainty.values()]))) > _SHOWN:
-            parts.append(f"u(S) {u:.2g} m²")
+            parts.append(f"u(S) {rounded(u, 2)} m²")
         more = ", ..." if self.number > len(self.places) else ""
         at = f" ({', '.join(self.places)}{more})" if self.places else ""
         return f"{self.kind}: {', '.join(parts)}{at}"
@@ -104,7 +105,7 @@ class Unclosed:
         """Return V, S, the areas of the materials, and each defect."""
         u, total = self.volume_uncertainty, sum(self.areas.values())
         head = (
-            f"V = {self.volume:.4g} ± {u:.2g} m³ by rays, S = {total:.6g} m² as drawn, not closed"
+            f"V = {rounded(self.volume, 4)} ± {rounded(u, 2)} m³ by rays, S = {total:.6g} m² as drawn, not closed"
         )
         return "\n".join([head, *_listed(self.areas, self.defects)])
 
@@ -160,7 +161,7 @@ class Mended:
     def __str__(self) -> str:
         """Return V, S, the areas of the materials, and each defect."""
         total = float(np.sum(self.geometry.face_areas))
-        u = f" ± {self.volume_uncertainty:.2g}" if self.volume_uncertainty > _SHOWN else ""
+        u = f" ± {rounded(self.volume_uncertainty, 2)}" if self.volume_uncertainty > _SHOWN else ""
         n = len(self.geometry.faces)
         head = f"V = {self.geometry.volume:.6g}{u} m³, S = {total:.6g} m², {n} faces"
         return "\n".join([head, *_listed(self.geometry.areas, self.defects)])

@@ -11,6 +11,7 @@ from rtcal.io.mend.edges import loops_of, open_edges, sorted_edge
 from rtcal.io.mend.faces import ANY_SHARE, MOST_PLACES, SAME, Face, Mending, Work
 from rtcal.io.mend.shapes import area_of, normal_of
 from rtcal.simulators.geometry import PLANARITY
+from rtcal.support.text import rounded
 
 HOLE_SHARE = 0.01
 """Largest area of a hole that is closed, over the area of the shell."""
@@ -37,13 +38,14 @@ def without_holes(mend: Mending, work: Work) -> Work:
     large = [loop for loop in loops if area_of(mend.points[loop]) > largest]
     if large:
         each = "; ".join(
-            f"hole of {area_of(mend.points[loop]):.3g} m² at {mend.place(loop[0])}, beside "
+            f"hole of {rounded(area_of(mend.points[loop]), 3)} m² at {mend.place(loop[0])}, beside "
             f'"{work.names[missing[sorted_edge(loop[0], loop[1])]]}"'
             for loop in sorted(large, key=lambda v: -area_of(mend.points[v]))[:MOST_PLACES]
         )
         more = f" ({len(large)} holes in all)" if len(large) > MOST_PLACES else ""
         raise mend.refused(
-            f"{each}{more}; holes up to {largest:.2g} m² are closed. {_hint(mend, large, work)}",
+            f"{each}{more}; holes up to {rounded(largest, 3)} m² are "
+            f"closed. {_hint(mend, large, work)}",
             list(missing),
         )
     closed, area, spread, unsure = [], 0.0, 0.0, []
@@ -89,7 +91,8 @@ def _hint(mend: Mending, loops: Sequence[Face], work: Work) -> str:
                 f"Corners of other faces lie {distance * 1000:.2g} mm from its edges: state --weld "
                 f"{np.max(away[away < _NEAR]) * 1.1:.2g}"
             )
-    return f"In your program, {_LOOPS}; or state --hole {area_of(mend.points[loop]) * 1.01:.2g}"
+    enough = rounded(1.01 * area_of(mend.points[loop]), 3)  # more than the area, as printed
+    return f"In your program, {_LOOPS}; or state --hole {enough}"
 
 
 def _fill(mend: Mending, work: Work, loop: Face, material: str) -> None:

@@ -35,8 +35,13 @@ def volume_by_rays(polygons: Sequence[Array]) -> tuple[float, float]:
     True
     """
     corners = np.concatenate(
-        [polygon[np.array(triangles.triangulate(polygon))] for polygon in map(np.asarray, polygons)]
+        [
+            polygon[np.array(triangles.triangulate(polygon), dtype=int).reshape(-1, 3)]
+            for polygon in map(np.asarray, polygons)
+        ]  # a polygon without area has no triangle
     )
+    if not len(corners):
+        return 0.0, 0.0
     corners = corners @ _turned().T
     found = [_along(np.roll(corners, k, axis=2)) for k in range(3)]
     volumes, unknown = (np.array(column) for column in zip(*found, strict=True))
