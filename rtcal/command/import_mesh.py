@@ -174,6 +174,6 @@ def _with_volume(error: MeshError) -> DataError:
         return error
     v, u = error.unclosed.volume, error.unclosed.volume_uncertainty
     return DataError(
-        f"{error}. By rays V = {rounded(v, 4)} ± {rounded(u, 2)} m³: `rtcal import` takes it with --open, for "
-        "equations alone"
+        f"{error}. By rays V = {rounded(v, 4)} ± {rounded(u, 2)} m³: `rtcal import` takes it with "
+        "--open, for equations alone"
     )
