@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from fractions import Fraction
+from pathlib import Path
 
 import cvxpy as cp
 import numpy as np
@@ -14,6 +15,7 @@ from rtcal import terms
 from rtcal.acoustics.changes import Change
 from rtcal.acoustics.room_errors import target_changes
 from rtcal.calibration.configurations import Configurations
+from rtcal.io import catt
 from rtcal.prediction import (
     Add,
     Cover,
@@ -27,6 +29,7 @@ from rtcal.prediction import (
     predict,
 )
 from rtcal.report import words
+from rtcal.report.page import calibration_page
 from rtcal.support.errors import DataError, ModelError
 
 AREAS = np.array([35.0, 30.0, 21.0, 15.0])
@@ -422,3 +425,75 @@ def test_the_page_does_not_claim_that_t_is_met_exactly() -> None:
     assert not any("exactly" in sentence for sentence in words.assumed(uncertain))
     assert any("remains as a gap" in sentence for sentence in words.assumed(uncertain))
     assert any("measured reverberation time exactly" in s for s in words.assumed(certain))
+
+
+def volume_is_wrong(**stated: object) -> tuple[rt.Room, np.ndarray]:
+    """A room whose T are all 15 % too short for the stated volume, which may be off."""
+    room = room_of(3, **stated).replace(sigma=np.full((4, 4), 0.01))
+    return room, 0.85 * SABINE.reverberation_time(room)
+
+
+def test_a_gap_that_the_volume_takes_up_leads_the_page_and_the_text(tmp_path: Path) -> None:
+    """The headline had been green: "with its materials within what was stated of them"."""
+    room, t = volume_is_wrong(volume_sigma=0.12)
+    result = rt.calibrate(room, t, equation=SABINE)
+    assert np.abs(result.gap_after).min() > 0.5
+    lead = words.headline(result)
+    assert lead.startswith(
+        "The calibrated room does not have the measured reverberation time in 4 of"
+    )
+    assert lead.endswith("uncertain explains them: the volume (12 %). Check that first.")
+    assert words.level(result) == "open"
+    assert words.usable(result)[0] == []
+    text = calibration_page(result)
+    assert 'class="verdict agrees"' not in text
+    assert "It agrees by construction" not in text
+    assert "No band carries a reservation" not in text
+    assert "does not have the measured reverberation time" in " ".join(str(result).split())[:400]
+    exported = catt.write(
+        result.room, tmp_path / "room.geo", equation=SABINE, missing_bands="nearest"
+    )
+    assert "The room as exported does not have the measured T (250 Hz " in str(exported)
+    met = rt.calibrate(*volume_is_wrong(), equation=SABINE)
+    assert words.headline(met).startswith("The model has the measured reverberation time")
+    exported = catt.write(met.room, tmp_path / "met.geo", equation=SABINE, missing_bands="nearest")
+    assert "as exported does not have" not in str(exported)
+
+
+@pytest.mark.parametrize(
+    ("stated", "u", "first"),
+    [
+        ({"volume_sigma": 0.12}, 0.001, "volume"),
+        ({"area_sigma": 0.12}, 0.001, "areas"),
+        ({"area_sigma": 1e-4}, 0.2, "T"),
+        ({"volume_sigma": 0.05, "area_sigma": 0.03}, 0.02, "volume"),
+    ],
+)
+def test_what_takes_up_the_gap_is_shared_out(
+    stated: dict[str, float], u: float, first: str
+) -> None:
+    """The shares are 1 in all, whatever was stated, and the parts add up to b - S'alpha."""
+    room, t = volume_is_wrong(**stated)
+    measured = rt.Measurement(
+        centre_frequencies=BANDS,
+        pairs=[("S", "R")],
+        values={"t20": t[np.newaxis]},
+        uncertainty={"t20": u * t[np.newaxis]},
+    )
+    shares = rt.calibrate(room, measured, equation=SABINE).to_dict()["gap_shares"]
+    assert sum(shares.values()) == pytest.approx(1)
+    assert max(shares, key=shares.get) == first
+
+
+def test_the_assumption_on_t_is_the_one_that_was_made() -> None:
+    room, t = volume_is_wrong(area_sigma=0.01)
+    exact = words.assumed(rt.calibrate(room, t, equation=SABINE))
+    assert any("when T is exact and the room has" in sentence for sentence in exact)
+    measured = rt.Measurement(
+        centre_frequencies=BANDS,
+        pairs=[("S", "R")],
+        values={"t20": t[np.newaxis]},
+        uncertainty={"t20": 0.05 * t[np.newaxis]},
+    )
+    own = words.assumed(rt.calibrate(room, measured, equation=SABINE))
+    assert any("when T has its own uncertainty and the room" in sentence for sentence in own)

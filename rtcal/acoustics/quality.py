@@ -34,6 +34,8 @@ def gap_jnd(model: Array, measured: Array, parameter: str = TARGET.key) -> Array
     return np.asarray((model - measured) / unit_of(measured))
 
 
+MET = 0.5
+"""Gap in JND below which the words count the measured T as met: half of what can be heard."""
 P_CONTRADICTION = 0.05
 """Below this p-value, prior and measurement contradict each other: the usual level of 5 %."""
 P_TOO_GOOD = 0.99

@@ -38,6 +38,24 @@ def of_times(room: Room, times: Array) -> str:
     return fingerprint("T", dict(zip(labels, times.tolist(), strict=True)))
 
 
+def times_of(room: Room) -> Array:
+    """Return the T in s that a calibrated room's record names, (n_bands,); NaN where it names none.
+
+    A record with several T, as of several configurations, names none of the room alone.
+    """
+    times = np.full(room.n_bands, np.nan)
+    names = [] if room.calibration is None else room.calibration.measured.split()
+    if len(names) != 1 or not names[0].startswith("T:"):
+        return times
+    cells = dict(cell.partition("=")[::2] for cell in names[0][2:].split(","))
+    for k, frequency in enumerate(room.centre_frequencies.tolist()):
+        try:
+            times[k] = float(cells.get(f"{frequency:g}", "nan"))
+        except ValueError:  # a record that was written by hand
+            continue
+    return times
+
+
 def same_data(one: str, other: str) -> bool:
     """Whether two names are of the same data, to within a ten-thousandth in every value.
 

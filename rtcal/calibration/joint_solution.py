@@ -153,6 +153,36 @@ class JointSolution:
         """Whether T was matched within the uncertainty of volume, areas and climate."""
         return any(isinstance(t, RoomMatch) for t in self.solution.model.objective.terms)
 
+    def gap_shares(self, configuration: int) -> dict[str, float]:
+        """Return the shares of the remaining b - S'alpha that each uncertainty takes up, 1 in all.
+
+        By "volume", "areas", "climate" and "T". With C = U + D'D the difference is C times its pull:
+        U pull is what T's own uncertainty takes up, D' D pull what volume, areas and climate do. {}
+        where no room is uncertain, or nothing remains.
+        """
+        data = self.solution.model.data
+        pulls = [
+            t.pull(self.solution.unknowns, data)
+            for t in self.solution.model.objective.terms
+            if isinstance(t, RoomMatch)
+        ]
+        if not pulls:
+            return {}
+        pull, d = np.nan_to_num(pulls[0]).ravel(), data.room_changes
+        n = 2 + len(self.configurations.materials)
+        of_time = np.nan_to_num(data.target_uncertainty).ravel() ** 2 * pull
+        groups = {"volume": d[:1], "areas": d[1:n], "climate": d[n:]}
+        parts = {name: g.T @ (g @ pull) for name, g in groups.items()} | {"T": of_time}
+        k = data.layout.n_bands
+        own = slice(configuration * k, (configuration + 1) * k)
+        total = sum(part[own] for part in parts.values())
+        square = float(total @ total)
+        return (
+            {name: float(part[own] @ total) / square for name, part in parts.items()}
+            if square
+            else {}
+        )
+
     @property
     def has_shared_errors(self) -> bool:
         """Whether T was matched with errors that all bands share: of the room, or of the tables."""

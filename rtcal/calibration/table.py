@@ -16,7 +16,13 @@ from rtcal.acoustics import bands
 from rtcal.acoustics.equations import LinearEquation
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.observables import TARGET, parameter_label
-from rtcal.acoustics.quality import P_CONTRADICTION, agreement, together_in_words, weak_agreement
+from rtcal.acoustics.quality import (
+    MET,
+    P_CONTRADICTION,
+    agreement,
+    together_in_words,
+    weak_agreement,
+)
 from rtcal.acoustics.room import Room
 from rtcal.acoustics.trust import TrustMark, explained, letters
 from rtcal.calibration.certificate import Certificate
@@ -151,6 +157,59 @@ _SIGNS = (
 _BOUNDS = {"lower": "*", "upper": "*", "": " "}
 
 
+def remaining_gap(record: Mapping[str, Any]) -> str:
+    """Return that the calibrated room lacks the measured T, where it does, and to what the gap belongs.
+
+    "" where T is met in every band that has one, and where nothing asks for T. ``record`` is as for
+    `text_table`.
+    """
+    after, before = (np.abs(_numbers(record[key])) for key in ("gap_after_jnd", "gap_before_jnd"))
+    left = after >= MET  # not where there is no T
+    if not left.any() or not record["matches_measured_time"]:
+        return ""
+    n, count = int(left.sum()), int(np.isfinite(after).sum())
+    said = (
+        f"The calibrated room does not have the measured reverberation time in {n} of {count} bands: "
+        f"gaps of up to {after[left].max():.1f} JND remain"
+    )
+    grown = left & (after >= before + MET)
+    if grown.any():
+        said += f", in {int(grown.sum())} larger than before"
+    if not record["room_taken_as_exact"]:
+        return f"{said}. {_taken_up(record)}"
+    if record["unreachable"]:
+        return f"{said}. No coefficients within their limits reach that time."
+    return f"{said}. The uncertainty of the measured time allows them."
+
+
+_GROUPS = {
+    "volume": "volume",
+    "areas": "areas",
+    "temperature": "climate",
+    "humidity": "climate",
+    "coefficients": "",
+}
+"""What takes up a gap, by the first word of what a room states of its uncertainty."""
+_SAID_SHARE = 0.2
+
+
+def _taken_up(record: Mapping[str, Any]) -> str:
+    """Return which of the room's uncertainties takes up the gap, with what is stated of it."""
+    shares = record.get("gap_shares", {})
+    stated: dict[str, list[str]] = {}
+    for words in record.get("room_uncertainty", "").split(", "):
+        stated.setdefault(_GROUPS.get(words.partition(" ")[0], ""), []).append(words)
+    causes = [
+        "the measured time"
+        if group == "T"
+        else f"the {group} ({', '.join(w.removeprefix(f'{group} ') for w in stated.get(group, []))})"
+        for group in sorted(shares, key=lambda g: -float(shares[g]))
+        if shares[group] >= _SAID_SHARE
+    ]
+    check = " Check that first." if shares.get("T", 0.0) < 1 - _SAID_SHARE else ""
+    return f"What is stated as uncertain explains them: {' and '.join(causes)}.{check}"
+
+
 def text_table(record: Mapping[str, Any]) -> str:
     """Return the text that ``print(result)`` shows: bands, materials, plausibility, certificate.
 
@@ -162,7 +221,12 @@ def text_table(record: Mapping[str, Any]) -> str:
     header = ("", _band_labels(record))
     return "\n".join(
         [
-            *(line for sentence in _header(record) for line in text.wrapped(sentence)),
+            *(
+                line
+                for sentence in (*_header(record), remaining_gap(record))
+                if sentence
+                for line in text.wrapped(sentence)
+            ),
             "",
             *text.table(_band_rows(record), header=header),
             *text.wrapped(_SIGNS),
@@ -329,8 +393,8 @@ def _notes(record: Mapping[str, Any]) -> list[tuple[str, str]]:
     else:
         notes.append(
             (
-                f"The room is uncertain as stated (standard deviations): {stated}. T after is that of "
-                "the room as stated.",
+                f"The room is uncertain as stated (standard deviations): {stated}. T after is computed "
+                "with the stated volume, areas and climate, not with corrected ones.",
                 "",
             )
         )

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from rtcal.acoustics import band_conversion, bands, quality
+from rtcal.acoustics import band_conversion, bands, quality, repeats
 from rtcal.acoustics.equations import Eyring, LinearEquation
 from rtcal.acoustics.room import Room
 from rtcal.io.material_list import ListedMaterial, MaterialList
@@ -155,6 +155,7 @@ def write_list(
             listed, materials=tuple(_with_decimals(m, decimals) for m in listed.materials)
         )
     content, as_read, lacking = listed.with_room(room)
+    notes += _without_measured_time(room, equation)
     time = equation.reverberation_time(room)
     between = room.centre_frequencies, as_read.centre_frequencies
     not_written = band_conversion.unused(*between)
@@ -177,6 +178,24 @@ def write_list(
     )
     write_bytes(path, content)
     return report
+
+
+def _without_measured_time(room: Room, equation: LinearEquation) -> list[str]:
+    """Return a note where a calibrated room lacks the T that it was calibrated to, by half a JND."""
+    if room.calibration is None or room.calibration.equation != equation.name:
+        return []
+    gap = quality.gap_jnd(equation.reverberation_time(room), repeats.times_of(room))
+    left = np.abs(gap) >= quality.MET
+    if not left.any():
+        return []
+    each = ", ".join(
+        f"{bands.label(f)} {g:+.1f} JND"
+        for f, g in zip(room.centre_frequencies[left], gap[left], strict=True)
+    )
+    return text.wrapped(
+        f"The room as exported does not have the measured T ({each}). The calibration left this gap, "
+        "as to an uncertain volume: see its page before you simulate."
+    )
 
 
 def _lost(room: Room, lacking: Sequence[str]) -> tuple[str, ...]:

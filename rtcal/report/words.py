@@ -11,17 +11,21 @@ import numpy as np
 from rtcal.acoustics import bands, room_errors
 from rtcal.acoustics.equations import EQUATIONS
 from rtcal.acoustics.observables import parameter_label
-from rtcal.acoustics.quality import P_CONTRADICTION, agreement, together_in_words, weak_agreement
+from rtcal.acoustics.quality import (
+    MET,
+    P_CONTRADICTION,
+    agreement,
+    together_in_words,
+    weak_agreement,
+)
 from rtcal.acoustics.trust import TrustMark
 from rtcal.calibration.presets import METHODS
 from rtcal.calibration.result import CalibrationResult
-from rtcal.calibration.table import equation_parameters
+from rtcal.calibration.table import equation_parameters, remaining_gap
 
 LARGE_SHIFT = 2.0
 """Shift in standard deviations of the prior above which T contradicts a material's stated alpha."""
 _MOST_SHIFTS = 20
-_MET = 0.5
-"""Gap in JND below which the words count the measured T as met: half of what can be heard."""
 _PRINTED = 0.05
 """Gap in JND that is not 0.0 when it is printed."""
 
@@ -46,7 +50,7 @@ _METHODS = {
 }
 
 _MLE_UNCERTAIN_ROOM = (
-    "mle: the likeliest coefficients when T is exact and the room has the stated errors; what these "
+    "mle: the likeliest coefficients when {time} and the room has the stated errors; what these "
     "explain of the measured T remains as a gap (maximum likelihood)."
 )
 
@@ -93,14 +97,36 @@ def compared(calibration: CalibrationResult) -> str:
 def headline(calibration: CalibrationResult) -> str:
     """Return the result as one sentence for a reader who is no acoustician."""
     gap = np.abs(calibration.gap_after[np.isfinite(calibration.gap_after)])
-    met, count = int(np.sum(gap < _MET)), len(gap)
+    met, count = int(np.sum(gap < MET)), len(gap)
     if not count:
         return "Model and measurement could be compared in no band."
+    if left := remaining_gap(calibration.to_dict()):
+        return left
     bands = "" if met == count else f" in {met} of {count} bands"
     return f"The model has the measured reverberation time{bands}, " + {
         "agrees": "with its materials within what was stated of them.",
         "contradicts": "but not with its materials as they were stated.",
     }.get(verdict(calibration)[0], "and it is open whether its materials are as stated.")
+
+
+def level(calibration: CalibrationResult) -> str:
+    """Return the kind of the box around the headline: "agrees", "open" or "contradicts".
+
+    A model that lacks the measured T does not agree, whatever its materials do.
+    """
+    of_materials = verdict(calibration)[0]
+    left = remaining_gap(calibration.to_dict())
+    return "open" if left and of_materials == "agrees" else of_materials
+
+
+def proves_nothing(calibration: CalibrationResult) -> str:
+    """Return what the agreement, or what is left of the gap, says of the model."""
+    if not remaining_gap(calibration.to_dict()):
+        return PROVES_NOTHING
+    return (
+        "A simulation with these coefficients keeps the gap that remains. What takes it up is checked "
+        "first, corrected in the room's file, and the calibration repeated."
+    )
 
 
 def summary(calibration: CalibrationResult) -> list[str]:
@@ -138,7 +164,7 @@ def _believable(calibration: CalibrationResult) -> str:
 
 def _after(calibration: CalibrationResult) -> str:
     gap = np.abs(calibration.gap_after[np.isfinite(calibration.gap_after)])
-    met, count = int(np.sum(gap < _MET)), len(gap)
+    met, count = int(np.sum(gap < MET)), len(gap)
     n = len(calibration.prior.materials)
     text = (
         f"The absorption coefficients of {n} material{'' if n == 1 else 's'} were then changed as "
@@ -223,8 +249,10 @@ def verdict(calibration: CalibrationResult) -> tuple[str, str, str]:
 
 
 def usable(calibration: CalibrationResult) -> tuple[list[float], list[float]]:
-    """Return the bands (Hz) without any trust mark, and those with one."""
+    """Return the bands (Hz) without any trust mark or remaining gap, and those with one."""
     marked = {m.frequency for m in calibration.trust_marks if m.frequency is not None}
+    f, gap = calibration.prior.centre_frequencies, np.abs(calibration.gap_after)
+    marked |= {float(each) for each in f[gap >= MET]}
     every = [float(f) for f in calibration.prior.centre_frequencies]
     return [f for f in every if f not in marked], [f for f in every if f in marked]
 
@@ -279,7 +307,7 @@ def not_met(calibration: CalibrationResult) -> list[str]:
     left = [
         f"{f:g} Hz ({g:+.1f} JND)".replace("-", "−")
         for f, g in zip(calibration.prior.centre_frequencies, calibration.gap_after, strict=True)
-        if abs(g) >= _MET
+        if abs(g) >= MET
     ]
     if left:
         sentences.append(f"A gap remains at {', '.join(left)}.")
@@ -291,7 +319,9 @@ def not_met(calibration: CalibrationResult) -> list[str]:
 
 def _method(calibration: CalibrationResult) -> str:
     if calibration.method == "mle" and calibration.joint.matches_uncertain_room:
-        return _MLE_UNCERTAIN_ROOM
+        u = calibration.measured_uncertainty[calibration.matched]
+        own = "T has its own uncertainty" if np.isfinite(u).any() else "T is exact"
+        return _MLE_UNCERTAIN_ROOM.format(time=own)
     return _METHODS.get(calibration.method, f"A composed calibration: {composed(calibration)}.")
 
 

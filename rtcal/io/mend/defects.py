@@ -104,7 +104,10 @@ class Unclosed:
     def __str__(self) -> str:
         """Return V, S, the areas of the materials, and each defect."""
         u, total = self.volume_uncertainty, sum(self.areas.values())
-        head = f"V = {rounded(self.volume, 4)} ± {rounded(u, 2)} m³ by rays, S = {total:.6g} m² as drawn, not closed"
+        head = (
+            f"V = {rounded(self.volume, 4)} ± {rounded(u, 2)} m³ by rays, S = {total:.6g} m² as drawn, "
+            "not closed"
+        )
         return "\n".join([head, *_listed(self.areas, self.defects)])
 
 
