@@ -272,6 +272,29 @@ def test_materials_are_proposed_from_the_catalogue_and_never_guessed(
     assert '--catalogue "material=carpet" names the entries' in capsys.readouterr().err
 
 
+def test_a_perforated_board_is_proposed_for_a_plain_one_and_not_taken(
+    tmp_path: Path, capsys
+) -> None:
+    """ "gypsum_board" of a mesh had been taken as a board with 19.6 % holes, alpha 1.00 at 500 Hz."""
+    pytest.importorskip("pyroomacoustics")
+    out = tmp_path / "room.toml"
+    command = ("import", "catalogue", "--volume", 60, "--area", "gypsum_board=90", "--out", out)
+    assert run(*command) == 2
+    said = " ".join(capsys.readouterr().err.split())
+    assert "gypsum_board_perforated: Gypsum board, perforation 19.6%" in said
+    assert "plasterboard: 2 * 13 mm plasterboard" in said
+    assert not out.exists()
+
+
+def test_an_entry_that_has_an_equals_sign_is_stated_after_the_first_one(tmp_path: Path) -> None:
+    """The name had ended at the last =, and "Product 200 mm (aw" was no material."""
+    products, out = tmp_path / "products.csv", tmp_path / "room.toml"
+    products.write_text("product;125;250;500\nPanel 40 mm (aw=0.90);0.2;0.6;0.9\n")
+    command = ("import", "library", products, "--volume", 60, "--area", "ceiling=90")
+    assert run(*command, "--as", "ceiling=Panel 40 mm (aw=0.90)", "--out", out) == 0
+    assert rt.Room.from_file(out).alpha[0].tolist() == [0.2, 0.6, 0.9]
+
+
 def test_a_material_that_the_list_lacks_is_named_with_the_list(tmp_path: Path, capsys) -> None:
     """A mistyped name was sent to the catalogue, and a decimal comma was "not NAME=M2"."""
     hall, mesh = tmp_path / "hall.geo", tmp_path / "hall.obj"

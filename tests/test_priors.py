@@ -293,6 +293,18 @@ def test_the_catalogue() -> None:
         catalogue.material("hard_surface", [63, 125])
 
 
+def test_no_entry_of_the_catalogue_hides_that_it_is_perforated() -> None:
+    """A law: who takes an entry by its name sees that it has holes, or is an absorber."""
+    pytest.importorskip("pyroomacoustics")
+    from rtcal.datasets import catalogue
+
+    holes = {name for name, said in catalogue.names().items() if "perfora" in said.lower()}
+    assert "gypsum_board_perforated" in holes
+    assert all("perforated" in name or "absorber" in name for name in holes)
+    listed = catalogue.material_list()
+    assert [*listed.names] == [*catalogue.names()]
+
+
 def test_a_room_from_the_catalogue_keeps_its_provenance(tmp_path) -> None:
     pytest.importorskip("pyroomacoustics")
     from rtcal.datasets import catalogue

@@ -70,14 +70,15 @@ def pairs(option: str, stated: Sequence[str]) -> list[tuple[str, str]]:
     return found
 
 
-def texts(option: str, stated: Sequence[str], form: str) -> dict[str, str]:
+def texts(option: str, stated: Sequence[str], form: str, *, last: bool = False) -> dict[str, str]:
     """Return the texts by name; DataError for another form than NAME=VALUE and for a repeated name.
 
-    ``form`` says in the error's message what is expected.
+    ``form`` says in the error's message what is expected. The first = ends the name; with ``last`` the
+    last one does, where a value has none.
     """
     by_name: dict[str, str] = {}
     for text in stated:
-        name, _, value = text.rpartition("=")
+        name, _, value = text.rpartition("=") if last else text.partition("=")
         if not name or not value:
             raise DataError(f'{option}: "{text}" is not {form}')
         if name in by_name:
@@ -89,7 +90,7 @@ def texts(option: str, stated: Sequence[str], form: str) -> dict[str, str]:
 def numbers(option: str, stated: Sequence[str], form: str) -> dict[str, float]:
     """Return the numbers by name; DataError as `texts`, and for a value that is no number."""
     by_name = {}
-    for name, value in texts(option, stated, form).items():
+    for name, value in texts(option, stated, form, last=True).items():
         try:
             number = float(value)
         except ValueError:

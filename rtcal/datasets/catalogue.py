@@ -30,6 +30,9 @@ __all__ = ["material", "material_list", "names", "similar"]
 __dir__ = __all__.copy
 
 _TABLE = "pyroomacoustics"
+_RENAMED = {"gypsum_board": "gypsum_board_perforated"}
+"""Entries whose name hides what they are. 19.6 % of this board are holes, and alpha is 1.00 at 500 Hz;
+a plain board is ``plasterboard``."""
 _SYNONYMS: dict[str, tuple[str, ...]] = {
     **dict.fromkeys(("vinyl", "pvc", "lino", "resilient", "gummi"), ("linoleum",)),
     **dict.fromkeys(
@@ -138,8 +141,9 @@ def material_list() -> MaterialList:
         materials=tuple(
             replace(
                 m,
+                name=(name := _RENAMED.get(m.name, m.name)),
                 source=f"pyroomacoustics {version} materials.json (after Vorländer 2008): "
-                f"{descriptions[m.name]}",
+                f"{descriptions[name]}",
             )
             for m in listed.materials
         ),
@@ -223,5 +227,5 @@ def _entries() -> tuple[list[float], dict[str, dict[str, Any]]]:
     content = json.loads(text)
     groups = content["absorption"].values()
     return [float(c) for c in content["center_freqs"]], {
-        name: entry for group in groups for name, entry in group.items()
+        _RENAMED.get(name, name): entry for group in groups for name, entry in group.items()
     }
