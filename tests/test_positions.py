@@ -17,6 +17,8 @@ from rtcal.loop.positions import precise
 from rtcal.loop.positions_result import PositionsResult
 from rtcal.loop.positions_steps import Listener
 from rtcal.loop.scattering import MaterialScattering, scattered
+from rtcal.report import positions_page
+from rtcal.report.document import Heading
 from rtcal.simulators import Observations, PathTracing
 from rtcal.support.errors import DataError
 
@@ -46,6 +48,10 @@ def heard(room, alpha, **options):
     )
 
 
+def page_of(result):
+    return positions_page.page(result, Heading(), lambda: None)
+
+
 @pytest.fixture(scope="module")
 def case():
     """The hall with a wide prior, true coefficients drawn from it, and what was heard there."""
@@ -71,6 +77,30 @@ def test_a_simulator_that_is_farther_from_the_measurement_than_before_is_not_to_
     said = " ".join(str(astray).split())
     assert "In T20 the calibrated simulator is farther from what was measured" in said
     assert "farther from" not in str(result)
+
+
+def test_the_page_says_first_what_the_terminal_warns_of(result):
+    """The page had it under "What was assumed" alone."""
+    pytest.importorskip("jinja2")
+    off = result.after.values.copy()
+    off[result.parameters.index("t20")] += 1.0
+    astray = replace(result, after=replace(result.after, values=off))
+    said = page_of(astray)
+    assert said.index("do not simulate with it") < said.index('<h2 id="summary">')
+    assert "do not simulate with it" not in page_of(result)
+
+
+def test_the_command_of_the_page_runs_as_it_stands(result):
+    """It had ended in "--scattering S" where the scattering was fitted."""
+    pytest.importorskip("jinja2")
+    assert result.scattering is not None
+    assert "--scattering 0.5" in page_of(result)
+    assert "--scattering S" not in page_of(result)
+
+
+def test_the_model_of_scattering_that_was_taken_is_said(result):
+    said = " ".join(str(result).split())
+    assert f'measurement is likelier: here "{result.scattering.model}".' in said
 
 
 def error(room, alpha, truth):

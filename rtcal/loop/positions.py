@@ -215,7 +215,7 @@ def calibrate_positions(
     pull, residual = np.zeros(len(error)), listener.residual()
     pull[listener.used] = errors.scale * np.linalg.solve(errors.covariance, residual)
     predicted = _predicted(listener, error if controls is not None else None, pull)
-    scattering = None
+    scattering, start = None, tracer.scattering if isinstance(tracer, PathTracing) else None
     if materials is not None and isinstance(tracer, PathTracing):
         log_odds = materials.likely(pull)
         tracer = scattered(tracer, log_odds, materials.model)
@@ -230,6 +230,7 @@ def calibrate_positions(
         weighed=precise(tracer, more_paths),
         seed=seed,
         scattering=scattering,
+        start=start,
         simulations=listener.calls,
         measured=data,
         beside=Beside.of(in_room, data.observations, first, listener.heard),

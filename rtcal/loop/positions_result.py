@@ -115,6 +115,8 @@ class PositionsResult(Result):
         Whether the last step changed alpha by less than a twentieth of its prior sigma.
     notes : tuple of str
         What was left out, and why.
+    start : array (n_materials, n_bands) or None
+        The scattering at which the fit started; None of a simulator that has none.
     """
 
     record_kind: ClassVar[str] = KIND
@@ -142,6 +144,7 @@ class PositionsResult(Result):
     notes: tuple[str, ...]
     is_traced: bool = False
     held_out: Beside | None = None
+    start: Array | None = None
 
     def traced(self) -> PositionsResult:
         """Return the result with ``after`` as ``tracer`` hears it: one more trace.
@@ -348,18 +351,24 @@ class PositionsResult(Result):
         )
 
     @property
+    def warning(self) -> str:
+        """That the calibrated simulator is not to be used, which is said first; "" if it may be."""
+        if not self._farther_matched:
+            return ""
+        names = ", ".join(parameter_label(p) for p in self._farther_matched)
+        return (
+            f"In {names} the calibrated simulator is farther from what was measured than before: "
+            "do not simulate with it. The model misses something, or a constraint keeps alpha "
+            "away; look at `predicted`."
+        )
+
+    @property
     def every_note(self) -> list[str]:
         """The ``notes``, and what the result says against itself."""
         notes = list(self.notes)
         notes[:0] = sentences(self.beside.gaps, self.prior.centre_frequencies)
-        if self._farther_matched:
-            names = ", ".join(parameter_label(p) for p in self._farther_matched)
-            notes.insert(
-                0,
-                f"In {names} the calibrated simulator is farther from what was measured than before: "
-                "do not simulate with it. The model misses something, or a constraint keeps alpha "
-                "away; look at `predicted`.",
-            )
+        if self.warning:
+            notes.insert(0, self.warning)
         if LEVEL.key in self.parameters:
             notes.append(
                 "Level: absolute, G of a calibrated source."

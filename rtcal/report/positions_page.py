@@ -52,6 +52,7 @@ def page(result: PositionsResult, heading: Heading, step: Callable[[], None]) ->
             "gaps": _gaps(result),
             "times": _times(result.before, result.after, result.measured.observations),
             "held_out": _held_out(result),
+            "warning": result.warning,
             "command": _command(result),
             "parameters": [
                 *(parameter_label(p) for p in result.parameters),
@@ -173,9 +174,11 @@ def _command(result: PositionsResult) -> str | None:
             chosen += ["--exclude", f"{source_name}:{receiver}"]
     if result.scattering is None:
         chosen.append("--keep-scattering")
-    if result.prior.scattering is None:  # it was stated to the simulator
-        kept = result.scattering is None and np.ptp(tracer.scattering) == 0
-        chosen += ["--scattering", f"{tracer.scattering.flat[0]:g}" if kept else "S"]
+    start = result.start if result.start is not None else tracer.scattering
+    if result.prior.scattering is None or (start != result.prior.scattering).any():
+        # it was stated to the simulator
+        alike = np.ptp(start) == 0
+        chosen += ["--scattering", f"{start.flat[0]:g}" if alike else "S"]
     # Scattering is fitted with "random" alone, whatever the fitted tracer has.
     given = tracer.scattering_model if result.scattering is None else "random"
     if given != result.prior.scattering_model:
