@@ -175,7 +175,7 @@ class JointSolution:
         parts = {name: g.T @ (g @ pull) for name, g in groups.items()} | {"T": of_time}
         k = data.layout.n_bands
         own = slice(configuration * k, (configuration + 1) * k)
-        total = sum(part[own] for part in parts.values())
+        total = np.sum([part[own] for part in parts.values()], axis=0)
         square = float(total @ total)
         return (
             {name: float(part[own] @ total) / square for name, part in parts.items()}
