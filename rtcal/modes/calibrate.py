@@ -22,19 +22,18 @@ from rtcal.acoustics.equations import Eyring, LinearEquation
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.room import Room
 from rtcal.acoustics.trust import mid_frequency_time, schroeder_frequency
-from rtcal.calibration.nonlinear import Steps, Taken, gauss_newton
+from rtcal.calibration.nonlinear import gauss_newton
 from rtcal.calibration.presets import preset
 from rtcal.calibration.problem import Calibration, CalibrationProblem
 from rtcal.calibration.problem_data import MeasuredTimes, no_times, times_in_room
 from rtcal.calibration.result import CalibrationResult
 from rtcal.calibration.terms import LinearObservations, Observed, as_objective
 from rtcal.io.sofa import Responses
-from rtcal.modes.matching import Matches, match
+from rtcal.modes.matching import match
 from rtcal.modes.measured import MeasuredModes
 from rtcal.modes.model import ABOVE, RoomPoles
 from rtcal.modes.responses import modes_in
 from rtcal.modes.result import ModesResult
-from rtcal.modes.room_modes import Poles
 from rtcal.simulators.geometry import Polyhedron
 from rtcal.support import checks
 from rtcal.support.arguments import checked
@@ -121,8 +120,12 @@ def calibrate_modes(
     found = match(modes, every.frequencies, every.decays)
     times = no_times(room) if measured is None else times_in_room(room, measured)
     low = below_schroeder(room, times)
-    equation = Eyring() if equation is None else equation
-    problem = _problem(model.room, times, low, equation)
+    t = np.where(low, np.nan, times.reverberation_time)
+    exact = np.isfinite(t).any()
+    plain = preset("mle", model.room)
+    problem = Calibration(
+        as_objective(plain.objective) + MODES, plain.constraints if exact else ()
+    ).build(model.room, Eyring() if equation is None else equation)
     if not len(found.measured):
         raise DataError(
             f"none of the {len(modes.frequencies)} measured modes is surely a calculated one: check "
@@ -131,27 +134,40 @@ def calibrate_modes(
     used = found.measured
     of_pole = modes.decays[used] / (2 * np.pi * modes.frequencies[used])
     data = _Data(
-        model=replace(model, chosen=tuple(found.calculated.tolist()), known={}),
+        model=replace(model, chosen=tuple(found.calculated.tolist())),
         decays=modes.decays[used],
         uncertainty=modes.decay_uncertainty[used],
         model_error=np.hypot(MODEL_ERROR, of_pole),
-        times=times,
-        low=low,
+        times=t if exact else None,
     )
-    path = _steps(data, problem, room.alpha)
-    return _result(room, modes, found, every, model.poles(path.end), data, path)
-
-
-def _steps(data: _Data, problem: CalibrationProblem, alpha: Array) -> Steps[Array, _Linearised]:
-    """Take Gauss-Newton steps from ``alpha`` on until the decays are linear enough."""
-
-    def linearised(at: Array) -> _Linearised:
-        return _Linearised.of(data, problem, at)
-
-    def settled(step: Taken[_Linearised]) -> bool:
-        return step.model.error(step.model.towards(step.share)) < _SETTLED
-
-    return gauss_newton(alpha, linearised, most=_STEPS, halvings=3, settled=settled)
+    path = gauss_newton(
+        room.alpha,
+        lambda at: _Linearised.of(data, problem, at),
+        most=_STEPS,
+        halvings=3,
+        settled=lambda step: step.model.error(step.model.towards(step.share)) < _SETTLED,
+    )
+    last = path.steps[-1].model
+    return ModesResult(
+        prior=room,
+        alpha=np.clip(path.end, 0.0, 1.0),
+        answer=last.answer,
+        modes=modes,
+        used=used,
+        matched=found.calculated,
+        probability=found.probability,
+        scale=found.scale,
+        frequencies=every.frequencies,
+        decays_before=every.decays,
+        decays_after=model.poles(path.end).decays,
+        matrix=last.observed.matrix,
+        covariance=last.observed.covariance,
+        below=low,
+        data=times,
+        steps=len(path.steps),
+        settled=path.settled,
+        notes=_notes(modes, found.ambiguous, path.settled),
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -162,8 +178,7 @@ class _Data:
     decays: Array
     uncertainty: Array
     model_error: Array
-    times: MeasuredTimes
-    low: NDArray[np.bool_]
+    times: Array | None
 
     @cached_property
     def covariance_of_decays(self) -> Array:
@@ -171,12 +186,6 @@ class _Data:
         decays, _, remainder = self.model.linear(self.model.room.alpha)
         own = self.uncertainty**2 + (self.model_error * decays) ** 2
         return np.asarray(remainder + np.diag(own))
-
-    def observed(self, alpha: Array) -> tuple[Observed, Array]:
-        """Return the decays as rows, linearised at alpha, and the decays there."""
-        decays, matrix, _ = self.model.linear(alpha)
-        values = self.decays - decays + matrix @ alpha.ravel()
-        return Observed(matrix=matrix, values=values, covariance=self.covariance_of_decays), decays
 
     def misfit(self, decays: Array) -> float:
         """Return half the squared misfit of decays in their uncertainty."""
@@ -196,10 +205,10 @@ class _Linearised:
 
     @classmethod
     def of(cls, data: _Data, problem: CalibrationProblem, alpha: Array) -> _Linearised:
-        observed, decays = data.observed(alpha)
-        t = np.where(data.low, np.nan, data.times.reverberation_time)
-        times = t if np.isfinite(t).any() else None
-        answer = problem.solve(times, observed={MODES: observed}, method="modes")
+        decays, matrix, _ = data.model.linear(alpha)
+        values = data.decays - decays + matrix @ alpha.ravel()
+        observed = Observed(matrix=matrix, values=values, covariance=data.covariance_of_decays)
+        answer = problem.solve(data.times, observed={MODES: observed}, method="modes")
         return cls(data, alpha, observed, decays, answer)
 
     def towards(self, share: Array) -> Array:
@@ -224,54 +233,16 @@ class _Linearised:
         return np.asarray(self.decays + self.observed.matrix @ (end - self.alpha).ravel())
 
 
-def _problem(
-    room: Room, times: MeasuredTimes, low: NDArray[np.bool_], equation: LinearEquation
-) -> CalibrationProblem:
-    """Return the compiled QP: the room's prior, the modes, and T where it is exact."""
-    plain = preset("mle", room)
-    above = np.isfinite(np.where(low, np.nan, times.reverberation_time)).any()
-    constraints = plain.constraints if above else ()
-    return Calibration(as_objective(plain.objective) + MODES, constraints).build(room, equation)
-
-
-def _result(
-    room: Room,
-    modes: MeasuredModes,
-    found: Matches,
-    every: Poles,
-    after: Poles,
-    data: _Data,
-    path: Steps[Array, _Linearised],
-) -> ModesResult:
-    last = path.steps[-1].model
+def _notes(modes: MeasuredModes, ambiguous: NDArray[np.intp], settled: bool) -> tuple[str, ...]:
     notes = list(modes.notes)
-    if len(found.ambiguous):
-        where = ", ".join(f"{f:.1f}" for f in modes.frequencies[found.ambiguous])
+    if len(ambiguous):
+        where = ", ".join(f"{f:.1f}" for f in modes.frequencies[ambiguous])
         notes.append(f"Not used, since not surely one calculated mode: {where} Hz.")
-    if not path.settled:
+    if not settled:
         notes.append(
             "Not settled: the last step still moved decays by a tenth of their uncertainty."
         )
-    return ModesResult(
-        prior=room,
-        alpha=np.clip(path.end, 0.0, 1.0),
-        answer=last.answer,
-        modes=modes,
-        used=found.measured,
-        matched=found.calculated,
-        probability=found.probability,
-        scale=found.scale,
-        frequencies=every.frequencies,
-        decays_before=every.decays,
-        decays_after=after.decays,
-        matrix=last.observed.matrix,
-        covariance=last.observed.covariance,
-        below=data.low,
-        data=data.times,
-        steps=len(path.steps),
-        settled=path.settled,
-        notes=tuple(notes),
-    )
+    return tuple(notes)
 
 
 def below_schroeder(room: Room, times: MeasuredTimes) -> NDArray[np.bool_]:

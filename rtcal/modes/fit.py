@@ -22,14 +22,11 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rtcal.modes.matching import COMMON_ERROR, DECAY_ERROR, frequency_error
-from rtcal.modes.room_modes import Poles
+from rtcal.modes.room_modes import Complex, Poles
 from rtcal.support.errors import DataError
 from rtcal.support.types import Array
-
-Complex = NDArray[np.complex128]
 
 AMPLITUDE = 0.3
 """Relative standard deviation of an amplitude at a pair, before anything was heard: positions, the
@@ -83,8 +80,8 @@ class Spectra:
     def kernel(self, poles: Complex) -> tuple[Complex, Complex]:
         """Return the spectra of exp(s t) and their derivatives by s, each (n_bins, n_poles)."""
         n, dt = self.samples, self.step
-        step = np.exp((poles - 1j * self.omega[:, np.newaxis]) * dt)
-        last = np.exp(poles * dt * n) * np.exp(-1j * self.omega * dt * n)[:, np.newaxis]
+        turn = -1j * self.omega[:, np.newaxis] * dt
+        step, last = np.exp(poles * dt) * np.exp(turn), np.exp(poles * dt * n) * np.exp(turn * n)
         value = (1 - last) / (1 - step)
         return value, dt * (step * value - n * last) / (1 - step)
 
@@ -131,24 +128,6 @@ class Problem:
         own = frequency_error(self.poles.frequencies, self.poles.decays)
         return np.concatenate([own, np.full(len(own), DECAY_ERROR)])
 
-    def parts(self, at: Array) -> tuple[Complex, Complex, Complex, Complex]:
-        """Return kernels of the poles and of their conjugates, and their derivatives.
-
-        Last stand the residuals, which have no poles of their own.
-        """
-        n = len(self.prior) // 2
-        poles = -np.exp(at[n:]) + 2j * np.pi * at[:n]
-        value, slope = self.heard.kernel(poles)
-        other, other_slope = self.heard.kernel(poles.conj())
-        rest = self.heard.residuals
-        value, other = np.hstack([value / 2, rest]), np.hstack([other / 2, 0 * rest])
-        return value, other, slope / 2, other_slope / 2
-
-    def off(self, at: Array, amplitudes: Complex) -> Complex:
-        """Return what the modes leave of the spectra, (n_bins, n_pairs)."""
-        value, other, _, _ = self.parts(at)
-        return np.asarray(self.heard.values - value @ amplitudes - other @ amplitudes.conj())
-
 
 def fitted(heard: Spectra, poles: Poles, psi: Complex) -> Point:
     """Return the poles and amplitudes of the least squares.
@@ -166,16 +145,15 @@ def fitted(heard: Spectra, poles: Poles, psi: Complex) -> Point:
 
 def _settled(point: Point) -> Point:
     """Take steps with Levenberg's damping until the misfit falls no more."""
-    problem, n, damping = point.problem, len(point.problem.psi), 1e-2
+    n, damping = len(point.problem.psi), 1e-2
     for _ in range(_STEPS):
-        now, settled = point.misfit(point.at, point.amplitudes), True
+        now, settled = point.misfit(point), True
         for _ in range(6):
-            move, more = point.step(damping)
-            if np.abs(move[n:]).max() < 2:
-                moved = point.at + move, point.amplitudes + more
-                fallen = now - point.misfit(*moved)
+            moved = point.moved(damping)
+            if np.abs(moved.at - point.at)[n:].max() < 2:
+                fallen = now - point.misfit(moved)
                 if fallen > 0:
-                    point, settled = Point(problem, *moved), fallen < 0.5
+                    point, settled = moved, fallen < 0.5
                     break
             damping *= 10
         damping = max(damping / 10, 1e-8)
@@ -231,9 +209,26 @@ class Point:
         return self.at[len(self.problem.psi) :]
 
     @cached_property
+    def columns(self) -> Complex:
+        """Derivatives of the spectra, (n_bins, 2 n_amplitudes + 2 n_poles).
+
+        By the amplitudes' real parts and imaginary parts; and two for each pole, which each pair mixes
+        by its amplitude. The residuals have no poles of their own.
+        """
+        heard = self.problem.heard
+        poles, rest = -np.exp(self.log_decays) + 2j * np.pi * self.frequencies, heard.residuals
+        ours, others = heard.kernel(poles), heard.kernel(poles.conj())
+        sums, turned = (
+            [(a + sign * b) / 2 for a, b in zip(ours, others, strict=True)] for sign in (1, -1)
+        )
+        by_amplitudes = np.hstack([sums[0], rest, 1j * turned[0], 1j * rest])
+        return np.hstack([by_amplitudes, sums[1], 1j * turned[1]])
+
+    @cached_property
     def off(self) -> Complex:
-        """Spectra less those of the modes, (n_bins, n_pairs)."""
-        return self.problem.off(self.at, self.amplitudes)
+        """What the modes leave of the spectra, (n_bins, n_pairs)."""
+        parts = np.vstack([self.amplitudes.real, self.amplitudes.imag])
+        return np.asarray(self.problem.heard.values - self.columns[:, : len(parts)] @ parts)
 
     @property
     def own(self) -> Complex:
@@ -280,51 +275,64 @@ class Point:
         """Covariance of the poles, (2 n_poles, 2 n_poles), with their prior."""
         return np.asarray(np.linalg.inv(self._reduced(0.0)[0]))
 
-    def misfit(self, at: Array, amplitudes: Complex) -> float:
-        """Return the weighed squares of what is left, of amplitudes and of poles elsewhere."""
+    def misfit(self, there: Point) -> float:
+        """Return the weighed squares of what is left ``there``, with the weights of this point."""
         p = self.problem
-        left = np.abs(p.off(at, amplitudes)) ** 2 * self.weight[:, np.newaxis] ** 2
-        far = np.abs(amplitudes - self.expected) ** 2 * self.ridge[:, np.newaxis]
-        return float(left.sum() + far.sum() + (((at - p.prior) / p.spread) ** 2).sum())
+        left = np.abs(there.off) ** 2 * self.weight[:, np.newaxis] ** 2
+        far = np.abs(there.amplitudes - self.expected) ** 2 * self.ridge[:, np.newaxis]
+        return float(left.sum() + far.sum() + (((there.at - p.prior) / p.spread) ** 2).sum())
 
-    def step(self, damping: float) -> tuple[Array, Complex]:
-        """Return the damped step of poles and amplitudes."""
-        matrix, right, inverse, across, sides = self._reduced(damping)
+    def moved(self, damping: float) -> Point:
+        """Return the point after a damped step."""
+        from scipy.linalg import solve_triangular
+
+        matrix, right, lower, across, sides = self._reduced(damping)
         move = np.linalg.solve(matrix, right)
-        more = np.stack(
-            [inverse @ (s - c @ move) for c, s in zip(across, sides, strict=True)], axis=1
-        )
+        more = solve_triangular(lower, sides - across @ move, trans=1, lower=True)
         n = len(self.amplitudes)
-        return np.asarray(move), np.asarray(more[:n] + 1j * more[n:])
+        return Point(self.problem, self.at + move, self.amplitudes + more[:n] + 1j * more[n:])
 
-    def _reduced(self, damping: float) -> tuple[Array, Array, Array, list[Array], list[Array]]:
-        """Return matrix and right side of the poles, without the amplitudes, and these' own."""
-        p, n = self.problem, len(self.amplitudes)
-        value, other, slope, other_slope = p.parts(self.at)
+    def _reduced(self, damping: float) -> tuple[Array, ...]:
+        """Return matrix and right side of the poles, without the amplitudes.
 
-        def real(columns: Complex) -> Array:
-            weighed = columns * self.weight[:, np.newaxis]
-            return np.concatenate([weighed.real, weighed.imag])
+        And of these the root L of their matrix, and by L what they share with the poles, (2 n, n_pairs,
+        2 n_poles), and their sides, (2 n, n_pairs).
+        """
+        from scipy.linalg import solve_triangular
 
-        of_amplitudes = real(np.hstack([value + other, 1j * (value - other)]))
-        own = of_amplitudes.T @ of_amplitudes
-        own[np.diag_indices(2 * n)] += np.tile(self.ridge, 2)
-        own[np.diag_indices(2 * n)] *= 1 + damping
-        inverse: Array = np.asarray(np.linalg.inv(own))
+        own, matrix, right, across, sides = self._normal
+        own, matrix = (m + damping * np.diag(np.diag(m)) for m in (own, matrix))
+        lower = np.asarray(np.linalg.cholesky(own), dtype=float)
+        across, sides = (solve_triangular(lower, m, lower=True) for m in (across, sides))
+        rows = across.reshape(-1, len(matrix))
+        matrix, right = matrix - rows.T @ rows, right - rows.T @ sides.ravel()
+        return matrix, right, lower, across.reshape(*sides.shape, -1), sides
+
+    @cached_property
+    def _normal(self) -> tuple[Array, ...]:
+        """Normal equations: of amplitudes, of poles with their right side, of both, and sides."""
+        p, n = self.problem, 2 * len(self.amplitudes)
+        columns, left = (
+            np.concatenate([weighed.real, weighed.imag])
+            for weighed in (x * self.weight[:, np.newaxis] for x in (self.columns, self.off))
+        )
+        gram, off = columns.T @ columns, columns.T @ left
+        decays = np.exp(self.log_decays)
+
+        def of_poles(mixed: Array, a: Complex) -> Array:
+            """Return what a pair of amplitudes ``a`` has of poles, along the last axis."""
+            one, two = mixed[..., : len(a)], mixed[..., len(a) :]
+            by_frequency = 2 * np.pi * (two * a.real - one * a.imag)
+            return np.concatenate([by_frequency, -decays * (one * a.real + two * a.imag)], axis=-1)
+
         matrix, right = np.diag(p.spread**-2), (p.prior - self.at) / p.spread**2
-        off, decays = real(self.off), np.exp(self.log_decays)
+        for a, side in zip(self.own.T, off[n:].T, strict=True):
+            matrix += of_poles(of_poles(gram[n:, n:], a).T, a)
+            right += of_poles(side, a)
+        across = np.hstack([of_poles(gram[:n, n:], a) for a in self.own.T])
         far = (self.expected - self.amplitudes) * self.ridge[:, np.newaxis]
-        across, sides = [], []
-        for r, a in enumerate(self.own.T):
-            one, two = slope * a, other_slope * a.conj()
-            of_poles = real(np.hstack([2j * np.pi * (one - two), -decays * (one + two)]))
-            matrix, right = matrix + of_poles.T @ of_poles, right + of_poles.T @ off[:, r]
-            across.append(of_amplitudes.T @ of_poles)
-            sides.append(of_amplitudes.T @ off[:, r] + np.append(far[:, r].real, far[:, r].imag))
-        matrix[np.diag_indices(len(matrix))] *= 1 + damping
-        for c, side in zip(across, sides, strict=True):
-            matrix, right = matrix - c.T @ inverse @ c, right - c.T @ inverse @ side
-        return (matrix + matrix.T) / 2, right, inverse, across, sides
+        sides = off[:n] + np.concatenate([far.real, far.imag])
+        return gram[:n, :n] + np.diag(np.tile(self.ridge, 2)), matrix, right, across, sides
 
 
 def _share(part: Complex, whole: Complex) -> float:

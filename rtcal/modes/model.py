@@ -86,14 +86,13 @@ class AtFrequencies:
 class RoomPoles:
     """The room's poles as functions of alpha in its bands.
 
-    ``room`` states the correlation of its bands. ``chosen`` are the modes whose decays are compared, or
-    all.
+    ``room`` states the correlation of its bands. ``chosen`` are the modes whose decays are compared.
     """
 
     room: Room
     modes: RoomModes
-    chosen: tuple[int, ...] | None = None
-    known: dict[bytes, tuple[Array, Array, Array]] = field(default_factory=dict)
+    chosen: tuple[int, ...] = ()
+    known: dict[bytes, Poles] = field(default_factory=dict)
 
     @classmethod
     def of(cls, room: Room, largest: float, geometry: Polyhedron | None = None) -> RoomPoles:
@@ -123,13 +122,21 @@ class RoomPoles:
     @cached_property
     def calculated(self) -> Poles:
         """All poles with the room's own coefficients."""
-        return self.modes.poles(self._admittances(self.room.alpha))
+        known, key = self.modes.known, self.at.mean[self.rows].tobytes()
+        if key not in known:
+            known.clear()
+            known[key] = self.modes.poles(self._admittances(self.room.alpha))
+        return known[key]
 
     def poles(self, alpha: Array) -> Poles:
-        """Return the poles of the chosen modes, or of all, with the shapes of those `calculated`."""
-        shapes = self.calculated.mixtures
-        chosen = slice(None) if self.chosen is None else list(self.chosen)
-        return self.modes.poles(self._admittances(alpha), shapes[:, chosen])
+        """Return all poles, with the shapes of those `calculated`."""
+        if np.array_equal(alpha, self.room.alpha):
+            return self.calculated
+        key = alpha.tobytes()
+        if key not in self.known:
+            shapes = self.calculated.mixtures
+            self.known[key] = self.modes.poles(self._admittances(alpha), shapes)
+        return self.known[key]
 
     def _admittances(self, alpha: Array) -> Admittances:
         """Return the walls' admittances; between the modes' frequencies they are interpolated."""
@@ -168,22 +175,16 @@ class RoomPoles:
 
         (n_modes,), (n_modes, n_materials * n_bands) and (n_modes, n_modes), in 1/s.
         """
-        key = alpha.tobytes()
-        if key not in self.known:
-            self.known[key] = self._linear(alpha)
-        return self.known[key]
-
-    def _linear(self, alpha: Array) -> tuple[Array, Array, Array]:
-        poles, columns = self.poles(alpha), list(self.chosen or ())
+        poles, columns = self.poles(alpha), list(self.chosen)
         beta_slope = admittance_slope(self.at.alpha(alpha)[:, columns])
         by_material = np.zeros((len(columns), self.room.n_materials), dtype=complex)
         for wall, row in enumerate(self.rows):
-            by_material[:, row] += poles.slopes[:, wall]
+            by_material[:, row] += poles.slopes[columns, wall]
         # Of delta by alpha at the mode's own frequency.
         slope = -(by_material * beta_slope.T).real
         matrix = slope[:, :, np.newaxis] * self.at.slope()[:, columns].transpose(1, 0, 2)
         in_sigmas = slope * self.at.sigma[:, columns].T
         remainder = (in_sigmas @ in_sigmas.T) * self.at.remainder[np.ix_(columns, columns)]
         air = self.room.air_attenuation * self.modes.speed_of_sound / 2
-        decays = poles.decays + np.interp(poles.frequencies, self.room.centre_frequencies, air)
-        return decays, matrix.reshape(len(columns), -1), remainder
+        air = np.interp(poles.frequencies, self.room.centre_frequencies, air)
+        return (poles.decays + air)[columns], matrix.reshape(len(columns), -1), remainder

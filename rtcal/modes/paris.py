@@ -85,9 +85,7 @@ def admittance(alpha: Array, phase: float = 0.0) -> NDArray[np.complex128]:
     value = checks.array("alpha", alpha)
     if not ((value >= 0) & (value <= 1)).all():
         raise DataError(f"alpha = {checks.shown(alpha)} is not within 0 and 1")
-    size, slope = _along(value, phase)
-    del slope
-    return np.asarray(size * np.exp(1j * np.radians(phase)))
+    return np.asarray(_along(value, phase)[0] * np.exp(1j * np.radians(phase)))
 
 
 def admittance_slope(alpha: Array, phase: float = 0.0) -> NDArray[np.complex128]:

@@ -12,7 +12,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rtcal.modes.box import BEYOND, box_modes
 from rtcal.modes.room_modes import RoomModes
@@ -76,17 +75,19 @@ def modes_of(
     checks.instance("geometry", geometry, Polyhedron)
     largest = checks.positive("largest", largest, "Hz")
     c = checks.positive("speed_of_sound", speed_of_sound, "m/s")
-    if spacing is None:
-        if tuple(geometry.names) == SHOEBOX_WALLS and not geometry.vertices.min(axis=0).any():
-            sides = np.ptp(geometry.vertices, axis=0)
-            return box_modes(sides, geometry.materials, largest, c)
-        spacing = c / largest / PER_WAVELENGTH
+    box = spacing is None and tuple(geometry.names) == SHOEBOX_WALLS
+    box = box and not geometry.vertices.min(axis=0).any()
+    spacing = c / largest / PER_WAVELENGTH if spacing is None else spacing
     spacing = checks.positive("spacing", spacing, "m")
-    key = (geometry.to_text(), geometry.names, largest, c, spacing)
+    key = (geometry.to_text(), geometry.names, largest, c, None if box else spacing)
     if key not in _kept:
         if len(_kept) >= _MOST_KEPT:
             _kept.pop(next(iter(_kept)))
-        _kept[key] = _by_elements(geometry, largest, c, spacing)
+        if box:
+            sides = np.ptp(geometry.vertices, axis=0)
+            _kept[key] = box_modes(sides, geometry.materials, largest, c)
+        else:
+            _kept[key] = _by_elements(geometry, largest, c, spacing)
     return _kept[key]
 
 
@@ -189,20 +190,15 @@ def _integrals(basis: Any, geometry: Polyhedron) -> list[Any]:
     fem = _library()
     mesh = basis.mesh
     boundary = mesh.boundary_facets()
-    owner = _walls_of(mesh.p[:, mesh.facets[:, boundary]].mean(axis=1).T, geometry)
+    off = distances(mesh.p[:, mesh.facets[:, boundary]].mean(axis=1).T, geometry.triangles)
+    if (off.min(axis=1) > _PLANE).any():
+        raise DataError("a wall of the mesh overlaps another: the mesh's boundary is not its faces")
+    owner = geometry.triangle_faces[off.argmin(axis=1)]
     form = fem.BilinearForm(lambda u, v, _: u * v)
     return [
         form.assemble(fem.FacetBasis(mesh, basis.elem, facets=boundary[owner == k], intorder=4))
         for k in range(len(geometry.faces))
     ]
-
-
-def _walls_of(points: Array, geometry: Polyhedron) -> NDArray[np.intp]:
-    """Return the wall on which each point lies, (n_points,)."""
-    off = distances(points, geometry.triangles)
-    if (off.min(axis=1) > _PLANE).any():
-        raise DataError("a wall of the mesh overlaps another: the mesh's boundary is not its faces")
-    return np.asarray(geometry.triangle_faces[off.argmin(axis=1)])
 
 
 def _library() -> Any:

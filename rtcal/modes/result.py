@@ -183,33 +183,27 @@ class ModesResult(Result):
     def mode_rows(self) -> list[tuple[str, list[str]]]:
         """Each mode used: frequency in Hz; T, T before and after in s, and what it tells most of."""
         strongest = np.abs(self.pulls).mean(axis=2).argmax(axis=1)
-        rows = []
-        for k, i in enumerate(self.used):
-            t, u = self.modes.decay_times[i], self.modes.decay_uncertainty[i]
-            rows.append(
-                (
-                    f"{self.modes.frequencies[i]:.1f}",
-                    [
-                        f"{t:.2f} ± {t * u / self.measured[k]:.2f}",
-                        f"{DECAY / self.before[k]:.2f}",
-                        f"{DECAY / self.after[k]:.2f}",
-                        self.prior.materials[int(strongest[k])],
-                    ],
-                )
+        shown = zip(self.used, self.measured, self.before, self.after, strongest, strict=True)
+        return [
+            (
+                f"{self.modes.frequencies[i]:.1f}",
+                [
+                    f"{DECAY / d:.2f} ± {DECAY / d**2 * self.modes.decay_uncertainty[i]:.2f}",
+                    f"{DECAY / before:.2f}",
+                    f"{DECAY / after:.2f}",
+                    self.prior.materials[int(material)],
+                ],
             )
-        return rows
+            for i, d, before, after, material in shown
+        ]
 
     def _material_rows(self) -> list[tuple[str, list[str]]]:
-        low, ends = np.flatnonzero(self.below), self.interval
-        rows = []
-        for i, name in enumerate(self.prior.materials):
-            cells = [
-                f"{self.prior.alpha[i, k]:.2f} > {self.alpha[i, k]:.2f} "
-                f"({ends[0][i, k]:.2f}-{ends[1][i, k]:.2f})"
-                for k in low
-            ]
-            rows.append((name, cells))
-        return rows
+        parts = (x[:, self.below] for x in (self.prior.alpha, self.alpha, *self.interval))
+        cells = [
+            [f"{a:.2f} > {b:.2f} ({c:.2f}-{d:.2f})" for a, b, c, d in zip(*row, strict=True)]
+            for row in zip(*parts, strict=True)
+        ]
+        return list(zip(self.prior.materials, cells, strict=True))
 
     def __str__(self) -> str:
         low = self.prior.centre_frequencies[self.below]
@@ -229,12 +223,9 @@ class ModesResult(Result):
     @property
     def every_note(self) -> list[str]:
         """The ``notes``, and what the result says against itself."""
-        notes = [
-            f"Measured frequencies are {self.scale:.3f} times those calculated.",
-            *self.notes,
-        ]
-        notes += [f"{m.title}: {m.text}; {m.advice}." for m in self.trust_marks]
-        return notes
+        first = f"Measured frequencies are {self.scale:.3f} times those calculated."
+        marks = [f"{m.title}: {m.text}; {m.advice}." for m in self.trust_marks]
+        return [first, *self.notes, *marks]
 
     def to_dict(self) -> dict[str, Any]:
         """Return everything as plain numbers, lists and text; None where a value is missing."""

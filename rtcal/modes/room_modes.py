@@ -17,7 +17,7 @@ Morse & Ingard 1968, Theoretical Acoustics, Sect. 9.4; Kuttruff 2009, Room Acous
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,10 +29,16 @@ DECAY = 3 * float(np.log(10))
 """Decay time of a mode times its delta: the level falls by 60 dB."""
 
 _ROUNDS = 12
-_CONVERGED = 1e-4
+_CONVERGED = 1e-7
+_MIXED = 0.3
+"""Share of another shape that one step mixes in at most."""
 
-Admittances = Callable[[float], NDArray[np.complex128]]
+Complex = NDArray[np.complex128]
+
+Admittances = Callable[[float], Complex]
 """Specific admittance of each wall, (n_walls,), at a frequency in Hz."""
+_Step = Callable[[Complex, Complex, Complex, Complex], Complex]
+"""Of poles, shapes, c times the admittances and the walls' pull: better shapes."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -54,6 +60,8 @@ class RoomModes:
         Frequency in Hz up to which modes are wanted; those above it complete the others' shapes.
     shapes : function
         Of points (n_points, 3) in m: the modes' values there, (n_points, n_modes + 1), in m^(-3/2).
+    known : dict
+        The last poles that were asked of stated coefficients, by these: kept for the next responses.
 
     Examples
     --------
@@ -68,13 +76,14 @@ class RoomModes:
     speed_of_sound: float
     largest: float
     shapes: Callable[[Array], Array]
+    known: dict[bytes, Poles] = field(default_factory=dict, repr=False)
 
     @property
     def wanted(self) -> int:
         """Number of modes up to ``largest``."""
         return int(np.searchsorted(self.frequencies, self.largest, side="right"))
 
-    def poles(self, admittances: Admittances, like: NDArray[np.complex128] | None = None) -> Poles:
+    def poles(self, admittances: Admittances, like: Complex | None = None) -> Poles:
         """Return the poles of the modes up to ``largest``.
 
         With ``like``, mixtures (n_modes + 1, n_poles), those whose shapes are like these: where two
@@ -82,59 +91,85 @@ class RoomModes:
 
         Raises ModelError if a pole does not converge: walls too far from rigid.
         """
-        omega, c = 2 * np.pi * self.frequencies, self.speed_of_sound
-        n = self.wanted
-        omega = np.append(omega, 0.0)
-        beta = np.stack([admittances(f) for f in [*self.frequencies, self.frequencies[0]]], axis=1)
+
+        def at(frequencies: Array) -> Complex:
+            return np.stack([admittances(float(f)) for f in frequencies], axis=1)
+
+        omega, c = 2 * np.pi * np.append(self.frequencies, 0.0), self.speed_of_sound
+        beta = at(np.append(self.frequencies, self.frequencies[0]))
         root = np.sqrt(beta)
         # Without what couples to negative frequencies the problem is an ordinary one.
         start = np.diag(1j * omega) - c / 2 * np.einsum(
             "im,imn,in->mn", root, self.coupling, root, optimize=True
         )
         first, vectors = np.linalg.eig(start)
-        alike = vectors[:n] if like is None else like.conj().T @ vectors
+        alike = vectors[: self.wanted] if like is None else like.conj().T @ vectors
         chosen = _by_mode(np.abs(alike) ** 2)
-        poles, shapes = first[chosen], vectors[:, chosen]
-        slopes = np.empty((len(chosen), len(self.materials)), dtype=complex)
-        norms = np.empty(len(chosen), dtype=complex)
-        for k in range(len(chosen)):
-            poles[k], shapes[:, k], slopes[k], norms[k] = self._refined(
-                poles[k], shapes[:, k], omega, admittances
+        inverse = np.linalg.inv(vectors)
+        squares, own = omega[:, np.newaxis] ** 2, first[:, np.newaxis]
+
+        def corrected(s: Complex, shapes: Complex, beta: Complex, pull: Complex) -> Complex:
+            """Take off the residual by the vectors, among which the matrix is almost diagonal."""
+            residual, apart = (s**2 + squares) * shapes + s * pull, (s - own) * (s - own.conj())
+            apart[chosen, np.arange(len(chosen))] = np.inf  # a shape takes nothing of its own
+            mixed = inverse @ residual / apart
+            mixed /= np.maximum(np.abs(mixed) / _MIXED, 1.0)
+            return np.asarray(shapes - vectors @ mixed)
+
+        def solved(s: Complex, shapes: Complex, beta: Complex, pull: Complex) -> Complex:
+            """Inverse iteration."""
+            each = [
+                pole * np.tensordot(b, self.coupling, 1) + np.diag(pole**2 + omega**2)
+                for pole, b in zip(s, beta.T, strict=True)
+            ]
+            return np.asarray(np.linalg.solve(each, shapes.T[:, :, np.newaxis])[:, :, 0].T)
+
+        poles, shapes, settled = self._refined(first[chosen], vectors[:, chosen], at, corrected)
+        if not settled.all():
+            rest = chosen[~settled]
+            poles[~settled], shapes[:, ~settled], sure = self._refined(
+                first[rest], vectors[:, rest], at, solved
             )
-        return Poles(poles, shapes, slopes, norms)
+            if not sure.all():
+                raise ModelError(
+                    f"the mode at {first[rest[~sure][0]].imag / (2 * np.pi):.1f} Hz has no pole near "
+                    "that of rigid walls: a wall absorbs too much"
+                )
+        of_walls, pull = self._walls(shapes, c * at(poles.imag / (2 * np.pi)))
+        norms = (shapes * (2 * poles * shapes + pull)).sum(axis=0)
+        return Poles(poles, shapes, (-poles * c * of_walls / norms).T, norms)
 
     def _refined(
-        self, pole: complex, shape: NDArray[np.complex128], omega: Array, admittances: Admittances
-    ) -> tuple[complex, NDArray[np.complex128], NDArray[np.complex128], complex]:
-        """Inverse iteration with Rayleigh's functional; the slopes ds/dbeta by wall, and the norm."""
-        c, n = self.speed_of_sound, len(omega)
+        self, poles: Complex, shapes: Complex, at: Callable[[Array], Complex], step: _Step
+    ) -> tuple[Complex, Complex, NDArray[np.bool_]]:
+        """Return poles by Rayleigh's functional, with shapes by steps, and which of them settled."""
+        squares = (2 * np.pi * np.append(self.frequencies, 0.0)[:, np.newaxis]) ** 2
+        settled = np.zeros(len(poles), dtype=bool)
         for _ in range(_ROUNDS):
-            walls = c * np.tensordot(admittances(float(pole.imag / (2 * np.pi))), self.coupling, 1)
-            last, pole = pole, _rayleigh(shape, walls, omega, pole)
-            if abs(pole - last) < _CONVERGED * abs(pole):
+            shapes = shapes / np.sqrt((shapes**2).sum(axis=0))
+            beta = self.speed_of_sound * at(poles.imag / (2 * np.pi))
+            _, pull = self._walls(shapes, beta)
+            # The root s of x'(s² + s W + omega²) x = 0 that is nearest to the last.
+            half, square = (shapes * pull).sum(axis=0) / 2, (shapes**2 * squares).sum(axis=0)
+            root = np.sqrt(half**2 - square)
+            last, near = poles, np.abs(root - half - poles) < np.abs(root + half + poles)
+            poles = np.where(near, root, -root) - half
+            settled = np.abs(poles - last) < _CONVERGED * np.abs(poles)
+            if settled.all():
                 break
-            matrix = pole * walls
-            matrix[np.diag_indices(n)] += pole**2 + omega**2
-            step = np.linalg.solve(matrix, shape)
-            shape = step / np.sqrt(step @ step)
-        else:
-            raise ModelError(
-                f"the mode at {pole.imag / (2 * np.pi):.1f} Hz has no pole near that of rigid walls: "
-                "a wall absorbs too much"
-            )
-        norm = shape @ (2 * pole * shape + walls @ shape)
-        slopes = np.array([-pole * c * (shape @ b @ shape) / norm for b in self.coupling])
-        return pole, shape, slopes, complex(norm)
+            shapes = step(poles, shapes, beta, pull)
+        return poles, shapes, settled
 
-
-def _rayleigh(
-    shape: NDArray[np.complex128], walls: NDArray[np.complex128], omega: Array, near: complex
-) -> complex:
-    """Return the root s of x'(s² + s W + omega²) x = 0 that is nearest to ``near``."""
-    norm = shape @ shape
-    half, square = shape @ walls @ shape / (2 * norm), (shape * omega**2) @ shape / norm
-    root = np.sqrt(half**2 - square)
-    return complex(min(-half + root, -half - root, key=lambda s: abs(s - near)))
+    def _walls(self, shapes: Complex, weights: Complex) -> tuple[Complex, Complex]:
+        """Return x' B_i x of each column x, (n_walls, n_columns), and sum_i weights_i B_i x."""
+        n, own, pull = shapes.shape[1], [], np.zeros_like(shapes)
+        parts = np.hstack([shapes.real, shapes.imag])
+        for wall, weight in zip(self.coupling, weights, strict=True):
+            both = wall @ parts
+            on_wall = both[:, :n] + 1j * both[:, n:]
+            own.append((shapes * on_wall).sum(axis=0))
+            pull += weight * on_wall
+        return np.array(own), pull
 
 
 @dataclass(frozen=True, eq=False)
@@ -154,10 +189,10 @@ class Poles:
         have the values a and b excite and hear the pole with a b / norm.
     """
 
-    values: NDArray[np.complex128]
-    mixtures: NDArray[np.complex128]
-    slopes: NDArray[np.complex128]
-    norms: NDArray[np.complex128]
+    values: Complex
+    mixtures: Complex
+    slopes: Complex
+    norms: Complex
 
     @property
     def frequencies(self) -> Array:
