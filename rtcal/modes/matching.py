@@ -69,8 +69,11 @@ def match(measured: MeasuredModes, frequencies: Array, decays: Array) -> Matches
     """
     from scipy.special import logsumexp
 
-    if measured.calculated is not None:
-        return _heard(measured, frequencies)
+    own = measured.calculated
+    if own is not None:
+        # The modes of responses were found as the room's own.
+        scale, sure = float(np.median(measured.frequencies / frequencies[own])), np.ones(len(own))
+        return Matches(np.arange(len(own)), own, sure, scale, np.array([], dtype=int))
     relative = measured.decay_uncertainty / measured.decays
     of_decay = np.hypot(DECAY_ERROR, relative)[:, np.newaxis]
     # Relative to a stranger's decay, of which nothing is known but its order of magnitude.
@@ -105,18 +108,6 @@ def match(measured: MeasuredModes, frequencies: Array, decays: Array) -> Matches
         probability=probability[sure],
         scale=scale,
         ambiguous=np.flatnonzero(~sure),
-    )
-
-
-def _heard(measured: MeasuredModes, frequencies: Array) -> Matches:
-    """Return the modes of responses as the room's own, which they were found as."""
-    own = np.asarray(measured.calculated)
-    return Matches(
-        measured=np.arange(len(own)),
-        calculated=own,
-        probability=np.ones(len(own)),
-        scale=float(np.median(measured.frequencies / frequencies[own])),
-        ambiguous=np.array([], dtype=int),
     )
 
 

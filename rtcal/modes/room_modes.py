@@ -30,15 +30,20 @@ DECAY = 3 * float(np.log(10))
 
 _ROUNDS = 12
 _CONVERGED = 1e-7
+_SETTLED = 1e-4
+"""Largest share of another shape that the last step mixed in."""
 _MIXED = 0.3
 """Share of another shape that one step mixes in at most."""
 
 Complex = NDArray[np.complex128]
+Integers = NDArray[np.intp]
 
 Admittances = Callable[[float], Complex]
 """Specific admittance of each wall, (n_walls,), at a frequency in Hz."""
-_Step = Callable[[Complex, Complex, Complex, Complex], Complex]
-"""Of poles, shapes, c times the admittances and the walls' pull: better shapes."""
+_At = Callable[[Array], Complex]
+_Moved = tuple[Complex, Array]
+_Step = Callable[[Integers, Complex, Complex, Complex, Complex], _Moved]
+"""Of which poles, these, shapes, c times admittances and the walls' pull: shapes, and what moved."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -108,57 +113,61 @@ class RoomModes:
         inverse = np.linalg.inv(vectors)
         squares, own = omega[:, np.newaxis] ** 2, first[:, np.newaxis]
 
-        def corrected(s: Complex, shapes: Complex, beta: Complex, pull: Complex) -> Complex:
+        def corrected(
+            left: Integers, s: Complex, x: Complex, beta: Complex, pull: Complex
+        ) -> _Moved:
             """Take off the residual by the vectors, among which the matrix is almost diagonal."""
-            residual, apart = (s**2 + squares) * shapes + s * pull, (s - own) * (s - own.conj())
-            apart[chosen, np.arange(len(chosen))] = np.inf  # a shape takes nothing of its own
+            residual, apart = (s**2 + squares) * x + s * pull, (s - own) * (s - own.conj())
+            apart[chosen[left], np.arange(len(left))] = np.inf  # a shape takes nothing of its own
             mixed = inverse @ residual / apart
             mixed /= np.maximum(np.abs(mixed) / _MIXED, 1.0)
-            return np.asarray(shapes - vectors @ mixed)
+            return x - vectors @ mixed, np.abs(mixed).max(axis=0)
 
-        def solved(s: Complex, shapes: Complex, beta: Complex, pull: Complex) -> Complex:
+        def solved(left: Integers, s: Complex, x: Complex, beta: Complex, pull: Complex) -> _Moved:
             """Inverse iteration."""
             each = [
                 pole * np.tensordot(b, self.coupling, 1) + np.diag(pole**2 + omega**2)
                 for pole, b in zip(s, beta.T, strict=True)
             ]
-            return np.asarray(np.linalg.solve(each, shapes.T[:, :, np.newaxis])[:, :, 0].T)
+            found = np.asarray(np.linalg.solve(each, x.T[:, :, np.newaxis])[:, :, 0].T)
+            return found, np.zeros(len(s))
 
-        poles, shapes, settled = self._refined(first[chosen], vectors[:, chosen], at, corrected)
-        if not settled.all():
-            rest = chosen[~settled]
-            poles[~settled], shapes[:, ~settled], sure = self._refined(
-                first[rest], vectors[:, rest], at, solved
+        poles, shapes, left = first[chosen], vectors[:, chosen], np.arange(len(chosen))
+        for step in (corrected, solved):
+            if not len(left):
+                break
+            poles[left], shapes[:, left] = first[chosen[left]], vectors[:, chosen[left]]
+            left = self._refined(poles, shapes, left, at, step)
+        if len(left):
+            raise ModelError(
+                f"the mode at {poles[left[0]].imag / (2 * np.pi):.1f} Hz has no pole near that of "
+                "rigid walls: a wall absorbs too much"
             )
-            if not sure.all():
-                raise ModelError(
-                    f"the mode at {first[rest[~sure][0]].imag / (2 * np.pi):.1f} Hz has no pole near "
-                    "that of rigid walls: a wall absorbs too much"
-                )
         of_walls, pull = self._walls(shapes, c * at(poles.imag / (2 * np.pi)))
         norms = (shapes * (2 * poles * shapes + pull)).sum(axis=0)
         return Poles(poles, shapes, (-poles * c * of_walls / norms).T, norms)
 
     def _refined(
-        self, poles: Complex, shapes: Complex, at: Callable[[Array], Complex], step: _Step
-    ) -> tuple[Complex, Complex, NDArray[np.bool_]]:
-        """Return poles by Rayleigh's functional, with shapes by steps, and which of them settled."""
+        self, poles: Complex, shapes: Complex, left: Integers, at: _At, step: _Step
+    ) -> Integers:
+        """Refine those left by steps and Rayleigh's functional; return which have not settled."""
         squares = (2 * np.pi * np.append(self.frequencies, 0.0)[:, np.newaxis]) ** 2
-        settled = np.zeros(len(poles), dtype=bool)
+        moved = np.zeros(len(left))
         for _ in range(_ROUNDS):
-            shapes = shapes / np.sqrt((shapes**2).sum(axis=0))
-            beta = self.speed_of_sound * at(poles.imag / (2 * np.pi))
-            _, pull = self._walls(shapes, beta)
+            x, last = shapes[:, left] / np.sqrt((shapes[:, left] ** 2).sum(axis=0)), poles[left]
+            beta = self.speed_of_sound * at(last.imag / (2 * np.pi))
+            _, pull = self._walls(x, beta)
             # The root s of x'(s² + s W + omega²) x = 0 that is nearest to the last.
-            half, square = (shapes * pull).sum(axis=0) / 2, (shapes**2 * squares).sum(axis=0)
+            half, square = (x * pull).sum(axis=0) / 2, (x**2 * squares).sum(axis=0)
             root = np.sqrt(half**2 - square)
-            last, near = poles, np.abs(root - half - poles) < np.abs(root + half + poles)
-            poles = np.where(near, root, -root) - half
-            settled = np.abs(poles - last) < _CONVERGED * np.abs(poles)
-            if settled.all():
+            near = np.abs(root - half - last) < np.abs(root + half + last)
+            poles[left], shapes[:, left] = np.where(near, root, -root) - half, x
+            near = (np.abs(poles[left] - last) < _CONVERGED * np.abs(last)) & (moved < _SETTLED)
+            left, far = left[~near], ~near
+            if not len(left):
                 break
-            shapes = step(poles, shapes, beta, pull)
-        return poles, shapes, settled
+            shapes[:, left], moved = step(left, poles[left], x[:, far], beta[:, far], pull[:, far])
+        return left
 
     def _walls(self, shapes: Complex, weights: Complex) -> tuple[Complex, Complex]:
         """Return x' B_i x of each column x, (n_walls, n_columns), and sum_i weights_i B_i x."""
