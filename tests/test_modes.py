@@ -105,6 +105,25 @@ def test_poles_are_those_of_the_separated_equation():
     assert first[along_x] == pytest.approx(-s.real, rel=0.05)
 
 
+@pytest.mark.parametrize("sides", [(4.0, 4.003, 3.998), (5.2, 3.9, 2.6)])
+def test_poles_are_those_of_the_linearised_problem(sides):
+    """With admittances that hold at all frequencies the companion matrix has all poles at once.
+
+    In the first box many modes lie closer together than they are wide.
+    """
+    modes = box_modes(np.array(sides), SHOEBOX_WALLS, 120, C)
+    walls = np.array([0.03, 0.01 + 0.02j, 0.06, 0.005, 0.02 - 0.01j, 0.04])
+    poles = modes.poles(lambda f: walls)
+    omega = 2 * np.pi * np.append(modes.frequencies, 0.0)
+    n, pull = len(omega), C * np.tensordot(walls, modes.coupling, 1)
+    companion = np.block([[np.zeros((n, n)), np.eye(n)], [-np.diag(omega**2), -pull]])
+    all_poles = np.linalg.eigvals(companion)
+    off = np.abs(poles.values[:, np.newaxis] - all_poles)
+    assert len(poles.values) > 15
+    assert (off.min(axis=1) < 1e-6 * np.abs(poles.values.real)).all()
+    assert len(set(off.argmin(axis=1))) == len(poles.values)  # none is taken twice
+
+
 def test_slopes_of_poles_are_their_derivatives():
     modes = box_modes(SIDES, SHOEBOX_WALLS, 90, C)
     beta = np.array([0.02, 0.05, 0.01, 0.08, 0.2, 0.1]) + 0.03j
