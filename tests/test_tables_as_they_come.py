@@ -487,3 +487,48 @@ def test_a_written_name_is_no_formula_and_names_are_kept_apart() -> None:
     assert made["a b"]["A2"].data_type == "s"
     with pytest.raises(DataError, match='tables "a/b" and "A b" have one name in Excel'):
         workbook.content({"a/b": [["x"]], "A b": [["x"]]})
+
+
+@pytest.mark.parametrize(
+    "names",
+    [
+        ("S1R3", "S1R3"),
+        ("S1R3 (1)", "S1R3 (2)"),
+        ("S1R3_1", "S1R3_2"),
+        ("S1R3 sweep 1", "S1R3 sweep 2"),
+    ],
+)
+def test_repeats_are_proposed_and_read_by_their_usual_names(names: tuple[str, str]) -> None:
+    rows = [["Hz", "S1R1", *names], [500, 1.5, 1.2, 1.4], [1000, 1.3, 1.0, 1.2]]
+    content = book({"T20": rows})
+    with pytest.raises(DataError, match="repeats of one place, state repeats=True"):
+        tables.parse(content, "room.xlsx")
+    read = tables.parse(content, "room.xlsx", repeats=True).measurement
+    of_place = dict(zip(read.pairs, read.values["t20"], strict=True))
+    assert len(read.pairs) == 2  # a place each, and not a receiver per sweep
+    assert of_place["S1", "R1"] == pytest.approx([1.5, 1.3])
+    assert next(v for k, v in of_place.items() if k != ("S1", "R1")) == pytest.approx([1.3, 1.1])
+
+
+@pytest.mark.parametrize("repeats", [False, True])
+def test_sheets_of_other_parameters_are_no_repeats(repeats: bool) -> None:
+    """T20, EDT and C80 of sheets "Tabelle1" to "3" had been averaged on the message's own advice."""
+    other = [ACROSS[0], *([f, 10 * a, 10 * b] for f, a, b in ACROSS[1:])]
+    content = book({"Tabelle1": ACROSS, "Tabelle2": other})
+    with pytest.raises(DataError, match="Which parameter does each sheet hold") as refused:
+        tables.parse(content, "room.xlsx", parameter="t20", repeats=repeats)
+    assert "repeats" not in str(refused.value)
+    one = tables.parse(content, "room.xlsx", parameter="t20", sheets=["Tabelle1"], repeats=repeats)
+    assert one.measurement.values["t20"] == pytest.approx(np.array(list(T.values())))
+    # Sheets that are named together are meant together.
+    both = ["Tabelle1", "Tabelle2"]
+    read = tables.parse(content, "room.xlsx", parameter="t20", sheets=both, repeats=True)
+    assert len(read.measurement.pairs) == 2
+
+
+def test_a_clarity_that_no_room_has_is_told() -> None:
+    rows = [["Hz", "S1R1", "S1R2"], [500, 72.9, 5.1], [1000, 6.2, 4.8]]
+    said = " ".join(tables.parse(book({"C80": rows}), "room.xlsx").columns)
+    assert "no room has C80 of 72.9 dB (S1 to R1 at 500 Hz): look whether" in said
+    rows[1][1] = 12.9
+    assert "no room has" not in " ".join(tables.parse(book({"C80": rows}), "room.xlsx").columns)

@@ -7,6 +7,7 @@ English and German spellings. "RT60" may be T20 or T30, which the user must stat
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -52,6 +53,10 @@ _POSITION = re.compile(
 _RECEIVER = re.compile(
     r"(?:MP|M|R|P|rec|receiver|mic|microphone|pos|position|mikrofon|messposition)"
     r"[\s_.-]*\d+(?:\s*#\d+)?",
+    re.I | re.ASCII,
+)
+_REPEAT = re.compile(
+    r"(.*?\d)(?:\s*\((\d+)\)|_(\d+)|[\s_]+(?:sweep|take|run|rep|repeat|messung|wdh)[\s_.-]*(\d+))",
     re.I | re.ASCII,
 )
 _BRACKETS = re.compile(r"([^\[\](]*(?:\(\d+\))?)\s*[\[(]\s*([^\])]*?)\s*[\])]")
@@ -153,6 +158,38 @@ def position_of(text: str) -> tuple[str, str] | None:
         if _RECEIVER.fullmatch(text):
             return "", text
     return None
+
+
+def repeat_of(text: str) -> str | None:
+    """Return the name of a repeat that is named in another usual way; None for another text.
+
+    Examples
+    --------
+    >>> [repeat_of(name) for name in ("S1R3 (1)", "S1R3_2", "S1R3 sweep 3", "S1R3")]
+    ['S1R3#1', 'S1R3#2', 'S1R3#3', None]
+    """
+    match = _REPEAT.fullmatch(text.strip()) if len(text) <= MAX_HEADER else None
+    if not match or "#" in match[1] or not position_of(match[1]):
+        return None
+    return f"{match[1].strip()}#{match[2] or match[3] or match[4]}"
+
+
+def with_repeats(cells: Sequence[str]) -> list[str]:
+    """Return a row's cells with the names of repeats as ``S1R3#2``: numbered, where they are alike.
+
+    Examples
+    --------
+    >>> with_repeats(["Hz", "S1R1", "S1R3", "S1R3"]), with_repeats(["Hz", "S1R3 (1)", "S1R3 (2)"])
+    (['Hz', 'S1R1', 'S1R3', 'S1R3#2'], ['Hz', 'S1R3#1', 'S1R3#2'])
+    """
+    named = [repeat_of(cell) or cell for cell in cells]
+    of_place: dict[str, int] = {}
+    for i, name in enumerate(named):
+        if position_of(name):
+            of_place[name] = of_place.get(name, 0) + 1
+            if of_place[name] > 1:
+                named[i] = f"{name}#{of_place[name]}"
+    return named
 
 
 def position_in(text: str) -> tuple[str, str] | None:

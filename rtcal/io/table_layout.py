@@ -15,6 +15,7 @@ from rtcal.io.table_columns import (
     name_and_unit,
     parameter_of,
     position_of,
+    repeat_of,
 )
 from rtcal.io.table_words import STATISTICS, WHOLE_RANGES, plain
 from rtcal.io.text import shown
@@ -343,7 +344,8 @@ class Headers:
             if headers.count(header) > 1:
                 raise DataError(
                     f'{place}: column "{shown(header)}" is there {headers.count(header)} times; if '
-                    "these are tables beside each other, keep each on a sheet or in a file of its own"
+                    "they are repeats of one place, state repeats=True; if tables stand beside each "
+                    "other, keep each on a sheet or in a file of its own"
                 )
 
     def unnamed(self, others: list[Column], cells: list[str]) -> Column:
@@ -378,6 +380,11 @@ def _unknown(names: list[str]) -> str:
     options = " ".join(f'ignore="{shown(name)}"' for name in some)
     one = len(names) == 1
     are, them = ("is", "it") if one else ("are", "them")
+    if any(map(repeat_of, names)):
+        return (
+            f"column{'' if one else 's'} {quoted}{more} {are} no parameter, band, source or receiver; "
+            "if they are repeats of one place, state repeats=True"
+        )
     return (
         f"column{'' if one else 's'} {quoted}{more} {are} no parameter, band, source or receiver; "
         f"leave {them} out with {options}, or delete {them}; or read the rows of one room or state "

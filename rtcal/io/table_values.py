@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping, Sequence
 
 from rtcal.acoustics import bands
 from rtcal.acoustics.materials import text_name
@@ -98,6 +98,8 @@ class Reader:
         self.decay_time, self.parameter = decay_time, parameter
         self.header_place = f"{path}, line {layout.header_line}"
         self.notes = list(layout.notes)
+        self.given: set[Key] = set()
+        self.beside: Sequence[Reader] = ()
         kinds = [c.kind for c in layout.columns]
         across = any(c.receiver for c in layout.columns)
         if across or {"source", "receiver"} & {*kinds}:
@@ -140,6 +142,8 @@ class Reader:
             statistic = self._statistic(entries, place)
             values = single if statistic is None else of_several
             for key, numbers in self._values(cells, entries, statistic, place):
+                self.given.add(key)
+                self._refuse_other_sheet(key, place)
                 if statistic is None and self.repeats:
                     named = ((key[0], n, *key[2:]) for n in names_of_repeats(key[1]))
                     key = next(k for k in named if k not in values)
@@ -151,6 +155,18 @@ class Reader:
                         f"{bands.label(key[3])} is given twice{hint}"
                     )
                 held.update(numbers)
+
+    def _refuse_other_sheet(self, key: Key, place: str) -> None:
+        """Raise DataError for a value that another sheet of the file has: of another kind, likely."""
+        other = next((reader for reader in self.beside if key in reader.given), None)
+        if other is not None:
+            name = shown(other.path.partition(', sheet "')[2].rstrip('"'))
+            raise DataError(
+                f"{place}: {parameter_label(key[2])} of {key[0]}, {key[1]} at {bands.label(key[3])} is "
+                f"given twice, first by {other.path}. Which parameter does each sheet hold? Give the "
+                "sheets their parameters as names in the workbook, such as T20, EDT and C80; or read "
+                f'one alone, with its parameter: sheets="{name}"'
+            )
 
     def _selected(self, where: Mapping[str, str]) -> list[Row]:
         headers = [c.header for c in self.layout.columns]

@@ -20,13 +20,13 @@ from __future__ import annotations
 
 import os
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from rtcal.acoustics import bands, measurement_files
 from rtcal.acoustics.measurement import Measurement
-from rtcal.acoustics.observables import OBSERVABLES, TARGET, parameter_label
+from rtcal.acoustics.observables import OBSERVABLES, TARGET, observable, parameter_label
 from rtcal.acoustics.repeats import in_words, places_of
 from rtcal.io import nti, rew, workbook
 from rtcal.io.analysis import means
@@ -35,6 +35,7 @@ from rtcal.io.table_columns import (
     Column,
     column_of,
     position_of,
+    with_repeats,
 )
 from rtcal.io.table_layout import Sheet, TableLayout, has_header, layout_of
 from rtcal.io.table_options import check_options
@@ -209,6 +210,11 @@ def _read(
     notes: list[str] = []
     for path, content in contents.items():
         of_file = _sheets(content, path, where, decay_time, columns)
+        if repeats:
+            of_file = [
+                replace(s, rows=tuple((at, with_repeats(cells)) for at, cells in s.rows))
+                for s in of_file
+            ]
         chosen, left_out = _chosen(of_file, sheets, path, decay_time)
         notes += left_out
         found += _layouts(chosen, decay_time, columns)
@@ -225,7 +231,19 @@ def _read(
         )
         for sheet, layout in found
     ]
+    for i, ((sheet, _), reader) in enumerate(zip(found, readers, strict=True)):
+        if not sheets:  # those that are named are meant together
+            reader.beside = [
+                other for (s, _), other in zip(found[:i], readers, strict=False) if _alike(s, sheet)
+            ]
     return _table(readers, where, notes)
+
+
+def _alike(one: Sheet, other: Sheet) -> bool:
+    """Whether two tables are sheets of one file."""
+    return (
+        one.name != other.name and one.place.split(", sheet")[0] == other.place.split(", sheet")[0]
+    )
 
 
 def _sheets(
@@ -371,7 +389,26 @@ def _table(readers: Sequence[Reader], where: Mapping[str, str], notes: list[str]
     report[1:1] = notes if len(readers) == 1 else []
     report += [] if len(readers) == 1 else notes
     report += in_words(places_of(pairs))
+    report += _unusual(values)
     return Table(_measurement(values, places), tuple(report))
+
+
+def _unusual(values: Values) -> list[str]:
+    """Return a note on the values that no room has and that are read all the same; [] without any."""
+    odd = []
+    for key, numbers in values.items():
+        least, most = observable(key[2]).usual
+        if not least <= numbers.get("value", least) <= most:
+            odd.append((key, numbers["value"]))
+    if not odd:
+        return []
+    (source, receiver, parameter, band), value = odd[0]
+    more = f", and {len(odd) - 1} more" if len(odd) > 1 else ""
+    return [
+        f"no room has {parameter_label(parameter)} of {value:g} {observable(parameter).unit} "
+        f"({source} to {receiver} at {bands.label(band)}{more}): look whether the column, the unit or "
+        "the decimal is another"
+    ]
 
 
 def _measurement(values: Values, place: str) -> Measurement:

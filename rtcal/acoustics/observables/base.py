@@ -64,6 +64,8 @@ class Observable(ABC):
         Least and largest value that is accepted.
     doubt : str
         The likely mistake behind a value beyond them.
+    usual : (float, float)
+        Least and largest value that a room has; one beyond them is read and told.
     minimum_range : float or None
         Impulse-to-noise ratio in dB that a response needs to hold it. None where a response alone does
         not: its level needs a calibrated source.
@@ -105,6 +107,7 @@ class Observable(ABC):
     relative_jnd: ClassVar[bool] = False
     limits: ClassVar[tuple[float, float]]
     doubt: ClassVar[str]
+    usual: ClassVar[tuple[float, float]] = (-np.inf, np.inf)
     minimum_range: ClassVar[float | None] = 20.0
     reaches: ClassVar[float] = 0.0
     logarithmic: ClassVar[bool] = False

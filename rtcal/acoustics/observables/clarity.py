@@ -26,6 +26,8 @@ class Clarity(Observable):
     # C80 of T = 0.03 s is 160 dB.
     limits = -200.0, 200.0
     doubt = "is it in dB?"
+    # C80 of T = 0.1 s is 48 dB; of 1 m from a source in a long T it is some 20 dB.
+    usual = -40.0, 45.0
     rises = True
     # Of C80 between teams, in dB; see `rtcal.acoustics.observables.decay_slope.TEAMS`.
     teams = (0.83, 0.70, 0.59, 0.49, 0.42, 0.35)
