@@ -316,6 +316,18 @@ def test_a_material_that_the_list_lacks_is_named_with_the_list(tmp_path: Path, c
     assert '"Decke" is no material of the room; --area has Wände' in capsys.readouterr().err
 
 
+def test_a_volume_that_the_areas_cannot_enclose_is_told_at_import(tmp_path: Path, capsys) -> None:
+    """620 m² around 2,900,000 m³ had been imported without a word."""
+    out = tmp_path / "room.toml"
+    command = ("import", "catt", tmp_path / "hall.geo", "--area", "wood=620", "--out", out)
+    (tmp_path / "hall.geo").write_bytes(b"ABS wood = <1 2 3 4 5 6>\n")
+    assert run(*command, "--volume", 2_900_000) == 0
+    said = " ".join(capsys.readouterr().out.split())
+    assert "620 m² of surface cannot enclose 2.9e+06 m³" in said
+    assert run(*command, "--volume", 900) == 0
+    assert "cannot enclose" not in capsys.readouterr().out
+
+
 def test_a_mesh_that_does_not_suit_the_room_is_named(tmp_path: Path) -> None:
     """It had said that "Wood" is no material of the room, and not where it stands."""
     mesh = tmp_path / "bad.obj"

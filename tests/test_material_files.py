@@ -148,9 +148,25 @@ def test_an_alias_stands_for_its_material(tmp_path: Path) -> None:
     assert room.materials == ("floor",)
     catt.write(room.replace(alpha=np.full((1, 6), 0.5)), path)
     assert path.read_bytes().startswith(b"ABS wood = <50.0 50.0 50.0 50.0 50.0 50.0>\n")
-    both = catt.read(path).room(name="", volume=9, areas={"floor": 3.0, "wood": 4.0})
-    with pytest.raises(DataError, match="is the same material"):
-        catt.write(both.replace(alpha=[[0.5] * 6, [0.4] * 6]), path)
+
+
+def test_aliases_that_were_calibrated_apart_get_values_of_their_own(tmp_path: Path) -> None:
+    """The export had refused what the import took apart."""
+    path = tmp_path / "a.geo"
+    path.write_bytes(
+        b"ABS1 wood = <.1 .2 .3 .4 .5 .6> {1 2 3} ; oak\r\n"
+        b"ABS floor = wood ; laid 1990\r\nABS door = wood\r\nCORNERS\r\n"
+    )
+    areas = {"floor": 3.0, "wood": 4.0, "door": 1.0}
+    room = catt.read(path).room(name="", volume=9, areas=areas)
+    calibrated = room.replace(alpha=[[0.5] * 6, [0.4] * 6, [0.4] * 6])
+    catt.write(calibrated, path)
+    again = catt.read(path)
+    assert again.listed("floor").alpha == (0.5,) * 6
+    assert again.listed("wood").alpha == again.listed("door").alpha == (0.4,) * 6
+    written = path.read_bytes()
+    assert b"; laid 1990\r\n" in written
+    assert written.endswith(b"CORNERS\r\n")
 
 
 def octave_room(**changes: Any) -> rt.Room:

@@ -15,6 +15,7 @@ import rtcal as rt
 from benchmarks import defective_meshes
 from rtcal.command.main import main
 from rtcal.io import geometry_files, mend, mesh
+from rtcal.io.mend.faces import unit_notes
 from rtcal.io.mend.rays import volume_by_rays
 from rtcal.simulators.geometry import Polyhedron
 from rtcal.support.errors import DataError, MissingDependencyError
@@ -545,3 +546,61 @@ def test_rays_tell_the_volume_of_rooms_without_a_wall() -> None:
         assert told.volume_uncertainty < 0.25 * meant.volume
         seen += 1
     assert seen > 8
+
+
+@pytest.mark.parametrize(("factor", "told"), [(1.0, False), (1 / 0.0254, True)])
+def test_a_volume_that_hardly_any_room_has_is_told_in_other_units(
+    factor: float, told: bool, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A model in inches without a unit had V = 1.6e7 m³, without a hint."""
+    faces = drawn()
+    large = mend.Faces("room.obj", [factor * p for p in faces.polygons], faces.names, faces.names)
+    assert run("import", "check", obj(large, tmp_path / "room.obj")) == 0
+    said = " ".join(capsys.readouterr().out.split())
+    assert ("it is 280 m³ in inches (--unit 0.0254)" in said) == told
+
+
+def test_a_unit_that_the_file_contradicts_is_told(tmp_path: Path) -> None:
+    assert unit_notes(0.0254, 0.0254, 0.0254) == ["the file's unit is 0.0254 m"]
+    assert unit_notes(1.0, 0.0254, None) == []
+    (said,) = unit_notes(1.0, 0.0254, 1.0)
+    assert said == "the file states a unit of 0.0254 m, and 1 m was stated and taken"
+
+
+PLY_OF_I_SIMPA = b"""ply
+format ascii 1.0
+element vertex 8
+property float x
+property float y
+property float z
+element face 6
+property list uchar int vertex_indices
+property int layer_id
+end_header
+0 0 0
+4 0 0
+4 5 0
+0 5 0
+0 0 3
+4 0 3
+4 5 3
+0 5 3
+4 3 2 1 0 0
+4 4 5 6 7 1
+4 0 1 5 4 2
+4 1 2 6 5 2
+4 2 3 7 6 2
+4 3 0 4 7 2
+"""
+
+
+def test_the_layers_of_a_ply_are_not_lost_in_silence(tmp_path: Path) -> None:
+    path = tmp_path / "room.ply"
+    path.write_bytes(PLY_OF_I_SIMPA)
+    done = mesh.room(path)
+    assert done.geometry.volume == pytest.approx(60)
+    assert any("layers are not read" in note for note in done.notes)
+    head = b"ply\nformat binary_big_endian 1.0\nelement vertex 9\nproperty float x\nend_header\n"
+    path.write_bytes(head + b"AB")
+    with pytest.raises(DataError, match=r"cannot be read as ply.*Export OBJ from your program"):
+        mesh.room(path)

@@ -14,12 +14,14 @@ from click.testing import CliRunner
 
 import rtcal as rt
 from rtcal.acoustics.observables import observable
+from rtcal.command.finder_options import Inputs, read_case
 from rtcal.command.main import cli
 from rtcal.finder.effects import library
 from rtcal.finder.finding import Detection
 from rtcal.finder.positions.posterior import THRESHOLD
 from rtcal.finder.positions.search import find_by_positions
 from rtcal.finder.positions.surfaces import patched
+from rtcal.io import tables
 from rtcal.simulators import PathTracing, Polyhedron
 from rtcal.simulators.geometry import SHOEBOX_WALLS
 from rtcal.support.errors import DataError, ModelError
@@ -315,6 +317,25 @@ def run(command: str, folder: Path, *options: str, code: int = 0) -> str:
     done = CliRunner().invoke(cli, [*stated], catch_exceptions=False)
     assert done.exit_code == code, done.output
     return str(done.stdout)
+
+
+def test_a_workbook_is_read_as_every_command_reads_it(folder: Path) -> None:
+    """`find` had refused what `calibrate` and `fit` take."""
+    pytest.importorskip("openpyxl")
+    made = rt.Measurement.from_file(str(folder / "pairs.csv"))
+    tables.write(made, folder / "pairs.xlsx")
+    of_text, of_book = (
+        read_case(
+            Inputs(
+                case=str(folder / "room.toml"),
+                measured=str(folder / f"pairs.{ending}"),
+                scattering=0.4,
+            )
+        )
+        for ending in ("csv", "xlsx")
+    )
+    assert of_book.pairs == of_text.pairs
+    assert of_book.measured.values["t20"] == pytest.approx(of_text.measured.values["t20"])
 
 
 @pytest.mark.long

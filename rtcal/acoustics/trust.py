@@ -109,8 +109,8 @@ _ADVICE: dict[str, tuple[str, str]] = {
     ),
     "at_upper_bound": (
         "b",
-        "the other materials supply what T asks for beyond it: its sigma, another's or its area is too "
-        "small, or an effect is missing",
+        "the other materials supply what T asks for beyond it: this material's sigma, another "
+        "material's sigma or this material's area is stated too small, or an effect is missing",
     ),
     "all_at_upper_bound": (
         "b",

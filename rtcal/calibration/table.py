@@ -471,8 +471,8 @@ def _plausibility(record: Mapping[str, Any]) -> str:
         )
     if p_value < P_CONTRADICTION:
         return (
-            f"{start}, p = {p_value:.2g}: the measurement agrees with what was stated only if the "
-            f"coefficients are off together. {together}"
+            f"{start}, p = {p_value:.2g}: the measurement agrees with what was stated only if "
+            f"all coefficients err the same way. {together}"
         )
     weak = weak_agreement(_numbers(record["gap_before_jnd"]))
     return (

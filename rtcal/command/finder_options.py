@@ -22,6 +22,7 @@ from rtcal.command.console import (
     pairs,
     paths_option,
     quiet_option,
+    read_measured,
     said,
     scattering_option,
     seed_option,
@@ -38,9 +39,8 @@ SEEDS = (0, 1, 2)
 """Seeds of the simulator over which a gap at positions is printed."""
 
 
-def read_case(inputs: Inputs, targets: Sequence[str | Path] = ()) -> Any:
+def read_case(inputs: Inputs, targets: Sequence[str | Path] = (), *, quiet: bool = True) -> Any:
     """Read the case; DataError if a file to be written is also one of those that are read."""
-    from rtcal.acoustics.measurement import Measurement
     from rtcal.acoustics.room import Room
     from rtcal.finder import Case
     from rtcal.finder.search import case_of
@@ -53,13 +53,13 @@ def read_case(inputs: Inputs, targets: Sequence[str | Path] = ()) -> Any:
         return case
     room = Room.from_file(inputs.case)
     spare(targets, [path for path in (*files_read(inputs), room.scene.mesh) if path is not None])
-    measured = Measurement.from_file(inputs.measured)
+    measured = read_measured(inputs.measured, quiet=quiet)
     if not inputs.at_positions:
         refuse(inputs.stated, _NEEDS_POSITIONS)
         return case_of(room, measured)
     more: dict[str, Any] = {"exclude": pairs("--exclude", inputs.exclude)}
     if inputs.simulated is not None:
-        more["simulated"] = Measurement.from_file(inputs.simulated)
+        more["simulated"] = read_measured(inputs.simulated, quiet=quiet)
     if inputs.match:
         more["match"] = inputs.match
     tracing = {"n_paths": inputs.paths, "scattering": inputs.scattering}
@@ -92,7 +92,7 @@ def search_case(
     """Find what a room's model misses; simulations are kept beside its file."""
     from rtcal.finder.search import find
 
-    case = read_case(inputs, targets) if case is None else case
+    case = read_case(inputs, targets, quiet=quiet) if case is None else case
     options: dict[str, Any] = {"seed": search.seed, "without": search.without, "only": search.only}
     number = {} if number is None else number
     of_means = {"prior": search.prior, "engines": search.engines, **number}
@@ -184,11 +184,10 @@ class Inputs:
         """Whether a room that states where its sources and receivers are was measured pair by pair."""
         if self.measured is None:
             return False
-        from rtcal.acoustics.measurement import Measurement
         from rtcal.acoustics.room import Room
 
         stated = Room.from_file(self.case).scene.sources
-        return bool(stated) and not Measurement.from_file(self.measured).is_summary
+        return bool(stated) and not read_measured(self.measured, quiet=True).is_summary
 
     @property
     def kept(self) -> Path:

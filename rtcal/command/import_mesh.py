@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 from click.core import ParameterSource
 
-from rtcal.command.console import errors_name_options, numbers, said, tell
+from rtcal.command.console import as_options, errors_name_options, numbers, said, tell
 from rtcal.support.errors import DataError
 from rtcal.support.files import spare
 from rtcal.support.progress import bar
@@ -85,14 +85,15 @@ def check(
     if picture is not None:
         draw(drawn, edges, picture)
     files = [path for path in (mended, picture) if path is not None]
-    text = "\n".join([*done.notes, str(done), *([f"Written: {', '.join(files)}"] if files else [])])
+    notes = [as_options(note, ["unit"]) for note in done.notes]
+    text = "\n".join([*notes, str(done), *([f"Written: {', '.join(files)}"] if files else [])])
     record = {
         "volume": done.volume,
         "volume_uncertainty": done.volume_uncertainty,
         "areas": done.areas,
         "area_uncertainty": done.area_uncertainty,
         "defects": [asdict(defect) for defect in done.defects],
-        "notes": done.notes,
+        "notes": notes,
         "written": files,
     }
     tell(text, record, quiet=quiet, as_json=as_json)

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from rtcal.command.console import (
+    as_options,
     bands_option,
     entries_option,
     json_option,
@@ -216,7 +217,7 @@ def import_room(
     if unknown := [name for name in sigma if name not in used]:
         raise DataError(f'{sigma_table}: "{unknown[0]}" is no material of the room')
     room = listed.room(
-        name=Path(materials or mesh or out).stem if name is None else name,
+        name=Path(mesh or materials or out).stem if name is None else name,
         volume=volume,
         areas=surfaces,
         centre_frequencies=_centre_frequencies(bands, [*listed.materials, *others.values()]),
@@ -251,7 +252,8 @@ def import_room(
     unused = [] if program == "catalogue" else [n for n in listed.names if n not in in_use]
     notes = _notes(room, rule, sigma, {n: m.scattering for n, m in _used(listed, others, used)})
     if model is not None:
-        notes += [f"mesh: {note}" for note in (*model.notes, *map(str, model.defects))]
+        read = [as_options(note, ["unit"]) for note in model.notes]
+        notes += [f"mesh: {note}" for note in (*read, *map(str, model.defects))]
     if room.volume_sigma:
         notes.append(
             f"V is known to {100 * room.volume_sigma:.2g} % (volume_sigma), by what was "
@@ -376,8 +378,12 @@ def _notes(
     room: Room, rule: object, sigma: dict[str, Any], scattering: dict[str, Any]
 ) -> list[str]:
     """Return the assumptions beyond the list, in words."""
+    from rtcal.acoustics.trust import surface_doubt
+
     stated = "" if not sigma else f"; stated: {', '.join(sigma)}"
     notes = [f"Assumed: {rule}{stated}" if not stated else f"{rule}{stated}"]
+    if doubt := surface_doubt(room):
+        notes.insert(0, f"{doubt[1]}: check areas, volume and their units")
     if room.air is None:
         notes.append(
             "No air is stated, so alpha will include what the air absorbs: state --temperature and "

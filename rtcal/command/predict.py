@@ -17,6 +17,7 @@ from rtcal.command.console import (
     output_folder,
     paths_option,
     quiet_option,
+    read_measured,
     said,
     tell,
     without_air_warning,
@@ -172,9 +173,7 @@ def fitted_folder(room: str, measured: str | None) -> PositionsResult | None:
 
 def heard_at_positions(room: Room, measured: str) -> Measurement | None:
     """Return what was measured at the room's positions; None where either has none."""
-    from rtcal.acoustics.measurement import Measurement
-
-    heard, scene = Measurement.from_file(measured), room.scene
+    heard, scene = read_measured(measured, quiet=True), room.scene
     if not (scene.mesh or room.dimensions is not None) or heard.is_summary:
         return None
     placed = any(s in scene.sources and r in scene.receivers for s, r in heard.pairs)
@@ -206,13 +205,12 @@ def measured_states(
     room: str, measured: str | None, also: tuple[tuple[str, str], ...]
 ) -> tuple[Room, tuple[State, ...]]:
     """Return the room, and its measured states: none, one or several."""
-    from rtcal.acoustics.measurement import Measurement
     from rtcal.acoustics.room import Room
     from rtcal.acoustics.states import State
     from rtcal.calibration.problem_data import times_in_room
 
     def state(stated: Room, path: str) -> State:
-        times = times_in_room(stated, Measurement.from_file(path))
+        times = times_in_room(stated, read_measured(path, quiet=True))
         return State(stated, times.reverberation_time, times.uncertainty)
 
     if Path(room).is_dir():

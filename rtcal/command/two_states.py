@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rtcal.command.console import tell, written
+from rtcal.command.console import read_measured, tell, written
 from rtcal.command.finder_options import Inputs, Search
 from rtcal.support.errors import DataError
 
@@ -57,7 +57,6 @@ def verify_change(
     inputs: Inputs, search: Search, before: str, earlier: str | None, as_json: bool, quiet: bool
 ) -> None:
     """Print how well a change predicts pairs that were not fitted: halves, or an earlier finding's."""
-    from rtcal.acoustics.measurement import Measurement
     from rtcal.finder.search import verify
     from rtcal.finder.states import StatesFinding
     from rtcal.support.results import load
@@ -75,7 +74,7 @@ def verify_change(
             raise DataError(f"--finding {earlier} holds no finding of two states")
         _check(inputs, search)
         two = {"before": before, "after": str(inputs.measured)}
-        measured = {name: Measurement.from_file(path) for name, path in two.items()}
+        measured = {name: read_measured(path, quiet=quiet) for name, path in two.items()}
         result = verify(loaded, **measured)
     tell(str(result), result.to_dict(), quiet=quiet, as_json=as_json)
 
@@ -117,7 +116,6 @@ def _find(
     inputs: Inputs, search: Search, before: str, targets: Sequence[Path] = ()
 ) -> StatesFinding:
     """Find what changed; no file that is read may be among the targets."""
-    from rtcal.acoustics.measurement import Measurement
     from rtcal.acoustics.room import Room
     from rtcal.finder.search import find
     from rtcal.support.files import spare
@@ -130,8 +128,8 @@ def _find(
         spare(targets, [room.scene.mesh])
     return find(
         room,
-        Measurement.from_file(measured),
-        before=Measurement.from_file(before),
+        read_measured(measured, quiet=True),
+        before=read_measured(before, quiet=True),
         only=search.only,
         without=search.without,
         seed=search.seed,

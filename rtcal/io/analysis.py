@@ -36,6 +36,10 @@ def with_uncertainty(measurement: Measurement) -> Measurement:
     return replace(measurement, uncertainty=own, common_uncertainty=common)
 
 
+_MOST_NAMED = 4
+"""Largest number of pairs that a sentence names."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class Analysis:
     """The parameters of impulse responses, the reasons for missing values, and notes.
@@ -83,27 +87,37 @@ class Analysis:
         """Return a sentence per band: how many pairs lack which parameter, and their noise."""
         sentences, n = [], len(self.measurement.pairs)
         for k, frequency in enumerate(self.measurement.centre_frequencies):
-            lacking: dict[int, list[str]] = {}
+            lacking: dict[tuple[int, ...], list[str]] = {}
             for parameter, values in self.measurement.values.items():
-                if count := int(np.isnan(values[:, k]).sum()):
-                    lacking.setdefault(count, []).append(parameter_label(parameter))
+                rows = tuple(np.flatnonzero(np.isnan(values[:, k])).tolist())
+                if rows:
+                    lacking.setdefault(rows, []).append(parameter_label(parameter))
             if not lacking:
                 continue
             where = "; ".join(
-                ", ".join(names) + (f" in {count} of {n} pairs" if n > 1 else "")
-                for count, names in sorted(lacking.items(), reverse=True)
+                ", ".join(names) + (f" in {self._pairs(rows)}" if n > 1 else "")
+                for rows, names in sorted(lacking.items(), key=lambda item: -len(item[0]))
             )
             sentences.append(f"{bands.label(frequency)}: no {where}. {self._noise(k)}")
         return sentences
+
+    def _pairs(self, rows: Sequence[int]) -> str:
+        """Return how many pairs these are, and which, up to `_MOST_NAMED`."""
+        n = len(self.measurement.pairs)
+        if len(rows) == n:
+            return f"{n} of {n} pairs"
+        named = ", ".join(" to ".join(self.measurement.pairs[i]) for i in rows[:_MOST_NAMED])
+        more = ", ..." if len(rows) > _MOST_NAMED else ""
+        return f"{len(rows)} of {n} pairs ({named}{more})"
 
     def _noise(self, band: int) -> str:
         """Return the range of the impulse-to-noise ratio over the pairs of a band."""
         ratios = self.impulse_to_noise_ratio[:, band]
         heard = ratios[np.isfinite(ratios)]
-        silent = int(np.isneginf(ratios).sum())
+        silent = np.flatnonzero(np.isneginf(ratios)).tolist()
         parts = [f"It is {spread(heard, '.1f')} dB."] if heard.size else []
         if silent:
-            pairs = "" if len(ratios) == 1 else f" in {silent} of {len(ratios)} pairs"
+            pairs = "" if len(ratios) == 1 else f" in {self._pairs(silent)}"
             parts.append(f"No decay stands out of the noise{pairs}.")
         return " ".join(parts)
 

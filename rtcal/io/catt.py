@@ -89,7 +89,7 @@ def write(
     return write_list(
         room,
         path,
-        read=read,
+        read=lambda file: _with_own_values(read(file), room),
         new_list=_new_list,
         template=template,
         equation=equation,
@@ -97,6 +97,45 @@ def write(
         new_bands=_bands_of_new_list(room),
         missing_bands=missing_bands,
     )
+
+
+def _with_own_values(listed: MaterialList, room: Room) -> MaterialList:
+    """Return the list with values of its own for each alias whose coefficients the room has otherwise.
+
+    ``ABS wallabs = plaster`` becomes plaster's own list of values, which is then changed.
+    """
+    aliases = {n: t for n, t in listed.aliases.items() if n in room.materials}
+    rows = {n: room.alpha[room.materials.index(n)] for n in room.materials}
+    scatters = {} if room.scattering is None else dict(zip(rows, room.scattering, strict=True))
+
+    def differs(name: str, target: str) -> bool:
+        others = [n for n in rows if n != name and target in (n, aliases.get(n))]
+        return any(
+            (table[n] != table[name]).any() for n in others for table in (rows, scatters) if table
+        )
+
+    own = {n for n, target in aliases.items() if differs(n, target)}
+    if not own:
+        return listed
+    statements = {}
+    for _, start, raw in lines(listed.text.characters):
+        code = raw.split(";", 1)[0].rstrip()
+        match = _STATEMENT.fullmatch(code)
+        if match and (match[1] is not None or match[3].startswith("<")):
+            statements[match[2]] = match, start
+    pieces, position, characters = [], 0, listed.text.characters
+    for name, (match, start) in statements.items():
+        if name not in own:
+            continue
+        of_target = statements[aliases[name]][0]
+        pieces += [
+            characters[position : start + match.start(1)],
+            f"{of_target[1] or 'ABS'} {name} = ",
+        ]
+        pieces.append(of_target[3])
+        position = start + match.end(3)
+    text = "".join([*pieces, characters[position:]])
+    return parse(listed.text.encode(text), listed.path)
 
 
 @checked

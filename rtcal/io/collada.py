@@ -13,6 +13,7 @@ import numpy as np
 
 from rtcal.acoustics.materials import text_name
 from rtcal.io.mend import Faces
+from rtcal.io.mend.faces import unit_notes
 from rtcal.support.errors import DataError, MissingDependencyError
 
 MAX_FACES = 100_000
@@ -41,7 +42,7 @@ def faces(content: bytes, path: str, unit: float | None, otherwise: str) -> Face
     if len(drawn) > MAX_FACES:
         raise DataError(f"{path}: {len(drawn)} faces; at most {MAX_FACES}: simplify the model")
     length = unit if unit is not None else float(stated or 1.0)
-    notes = [f"the file's unit is {length:g} m"] if length != 1.0 else []
+    notes = unit_notes(length, None if stated is None else float(stated), unit)
     turned = up == "Y_UP"
     if turned:
         notes.append("y is up in the file: its z is here -y")

@@ -16,6 +16,7 @@ import numpy as np
 
 from rtcal.acoustics.materials import text_name
 from rtcal.io.mend import Faces
+from rtcal.io.mend.faces import unit_notes
 from rtcal.io.text import decode, lines, number, shown
 from rtcal.support.errors import DataError
 from rtcal.support.types import Array
@@ -66,7 +67,7 @@ def faces(content: bytes, path: str, unit: float | None) -> Faces:
             f"{path}: no 3D face{f' (but {left_out})' if left_out else ''}; in your program, convert "
             "solids and surfaces to meshes or 3D faces"
         )
-    notes = [f"the file's unit is {length:g} m"] if length != 1.0 else []
+    notes = unit_notes(length, stated, unit)
     notes += [f"no faces, left out: {left_out}"] if left_out else []
     names = [f"{layer} {i}" for i, layer in enumerate(layers, 1)]
     return Faces(path, [p * length for p in polygons], layers, names, tuple(notes))

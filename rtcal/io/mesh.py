@@ -10,7 +10,9 @@ The axes are turned so that z is up where the format says that y is (glTF, COLLA
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -42,6 +44,10 @@ _REFUSED = {
     ".geo": "CATT's list of materials goes before the mesh: rtcal import catt hall.geo --mesh hall.obj",
 }
 _LENGTHS = {"mm": 0.001, "millimeter": 0.001, "cm": 0.01, "inch": 0.0254, "feet": 0.3048, "m": 1.0}
+
+
+_LAYERS = re.compile(rb"element layer|property \w+ layer_id")
+"""What a PLY of I-Simpa has in its header. trimesh leaves it out."""
 
 
 @checked
@@ -100,8 +106,10 @@ def room(
     done = closed(faces)
     if done is None:
         done = mended(faces, weld=weld, offset=offset, largest_hole=largest_hole)
-    obj.check_volume(done.geometry.volume, 1.0 if unit is None else unit, os.fspath(path))
-    return done
+    stated = 1.0 if unit is None else unit
+    obj.check_volume(done.geometry.volume, stated, os.fspath(path))
+    note = obj.volume_note(done.geometry.volume, stated)
+    return replace(done, notes=(*done.notes, note)) if note else done
 
 
 def _obj(content: bytes, path: str, unit: float | None) -> Faces:
@@ -116,7 +124,7 @@ def _collada(content: bytes, path: str, unit: float | None) -> Faces:
     return collada.faces(content, path, unit, Path(path).stem)
 
 
-def _by_trimesh(_: bytes, path: str, unit: float | None) -> Faces:
+def _by_trimesh(content: bytes, path: str, unit: float | None) -> Faces:
     """Return the faces of a scene that trimesh reads; each triangle is a face."""
     trimesh = _library()
     ending = Path(path).suffix.lower()
@@ -135,10 +143,18 @@ def _by_trimesh(_: bytes, path: str, unit: float | None) -> Faces:
             f"{path}: trimesh reads this with another library ({error}): pip install 'rtcal[mesh]'"
         ) from error
     except Exception as error:  # trimesh raises what its parsers raise
-        raise DataError(f"{path}: cannot be read as {ending[1:]}: {error}") from error
+        raise DataError(
+            f"{path}: cannot be read as {ending[1:]}: {error}. Export OBJ from your program, one "
+            "material per layer"
+        ) from error
     if (count := sum(len(g.faces) for _, g, _ in parts)) > MAX_TRIANGLES:
         raise DataError(f"{path}: {count} triangles; at most {MAX_TRIANGLES}: simplify the model")
     notes = []
+    if ending == ".ply" and _LAYERS.search(content[: content.find(b"end_header")]):
+        notes.append(
+            "the file's layers are not read, so all faces have one material; export OBJ, one material "
+            "per layer"
+        )
     length = 1.0
     turned = ending in _Y_UP
     if ending == ".3mf":

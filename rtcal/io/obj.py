@@ -28,6 +28,7 @@ from rtcal.simulators.geometry import Polyhedron
 from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError
 from rtcal.support.files import read_bytes
+from rtcal.support.text import rounded
 
 __all__ = ["MAX_FACES", "parse", "read", "text", "write"]
 __dir__ = __all__.copy
@@ -179,15 +180,44 @@ def check_volume(volume: float, unit: float, path: str) -> None:
     low, high = VOLUME_LIMITS
     if low <= volume <= high:
         return
-    others = [
-        f"{volume * (scale / unit) ** 3:.3g} m³ in {name} (unit = {scale:g})"
-        for name, scale in (("mm", 0.001), ("cm", 0.01), ("m", 1.0))
-        if scale != unit and low <= volume * (scale / unit) ** 3 <= high
-    ]
+    others = _in_other_units(volume, unit, VOLUME_LIMITS)
     raise DataError(
         f"{path}: V = {volume:.3g} m³ is not from {low:g} to {high:g} m³, as in any room"
         + (f"; it is {' or '.join(others)}" if others else "")
     )
+
+
+_USUAL = 2.0, 500_000.0
+"""Volume in m³ of rooms, but for a few: a cupboard and the largest church."""
+
+
+def volume_note(volume: float, unit: float) -> str:
+    """Return a note on a volume that hardly any room has, with that in other units; "" for others.
+
+    Examples
+    --------
+    >>> volume_note(1.644e7, 1.0)
+    'V = 16440000 m³ is more than nearly any room has; it is 269 m³ in inches (unit = 0.0254)'
+    """
+    if _USUAL[0] <= volume <= _USUAL[1]:
+        return ""
+    others = _in_other_units(volume, unit, (20.0, 20_000.0))
+    said = "less" if volume < _USUAL[0] else "more"
+    return f"V = {rounded(volume, 4)} m³ is {said} than nearly any room has" + (
+        f"; it is {' or '.join(others)}" if others else ""
+    )
+
+
+def _in_other_units(volume: float, unit: float, limits: tuple[float, float]) -> list[str]:
+    """Return the volume in each unit in which it lies within the limits."""
+    return [
+        f"{volume * (scale / unit) ** 3:.3g} m³ in {name} (unit = {scale:g})"
+        for name, scale in _UNITS.items()
+        if scale != unit and limits[0] <= volume * (scale / unit) ** 3 <= limits[1]
+    ]
+
+
+_UNITS = {"mm": 0.001, "cm": 0.01, "inches": 0.0254, "feet": 0.3048, "m": 1.0}
 
 
 @checked

@@ -300,12 +300,12 @@ def _interval_note(calibration: CalibrationResult) -> str:
         return (
             "The intervals are those of a normal density within the bounds, for each coefficient by "
             "itself: all bands share what the room states of its uncertainty, and the exact posterior "
-            "distribution would need samples. Each holds its calibrated coefficient."
+            "distribution would need samples. The calibrated coefficient lies within its interval."
         )
     if calibration.interval is not None:
         return (
             "The intervals are those of the exact posterior distribution, within the bounds, with the "
-            "uncertainty of T where it is known. Each holds its calibrated coefficient."
+            "uncertainty of T where it is known. The calibrated coefficient lies within its interval."
         )
     return (
         "The intervals are those of the linear estimate, alpha ± 1.645 standard deviations cut to 0 to "

@@ -151,7 +151,7 @@ def _believable(calibration: CalibrationResult) -> str:
     level, heading, _ = verdict(calibration)
     clean, marked = usable(calibration)
     if not marked:
-        doubtful = "no band carries a reservation"
+        doubtful = "in no band did a check find a reason for doubt"
     elif not clean:
         doubtful = "every band carries a reservation"
     else:
@@ -231,7 +231,7 @@ def verdict(calibration: CalibrationResult) -> tuple[str, str, str]:
     if p < P_CONTRADICTION:
         return (
             "open",
-            "The measurement agrees with what was stated if the coefficients are off together",
+            "The measurement agrees with what was stated only if all coefficients err the same way",
             (
                 "The coefficients had to move further than their own stated uncertainty explains "
                 f"({numbers}, p = {p:.2g}); {asks}. {together_in_words(p, p_together)}".rstrip()
