@@ -8,6 +8,9 @@ prior of alpha and the error of d_h are integrated. All values are ordered (band
 A shift of band k is a mixture of the shifts at the nodes of one response, and no parameter of a band
 depends on another band. So each hypothesis needs products of nodes alone: N' K⁻¹ N and N' K⁻¹ r.
 
+How much the room scatters is integrated, too: what it changes is no straight line, so it is heard at
+several levels, and every density is their mean (`ScatteringLevels`).
+
 The error of d_h has two parts. Each band's shift is larger or smaller by a factor
 (`ShiftHypothesis.error`), and pairs hear more or less of it than if it were spread evenly
 (`rtcal.finder.positions.shift`).
@@ -26,6 +29,8 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from scipy.special import logsumexp
+
 from rtcal.finder.positions.shift import ShiftHypothesis, SpreadHypothesis
 from rtcal.support.types import Array
 
@@ -34,14 +39,42 @@ _AT_ONCE = 256
 
 
 @dataclass(frozen=True, eq=False)
-class Residuals:
-    """Sets of residuals as one likelihood takes them.
+class ScatteringLevels:
+    """What the whole room changes by scattering more or less than is assumed.
 
     Attributes
     ----------
-    pull : array (n, n_draws)
+    shifts : array (n, n_levels)
+        In the order (band, parameter, pair).
+    log_weights : array (n_levels,)
+        Log prior probabilities of the levels.
+    """
+
+    shifts: Array
+    log_weights: Array
+
+    @classmethod
+    def assumed(cls, n: int) -> ScatteringLevels:
+        """Return the assumed level alone, for ``n`` values."""
+        return cls(np.zeros((n, 1)), np.zeros(1))
+
+    @property
+    def covariance(self) -> Array:
+        """Covariance of the shifts over the levels, (n, n)."""
+        weights = np.exp(self.log_weights)
+        off = self.shifts - (self.shifts @ weights)[:, np.newaxis]
+        return np.asarray((off * weights) @ off.T)
+
+
+@dataclass(frozen=True, eq=False)
+class Residuals:
+    """Sets of residuals as one likelihood takes them, at each level one after the other.
+
+    Attributes
+    ----------
+    pull : array (n, n_levels n_draws)
         K⁻¹ r, K the covariance.
-    square : array (n_draws,)
+    square : array (n_levels n_draws,)
         r' K⁻¹ r.
     """
 
@@ -65,6 +98,7 @@ class Likelihood:
         Deviations by pair at a change of 1 of the absorption; see `rtcal.finder.positions.shift`.
     amount : array (n_values,)
         Weights of a band's shift in that change.
+    levels : ScatteringLevels
     """
 
     covariance: Array
@@ -72,6 +106,7 @@ class Likelihood:
     nodes: Mapping[str, Array]
     uneven: Array
     amount: Array
+    levels: ScatteringLevels
     inverse: Array = field(init=False)
     log_determinant: float = field(init=False)
     _products: dict[str, Array] = field(default_factory=dict, init=False)
@@ -91,9 +126,18 @@ class Likelihood:
 
     def of(self, residuals: Array) -> Residuals:
         """Return residuals (n, n_draws) as the other methods take them."""
-        measured = np.where(self.used[:, np.newaxis], residuals, 0.0)
+        by_level = residuals[:, np.newaxis] - self.levels.shifts[..., np.newaxis]
+        measured = np.where(self.used[:, np.newaxis], by_level.reshape(len(residuals), -1), 0.0)
         pull = np.asarray(self.inverse @ measured)
         return Residuals(pull, np.asarray(np.einsum("nm,nm->m", measured, pull)))
+
+    def with_one_level(self) -> Likelihood:
+        """Return the normal likelihood whose covariance has that of the levels."""
+        covariance = self.covariance + self.levels.covariance
+        levels = ScatteringLevels.assumed(len(covariance))
+        return Likelihood(
+            covariance, self.used, self.nodes, uneven=self.uneven, amount=self.amount, levels=levels
+        )
 
     def stated(self, residuals: Residuals) -> Array:
         """Return the log density if nothing is other than stated, (n_draws,)."""
@@ -224,15 +268,18 @@ class Likelihood:
         return self._products[response]
 
     def _log(self, square: Array, more: Array | float) -> Array:
-        """Return the log density of a chi-square, ``more`` added to the log determinant.
+        """Return the log density of chi-squares by level, ``more`` added to the log determinant.
 
-        Normal up to the number of values; beyond it as if the errors were larger throughout, since few
+        (..., n_levels n_draws) to (..., n_draws), the mean over the levels. Normal up to the number of values; beyond it as if the errors were larger throughout, since few
         control runs say how large they are.
         """
         n = self.number
         excess = np.log(np.maximum(square / n, 1.0))
         fit = np.where(square <= n, square / 2, n / 2 * (1 + excess))
-        return np.asarray(-fit - (self.log_determinant + more) / 2)
+        log = -fit - (self.log_determinant + more) / 2
+        weights = self.levels.log_weights[:, np.newaxis]
+        by_level = log.reshape(*log.shape[:-1], len(weights), -1) + weights
+        return np.asarray(logsumexp(by_level, axis=-2))
 
 
 Likelihoods = tuple[Likelihood, list[Likelihood], list[Likelihood]]

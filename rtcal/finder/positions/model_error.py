@@ -1,10 +1,11 @@
 """The error of what is compared with the measurement: scattering, noise, control runs, and lobes.
 
-The scattering of each material is not known, nor how it depends on frequency. The traced paths tell
-what it changes (`PathTracing.scattering_jacobian`), with the prior of a calibration to every position
-(`rtcal.loop.scattering`) for what all bands have in common, and as much for each band. Control runs
-tell the rest, without the noise of their few paths. What is compared has noise of its own, and so have
-the derivatives.
+How much the whole room scatters is not known, nor how far each material departs from that, nor how
+scattering depends on frequency. The first changes too much for a derivative: in a flat room T20 moves
+twice as far towards little scattering as towards much. So it is traced at several levels (`levels`).
+The traced paths tell what the others change (`PathTracing.scattering_jacobian`), with the prior of a
+calibration to every position (`rtcal.loop.scattering`). Control runs tell the rest, without the noise
+of their few paths. What is compared has noise of its own, and so have the derivatives.
 
 Sources of which nothing is stated are omnidirectional, or loudspeakers that are aimed. A lobe moves the
 level and the early parameters, and T hardly at all. So does much that a room may lack: taken as
@@ -22,13 +23,18 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
+from scipy.special import logsumexp
 
 from rtcal.acoustics import bands
 from rtcal.acoustics.directivity import Directivity
 from rtcal.acoustics.scene import UNKNOWN
 from rtcal.finder.positions.case import PositionsCase
+from rtcal.finder.positions.evidence import ScatteringLevels
 from rtcal.loop.control_runs import ControlRuns
 from rtcal.loop.measured_pairs import Pair
+from rtcal.loop.scattering import COMMON as OF_ROOM
+from rtcal.loop.scattering import OWN as OF_MATERIAL
 from rtcal.loop.scattering import MaterialScattering
 from rtcal.simulators.path_tracing import PathTracing
 from rtcal.support.types import Array
@@ -104,20 +110,48 @@ def simulator_error(
     free = len(noise) - tracings
     variance = (noise**2).sum(axis=0).mean(axis=1) / free  # (n_parameters, n_bands)
     slope = _alike(scattering).reshape(-1, scattering.shape[-1])
-    materials = MaterialScattering(slope=slope, traced=np.zeros(slope.shape[1]))
+    prior = MaterialScattering(slope=slope, traced=np.zeros(slope.shape[1])).prior
+    alike = _alike(scattering_noise)
+
+    def mean_of(errors: Array) -> Array:
+        runs = replace(controls, errors=errors, levels=None, models=())
+        return np.asarray(runs.covariance() / free)
+
+    def of_scattering(prior: Array) -> Array:
+        """Return the covariance by other scattering, and by the noise of the derivatives."""
+        # What they err by counts as often as the scattering that they belong to may be other.
+        by_material = np.moveaxis(alike @ np.linalg.cholesky(prior), -1, 0)
+        return np.asarray(slope @ prior @ slope.T + sum(map(mean_of, by_material)))
+
     # A control run is the difference of two tracings. The noise of one is taken off: with that of both,
     # what was measured was likelier by 5 nats in 27 rooms, and the right surface less likely.
     runs = controls.without_noise(variance)
-    # Parameters and bands share the paths, and the pairs of a source, too. So do the derivatives: what
-    # they err by counts as often as the scattering that they belong to may be other.
-    by_material = _alike(scattering_noise) @ np.linalg.cholesky(materials.prior)
-    of_noise, *of_slopes = (
-        replace(controls, errors=errors, levels=None, models=()).covariance() / free
-        for errors in (noise, *np.moveaxis(by_material, -1, 0))
-    )
-    of_bands = 1 + bands.correlation(centre_frequencies, BETWEEN_OCTAVES)
-    of_bands = np.tile(of_bands, 2 * [len(slope) // len(of_bands)])
-    return TracingError(runs, of_noise + (materials.covariance + sum(of_slopes)) * of_bands)
+    between = bands.correlation(centre_frequencies, BETWEEN_OCTAVES)
+    between = np.tile(between, 2 * [len(slope) // len(between)])
+    # Parameters and bands share the paths, and the pairs of a source, too.
+    in_all_bands = of_scattering(OF_MATERIAL**2 * np.eye(len(prior)))
+    return TracingError(runs, mean_of(noise) + in_all_bands + of_scattering(prior) * between)
+
+
+TRACED = (-2.0, -1.0, 1.0, 2.0)
+"""Changes of the log odds at which the whole room is traced, from what is stated or assumed. From 0.4
+they lead to 0.08, 0.2, 0.64 and 0.83."""
+_LEVELS = np.linspace(-2.4, 2.4, 13)
+"""Changes that are integrated over, what is heard interpolated by a cubic spline."""
+
+
+def levels(traced: Array) -> ScatteringLevels:
+    """Return what scattering changes, at levels with the prior of a calibration to every position.
+
+    All pairs are taken to hear the mean change. ``traced`` (n_bands, n_parameters, n_pairs, n_traced)
+    has the shifts at `TRACED`.
+    """
+    alike = np.broadcast_to(traced.mean(axis=2, keepdims=True), traced.shape)
+    middle = int(np.searchsorted(TRACED, 0.0))
+    nodes, known = np.insert(TRACED, middle, 0.0), np.insert(alike, middle, 0.0, axis=-1)
+    shifts = CubicSpline(nodes, known, axis=-1, bc_type="natural")(_LEVELS)
+    log = -0.5 * (_LEVELS / OF_ROOM) ** 2
+    return ScatteringLevels(shifts.reshape(-1, len(_LEVELS)), np.asarray(log - logsumexp(log)))
 
 
 def _alike(derivatives: Array) -> Array:

@@ -16,11 +16,17 @@ from rtcal.finder.positions.case import PositionsCase
 from rtcal.finder.positions.evidence import (
     Likelihood,
     Likelihoods,
+    ScatteringLevels,
     band_first,
     flat,
     reordered,
 )
-from rtcal.finder.positions.model_error import TracingError, covariance_of_lobes, simulator_error
+from rtcal.finder.positions.model_error import (
+    TracingError,
+    covariance_of_lobes,
+    levels,
+    simulator_error,
+)
 from rtcal.finder.positions.responses import AIR, STEP, TRACINGS, PairShifts
 from rtcal.finder.positions.shift import interpolation, uneven_amount, uneven_columns
 from rtcal.finder.prior import SCALES
@@ -57,6 +63,7 @@ class PositionsProblem:
     measurement : array (n, n)
         Covariance of the measurement's errors.
     error : TracingError
+    levels : ScatteringLevels
     aimed : array (n, n), optional
         Covariance of what lobes change of sources of which nothing is stated; None where all are.
     nodes : mapping of str to array (n_bands, n_values, n_nodes)
@@ -71,6 +78,7 @@ class PositionsProblem:
     together: Array
     measurement: Array
     error: TracingError
+    levels: ScatteringLevels
     aimed: Array | None
     nodes: Mapping[str, Array]
 
@@ -106,7 +114,14 @@ class PositionsProblem:
         uneven, amount = uneven_columns(names, n_pairs), uneven_amount(names, n_pairs)
 
         def of(covariance: Array) -> Likelihood:
-            return Likelihood(covariance, self.used, self.nodes, uneven=uneven, amount=amount)
+            return Likelihood(
+                covariance,
+                self.used,
+                self.nodes,
+                uneven=uneven,
+                amount=amount,
+                levels=self.levels,
+            )
 
         off = [of(base + (scale**2 - 1) * common) for scale, _ in SCALES]
         unknown = [of(base + (scale - 1) * error) for scale in UNKNOWN_SCALES]
@@ -164,6 +179,7 @@ def problem_of(case: PositionsCase, made: PairShifts, controls: ControlRuns) -> 
         room.centre_frequencies,
     )
     nodes |= {"air": shifted(made.air), "volume": shifted(made.volume)}
+    of_levels = shifted(made.levels)
     traced = np.minimum(room.alpha, LARGEST_ALPHA)
     step = STEP * (1 - traced.T)  # (n_bands, n_materials)
     slopes = shifted(made.materials) / step[:, np.newaxis]
@@ -178,6 +194,7 @@ def problem_of(case: PositionsCase, made: PairShifts, controls: ControlRuns) -> 
         together=together,
         measurement=_measurement(data) * np.outer(flat(scale), flat(scale)),
         error=error,
+        levels=levels(of_levels.reshape(len(of_levels), *stated.shape[:2], -1)),
         aimed=covariance_of_lobes(shifted(made.aimed), wanted.pairs, room.centre_frequencies)
         if set(tracer.sources) - set(tracer.directivity)
         else None,

@@ -20,9 +20,10 @@ from rtcal.acoustics.observables import MATCH
 from rtcal.acoustics.scene import plain_directivities
 from rtcal.finder.positions import surfaces as of_room
 from rtcal.finder.positions.case import PositionsCase
-from rtcal.finder.positions.model_error import AIMS, LOBE_INDEX, lobes
+from rtcal.finder.positions.model_error import AIMS, LOBE_INDEX, TRACED, lobes
 from rtcal.finder.positions.weighing import MOVE, SECOND_ROOMS, Weighing, displaced
 from rtcal.loop.control_runs import share_of_signal
+from rtcal.loop.scattering import scattered
 from rtcal.simulators.observations import LARGEST_ALPHA
 from rtcal.simulators.path_tracing import DENSER, LARGER, PathTracing
 from rtcal.simulators.tracer import LONGEST
@@ -53,6 +54,8 @@ spread of what is there, and with 48,000 less than twice the spread."""
 _EVERY = 2
 """Of the batches of paths every second is weighed for what changes: the same paths as stated and
 changed differ by little noise."""
+_OF_LEVEL = 2
+"""Factor of the number of paths at each level of scattering: all pairs together tell what it changes."""
 TRACINGS = 2
 """Independent tracings that are weighed. Where a surface changes, T20 changes by nearly as much at any
 pair: in four rooms of the geometric world what differed was noise. So a single tracing gave every
@@ -82,6 +85,8 @@ class PairShifts:
         At the nodes `AIR` and `VOLUME`.
     moved : mapping of str to array (n_displacements, n_parameters, n_pairs, n_bands)
         Where a source or receiver is displaced by `MOVE`, by its name.
+    levels : array (n_parameters, n_pairs, n_bands, n_levels)
+        Where the whole room scatters more or less, by `model_error.TRACED`.
     aimed : array (n_parameters, n_pairs, n_bands, n_aims)
         Where sources of which nothing is stated are loudspeakers (`model_error.lobes`).
     materials : array (n_parameters, n_pairs, n_bands, n_materials)
@@ -103,6 +108,7 @@ class PairShifts:
     air: Array
     volume: Array
     moved: Mapping[str, Array]
+    levels: Array
     aimed: Array
     materials: Array
     scattering: Array
@@ -187,12 +193,24 @@ def _of_tracing(
         air=np.stack(air, axis=-1) - stated[..., np.newaxis],
         volume=np.stack(volume, axis=-1) - stated[..., np.newaxis],
         moved=displaced(case, match, base, seed),
+        levels=_at_levels(case, match, base, seed),
         aimed=np.stack(aimed, axis=-1) - stated[..., np.newaxis],
         materials=materials,
         scattering=scattering,
         noise=groups - groups.mean(axis=0),
         scattering_noise=slopes - scattering,
     )
+
+
+def _at_levels(case: PositionsCase, match: Sequence[str], base: Array, seed: int) -> Array:
+    """Return the shifts where the room scatters more or less; see `PairShifts.levels`."""
+    shifts = []
+    for change in TRACED:
+        of_materials = np.full(case.room.n_materials, change)
+        tracer = scattered(case.simulator, of_materials, case.simulator.scattering_model)
+        heard = tracer.denser(_OF_LEVEL).observe(case.room.alpha, match, seed=seed)
+        shifts.append(heard.values - base)
+    return np.stack(shifts, axis=-1)
 
 
 def _mean(tracings: Sequence[PairShifts]) -> PairShifts:
@@ -213,6 +231,7 @@ def _mean(tracings: Sequence[PairShifts]) -> PairShifts:
         moved={
             name: np.mean([made.moved[name] for made in tracings], axis=0) for name in first.moved
         },
+        levels=np.mean([made.levels for made in tracings], axis=0),
         aimed=np.mean([made.aimed for made in tracings], axis=0),
         materials=likely("materials"),
         scattering=likely("scattering"),
@@ -333,6 +352,7 @@ def _packed(made: PairShifts) -> Array:
         made.scattering,
         made.air,
         made.volume,
+        made.levels,
         made.aimed,
         np.moveaxis(made.noise, 0, -1),
         np.moveaxis(made.scattering_noise, 0, -2).reshape(*made.base.shape, -1),
@@ -349,7 +369,7 @@ def _read(path: Path, case: PositionsCase) -> PairShifts | None:
     names = [f"{k[:-1]} {n}" for k in ("receivers", "sources") for n in getattr(tracer, k)]
     n_materials = case.room.n_materials
     n_groups = TRACINGS * BASE
-    sizes = [1, n_materials, n_materials, len(AIR), len(VOLUME), len(AIMS)]
+    sizes = [1, n_materials, n_materials, len(AIR), len(VOLUME), len(TRACED), len(AIMS)]
     sizes += [n_groups, n_groups * n_materials]
     n_surfaces, n_parts = len(case.faces), len(case.divided.parts)
     sizes += [len(SHARES)] * (n_surfaces + n_parts)
@@ -358,8 +378,8 @@ def _read(path: Path, case: PositionsCase) -> PairShifts | None:
     if packed is None or packed.shape != shape or not np.isfinite(packed).all():
         return None
     columns = iter(np.split(packed, np.cumsum(sizes)[:-1], axis=-1))
-    base, materials, scattering, air, volume, aimed, noise, of_groups = (
-        next(columns) for _ in range(8)
+    base, materials, scattering, air, volume, levels, aimed, noise, of_groups = (
+        next(columns) for _ in range(9)
     )
     surfaces, parts, apertures = (
         [next(columns) for _ in range(number)] for number in (n_surfaces, n_parts, n_surfaces)
@@ -375,6 +395,7 @@ def _read(path: Path, case: PositionsCase) -> PairShifts | None:
         ),
         air=air,
         volume=volume,
+        levels=levels,
         aimed=aimed,
         surfaces=np.array(surfaces),
         parts=np.array(parts),
@@ -405,6 +426,6 @@ def key_of(case: PositionsCase, seed: int) -> str:
         plain_directivities(tracer.directivity),
         list(parameters(case)),
         [TRACINGS, BASE, DENSER, LARGER, STEP, seed],
-        [SHARES, SECOND_ROOMS, AIR, VOLUME, MOVE, LOBE_INDEX, __version__],
+        [SHARES, SECOND_ROOMS, AIR, VOLUME, TRACED, _OF_LEVEL, MOVE, LOBE_INDEX, __version__],
     ]
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:32]

@@ -195,7 +195,7 @@ def find_by_positions(
     posterior = weights(evidence, hypotheses, TOLD_TEMPER)
     if means is not None:
         posterior = with_families(posterior, hypotheses, means.families)
-    likelihood = numbers.likelihoods()[0]
+    likelihood = numbers.likelihoods()[0].with_one_level()
     finding = _finding(case, numbers, hypotheses, posterior, likelihood, detected, effects)
     notes = (*finding.notes, model_error.lobes_in_words(aimed), untried(effects))
     notes = (*notes, *([CHOSEN] if left_out else []))
