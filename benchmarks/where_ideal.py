@@ -73,6 +73,9 @@ def drawn(
     factor = np.linalg.cholesky(likelihood.covariance[np.ix_(kept, kept)])
     out = np.zeros((len(numbers.used), 2 * DRAWS))
     out[kept] = factor @ rng.standard_normal((len(kept), 2 * DRAWS))
+    levels = likelihood.levels
+    chosen = rng.choice(len(levels.log_weights), 2 * DRAWS, p=np.exp(levels.log_weights))
+    out += levels.shifts[:, chosen]
     hidden: list[ShiftHypothesis | SpreadHypothesis | None] = []
     for column, choice in enumerate(rng.choice(len(odds), DRAWS, p=odds / odds.sum())):
         _, what, row = chances[choice]
@@ -111,6 +114,7 @@ def averaged(numbers: PositionsProblem, likelihoods: Likelihoods) -> tuple[np.nd
             {name: within @ nodes for name, nodes in likelihood.nodes.items()},
             uneven=within @ likelihood.uneven,
             amount=uneven_amount(names, 1),
+            levels=replace(likelihood.levels, shifts=mean @ likelihood.levels.shifts),
         )
 
     stated, off, unknown = likelihoods

@@ -312,7 +312,8 @@ def ratios(
     change = [observable(names[r]).linear(closed[r], opened[r]) for r in rows]
     used = numbers.used
     shift, residual = flat(np.array(change))[used], numbers.residual[used]
-    simulators, prior = numbers.simulator_error(), numbers.alpha @ numbers.alpha.T
+    simulators = numbers.simulator_error() + numbers.levels.covariance
+    prior = numbers.alpha @ numbers.alpha.T
     least = 0.01 * np.diag(np.diag(simulators + prior + numbers.measurement))
     errors = {
         "all errors": simulators + prior + numbers.measurement,

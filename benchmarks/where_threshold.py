@@ -69,9 +69,10 @@ def control_scores(
         residuals = drawn(numbers, fold, rng)
         posterior = weights(evaluate(likelihoods, hypotheses, residuals), hypotheses)
         every.append(scores(posterior, hypotheses)[0])
-        observed = likelihoods[0].of(residuals)
+        normal = likelihoods[0].with_one_level()
+        observed = normal.of(residuals)
         squares += [
-            np.mean(standardised(likelihoods[0], shift, observed) ** 2)
+            np.mean(standardised(normal, shift, observed) ** 2)
             for shift in hypotheses.shifts
             if shift.surface is not None
         ]

@@ -389,7 +389,6 @@ def test_a_wrong_file_is_refused(
     ("options", "message"),
     [
         (("--exclude", "S1R1"), '--exclude: "S1R1" is not SOURCE:RECEIVER'),
-        (("--match", "t61"), "t61"),
         (("--engine", "network", "--engine", "path tracing"), "--engine"),
         (("--prior", "opening=2"), "--prior"),
         (("--scattering", "2"), "scattering"),
@@ -398,6 +397,11 @@ def test_a_wrong_file_is_refused(
 def test_a_wrong_option_is_named(folder: Path, options: tuple[str, ...], message: str) -> None:
     with pytest.raises(DataError, match=re.escape(message)):
         run("find", folder, *options)
+
+
+def test_a_parameter_that_is_none_is_a_wrong_use(folder: Path) -> None:
+    said = run("find", folder, "--match", "t61", code=2)
+    assert "Invalid value for '--match': 't61' is not one of 't20'" in said
 
 
 def test_a_case_that_states_its_geometry_is_told_where_to_write_it(tmp_path: Path) -> None:

@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from rtcal.finder.positions.model_error import COMMON, OWN, simulator_error
+from rtcal.finder.positions.evidence import Likelihood
+from rtcal.finder.positions.model_error import COMMON, OWN, TRACED, levels, simulator_error
 from rtcal.finder.positions.responses import TRACINGS, _at_shares, without_noise
 from rtcal.loop.control_runs import ControlRuns
 from rtcal.support.errors import DataError
@@ -76,8 +77,9 @@ def test_noise_of_the_derivatives_by_scattering_is_no_evidence() -> None:
         controls(np.zeros((16, *SHAPE))), np.zeros((GROUPS, *SHAPE)), of_groups=of_groups
     )
     covariance = error.covariance().reshape(*SHAPE, *SHAPE)
-    expected = 2 * (0.8**2 + 1.0) * 0.2**2 / GROUPS  # two materials, each of this prior variance
-    assert covariance[0, 2, 1, 1, 3, 2] == pytest.approx(expected * (1 + 0.7), rel=0.25)
+    # Two materials: their own variance in all bands, and that of the whole room from band to band.
+    expected = 2 * (0.8**2 + 0.7 * (0.8**2 + 1.0)) * 0.2**2 / GROUPS
+    assert covariance[0, 2, 1, 1, 3, 2] == pytest.approx(expected, rel=0.25)
 
 
 def test_what_the_scattering_of_a_material_changes_is_no_evidence() -> None:
@@ -87,8 +89,38 @@ def test_what_the_scattering_of_a_material_changes_is_no_evidence() -> None:
     error = error_of(controls(np.zeros((16, *SHAPE))), np.zeros((GROUPS, *SHAPE)), slope)
     covariance = error.covariance().reshape(*SHAPE, *SHAPE)
     first, other = slope[0].mean(axis=0)[1], slope[1].mean(axis=0)[2]
-    expected = first @ (0.8**2 * np.eye(2) + 1.0) @ other
-    assert covariance[0, 2, 1, 1, 3, 2] == pytest.approx(expected * (1 + 0.7))
+    own = 0.8**2 * np.eye(2)
+    expected = first @ (own + 0.7 * (own + 1.0)) @ other
+    assert covariance[0, 2, 1, 1, 3, 2] == pytest.approx(expected)
+
+
+def test_how_much_the_whole_room_scatters_is_no_evidence() -> None:
+    """What it changes is no straight line: each level counts by its prior, in the mean over pairs."""
+    of_pairs = np.zeros((3, 2, 6, len(TRACED)))  # bands, parameters, pairs
+    of_pairs[:, 0] = [4.0, 1.0, -0.5]
+    of_pairs[:, 0, :3] += 1.0
+    of_pairs[:, 0, 3:] -= 1.0
+    found = levels(of_pairs)
+    shifts = found.shifts.reshape(3, 2, 6, -1)
+    assert np.ptp(shifts, axis=2) == pytest.approx(np.zeros((3, 2, shifts.shape[-1])))
+    assert np.exp(found.log_weights).sum() == pytest.approx(1.0)
+    little, middle, much = shifts[0, 0, 0, [0, shifts.shape[-1] // 2, -1]]
+    assert little > 4.0
+    assert middle == pytest.approx(0.0)
+    assert much < -0.5
+    n = len(found.shifts)
+    room = Likelihood(
+        np.eye(n),
+        np.ones(n, dtype=bool),
+        {},
+        uneven=np.zeros((12, 1)),
+        amount=np.zeros(12),
+        levels=found,
+    )
+    row = 1
+    heard = found.shifts[:, [row]]
+    each = -0.5 * ((heard - found.shifts) ** 2).sum(axis=0) + found.log_weights
+    assert room.stated(room.of(heard))[0] == pytest.approx(np.logaddexp.reduce(each))
 
 
 def test_errors_that_are_all_noise_do_not_vanish() -> None:

@@ -12,7 +12,7 @@ import pytest
 import rtcal as rt
 from rtcal.acoustics import decay
 from rtcal.finder.positions.candidate import Candidate
-from rtcal.finder.positions.evidence import Likelihood
+from rtcal.finder.positions.evidence import Likelihood, ScatteringLevels
 from rtcal.finder.positions.shift import ShiftHypothesis, uneven_amount, uneven_columns, unevenness
 from rtcal.finder.positions.weighing import Aperture
 from rtcal.simulators.observations import values_of_decays
@@ -134,6 +134,7 @@ def test_the_error_of_a_place_is_integrated_as_a_covariance(uneven: float) -> No
         {"surface 0": nodes},
         uneven=columns,
         amount=uneven_amount(names, n_pairs),
+        levels=ScatteringLevels.assumed(n),
     )
     residual = 0.1 * rng.standard_normal(n)
     change = nodes[:, :, 0]

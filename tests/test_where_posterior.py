@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
+from dataclasses import replace
 from gzip import decompress
 from pathlib import Path
 from types import SimpleNamespace
@@ -14,6 +15,7 @@ from scipy.stats import multivariate_normal
 
 import rtcal as rt
 from rtcal.finder.effects import library
+from rtcal.finder.positions.evidence import ScatteringLevels
 from rtcal.finder.positions.hypotheses import shifts
 from rtcal.finder.positions.posterior import (
     LEAST_BY_MEANS,
@@ -102,7 +104,8 @@ def test_the_means_of_a_drawn_room_have_the_density_of_means(
     case: rt.finder.positions.PositionsCase, kept: Path
 ) -> None:
     numbers, every = where_ideal.prepared(case, kept)
-    likelihoods = numbers.likelihoods()
+    levels = ScatteringLevels.assumed(len(numbers.residual))
+    likelihoods = replace(numbers, levels=levels).likelihoods()
     mean, of_means = where_ideal.averaged(numbers, likelihoods)
     whole, averaged = likelihoods[0], of_means[0]
     shift = next(s for s in every.shifts if s.effect == "opening").some(slice(5, 6))
@@ -132,5 +135,5 @@ def test_drawn_rooms_scatter_as_the_likelihood_says(
     for _ in range(20):
         hidden, residuals = where_ideal.drawn(numbers, likelihood, every, rng)
         empty = [column for column, what in enumerate(hidden) if what is None]
-        squares += likelihood.of(residuals[:, empty]).square.tolist()
+        squares += likelihood.with_one_level().of(residuals[:, empty]).square.tolist()
     assert np.mean(squares) == pytest.approx(likelihood.number, rel=0.05)

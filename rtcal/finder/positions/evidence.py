@@ -28,7 +28,6 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
-
 from scipy.special import logsumexp
 
 from rtcal.finder.positions.shift import ShiftHypothesis, SpreadHypothesis
@@ -270,8 +269,9 @@ class Likelihood:
     def _log(self, square: Array, more: Array | float) -> Array:
         """Return the log density of chi-squares by level, ``more`` added to the log determinant.
 
-        (..., n_levels n_draws) to (..., n_draws), the mean over the levels. Normal up to the number of values; beyond it as if the errors were larger throughout, since few
-        control runs say how large they are.
+        (..., n_levels n_draws) to (..., n_draws), the mean over the levels. Normal up to the number of
+        values; beyond it as if the errors were larger throughout, since few control runs say how large
+        they are.
         """
         n = self.number
         excess = np.log(np.maximum(square / n, 1.0))

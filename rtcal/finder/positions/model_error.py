@@ -133,10 +133,10 @@ def simulator_error(
     return TracingError(runs, mean_of(noise) + in_all_bands + of_scattering(prior) * between)
 
 
-TRACED = (-2.0, -1.0, 1.0, 2.0)
+TRACED = (-2.0, -1.0, 1.5)
 """Changes of the log odds at which the whole room is traced, from what is stated or assumed. From 0.4
-they lead to 0.08, 0.2, 0.64 and 0.83."""
-_LEVELS = np.linspace(-2.4, 2.4, 13)
+they lead to 0.08, 0.2 and 0.75."""
+_LEVELS = np.linspace(-2.4, 2.4, 9)
 """Changes that are integrated over, what is heard interpolated by a cubic spline."""
 
 

@@ -54,8 +54,6 @@ spread of what is there, and with 48,000 less than twice the spread."""
 _EVERY = 2
 """Of the batches of paths every second is weighed for what changes: the same paths as stated and
 changed differ by little noise."""
-_OF_LEVEL = 2
-"""Factor of the number of paths at each level of scattering: all pairs together tell what it changes."""
 TRACINGS = 2
 """Independent tracings that are weighed. Where a surface changes, T20 changes by nearly as much at any
 pair: in four rooms of the geometric world what differed was noise. So a single tracing gave every
@@ -208,7 +206,7 @@ def _at_levels(case: PositionsCase, match: Sequence[str], base: Array, seed: int
     for change in TRACED:
         of_materials = np.full(case.room.n_materials, change)
         tracer = scattered(case.simulator, of_materials, case.simulator.scattering_model)
-        heard = tracer.denser(_OF_LEVEL).observe(case.room.alpha, match, seed=seed)
+        heard = tracer.denser().observe(case.room.alpha, match, seed=seed)
         shifts.append(heard.values - base)
     return np.stack(shifts, axis=-1)
 
@@ -426,6 +424,6 @@ def key_of(case: PositionsCase, seed: int) -> str:
         plain_directivities(tracer.directivity),
         list(parameters(case)),
         [TRACINGS, BASE, DENSER, LARGER, STEP, seed],
-        [SHARES, SECOND_ROOMS, AIR, VOLUME, TRACED, _OF_LEVEL, MOVE, LOBE_INDEX, __version__],
+        [SHARES, SECOND_ROOMS, AIR, VOLUME, TRACED, MOVE, LOBE_INDEX, __version__],
     ]
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:32]
