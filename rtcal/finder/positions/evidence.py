@@ -39,7 +39,7 @@ _AT_ONCE = 256
 
 @dataclass(frozen=True, eq=False)
 class ScatteringLevels:
-    """What the whole room changes by scattering more or less than is assumed.
+    """Shifts of the whole room if it scatters more or less than is assumed.
 
     Attributes
     ----------
