@@ -13,8 +13,7 @@ import pytest
 import rtcal as rt
 from rtcal.finder import Case
 from rtcal.finder.finding import Detection
-from rtcal.support.decode import json_object
-from rtcal.support.errors import DataError
+from rtcal.support.errors import DataError, ModelError
 from tests.test_discrepancy import opened
 
 
@@ -81,11 +80,11 @@ def test_json_in_latin_1_is_refused(name: str, tmp_path: Path) -> None:
     refused(lambda: read(str(path)), str(path), "UTF-8")
 
 
-def test_a_findings_file_holds_no_nan(tmp_path: Path) -> None:
-    """NaN is no JSON: strict readers refuse the file."""
-    unknown = dataclasses.replace(rt.find(opened()), detection=Detection(float("nan"), 1.0))
-    text = unknown.save(tmp_path).read_text(encoding="utf-8")
-    assert json_object(text)["score"] is None
+def test_a_finding_without_a_number_is_none() -> None:
+    """NaN is no JSON, and no evidence: such a finding is refused before it is written."""
+    found = rt.find(opened())
+    with pytest.raises(ModelError, match=r"score.*is nan nats"):
+        dataclasses.replace(found, detection=Detection(float("nan"), 1.0))
 
 
 @pytest.mark.parametrize("value", ["true", '"1.5"', "null", "[]", "1" + "0" * 350, "1e999", "{}"])

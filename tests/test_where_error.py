@@ -95,7 +95,7 @@ def test_what_the_scattering_of_a_material_changes_is_no_evidence() -> None:
 
 
 def test_how_much_the_whole_room_scatters_is_no_evidence() -> None:
-    """What it changes is no straight line: each level counts by its prior, in the mean over pairs."""
+    """Its effect is no straight line: each level counts by its prior, in the mean over pairs."""
     of_pairs = np.zeros((3, 2, 6, len(TRACED)))  # bands, parameters, pairs
     of_pairs[:, 0] = [4.0, 1.0, -0.5]
     of_pairs[:, 0, :3] += 1.0

@@ -226,7 +226,7 @@ class Point:
 
     @cached_property
     def off(self) -> Complex:
-        """What the modes leave of the spectra, (n_bins, n_pairs)."""
+        """Spectra less those of the modes, (n_bins, n_pairs)."""
         parts = np.vstack([self.amplitudes.real, self.amplitudes.imag])
         return np.asarray(self.problem.heard.values - self.columns[:, : len(parts)] @ parts)
 
