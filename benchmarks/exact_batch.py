@@ -22,8 +22,7 @@ import numpy as np
 
 import rtcal as rt
 from rtcal import studies
-from rtcal.report import study_report
-from rtcal.studies import draws
+from rtcal.studies import draws, paper
 
 N = 23
 
@@ -140,7 +139,7 @@ def study() -> list[tuple[str, float, str, bool]]:
         ("shoebox", studies.rooms.SHOEBOX),
         ("lecture hall", tuple(studies.rooms.LECTURE_HALL.values())),
     ):
-        for level in study_report.SIGMA_R:
+        for level in paper.SIGMA_R:
             rng = np.random.Generator(np.random.SFC64(1))
             block = np.empty((trials, len(areas)))
 

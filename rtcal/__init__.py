@@ -16,7 +16,6 @@ from rtcal.support.lazy import __version__ as __version__
 
 if TYPE_CHECKING:
     from rtcal import acoustics as acoustics
-    from rtcal import archive as archive
     from rtcal import calibration as calibration
     from rtcal import datasets as datasets
     from rtcal import finder as finder
@@ -41,10 +40,11 @@ if TYPE_CHECKING:
     from rtcal.acoustics.measurement import Measurement as Measurement
     from rtcal.acoustics.room import Room as Room
     from rtcal.acoustics.scene import Scene as Scene
-    from rtcal.archive.rooms import learn as learn
+    from rtcal.calibration import archive as archive
     from rtcal.calibration import exact as exact
     from rtcal.calibration import posterior as posterior
     from rtcal.calibration import terms as terms
+    from rtcal.calibration.archive.rooms import learn as learn
     from rtcal.calibration.configurations import Configurations as Configurations
     from rtcal.calibration.presets import calibrate as calibrate
     from rtcal.calibration.problem import Calibration as Calibration

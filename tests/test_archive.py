@@ -11,7 +11,7 @@ from click.testing import CliRunner
 
 import rtcal as rt
 from benchmarks import archive as study
-from rtcal.archive.likelihood import Evidence, RoomData, Spread
+from rtcal.calibration.archive.likelihood import Evidence, RoomData, Spread
 from rtcal.command.main import cli
 from rtcal.report import pages
 from rtcal.support.errors import DataError

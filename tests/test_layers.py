@@ -20,7 +20,6 @@ ORDER = (
     "acoustics",
     "prediction",
     "calibration",
-    "archive",
     "simulators",
     "io",
     "modes",

@@ -18,8 +18,7 @@ from rtcal import studies
 from rtcal.acoustics.priors import TruncatedNormal
 from rtcal.calibration import closed_form
 from rtcal.command.main import cli
-from rtcal.report import study_report
-from rtcal.studies import draws
+from rtcal.studies import draws, paper
 from rtcal.studies.runner import SERIES, ScoreMoments
 from rtcal.support import speed
 from rtcal.support.errors import DataError, MissingDependencyError
@@ -174,14 +173,14 @@ STATED: dict[draws.Sampling, dict[str, tuple[float, ...]]] = {
 def distances(which: draws.Sampling) -> dict[tuple[str, float], float]:
     """Distance of Table 2's scores from ours, in standard deviations of a study of 10,000 rooms."""
     rooms, found = 100_000, {}
-    for k, level in enumerate(study_report.SIGMA_R):
+    for k, level in enumerate(paper.SIGMA_R):
         table = by_method(studies.analytic_scores(SHOEBOX, level, rooms, seed=0, sampling=which))
         assert table["none", False].score == 0
         for method, values in STATED[which].items():
             row = table[method, False]
             assert 100 * row.score == pytest.approx(values[k], abs=0.15)
             spread = 100 * row.standard_error * np.sqrt(rooms / 10_000)
-            found[method, level] = abs(100 * row.score - study_report.TABLE_2[method][k]) / spread
+            found[method, level] = abs(100 * row.score - paper.TABLE_2[method][k]) / spread
     return found
 
 
@@ -259,8 +258,8 @@ def test_bounds_help_and_the_control_variate_shows_it() -> None:
 
 
 def test_table_1_within_rounding() -> None:
-    low, high = study_report.table_1_range(SHOEBOX)
-    printed = np.array(list(study_report.TABLE_1_EMSE.values()))
+    low, high = paper.table_1_range(SHOEBOX)
+    printed = np.array(list(paper.TABLE_1_EMSE.values()))
     assert np.all((printed > low) & (printed < high))
     assert np.all(high / low < 1.3)
 

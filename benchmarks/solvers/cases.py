@@ -21,8 +21,8 @@ from rtcal.calibration.configurations import Configurations
 from rtcal.calibration.presets import preset
 from rtcal.calibration.problem import CalibrationProblem, JointProblem
 from rtcal.datasets.halls import lecture_hall
-from rtcal.report.study_report import SIGMA_R, TABLE_1_MU, TABLE_1_SIGMA
 from rtcal.studies.draws import realisations
+from rtcal.studies.paper import SIGMA_R, TABLE_1_MU, TABLE_1_SIGMA
 from rtcal.studies.rooms import SHOEBOX
 from rtcal.support.types import Array
 from tests import problems

@@ -101,7 +101,7 @@ class Room:
         What to do with coefficients above 1, which laboratories report (ISO 354: the edges of the
         specimen absorb too). Clipped ones are listed in ``clipped``.
     calibration : CalibrationRecord, optional
-        Set in the room that a calibration returns, or `rtcal.archive.Archive.apply`.
+        Set in the room that a calibration returns, or `rtcal.calibration.archive.Archive.apply`.
     author : str
         Who made the model, for the pages of its results.
     volume_sigma : float

@@ -294,7 +294,7 @@ def learn(
     likely misnamed. Nothing leaves this machine.
     """
     from rtcal.acoustics.room import Room
-    from rtcal.archive import rooms
+    from rtcal.calibration.archive import rooms
     from rtcal.support.results import NUMBERS
 
     target = output_folder("--out", out)

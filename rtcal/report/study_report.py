@@ -14,13 +14,13 @@ import numpy as np
 
 from rtcal.acoustics.priors import TruncatedNormal
 from rtcal.report.figures import new_figure, rendered
+from rtcal.studies import paper
 from rtcal.studies.draws import Sampling, redrawn_share
 from rtcal.studies.rooms import HALL_SEEDS, LECTURE_HALL, SHOEBOX, random_hall
 from rtcal.studies.runner import table_csv
-from rtcal.studies.study import Study, Table, analytic_emse, analytic_scores, run
+from rtcal.studies.study import Study, Table, analytic_scores, run
 from rtcal.support import text
 from rtcal.support.arguments import checked
-from rtcal.support.types import Array
 
 __all__ = ["StudyReport", "priors", "report", "spread"]
 __dir__ = __all__.copy
@@ -83,52 +83,6 @@ def spread(table: Table, aace: Sequence[float], title: str) -> Any:
     return figure
 
 
-SIGMA_R = (0.01, 0.05, 0.1)
-
-TABLE_2: dict[str, tuple[float, ...]] = {
-    "none": (0.0, 0.0, 0.0),
-    "scaling": (4.4, 5.4, 6.4),
-    "lse": (8.7, 8.7, 8.7),
-    "mle": (14.8, 14.3, 13.2),
-}
-"""Calibration scores of the shoebox in percent, by sigma_r."""
-
-TABLE_3: dict[str, tuple[float, ...]] = {
-    "none": (0.0, 0.0, 0.0),
-    "scaling": (-1.2, -0.8, -0.3),
-    "lse": (2.2, 2.2, 2.2),
-    "mle": (3.8, 3.7, 3.3),
-}
-"""Calibration scores of the lecture hall in percent, by sigma_r."""
-
-TABLE_1_MU = (0.66, 0.45, 0.88, 0.83, 0.12, 0.52)
-TABLE_1_SIGMA = (0.04, 0.07, 0.06, 0.01, 0.05, 0.06)
-TABLE_1_EMSE: dict[str, float] = {
-    "none": 26.8e-4,
-    "scaling": 25.0e-4,
-    "lse": 22.0e-4,
-    "mle": 20.0e-4,
-}
-_HALF_DIGIT = 0.005
-
-
-def table_1_range(
-    areas: Array, draws: int = 4000, share: float = 0.98, seed: int = 0
-) -> tuple[Array, Array]:
-    """Return the least and the most EMSE, (4,), that Table 1's printed mu and sigma allow.
-
-    mu and sigma are uniform within half of their last digit. EMSE is in closed form, and the range
-    is its central ``share``.
-    """
-    rng = np.random.default_rng(seed)
-    shape = (draws, len(TABLE_1_MU))
-    mu = np.array(TABLE_1_MU) + rng.uniform(-_HALF_DIGIT, _HALF_DIGIT, shape)
-    sigma = np.array(TABLE_1_SIGMA) + rng.uniform(-_HALF_DIGIT, _HALF_DIGIT, shape)
-    emse = analytic_emse(mu, sigma, np.asarray(areas, dtype=float))
-    low, high = np.quantile(emse, [(1 - share) / 2, (1 + share) / 2], axis=0)
-    return low, high
-
-
 AREAS = {"shoebox": list(SHOEBOX), "lecture-hall": list(LECTURE_HALL.values())}
 """Surface areas in m² of the rooms whose trials are drawn."""
 
@@ -153,7 +107,7 @@ _HEADINGS = {
     "lecture-hall": "Lecture hall: 23 surfaces, 334 m³; paper: Table 3. It is a stand-in with the "
     "paper's number of surfaces, volume and ratio of areas, not the paper's hall.",
 }
-_PAPER_SCORES = {"shoebox": TABLE_2, "lecture-hall": TABLE_3}
+_PAPER_SCORES = {"shoebox": paper.TABLE_2, "lecture-hall": paper.TABLE_3}
 
 
 @dataclass(frozen=True)
@@ -266,8 +220,8 @@ def _scores(room: str, sigma_r: float, sampling: Sampling, table: Table) -> list
     for row in table:
         method = str(row.method)
         printed = "-"
-        if sigma_r in SIGMA_R and not row.bounded:
-            printed = f"{_PAPER_SCORES[room][method][SIGMA_R.index(sigma_r)]:.1f}"
+        if sigma_r in paper.SIGMA_R and not row.bounded:
+            printed = f"{_PAPER_SCORES[room][method][paper.SIGMA_R.index(sigma_r)]:.1f}"
         score = [f"{100 * row.score:.3f}", f"{100 * row.standard_error:.3f}"]
         label = NAMES[method] + (", bounded" if row.bounded else "")
         rows.append((label, [f"{row.aace:.5f}", *score, printed]))
@@ -325,10 +279,10 @@ def _add_halls(
 
 
 def _table_1() -> list[str]:
-    low, high = table_1_range(np.array(SHOEBOX))
+    low, high = paper.table_1_range(np.array(SHOEBOX))
     rows = [
         (NAMES[method], [f"{1e4 * value:.1f}", f"{1e4 * low[i]:.1f} to {1e4 * high[i]:.1f}"])
-        for i, (method, value) in enumerate(TABLE_1_EMSE.items())
+        for i, (method, value) in enumerate(paper.TABLE_1_EMSE.items())
     ]
     title = (
         "Table 1: expected mean squared error of a coefficient in one room, times 10,000. The paper "
@@ -355,7 +309,7 @@ def _study_files(study: Study, stem: str) -> dict[str, bytes]:
 
 def _prior_files() -> dict[str, bytes]:
     figure_2 = priors((0.2, 0.5, 0.7), (0.02, 0.05, 0.1), "Truncated normals (Fig. 2)")
-    figure_4a = priors(TABLE_1_MU, TABLE_1_SIGMA, "Table 1's room (Fig. 4a)")
+    figure_4a = priors(paper.TABLE_1_MU, paper.TABLE_1_SIGMA, "Table 1's room (Fig. 4a)")
     return {
         "priors.png": rendered(figure_2, "png"),
         "table-1-priors.png": rendered(figure_4a, "png"),

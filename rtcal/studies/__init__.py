@@ -8,7 +8,7 @@ Examples
 mle
 """
 
-from rtcal.studies import rooms
+from rtcal.studies import paper, rooms
 from rtcal.studies.runner import write_table
 from rtcal.studies.study import (
     Study,
@@ -21,6 +21,7 @@ __all__ = [
     "Study",
     "analytic_emse",
     "analytic_scores",
+    "paper",
     "rooms",
     "run",
     "write_table",

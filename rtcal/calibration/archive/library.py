@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from rtcal.acoustics import bands
 from rtcal.acoustics.materials import ARCHIVE, CalibrationRecord
 from rtcal.acoustics.room import Material, Room
-from rtcal.archive.likelihood import Spread
+from rtcal.calibration.archive.likelihood import Spread
 from rtcal.support import checks, text
 from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError

@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from rtcal.acoustics.room import Room
-from rtcal.archive import likelihood
-from rtcal.archive.library import Archive, Lesson, Suspect, is_one_material
-from rtcal.archive.likelihood import Evidence, RoomData
+from rtcal.calibration.archive import likelihood
+from rtcal.calibration.archive.library import Archive, Lesson, Suspect, is_one_material
+from rtcal.calibration.archive.likelihood import Evidence, RoomData
 from rtcal.calibration.configurations import Configurations
 from rtcal.calibration.problem_data import data_history
 from rtcal.calibration.result import CalibrationResult, JointResult
@@ -74,10 +74,10 @@ def learn(
     """Learn from calibrated rooms what the materials that they share absorb.
 
     alpha of material i in room r is the material's mean, an error of the room's own and a factor of the
-    room, the same in all states of the room; see `rtcal.archive.likelihood`. How far a material differs
-    between rooms, how far the tables are off, alone and together, follow by marginal likelihood; the
-    means by one linear step, cut to 0 to 1 after it. Only the rooms' stated priors and measured T
-    count, not how they were calibrated. Nothing leaves the machine.
+    room, the same in all states of the room; see `rtcal.calibration.archive.likelihood`. How
+    far a material differs between rooms, how far the tables are off, alone and together, follow by
+    marginal likelihood; the means by one linear step, cut to 0 to 1 after it. Only the rooms' stated
+    priors and measured T count, not how they were calibrated. Nothing leaves the machine.
 
     Parameters
     ----------
