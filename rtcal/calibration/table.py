@@ -28,6 +28,7 @@ from rtcal.acoustics.trust import TrustMark, explained, letters
 from rtcal.calibration.certificate import Certificate
 from rtcal.calibration.convex_program import RawSolution
 from rtcal.calibration.problem_data import MeasuredTimes
+from rtcal.calibration.remaining_gap import numbers, remaining_gap
 from rtcal.support import text
 from rtcal.support.files import json_numbers
 from rtcal.support.lazy import __version__
@@ -157,59 +158,6 @@ _SIGNS = (
 _BOUNDS = {"lower": "*", "upper": "*", "": " "}
 
 
-def remaining_gap(record: Mapping[str, Any]) -> str:
-    """Return that the calibrated room lacks the measured T, where it does, and to what the gap belongs.
-
-    "" where T is met in every band that has one, and where nothing asks for T. ``record`` is as for
-    `text_table`.
-    """
-    after, before = (np.abs(_numbers(record[key])) for key in ("gap_after_jnd", "gap_before_jnd"))
-    left = after >= MET  # not where there is no T
-    if not left.any() or not record["matches_measured_time"]:
-        return ""
-    n, count = int(left.sum()), int(np.isfinite(after).sum())
-    said = (
-        f"The calibrated room does not have the measured reverberation time in {n} of {count} bands: "
-        f"gaps of up to {after[left].max():.1f} JND remain"
-    )
-    grown = left & (after >= before + MET)
-    if grown.any():
-        said += f", in {int(grown.sum())} larger than before"
-    if not record["room_taken_as_exact"]:
-        return f"{said}. {_taken_up(record)}"
-    if record["unreachable"]:
-        return f"{said}. No coefficients within their limits reach that time."
-    return f"{said}. The uncertainty of the measured time allows them."
-
-
-_GROUPS = {
-    "volume": "volume",
-    "areas": "areas",
-    "temperature": "climate",
-    "humidity": "climate",
-    "coefficients": "",
-}
-"""What takes up a gap, by the first word of what a room states of its uncertainty."""
-_SAID_SHARE = 0.2
-
-
-def _taken_up(record: Mapping[str, Any]) -> str:
-    """Return which of the room's uncertainties takes up the gap, with what is stated of it."""
-    shares = record.get("gap_shares", {})
-    stated: dict[str, list[str]] = {}
-    for words in record.get("room_uncertainty", "").split(", "):
-        stated.setdefault(_GROUPS.get(words.partition(" ")[0], ""), []).append(words)
-    causes = [
-        "the measured time"
-        if group == "T"
-        else f"the {group} ({', '.join(w.removeprefix(f'{group} ') for w in stated.get(group, []))})"
-        for group in sorted(shares, key=lambda g: -float(shares[g]))
-        if shares[group] >= _SAID_SHARE
-    ]
-    check = " Check that first." if shares.get("T", 0.0) < 1 - _SAID_SHARE else ""
-    return f"What is stated as uncertain explains them: {' and '.join(causes)}.{check}"
-
-
 def text_table(record: Mapping[str, Any]) -> str:
     """Return the text that ``print(result)`` shows: bands, materials, plausibility, certificate.
 
@@ -256,10 +204,10 @@ def html_table(record: Mapping[str, Any]) -> str:
         shades = np.zeros(len(cells))
         if label.startswith("gap"):
             key = "gap_before_jnd" if "before" in label else "gap_after_jnd"
-            shades = np.nan_to_num(_numbers(record[key])) / _STRONG_SHIFT
+            shades = np.nan_to_num(numbers(record[key])) / _STRONG_SHIFT
         rows.append([label, *map(text.Cell, cells, shades)])
     for material in record["materials"]:
-        shifts = _numbers(material["shift_in_sigmas"])
+        shifts = numbers(material["shift_in_sigmas"])
         cells = [
             f"{alpha:.3f}{_BOUNDS[bound].strip()} ({text.number(shift, '+.1f')})"
             for alpha, bound, shift in zip(
@@ -310,12 +258,12 @@ def _band_rows(record: Mapping[str, Any]) -> list[text.Row]:
         ("gap before / JND", record["gap_before_jnd"], "+.1f"),
         ("gap after / JND", record["gap_after_jnd"], "+.1f"),
         ("z", record["plausibility"]["z"], "+.1f"),
-        ("air's share / %", 100 * _numbers(record["air_share"]), ".0f"),
+        ("air's share / %", 100 * numbers(record["air_share"]), ".0f"),
     ]
     trust = [letters(marks, f) or "." for f in record["centre_frequencies"]]
     return [
         *([("matched", parameters)] if len(_parameters(record)) > 1 else []),
-        *((label, _cells(_numbers(values), form)) for label, values, form in quantities),
+        *((label, _cells(numbers(values), form)) for label, values, form in quantities),
         ("do not trust, see below", trust),
     ]
 
@@ -351,15 +299,10 @@ def _shift_rows(record: Mapping[str, Any]) -> list[text.Row]:
     return [
         (
             material["name"],
-            [f"{cell} " for cell in _cells(_numbers(material["shift_in_sigmas"]), "+.1f")],
+            [f"{cell} " for cell in _cells(numbers(material["shift_in_sigmas"]), "+.1f")],
         )
         for material in record["materials"]
     ]
-
-
-def _numbers(values: Sequence[float | None] | Array) -> Array:
-    """The values as an array, NaN where one is missing."""
-    return np.array([np.nan if v is None else v for v in values])
 
 
 def _cells(values: Array, form: str) -> list[str]:
@@ -417,10 +360,10 @@ def _notes(record: Mapping[str, Any]) -> list[tuple[str, str]]:
         for sentence in explained(marks):
             notes.append((sentence.lstrip(), " " * (2 + len(sentence) - len(sentence.lstrip()))))
     worst = {
-        key: np.max(_numbers(record["certificate"][key]))
+        key: np.max(numbers(record["certificate"][key]))
         for key in ("primal_residual", "dual_residual", "duality_gap")
     }
-    bound = np.max([_numbers(material["error_bound"]) for material in record["materials"]])
+    bound = np.max([numbers(material["error_bound"]) for material in record["materials"]])
     notes.append(
         (
             "Certificate, of the computation alone: primal residual "
@@ -474,7 +417,7 @@ def _plausibility(record: Mapping[str, Any]) -> str:
             f"{start}, p = {p_value:.2g}: the measurement agrees with what was stated only if "
             f"all coefficients err the same way. {together}"
         )
-    weak = weak_agreement(_numbers(record["gap_before_jnd"]))
+    weak = weak_agreement(numbers(record["gap_before_jnd"]))
     return (
         f"{start}, p = {p_value:.2g}: the measurement agrees with what was stated. {weak}".rstrip()
     )
@@ -482,7 +425,7 @@ def _plausibility(record: Mapping[str, Any]) -> str:
 
 def _calibrated_gap(record: Mapping[str, Any]) -> str:
     """Return a note on the calibrated T where the measurement contradicts the materials."""
-    gap = np.abs(_numbers(record["gap_after_jnd"]))
+    gap = np.abs(numbers(record["gap_after_jnd"]))
     worst = float(np.max(gap, where=np.isfinite(gap), initial=0.0))
     if worst < 0.05:
         return "The calibrated T agrees with it all the same, which proves nothing."

@@ -20,8 +20,9 @@ from rtcal.acoustics.quality import (
 )
 from rtcal.acoustics.trust import TrustMark
 from rtcal.calibration.presets import METHODS
+from rtcal.calibration.remaining_gap import remaining_gap
 from rtcal.calibration.result import CalibrationResult
-from rtcal.calibration.table import equation_parameters, remaining_gap
+from rtcal.calibration.table import equation_parameters
 
 LARGE_SHIFT = 2.0
 """Shift in standard deviations of the prior above which T contradicts a material's stated alpha."""
