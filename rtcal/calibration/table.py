@@ -17,7 +17,6 @@ from rtcal.acoustics.equations import LinearEquation
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.observables import TARGET, parameter_label
 from rtcal.acoustics.quality import (
-    MET,
     P_CONTRADICTION,
     agreement,
     together_in_words,
@@ -27,8 +26,8 @@ from rtcal.acoustics.room import Room
 from rtcal.acoustics.trust import TrustMark, explained, letters
 from rtcal.calibration.certificate import Certificate
 from rtcal.calibration.convex_program import RawSolution
+from rtcal.calibration.gap_words import numbers, remaining_gap
 from rtcal.calibration.problem_data import MeasuredTimes
-from rtcal.calibration.remaining_gap import numbers, remaining_gap
 from rtcal.support import text
 from rtcal.support.files import json_numbers
 from rtcal.support.lazy import __version__

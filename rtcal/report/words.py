@@ -19,8 +19,8 @@ from rtcal.acoustics.quality import (
     weak_agreement,
 )
 from rtcal.acoustics.trust import TrustMark
+from rtcal.calibration.gap_words import remaining_gap
 from rtcal.calibration.presets import METHODS
-from rtcal.calibration.remaining_gap import remaining_gap
 from rtcal.calibration.result import CalibrationResult
 from rtcal.calibration.table import equation_parameters
 

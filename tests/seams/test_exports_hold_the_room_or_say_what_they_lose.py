@@ -397,19 +397,65 @@ def test_a_single_material_of_bras_gets_its_scattering(tmp_path: Path) -> None:
     assert given.read_text(encoding="utf-8") == "125, 250\n0.300, 0.400\n0.500, 0.600\n"
 
 
-def test_two_names_of_one_material_agree_in_scattering(tmp_path: Path) -> None:
-    path = tmp_path / "list.geo"
-    path.write_bytes(b"ABS floor = <10 20 30 40 50 60>\r\nABS walls = floor\r\n")
-    bands = OCTAVES[1:7]
-    room = rt.Room(
+def apart(names: list[str], **rows: Any) -> rt.Room:
+    """Return a room of the named materials, all alike but for the rows that are given."""
+    shape = (len(names), 6)
+    return rt.Room(
         name="two names",
         volume=200.0,
-        materials=NAMES,
-        areas=[AREAS[n] for n in NAMES],
-        alpha=np.full((2, 6), 0.2),
-        sigma=np.full((2, 6), 0.05),
-        scattering=[[0.1] * 6, [0.2] * 6],
-        centre_frequencies=bands,
+        materials=names,
+        areas=[40.0 + 10 * i for i in range(len(names))],
+        sigma=np.full(shape, 0.05),
+        centre_frequencies=OCTAVES[1:7],
+        **{"alpha": np.full(shape, 0.2), "scattering": np.full(shape, 0.1)} | rows,
     )
+
+
+@pytest.mark.parametrize("parted", [("alpha",), ("scattering",), ("alpha", "scattering")])
+@pytest.mark.parametrize("scattering", [b"", b" L <15 15 15 15 15 15>"])
+def test_two_names_of_one_material_hold_the_rooms_values(
+    scattering: bytes, parted: tuple[str, ...], tmp_path: Path
+) -> None:
+    """An alias of CATT that the room has otherwise gets values of its own."""
+    path, names = tmp_path / "list.geo", ["floor", "door", "walls"]
+    given = b"ABS floor = <10 20 30 40 50 60>" + scattering + b" {1 2 3}\r\n"
+    path.write_bytes(given + b"ABS walls = floor ; brick\r\nABS door = floor\r\n")
+    other = np.repeat([[0.2], [0.2], [0.3]], 6, axis=1)
+    room = apart(names, **dict.fromkeys(parted, other))
+    catt.write(room, path)
+    read = catt.read(path)
+    again = read.room(
+        name="two names",
+        volume=200.0,
+        areas=dict(zip(names, room.areas, strict=True)),
+        scattering=None,
+    )
+    np.testing.assert_allclose(again.alpha, room.alpha, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(again.scattering, room.scattering, rtol=0, atol=1e-12)
+    assert b"> {1 2 3} ; brick\r\n" in path.read_bytes()
+
+
+def test_a_row_of_odeon_holds_one_material(tmp_path: Path) -> None:
+    """Its second name is its number and description: there is no second row to write."""
+    path = tmp_path / "list.li8"
+    path.write_bytes(b"101 floor\r\n" + b"\t0.1" * 8 + b"\r\n")
+    names = ["floor", "101 floor"]
+    assert odeon.read(path).aliases == {"floor": "101 floor"}
+    other = np.repeat([[0.2], [0.3]], 6, axis=1)
     with pytest.raises(DataError, match="is the same material"):
-        catt.write(room, path)
+        odeon.write(apart(names, alpha=other), path)
+    odeon.write(apart(names), path)
+    assert odeon.read(path).listed("floor").alpha[1:7] == (0.2,) * 6
+
+
+def test_the_lists_with_two_names_for_a_material_are_known(tmp_path: Path) -> None:
+    """The laws above are those of every such list; another one is to be added to them."""
+    with_aliases = set()
+    for name, module in FORMATS.items():
+        path = template(name, tmp_path, "without scattering")
+        assert path is not None
+        if name == "catt":
+            path.write_bytes(path.read_bytes() + b"ABS door = walls\r\n")
+        if module.read(path).aliases:
+            with_aliases.add(name)
+    assert with_aliases == {"catt", "odeon"}
