@@ -348,6 +348,26 @@ def test_a_mesh_that_does_not_suit_the_room_is_named(tmp_path: Path) -> None:
         geometry_files.read(room.replace(scene=rt.Scene(mesh=mesh)))
 
 
+def test_the_message_of_many_missing_materials_is_short(tmp_path: Path, capsys) -> None:
+    """That of eight had 2,700 characters."""
+    pytest.importorskip("pyroomacoustics")
+    names = ["vinyl floor", "timber door", "heavy curtain", "painted brick", "gypsum board"]
+    names += [f"carpet {i}" for i in range(20)]
+    areas = [part for name in names for part in ("--area", f"{name}=20")]
+    out = ("--volume", 200, "--out", tmp_path / "room.toml")
+    assert run("import", "catalogue", *areas, *out) == 2
+    said = capsys.readouterr().err
+    assert len(said) < 1600
+    assert '"timber door" is like wooden_door, ' in said
+    assert "13 more, which are named once these are stated" in said
+    assert "and so on, for 25 materials" in said
+    assert '--catalogue "vinyl floor=vinyl floor" describes the entries' in said
+    assert run("import", "catalogue", *areas, "--catalogue", "vinyl floor=vinyl floor", *out) == 2
+    described = capsys.readouterr().err
+    assert '"vinyl floor" is no material of the catalogue; it is like lino' in described
+    assert "alpha 0.03 ± 0.02 at 500 Hz" in described
+
+
 def test_a_mesh_alone_takes_its_materials_from_the_catalogue(tmp_path: Path, capsys) -> None:
     pytest.importorskip("pyroomacoustics")
     mesh, out = tmp_path / "hall.obj", tmp_path / "room.toml"

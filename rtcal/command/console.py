@@ -139,6 +139,9 @@ def read_measured(path: str | os.PathLike[str], *, quiet: bool) -> Measurement:
             f"{path}: {', '.join(p.upper() for p in measured.values)} of {of} in "
             f"{len(measured.centre_frequencies)} bands; `rtcal table {path}` shows how it was read"
         )
+    if not quiet:
+        for doubt in table.doubts:
+            warn(f"{path}: {doubt}")
     return table.measurement
 
 

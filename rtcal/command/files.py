@@ -202,7 +202,8 @@ def table(
         )
     columns = tuple(as_options(line, ARGUMENTS) for line in table_read.columns)
     table_read = replace(table_read, columns=columns)
-    _write_and_tell(table_read, {"columns": table_read.columns}, out, as_json, quiet)
+    notes = {"columns": table_read.columns, "doubts": table_read.doubts}
+    _write_and_tell(table_read, notes, out, as_json, quiet)
 
 
 def _write_and_tell(

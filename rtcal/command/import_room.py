@@ -331,10 +331,13 @@ def _from_catalogue(
             f'--catalogue: "{unknown[0]}" is no material of the room; {place} has '
             f"{shortened(', '.join(used), 200)}"
         )
+    in_catalogue = _chosen_entries(chosen)
     in_list = {*listed.names, *listed.aliases}
     if missing := [n for n in used if n not in in_list and n not in chosen]:
-        proposals = ";".join(f'\n- "{name}"{_proposals(name, listed, program)}' for name in missing)
-        options = " ".join(f'--catalogue "{name}=ENTRY"' for name in missing)
+        proposals = _all_proposals(missing, listed, program)
+        options = " ".join(f'--catalogue "{name}=ENTRY"' for name in missing[:_DESCRIBED])
+        if len(missing) > _DESCRIBED:
+            options += f" and so on, for {len(missing)} materials"
         if program == "catalogue":
             raise DataError(f"{place}: not in the catalogue:{proposals}.\nState {options}")
         raise DataError(
@@ -342,6 +345,11 @@ def _from_catalogue(
             f"{shortened(', '.join([*listed.names, *listed.aliases]), 200)}.\nState one of its names "
             f'(--as "{missing[0]}=NAME"), or an entry of the catalogue: {options}'
         )
+    return in_catalogue
+
+
+def _chosen_entries(chosen: dict[str, str]) -> dict[str, ListedMaterial]:
+    """Return the catalogue's entries by the room's names; DataError, with proposals, for others."""
     if not chosen:
         return {}
     from rtcal.datasets import catalogue
@@ -357,18 +365,39 @@ def _from_catalogue(
     return {name: entries.listed(entry) for name, entry in chosen.items()}
 
 
-def _proposals(name: str, listed: MaterialList, program: str) -> str:
+_DESCRIBED = 3
+"""Largest number of missing materials whose proposals are described."""
+_PROPOSED = 12
+"""Largest number of missing materials for which a message has proposals."""
+
+
+def _all_proposals(missing: Sequence[str], listed: MaterialList, program: str) -> str:
+    """Return a line per missing material; of many, the first ones' with the names of entries alone."""
+    described = len(missing) <= _DESCRIBED
+    lines = [
+        f'\n- "{name}"{_proposals(name, listed, program, described=described)}'
+        for name in missing[:_PROPOSED]
+    ]
+    if len(missing) > _PROPOSED:
+        lines.append(f"\n- {len(missing) - _PROPOSED} more, which are named once these are stated")
+    if not described:
+        words = missing[0].replace("_", " ")
+        lines.append(f'\n--catalogue "{missing[0]}={words}" describes the entries that are like it')
+    return ";".join(lines)
+
+
+def _proposals(name: str, listed: MaterialList, program: str, *, described: bool) -> str:
     from rtcal.datasets import catalogue
 
     own = {} if program == "catalogue" else dict.fromkeys(listed.names, "")
     near = [f'"{entry}" of the list' for entry in catalogue.similar(name, 2, own)]
     try:
-        near += catalogue.nearest(name)
+        near += catalogue.nearest(name) if described else catalogue.similar(name, 3)
     except MissingDependencyError:
         if not near:
             return ""
     if near:
-        return f" is like {'; '.join(near)}"
+        return f" is like {('; ' if described else ', ').join(near)}"
     return (
         f' has nothing like it: --catalogue "{name}=carpet" names the entries that are like carpet'
     )

@@ -24,6 +24,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from rtcal.acoustics import bands, measurement_files
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.observables import OBSERVABLES, TARGET, observable, parameter_label
@@ -67,8 +69,13 @@ class Table:
     columns: tuple[str, ...]
 
     def __str__(self) -> str:
-        """Return how each column was read, and the means of what was read."""
-        return "\n".join([*self.columns, "", *means(self.measurement)])
+        """Return how each column was read, what is in doubt, and the means of what was read."""
+        return "\n".join([*self.columns, *self.doubts, "", *means(self.measurement)])
+
+    @property
+    def doubts(self) -> tuple[str, ...]:
+        """Sentences on values that hardly any room has and that are read all the same."""
+        return _unusual(self.measurement)
 
 
 @checked
@@ -389,26 +396,27 @@ def _table(readers: Sequence[Reader], where: Mapping[str, str], notes: list[str]
     report[1:1] = notes if len(readers) == 1 else []
     report += [] if len(readers) == 1 else notes
     report += in_words(places_of(pairs))
-    report += _unusual(values)
     return Table(_measurement(values, places), tuple(report))
 
 
-def _unusual(values: Values) -> list[str]:
-    """Return a note on the values that no room has and that are read all the same; [] without any."""
-    odd = []
-    for key, numbers in values.items():
-        least, most = observable(key[2]).usual
-        if not least <= numbers.get("value", least) <= most:
-            odd.append((key, numbers["value"]))
-    if not odd:
-        return []
-    (source, receiver, parameter, band), value = odd[0]
-    more = f", and {len(odd) - 1} more" if len(odd) > 1 else ""
-    return [
-        f"no room has {parameter_label(parameter)} of {value:g} {observable(parameter).unit} "
-        f"({source} to {receiver} at {bands.label(band)}{more}): look whether the column, the unit or "
-        "the decimal is another"
-    ]
+def _unusual(measurement: Measurement) -> tuple[str, ...]:
+    """Return a note on each parameter with values that hardly any room has; () without any."""
+    notes = []
+    for parameter, table in measurement.values.items():
+        kind = observable(parameter)
+        least, most = kind.usual
+        odd = np.argwhere((table < least) | (table > most))
+        if not odd.size:
+            continue
+        i, k = odd[0]
+        place = "" if measurement.is_summary else f"{' to '.join(measurement.pairs[i])} "
+        more = f", and {len(odd) - 1} more" if len(odd) > 1 else ""
+        notes.append(
+            f"hardly any room has {kind.label} of {table[i, k]:g} {kind.unit} "
+            f"({place}at {bands.label(measurement.centre_frequencies[k])}{more}): look whether the "
+            "column, the unit or the decimal is another"
+        )
+    return tuple(notes)
 
 
 def _measurement(values: Values, place: str) -> Measurement:

@@ -321,6 +321,8 @@ class PositionsResult(Result):
 
     def __str__(self) -> str:
         lines = [f"Coefficients only for {self.simulator}"]
+        if self.warning:
+            lines += ["", *text.wrapped(self.warning, hanging="    ")]
         tables = [gap_table(self.parameters, self.pairs, self.gap_before, self.gap_after)]
         if more := self.beside.parameters:
             ends = self.beside.gap_before, self.beside.gap_after
@@ -331,7 +333,7 @@ class PositionsResult(Result):
                 *text.table([(r[0], r[1:]) for r in rows], header=(header[0], header[1:])),
             ]
         lines.append("")
-        for note in self.every_note:
+        for note in self.every_note[bool(self.warning) :]:  # the warning leads
             lines += text.wrapped(note, hanging="    ")
         return "\n".join(lines)
 
@@ -353,13 +355,25 @@ class PositionsResult(Result):
     @property
     def warning(self) -> str:
         """That the calibrated simulator is not to be used, which is said first; "" if it may be."""
-        if not self._farther_matched:
+        farther = self._farther_matched
+        if not farther:
             return ""
-        names = ", ".join(parameter_label(p) for p in self._farther_matched)
+        gaps = zip(self.parameters, rms(self.gap_before), rms(self.gap_after), strict=True)
+        names = ", ".join(
+            f"{parameter_label(p)} ({old:.1f} to {new:.1f} JND)"
+            for p, old, new in gaps
+            if p in farther
+        )
+        start = "The"
+        if self.scattering is not None:
+            start = (
+                "The fitted scattering may have ended at a poor fit: try another seed, or state "
+                "other scattering. Else the"
+            )
         return (
             f"In {names} the calibrated simulator is farther from what was measured than before: "
-            "do not simulate with it. The model misses something, or a constraint keeps alpha "
-            "away; look at `predicted`."
+            f"do not simulate with it. {start} model misses something, or a constraint keeps alpha "
+            "away."
         )
 
     @property

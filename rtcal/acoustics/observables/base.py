@@ -65,7 +65,7 @@ class Observable(ABC):
     doubt : str
         The likely mistake behind a value beyond them.
     usual : (float, float)
-        Least and largest value that a room has; one beyond them is read and told.
+        Least and largest value that hardly any room is beyond; one that is, is read and told.
     minimum_range : float or None
         Impulse-to-noise ratio in dB that a response needs to hold it. None where a response alone does
         not: its level needs a calibrated source.

@@ -86,6 +86,8 @@ class DecaySlope(Relative):
     jnd = 0.05
     relative_jnd = True
     limits = LIMITS
+    # An anechoic room for speech and a mausoleum.
+    usual = 0.05, 30.0
     doubt = "is it in seconds?"
     part: ClassVar[Part] = "late"
     teams = TEAMS

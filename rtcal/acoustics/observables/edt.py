@@ -15,6 +15,7 @@ class EDT(DecaySlope):
     upper, lower = 0.0, -10.0
     # Strong direct sound makes it arbitrarily short.
     limits = 0.0, LIMITS[1]
+    usual = 0.005, 30.0
     # 400 decays of octave-filtered Gaussian noise at 500 Hz and 400 at 1 kHz, T = 1 s, have 1.7.
     one_decay = 1.6
     part = "early"

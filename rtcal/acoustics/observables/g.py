@@ -12,3 +12,5 @@ class G(OfEnergy):
 
     key, label, rank = "g", "G", 80
     spellings = ("strength", "soundstrength")
+    # Far outdoors, and at 0.1 m from a source.
+    usual = -40.0, 45.0

@@ -21,6 +21,8 @@ class Ts(Relative):
     # Ts of an exponential decay is T / 13.8: 8.7 s for T = 120 s.
     limits = 0.0, 10.0
     doubt = "is it in ms?"
+    # Ts of T = 0.05 s and of T = 28 s.
+    usual = 0.0036, 2.0
     teams = EDT.teams
     matched = True
 
