@@ -168,6 +168,20 @@ def test_a_clipped_response_is_noted(tmp_path: Path) -> None:
     assert np.isfinite(analysis.measurement.values["edt"]).all()
 
 
+def test_a_file_without_a_decay_is_named(tmp_path: Path) -> None:
+    """Of several files the text named the pair alone, band by band."""
+    rng = np.random.default_rng(10)
+    for name, content in (
+        ("S1_R1", response(0.8, rng)),
+        ("S1_R2", 0.1 * rng.standard_normal(32000)),
+    ):
+        (tmp_path / f"{name}.wav").write_bytes(wav(content / np.abs(content).max(), 16000))
+    analysis = ir.read(sorted(tmp_path.iterdir()), bands=[500, 1000, 2000])
+    (note,) = [n for n in analysis.notes if "no decay" in n]
+    assert f"{tmp_path / 'S1_R2.wav'} (3 of 3 bands). Look whether" in note
+    assert "S1_R1" not in note
+
+
 def test_a_step_after_silence_is_no_silence_at_the_end(tmp_path: Path) -> None:
     """Found by fuzzing: what was left without its end was 0 everywhere, and no number times 0."""
     path = tmp_path / "step.wav"

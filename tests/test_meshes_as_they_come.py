@@ -310,6 +310,30 @@ def test_formats_that_trimesh_reads(tmp_path: Path, ending: str) -> None:
     assert height == pytest.approx(4, rel=1e-6)  # of the glTF, whose y is up, it is y
 
 
+def test_the_nodes_of_a_collada_scene_name_their_faces(tmp_path: Path) -> None:
+    """SketchUp and Blender name the objects there, and a surface had been "part 2"."""
+    text = written(tmp_path, ".dae").read_text()
+    shape = text[text.index("<instance_geometry") : text.index("</node>")]
+    moved = "<translate>0 0 800</translate>"
+    nodes = (
+        f'<node name="SketchUp"><node id="N0" name="Stage">{shape}</node>'
+        f'<node id="ID9"><instance_node url="#L"/>{moved}</node></node>'
+    )
+    library = f'<library_nodes><node id="L" name="Gallery">{moved}{shape}</node></library_nodes>'
+    start, end = text.index("<node>"), text.index("</node>") + len("</node>")
+    text = text[:start] + nodes + text[end:]
+    text = text.replace("<library_visual_scenes>", library + "<library_visual_scenes>")
+    (tmp_path / "scene.dae").write_text(text)
+    faces = mesh.read(tmp_path / "scene.dae")
+    assert set(faces.names) == {"Stage", "Gallery"}
+    drawn = [*zip(faces.polygons, faces.names, strict=True)]
+    heights = {
+        name: np.mean([p[:, 2].mean() for p, n in drawn if n == name]) for name in set(faces.names)
+    }
+    rise = heights["Gallery"] - heights["Stage"]
+    assert rise == pytest.approx(2 * 800 * 0.0254, rel=1e-6)  # both matrices, once each
+
+
 def test_objects_of_3mf_are_told_apart_by_their_names(tmp_path: Path) -> None:
     parts = {
         name: trimesh.Trimesh(

@@ -7,6 +7,7 @@ that the file states.
 from __future__ import annotations
 
 import io
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -15,6 +16,7 @@ from rtcal.acoustics.materials import text_name
 from rtcal.io.mend import Faces
 from rtcal.io.mend.faces import unit_notes
 from rtcal.support.errors import DataError, MissingDependencyError
+from rtcal.support.types import Array
 
 MAX_FACES = 100_000
 
@@ -28,8 +30,9 @@ def faces(content: bytes, path: str, unit: float | None, otherwise: str) -> Face
             ignore=[collada.common.DaeUnsupportedError, collada.common.DaeBrokenRefError],
         )
         drawn = [
-            (geometry.original.name or "part", _name(part, otherwise), polygon.vertices)
-            for geometry in (model.scene.objects("geometry") if model.scene else ())
+            (name or geometry.original.name, _name(part, otherwise), polygon.vertices)
+            for node in (model.scene.nodes if model.scene else ())
+            for name, geometry in _placed(node, np.eye(4), "")
             for part in geometry.primitives()
             if not isinstance(part, collada.lineset.BoundLineSet)
             for polygon in part
@@ -55,6 +58,21 @@ def faces(content: bytes, path: str, unit: float | None, otherwise: str) -> Face
         materials.append(text_name(f"{path}: a material", material))
         names.append(text_name(f"{path}: a part", name) or "part")
     return Faces(path, polygons, materials, names, tuple(notes))
+
+
+def _placed(node: Any, matrix: Array, name: str) -> Iterator[tuple[str, Any]]:
+    """Yield each geometry below a node, in its place, with the name of the nearest node that has one.
+
+    Programs name the objects of a scene by their nodes, and a geometry by its number.
+    """
+    children = getattr(node, "children", None)
+    if children is None:  # an instance of a geometry, a camera, a light
+        yield from ((name, geometry) for geometry in node.objects("geometry", matrix))
+        return
+    named = getattr(node, "node", node)  # of an instance of a node, that node
+    own = named.name if named.name != named.id else None  # pycollada takes the id without a name
+    for child in children:
+        yield from _placed(child, matrix @ node.matrix, own or name)
 
 
 def _name(part: Any, otherwise: str) -> str:

@@ -259,6 +259,14 @@ def _analysis(
     placed = places_of([*signals])
     of_place = groups(placed).values()
     notes = in_words(placed)
+    silent = np.isneginf(ratios).sum(axis=1)
+    if lacking := np.flatnonzero(2 * silent > len(centres)).tolist():
+        names = [*places.values()]
+        of_file = [f"{names[i]} ({silent[i]} of {len(centres)} bands)" for i in lacking]
+        notes.append(
+            f"no decay stands out of the noise: {shortened_list(of_file)}. Look whether it is an "
+            "impulse response, and not noise or a recording of the excitation"
+        )
     if clipped:
         notes.append(
             f"clipped: {shortened_list(clipped)}. Their largest value occurs {LEAST_CLIPPED} times or "

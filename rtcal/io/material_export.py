@@ -12,6 +12,7 @@ import numpy as np
 from rtcal.acoustics import band_conversion, bands, quality, repeats
 from rtcal.acoustics.equations import Eyring, LinearEquation
 from rtcal.acoustics.room import Room
+from rtcal.acoustics.scene import Scene
 from rtcal.io.material_list import ListedMaterial, MaterialList
 from rtcal.support import text
 from rtcal.support.errors import DataError
@@ -36,12 +37,11 @@ LOST = {
     "correlations": ("band_correlation", "material_correlation"),
     "what scattering means": ("scattering_model",),
     "air": ("air",),
-    "mesh, sources and receivers": ("scene",),
     "where coefficients are from": ("sources",),
     "coefficients that were above 1": ("clipped",),
     RECORD: ("calibration",),
 }
-"""What it does not hold, in words, and the fields of a room that these are."""
+"""What it does not hold, in words, and the fields of a room that these are; see `_of_scene`, too."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -212,7 +212,17 @@ def _lost(room: Room, lacking: Sequence[str]) -> tuple[str, ...]:
     return (
         *((f"scattering{of}",) if lacking else ()),
         *(words for words, names in LOST.items() if any(map(is_stated, names))),
+        *_of_scene(room.scene),
     )
+
+
+def _of_scene(scene: Scene) -> tuple[str, ...]:
+    """Return what a scene states, in words: no sources and receivers where it has none."""
+    said = ["mesh"] if scene.mesh is not None else []
+    said += ["sources and receivers"] if scene.sources else []
+    if not said and scene:
+        said = ["names of surfaces"]
+    return (", ".join(said),) if said else ()
 
 
 def _in_new_bands(

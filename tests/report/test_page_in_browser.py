@@ -12,9 +12,12 @@ from rtcal.report import (
     document,
     figures,
     page,
+    positions_page,
 )
 from tests.browser import chromium, printed
 from tests.report.pages import FINDING
+from tests.report.rooms import MEASURED, calibrated, renamed
+from tests.seams.test_exports_hold_the_room_or_say_what_they_lose import fitted
 
 pytestmark = pytest.mark.long
 
@@ -85,6 +88,41 @@ def test_no_page_is_wider_than_a_phone(html, evil_html, loop, result, tmp_path) 
             chromium(tmp_path, frame, *arguments).stdout.rpartition("width: ")[2].split()[0]
         )
     assert [name for name, width in seen.items() if int(width) > 400] == ["wide"]
+
+
+_WIDE = """<body><iframe style="width: 1400px; height: 900px" src="%s"></iframe><script>
+document.querySelector("iframe").onload = event => {
+  const inside = event.target.contentDocument, beyond = [];
+  for (const box of inside.querySelectorAll(".wide"))
+    if (box.scrollWidth > box.clientWidth + 1) beyond.push(box.textContent.trim().slice(0, 30));
+  document.body.append("beyond: [" + beyond.join("; ") + "] ");
+};</script>"""
+
+
+def test_no_table_is_behind_a_scrollbar_on_a_screen(tmp_path) -> None:
+    """The third column of materials and the last of six bands were."""
+    long = calibrated(tmp_path)
+    names = [f"{name}_with_a_name_of_some_length" for name in long.prior.materials]
+    mesh = (tmp_path / "room.obj").read_text(encoding="utf-8")
+    for old, new in zip(long.prior.materials, names, strict=True):
+        mesh = re.sub(rf"(?m)^usemtl {re.escape(old)}$", f"usemtl {new}", mesh)
+    (tmp_path / "room.obj").write_text(mesh, encoding="utf-8")
+    pages = {
+        "room": page.calibration_page(rt.calibrate(renamed(long.prior, names), MEASURED)),
+        "fit": positions_page.page(fitted(), document.Heading(), lambda: None),
+        "control": '<div class="wide" style="overflow: auto"><p style="width: 2000px">wide</p></div>',
+    }
+    assert "Decay times: means" in pages["fit"]
+    assert 'id="room-parts"' in pages["room"]
+    seen = {}
+    for name, text in pages.items():
+        document.write(tmp_path / f"{name}.html", text)
+        frame = tmp_path / "frame.html"
+        frame.write_text(_WIDE % f"{name}.html")
+        arguments = ("--allow-file-access-from-files", "--virtual-time-budget=9000", "--dump-dom")
+        found = re.findall(r"beyond: \[(.*?)\] ", chromium(tmp_path, frame, *arguments).stdout)
+        seen[name] = found[-1]
+    assert seen == {"room": "", "fit": "", "control": "wide"}
 
 
 def test_a_printed_page_can_be_handed_to_a_client(result, tmp_path) -> None:

@@ -154,7 +154,7 @@ SAID = {
     "band_correlation": "correlations",
     "material_correlation": "correlations",
     "air": "air",
-    "scene": "mesh, sources and receivers",
+    "scene": "sources and receivers",
     "scattering": "scattering",
     "scattering_model": "what scattering means",
     "sources": "where coefficients are from",
@@ -307,7 +307,8 @@ def test_a_patchs_folder_holds_the_mesh_and_its_surfaces(tmp_path: Path) -> None
     assert again.areas["floor"] == pytest.approx(whole.pop("floor") - 4.0, rel=1e-6)
     assert {n: again.areas[n] for n in whole} == pytest.approx(whole, rel=1e-9)
     for name, lost in made.lost.items():
-        words = {SAID[n] for n in SAID if n not in ("dimensions", "clipped", "scattering")}
+        words = {SAID[n] for n in SAID if n not in ("dimensions", "clipped", "scattering", "scene")}
+        assert "mesh, sources and receivers" in lost
         assert words - {"what scattering means", SAID["calibration"]} <= set(lost), name
 
 
@@ -350,6 +351,26 @@ def test_a_measurement_is_read_back(ending: str, tmp_path: Path) -> None:
         assert one.keys() == other.keys()
         for name in other:  # a workbook keeps 16 digits
             np.testing.assert_allclose(one[name], other[name], rtol=1e-15)
+
+
+@pytest.mark.parametrize(
+    ("scene", "words"),
+    [
+        (rt.Scene(mesh="room.obj"), "mesh"),
+        (rt.Scene(sources=SOURCES, receivers=RECEIVERS), "sources and receivers"),
+        (
+            rt.Scene(mesh="room.obj", sources=SOURCES, receivers=RECEIVERS),
+            "mesh, sources and receivers",
+        ),
+        (rt.Scene(surfaces={"floor": ("floor",)}), "names of surfaces"),
+    ],
+)
+def test_sources_that_are_not_there_are_not_said_to_be_lost(
+    scene: rt.Scene, words: str, tmp_path: Path
+) -> None:
+    report = odeon.write(stated(scene=scene), tmp_path / "out")
+    assert words in report.lost
+    assert ("receivers" in str(report)) == ("receivers" in words)
 
 
 @pytest.mark.parametrize("name", FORMATS)
