@@ -335,6 +335,16 @@ def opened(area: float = 15.0) -> Case:
     return case_with(times, edt=times, t30=times)
 
 
+def test_an_observable_that_means_do_not_use_is_told() -> None:
+    case = opened()
+    t20 = case.configurations[0].measured.values["t20"]
+    told = case_with(t20[0], d50=np.full(7, 0.5))
+    (note,) = (n for n in find(told, controls=controls_of(told)).notes if "D50" in n)
+    assert note.startswith(
+        '"as built": D50 not used: means over positions have a model of T20, EDT'
+    )
+
+
 def test_what_the_measurement_denies_is_calibrated_away() -> None:
     """T is longer than the prior's: no furniture is left, and no size divides by it."""
     case = case_with(1.3 * 6 * np.log(10) / made().rate)

@@ -228,7 +228,7 @@ def changing(**fields: Any) -> Effect:
         ([], ("effects is empty",)),
         (3, ("effects = 3 is not a list",)),
         ([Opening(), Organ], ("effects[1] = Organ is a class", "Organ()")),
-        ([absorber(None, None)], ("effects[0]", "name = None is not a text")),
+        ([absorber(None, None)], ("effects[0]", "name is not stated")),
         ([*library(), Opening()], ('effects has "opening" twice',)),
         ([on_state(name="none")], ('name = "none" is a verdict',)),
         ([on_state(name="a\nb")], ("name = 'a\\nb' is not a text of one line",)),

@@ -9,8 +9,9 @@ import pytest
 
 import rtcal as rt
 from rtcal.acoustics.decay import gradients
-from rtcal.acoustics.observables import MATCH, OBSERVABLES, observable
+from rtcal.acoustics.observables import MATCH, OBSERVABLES, observable, register
 from rtcal.datasets import halls
+from rtcal.io import tables
 from rtcal.simulators import (
     DifferentiableSimulator,
     ImageSource,
@@ -275,3 +276,43 @@ def test_wrong_parameters_are_refused(tracer, match, said):
 def test_nothing_reflected_has_no_c80(tracer):
     with pytest.raises(DataError, match="has no"):
         tracer.observe(np.ones_like(tracer.room.alpha), ["c80"])
+
+
+def share(**attributes):
+    """A class like D50's, of another key, from outside the package."""
+    return type("Share", (type(observable("d50")),), {"key": "d50b", **attributes})
+
+
+@pytest.fixture
+def registry():
+    before = dict(OBSERVABLES)
+    yield
+    OBSERVABLES.clear()
+    OBSERVABLES.update(before)
+
+
+def test_an_observable_from_outside_is_a_header_by_its_label(registry):
+    kind = share(label="Clear share", spellings=())
+    assert type(OBSERVABLES[register(kind).key]) is kind
+    register(kind)  # as a notebook's cell does that is run again
+    table = tables.parse(b"Frequency,Clear share\n500,0.7\n1000,0.8\n").measurement
+    assert table.values["d50b"].tolist() == [[0.7, 0.8]]
+
+
+@pytest.mark.parametrize(
+    ("attributes", "message"),
+    [
+        ({"key": "t20"}, 'observable "t20": T20 has this key'),
+        ({"teams": (0.05,) * 8}, "teams has 8 values; it has one for each of 125, 250, 500, 1000"),
+        (
+            {"gradient": lambda self, *decay: -observable("d50").gradient(*decay)},
+            r"gradient at \d\S* s = .*; differences of value give",
+        ),
+        ({"gradient": lambda self, energy, *_: np.nan * energy}, "gradient at .* = nan;"),
+    ],
+)
+def test_a_wrong_observable_is_not_registered(registry, attributes, message):
+    before = dict(OBSERVABLES)
+    with pytest.raises(DataError, match=message):
+        register(share(**attributes))
+    assert before == OBSERVABLES

@@ -7,6 +7,7 @@ import re
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -19,7 +20,7 @@ from rtcal.command.main import cli
 from rtcal.finder.effects import library
 from rtcal.finder.finding import Detection
 from rtcal.finder.positions.posterior import THRESHOLD
-from rtcal.finder.positions.search import find_by_positions
+from rtcal.finder.positions.search import find_by_positions, untried
 from rtcal.finder.positions.surfaces import patched
 from rtcal.io import tables
 from rtcal.simulators import PathTracing, Polyhedron
@@ -129,6 +130,20 @@ def test_an_opening_is_found_on_its_wall(finding: rt.finder.positions.PositionsF
     assert "Not tried, since they stand on no surface: furniture, people" in " ".join(
         str(finding).split()
     )
+
+
+def test_an_effect_of_ones_own_without_a_surface_is_told() -> None:
+    class Crowd(rt.finder.Effect):
+        name, size, unit = "crowd", "people", ""
+
+        def grid(self, state: Any) -> Any:
+            return [{"people": 10.0}]
+
+        def change(self, state: Any, parameters: Any) -> Any:
+            return state
+
+    said = untried([*rt.finder.library(), Crowd()])
+    assert said.startswith("Not tried, since they stand on no surface: crowd, furniture, people.")
 
 
 def test_nothing_is_found_where_nothing_is_hidden(kept: Path) -> None:

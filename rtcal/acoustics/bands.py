@@ -155,7 +155,7 @@ def as_bands(frequencies: Iterable[float], place: str = "centre_frequencies") ->
     DataError
         If there is none, or one is not a finite positive number, or they do not increase, or all
         are below 20 Hz, as if in kHz. Also if one lies 1.5 to 5 % beside a nominal third-octave centre,
-        unless its neighbours are nearer than a third.
+        unless a band next to it is within a ratio of 1.2, as in narrower bands than thirds.
     """
     try:
         stated = [float(v) for v in frequencies]

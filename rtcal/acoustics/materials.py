@@ -64,7 +64,8 @@ class Surface:
     def __post_init__(self) -> None:
         text_name("surface name", self.name)
         text_name("surface material", self.material)
-        object.__setattr__(self, "area", number(f'surface["{self.name}"].area', self.area, " m²"))
+        area = checks.positive(f'surface["{self.name}"].area', self.area, "m²")
+        object.__setattr__(self, "area", area)
         if self.axis is not None and self.axis not in AXES:
             raise DataError(f'surface["{self.name}"].axis = "{self.axis}" is not "x", "y" or "z"')
 
@@ -125,14 +126,6 @@ def short_name(place: str, value: object) -> str:
     if len(name) > LONGEST_NAME:
         raise DataError(f"{place} has {len(name)} characters; at most {LONGEST_NAME} are allowed")
     return name
-
-
-def number(name: str, value: object, unit: str) -> float:
-    """Return a finite number above 0, or raise DataError naming it."""
-    real = checks.number(name, value)
-    if not 0 < real < np.inf:
-        raise DataError(f"{name} = {real:g}{unit} is not finite and above 0")
-    return real
 
 
 def array_of(name: str, value: object) -> Array:

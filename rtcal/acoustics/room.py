@@ -31,7 +31,6 @@ from rtcal.acoustics.materials import (
     climate,
     cut_to_one,
     in_order,
-    number,
     relative,
     short_name,
     stacked,
@@ -183,7 +182,7 @@ class Room:
         if not all(isinstance(surface, Surface) for surface in self.surfaces):
             raise DataError("surfaces has something that is no rtcal.Surface")
         put("centre_frequencies", read_only(bands.as_bands(self.centre_frequencies)))
-        put("volume", number("volume", self.volume, " m³"))
+        put("volume", checks.positive("volume", self.volume, "m³"))
         if self.volume > LARGEST:
             raise DataError(f"volume = {self.volume:g} m³ is above {LARGEST:g} m³")
         n, k = self.n_materials, self.n_bands
@@ -210,7 +209,7 @@ class Room:
             check_minimum(self.alpha, self.alpha_min, self.place)
         if self.dimensions is not None:
             stated = checks.listed("dimensions", self.dimensions)
-            sides = tuple(number("dimensions", side, " m") for side in stated)
+            sides = tuple(checks.positive("dimensions", side, "m") for side in stated)
             if len(sides) != 3:
                 raise DataError(f"dimensions has {len(sides)} values; a shoebox has 3")
             put("dimensions", sides)

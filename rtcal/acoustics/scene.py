@@ -10,7 +10,7 @@ from pathlib import Path, PurePath
 from typing import Any, Literal
 
 from rtcal.acoustics.directivity import Directivity, DirectivityFile
-from rtcal.acoustics.materials import number, text_name
+from rtcal.acoustics.materials import text_name
 from rtcal.support import checks
 from rtcal.support.arguments import checked
 from rtcal.support.decode import Entries
@@ -82,7 +82,7 @@ class Scene:
             raise DataError(
                 f"unit = {checks.shown(self.unit)} is that of a mesh, and none is stated"
             )
-        object.__setattr__(self, "unit", number("unit", self.unit, " m"))
+        object.__setattr__(self, "unit", checks.positive("unit", self.unit, "m"))
         for kind in _POINTS:
             object.__setattr__(self, kind, _points(kind, getattr(self, kind)))
         for kind, other in (_POINTS, _POINTS[::-1]):

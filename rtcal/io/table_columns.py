@@ -18,8 +18,8 @@ from rtcal.io.table_words import (
     COLUMNS,
     MEASURED,
     OPEN_DECAY_TIMES,
-    PARAMETERS,
     UNUSED_PARAMETERS,
+    parameters,
     plain,
 )
 from rtcal.io.text import shown
@@ -206,8 +206,8 @@ def position_in(text: str) -> tuple[str, str] | None:
 
 def parameter_of(text: str, place: str, decay_time: str | None) -> str | None:
     """Return the parameter of a spelling, None for an unknown one; DataError for "RT60"."""
-    if (word := _parameter_word(text)) in PARAMETERS:
-        return PARAMETERS[word]
+    if (word := _parameter_word(text)) in (known := parameters()):
+        return known[word]
     if word in OPEN_DECAY_TIMES:
         if decay_time is None:
             raise DataError(
@@ -284,7 +284,7 @@ def column_of(header: str, place: str, decay_time: str | None) -> Column | None:
     if len(header) > MAX_HEADER:
         return None
     name, unit = name_and_unit(header)
-    if unit.lower() not in UNIT_WORDS and plain(header) in PARAMETERS:  # as in "RT60 (T20)"
+    if unit.lower() not in UNIT_WORDS and plain(header) in parameters():  # as in "RT60 (T20)"
         name, unit = header, ""
     frequency = frequency_of(name if unit.lower() in ("", "hz", "khz") else header)
     if frequency is not None:

@@ -20,7 +20,7 @@ from rtcal.io.table_columns import (
     scale_of,
 )
 from rtcal.io.table_layout import Row, TableLayout
-from rtcal.io.table_words import PARAMETERS, STATISTICS, WHOLE_RANGES, plain
+from rtcal.io.table_words import STATISTICS, WHOLE_RANGES, parameters, plain
 from rtcal.io.text import number, shown
 from rtcal.support.errors import DataError
 
@@ -273,7 +273,8 @@ class Reader:
     def _likely_parameter(self) -> str:
         """Return the option for a table whose title has other words beside its parameter."""
         words = re.findall(r"[A-Za-z]+\d*", " ".join(self.layout.titles))
-        likely = {p for word in words if word.isupper() and (p := PARAMETERS.get(plain(word)))}
+        known = parameters()
+        likely = {p for word in words if word.isupper() and (p := known.get(plain(word)))}
         if len(likely) != 1:
             return 'parameter="t20", for instance'
         return f'parameter="{likely.pop()}", if the title means this table'

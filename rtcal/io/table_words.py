@@ -26,10 +26,14 @@ def _words(text: str) -> list[str]:
     return text.split()
 
 
-PARAMETERS = {
-    plain(spelling): key for key, o in OBSERVABLES.items() for spelling in (key, *o.spellings)
-}
-"""An observable's key by its spellings."""
+def parameters() -> dict[str, str]:
+    """Return an observable's key by its spellings, of those that are registered by now."""
+    return {
+        plain(spelling): key
+        for key, o in OBSERVABLES.items()
+        for spelling in (key, o.label, *o.spellings)
+    }
+
 
 OPEN_DECAY_TIMES = frozenset(
     _words(

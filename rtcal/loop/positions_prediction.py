@@ -89,7 +89,7 @@ class PositionsPrediction(Result):
     shares: dict[str, Array]
 
     def mean(self, parameter: str) -> Array:
-        """Return the mean over the pairs in its unit, (n_bands,); of times the geometric one."""
+        """Return the mean over the pairs in its unit, (n_bands,): the geometric mean of times."""
         return np.asarray(self.at_pairs(parameter)[-1])
 
     def interval(self, parameter: str) -> tuple[Array, Array]:

@@ -106,7 +106,7 @@ class LoopResult(Result):
 
     @property
     def farther(self) -> tuple[str, ...]:
-        """Parameters that left what was measured by more than one JND, in some band.
+        """Parameters that are not fitted and whose gap grew by more than one JND, in some band.
 
         The mean T20 is fitted; what it costs in EDT, C50 and C80 is told here. `compromise` tells it
         of what is matched.
@@ -115,7 +115,10 @@ class LoopResult(Result):
 
     @property
     def of_uncertain_room(self) -> CalibrationResult | None:
-        """The coefficients without the share of an uncertain room; see `Loop.of_uncertain_room`."""
+        """The calibration to the same targets with volume, areas and climate uncertain.
+
+        None for an exact room. See `Loop.of_uncertain_room`.
+        """
         return self.loop.of_uncertain_room
 
     @property

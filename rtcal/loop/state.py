@@ -131,10 +131,11 @@ class Loop(Result):
         return self.matched.wanted
 
     def calibrated(self, target: Array) -> CalibrationResult:
-        """Return the equation's calibration to a target T in s, (n_bands,), or the nearest one.
+        """Return the equation's calibration to a target T in s, (n_bands,).
 
-        The problem is built once, and shared with the loops that `record` returns. Volume and areas are
-        exact: a loop that hunts for T would let the coefficients carry their share, too.
+        Where the bounds forbid it, to the nearest T within reach. The problem is built once, and shared
+        with the loops that `record` returns. Volume, areas and climate count as exact: else the
+        coefficients would carry the share of each target that the loop tries.
         """
         if not self._problems:
             room = self.room.as_exact

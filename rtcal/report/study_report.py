@@ -60,7 +60,7 @@ def priors(mu: Sequence[float], sigma: Sequence[float], title: str) -> Any:
 def spread(table: Table, aace: Sequence[float], title: str) -> Any:
     """Return the box plot of the root of EMSE over realisations (Fig. 4b).
 
-    ``table`` is `Study.spread`'s, ``aace`` the mean line of each of its rows.
+    ``table`` is `Study.spread`'s. ``aace`` is one error for each of its rows, drawn as a dashed line.
     """
     figure, axes = new_figure()
     boxes = [

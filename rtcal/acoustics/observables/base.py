@@ -257,11 +257,53 @@ O = TypeVar("O", bound=Observable)  # noqa: E741
 
 
 def register(kind: type[O]) -> type[O]:
-    """Name an observable in `OBSERVABLES`; a class decorator."""
-    every: list[Observable] = [*OBSERVABLES.values(), kind()]
+    """Name an observable in `OBSERVABLES`; a class decorator.
+
+    Raises
+    ------
+    DataError
+        If another class has the key, ``teams`` are not one per octave of `OCTAVES`, or the gradient is
+        not the derivative of what is observed.
+    """
+    new = kind()
+    place = f'observable "{new.key}"'
+    old = type(OBSERVABLES.get(new.key, new))
+    if (old.__module__, old.__qualname__) != (kind.__module__, kind.__qualname__):
+        raise DataError(f"{place}: {old.__qualname__} has this key; each observable has its own")
+    if len(new.teams) != len(OCTAVES):
+        octaves = ", ".join(f"{f:g}" for f in OCTAVES)
+        raise DataError(
+            f"{place}: teams has {len(new.teams)} values; it has one for each of {octaves} Hz"
+        )
+    if not kind.__module__.startswith(f"{__package__}."):  # tests check the package's own
+        check_gradient(new)
+    every = [o for o in (*OBSERVABLES.values(), new) if o is new or o.key != new.key]
     OBSERVABLES.clear()
     OBSERVABLES.update({o.key: o for o in sorted(every, key=lambda o: o.rank)})
     return kind
+
+
+def check_gradient(observable: Observable) -> None:
+    """Raise DataError unless the gradient is the derivative of what is observed of a decay.
+
+    The decay is exponential, of 1 s, in 200 bins of 10 ms. Each bin's energy is changed by a share of
+    1e-6 and by -1e-6. Differences above 1 % of the largest are errors.
+    """
+    width, step = 0.01, 1e-6
+    energy = np.exp(-13.8 * width * np.arange(200.0))
+    left = np.flip(np.cumsum(np.flip(energy)))
+    stated = np.asarray(observable.gradient(energy, 10 * np.log10(left / left[0]), width)) * energy
+    up, down = (
+        observable.observed(observable.value(energy * (1 + sign * step * np.eye(200)), width))
+        for sign in (1, -1)
+    )
+    found = (up - down) / (2 * step)
+    k = int(np.argmax(np.abs(stated - found)))
+    if not abs(stated[k] - found[k]) <= 0.01 * np.abs(found).max():
+        raise DataError(
+            f'observable "{observable.key}": gradient at {width * k:g} s = {stated[k] / energy[k]:g}; '
+            f"differences of value give {found[k] / energy[k]:g}"
+        )
 
 
 def observable(key: str) -> Observable:

@@ -45,9 +45,9 @@ class PriorDeviation(BaseTerm):
     maximum-likelihood estimate (Bellows & Katz 2025, Eq. 19) is this term, independent (R = 1),
     and `ExactMatch`; its least-squares estimate (Eq. 7) is the same with every sigma equal,
     ``PriorDeviation(sigma=1)``. Give correlations where errors go together: a data sheet that is
-    too low at 500 Hz is likely too low at 1 kHz; two boards of one maker err alike. With an exact
-    match, a separable sigma and one correlation for all materials they change nothing (see
-    docs/modelling.md).
+    too low at 500 Hz is likely too low at 1 kHz; two boards of one maker err alike. They change
+    nothing with an exact match, no coefficient at a bound, one correlation for all materials, and
+    sigmas that are a material's factor times a band's (see docs/modelling.md).
 
     Parameters
     ----------

@@ -166,7 +166,7 @@ class Effect(ABC):
         return f"{name.replace('_', ' ')} {value:.3g}{self.parameter_units.get(name, '')}"
 
     def contradicts(self, room: Room) -> bool:
-        """Return whether the effect contradicts what the room states, instead of adding to it."""
+        """Return whether it replaces what the room states, as an area, instead of adding to it."""
         return False
 
     def air(self, stated: Air | None, parameters: Parameters) -> Air | None:

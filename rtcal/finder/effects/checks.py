@@ -59,7 +59,8 @@ def _check(place: str, effect: Any) -> None:
     if not isinstance(effect, Effect):
         raise DataError(f"{place} = {effect!r} is no effect: not a rtcal.finder.Effect")
     for name in _TEXTS:
-        text = getattr(effect, name, None)
+        if (text := getattr(effect, name, None)) is None:
+            raise DataError(f"{place} = {effect!r}: {name} is not stated; it is a text of one line")
         blank = name != "unit" and not str(text).strip()
         if not isinstance(text, str) or blank or not text.isprintable():
             raise DataError(f"{place} = {effect!r}: {name} = {text!r} is not a text of one line")

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from rtcal.acoustics import bands
+from rtcal.acoustics.observables import parameter_label
 from rtcal.finder.case import AppliedEffect, Case
 from rtcal.finder.claim import by_family, credible_set, posterior
 from rtcal.finder.effects import Effect, library
@@ -33,6 +34,7 @@ from rtcal.finder.means.model_error import ModelDiscrepancy
 from rtcal.finder.means.set_posterior import MOST, posterior_of_sets, single_posterior
 from rtcal.finder.means.sets import Rows, averaged_alpha, compare
 from rtcal.finder.means.verdict import of_sets, of_single
+from rtcal.finder.model import FEATURES
 from rtcal.finder.prior import (
     EXPECTED,
     NONE,
@@ -256,6 +258,11 @@ def _notes(case: Case) -> list[str]:
             out.append(
                 f'"{c.name}": {", ".join(bands.label(f) for f in low)} under Schroeder\'s frequency '
                 f"({limit:.0f} Hz), where no field is diffuse"
+            )
+        if unused := [parameter_label(p) for p in c.measured.values if p not in FEATURES]:
+            out.append(
+                f'"{c.name}": {", ".join(unused)} not used: means over positions have a model of '
+                f"{', '.join(map(parameter_label, FEATURES))} only"
             )
         if {"t20", "t30"} <= set(c.measured.values):
             curved = 100 * (c.measured.mean("t30") / c.measured.mean("t20") - 1)

@@ -281,8 +281,12 @@ def _assumed(case: PositionsCase) -> tuple[str, ...]:
 
 
 def untried(effects: Sequence[Effect]) -> str:
-    """Return a note of what only means over positions try; "" where there is nothing."""
-    names = sorted(e.name for e in effects if e.removable and not e.stands_on)
+    """Return a note of what only means over positions try; "" where there is nothing.
+
+    What changes no surface of the library (air, a formula) is the path tracing's own affair.
+    """
+    own = Effect.family
+    names = sorted(e.name for e in effects if (e.removable or e.family == own) and not e.stands_on)
     if not names:
         return ""
     return (
