@@ -265,7 +265,7 @@ def register(kind: type[O]) -> type[O]:
         If another class has the key, ``teams`` are not one per octave of `OCTAVES`, or the gradient is
         not the derivative of what is observed.
     """
-    new = kind()
+    new: Observable = kind()
     place = f'observable "{new.key}"'
     old = type(OBSERVABLES.get(new.key, new))
     if (old.__module__, old.__qualname__) != (kind.__module__, kind.__qualname__):
@@ -277,7 +277,7 @@ def register(kind: type[O]) -> type[O]:
         )
     if not kind.__module__.startswith(f"{__package__}."):  # tests check the package's own
         check_gradient(new)
-    every = [o for o in (*OBSERVABLES.values(), new) if o is new or o.key != new.key]
+    every = [*(o for o in OBSERVABLES.values() if o.key != new.key), new]
     OBSERVABLES.clear()
     OBSERVABLES.update({o.key: o for o in sorted(every, key=lambda o: o.rank)})
     return kind
