@@ -169,7 +169,7 @@ def test_a_clipped_response_is_noted(tmp_path: Path) -> None:
 
 
 def test_a_file_without_a_decay_is_named(tmp_path: Path) -> None:
-    """Of several files the text named the pair alone, band by band."""
+    """The text named the pair alone, band by band."""
     rng = np.random.default_rng(10)
     for name, content in (
         ("S1_R1", response(0.8, rng)),
