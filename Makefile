@@ -30,8 +30,9 @@ demo: $(DEMO_STAMP)  ## calibrate a real measured room; find what the model of a
 		print("\nHidden in it:", json.load(open(sys.argv[1]))["hidden"])' $(HIDDEN)/named_truth.json
 
 # Two processes. Each takes a half of the tests in their order, so that a module's fixtures are made
-# once, and what is left of the other's half when it is done.
-PYTEST := $(BIN)/python -m pytest -n 2 --dist worksteal
+# once, and what is left of the other's half when it is done. Bytecode is kept, for the commands that
+# tests run.
+PYTEST := PYTHONDONTWRITEBYTECODE= $(BIN)/python -m pytest -n 2 --dist worksteal
 
 test: $(STAMP)  ## the tests, within five minutes on two cores
 	$(PYTEST) -m "not study and not long"

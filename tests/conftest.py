@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import os
 from pathlib import Path
 
@@ -21,6 +22,12 @@ os.environ.pop("COLUMNS", None)
 collect_ignore = ["third_world/engine.py"]
 
 SHARED = Path(__file__).resolve().parents[2] / "shared" / "data"
+
+
+def pytest_collection_finish() -> None:
+    """Freeze what is imported: it lives to the end, and no pass of the garbage collector walks it."""
+    gc.collect()
+    gc.freeze()
 
 
 @pytest.fixture

@@ -20,13 +20,13 @@ from rtcal.command.console import PATHS
 from rtcal.command.main import cli
 
 PACKAGE = Path(rt.__file__).parent
-PARSED = {
+MODULES = {
     ".".join(("rtcal", *path.relative_to(PACKAGE).with_suffix("").parts)).removesuffix(
         ".__init__"
-    ): ast.parse(path.read_text(encoding="utf-8"))
+    ): path
     for path in sorted(PACKAGE.rglob("*.py"))
 }
-Definition = ast.FunctionDef | ast.ClassDef
+Trees = dict[str, ast.Module]
 
 # Docstrings that begin with one of these have no subject. A sentence may begin with "Whether".
 WITHOUT_SUBJECT = ("Of", "What", "How", "By")
@@ -34,26 +34,32 @@ WITHOUT_SUBJECT = ("Of", "What", "How", "By")
 NOT_THE_FIELDS = ("hears", "told", "weighing", "what")
 
 
-def definitions(kind: type[Definition]) -> list[tuple[str, str]]:
+@pytest.fixture(scope="module")
+def trees() -> Trees:
+    """Every module, parsed. It goes with these tests: millions of nodes slow what collects garbage."""
+    return {name: ast.parse(path.read_text(encoding="utf-8")) for name, path in MODULES.items()}
+
+
+def definitions(trees: Trees, kind: type[ast.FunctionDef | ast.ClassDef]) -> list[tuple[str, str]]:
     """Return (module, name) of what stands at the head of every module."""
     return [
         (module, node.name)
-        for module, tree in PARSED.items()
+        for module, tree in trees.items()
         for node in tree.body
         if isinstance(node, kind)
     ]
 
 
-def test_no_function_has_the_name_of_its_module() -> None:
-    own = {(module, module.rpartition(".")[2]) for module in PARSED}
+def test_no_function_has_the_name_of_its_module(trees: Trees) -> None:
+    own = {(module, module.rpartition(".")[2]) for module in MODULES}
     commands = {pair for pair in own if pair[0].startswith("rtcal.command.")}  # click's own names
-    assert (own & {*definitions(ast.FunctionDef)}) - commands == set()
+    assert (own & {*definitions(trees, ast.FunctionDef)}) - commands == set()
 
 
-def test_no_package_lists_a_function_with_the_name_of_one_of_its_modules() -> None:
+def test_no_package_lists_a_function_with_the_name_of_one_of_its_modules(trees: Trees) -> None:
     """`package.name` would be the module or the function, whichever was imported last."""
-    for module, tree in PARSED.items():
-        inside = {m.rpartition(".")[2] for m in PARSED if m.rpartition(".")[0] == module}
+    for module, tree in trees.items():
+        inside = {m.rpartition(".")[2] for m in MODULES if m.rpartition(".")[0] == module}
         listed = {
             (alias.asname or alias.name, node.module)
             for node in ast.walk(tree)
@@ -64,9 +70,9 @@ def test_no_package_lists_a_function_with_the_name_of_one_of_its_modules() -> No
         assert not hidden, f"{module} lists {hidden}"
 
 
-def test_no_two_classes_have_one_name() -> None:
-    times = Counter(name for _, name in definitions(ast.ClassDef) if not name.startswith("_"))
-    assert {name for name, n in times.items() if n > 1} == set()
+def test_no_two_classes_have_one_name(trees: Trees) -> None:
+    names = (name for _, name in definitions(trees, ast.ClassDef) if not name.startswith("_"))
+    assert {name for name, n in Counter(names).items() if n > 1} == set()
 
 
 def without_subject(tree: ast.Module) -> list[str]:
@@ -76,9 +82,9 @@ def without_subject(tree: ast.Module) -> list[str]:
     return [text for text in texts if text and text.split()[0] in WITHOUT_SUBJECT]
 
 
-@pytest.mark.parametrize("module", PARSED)
-def test_every_docstring_has_a_subject(module: str) -> None:
-    assert without_subject(PARSED[module]) == []
+@pytest.mark.parametrize("module", MODULES)
+def test_every_docstring_has_a_subject(trees: Trees, module: str) -> None:
+    assert without_subject(trees[module]) == []
 
 
 @pytest.mark.parametrize("folder", ["benchmarks", "tests"])
