@@ -91,7 +91,7 @@ def of_finding(finding: Any, gaps: bool) -> dict[str, Any]:
         seen = verify(finding)
         row |= {
             "verification": seen.verdict,
-            "gaps": [[g.configuration, g.quantity, g.before, g.after] for g in seen.gaps],
+            "gaps": [[g.configuration, g.quantity, g.before, g.after] for g in seen.quantities],
             "alpha": seen.corrected.alpha,
             "plain alpha": seen.plain.alpha,
         }
@@ -150,7 +150,7 @@ def on_pairs(index: int, statement: str, paths: int) -> dict[str, Any]:
     }
     if found.can_be_added:
         seen = rt.finder.positions.verify(found)
-        row |= {"verification": seen.verdict, "gain": seen.gain, "gaps": seen.corrected}
+        row |= {"verification": seen.verdict, "gain": seen.gain, "gaps": seen.gaps[-1]}
     return row
 
 

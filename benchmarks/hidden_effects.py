@@ -126,7 +126,7 @@ def examined(case: Case, controls: list[ControlRooms], truth: dict[str, Any]) ->
             "before": seen.before,
             "after": seen.after,
             "predictive": seen.predictive,
-            "gaps": [[g.configuration, g.quantity, g.before, g.after] for g in seen.gaps],
+            "gaps": [[g.configuration, g.quantity, g.before, g.after] for g in seen.quantities],
         }
         if len(truth["effects"]) == 2:
             again = find(finding.apply(), controls=controls)

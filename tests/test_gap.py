@@ -19,7 +19,7 @@ import rtcal as rt
 from rtcal.command import finder as commands
 from rtcal.command.finder_options import Inputs
 from rtcal.command.main import cli
-from rtcal.finder import Case, MeansFinding, control_rooms, verify
+from rtcal.finder import Case, MeansFinding, MeansVerification, control_rooms, verify
 from rtcal.finder.finding import Size
 from rtcal.finder.means import evidence
 from rtcal.finder.means.bootstrap import FOLDER
@@ -108,7 +108,7 @@ def test_the_report_is_written_whole(folder: Path) -> None:
     assert "--seed 0 --engine &#39;path tracing&#39; --engine network --out" in page
     assert "measured.csv" in page
     assert len(page) < 2_000_000
-    assert saved.gaps
+    assert saved.quantities
 
 
 @pytest.mark.parametrize(
@@ -207,12 +207,20 @@ def test_every_verdict_has_a_headline_and_says_what_to_do(
     assert bool(named) is (verdict in ("named", "family", "ambiguous"))
 
 
+def with_gap(
+    seen: MeansVerification, before: float, after: float, **changes: float
+) -> MeansVerification:
+    """Return a verification whose gap is as stated wherever alpha cannot close it."""
+    gaps = (g if g.fitted else replace(g, before=before, after=after) for g in seen.quantities)
+    return replace(seen, quantities=tuple(gaps), **changes)
+
+
 def test_the_verdict_stands_beside_what_is_supported(finding: MeansFinding) -> None:
     seen = verify(finding)
     assert seen.sentence.startswith(
         f"{seen.verdict.capitalize()}: with {finding.best} in the model"
     )
-    sure = replace(seen, before=1.0, after=0.1, predictive=5.0)
+    sure = with_gap(seen, 1.0, 0.1, predictive=5.0)
     numbers = f"from {sure.before:.2f} to {sure.after:.2f} JND"
     assert numbers in sure.sentence
     assert "Proven" not in str(sure)
@@ -231,14 +239,14 @@ def test_the_verdict_stands_beside_what_is_supported(finding: MeansFinding) -> N
     )
     corrected = page["corrected"]["materials"][0]["cells"][0]
     assert corrected["low"] < corrected["after"] == torn.corrected.alpha[0, 0] < corrected["high"]
-    hardly = replace(torn, before=0.35, after=0.31)
+    hardly = with_gap(torn, 0.35, 0.31)
     assert "from 0.35 to 0.31 JND, which is little." in hardly.sentence
-    assert "which is little" not in replace(torn, before=0.85, after=0.31).sentence
+    assert "which is little" not in with_gap(torn, 0.85, 0.31).sentence
 
 
 def test_an_unproven_finding_is_said_once(finding: MeansFinding) -> None:
     """A gap that alpha closes, too, speaks neither for nor against; terminal and page say only that."""
-    unproven = replace(verify(finding), before=0.31, after=0.33, predictive=20.0)
+    unproven = with_gap(verify(finding), 0.31, 0.33, predictive=20.0)
     assert unproven.verdict == "unproven"
     said, page = " ".join(str(unproven).split()), summary(finding, unproven)
     neither = "which neither supports nor refutes the finding. It rests on T"
@@ -248,7 +256,7 @@ def test_an_unproven_finding_is_said_once(finding: MeansFinding) -> None:
     assert "than the plain one" not in said
     assert "do not tell the effect from coefficients other than the stated" in page["to_do"][-1]
     assert "20.0 nats less probable" in replace(unproven, predictive=-20.0).sentence
-    unmeasured = replace(unproven, before=np.nan, after=np.nan)
+    unmeasured = with_gap(unproven, np.nan, np.nan)
     assert "The finding rests on T20 and on the stated coefficients." in unmeasured.sentence
     assert "The finding rests on the stated ones." in " ".join(
         summary(finding, unmeasured)["rests_on"]
@@ -262,13 +270,13 @@ def test_an_unproven_finding_is_said_once(finding: MeansFinding) -> None:
 def test_how_closely_t_is_met_is_said_as_it_is(
     finding: MeansFinding, verdict: str, before: float, after: float, predictive: float
 ) -> None:
-    seen = replace(verify(finding), before=before, after=after, predictive=predictive)
+    seen = with_gap(verify(finding), before, after, predictive=predictive)
     assert seen.verdict == verdict
-    fitted = next(g for g in seen.gaps if g.fitted)
+    fitted = next(g for g in seen.quantities if g.fitted)
 
     def said(before: float, off: float) -> str:
-        gaps = (replace(fitted, before=before), *(g for g in seen.gaps if not g.fitted))
-        changed = replace(seen, gaps=gaps, corrected=replace(seen.corrected, off=off))
+        gaps = (replace(fitted, before=before), *(g for g in seen.quantities if not g.fitted))
+        changed = replace(seen, quantities=gaps, corrected=replace(seen.corrected, off=off))
         return " ".join(str(changed).split())
 
     met = "The corrected one meets it as closely as the uncertainty of T allows."

@@ -57,6 +57,7 @@ def test_the_truth_imports_nothing_of_the_package() -> None:
     assert all(n.startswith(allowed) for n in names if n[:5] == "tests")
 
 
+@pytest.mark.long
 def test_a_patch_absorbs_by_its_area() -> None:
     # 18 m² of 216: the mean rises by 0.8 / 12. Where a patch hangs makes up to 10 %.
     solid = cube()

@@ -54,6 +54,7 @@ def test_a_diffuse_cube_decays_after_eyring() -> None:
     np.testing.assert_allclose(t20(trace(CUBE, 20000, 1)), kuttruff, rtol=0.025)
 
 
+@pytest.mark.long
 def test_air_patch_and_objects_add_what_they_must() -> None:
     k = 24 * np.log(10) / C * 216.0
     bare = k / t20(trace(CUBE, 20000, 2))
@@ -81,6 +82,7 @@ def test_air_patch_and_objects_add_what_they_must() -> None:
     np.testing.assert_allclose((np.mean(patched, 0) - bare)[0], expected[0], rtol=0.1)
 
 
+@pytest.mark.long
 def test_level_is_the_diffuse_field_s_and_seeds_repeat() -> None:
     # Receivers all over the cube, for the mean over the volume: after the direct sound, the path
     # that is left is the sum of (1 - alpha)^k mean free paths 4V/S. Without reflections (alpha = 1)

@@ -82,6 +82,7 @@ def image_sources(
     return energy
 
 
+@pytest.mark.long
 def test_a_specular_box_has_the_energy_of_its_image_sources() -> None:
     size, source = (5.0, 7.0, 3.2), np.array([1.3, 1.7, 1.4])
     scene = box(size, [0.2], 0.0)

@@ -62,6 +62,7 @@ def test_the_world_imports_nothing_of_the_package_and_nothing_of_the_first() -> 
     assert all(n.startswith("tests.second_world") for n in names if n[:5] == "tests")
 
 
+@pytest.mark.long
 def test_a_lambert_cube_decays_after_kuttruff() -> None:
     # The noise of T20 with 12,000 rays is 0.8 %.
     np.testing.assert_allclose(bare(0.1), expected(0.1), rtol=0.025)
@@ -74,6 +75,7 @@ def test_a_strip_absorbs_by_its_area() -> None:
     np.testing.assert_allclose(rise, expected(0.1 + 0.8 / 12) - expected(0.1), rtol=0.15)
 
 
+@pytest.mark.long
 def test_boxes_absorb_by_their_free_faces() -> None:
     boxes = np.array([[1.0, 3.5, 0.0, 2.0, 4.5, 1.0], [3.5, 3.0, 0.0, 4.5, 4.0, 1.0]])
     black = decay_rate(cube(0.1), boxes=boxes, box_alpha=np.array([0.8]))
@@ -114,6 +116,7 @@ def made_second(made: rooms.Room, wall: int) -> tuple[np.ndarray, float]:
     return cut[:3], float(cut[3])
 
 
+@pytest.mark.long
 def test_a_seed_gives_one_room_and_a_case_without_the_truth() -> None:
     opening = rooms.KINDS.index("opening")
     first, again = rooms.build(0, opening, 1), rooms.build(0, opening, 1)

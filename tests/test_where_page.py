@@ -79,7 +79,7 @@ def verification_of(
         added=(None, None),
         halves=(finding.pairs[:1], finding.pairs[1:]),
         seeds=(0, 1, 2),
-        **{m: g + noise * rng.standard_normal(shape) for m, g in gaps.items()},
+        gaps=np.stack([g + noise * rng.standard_normal(shape) for g in gaps.values()]),
     )
 
 
@@ -121,7 +121,7 @@ def test_attributes_have_one_type_whatever_was_found(
 def test_a_gap_that_shrinks_at_one_pair_alone_is_unproven() -> None:
     """It had been enough that every seed's mean was smaller."""
     result = verification_of(PAIRS, {"before": 3.0, "plain": 2.0, "corrected": 2.0}, 0.001)
-    result.corrected[:, :, 0] = 0.5
+    result.gaps[-1][:, :, 0] = 0.5
     assert (result.gap("corrected") < result.gap("plain")).all()
     assert result.verdict == "unproven"
 

@@ -84,7 +84,12 @@ def test_what_neither_has_is_left_out(folder: Path) -> None:
         values["ts"][2, 0] = np.nan
         return rt.Measurement(centre_frequencies=BANDS, pairs=data.pairs, values=values)
 
-    less = replace(case, measured=blank(case.measured), simulated=blank(case.simulated))
+    less = replace(
+        case,
+        simulator=replace(case.simulator, n_paths=600),
+        measured=blank(case.measured),
+        simulated=blank(case.simulated),
+    )
     pairs = less.measured.pairs
     errors = 0.1 * np.random.default_rng(1).normal(size=(8, len(MATCH), len(pairs), len(BANDS)))
     controls = ControlRuns(parameters=MATCH, pairs=pairs, errors=errors)

@@ -102,6 +102,16 @@ class Verification(Result):
 
     @property
     @abstractmethod
+    def before(self) -> float:
+        """Mean absolute gap in JND without what was found; NaN where nothing tells."""
+
+    @property
+    @abstractmethod
+    def after(self) -> float:
+        """The same with what was found."""
+
+    @property
+    @abstractmethod
     def verdict(self) -> str:
         """``supported``: the gap shrinks by more than its uncertainty; ``withdrawn``: it grows.
 
@@ -124,7 +134,16 @@ class Verification(Result):
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class HeldOutVerification(Verification):
-    """Gaps at pairs that were not fitted: half of the pairs finds it again and predicts the others."""
+    """Gaps at pairs that were not fitted: half of the pairs finds it again and predicts the others.
+
+    Attributes
+    ----------
+    gaps : array (n_models, ..., n_pairs, n_bands)
+        Model less measured in JND; the last model has what was found, the one before it has not. NaN
+        where nothing was measured.
+    """
+
+    gaps: Array
 
     @property
     @abstractmethod

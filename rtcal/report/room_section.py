@@ -109,7 +109,7 @@ def of_finding(
         receivers["to measure here"] = place.point
     gaps, whens = [], []
     if verification is not None:
-        gaps = [np.concatenate(gap) for gap in (verification.before, verification.corrected)]
+        gaps = [np.concatenate(gap) for gap in verification.gaps[[0, -1]]]
         whens = ["as stated", "corrected"]
     view = RoomView(
         geometry=case.geometry,

@@ -37,7 +37,9 @@ OWN = [e for e in rt.finder.library() if e.name != "opening"] + [Hatch()]
 
 @pytest.fixture(scope="module")
 def case() -> rt.finder.positions.PositionsCase:
-    return rt.finder.positions.PositionsCase(simulator=tracing(stated()), measured=measured(True))
+    return rt.finder.positions.PositionsCase(
+        simulator=tracing(stated(), n_paths=1200), measured=measured(True)
+    )
 
 
 def test_it_is_found_on_the_wall_where_it_stands(

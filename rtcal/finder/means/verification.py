@@ -55,10 +55,9 @@ class MeansVerification(Verification):
 
     Attributes
     ----------
-    gaps : tuple of Gap
-        By configuration and quantity.
-    before, after : float
-        Mean absolute gap in JND over what alpha cannot absorb; NaN where nothing of it was measured.
+    quantities : tuple of Gap
+        By configuration and quantity. ``before`` and ``after`` are means over those that alpha cannot
+        absorb.
     predictive : float
         Nats by which the effect predicts what alpha cannot absorb, given the fitted T20, better than
         the model without it.
@@ -68,12 +67,25 @@ class MeansVerification(Verification):
     record_kind: ClassVar[str] = "verification 2"
 
     finding: MeansFinding
-    gaps: tuple[Gap, ...]
-    before: float
-    after: float
+    quantities: tuple[Gap, ...]
     predictive: float
     plain: Recalibrated
     corrected: Recalibrated
+
+    @property
+    def before(self) -> float:
+        """Mean absolute gap in JND without the effect, over what alpha cannot absorb; or NaN."""
+        return float(self._means[0])
+
+    @property
+    def after(self) -> float:
+        """The same with the effect."""
+        return float(self._means[1])
+
+    @property
+    def _means(self) -> Array:
+        proof = [(g.before, g.after) for g in self.quantities if not g.fitted]
+        return np.mean(proof, axis=0) if proof else np.full(2, np.nan)
 
     @property
     def verdict(self) -> str:
@@ -103,7 +115,7 @@ class MeansVerification(Verification):
                     "before_jnd": g.before,
                     "after_jnd": g.after,
                 }
-                for g in self.gaps
+                for g in self.quantities
             ],
             "plain": self.plain.to_dict(),
             "corrected": self.corrected.to_dict(),
@@ -160,7 +172,7 @@ class MeansVerification(Verification):
         """The misfit of the two calibrations to the T that they were fitted to."""
         off = self.corrected.off
         if off <= MET:
-            plainly = next((g.before for g in self.gaps if g.fitted), 0.0)
+            plainly = next((g.before for g in self.quantities if g.fitted), 0.0)
             how = "exactly" if plainly < EXACT else f"to {plainly:.2f} JND"
             return (
                 f"Plain calibration meets the fitted T20 {how}. The corrected one meets it as closely "
@@ -187,7 +199,7 @@ class MeansVerification(Verification):
                 f"{g.before:.2f}",
                 f"{g.after:.2f}",
             ]
-            for g in self.gaps
+            for g in self.quantities
         ]
         header = ["mean gap / JND", "plain", f"with {self.finding.title}"]
         return text.html_table(f"Verification: {self.verdict}", header, rows, [self.sentence])
@@ -195,7 +207,7 @@ class MeansVerification(Verification):
     def __str__(self) -> str:
         """Return the sentence, the gaps and the coefficients."""
         rows = []
-        for g in self.gaps:
+        for g in self.quantities:
             name = f"  {g.quantity} of {g.configuration}" + (" (fitted)" if g.fitted else "")
             rows.append((name, [f"{g.before:.2f}", f"{g.after:.2f}"]))
         if np.isfinite(self.before):
@@ -231,7 +243,7 @@ def verify(finding: MeansFinding, case: Case | None = None) -> MeansVerification
     before, after = plain(case), recalibrate(finding.apply(case), finding.discrepancy)
     observed, _ = observe(case)
     bias = finding.discrepancy.bias.reshape(observed.features.shape)
-    gaps, proof = [], []
+    quantities = []
     for c, configuration in enumerate(case.configurations):
         for f, name in enumerate(FEATURE_NAMES):
             if not observed.used[c, f].any():
@@ -243,15 +255,10 @@ def verify(finding: MeansFinding, case: Case | None = None) -> MeansVerification
                 float(np.nanmean(np.abs(_gap(f, observed.features[c, f], model))))
                 for model in (usual, after.features[c, f] + bias[c, f])
             ]
-            gaps.append(Gap(configuration.name, name, fitted, *one))
-            if not fitted:
-                proof.append(one)
-    mean = np.mean(proof, axis=0) if proof else np.full(2, np.nan)
+            quantities.append(Gap(configuration.name, name, fitted, *one))
     return MeansVerification(
         finding=finding,
-        gaps=tuple(gaps),
-        before=float(mean[0]),
-        after=float(mean[1]),
+        quantities=tuple(quantities),
         predictive=finding.fits[str(finding.best)].gap.predictive,
         plain=before,
         corrected=after,

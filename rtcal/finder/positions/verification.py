@@ -56,8 +56,8 @@ class PositionsVerification(HeldOutVerification):
     Attributes
     ----------
     finding : PositionsFinding
-    before, plain, corrected : array (n_seeds, n_parameters, n_pairs, n_bands)
-        Simulated less measured in JND at held-out pairs; NaN where nothing was measured.
+    gaps : array (n_models, n_seeds, n_parameters, n_pairs, n_bands)
+        Simulated less measured in JND at held-out pairs, of each of `MODELS`.
     added : tuple of (Candidate or None)
         What each half added to its model, half by half; None where it found no surface.
     halves : tuple of tuples of pairs
@@ -67,56 +67,64 @@ class PositionsVerification(HeldOutVerification):
     record_kind: ClassVar[str] = "verification at positions 1"
 
     finding: PositionsFinding
-    before: Array
-    plain: Array
-    corrected: Array
     added: tuple[Candidate | None, ...]
     halves: tuple[tuple[Pair, ...], ...]
     seeds: tuple[int, ...]
+
+    @property
+    def before(self) -> float:
+        """Mean absolute gap of the calibrated model without what was found, in JND."""
+        return float(self.gap("plain").mean())
+
+    @property
+    def after(self) -> float:
+        """The same with what was found."""
+        return float(self.gap("corrected").mean())
 
     @checked
     def gap(self, model: str) -> Array:
         """Return the mean absolute gap of a model in `MODELS`, (n_seeds,), in JND."""
         if model not in MODELS:
             raise DataError(f'model = "{model}" is not one of {", ".join(MODELS)}')
-        return np.asarray(np.nanmean(np.abs(getattr(self, model)), axis=(1, 2, 3)))
+        return np.asarray(np.nanmean(np.abs(self.gaps[MODELS.index(model)]), axis=(1, 2, 3)))
 
     @property
     def ratio(self) -> float:
         """Mean absolute gap, corrected over plain."""
-        return float(self.gap("corrected").mean() / self.gap("plain").mean())
+        return self.after / self.before
 
     @property
     def gains(self) -> Array:
         """Plain less corrected, the mean absolute gap of each seed and pair, in JND."""
-        gaps = [np.nanmean(np.abs(getattr(self, m)), axis=(1, 3)) for m in ("plain", "corrected")]
-        return np.asarray(gaps[0] - gaps[1])
+        plain, corrected = (np.nanmean(np.abs(gaps), axis=(1, 3)) for gaps in self.gaps[1:])
+        return np.asarray(plain - corrected)
 
     @property
     def by_parameter(self) -> dict[str, dict[str, float]]:
         """Mean absolute gap by model and parameter in JND, over all seeds."""
         return {
             model: {
-                name: float(np.nanmean(np.abs(getattr(self, model)[:, p])))
+                name: float(np.nanmean(np.abs(gaps[:, p])))
                 for p, name in enumerate(self.finding.parameters)
             }
-            for model in MODELS
+            for model, gaps in zip(MODELS, self.gaps, strict=True)
         }
 
     @property
     def spread(self) -> dict[str, dict[str, float]]:
         """Standard deviation over the seeds of `by_parameter`; NaN for a single seed."""
         out: dict[str, dict[str, float]] = {}
-        for model in MODELS:
-            gaps = np.nanmean(np.abs(getattr(self, model)), axis=(2, 3))
-            off = gaps.std(axis=0, ddof=1) if len(gaps) > 1 else np.full(gaps.shape[1], np.nan)
+        for model, gaps in zip(MODELS, self.gaps, strict=True):
+            mean = np.nanmean(np.abs(gaps), axis=(2, 3))
+            off = mean.std(axis=0, ddof=1) if len(mean) > 1 else np.full(mean.shape[1], np.nan)
             out[model] = dict(zip(self.finding.parameters, off.tolist(), strict=True))
         return out
 
     @property
     def by_pair(self) -> dict[str, Array]:
         """Mean absolute gap by model, (n_pairs,), in JND, over all seeds."""
-        return {m: np.nanmean(np.abs(getattr(self, m)), axis=(0, 1, 3)) for m in MODELS}
+        by_pair = (np.nanmean(np.abs(gaps), axis=(0, 1, 3)) for gaps in self.gaps)
+        return dict(zip(MODELS, by_pair, strict=True))
 
     @property
     def verdict_in_words(self) -> str:
@@ -251,9 +259,7 @@ def verify(
             files.write(path, gaps)
     return PositionsVerification(
         finding=finding,
-        before=gaps[0],
-        plain=gaps[1],
-        corrected=gaps[2],
+        gaps=gaps,
         added=tuple(searched),
         halves=halves,
         seeds=chosen,

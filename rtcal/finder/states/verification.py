@@ -34,38 +34,40 @@ class StatesVerification(HeldOutVerification):
     case : Case or None
         What was measured at pairs that the finding had not; None where the halves of its own pairs
         predict each other.
-    before : array (n_pairs, n_bands)
-        ln T before less measured after, in JND of 5 %: as if nothing had changed.
-    after : array (n_pairs, n_bands)
-        ln T predicted less measured after, in JND.
+    gaps : array (2, n_pairs, n_bands)
+        ln T before less measured after, in JND of 5 %: as if nothing had changed. ln T predicted less
+        measured after.
     """
 
     record_kind: ClassVar[str] = "two states verification 1"
 
     finding: StatesFinding
-    before: Array
-    after: Array
     case: StatesCase | None = None
 
     @property
-    def gaps(self) -> tuple[float, float]:
-        """Mean absolute gap at held-out pairs without and with the change, in JND."""
-        return float(np.nanmean(np.abs(self.before))), float(np.nanmean(np.abs(self.after)))
+    def before(self) -> float:
+        """Mean absolute gap at held-out pairs without the change, in JND."""
+        return float(np.nanmean(np.abs(self.gaps[0])))
+
+    @property
+    def after(self) -> float:
+        """The same with the change."""
+        return float(np.nanmean(np.abs(self.gaps[1])))
 
     @property
     def gains(self) -> Array:
         """Mean absolute gap of each pair without less with the change, (1, n_pairs), in JND."""
-        by_pair = np.nanmean(np.abs(self.before) - np.abs(self.after), axis=1)
+        without, with_change = np.abs(self.gaps)
+        by_pair = np.nanmean(without - with_change, axis=1)
         return np.asarray(by_pair[np.newaxis])
 
     @property
     def sentence(self) -> str:
         """The verdict in a sentence."""
-        without, with_change = self.gaps
         others = "the other half of the pairs" if self.case is None else "the other pairs"
         return (
-            f"{self.verdict}: at pairs that were not fitted the mean gap of T is {without:.1f} JND if "
-            f"nothing changed, and {with_change:.1f} JND with what {others} found."
+            f"{self.verdict}: at pairs that were not fitted the mean gap of T is {self.before:.1f} JND "
+            f"if nothing changed, and {self.after:.1f} JND with what {others} found."
         )
 
     def __repr__(self) -> str:
@@ -79,11 +81,11 @@ class StatesVerification(HeldOutVerification):
         found = (self.finding.case if self.case is None else self.case).differences
         return {
             **super().to_dict(),
-            "gaps": list(self.gaps),
+            "gaps": [self.before, self.after],
             "pairs": [list(pair) for pair in found.pairs],
             "centre_frequencies": json_numbers(found.centre_frequencies),
-            "before": json_numbers(self.before),
-            "after": json_numbers(self.after),
+            "before": json_numbers(self.gaps[0]),
+            "after": json_numbers(self.gaps[1]),
         }
 
 
@@ -136,7 +138,7 @@ def verify(
         case = _at_new_pairs(finding, before, after)
         found = case.differences
         gaps = _gaps(found.change, _shift(finding))
-        return StatesVerification(finding=finding, before=gaps[0], after=gaps[1], case=case)
+        return StatesVerification(finding=finding, gaps=gaps, case=case)
     check_pairs(found.pairs)
     predicted = np.full(found.change.shape, np.nan)
     for half in range(2):
@@ -144,13 +146,13 @@ def verify(
         held_out = [i for i in range(len(found.pairs)) if i % 2 != half]
         predicted[held_out] = _predicted(case, [found.pairs[i] for i in fitted], seed)
     gaps = _gaps(found.change, predicted)
-    return StatesVerification(finding=finding, before=gaps[0], after=gaps[1])
+    return StatesVerification(finding=finding, gaps=gaps)
 
 
-def _gaps(change: Array, predicted: Array) -> tuple[Array, Array]:
-    """Return the gaps in JND, (n_pairs, n_bands): as if nothing had changed, and as predicted."""
+def _gaps(change: Array, predicted: Array) -> Array:
+    """Return the gaps in JND, (2, n_pairs, n_bands): as if nothing had changed, and as predicted."""
     jnd = np.log1p(TARGET.jnd)
-    return -change / jnd, (predicted - change) / jnd
+    return np.stack([-change / jnd, (predicted - change) / jnd])
 
 
 def _at_new_pairs(finding: StatesFinding, before: Measurement, after: Measurement) -> StatesCase:
