@@ -311,6 +311,18 @@ def test_result_is_saved_whole(tmp_path):
     assert result.room.calibration.method == "modes"
 
 
+@pytest.mark.parametrize("t", [None, times(TRUTH)])
+def test_modes_count_once(t):
+    once = rt.calibrate_modes(ROOM, heard(TRUTH), t).room
+    with pytest.raises(DataError, match="already calibrated on these data"):
+        rt.calibrate_modes(once, heard(TRUTH))
+    other = heard(TRUTH * 1.1)
+    assert rt.calibrate_modes(once, other).room.calibration.measured.count("modes:") == 2
+    if t is not None:
+        with pytest.raises(DataError, match="already calibrated on these data"):
+            rt.calibrate(once, t)
+
+
 def test_command(tmp_path):
     ROOM.save(tmp_path / "room.toml")
     modes = heard(TRUTH)
@@ -327,5 +339,12 @@ def test_command(tmp_path):
     assert told.exception is None
     assert json.loads(told.stdout)["modes"][0]["decay_after"] > 6
     assert rt.load(tmp_path / "out").steps >= 1
+    calibrated = [str(tmp_path / "out" / "room.toml"), files[1]]
+    again = CliRunner().invoke(cli, ["calibrate", *calibrated, *of_modes])
+    assert "already calibrated on these data" in str(again.exception)
+    state = ["--state", str(tmp_path / "loop.json"), "--out", str(tmp_path / "next.toml")]
+    looped = ["loop", "start", *calibrated, *state]
+    again = CliRunner().invoke(cli, [*looped, *of_modes])
+    assert "already calibrated on these data" in str(again.exception)
     refused = CliRunner().invoke(cli, ["calibrate", *files, *of_modes, "--method", "soft"])
     assert "method of its own" in str(refused.exception)

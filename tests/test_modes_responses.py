@@ -213,7 +213,12 @@ def test_command_takes_a_sofa_file(tmp_path):
     room.save(tmp_path / "room.toml")
     rt.Measurement.from_values(ROOM.centre_frequencies, t20=times(TRUTH)).save(tmp_path / "t.csv")
     files = [str(tmp_path / name) for name in ("room.toml", "t.csv")]
-    told = CliRunner().invoke(cli, ["calibrate", *files, "--modes", str(path)])
+    out = ["--out", str(tmp_path / "calibrated")]
+    told = CliRunner().invoke(cli, ["calibrate", *files, "--modes", str(path), *out])
     assert told.exception is None, told.exception
+    amplitudes = rt.load(tmp_path / "calibrated").modes.amplitudes
+    assert amplitudes.dtype == complex
+    assert amplitudes.shape[1] == len(PAIRS)
+    assert CliRunner().invoke(cli, ["report", str(tmp_path / "calibrated")]).exit_code == 0
     assert "tells most of" in told.stdout
     assert "were heard" in told.stdout

@@ -38,6 +38,12 @@ def of_times(room: Room, times: Array) -> str:
     return fingerprint("T", dict(zip(labels, times.tolist(), strict=True)))
 
 
+def of_modes(frequencies: Array, decays: Array) -> str:
+    """Return the name of measured modes: their frequencies in Hz and decays in 1/s, each (n_modes,)."""
+    labels = (f"{f:.2f}" for f in frequencies.tolist())
+    return fingerprint("modes", dict(zip(labels, decays.tolist(), strict=True)))
+
+
 def times_of(room: Room) -> Array:
     """Return the T in s that a calibrated room's record names, (n_bands,); NaN where it names none.
 

@@ -18,6 +18,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from rtcal.acoustics import repeats
 from rtcal.acoustics.equations import Eyring, LinearEquation
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.room import Room
@@ -119,6 +120,8 @@ def calibrate_modes(
     every = model.calculated
     found = match(modes, every.frequencies, every.decays)
     times = no_times(room) if measured is None else times_in_room(room, measured)
+    of_modes = repeats.of_modes(modes.frequencies, modes.decays)
+    repeats.refuse_repeated_data(room, of_modes, *times.fingerprint.split())
     low = below_schroeder(room, times)
     t = np.where(low, np.nan, times.reverberation_time)
     exact = np.isfinite(t).any()

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from rtcal.acoustics import bands
 from rtcal.acoustics.materials import CalibrationRecord
+from rtcal.acoustics.repeats import of_modes
 from rtcal.acoustics.room import Room
 from rtcal.acoustics.room_errors import prior_covariance
 from rtcal.acoustics.trust import TrustMark, uncarried_mark
@@ -122,10 +123,11 @@ class ModesResult(Result):
     @cached_property
     def room(self) -> Room:
         """The room with calibrated coefficients, their posterior sigma, and a record."""
+        f = self.modes.frequencies
         record = CalibrationRecord(
             method="modes",
             equation=self.answer.equation.name,
-            measured=data_history(self.prior, self.data),
+            measured=" ".join([data_history(self.prior, self.data), of_modes(f, self.modes.decays)]),
             solver=self.answer.solver,
             version=__version__,
         )

@@ -32,7 +32,7 @@ MAX_LEVELS = 60
 NOT_SAVED = {"saved": False}
 """Metadata of a dataclass field that is not stored, such as what was compiled."""
 _PACKAGE = "rtcal."
-_KINDS = "bifU"  # of arrays: truth values, integers, floats, texts
+_KINDS = "bifcU"  # of arrays: truth values, integers, floats, complex numbers, texts
 
 
 class CannotBeSavedError(DataError):
