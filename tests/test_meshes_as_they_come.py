@@ -584,6 +584,24 @@ def test_a_volume_that_hardly_any_room_has_is_told_in_other_units(
     assert ("it is 280 m³ in inches (--unit 0.0254)" in said) == told
 
 
+def test_a_refused_mesh_in_another_unit_says_so_first(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A hall in cm with a hole was told to close "622000 m²" by --hole 628000."""
+    faces = drawn()
+    largest = max(range(len(faces.names)), key=lambda i: np.ptp(faces.polygons[i], axis=0).max())
+    rest = [i for i in range(len(faces.names)) if i != largest]
+    polygons, names = [100 * faces.polygons[i] for i in rest], [faces.names[i] for i in rest]
+    path = obj(mend.Faces("room.obj", polygons, names, names), tmp_path / "room.obj")
+    assert run("import", "check", path) == 2
+    said = " ".join(capsys.readouterr().err.split())
+    assert said.index("m³ in cm (--unit 0.01)") < said.index("hole of")
+    assert run("import", "check", path, "--unit", 0.01) == 2
+    assert "in cm" not in capsys.readouterr().err
+    assert run("import", "check", path, "--open") == 0
+    assert "m³ in cm (--unit 0.01)" in " ".join(capsys.readouterr().out.split())
+
+
 def test_a_unit_that_the_file_contradicts_is_told(tmp_path: Path) -> None:
     assert unit_notes(0.0254, 0.0254, 0.0254) == ["the file's unit is 0.0254 m"]
     assert unit_notes(1.0, 0.0254, None) == []

@@ -547,3 +547,29 @@ def test_a_value_that_hardly_any_room_has_is_told(
     assert tables.parse(book({sheet: rows}), "room.xlsx").doubts == ()
     tables.write(read.measurement, tmp_path / "t.csv")  # the native table is read without a word
     assert tables.measurement(tmp_path / "t.csv").doubts == read.doubts
+
+
+def test_a_column_of_remarks_is_left_out_and_said() -> None:
+    """A German table with "Bemerkung" had been refused."""
+    content = (
+        "Messung;H\u00f6rsaal 3;;\n\nMessposition;Frequenz [Hz];T30 [s];EDT [s];Bemerkung\n"
+        "S1-M1;500;1,02;0,98;\nS1-M2;500;1,05;1,01;gest\u00f6rt\n"
+    ).encode("cp1252")
+    read = tables.parse(content, "messung.csv")
+    assert read.measurement.pairs == (("S1", "M1"), ("S1", "M2"))
+    assert read.measurement.values["t30"][:, 0].tolist() == [1.02, 1.05]
+    assert '"Bemerkung": left out' in read.columns
+
+
+@pytest.mark.parametrize("words", [("Src", " Mic"), ("Source ", ", Receiver "), ("Quelle", "-Pos")])
+def test_positions_in_words_are_source_and_receiver(words: tuple[str, str]) -> None:
+    """A sheet with "Src1 Mic1" across, its mean and its deviation had been refused."""
+    source, receiver = words
+    names = [f"{source}1{receiver}{i}" for i in (1, 2)]
+    rows = [["Freq (Hz)", *names, "Average", "Std dev"], [500, 1.0, 1.1, 1.05, 0.07]]
+    read = tables.parse(book({"RT30": rows}), "gym.xlsx")
+    first, second = read.measurement.pairs
+    assert first[0] == second[0] == f"{source}1"
+    assert first[1] == f"{receiver.lstrip(' ,-')}1"
+    assert read.measurement.values["t30"][:, 0].tolist() == [1.0, 1.1]
+    assert {'"Average": left out', '"Std dev": left out'} <= {*read.columns}

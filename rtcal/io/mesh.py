@@ -20,7 +20,7 @@ import numpy as np
 
 from rtcal.acoustics.materials import text_name
 from rtcal.io import collada, dxf, ifc, obj
-from rtcal.io.mend import OFFSET, WELD, Faces, Mended, closed, mended
+from rtcal.io.mend import OFFSET, WELD, Faces, Mended, MeshError, closed, mended
 from rtcal.io.text import shown
 from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError, MissingDependencyError
@@ -103,13 +103,25 @@ def room(
     A mesh whose faces close as they are drawn is taken as it is.
     """
     faces = read(path, unit=unit, space=space)
+    stated = 1.0 if unit is None else unit
     done = closed(faces)
     if done is None:
-        done = mended(faces, weld=weld, offset=offset, largest_hole=largest_hole)
-    stated = 1.0 if unit is None else unit
+        try:
+            done = mended(faces, weld=weld, offset=offset, largest_hole=largest_hole)
+        except MeshError as error:
+            _tell_unit(error, stated, os.fspath(path))
+            raise
     obj.check_volume(done.geometry.volume, stated, os.fspath(path))
     note = obj.volume_note(done.geometry.volume, stated)
     return replace(done, notes=(*done.notes, note)) if note else done
+
+
+def _tell_unit(error: MeshError, unit: float, path: str) -> None:
+    """Say first of a refused mesh that its volume by rays is one in another unit, if it is."""
+    if error.unclosed is None or not (note := obj.volume_note(error.unclosed.volume, unit)):
+        return
+    error.args = (f"{path}: by rays {note}. {str(error).removeprefix(f'{path}: ')}",)
+    error.unclosed = replace(error.unclosed, notes=(*error.unclosed.notes, f"by rays {note}"))
 
 
 def _obj(content: bytes, path: str, unit: float | None) -> Faces:

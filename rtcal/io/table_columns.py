@@ -18,6 +18,7 @@ from rtcal.io.table_words import (
     COLUMNS,
     MEASURED,
     OPEN_DECAY_TIMES,
+    REMARKS,
     UNUSED_PARAMETERS,
     parameters,
     plain,
@@ -48,7 +49,10 @@ _SCALES: dict[str, dict[str, float]] = {
 UNIT_WORDS = {"hz", "khz", "s", "sec", "ms", "db", "%", "percent", "-", "1"}
 
 _POSITION = re.compile(
-    r"(L?S\d+|F\d+)[\s_-]*((?:MP|M|R|P)\d+(?:\s*#\d+)?)", re.I | re.ASCII
+    r"(L?S\d+|F\d+|(?:src|source|quelle|lautsprecher)[\s_.]*\d+)[\s_,-]*"
+    r"((?:(?:MP|M|R|P)|(?:rec|receiver|mic|microphone|mikrofon|pos|position)[\s_.]*)\d+"
+    r"(?:\s*#\d+)?)",
+    re.I | re.ASCII,
 )  # source and receiver; F1-P1 is Spanish
 _RECEIVER = re.compile(
     r"(?:MP|M|R|P|rec|receiver|mic|microphone|pos|position|mikrofon|messposition)"
@@ -148,8 +152,8 @@ def position_of(text: str) -> tuple[str, str] | None:
 
     Examples
     --------
-    >>> position_of("S1R2#2"), position_of("Mic 3"), position_of("T20")
-    (('S1', 'R2#2'), ('', 'Mic 3'), None)
+    >>> position_of("S1R2#2"), position_of("Src1 Mic2"), position_of("Mic 3"), position_of("T20")
+    (('S1', 'R2#2'), ('Src1', 'Mic2'), ('', 'Mic 3'), None)
     """
     text = text.strip()
     if len(text) <= MAX_HEADER:
@@ -301,7 +305,7 @@ def column_of(header: str, place: str, decay_time: str | None) -> Column | None:
         if unit.lower() not in units.get(kind, ("",)):
             raise DataError(f'{place}: column "{shown(header)}": the unit is not known')
         return Column(kind, header, unit=unit)
-    if is_unused(header):
+    if is_unused(header) or plain(header) in REMARKS:
         return Column("", header)
     if position := position_of(header):
         return Column("data", header, source=position[0], receiver=position[1])

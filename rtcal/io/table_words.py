@@ -59,6 +59,13 @@ UNUSED_PARAMETERS = frozenset(
 """Parameters and signs of quality that exports have beside those that are read. T10 is one of them: the
 slope from -5 to -15 dB is no EDT, and programs write both."""
 
+REMARKS = frozenset(
+    _words(
+        "remark remarks comment comments bemerkung bemerkungen kommentar kommentare observaciones"
+    )
+)
+"""Headers of columns of words on a row, which are left out."""
+
 WHOLE_RANGES = frozenset(
     _words(
         "full wideband broadband bb all global overall total lin linear a dba mid single wide "
@@ -110,6 +117,8 @@ STATISTICS = {
             "std.",
             "stdev",
             "std. dev.",
+            "std dev",
+            "std. deviation",
             "stdabw",
             "standard deviation",
             "standardabweichung",
