@@ -92,6 +92,8 @@ def test_coefficients_off_together_are_a_verdict_in_words_and_a_prior_to_go_on_f
     name = ("coefficients",)
     sure = replace(finding, verdict="named", named=name, members=name, candidates=name)
     assert sure.sentence == "The coefficients are off together."
+    either = replace(sure, verdict="ambiguous", candidates=("coefficients", "volume"))
+    assert "one of coefficients that are off together (" in either.sentence
     assert "look for another source" in str(sure)
     moved = sure.apply()
     assert moved.applied == ()

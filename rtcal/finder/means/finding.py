@@ -157,7 +157,7 @@ class MeansFinding(SetsFinding):
     def title_of(self, name: str) -> str:
         """A candidate as a sentence names it."""
         if name == COEFFICIENTS:
-            return "the coefficients are off together"
+            return "coefficients that are off together"
         if name not in self.effects or name not in self.fits:
             return name
         return self.effects[name].title(self.fits[name].parameters, self.case.room)
@@ -209,12 +209,11 @@ class MeansFinding(SetsFinding):
                 f"Added {listed(titles)}, the most probable set ({share:.0f} %). "
                 f"{self.claimed_of_members}"
             )
-        title = self.title if self.best != COEFFICIENTS else "coefficients that are off together"
         if not self.rivals:
-            return f"Added {title} ({self.support})."
+            return f"Added {self.title} ({self.support})."
         behind = listed([f"{self.title_of(r)} has {self.percent(r)}" for r in self.rivals])
         best = self.percent(str(self.best))
-        return f"Added {title}. Ambiguous: it is the best with {best}, but {behind}."
+        return f"Added {self.title}. Ambiguous: it is the best with {best}, but {behind}."
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain values for JSON."""
@@ -356,7 +355,7 @@ class MeansFinding(SetsFinding):
             hint = f"{as_sentence(self.reasons[0])} So it is a hint of {self.title} only."
         named = f"{self.kind}: {self.title}."
         if self.best == COEFFICIENTS:
-            named = f"{as_sentence(self.title)}"
+            named = "The coefficients are off together."
         which = "most probably" if len(self.candidates) == 1 else "one of"
         lead = f"{self.amount} " if self.amount else ""
         return {
