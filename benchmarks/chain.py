@@ -25,7 +25,7 @@ import json
 import time
 import warnings
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -49,8 +49,10 @@ from rtcal.finder.means.engines import ControlRooms
 from rtcal.finder.search import find
 from tests.hidden_world import populations as first_world
 from tests.second_world import rooms as second_world
+from tests.third_world import generate as third_world_stored
+from tests.third_world import rooms as third_world
 
-POPULATIONS = {1: 9, 2: 7}
+POPULATIONS = {1: 10, 2: 8, 3: 2}
 """Populations that no finder had read when the rule was frozen (2026-11-24)."""
 CHAIN = {
     "T20": ("t20",),
@@ -76,14 +78,14 @@ def kinds(world: int) -> list[int]:
     """Numbers of a world's kinds of effects."""
     if world == 1:
         return list(range(1, 13))
-    every = second_world.KINDS
+    every = third_world.KINDS if world == 3 else second_world.KINDS
     return [k for k, name in enumerate(every) if name not in ("nothing", "unknown")]
 
 
-def rooms(empty: int, each: int) -> Iterator[Room]:
-    """Rooms of both worlds in turn, in an order in which the kinds are mixed."""
+def rooms(empty: int, each: int, only: Collection[int]) -> Iterator[Room]:
+    """Rooms of these worlds in turn, in an order in which the kinds are mixed."""
     rng, worlds = np.random.default_rng(39), []
-    for world in POPULATIONS:
+    for world in sorted(only):
         some = [(world, 0, i) for i in range(empty)]
         some += [(world, k, i) for k in kinds(world) for i in range(each)]
         rng.shuffle(some)
@@ -107,22 +109,32 @@ def data_sets(
         yield SECOND, case, controls
 
 
+def built(room: Room) -> dict[str, Any]:
+    """Build a room from its numbers; the third world's are stored, since they need another engine."""
+    world, kind, index = room
+    population = POPULATIONS[world]
+    if world < 3:
+        return (first_world if world == 1 else second_world).build(population, kind, index)
+    truths = third_world_stored.read(population, "truth")
+    at = [t["seed"] for t in truths].index([population, kind, index])
+    return {"case": third_world_stored.read(population, "case")[at], "truth": truths[at]}
+
+
 def made(folder: Path, room: Room) -> tuple[dict[str, Any], Case, list[ControlRooms]]:
     """Build a room and its control rooms, or read them."""
     world, kind, index = room
     name = "_".join(map(str, room))
     kept = folder / f"{name}.case.json"
     if not kept.exists():
-        of = first_world if world == 1 else second_world
-        kept.write_text(json.dumps(of.build(POPULATIONS[world], kind, index)), encoding="utf-8")
+        kept.write_text(json.dumps(built(room)), encoding="utf-8")
     whole = json.loads(kept.read_text(encoding="utf-8"))
     case = Case.from_dict(whole["case"])
     return whole["truth"], case, kept_controls(case, folder / f"{name}.npz")
 
 
-def run(folder: Path, setting: str, empty: int, each: int) -> None:
+def run(folder: Path, setting: str, empty: int, each: int, only: Collection[int]) -> None:
     folder.mkdir(parents=True, exist_ok=True)
-    for room in rooms(empty, each):
+    for room in rooms(empty, each, only):
         path = folder / f"{'_'.join(map(str, room))}.{setting.replace(' ', '_')}.json"
         if path.exists():
             continue
@@ -232,12 +244,13 @@ def main() -> None:
     parser.add_argument("--setting", default="", help=f"of a run: {', '.join(SETTINGS)}")
     parser.add_argument("--empty", type=int, default=16, help="rooms with nothing hidden")
     parser.add_argument("--each", type=int, default=2, help="rooms with each effect")
+    parser.add_argument("--world", type=int, nargs="+", default=[*POPULATIONS], help="of a run")
     given = parser.parse_args()
     warnings.simplefilter("ignore")
     if given.what == "run":
         if given.folder is None:
             parser.error("--folder is needed")
-        run(given.folder, given.setting or "chosen", given.empty, given.each)
+        run(given.folder, given.setting or "chosen", given.empty, given.each, given.world)
         return
     both = TRIED if given.folder is None else ("chosen",)
     for setting in (given.setting,) if given.setting else both:

@@ -26,9 +26,7 @@ from rtcal.finder import (
     verify,
 )
 from rtcal.finder.effects.people import AT_1_KHZ
-from rtcal.finder.means.bootstrap import (
-    MINIMUM_LEVELS,
-)
+from rtcal.finder.means.bootstrap import MINIMUM
 from rtcal.finder.means.engines import ControlRooms
 from rtcal.finder.search import find
 from tests.hidden_world.generate import read
@@ -314,7 +312,7 @@ def floors(here: list[Any]) -> None:
     if not none or not some:
         return
     print("\nat another floor in nats: flagged; detected; of these right name, single name")
-    for floor in (MINIMUM_LEVELS, 3.0, 4.0, 5.0):
+    for floor in (MINIMUM, 3.0, 4.0, 5.0):
 
         def over(x: dict[str, Any], floor: float = floor) -> bool:
             return bool(x["score"] > max(floor, x["threshold"]))

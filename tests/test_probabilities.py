@@ -348,23 +348,23 @@ def test_null_rooms_take_few_errors_in_common_where_coefficients_are_well_known(
 
 
 @pytest.mark.parametrize(
-    ("case", "least"),
+    "case",
     [
-        (case_of(room(0.02), room(0.02)), 0.0),
-        (with_levels(stated=True), 0.5),
-        (with_levels(stated=False), 0.5),
+        case_of(room(0.02), room(0.02)),
+        with_levels(stated=True),
+        with_levels(stated=False),
     ],
     ids=["no levels", "stated", "not stated"],
 )
-def test_levels_need_more_evidence(
-    case: Case, least: float, monkeypatch: pytest.MonkeyPatch
+def test_the_smallest_threshold_is_the_same_for_all_data(
+    case: Case, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(bootstrap, "QUANTILE", 0.0)  # so that the smallest threshold decides
     observed, _ = observe(case)
     predicted = predict_hypotheses(case, [Opening()])
     prior = prior_of(case.room, [Opening()], {})
     limit = bootstrap.bootstrap_threshold(case, observed, predicted, controls(case), prior)
-    assert limit.value == least
+    assert limit.value == 0
 
 
 def test_people_are_objects_and_an_audience_covers_floor() -> None:

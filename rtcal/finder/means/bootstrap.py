@@ -26,7 +26,7 @@ from rtcal.finder.means.engines import (
     recentred,
 )
 from rtcal.finder.means.evidence import MeansEvidence, evaluate
-from rtcal.finder.means.features import LEVELS, ObservedFeatures, distances, states
+from rtcal.finder.means.features import ObservedFeatures, distances, states
 from rtcal.finder.means.hypotheses import LowRank, MeansHypotheses
 from rtcal.finder.means.model_error import ModelDiscrepancy, estimate_discrepancy
 from rtcal.finder.model import FEATURES, predict
@@ -41,11 +41,8 @@ from rtcal.support.types import Array
 
 QUANTILE = 0.95
 """Quantile of the null rooms' scores that is the threshold: 5 % false alarms."""
-MINIMUM_TIMES = 0.0
-"""Smallest threshold in nats without C80 and G: below it, nothing missing explains the data better."""
-MINIMUM_LEVELS = 0.5
-"""The same with C80 or G. The model errs more in them than its control rooms do: of 36 development
-rooms of the second world that lack nothing, 6 lie above 95 % of the bootstrap's (1 without levels)."""
+MINIMUM = 0.0
+"""Smallest threshold in nats: below it, nothing missing explains the data better."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -166,14 +163,8 @@ def bootstrap_threshold(
         learnt = estimate_discrepancy(case, training)
         scores.append(score(evaluate(observed, predicted, learnt, prior.off, values), prior))
     table = np.concatenate(scores)
-    value = max(float(np.quantile(table, QUANTILE)), smallest(observed))
+    value = max(float(np.quantile(table, QUANTILE)), MINIMUM)
     return Threshold(value, table, estimate_discrepancy(case, controls))
-
-
-def smallest(observed: ObservedFeatures) -> float:
-    """Return the smallest threshold for these data, in nats."""
-    levels = [FEATURES.index(name) for name in LEVELS]
-    return MINIMUM_LEVELS if observed.used[:, levels].any() else MINIMUM_TIMES
 
 
 _FEW = 16
