@@ -12,7 +12,10 @@ from rtcal.finder import Case
 from tests.third_world import generate
 from tests.third_world.rooms import COUNTS, KINDS
 
-CASES, TRUTHS = (generate.read(1, part) for part in ("case", "truth"))
+CASES, TRUTHS = (
+    [room for population in COUNTS for room in generate.read(population, part)]
+    for part in ("case", "truth")
+)
 
 
 def eyring(case: Case, truth: dict) -> np.ndarray:
@@ -22,10 +25,12 @@ def eyring(case: Case, truth: dict) -> np.ndarray:
 
 
 def test_every_kind_is_there_as_often_as_it_was_frozen() -> None:
-    assert Counter(t["kind"] for t in TRUTHS) == Counter({k: COUNTS[1][k] for k in KINDS})
-    assert [t["seed"] for t in TRUTHS] == [
-        [1, k, i] for k, kind in enumerate(KINDS) for i in range(COUNTS[1][kind])
-    ]
+    for population, counts in COUNTS.items():
+        some = [t for t in TRUTHS if t["seed"][0] == population]
+        assert Counter(t["kind"] for t in some) == Counter({k: counts[k] for k in KINDS})
+        assert [t["seed"] for t in some] == [
+            [population, k, i] for k, kind in enumerate(KINDS) for i in range(counts[kind])
+        ]
 
 
 @pytest.mark.parametrize("index", range(len(CASES)))
