@@ -117,7 +117,9 @@ def built(room: Room) -> dict[str, Any]:
     world, kind, index = room
     population = POPULATIONS[world]
     if world < 3:
-        return (first_world if world == 1 else second_world).build(population, kind, index)
+        of = first_world if world == 1 else second_world
+        drawn: dict[str, Any] = of.build(population, kind, index)
+        return drawn
     truths = third_world_stored.read(population, "truth")
     at = [t["seed"] for t in truths].index([population, kind, index])
     return {"case": third_world_stored.read(population, "case")[at], "truth": truths[at]}
