@@ -77,7 +77,7 @@ def of_finding(finding: Any, gaps: bool) -> dict[str, Any]:
         "verdict": finding.verdict,
         "effect": finding.effect,
         "family": finding.family,
-        "candidates": finding.candidates,
+        "candidates": finding.names,
         "probabilities": finding.probabilities,
         "families": finding.families,
         "evidence": finding.evidence,

@@ -131,9 +131,9 @@ def examined(case: Case, controls: list[ControlRooms], truth: dict[str, Any]) ->
             row["second"] = {
                 "verdict": again.verdict,
                 "effect": again.effect,
-                "candidates": list(again.candidates),
+                "candidates": list(again.names),
             }
-            if again.can_be_added and again.best != finding.best:
+            if again.can_be_added and again.best_effect != finding.best_effect:
                 mended = verify(again)
                 row["second"]["rmse"] = rmse(mended.corrected.alpha, truth)
     return row

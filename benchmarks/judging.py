@@ -51,7 +51,7 @@ def row_of(finding: MeansFinding) -> dict[str, Any]:
         "verdict": finding.verdict,
         "effect": finding.effect,
         "family": finding.family,
-        "candidates": list(finding.candidates),
+        "candidates": list(finding.names),
         "score": finding.score,
         "threshold": finding.threshold,
         "parameters": dict(finding.best_parameters),

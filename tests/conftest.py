@@ -11,6 +11,7 @@ import pytest
 from hypothesis import settings
 
 import rtcal as rt
+from rtcal.finder.candidate import Candidate
 
 settings.register_profile("rtcal", derandomize=True, deadline=None, max_examples=60)
 settings.load_profile("rtcal")
@@ -76,3 +77,8 @@ def true_times(rng: np.random.Generator, room: rt.Room, equation: rt.Eyring) -> 
     """T of a room drawn from the prior: what a calibration is given."""
     drawn = room.alpha + room.sigma * rng.standard_normal(room.alpha.shape)
     return equation.time(room, room.areas @ np.clip(drawn, 0.01, 0.99))
+
+
+def candidates_of(*effects: str) -> tuple[Candidate, ...]:
+    """Return candidates of which nothing but their effects is known."""
+    return tuple(Candidate(effect=e, family=e, probability=0.0) for e in effects)

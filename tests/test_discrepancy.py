@@ -48,6 +48,7 @@ from rtcal.finder.means.model_error import ModelDiscrepancy, estimate_discrepanc
 from rtcal.finder.model import RoomState, predict, sensitivities
 from rtcal.finder.search import find
 from rtcal.support.errors import DataError
+from tests.conftest import candidates_of
 
 F = 125.0 * 2.0 ** np.arange(7)
 AREAS = np.array([60.0, 60.0, 30.0, 50.0])
@@ -459,7 +460,7 @@ def test_an_effect_of_one_s_own_is_a_small_class() -> None:
     hidden = bare.covered(40.0, Organ().spectrum(F, {}))
     case = case_with(6 * np.log(10) / hidden.rate)
     finding = find(case, effects=[*library(), Organ()], controls=controls_of(case, 0.01))
-    assert "organ" in finding.candidates
+    assert "organ" in finding.names
 
 
 def test_a_probability_is_printed_once() -> None:
@@ -468,7 +469,7 @@ def test_a_probability_is_printed_once() -> None:
     finding = find(case, controls=controls_of(case))
     assert finding.verdict in ("family", "ambiguous")
     said = " ".join(str(finding).split())
-    for name in finding.candidates:
+    for name in finding.names:
         assert len(re.findall(rf"{name} \(?{finding.percent(name)}", said)) == 1, name
     others = [k for k, p in finding.probabilities.items() if p >= 0.03]
     assert all(name in said for name in others)
@@ -588,16 +589,18 @@ def test_surprise_is_chi_square_s() -> None:
 def test_what_is_stated_is_wrong_and_what_is_not_is_missing() -> None:
     case = opened()
     finding = find(case, controls=controls_of(case))
-    assert "opening" in finding.candidates
+    assert "opening" in finding.names
     for names, words in (
         (("opening",), "Missing from the model"),
         (("volume", "area"), "Not as stated"),
         (("air",), "Not as stated"),
         (("opening", "volume"), "Missing from the model, or not as stated"),
     ):
-        assert replace(finding, candidates=names).kind == words
+        assert replace(finding, candidates=candidates_of(*names)).kind == words
     dry = replace(case, room=case.room.replace(air=None))
-    assert replace(finding, case=dry, candidates=("air",)).kind == "Missing from the model"
+    assert (
+        replace(finding, case=dry, candidates=candidates_of("air")).kind == "Missing from the model"
+    )
 
 
 def test_a_field_of_walls_that_absorb_nothing_decays() -> None:
@@ -771,11 +774,10 @@ def test_a_finding_and_what_follows_show_as_one_line_and_as_a_table() -> None:
     for thing in made:
         assert "\n" not in repr(thing)
         assert len(repr(thing)) < 200
-    assert (
-        f"{finding.verdict}: {finding.candidates[0]} {finding.percent(finding.candidates[0])}"
-        in (repr(finding))
+    assert f"{finding.verdict}: {finding.best_effect} {finding.percent(finding.names[0])}" in (
+        repr(finding)
     )
-    assert str(finding.best) in repr(result.corrected)
+    assert str(finding.best_effect) in repr(result.corrected)
     for thing in (finding, result):
         text = thing._repr_html_()
         assert text.count("<table") == 1

@@ -20,7 +20,7 @@ from rtcal.command import finder as commands
 from rtcal.command.finder_options import Inputs
 from rtcal.command.main import cli
 from rtcal.finder import Case, MeansFinding, MeansVerification, control_rooms, verify
-from rtcal.finder.finding import Size
+from rtcal.finder.candidate import Size
 from rtcal.finder.means import evidence
 from rtcal.finder.means.bootstrap import FOLDER
 from rtcal.finder.means.engines import ControlRooms
@@ -33,6 +33,7 @@ from rtcal.report.gap_report import summary
 
 pytest.importorskip("numba", reason="the engines are compiled (extra fast)")
 
+from tests.conftest import candidates_of
 from tests.hidden_world import populations
 from tests.hidden_world.generate import numbers, read
 from tests.typed import wrongly_typed
@@ -100,7 +101,7 @@ def test_the_report_is_written_whole(folder: Path) -> None:
     } == names
     page = (folder / "out" / "report.html").read_text(encoding="utf-8")
     saved = rt.load(folder / "out" / "result.json")
-    best = saved.finding.candidates[0]
+    best = saved.finding.names[0]
     assert f"Corrected coefficients, with {best} in the model" in page
     # Its shape is no nearer to the measured one than plain calibration's; the page says so.
     assert "Nothing but the evidence supports them" in page
@@ -175,7 +176,7 @@ def unsure(finding: MeansFinding) -> MeansFinding:
         family=None,
         named=(),
         members=("area",),
-        candidates=("area", "opening"),
+        candidates=candidates_of("area", "opening"),
         detection=replace(finding.detection, score=6.5),
         evidence={"area": 6.5, "opening": 5.7},
         probabilities={"area": 0.6, "opening": 0.3, "none": 0.1},
@@ -203,7 +204,7 @@ def test_every_verdict_has_a_headline_and_says_what_to_do(
     can_be_used = "The calibration below can be used, with the reservations that it states."
     assert (can_be_used in page["to_do"]) is not lacks
     shown = str(page["headline"])
-    named = [c for c in finding.candidates if seen.title_of(c) in shown]
+    named = [c for c in finding.names if seen.title_of(c) in shown]
     assert bool(named) is (verdict in ("named", "family", "ambiguous"))
 
 
@@ -218,13 +219,13 @@ def with_gap(
 def test_the_verdict_stands_beside_what_is_supported(finding: MeansFinding) -> None:
     seen = verify(finding)
     assert seen.sentence.startswith(
-        f"{seen.verdict.capitalize()}: with {finding.best} in the model"
+        f"{seen.verdict.capitalize()}: with {finding.best_effect} in the model"
     )
     sure = with_gap(seen, 1.0, 0.1, predictive=5.0)
     numbers = f"from {sure.before:.2f} to {sure.after:.2f} JND"
     assert numbers in sure.sentence
     assert "Proven" not in str(sure)
-    best = str(finding.best)
+    best = str(finding.best_effect)
     assert f"({finding.verdict}: {best} {finding.percent(best)}; " in sure.sentence
     torn = replace(sure, finding=unsure(finding))
     name = f'area of "{finding.case.room.materials[1]}"'
@@ -314,7 +315,9 @@ def test_parameters_have_names_and_units(finding: MeansFinding) -> None:
     climate = {"temperature": 5.0, "humidity": 10.3}
     fit = replace(next(iter(finding.fits.values())), name="air", size=None, parameters=climate)
     only = ("air",)
-    air = replace(finding, named=only, members=only, candidates=only, fits={"air": fit})
+    air = replace(
+        finding, named=only, members=only, candidates=candidates_of(*only), fits={"air": fit}
+    )
     assert "temperature 5 °C, humidity 10.3 % (found together" in " ".join(str(air).split())
     assert air.to_dict()["material"] is None
 
@@ -423,9 +426,8 @@ def differences(index: int) -> list[str]:
     near = {
         "threshold": finding.threshold == pytest.approx(stored_["threshold"], rel=0.02, abs=0.06),
         "verdict": finding.verdict == stored_["verdict"],
-        "candidates": list(finding.candidates) == stored_["candidates"],
-        "with grids that go on": (now.verdict, now.candidates)
-        == (finding.verdict, finding.candidates),
+        "candidates": list(finding.names) == stored_["candidates"],
+        "with grids that go on": (now.verdict, now.names) == (finding.verdict, finding.names),
     } | {
         name: finding.evidence[name] == pytest.approx(value, rel=0.02, abs=_NEAR.get(name, 0.1))
         for name, value in stored_["evidence"].items()

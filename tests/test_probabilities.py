@@ -30,6 +30,7 @@ from rtcal.finder.model import predict
 from rtcal.finder.prior import SHARPER, prior_of, probability_off
 from rtcal.finder.search import find
 from rtcal.support.errors import DataError
+from tests.conftest import candidates_of
 
 F = [125.0, 250.0, 500.0, 1000.0, 2000.0, 4000.0]
 ALPHA = np.array([[0.05] * 6, [0.1, 0.15, 0.2, 0.3, 0.35, 0.4], [0.3, 0.2, 0.1, 0.08, 0.07, 0.06]])
@@ -90,9 +91,11 @@ def test_coefficients_off_together_are_a_verdict_in_words_and_a_prior_to_go_on_f
     assert (off.ratio > 1.3).all()
     assert "of what is stated" in off.words(np.array(F))
     name = ("coefficients",)
-    sure = replace(finding, verdict="named", named=name, members=name, candidates=name)
+    sure = replace(
+        finding, verdict="named", named=name, members=name, candidates=candidates_of(*name)
+    )
     assert sure.sentence == "The coefficients are off together."
-    either = replace(sure, verdict="ambiguous", candidates=("coefficients", "volume"))
+    either = replace(sure, verdict="ambiguous", candidates=candidates_of("coefficients", "volume"))
     assert "one of coefficients that are off together (" in either.sentence
     assert "look for another source" in str(sure)
     moved = sure.apply()
@@ -202,7 +205,7 @@ def test_a_stated_climate_is_a_measurement() -> None:
     assert find(damp, controls=controls(damp)).verdict in ("none", "hint")
     dry = case_of(room(**large, air=None), room(**large))
     finding = find(dry, controls=controls(dry))
-    assert finding.candidates[0] == "air"
+    assert finding.best_effect == "air"
     found = finding.best_parameters
     assert 10 <= found["temperature"] <= 33
     sure = replace(damp, climate_uncertainty=(0.1, 0.1))
@@ -232,7 +235,7 @@ def test_one_size_everywhere() -> None:
     result = rt.finder.verify(finding)
     assert result.corrected.sizes["opening"] == finding.size.mean
     words = f"{finding.size.mean:.3g} m² (90 %: {finding.size.low:.3g} to {finding.size.high:.3g})"
-    for text in (finding.size_of(str(finding.best)), result.corrected.effects_in_words[0]):
+    for text in (finding.size_of(str(finding.best_effect)), result.corrected.effects_in_words[0]):
         assert words in text
     assert (
         f"{finding.size.mean:.3g} m²"

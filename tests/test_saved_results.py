@@ -219,11 +219,7 @@ def test_a_kind_that_went_says_what_to_do(kind: str, tmp_path: Path) -> None:
         rt.load(tmp_path)
 
 
-OF_ITS_KIND = {
-    "case": "what was searched",
-    "best": "of means a name; in a geometry a candidate, which has a place",
-    "candidates": "as best",
-}
+OF_ITS_KIND = {"case": "what was searched"}
 """Attributes of findings whose type is that of what was observed."""
 
 
@@ -238,3 +234,15 @@ def test_findings_of_every_kind_have_one_type_for_one_name() -> None:
     several = {name for name, stated in types.items() if len(stated) > 1}
     assert several == OF_ITS_KIND.keys()
     assert {"verdict", "family", "effect", "size", "sets", "detection"} <= types.keys()
+
+
+def test_verifications_of_every_kind_have_one_type_for_one_name() -> None:
+    """`before` was a number, or the gaps of the model as it is stated, or those of no change."""
+    kinds = (
+        rt.finder.MeansVerification,
+        rt.finder.positions.PositionsVerification,
+        rt.finder.states.StatesVerification,
+    )
+    types = types_by_attribute(*kinds)
+    assert {name for name, stated in types.items() if len(stated) > 1} == {"finding"}
+    assert {"verdict", "sentence", "before", "after", "gaps"} <= types.keys()

@@ -73,7 +73,7 @@ def test_the_stated_coefficients_do_not_count(panels: StatesFinding) -> None:
 def test_a_drier_room_is_told_from_absorption_or_not_told_apart() -> None:
     dry = times(air=rt.Air(20, 20))
     finding = rt.find(room(), measured(dry, 4, pairs=30), before=measured(times(), 3, pairs=30))
-    assert "air" in {k.name for k in finding.kinds}
+    assert "air" in {c.effect for c in finding.candidates}
     assert finding.change[0, :3].max() < 1.5
 
 

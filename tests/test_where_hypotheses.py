@@ -11,7 +11,7 @@ import pytest
 
 import rtcal as rt
 from rtcal.acoustics import decay
-from rtcal.finder.positions.candidate import Candidate
+from rtcal.finder.candidate import Candidate
 from rtcal.finder.positions.evidence import Likelihood, ScatteringLevels
 from rtcal.finder.positions.shift import ShiftHypothesis, uneven_amount, uneven_columns, unevenness
 from rtcal.finder.positions.weighing import Aperture

@@ -14,6 +14,7 @@ from rtcal.support import lazy
 if TYPE_CHECKING:
     from rtcal.finder import positions as positions
     from rtcal.finder import states as states
+    from rtcal.finder.candidate import Candidate as Candidate
     from rtcal.finder.case import AppliedEffect as AppliedEffect
     from rtcal.finder.case import Case as Case
     from rtcal.finder.configuration import ChangedMaterial as ChangedMaterial

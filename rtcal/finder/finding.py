@@ -5,11 +5,12 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from scipy import stats
 
+from rtcal.finder.candidate import Candidate, End
 from rtcal.finder.effects import Effect
 from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError, ModelError
@@ -19,19 +20,6 @@ from rtcal.support.types import Array
 NATS = "2.3 nats are odds of ten to one"
 _ALIKE = 1.25
 """Ratio of the upper and the lower bands, below which these are alike."""
-
-
-def amount(value: float, unit: str, interval: tuple[float, float] | None = None) -> str:
-    """Return a size with its unit and its 90 % interval; a ratio as so many times.
-
-    >>> amount(2.0, "of the stated area"), amount(12.3, "m²", (8.0, 17.0))
-    ('2 times the stated area', '12.3 m² (90 %: 8 to 17)')
-    >>> amount(0.875, "of its area covered", (0.47, 1.0))
-    '0.875 of its area covered (90 %: 0.47 to 1)'
-    """
-    times = unit.replace("of the stated ", "times the stated ")
-    ends = "" if interval is None else f" (90 %: {interval[0]:.3g} to {interval[1]:.3g})"
-    return f"{value:.3g} {times}{ends}"
 
 
 def engine_title(name: str) -> str:
@@ -183,8 +171,6 @@ def check_pairs(pairs: Sequence[object]) -> None:
 
 LEAST_PAIRS = 4
 """Fewest pairs of a verification at held-out pairs: half of them have to find it again."""
-End = Literal["", "least", "most"]
-"""At which end of what is tried the data allow any size."""
 
 
 @dataclass(frozen=True)
@@ -228,39 +214,6 @@ class Detection:
         if self.score > self.threshold:
             return None
         return "hint" if max(self.score, self.noise or 0.0) > 0 else "none"
-
-
-@dataclass(frozen=True)
-class Size:
-    """Size of an effect: mean and 90 % interval, in ``unit``.
-
-    ``end`` is "least" where the data allow any size above ``low``, "most" where they allow any below
-    ``high``: the evidence does not fall within what is tried, and physics does not end there.
-    """
-
-    mean: float
-    low: float
-    high: float
-    unit: str
-    end: End = ""
-
-    @property
-    def words(self) -> str:
-        """The size with its interval.
-
-        >>> Size(12.3, 8.0, 17.0, "m²").words
-        '12.3 m² (90 %: 8 to 17)'
-        >>> Size(61.0, 26.0, 109.0, "m²", "least").words
-        'at least 26 m² (95 %)'
-        """
-        if self.end:
-            value = self.low if self.end == "least" else self.high
-            return f"at {self.end} {amount(value, self.unit)} (95 %)"
-        return amount(self.mean, self.unit, (self.low, self.high))
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return plain values for JSON."""
-        return {**vars(self), "end": self.end or None}
 
 
 @dataclass(frozen=True, eq=False)
@@ -317,6 +270,8 @@ class Finding(Result):
         What was dropped and assumed, and reasons to doubt the result, whatever it is.
     effects : mapping of str to Effect
         The effects that were tried, by name.
+    candidates : tuple of Candidate
+        What explains the data, the most probable first.
     """
 
     verdict: str
@@ -327,6 +282,12 @@ class Finding(Result):
     reasons: tuple[str, ...]
     notes: tuple[str, ...]
     effects: Mapping[str, Effect]
+    candidates: tuple[Candidate, ...]
+
+    @property
+    def best(self) -> Candidate | None:
+        """The most probable candidate; None where the verdict is "none"."""
+        return self.candidates[0] if self.candidates and self.verdict != "none" else None
 
     @property
     def score(self) -> float:

@@ -127,7 +127,9 @@ class ModesResult(Result):
         record = CalibrationRecord(
             method="modes",
             equation=self.answer.equation.name,
-            measured=" ".join([data_history(self.prior, self.data), of_modes(f, self.modes.decays)]),
+            measured=" ".join(
+                [data_history(self.prior, self.data), of_modes(f, self.modes.decays)]
+            ),
             solver=self.answer.solver,
             version=__version__,
         )

@@ -184,8 +184,8 @@ def states_page(finding: StatesFinding, heading: Heading, step: Callable[[], Non
             ],
             "can_be_added": finding.can_be_added,
             "kinds": [
-                (k.name, 100 * k.probability, k.size.words)
-                for k in finding.kinds
+                (c.effect, 100 * c.probability, c.in_words)
+                for c in finding.candidates
                 if finding.best is not None
             ],
             "rows": [

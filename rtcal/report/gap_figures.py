@@ -134,7 +134,7 @@ def evidence(finding: MeansFinding) -> Any:
     top = max(float(values.max()), finding.threshold)
     figure, axes = new_figure(6.4, 0.8 + 0.28 * len(names))
     at = np.arange(len(names))[::-1]
-    is_candidate = [n in finding.candidates for n in names]
+    is_candidate = [n in finding.names for n in names]
     # Bars of large negative evidence are cut, and marked by an arrow.
     low = -0.15 * top
     drawn = np.maximum(values, low)
@@ -242,7 +242,7 @@ def decay(verification: MeansVerification) -> Any:
             )
     for model, colour, style, label in (
         (verification.plain, GREEN, "-.", "plainly calibrated"),
-        (verification.corrected, BLUE, "-", f"with {finding.best}"),
+        (verification.corrected, BLUE, "-", f"with {finding.best_effect}"),
     ):
         axes.plot(
             t,
@@ -294,7 +294,7 @@ def shifts(verification: MeansVerification) -> Any:
         axes.axhline(0, color=BLACK, linewidth=0.8)
         for by, x, colour, marker, label in (
             (0.95, models[0], GREEN, "^", "plainly calibrated, 90 %"),
-            (1.05, models[1], BLUE, "D", f"with {verification.finding.best}, 90 %"),
+            (1.05, models[1], BLUE, "D", f"with {verification.finding.best_effect}, 90 %"),
         ):
             low, high = x.interval
             bars = [x.alpha[i] - low[i], high[i] - x.alpha[i]]

@@ -90,7 +90,7 @@ def level(finding: MeansFinding) -> str:
 def sizes(finding: MeansFinding) -> list[str]:
     """Return the sizes of the candidates, and how the coefficients are off, a sentence each."""
     off = [finding.coefficients_in_words] if finding.coefficients is not None else []
-    return [as_sentence(words) for c in finding.candidates if (words := finding.size_of(c))] + [
+    return [as_sentence(words) for c in finding.names if (words := finding.size_of(c))] + [
         as_sentence(words) for words in off
     ]
 
@@ -182,7 +182,7 @@ def _proof(verification: MeansVerification) -> str:
 
 
 def _candidates(finding: MeansFinding) -> str:
-    names = [f"{finding.title_of(c)} ({finding.percent(c)})" for c in finding.candidates]
+    names = [f"{finding.title_of(c)} ({finding.percent(c)})" for c in finding.names]
     return listed(names, last="or")
 
 

@@ -50,7 +50,7 @@ def test_a_size_beyond_the_grid_is_found(effect: Effect, theta: dict[str, float]
     assert not min(sizes) <= true <= max(sizes)
     finding = find(case, effects=[effect], controls=controls_of(case))
     assert finding.verdict in ("named", "family"), finding.reasons
-    assert finding.best == effect.name
+    assert finding.best_effect == effect.name
     best = finding.fits[effect.name].most_probable[effect.size]
     assert not min(sizes) <= best <= max(sizes)
     size = finding.size

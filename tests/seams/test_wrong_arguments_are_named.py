@@ -68,7 +68,7 @@ def test_arrays_and_generators_of_effects(names: str, kept: Path) -> None:
     known = ["opening", "volume", "air"]
     by_list = rt.find(case, cache=kept, **{names: known})
     by_array = rt.find(case, cache=kept, **{names: np.array(known)})
-    assert by_array.candidates == by_list.candidates
+    assert by_array.names == by_list.names
     with pytest.raises(RtcalError, match=names):
         rt.find(case, cache=kept, **{names: (name for name in known)})
 

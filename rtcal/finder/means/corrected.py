@@ -21,9 +21,9 @@ from rtcal.acoustics.equations import mean_equation
 from rtcal.acoustics.materials import Material
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.room import Room
+from rtcal.finder.candidate import amount
 from rtcal.finder.case import NORMAL_90, AppliedEffect, Case
 from rtcal.finder.configuration import Configuration
-from rtcal.finder.finding import amount
 from rtcal.finder.means.features import distances, seen, state, with_applied
 from rtcal.finder.model import FEATURES, RoomState, highest, mean_contributions, predict
 from rtcal.simulators.base import RoomSimulator, Simulator, check_alpha, run

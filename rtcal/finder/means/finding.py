@@ -10,9 +10,10 @@ import numpy as np
 
 from rtcal.acoustics import bands
 from rtcal.finder import track_record
+from rtcal.finder.candidate import Size
 from rtcal.finder.case import AppliedEffect, Case
 from rtcal.finder.claim import SAID, Names, SetsFinding
-from rtcal.finder.finding import NATS, Size, as_sentence, engine_title, listed
+from rtcal.finder.finding import NATS, as_sentence, engine_title, listed
 from rtcal.finder.means.model_error import ModelDiscrepancy
 from rtcal.finder.means.verdict import Fit
 from rtcal.finder.prior import COEFFICIENTS, NONE, OffTogether, Prior
@@ -32,7 +33,7 @@ class MeansFinding(SetsFinding):
     Attributes
     ----------
     case : Case
-    candidates : tuple of str
+    candidates : tuple of Candidate
         The members, then what explains the data in place of one. Of single effects, these are the most
         probable ones that hold 0.9 of what is not "none"; one where the verdict is "named".
     evidence : mapping of str to float
@@ -67,7 +68,6 @@ class MeansFinding(SetsFinding):
     record_kind: ClassVar[str] = "finding 2"
 
     case: Case
-    candidates: Names
     evidence: Mapping[str, float]
     likely: Sequence[tuple[tuple[AppliedEffect, ...], float]]
     alpha: Array
@@ -84,33 +84,38 @@ class MeansFinding(SetsFinding):
         return self.discrepancy.engines
 
     @property
-    def best(self) -> str | None:
+    def names(self) -> Names:
+        """The candidates' effects; "coefficients" and "unknown" may be among them."""
+        return tuple(c.effect for c in self.candidates)
+
+    @property
+    def best_effect(self) -> str | None:
         """The most probable effect, "coefficients" or "unknown"; None where the verdict is "none"."""
-        return self.candidates[0] if self.candidates else None
+        return None if self.best is None else self.best.effect
 
     @property
     def effect(self) -> str | None:
         """The effect that is named, else the best; None where the verdict is "none" or "family"."""
         if self.verdict in ("none", "family"):
             return None
-        return self.named[0] if self.named else self.best
+        return self.named[0] if self.named else self.best_effect
 
     @property
     def runner_up(self) -> str:
         """The second best."""
-        others = [k for k in self.probabilities if k not in (NONE, self.best)]
+        others = [k for k in self.probabilities if k not in (NONE, self.best_effect)]
         return others[0] if others else NONE
 
     @property
     def best_parameters(self) -> Mapping[str, float]:
         """The best effect's parameters; the size among them is the `size`'s mean."""
-        fit = self.fits.get(str(self.best))
+        fit = self.fits.get(str(self.best_effect))
         return {} if fit is None else fit.parameters
 
     @property
     def size(self) -> Size | None:
         """The best effect's size with its interval, where it has one."""
-        fit = self.fits.get(str(self.best))
+        fit = self.fits.get(str(self.best_effect))
         return None if fit is None else fit.size
 
     @property
@@ -165,17 +170,17 @@ class MeansFinding(SetsFinding):
     @property
     def title(self) -> str:
         """The best effect, or the most probable set, as a sentence names it."""
-        return listed([self.title_of(n) for n in self.members or (str(self.best),)])
+        return listed([self.title_of(n) for n in self.members or (str(self.best_effect),)])
 
     @property
     def rivals(self) -> list[str]:
         """The candidates beside the most probable set."""
-        return list(self.candidates[max(1, len(self.members)) :])
+        return list(self.names[max(1, len(self.members)) :])
 
     @property
     def support(self) -> str:
         """Verdict, the best effect's probability and the next best effects, in words."""
-        best = f"{self.verdict}: {self.title} {self.percent(str(self.best))}"
+        best = f"{self.verdict}: {self.title} {self.percent(str(self.best_effect))}"
         if self.rivals:
             others = ", ".join(f"{r} {self.percent(r)}" for r in self.rivals)
             return f"{best}; {others}, not told apart"
@@ -212,12 +217,12 @@ class MeansFinding(SetsFinding):
         if not self.rivals:
             return f"Added {self.title} ({self.support})."
         behind = listed([f"{self.title_of(r)} has {self.percent(r)}" for r in self.rivals])
-        best = self.percent(str(self.best))
+        best = self.percent(str(self.best_effect))
         return f"Added {self.title}. Ambiguous: it is the best with {best}, but {behind}."
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain values for JSON."""
-        size, effect = self.size, self.effects.get(str(self.best))
+        size, effect = self.size, self.effects.get(str(self.best_effect))
         return {
             **super().to_dict(),
             "effect": self.effect,
@@ -226,7 +231,7 @@ class MeansFinding(SetsFinding):
             "named_set": list(self.named_set),
             "members": list(self.members),
             "amount": self.amount or None,
-            "candidates": list(self.candidates),
+            "candidates": list(self.names),
             "numbers": list(self.numbers),
             "sets": [{"effects": list(s), "probability": p} for s, p in self.sets.items()],
             "evidence": {k: json_numbers(v) for k, v in self.evidence.items()},
@@ -261,7 +266,7 @@ class MeansFinding(SetsFinding):
     @property
     def what(self) -> str:
         """The members of a set, or the candidates, with their probabilities."""
-        some = self.members if len(self.members) > 1 else self.candidates
+        some = self.members if len(self.members) > 1 else self.names
         return text.shortened(", ".join(f"{c} {self.percent(c)}" for c in some)) or "no effect"
 
     def _repr_html_(self) -> str:
@@ -271,7 +276,7 @@ class MeansFinding(SetsFinding):
                 name,
                 self.percent(name),
                 f"{self.evidence.get(name, 0.0):+.1f}",
-                "candidate" if name in self.candidates else "",
+                "candidate" if name in self.names else "",
             ]
             for name in self.probabilities
         ]
@@ -315,7 +320,7 @@ class MeansFinding(SetsFinding):
     @property
     def evidence_in_words(self) -> str:
         """The rest of the headline: other probable effects, the evidence and its threshold."""
-        said = self.candidates if self.verdict in ("family", "ambiguous") else ()
+        said = self.names if self.verdict in ("family", "ambiguous") else ()
         others = [k for k, p in self.probabilities.items() if p >= SAID and k not in said]
         listing = ", ".join(f"{k} {self.percent(k)}" for k in others)
         title = "other probabilities" if said else "probabilities"
@@ -349,14 +354,14 @@ class MeansFinding(SetsFinding):
             if self.verdict == "ambiguous":
                 return f"Something is missing; {self.likely_in_words}."
             return self.claims
-        others = ", ".join(f"{self.title_of(c)} ({self.percent(c)})" for c in self.candidates)
+        others = ", ".join(f"{self.title_of(c)} ({self.percent(c)})" for c in self.names)
         hint = f"A hint of {self.title}, under the threshold."
         if self.reasons:
             hint = f"{as_sentence(self.reasons[0])} So it is a hint of {self.title} only."
         named = f"{self.kind}: {self.title}."
-        if self.best == COEFFICIENTS:
+        if self.best_effect == COEFFICIENTS:
             named = "The coefficients are off together."
-        which = "most probably" if len(self.candidates) == 1 else "one of"
+        which = "most probably" if len(self.names) == 1 else "one of"
         lead = f"{self.amount} " if self.amount else ""
         return {
             "none": "No disagreement beyond what prior, measurement and model error allow.",
@@ -370,7 +375,7 @@ class MeansFinding(SetsFinding):
     @property
     def amount(self) -> str:
         """The absorption that the room has more or less; "" where that is not claimed."""
-        fit = self.fits.get(str(self.best))
+        fit = self.fits.get(str(self.best_effect))
         if self.verdict not in ("named", "family") or fit is None or fit.absorption is None:
             return ""
         if len(self.members) > 1:
@@ -383,7 +388,7 @@ class MeansFinding(SetsFinding):
         contradicting = {
             name == COEFFICIENTS
             or (name in self.effects and self.effects[name].contradicts(self.case.room))
-            for name in self.candidates
+            for name in self.names
         }
         if contradicting == {True}:
             return "Not as stated"
@@ -394,7 +399,7 @@ class MeansFinding(SetsFinding):
     @property
     def in_words(self) -> list[str]:
         """The candidates' sizes, the coefficients, and the reasons that the sentence leaves out."""
-        sizes = [words for c in self.candidates if (words := self.size_of(c))]
+        sizes = [words for c in self.names if (words := self.size_of(c))]
         off = [] if self.coefficients is None else [self.coefficients_in_words]
         return [*sizes, *off, *self.reasons[self.verdict == "hint" :]]
 
@@ -405,7 +410,7 @@ class MeansFinding(SetsFinding):
         if off is None:
             return ""
         what = off.words(self.case.room.centre_frequencies)
-        beside = "" if self.best == COEFFICIENTS else f"beside {self.title}, "
+        beside = "" if self.best_effect == COEFFICIENTS else f"beside {self.title}, "
         return (
             f"{beside}the coefficients are off together ({100 * off.probability:.0f} %): {what}; "
             "look for another source"

@@ -15,10 +15,10 @@ import numpy as np
 from rtcal.acoustics import bands
 from rtcal.acoustics.observables import observable
 from rtcal.acoustics.trust import mid_frequency_time, schroeder_frequency
+from rtcal.finder.candidate import Size
 from rtcal.finder.case import Case
 from rtcal.finder.claim import DISTINCT_NATS
 from rtcal.finder.effects import Effect, Parameters
-from rtcal.finder.finding import Size
 from rtcal.finder.means.evidence import Searched, evaluate
 from rtcal.finder.means.features import ObservedFeatures
 from rtcal.finder.means.hypotheses import MeansHypotheses

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from rtcal.acoustics import bands
 from rtcal.acoustics.observables import parameter_label
+from rtcal.finder.candidate import Candidate
 from rtcal.finder.case import AppliedEffect, Case
-from rtcal.finder.claim import by_family, credible_set, posterior
+from rtcal.finder.claim import by_family, credible_set, family_of, posterior
 from rtcal.finder.effects import Effect, library
 from rtcal.finder.effects.checks import checked_effects
 from rtcal.finder.finding import Detection
@@ -33,7 +34,7 @@ from rtcal.finder.means.measurements import next_measurement
 from rtcal.finder.means.model_error import ModelDiscrepancy
 from rtcal.finder.means.set_posterior import MOST, posterior_of_sets, single_posterior
 from rtcal.finder.means.sets import Rows, averaged_alpha, compare
-from rtcal.finder.means.verdict import of_sets, of_single
+from rtcal.finder.means.verdict import Fit, of_sets, of_single
 from rtcal.finder.model import FEATURES
 from rtcal.finder.prior import (
     EXPECTED,
@@ -219,13 +220,17 @@ def _conclude(
         probabilities, families = sets.effects(), sets.families(predicted.effects)
     if number.most == 1 or detected is not None:
         verdict = of_single(searched, of_one, of_one_family, detected)
-        told_apart = verdict.candidates
+        told_apart = verdict.names
     else:
         verdict = of_sets(searched, sets, probabilities, families)
         told_apart = credible_set(of_one)
     return MeansFinding(
         case=case,
-        **vars(verdict),
+        **{k: v for k, v in vars(verdict).items() if k != "names"},
+        candidates=tuple(
+            _candidate(name, verdict.fits.get(name), probabilities, predicted.effects)
+            for name in verdict.names
+        ),
         evidence={k: over[k] for k in sorted(over, key=lambda k: -over[k])},
         probabilities=probabilities,
         families=families,
@@ -240,6 +245,21 @@ def _conclude(
         discrepancy=discrepancy,
         effects=predicted.effects,
     )
+
+
+def _candidate(
+    name: str, fit: Fit | None, probabilities: Mapping[str, float], effects: Mapping[str, Effect]
+) -> Candidate:
+    found = Candidate(
+        effect=name, family=family_of(name, effects), probability=probabilities.get(name, 0.0)
+    )
+    if fit is None:
+        return found
+    found = replace(found, parameters=fit.parameters)
+    size = fit.size
+    if size is None:
+        return found
+    return replace(found, size=size.mean, low=size.low, high=size.high, unit=size.unit)
 
 
 def _applied(predicted: MeansHypotheses, rows: Rows) -> tuple[AppliedEffect, ...]:

@@ -11,6 +11,7 @@ import numpy as np
 from scipy.special import logsumexp
 
 from rtcal.finder import prior
+from rtcal.finder.candidate import End, Size
 from rtcal.finder.case import AppliedEffect, Case
 from rtcal.finder.claim import (
     CLAIMED,
@@ -24,7 +25,7 @@ from rtcal.finder.claim import (
 )
 from rtcal.finder.effects import Effect, Parameters
 from rtcal.finder.effects.checks import changed_states
-from rtcal.finder.finding import AbsorptionChange, End, Size
+from rtcal.finder.finding import AbsorptionChange
 from rtcal.finder.means.evidence import NEGLIGIBLE, Searched
 from rtcal.finder.means.features import state
 from rtcal.finder.means.gap import (
@@ -214,7 +215,7 @@ class Fit:
 
 @dataclass(frozen=True, kw_only=True)
 class Verdict:
-    """The verdict; its fields are those of `rtcal.finder.MeansFinding`."""
+    """The verdict; its fields are those of `rtcal.finder.MeansFinding`; ``names`` the candidates'."""
 
     verdict: str
     family: str | None = None
@@ -222,7 +223,7 @@ class Verdict:
     named_families: Names = ()
     named_set: Names = ()
     members: Names = ()
-    candidates: Names = ()
+    names: Names = ()
     fits: Mapping[str, Fit] = field(default_factory=dict)
     alone: Mapping[str, Fit] = field(default_factory=dict)
     stand_ins: Mapping[str, Names] = field(default_factory=dict)
@@ -250,8 +251,8 @@ def of_single(
         fits[best] = fit(searched, best, precise=True)
         found = doubts(searched, fits[best])
         verdict = doubted(verdict, family, found)
-    candidates = (best,) if verdict == "named" else credible_set(probabilities)
-    for name in candidates:
+    names = (best,) if verdict == "named" else credible_set(probabilities)
+    for name in names:
         if name not in (best, UNKNOWN):
             fits[name] = fit(searched, name, precise=False)
     sure = family is not None and verdict in ("named", "family")
@@ -261,7 +262,7 @@ def of_single(
         named=(best,) if verdict == "named" else (),
         named_families=(str(family),) if sure else (),
         members=(best,) if best in fits else (),
-        candidates=candidates,
+        names=names,
         fits=fits,
         reasons=tuple(doubt.words for doubt in found),
     )
@@ -278,7 +279,7 @@ def of_sets(
     A doubt about a size or the fit leaves the family claimed, any other doubt nothing of that effect.
     """
     if probabilities.get(UNKNOWN, 0.0) >= CLAIMED:
-        return Verdict(verdict="unknown", candidates=(UNKNOWN,))
+        return Verdict(verdict="unknown", names=(UNKNOWN,))
     effects = searched.predicted.effects
     together = _together(by_family_sets(posterior.sets, effects), numbers_of(posterior.sets))
     best = posterior.best(effects, together)
@@ -305,7 +306,7 @@ def of_sets(
         named_families=tuple(claimed),
         named_set=together,
         members=best,
-        candidates=(*best, *(n for n in others if n not in best)),
+        names=(*best, *(n for n in others if n not in best)),
         fits=fits,
         alone={n: fit(searched.beside(n), n, precise=True) for n in best} if len(best) > 1 else {},
         stand_ins=stand_ins,

@@ -94,7 +94,7 @@ class MeansVerification(Verification):
         ``unproven``: the data have nothing that alpha could not absorb, or it does not change. Else
         ``withdrawn``.
         """
-        fitted = self.finding.fits[str(self.finding.best)].gap
+        fitted = self.finding.fits[str(self.finding.best_effect)].gap
         gap = replace(fitted, before=self.before, after=self.after, predictive=self.predictive)
         if gap.grows:
             return "withdrawn"
@@ -259,7 +259,7 @@ def verify(finding: MeansFinding, case: Case | None = None) -> MeansVerification
     return MeansVerification(
         finding=finding,
         quantities=tuple(quantities),
-        predictive=finding.fits[str(finding.best)].gap.predictive,
+        predictive=finding.fits[str(finding.best_effect)].gap.predictive,
         plain=before,
         corrected=after,
     )

@@ -8,7 +8,6 @@ docs/where.md has the method and what it can and cannot do.
 """
 
 from rtcal.finder.positions.advice import Place, next_position
-from rtcal.finder.positions.candidate import Candidate
 from rtcal.finder.positions.case import PositionsCase
 from rtcal.finder.positions.corrected import Corrected
 from rtcal.finder.positions.finding import PositionsFinding
@@ -17,7 +16,6 @@ from rtcal.finder.positions.verification import PositionsVerification, verify
 
 __all__ = [
     "EFFECTS",
-    "Candidate",
     "Corrected",
     "Place",
     "PositionsCase",

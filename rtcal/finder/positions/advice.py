@@ -11,7 +11,7 @@ from itertools import product
 
 import numpy as np
 
-from rtcal.finder.positions.candidate import Candidate
+from rtcal.finder.candidate import Candidate
 from rtcal.finder.positions.case import PositionsCase
 from rtcal.finder.positions.finding import PositionsFinding
 from rtcal.finder.positions.weighing import Weighing

@@ -1,114 +1,20 @@
-"""An effect in one place, its probability and size; the sums over effects, families, surfaces."""
+"""The candidates at positions, and the sums over effects, families, surfaces."""
 
 from __future__ import annotations
 
-import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
-from typing import Any
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
+from rtcal.finder.candidate import Candidate
 from rtcal.finder.case import NORMAL_90
 from rtcal.finder.claim import most_probable_first, with_added
-from rtcal.finder.effects.coupled_room import CoupledRoom
-from rtcal.finder.finding import amount
 from rtcal.finder.positions.case import PositionsCase
 from rtcal.finder.positions.posterior import PositionsHypotheses, Weights
 from rtcal.finder.positions.shift import MEASUREMENT, UNKNOWN, ShiftHypothesis
 from rtcal.finder.prior import COEFFICIENTS, NONE
-from rtcal.support.files import json_numbers
 from rtcal.support.types import Array
-
-Point = tuple[float, float, float]
-LOCATED = 0.5
-"""Share of a candidate's probability from which a part of its surface is where it stands."""
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Candidate:
-    """An effect in one place.
-
-    Attributes
-    ----------
-    effect, family : str
-    surface : str or None
-        None for the whole room and for the measurement.
-    place : str
-        The surface's name; of the measurement's errors "receiver R1", "source S1" or "S1 to R1"; "" for
-        the whole room.
-    probability : float
-    size, low, high : float
-        Posterior mean and 90 % interval, in ``unit``; NaN for coefficients off together and for
-        "unknown".
-    unit : str
-    parameters : mapping of str to float
-        The most probable ones.
-    spectrum : array (n_bands,) or (0,)
-        Posterior mean alpha of what stands on the surface.
-    parts : tuple of (middle, probability)
-        Of a large surface: the middle (x, y, z) of each part in m, and the probability that it stands
-        on this part alone. With the rest of its probability it is spread over the surface.
-    """
-
-    effect: str
-    family: str
-    probability: float
-    surface: str | None = None
-    place: str = ""
-    size: float = math.nan
-    low: float = math.nan
-    high: float = math.nan
-    unit: str = ""
-    parameters: Mapping[str, float] = field(default_factory=dict)
-    spectrum: Array = field(default_factory=lambda: np.zeros(0))
-    parts: tuple[tuple[Point, float], ...] = ()
-
-    @property
-    def middle(self) -> Point | None:
-        """Middle in m of the part that holds at least half of the probability; None without one."""
-        middle, probability = max(self.parts, key=lambda part: part[1], default=(None, 0.0))
-        return middle if probability >= LOCATED * self.probability else None
-
-    @property
-    def about(self) -> str:
-        """The middle in words; "" without one."""
-        if self.middle is None:
-            return ""
-        return f", most probably about ({', '.join(f'{x:.1f}' for x in self.middle)}) m"
-
-    @property
-    def title(self) -> str:
-        """Effect and place, as a sentence names them."""
-        if self.surface is not None:
-            return f'{self.effect} on "{self.surface}"'
-        return f"{self.effect} of {self.place}" if self.place else self.effect
-
-    @property
-    def can_be_added(self) -> bool:
-        """Whether it stands on a surface and a room of one geometry can have it."""
-        return self.surface is not None and self.effect != CoupledRoom.name
-
-    @property
-    def in_words(self) -> str:
-        """Size with its interval; "" where there is none."""
-        if not np.isfinite(self.size):
-            return ""
-        return amount(self.size, self.unit, (self.low, self.high))
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return plain values."""
-        return {
-            **{k: v for k, v in vars(self).items() if k not in _CONVERTED},
-            **{k: json_numbers(getattr(self, k)) for k in ("size", "low", "high")},
-            "parameters": dict(self.parameters),
-            "spectrum": json_numbers(self.spectrum),
-            "parts": [{"middle": list(m), "probability": p} for m, p in self.parts],
-        }
-
-
-_CONVERTED = ("size", "low", "high", "spectrum", "parameters", "parts")
-
 
 _SPACING = 0.1
 """Standard deviation of ln size within the grid's distance, which is 0.26."""

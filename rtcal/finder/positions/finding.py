@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
+from rtcal.finder.candidate import Candidate
 from rtcal.finder.claim import SAID
 from rtcal.finder.effects.coupled_room import CoupledRoom
 from rtcal.finder.finding import LEAST_PAIRS, Finding, listed
-from rtcal.finder.positions.candidate import Candidate
 from rtcal.finder.positions.case import PositionsCase
 from rtcal.finder.positions.posterior import detection_in_words
 from rtcal.finder.prior import NONE
@@ -65,17 +65,11 @@ class PositionsFinding(Finding):
     surface: str | None
     surfaces: Mapping[str, float]
     groups: tuple[tuple[str, ...], ...]
-    candidates: tuple[Candidate, ...]
     map: Array
     parameters: tuple[str, ...]
     pairs: tuple[tuple[str, str], ...]
     controls: ControlRuns
     left_out: tuple[str, ...] = ()
-
-    @property
-    def best(self) -> Candidate | None:
-        """The most probable candidate; None where nothing is other than stated."""
-        return self.candidates[0] if self.candidates and self.verdict != "none" else None
 
     @property
     def located(self) -> Candidate | None:

@@ -10,6 +10,7 @@ import numpy as np
 
 from rtcal.acoustics.observables import observable
 from rtcal.finder import track_record
+from rtcal.finder.candidate import Candidate
 from rtcal.finder.claim import CLAIMED, DISTINCT_NATS, claimed
 from rtcal.finder.effects import Effect, library
 from rtcal.finder.effects.checks import checked_effects
@@ -18,7 +19,7 @@ from rtcal.finder.means.finding import MeansFinding
 from rtcal.finder.means.search import CHOSEN
 from rtcal.finder.positions import model_error
 from rtcal.finder.positions import surfaces as of_room
-from rtcal.finder.positions.candidate import Candidate, Summary, summary_of
+from rtcal.finder.positions.candidate import Summary, summary_of
 from rtcal.finder.positions.case import PositionsCase
 from rtcal.finder.positions.evidence import Likelihood
 from rtcal.finder.positions.finding import PositionsFinding

@@ -17,8 +17,8 @@ import numpy as np
 
 from rtcal.acoustics.observables import LEVEL, parameter_label
 from rtcal.acoustics.quality import gap_jnd
+from rtcal.finder.candidate import Candidate
 from rtcal.finder.finding import HeldOutVerification, check_pairs
-from rtcal.finder.positions.candidate import Candidate
 from rtcal.finder.positions.case import PositionsCase
 from rtcal.finder.positions.corrected import corrected_geometry
 from rtcal.finder.positions.finding import PositionsFinding

@@ -10,13 +10,12 @@ from typing import Any, ClassVar
 import numpy as np
 
 from rtcal.acoustics import bands
+from rtcal.finder.candidate import Size, amount
 from rtcal.finder.claim import CLAIMED, Names
 from rtcal.finder.finding import (
     LEAST_PAIRS,
     NATS,
     Finding,
-    Size,
-    amount,
     as_sentence,
     listed,
     over_frequency,
@@ -29,25 +28,6 @@ from rtcal.support import text
 from rtcal.support.errors import DataError
 from rtcal.support.files import json_numbers
 from rtcal.support.types import Array
-
-
-@dataclass(frozen=True)
-class Kind:
-    """One kind of change: what was added or removed.
-
-    Attributes
-    ----------
-    name, family : str
-        "added porous", "added absorption, rising".
-    probability : float
-    size : Size
-        Change of the absorption area in m², mean over the bands of `StatesFinding.middle`.
-    """
-
-    name: str
-    family: str
-    probability: float
-    size: Size
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -64,8 +44,9 @@ class StatesFinding(Finding):
     Attributes
     ----------
     case : Case
-    kinds : tuple of Kind
-        The kinds of change whose probability is at least 0.03, the most probable first.
+    candidates : tuple of Candidate
+        The kinds of change whose probability is at least 0.03, the most probable first: "added porous".
+        Each size is the change of the absorption area in m², mean over the bands of ``middle``.
     area : array (n_bands,)
         The surfaces' absorption area before in m², by the equation; NaN where T is missing.
     change : array (3, n_bands)
@@ -83,7 +64,6 @@ class StatesFinding(Finding):
     record_kind: ClassVar[str] = "finding of two states 1"
 
     case: StatesCase
-    kinds: tuple[Kind, ...]
     area: Array
     change: Array
     size: Size
@@ -136,18 +116,13 @@ class StatesFinding(Finding):
         """
         if self.reason_for_none is not None:
             raise DataError(self.reason_for_none)
-        kinds = [k.name for k in self.kinds]
+        kinds = [c.effect for c in self.candidates]
         return changed_room(self.case, self.area, self.change, self.claimed_surfaces, kinds)
 
     @property
     def claimed_surfaces(self) -> tuple[str, ...]:
         """The surfaces that are claimed: something changed on each, at a probability of 0.9."""
         return tuple(name for name, p in self.surfaces.items() if p >= CLAIMED)
-
-    @property
-    def best(self) -> str | None:
-        """The most probable kind of change; None where the verdict is "none"."""
-        return None if self.verdict == NONE else self.kinds[0].name
 
     @property
     def what(self) -> str:
@@ -191,7 +166,7 @@ class StatesFinding(Finding):
     @property
     def not_told_apart(self) -> str:
         """The kinds of change that explain the data about as well, in a sentence; "" without two."""
-        some = [f"{k.name} ({100 * k.probability:.0f} %)" for k in self.kinds]
+        some = [f"{c.effect} ({100 * c.probability:.0f} %)" for c in self.candidates]
         if self.verdict == NONE or len(some) < 2:
             return ""
         return f"Not told apart by T: {listed(some)}."
@@ -264,7 +239,15 @@ class StatesFinding(Finding):
             ],
             "size": self.size.to_dict(),
             "bands_of_size": list(self.middle),
-            "kinds": [{**vars(k), "size": k.size.to_dict()} for k in self.kinds],
+            "kinds": [
+                {
+                    "name": c.effect,
+                    "family": c.family,
+                    "probability": c.probability,
+                    "size": Size(c.size, c.low, c.high, c.unit).to_dict(),
+                }
+                for c in self.candidates
+            ],
             "centre_frequencies": json_numbers(found.centre_frequencies),
             "before": json_numbers(found.before),
             "after": json_numbers(found.after),

@@ -20,9 +20,10 @@ from rtcal.acoustics import band_conversion, bands
 from rtcal.acoustics.decay import gradients
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.observables import EARLY, OBSERVABLES, TARGET
+from rtcal.finder.candidate import Candidate, Size
 from rtcal.finder.claim import SAID, claimed, most_probable_first
 from rtcal.finder.effects import Effect, library
-from rtcal.finder.finding import Detection, Size
+from rtcal.finder.finding import Detection
 from rtcal.finder.positions import surfaces as of_room
 from rtcal.finder.positions.surfaces import Faces
 from rtcal.finder.positions.weighing import Weighing
@@ -30,7 +31,7 @@ from rtcal.finder.prior import NO_EFFECT, NONE
 from rtcal.finder.states import evidence
 from rtcal.finder.states.case import StatesCase
 from rtcal.finder.states.evidence import ADDED, AIR, REMOVED, Baseline, Errors, Fits, Grid, grid
-from rtcal.finder.states.finding import Kind, StatesFinding
+from rtcal.finder.states.finding import StatesFinding
 from rtcal.simulators import observations
 from rtcal.simulators.observations import Observations
 from rtcal.simulators.path_tracing import PathTracing
@@ -329,15 +330,14 @@ def find(
     inside = inside if inside.any() else np.ones_like(inside)
     middle = samples[:, inside].mean(axis=1)
     names = np.array(tried.names)[drawn]
-    kinds = [
-        Kind(name, tried.families[tried.names.index(name)], p, _size(middle[names == name]))
+    candidates = [
+        _candidate(name, tried, p, middle[names == name])
         for name, p in probabilities.items()
         if name != NONE and p >= SAID and (names == name).any()
     ]
-    if not kinds:  # nothing changed
+    if not candidates:  # nothing changed
         best = max((n for n in probabilities if n != NONE), key=lambda n: probabilities[n])
-        family_of_best = tried.families[tried.names.index(best)]
-        kinds = [Kind(best, family_of_best, probabilities[best], _size(middle))]
+        candidates = [_candidate(best, tried, probabilities[best], middle)]
     located: Located | None = None
     why = _OF_MEANS if case.simulator is None else ""
     added = families.get(f"{ADDED} absorption", 0.0) > families.get(f"{REMOVED} absorption", 0.0)
@@ -351,7 +351,7 @@ def find(
         families=families,
         detection=detection,
         effects={effect.name: effect for effect in of_library},
-        kinds=tuple(kinds),
+        candidates=tuple(candidates),
         area=area,
         change=changes,
         size=_size(middle),
@@ -432,3 +432,16 @@ def _samples(
 def _size(samples: Array) -> Size:
     low, high = np.quantile(samples, _INTERVAL)
     return Size(float(samples.mean()), float(low), float(high), "m²")
+
+
+def _candidate(name: str, tried: Grid, probability: float, samples: Array) -> Candidate:
+    size = _size(samples)
+    return Candidate(
+        effect=name,
+        family=tried.families[tried.names.index(name)],
+        probability=probability,
+        size=size.mean,
+        low=size.low,
+        high=size.high,
+        unit=size.unit,
+    )
