@@ -200,6 +200,7 @@ def test_random_numbers_hardly_move_the_score_of_a_room_that_scatters_little(kep
     assert np.std(scores, ddof=1) < 0.3
 
 
+@pytest.mark.long
 def test_an_absorbing_ceiling_over_walls_that_scatter_little_lacks_nothing(kept: Path) -> None:
     """A law: T20 moves farther towards little scattering than a derivative says. It was 22 nats."""
     room = stated()

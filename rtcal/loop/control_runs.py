@@ -371,7 +371,8 @@ def _varied(
     low, high = SCATTERING
     share = (run // 2 + rng.uniform()) / (RUNS / 2)
     stated = base.scattering.mean(axis=1, keepdims=True)
-    around = scattering_around(stated, base.room.areas, low + (high - low) * share)[:, 0]
+    mean = low + (high - low) * share
+    around = np.clip(stated + mean - level(stated, base.room.areas), 0.0, 1.0)[:, 0]
     by_material = around + _BETWEEN_MATERIALS * rng.standard_normal(base.room.n_materials)
     moved = [
         {
@@ -398,11 +399,6 @@ def paths_of_a_run(tracer: PathTracing) -> int:
 def level(scattering: Array, areas: Array) -> float:
     """Return the mean of scattering coefficients (n_materials, n_bands) over the areas."""
     return float(np.average(scattering.mean(axis=1), weights=areas))
-
-
-def scattering_around(scattering: Array, areas: Array, mean: float) -> Array:
-    """Return scattering coefficients (n_materials, n_bands) moved to another mean, within [0, 1]."""
-    return np.clip(scattering + mean - level(scattering, areas), 0.0, 1.0)
 
 
 def _moved(
