@@ -236,8 +236,10 @@ def test_command_exits_2_with_one_line(run, tmp_path: Path, room, times, message
     done = run(room, times, "--out", "made")
     assert done.returncode == 2, done.stderr
     assert done.stdout == ""
-    assert message in done.stderr
-    assert len(done.stderr.strip().splitlines()) == 1
+    # Values that hardly any room has are told as they are read, whatever becomes of them.
+    lines = [s for s in done.stderr.strip().splitlines() if "hardly any room has" not in s]
+    assert len(lines) == 1
+    assert message in lines[0]
     assert "Traceback" not in done.stderr
     assert not (tmp_path / "made").exists()
 
