@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,12 +12,12 @@ from scipy.integrate import quad
 from scipy.optimize import fsolve
 
 import rtcal as rt
+from rtcal.acoustics.paris import admittance_slope
 from rtcal.command.main import cli
 from rtcal.modes import MeasuredModes, absorption, admittance
 from rtcal.modes.box import box_modes
 from rtcal.modes.matching import match
 from rtcal.modes.model import AtFrequencies
-from rtcal.modes.paris import admittance_slope
 from rtcal.report.pages import page_of
 from rtcal.simulators.geometry import SHOEBOX_WALLS
 from rtcal.support.errors import DataError
@@ -157,8 +158,8 @@ def test_modes_tell_the_pairs_of_walls_apart():
     low, high = result.interval
     assert ((low <= result.alpha) & (result.alpha <= high)).all()
     assert (result.sigma[:, 0] < 0.08).all()
-    pulled = np.abs(result.pulls[0, :, 0])
-    assert pulled[:2].min() > pulled[2:].max()  # the first mode stands between west and east
+    assert result.told[0].argmax() < 2  # the first mode stands between west and east
+    assert result.mode_rows[0][1][-1] == "west, east"
     assert result.carried[0]
     assert not result.carried[2]
     kinds = {(m.kind, m.frequency) for m in result.trust_marks}
@@ -167,16 +168,6 @@ def test_modes_tell_the_pairs_of_walls_apart():
     few = rt.calibrate_modes(ROOM, modes.only([0, 1]), t)
     assert ("below_schroeder", 63.0) in {(m.kind, m.frequency) for m in few.trust_marks}
     assert ("missing", 63.0) not in {(m.kind, m.frequency) for m in few.trust_marks}
-
-
-def test_what_modes_change_adds_up_with_correlated_walls():
-    """The pulls counted neither the materials' correlation nor what all coefficients share."""
-    first, other = ROOM.materials[0], ROOM.materials[4]
-    room = ROOM.replace(material_correlation={(first, other): 0.9}, common_alpha_sigma=0.3)
-    result = rt.calibrate_modes(room, heard(1.1 * room.alpha, error=0.02))
-    moved = (result.alpha - room.alpha) / room.sigma
-    assert np.abs(moved).max() > 0.2
-    np.testing.assert_allclose(result.pulls.sum(axis=0), moved, atol=0.02)
 
 
 def test_without_t_and_without_a_change():
@@ -234,8 +225,108 @@ def test_strange_and_double_modes_are_left_out():
 def test_matching_weighs_the_decay():
     modes = MeasuredModes(frequencies=[50.0], decays=[5.0], decay_uncertainty=[0.2])
     close = np.array([49.9, 50.1])
-    assert match(modes, close, np.array([5.0, 5.0])).measured.size == 0  # either of the two
+    with pytest.raises(DataError, match="none of the 1 measured modes"):  # either of the two
+        match(modes, close, np.array([5.0, 5.0]))
     assert match(modes, close, np.array([0.5, 5.0])).calculated.tolist() == [1]
+
+
+def test_modes_that_contradict_are_marked():
+    modes, rng = heard(TRUTH), np.random.default_rng(0)
+    good = rt.calibrate_modes(ROOM, modes)
+    assert good.plausibility.p_value > 0.05
+    assert "p = " in str(good)
+    assert "implausible_modes" not in {m.kind for m in good.trust_marks}
+    factor = np.where(rng.random(modes.decays.size) < 0.5, 1.8, 1 / 1.8)
+    bad = rt.calibrate_modes(ROOM, replace(modes, decays=modes.decays * factor))
+    assert bad.plausibility.p_value < 1e-6
+    assert "implausible_modes" in {m.kind for m in bad.trust_marks}
+    place = good.used[3]
+    one = modes.decays * np.where(np.arange(modes.decays.size) == place, 1.8, 1)
+    sure = ROOM.replace(sigma=np.full((6, 3), 0.04))
+    marked = rt.calibrate_modes(sure, replace(modes, decays=one)).trust_marks
+    assert f"{modes.frequencies[place]:.1f} Hz contributes most" in marked[0].text
+
+
+def test_misfit_is_chi_square():
+    """Coefficients are drawn from the prior, decays from their uncertainty."""
+    ps = []
+    for seed in range(12):
+        shift = np.random.default_rng(seed).standard_normal((6, 1))
+        modes = heard(np.clip(ROOM.alpha + 0.05 * shift, 0.01, 0.9), seed=seed)
+        result = rt.calibrate_modes(ROOM.replace(sigma=0.05 * np.ones((6, 3))), modes)
+        ps.append(result.plausibility.p_value)
+    assert min(ps) > 0.01
+
+
+def test_uncertainty_of_t_counts():
+    t, modes = times(TRUTH), heard(TRUTH)
+    sure, unsure = (
+        rt.calibrate_modes(
+            ROOM,
+            modes,
+            rt.Measurement(
+                centre_frequencies=BANDS, values={"t20": t[None]}, uncertainty={"t20": u * t[None]}
+            ),
+        )
+        for u in (0.01, 0.2)
+    )
+    np.testing.assert_array_equal(sure.alpha, unsure.alpha)  # as method mle matches T
+    assert (unsure.sigma[:, 2] > 1.01 * sure.sigma[:, 2]).all()
+    assert "no_uncertainty" not in {m.kind for m in sure.trust_marks}
+    bare = rt.calibrate_modes(ROOM, modes, t)
+    np.testing.assert_array_equal(bare.alpha, sure.alpha)
+
+
+def test_what_a_mode_tells_of_does_not_hang_on_its_misfit():
+    """With zero misfit each mode named the first material."""
+    rows = rt.calibrate_modes(ROOM, heard(ROOM.alpha, error=1e-6)).mode_rows
+    assert {row[1][-1] for row in rows} >= {"south, north", "floor, ceiling"}
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_random_frequencies_are_refused_or_doubted(seed):
+    modes = heard(TRUTH)
+    f = np.sort(np.random.default_rng(seed).uniform(30, 108, 14))
+    some = modes.only(range(14))
+    random = replace(some, frequencies=f)
+    refused = seed not in (0, 2, 3)
+    if refused:
+        with pytest.raises(DataError, match="of random frequencies"):
+            rt.calibrate_modes(ROOM, random)
+    else:
+        assert any(n.startswith("Doubtful") for n in rt.calibrate_modes(ROOM, random).notes)
+
+
+def test_frequencies_at_the_end_of_the_search_and_wrong_sides():
+    modes = heard(TRUTH)
+    assert not any("Doubtful" in note for note in rt.calibrate_modes(ROOM, modes).notes)
+    for factor in (1.06, 0.94):
+        with pytest.raises(DataError, match="where the search ends"):
+            rt.calibrate_modes(ROOM, replace(modes, frequencies=factor * modes.frequencies))
+    for sides in (SIDES * [1.1, 1, 1], SIDES * [1, 1.1, 1], SIDES * [1, 1, 1.1]):
+        box = rt.simulators.Polyhedron.shoebox(
+            sides, dict(zip(SHOEBOX_WALLS, SHOEBOX_WALLS, strict=True))
+        )
+        room = rt.Room.from_geometry(
+            box,
+            name="box",
+            dimensions=sides,
+            centre_frequencies=BANDS,
+            materials=[rt.Material(w, [0.12] * 3, [0.08] * 3) for w in SHOEBOX_WALLS],
+            air=rt.Air(20, 50),
+        )
+        assert any("Doubtful" in note for note in rt.calibrate_modes(room, modes).notes)
+
+
+def test_areas_and_volume_that_contradict_the_geometry():
+    modes = heard(TRUTH)
+    with pytest.raises(DataError, match=r"volume = 46.9 m³, but the geometry holds 55.4"):
+        rt.calibrate_modes(ROOM.replace(volume=46.9), modes)
+    twice = ROOM.areas * np.array([1, 1, 2, 1, 1, 1])
+    with pytest.raises(DataError, match=r"south has 27.04 m², but 13.52 m² in the geometry"):
+        rt.calibrate_modes(ROOM.replace(areas=twice, surfaces=()), modes, geometry=BOX)
+    with pytest.raises(DataError, match=r"west has 10.66 m², but 13.52"):
+        rt.calibrate_modes(ROOM.replace(dimensions=SIDES[[1, 0, 2]]), modes)
 
 
 def test_coefficients_between_bands():
@@ -273,10 +364,16 @@ def test_wrong_modes(change, words):
         ("frequency,decay\n30,5\n", "u_decay"),
         ("f / Hz;T60 (s)\n30;1\n", '"u_T" is missing'),
         ("f,T,T60,u_T\n30,1,1,0.1\n", '"T" stands there twice'),
-        ("f,T,u_T\n30,nan,0.1\n", "not finite"),
+        ("f,T,u_T\n30,nan,0.1\n", "line 2, column .T.: .nan. is not a finite number"),
+        ("f,T,u_T\n30,1,-0.1\n", "line 2, column .u_T.: -0.1 is not above 0"),
+        ("f,T,u_T\n34,1,1,33,0,05\n", "line 2: 6 cells; the header has 3"),
+        ("f;T;u_T\n34,1;1.33;0,05\n", "decimal commas and decimal points"),
+        ("f / MHz,T,u_T\n34,1,0.1\n", "unit of .f / MHz. is not known; known are Hz, kHz"),
+        ("f,T / %,u_T\n34,1,0.1\n", "unit of .T / %. is not known; known are s, ms"),
+        ("f,T,u_T\n30,1,0.1\n40,1,0.1\n30,1,0.1\n", "line 4, column .f.: 30 Hz"),
         ("frequency,decay,T,u_T\n30,5,1,1\n", "either decay"),
         ("f,T,u_T\n30,0,0.1\n", "not above 0"),
-        ("f,T,u_T\n30,x,0.1\n", "row 2"),
+        ("f,T,u_T\n30,x,0.1\n", "line 2"),
         ("f,T,u_T\n30,1,0.1\n30,1,0.1\n", "rising order"),
     ],
 )
@@ -285,6 +382,24 @@ def test_wrong_tables(tmp_path, table, words):
     path.write_text(table)
     with pytest.raises(DataError, match=words):
         rt.modes.read(path)
+
+
+@pytest.mark.parametrize(
+    "table",
+    [
+        "# of the 3rd of May\nf,T,u_T\n34.1,1.33,0.0532\n",
+        "frequency / kHz;T / ms;u_T / %\n0,0341;1330;4\n",
+        'f [Hz],"T (s)",u_T / ms\n"34,1","1,33","53,2"\n',
+        "f / Hz\tdelta / 1/s\tdelta uncertainty (%)\n34,1\t5,193801\t4\n",
+    ],
+)
+def test_units_and_decimals_of_a_table(tmp_path, table):
+    path = tmp_path / "modes.csv"
+    path.write_text(table)
+    modes = rt.modes.read(path)
+    np.testing.assert_allclose(modes.frequencies, [34.1])
+    np.testing.assert_allclose(modes.decay_times, [1.33], rtol=1e-6)
+    np.testing.assert_allclose(modes.decay_uncertainty, 0.04 * modes.decays, rtol=1e-6)
 
 
 def test_wrong_arguments():

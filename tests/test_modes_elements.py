@@ -50,6 +50,18 @@ def crooked():
     return Polyhedron(vertices=vertices, faces=faces, materials=["a"] * 6)
 
 
+def test_too_many_modes_of_a_mesh():
+    large = Polyhedron(
+        vertices=2 * np.asarray(slanted().vertices),
+        faces=slanted().faces,
+        materials=["a"] * 6,
+    )
+    with pytest.raises(DataError, match="modes up to 250 Hz, and at most 600 are calculated"):
+        modes_of(large, 250)
+    with pytest.raises(DataError, match="or is it in mm"):
+        modes_of(Polyhedron.shoebox((5200, 4100, 2600), "plaster"), 100)
+
+
 @pytest.mark.parametrize("room", [L_SHAPE, FURNISHED, TEN_WALLS, slanted(), crooked()])
 @pytest.mark.parametrize("spacing", [1.0, 0.6])
 def test_tetrahedra_fill_the_room_and_fit_together(room, spacing):

@@ -142,6 +142,7 @@ def test_what_the_rooms_modes_do_not_explain(wrong):
     [
         (lambda s: {"responses": s[:1], "pairs": PAIRS[:1]}, "has 1 pair"),
         (lambda s: {"pairs": [*PAIRS[:3], ("S", "R9")]}, "S to R9 has no place"),
+        (lambda s: {"pairs": [*PAIRS[:3], PAIRS[1]]}, "S to R1 stands there twice"),
         (lambda s: {"room": None}, "room = None"),
         (
             lambda s: {
@@ -149,7 +150,7 @@ def test_what_the_rooms_modes_do_not_explain(wrong):
                     scene=rt.Scene(sources={"S": (0, 0, 9)}, receivers=dict(SCENE.receivers))
                 )
             },
-            "outside the room's walls",
+            r"S at \(0, 0, 9\) m: a position lies outside the room's walls",
         ),
         (lambda s: {"responses": s[:3]}, "shape"),
         (lambda s: {"responses": np.where(np.arange(s.shape[1]) == 9, np.nan, s)}, "not finite"),
@@ -193,6 +194,36 @@ def test_responses_of_a_sofa_file():
     by_file = rt.calibrate_modes(room, given, times(TRUTH))
     by_hand = rt.calibrate_modes(room, find_modes(room, signals, RATE, PAIRS), times(TRUTH))
     np.testing.assert_array_equal(by_file.alpha, by_hand.alpha)
+
+
+def test_positions_of_a_sofa_file_are_compared_with_the_rooms():
+    _, signals = heard()
+    turned = {f"R{k}": RECEIVERS[3 - k] for k in range(4)}
+    given = rt.io.sofa.Responses(
+        pairs=tuple(PAIRS[::-1]),
+        samples=signals[:, np.newaxis],
+        sampling_rate=RATE,
+        sources={"S": (0.21, 0.33, 0.2)},
+        receivers=turned,
+        convention="SingleRoomSRIR",
+    )
+    by_file = rt.calibrate_modes(PLACED, given, times(TRUTH))
+    by_hand = rt.calibrate_modes(PLACED, find_modes(PLACED, signals, RATE, PAIRS), times(TRUTH))
+    np.testing.assert_array_equal(by_file.alpha, by_hand.alpha)
+    assert "receiver R0 is R3" in str(by_file.notes)
+    far = replace(given, receivers={**turned, "R1": (3.0, 3.0, 1.0)})
+    with pytest.raises(
+        DataError, match=r"receiver R1 of the SOFA file is at \(3, 3, 1\) m, 0.99 m"
+    ):
+        rt.calibrate_modes(PLACED, far)
+
+
+@pytest.mark.parametrize("size", [1e300, 1e-300])
+def test_responses_of_any_size(size):
+    _, signals = heard()
+    one, other = (find_modes(PLACED, s, RATE, PAIRS, highest=70) for s in (signals, size * signals))
+    np.testing.assert_allclose(other.decays, one.decays, rtol=1e-6)
+    np.testing.assert_allclose(other.amplitudes, size * one.amplitudes, rtol=1e-6)
 
 
 def test_command_takes_a_sofa_file(tmp_path):

@@ -136,6 +136,11 @@ _ADVICE: dict[str, tuple[str, str]] = {
         "",
         "z and Q may be too large: state T per source and receiver, or its uncertainty",
     ),
+    "implausible_modes": (
+        "",
+        "the modes contradict each other or what was stated of the materials: check their T and which "
+        "modes they are, then the stated coefficients, before using these",
+    ),
     "surface_missing": ("", "a surface is missing, or the volume is wrong: check both"),
     "surface_beyond_sense": ("", "are the areas in m² and the volume in m³?"),
     "clipped": (
@@ -201,11 +206,30 @@ def bent_marks(bent: Sequence[BentDecay]) -> tuple[TrustMark, ...]:
     return tuple(TrustMark("bent", letter, band.frequency, band.text, advice) for band in bent)
 
 
-def uncarried_mark(frequency: float) -> TrustMark:
-    """Return the mark of a band below the Schroeder frequency that too few modes carry."""
-    text = "below the Schroeder frequency, and carried by fewer than three modes"
+def uncarried_mark(frequency: float, low: float, high: float) -> TrustMark:
+    """Return the mark of a band below the Schroeder frequency that too few modes carry.
+
+    ``low`` to ``high`` are the frequencies in Hz in which they would lie.
+    """
+    text = (
+        "below the Schroeder frequency, and fewer than three of the modes used lie from "
+        f"{low:.0f} to {high:.0f} Hz"
+    )
     letter, advice = _ADVICE["below_schroeder"]
-    return TrustMark("below_schroeder", letter, frequency, text, advice)
+    return TrustMark("below_schroeder", letter, float(frequency), text, advice)
+
+
+def implausible_modes_mark(q: float, count: int, p_value: float, strangest: float) -> TrustMark:
+    """Return the mark of decays of modes that what was stated does not explain.
+
+    ``strangest`` is the mode in Hz that contributes most to Q.
+    """
+    text = (
+        f"decays of {count} modes have Q = {q:.1f}, p = {p_value:.1g}; {strangest:.1f} Hz contributes "
+        "most"
+    )
+    letter, advice = _ADVICE["implausible_modes"]
+    return TrustMark("implausible_modes", letter, None, text, advice)
 
 
 @checked

@@ -20,6 +20,7 @@ from rtcal.command.console import (
     match_option,
     method_option,
     modes_option,
+    modes_told,
     numbers,
     output_folder,
     pairs,
@@ -64,7 +65,7 @@ from rtcal.support.files import make_folder, spare, write_all
     "--out",
     type=click.Path(file_okay=False),
     help="Folder for the calibrated room (room.toml), all numbers (result.json) and T(f) "
-    "(reverberation_time.png). Nothing is written without it.",
+    "(reverberation_time.png, not with --modes). Nothing is written without it.",
 )
 @json_option
 @quiet_option
@@ -130,7 +131,7 @@ def _by_modes(
     from rtcal.modes.calibrate import calibrate_modes
     from rtcal.report import result_folder
 
-    with without_air_warning():
+    with without_air_warning(), modes_told(quiet):
         result = calibrate_modes(
             Room.from_file(room),
             read_modes(modes),
@@ -225,6 +226,10 @@ def fit(
                 f"{room} states no scattering: the fit starts at {_START:g} for every material and "
                 "band, and --scattering states another start"
             )
+    told = None
+    if modes is not None:
+        with without_air_warning(), modes_told(quiet):
+            told = calibrate_modes(stated, read_modes(modes))
     with errors_name_options("scattering", "n_paths"), without_air_warning():
         tracer = geometry_files.path_tracing(
             stated, scattering=scattering, scattering_model=scattering_model, n_paths=paths or PATHS
@@ -232,7 +237,7 @@ def fit(
         with bar(RUNS, "control run", bar_wanted(quiet), said(quiet)) as shown:
             result = calibrate_positions(
                 tracer,
-                stated if modes is None else calibrate_modes(stated, read_modes(modes)),
+                stated if told is None else told,
                 heard,
                 match or MATCH,
                 exclude=pairs("--exclude", exclude),

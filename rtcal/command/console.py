@@ -157,6 +157,16 @@ def read_modes(path: str) -> MeasuredModes | Responses:
     return sofa.read(path) if sofa.claims(path) else measured.read(path)
 
 
+def modes_told(quiet: bool) -> Any:
+    """Return what says, after ten seconds, that room modes are calculated and how long it may take."""
+    from rtcal.support.progress import bar
+
+    shown = bar(1, "calculation", False, said(quiet))
+    if not quiet:
+        shown.set_description("room modes, minutes where a mesh has hundreds of them")
+    return shown
+
+
 modes_option = click.option(
     "--modes",
     type=click.Path(dir_okay=False),

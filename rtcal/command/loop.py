@@ -18,6 +18,7 @@ from rtcal.command.console import (
     json_option,
     method_option,
     modes_option,
+    modes_told,
     numbers,
     quiet_option,
     read_measured,
@@ -117,6 +118,10 @@ def start(
     stated_room = Room.from_file(room)
     data = read_measured(measured, quiet=quiet)
     stated = numbers("--weight", weights, "PARAMETER=NUMBER, such as edt=0.5")
+    told = None
+    if modes is not None:
+        with modes_told(quiet):
+            told = calibrate_modes(stated_room, read_modes(modes))
     begun = begin(
         stated_room,
         data,
@@ -125,7 +130,7 @@ def start(
         equation=equation,
         decimals=decimals,
         weights=stated or None,
-        modes=None if modes is None else calibrate_modes(stated_room, read_modes(modes)),
+        modes=told,
     )
     first = begun.calibrated(begun.wanted)
     calibrate.write(begun, state, out)

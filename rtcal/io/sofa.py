@@ -13,13 +13,14 @@ from __future__ import annotations
 
 import os
 import warnings
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from rtcal.acoustics.repeats import SAME_PLACE
+from rtcal.acoustics.scene import Scene
 from rtcal.io.wav import MAX_CHANNEL_SAMPLES
 from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError, MissingDependencyError
@@ -31,6 +32,8 @@ __dir__ = __all__.copy
 ROOM_CONVENTIONS = ("SingleRoomSRIR", "SingleRoomMIMOSRIR", "SingleRoomDRIR")
 GENERAL_CONVENTIONS = ("GeneralFIR", "GeneralFIR-E")
 DIRECTIVITY_CONVENTIONS = ("FreeFieldDirectivityTF", "GeneralTF")
+NEAR = 0.1
+"""Distance in m within which a position of a file is one of the room."""
 _PARALLEL = 1e-3
 MAX_BYTES = 2**28
 MAX_RESPONSES = 2000
@@ -62,6 +65,36 @@ class Responses:
     sources: dict[str, Point]
     receivers: dict[str, Point]
     convention: str
+
+    def placed(self, scene: Scene) -> tuple[Responses, str]:
+        """Return the responses with the names that a room's scene gives their positions.
+
+        And a sentence that says which names changed, else "". Raises DataError for a position that is
+        not within `NEAR` of one of the scene's.
+        """
+        names, changed = [], []
+        for kind, points, known in (
+            ("source", self.sources, scene.sources),
+            ("receiver", self.receivers, scene.receivers),
+        ):
+            own = {}
+            for name, point in points.items():
+                off = {n: float(np.linalg.norm(np.subtract(p, point))) for n, p in known.items()}
+                nearest = min(off, key=lambda n: off[n], default="")
+                own[name] = name if off.get(name, np.inf) <= NEAR else nearest
+                if not off or off[own[name]] > NEAR:
+                    there = ", ".join(f"{x:g}" for x in point)
+                    far = f"{off[nearest]:.2f} m from {nearest}" if off else "and the room has none"
+                    raise DataError(
+                        f"{kind} {name} of the SOFA file is at ({there}) m, {far}; positions of file "
+                        f"and room may differ by {NEAR:g} m: are they in the same coordinates?"
+                    )
+                if own[name] != name:
+                    changed.append(f"{kind} {name} is {own[name]}")
+            names.append(own)
+        pairs = tuple((names[0][s], names[1][r]) for s, r in self.pairs)
+        note = f"By their positions in the file, {', '.join(changed)}." if changed else ""
+        return replace(self, pairs=pairs), note
 
     def positions_text(self) -> str:
         """Return the positions as the tables of a room's file."""

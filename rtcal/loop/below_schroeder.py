@@ -13,14 +13,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rtcal.acoustics import band_conversion
 from rtcal.acoustics.bands import label
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.repeats import of_room
 from rtcal.acoustics.room import Room
-from rtcal.acoustics.trust import TrustMark, uncarried_mark
+from rtcal.acoustics.trust import TrustMark
 from rtcal.calibration.problem_data import times_in_room
-from rtcal.modes.calibrate import below_schroeder
+from rtcal.modes.calibrate import above_schroeder, below_schroeder
 from rtcal.modes.result import ModesResult
 from rtcal.support import checks
 from rtcal.support.errors import DataError
@@ -59,8 +58,9 @@ class BelowSchroeder:
         below = below_schroeder(room, times)
         if not np.isfinite(times.reverberation_time[~below]).any():
             raise DataError(
-                "every measured band lies below the Schroeder frequency: calibrate_modes alone has "
-                "the coefficients"
+                "every measured band lies below the Schroeder frequency, so that nothing is left to "
+                "simulate: `rtcal calibrate ROOM MEASURED --modes MODES` (rt.calibrate_modes) has the "
+                "coefficients"
             )
         return cls(modes, below)
 
@@ -76,15 +76,12 @@ class BelowSchroeder:
 
     def above(self, measured: Measurement) -> Measurement:
         """Return a measurement without the bands below the Schroeder frequency."""
-        wanted = self.room.centre_frequencies[~self.below]
-        possible = band_conversion.obtainable(measured.centre_frequencies, wanted)
-        return band_conversion.measurement(measured, possible)
+        return above_schroeder(measured, self.room, self.below)
 
     @property
     def trust_marks(self) -> tuple[TrustMark, ...]:
-        """Marks of the bands that no modes carry."""
-        frequencies = self.room.centre_frequencies[self.below & ~self.carried]
-        return tuple(uncarried_mark(float(f)) for f in frequencies)
+        """Marks of the modes themselves, and of the bands that no modes carry."""
+        return (*self.modes.own_marks, *self.modes.uncarried(self.below & ~self.carried))
 
     def statuses(self, status: Sequence[str]) -> tuple[str, ...]:
         """Return the loop's statuses with those of the bands below the Schroeder frequency."""

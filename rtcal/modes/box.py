@@ -15,6 +15,8 @@ BEYOND = 1.1
 """Modes up to this times the largest wanted frequency complete the shapes of those wanted."""
 MOST = 600
 """Largest number of modes, about."""
+_LARGEST_SIDE = 500.0
+"""m. A longer room is likely in mm."""
 _SUMMED = 200
 """Modes of a pair of orders that stand for an infinite number."""
 
@@ -29,10 +31,8 @@ def box_modes(sides: Array, materials: Sequence[str], largest: float, c: float) 
     """
     top = BEYOND * largest
     counts = np.floor(2 * top * sides / c).astype(int)
-    if np.prod(counts + 1.0) > 2 * MOST:  # about half of these orders lie within the ellipsoid
-        raise DataError(
-            f"largest = {largest:g} Hz: the box has over {MOST} modes; state a lower one"
-        )
+    # About half of these orders lie within the ellipsoid.
+    refuse_many(float(np.prod(counts + 1.0)) / 2, largest, sides)
     orders = np.stack(np.meshgrid(*(np.arange(n + 1) for n in counts), indexing="ij"), -1)
     orders = orders.reshape(-1, 3)
     frequencies = c / 2 * np.linalg.norm(orders / sides, axis=1)
@@ -80,6 +80,17 @@ def box_modes(sides: Array, materials: Sequence[str], largest: float, c: float) 
         largest=float(largest),
         shapes=lambda points: shapes(points)[:, every],
     )
+
+
+def refuse_many(count: float, largest: float, sides: Array) -> None:
+    """Raise DataError for more than `MOST` modes up to ``largest`` in Hz; ``sides`` in m."""
+    if count > MOST:
+        size = " x ".join(f"{side:.3g}" for side in sides)
+        raise DataError(
+            f"the room of {size} m has some {count:.0f} modes up to {largest:g} Hz, and at most {MOST} "
+            "are calculated: leave out modes above a lower frequency"
+            + (", or is it in mm?" if np.max(sides) > _LARGEST_SIDE else "")
+        )
 
 
 def _beyond(

@@ -18,19 +18,19 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from rtcal.acoustics import repeats
+from rtcal.acoustics import band_conversion, repeats
 from rtcal.acoustics.equations import Eyring, LinearEquation
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.room import Room
 from rtcal.acoustics.trust import mid_frequency_time, schroeder_frequency
 from rtcal.calibration.nonlinear import gauss_newton
 from rtcal.calibration.presets import preset
-from rtcal.calibration.problem import Calibration, CalibrationProblem
+from rtcal.calibration.problem import Calibration, CalibrationProblem, Times
 from rtcal.calibration.problem_data import MeasuredTimes, no_times, times_in_room
 from rtcal.calibration.result import CalibrationResult
 from rtcal.calibration.terms import LinearObservations, Observed, as_objective
 from rtcal.io.sofa import Responses
-from rtcal.modes.matching import match
+from rtcal.modes.matching import Matches, match
 from rtcal.modes.measured import MeasuredModes
 from rtcal.modes.model import ABOVE, RoomPoles
 from rtcal.modes.responses import modes_in
@@ -71,7 +71,8 @@ def calibrate_modes(
         As `rtcal.modes.read` reads them, or `rtcal.modes.find_modes` finds them; or responses as
         `rtcal.io.sofa.read` reads them.
     measured : Measurement, or T in s, (n_bands,), optional
-        Matched exactly above the Schroeder frequency, and not used below it.
+        Matched above the Schroeder frequency as method ``mle`` of `rtcal.calibrate` matches it, and
+        not used below it. Its uncertainty counts in the intervals.
     geometry : Polyhedron, optional
         In place of the room's scene.
     equation : Equation, optional
@@ -89,28 +90,10 @@ def calibrate_modes(
         As `rtcal.calibrate`.
     MissingDependencyError
         If the room is no box and scikit-fem is not installed (``rtcal[modes]``).
-
-    Examples
-    --------
-    >>> import rtcal as rt
-    >>> sides, walls = (5.2, 4.1, 2.6), rt.simulators.geometry.SHOEBOX_WALLS
-    >>> box = rt.simulators.Polyhedron.shoebox(sides, dict(zip(walls, walls)))
-    >>> materials = [rt.Material(w, [0.1], [0.05]) for w in walls]
-    >>> room = rt.Room.from_geometry(box, name="box", materials=materials, centre_frequencies=[63],
-    ...                              dimensions=sides, air=rt.Air(20, 50))
-    >>> heard = rt.modes.MeasuredModes(frequencies=[33.0, 41.9, 53.3], decays=[8, 5, 7],
-    ...                                decay_uncertainty=[0.4, 0.3, 0.4])
-    >>> result = rt.calibrate_modes(room, heard)
-    >>> print(result.before.round(1), result.after.round(1))
-    [4.9 5.1 6. ] [5.9 5.4 6.9]
     """
     if isinstance(modes, Responses):
         modes = modes_in(room, modes, geometry)
-    if not isinstance(modes, MeasuredModes):
-        raise DataError(
-            f"modes = {checks.shown(modes)} is no MeasuredModes; rtcal.modes.read reads a table, and "
-            "rtcal.modes.find_modes finds them in responses"
-        )
+    checks.instance("modes", modes, MeasuredModes)
     model = RoomPoles.of(room, max(ABOVE * modes.frequencies[-1], modes.largest), geometry)
     known = modes.calculated
     if known is not None and len(known) and known.max() >= model.modes.wanted:
@@ -123,17 +106,14 @@ def calibrate_modes(
     of_modes = repeats.of_modes(modes.frequencies, modes.decays)
     repeats.refuse_repeated_data(room, of_modes, *times.fingerprint.split())
     low = below_schroeder(room, times)
-    t = np.where(low, np.nan, times.reverberation_time)
-    exact = np.isfinite(t).any()
+    exact = np.isfinite(times.reverberation_time[~low]).any()
+    t: Times = np.where(low, np.nan, times.reverberation_time)
+    if exact and isinstance(measured, Measurement):
+        t = above_schroeder(measured, room, low)
     plain = preset("mle", model.room)
     problem = Calibration(
         as_objective(plain.objective) + MODES, plain.constraints if exact else ()
     ).build(model.room, Eyring() if equation is None else equation)
-    if not len(found.measured):
-        raise DataError(
-            f"none of the {len(modes.frequencies)} measured modes is surely a calculated one: check "
-            "dimensions, temperature and the modes' frequencies"
-        )
     used = found.measured
     of_pole = modes.decays[used] / (2 * np.pi * modes.frequencies[used])
     data = _Data(
@@ -169,7 +149,7 @@ def calibrate_modes(
         data=times,
         steps=len(path.steps),
         settled=path.settled,
-        notes=_notes(modes, found.ambiguous, path.settled),
+        notes=_notes(modes, found, path.settled),
     )
 
 
@@ -181,7 +161,7 @@ class _Data:
     decays: Array
     uncertainty: Array
     model_error: Array
-    times: Array | None
+    times: Times | None
 
     @cached_property
     def covariance_of_decays(self) -> Array:
@@ -236,16 +216,23 @@ class _Linearised:
         return np.asarray(self.decays + self.observed.matrix @ (end - self.alpha).ravel())
 
 
-def _notes(modes: MeasuredModes, ambiguous: NDArray[np.intp], settled: bool) -> tuple[str, ...]:
-    notes = list(modes.notes)
-    if len(ambiguous):
-        where = ", ".join(f"{f:.1f}" for f in modes.frequencies[ambiguous])
+def _notes(modes: MeasuredModes, found: Matches, settled: bool) -> tuple[str, ...]:
+    notes = [*modes.notes, *found.doubts]
+    if len(found.ambiguous):
+        where = ", ".join(f"{f:.1f}" for f in modes.frequencies[found.ambiguous])
         notes.append(f"Not used, since not surely one calculated mode: {where} Hz.")
     if not settled:
         notes.append(
             "Not settled: the last step still moved decays by a tenth of their uncertainty."
         )
     return tuple(notes)
+
+
+def above_schroeder(measured: Measurement, room: Room, low: NDArray[np.bool_]) -> Measurement:
+    """Return a measurement, with its uncertainty, without the bands ``low`` of the room."""
+    wanted = room.centre_frequencies[~low]
+    possible = band_conversion.obtainable(measured.centre_frequencies, wanted)
+    return band_conversion.measurement(measured, possible)
 
 
 def below_schroeder(room: Room, times: MeasuredTimes) -> NDArray[np.bool_]:

@@ -39,6 +39,8 @@ _LOCAL = 8.0
 """Hz on either side over which the error of the fit is averaged."""
 _LEAST_RANGE = 15.0
 """dB between the first eighth of the responses and their last eighth, within the frequencies sought."""
+FARTHEST = 2.5 * COMMON_ERROR
+"""Largest relative error that all frequencies share and that is sought."""
 _SCALES = 41
 _STEPS = 25
 
@@ -173,7 +175,7 @@ def _scanned(heard: Spectra, poles: Complex, psi: Complex) -> tuple[float, Compl
     half = round(_SMOOTH / (f[1] - f[0]))
     window = np.exp(-((2 * np.linspace(-1, 1, 2 * half + 1)) ** 2))
     total = float((np.abs(heard.values) ** 2).sum())
-    for scale in 1 + 2.5 * COMMON_ERROR * np.linspace(-1, 1, _SCALES):
+    for scale in 1 + FARTHEST * np.linspace(-1, 1, _SCALES):
         moved = poles.real + 1j * scale * poles.imag
         calculated = heard.kernel(moved)[0] @ psi / 2
         across, power = (

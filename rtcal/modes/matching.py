@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtcal.modes.measured import MeasuredModes
+from rtcal.support.errors import DataError
 from rtcal.support.types import Array
 
 SURE = 0.9
@@ -35,13 +36,24 @@ _STRANGER = 0.05
 """Prior probability that a measured mode is none of those calculated."""
 
 
+_RANGE = 3.0
+"""Largest factor that all frequencies share and that is sought, in its standard deviations."""
+_DRAWS = 40
+"""Sets of random frequencies that tell how many matches are by chance."""
+_BY_CHANCE = 0.05
+"""Share of the random sets with as many matches from which these are doubtful."""
+_ODD = 0.01
+"""Probability of as many modes without a partner below which these are doubtful."""
+
+
 @dataclass(frozen=True, eq=False)
 class Matches:
     """Measured modes and the calculated ones that they are.
 
     ``measured`` and ``calculated`` (n_matches,) are indices of the modes that belong together, with
     their ``probability``. ``scale`` is the factor of the calculated frequencies under which those
-    measured are likeliest. ``ambiguous`` are measured modes that could be several, or none.
+    measured are likeliest. ``ambiguous`` are measured modes that could be several, or none. ``doubts``
+    say what speaks against the matches.
     """
 
     measured: NDArray[np.intp]
@@ -49,6 +61,7 @@ class Matches:
     probability: Array
     scale: float
     ambiguous: NDArray[np.intp]
+    doubts: tuple[str, ...] = ()
 
 
 def match(measured: MeasuredModes, frequencies: Array, decays: Array) -> Matches:
@@ -60,20 +73,72 @@ def match(measured: MeasuredModes, frequencies: Array, decays: Array) -> Matches
     frequencies, decays : array (n_calculated,)
         Hz and 1/s.
 
-    Examples
-    --------
-    >>> modes = MeasuredModes(frequencies=[34.6, 43.1], decays=[5, 6], decay_uncertainty=[0.3, 0.4])
-    >>> found = match(modes, np.array([34.3, 42.9, 54.9]), np.array([5.0, 5.0, 7.0]))
-    >>> print(found.calculated, round(found.scale, 3))
-    [0 1] 1.004
+    Raises
+    ------
+    DataError
+        For no more matches than random frequencies have, or a common factor at the end of its range.
     """
-    from scipy.special import logsumexp
+    from scipy.special import bdtrc
 
     own = measured.calculated
     if own is not None:
         # The modes of responses were found as the room's own.
         scale, sure = float(np.median(measured.frequencies / frequencies[own])), np.ones(len(own))
         return Matches(np.arange(len(own)), own, sure, scale, np.array([], dtype=int))
+    scale, strange, both = _likely(measured, measured.frequencies, frequencies, decays)
+    best, probability = both.argmax(axis=1), both.max(axis=1)
+    sure, n = probability >= SURE, len(both)
+    count, strangers = int(sure.sum()), int((strange > 0.5).sum())
+    if count and abs(scale - 1) > (_RANGE - 0.01) * COMMON_ERROR:
+        raise DataError(
+            f"measured frequencies are {scale:.3f} times those calculated or beyond, where the search "
+            "ends: check dimensions and temperature"
+        )
+    rng, lowest = np.random.default_rng(0), float(min(frequencies[0], measured.frequencies[0]))
+    highest = float(max(measured.frequencies[-1], lowest + 1))
+    drawn = (rng.uniform(lowest, highest, n) for _ in range(_DRAWS))
+    chance = np.array(
+        [(_likely(measured, f, frequencies, decays)[2].max(axis=1) >= SURE).sum() for f in drawn]
+    )
+    if not count or count < chance.mean():
+        spread = float(np.median(frequency_error(frequencies, decays)))
+        raise DataError(
+            f"{count or 'none'} of the {n} measured modes is surely a calculated one, and of random "
+            f"frequencies {chance.mean():.1f} are. A calculated mode is known to {spread:.1f} Hz, and "
+            f"decays measured to {np.median(measured.decay_uncertainty / measured.decays):.0%}: check "
+            "frequencies, dimensions and temperature, then stated coefficients and uncertainties"
+        )
+    doubts = []
+    if (chance >= count).mean() > _BY_CHANCE:
+        doubts.append(
+            f"Doubtful: {count} of {n} modes were matched, and of random frequencies "
+            f"{chance.mean():.1f} are in the mean, up to {chance.max()}: measure more modes."
+        )
+    if strangers and bdtrc(strangers - 1, n, _STRANGER) < _ODD:
+        doubts.append(
+            f"Doubtful: {strangers} of {n} measured modes have no partner among those calculated: "
+            "check dimensions, and whether each frequency is a mode."
+        )
+    return Matches(
+        measured=np.flatnonzero(sure),
+        calculated=best[sure],
+        probability=probability[sure],
+        scale=scale,
+        ambiguous=np.flatnonzero(~sure),
+        doubts=tuple(doubts),
+    )
+
+
+def _likely(
+    measured: MeasuredModes, at: Array, frequencies: Array, decays: Array
+) -> tuple[float, Array, Array]:
+    """Return how likely measured modes, were they ``at`` these frequencies in Hz, are which.
+
+    The factor of the calculated frequencies, the probability of each to be none, (n_modes,), and that
+    of each to be each calculated one, seen from either side, (n_modes, n_calculated).
+    """
+    from scipy.special import logsumexp
+
     relative = measured.decay_uncertainty / measured.decays
     of_decay = np.hypot(DECAY_ERROR, relative)[:, np.newaxis]
     # Relative to a stranger's decay, of which nothing is known but its order of magnitude.
@@ -82,13 +147,13 @@ def match(measured: MeasuredModes, frequencies: Array, decays: Array) -> Matches
     )
     stated = np.asarray(measured.frequency_uncertainty)[:, np.newaxis]
     spread = np.hypot(stated, frequency_error(frequencies, decays))
-    tried = 1 + COMMON_ERROR * np.linspace(-3, 3, 121)
+    tried = 1 + COMMON_ERROR * np.linspace(-_RANGE, _RANGE, 121)
     # The modes per Hz of a stranger's frequency: those of the room itself.
     span = max(float(frequencies[-1] - frequencies[0]), 1.0)
     stranger = math.log(_STRANGER * len(frequencies) / span)
 
     def joint(scale: float) -> Array:
-        off = (measured.frequencies[:, np.newaxis] - scale * frequencies) / spread
+        off = (at[:, np.newaxis] - scale * frequencies) / spread
         near = plain - off**2 / 2 - np.log(spread * np.sqrt(2 * np.pi))
         return np.column_stack([near, np.full(len(near), stranger)])
 
@@ -98,17 +163,7 @@ def match(measured: MeasuredModes, frequencies: Array, decays: Array) -> Matches
     by_row = np.exp(table - logsumexp(table, axis=1, keepdims=True))
     # Seen from the calculated mode: which measured one is it?
     by_column = by_row[:, :-1] / np.maximum(by_row[:, :-1].sum(axis=0), 1e-300)
-    both = by_row[:, :-1] * by_column
-    best = both.argmax(axis=1)
-    probability = both[np.arange(len(both)), best]
-    sure = probability >= SURE
-    return Matches(
-        measured=np.flatnonzero(sure),
-        calculated=best[sure],
-        probability=probability[sure],
-        scale=scale,
-        ambiguous=np.flatnonzero(~sure),
-    )
+    return scale, by_row[:, -1], by_row[:, :-1] * by_column
 
 
 def frequency_error(frequencies: Array, decays: Array) -> Array:

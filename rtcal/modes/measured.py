@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import os
 import re
 from collections.abc import Sequence
@@ -12,24 +10,34 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from rtcal.io import named_columns
+from rtcal.io.named_columns import ColumnKind
 from rtcal.modes.room_modes import DECAY
 from rtcal.support import checks
 from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError
-from rtcal.support.files import read_text
 from rtcal.support.types import Array, read_only
 
 __all__ = ["MeasuredModes", "read"]
 __dir__ = __all__.copy
 
-MAX_BYTES = 2**20
 _LARGEST_FREQUENCY = 1000.0
-_NAMES = {
-    "frequency": ("frequency", "f"),
-    "decay": ("decay", "delta"),
-    "T": ("t", "t60", "rt", "mt60"),
+_FREQUENCY = {"": 1.0, "Hz": 1.0, "kHz": 1000.0}
+_DECAY = {"": 1.0, "1/s": 1.0, "s^-1": 1.0, "s-1": 1.0}
+_TIME = {"": 1.0, "s": 1.0, "ms": 1e-3}
+_RELATIVE = {"%": 0.01, "percent": 0.01}
+_COLUMNS = {
+    "frequency": ColumnKind(("frequency", "f"), _FREQUENCY),
+    "decay": ColumnKind(("decay", "delta"), _DECAY),
+    "T": ColumnKind(("t", "t60", "rt", "mt60"), _TIME),
 }
-"""Columns of a table and their spellings, without unit; u_ before one is its uncertainty."""
+_KINDS = _COLUMNS | {
+    f"u_{name}": ColumnKind(
+        tuple(f for s in kind.spellings for f in (f"u_{s}", f"{s} uncertainty")),
+        {**kind.units, **_RELATIVE},
+    )
+    for name, kind in _COLUMNS.items()
+}
 _NUMBERS = ("frequencies", "decays", "decay_uncertainty", "frequency_uncertainty")
 _OF_MODES = (*_NUMBERS, "amplitudes", "calculated")
 
@@ -152,7 +160,8 @@ def read(path: str | os.PathLike[str]) -> MeasuredModes:
     r"""Read a table (CSV) of modes.
 
     Columns: ``frequency`` in Hz; ``decay`` in 1/s or ``T`` in s; ``u_decay`` or ``u_T``, their standard
-    uncertainty; and ``u_frequency`` in Hz, which may be left out.
+    uncertainty; and ``u_frequency``, which may be left out. A header may state another unit: kHz, ms
+    or, of an uncertainty, %. Decimals may have a comma where columns are separated by ``;``.
 
     Raises
     ------
@@ -169,29 +178,21 @@ def read(path: str | os.PathLike[str]) -> MeasuredModes:
     ...     print(read(path))
     <MeasuredModes: 2 from 34.1 to 42.7 Hz>
     """
-    place = os.fspath(checks.path("path", path))
-    text = read_text(path, MAX_BYTES)
-    separator = ";" if text.partition("\n")[0].count(";") else ","
-    rows = [r for r in csv.reader(io.StringIO(text), delimiter=separator) if any(map(str.strip, r))]
-    if len(rows) < 2:
-        raise DataError(f"{place}: a table of modes has a header and a row for each mode")
-    names = [_name(cell) for cell in rows[0]]
-    for name in filter(None, names):
-        if names.count(name) > 1:
-            raise DataError(f'{place}: the column "{name}" stands there twice')
+    table = named_columns.read(path, _KINDS)
+    place, names, values = table.place, table.headers, dict(table.values)
     if "frequency" not in names or ("decay" in names) == ("T" in names):
         raise DataError(
-            f"{place}: the header is {', '.join(c.strip() for c in rows[0])}; a table of modes has "
+            f"{place}: the columns are {', '.join(names.values()) or 'none'}; a table of modes has "
             "frequency, and either decay (1/s) or T (s)"
         )
     of = "decay" if "decay" in names else "T"
     if f"u_{of}" not in names:
         raise DataError(f'{place}: the column "u_{of}" is missing: the standard uncertainty')
-    values = {n: _column(rows, k, n, place) for k, n in enumerate(names) if n is not None}
+    for name in ("frequency", of):
+        if table.units.get(f"u_{name}") in _RELATIVE:
+            values[f"u_{name}"] = values[f"u_{name}"] * values[name]
     decays, uncertainty = values[of], values[f"u_{of}"]
     if of == "T":
-        if (decays <= 0).any():
-            raise DataError(f"{place}: T = {decays[decays <= 0][0]:g} s is not above 0")
         decays, uncertainty = DECAY / decays, DECAY * uncertainty / decays**2
     order = np.argsort(values["frequency"], kind="stable")
     stated = values.get("u_frequency")
@@ -203,26 +204,10 @@ def read(path: str | os.PathLike[str]) -> MeasuredModes:
             frequency_uncertainty=None if stated is None else stated[order],
         )
     except DataError as error:
-        raise DataError(f"{place}: {error}") from error
-
-
-def _name(cell: str) -> str | None:
-    """Return the column that a cell of the header names, None for any other."""
-    plain = re.split(r"[/(]", cell.strip().lower())[0].strip()
-    uncertain = plain.startswith("u_") or plain.endswith(" uncertainty")
-    plain = plain.removeprefix("u_").removesuffix(" uncertainty")
-    for name, spellings in _NAMES.items():
-        if plain in spellings:
-            return f"u_{name}" if uncertain else name
-    return None
-
-
-def _column(rows: Sequence[Sequence[str]], k: int, name: str, place: str) -> Array:
-    values = []
-    for i, row in enumerate(rows[1:], 2):
-        cell = row[k].strip() if k < len(row) else ""
-        try:
-            values.append(float(cell))
-        except ValueError as error:
-            raise DataError(f'{place}, row {i}: {name} = "{cell}" is not a number') from error
-    return np.array(values)
+        # Values are above 0: what breaks a rule is a frequency.
+        told = re.sub(
+            r"frequencies\[(\d+)\] =",
+            lambda m: table.at("frequency", order[int(m[1])]) + ":",
+            str(error),
+        )
+        raise DataError(told) from error

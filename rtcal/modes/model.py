@@ -17,12 +17,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtcal.acoustics.air import Air
+from rtcal.acoustics.paris import admittance, admittance_slope
 from rtcal.acoustics.room import Room
 from rtcal.io import geometry_files
-from rtcal.modes.paris import admittance, admittance_slope
 from rtcal.modes.polyhedron import modes_of
 from rtcal.modes.room_modes import Admittances, Poles, RoomModes
 from rtcal.simulators.geometry import Polyhedron
+from rtcal.simulators.tracer import check_areas, check_walls
 from rtcal.support import checks
 from rtcal.support.errors import DataError
 from rtcal.support.types import Array
@@ -102,6 +103,8 @@ class RoomPoles:
         """
         checks.instance("room", room, Room)
         geometry = geometry_files.read(room) if geometry is None else geometry
+        check_walls(geometry, room)
+        check_areas(geometry, room)
         # In steps, so that another measurement of the room needs the same modes.
         top = _STEP * float(np.ceil(largest / _STEP - 1e-9))
         modes = modes_of(geometry, top, (room.air or Air()).speed_of_sound)
@@ -161,14 +164,21 @@ class RoomPoles:
                     f"{', '.join(scene.sources) or 'none'} and receivers "
                     f"{', '.join(scene.receivers) or 'none'}"
                 )
-        at = [
-            self.modes.shapes(np.array([of[name] for name in names], dtype=float)) @ poles.mixtures
-            for of, names in (
-                (scene.sources, [s for s, _ in pairs]),
-                (scene.receivers, [r for _, r in pairs]),
-            )
-        ]
+        heard = {
+            (side, n): self._shapes(of[n], n) @ poles.mixtures
+            for side, of in enumerate((scene.sources, scene.receivers))
+            for n in {pair[side] for pair in pairs}
+        }
+        at = [np.array([heard[side, pair[side]] for pair in pairs]) for side in (0, 1)]
         return np.asarray((at[0] * at[1] / poles.norms).T)
+
+    def _shapes(self, place: Sequence[float], name: str) -> Array:
+        """Return the modes at a place, (n_modes + 1,); DataError with its name outside the room."""
+        try:
+            return np.asarray(self.modes.shapes(np.array([place], dtype=float))[0])
+        except DataError as error:
+            told = ", ".join(f"{x:g}" for x in place)
+            raise DataError(f"{name} at ({told}) m: {error}") from error
 
     def linear(self, alpha: Array) -> tuple[Array, Array, Array]:
         """Return the chosen modes' decays, their slopes by alpha in the bands, and the remainder.

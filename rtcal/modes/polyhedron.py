@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from rtcal.modes.box import BEYOND, box_modes
+from rtcal.modes.box import BEYOND, box_modes, refuse_many
 from rtcal.modes.room_modes import RoomModes
 from rtcal.modes.tetrahedra import fill
 from rtcal.simulators.geometry import SHOEBOX_WALLS, Polyhedron
@@ -93,6 +93,7 @@ def modes_of(
 
 def _by_elements(geometry: Polyhedron, largest: float, c: float, spacing: float) -> RoomModes:
     top = BEYOND * largest
+    refuse_many(_expected(geometry, top / c), largest, np.ptp(geometry.vertices, axis=0))
     elements = _Elements.of(geometry, spacing)
     frequencies, vectors = elements.eigenmodes(geometry, top, c)
     walls = _integrals(elements.basis, geometry)

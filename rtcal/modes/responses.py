@@ -9,13 +9,15 @@ of which they say too little is left out, and so is one that is nearer to anothe
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rtcal.acoustics.room import Room
 from rtcal.io.sofa import Responses
-from rtcal.modes.fit import AMPLITUDE, Point, Spectra, fitted
+from rtcal.io.wav import clipped_samples
+from rtcal.modes.fit import AMPLITUDE, FARTHEST, Point, Spectra, fitted
 from rtcal.modes.matching import DECAY_ERROR
 from rtcal.modes.measured import MeasuredModes
 from rtcal.modes.model import ABOVE, RoomPoles
@@ -35,8 +37,6 @@ exchanged or a time axis 20 ms late it was 33 % or more.
 """
 _INFLATED = 1.5
 """Uncertainty over what independent errors would give: what the modes leave is no white noise."""
-_CLIPPED = 4
-"""Samples in a row at the largest value from which a response is clipped."""
 
 
 @checked
@@ -70,30 +70,16 @@ def find_modes(
     Raises
     ------
     DataError
-        For fewer than two pairs, a shape or value that breaks its rule, a clipped response, noise that
-        leaves no decay, responses that the room's modes do not explain, or no mode that is sure enough.
-
-    Examples
-    --------
-    >>> import rtcal as rt
-    >>> walls = rt.simulators.geometry.SHOEBOX_WALLS
-    >>> box = rt.simulators.Polyhedron.shoebox((5.2, 4.1, 2.6), dict(zip(walls, walls)))
-    >>> scene = rt.Scene(sources={"S": (0, 0, 0)}, receivers={"R1": (5, 4, 0), "R2": (5, 0, 0)})
-    >>> materials = [rt.Material(w, [0.1], [0.05]) for w in walls]
-    >>> room = rt.Room.from_geometry(box, name="box", materials=materials, centre_frequencies=[63],
-    ...                              dimensions=(5.2, 4.1, 2.6), air=rt.Air(20, 50))
-    >>> t = np.arange(1600) / 800
-    >>> one, other = (np.exp(-d * t) * np.sin(2 * np.pi * f * t) / f for f, d in ((33, 4), (41.8, 5)))
-    >>> heard = np.array([-one - other, other - one])
-    >>> pairs = [("S", "R1"), ("S", "R2")]
-    >>> modes = find_modes(room.replace(scene=scene), heard, 800, pairs, lowest=25, highest=45)
-    >>> print(modes.frequencies.round(1), modes.decays.round(1), modes.calculated)
-    [33.  41.8] [4. 5.] [0 1]
+        For fewer than two pairs, a pair that stands there twice, a shape or value that breaks its rule,
+        a clipped response, noise that leaves no decay, responses that the room's modes do not explain,
+        frequencies at the end of what is sought, or no mode that is sure enough.
     """
     pairs = checks.pairs("pairs", pairs)
     signals = _checked(responses, rate, pairs, lowest, highest)
+    # By a power of two, so that no digit changes.
+    size = float(2.0 ** np.frexp(np.abs(signals).max())[1])
     model = RoomPoles.of(room, ABOVE * highest, geometry)
-    heard = Spectra.of(signals, rate, lowest, highest)
+    heard = Spectra.of(signals / size, rate, lowest, highest)
     fit = fitted(heard, model.calculated, model.amplitudes(pairs))
     if max(fit.unexplained, fit.strange) > UNEXPLAINED:
         raise DataError(
@@ -101,7 +87,13 @@ def find_modes(
             f"{fit.strange:.0%} of the amplitudes over the positions: check dimensions, positions, "
             "temperature and that the time axis begins as the sound does"
         )
-    return _told(fit, pairs, model.modes.largest, lowest, highest)
+    if abs(fit.problem.scale - 1) > 0.99 * FARTHEST:
+        raise DataError(
+            f"frequencies are {fit.problem.scale:.3f} times those calculated or beyond, where the "
+            "search ends: check dimensions and temperature"
+        )
+    told = _told(fit, pairs, model.modes.largest, lowest, highest)
+    return replace(told, amplitudes=size * fit.own[told.calculated])
 
 
 def modes_in(room: Room, responses: Responses, geometry: Polyhedron | None) -> MeasuredModes:
@@ -110,10 +102,12 @@ def modes_in(room: Room, responses: Responses, geometry: Polyhedron | None) -> M
     A pair that was measured several times counts once.
     """
     first: dict[tuple[str, str], Array] = {}
-    for pair, samples in zip(responses.pairs, responses.samples, strict=True):
+    placed, note = responses.placed(room.scene)
+    for pair, samples in zip(placed.pairs, placed.samples, strict=True):
         first.setdefault(pair, samples[0])
     heard = np.array([*first.values()])
-    return find_modes(room, heard, responses.sampling_rate, [*first], geometry=geometry)
+    modes = find_modes(room, heard, placed.sampling_rate, [*first], geometry=geometry)
+    return replace(modes, notes=[*modes.notes, *filter(None, [note])])
 
 
 def _checked(
@@ -128,6 +122,9 @@ def _checked(
         )
     if len(pairs) < 2:
         raise DataError(f"responses has {len(pairs)} pair; modes need 2, of different positions")
+    if len(set(pairs)) < len(pairs):
+        twice = next(p for k, p in enumerate(pairs) if p in pairs[:k])
+        raise DataError(f"pairs: {' to '.join(twice)} stands there twice; average its responses")
     if not np.isfinite(signals).all():
         raise DataError("responses has a value that is not finite")
     if not 0 < lowest < highest <= rate / 2.5:
@@ -140,11 +137,9 @@ def _checked(
             f"responses are {signals.shape[1] / rate:.2f} s long; low modes need at least 1 s"
         )
     for pair, signal in zip(pairs, signals, strict=True):
-        top = np.abs(signal).max()
-        if top == 0:
+        if not signal.any():
             raise DataError(f"the response of {' to '.join(pair)} is silent")
-        at_top = (np.abs(signal) >= top * (1 - 1e-9)).astype(int)
-        if (np.convolve(at_top, np.ones(_CLIPPED, dtype=int), "valid") == _CLIPPED).any():
+        if clipped_samples(signal):
             raise DataError(f"the response of {' to '.join(pair)} is clipped")
     return signals
 
@@ -188,7 +183,6 @@ def _told(
         decays=decays,
         decay_uncertainty=relative[chosen] * decays,
         frequency_uncertainty=np.maximum(_INFLATED * np.sqrt(variance[chosen]), 1e-3),
-        amplitudes=fit.own[chosen],
         calculated=chosen,
         largest=largest,
         notes=notes,

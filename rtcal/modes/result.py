@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 
 from rtcal.acoustics import bands
 from rtcal.acoustics.materials import CalibrationRecord
+from rtcal.acoustics.quality import Plausibility, plausibility
 from rtcal.acoustics.repeats import of_modes
 from rtcal.acoustics.room import Room
 from rtcal.acoustics.room_errors import prior_covariance
-from rtcal.acoustics.trust import TrustMark, uncarried_mark
+from rtcal.acoustics.trust import TrustMark, explained, implausible_modes_mark, uncarried_mark
 from rtcal.calibration.certificate import Certificate
-from rtcal.calibration.nonlinear import gain
 from rtcal.calibration.problem_data import MeasuredTimes, data_history
 from rtcal.calibration.result import CalibrationResult
 from rtcal.modes.measured import MeasuredModes
@@ -31,6 +31,10 @@ KIND = "modes 1"
 CARRIED = 3
 """Modes in or below a band from which its mark of the Schroeder frequency falls away."""
 _HEADER = ["mode / Hz", "T / s", "before", "after", "tells most of"]
+P_MODES = 0.01
+"""p-value of the modes below which they and what was stated contradict each other."""
+_ALIKE = 0.02
+"""Share of the largest by which walls that a mode tells as much of may differ."""
 _REACH = 2.0
 """Ratio of frequencies within which a mode below the lowest band carries it."""
 
@@ -138,24 +142,49 @@ class ModesResult(Result):
         )
 
     @cached_property
-    def pulls(self) -> Array:
-        """Change of each coefficient by each mode, in prior sigmas, (n_used, n_materials, n_bands).
+    def plausibility(self) -> Plausibility:
+        """Distance of the measured decays from those of the prior: z of each mode used, and Q.
 
-        Of the linear estimate from the prior and the modes alone, without bounds and T.
+        Of the decays linearised at the last answer; the covariance is the prior's and the decays' own.
         """
-        of_decays = gain(prior_covariance(self.answer.prior), self.matrix, self.covariance)
-        off = self.measured - self.before
-        sigma = np.where(self.prior.sigma > 0, self.prior.sigma, np.inf).ravel()
-        each = of_decays * off / sigma[:, np.newaxis]
-        return np.asarray(each.T.reshape(len(off), *self.prior.alpha.shape))
+        return plausibility(*self._off, bound_active=False)
+
+    @property
+    def _off(self) -> tuple[Array, Array]:
+        """Measured less prior decays in 1/s, (n_used,), and their covariance."""
+        moved = self.matrix @ (self.alpha - self.prior.alpha).ravel()
+        spread = self.matrix @ prior_covariance(self.answer.prior) @ self.matrix.T
+        return self.measured - self.after + moved, spread + self.covariance
+
+    @cached_property
+    def strangest(self) -> int:
+        """The mode without which Q falls most, by its place among those used."""
+        off, covariance = self._off
+        inverse = np.linalg.inv(covariance)
+        return int(np.argmax((inverse @ off) ** 2 / np.diag(inverse)))
+
+    @cached_property
+    def told(self) -> Array:
+        """Sensitivity of each mode to each material, (n_used, n_materials).
+
+        Change of its decay in its uncertainty by one prior sigma of the coefficients in all bands.
+        """
+        by_sigma = self.matrix.reshape(-1, *self.prior.alpha.shape) * self.prior.sigma
+        own = np.sqrt(np.diag(self.covariance))
+        return np.asarray(np.abs(by_sigma.sum(axis=2)) / own[:, np.newaxis])
+
+    @cached_property
+    def reach(self) -> tuple[Array, Array]:
+        """Frequencies in Hz from and up to which modes carry each band, (n_bands,) each."""
+        centres = self.prior.centre_frequencies
+        between = np.sqrt(centres[1:] * centres[:-1])
+        low = np.concatenate([[centres[0] / _REACH], between])
+        return low, np.concatenate([between, [centres[-1] * np.sqrt(2)]])
 
     @cached_property
     def carried(self) -> NDArray[np.bool_]:
         """Bands below the Schroeder frequency that at least three used modes carry, (n_bands,)."""
-        f, centres = self.modes.frequencies[self.used], self.prior.centre_frequencies
-        between = np.sqrt(centres[1:] * centres[:-1])
-        low = np.concatenate([[centres[0] / _REACH], between])
-        high = np.concatenate([between, [centres[-1] * np.sqrt(2)]])
+        (low, high), f = self.reach, self.modes.frequencies[self.used]
         count = ((f >= low[:, np.newaxis]) & (f < high[:, np.newaxis])).sum(axis=1)
         return np.asarray(self.below & (count >= CARRIED))
 
@@ -170,8 +199,21 @@ class ModesResult(Result):
             for m in self.answer.trust_marks
             if not (m.kind == "missing" and m.frequency in centres[untold | self.carried])
         ]
-        marks += [uncarried_mark(float(f)) for f in centres[untold & ~self.carried]]
-        return tuple(marks)
+        return (*self.own_marks, *marks, *self.uncarried(untold & ~self.carried))
+
+    def uncarried(self, chosen: NDArray[np.bool_]) -> tuple[TrustMark, ...]:
+        """Return the marks of chosen bands, (n_bands,), which too few modes carry."""
+        ends = zip(self.prior.centre_frequencies, *self.reach, strict=True)
+        return tuple(uncarried_mark(*of) for of, mark in zip(ends, chosen, strict=True) if mark)
+
+    @property
+    def own_marks(self) -> tuple[TrustMark, ...]:
+        """Reasons to doubt the modes themselves."""
+        p = self.plausibility.p_value
+        if p is None or p >= P_MODES:
+            return ()
+        frequency = self.modes.frequencies[self.used[self.strangest]]
+        return (implausible_modes_mark(self.plausibility.q, len(self.used), p, float(frequency)),)
 
     def __repr__(self) -> str:
         return f"<{self._description}>"
@@ -186,8 +228,8 @@ class ModesResult(Result):
     @property
     def mode_rows(self) -> list[tuple[str, list[str]]]:
         """Each mode used: frequency in Hz; T, T before and after in s, and what it tells most of."""
-        strongest = np.abs(self.pulls).mean(axis=2).argmax(axis=1)
-        shown = zip(self.used, self.measured, self.before, self.after, strongest, strict=True)
+        most = self.told >= (1 - _ALIKE) * self.told.max(axis=1, keepdims=True)
+        shown = zip(self.used, self.measured, self.before, self.after, most, strict=True)
         return [
             (
                 f"{self.modes.frequencies[i]:.1f}",
@@ -195,10 +237,10 @@ class ModesResult(Result):
                     f"{DECAY / d:.2f} ± {DECAY / d**2 * self.modes.decay_uncertainty[i]:.2f}",
                     f"{DECAY / before:.2f}",
                     f"{DECAY / after:.2f}",
-                    self.prior.materials[int(material)],
+                    ", ".join(self.prior.materials[int(m)] for m in np.flatnonzero(walls)),
                 ],
             )
-            for i, d, before, after, material in shown
+            for i, d, before, after, walls in shown
         ]
 
     def _material_rows(self) -> list[tuple[str, list[str]]]:
@@ -228,8 +270,14 @@ class ModesResult(Result):
     def every_note(self) -> list[str]:
         """The ``notes``, and what the result says against itself."""
         first = f"Measured frequencies are {self.scale:.3f} times those calculated."
-        marks = [f"{m.title}: {m.text}; {m.advice}." for m in self.trust_marks]
-        return [first, *self.notes, *marks]
+        q = self.plausibility
+        misfit = (
+            f"Misfit of the decays: Q = {q.q:.1f} with {q.degrees_of_freedom} degrees of freedom, "
+            f"p = {q.p_value:.2g}."
+        )
+        lines = explained(self.trust_marks)
+        marks = [f"{a} {b.strip()}." for a, b in zip(lines[::2], lines[1::2], strict=True)]
+        return [first, misfit, *self.notes, *marks]
 
     def to_dict(self) -> dict[str, Any]:
         """Return everything as plain numbers, lists and text; None where a value is missing."""
@@ -247,11 +295,14 @@ class ModesResult(Result):
                     "decay_uncertainty": float(self.modes.decay_uncertainty[i]),
                     "decay_before": float(self.before[k]),
                     "decay_after": float(self.after[k]),
-                    "pulls": json_numbers(self.pulls[k]),
+                    "z": float(self.plausibility.z[k]),
+                    "told": json_numbers(self.told[k]),
                 }
                 for k, (i, n) in enumerate(zip(self.used, self.matched, strict=True))
             ],
             "frequency_scale": self.scale,
+            "q": self.plausibility.q,
+            "p_value": self.plausibility.p_value,
             "materials": [
                 {
                     "name": name,

@@ -304,6 +304,10 @@ def modes_page(result: ModesResult, heading: Heading, step: Callable[[], None]) 
                 "after the calibration.",
             },
             "rows": result.mode_rows,
+            "remarks": [*result.every_note[:2], *result.notes],
+            "command": "rtcal calibrate room.toml t.csv --modes modes.csv --out calibrated"
+            if measured.any()
+            else "rtcal.calibrate_modes(room, modes)",
             "labels": [f"{f:g} Hz" for f in room.centre_frequencies],
             "blocks": blocks(room.n_bands),
             "carries": np.where(result.below | measured, carries, "–"),

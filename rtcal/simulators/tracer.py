@@ -273,6 +273,22 @@ def check_walls(geometry: Polyhedron, room: Room) -> None:
         )
 
 
+def check_areas(geometry: Polyhedron, room: Room) -> None:
+    """Raise DataError for a material of the geometry whose area is off by more than `OFF_VOLUME`.
+
+    Of materials that the geometry lacks, such as small objects, nothing is asked.
+    """
+    rows = np.array(room.material_rows(geometry.materials))
+    own = np.bincount(rows, geometry.face_areas, room.n_materials)
+    for i in np.flatnonzero(own).tolist():
+        if abs(room.areas[i] / own[i] - 1) > OFF_VOLUME:
+            raise DataError(
+                f"room: {room.materials[i]} has {room.areas[i]:.4g} m², but {own[i]:.4g} m² in the "
+                f"geometry; they may differ by at most {100 * OFF_VOLUME:.0f} %: check the areas, and "
+                "which side of the geometry is which"
+            )
+
+
 def scattering_coefficients(room: Room, scattering: Any) -> Array:
     """Return read-only scattering coefficients (n_materials, n_bands), by default the room's."""
     shape = (room.n_materials, room.n_bands)
