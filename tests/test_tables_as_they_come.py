@@ -171,6 +171,17 @@ def test_a_band_typed_wrong_below_the_others_is_no_text_below_the_table() -> Non
         tables.parse(b"Frequency;T20\n125;1.5\n25O;1.4\n", "t.csv")
 
 
+@pytest.mark.parametrize("receiver", ["Mikrofon", "Microphone", "Mic", "Empfänger"])
+@pytest.mark.parametrize(
+    "source", ["Lautsprecher", "Schallquelle", "Speaker", "Loudspeaker", "Sender", "Quelle"]
+)
+def test_two_loudspeakers_are_two_sources_and_no_repeats(source: str, receiver: str) -> None:
+    text = f"{source};{receiver};Band;T20 [s]\nL1;M1;500;1,0\nL2;M1;500;2,0\n"
+    found = tables.parse(text.encode()).measurement
+    assert found.pairs == (("L1", "M1"), ("L2", "M1"))
+    assert found.values["t20"].tolist() == [[1.0], [2.0]]
+
+
 def test_a_spanish_position_is_a_source_and_a_receiver() -> None:
     assert table_columns.position_in("Globo F1-P9 10:52:30") == ("F1", "P9")
 

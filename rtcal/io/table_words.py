@@ -75,7 +75,13 @@ WHOLE_RANGES = frozenset(
 """What stands in a column of bands for the whole range."""
 
 COLUMNS = {
-    **dict.fromkeys(_words("source src quelle sourceposition fuente"), "source"),
+    **dict.fromkeys(
+        _words(
+            "source src quelle sourceposition fuente schallquelle quellposition lautsprecher "
+            "loudspeaker speaker sender altavoz"
+        ),
+        "source",
+    ),
     **dict.fromkeys(
         _words(
             "receiver rec mic microphone position pos empfänger empfaenger mikrofon receiverposition "
