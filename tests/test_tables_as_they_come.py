@@ -182,6 +182,21 @@ def test_two_loudspeakers_are_two_sources_and_no_repeats(source: str, receiver: 
     assert found.values["t20"].tolist() == [[1.0], [2.0]]
 
 
+def test_values_that_a_formula_failed_to_give_are_counted() -> None:
+    rows = [
+        ["source", "receiver", "band", "T20"],
+        *(["S1", f"R{n}", 500, 1.5] for n in range(1, 4)),
+    ]
+    sound = str(tables.parse(book({"T": rows})))
+    assert "missing" not in sound
+    rows[1][3], rows[3][3] = "#DIV/0!", "#WERT!"
+    found = tables.parse(book({"T": rows}))
+    assert (
+        "2 values are missing, since a formula has an error: #DIV/0! in line 2, #WERT! in line 4"
+        in found.columns
+    )
+
+
 def test_a_spanish_position_is_a_source_and_a_receiver() -> None:
     assert table_columns.position_in("Globo F1-P9 10:52:30") == ("F1", "P9")
 

@@ -31,6 +31,8 @@ _NUMBER = re.compile(
     r"[+\-\u2212\u2013]?(\d+([.,]\d*)?|[.,]\d+)([eE][+\-\u2212]?\d{1,3})?", re.ASCII
 )
 _WITH_UNIT = re.compile(r"([^%a-z]*\d[\d.,]*(?:e[+-]?\d+)?)\s*(%|m?s|db)", re.I)
+_FORMULA_ERRORS = ("#div/0!", "#wert!", "#value!")
+"""What a spreadsheet shows for a formula that has no result."""
 _MISSING = {
     "",
     "-",
@@ -47,9 +49,7 @@ _MISSING = {
     "k. a.",
     "#n/a",
     "#nv",
-    "#div/0!",
-    "#wert!",
-    "#value!",
+    *_FORMULA_ERRORS,
 }
 _SPREADS = ("uncertainty", "common_uncertainty", "standard_deviation")
 
@@ -112,6 +112,7 @@ class Reader:
             )
         is_summary = bool(counts) or {"sources", "receivers", "standard_deviation"} & {*kinds}
         self.named = bool(position[1])
+        self.formula_errors: list[str] = []  # the places of values that are missing for it
         self.unnamed_means = False  # whether a mean without a parameter or band was left out
         self.pair = (position[0] or "S1", position[1] or "R1")
         if is_summary and not self.has_positions:
@@ -210,6 +211,8 @@ class Reader:
         of_row = (SUMMARY, SUMMARY) if statistic is not None else self._pair_of(entries)
         row_band = self._row_band(entries, place)
         for column, cell in zip(self.layout.columns, cells, strict=True):
+            if column.kind in ("data", "value") and cell.lower() in _FORMULA_ERRORS:
+                self.formula_errors.append(f"{cell} in line {place.rpartition(' ')[2]}")
             if column.kind not in ("data", "value") or cell.lower() in _MISSING:
                 continue
             pair = of_row
@@ -358,6 +361,12 @@ class Reader:
         report = [f"{self.notes[0]}, decimal {mark}", *self.notes[1:]]
         stated = self.parameter.parameter if self.parameter is not None else None
         report += [column.description(stated) for column in self.layout.columns]
+        if errors := self.formula_errors:
+            are = "value is" if len(errors) == 1 else "values are"
+            report.append(
+                f"{len(errors)} {are} missing, since a formula has an error: {', '.join(errors[:3])}"
+                + (", ..." if len(errors) > 3 else "")
+            )
         if (SUMMARY, SUMMARY) in pairs:
             return report
         if not self.has_positions:
