@@ -112,6 +112,23 @@ def test_rounding_is_told_as_a_change_of_t(tmp_path: Path) -> None:
     assert fine.room.alpha == pytest.approx(0.021)
 
 
+def test_scattering_that_is_written_over_is_said(tmp_path: Path) -> None:
+    path = tmp_path / "hall.geo"
+    path.write_bytes(
+        b"ABS wall = <2 2 2 2 2 2> L <10 10 15 20 25 40>\nABS desk = <2 2 2 2 2 2>\n"
+        b"ABS seat = <2 2 2 2 2 2> L <30 30 30 30 30 30>\n"
+    )
+    areas = {"wall": 700.0, "seat": 9.0}
+    room = catt.read(path).room(name="hall", volume=1000, areas=areas)
+    assert not catt.write(room, path).notes
+    fitted = room.replace(scattering=[[0.231] * 6, [0.3] * 6])
+    assert catt.write(fitted, path).notes == (
+        "The room's scattering replaced the list's, which a fit to positions changes too. Means over "
+        "the bands: wall (0.20, now 0.23)",
+    )
+    assert not catt.write(fitted, tmp_path / "new.geo").notes
+
+
 def test_decimals_can_be_stated(tmp_path: Path) -> None:
     path = tmp_path / "hall.geo"
     path.write_bytes(b"ABS wall = <2 2 2 2 2 2>\nABS1 desk = <0.02 0.02 0.02 0.02 0.02 0.02>\n")

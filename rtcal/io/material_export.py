@@ -19,6 +19,7 @@ from rtcal.support.errors import DataError
 from rtcal.support.files import write_bytes
 from rtcal.support.types import Array
 
+MOST_NAMED = 5
 RECORD = "the record of the calibration"
 HELD = ("materials", "alpha", "scattering", "centre_frequencies")
 """What a list of materials holds of a room."""
@@ -177,7 +178,28 @@ def write_list(
         lost=_lost(room, lacking),
     )
     write_bytes(path, content)
-    return report
+    if template is None:
+        return report
+    return replace(report, notes=(*report.notes, *_replaced_scattering(listed, read(path))))
+
+
+def _replaced_scattering(listed: MaterialList, as_written: MaterialList) -> tuple[str, ...]:
+    """Return a note on the materials of a changed list that have another scattering now."""
+    after = {m.name: m.scattering for m in as_written.materials}
+    changed = [
+        f"{m.name} ({np.mean(m.scattering):.2f}, now {np.mean(now):.2f})"
+        for m in listed.materials
+        if m.scattering is not None
+        and (now := after.get(m.name)) is not None
+        and now != m.scattering
+    ]
+    if not changed:
+        return ()
+    more = f" and {len(changed) - MOST_NAMED} more" if len(changed) > MOST_NAMED else ""
+    return (
+        "The room's scattering replaced the list's, which a fit to positions changes too. Means over "
+        f"the bands: {', '.join(changed[:MOST_NAMED])}{more}",
+    )
 
 
 def _without_measured_time(room: Room, equation: LinearEquation) -> list[str]:
