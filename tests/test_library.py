@@ -71,6 +71,15 @@ def test_tables_of_products(tmp_path: Path, name: str) -> None:
         (b"product;250;500;1000\nA;0,1;0,1;0,1\nA;0,2;0,2;0,2\n", '"A" is given twice'),
         (b"a;b\n1;2\n", "no table of coefficients; a header with 3 bands or more is needed"),
         (b"250;500;1000\n0.1;0.2;0.3\n", "no column has the product's name"),
+        (
+            b"product;125;250;250;1000\nA;0,1;0,2;0,8;0,9\n",
+            r"products\.csv, line 1: column 3 and column 4 are both 250 Hz; a band has one",
+        ),
+        (
+            b"f;A\n125;0,1\n250;0,2\n500;0,3\n250;0,8\n",
+            r"products\.csv: line 3 and line 5 are both 250 Hz; a band has one coefficient",
+        ),
+        (b"product;open area [%];250;500;1000\nA;18;45;90;95\n", "45 is not from 0 to 1.5; name"),
     ],
 )
 def test_bad_tables(tmp_path: Path, content: bytes, rule: str) -> None:
@@ -78,6 +87,30 @@ def test_bad_tables(tmp_path: Path, content: bytes, rule: str) -> None:
     path.write_bytes(content)
     with pytest.raises(DataError, match=rule):
         library.read(path)
+
+
+@pytest.mark.parametrize(
+    ("content", "alpha"),
+    [
+        ("product;open area [%];125;250;500\nwall;18;0,5;0,5;0,5\n", 0.5),
+        ("product;% open area;125;250;500\nwall;18;0,5;0,5;0,5\n", 0.5),
+        ("Schallabsorptionsgrad bei 50 % r. F.\nproduct;125;250;500\nwall;0,5;0,5;0,5\n", 0.5),
+        ("f;wall;panel, 20 % open\n125;0,5;0,5\n250;0,5;0,5\n500;0,5;0,5\n", 0.5),
+        ("α_s (50 % r. F.)\nf;wall;b\n125;0,5;0,5\n250;0,5;0,5\n500;0,5;0,5\n", 0.5),
+        ("product;open area [%];125 Hz [%];250 Hz [%];500 Hz [%]\nwall;18;1;1;1\n", 0.01),
+        ("Absorptionsgrad αs in % bei 50 % r. F.\nproduct;125;250;500\nwall;1;1;1\n", 0.01),
+        ("Absorption coefficient [%]\nf;wall;b\n125;1;0\n250;1;0\n500;1;0\n", 0.01),
+        ("f;wall [%];b\n125;1;1\n250;1;1\n500;1;1\n", 0.01),
+    ],
+)
+def test_percent_is_the_unit_of_what_it_stands_with(
+    tmp_path: Path, content: str, alpha: float
+) -> None:
+    """A % in any header or title had made alpha 0.005 of 0.5."""
+    (tmp_path / "products.csv").write_text(content, encoding="utf-8")
+    wall = library.read(tmp_path / "products.csv").materials[0]
+    assert wall.alpha == (alpha,) * 3
+    assert ("taken as fractions" in wall.source) == (alpha == 0.5)
 
 
 def test_a_folder_is_a_library(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

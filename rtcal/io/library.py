@@ -7,7 +7,9 @@ Two shapes are read, with the cells of `rtcal.io.table_layout`:
   the sheet's.
 
 A column or a title such as "mounting: E-400" or "source" goes into the material's source. A coefficient
-above 1, which ISO 354's edge effect gives, is taken as 1, and the source says so.
+above 1, which ISO 354's edge effect gives, is taken as 1, and the source says so. Coefficients are in
+percent if their own cells or headers have the unit ("250 Hz [%]"), or a text names both ("alpha in %").
+A % that stands elsewhere, such as "open area [%]", changes nothing, and the source says so.
 """
 
 from __future__ import annotations
@@ -43,6 +45,13 @@ _BAND_HEADER = re.compile(
     r"\W*(f|freq\w*|frequen\w*|band|octave.*|oktav.*|terz.*|hz)\W*(hz)?\W*", re.I
 )
 _PERCENT = re.compile(r"%|percent|prozent", re.I)
+_UNIT = r"(?:in\s+(?:%|percent|prozent)|[\[(]\s*(?:%|percent|prozent)\s*[\])])"
+_OF_COLUMN = re.compile(rf"\s*{_UNIT}\s*$", re.I)
+_OF_COEFFICIENTS = re.compile(
+    r"(?:\w*(?:alpha|α|absor|coeff|koeff)[\w,.]*|\b(?:values|werte|angaben))\s*[/,:]?\s*"
+    rf"(?:{_UNIT}|(?:%|percent|prozent)\s*$)",
+    re.I,
+)
 
 
 @checked
@@ -103,13 +112,31 @@ def _of_sheet(sheet: Sheet, otherwise: str) -> Iterator[ListedMaterial]:
     for at, (_, cells) in enumerate(sheet.rows):
         at_bands = {k: f for k, c in enumerate(cells) if (f := _band(c)) is not None}
         if len(at_bands) >= _LEAST_BANDS and list(at_bands.values()) == sorted(at_bands.values()):
+            _refuse_repeated_band(
+                f"{sheet.place}, line {sheet.rows[at][0]}",
+                [(f"column {k + 1}", f) for k, f in at_bands.items()],
+            )
             yield from _across(sheet, at, at_bands)
             return
     yield from _down(sheet, otherwise)
 
 
+def _refuse_repeated_band(place: str, stated: Sequence[tuple[str, float]]) -> None:
+    """Raise DataError if two columns or lines are of one band."""
+    first: dict[float, str] = {}
+    for where, frequency in stated:
+        if frequency in first:
+            raise DataError(
+                f"{place}: {first[frequency]} and {where} are both {bands.label(frequency)}; "
+                "a band has one coefficient per product"
+            )
+        first[frequency] = where
+
+
 def _band(cell: str) -> float | None:
-    value = frequency_of(re.sub(r"^(alpha|α)\w*\s*", "", cell.strip()))
+    value = frequency_of(
+        re.sub(r"^(alpha|α)\w*\s*", "", re.sub(r"\s*[\[(]\s*%\s*[\])]$", "", cell.strip()))
+    )
     return nearest_band(value) if value is not None and value >= LEAST_BAND else None
 
 
@@ -122,6 +149,8 @@ def _across(sheet: Sheet, at: int, at_bands: dict[int, float]) -> Iterator[Liste
             f"{sheet.place}, line {sheet.rows[at][0]}: no column has the product's name"
         )
     titles = _titles(sheet.rows[:at])
+    percent = _in_percent([header[k] for k in at_bands], [*header, *titles])
+    elsewhere = "" if percent else _first_percent([*header, *titles])
     for line, cells in sheet.rows[at + 1 :]:
         name = cells[names[0]] if len(cells) > names[0] else ""
         values = {f: cells[k] for k, f in at_bands.items() if k < len(cells) and cells[k]}
@@ -134,14 +163,14 @@ def _across(sheet: Sheet, at: int, at_bands: dict[int, float]) -> Iterator[Liste
             for k in texts
             if k != names[0] and k < len(cells) and cells[k]
         ]
-        percent = any(_PERCENT.search(t) for t in [*header, *titles])
-        yield _material(sheet.place, line, name, values, [*titles, *stated], percent)
+        yield _material(sheet.place, line, name, values, [*titles, *stated], percent, elsewhere)
 
 
 def _down(sheet: Sheet, otherwise: str) -> Iterator[ListedMaterial]:
     rows = [(i, f) for i, (_, c) in enumerate(sheet.rows) if (f := _band(c[0])) is not None]
     if len(rows) < _LEAST_BANDS:
         return
+    _refuse_repeated_band(sheet.place, [(f"line {sheet.rows[i][0]}", f) for i, f in rows])
     first = rows[0][0]
     header = sheet.rows[first - 1][1] if first else []
     if not header or not (not header[0] or _BAND_HEADER.fullmatch(header[0])):
@@ -165,12 +194,23 @@ def _down(sheet: Sheet, otherwise: str) -> Iterator[ListedMaterial]:
             for i, f in rows
             if len(sheet.rows[i][1]) > k and sheet.rows[i][1][k]
         }
-        percent = any(_PERCENT.search(t) for t in [*header, *titles])
-        yield _material(sheet.place, sheet.rows[first][0], name, values, titles, percent)
+        percent = _in_percent(header[k : k + 1], [*header, *titles])
+        elsewhere = "" if percent else _first_percent([*header, *titles])
+        line = sheet.rows[first][0]
+        yield _material(sheet.place, line, name, values, titles, percent, elsewhere)
 
 
 def _titles(rows: Sequence[Row]) -> list[str]:
     return [" ".join(filter(None, cells)) for _, cells in rows]
+
+
+def _in_percent(own: Sequence[str], texts: Sequence[str]) -> bool:
+    """Return whether the coefficients' own headers, or texts that name them, have the unit %."""
+    return any(map(_OF_COLUMN.search, own)) or any(map(_OF_COEFFICIENTS.search, texts))
+
+
+def _first_percent(texts: Sequence[str]) -> str:
+    return next(filter(_PERCENT.search, texts), "")
 
 
 def _material(
@@ -180,6 +220,7 @@ def _material(
     values: dict[float, str],
     stated: Sequence[str],
     percent: bool,
+    elsewhere: str,
 ) -> ListedMaterial:
     alpha, above = [], []
     for frequency, cell in values.items():
@@ -189,12 +230,15 @@ def _material(
         value = scale * number(text.replace(",", ".") if text.count(",") == 1 else text, where)
         if not 0 <= value <= LARGEST:
             raise DataError(
-                f"{where}: {value:g} is not from 0 to {LARGEST:g}; name % in the header if in percent"
+                f"{where}: {value:g} is not from 0 to {LARGEST:g}; name % with the coefficient if in "
+                'percent, as in a line "alpha in %" above the header'
             )
         if value > 1:
             above.append(f"{value:.2f} at {bands.label(frequency)}")
         alpha.append(min(value, 1.0))
     source = "; ".join([f"{place}, line {line}", *filter(None, stated)])
+    if elsewhere and not all("%" in cell for cell in values.values()):
+        source += f'; taken as fractions: "{shown(elsewhere, 60)}" is no unit of the coefficients'
     if above:
         source += f"; above 1 (edge effect), taken as 1: {', '.join(above)}"
     return ListedMaterial(
