@@ -66,7 +66,7 @@ def calibrate_modes(
     ----------
     room : Room
         Its alpha and sigma are the prior. It states a mesh, or dimensions and a surface per wall. A
-        coefficient's errors an octave apart have its ``band_correlation``, or 0.8 where it states none.
+        coefficient's errors an octave apart have its ``band_correlation``, or 0.8 where that is 0.
     modes : MeasuredModes or Responses
         As `rtcal.modes.read` reads them, or `rtcal.modes.find_modes` finds them; or responses as
         `rtcal.io.sofa.read` reads them.

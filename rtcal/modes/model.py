@@ -29,7 +29,7 @@ from rtcal.support.errors import DataError
 from rtcal.support.types import Array
 
 CORRELATION = 0.8
-"""Correlation of a coefficient's error an octave apart, where the room states none."""
+"""Correlation of a coefficient's error an octave apart, where the ``band_correlation`` stated is 0."""
 ABOVE = 1.08
 """Modes are calculated up to this times the highest frequency that is asked of them."""
 _STEP = 10.0

@@ -24,8 +24,8 @@ _STATUS_IN_WORDS = {
     "not converging": "did not come within the goal",
     "not yet": "did not come within the goal yet",
     "no measured T": "had no measured T and keeps the stated coefficients",
-    "by modes": "lies below the Schroeder frequency: room modes stand there in place of T",
-    "too few modes": "lies below the Schroeder frequency, and fewer than three room modes carry it",
+    "by modes": "lay below the Schroeder frequency: room modes stand there in place of T",
+    "too few modes": "lay below the Schroeder frequency, where fewer than three room modes were used",
     "not confirmed": "came within the goal, but not with fresh random numbers, or the simulator's "
     "noise is too large to tell: simulate with less of it (more paths)",
 }
