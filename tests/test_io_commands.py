@@ -295,6 +295,36 @@ def test_an_entry_that_has_an_equals_sign_is_stated_after_the_first_one(tmp_path
     assert rt.Room.from_file(out).alpha[0].tolist() == [0.2, 0.6, 0.9]
 
 
+def test_an_entry_that_is_stated_wins_and_unknown_names_are_refused(tmp_path: Path, capsys) -> None:
+    """--as had no effect where the list had the name itself, and none for names that nothing had."""
+    products, out = tmp_path / "products.csv", tmp_path / "room.toml"
+    products.write_text("product;125;250;500\nwall;0.1;0.1;0.1\nhard wall;0.02;0.02;0.02\n")
+    command = ("import", "library", products, "--volume", 60, "--area", "wall=90", "--out", out)
+    for refused, words in (
+        ("plastr=wall", '--as: "plastr" is no material of the room; --area has wall'),
+        ("wall=hrd", '--as "wall=hrd": "hrd" is no material of'),
+    ):
+        assert run(*command, "--as", refused) == 2
+        said = " ".join(capsys.readouterr().err.split())
+        assert words in said
+        assert not out.exists()
+    assert run(*command, "--as", "wall=hard wall", "--catalogue", "wall=brickwork") == 2
+    assert '"wall" is stated by --as and by --catalogue' in capsys.readouterr().err
+    assert run(*command, "--as", "wall=hard wall") == 0
+    assert "Left out, without area: wall" in capsys.readouterr().out
+    assert rt.Room.from_file(out).alpha.tolist() == [[0.02] * 3]
+
+
+def test_a_description_of_an_odeon_library_can_be_stated(tmp_path: Path, capsys) -> None:
+    """Its number was needed, though the message named the description."""
+    library, out = tmp_path / "hall.Li8", tmp_path / "room.toml"
+    library.write_text(f"101 wall\n{'0.1 ' * 8}\n102 doors\n{'0.2 ' * 8}\n")
+    command = ("import", "odeon", library, "--volume", 60, "--area", "wall=90", "--out", out)
+    for entry in ("doors", "102 doors"):
+        assert run(*command, "--as", f"wall={entry}") == 0
+        assert (rt.Room.from_file(out).alpha == 0.2).all()
+
+
 def test_a_material_that_the_list_lacks_is_named_with_the_list(tmp_path: Path, capsys) -> None:
     """A mistyped name was sent to the catalogue, and a decimal comma was "not NAME=M2"."""
     hall, mesh = tmp_path / "hall.geo", tmp_path / "hall.obj"

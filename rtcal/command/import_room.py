@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Collection, Iterable, Sequence
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -199,14 +198,15 @@ def import_room(
     written = [path for path in (out, mended, picture) if path is not None]
     spare(written, [path for path in (materials, mesh, sigma_table) if path is not None])
     listed = _materials(program, materials)
-    chosen_names = texts("--as", entries, "MATERIAL=ENTRY")
-    listed = replace(listed, aliases={**listed.aliases, **chosen_names})
     model, volume, surfaces = geometry(
         mesh, unit, space, weld, hole, as_drawn, volume, areas, listed.names, quiet=quiet
     )
     used = list(dict.fromkeys(surface.material for surface in surfaces))
     chosen = texts("--catalogue", in_catalogue, "NAME=ENTRY")
-    others = _from_catalogue(listed, program, used, chosen, "--area" if mesh is None else mesh)
+    place = "--area" if mesh is None else mesh
+    renamed = _chosen_names(listed, entries, used, chosen, place)
+    in_list = {*listed.names, *listed.aliases, *renamed}
+    others = renamed | _from_catalogue(listed, in_list, program, used, chosen, place)
     rule = SigmaRule(
         relative=sigma_relative,
         minimum=sigma_minimum,
@@ -249,6 +249,7 @@ def import_room(
     room = room.replace(area_sigma=area_sigma) if area_sigma else room
     room.save(out)
     in_use = {listed.listed(name).name for name in used if name not in others}
+    in_use |= {material.name for material in renamed.values()}
     unused = [] if program == "catalogue" else [n for n in listed.names if n not in in_use]
     notes = _notes(room, rule, sigma, {n: m.scattering for n, m in _used(listed, others, used)})
     if model is not None:
@@ -314,8 +315,38 @@ def _used(
     return [(name, others.get(name) or listed.listed(name)) for name in used]
 
 
+def _chosen_names(
+    listed: MaterialList,
+    entries: Sequence[str],
+    used: Sequence[str],
+    chosen: dict[str, str],
+    place: str,
+) -> dict[str, ListedMaterial]:
+    """Return the list's materials by the room's names, as --as states; DataError for unknown names."""
+    renamed = texts("--as", entries, "MATERIAL=ENTRY")
+    _refuse_unused("--as", renamed, used, place)
+    for name, entry in renamed.items():
+        if name in chosen:
+            raise DataError(f'"{name}" is stated by --as and by --catalogue; state one of them')
+        try:
+            listed.listed(entry)
+        except DataError as error:
+            raise DataError(f'--as "{name}={entry}": {shortened(str(error), 300)}') from error
+    return {name: listed.listed(entry) for name, entry in renamed.items()}
+
+
+def _refuse_unused(option: str, named: Iterable[str], used: Sequence[str], place: str) -> None:
+    """Raise DataError if an option names a material that the room has not."""
+    if unknown := [name for name in named if name not in used]:
+        raise DataError(
+            f'{option}: "{unknown[0]}" is no material of the room; {place} has '
+            f"{shortened(', '.join(used), 200)}"
+        )
+
+
 def _from_catalogue(
     listed: MaterialList,
+    in_list: Collection[str],
     program: str,
     used: Sequence[str],
     chosen: dict[str, str],
@@ -323,16 +354,11 @@ def _from_catalogue(
 ) -> dict[str, ListedMaterial]:
     """Return the room's materials from the catalogue.
 
-    Raises DataError, with proposals, for materials that are in neither the list nor the options;
+    Raises DataError, with proposals, for materials that are in neither ``in_list`` nor the options;
     ``place`` is where the room names its materials.
     """
-    if unknown := [name for name in chosen if name not in used]:
-        raise DataError(
-            f'--catalogue: "{unknown[0]}" is no material of the room; {place} has '
-            f"{shortened(', '.join(used), 200)}"
-        )
+    _refuse_unused("--catalogue", chosen, used, place)
     in_catalogue = _chosen_entries(chosen)
-    in_list = {*listed.names, *listed.aliases}
     if missing := [n for n in used if n not in in_list and n not in chosen]:
         proposals = _all_proposals(missing, listed, program)
         options = " ".join(f'--catalogue "{name}=ENTRY"' for name in missing[:_DESCRIBED])
