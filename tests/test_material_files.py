@@ -112,6 +112,24 @@ def test_rounding_is_told_as_a_change_of_t(tmp_path: Path) -> None:
     assert fine.room.alpha == pytest.approx(0.021)
 
 
+def test_fractions_in_a_list_of_percents_are_refused(tmp_path: Path) -> None:
+    """Alpha was 0.0002 where 0.02 was meant."""
+    listed = catt.parse(
+        b"ABS wall = <0.02 0.02 0.03 0.03 0.04 0.05>\nABS marble = <1 1 1 1 1 1>\nABS desk = wall\n"
+        b"ABS1 door = <0.1 0.1 0.1 0.1 0.1 0.1>\nABS hard = <0 0 0 0 0 0>\nABS felt = <1 2 0.5 3 4 5>\n"
+    )
+    for name in ("wall", "desk"):
+        with pytest.raises(DataError, match=r"line 1: .*is at most 1 %") as refused:
+            listed.room(name="hall", volume=1000, areas={name: 700.0})
+    assert '"wall = <0.02 0.02 0.03 0.03 0.04 0.05>"' in str(refused.value)
+    assert 'write "ABS1 wall = <0.02 0.02 0.03 0.03 0.04 0.05>" if the' in str(refused.value)
+    assert '"ABS1 wall = <0.0002 0.0002 0.0003 0.0003 0.0004 0.0005>" if' in str(refused.value)
+    areas = dict.fromkeys(("marble", "door", "hard", "felt"), 100.0)
+    room = listed.room(name="hall", volume=1000, areas=areas)
+    assert room.alpha[:, 0].tolist() == [0.01, 0.1, 0.0, 0.01]
+    assert "line 2: at most 1 %, since ABS is in percent" in room.sources["marble"]
+
+
 def test_scattering_that_is_written_over_is_said(tmp_path: Path) -> None:
     path = tmp_path / "hall.geo"
     path.write_bytes(

@@ -193,6 +193,7 @@ def _material(
         raise DataError(f'{place}: "{shown(text)}" lacks the closing >')
     values, spans = _numbers(match.group(1), offset + match.start(1), place)
     material_list.check_coefficients(values, unit, place)
+    at_most_one = not fraction and 0 < max(values) <= 1
     tail, scattering = text[match.end() :], None
     spans_of_scattering: tuple[tuple[int, int], ...] = ()
     if tail[:1] in ("L", "l"):
@@ -228,6 +229,21 @@ def _material(
         scattering=scattering,
         scattering_spans=spans_of_scattering,
         scattering_place=offset + match.end(1) + 1,
+        source=f"{place}: at most 1 %, since ABS is in percent" if at_most_one else "",
+        doubt=_doubt(place, name, match[1], values) if at_most_one else "",
+    )
+
+
+def _doubt(place: str, name: str, text: str, values: Sequence[float]) -> str:
+    """Return why percents of at most 1 may be fractions; empty for whole percents."""
+    if all(value == int(value) for value in values):
+        return ""
+    start = f"ABS1 {shown(name)} ="
+    percents = " ".join(f"{value / 100:g}" for value in values)
+    return (
+        f'{place}: "{shown(name)} = <{shown(text, 80)}>" is at most 1 %, since ABS is in percent; '
+        f'write "{start} <{shown(text, 80)}>" if the values are fractions, or '
+        f'"{start} <{percents}>" if they are percents'
     )
 
 

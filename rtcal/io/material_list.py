@@ -74,6 +74,9 @@ class ListedMaterial:
         Where the format takes those of a material that states none; None if nowhere.
     source : str
         Where the coefficients come from, if not from the list itself.
+    doubt : str
+        Why a room is not to have the coefficients as they are read, and what to write; empty if
+        they are plain.
     """
 
     name: str
@@ -87,6 +90,7 @@ class ListedMaterial:
     scattering_spans: tuple[tuple[int, int], ...] = ()
     scattering_place: int | None = None
     source: str = ""
+    doubt: str = ""
 
     def in_bands(self, values: Sequence[float], wanted: Array, place: str) -> Array:
         """Return one value per band of this material in other bands; DataError names the place."""
@@ -191,8 +195,8 @@ class MaterialList:
         Raises
         ------
         DataError
-            For a material that the list lacks, a missing area, a band that a material lacks, and as
-            `Room` does.
+            For a material that the list lacks or whose coefficients are in doubt, a missing area,
+            a band that a material lacks, and as `Room` does.
         """
         surfaces = (
             [Surface(n, n, a) for n, a in areas.items()]
@@ -201,6 +205,8 @@ class MaterialList:
         )
         others = others or {}
         used = {s.material: others.get(s.material) or self.listed(s.material) for s in surfaces}
+        if doubts := [m.doubt for m in used.values() if m.doubt]:
+            raise DataError(doubts[0])
         if not used:
             raise DataError(f"{self.path}: no areas; a room has at least one surface")
         if centre_frequencies is None:
