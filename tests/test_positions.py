@@ -96,6 +96,24 @@ def test_the_page_says_first_what_the_terminal_warns_of(result):
     assert "do not simulate with it" not in page_of(result)
 
 
+def test_the_page_says_first_what_gap_remains(result):
+    """No word said it above the tables, even where T20 was nearly twice what was measured."""
+    pytest.importorskip("jinja2")
+    index = result.parameters.index("t20")
+    assert "T20 is" not in page_of(result)
+    off = result.after.values.copy()
+    off[index, :, 1] += 1.0
+    astray = replace(result, after=replace(result.after, values=off))
+    said = page_of(astray)
+    left = np.sqrt(np.mean(astray.gap_after[index] ** 2))
+    assert left > 1
+    goal = np.nanmean(result.measured.values["t20"][:, 1])
+    has = np.nanmean(astray.after.natural("t20")[:, 1])
+    assert f"T20 {left:.1f} JND" in said
+    headline = f"T20 is {has:.2f} s for {goal:.2f} s measured"
+    assert said.index(headline) < said.index('<h2 id="summary">')
+
+
 def test_the_command_of_the_page_runs_as_it_stands(result):
     """It had ended in "--scattering S" where the scattering was fitted."""
     pytest.importorskip("jinja2")

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from rtcal.acoustics import bands
 from rtcal.acoustics.observables import DecaySlope, of_kind, parameter_label
 from rtcal.loop.positions_result import PositionsResult
 from rtcal.modes.result import ModesResult
@@ -23,6 +24,8 @@ MOST_MATERIALS = 100
 """Largest number of materials in the page's tables, which list those of which most was learned."""
 _LEARNED = 0.9
 """Posterior over prior sigma up to which a material counts as learned in the summary."""
+_REMAINS = 1.0
+"""Root mean square gap in JND from which the page says first what remains: a difference is heard."""
 _MISFIT = 2.0
 """Misfit from which a pair is named: twice the chi-square that is usual in this room."""
 
@@ -34,6 +37,7 @@ def page(result: PositionsResult, heading: Heading, step: Callable[[], None]) ->
         "positions.html",
         {
             "result": result,
+            "headline": _headline(result),
             "summary": _summary(result, order),
             "shifts": {
                 "source": source(
@@ -91,6 +95,30 @@ def _share(result: PositionsResult) -> Array:
 
 def _most_learned_first(result: PositionsResult) -> list[int]:
     return [int(i) for i in np.argsort(_share(result), kind="stable")[:MOST_MATERIALS]]
+
+
+def _headline(result: PositionsResult) -> str:
+    """Return what the calibrated simulator lacks of what was matched; "" where all is within 1 JND."""
+    left = {p: _rms(gap) for p, gap in zip(result.parameters, result.gap_after, strict=True)}
+    far = sorted((p for p in left if left[p] >= _REMAINS), key=lambda p: -left[p])
+    if not far:
+        return ""
+    gaps = ", ".join(f"{parameter_label(p)} {left[p]:.1f} JND" for p in far)
+    said = (
+        "The calibrated simulator does not have what was measured. There remain, root mean square over "
+        f"pairs and bands: {gaps}."
+    )
+    measured = result.measured.observations
+    for key in (p for p in far if p in of_kind(DecaySlope)):
+        heard = measured.natural(key)
+        has = np.where(np.isfinite(heard), result.after.natural(key), np.nan)
+        goal, time = _mean(heard), _mean(has)
+        k = int(np.nanargmax(np.abs(time / goal - 1)))
+        said += (
+            f" {parameter_label(key)} is {time[k]:.2f} s for {goal[k]:.2f} s measured, mean over the "
+            f"pairs at {bands.label(result.prior.centre_frequencies[k])}."
+        )
+    return said
 
 
 def _summary(result: PositionsResult, order: list[int]) -> list[str]:

@@ -35,6 +35,8 @@ _FOR_PROGRAMS = {"object", "inputs", "settings"}
 """Entries that only rtcal reads: the result's pieces, and the text of its input files."""
 _BY_MATERIAL = ("raw_alpha", "scattering coefficients", "scattering sigma")
 """Ends of the names of tables with a row per material and a column per band."""
+_OF_PAIRS = ("pairs", "contradictions")
+"""Ends of the names of lists of a source and a receiver each."""
 
 
 @checked
@@ -120,7 +122,7 @@ def tables_of(record: Mapping[str, Any]) -> dict[str, Table]:
             lists[name] = [["material", *labels], *([m, *map(_cell, row)] for m, row in rows)]
         elif len(shape) > 1:
             lists[name] = [
-                ["source", "receiver"] if name.endswith("pairs") else _columns(value, labels),
+                ["source", "receiver"] if name.endswith(_OF_PAIRS) else _columns(value, labels),
                 *(list(map(_cell, row)) for row in value),
             ]
     across = [[f, *(column[k] for column in of_bands.values())] for k, f in enumerate(frequencies)]
@@ -155,11 +157,11 @@ def _by_position(
 ) -> Table:
     """Return the table of (n_parameters, n_pairs, n_bands): a row per parameter and pair.
 
-    Names are those that the same part of the record has, else numbers.
+    Names are those that the same part of the record has, else those of the whole, else numbers.
     """
 
     def names(key: str, number: int) -> list[Any]:
-        stated = entries.get(scope + key, ())
+        stated = entries.get(scope + key, entries.get(key, ()))
         return list(stated) if len(stated) == number else list(range(1, number + 1))
 
     pairs = names("pairs", len(values[0]))

@@ -36,6 +36,14 @@ def test_a_value_of_a_position_stands_beside_its_names(inside) -> None:
     assert "bands" not in made
 
 
+def test_a_part_at_the_pairs_of_the_whole_names_them() -> None:
+    """The sheets of what was not matched had the sources 1, 2, 3 and no receiver."""
+    part = {"parameters": ["c80"], "gap": [[[1.0, 2.0], [3.0, 4.0], [5.0, 6.0]]]}
+    made = tables.tables_of({**record(), "not_matched": part, "contradictions": [["S1", "R2"]]})
+    assert made["not_matched gap"][2] == ["c80", "S1", "R2", 3.0, 4.0]
+    assert made["contradictions"] == [["source", "receiver"], ["S1", "R2"]]
+
+
 def test_what_lacks_names_is_numbered() -> None:
     bare = {k: v for k, v in record().items() if k not in ("parameters", "pairs")}
     assert tables.tables_of(bare)["map"][4] == [2, 1, None, 6.0, 7.0]
