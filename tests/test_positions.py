@@ -107,7 +107,7 @@ def test_the_page_says_first_what_gap_remains(result):
     said = page_of(astray)
     left = np.sqrt(np.mean(astray.gap_after[index] ** 2))
     assert left > 1
-    goal = np.nanmean(result.measured.values["t20"][:, 1])
+    goal = np.nanmean(result.measured.observations.natural("t20")[:, 1])
     has = np.nanmean(astray.after.natural("t20")[:, 1])
     assert f"T20 {left:.1f} JND" in said
     headline = f"T20 is {has:.2f} s for {goal:.2f} s measured"
