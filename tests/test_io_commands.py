@@ -117,6 +117,30 @@ def test_an_area_is_stated_once_and_what_is_left_out_is_said(tmp_path: Path, cap
     assert "Left out, without area: felt" in capsys.readouterr().out
 
 
+@pytest.mark.parametrize(
+    ("command", "written"),
+    [
+        ("table t.csv --out d.pdf", ".csv and .xlsx"),
+        ("measure s1.wav --out d.html", ".csv and .xlsx"),
+        ("report calibrated --out c.PDF", ".html and .htm and .xlsx"),
+        ("import check hall.obj --mended m.stl", ".obj"),
+        ("import catt hall.geo --mesh hall.obj --out r.toml --mended m.stl", ".obj"),
+        ("import catt hall.geo --area a=9 --volume 9 --out y.geo", ".toml"),
+    ],
+)
+def test_no_file_ends_as_one_of_another_format(
+    tmp_path: Path, monkeypatch, capsys, command: str, written: str
+) -> None:
+    """A page was written as c.pdf, and a table as d.pdf."""
+    monkeypatch.chdir(tmp_path)
+    Path("t.csv").write_text("band,T20\n500,1.5\n")
+    assert run(*command.split()) == 2
+    said = " ".join(capsys.readouterr().err.split())
+    assert f"is not written; written are {written}" in said
+    assert [path.name for path in tmp_path.iterdir()] == ["t.csv"]
+    assert run("table", "t.csv", "--out", "d.txt") == 0
+
+
 def test_a_table_is_written_before_it_is_shown(tmp_path: Path, monkeypatch) -> None:
     """Into ``| head`` the page may end half-way; the file must not."""
     path, out = tmp_path / "in.csv", tmp_path / "t.csv"

@@ -18,6 +18,7 @@ from rtcal.command.console import (
     bar_wanted,
     decimals_option,
     errors_name_options,
+    fit_ending,
     heading_options,
     json_option,
     numbers,
@@ -39,6 +40,7 @@ if TYPE_CHECKING:
     from rtcal.report.document import Heading
 
 
+_TABLES = (".csv", ".xlsx")
 PROGRAMS = ("catt", "odeon", "pyroomacoustics", "bras")
 
 
@@ -94,6 +96,7 @@ def measure(
     from rtcal.io.analysis import with_uncertainty
     from rtcal.support.progress import bar
 
+    fit_ending("--out", out, *_TABLES)
     spare([path for path in (out, positions) if path is not None], responses)
     scene = None if positions is None else _positions_text(responses)
     with (
@@ -187,6 +190,7 @@ def table(
     """
     from rtcal.io import tables
 
+    fit_ending("--out", out, *_TABLES)
     spare([] if out is None else [out], paths)
     with errors_name_options(*ARGUMENTS):
         table_read = tables.read(
@@ -379,6 +383,7 @@ def report(result: str, out: str | None, heading: Heading, as_json: bool, quiet:
 
     if out == "":
         raise DataError("--out is empty; it is a file")
+    fit_ending("--out", out, ".html", ".htm", workbook.ENDING)
     folder = Path(result) if Path(result).is_dir() else Path(result).parent
     kept = [folder / name for name in result_folder.FILES if (folder / name).exists()]
     target = Path(out) if out is not None else folder / "report.html"

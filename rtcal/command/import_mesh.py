@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 from click.core import ParameterSource
 
-from rtcal.command.console import as_options, errors_name_options, numbers, said, tell
+from rtcal.command.console import as_options, errors_name_options, fit_ending, numbers, said, tell
 from rtcal.support.errors import DataError
 from rtcal.support.files import spare
 from rtcal.support.progress import bar
@@ -62,6 +62,7 @@ def check(
 
     if mesh is None:
         raise DataError("which mesh? rtcal import check room.obj")
+    fit_ending("--mended", mended, ".obj")
     spare([path for path in (mended, picture) if path is not None], [mesh])
     done: Mended | Unclosed
     drawn: Any

@@ -13,6 +13,7 @@ from rtcal.command.console import (
     as_options,
     bands_option,
     entries_option,
+    fit_ending,
     json_option,
     quiet_option,
     scattering_option,
@@ -195,6 +196,8 @@ def import_room(
         return
     if out is None:
         raise DataError("--out is missing: the room's file (TOML) to write")
+    fit_ending("--out", out, ".toml")
+    fit_ending("--mended", mended, ".obj")
     written = [path for path in (out, mended, picture) if path is not None]
     spare(written, [path for path in (materials, mesh, sigma_table) if path is not None])
     listed = _materials(program, materials)
