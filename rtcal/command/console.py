@@ -343,9 +343,9 @@ def show_warning(message: Warning | str, *_: object, **__: object) -> None:
         warn(message)
 
 
-_FORMATS = frozenset(
+_FORMATS = (
     ".csv .xlsx .xls .ods .tsv .html .htm .pdf .doc .docx .odt .json .toml .png .jpg .jpeg .svg .geo "
-    ".abs .li8 .obj .stl .ply .glb .gltf .dxf .dae .ifc .skp .3ds .wav .sofa .md .tex".split()
+    ".abs .li8 .obj .stl .ply .glb .gltf .dxf .dae .ifc .skp .3ds .wav .sofa .md .tex"
 )
 """Endings of files that have a format of their own."""
 
@@ -353,7 +353,7 @@ _FORMATS = frozenset(
 def fit_ending(option: str, path: str | None, *written: str) -> None:
     """Raise DataError if a file's ending names another format than those that are written."""
     ending = "" if path is None else Path(path).suffix.lower()
-    if ending in _FORMATS - {*written}:
+    if ending in _FORMATS.split() and ending not in written:
         raise DataError(
             f'{option} {path}: "{ending}" is not written; written are {" and ".join(written)}'
         )
