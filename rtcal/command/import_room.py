@@ -196,10 +196,10 @@ def import_room(
         return
     if out is None:
         raise DataError("--out is missing: the room's file (TOML) to write")
-    fit_ending("--out", out, ".toml")
-    fit_ending("--mended", mended, ".obj")
     written = [path for path in (out, mended, picture) if path is not None]
     spare(written, [path for path in (materials, mesh, sigma_table) if path is not None])
+    fit_ending("--out", out, ".toml")
+    fit_ending("--mended", mended, ".obj")
     listed = _materials(program, materials)
     model, volume, surfaces = geometry(
         mesh, unit, space, weld, hole, as_drawn, volume, areas, listed.names, quiet=quiet
