@@ -96,8 +96,8 @@ def measure(
     from rtcal.io.analysis import with_uncertainty
     from rtcal.support.progress import bar
 
-    fit_ending("--out", out, *_TABLES)
     spare([path for path in (out, positions) if path is not None], responses)
+    fit_ending("--out", out, *_TABLES)
     scene = None if positions is None else _positions_text(responses)
     with (
         errors_name_options("channels", "repeats"),
@@ -190,8 +190,8 @@ def table(
     """
     from rtcal.io import tables
 
-    fit_ending("--out", out, *_TABLES)
     spare([] if out is None else [out], paths)
+    fit_ending("--out", out, *_TABLES)
     with errors_name_options(*ARGUMENTS):
         table_read = tables.read(
             paths,
@@ -383,11 +383,11 @@ def report(result: str, out: str | None, heading: Heading, as_json: bool, quiet:
 
     if out == "":
         raise DataError("--out is empty; it is a file")
-    fit_ending("--out", out, ".html", ".htm", workbook.ENDING)
     folder = Path(result) if Path(result).is_dir() else Path(result).parent
     kept = [folder / name for name in result_folder.FILES if (folder / name).exists()]
     target = Path(out) if out is not None else folder / "report.html"
     spare([target], [result, *kept])
+    fit_ending("--out", out, ".html", ".htm", workbook.ENDING)
     if target.suffix.lower() == workbook.ENDING:
         tables.write(result, target)
         done = {"written": str(target), "bytes": target.stat().st_size}
