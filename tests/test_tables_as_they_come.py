@@ -197,6 +197,20 @@ def test_values_that_a_formula_failed_to_give_are_counted() -> None:
     )
 
 
+def test_a_decimal_that_was_typed_wrong_at_one_position_is_named() -> None:
+    rows = [["source", "receiver", "band", "T20"]]
+    rows += [["S1", f"R{n}", f, 1.0 + n / 50] for n in range(1, 5) for f in (500, 1000)]
+    assert tables.parse(book({"T": rows})).doubts == ()
+    assert rows[5] == ["S1", "R3", 500, 1.06]
+    rows[5][3] = 10.6
+    read = tables.parse(book({"T": rows}))
+    assert read.doubts == (
+        "T20 is over 3 times that of the other pairs: 10.6 s (S1 to R3 at 500 Hz; median over the "
+        "pairs 1.06 s). Look whether the decimal is another",
+    )
+    assert read.doubts[0] in str(read)
+
+
 def test_a_spanish_position_is_a_source_and_a_receiver() -> None:
     assert table_columns.position_in("Globo F1-P9 10:52:30") == ("F1", "P9")
 

@@ -15,6 +15,8 @@ from rtcal.support.types import Array
 
 _MOST_PAIRS = 4
 """Largest number of pairs or files that a sentence names."""
+_FAR = 3.0
+"""Ratio of a time to the median over the pairs above which it is told as a likely typing error."""
 
 
 def with_uncertainty(measurement: Measurement) -> Measurement:
@@ -180,3 +182,44 @@ def shortened_list(names: Sequence[str]) -> str:
     if len(names) > _MOST_PAIRS:
         names = [*names[: _MOST_PAIRS - 1], f"{len(names) - _MOST_PAIRS + 1} others"]
     return "; ".join(names)
+
+
+def unusual(measurement: Measurement) -> tuple[str, ...]:
+    """Return a note on each parameter with values that hardly any room, or no other pair, has."""
+    notes = []
+    for parameter, table in measurement.values.items():
+        kind = observable(parameter)
+        least, most = kind.usual
+        odd = np.argwhere((table < least) | (table > most))
+        if not odd.size:
+            notes += _far_from_others(measurement, parameter) if kind.unit == "s" else []
+            continue
+        i, k = odd[0]
+        place = "" if measurement.is_summary else f"{' to '.join(measurement.pairs[i])} "
+        more = f", and {len(odd) - 1} more" if len(odd) > 1 else ""
+        notes.append(
+            f"hardly any room has {kind.label} of {table[i, k]:g} {kind.unit} "
+            f"({place}at {bands.label(measurement.centre_frequencies[k])}{more}): look whether the "
+            "column, the unit or the decimal is another"
+        )
+    return tuple(notes)
+
+
+def _far_from_others(measurement: Measurement, parameter: str) -> list[str]:
+    """Return a note on times that are over `_FAR` times the median over the pairs of their band."""
+    table, pairs, label = measurement.values[parameter], measurement.pairs, bands.label
+    counts = np.isfinite(table).sum(axis=0)
+    median = np.full(len(counts), np.inf)
+    median[counts > 2] = np.nanmedian(table[:, counts > 2], axis=0)
+    found = [
+        f"{table[i, k]:g} s ({' to '.join(pairs[i])} at {label(measurement.centre_frequencies[k])}; "
+        f"median over the pairs {median[k]:.3g} s)"
+        for i, k in np.argwhere(table > _FAR * median)
+    ]
+    if not found:
+        return []
+    more = f", and {len(found) - _MOST_PAIRS} more" if len(found) > _MOST_PAIRS else ""
+    return [
+        f"{parameter_label(parameter)} is over {_FAR:g} times that of the other pairs: "
+        f"{', '.join(found[:_MOST_PAIRS])}{more}. Look whether the decimal is another"
+    ]

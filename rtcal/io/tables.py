@@ -24,14 +24,12 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from rtcal.acoustics import bands, measurement_files
 from rtcal.acoustics.measurement import Measurement
-from rtcal.acoustics.observables import OBSERVABLES, TARGET, observable, parameter_label
+from rtcal.acoustics.observables import OBSERVABLES, TARGET, parameter_label
 from rtcal.acoustics.repeats import in_words, places_of
 from rtcal.io import nti, rew, workbook
-from rtcal.io.analysis import means
+from rtcal.io.analysis import means, unusual
 from rtcal.io.table_columns import (
     DECAY_TIMES_OF_RT60,
     Column,
@@ -74,8 +72,8 @@ class Table:
 
     @property
     def doubts(self) -> tuple[str, ...]:
-        """Sentences on values that hardly any room has and that are read all the same."""
-        return _unusual(self.measurement)
+        """Sentences on values that are read all the same, and that a typing error may explain."""
+        return unusual(self.measurement)
 
 
 @checked
@@ -397,26 +395,6 @@ def _table(readers: Sequence[Reader], where: Mapping[str, str], notes: list[str]
     report += [] if len(readers) == 1 else notes
     report += in_words(places_of(pairs))
     return Table(_measurement(values, places), tuple(report))
-
-
-def _unusual(measurement: Measurement) -> tuple[str, ...]:
-    """Return a note on each parameter with values that hardly any room has; () without any."""
-    notes = []
-    for parameter, table in measurement.values.items():
-        kind = observable(parameter)
-        least, most = kind.usual
-        odd = np.argwhere((table < least) | (table > most))
-        if not odd.size:
-            continue
-        i, k = odd[0]
-        place = "" if measurement.is_summary else f"{' to '.join(measurement.pairs[i])} "
-        more = f", and {len(odd) - 1} more" if len(odd) > 1 else ""
-        notes.append(
-            f"hardly any room has {kind.label} of {table[i, k]:g} {kind.unit} "
-            f"({place}at {bands.label(measurement.centre_frequencies[k])}{more}): look whether the "
-            "column, the unit or the decimal is another"
-        )
-    return tuple(notes)
 
 
 def _measurement(values: Values, place: str) -> Measurement:
