@@ -113,6 +113,21 @@ def test_percent_is_the_unit_of_what_it_stands_with(
     assert ("taken as fractions" in wall.source) == (alpha == 0.5)
 
 
+@pytest.mark.parametrize(
+    "content",
+    [
+        "product;125;250;500\nwall;0,5;;0,5\nfloor;0,1;0,1;0,1\n",
+        "f;wall;floor\n125;0,5;0,1\n250;;0,1\n500;0,5;0,1\n",
+    ],
+)
+def test_an_empty_cell_is_told_with_its_product(tmp_path: Path, content: str) -> None:
+    """The room had a band less without a word."""
+    (tmp_path / "products.csv").write_text(content)
+    wall, floor = library.read(tmp_path / "products.csv").materials
+    assert wall.source.endswith("; no coefficient at 250 Hz")
+    assert "no coefficient" not in floor.source
+
+
 def test_a_folder_is_a_library(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     folder = tmp_path / "products"
     folder.mkdir()

@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 
 from rtcal.acoustics import bands
@@ -163,6 +163,7 @@ def _across(sheet: Sheet, at: int, at_bands: dict[int, float]) -> Iterator[Liste
             for k in texts
             if k != names[0] and k < len(cells) and cells[k]
         ]
+        stated += _lacking(at_bands.values(), values)
         yield _material(sheet.place, line, name, values, [*titles, *stated], percent, elsewhere)
 
 
@@ -197,11 +198,18 @@ def _down(sheet: Sheet, otherwise: str) -> Iterator[ListedMaterial]:
         percent = _in_percent(header[k : k + 1], [*header, *titles])
         elsewhere = "" if percent else _first_percent([*header, *titles])
         line = sheet.rows[first][0]
-        yield _material(sheet.place, line, name, values, titles, percent, elsewhere)
+        stated = [*titles, *_lacking((f for _, f in rows), values)]
+        yield _material(sheet.place, line, name, values, stated, percent, elsewhere)
 
 
 def _titles(rows: Sequence[Row]) -> list[str]:
     return [" ".join(filter(None, cells)) for _, cells in rows]
+
+
+def _lacking(of_table: Iterable[float], values: dict[float, str]) -> list[str]:
+    """Return the note of a product that has no coefficient in some bands of its table."""
+    lacking = [bands.label(f) for f in of_table if f not in values]
+    return [f"no coefficient at {', '.join(lacking)}"] if lacking else []
 
 
 def _in_percent(own: Sequence[str], texts: Sequence[str]) -> bool:

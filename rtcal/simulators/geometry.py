@@ -238,7 +238,10 @@ class Polyhedron:
         """Return the room as OBJ in m; `rtcal.io.obj.read` gives the same room."""
         for material in self.materials:
             if not material or material.strip() != material or not material.isprintable():
-                raise DataError(f"material {material!r}: a name in an OBJ file is one line of text")
+                raise DataError(
+                    f"material {material!r}: a name in an OBJ file is one line of text, with no blank "
+                    "at its start or end"
+                )
         rows = ["# m; written by rtcal"]
         rows += ["v " + " ".join(repr(float(x)) for x in vertex) for vertex in self.vertices]
         named = any(name != f"face {i}" for i, name in enumerate(self.names, 1))
