@@ -41,10 +41,9 @@ from rtcal.acoustics.quality import gap_jnd
 from rtcal.finder import library
 from rtcal.finder.positions.posterior import PositionsHypotheses, of_means
 from rtcal.finder.positions.problem import PositionsProblem, problem_of
-from rtcal.finder.positions.responses import parameters, responses_of
-from rtcal.finder.positions.search import every_hypothesis
+from rtcal.finder.positions.responses import responses_of
+from rtcal.finder.positions.search import controls_of, every_hypothesis
 from rtcal.finder.search import find
-from rtcal.loop.control_runs import simulated_controls
 from tests.geometric_world import rooms
 from tests.geometric_world.generate import HERE
 from tests.geometric_world.load import (
@@ -103,15 +102,8 @@ def prepared(
     case: rt.finder.positions.PositionsCase, cache: Path
 ) -> tuple[PositionsProblem, PositionsHypotheses]:
     """Return the numbers and the hypotheses of a search, as `finder.positions.find` makes them."""
-    controls: Any = simulated_controls(
-        case.simulator,
-        case.room,
-        parameters(case),
-        position_uncertainty=case.position_uncertainty,
-        cache=cache,
-    )
     made = responses_of(case, 0, cache)
-    numbers = problem_of(case, made, controls)
+    numbers = problem_of(case, made, controls_of(case, cache=cache))
     return numbers, every_hypothesis(case, made, numbers, library())
 
 

@@ -36,8 +36,8 @@ from rtcal.acoustics.observables import observable
 from rtcal.finder.positions.evidence import flat
 from rtcal.finder.positions.problem import PositionsProblem, problem_of
 from rtcal.finder.positions.responses import parameters, precisely, responses_of
+from rtcal.finder.positions.search import controls_of
 from rtcal.finder.positions.weighing import Weighing
-from rtcal.loop.control_runs import simulated_controls
 from rtcal.simulators import PathTracing, Polyhedron
 from rtcal.support.types import Array
 
@@ -266,13 +266,7 @@ def told(folder: Path, only: str | None, workers: int | None) -> None:
     """
     own = case_of(OWN, "closed", workers)
     names, controls = parameters(own), folder / "controls"
-    runs: Any = simulated_controls(
-        own.simulator,
-        own.room,
-        names,
-        position_uncertainty=own.position_uncertainty,
-        cache=controls,
-    )
+    runs = controls_of(own, cache=controls)
     made = responses_of(own, 0, controls)
     closed = simulator(workers, "closed")
     heard = Weighing(precisely(closed), names).observe(Weighing(closed, names).alpha)

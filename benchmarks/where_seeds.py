@@ -20,9 +20,7 @@ import numpy as np
 
 from benchmarks.where import PATHS, case_of
 from rtcal.finder.effects import library
-from rtcal.finder.positions.responses import parameters
-from rtcal.finder.positions.search import find_by_positions
-from rtcal.loop.control_runs import simulated_controls
+from rtcal.finder.positions.search import controls_of, find_by_positions
 from tests.geometric_world.load import IN_SITU, load
 
 
@@ -34,9 +32,7 @@ def scores(
     case = replace(case, simulator=replace(case.simulator, n_paths=paths))
     begin = time.process_time()
     for of_runs in seeds:
-        controls = simulated_controls(
-            case.simulator, case.room, parameters(case), seed=of_runs, cache=folder
-        )
+        controls = controls_of(case, of_runs, folder)
         for of_paths in seeds:
             found = find_by_positions(case, library(), controls, folder, of_paths, ())
             yield of_runs, of_paths, found.score, time.process_time() - begin

@@ -41,21 +41,45 @@ def error_of(
     )
 
 
-def test_the_noise_of_one_tracing_is_taken_off() -> None:
+def with_noise(error: float, noise: float, more_paths: int = 1) -> Any:
+    """Return the error of control runs, the difference of two tracings of ``noise`` each."""
     rng = np.random.default_rng(1)
-    error, noise = 0.1, 0.2
     runs = error * rng.standard_normal((RUNS, *SHAPE))
-    runs += noise * np.sqrt(2) * rng.standard_normal(runs.shape)  # of both tracings
-    left = error_of(controls(runs), noise * rng.standard_normal((GROUPS, *SHAPE)))
-    assert left.runs.errors.var() == pytest.approx(error**2 + noise**2, rel=0.1)
+    runs += noise * np.sqrt(2 / more_paths) * rng.standard_normal(runs.shape)
+    controlled = controls(runs, more_paths=more_paths)
+    return error_of(controlled, noise * rng.standard_normal((GROUPS, *SHAPE)))
+
+
+def test_the_noise_of_one_tracing_is_left_and_has_no_pattern() -> None:
+    left = with_noise(0.1, 0.2)
+    assert left.runs.errors.var() == pytest.approx(0.1**2, rel=0.1)
+    common = COMMON * 0.1**2 / SHAPE[1] - 0.1**2 / SHAPE[1]  # of the runs, as is assumed
+    variance = np.diag(left.covariance())
+    assert variance.mean() == pytest.approx(0.1**2 + common + 0.2**2, rel=0.1)
+    # Noise alone: few runs leave hardly any covariance of values that have none.
+    noise = with_noise(0.0, 0.2).covariance()
+    off = noise[~np.eye(len(noise), dtype=bool)]
+    assert np.sqrt((off**2).mean()) < 0.02 * np.diag(noise).mean()
+
+
+@pytest.mark.parametrize("more_paths", [2, 4])
+def test_an_assumed_error_does_not_depend_on_the_paths_of_control_runs(more_paths: int) -> None:
+    few, many = (np.diag(with_noise(0.2, 0.1, n).covariance()) for n in (1, more_paths))
+    assert many.mean() == pytest.approx(few.mean(), rel=0.03)
+
+
+def of_the_mean(noise: np.ndarray) -> np.ndarray:
+    """Return the covariance of the error by noise alone, but for that of one tracing."""
+    of_one = controls(noise).alike() * GROUPS / (GROUPS - TRACINGS)
+    covariance = error_of(controls(np.zeros((16, *SHAPE))), noise).covariance() - of_one
+    return np.asarray(covariance.reshape(*SHAPE, *SHAPE))
 
 
 def test_what_is_compared_has_noise_of_its_own() -> None:
     # All parameters and bands of a pair share its paths. Here no pair shares those of another.
     rng = np.random.default_rng(5)
     of_pair = 0.2 * rng.standard_normal((GROUPS, 1, SHAPE[1], 1))
-    error = error_of(controls(np.zeros((16, *SHAPE))), of_pair * np.ones(SHAPE))
-    covariance = error.covariance().reshape(*SHAPE, *SHAPE)
+    covariance = of_the_mean(of_pair * np.ones(SHAPE))
     expected = 0.2**2 / GROUPS
     assert covariance[0, 2, 1, 1, 2, 2] == pytest.approx(expected, rel=0.15)
     assert abs(covariance[0, 2, 1, 0, 3, 1]) < 0.1 * expected
@@ -64,8 +88,7 @@ def test_what_is_compared_has_noise_of_its_own() -> None:
 def test_noise_that_pairs_share_does_not_average_out() -> None:
     rng = np.random.default_rng(7)
     shared = 0.2 * rng.standard_normal((GROUPS, 1, 1, 1)) * np.ones(SHAPE)
-    covariance = error_of(controls(np.zeros((16, *SHAPE))), shared).covariance()
-    covariance = covariance.reshape(*SHAPE, *SHAPE)
+    covariance = of_the_mean(shared)
     assert covariance[0, 2, 1, 0, 3, 1] == pytest.approx(0.2**2 / GROUPS, rel=0.3)
 
 

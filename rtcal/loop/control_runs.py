@@ -77,6 +77,8 @@ class ControlRuns:
         Mean scattering coefficient of each run over the surfaces, by area.
     models : tuple of str (n_runs,)
         Scattering model of each run.
+    more_paths : int
+        How many times the paths of a calibration's control runs they have; see `simulated_controls`.
     """
 
     parameters: tuple[str, ...]
@@ -84,6 +86,7 @@ class ControlRuns:
     errors: Array
     levels: Array | None = None
     models: tuple[ScatteringModel, ...] = ()
+    more_paths: int = 1
 
     def __post_init__(self) -> None:
         errors = read_only(checks.array("errors", self.errors))
@@ -136,8 +139,11 @@ class ControlRuns:
         between bands.
         """
         rows = self.errors.reshape(len(self.errors), -1)
-        alike = _exchangeable(self.errors)
-        return np.asarray(_SHRINKAGE * alike + (1 - _SHRINKAGE) * rows.T @ rows / len(rows))
+        return np.asarray(_SHRINKAGE * self.alike() + (1 - _SHRINKAGE) * rows.T @ rows / len(rows))
+
+    def alike(self) -> Array:
+        """Return the covariance, (n, n), in which all pairs are alike."""
+        return _exchangeable(self.errors)
 
     def without_noise(self, noise: Array) -> ControlRuns:
         """Return the errors scaled to the variance that they have without the runs' own noise.
@@ -145,8 +151,9 @@ class ControlRuns:
         Parameters
         ----------
         noise : array (n_parameters, n_bands)
-            Variance of one pair of one run by its finite number of paths. Each pair has its own.
+            Variance of one pair of one run by the paths of a calibration's. Each pair has its own.
         """
+        noise = noise / self.more_paths
         n_pairs = self.errors.shape[2]
         common = self.errors.mean(axis=2)
         own = self.errors - common[:, :, np.newaxis]
@@ -228,6 +235,7 @@ def simulated_controls(
     cache: str | os.PathLike[str] | None = None,
     progress: Progress | None = None,
     after: Sequence[tuple[Sequence[str], Heard]] = (),
+    more_paths: int = 1,
 ) -> ControlRuns | None:
     """Return the errors of a simulator in `RUNS` control runs; None if it has no geometry to trace.
 
@@ -250,6 +258,8 @@ def simulated_controls(
     after : sequence of (names, callable)
         Further states of the room, heard in the same runs: what a simulator hears there stands behind
         ``match``, by these names. Nothing is kept in the ``cache`` then.
+    more_paths : int
+        Factor of the number of paths of the runs, and of a simulator that traces paths.
     """
     uncertainty = checked_uncertainty(position_uncertainty)
     base = _tracing(simulator)
@@ -257,18 +267,22 @@ def simulated_controls(
         return None
     if base.thinned is None:
         base = base.denser()
+    n_paths = more_paths * paths_of_a_run(base)
+    base = base.denser(more_paths)
     if isinstance(simulator, PathTracing):
         simulator = base
     path = None
     if cache is not None and not after:
         path = (
             checks.path("cache", cache)
-            / f"{_key(base, simulator, room, match, seed, uncertainty)}.array"
+            / f"{_key(base, simulator, room, match, seed, uncertainty, n_paths)}.array"
         )
     # What is not known is drawn alike for every seed, as the nodes of a quadrature: the paths alone
     # depend on the seed.
     rng = np.random.default_rng(20)
-    drawn = [(_varied(base, rng, run, uncertainty), _draw(room, rng)) for run in range(RUNS)]
+    drawn = [
+        (_varied(base, rng, run, uncertainty, n_paths), _draw(room, rng)) for run in range(RUNS)
+    ]
 
     names = (*match, *(name for named, _ in after for name in named))
     shape = (len(names), len(base.pairs), base.room.n_bands)
@@ -281,6 +295,7 @@ def simulated_controls(
             errors=errors[kept],
             levels=np.array([level(drawn[i][0].scattering, room.areas) for i in kept]),
             models=tuple(drawn[i][0].scattering_model for i in kept),
+            more_paths=more_paths,
         )
 
     kept = None if path is None else files.read(path)
@@ -289,7 +304,8 @@ def simulated_controls(
             return runs(kept)
     trace_ahead(simulator, room.alpha, seed)
     errors, factors, left_out = [], list[float](), 0
-    for run, (control, alpha) in enumerate(drawn):
+    for run, (varied, alpha) in enumerate(drawn):
+        control = replace(varied)  # the paths of one run are kept at a time
         ahead = _FIRST if run < len(MODELS) else max(factors[-4:], default=_FIRST)
         control.trace_ahead(alpha, ahead, seed=seed + 1 + run)
         again = left_out == _LEFT_OUT
@@ -365,7 +381,7 @@ def _tracing(simulator: Simulator) -> PathTracing | None:
 
 
 def _varied(
-    base: PathTracing, rng: np.random.Generator, run: int, uncertainty: float
+    base: PathTracing, rng: np.random.Generator, run: int, uncertainty: float, n_paths: int
 ) -> PathTracing:
     """Return the tracing with other scattering and positions."""
     low, high = SCATTERING
@@ -387,7 +403,7 @@ def _varied(
         scattering_model=MODELS[run % 2],
         sources=moved[0],
         receivers=moved[1],
-        n_paths=paths_of_a_run(base),
+        n_paths=n_paths,
     )
 
 
@@ -427,6 +443,7 @@ def _key(
     match: Sequence[str],
     seed: int,
     uncertainty: float,
+    n_paths: int,
 ) -> str:
     """Return a hash of all that the errors depend on."""
     geometry = base.geometry
@@ -447,6 +464,6 @@ def _key(
         np.asarray(base.scattering).tolist(),
         plain_directivities(base.directivity),
         list(match),
-        [seed, uncertainty, RUNS, __version__],
+        [seed, uncertainty, RUNS, n_paths, __version__],
     ]
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:32]

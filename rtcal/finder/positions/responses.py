@@ -51,9 +51,6 @@ BASE = 8
 """Factor of the number of paths that are weighed, besides that of `PathTracing.denser`. The shifts of
 T20, EDT and C80 differ little between the pairs: with 6000 paths per source, noise had five times the
 spread of what is there, and with 48,000 less than twice the spread."""
-_EVERY = 2
-"""Of the batches of paths every second is weighed for what changes: the same paths as stated and
-changed differ by little noise."""
 TRACINGS = 2
 """Independent tracings that are weighed. Where a surface changes, T20 changes by nearly as much at any
 pair: in four rooms of the geometric world what differed was noise. So a single tracing gave every
@@ -166,16 +163,17 @@ def _of_tracing(
     base = weighing.parameters(energy.mean(axis=0))
     groups = np.ascontiguousarray(np.moveaxis(weighing.parameters(energy), 1, 0))
     tell("surfaces")
-    some = replace(weighing, every=_EVERY)
-    stated = some.observe(some.alpha)
-    surfaces, parts, apertures, materials = _of_surfaces(case, some, stated)
+    surfaces, parts, apertures, materials = _of_surfaces(case, weighing, base)
     room = case.room
     reference = Air(20, 50).attenuation(room.centre_frequencies)
     air = [
-        some.observe(some.alpha, np.maximum(room.air_attenuation + t * reference, 0.0)) for t in AIR
+        weighing.observe(weighing.alpha, np.maximum(room.air_attenuation + t * reference, 0.0))
+        for t in AIR
     ]
-    volume = [some.observe(some.alpha, stretch=float(np.exp(t / 3))) for t in VOLUME]
-    aimed = [replace(some, lobes=of).observe(some.alpha) if of else stated for of in lobes(tracer)]
+    volume = [weighing.observe(weighing.alpha, stretch=float(np.exp(t / 3))) for t in VOLUME]
+    aimed = [
+        replace(weighing, lobes=of).observe(weighing.alpha) if of else base for of in lobes(tracer)
+    ]
     # Only paths of the model "random" tell the derivatives.
     if tracer.scattering_model != "random":
         tracer = _retraced(tracer, scattering_model="random")
@@ -188,11 +186,11 @@ def _of_tracing(
         surfaces=surfaces,
         parts=parts,
         apertures=apertures,
-        air=np.stack(air, axis=-1) - stated[..., np.newaxis],
-        volume=np.stack(volume, axis=-1) - stated[..., np.newaxis],
+        air=np.stack(air, axis=-1) - base[..., np.newaxis],
+        volume=np.stack(volume, axis=-1) - base[..., np.newaxis],
         moved=displaced(case, match, base, seed),
         levels=_at_levels(case, match, base, seed),
-        aimed=np.stack(aimed, axis=-1) - stated[..., np.newaxis],
+        aimed=np.stack(aimed, axis=-1) - base[..., np.newaxis],
         materials=materials,
         scattering=scattering,
         noise=groups - groups.mean(axis=0),
@@ -406,7 +404,7 @@ def key_of(case: PositionsCase, seed: int) -> str:
     """Return a hash of all that the shifts depend on."""
     tracer, room, geometry = case.simulator, case.room, case.geometry
     content = [
-        "where",
+        "where, all paths",
         tracer.name,
         tracer.scattering_model,
         [tracer.n_paths, tracer.n_batches, tracer.radius, tracer.bin_width],

@@ -53,7 +53,7 @@ from rtcal.loop.control_runs import ControlRuns, simulated_controls
 from rtcal.support import checks
 from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError
-from rtcal.support.progress import TaskProgress
+from rtcal.support.progress import Progress, TaskProgress
 from rtcal.support.speed import single_threaded_blas
 from rtcal.support.types import Array
 
@@ -132,6 +132,28 @@ def find(
     return find_by_positions(case, every, controls, cache, seed, left_out, progress, means)
 
 
+def controls_of(
+    case: PositionsCase,
+    seed: int = 0,
+    cache: str | os.PathLike[str] | None = None,
+    progress: Progress | None = None,
+) -> ControlRuns:
+    """Return the control runs of a search."""
+    controls = simulated_controls(
+        case.simulator,
+        case.room,
+        parameters(case),
+        seed=seed,
+        position_uncertainty=case.position_uncertainty,
+        cache=cache,
+        progress=progress,
+        more_paths=model_error.MORE_PATHS,
+    )
+    if controls is None:  # a PathTracing has control runs always
+        raise DataError(f"{case.simulator.name} has no geometry to trace")
+    return controls
+
+
 @single_threaded_blas()
 def find_by_positions(
     case: PositionsCase,
@@ -150,17 +172,7 @@ def find_by_positions(
             progress("control runs", done, total)
 
     if controls is None:
-        controls = simulated_controls(
-            case.simulator,
-            case.room,
-            parameters(case),
-            seed=seed,
-            position_uncertainty=case.position_uncertainty,
-            cache=cache,
-            progress=run_finished,
-        )
-    if controls is None:  # a PathTracing has control runs always
-        raise DataError(f"{case.simulator.name} has no geometry to trace")
+        controls = controls_of(case, seed, cache, run_finished)
     made = responses_of(case, seed, cache, progress)
     threshold = THRESHOLD if case.simulated is None else OF_PROGRAMS
 

@@ -161,8 +161,6 @@ class Weighing:
     match: Sequence[str]
     seed: int = 0
     seconds: float = 0.0
-    every: int = 1
-    """Of the batches every n-th is weighed."""
     lobes: Mapping[int, Directivity] = field(default_factory=dict)
     """Other directivities than the tracer's, of one band, by the number of the source."""
 
@@ -349,15 +347,7 @@ class Weighing:
         """Return the band's paths with each face as a material of its own."""
         traced = self.tracer.traced(band, self.seconds, seed=self.seed)
         n_faces = len(traced.materials)
-        batches = tuple(source[:: self.every] for source in traced.batches)
-        n_paths = traced.n_paths * len(batches[0]) // len(traced.batches[0])
-        by_face = replace(
-            traced,
-            batches=batches,
-            n_paths=n_paths,
-            materials=np.arange(n_faces),
-            n_materials=n_faces,
-        )
+        by_face = replace(traced, materials=np.arange(n_faces), n_materials=n_faces)
         return by_face.aimed(self.lobes, self.tracer.to_receivers) if self.lobes else by_face
 
 
