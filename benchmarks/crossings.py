@@ -22,8 +22,7 @@ from typing import Any
 
 import rtcal as rt
 from rtcal.datasets.examples import example
-from rtcal.finder.positions.responses import parameters
-from rtcal.loop.control_runs import simulated_controls
+from rtcal.finder.positions.search import controls_of
 
 PATHS, RUNS_SEED = 500, 0
 PACKAGE = str(Path(rt.__file__).parent) + "/"
@@ -74,13 +73,7 @@ def search(paths: int = PATHS) -> tuple[Counter[Call], set[str]]:
         case = rt.finder.positions.PositionsCase.from_room(
             room, measured, tracing={"n_paths": paths}
         )
-    controls = simulated_controls(
-        case.simulator,
-        case.room,
-        parameters(case),
-        seed=RUNS_SEED,
-        position_uncertainty=case.position_uncertainty,
-    )
+    controls = controls_of(case, RUNS_SEED)
     find = rt.find  # imported before it is counted
     return counted(lambda: find(case, controls=controls))
 

@@ -21,8 +21,9 @@ MODELS = ("before", "plain", "corrected")
 LARGE = 0.10
 """The gap is judged where the effect changes T by more, on average over the bands."""
 ROOMS = {
-    "eighth": "15 to 23 of population 4: judged once, at the defaults, by the present rule",
-    "seventh": "0 to 14 of population 4: judged once, at the defaults, by the rule before it",
+    "ninth": "24 to 29 of population 4: judged once, at the defaults, by the present rule",
+    "eighth": "15 to 23 of population 4: judged once, at the defaults, by the rule before it",
+    "seventh": "0 to 14 of population 4: judged once, at the defaults, by a still earlier rule",
     "sixth": "of population 3: judged once, by a still earlier rule",
     "fifth": "127 to 144 and from 154, where means detect something: the rule that they decide",
     "fresh": "128 to 144 and from 154: means alone, for the same rule",
