@@ -277,7 +277,9 @@ def summary(rows):
         "modes there": there,
         "found and rightly matched": round(right / there, 3),
         "wrong of those used": round(1 - right / used, 3),
-        "of those used, nearest to their own pole": round(sum(r["nearest"] for r in good) / used, 3),
+        "of those used, nearest to their own pole": round(
+            sum(r["nearest"] for r in good) / used, 3
+        ),
         "held-out modes": int(n.sum()),
         "their decays' error, modes": round(float(off["modes"]), 3),
         "their decays' error, T alone": round(float(off["t"]), 3),
