@@ -431,6 +431,20 @@ def obj(faces: mend.Faces, path: Path) -> Path:
     return path
 
 
+@pytest.mark.parametrize(("shift", "kind"), [(6.5, "partly outside"), (8.0, "outside")])
+def test_an_object_that_reaches_through_a_wall_makes_its_area_uncertain(
+    shift: float, kind: str
+) -> None:
+    """It vanished as if it were outside, and its material's area was taken as exact."""
+    through = (np.array(PANEL[1]) + [shift, 0, 0]).tolist()
+    done = mend.mended(drawn(PANEL, ("panel", through)))
+    assert done.geometry.areas["panel"] == pytest.approx(8, rel=0.01)
+    assert sorted(kinds(done)) == sorted(["panel", kind])
+    assert "panel" not in mend.mended(drawn(PANEL)).area_uncertainty
+    uncertain = done.area_uncertainty.get("panel", 0.0)
+    assert uncertain == pytest.approx(4 / np.sqrt(3) if kind == "partly outside" else 0.0)
+
+
 def test_check_needs_no_material_list(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = obj(drawn(WINDOW, PANEL), tmp_path / "hall.obj")
     picture, mended = tmp_path / "hall.png", tmp_path / "mended.obj"

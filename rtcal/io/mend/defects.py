@@ -25,7 +25,7 @@ class Defect:
     ----------
     kind : str
         "joint", "sliver", "twice", "bent", "hole", "overlay", "open bottom", "panel", "turned",
-        "outside".
+        "partly outside", "outside".
     number : int
     area : float
         Of the faces concerned, in m².

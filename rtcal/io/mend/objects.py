@@ -280,6 +280,7 @@ def with_others(mend: Mending, shell: Work, others: Sequence[Work]) -> Work:
     added, panels = Work(), list[Work]()
     told: dict[str, list[tuple[str, float, float, float]]] = {}
     reveals: list[tuple[str, float]] = []
+    across: list[tuple[str, float]] = []
     walls = Walls(mend, shell)
 
     def tell(kind: str, part: Work, size: float, volume: float, surface: float) -> None:
@@ -288,7 +289,13 @@ def with_others(mend: Mending, shell: Work, others: Sequence[Work]) -> Work:
     for part in others:
         size = sum(area_of(mend.points[f]) for f in part.faces)
         if not _within(mend, hull, mend.corners(part)):
-            tell("outside", part, size, 0.0, 0.0)
+            is_across = _reaches_into(mend, hull, mend.corners(part))
+            tell("partly outside" if is_across else "outside", part, size, 0.0, 0.0)
+            if is_across:
+                across += [
+                    (str(m), ANY_SHARE * area_of(mend.points[f]))
+                    for m, f in zip(part.materials, part.faces, strict=True)
+                ]
         elif not open_edges(mend, part):
             added.extend(part)
         elif (flat := overlaid_on(mend, walls, part)) is not None:
@@ -311,7 +318,7 @@ def with_others(mend: Mending, shell: Work, others: Sequence[Work]) -> Work:
         else:
             panels.append(part)
             tell("panel", part, size, -THICKNESS * size, size)
-    _tell_others(mend, told, reveals)
+    _tell_others(mend, told, {"overlay": reveals, "partly outside": across})
     shell = cut(mend, shell, cuts)
     shell.extend(added)
     if cuts:
@@ -326,24 +333,39 @@ def with_others(mend: Mending, shell: Work, others: Sequence[Work]) -> Work:
 def _tell_others(
     mend: Mending,
     told: Mapping[str, Sequence[tuple[str, float, float, float]]],
-    reveals: Sequence[tuple[str, float]],
+    unsure: Mapping[str, Sequence[tuple[str, float]]],
 ) -> None:
     words = {
         "overlay": "faces on a larger one take its area",
         "open bottom": "objects with an open bottom stand on a face, and take its area",
         "panel": "free panels are reflectors with two sides",
         "outside": "components outside the room are left out",
+        "partly outside": "components that reach through a wall are left out; their areas, and whether "
+        "the room has them, are uncertain",
     }
     for kind, rows in told.items():
         area, volume, surface = np.sum([row[1:] for row in rows], axis=0).tolist()
         uncertainty = abs(volume) / np.sqrt(3) if kind == "overlay" else 0.0
         names = [row[0] for row in rows]
-        unsure = reveals if kind == "overlay" else ()
-        done = words[kind]
-        mend.found(kind, done, names, area, volume, surface, float(uncertainty), unsure=unsure)
+        mend.found(
+            kind,
+            words[kind],
+            names,
+            area,
+            volume,
+            surface,
+            float(uncertainty),
+            unsure=unsure.get(kind, ()),
+        )
 
 
 def _within(mend: Mending, hull: Polyhedron, corners: Array) -> bool:
     """Return whether a component is in the room: its corners, but for those at the walls, are."""
     outside = corners[~hull.contains(corners)]
     return not (hull.wall_distance(outside) > mend.offset + mend.weld).any()
+
+
+def _reaches_into(mend: Mending, hull: Polyhedron, corners: Array) -> bool:
+    """Return whether a corner is in the room, and not merely at its walls."""
+    inside = corners[hull.contains(corners)]
+    return bool((hull.wall_distance(inside) > mend.offset + mend.weld).any())
