@@ -436,7 +436,7 @@ def test_an_object_that_reaches_through_a_wall_makes_its_area_uncertain(
     shift: float, kind: str
 ) -> None:
     """It vanished as if it were outside, and its material's area was taken as exact."""
-    through = (np.array(PANEL[1]) + [shift, 0, 0]).tolist()
+    through = [[x + shift, y, z] for x, y, z in PANEL[1]]
     done = mend.mended(drawn(PANEL, ("panel", through)))
     assert done.geometry.areas["panel"] == pytest.approx(8, rel=0.01)
     assert sorted(kinds(done)) == sorted(["panel", kind])
