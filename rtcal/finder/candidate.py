@@ -20,6 +20,8 @@ End = Literal["", "least", "most"]
 def amount(value: float, unit: str, interval: tuple[float, float] | None = None) -> str:
     """Return a size with its unit and its 90 % interval; a ratio as so many times.
 
+    Examples
+    --------
     >>> amount(2.0, "of the stated area"), amount(12.3, "m²", (8.0, 17.0))
     ('2 times the stated area', '12.3 m² (90 %: 8 to 17)')
     >>> amount(0.875, "of its area covered", (0.47, 1.0))
@@ -48,6 +50,8 @@ class Size:
     def words(self) -> str:
         """The size with its interval.
 
+        Examples
+        --------
         >>> Size(12.3, 8.0, 17.0, "m²").words
         '12.3 m² (90 %: 8 to 17)'
         >>> Size(61.0, 26.0, 109.0, "m²", "least").words

@@ -268,7 +268,8 @@ def simulated_controls(
     if base.thinned is None:
         base = base.denser()
     n_paths = more_paths * paths_of_a_run(base)
-    base = base.denser(more_paths)
+    if more_paths > 1:  # else the simulator keeps the paths that it has traced
+        base = base.denser(more_paths)
     if isinstance(simulator, PathTracing):
         simulator = base
     path = None

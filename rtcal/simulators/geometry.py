@@ -116,7 +116,7 @@ class Polyhedron:
         faces = [self._face(i, index) for i in range(len(self.faces))]
         faces = _turned_outward(vertices, faces, self.names)
         put("faces", tuple(faces))
-        areas = np.array([_triangles.vector_area(vertices[list(face)]) for face in faces])
+        areas = _triangles.vector_areas(vertices, faces)
         put("face_areas", np.linalg.norm(areas, axis=1))
         put("normals", areas / self.face_areas[:, np.newaxis])
         corners, owners = [], []
@@ -385,7 +385,7 @@ def _turned_outward(
             neighbours[j].append((i, forward_i == forward_j))
     turned, shells = _shells(neighbours, names)
     faces = [face[::-1] if turn else face for face, turn in zip(faces, turned, strict=True)]
-    areas = np.array([_triangles.vector_area(vertices[list(face)]) for face in faces])
+    areas = _triangles.vector_areas(vertices, faces)
     volumes = []
     for shell in shells:
         if np.linalg.norm(areas[shell].sum(axis=0)) > 1e-3 * np.abs(areas[shell]).sum():

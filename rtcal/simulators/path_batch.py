@@ -10,6 +10,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from rtcal.acoustics.directivity import Directivity
 from rtcal.support.types import Array
 
 ScatteringModel = Literal["random", "vector"]
@@ -51,18 +52,24 @@ class Batch:
         """Events, starts, lengths and weights, as the kernels take them."""
         return self.events, self.starts, self.lengths, self.weights
 
-    def aimed(self, gain: Array, n_codes: int) -> Batch:
-        """Return the paths of a source with this gain of energy in each path's direction, (n_paths,).
-
-        Events of ``n_codes`` and above are receptions.
-        """
-        path = np.repeat(np.arange(len(gain)), np.diff(self.starts))[self.events >= n_codes]
-        return replace(self, weights=self.weights * gain[path].astype(np.float32))
-
     @property
     def nbytes(self) -> int:
         """Memory in bytes."""
         return sum(x.nbytes for x in self.arrays)
+
+
+def aimed(batches: Sequence[Batch], lobe: Directivity, n_codes: int) -> tuple[Batch, ...]:
+    """Return the paths of a source with this directivity, of one band.
+
+    Events of ``n_codes`` and above are receptions.
+    """
+    gains = lobe.gain(np.concatenate([batch.directions for batch in batches]))[:, 0]
+    ends = np.cumsum([len(batch.directions) for batch in batches])[:-1]
+    out = []
+    for batch, gain in zip(batches, np.split(gains, ends), strict=True):
+        path = np.repeat(np.arange(len(gain)), np.diff(batch.starts))[batch.events >= n_codes]
+        out.append(replace(batch, weights=batch.weights * gain[path].astype(np.float32)))
+    return tuple(out)
 
 
 def joined(

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from rtcal.acoustics.directivity import Directivity
 from rtcal.simulators import path_numpy
-from rtcal.simulators.path_batch import Batch, ScatteringModel, joined
+from rtcal.simulators.path_batch import Batch, ScatteringModel, aimed, joined
 from rtcal.support import speed
 from rtcal.support.errors import DataError
 from rtcal.support.types import Array
@@ -94,10 +94,7 @@ class Paths:
         """
         batches, direct_gain = list(self.batches), self.direct_gain.copy()
         for s, lobe in lobes.items():
-            batches[s] = tuple(
-                b.aimed(lobe.gain(b.directions)[:, 0], 2 * len(self.materials))
-                for b in self.batches[s]
-            )
+            batches[s] = aimed(self.batches[s], lobe, 2 * len(self.materials))
             direct_gain[s] = lobe.gain(to_receivers[s])[:, 0]
         return replace(self, batches=tuple(batches), direct_gain=direct_gain)
 

@@ -32,6 +32,11 @@ def vector_area(polygon: Array) -> Array:
     return np.asarray(0.5 * crossed.sum(axis=0))
 
 
+def vector_areas(vertices: Array, faces: Sequence[Sequence[int]]) -> Array:
+    """Return the `vector_area` of each face of these vertices, (n_faces, 3)."""
+    return np.array([vector_area(vertices[list(face)]) for face in faces])
+
+
 def triangulate(polygon: Array) -> list[tuple[int, int, int]]:
     """Return triangles of vertex indices that cover a simple plane polygon, wound as it is.
 

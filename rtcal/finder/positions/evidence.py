@@ -151,6 +151,10 @@ class Likelihood:
             [self._shifted(shift.some(slice(p, p + _AT_ONCE)), residuals) for p in parts]
         )
 
+    def each_shifted(self, shifts: Sequence[ShiftHypothesis], residuals: Residuals) -> list[Array]:
+        """Return `shifted` of each."""
+        return [self.shifted(shift, residuals) for shift in shifts]
+
     def _shifted(self, shift: ShiftHypothesis, residuals: Residuals) -> Array:
         projected, forms = self._forms(shift, residuals)
         error = np.asarray(np.linalg.cholesky(shift.error + 1e-9 * np.eye(len(shift.error))))

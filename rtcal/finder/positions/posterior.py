@@ -112,16 +112,19 @@ def evaluate(
     )
     none = stated.stated(as_stated)
 
-    def either(shift: ShiftHypothesis) -> Array:
-        first = stated.shifted(shift, as_stated)
-        if hypotheses.off <= 0:
-            return first
-        others = [s + one.shifted(shift, r) for s, one, r in zip(shares, off, as_off, strict=True)]
-        both = [
-            np.log1p(-hypotheses.off) + first,
-            np.log(hypotheses.off) + logsumexp(others, axis=0),
+    shifts = stated.each_shifted(hypotheses.shifts, as_stated)
+    if hypotheses.off > 0:
+        others = [
+            one.each_shifted(hypotheses.shifts, r) for one, r in zip(off, as_off, strict=True)
         ]
-        return np.asarray(logsumexp(both, axis=0))
+        shifts = [
+            np.logaddexp(
+                np.log1p(-hypotheses.off) + first,
+                np.log(hypotheses.off)
+                + logsumexp([s + d for s, d in zip(shares, each, strict=True)], axis=0),
+            )
+            for first, each in zip(shifts, zip(*others, strict=True), strict=True)
+        ]
 
     return PositionsEvidence(
         none=none,
@@ -129,7 +132,7 @@ def evaluate(
         unknown=np.asarray(
             logsumexp([u.stated(u.of(residuals)) for u in unknown], axis=0) - np.log(len(unknown))
         ),
-        shifts=[either(shift) for shift in hypotheses.shifts],
+        shifts=shifts,
         spreads=[stated.spread(spread, as_stated) for spread in hypotheses.spreads],
     )
 
