@@ -53,13 +53,18 @@ def times_of(room: Room) -> Array:
     names = [] if room.calibration is None else room.calibration.measured.split()
     if len(names) != 1 or not names[0].startswith("T:"):
         return times
-    cells = dict(cell.partition("=")[::2] for cell in names[0][2:].split(","))
+    cells = _cells(names[0])
     for k, frequency in enumerate(room.centre_frequencies.tolist()):
         try:
             times[k] = float(cells.get(f"{frequency:g}", "nan"))
         except ValueError:  # a record that was written by hand
             continue
     return times
+
+
+def _cells(name: str) -> dict[str, str]:
+    """Return the values of a name of data, as text by their labels."""
+    return dict(c.partition("=")[::2] for c in name.partition(":")[2].split(",") if "=" in c)
 
 
 def same_data(one: str, other: str) -> bool:
@@ -72,12 +77,9 @@ def same_data(one: str, other: str) -> bool:
     >>> same_data("T:500=1.92000", "T:500=1.92001"), same_data("T:500=1.92000", "T:500=1.93000")
     (True, False)
     """
-    kinds, cells = zip(*(name.partition(":")[::2] for name in (one, other)), strict=True)
-    if one == other or kinds[0] != kinds[1]:
+    if one == other or one.partition(":")[0] != other.partition(":")[0]:
         return one == other
-    of_one, of_other = (
-        dict(cell.split("=") for cell in cell_list.split(",") if "=" in cell) for cell_list in cells
-    )
+    of_one, of_other = _cells(one), _cells(other)
     return of_one.keys() == of_other.keys() and all(
         abs(float(v) - float(of_other[f])) <= _SAME * max(1.0, abs(float(v)))
         for f, v in of_one.items()

@@ -265,11 +265,9 @@ def simulated_controls(
     base = _tracing(simulator)
     if base is None:
         return None
-    if base.thinned is None:
-        base = base.denser()
+    base = base.denser()
     n_paths = more_paths * paths_of_a_run(base)
-    if more_paths > 1:  # else the simulator keeps the paths that it has traced
-        base = base.denser(more_paths)
+    base = base.denser(more_paths)
     if isinstance(simulator, PathTracing):
         simulator = base
     path = None

@@ -369,9 +369,8 @@ def precise(simulator: Simulator, more_paths: int = MORE_PATHS) -> Simulator:
     """Return a denser path tracing in `_BATCHES`, any other simulator as it is."""
     if not isinstance(simulator, PathTracing):
         return simulator
-    if more_paths == 1 and simulator.n_batches == _BATCHES and simulator.thinned is not None:
-        return simulator  # with the paths that it has already
-    return replace(simulator.denser(more_paths), n_batches=_BATCHES)
+    denser = simulator.denser(more_paths)
+    return denser if denser.n_batches == _BATCHES else replace(denser, n_batches=_BATCHES)
 
 
 def _kept(tracer: PathTracing) -> str:

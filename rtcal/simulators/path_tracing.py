@@ -139,10 +139,11 @@ class PathTracing(DirectedSources, Tracer):
 
         Paths are thinned as the sound dies away, so that they take about as long, and receivers without
         a stated radius have one of `LARGER` times the cube root of the volume. Where the tracing is
-        thinned already, it has ``factor`` times its paths.
+        thinned already, it has ``factor`` times its paths; with a factor of 1 it is this one, with the
+        paths that it has traced.
         """
         if self.thinned is not None:
-            return replace(self, n_paths=factor * self.n_paths)
+            return self if factor == 1 else replace(self, n_paths=factor * self.n_paths)
         return replace(
             self,
             n_paths=DENSER * factor * self.n_paths,

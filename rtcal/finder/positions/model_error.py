@@ -116,9 +116,11 @@ def simulator_error(
     prior = MaterialScattering(slope=slope, traced=np.zeros(slope.shape[1])).prior
     alike = _alike(scattering_noise)
 
+    def runs_of(errors: Array) -> ControlRuns:
+        return replace(controls, errors=errors, levels=None, models=())
+
     def mean_of(errors: Array) -> Array:
-        runs = replace(controls, errors=errors, levels=None, models=())
-        return np.asarray(runs.covariance() / free)
+        return np.asarray(runs_of(errors).covariance() / free)
 
     def of_scattering(prior: Array) -> Array:
         """Return the covariance by other scattering, and by the noise of the derivatives."""
@@ -131,7 +133,7 @@ def simulator_error(
     # rooms, and the right surface less likely. In them all pairs are alike, so that no pattern of
     # the paths counts.
     runs = controls.without_noise(2 * variance)
-    of_paths = replace(controls, errors=noise, levels=None, models=()).alike() * len(noise) / free
+    of_paths = runs_of(noise).alike() * len(noise) / free
     between = bands.correlation(centre_frequencies, BETWEEN_OCTAVES)
     between = np.tile(between, 2 * [len(slope) // len(between)])
     # Parameters and bands share the paths, and the pairs of a source, too.
