@@ -78,10 +78,13 @@ def read(
 
     Examples
     --------
+    >>> import tempfile
     >>> from pathlib import Path
     >>> arcs = ["\t".join(str(-level) for level in range(0, 37, 2))] * 36
-    >>> _ = Path("box.tab").write_text("\n".join(["<CLF1>", "<BAND>\t1000", *arcs]))
-    >>> speaker = read("box.tab", [1000], aim=(1, 0, 0))
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     path = Path(folder, "box.tab")
+    ...     _ = path.write_text("\n".join(["<CLF1>", "<BAND>\t1000", *arcs]))
+    ...     speaker = read(path, [1000], aim=(1, 0, 0))
     >>> print(10 * np.log10(speaker.gain([[1, 0, 0], [-1, 0, 0]])[:, 0]).round(1))
     [ 12. -24.]
     """
