@@ -25,15 +25,24 @@ from tests.test_saved_results import back
 
 SIDES = np.array([5.2, 4.1, 2.6])
 BANDS = (63, 125, 250)
-BOX = rt.simulators.Polyhedron.shoebox(SIDES, dict(zip(SHOEBOX_WALLS, SHOEBOX_WALLS, strict=True)))
-ROOM = rt.Room.from_geometry(
-    BOX,
-    name="box",
-    dimensions=SIDES,
-    centre_frequencies=BANDS,
-    materials=[rt.Material(w, [0.12] * 3, [0.08] * 3) for w in SHOEBOX_WALLS],
-    air=rt.Air(20, 50),
-)
+
+
+def box_room(sides=SIDES, materials=SHOEBOX_WALLS):
+    box = rt.simulators.Polyhedron.shoebox(
+        sides, dict(zip(SHOEBOX_WALLS, SHOEBOX_WALLS, strict=True))
+    )
+    room = rt.Room.from_geometry(
+        box,
+        name="box",
+        dimensions=sides,
+        centre_frequencies=BANDS,
+        materials=[rt.Material(w, [0.12] * 3, [0.08] * 3) for w in materials],
+        air=rt.Air(20, 50),
+    )
+    return box, room
+
+
+BOX, ROOM = box_room()
 TRUTH = np.array([0.25, 0.25, 0.08, 0.08, 0.15, 0.15])[:, np.newaxis] * np.ones(3)
 C = ROOM.air.speed_of_sound
 
@@ -191,15 +200,7 @@ def test_a_room_of_uncertain_volume():
 
 def test_order_of_walls_does_not_matter():
     modes = heard(TRUTH)
-    turned = ROOM.materials[::-1]
-    room = rt.Room.from_geometry(
-        BOX,
-        name="box",
-        dimensions=SIDES,
-        centre_frequencies=BANDS,
-        materials=[rt.Material(w, [0.12] * 3, [0.08] * 3) for w in turned],
-        air=rt.Air(20, 50),
-    )
+    _, room = box_room(materials=ROOM.materials[::-1])
     one, other = (rt.calibrate_modes(r, modes, times(TRUTH)) for r in (ROOM, room))
     order = [room.material_index(m) for m in ROOM.materials]
     np.testing.assert_allclose(other.alpha[order], one.alpha, atol=1e-9)
@@ -304,17 +305,7 @@ def test_frequencies_at_the_end_of_the_search_and_wrong_sides():
         with pytest.raises(DataError, match="where the search ends"):
             rt.calibrate_modes(ROOM, replace(modes, frequencies=factor * modes.frequencies))
     for sides in (SIDES * [1.1, 1, 1], SIDES * [1, 1.1, 1], SIDES * [1, 1, 1.1]):
-        box = rt.simulators.Polyhedron.shoebox(
-            sides, dict(zip(SHOEBOX_WALLS, SHOEBOX_WALLS, strict=True))
-        )
-        room = rt.Room.from_geometry(
-            box,
-            name="box",
-            dimensions=sides,
-            centre_frequencies=BANDS,
-            materials=[rt.Material(w, [0.12] * 3, [0.08] * 3) for w in SHOEBOX_WALLS],
-            air=rt.Air(20, 50),
-        )
+        _, room = box_room(sides)
         assert any("Doubtful" in note for note in rt.calibrate_modes(room, modes).notes)
 
 

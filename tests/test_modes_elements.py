@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -51,11 +53,7 @@ def crooked():
 
 
 def test_too_many_modes_of_a_mesh():
-    large = Polyhedron(
-        vertices=2 * np.asarray(slanted().vertices),
-        faces=slanted().faces,
-        materials=["a"] * 6,
-    )
+    large = replace(slanted(), vertices=2 * slanted().vertices)
     with pytest.raises(DataError, match="modes up to 250 Hz, and at most 600 are calculated"):
         modes_of(large, 250)
     with pytest.raises(DataError, match="or is it in mm"):

@@ -286,7 +286,7 @@ def share(**attributes):
 @pytest.fixture
 def registry():
     before = dict(OBSERVABLES)
-    yield
+    yield before
     OBSERVABLES.clear()
     OBSERVABLES.update(before)
 
@@ -312,7 +312,6 @@ def test_an_observable_from_outside_is_a_header_by_its_label(registry):
     ],
 )
 def test_a_wrong_observable_is_not_registered(registry, attributes, message):
-    before = dict(OBSERVABLES)
     with pytest.raises(DataError, match=message):
         register(share(**attributes))
-    assert before == OBSERVABLES
+    assert registry == OBSERVABLES

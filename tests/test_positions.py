@@ -68,11 +68,16 @@ def result(case, kept):
     return rt.calibrate_positions(tracing(room), room, measured, match=MATCH, cache=kept)
 
 
+def off_by_one(result, parameter, band=slice(None)):
+    """The result with 1 more in what is observed after the calibration."""
+    off = result.after.values.copy()
+    off[result.parameters.index(parameter), :, band] += 1.0
+    return replace(result, after=replace(result.after, values=off))
+
+
 def test_a_simulator_that_is_farther_from_the_measurement_than_before_is_not_to_be_used(result):
     assert result.farther == ()
-    off = result.after.values.copy()
-    off[result.parameters.index("t20")] += 1.0  # in one room of the study it was 0.6
-    astray = replace(result, after=replace(result.after, values=off))
+    astray = off_by_one(result, "t20")  # in one room of the study it was 0.6
     assert astray.farther == ("t20",)
     said = " ".join(str(astray).split())
     after = astray.gap_after[0]
@@ -88,10 +93,7 @@ def test_a_simulator_that_is_farther_from_the_measurement_than_before_is_not_to_
 def test_the_page_says_first_what_the_terminal_warns_of(result):
     """The page had it under "What was assumed" alone."""
     pytest.importorskip("jinja2")
-    off = result.after.values.copy()
-    off[result.parameters.index("t20")] += 1.0
-    astray = replace(result, after=replace(result.after, values=off))
-    said = page_of(astray)
+    said = page_of(off_by_one(result, "t20"))
     assert said.index("do not simulate with it") < said.index('<h2 id="summary">')
     assert "do not simulate with it" not in page_of(result)
 
@@ -101,9 +103,7 @@ def test_the_page_says_first_what_gap_remains(result):
     pytest.importorskip("jinja2")
     index = result.parameters.index("t20")
     assert "T20 is" not in page_of(result)
-    off = result.after.values.copy()
-    off[index, :, 1] += 1.0
-    astray = replace(result, after=replace(result.after, values=off))
+    astray = off_by_one(result, "t20", band=1)
     said = page_of(astray)
     left = np.sqrt(np.mean(astray.gap_after[index] ** 2))
     assert left > 1

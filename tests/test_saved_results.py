@@ -219,30 +219,24 @@ def test_a_kind_that_went_says_what_to_do(kind: str, tmp_path: Path) -> None:
         rt.load(tmp_path)
 
 
-OF_ITS_KIND = {"case": "what was searched"}
-"""Attributes of findings whose type is that of what was observed."""
+@pytest.mark.parametrize(
+    ("name", "own", "shared"),
+    [
+        ("Finding", {"case"}, {"verdict", "family", "effect", "size", "sets", "detection"}),
+        ("Verification", {"finding"}, {"verdict", "sentence", "before", "after", "gaps"}),
+    ],
+)
+def test_every_kind_has_one_type_for_one_name(name: str, own: set[str], shared: set[str]) -> None:
+    """A name has one type, but that of what was searched, or found.
 
-
-def test_findings_of_every_kind_have_one_type_for_one_name() -> None:
-    """`finding.parameters` was a mapping of numbers, or a tuple of names, by what was measured."""
-    kinds = (
-        rt.finder.MeansFinding,
-        rt.finder.positions.PositionsFinding,
-        rt.finder.states.StatesFinding,
+    `finding.parameters` was a mapping of numbers, or a tuple of names, by what was measured; `before`
+    of a verification a number, or the gaps of the model as it is stated, or those of no change.
+    """
+    finder = rt.finder
+    types = types_by_attribute(
+        getattr(finder, f"Means{name}"),
+        getattr(finder.positions, f"Positions{name}"),
+        getattr(finder.states, f"States{name}"),
     )
-    types = types_by_attribute(*kinds)
-    several = {name for name, stated in types.items() if len(stated) > 1}
-    assert several == OF_ITS_KIND.keys()
-    assert {"verdict", "family", "effect", "size", "sets", "detection"} <= types.keys()
-
-
-def test_verifications_of_every_kind_have_one_type_for_one_name() -> None:
-    """`before` was a number, or the gaps of the model as it is stated, or those of no change."""
-    kinds = (
-        rt.finder.MeansVerification,
-        rt.finder.positions.PositionsVerification,
-        rt.finder.states.StatesVerification,
-    )
-    types = types_by_attribute(*kinds)
-    assert {name for name, stated in types.items() if len(stated) > 1} == {"finding"}
-    assert {"verdict", "sentence", "before", "after", "gaps"} <= types.keys()
+    assert {n for n, stated in types.items() if len(stated) > 1} == own
+    assert shared <= types.keys()

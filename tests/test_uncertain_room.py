@@ -427,6 +427,15 @@ def test_the_page_does_not_claim_that_t_is_met_exactly() -> None:
     assert any("measured reverberation time exactly" in s for s in words.assumed(certain))
 
 
+def at_one_pair(t: np.ndarray, uncertainty: np.ndarray) -> rt.Measurement:
+    return rt.Measurement(
+        centre_frequencies=BANDS,
+        pairs=[("S", "R")],
+        values={"t20": t[np.newaxis]},
+        uncertainty={"t20": uncertainty[np.newaxis]},
+    )
+
+
 def volume_is_wrong(**stated: object) -> tuple[rt.Room, np.ndarray]:
     """A room whose T are all 15 % too short for the stated volume, which may be off."""
     room = room_of(3, **stated).replace(sigma=np.full((4, 4), 0.01))
@@ -474,12 +483,7 @@ def test_what_takes_up_the_gap_is_shared_out(
 ) -> None:
     """The shares are 1 in all, whatever was stated, and the parts add up to b - S'alpha."""
     room, t = volume_is_wrong(**stated)
-    measured = rt.Measurement(
-        centre_frequencies=BANDS,
-        pairs=[("S", "R")],
-        values={"t20": t[np.newaxis]},
-        uncertainty={"t20": u * t[np.newaxis]},
-    )
+    measured = at_one_pair(t, u * t)
     shares = rt.calibrate(room, measured, equation=SABINE).to_dict()["gap_shares"]
     assert sum(shares.values()) == pytest.approx(1)
     assert max(shares, key=shares.get) == first
@@ -489,11 +493,6 @@ def test_the_assumption_on_t_is_the_one_that_was_made() -> None:
     room, t = volume_is_wrong(area_sigma=0.01)
     exact = words.assumed(rt.calibrate(room, t, equation=SABINE))
     assert any("when T is exact and the room has" in sentence for sentence in exact)
-    measured = rt.Measurement(
-        centre_frequencies=BANDS,
-        pairs=[("S", "R")],
-        values={"t20": t[np.newaxis]},
-        uncertainty={"t20": 0.05 * t[np.newaxis]},
-    )
+    measured = at_one_pair(t, 0.05 * t)
     own = words.assumed(rt.calibrate(room, measured, equation=SABINE))
     assert any("when T has its own uncertainty and the room" in sentence for sentence in own)
