@@ -227,10 +227,6 @@ class CalibrationResult(Result):
             self.measured_data.bent,
         )
 
-    @property
-    def _gap_shares(self) -> dict[str, float]:
-        return self.joint.gap_shares(self.configuration)
-
     @cached_property
     def posterior_sigma(self) -> Array:
         """Standard deviation of the calibrated coefficients, (n_materials, n_bands).
@@ -333,7 +329,11 @@ class CalibrationResult(Result):
             "air": None if room.air is None else vars(room.air),
             "room_taken_as_exact": not self.joint.matches_uncertain_room,
             **({"room_uncertainty": words} if (words := room_errors.in_words(room)) else {}),
-            **({"gap_shares": shares} if (shares := self._gap_shares) else {}),
+            **(
+                {"gap_shares": shares}
+                if (shares := self.joint.gap_shares(self.configuration))
+                else {}
+            ),
             "centre_frequencies": json_numbers(room.centre_frequencies),
             "measured": table.measurement(self.measured_data),
             "reverberation_time_before": json_numbers(self.reverberation_time_before),

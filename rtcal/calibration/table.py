@@ -16,12 +16,7 @@ from rtcal.acoustics import bands
 from rtcal.acoustics.equations import LinearEquation
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.observables import TARGET, parameter_label
-from rtcal.acoustics.quality import (
-    P_CONTRADICTION,
-    agreement,
-    together_in_words,
-    weak_agreement,
-)
+from rtcal.acoustics.quality import P_CONTRADICTION, agreement, together_in_words, weak_agreement
 from rtcal.acoustics.room import Room
 from rtcal.acoustics.trust import TrustMark, explained, letters
 from rtcal.calibration.certificate import Certificate

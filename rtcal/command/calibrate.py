@@ -20,19 +20,18 @@ from rtcal.command.console import (
     match_option,
     method_option,
     modes_option,
-    modes_told,
     numbers,
     output_folder,
     pairs,
     paths_option,
     quiet_option,
     read_measured,
-    read_modes,
     said,
     scattering_option,
     seed_option,
     tell,
     texts,
+    told_by_modes,
     warn,
     without_air_warning,
     written,
@@ -128,16 +127,11 @@ def _by_modes(
 ) -> None:
     """Calibrate to measured modes and T, and tell the result."""
     from rtcal.acoustics.room import Room
-    from rtcal.modes.calibrate import calibrate_modes
     from rtcal.report import result_folder
 
-    with without_air_warning(), modes_told(quiet):
-        result = calibrate_modes(
-            Room.from_file(room),
-            read_modes(modes),
-            read_measured(measured, quiet=quiet),
-            equation=equation,
-        )
+    with without_air_warning():
+        heard = read_measured(measured, quiet=quiet)
+        result = told_by_modes(Room.from_file(room), modes, heard, equation, quiet=quiet)
     text = str(result)
     if folder is not None:
         text += "\n" + written(result_folder.write_with_figures(result, folder, {}))
@@ -207,7 +201,6 @@ def fit(
     from rtcal.io import geometry_files
     from rtcal.loop.control_runs import RUNS
     from rtcal.loop.positions import calibrate_positions
-    from rtcal.modes.calibrate import calibrate_modes
     from rtcal.report import result_folder
     from rtcal.support.files import spare
     from rtcal.support.progress import bar, following
@@ -228,8 +221,8 @@ def fit(
             )
     told = None
     if modes is not None:
-        with without_air_warning(), modes_told(quiet):
-            told = calibrate_modes(stated, read_modes(modes))
+        with without_air_warning():
+            told = told_by_modes(stated, modes, quiet=quiet)
     with errors_name_options("scattering", "n_paths"), without_air_warning():
         tracer = geometry_files.path_tracing(
             stated, scattering=scattering, scattering_model=scattering_model, n_paths=paths or PATHS

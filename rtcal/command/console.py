@@ -24,8 +24,10 @@ from rtcal.support.text import fitted, printable, width
 
 if TYPE_CHECKING:
     from rtcal.acoustics.measurement import Measurement
+    from rtcal.acoustics.room import Room
     from rtcal.io.sofa import Responses
     from rtcal.modes.measured import MeasuredModes
+    from rtcal.modes.result import ModesResult
 
 
 def as_options(text: str, arguments: Sequence[str]) -> str:
@@ -157,14 +159,22 @@ def read_modes(path: str) -> MeasuredModes | Responses:
     return sofa.read(path) if sofa.claims(path) else measured.read(path)
 
 
-def modes_told(quiet: bool) -> Any:
-    """Return what says, after ten seconds, that room modes are calculated and how long it may take."""
+def told_by_modes(
+    room: Room,
+    path: str,
+    measured: Measurement | None = None,
+    equation: LinearEquation | None = None,
+    *,
+    quiet: bool,
+) -> ModesResult:
+    """Return the calibration to the modes of a file, which says after ten seconds what it does."""
+    from rtcal.modes.calibrate import calibrate_modes
     from rtcal.support.progress import bar
 
-    shown = bar(1, "calculation", False, said(quiet))
-    if not quiet:
-        shown.set_description("room modes, minutes where a mesh has hundreds of them")
-    return shown
+    with bar(1, "calculation", False, said(quiet)) as shown:
+        if not quiet:
+            shown.set_description("room modes, minutes where a mesh has hundreds of them")
+        return calibrate_modes(room, read_modes(path), measured, equation=equation)
 
 
 modes_option = click.option(

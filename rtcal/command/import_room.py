@@ -328,14 +328,15 @@ def _chosen_names(
     """Return the list's materials by the room's names, as --as states; DataError for unknown names."""
     renamed = texts("--as", entries, "MATERIAL=ENTRY")
     _refuse_unused("--as", renamed, used, place)
+    found = {}
     for name, entry in renamed.items():
         if name in chosen:
             raise DataError(f'"{name}" is stated by --as and by --catalogue; state one of them')
         try:
-            listed.listed(entry)
+            found[name] = listed.listed(entry)
         except DataError as error:
             raise DataError(f'--as "{name}={entry}": {shortened(str(error), 300)}') from error
-    return {name: listed.listed(entry) for name, entry in renamed.items()}
+    return found
 
 
 def _refuse_unused(option: str, named: Iterable[str], used: Sequence[str], place: str) -> None:

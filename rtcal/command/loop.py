@@ -18,12 +18,11 @@ from rtcal.command.console import (
     json_option,
     method_option,
     modes_option,
-    modes_told,
     numbers,
     quiet_option,
     read_measured,
-    read_modes,
     tell,
+    told_by_modes,
 )
 from rtcal.support.files import locked, spare
 
@@ -110,7 +109,6 @@ def start(
     from rtcal.calibration.problem_data import times_in_room
     from rtcal.loop import calibrate
     from rtcal.loop.state import start as begin
-    from rtcal.modes.calibrate import calibrate_modes
     from rtcal.support import text
 
     spare([state, out], [room, measured, *([] if modes is None else [modes])])
@@ -118,10 +116,7 @@ def start(
     stated_room = Room.from_file(room)
     data = read_measured(measured, quiet=quiet)
     stated = numbers("--weight", weights, "PARAMETER=NUMBER, such as edt=0.5")
-    told = None
-    if modes is not None:
-        with modes_told(quiet):
-            told = calibrate_modes(stated_room, read_modes(modes))
+    told = None if modes is None else told_by_modes(stated_room, modes, quiet=quiet)
     begun = begin(
         stated_room,
         data,

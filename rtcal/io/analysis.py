@@ -38,10 +38,6 @@ def with_uncertainty(measurement: Measurement) -> Measurement:
     return replace(measurement, uncertainty=own, common_uncertainty=common)
 
 
-_MOST_NAMED = 4
-"""Largest number of pairs that a sentence names."""
-
-
 @dataclass(frozen=True, kw_only=True)
 class Analysis:
     """The parameters of impulse responses, the reasons for missing values, and notes.
@@ -104,12 +100,12 @@ class Analysis:
         return sentences
 
     def _pairs(self, rows: Sequence[int]) -> str:
-        """Return how many pairs these are, and which, up to `_MOST_NAMED`."""
+        """Return how many pairs these are, and which, up to `_MOST_PAIRS`."""
         n = len(self.measurement.pairs)
         if len(rows) == n:
             return f"{n} of {n} pairs"
-        named = ", ".join(" to ".join(self.measurement.pairs[i]) for i in rows[:_MOST_NAMED])
-        more = ", ..." if len(rows) > _MOST_NAMED else ""
+        named = ", ".join(" to ".join(self.measurement.pairs[i]) for i in rows[:_MOST_PAIRS])
+        more = ", ..." if len(rows) > _MOST_PAIRS else ""
         return f"{len(rows)} of {n} pairs ({named}{more})"
 
     def _noise(self, band: int) -> str:

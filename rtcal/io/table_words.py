@@ -7,8 +7,10 @@ of students' programs have. A word is compared without case, blanks and punctuat
 from __future__ import annotations
 
 import re
+from collections.abc import Mapping
+from functools import lru_cache
 
-from rtcal.acoustics.observables import OBSERVABLES
+from rtcal.acoustics.observables import OBSERVABLES, Observable
 
 
 def plain(text: str) -> str:
@@ -26,13 +28,14 @@ def _words(text: str) -> list[str]:
     return text.split()
 
 
-def parameters() -> dict[str, str]:
+def parameters() -> Mapping[str, str]:
     """Return an observable's key by its spellings, of those that are registered by now."""
-    return {
-        plain(spelling): key
-        for key, o in OBSERVABLES.items()
-        for spelling in (key, o.label, *o.spellings)
-    }
+    return _by_spelling(tuple(OBSERVABLES.values()))
+
+
+@lru_cache(maxsize=1)  # every cell of a table asks
+def _by_spelling(observables: tuple[Observable, ...]) -> Mapping[str, str]:
+    return {plain(word): o.key for o in observables for word in (o.key, o.label, *o.spellings)}
 
 
 OPEN_DECAY_TIMES = frozenset(

@@ -252,9 +252,9 @@ def verdict(calibration: CalibrationResult) -> tuple[str, str, str]:
 def usable(calibration: CalibrationResult) -> tuple[list[float], list[float]]:
     """Return the bands (Hz) without any trust mark or remaining gap, and those with one."""
     marked = {m.frequency for m in calibration.trust_marks if m.frequency is not None}
-    f, gap = calibration.prior.centre_frequencies, np.abs(calibration.gap_after)
-    marked |= {float(each) for each in f[gap >= MET]}
-    every = [float(f) for f in calibration.prior.centre_frequencies]
+    frequencies = calibration.prior.centre_frequencies
+    marked |= {*frequencies[np.abs(calibration.gap_after) >= MET].tolist()}
+    every = frequencies.tolist()
     return [f for f in every if f not in marked], [f for f in every if f in marked]
 
 
