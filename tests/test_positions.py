@@ -444,6 +444,32 @@ def test_any_simulator_is_calibrated_without_an_interval():
     np.testing.assert_array_equal(result.room.sigma, room.sigma)
 
 
+def test_a_step_that_was_shortened_to_little_has_not_settled():
+    """Absorption beyond 0.5 % above what is stated is heard as less: no alpha gives the measured T."""
+    room, _ = rt.datasets.bras_cr2()
+    stated = room.areas @ room.alpha
+
+    def heard_of(area):
+        t = rt.Sabine().time(room, area)
+        return rt.Measurement(
+            centre_frequencies=room.centre_frequencies,
+            pairs=[("S", "R1"), ("S", "R2")],
+            values={"t20": np.array([t, t]), "edt": np.array([t, t])},
+        )
+
+    def program(alpha, seed):
+        more = np.log(room.areas @ alpha / stated)
+        return heard_of(stated * np.exp(0.005 - np.abs(more - 0.005)))
+
+    simulator = rt.simulators.External(room=room, run=program, name="folded")
+    measured = heard_of(1.35 * stated)
+    result = rt.calibrate_positions(simulator, room, measured, match=("t20", "edt"))
+    assert np.abs(result.gap_after).max() > 6
+    assert min(step.share for step in result.steps) < 1
+    assert not result.settled
+    assert "Not settled" in " ".join(str(result).split())
+
+
 def test_what_was_not_measured_is_not_beside(result):
     """A table of dashes stood for every parameter that nobody had measured."""
     measured = result.measured.observations

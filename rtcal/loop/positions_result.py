@@ -112,7 +112,8 @@ class PositionsResult(Result):
     prior_covariance : array (n_materials * n_bands, n_materials * n_bands)
     steps : tuple of Step
     settled : bool
-        Whether the last step changed alpha by less than a twentieth of its prior sigma.
+        Whether the last step, before any shortening, changed alpha by less than 0.05 of its prior
+        sigma.
     notes : tuple of str
         What was left out, and why.
     start : array (n_materials, n_bands) or None

@@ -390,9 +390,8 @@ def steps_to_positions(
         return LinearisedSimulator(listener, at, matrix, errors, answer, now)
 
     def settled(step: Taken[LinearisedSimulator]) -> bool:
-        # A step that is refused says as much as the smallest that was tried.
-        share = float(step.share[0]) or 2.0 ** -(_HALVINGS + 1)
-        moved = np.abs(step.model.answer.alpha - step.model.start.alpha) * share
+        # The whole step counts: one that was shortened to little may be far from the minimum.
+        moved = np.abs(step.model.answer.alpha - step.model.start.alpha)
         return bool(np.max(moved * inverse_sigma) < _SETTLED)
 
     path = gauss_newton(
