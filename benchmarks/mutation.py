@@ -1,10 +1,11 @@
-"""The share of faults that the tests see: `make mutate`, or `python benchmarks/mutation.py [N]`.
+"""The share of faults that the tests see: `make mutate`, or `benchmarks/mutation.py [N] [SEED]`.
 
 mutmut makes some 9,000 mutants of the modules that decide an answer (see ``[tool.mutmut]`` in
 pyproject.toml). A fixed sample of them is run: the N names (300 if not given) with the smallest
-SHA-256. A name is a function and a number within it. A change of one function therefore leaves the
-sample of all others as it is. A mutant that only rewords a message is not drawn: it changes nothing
-but the letters of a string literal that has a space in it and is not compared with anything.
+SHA-256. A seed, any word, is put before each name and draws another sample. A name is a function and
+a number within it. A change of one function therefore leaves the sample of all others as it is. A
+mutant that only rewords a message is not drawn: it changes nothing but the letters of a string
+literal that has a space in it and is not compared with anything.
 
 A mutant is killed if a test fails, the tests crash or take 5 times as long. It is tried by the tests
 that reach it, the quickest first, and only by those of at most `LONGEST` seconds. Every other mutant
@@ -146,10 +147,12 @@ def rewordings() -> set[str]:
 
 def main() -> None:
     wanted = int(sys.argv[1]) if len(sys.argv) > 1 else 300
+    seed = sys.argv[2] if len(sys.argv) > 2 else ""
     run(ANY)
     leave_out_long_tests()
     drawn = outcomes().keys() - rewordings()
-    sample = sorted(drawn, key=lambda name: hashlib.sha256(name.encode()).digest())[:wanted]
+    by_digest = sorted(drawn, key=lambda name: hashlib.sha256((seed + name).encode()).digest())
+    sample = by_digest[:wanted]
     codes = outcomes()
     left = [name for name in sample if codes[name] in SURVIVED]
     if left:

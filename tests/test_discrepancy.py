@@ -30,9 +30,8 @@ from rtcal.finder import (
     recalibrate,
     verify,
 )
-from rtcal.finder.effects.coupled_room import CoupledDecay
+from rtcal.finder.effects.coupled_room import CoupledDecay, Opening
 from rtcal.finder.effects.non_diffuse import DirectionalDecay
-from rtcal.finder.effects.opening import Opening
 from rtcal.finder.effects.porous import Porous
 from rtcal.finder.effects.resonator import Resonator
 from rtcal.finder.effects.stated import WrongArea, WrongVolume

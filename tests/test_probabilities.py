@@ -15,10 +15,8 @@ from rtcal.acoustics.room_errors import HANDBOOK_SIGMA
 from rtcal.command.main import cli
 from rtcal.finder import Case, ChangedMaterial, Configuration, library, recalibrate
 from rtcal.finder.claim import by_family, claimed
-from rtcal.finder.effects.audience import Audience
-from rtcal.finder.effects.coupled_room import CoupledRoom
-from rtcal.finder.effects.opening import Opening
-from rtcal.finder.effects.people import People
+from rtcal.finder.effects.coupled_room import CoupledRoom, Opening
+from rtcal.finder.effects.people import Audience, People
 from rtcal.finder.effects.stated import WrongVolume
 from rtcal.finder.means import bootstrap
 from rtcal.finder.means.bootstrap import draw_null_features

@@ -175,7 +175,7 @@ def import_room(
     Example: rtcal import check hall.glb --picture hall.png
     """  # noqa: D301 (click's mark for lines that are not to be wrapped)
     from rtcal.acoustics.scene import Scene
-    from rtcal.io import sigma_table as table
+    from rtcal.io.bras import read_sigma
     from rtcal.io.material_list import SigmaRule
     from rtcal.io.mend import Unclosed
 
@@ -216,7 +216,7 @@ def import_room(
         iso_12999_2=iso_12999_2,
         in_situ_factor=in_situ_factor,
     )
-    sigma = {} if sigma_table is None else table.read(sigma_table)
+    sigma = {} if sigma_table is None else read_sigma(sigma_table)
     if unknown := [name for name in sigma if name not in used]:
         raise DataError(f'{sigma_table}: "{unknown[0]}" is no material of the room')
     room = listed.room(

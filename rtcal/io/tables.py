@@ -38,8 +38,7 @@ from rtcal.io.table_columns import (
     with_repeats,
 )
 from rtcal.io.table_layout import Sheet, TableLayout, has_header, layout_of
-from rtcal.io.table_options import check_options
-from rtcal.io.table_text import sheet_of_text
+from rtcal.io.table_text import check_options, sheet_of_text
 from rtcal.io.table_values import Key, Reader, Values
 from rtcal.io.text import decode, shown
 from rtcal.support import checks

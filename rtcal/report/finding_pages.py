@@ -15,8 +15,7 @@ from rtcal.finder.means.corrected import corrected_room, not_in_room
 from rtcal.finder.means.finding import MeansFinding
 from rtcal.finder.means.recalibrated import table
 from rtcal.finder.means.recalibration import recalibrate
-from rtcal.finder.positions.advice import Place
-from rtcal.finder.positions.finding import PositionsFinding, strongest
+from rtcal.finder.positions.finding import Place, PositionsFinding, strongest
 from rtcal.finder.positions.verification import MODELS, TITLES, PositionsVerification
 from rtcal.finder.states.finding import StatesFinding
 from rtcal.finder.states.verification import verify

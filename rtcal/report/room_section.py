@@ -15,8 +15,7 @@ from rtcal.support.errors import DataError
 
 if TYPE_CHECKING:
     from rtcal.calibration.result import CalibrationResult
-    from rtcal.finder.positions.advice import Place
-    from rtcal.finder.positions.finding import PositionsFinding
+    from rtcal.finder.positions.finding import Place, PositionsFinding
     from rtcal.finder.positions.verification import PositionsVerification
     from rtcal.loop.positions_result import PositionsResult
 

@@ -10,8 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtcal.acoustics.observables import parameter_label
-from rtcal.finder.positions.advice import Place
-from rtcal.finder.positions.finding import PositionsFinding
+from rtcal.finder.positions.finding import Place, PositionsFinding
 from rtcal.finder.positions.surfaces import Faces, kind
 from rtcal.finder.positions.verification import MODELS, PositionsVerification
 from rtcal.report.figures import BLACK, BLUE, GREEN, ORANGE, new_figure, shown

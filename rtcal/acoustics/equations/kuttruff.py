@@ -7,8 +7,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from rtcal.acoustics.equations.base import register
-from rtcal.acoustics.equations.mean import LinearEquation
+from rtcal.acoustics.equations.base import LinearEquation, register
 from rtcal.support import checks
 from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError, ModelError, of_bands

@@ -7,9 +7,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from rtcal.acoustics.equations.base import register
+from rtcal.acoustics.equations.base import LinearEquation, MeanEquation, register
 from rtcal.acoustics.equations.eyring import Eyring
-from rtcal.acoustics.equations.mean import LinearEquation, MeanEquation
 from rtcal.support.arguments import checked
 from rtcal.support.types import Array
 

@@ -5,9 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar
 
-from rtcal.acoustics.equations.base import register
+from rtcal.acoustics.equations.base import LinearEquation, MeanEquation, register
 from rtcal.acoustics.equations.eyring import Eyring
-from rtcal.acoustics.equations.mean import LinearEquation, MeanEquation
 
 
 @register

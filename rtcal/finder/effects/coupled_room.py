@@ -1,4 +1,4 @@
-"""A second room behind an aperture."""
+"""An opening in a wall, and a second room behind one."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ import numpy as np
 
 from rtcal.acoustics.room import Room
 from rtcal.finder.effects.base import (
+    Absorber,
     Effect,
     Limits,
     Parameters,
@@ -19,6 +20,7 @@ from rtcal.finder.effects.base import (
     middle_absorption,
 )
 from rtcal.finder.model import Decay, RoomState, covered, rates, speeds
+from rtcal.support.types import Array
 
 
 @dataclass(frozen=True)
@@ -99,3 +101,17 @@ class CoupledDecay:
         share = np.clip(0.5 * (1 + half / root), 0, 1)  # of E1 in the faster term
         weights = np.stack([1 - share, share], axis=-1) / first_volume[:, :, None]
         return Decay(weights, np.maximum(both, 1e-3))
+
+
+@dataclass(frozen=True)
+class Opening(Absorber):
+    """An opening: the energy that leaves does not return (Sabine; Kuttruff)."""
+
+    name: ClassVar[str] = "opening"
+    family: ClassVar[str] = "added absorption, flat"
+    spectrum_error: ClassVar[tuple[float, float, float]] = (0.1, 0.05, 0.05)
+    steps: ClassVar[int] = 14
+
+    def spectrum(self, frequencies: Array, parameters: Parameters) -> Array:
+        """Return alpha = 1."""
+        return np.ones_like(frequencies)

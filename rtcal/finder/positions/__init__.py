@@ -7,10 +7,9 @@
 docs/where.md has the method and what it can and cannot do.
 """
 
-from rtcal.finder.positions.advice import Place, next_position
 from rtcal.finder.positions.case import PositionsCase
 from rtcal.finder.positions.corrected import Corrected
-from rtcal.finder.positions.finding import PositionsFinding
+from rtcal.finder.positions.finding import Place, PositionsFinding, next_position
 from rtcal.finder.positions.search import EFFECTS, find
 from rtcal.finder.positions.verification import PositionsVerification, verify
 

@@ -19,7 +19,6 @@ from rtcal.finder.means.finding import MeansFinding
 from rtcal.finder.means.search import CHOSEN
 from rtcal.finder.positions import model_error
 from rtcal.finder.positions import surfaces as of_room
-from rtcal.finder.positions.candidate import Summary, summary_of
 from rtcal.finder.positions.case import PositionsCase
 from rtcal.finder.positions.evidence import Likelihood
 from rtcal.finder.positions.finding import PositionsFinding
@@ -37,11 +36,13 @@ from rtcal.finder.positions.posterior import (
     TOLD_TEMPER,
     PositionsEvidence,
     PositionsHypotheses,
+    Summary,
     Weights,
     evaluate,
     evidence_of_means,
     gain,
     scores,
+    summary_of,
     weights,
     with_families,
 )

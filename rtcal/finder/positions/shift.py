@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from rtcal.acoustics.observables import observable
 from rtcal.finder.effects.base import Effect, Parameters
-from rtcal.finder.effects.covered import HARD
+from rtcal.finder.effects.stated import HARD
 from rtcal.finder.means.hypotheses import spectrum_errors
 from rtcal.finder.prior import COEFFICIENTS
 from rtcal.support.types import Array

@@ -29,7 +29,7 @@ from scipy.signal import lfilter
 from rtcal.acoustics.directivity import Directivity
 from rtcal.acoustics.observables import TARGET, longest
 from rtcal.acoustics.room import Room
-from rtcal.finder.effects.covered import HARD
+from rtcal.finder.effects.stated import HARD
 from rtcal.finder.positions.case import PositionsCase
 from rtcal.finder.positions.surfaces import Faces
 from rtcal.simulators import observations, paths

@@ -23,13 +23,23 @@ from __future__ import annotations
 
 import numpy as np
 
-from rtcal.io.mend.defects import Defect, Mended, MeshError, Unclosed
-from rtcal.io.mend.edges import shell_of
-from rtcal.io.mend.faces import MOST_FACES, OFFSET, SAME, WELD, Faces, Mending, Work, numbered
-from rtcal.io.mend.gaps import without_holes
+from rtcal.io.mend.edges import shell_of, without_holes
+from rtcal.io.mend.faces import (
+    MOST_FACES,
+    OFFSET,
+    SAME,
+    WELD,
+    Defect,
+    Faces,
+    Mended,
+    Mending,
+    MeshError,
+    Unclosed,
+    Work,
+    numbered,
+)
 from rtcal.io.mend.objects import tell_loose, tell_turned, unclosed_room, with_others
-from rtcal.io.mend.planes import flattened, joined
-from rtcal.io.mend.welding import snapped, welded, without_repetitions
+from rtcal.io.mend.welding import flattened, joined, snapped, welded, without_repetitions
 from rtcal.simulators.geometry import Polyhedron
 from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError

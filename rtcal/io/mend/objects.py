@@ -7,11 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from rtcal.io.mend.defects import Unclosed
 from rtcal.io.mend.edges import loops_of, open_edges
-from rtcal.io.mend.faces import ANY_SHARE, SAME, Face, Mending, Work
-from rtcal.io.mend.planes import flattened
-from rtcal.io.mend.rays import volume_by_rays
+from rtcal.io.mend.faces import ANY_SHARE, SAME, Face, Mending, Unclosed, Work
 from rtcal.io.mend.shapes import (
     area_of,
     axes_of,
@@ -20,8 +17,9 @@ from rtcal.io.mend.shapes import (
     polygon_of,
     polygons_of,
     shapely,
+    volume_by_rays,
 )
-from rtcal.io.mend.welding import resnapped, rewelded
+from rtcal.io.mend.welding import flattened, resnapped, rewelded
 from rtcal.simulators import triangles
 from rtcal.simulators.geometry import PLANARITY, Polyhedron
 from rtcal.support.types import Array

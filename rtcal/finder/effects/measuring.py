@@ -1,4 +1,4 @@
-"""Noise in the measured decays."""
+"""What the measurement adds to the decays: noise, and a source that is not omnidirectional."""
 
 from __future__ import annotations
 
@@ -41,3 +41,30 @@ class NoiseFloor(Effect):
     def change(self, state: RoomState, parameters: Parameters) -> RoomState:
         """Return the room with this noise in its decays."""
         return replace(state, floor_db=parameters["level"], record=parameters["record"])
+
+
+@dataclass(frozen=True)
+class DirectSound(Effect):
+    """A source that is not omnidirectional: its direct sound, in C80 and G alone."""
+
+    name: ClassVar[str] = "direct sound"
+    family: ClassVar[str] = "measurement"
+    odds: ClassVar[float] = 0.5
+    size: ClassVar[str] = "gain"
+    unit: ClassVar[str] = "dB"
+    size_error: ClassVar[float] = 1.0
+    parameter_units: ClassVar[Mapping[str, str]] = {"gain": " dB"}
+    # A simulator's source has a directivity of its own.
+    not_in_simulator: ClassVar[str | None] = None
+
+    def grid(self, state: RoomState) -> Sequence[Parameters]:
+        """Return -9 to +9 dB."""
+        return [{"gain": g} for g in (-9.0, -6.0, -4.0, -2.0, 2.0, 4.0, 6.0, 9.0)]
+
+    def limits(self, room: Room | None) -> Limits:
+        """Return -40 to +40 dB, beyond any loudspeaker's directivity."""
+        return {"gain": (-40.0, 40.0)}
+
+    def change(self, state: RoomState, parameters: Parameters) -> RoomState:
+        """Return the room with the direct sound so much stronger."""
+        return replace(state, direct_db=state.direct_db + parameters["gain"])
