@@ -447,12 +447,12 @@ def test_a_gap_that_the_volume_takes_up_leads_the_page_and_the_text(tmp_path: Pa
     room, t = volume_is_wrong(volume_sigma=0.12)
     result = rt.calibrate(room, t, equation=SABINE)
     assert np.abs(result.gap_after).min() > 0.5
-    lead = words.headline(result)
+    lead = words.lead(result)["headline"]
     assert lead.startswith(
         "The calibrated room does not have the measured reverberation time in 4 of"
     )
     assert lead.endswith("uncertain explains them: the volume (12 %). Check that first.")
-    assert words.level(result) == "open"
+    assert words.lead(result)["level"] == "open"
     assert words.usable(result)[0] == []
     text = calibration_page(result)
     assert 'class="verdict agrees"' not in text
@@ -464,7 +464,7 @@ def test_a_gap_that_the_volume_takes_up_leads_the_page_and_the_text(tmp_path: Pa
     )
     assert "The room as exported does not have the measured T (250 Hz " in str(exported)
     met = rt.calibrate(*volume_is_wrong(), equation=SABINE)
-    assert words.headline(met).startswith("The model has the measured reverberation time")
+    assert words.lead(met)["headline"].startswith("The model has the measured reverberation time")
     exported = catt.write(met.room, tmp_path / "met.geo", equation=SABINE, missing_bands="nearest")
     assert "as exported does not have" not in str(exported)
 

@@ -76,14 +76,13 @@ class Air:
         return float(331.3 * np.sqrt(1 + self.temperature / 273.15))
 
     @checked
-    def attenuation_db(self, frequencies: Iterable[float]) -> Array:
-        """Return the pure-tone attenuation in dB/m at ``frequencies`` (Hz), (n_bands,).
+    def attenuation(self, frequencies: Iterable[float]) -> Array:
+        """Return the energy attenuation m in 1/m at ``frequencies`` (Hz), (n_bands,).
 
-        ISO 9613-1:1993, Eqs. 3 to 5 and B.2, B.3.
+        ISO 9613-1:1993, Eqs. 3 to 5 and B.2, B.3, of a pure tone. The intensity of a plane wave falls
+        as exp(-m x); m = (dB/m) / (10 lg e). The reverberation equations' 4mV needs this unit: with
+        dB/m in its place the air counts 4.3 times.
         """
-        return self._db_per_metre(frequencies)
-
-    def _db_per_metre(self, frequencies: Iterable[float]) -> Array:
         f = np.asarray(list(frequencies), dtype=float)
         kelvin = self.temperature + 273.15
         t = kelvin / _REFERENCE_TEMPERATURE
@@ -97,13 +96,5 @@ class Air:
             0.01275 * np.exp(-2239.1 / kelvin) / (oxygen + f**2 / oxygen)
             + 0.1068 * np.exp(-3352.0 / kelvin) / (nitrogen + f**2 / nitrogen)
         )
-        return np.asarray(8.686 * f**2 * (classical + relaxation))
-
-    @checked
-    def attenuation(self, frequencies: Iterable[float]) -> Array:
-        """Return the energy attenuation m in 1/m at ``frequencies`` (Hz), (n_bands,).
-
-        The intensity of a plane wave falls as exp(-m x); m = (dB/m) / (10 lg e). The reverberation
-        equations' 4mV needs this unit: with dB/m in its place the air counts 4.3 times.
-        """
-        return np.asarray(self._db_per_metre(frequencies) / _DB_PER_NEPER_OF_ENERGY)
+        db_per_metre = 8.686 * f**2 * (classical + relaxation)
+        return np.asarray(db_per_metre / _DB_PER_NEPER_OF_ENERGY)

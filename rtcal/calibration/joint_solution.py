@@ -194,10 +194,3 @@ class JointSolution:
     def posterior_sigma(self) -> Array:
         """Standard deviation of the calibrated coefficients, (n_materials, n_bands)."""
         return self.solution.model.data.layout.expand(self._estimate_sigma)
-
-    @property
-    def effects_sigma(self) -> dict[str, float]:
-        """Standard deviation of the sizes of the further unknowns, by name."""
-        data = self.solution.model.data
-        sizes = data.further(self._estimate_sigma)
-        return dict(zip(data.layout.further, sizes.tolist(), strict=True))

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import os
 import shlex
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -25,6 +26,7 @@ from rtcal.command.finder_options import (
     ENGINES,
     Inputs,
     Search,
+    add_to_folder,
     before_option,
     files_read,
     further_places,
@@ -243,39 +245,17 @@ def apply(
         tell(str(correction), correction.to_dict(), quiet=quiet, as_json=as_json)
         added = bool(correction.files)
     else:
+        from rtcal.finder.positions.corrected import FILES
+
         refuse({"--room": room}, ": with a geometry the room is written into the folder of --out")
         if os.path.isfile(out):
             raise DataError(f"--out {out} is a file; with a geometry it is a folder")
-        added = _add_to_geometry(
-            inputs, search, Path(out), form or "patch", _place(at), quiet, as_json
-        )
+        place = _place(at)
+        finding = search_case(inputs, search, quiet, [Path(out, name) for name in FILES])
+        made = partial(finding.apply, form or "patch", at=place)
+        added = add_to_folder(finding, made, Path(out), as_json, quiet)
     if not added:
         raise click.exceptions.Exit(NOTHING_TO_ADD)
-
-
-def _add_to_geometry(
-    inputs: Inputs,
-    search: Search,
-    folder: Path,
-    form: str,
-    at: Sequence[float] | None,
-    quiet: bool,
-    as_json: bool,
-) -> bool:
-    """Write the corrected room into a folder; return whether there was something to add."""
-    from rtcal.finder.positions.corrected import FILES
-
-    finding = search_case(inputs, search, quiet, [folder / name for name in FILES])
-    if (nothing := finding.reason_for_none) is not None:
-        record = {**finding.to_dict(), "written": []}
-        tell(f"{nothing}\nNothing is written.", record, quiet=quiet, as_json=as_json)
-        return False
-    corrected = finding.apply(form, at=at)
-    paths = corrected.save(folder)
-    printed = "\n".join([finding.headline, *corrected.in_words, written(paths)])
-    record = {**finding.to_dict(), **corrected.to_dict(), "written": [str(p) for p in paths]}
-    tell(printed, record, quiet=quiet, as_json=as_json)
-    return True
 
 
 @click.command(short_help="Which effects the data could tell apart; what to measure next.")

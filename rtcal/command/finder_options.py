@@ -26,6 +26,8 @@ from rtcal.command.console import (
     said,
     scattering_option,
     seed_option,
+    tell,
+    written,
 )
 from rtcal.support.errors import DataError
 from rtcal.support.files import spare
@@ -33,7 +35,9 @@ from rtcal.support.progress import bar
 
 if TYPE_CHECKING:
     from rtcal.finder import positions
-
+    from rtcal.finder.positions.corrected import Corrected
+    from rtcal.finder.positions.finding import PositionsFinding
+    from rtcal.finder.states import SecondState, StatesFinding
 
 SEEDS = (0, 1, 2)
 """Seeds of the simulator over which a gap at positions is printed."""
@@ -322,3 +326,23 @@ def number_options(command: Any) -> Any:
     ):
         with_numbers = option(with_numbers)
     return with_numbers
+
+
+def add_to_folder(
+    finding: PositionsFinding | StatesFinding,
+    apply: Callable[[], Corrected | SecondState],
+    folder: Path,
+    as_json: bool,
+    quiet: bool,
+) -> bool:
+    """Write the room with what was found into a folder; return whether something was found."""
+    if (nothing := finding.reason_for_none) is not None:
+        record = {**finding.to_dict(), "written": []}
+        tell(f"{nothing}\nNothing is written.", record, quiet=quiet, as_json=as_json)
+        return False
+    made = apply()
+    paths = made.save(folder)
+    printed = "\n".join([finding.headline, *made.in_words, written(paths)])
+    record = {**finding.to_dict(), **made.to_dict(), "written": [str(p) for p in paths]}
+    tell(printed, record, quiet=quiet, as_json=as_json)
+    return True

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rtcal.command.console import read_measured, tell, written
-from rtcal.command.finder_options import Inputs, Search
+from rtcal.command.finder_options import Inputs, Search, add_to_folder
 from rtcal.support.errors import DataError
 
 if TYPE_CHECKING:
@@ -88,16 +88,7 @@ def apply_change(
     if folder.is_file():
         raise DataError(f"--out {folder} is a file; with --before it is a folder")
     finding = _find(inputs, search, before, [folder / ROOM, folder / MESH])
-    if (nothing := finding.reason_for_none) is not None:
-        record = {**finding.to_dict(), "written": []}
-        tell(f"{nothing}\nNothing is written.", record, quiet=quiet, as_json=as_json)
-        return False
-    changed = finding.apply()
-    paths = changed.save(folder)
-    printed = "\n".join([finding.headline, *changed.notes, written(paths)])
-    record = {**finding.to_dict(), **changed.to_dict(), "written": [str(p) for p in paths]}
-    tell(printed, record, quiet=quiet, as_json=as_json)
-    return True
+    return add_to_folder(finding, finding.apply, folder, as_json, quiet)
 
 
 def _check(inputs: Inputs, search: Search) -> None:

@@ -1,4 +1,4 @@
-"""Text with separators (CSV, or columns aligned by blanks) as cells, and options that change nothing.
+"""Text with separators (CSV, or columns aligned by blanks) as cells; options that change nothing."""
 
 from __future__ import annotations
 

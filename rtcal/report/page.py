@@ -126,7 +126,7 @@ def _calibration(calibration: CalibrationResult, step: Callable[[], None]) -> di
     }
     return {
         "calibration": calibration,
-        "headline": words.headline(calibration),
+        **words.lead(calibration),
         "summary": words.summary(calibration),
         "verdict": words.verdict(calibration),
         "hertz": words.hertz,
@@ -137,8 +137,6 @@ def _calibration(calibration: CalibrationResult, step: Callable[[], None]) -> di
         "shift_count": shift_count,
         "large_shift": f"{words.LARGE_SHIFT:g}",
         "not_met": words.not_met(calibration),
-        "level": words.level(calibration),
-        "proves_nothing": words.proves_nothing(calibration),
         "figures": _figures(calibration, step),
         "blocks": blocks(len(calibration.prior.centre_frequencies)),
         "labels": words.band_labels(calibration),

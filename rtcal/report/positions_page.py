@@ -15,7 +15,7 @@ from rtcal.modes.result import ModesResult
 from rtcal.modes.room_modes import DECAY
 from rtcal.report import loop_figures, room_section, words
 from rtcal.report.document import Heading, blocks, material_rows, render, source
-from rtcal.report.figures import BLACK, BLUE, ORANGE, new_figure
+from rtcal.report.figures import BLACK, BLUE, ORANGE, new_figure, rms
 from rtcal.simulators.observations import Observations
 from rtcal.simulators.path_tracing import PathTracing
 from rtcal.support.types import Array
@@ -80,16 +80,9 @@ def page(result: PositionsResult, heading: Heading, step: Callable[[], None]) ->
     )
 
 
-def _rms(values: Array, axis: Any = None) -> Any:
-    with np.errstate(invalid="ignore"):
-        known = np.isfinite(values)
-        squares = np.where(known, values, 0.0) ** 2
-        return np.sqrt(squares.sum(axis=axis) / known.sum(axis=axis))
-
-
 def _share(result: PositionsResult) -> Array:
     """Return posterior over prior sigma of each material, 1 where sigma was 0."""
-    before, after = (_rms(s, axis=1) for s in (result.prior.sigma, result.sigma))
+    before, after = (rms(s, axis=1) for s in (result.prior.sigma, result.sigma))
     return np.asarray(np.divide(after, before, out=np.ones_like(after), where=before > 0))
 
 
@@ -99,7 +92,7 @@ def _most_learned_first(result: PositionsResult) -> list[int]:
 
 def _headline(result: PositionsResult) -> str:
     """Return what the calibrated simulator lacks of what was matched; "" where all is within 1 JND."""
-    left = {p: _rms(gap) for p, gap in zip(result.parameters, result.gap_after, strict=True)}
+    left = {p: rms(gap) for p, gap in zip(result.parameters, result.gap_after, strict=True)}
     far = sorted((p for p in left if left[p] >= _REMAINS), key=lambda p: -left[p])
     if not far:
         return ""
@@ -135,13 +128,13 @@ def _summary(result: PositionsResult, order: list[int]) -> list[str]:
     )
     tested = ""
     if result.held_out is not None:
-        before, after = _rms(result.held_out.gap_before), _rms(result.held_out.gap_after)
+        before, after = rms(result.held_out.gap_before), rms(result.held_out.gap_after)
         tested = f"; at the pairs that were held out it went from {before:.1f} to {after:.1f}"
     return [
         f"The absorption coefficients were fitted to {parameters} at "
         f"{n_pairs} pair{'s' * (n_pairs > 1)} of a source and a receiver.",
-        f"The root mean square gap went from {_rms(result.gap_before):.1f} to "
-        f"{_rms(result.gap_after):.1f} just noticeable differences (JND){tested}.",
+        f"The root mean square gap went from {rms(result.gap_before):.1f} to "
+        f"{rms(result.gap_after):.1f} just noticeable differences (JND){tested}.",
         told,
     ]
 
@@ -178,14 +171,14 @@ def _held_out(result: PositionsResult) -> dict[str, Any] | None:
             {
                 "name": " to ".join(pair),
                 "cells": [
-                    (float(_rms(b[i])), float(_rms(a[i])))
+                    (float(rms(b[i])), float(rms(a[i])))
                     for b, a in zip(left.gap_before, left.gap_after, strict=True)
                 ],
             }
             for i, pair in enumerate(left.measured.pairs)
         ],
-        "before": float(_rms(left.gap_before)),
-        "after": float(_rms(left.gap_after)),
+        "before": float(rms(left.gap_before)),
+        "after": float(rms(left.gap_after)),
         "times": _times(left.before, left.after, left.measured),
     }
 
@@ -219,9 +212,9 @@ def _learned(result: PositionsResult, i: int) -> dict[str, Any]:
     strength = np.abs(result.pulls[:, i]).mean(axis=1)
     return {
         "name": result.prior.materials[i],
-        "before": _rms(result.prior.sigma[i]),
-        "after": _rms(result.sigma[i]),
-        "shift": _rms(result.shift[i]),
+        "before": rms(result.prior.sigma[i]),
+        "after": rms(result.sigma[i]),
+        "shift": rms(result.shift[i]),
         "pair": " to ".join(result.pairs[int(np.argmax(strength))]),
         "scattering": _scattering(result, i),
         "share": float(strength.max() / strength.sum()) if strength.sum() > 0 else 0.0,
@@ -254,7 +247,7 @@ def _gaps(result: PositionsResult) -> list[dict[str, Any]]:
         {
             "name": name,
             "cells": [
-                (float(_rms(b[pairs])), float(_rms(a[pairs])))
+                (float(rms(b[pairs])), float(rms(a[pairs])))
                 for b, a in zip(before, after, strict=True)
             ],
             "misfit": misfit,

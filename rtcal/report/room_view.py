@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtcal.report import room_still
+from rtcal.report.figures import rms
 from rtcal.report.room_still import GREY, Look
 from rtcal.simulators.geometry import Polyhedron
 from rtcal.support.types import Array
@@ -221,14 +222,9 @@ def stands(
         for name, place in points.items():
             own = [i for i, pair in enumerate(pairs) if pair[end] == name]
             x, y, z = (float(c) for c in place)
-            values = tuple(_rms(gap[:, own]) for gap in gaps)
+            values = tuple(float(rms(gap[:, own])) for gap in gaps)
             made.append(Stand(kind=kind, name=name, place=(x, y, z), gaps=values))
     return made
-
-
-def _rms(gap: Array) -> float:
-    known = gap[np.isfinite(gap)]
-    return float(np.sqrt(np.mean(known**2))) if known.size else float("nan")
 
 
 def section(view: RoomView) -> dict[str, Any] | None:

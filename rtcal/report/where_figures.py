@@ -13,7 +13,7 @@ from rtcal.acoustics.observables import parameter_label
 from rtcal.finder.positions.finding import Place, PositionsFinding
 from rtcal.finder.positions.surfaces import Faces, kind
 from rtcal.finder.positions.verification import MODELS, PositionsVerification
-from rtcal.report.figures import BLACK, BLUE, GREEN, ORANGE, new_figure, shown
+from rtcal.report.figures import BLACK, BLUE, GREEN, ORANGE, new_figure, rms, shown
 from rtcal.simulators.geometry import Polyhedron
 from rtcal.support.arguments import checked
 from rtcal.support.types import Array
@@ -270,7 +270,7 @@ def plan(finding: PositionsFinding, place: Place | None = None) -> Any:
                 axes.annotate(label, middle, fontsize=_SIZE, **style)
             else:
                 above.append(label)
-    z = _rms(finding.map, (0, 2))
+    z = rms(finding.map, (0, 2))
     most = max(2.0, float(np.nanmax(z)))
     sources, receivers = case.simulator.sources, case.simulator.receivers
     for (source, receiver), value in zip(finding.pairs, z, strict=True):
@@ -301,8 +301,8 @@ def disagreement(finding: PositionsFinding) -> Any:
     """Return the map as tables, in standard deviations: pairs by parameters, parameters by bands."""
     names = [parameter_label(p) for p in finding.parameters]
     frequencies = [f"{f:g}" for f in finding.case.room.centre_frequencies]
-    of_pairs = _rms(finding.map, (2,)).T
-    of_bands = _rms(finding.map, (1,))
+    of_pairs = rms(finding.map, (2,)).T
+    of_bands = rms(finding.map, (1,))
     most = max(2.0, float(np.nanmax(of_pairs)), float(np.nanmax(of_bands)))
     rows = len(of_pairs) if len(of_pairs) <= _MOST_ROWS else 0
     figure, panels = new_figure(6.0, 2.2 + 0.3 * len(names) + 0.3 * rows, 2 if rows else 1)
@@ -317,13 +317,6 @@ def disagreement(finding: PositionsFinding) -> Any:
     bar.set_label("Disagreement / standard deviations", fontsize=_SIZE)
     bar.ax.tick_params(labelsize=_SIZE)
     return figure
-
-
-def _rms(residuals: Array, axes: tuple[int, ...]) -> Array:
-    """Return the root mean square over some axes; NaN where nothing was measured."""
-    number = np.isfinite(residuals).sum(axis=axes)
-    total = np.nansum(residuals**2, axis=axes)
-    return np.asarray(np.where(number > 0, np.sqrt(total / np.maximum(number, 1)), np.nan))
 
 
 def _table(axes: Any, z: Array, rows: Sequence[str], columns: Sequence[str], most: float) -> Any:

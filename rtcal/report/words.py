@@ -35,6 +35,10 @@ PROVES_NOTHING = (
     "would do so too if a wall, the air or an opening were missing from it. Whether to believe it "
     "shows in how far the coefficients had to move."
 )
+_GAP_REMAINS = (
+    "A simulation with these coefficients keeps the gap that remains. What takes it up is checked "
+    "first, corrected in the room's file, and the calibration repeated."
+)
 
 _AGAINST = "The measurement contradicts what was stated of the materials"
 
@@ -95,39 +99,27 @@ def compared(calibration: CalibrationResult) -> str:
     return bands.span(calibration.prior.centre_frequencies[has_gap]) if has_gap.any() else "no band"
 
 
-def headline(calibration: CalibrationResult) -> str:
-    """Return the result as one sentence for a reader who is no acoustician."""
-    gap = np.abs(calibration.gap_after[np.isfinite(calibration.gap_after)])
-    met, count = int(np.sum(gap < MET)), len(gap)
-    if not count:
-        return "Model and measurement could be compared in no band."
-    if left := remaining_gap(calibration.to_dict()):
-        return left
-    bands = "" if met == count else f" in {met} of {count} bands"
-    return f"The model has the measured reverberation time{bands}, " + {
-        "agrees": "with its materials within what was stated of them.",
-        "contradicts": "but not with its materials as they were stated.",
-    }.get(verdict(calibration)[0], "and it is open whether its materials are as stated.")
+def lead(calibration: CalibrationResult) -> dict[str, str]:
+    """Return what a reader who is no acoustician reads first.
 
-
-def level(calibration: CalibrationResult) -> str:
-    """Return the kind of the box around the headline: "agrees", "open" or "contradicts".
-
-    A model that lacks the measured T does not agree, whatever its materials do.
+    "headline" is the result as one sentence. "level" is the kind of the box around it: "agrees", "open"
+    or "contradicts"; a model that lacks the measured T does not agree, whatever its materials do.
+    "proves_nothing" is what the agreement, or what is left of the gap, says of the model.
     """
     of_materials = verdict(calibration)[0]
-    left = remaining_gap(calibration.to_dict())
-    return "open" if left and of_materials == "agrees" else of_materials
-
-
-def proves_nothing(calibration: CalibrationResult) -> str:
-    """Return what the agreement, or what is left of the gap, says of the model."""
-    if not remaining_gap(calibration.to_dict()):
-        return PROVES_NOTHING
-    return (
-        "A simulation with these coefficients keeps the gap that remains. What takes it up is checked "
-        "first, corrected in the room's file, and the calibration repeated."
-    )
+    if left := remaining_gap(calibration.to_dict()):
+        level = "open" if of_materials == "agrees" else of_materials
+        return {"headline": left, "level": level, "proves_nothing": _GAP_REMAINS}
+    gap = np.abs(calibration.gap_after[np.isfinite(calibration.gap_after)])
+    met, count = int(np.sum(gap < MET)), len(gap)
+    bands = "" if met == count else f" in {met} of {count} bands"
+    said = f"The model has the measured reverberation time{bands}, " + {
+        "agrees": "with its materials within what was stated of them.",
+        "contradicts": "but not with its materials as they were stated.",
+    }.get(of_materials, "and it is open whether its materials are as stated.")
+    if not count:
+        said = "Model and measurement could be compared in no band."
+    return {"headline": said, "level": of_materials, "proves_nothing": PROVES_NOTHING}
 
 
 def summary(calibration: CalibrationResult) -> list[str]:

@@ -120,7 +120,7 @@ def test_verdicts() -> None:
     near = rt.Eyring().reverberation_time(room)
     assert words.verdict(rt.calibrate(room, near))[0] == "agrees"
     assert words.verdict(rt.calibrate(room, 0.6 * near))[0] == "contradicts"
-    assert "within what was stated" in words.headline(rt.calibrate(room, near))
+    assert "within what was stated" in words.lead(rt.calibrate(room, near))["headline"]
     assert words.large_shifts(rt.calibrate(room, near)) == ([], 0)
     shifts, count = words.large_shifts(rt.calibrate(room, 0.6 * near))
     assert count == len(shifts) > 1
@@ -134,7 +134,7 @@ def test_a_gap_that_nobody_hears_is_met_and_printed() -> None:
     assert 0.05 < gap < 0.5
     n = int(np.isfinite(result.gap_after).sum())
     assert f"in all {n} bands, to within {gap:.1f} JND." in " ".join(words.summary(result))
-    assert "bands" not in words.headline(result)
+    assert "bands" not in words.lead(result)["headline"]
     assert not any("gap remains" in sentence for sentence in words.not_met(result))
 
 

@@ -20,7 +20,6 @@ from rtcal.acoustics.equations.base import Equation as Equation
 from rtcal.acoustics.equations.base import LinearEquation as LinearEquation
 from rtcal.acoustics.equations.base import MeanEquation as MeanEquation
 from rtcal.acoustics.equations.base import equation_keys as equation_keys
-from rtcal.acoustics.equations.base import linear_equation as linear_equation
 from rtcal.acoustics.equations.base import mean_equation as mean_equation
 from rtcal.acoustics.equations.base import register as register
 from rtcal.acoustics.equations.by_axis import ArauPuchades as ArauPuchades

@@ -280,17 +280,3 @@ def mean_equation(key: str, place: str = "equation") -> MeanEquation:
     if equation is None or not issubclass(equation, MeanEquation):
         raise DataError(f"{place} = {key!r} is not one of {', '.join(equation_keys(MeanEquation))}")
     return equation()
-
-
-def linear_equation(name: str) -> type[LinearEquation]:
-    """Return the linear equation with this ``name``, as in saved results; DataError if none has it.
-
-    Examples
-    --------
-    >>> linear_equation("Eyring").key
-    'eyring'
-    """
-    by_name = {e.name: e for e in EQUATIONS.values() if issubclass(e, LinearEquation)}
-    if name not in by_name:
-        raise DataError(f"equation.name = {name[:40]!r} is not one of {', '.join(by_name)}")
-    return by_name[name]

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
+from rtcal.acoustics.bands import index
 from rtcal.acoustics.room import Room
 from rtcal.calibration.archive import likelihood
 from rtcal.calibration.archive.library import Archive, Lesson, Suspect, is_one_material
@@ -119,13 +120,15 @@ def learn(
             f'names: "{unknown[0]}" is a material of no room; there are {", ".join(sorted(known)[:20])}'
         )
     called = [_called(each.room, mapped) for each in used]
-    shared = [
-        f for f in used[0].room.centre_frequencies if all(_has(each.room, f) for each in used)
-    ]
-    if not shared:
+    columns_of = {
+        f: [index(each.room.centre_frequencies, f) for each in used]
+        for f in used[0].room.centre_frequencies
+    }
+    common = {f: [i for i in at if i is not None] for f, at in columns_of.items() if None not in at}
+    if not common:
         raise DataError("the rooms have no band in common")
-    frequencies = np.array(shared)
-    entries = [_entries(each.room, frequencies) for each in used]
+    frequencies = np.array([*common])
+    entries = [list(columns) for columns in zip(*common.values(), strict=True)]
     called = _told_apart(used, called, entries, {*mapped.values()})
     materials = tuple(dict.fromkeys(m for row in called for m in row))
     mu, sigma, seen = _tables(used, called, materials, entries)
@@ -249,16 +252,6 @@ def _told_apart(
         ]
         for each, row, columns in zip(rooms, called, entries, strict=True)
     ]
-
-
-def _has(room: Room, frequency: float) -> bool:
-    return bool(np.isclose(room.centre_frequencies, frequency, rtol=1e-6).any())
-
-
-def _entries(room: Room, frequencies: Array) -> list[int]:
-    """The room's columns of the common bands."""
-    own = room.centre_frequencies
-    return [int(np.argmin(np.abs(own - f))) for f in frequencies]
 
 
 def _tables(

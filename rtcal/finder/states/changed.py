@@ -67,6 +67,11 @@ class SecondState:
         on = listed([f'"{name}"' for name in self.surfaces]) if self.surfaces else "all materials"
         return f"<SecondState: on {on}>"
 
+    @property
+    def in_words(self) -> list[str]:
+        """What of the change the room does not hold, and what was assumed: the notes."""
+        return list(self.notes)
+
     def to_dict(self) -> dict[str, Any]:
         """Return what changed, and the notes, as plain values."""
         return {
