@@ -54,6 +54,18 @@ SURVIVORS: dict[tuple[str, str], str] = {
     ): "equivalent: after the last round no free coefficient is above its upper bound (60,000 random "
     "bands: no difference)",
     (
+        "rtcal.calibration.exact.batch.x__solve_chunk",
+        "+ b = b + np.where(inside, 0.0, np.where(start >= b, give, -give))",
+    ): "equivalent: where start is b, it is inside, or give is 0",
+    (
+        "rtcal.calibration.separable.xǁSeparableǁ_equation",
+        "+ inside = (at_prior > self.least + error) & (at_prior <= self.most - error) & ~soft",
+    ): "equivalent: there S'alpha of the prior is nearest, which D = 0 gives",
+    (
+        "rtcal.finder.means.evidence.x_evaluate_beyond",
+        "+ weights = [grid_weights(e, grid, base) for e, grid in zip(effects, grids, )]",
+    ): "equivalent: every effect has one grid",
+    (
         "rtcal.calibration.certificate.x__row_gap",
         "+ slack = np.where(rows >= 0, model.row_upper - values, values - model.row_lower)",
     ): "equivalent: a row whose multiplier is 0 counts as an equality, whose gap is 0",

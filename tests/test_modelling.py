@@ -330,6 +330,12 @@ def test_a_contradiction_is_explained_by_the_smallest_relaxation() -> None:
         "the constraints contradict each other. The smallest relaxation that removes it: exact "
         "match of T at 1000 Hz (m² of absorption): 30 has to be 10 higher"
     )
+    with pytest.raises(rt.errors.InfeasibleError) as error:
+        rt.Calibration(PRIOR, [terms.MatchWithin(1), constraints[1]]).build(room).solve(t)
+    # 1 JND: T may be 5 % shorter, so that Eyring's exponent 0.3567 is 0.3754 and S'alpha 31.30 m².
+    assert str(error.value).endswith(
+        "it: match of T within 1 JND at 1000 Hz (m² of absorption): 31.3 has to be 8.698 higher"
+    )
     both = rt.Room(
         name="two bands",
         volume=100,
@@ -400,6 +406,10 @@ def test_bad_composition_is_refused() -> None:
     data, model = rt.errors.DataError, rt.errors.ModelError
     with pytest.raises(model, match="2 prior deviations"):
         rt.Calibration(PRIOR + terms.HuberDeviation())
+    with pytest.raises(
+        model, match="prior deviation has weight 0; without it the answer is not unique"
+    ):
+        rt.Calibration(0 * PRIOR + terms.SoftMatch())
     with pytest.raises(model, match="no constraint"):
         rt.Calibration(PRIOR, [terms.SoftMatch()])
     with pytest.raises(data, match='"no" is no material'):

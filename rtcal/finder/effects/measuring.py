@@ -1,4 +1,4 @@
-"""What the measurement adds to the decays: noise, and a source that is not omnidirectional."""
+"""Effects of the measurement: noise in the decays, and a source that is not omnidirectional."""
 
 from __future__ import annotations
 

@@ -69,7 +69,7 @@ class SecondState:
 
     @property
     def in_words(self) -> list[str]:
-        """What of the change the room does not hold, and what was assumed: the notes."""
+        """The notes: what of the change the room does not hold, and what was assumed."""
         return list(self.notes)
 
     def to_dict(self) -> dict[str, Any]:
