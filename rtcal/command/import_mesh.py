@@ -18,8 +18,13 @@ from rtcal.support.text import rounded, shortened
 
 if TYPE_CHECKING:
     from rtcal.acoustics.materials import Surface
+    from rtcal.acoustics.room import Room
     from rtcal.io.mend import Mended, MeshError, Unclosed
 
+_LEAST_UNCERTAINTY = 1e-3
+"""Relative uncertainty of V or of an area that a room states: no T is measured as exactly."""
+_MOST_UNCERTAINTY = 0.99
+"""That of an area which may be missing: a room states less than 1."""
 _USED_BY_CHECK = {
     *("program", "materials", "mesh", "unit", "space", "weld", "hole", "as_drawn", "mended"),
     *("picture", "as_json", "quiet"),
@@ -149,7 +154,57 @@ def geometry(
     return None, volume, [Surface(name, name, area) for name, area in stated.items()]
 
 
-def mesh_file(mesh: str, model: Mended, out: str, stated: str | None) -> str | None:
+def with_scene(
+    room: Room,
+    mesh: str,
+    model: Mended | Unclosed,
+    unit: float | None,
+    out: str,
+    mended: str | None,
+    picture: str | None,
+) -> Room:
+    """Return the room with its mesh, which is written where it was mended, as its picture is."""
+    from rtcal.acoustics.scene import Scene
+    from rtcal.io.mend import Unclosed
+
+    if isinstance(model, Unclosed):
+        for option, path in (("--mended", mended), ("--picture", picture)):
+            if path is not None:
+                raise DataError(f"{option}: the mesh was not closed; leave --open or {option} out")
+        return room
+    target = _mesh_file(mesh, model, out, mended)
+    if target is not None:
+        spare([target], [mesh])
+        model.geometry.save(target)
+    stated = 1.0 if target is not None or unit is None else unit
+    if picture is not None:
+        draw(model.geometry, None, picture)
+    return room.replace(scene=Scene(mesh=target or mesh, unit=stated))
+
+
+def with_uncertainty(room: Room, model: Mended | Unclosed) -> tuple[Room, list[str]]:
+    """Return the room with what a mesh leaves open of its volume and areas, and the notes on it."""
+    from rtcal.io.mend import Unclosed
+
+    read = [as_options(note, ["unit"]) for note in model.notes]
+    notes = [f"mesh: {note}" for note in (*read, *map(str, model.defects))]
+    if model.volume_uncertainty > _LEAST_UNCERTAINTY * room.volume:
+        sigma = float(f"{model.volume_uncertainty / room.volume:.2g}")
+        room = room.replace(volume_sigma=sigma)
+        drawn = "drawn: its faces do not close" if isinstance(model, Unclosed) else "mended"
+        notes.append(f"V is known to {100 * sigma:.2g} % (volume_sigma), by what was {drawn}")
+    unsure = model.area_uncertainty
+    of_room = zip(room.materials, room.areas.tolist(), strict=True)
+    relative = {m: min(unsure.get(m, 0.0) / area, _MOST_UNCERTAINTY) for m, area in of_room}
+    area_sigma = {m: float(f"{u:.2g}") for m, u in relative.items() if u > _LEAST_UNCERTAINTY}
+    if area_sigma:
+        room = room.replace(area_sigma=area_sigma)
+        said = ", ".join(f"{m} to {100 * u:.2g} %" for m, u in area_sigma.items())
+        notes.append(f"Areas are known (area_sigma), by what was mended: {said}")
+    return room, notes
+
+
+def _mesh_file(mesh: str, model: Mended, out: str, stated: str | None) -> str | None:
     """Return the file to which the room's mesh is written; None if the tracers read it as it is."""
     if stated is not None:
         return stated

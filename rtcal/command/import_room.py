@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from rtcal.command.console import (
-    as_options,
     bands_option,
     entries_option,
     fit_ending,
@@ -21,7 +20,13 @@ from rtcal.command.console import (
     texts,
 )
 from rtcal.command.files import PROGRAMS
-from rtcal.command.import_mesh import check, draw, geometry, mesh_file, refuse_unused_options
+from rtcal.command.import_mesh import (
+    check,
+    geometry,
+    refuse_unused_options,
+    with_scene,
+    with_uncertainty,
+)
 from rtcal.support.errors import DataError, MissingDependencyError
 from rtcal.support.files import spare
 from rtcal.support.text import shortened
@@ -30,11 +35,6 @@ if TYPE_CHECKING:
     from rtcal.acoustics.air import Air
     from rtcal.acoustics.room import Room
     from rtcal.io.material_list import ListedMaterial, MaterialList
-
-_LEAST_UNCERTAINTY = 1e-3
-"""Relative uncertainty of V or of an area that a room states: no T is measured as exactly."""
-_MOST_UNCERTAINTY = 0.99
-"""That of an area which may be missing: a room states less than 1."""
 
 
 @click.command("import", short_help="A program's material list and a mesh to a room.")
@@ -174,10 +174,8 @@ def import_room(
     \b
     Example: rtcal import check hall.glb --picture hall.png
     """  # noqa: D301 (click's mark for lines that are not to be wrapped)
-    from rtcal.acoustics.scene import Scene
     from rtcal.io.bras import read_sigma
     from rtcal.io.material_list import SigmaRule
-    from rtcal.io.mend import Unclosed
 
     if program == "check":
         refuse_unused_options()
@@ -230,43 +228,18 @@ def import_room(
         others=others,
         air=_air(temperature, humidity),
     )
-    if isinstance(model, Unclosed):
-        for option, path in (("--mended", mended), ("--picture", picture)):
-            if path is not None:
-                raise DataError(f"{option}: the mesh was not closed; leave --open or {option} out")
-    elif mesh is not None and model is not None:
-        target = mesh_file(mesh, model, out, mended)
-        if target is not None:
-            spare([target], [mesh])
-            model.geometry.save(target)
-        stated = 1.0 if target is not None or unit is None else unit
-        room = room.replace(scene=Scene(mesh=target or mesh, unit=stated))
-        if picture is not None:
-            draw(model.geometry, None, picture)
-    if model is not None and model.volume_uncertainty > _LEAST_UNCERTAINTY * room.volume:
-        room = room.replace(volume_sigma=float(f"{model.volume_uncertainty / room.volume:.2g}"))
-    unsure = {} if model is None else model.area_uncertainty
-    of_room = zip(room.materials, room.areas.tolist(), strict=True)
-    relative = {m: min(unsure.get(m, 0.0) / area, _MOST_UNCERTAINTY) for m, area in of_room}
-    area_sigma = {m: float(f"{u:.2g}") for m, u in relative.items() if u > _LEAST_UNCERTAINTY}
-    room = room.replace(area_sigma=area_sigma) if area_sigma else room
+    of_mesh: list[str] = []
+    if mesh is not None and model is not None:
+        room = with_scene(room, mesh, model, unit, out, mended, picture)
+        room, of_mesh = with_uncertainty(room, model)
     room.save(out)
     in_use = {listed.listed(name).name for name in used if name not in others}
     in_use |= {material.name for material in renamed.values()}
     unused = [] if program == "catalogue" else [n for n in listed.names if n not in in_use]
-    notes = _notes(room, rule, sigma, {n: m.scattering for n, m in _used(listed, others, used)})
-    if model is not None:
-        read = [as_options(note, ["unit"]) for note in model.notes]
-        notes += [f"mesh: {note}" for note in (*read, *map(str, model.defects))]
-    if room.volume_sigma:
-        notes.append(
-            f"V is known to {100 * room.volume_sigma:.2g} % (volume_sigma), by what was "
-            + ("drawn: its faces do not close" if isinstance(model, Unclosed) else "mended")
-        )
-    if area_sigma:
-        known = ", ".join(f"{m} to {100 * u:.2g} %" for m, u in area_sigma.items())
-        notes.append(f"Areas are known (area_sigma), by what was mended: {known}")
-    _tell(room, unused, notes, out, as_json=as_json, quiet=quiet)
+    notes = _notes(
+        room, rule, sigma, {n: (others.get(n) or listed.listed(n)).scattering for n in used}
+    )
+    _tell(room, unused, notes + of_mesh, out, as_json=as_json, quiet=quiet)
 
 
 def _materials(program: str, path: str | None) -> MaterialList:
@@ -304,18 +277,9 @@ def _centre_frequencies(
 def _air(temperature: float | None, humidity: float | None) -> Air | None:
     from rtcal.acoustics.air import Air
 
-    if temperature is None and humidity is None:
-        return None
-    return Air(
-        temperature=20 if temperature is None else temperature,
-        humidity=50 if humidity is None else humidity,
-    )
-
-
-def _used(
-    listed: MaterialList, others: dict[str, ListedMaterial], used: Sequence[str]
-) -> list[tuple[str, ListedMaterial]]:
-    return [(name, others.get(name) or listed.listed(name)) for name in used]
+    stated = {"temperature": temperature, "humidity": humidity}
+    known = {name: value for name, value in stated.items() if value is not None}
+    return Air(**{"temperature": 20, "humidity": 50} | known) if known else None
 
 
 def _chosen_names(
