@@ -26,6 +26,7 @@ from rtcal.acoustics.observables import (
     observable,
     parameter_label,
 )
+from rtcal.acoustics.quality import gap_jnd
 from rtcal.acoustics.repeats import fingerprint, refuse_repeated_data
 from rtcal.acoustics.room import Room
 from rtcal.calibration.problem_data import copied, times_in_room
@@ -77,6 +78,24 @@ class MeasuredPairs:
     def used(self) -> NDArray[np.bool_]:
         """Where there is a value, (n_parameters, n_pairs, n_bands)."""
         return np.isfinite(self.observations.values)
+
+    def gap(self, simulated: Observations) -> Array:
+        """Return simulated less measured in JND, as `gap_at_pairs` does."""
+        return gap_at_pairs(simulated, self.observations, relative=self.level == "relative")
+
+
+def gap_at_pairs(simulated: Observations, measured: Observations, *, relative: bool) -> Array:
+    """Return simulated less measured in JND, (n_parameters, n_pairs, n_bands).
+
+    A relative level has its mean over each source's pairs taken off.
+    """
+    gaps = []
+    for name in measured.parameters:
+        model, heard = simulated.natural(name), measured.natural(name)
+        if name == LEVEL.key and relative:
+            model = with_reference(model, heard, measured.pairs)
+        gaps.append(gap_jnd(model, heard, name))
+    return np.stack(gaps)
 
 
 def pairs_to_match(

@@ -12,7 +12,6 @@ import numpy as np
 from rtcal.acoustics.change_files import Variant
 from rtcal.acoustics.changes import Change
 from rtcal.acoustics.observables import LEVEL, observable, parameter_label
-from rtcal.acoustics.quality import gap_jnd
 from rtcal.acoustics.room import Room
 from rtcal.acoustics.room_errors import Assumptions
 from rtcal.acoustics.scene import POSITION
@@ -28,10 +27,9 @@ from rtcal.loop.measured_pairs import (
     contradicting,
     relative_misfit,
     rows_of_pairs,
-    with_reference,
 )
 from rtcal.loop.positions_prediction import PositionsPrediction
-from rtcal.loop.positions_tables import Table, gap_table, material_table, rms
+from rtcal.loop.positions_tables import Table, farther_in_words, gap_table, material_table, rms
 from rtcal.loop.predicted_positions import WANTED, predict_positions
 from rtcal.loop.scattering import Scattering
 from rtcal.simulators.base import Simulator
@@ -227,12 +225,12 @@ class PositionsResult(Result):
     @cached_property
     def gap_before(self) -> Array:
         """Simulated less measured, with the prior, in JND, (n_parameters, n_pairs, n_bands)."""
-        return self._gap(self.before)
+        return self.measured.gap(self.before)
 
     @cached_property
     def gap_after(self) -> Array:
         """Simulated less measured, in JND, (n_parameters, n_pairs, n_bands)."""
-        return self._gap(self.after)
+        return self.measured.gap(self.after)
 
     @property
     def farther(self) -> tuple[str, ...]:
@@ -254,17 +252,6 @@ class PositionsResult(Result):
         """Change of alpha, in prior sigmas, (n_materials, n_bands); 0 where sigma is 0."""
         sigma = np.where(self.prior.sigma > 0, self.prior.sigma, np.inf)
         return np.asarray((self.alpha - self.prior.alpha) / sigma)
-
-    def _gap(self, simulated: Observations) -> Array:
-        """Return the gap; a relative level has its mean over each source's pairs taken off."""
-        measured = self.measured.observations
-        gaps = []
-        for name in self.parameters:
-            model, heard = simulated.natural(name), measured.natural(name)
-            if name == LEVEL.key and self.measured.level == "relative":
-                model = with_reference(model, heard, self.pairs)
-            gaps.append(gap_jnd(model, heard, name))
-        return np.stack(gaps)
 
     @cached_property
     def pulls(self) -> Array:
@@ -359,23 +346,9 @@ class PositionsResult(Result):
         farther = self._farther_matched
         if not farther:
             return ""
-        gaps = zip(self.parameters, rms(self.gap_before), rms(self.gap_after), strict=True)
-        names = ", ".join(
-            f"{parameter_label(p)} ({old:.1f} to {new:.1f} JND)"
-            for p, old, new in gaps
-            if p in farther
-        )
-        start = "The"
-        if self.scattering is not None:
-            start = (
-                "The fitted scattering may have ended at a poor fit: try another seed, or state "
-                "other scattering. Else the"
-            )
-        return (
-            f"In {names} the calibrated simulator is farther from what was measured than before: "
-            f"do not simulate with it. {start} model misses something, or a constraint keeps alpha "
-            "away."
-        )
+        ends = rms(self.gap_before), rms(self.gap_after)
+        named = [row for row in zip(self.parameters, *ends, strict=True) if row[0] in farther]
+        return farther_in_words(named, fitted=self.scattering is not None)
 
     @property
     def every_note(self) -> list[str]:

@@ -74,3 +74,21 @@ def rms(values: Array) -> list[float]:
     """Return the root mean square over pairs and bands by parameter, NaN without a value."""
     known: Sequence[Array] = [v[np.isfinite(v)] for v in values]
     return [float(np.sqrt((v**2).mean())) if v.size else float("nan") for v in known]
+
+
+def farther_in_words(gaps: Sequence[tuple[str, float, float]], *, fitted: bool) -> str:
+    """Return that a calibrated simulator is not to be used, by parameter with its gaps in JND.
+
+    ``fitted`` says whether its scattering was fitted.
+    """
+    names = ", ".join(f"{parameter_label(p)} ({old:.1f} to {new:.1f} JND)" for p, old, new in gaps)
+    start = "The"
+    if fitted:
+        start = (
+            "The fitted scattering may have ended at a poor fit: try another seed, or state other "
+            "scattering. Else the"
+        )
+    return (
+        f"In {names} the calibrated simulator is farther from what was measured than before: do not "
+        f"simulate with it. {start} model misses something, or a constraint keeps alpha away."
+    )

@@ -16,7 +16,6 @@ from typing import Any, ClassVar
 import numpy as np
 
 from rtcal.acoustics.observables import LEVEL, parameter_label
-from rtcal.acoustics.quality import gap_jnd
 from rtcal.finder.candidate import Candidate
 from rtcal.finder.finding import HeldOutVerification, check_pairs
 from rtcal.finder.positions.case import PositionsCase
@@ -25,7 +24,7 @@ from rtcal.finder.positions.finding import PositionsFinding
 from rtcal.finder.positions.responses import key_of
 from rtcal.finder.positions.search import find_by_positions
 from rtcal.loop.control_runs import trace_ahead
-from rtcal.loop.measured_pairs import Pair, with_reference
+from rtcal.loop.measured_pairs import Pair, gap_at_pairs
 from rtcal.loop.positions import calibrate_positions
 from rtcal.simulators.observations import Observations, observe
 from rtcal.simulators.path_tracing import PathTracing
@@ -303,10 +302,10 @@ def _gaps(
             left = [p for p in finding.pairs if p not in half]
             columns = [finding.pairs.index(p) for p in left]
             fitted = case.only(half)
-            gaps[0, n][:, columns] = gap_in_jnd(case, finding, as_stated, left)
+            gaps[0, n][:, columns] = _gap_in_jnd(case, finding, as_stated, left)
             for model, tracer in enumerate((stated, simulator), 1):
                 heard = heard_calibrated(fitted, tracer, finding, seed)
-                gaps[model, n][:, columns] = gap_in_jnd(case, finding, heard, left)
+                gaps[model, n][:, columns] = _gap_in_jnd(case, finding, heard, left)
                 tell(model)
     return gaps
 
@@ -357,7 +356,7 @@ def heard_calibrated(
     return observe(result.tracer, result.alpha, finding.parameters, seed=seed)
 
 
-def gap_in_jnd(
+def _gap_in_jnd(
     case: PositionsCase, finding: PositionsFinding, heard: Observations, pairs: Sequence[Pair]
 ) -> Array:
     """Return simulated less measured at pairs in JND, (n_parameters, n_pairs, n_bands).
@@ -365,11 +364,4 @@ def gap_in_jnd(
     A relative level has its mean over each source's pairs taken off.
     """
     measured = Observations.of_measurement(case.measured, finding.parameters, pairs)
-    rows = [heard.pairs.index(p) for p in pairs]
-    gaps = []
-    for name in finding.parameters:
-        model, values = heard.natural(name)[rows], measured.natural(name)
-        if name == LEVEL.key and name in case.measured.values:
-            model = with_reference(model, values, pairs)
-        gaps.append(gap_jnd(model, values, name))
-    return np.stack(gaps)
+    return gap_at_pairs(heard.at(measured), measured, relative=LEVEL.key in case.measured.values)
