@@ -15,7 +15,8 @@ import numpy as np
 from rtcal.acoustics.materials import text_name
 from rtcal.io.mend import Faces
 from rtcal.io.mend.faces import unit_notes
-from rtcal.support.errors import DataError, MissingDependencyError
+from rtcal.support.errors import DataError
+from rtcal.support.lazy import library
 from rtcal.support.types import Array
 
 MAX_FACES = 100_000
@@ -23,7 +24,8 @@ MAX_FACES = 100_000
 
 def faces(content: bytes, path: str, unit: float | None, otherwise: str) -> Faces:
     """Return the faces of a COLLADA file; those without a material are of ``otherwise``."""
-    collada = _library()
+    needed = "COLLADA needs pycollada: pip install 'rtcal[mesh]'"
+    collada = library(needed, "collada", "collada.common", "collada.lineset")
     try:
         model = collada.Collada(
             io.BytesIO(content),
@@ -80,15 +82,3 @@ def _name(part: Any, otherwise: str) -> str:
     bound = getattr(part, "material", None)
     name = getattr(bound, "name", None) or getattr(bound, "id", None)
     return str(name or getattr(part.original, "material", None) or otherwise)
-
-
-def _library() -> Any:
-    try:
-        import collada
-        import collada.common
-        import collada.lineset
-    except ImportError as error:
-        raise MissingDependencyError(
-            "COLLADA needs pycollada: pip install 'rtcal[mesh]'"
-        ) from error
-    return collada

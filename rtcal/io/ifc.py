@@ -20,7 +20,8 @@ from rtcal.acoustics.materials import text_name
 from rtcal.io.mend import Faces
 from rtcal.io.mend.shapes import axes_of, normal_of, polygon_of
 from rtcal.io.text import shown
-from rtcal.support.errors import DataError, MissingDependencyError
+from rtcal.support.errors import DataError
+from rtcal.support.lazy import library
 from rtcal.support.types import Array
 
 MAX_FACES = 100_000
@@ -51,19 +52,26 @@ def faces(path: str, unit: float | None, space: str | None) -> Faces:
     named or not known: the message lists those of the model. MissingDependencyError without
     ifcopenshell.
     """
-    library = _library()
+    ifcopenshell = library(
+        "IFC needs ifcopenshell: pip install 'rtcal[ifc]'; or export glTF of the room",
+        "ifcopenshell",
+        "ifcopenshell.geom",
+        "ifcopenshell.util.element",
+        "ifcopenshell.util.placement",
+        "ifcopenshell.util.unit",
+    )
     if unit is not None:
         raise DataError(f"{path}: a building model states its unit: leave --unit out")
     try:
-        model = library.open(path)
-        length = float(library.util.unit.calculate_unit_scale(model))
+        model = ifcopenshell.open(path)
+        length = float(ifcopenshell.util.unit.calculate_unit_scale(model))
         spaces = {_title(s): s for s in model.by_type("IfcSpace")}
     except Exception as error:  # ifcopenshell raises what its parser raises
         raise DataError(f"{path}: cannot be read as IFC: {error}") from error
     chosen = _chosen(path, spaces, space)
     try:
-        triangles = _triangles(library, spaces[chosen])
-        boundaries, unknown = _boundaries(library, spaces[chosen], length)
+        triangles = _triangles(ifcopenshell, spaces[chosen])
+        boundaries, unknown = _boundaries(ifcopenshell, spaces[chosen], length)
     except (RuntimeError, ValueError, AttributeError, IndexError) as error:
         raise DataError(f'{path}: space "{shown(chosen)}" has no shape: {error}') from error
     if len(triangles) > MAX_FACES:
@@ -108,22 +116,22 @@ def _chosen(path: str, spaces: dict[str, Any], wanted: str | None) -> str:
     return found[0]
 
 
-def _triangles(library: Any, space: Any) -> Array:
+def _triangles(ifcopenshell: Any, space: Any) -> Array:
     """Return the triangles of a space in m, (n, 3, 3)."""
-    settings = library.geom.settings()
+    settings = ifcopenshell.geom.settings()
     settings.set("use-world-coords", True)
-    shape = library.geom.create_shape(settings, space).geometry
+    shape = ifcopenshell.geom.create_shape(settings, space).geometry
     points = np.array(shape.verts, dtype=float).reshape(-1, 3)
     return np.asarray(points[np.array(shape.faces, dtype=int).reshape(-1, 3)])
 
 
-def _boundaries(library: Any, space: Any, length: float) -> tuple[list[_Boundary], int]:
+def _boundaries(ifcopenshell: Any, space: Any, length: float) -> tuple[list[_Boundary], int]:
     """Return the boundaries of a space, and the number of those that are not read."""
-    placement = np.array(library.util.placement.get_local_placement(space.ObjectPlacement))
+    placement = np.array(ifcopenshell.util.placement.get_local_placement(space.ObjectPlacement))
     found, unknown = [], 0
     for relation in space.BoundedBy or ():
         surface = getattr(relation.ConnectionGeometry, "SurfaceOnRelatingElement", None)
-        local = _polygon_of_surface(library, surface)
+        local = _polygon_of_surface(ifcopenshell, surface)
         if local is None:
             unknown += 1
             continue
@@ -133,7 +141,7 @@ def _boundaries(library: Any, space: Any, length: float) -> tuple[list[_Boundary
         found.append(
             _Boundary(
                 corners=corners,
-                material=OPENING if virtual or element is None else _named(library, element),
+                material=OPENING if virtual or element is None else _named(ifcopenshell, element),
                 is_filling=element is not None and element.is_a() in _FILLINGS,
                 is_covering=element is not None and element.is_a("IfcCovering"),
             )
@@ -141,7 +149,7 @@ def _boundaries(library: Any, space: Any, length: float) -> tuple[list[_Boundary
     return found, unknown
 
 
-def _polygon_of_surface(library: Any, surface: Any) -> Array | None:
+def _polygon_of_surface(ifcopenshell: Any, surface: Any) -> Array | None:
     """Return the corners of a plane surface in the space's coordinates; None for other surfaces."""
     if surface is None:
         return None
@@ -162,7 +170,7 @@ def _polygon_of_surface(library: Any, surface: Any) -> Array | None:
         return None
     if position is None:
         return points
-    matrix = np.array(library.util.placement.get_axis2placement(position))
+    matrix = np.array(ifcopenshell.util.placement.get_axis2placement(position))
     return np.asarray((np.column_stack([points, np.ones(len(points))]) @ matrix.T)[:, :3])
 
 
@@ -171,9 +179,9 @@ def _points(line: Any) -> Array:
     return np.array(points[:-1] if points[0] == points[-1] else points, dtype=float)
 
 
-def _named(library: Any, element: Any) -> str:
+def _named(ifcopenshell: Any, element: Any) -> str:
     """Return the name of an element's material or layers, or its own without its number."""
-    material = library.util.element.get_material(element, should_skip_usage=True)
+    material = ifcopenshell.util.element.get_material(element, should_skip_usage=True)
     name = getattr(material, "LayerSetName", None) or getattr(material, "Name", None)
     if not name:
         own = str(element.Name or element.is_a()[3:])
@@ -217,17 +225,3 @@ def _on_face(corners: Array, triangles: Array) -> Array:
         return corners
     away = min(((t[0] - corners.mean(axis=0)) @ normal for t in near), key=abs)
     return np.asarray(corners + normal * away)
-
-
-def _library() -> Any:
-    try:
-        import ifcopenshell
-        import ifcopenshell.geom
-        import ifcopenshell.util.element
-        import ifcopenshell.util.placement
-        import ifcopenshell.util.unit
-    except ImportError as error:
-        raise MissingDependencyError(
-            "IFC needs ifcopenshell: pip install 'rtcal[ifc]'; or export glTF of the room"
-        ) from error
-    return ifcopenshell

@@ -34,12 +34,12 @@ from rtcal.acoustics.materials import text_name
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.observables import EARLY, OBSERVABLES, DecaySlope, of_kind, parameter_label
 from rtcal.acoustics.repeats import groups, in_words, names_of_repeats, places_of
-from rtcal.io import sofa
+from rtcal.io import sofa, wav
 from rtcal.io.analysis import Analysis, pairs_in_words, shortened_list, spread
-from rtcal.io.wav import LEAST_CLIPPED, check_finite, check_header, check_usable, prepared
 from rtcal.support import checks
 from rtcal.support.arguments import checked
-from rtcal.support.errors import DataError, MissingDependencyError
+from rtcal.support.errors import DataError
+from rtcal.support.lazy import library
 from rtcal.support.types import Array
 
 __all__ = ["analyse", "of_energy", "read"]
@@ -52,9 +52,6 @@ MINIMUM_RANGE: dict[str, float] = {
 
 LEAST_BT = 4.0
 """Bandwidth times T above which a backward filter does not bias T (Jacobsen & Rindel 1987)."""
-
-LEAST_SILENCE = 0.01
-"""Duration in s from which a note mentions the digital silence at the end of a response."""
 
 _ORDER = 6  # Butterworth; IEC 61260-1 class 1 needs 5 for octaves and 6 for third-octaves
 _NAMES = re.compile(r"(?<![A-Za-z])(L?S\w*?\d+)[_-]+((?:MP|M|R)\w*?\d+(?:#\d+)?)", re.I | re.ASCII)
@@ -133,7 +130,7 @@ def _sounds(file: str) -> Iterator[tuple[str, str, Any]]:
 
 def _sound(file: str) -> Any:
     """Return the pyfar Signal of a file; DataError if it is no WAV or a sample is not finite."""
-    check_header(file)
+    wav.check_header(file)
     pyfar, _ = _libraries()
     try:
         import soundfile  # pyfar reads with it, and does not say which sample is not finite
@@ -142,7 +139,7 @@ def _sound(file: str) -> Any:
     except (OSError, RuntimeError, ValueError, TypeError) as error:
         raise DataError(f"{file}: cannot be read as WAV: {error}") from error
     for channel in samples.T:
-        check_finite(file, channel)
+        wav.check_finite(file, channel)
     return pyfar.Signal(samples.T, rate)
 
 
@@ -218,7 +215,7 @@ def _analysis(
     progress: Callable[[], None] | None,
 ) -> Analysis:
     """Return the parameters of responses; ``places`` are their names in messages."""
-    check_usable((places[pair], signal) for pair, signal in signals.items())
+    wav.check_usable((places[pair], signal) for pair, signal in signals.items())
     rate = min(float(s.sampling_rate) for s in signals.values())
     centres, fractions = _centres(bands, rate)
     values = {p: np.full((len(signals), len(centres)), np.nan) for p in MINIMUM_RANGE}
@@ -228,9 +225,9 @@ def _analysis(
     clipped: list[str] = []
     short: dict[float, list[float]] = {}
     for i, (pair, signal) in enumerate(signals.items()):
-        samples = prepared(signal)
+        samples = wav.prepared(signal)
         time, onset = samples.time, samples.onset
-        if samples.silence >= LEAST_SILENCE:
+        if samples.silence >= wav.LEAST_SILENCE:
             silences[pair] = samples.silence
         if samples.clipped:
             clipped.append(f"{places[pair]} ({samples.clipped} samples)")
@@ -269,9 +266,9 @@ def _analysis(
         )
     if clipped:
         notes.append(
-            f"clipped: {shortened_list(clipped)}. Their largest value occurs {LEAST_CLIPPED} times or "
-            "more, that of a decay once. All their values are in doubt, since the start of the decay "
-            "is cut off"
+            f"clipped: {shortened_list(clipped)}. Their largest value occurs {wav.LEAST_CLIPPED} times "
+            "or more, that of a decay once. All their values are in doubt, since the start of the "
+            "decay is cut off"
         )
     if silences:
         seconds = spread([*silences.values()], ".2f")
@@ -449,11 +446,5 @@ def _ranges(minimum_range: Mapping[str, float] | None) -> dict[str, float]:
 
 def _libraries() -> tuple[Any, Any]:
     """Return pyfar and pyrato; MissingDependencyError if one of them is missing."""
-    try:
-        import pyfar
-        import pyrato
-    except ImportError as error:
-        raise MissingDependencyError(
-            "impulse responses need pyfar and pyrato: pip install 'rtcal[measurement]'"
-        ) from error
-    return pyfar, pyrato
+    needed = "impulse responses need pyfar and pyrato: pip install 'rtcal[measurement]'"
+    return library(needed, "pyfar"), library(needed, "pyrato")

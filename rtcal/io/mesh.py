@@ -25,6 +25,7 @@ from rtcal.io.text import shown
 from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError, MissingDependencyError
 from rtcal.support.files import read_bytes
+from rtcal.support.lazy import library
 from rtcal.support.types import Array
 
 __all__ = ["read", "room"]
@@ -138,7 +139,8 @@ def _collada(content: bytes, path: str, unit: float | None) -> Faces:
 
 def _by_trimesh(content: bytes, path: str, unit: float | None) -> Faces:
     """Return the faces of a scene that trimesh reads; each triangle is a face."""
-    trimesh = _library()
+    needed = "this format needs trimesh: pip install 'rtcal[mesh]'; OBJ and DXF do not"
+    trimesh = library(needed, "trimesh")
     ending = Path(path).suffix.lower()
     try:
         scene = trimesh.load_scene(path, process=False)
@@ -217,16 +219,6 @@ def _materials(geometry: Any, otherwise: str) -> list[str]:
         if len(set(colours)) > 1:
             return [f"colour {c}" for c in colours]
     return [otherwise] * n
-
-
-def _library() -> Any:
-    try:
-        import trimesh
-    except ImportError as error:
-        raise MissingDependencyError(
-            "this format needs trimesh: pip install 'rtcal[mesh]'; OBJ and DXF do not"
-        ) from error
-    return trimesh
 
 
 READERS: dict[str, Callable[[bytes, str, float | None], Faces]] = {

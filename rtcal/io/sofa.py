@@ -23,7 +23,8 @@ from rtcal.acoustics.repeats import SAME_PLACE
 from rtcal.acoustics.scene import Scene
 from rtcal.io.wav import MAX_CHANNEL_SAMPLES
 from rtcal.support.arguments import checked
-from rtcal.support.errors import DataError, MissingDependencyError
+from rtcal.support.errors import DataError
+from rtcal.support.lazy import library
 from rtcal.support.types import Array
 
 __all__ = ["Responses", "claims", "read"]
@@ -133,7 +134,7 @@ def read(path: str | os.PathLike[str]) -> Responses:
 
 def _opened(path: str | os.PathLike[str]) -> Any:
     """Return sofar's object of a file; raises as `read`."""
-    sofar = _library()
+    sofar = library("SOFA files need sofar: pip install 'rtcal[sofa]'", "sofar")
     size = Path(path).stat().st_size if Path(path).exists() else 0
     if not claims(path):
         raise DataError(f"{path}, byte 0: not a SOFA (HDF5) file")
@@ -292,11 +293,3 @@ def _numbers(sofa: Any, name: str, path: str) -> Array:
     if values.size == 0 or not np.isfinite(values).all():
         raise DataError(f"{path}: {name.replace('_', '.')} has a value that is not finite")
     return values
-
-
-def _library() -> Any:
-    try:
-        import sofar
-    except ImportError as error:
-        raise MissingDependencyError("SOFA files need sofar: pip install 'rtcal[sofa]'") from error
-    return sofar

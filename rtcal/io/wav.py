@@ -93,6 +93,8 @@ def _format(head: bytes, place: str) -> tuple[int, int]:
     return bits // 8, channels
 
 
+LEAST_SILENCE = 0.01
+"""Duration in s from which a note mentions the digital silence at the end of a response."""
 LEAST_CLIPPED = 4
 """Number of samples at the largest value from which a response is clipped.
 

@@ -20,8 +20,9 @@ from typing import Any
 from rtcal.io.table_layout import Row, Sheet
 from rtcal.io.text import shown
 from rtcal.support.arguments import checked
-from rtcal.support.errors import DataError, MissingDependencyError
+from rtcal.support.errors import DataError
 from rtcal.support.files import write_bytes
+from rtcal.support.lazy import library
 
 ENDING = ".xlsx"
 MAX_UNPACKED = 2**26
@@ -224,12 +225,5 @@ def _widths(rows: Iterable[Sequence[Any]]) -> list[int]:
 
 
 def _library() -> Any:
-    try:
-        import openpyxl
-        import openpyxl.styles
-        import openpyxl.utils
-    except ImportError as error:
-        raise MissingDependencyError(
-            "workbooks (xlsx) need openpyxl: pip install 'rtcal[tables]'"
-        ) from error
-    return openpyxl
+    needed = "workbooks (xlsx) need openpyxl: pip install 'rtcal[tables]'"
+    return library(needed, "openpyxl", "openpyxl.styles", "openpyxl.utils")

@@ -228,10 +228,9 @@ class Loop(Result):
     def status(self) -> tuple[str, ...]:
         """Status of each band: one of `rtcal.loop.rules.STATUSES`."""
         close = np.abs(np.log(self._target_without_t20 / self.best_target)) < CLOSE_TARGETS
-        stuck = stuck_bands(
-            np.array([step.alpha for step in self.steps]),
-            np.array([step.simulated for step in self.steps]),
-        )
+        alpha = np.array([step.alpha for step in self.steps])
+        simulated = np.array([step.simulated for step in self.steps])
+        stuck = stuck_bands(alpha, simulated)
         every = band_statuses(
             self.gap,
             self.goal,

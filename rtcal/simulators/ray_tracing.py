@@ -29,7 +29,8 @@ from rtcal.simulators import tracer
 from rtcal.simulators.base import check_alpha
 from rtcal.simulators.tracer import Tracer, check_seconds
 from rtcal.support import checks
-from rtcal.support.errors import DataError, MissingDependencyError
+from rtcal.support.errors import DataError
+from rtcal.support.lazy import library
 from rtcal.support.types import Array
 
 ENERGY_THRESHOLD = 1e-16
@@ -207,10 +208,5 @@ class RayTracing(Tracer):
 
 
 def _engine() -> Any:
-    try:
-        import pyroomacoustics
-    except ImportError as error:
-        raise MissingDependencyError(
-            'RayTracing needs pyroomacoustics: pip install "rtcal[geometry]"'
-        ) from error
-    return pyroomacoustics
+    needed = 'RayTracing needs pyroomacoustics: pip install "rtcal[geometry]"'
+    return library(needed, "pyroomacoustics")

@@ -1,4 +1,4 @@
-"""The version, and lazy packages: each public name is imported at its first use."""
+"""The version, and what is imported at its first use: public names, optional libraries."""
 
 from __future__ import annotations
 
@@ -7,6 +7,8 @@ from collections.abc import Callable
 from importlib import import_module
 from pathlib import Path
 from typing import Any
+
+from rtcal.support.errors import MissingDependencyError
 
 
 def exports(
@@ -47,6 +49,19 @@ def exports(
 
     names = sorted(modules)
     return load, lambda: [*names], names
+
+
+def library(message: str, name: str, *further: str) -> Any:
+    """Return an optional library, with further modules of it imported.
+
+    Raises MissingDependencyError with the message where it is not installed.
+    """
+    try:
+        for module in further:
+            import_module(module)
+        return import_module(name)
+    except ImportError as error:
+        raise MissingDependencyError(message) from error
 
 
 def typing_imports(source: str) -> dict[str, str]:

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from rtcal.simulators import triangles
-from rtcal.support.errors import MissingDependencyError
+from rtcal.support.lazy import library
 from rtcal.support.types import Array
 
 
@@ -65,13 +65,7 @@ def polygons_of(shape: Any) -> list[Any]:
 
 def shapely() -> Any:
     """Return the library; MissingDependencyError without it."""
-    try:
-        import shapely
-    except ImportError as error:
-        raise MissingDependencyError(
-            "a face is to be cut, which needs shapely: pip install 'rtcal[mesh]'"
-        ) from error
-    return shapely
+    return library("a face is to be cut, which needs shapely: pip install 'rtcal[mesh]'", "shapely")
 
 
 _LINES = 64
