@@ -516,3 +516,26 @@ def test_an_import_without_areas_names_the_materials(tmp_path: Path, capsys, opt
     said = capsys.readouterr().err
     assert "--volume M3 and --area MATERIAL=M2 for each material" in said
     assert "The list has: wood, felt" in said
+
+
+def test_a_room_goes_back_into_the_list_that_as_took_it_from(tmp_path: Path, capsys) -> None:
+    listed = tmp_path / "list.Li8"
+    row = "0.10 0.10 0.20 0.30 0.40 0.50 0.60 0.60"
+    listed.write_text(f"4002 Gypsum board\n{row}\n7001 thin carpet\n{row}\n", encoding="utf-8")
+    room = str(tmp_path / "room.toml")
+    areas = ["--area", "drywall=120", "--area", "thin_carpet=30", "--volume", "100"]
+    taken = ["import", "odeon", str(listed), *areas, "--as", "drywall=4002 Gypsum board"]
+    # A mesh's exporter has written an underscore for a blank.
+    assert run(*taken, "--out", room) == 0
+    out = str(tmp_path / "new.Li8")
+    back = ["export", "odeon", room, out, "--template", str(listed)]
+    capsys.readouterr()
+    assert run(*back) == 2
+    assert 'Which is it? State --as "drywall=NAME"' in capsys.readouterr().err
+    assert run(*back, "--as", "drywall=4002 Gypsum board") == 0
+    assert Path(out).read_bytes() == listed.read_bytes()
+    assert run(*back, "--as", "wall=4002 Gypsum board") == 2
+    assert '--as: "wall" is no material of the room' in capsys.readouterr().err
+    new = ["export", "odeon", room, str(tmp_path / "other.Li8")]
+    assert run(*new, "--as", "drywall=4002 Gypsum board") == 2
+    assert "is a new list, with the room's own names" in capsys.readouterr().err

@@ -613,3 +613,64 @@ def test_positions_in_words_are_source_and_receiver(words: tuple[str, str]) -> N
     assert first[1] == f"{receiver.lstrip(' ,-')}1"
     assert read.measurement.values["t30"][:, 0].tolist() == [1.0, 1.1]
     assert {'"Average": left out', '"Std dev": left out'} <= {*read.columns}
+
+
+def aurora(*, rows: Sequence[str] = ("S1_R1", "S2_R1"), share: str = "41.2") -> bytes:
+    """Lines as AcouPar of Aurora writes them: a row per file, no units, weighted ranges."""
+    ranges = ("500 ", "1000 ", "A    ", "Lin  ")
+    header = [
+        "Filename",
+        *(f"{p}_{r}" for p in ("Lsg", "D50", "ts ", "T20", "Imp") for r in ranges),
+    ]
+    cells = 4 * ["81.0"] + 4 * [share] + 4 * ["95.5"] + 4 * ["1.25"] + 4 * ["8.0"]
+    lines = ["Acoupar.exe - ISO3382 Acoustical Parameter File", "\t".join(header)]
+    lines += ["\t".join([f"IR\\hall_{place}.wav", *cells]) for place in rows]
+    return ("\r\n".join(lines) + "\r\n").encode()
+
+
+def test_a_file_of_aurora_is_read_as_it_comes() -> None:
+    table = tables.parse(aurora())
+    m = table.measurement
+    assert m.pairs == (("S1", "R1"), ("S2", "R1"))
+    assert m.centre_frequencies.tolist() == [500, 1000]
+    assert set(m.values) == {"d50", "ts", "t20"}
+    for key, value in (("d50", 0.412), ("ts", 0.0955), ("t20", 1.25)):
+        np.testing.assert_allclose(m.values[key], value, rtol=1e-12)
+    assert "D50 has no unit, and is read in %: no other fits" in str(table)
+    assert "Ts has no unit, and is read in ms: no other fits" in str(table)
+
+
+@pytest.mark.parametrize("d50", [["41", "0.5", "44"], ["41", "44"], ["41", "44", "441"]])
+def test_a_unit_is_told_by_all_values_or_by_none(d50: Sequence[str]) -> None:
+    rows = "\n".join(f"R{i},{value}" for i, value in enumerate(d50))
+    with pytest.raises(DataError, match=r"is it in percent|is not from 0 to 1"):
+        tables.parse(f"receiver,D50 500 Hz\n{rows}\n".encode())
+
+
+@pytest.mark.parametrize(
+    ("header", "parameter", "value"),
+    [
+        ("D50_500 [%]", "d50", 0.5),
+        ("D50 [%]_500", "d50", 0.5),
+        ("D50 [%] 500 Hz", "d50", 0.5),
+        ("D50 500 Hz [%]", "d50", 0.5),
+        ("ts_500 [ms]", "ts", 0.05),
+        ("Ts (ms) 500 Hz", "ts", 0.05),
+        ("C80 [dB] 500 Hz", "c80", 50.0),
+    ],
+)
+def test_a_header_has_band_and_unit_in_any_order(header: str, parameter: str, value: float) -> None:
+    m = tables.parse(f"receiver,{header}\nR1,50\n".encode()).measurement
+    assert m.values[parameter].tolist() == [[pytest.approx(value, rel=1e-12)]]
+    assert m.centre_frequencies.tolist() == [500]
+
+
+def test_a_file_beside_a_position_is_left_out() -> None:
+    m = tables.parse(b"file,source,receiver,T20 500 Hz\nS9_R9.wav,S1,R2,1.5\n").measurement
+    assert m.pairs == (("S1", "R2"),)
+
+
+@pytest.mark.parametrize("cell", [">10", "< 0.2", "\u22650.4"])
+def test_a_limit_is_no_value(cell: str) -> None:
+    with pytest.raises(DataError, match="is a limit and no value: empty the cell"):
+        tables.parse(f"receiver,T30 500 Hz\nR1,{cell}\n".encode())

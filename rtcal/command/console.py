@@ -42,7 +42,10 @@ def as_options(text: str, arguments: Sequence[str]) -> str:
     >>> as_options("state repeats=True", ["repeats"])
     'state --repeats'
     """
-    text = re.sub(r'\bwhere=\{"([^"]+)": "([^"]+)"\}', r'--where "\1=\2"', text)
+    for argument, option in (("where", "--where"), ("entries", "--as")):
+        pattern = rf'\b{argument}=\{{"([^"]+)": "([^"]+)"\}}'
+        text = re.sub(pattern, rf'{option} "\1=\2"', text)
+        text = re.sub(rf"^{argument}:", f"{option}:", text)
     for argument in arguments:
         option = "--" + argument.removeprefix("n_").replace("_", "-")
         text = text.replace(f"{argument}=True", option)

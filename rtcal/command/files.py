@@ -17,6 +17,7 @@ from rtcal.command.console import (
     bands_option,
     bar_wanted,
     decimals_option,
+    entries_option,
     errors_name_options,
     fit_ending,
     heading_options,
@@ -240,6 +241,7 @@ def _write_and_tell(
     help="Program's file whose changed copy is MATERIALS; by default MATERIALS itself.",
 )
 @decimals_option
+@entries_option
 @click.option(
     "--missing-bands",
     type=click.Choice(("refuse", "nearest")),
@@ -255,6 +257,7 @@ def export(
     materials: str,
     template: str | None,
     decimals: int | None,
+    entries: tuple[str, ...],
     missing_bands: str,
     as_json: bool,
     quiet: bool,
@@ -278,6 +281,7 @@ def export(
         raise DataError(
             f"--missing-bands: a list of {program} has the room's bands, whatever they are"
         )
+    options["entries"] = texts("--as", entries, "MATERIAL=ENTRY")
     with errors_name_options("missing_bands", "decimals"):
         done = module.write(Room.from_file(room), materials, **options)
     record = {

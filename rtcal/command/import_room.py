@@ -206,6 +206,7 @@ def import_room(
     chosen = texts("--catalogue", in_catalogue, "NAME=ENTRY")
     place = "--area" if mesh is None else mesh
     renamed = _chosen_names(listed, entries, used, chosen, place)
+    listed = listed.with_spellings(used)
     in_list = {*listed.names, *listed.aliases, *renamed}
     others = renamed | _from_catalogue(listed, in_list, program, used, chosen, place)
     rule = SigmaRule(

@@ -65,6 +65,7 @@ def write(
     equation: LinearEquation | None = None,
     decimals: int | None = None,
     where: Mapping[str, str] | None = None,
+    entries: Mapping[str, str] | None = None,
 ) -> ExportReport:
     """Write the room's coefficients into ``template``, else into ``path`` if it exists.
 
@@ -79,6 +80,7 @@ def write(
         template=template,
         equation=equation,
         decimals=decimals,
+        entries=entries,
     )
 
 

@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 from rtcal.acoustics import band_conversion
 from rtcal.acoustics.equations import LinearEquation
@@ -58,6 +58,7 @@ def write(
     equation: LinearEquation | None = None,
     decimals: int | None = None,
     missing_bands: str = "refuse",
+    entries: Mapping[str, str] | None = None,
 ) -> ExportReport:
     """Write the room's coefficients into ``template``, else into ``path`` if it exists.
 
@@ -76,6 +77,9 @@ def write(
     missing_bands : {"refuse", "nearest"}
         If the room lacks an octave from 125 Hz to 4 kHz: refuse to write a new list, or write the
         coefficients of the nearest octave.
+    entries : mapping of str to str, optional
+        The file's name of each material of the room that has another one there, as ``--as`` has
+        stated at import.
 
     Returns
     -------
@@ -94,6 +98,7 @@ def write(
         template=template,
         equation=equation,
         decimals=decimals,
+        entries=entries,
         new_bands=_bands_of_new_list(room),
         missing_bands=missing_bands,
     )

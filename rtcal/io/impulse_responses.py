@@ -267,8 +267,8 @@ def _analysis(
     if clipped:
         notes.append(
             f"clipped: {shortened_list(clipped)}. Their largest value occurs {wav.LEAST_CLIPPED} times "
-            "or more, that of a decay once. All their values are in doubt, since the start of the "
-            "decay is cut off"
+            "or more, that of a decay once. The start of the decay is cut off, so all their values are "
+            "in doubt, and no table says so: measure again at a lower level, or without these files"
         )
     if silences:
         seconds = spread([*silences.values()], ".2f")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 
@@ -132,6 +132,7 @@ def write_list(
     decimals: int | None,
     new_bands: Sequence[float] = (),
     missing_bands: str = "refuse",
+    entries: Mapping[str, str] | None = None,
 ) -> ExportReport:
     """Write a room's coefficients into the template, else into the existing file, else into a new file.
 
@@ -147,7 +148,9 @@ def write_list(
     if template is None and Path(path).exists():
         template = path
     if template is not None:
-        listed = read(template)
+        listed = read(template).with_entries(entries or {}, room)
+    elif entries:
+        raise DataError(f"entries: {os.fspath(path)} is a new list, with the room's own names")
     else:
         in_new_bands, notes = _in_new_bands(room, new_bands, missing_bands, os.fspath(path))
         listed = new_list(in_new_bands)

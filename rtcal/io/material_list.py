@@ -6,8 +6,8 @@ and writes numbers, for all formats. Only numbers that change are written; all o
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -245,12 +245,42 @@ class MaterialList:
 
     def listed(self, name: str) -> ListedMaterial:
         """Return the material of a name or alias; DataError if the list has none."""
-        target = name if name in self.names else self.aliases.get(name)
+        target = self.aliases.get(name, name)
         for material in self.materials:
             if material.name == target:
                 return material
         names = ", ".join([*self.names, *self.aliases])
         raise DataError(f'"{name}" is no material of {self.path}; it has {names}')
+
+    def with_entries(self, entries: Mapping[str, str], room: Room) -> MaterialList:
+        """Return the list with names of its own for a room's materials; see `rtcal.io.catt.write`."""
+        if unknown := [name for name in entries if name not in room.materials]:
+            raise DataError(
+                f'entries: "{unknown[0]}" is no material of the room; it has '
+                f"{', '.join(room.materials)}"
+            )
+        names = {name: self.listed(entry).name for name, entry in entries.items()}
+        listed = replace(self, aliases={**self.aliases, **names}).with_spellings(room.materials)
+        there = {*listed.names, *listed.aliases}
+        if missing := [name for name in room.materials if name not in there]:
+            raise DataError(
+                f'"{missing[0]}" is no material of {self.path}; it has {", ".join(listed.names)}. '
+                f'Which is it? State entries={{"{missing[0]}": "NAME"}}'
+            )
+        return listed
+
+    def with_spellings(self, names: Iterable[str]) -> MaterialList:
+        """Return the list with aliases for names that differ from its own by blanks alone.
+
+        Exporters of meshes write ``ceiling_plaster`` for "ceiling plaster", or the reverse.
+        """
+        there = {*self.names, *self.aliases}
+        aliases = dict(self.aliases)
+        for name in names:
+            alike = {self.listed(n).name for n in there if _spelling(n) == _spelling(name)}
+            if name not in there and len(alike) == 1:
+                aliases[name] = alike.pop()
+        return replace(self, aliases=aliases)
 
     def _in_file_bands(self, room: Room) -> Room:
         """Return the room itself, or the room in the file's bands if they are of another width."""
@@ -333,6 +363,10 @@ class MaterialList:
         return self.text.encode(change.text(self.text.characters)), as_read, tuple(lacking)
 
 
+def _spelling(name: str) -> str:
+    return "_".join(name.replace("_", " ").split())
+
+
 class _Change:
     """The spans of a file's text that get other characters."""
 
@@ -365,7 +399,10 @@ class _Change:
         """Raise DataError if two names of one material ask for different values."""
         before, first = self.written.setdefault(span, (value, place))
         if before != value:
-            raise DataError(f"{place} = {value}, but {first} is the same material and has {before}")
+            raise DataError(
+                f"{place} = {value}, but {first} is the same material and has "
+                f"{before}: give one of them an entry of its own in the program"
+            )
 
     def text(self, characters: str) -> str:
         """Return the file's text with all changes."""

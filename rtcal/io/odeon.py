@@ -20,6 +20,7 @@ from __future__ import annotations
 import os
 import re
 from collections import Counter
+from collections.abc import Mapping
 
 from rtcal.acoustics.equations import LinearEquation
 from rtcal.acoustics.room import Room
@@ -55,6 +56,7 @@ def write(
     equation: LinearEquation | None = None,
     decimals: int | None = None,
     missing_bands: str = "refuse",
+    entries: Mapping[str, str] | None = None,
 ) -> ExportReport:
     """Write the room's coefficients into ``template``, else into ``path`` if it exists.
 
@@ -71,6 +73,7 @@ def write(
         template=template,
         equation=equation,
         decimals=decimals,
+        entries=entries,
         new_bands=BANDS,
         missing_bands=missing_bands,
     )

@@ -20,7 +20,7 @@ from __future__ import annotations
 import json
 import os
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -58,6 +58,7 @@ def write(
     template: str | os.PathLike[str] | None = None,
     equation: LinearEquation | None = None,
     decimals: int | None = None,
+    entries: Mapping[str, str] | None = None,
 ) -> ExportReport:
     """Write the room's coefficients into ``template``, else into ``path`` if it exists.
 
@@ -72,6 +73,7 @@ def write(
         template=template,
         equation=equation,
         decimals=decimals,
+        entries=entries,
     )
 
 

@@ -20,6 +20,7 @@ from rtcal.io.table_words import (
     OPEN_DECAY_TIMES,
     REMARKS,
     UNUSED_PARAMETERS,
+    WHOLE_RANGES,
     parameters,
     plain,
 )
@@ -64,8 +65,10 @@ _REPEAT = re.compile(
     re.I | re.ASCII,
 )
 _BRACKETS = re.compile(r"([^\[\](]*(?:\(\d+\))?)\s*[\[(]\s*([^\])]*?)\s*[\])]")
+_UNIT_WITHIN = re.compile(r"([^\[\](]*\S)\s*[\[(]\s*(%|percent|m?s|sec|db)\s*[\])]\s*(\S.*)", re.I)
 _SUFFIX = re.compile(r"(.*?\S)(?:\s*/\s*|\s+in\s+|\s+|_)(%|percent|k?hz|m?s|sec|db)", re.I)
 _BOTH = re.compile(r"(\S.*?)[\s_@:,]+(?:at\s+)?(\d[\d.,]*\s*k?(?:hz)?)", re.I)
+_OF_WHOLE_RANGE = re.compile(rf"(\S.*?)[\s_@:,]+(?:{'|'.join(sorted(WHOLE_RANGES))})", re.I)
 _FREQUENCY = re.compile(r"(\d{1,6}(?:[.,]\d{1,6})?)\s*(k?)(?:Hz)?", re.I | re.ASCII)
 
 
@@ -78,7 +81,8 @@ class Column:
     kind : str
         "data" for a column of values of the ``parameter``, the ``band`` or both. Other columns hold:
         "source", "receiver", "parameter", "band", "value", "unit", "statistic", "uncertainty",
-        "common_uncertainty", "standard_deviation", "sources" or "receivers"; "" for an ignored column.
+        "common_uncertainty", "standard_deviation", "sources", "receivers" or "file", whose name may
+        have source and receiver in it; "" for an ignored column.
     header : str
     parameter : str
         Empty if each row names it.
@@ -232,10 +236,18 @@ def is_unused(text: str) -> bool:
 
     Examples
     --------
-    >>> is_unused("IACC"), is_unused("T10 [s]"), is_unused("T20")
-    (True, True, False)
+    >>> is_unused("IACC"), is_unused("T10 [s]"), is_unused("T10_500"), is_unused("T20")
+    (True, True, True, False)
     """
-    return plain(name_and_unit(text)[0]) in UNUSED_PARAMETERS
+    name = name_and_unit(text)[0]
+    both = _BOTH.fullmatch(name)
+    return plain(name) in UNUSED_PARAMETERS or bool(both and plain(both[1]) in UNUSED_PARAMETERS)
+
+
+def _is_of_whole_range(name: str) -> bool:
+    """Return whether a header is of a parameter over the whole range, such as "T20_A"."""
+    of = _OF_WHOLE_RANGE.fullmatch(name)
+    return bool(of and (is_unused(of[1]) or _parameter_word(of[1]) in parameters()))
 
 
 def _parameter_word(text: str) -> str:
@@ -305,7 +317,7 @@ def column_of(header: str, place: str, decay_time: str | None) -> Column | None:
         if unit.lower() not in units.get(kind, ("",)):
             raise DataError(f'{place}: column "{shown(header)}": the unit is not known')
         return Column(kind, header, unit=unit)
-    if is_unused(header) or plain(header) in REMARKS:
+    if is_unused(header) or _is_of_whole_range(name) or plain(header) in REMARKS:
         return Column("", header)
     if position := position_of(header):
         return Column("data", header, source=position[0], receiver=position[1])
@@ -318,15 +330,21 @@ def column_of(header: str, place: str, decay_time: str | None) -> Column | None:
     if both:
         parameter, frequency = parameter_of(both[1], place, decay_time), frequency_of(both[2])
         if parameter is not None and frequency is not None:
-            scale_of(parameter, unit if unit.lower() not in ("hz", "khz") else "", place)
             frequency *= 1000 if unit.lower() == "khz" else 1
+            unit = unit if unit.lower() not in ("hz", "khz") else ""
+            scale_of(parameter, unit, place)
             band, open_time = nominal_band(frequency, place), leaves_decay_time_open(both[1])
-            return Column("data", header, parameter, band, decay_time_open=open_time)
+            return Column("data", header, parameter, band, unit, decay_time_open=open_time)
     return None
 
 
 def name_and_unit(header: str) -> tuple[str, str]:
-    """Return the parts of "T20 [s]", "T20 (s)", "T20 / s", "T20 in s", "T20 s" or "T20_s"."""
+    """Return the parts of "T20 [s]", "T20 (s)", "T20 / s", "T20 in s", "T20 s" or "T20_s".
+
+    Of "T20 [s] 500 Hz" they are "T20 500 Hz" and "s".
+    """
+    if within := _UNIT_WITHIN.fullmatch(header):
+        return f"{within[1]} {within[3].strip('_ ')}", within[2]
     match = _BRACKETS.fullmatch(header) or _SUFFIX.fullmatch(header)
     return (match[1].strip(), match[2]) if match else (header, "")
 

@@ -331,6 +331,9 @@ class Headers:
             columns[0] = replace(columns[0], kind="parameter")  # "Band (Hz)" is said of the header
         if _has_corner(columns):
             columns = _without_corner(columns)
+        placed = {"source", "receiver"} & {c.kind for c in columns}
+        of_files = "" if placed else "receiver"
+        columns = [replace(c, kind=of_files) if c.kind == "file" else c for c in columns]
         self.check_twice(columns, place)
         return columns
 

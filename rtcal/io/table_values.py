@@ -16,6 +16,7 @@ from rtcal.io.table_columns import (
     name_and_unit,
     nominal_band,
     parameter_of,
+    position_in,
     position_of,
     scale_of,
 )
@@ -31,6 +32,10 @@ _NUMBER = re.compile(
     r"[+\-\u2212\u2013]?(\d+([.,]\d*)?|[.,]\d+)([eE][+\-\u2212]?\d{1,3})?", re.ASCII
 )
 _WITH_UNIT = re.compile(r"([^%a-z]*\d[\d.,]*(?:e[+-]?\d+)?)\s*(%|m?s|db)", re.I)
+_OTHER_UNITS = {"s": "ms", "": "%"}
+"""The unit in which programs write a parameter, too."""
+_LEAST_VALUES = 3
+"""Of a parameter without a unit, that tell it."""
 _FORMULA_ERRORS = ("#div/0!", "#wert!", "#value!")
 """What a spreadsheet shows for a formula that has no result."""
 _MISSING = {
@@ -125,7 +130,7 @@ class Reader:
         self.comma = self._decimal_comma()
         positions = layout.cells("receiver") if "source" not in kinds else []
         positions = [p for p in positions if p.lower() not in STATISTICS]
-        named = [position_of(p) for p in positions]
+        named = [position_of(p) or position_in(p) for p in positions]
         self.example_of_both = positions[0] if named and all(p and p[0] for p in named) else None
 
     def add_to(self, single: Values, of_several: Values, where: Mapping[str, str]) -> None:
@@ -133,6 +138,7 @@ class Reader:
 
         Raises DataError for a value that another row, or another table of the file, has given.
         """
+        rows = []
         for line, cells in self._selected(where):
             place = f"{self.path}, line {line}"
             entries = {
@@ -141,21 +147,55 @@ class Reader:
                 if column.kind not in ("data", "")
             }
             statistic = self._statistic(entries, place)
+            rows += [
+                (statistic, place, *value)
+                for value in self._values(cells, entries, statistic, place)
+            ]
+        other = self._other_units([(key, numbers) for *_, key, numbers, named in rows if not named])
+        for statistic, place, key, numbers, named in rows:
             values = single if statistic is None else of_several
-            for key, numbers in self._values(cells, entries, statistic, place):
-                self.given.add(key)
-                self._refuse_other_sheet(key, place)
-                if statistic is None and self.repeats:
-                    named = ((key[0], n, *key[2:]) for n in names_of_repeats(key[1]))
-                    key = next(k for k in named if k not in values)
-                held = values.setdefault(key, dict(self.counts))
-                if held.keys() & numbers.keys() & {"value", "standard_deviation"}:
-                    hint = "" if SUMMARY in key else "; if they are repeats, state repeats=True"
-                    raise DataError(
-                        f"{place}: {parameter_label(key[2])} of {key[0]}, {key[1]} at "
-                        f"{bands.label(key[3])} is given twice{hint}"
-                    )
-                held.update(numbers)
+            if not named:
+                scaled = {*_SPREADS, "value"} & {*numbers}
+                numbers |= {name: numbers[name] * other.get(key[2], 1.0) for name in scaled}
+            if "value" in numbers:
+                self._check(key[2], numbers["value"], f"{place}: {parameter_label(key[2])}")
+            self.given.add(key)
+            self._refuse_other_sheet(key, place)
+            if statistic is None and self.repeats:
+                repeats = ((key[0], n, *key[2:]) for n in names_of_repeats(key[1]))
+                key = next(k for k in repeats if k not in values)
+            held = values.setdefault(key, dict(self.counts))
+            if held.keys() & numbers.keys() & {"value", "standard_deviation"}:
+                hint = "" if SUMMARY in key else "; if they are repeats, state repeats=True"
+                raise DataError(
+                    f"{place}: {parameter_label(key[2])} of {key[0]}, {key[1]} at "
+                    f"{bands.label(key[3])} is given twice{hint}"
+                )
+            held.update(numbers)
+
+    def _other_units(self, values: Sequence[tuple[Key, Mapping[str, float]]]) -> dict[str, float]:
+        """Return the factor of each parameter of which no value is possible but in another unit.
+
+        Programs write D50 in percent and Ts in ms without saying so. A few values may be errors of
+        typing, and are refused.
+        """
+        of_parameter: dict[str, list[float]] = {}
+        for key, numbers in values:
+            if "value" in numbers:
+                of_parameter.setdefault(key[2], []).append(numbers["value"])
+        factors = {}
+        for parameter, found in of_parameter.items():
+            unit = _OTHER_UNITS.get(OBSERVABLES[parameter].unit)
+            if unit is None or len(found) < _LEAST_VALUES:
+                continue
+            factor = scale_of(parameter, unit, self.header_place)
+            possible = [_is_accepted(parameter, value) for value in found]
+            if not any(possible) and all(_is_accepted(parameter, factor * v) for v in found):
+                factors[parameter] = factor
+                self.notes.append(
+                    f"{parameter_label(parameter)} has no unit, and is read in {unit}: no other fits"
+                )
+        return factors
 
     def _refuse_other_sheet(self, key: Key, place: str) -> None:
         """Raise DataError for a value that another sheet of the file has: of another kind, likely."""
@@ -200,8 +240,8 @@ class Reader:
 
     def _values(
         self, cells: list[str], entries: Mapping[str, str], statistic: str | None, place: str
-    ) -> Iterator[tuple[Key, dict[str, float]]]:
-        """Yield the key and the numbers of each value of a row."""
+    ) -> Iterator[tuple[Key, dict[str, float], bool]]:
+        """Yield the key and the numbers of each value of a row, and whether its unit is stated."""
         if statistic == "" or self._is_unused(entries):
             return
         named = all(entries.get(name, "?") for name in ("parameter", "band"))
@@ -242,9 +282,6 @@ class Reader:
                 unit = unit or self.parameter.unit
             kind = statistic or "value"
             numbers = {kind: self._number(cell, parameter, unit, place)}
-            if kind == "value":
-                label = parameter_label(parameter)
-                self._check(parameter, numbers["value"], f"{place}: {label}")
             for name in _SPREADS:
                 if entries.get(name, "").lower() not in _MISSING:
                     numbers[name] = self._number(entries[name], parameter, unit, place)
@@ -253,7 +290,8 @@ class Reader:
                     numbers[name] = number(entries[name], place)
             if min(numbers.get(n, 0.0) for n in _SPREADS) < 0:
                 raise DataError(f"{place}: an uncertainty or standard deviation is below 0")
-            yield (*pair, parameter, band), numbers
+            stated = bool(unit or _unit_of(cell))
+            yield (*pair, parameter, band), numbers, stated
 
     def _is_unused(self, entries: Mapping[str, str]) -> bool:
         """Return whether a row is of the whole range, or of a parameter without use; it is noted."""
@@ -269,8 +307,8 @@ class Reader:
     def _pair_of(self, entries: Mapping[str, str]) -> tuple[str, str]:
         """Return the source and the receiver of a row."""
         source, receiver = entries.get("source"), entries.get("receiver")
-        if self.example_of_both and receiver and (both := position_of(receiver)):
-            source, receiver = both
+        if self.example_of_both and receiver:
+            source, receiver = position_of(receiver) or position_in(receiver) or (source, receiver)
         return source or self.pair[0], receiver or self.pair[1]
 
     def _likely_parameter(self) -> str:
@@ -316,9 +354,10 @@ class Reader:
 
     def _number(self, cell: str, parameter: str, unit: str, place: str) -> float:
         """Return a cell's number in the unit of its parameter."""
-        match = _WITH_UNIT.fullmatch(cell[: MAX_CELL + 1])
-        if match and len(cell) <= MAX_CELL:
-            cell, unit = match[1].strip(), match[2]
+        if cell.startswith(("<", ">", "\u2264", "\u2265")):
+            raise DataError(f'{place}: "{shown(cell)}" is a limit and no value: empty the cell')
+        if own := _unit_of(cell):
+            cell, unit = cell[: -len(own)].strip(), own
         scale = scale_of(parameter, unit, place)
         return scale * number(cell.replace(",", ".") if self.comma else cell, place)
 
@@ -330,7 +369,7 @@ class Reader:
         except DataError as error:
             label = parameter_label(parameter)
             text = str(error) if str(error).endswith("?") else f"{error}."
-            unit = {"s": "ms", "": "%"}.get(observed.unit)
+            unit = _OTHER_UNITS.get(observed.unit)
             if unit and _is_accepted(parameter, value * scale_of(parameter, unit, place)):
                 raise DataError(
                     f'{text} If so, write "{label} [{unit}]" as the name of the column, the row or '
@@ -391,6 +430,12 @@ class Reader:
             if "receiver" not in kinds and not across:
                 report.append("no receiver is named: taken as receiver R1 of each source")
         return report
+
+
+def _unit_of(cell: str) -> str:
+    """Return the unit behind a cell's number, "" without one."""
+    match = _WITH_UNIT.fullmatch(cell) if len(cell) <= MAX_CELL else None
+    return match[2] if match else ""
 
 
 def _is_accepted(parameter: str, value: float) -> bool:

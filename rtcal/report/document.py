@@ -11,6 +11,7 @@ import re
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from functools import cache, partial
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -171,8 +172,10 @@ def data_of(content: bytes, kind: str = "text/plain") -> str:
 
 @checked
 def blocks(n_bands: int) -> list[slice]:
-    """Return the bands of each part of a table, so that it fits a sheet of paper."""
-    return [slice(k, k + _BANDS_ABREAST) for k in range(0, n_bands, _BANDS_ABREAST)]
+    """Return the bands of each part of a table, alike in width, so that it fits a sheet."""
+    number = -(-n_bands // _BANDS_ABREAST)
+    ends = [n_bands * block // number for block in range(number + 1)]
+    return [slice(first, end) for first, end in pairwise(ends)]
 
 
 @checked
