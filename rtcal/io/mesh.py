@@ -105,7 +105,7 @@ def room(
     """
     faces = read(path, unit=unit, space=space)
     stated = 1.0 if unit is None else unit
-    done = closed(faces)
+    done = closed(faces, weld=weld, offset=offset)
     if done is None:
         try:
             done = mended(faces, weld=weld, offset=offset, largest_hole=largest_hole)

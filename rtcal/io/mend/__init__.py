@@ -11,7 +11,8 @@ on walls, reflectors hang free, tables have no bottom. In this order
 4. a face on a larger one (a window on its wall, up to ``offset`` before it) takes its area;
 5. an object that stands on a face with an open bottom takes its footprint from that face;
 6. a free panel becomes a reflector with two sides, `THICKNESS` thick;
-7. what lies outside the shell is left out.
+7. what lies outside the shell is left out;
+8. where a closed object touches a face, neither counts.
 
 Each is a `Defect` with its number, area and effects on V and S. What cannot be mended safely is
 refused, and the message says how to mend it in the program that drew it. All other defects are listed
@@ -23,6 +24,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from rtcal.io.mend.contacts import objects_within, without_contacts
 from rtcal.io.mend.edges import shell_of, without_holes
 from rtcal.io.mend.faces import (
     MOST_FACES,
@@ -97,8 +99,11 @@ def mended(
     return _mended(Mending(faces, max(weld, SAME), offset, largest_hole))
 
 
-def closed(faces: Faces) -> Mended | None:
-    """Return the room of faces that close as they are drawn; None if they do not."""
+def closed(faces: Faces, *, weld: float = WELD, offset: float = OFFSET) -> Mended | None:
+    """Return the room of faces that close as they are drawn; None if they do not.
+
+    Closed objects are in it, without what they share with the faces that they touch.
+    """
     if not 4 <= len(faces.polygons) <= MOST_FACES // 4:
         return None
     try:
@@ -106,8 +111,11 @@ def closed(faces: Faces) -> Mended | None:
         geometry = Polyhedron.from_polygons(list(polygons))
     except DataError:  # not closed, or a defect that `mended` names
         return None
-    mender = Mending(faces, SAME, 0.0, None)
+    mender = Mending(faces, max(weld, SAME), offset, None)
+    if not objects_within(mender, geometry):
+        return None
     tell_turned(mender, geometry)
+    geometry = without_contacts(mender, geometry)
     return Mended(geometry, tuple(mender.defects), faces.notes)
 
 
@@ -133,6 +141,7 @@ def _mended(mend: Mending) -> Mended:
         refused.unclosed = unclosed_room(mend, shell, others)
         raise refused from error
     tell_turned(mend, geometry)
+    geometry = without_contacts(mend, geometry)
     return Mended(geometry, tuple(mend.defects), mend.drawn.notes)
 
 

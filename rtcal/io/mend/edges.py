@@ -15,7 +15,7 @@ from rtcal.support.text import rounded
 
 def shell_of(mend: Mending, work: Work) -> tuple[Work, list[Work]]:
     """Return the shell of the room, which may have holes, and the other components."""
-    parts = [work.of(members) for members in _parts_of(mend, work)]
+    parts = [work.of(members) for members in parts_of(mend, work)]
     sizes = [float(np.prod(np.sort(np.ptp(mend.corners(p), axis=0))[1:])) for p in parts]
     areas = [sum(area_of(mend.points[f]) for f in p.faces) for p in parts]
     # The shell encloses all: its box is the largest, and no flat component's is a room's.
@@ -26,7 +26,7 @@ def shell_of(mend: Mending, work: Work) -> tuple[Work, list[Work]]:
     return parts[main], [p for i, p in enumerate(parts) if i != main]
 
 
-def _parts_of(mend: Mending, work: Work) -> list[list[int]]:
+def parts_of(mend: Mending, work: Work) -> list[list[int]]:
     """Return the faces of each component: faces are joined where two meet in an edge."""
     links: list[list[int]] = [[] for _ in work.faces]
     for sides in owners(mend, work.faces).values():

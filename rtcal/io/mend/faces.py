@@ -25,7 +25,7 @@ class Defect:
     ----------
     kind : str
         "joint", "sliver", "twice", "bent", "hole", "overlay", "open bottom", "panel", "turned",
-        "partly outside", "outside".
+        "partly outside", "outside", "contact", "gap".
     number : int
     area : float
         Of the faces concerned, in m².

@@ -1,0 +1,220 @@
+"""Where closed objects touch the walls or each other, neither has a surface of the room."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from rtcal.io.mend.edges import parts_of
+from rtcal.io.mend.faces import MOST_PLACES, SAME, Mending, Work, numbered
+from rtcal.io.mend.objects import within
+from rtcal.io.mend.shapes import (
+    area_of,
+    axes_of,
+    extent_of,
+    normal_of,
+    polygon_of,
+    polygons_of,
+    shapely,
+)
+from rtcal.io.mend.walls import COVERED, Cut, cut, lifted
+from rtcal.io.mend.welding import flattened, resnapped, rewelded
+from rtcal.simulators import triangles
+from rtcal.simulators.geometry import WELD, Polyhedron
+from rtcal.support.errors import DataError
+from rtcal.support.types import Array
+
+_FACING = -0.999
+"""Largest product of the normals of faces that face each other."""
+
+
+@dataclass
+class _Contact:
+    """A face of an object before a face of a larger one, or of the room."""
+
+    face: int
+    wall: int
+    gap: float
+    """Width in m of the air between them; below 0 where the object reaches through the wall."""
+
+
+def objects_within(mend: Mending, geometry: Polyhedron) -> bool:
+    """Return whether every closed object of a room is in it."""
+    work = _work(mend, geometry)
+    shell, *objects = _by_size(mend, work)
+    if not objects:
+        return True
+    shell_faces = work.of(shell)
+    hull = Polyhedron(
+        vertices=mend.points,
+        faces=[tuple(f) for f in shell_faces.faces],
+        materials=shell_faces.materials,
+    )
+    return all(within(mend, hull, mend.corners(work.of(part))) for part in objects)
+
+
+def without_contacts(mend: Mending, geometry: Polyhedron) -> Polyhedron:
+    """Return a room without the parts of its faces on which closed objects stand or lie.
+
+    A face of an object that is up to ``weld`` before a face of the room or of a larger object, or that
+    reaches through it by up to ``offset``, is moved onto it. What they share is taken from both. A
+    wider gap up to ``offset`` is told.
+    """
+    work = _work(mend, geometry)
+    parts = _by_size(mend, work)
+    contacts = list(_contacts(mend, geometry, parts))
+    touching = [c for c in contacts if c.gap <= mend.weld]
+    _tell_gaps(mend, work, [c for c in contacts if c.gap > mend.weld], parts[0])
+    if not touching:
+        return geometry
+    fine = Mending(mend.drawn, 2 * WELD, 0.0, None)
+    fine.points = mend.points
+    for contact in touching:
+        base = fine.points[work.faces[contact.wall]]
+        normal, own = normal_of(base), work.faces[contact.face]
+        away = (fine.points[own] - base.mean(axis=0)) @ normal
+        fine.points[own] -= away[:, np.newaxis] * normal
+    cuts: dict[int, list[Cut]] = {}
+    area, places = 0.0, []
+    for contact in touching:
+        shared = _shared(fine, work, contact, mend.weld)
+        for shape in shared:
+            cuts.setdefault(contact.wall, []).append((shape, None, ""))
+            cuts.setdefault(contact.face, []).append((_seen(fine, work, contact, shape), None, ""))
+        if shared:
+            area += sum(float(shape.area) for shape in shared)
+            places.append(f'"{work.names[contact.face]}" on "{work.names[contact.wall]}"')
+    if not cuts:
+        return geometry
+    left = flattened(fine, resnapped(fine, rewelded(fine, cut(fine, work, cuts))))
+    left = left.kept([area_of(fine.points[f]) > SAME for f in left.faces])
+    try:
+        mended = Polyhedron(
+            vertices=fine.points,
+            faces=[tuple(f) for f in left.faces],
+            materials=left.materials,
+            names=numbered(left.names),
+        )
+    except DataError as error:
+        raise mend.refused(
+            f"closed objects touch other faces, and both faces cannot be cut there ({error}). Draw the "
+            f"objects without those faces: {'; '.join(places[:MOST_PLACES])}"
+        ) from error
+    volume = mended.volume - geometry.volume
+    mend.found(
+        "contact",
+        "faces of closed objects touch others: the room has neither there",
+        places,
+        area,
+        volume,
+        float(np.sum(mended.face_areas) - np.sum(geometry.face_areas)),
+        abs(volume) / np.sqrt(3),
+    )
+    return mended
+
+
+def _work(mend: Mending, geometry: Polyhedron) -> Work:
+    """Return a room's faces as those that are worked on."""
+    mend.points = np.array(geometry.vertices)
+    faces = [list(face) for face in geometry.faces]
+    return Work(faces, list(geometry.materials), list(geometry.names))
+
+
+def _by_size(mend: Mending, work: Work) -> list[list[int]]:
+    """Return the faces of each closed surface: the room's first, then the objects', large to small."""
+
+    def volume(part: Sequence[int]) -> float:
+        polygons = [mend.points[work.faces[i]] - mend.points[0] for i in part]
+        return abs(sum(float(p[0] @ triangles.vector_area(p)) for p in polygons))
+
+    return sorted(parts_of(mend, work), key=lambda part: (-volume(part), part))
+
+
+def _contacts(
+    mend: Mending, geometry: Polyhedron, parts: Sequence[Sequence[int]]
+) -> Iterator[_Contact]:
+    """Yield the faces of objects that face one of the room's or of a larger object nearby."""
+    if len(parts) < 2:
+        return
+    polygons = [mend.points[list(face)] for face in geometry.faces]
+    low = np.array([p.min(axis=0) for p in polygons])
+    high = np.array([p.max(axis=0) for p in polygons])
+    rank = np.empty(len(polygons), dtype=int)
+    for k, part in enumerate(parts):
+        rank[list(part)] = k
+    through = mend.offset + mend.weld
+    for k, part in enumerate(parts[1:], 1):
+        solid = geometry.triangles[np.isin(geometry.triangle_faces, part)]
+        for i in part:
+            near = ((low - through <= high[i]) & (low[i] <= high + through)).all(axis=1)
+            near &= (rank < k) & (geometry.normals @ geometry.normals[i] < _FACING)
+            for j in np.flatnonzero(near).tolist():
+                away = (polygons[i] - polygons[j].mean(axis=0)) @ -geometry.normals[j]
+                if not (-through <= away.min() and away.max() <= max(mend.offset, mend.weld)):
+                    continue
+                inner = _inner_point(polygons[i], polygons[j])
+                if inner is None:
+                    continue
+                # A thin object on the other side of a thin wall is beyond it, too, but not through it.
+                is_through = abs(float(triangles.winding_number(inner, solid)[0])) > 0.5
+                if away.min() >= -WELD or is_through:
+                    yield _Contact(i, j, float(away.max()))
+
+
+def _inner_point(corners: Array, wall: Array) -> Array | None:
+    """Return a point, (1, 3), of a face's plane that is before another; None if none is."""
+    axes, normal = axes_of(normal_of(wall)), normal_of(wall)
+    common = polygon_of(corners, axes).intersection(polygon_of(wall, axes))
+    pieces = polygons_of(common)
+    if not pieces:
+        return None
+    flat = np.array(max(pieces, key=lambda p: float(p.area)).representative_point().coords)
+    return np.asarray(flat @ axes + normal * float(wall.mean(axis=0) @ normal))
+
+
+def _shared(mend: Mending, work: Work, contact: _Contact, narrow: float) -> list[Any]:
+    """Return the shapes, in the wall's axes, that both faces have; not those as narrow as a sliver."""
+    own, wall = mend.points[work.faces[contact.face]], mend.points[work.faces[contact.wall]]
+    axes = axes_of(normal_of(wall))
+    ground = polygon_of(wall, axes)
+    shape = shapely().snap(polygon_of(own, axes), ground, WELD).intersection(ground)
+    return [p for p in polygons_of(shape) if p.area > narrow * extent_of(_ring(p)) / 2]
+
+
+def _ring(piece: Any) -> Array:
+    """Return the boundary of a shape, (n, 2)."""
+    return np.array(piece.exterior.coords)[:-1]
+
+
+def _seen(mend: Mending, work: Work, contact: _Contact, shape: Any) -> Any:
+    """Return a shape of the wall's axes in those of the object's face."""
+    wall = work.faces[contact.wall]
+    axes = axes_of(normal_of(mend.points[wall]))
+    own = axes_of(normal_of(mend.points[work.faces[contact.face]]))
+    return shapely().transform(shape, lambda flat: lifted(mend, flat, wall, axes) @ own.T)
+
+
+def _tell_gaps(
+    mend: Mending, work: Work, contacts: Sequence[_Contact], shell: Sequence[int]
+) -> None:
+    """Tell of objects that are as near to a wall as a window may be, over a whole face."""
+    walls = {*shell}
+    names, area, widest = [], 0.0, 0.0
+    for contact in contacts:
+        size = area_of(mend.points[work.faces[contact.face]])
+        shared = sum(float(p.area) for p in _shared(mend, work, contact, mend.weld))
+        if contact.wall in walls and shared > COVERED * size:
+            names.append(f'"{work.names[contact.face]}" before "{work.names[contact.wall]}"')
+            area += size
+            widest = max(widest, contact.gap)
+    if names:
+        mend.found(
+            "gap",
+            f"faces of closed objects are up to {widest * 1000:.2g} mm before a wall, and both count; "
+            f"state --weld {1.1 * widest:.2g} if they touch",
+            names,
+            area,
+        )
