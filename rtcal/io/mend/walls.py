@@ -1,4 +1,4 @@
-"""What lies or stands on walls: found there, and cut into them."""
+"""Faces and objects on walls: where they lie or stand, and how they are cut into the walls."""
 
 from __future__ import annotations
 
