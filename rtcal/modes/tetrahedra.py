@@ -1,14 +1,13 @@
 """Tetrahedra that fill a room of plane walls exactly: a grid, cut by the planes of the walls.
 
 The grid of the bounding box has lines through every corner of the room, and each of its cells is six
-tetrahedra (Kuhn 1960). A plane of a wall that no grid line holds cuts the tetrahedra that it crosses.
-What is cut off is divided from its vertex of the lowest number on, so that neighbours agree. What lies
-outside the room is left out.
+tetrahedra (Kuhn 1960). A plane of a wall that no grid line holds cuts the tetrahedra that it crosses, by
+bisecting their edges. What lies outside the room is left out.
 """
 
 from __future__ import annotations
 
-from itertools import pairwise, permutations
+from itertools import combinations, pairwise, permutations
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,6 +26,7 @@ _NEAR = 1e-7
 _MOVED = 0.2
 """Share of the grid's spacing by which a free vertex may be moved onto a plane."""
 _AXIAL = 1 - 1e-9
+_EDGES = np.array([*combinations(range(4), 2)])
 
 
 def fill(geometry: Polyhedron, spacing: float) -> tuple[Array, Integers]:
@@ -147,75 +147,25 @@ def _moved(
 def _cut(
     points: Array, tetrahedra: Integers, normal: Array, offset: float
 ) -> tuple[Array, Integers]:
-    """Cut tetrahedra by a plane; those that it does not cross stay as they are."""
-    distance = points @ normal - offset
-    side = np.where(np.abs(distance) < _NEAR, 0, np.sign(distance)).astype(int)
-    of = side[tetrahedra]
-    crossed = (of.min(axis=1) < 0) & (of.max(axis=1) > 0)
-    made: list[tuple[int, ...]] = []
-    new: dict[tuple[int, int], int] = {}
-    vertices: list[Array] = []
+    """Divide each edge that crosses a plane there, and the tetrahedra that have it.
 
-    def between(a: int, b: int) -> int:
-        key = (min(a, b), max(a, b))
-        if key not in new:
-            share = distance[key[0]] / (distance[key[0]] - distance[key[1]])
-            vertices.append(points[key[0]] + share * (points[key[1]] - points[key[0]]))
-            new[key] = len(points) + len(vertices) - 1
-        return new[key]
-
-    for corners in tetrahedra[crossed].tolist():
-        triangles = [tuple(corners[k] for k in range(4) if k != left) for left in range(4)]
-        for sign in (-1, 1):
-            faces = [_clipped(t, side, sign, between) for t in triangles]
-            faces = [f for f in faces if len(f) >= 3]
-            on = {v for f in faces for v in f if v >= len(points) or side[v] == 0}
-            section = _around(on, faces)
-            made += _pulled([*faces, section])
-    if vertices:
-        points = np.vstack([points, vertices])
-    kept = tetrahedra[~crossed]
-    return points, np.vstack([kept, np.array(made, dtype=np.int64).reshape(-1, 4)])
-
-
-def _clipped(triangle: tuple[int, ...], side: Integers, sign: int, between: object) -> list[int]:
-    """Return the part of a triangle on one side of the plane, as a polygon."""
-    polygon: list[int] = []
-    for a, b in zip(triangle, (*triangle[1:], triangle[0]), strict=True):
-        if side[a] * sign >= 0:
-            polygon.append(a)
-        if side[a] * side[b] < 0:
-            polygon.append(between(a, b))  # type: ignore[operator]
-    # A face that only touches the plane is no part of it.
-    return polygon if any(v < len(side) and side[v] == sign for v in polygon) else []
-
-
-def _around(on: set[int], faces: list[list[int]]) -> list[int]:
-    """Return the polygon in which the plane cuts a tetrahedron: its edges are faces' own."""
-    neighbours: dict[int, list[int]] = {v: [] for v in on}
-    for face in faces:
-        ends = [v for v in face if v in on]
-        if len(ends) == 2:
-            neighbours[ends[0]].append(ends[1])
-            neighbours[ends[1]].append(ends[0])
-    start = min(on)
-    polygon, last = [start], -1
+    Of a tetrahedron's edges that with the highest vertices is first: neighbours agree on their face.
+    """
+    n, distance = len(points), points @ normal - offset
+    side = np.where(np.abs(distance) < _NEAR, 0, np.sign(distance))
+    ends = np.sort(tetrahedra[:, _EDGES])
+    codes = np.unique((ends @ [n, 1])[side[ends].prod(axis=2) < 0])
+    a, b = np.divmod(codes, n)
+    share = (distance[a] / (distance[a] - distance[b]))[:, np.newaxis]
+    points = np.vstack([points, points[a] + share * (points[b] - points[a])])
+    side = np.append(side, np.zeros(len(codes)))
     while True:
-        following = [v for v in dict.fromkeys(neighbours[polygon[-1]]) if v != last]
-        last = polygon[-1]
-        if not following or following[0] == start:
-            return polygon
-        polygon.append(following[0])
-
-
-def _pulled(faces: list[list[int]]) -> list[tuple[int, ...]]:
-    """Return tetrahedra of a convex body: from its lowest vertex to all faces without it."""
-    apex = min(v for face in faces for v in face)
-    made: list[tuple[int, ...]] = []
-    for face in faces:
-        if apex in face:
-            continue
-        k = face.index(min(face))
-        turned = face[k:] + face[:k]
-        made += [(apex, turned[0], a, b) for a, b in pairwise(turned[1:])]
-    return made
+        ends = np.sort(tetrahedra[:, _EDGES])
+        order = np.where(side[ends].prod(axis=2) < 0, ends.sum(axis=2), -1)
+        cut = order.max(axis=1) >= 0
+        if not cut.any():
+            return points, tetrahedra
+        whole, edge = tetrahedra[cut], ends[cut, order[cut].argmax(axis=1)]
+        new = n + np.searchsorted(codes, edge @ [n, 1])[:, np.newaxis]
+        halves = [np.where(whole == end[:, np.newaxis], new, whole) for end in edge.T]
+        tetrahedra = np.vstack([tetrahedra[~cut], *halves])
