@@ -50,17 +50,6 @@ def sheet_of_text(
     return Sheet(path, tuple(rows), note)
 
 
-def rows_of_text(text: Text, path: str) -> list[Row]:
-    """Return the rows of a text whose first row is a header, which has the separator.
-
-    Raises DataError for a text without a header and a row below it.
-    """
-    stated, characters = _stated_separator(text.characters)
-    header = next((raw for _, _, raw in lines(characters) if _has_cells(raw)), "")
-    separator = stated or next((s for s in SEPARATORS if s in header), ",")
-    return _rows(characters, separator, path)
-
-
 def _stated_separator(characters: str) -> tuple[str | None, str]:
     """Return the separator that Excel's first line "sep=;" states; the line is left empty."""
     head, _, tail = characters.partition("\n")

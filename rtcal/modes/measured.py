@@ -6,38 +6,36 @@ import os
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rtcal.io import named_columns
-from rtcal.io.named_columns import ColumnKind
+from rtcal.acoustics.observables import TARGET
+from rtcal.io.table_columns import name_and_unit
+from rtcal.io.table_layout import Headers
+from rtcal.io.table_text import sheet_of_text
+from rtcal.io.text import MAX_TEXT, decode, number, shown
 from rtcal.modes.room_modes import DECAY
 from rtcal.support import checks
 from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError
+from rtcal.support.files import read_bytes
 from rtcal.support.types import Array, read_only
 
 __all__ = ["MeasuredModes", "read"]
 __dir__ = __all__.copy
 
 _LARGEST_FREQUENCY = 1000.0
-_FREQUENCY = {"": 1.0, "Hz": 1.0, "kHz": 1000.0}
-_DECAY = {"": 1.0, "1/s": 1.0, "s^-1": 1.0, "s-1": 1.0}
-_TIME = {"": 1.0, "s": 1.0, "ms": 1e-3}
+_UNITS = {
+    "frequency": {"": 1.0, "Hz": 1.0, "kHz": 1000.0},
+    "decay": {"": 1.0, "1/s": 1.0, "s^-1": 1.0, "s-1": 1.0},
+    "T": {"": 1.0, "s": 1.0, "ms": 1e-3},
+}
+_WORDS = {"frequency": "frequency", "f": "frequency", "decay": "decay", "delta": "decay"}
+_WORDS |= dict.fromkeys(("t", "t60", "rt", "mt60"), "T")
 _RELATIVE = {"%": 0.01, "percent": 0.01}
-_COLUMNS = {
-    "frequency": ColumnKind(("frequency", "f"), _FREQUENCY),
-    "decay": ColumnKind(("decay", "delta"), _DECAY),
-    "T": ColumnKind(("t", "t60", "rt", "mt60"), _TIME),
-}
-_KINDS = _COLUMNS | {
-    f"u_{name}": ColumnKind(
-        tuple(f for s in kind.spellings for f in (f"u_{s}", f"{s} uncertainty")),
-        {**kind.units, **_RELATIVE},
-    )
-    for name, kind in _COLUMNS.items()
-}
 _NUMBERS = ("frequencies", "decays", "decay_uncertainty", "frequency_uncertainty")
 _OF_MODES = (*_NUMBERS, "amplitudes", "calculated")
 
@@ -88,11 +86,7 @@ class MeasuredModes:
     notes: Sequence[str] = ()
 
     def __post_init__(self) -> None:
-        def put(name: str, value: object) -> None:
-            object.__setattr__(self, name, value)
-
-        put("frequencies", read_only(checks.array("frequencies", self.frequencies).copy()))
-        n = self.frequencies.size
+        put, n = partial(object.__setattr__, self), np.size(self.frequencies)
         if n == 0:
             raise DataError("frequencies is empty; at least one mode is needed")
         if self.frequency_uncertainty is None:
@@ -101,8 +95,9 @@ class MeasuredModes:
             values = read_only(checks.array(name, getattr(self, name)).copy())
             if values.shape != (n,):
                 raise DataError(f"{name} has shape {values.shape}; with {n} modes it is ({n},)")
-            if not (np.isfinite(values) & (values > 0)).all():
-                bad = int(np.argmin(np.isfinite(values) & (values > 0)))
+            good = np.isfinite(values) & (values > 0)
+            if not good.all():
+                bad = int(np.argmin(good))
                 raise DataError(f"{name}[{bad}] = {values[bad]:g} is not finite and above 0")
             put(name, values)
         if (np.diff(self.frequencies) <= 0).any():
@@ -178,36 +173,89 @@ def read(path: str | os.PathLike[str]) -> MeasuredModes:
     ...     print(read(path))
     <MeasuredModes: 2 from 34.1 to 42.7 Hz>
     """
-    table = named_columns.read(path, _KINDS)
-    place, names, values = table.place, table.headers, dict(table.values)
-    if "frequency" not in names or ("decay" in names) == ("T" in names):
+    place = os.fspath(checks.path("path", path))
+    sheet = sheet_of_text(decode(read_bytes(path, MAX_TEXT), place), place, decay_time=TARGET.key)
+    (first, names), *below = sheet.rows
+    columns = _columns(names, f"{place}, line {first}")
+    of_width = Headers(place, None, ()).of_width
+    rows = [(line, of_width(cells, len(names), line)) for line, cells in below]
+    of = "decay" if "decay" in columns else "T"
+    if not {"frequency", of} <= columns.keys() or {"decay", "T"} <= columns.keys():
         raise DataError(
-            f"{place}: the columns are {', '.join(names.values()) or 'none'}; a table of modes has "
-            "frequency, and either decay (1/s) or T (s)"
+            f"{place}: the columns are {', '.join(names)}; a table of modes has frequency, and either "
+            "decay (1/s) or T (s)"
         )
-    of = "decay" if "decay" in names else "T"
-    if f"u_{of}" not in names:
+    if f"u_{of}" not in columns:
         raise DataError(f'{place}: the column "u_{of}" is missing: the standard uncertainty')
-    for name in ("frequency", of):
-        if table.units.get(f"u_{name}") in _RELATIVE:
-            values[f"u_{name}"] = values[f"u_{name}"] * values[name]
-    decays, uncertainty = values[of], values[f"u_{of}"]
+    used = "".join(cells[c.place] for _, cells in rows for c in columns.values())
+    if "," in used and "." in used:
+        raise DataError(f"{place}: decimal commas and decimal points in one table")
+
+    def at(name: str, row: int) -> str:
+        column = names[columns[name].place]
+        return f'{place}, line {rows[row][0]}, column "{column}"'
+
+    def values(name: str) -> Array:
+        column, found = columns[name], np.zeros(len(rows))
+        for i, (_, cells) in enumerate(rows):
+            found[i] = number(cells[column.place].replace(",", "."), at(name, i))
+            if not found[i] > 0:
+                raise DataError(f"{at(name, i)}: {found[i]:g} is not above 0")
+        relative = column.unit in _RELATIVE
+        return column.factor * found * (values(name.removeprefix("u_")) if relative else 1)
+
+    decays, uncertainty = values(of), values(f"u_{of}")
     if of == "T":
         decays, uncertainty = DECAY / decays, DECAY * uncertainty / decays**2
-    order = np.argsort(values["frequency"], kind="stable")
-    stated = values.get("u_frequency")
+    frequencies = values("frequency")
+    order = np.argsort(frequencies, kind="stable")
     try:
         return MeasuredModes(
-            frequencies=values["frequency"][order],
+            frequencies=frequencies[order],
             decays=decays[order],
             decay_uncertainty=uncertainty[order],
-            frequency_uncertainty=None if stated is None else stated[order],
+            frequency_uncertainty=values("u_frequency")[order]
+            if "u_frequency" in columns
+            else None,
         )
     except DataError as error:
         # Values are above 0: what breaks a rule is a frequency.
         told = re.sub(
             r"frequencies\[(\d+)\] =",
-            lambda m: table.at("frequency", order[int(m[1])]) + ":",
+            lambda m: at("frequency", order[int(m[1])]) + ":",
             str(error),
         )
         raise DataError(told) from error
+
+
+class _Column(NamedTuple):
+    """The number of a column, its unit in small letters, and the unit's factor."""
+
+    place: int
+    unit: str
+    factor: float
+
+
+def _columns(header: Sequence[str], place: str) -> dict[str, _Column]:
+    """Return the columns that are of modes, by name; DataError for a unit that is not known."""
+    found: dict[str, _Column] = {}
+    for k, cell in enumerate(header):
+        # As in "decay / 1/s", too.
+        slash = "/" in cell and not cell.endswith((")", "]"))
+        parts = cell.split("/", 1) if slash else name_and_unit(cell)
+        word, unit = (part.strip().lower() for part in parts)
+        bare = word.removeprefix("u_").removesuffix(" uncertainty")
+        if bare not in _WORDS:
+            continue
+        name = _WORDS[bare] if bare == word else f"u_{_WORDS[bare]}"
+        if name in found:
+            raise DataError(f'{place}: the column "{name}" stands there twice')
+        units = _UNITS[_WORDS[bare]] | ({} if bare == word else _RELATIVE)
+        factor = {u.lower(): factor for u, factor in units.items()}.get(unit)
+        if factor is None:
+            raise DataError(
+                f'{place}: the unit of "{shown(cell)}" is not known; known are '
+                f"{', '.join(filter(None, units))}"
+            )
+        found[name] = _Column(k, unit, factor)
+    return found

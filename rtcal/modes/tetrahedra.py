@@ -1,8 +1,8 @@
 """Tetrahedra that fill a room of plane walls exactly: a grid, cut by the planes of the walls.
 
 The grid of the bounding box has lines through every corner of the room, and each of its cells is six
-tetrahedra (Kuhn 1960). A plane of a wall that no grid line holds cuts the tetrahedra that it crosses, by
-bisecting their edges. What lies outside the room is left out.
+tetrahedra (Kuhn 1960). A plane of a wall that no grid line holds bisects the edges that cross it. What
+lies outside the room is left out.
 """
 
 from __future__ import annotations
