@@ -22,7 +22,7 @@ import numpy as np
 
 import rtcal as rt
 from benchmarks import modes_world as w
-from rtcal.acoustics.paris import admittance, admittance_slope
+from rtcal.modes.paris import admittance, admittance_slope
 from rtcal.acoustics.room_errors import prior_covariance
 from rtcal.acoustics.trust import schroeder_frequency
 from rtcal.modes.model import AtFrequencies, RoomPoles

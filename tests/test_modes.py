@@ -12,7 +12,7 @@ from scipy.integrate import quad
 from scipy.optimize import fsolve
 
 import rtcal as rt
-from rtcal.acoustics.paris import admittance_slope
+from rtcal.modes.paris import admittance_slope
 from rtcal.command.main import cli
 from rtcal.modes import MeasuredModes, absorption, admittance
 from rtcal.modes.box import box_modes

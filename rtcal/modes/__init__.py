@@ -5,8 +5,8 @@ from typing import TYPE_CHECKING
 from rtcal.support import lazy
 
 if TYPE_CHECKING:
-    from rtcal.acoustics.paris import absorption as absorption
-    from rtcal.acoustics.paris import admittance as admittance
+    from rtcal.modes.paris import absorption as absorption
+    from rtcal.modes.paris import admittance as admittance
     from rtcal.modes.measured import MeasuredModes as MeasuredModes
     from rtcal.modes.measured import read as read
     from rtcal.modes.polyhedron import modes_of as modes_of

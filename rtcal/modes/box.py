@@ -36,10 +36,8 @@ def box_modes(sides: Array, materials: Sequence[str], largest: float, c: float) 
     orders = np.stack(np.meshgrid(*(np.arange(n + 1) for n in counts), indexing="ij"), -1)
     orders = orders.reshape(-1, 3)
     frequencies = c / 2 * np.linalg.norm(orders / sides, axis=1)
-    order = np.argsort(frequencies, kind="stable")
-    order = order[frequencies[order] <= top]
     # The constant one, of frequency 0, stands last.
-    order = np.roll(order, -1)
+    order = np.roll(np.flatnonzero(frequencies <= top), -1)
     own, frequencies = orders[order], frequencies[order]
     beyond = [_beyond(own, sides, axis) for axis in range(3)]
     orders = np.concatenate([own[:-1], *(pairs for pairs, _, _ in beyond), own[-1:]])

@@ -218,8 +218,8 @@ class _Linearised:
 
 def _notes(modes: MeasuredModes, found: Matches, settled: bool) -> tuple[str, ...]:
     notes = [*modes.notes, *found.doubts]
-    if len(found.ambiguous):
-        where = ", ".join(f"{f:.1f}" for f in modes.frequencies[found.ambiguous])
+    if len(unsure := np.delete(modes.frequencies, found.measured)):
+        where = ", ".join(f"{f:.1f}" for f in unsure)
         notes.append(f"Not used, since not surely one calculated mode: {where} Hz.")
     if not settled:
         notes.append(

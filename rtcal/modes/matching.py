@@ -34,8 +34,6 @@ _REACTANCE = 0.7
 """Standard deviation of a frequency's shift by reactance, of half the mode's width delta / (2 pi)."""
 _STRANGER = 0.05
 """Prior probability that a measured mode is none of those calculated."""
-
-
 _RANGE = 3.0
 """Largest factor that all frequencies share and that is sought, in its standard deviations."""
 _DRAWS = 40
@@ -52,15 +50,13 @@ class Matches:
 
     ``measured`` and ``calculated`` (n_matches,) are indices of the modes that belong together, with
     their ``probability``. ``scale`` is the factor of the calculated frequencies under which those
-    measured are likeliest. ``ambiguous`` are measured modes that could be several, or none. ``doubts``
-    say what speaks against the matches.
+    measured are likeliest. ``doubts`` say what speaks against the matches.
     """
 
     measured: NDArray[np.intp]
     calculated: NDArray[np.intp]
     probability: Array
     scale: float
-    ambiguous: NDArray[np.intp]
     doubts: tuple[str, ...] = ()
 
 
@@ -84,7 +80,7 @@ def match(measured: MeasuredModes, frequencies: Array, decays: Array) -> Matches
     if own is not None:
         # The modes of responses were found as the room's own.
         scale, sure = float(np.median(measured.frequencies / frequencies[own])), np.ones(len(own))
-        return Matches(np.arange(len(own)), own, sure, scale, np.array([], dtype=int))
+        return Matches(np.arange(len(own)), own, sure, scale)
     scale, strange, both = _likely(measured, measured.frequencies, frequencies, decays)
     best, probability = both.argmax(axis=1), both.max(axis=1)
     sure, n = probability >= SURE, len(both)
@@ -124,7 +120,6 @@ def match(measured: MeasuredModes, frequencies: Array, decays: Array) -> Matches
         calculated=best[sure],
         probability=probability[sure],
         scale=scale,
-        ambiguous=np.flatnonzero(~sure),
         doubts=tuple(doubts),
     )
 

@@ -16,8 +16,9 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from rtcal.acoustics import bands
 from rtcal.acoustics.air import Air
-from rtcal.acoustics.paris import admittance, admittance_slope
+from rtcal.modes.paris import admittance, admittance_slope
 from rtcal.acoustics.room import Room
 from rtcal.io import geometry_files
 from rtcal.modes.polyhedron import modes_of
@@ -53,18 +54,16 @@ class AtFrequencies:
     @classmethod
     def of(cls, room: Room, frequencies: Array) -> AtFrequencies:
         """Return the coefficients of a room with correlated bands at these frequencies in Hz."""
-        bands, places = np.log2(room.centre_frequencies), np.log2(frequencies)
-
-        def between(a: Array, b: Array) -> Array:
-            return np.asarray(room.band_correlation ** np.abs(a[:, np.newaxis] - b))
-
-        across = between(places, bands)
-        weights: Array = np.asarray(np.linalg.solve(between(bands, bands), across.T).T)
+        n, places = room.n_bands, np.log2(frequencies)
+        every = np.concatenate([room.centre_frequencies, frequencies])
+        correlation = bands.correlation(every, room.band_correlation)
+        across = correlation[n:, :n]
+        weights: Array = np.asarray(np.linalg.solve(correlation[:n, :n], across.T).T)
         mean, sigma = (
-            np.asarray([np.interp(places, bands, row) for row in rows])
+            np.asarray([np.interp(places, np.log2(room.centre_frequencies), row) for row in rows])
             for rows in (room.alpha, room.sigma)
         )
-        remainder: Array = np.asarray(between(places, places) - weights @ across.T)
+        remainder: Array = np.asarray(correlation[n:, n:] - weights @ across.T)
         return cls(mean, sigma, weights, remainder, room)
 
     def alpha(self, alpha: Array) -> Array:

@@ -134,9 +134,8 @@ class _Elements:
         points, tetrahedra = fill(geometry, spacing)
         mesh = fem.MeshTet(np.ascontiguousarray(points.T), np.ascontiguousarray(tetrahedra.T))
         basis = fem.Basis(mesh, fem.ElementTetP2(), intorder=4)
-        stiffness = fem.BilinearForm(lambda u, v, _: fem.helpers.dot(u.grad, v.grad))
-        mass = fem.BilinearForm(lambda u, v, _: u * v)
-        return cls(basis, stiffness.assemble(basis), mass.assemble(basis))
+        forms = fem.models.poisson
+        return cls(basis, forms.laplace.assemble(basis), forms.mass.assemble(basis))
 
     def eigenmodes(self, geometry: Polyhedron, top: float, c: float) -> tuple[Array, Array]:
         """Return frequencies up to ``top`` in Hz; and the vectors, first that of frequency 0."""
@@ -195,20 +194,16 @@ def _integrals(basis: Any, geometry: Polyhedron) -> list[Any]:
     if (off.min(axis=1) > _PLANE).any():
         raise DataError("a wall of the mesh overlaps another: the mesh's boundary is not its faces")
     owner = geometry.triangle_faces[off.argmin(axis=1)]
-    form = fem.BilinearForm(lambda u, v, _: u * v)
-    return [
-        form.assemble(fem.FacetBasis(mesh, basis.elem, facets=boundary[owner == k], intorder=4))
-        for k in range(len(geometry.faces))
-    ]
+    walls = (boundary[owner == k] for k in range(len(geometry.faces)))
+    bases = (fem.FacetBasis(mesh, basis.elem, facets=facets, intorder=4) for facets in walls)
+    return [fem.models.poisson.mass.assemble(basis) for basis in bases]
 
 
 def _library() -> Any:
     try:
-        import skfem
+        import skfem.models.poisson
     except ImportError as error:
         raise MissingDependencyError(
             "modes of a room that is no box need scikit-fem: pip install 'rtcal[modes]'"
         ) from error
-    import skfem.helpers
-
     return skfem

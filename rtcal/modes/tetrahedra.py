@@ -40,7 +40,11 @@ def fill(geometry: Polyhedron, spacing: float) -> tuple[Array, Integers]:
         raise ModelError(_TOO_MANY.format("corners"))
     points, tetrahedra = _kuhn(lines)
     planes = _oblique(geometry)
-    fixed = _on_axial_walls(points, geometry)
+    # Vertices on a wall across an axis may not be moved.
+    fixed = np.zeros(len(points), dtype=bool)
+    for normal, face in zip(geometry.normals, geometry.faces, strict=True):
+        if np.abs(normal).max() >= _AXIAL:
+            fixed |= np.abs((points - geometry.vertices[face[0]]) @ normal) < _NEAR
     for normal, offset in planes:
         points = _moved(points, tetrahedra, fixed, normal, offset, spacing)
         fixed |= np.abs(points @ normal - offset) < _NEAR
@@ -106,15 +110,6 @@ def _oblique(geometry: Polyhedron) -> list[tuple[Array, float]]:
                 across = np.cross(b - a, normal)
                 add(across / np.linalg.norm(across), a)
     return planes
-
-
-def _on_axial_walls(points: Array, geometry: Polyhedron) -> NDArray[np.bool_]:
-    """Return which vertices lie on the plane of a wall across an axis: these may not be moved."""
-    fixed = np.zeros(len(points), dtype=bool)
-    for normal, face in zip(geometry.normals, geometry.faces, strict=True):
-        if np.abs(normal).max() >= _AXIAL:
-            fixed |= np.abs((points - geometry.vertices[face[0]]) @ normal) < _NEAR
-    return fixed
 
 
 def _moved(

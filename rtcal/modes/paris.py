@@ -15,6 +15,8 @@ Paris 1928, Phil. Mag. 5; Kuttruff 2009, Room Acoustics, Eq. 2.41 and 2.42.
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -23,17 +25,16 @@ from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError
 from rtcal.support.types import Array
 
+Complex = NDArray[np.complex128]
+
 LARGEST = 0.9
 """alpha above which beta follows its tangent: near the largest alpha, beta says nothing of alpha."""
 LARGEST_PHASE = 75.0
 """Largest phase of beta in degrees: beyond it no alpha above 0.44 has an admittance."""
 
-_TABLE = np.geomspace(1e-5, 4.0, 1200)
-"""|beta| at which alpha is tabulated."""
-
 
 @checked
-def absorption(beta: NDArray[np.complex128] | Array) -> Array:
+def absorption(beta: Complex | Array) -> Array:
     """Return the random-incidence absorption coefficient of specific admittances, same shape.
 
     Raises DataError for an admittance that is not finite or whose real part is below 0.
@@ -61,7 +62,7 @@ def absorption(beta: NDArray[np.complex128] | Array) -> Array:
 
 
 @checked
-def admittance(alpha: Array, phase: float = 0.0) -> NDArray[np.complex128]:
+def admittance(alpha: Array, phase: float = 0.0) -> Complex:
     """Return the specific admittance of this random-incidence absorption coefficient, same shape.
 
     Parameters
@@ -85,30 +86,38 @@ def admittance(alpha: Array, phase: float = 0.0) -> NDArray[np.complex128]:
     value = checks.array("alpha", alpha)
     if not ((value >= 0) & (value <= 1)).all():
         raise DataError(f"alpha = {checks.shown(alpha)} is not within 0 and 1")
-    return np.asarray(_along(value, phase)[0] * np.exp(1j * np.radians(phase)))
+    return _along(value, phase)[0]
 
 
-def admittance_slope(alpha: Array, phase: float = 0.0) -> NDArray[np.complex128]:
+def admittance_slope(alpha: Array, phase: float = 0.0) -> Complex:
     """Return d beta / d alpha, same shape; errors as `admittance`."""
-    return np.asarray(_along(alpha, phase)[1] * np.exp(1j * np.radians(phase)))
+    return _along(alpha, phase)[1]
 
 
-def _along(alpha: Array, phase: float) -> tuple[Array, Array]:
-    """Return |beta| and its slope over alpha along a phase."""
+def _along(alpha: Array, phase: float) -> tuple[Complex, Complex]:
+    """Return beta and its slope over alpha along a phase."""
     if abs(checks.number("phase", phase)) > LARGEST_PHASE:
         raise DataError(f"phase = {phase:g}° is beyond {LARGEST_PHASE:g}°")
-    turn = np.exp(1j * np.radians(phase))
-    table = absorption(_TABLE * turn)
-    top = min(LARGEST, 0.9 * float(table.max()))
-    rising = int(np.argmax(table > top)) + 1
+    turn = complex(np.exp(1j * np.radians(phase)))
+    top, table, sizes = _table(turn)
     alpha = np.asarray(alpha, dtype=float)
     inside = np.minimum(alpha, top)
-    size = np.exp(np.interp(inside, table[:rising], np.log(_TABLE[:rising])))
-    size = np.where(inside < table[0], inside * _TABLE[0] / table[0], size)
+    size = np.exp(np.interp(inside, table, np.log(sizes)))
+    size = np.where(inside < table[0], inside * sizes[0] / table[0], size)
     for _ in range(4):  # Newton; the table is within 1 %
         size = size - (absorption(size * turn) - inside) / _rise(size, turn)
     slope = 1 / _rise(size, turn)
-    return np.asarray(size + (alpha - inside) * slope), slope
+    return np.asarray(turn * (size + (alpha - inside) * slope)), np.asarray(turn * slope)
+
+
+@lru_cache(maxsize=8)
+def _table(turn: complex) -> tuple[float, Array, Array]:
+    """Return the largest alpha before the tangent, and alpha up to it with |beta|, (n,) each."""
+    sizes = np.geomspace(1e-5, 4.0, 1200)
+    table = absorption(sizes * turn)
+    top = min(LARGEST, 0.9 * float(table.max()))
+    rising = int(np.argmax(table > top)) + 1
+    return top, table[:rising], sizes[:rising]
 
 
 def _rise(size: Array, turn: complex) -> Array:
