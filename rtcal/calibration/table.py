@@ -81,22 +81,34 @@ def materials(
     error_bound: Array,
 ) -> list[dict[str, Any]]:
     """Return one entry per material; every array is (n_materials, n_bands)."""
+    entries = coefficients(prior, calibrated.alpha, calibrated.sigma, interval)
     return [
         {
             "name": name,
             "area": float(prior.areas[i]),
             "source": prior.sources.get(name, ""),
-            "alpha_before": json_numbers(prior.alpha[i]),
-            "sigma_before": json_numbers(prior.sigma[i]),
-            "alpha_after": json_numbers(calibrated.alpha[i]),
-            "sigma_after": json_numbers(calibrated.sigma[i]),
-            "interval_after": None
-            if interval is None
-            else [json_numbers(end[i]) for end in interval],
+            **entries[i],
             "alpha_min": None if prior.alpha_min is None else json_numbers(prior.alpha_min[i]),
             "shift_in_sigmas": json_numbers(shift_in_sigmas[i]),
             "at_bound": [_ENDS[int(v)] for v in active[i]],
             "error_bound": json_numbers(error_bound[i]),
+        }
+        for i, name in enumerate(prior.materials)
+    ]
+
+
+def coefficients(
+    prior: Room, alpha: Array, sigma: Array, interval: Sequence[Array] | None
+) -> list[dict[str, Any]]:
+    """Return alpha and sigma before and after, with its interval: one entry per material."""
+    return [
+        {
+            "name": name,
+            "alpha_before": json_numbers(prior.alpha[i]),
+            "sigma_before": json_numbers(prior.sigma[i]),
+            "alpha_after": json_numbers(alpha[i]),
+            "sigma_after": json_numbers(sigma[i]),
+            "interval_after": interval and [json_numbers(end[i]) for end in interval],
         }
         for i, name in enumerate(prior.materials)
     ]

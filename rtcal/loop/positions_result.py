@@ -18,6 +18,7 @@ from rtcal.acoustics.scene import POSITION
 from rtcal.calibration.certificate import Certificate
 from rtcal.calibration.nonlinear import gain, learned_materials
 from rtcal.calibration.result import CalibrationResult
+from rtcal.calibration.table import coefficients
 from rtcal.loop.control_runs import ControlRuns
 from rtcal.loop.matched import Beside, left, sentences
 from rtcal.loop.measured_pairs import (
@@ -394,7 +395,7 @@ class PositionsResult(Result):
 
     def to_dict(self) -> dict[str, Any]:
         """Return everything as plain numbers, lists and text; None where a value is missing."""
-        interval = self.interval
+        entries = coefficients(self.prior, self.alpha, self.sigma, self.interval)
         return {
             "rtcal": KIND,
             "room": self.prior.name,
@@ -426,16 +427,12 @@ class PositionsResult(Result):
             },
             "materials": [
                 {
-                    "name": name,
+                    "name": entry["name"],
                     "area": float(self.prior.areas[i]),
-                    "alpha_before": json_numbers(self.prior.alpha[i]),
-                    "sigma_before": json_numbers(self.prior.sigma[i]),
-                    "alpha_after": json_numbers(self.alpha[i]),
-                    "sigma_after": json_numbers(self.sigma[i]),
-                    "interval_after": interval and [json_numbers(end[i]) for end in interval],
+                    **entry,
                     "pulls": json_numbers(self.pulls[:, i]),
                 }
-                for i, name in enumerate(self.prior.materials)
+                for i, entry in enumerate(entries)
             ],
             "misfit": json_numbers(self.misfit),
             "contradictions": [list(pair) for pair in self.contradictions],

@@ -5,10 +5,10 @@ from typing import TYPE_CHECKING
 from rtcal.support import lazy
 
 if TYPE_CHECKING:
-    from rtcal.modes.paris import absorption as absorption
-    from rtcal.modes.paris import admittance as admittance
     from rtcal.modes.measured import MeasuredModes as MeasuredModes
     from rtcal.modes.measured import read as read
+    from rtcal.modes.paris import absorption as absorption
+    from rtcal.modes.paris import admittance as admittance
     from rtcal.modes.polyhedron import modes_of as modes_of
     from rtcal.modes.responses import find_modes as find_modes
     from rtcal.modes.result import ModesResult as ModesResult

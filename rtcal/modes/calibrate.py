@@ -115,17 +115,18 @@ def calibrate_modes(
         as_objective(plain.objective) + MODES, plain.constraints if exact else ()
     ).build(model.room, Eyring() if equation is None else equation)
     used = found.measured
-    of_pole = modes.decays[used] / (2 * np.pi * modes.frequencies[used])
-    data = _Data(
-        model=replace(model, chosen=tuple(found.calculated.tolist())),
-        decays=modes.decays[used],
-        uncertainty=modes.decay_uncertainty[used],
-        model_error=np.hypot(MODEL_ERROR, of_pole),
-        times=t if exact else None,
-    )
+    own = replace(model, chosen=tuple(found.calculated.tolist()))
+    decays, _, remainder = own.linear(room.alpha)
+    of_model = np.hypot(MODEL_ERROR, modes.decays / (2 * np.pi * modes.frequencies))[used]
+    covariance = remainder + np.diag(modes.decay_uncertainty[used] ** 2 + (of_model * decays) ** 2)
+
+    def linearised(alpha: Array) -> _Linearised:
+        t_above = t if exact else None
+        return _Linearised(problem, own, modes.decays[used], covariance, t_above, alpha)
+
     path = gauss_newton(
         room.alpha,
-        lambda at: _Linearised.of(data, problem, at),
+        linearised,
         most=_STEPS,
         halvings=3,
         settled=lambda step: step.model.error(step.model.towards(step.share)) < _SETTLED,
@@ -154,45 +155,30 @@ def calibrate_modes(
 
 
 @dataclass(frozen=True, eq=False)
-class _Data:
-    """The measured decays, and the errors of what is compared; T above the Schroeder frequency."""
+class _Linearised:
+    """The decays, linearised at ``alpha``, beside those measured; T above the Schroeder frequency.
 
+    ``covariance`` is that of measured less modelled decays in 1/s², with the prior's slopes.
+    """
+
+    problem: CalibrationProblem
     model: RoomPoles
-    decays: Array
-    uncertainty: Array
-    model_error: Array
+    measured: Array
+    covariance: Array
     times: Times | None
+    alpha: Array
 
     @cached_property
-    def covariance_of_decays(self) -> Array:
-        """Covariance of measured less modelled decays in 1/s², with the prior's slopes."""
-        decays, _, remainder = self.model.linear(self.model.room.alpha)
-        own = self.uncertainty**2 + (self.model_error * decays) ** 2
-        return np.asarray(remainder + np.diag(own))
+    def observed(self) -> Observed:
+        """The linearised decays as an observation of alpha."""
+        decays, matrix, _ = self.model.linear(self.alpha)
+        values = self.measured - decays + matrix @ self.alpha.ravel()
+        return Observed(matrix=matrix, values=values, covariance=self.covariance)
 
-    def misfit(self, decays: Array) -> float:
-        """Return half the squared misfit of decays in their uncertainty."""
-        off = self.decays - decays
-        return float(off @ np.linalg.solve(self.covariance_of_decays, off)) / 2
-
-
-@dataclass(frozen=True, eq=False)
-class _Linearised:
-    """The decays, linearised at ``alpha``, and the answer of the QP."""
-
-    data: _Data
-    alpha: Array
-    observed: Observed
-    decays: Array
-    answer: CalibrationResult
-
-    @classmethod
-    def of(cls, data: _Data, problem: CalibrationProblem, alpha: Array) -> _Linearised:
-        decays, matrix, _ = data.model.linear(alpha)
-        values = data.decays - decays + matrix @ alpha.ravel()
-        observed = Observed(matrix=matrix, values=values, covariance=data.covariance_of_decays)
-        answer = problem.solve(data.times, observed={MODES: observed}, method="modes")
-        return cls(data, alpha, observed, decays, answer)
+    @cached_property
+    def answer(self) -> CalibrationResult:
+        """The answer of the QP."""
+        return self.problem.solve(self.times, observed={MODES: self.observed}, method="modes")
 
     def towards(self, share: Array) -> Array:
         """Return alpha at this share of the way to the answer."""
@@ -203,17 +189,19 @@ class _Linearised:
 
         The prior pulls too: the misfit may rise to the linear answer's own.
         """
-        now, expected = (self.data.misfit(d) for d in (self.decays, self._linear(end)))
-        there = self.data.misfit(self.data.model.linear(end)[0])
-        return np.array([there > max(now, expected) + 0.5])
+        now, there = (self.measured - self.model.linear(a)[0] for a in (self.alpha, end))
+        off = np.column_stack([now, self._left(end), there])
+        misfit = (off * np.linalg.solve(self.covariance, off)).sum(axis=0) / 2
+        return np.array([misfit[2] > max(misfit[:2]) + 0.5])
 
     def error(self, end: Array) -> float:
         """Return the largest error of the linearised decays at ``end``, in their uncertainty."""
-        off = np.abs(self.data.model.linear(end)[0] - self._linear(end))
-        return float((off / np.sqrt(np.diag(self.data.covariance_of_decays))).max())
+        off = np.abs(self.measured - self.model.linear(end)[0] - self._left(end))
+        return float((off / np.sqrt(np.diag(self.covariance))).max())
 
-    def _linear(self, end: Array) -> Array:
-        return np.asarray(self.decays + self.observed.matrix @ (end - self.alpha).ravel())
+    def _left(self, end: Array) -> Array:
+        """Return measured less linearised decays at ``end``."""
+        return np.asarray(self.observed.values - self.observed.matrix @ end.ravel())
 
 
 def _notes(modes: MeasuredModes, found: Matches, settled: bool) -> tuple[str, ...]:

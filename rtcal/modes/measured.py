@@ -7,7 +7,6 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -187,58 +186,46 @@ def read(path: str | os.PathLike[str]) -> MeasuredModes:
         )
     if f"u_{of}" not in columns:
         raise DataError(f'{place}: the column "u_{of}" is missing: the standard uncertainty')
-    used = "".join(cells[c.place] for _, cells in rows for c in columns.values())
+    used = "".join(cells[k] for _, cells in rows for k, _, _ in columns.values())
     if "," in used and "." in used:
         raise DataError(f"{place}: decimal commas and decimal points in one table")
 
     def at(name: str, row: int) -> str:
-        column = names[columns[name].place]
-        return f'{place}, line {rows[row][0]}, column "{column}"'
+        return f'{place}, line {rows[row][0]}, column "{names[columns[name][0]]}"'
 
     def values(name: str) -> Array:
-        column, found = columns[name], np.zeros(len(rows))
+        (k, factor, relative), found = columns[name], np.zeros(len(rows))
         for i, (_, cells) in enumerate(rows):
-            found[i] = number(cells[column.place].replace(",", "."), at(name, i))
+            found[i] = number(cells[k].replace(",", "."), at(name, i))
             if not found[i] > 0:
                 raise DataError(f"{at(name, i)}: {found[i]:g} is not above 0")
-        relative = column.unit in _RELATIVE
-        return column.factor * found * (values(name.removeprefix("u_")) if relative else 1)
+        return factor * found * (values(name.removeprefix("u_")) if relative else 1)
 
+    rows = [rows[i] for i in np.argsort(values("frequency"), kind="stable")]
     decays, uncertainty = values(of), values(f"u_{of}")
     if of == "T":
         decays, uncertainty = DECAY / decays, DECAY * uncertainty / decays**2
-    frequencies = values("frequency")
-    order = np.argsort(frequencies, kind="stable")
     try:
         return MeasuredModes(
-            frequencies=frequencies[order],
-            decays=decays[order],
-            decay_uncertainty=uncertainty[order],
-            frequency_uncertainty=values("u_frequency")[order]
-            if "u_frequency" in columns
-            else None,
+            frequencies=values("frequency"),
+            decays=decays,
+            decay_uncertainty=uncertainty,
+            frequency_uncertainty=values("u_frequency") if "u_frequency" in columns else None,
         )
     except DataError as error:
         # Values are above 0: what breaks a rule is a frequency.
         told = re.sub(
-            r"frequencies\[(\d+)\] =",
-            lambda m: at("frequency", order[int(m[1])]) + ":",
-            str(error),
+            r"frequencies\[(\d+)\] =", lambda m: at("frequency", int(m[1])) + ":", str(error)
         )
         raise DataError(told) from error
 
 
-class _Column(NamedTuple):
-    """The number of a column, its unit in small letters, and the unit's factor."""
+def _columns(header: Sequence[str], place: str) -> dict[str, tuple[int, float, bool]]:
+    """Return the columns that are of modes, by name; DataError for a unit that is not known.
 
-    place: int
-    unit: str
-    factor: float
-
-
-def _columns(header: Sequence[str], place: str) -> dict[str, _Column]:
-    """Return the columns that are of modes, by name; DataError for a unit that is not known."""
-    found: dict[str, _Column] = {}
+    Of each its number, the unit's factor, and whether this is relative.
+    """
+    found: dict[str, tuple[int, float, bool]] = {}
     for k, cell in enumerate(header):
         # As in "decay / 1/s", too.
         slash = "/" in cell and not cell.endswith((")", "]"))
@@ -257,5 +244,5 @@ def _columns(header: Sequence[str], place: str) -> dict[str, _Column]:
                 f'{place}: the unit of "{shown(cell)}" is not known; known are '
                 f"{', '.join(filter(None, units))}"
             )
-        found[name] = _Column(k, unit, factor)
+        found[name] = k, factor, unit in _RELATIVE
     return found

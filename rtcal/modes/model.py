@@ -18,9 +18,9 @@ from numpy.typing import NDArray
 
 from rtcal.acoustics import bands
 from rtcal.acoustics.air import Air
-from rtcal.modes.paris import admittance, admittance_slope
 from rtcal.acoustics.room import Room
 from rtcal.io import geometry_files
+from rtcal.modes.paris import admittance, admittance_slope
 from rtcal.modes.polyhedron import modes_of
 from rtcal.modes.room_modes import Admittances, Poles, RoomModes
 from rtcal.simulators.geometry import Polyhedron

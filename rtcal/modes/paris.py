@@ -16,6 +16,7 @@ Paris 1928, Phil. Mag. 5; Kuttruff 2009, Room Acoustics, Eq. 2.41 and 2.42.
 from __future__ import annotations
 
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -98,7 +99,7 @@ def _along(alpha: Array, phase: float) -> tuple[Complex, Complex]:
     """Return beta and its slope over alpha along a phase."""
     if abs(checks.number("phase", phase)) > LARGEST_PHASE:
         raise DataError(f"phase = {phase:g}° is beyond {LARGEST_PHASE:g}°")
-    turn = complex(np.exp(1j * np.radians(phase)))
+    turn: Any = np.exp(1j * np.radians(phase))
     top, table, sizes = _table(turn)
     alpha = np.asarray(alpha, dtype=float)
     inside = np.minimum(alpha, top)
@@ -111,7 +112,7 @@ def _along(alpha: Array, phase: float) -> tuple[Complex, Complex]:
 
 
 @lru_cache(maxsize=8)
-def _table(turn: complex) -> tuple[float, Array, Array]:
+def _table(turn: Any) -> tuple[float, Array, Array]:
     """Return the largest alpha before the tangent, and alpha up to it with |beta|, (n,) each."""
     sizes = np.geomspace(1e-5, 4.0, 1200)
     table = absorption(sizes * turn)
@@ -120,7 +121,7 @@ def _table(turn: complex) -> tuple[float, Array, Array]:
     return top, table[:rising], sizes[:rising]
 
 
-def _rise(size: Array, turn: complex) -> Array:
+def _rise(size: Array, turn: Any) -> Array:
     """Return d alpha / d |beta| along a phase."""
     step = 1e-4 * np.maximum(size, 1e-6)
     ends = [absorption(np.maximum(size + sign * step, 0) * turn) for sign in (1, -1)]

@@ -19,6 +19,7 @@ from rtcal.acoustics.trust import TrustMark, explained, implausible_modes_mark, 
 from rtcal.calibration.certificate import Certificate
 from rtcal.calibration.problem_data import MeasuredTimes, data_history
 from rtcal.calibration.result import CalibrationResult
+from rtcal.calibration.table import coefficients
 from rtcal.modes.measured import MeasuredModes
 from rtcal.modes.room_modes import DECAY
 from rtcal.support import text
@@ -243,20 +244,16 @@ class ModesResult(Result):
             for i, d, before, after, walls in shown
         ]
 
-    def _material_rows(self) -> list[tuple[str, list[str]]]:
+    def __str__(self) -> str:
         parts = (x[:, self.below] for x in (self.prior.alpha, self.alpha, *self.interval))
         cells = [
             [f"{a:.2f} > {b:.2f} ({c:.2f}-{d:.2f})" for a, b, c, d in zip(*row, strict=True)]
             for row in zip(*parts, strict=True)
         ]
-        return list(zip(self.prior.materials, cells, strict=True))
-
-    def __str__(self) -> str:
-        low = self.prior.centre_frequencies[self.below]
+        low = [bands.label(f) for f in self.prior.centre_frequencies[self.below]]
+        of_materials = list(zip(self.prior.materials, cells, strict=True))
         lines = text.table(self.mode_rows, header=(_HEADER[0], _HEADER[1:]))
-        table = self._material_rows(), ("alpha (90 %)", [bands.label(f) for f in low])
-        lines += ["", *text.table(table[0], header=table[1])]
-        lines.append("")
+        lines += ["", *text.table(of_materials, header=("alpha (90 %)", low)), ""]
         for note in self.every_note:
             lines += text.wrapped(note, hanging="    ")
         return "\n".join(lines)
@@ -281,7 +278,6 @@ class ModesResult(Result):
 
     def to_dict(self) -> dict[str, Any]:
         """Return everything as plain numbers, lists and text; None where a value is missing."""
-        low, high = self.interval
         return {
             "rtcal": KIND,
             "room": self.prior.name,
@@ -303,17 +299,7 @@ class ModesResult(Result):
             "frequency_scale": self.scale,
             "q": self.plausibility.q,
             "p_value": self.plausibility.p_value,
-            "materials": [
-                {
-                    "name": name,
-                    "alpha_before": json_numbers(self.prior.alpha[i]),
-                    "sigma_before": json_numbers(self.prior.sigma[i]),
-                    "alpha_after": json_numbers(self.alpha[i]),
-                    "sigma_after": json_numbers(self.sigma[i]),
-                    "interval_after": [json_numbers(end[i]) for end in (low, high)],
-                }
-                for i, name in enumerate(self.prior.materials)
-            ],
+            "materials": coefficients(self.prior, self.alpha, self.sigma, self.interval),
             "below_schroeder": self.below.tolist(),
             "carried": self.carried.tolist(),
             "steps": self.steps,
