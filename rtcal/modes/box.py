@@ -60,14 +60,13 @@ def box_modes(sides: Array, materials: Sequence[str], largest: float, c: float) 
             raise DataError("a position lies outside the room's walls")
         return np.asarray(along(points).prod(axis=2))
 
-    at_wall = along(np.zeros((1, 3)))[0]
+    at_walls = along(np.array([np.zeros(3), sides]))
     coupling = np.empty((6, len(orders), len(orders)))
     for axis in range(3):
         others = [a for a in range(3) if a != axis]
         same = (orders[:, np.newaxis, others] == orders[np.newaxis, :, others]).all(axis=2)
-        near = np.outer(at_wall[:, axis], at_wall[:, axis]) * same
-        sign = np.where(orders[:, axis] % 2, -1.0, 1.0)
-        coupling[2 * axis], coupling[2 * axis + 1] = near, near * np.outer(sign, sign)
+        for end, values in enumerate(at_walls[:, :, axis]):
+            coupling[2 * axis + end] = np.outer(values, values) * same
     rising = np.argsort(frequencies, kind="stable")
     every = np.append(rising, len(rising))
     return RoomModes(

@@ -36,7 +36,6 @@ from rtcal.modes.model import ABOVE, RoomPoles
 from rtcal.modes.responses import modes_in
 from rtcal.modes.result import ModesResult
 from rtcal.simulators.geometry import Polyhedron
-from rtcal.support import checks
 from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError
 from rtcal.support.types import Array
@@ -93,7 +92,6 @@ def calibrate_modes(
     """
     if isinstance(modes, Responses):
         modes = modes_in(room, modes, geometry)
-    checks.instance("modes", modes, MeasuredModes)
     model = RoomPoles.of(room, max(ABOVE * modes.frequencies[-1], modes.largest), geometry)
     known = modes.calculated
     if known is not None and len(known) and known.max() >= model.modes.wanted:
@@ -107,7 +105,7 @@ def calibrate_modes(
     repeats.refuse_repeated_data(room, of_modes, *times.fingerprint.split())
     low = below_schroeder(room, times)
     exact = np.isfinite(times.reverberation_time[~low]).any()
-    t: Times = np.where(low, np.nan, times.reverberation_time)
+    t: Times | None = np.where(low, np.nan, times.reverberation_time) if exact else None
     if exact and isinstance(measured, Measurement):
         t = above_schroeder(measured, room, low)
     plain = preset("mle", model.room)
@@ -120,13 +118,9 @@ def calibrate_modes(
     of_model = np.hypot(MODEL_ERROR, modes.decays / (2 * np.pi * modes.frequencies))[used]
     covariance = remainder + np.diag(modes.decay_uncertainty[used] ** 2 + (of_model * decays) ** 2)
 
-    def linearised(alpha: Array) -> _Linearised:
-        t_above = t if exact else None
-        return _Linearised(problem, own, modes.decays[used], covariance, t_above, alpha)
-
     path = gauss_newton(
         room.alpha,
-        linearised,
+        lambda alpha: _Linearised(problem, own, modes.decays[used], covariance, t, alpha),
         most=_STEPS,
         halvings=3,
         settled=lambda step: step.model.error(step.model.towards(step.share)) < _SETTLED,
@@ -226,8 +220,6 @@ def above_schroeder(measured: Measurement, room: Room, low: NDArray[np.bool_]) -
 def below_schroeder(room: Room, times: MeasuredTimes) -> NDArray[np.bool_]:
     """Return which bands lie below the Schroeder frequency; all where no T was measured."""
     t = times.reverberation_time
-    if not np.isfinite(t).any():
-        return np.ones(room.n_bands, dtype=bool)
     middle = mid_frequency_time(t, room.centre_frequencies)
     limit = float(schroeder_frequency(np.array(middle), room.volume))
-    return np.asarray(room.centre_frequencies < limit)
+    return np.asarray(~(room.centre_frequencies >= limit))  # without T the limit is NaN

@@ -115,13 +115,7 @@ def match(measured: MeasuredModes, frequencies: Array, decays: Array) -> Matches
             f"Doubtful: {strangers} of {n} measured modes have no partner among those calculated: "
             "check dimensions, and whether each frequency is a mode."
         )
-    return Matches(
-        measured=np.flatnonzero(sure),
-        calculated=best[sure],
-        probability=probability[sure],
-        scale=scale,
-        doubts=tuple(doubts),
-    )
+    return Matches(np.flatnonzero(sure), best[sure], probability[sure], scale, tuple(doubts))
 
 
 def _likely(

@@ -25,7 +25,6 @@ from rtcal.modes.polyhedron import modes_of
 from rtcal.modes.room_modes import Admittances, Poles, RoomModes
 from rtcal.simulators.geometry import Polyhedron
 from rtcal.simulators.tracer import check_areas, check_walls
-from rtcal.support import checks
 from rtcal.support.errors import DataError
 from rtcal.support.types import Array
 
@@ -100,7 +99,6 @@ class RoomPoles:
 
         Errors as `rtcal.calibrate_modes`.
         """
-        checks.instance("room", room, Room)
         geometry = geometry_files.read(room) if geometry is None else geometry
         check_walls(geometry, room)
         check_areas(geometry, room)
@@ -144,11 +142,7 @@ class RoomPoles:
         """Return the walls' admittances; between the modes' frequencies they are interpolated."""
         f = self.modes.frequencies
         beta = admittance(self.at.alpha(alpha))
-
-        def admittances(frequency: float) -> NDArray[np.complex128]:
-            return np.array([np.interp(frequency, f, row) for row in beta])[self.rows]
-
-        return admittances
+        return lambda frequency: np.array([np.interp(frequency, f, row) for row in beta])[self.rows]
 
     def amplitudes(self, pairs: Sequence[tuple[str, str]]) -> NDArray[np.complex128]:
         """Return what each pair of positions hears of each pole, (n_poles, n_pairs).

@@ -48,18 +48,12 @@ def absorption(beta: Complex | Array) -> Array:
     value = np.asarray(beta, dtype=complex)
     if not np.isfinite(value).all() or (value.real < 0).any():
         raise DataError(f"beta = {checks.shown(beta)} is not finite with a real part of 0 or more")
-    g, b = value.real, value.imag
-    size = g**2 + b**2
-    near = np.maximum(size, 1e-300)
-    # With cos t = x the integral is 8 g times that of x² / ((x + g)² + b²) over x from 0 to 1.
-    log = np.log(((1 + g) ** 2 + b**2) / near)
-    # The two branches of the arc meet where b is 0.
-    real = np.abs(b) < 1e-9
-    safe = np.where(real, 1.0, b)
-    arc = np.arctan2(safe, g * (1 + g) + b**2) / safe
-    arc = np.where(real, 1 / np.maximum(g * (1 + g), 1e-300), arc)
-    out = 8 * g * (1 - g * log + (g**2 - b**2) * arc)
-    return np.asarray(np.where(size > 0, out, 0.0))
+    # The integral is even in b, and has its limit where b is 0.
+    g, b = value.real, np.maximum(np.abs(value.imag), 1e-12)
+    # With cos t = x it is 8 g times that of x² / ((x + g)² + b²) over x from 0 to 1.
+    log = np.log(((1 + g) ** 2 + b**2) / (g**2 + b**2))
+    arc = np.arctan2(b, g * (1 + g) + b**2) / b
+    return np.asarray(8 * g * (1 - g * log + (g**2 - b**2) * arc))
 
 
 @checked
@@ -123,6 +117,6 @@ def _table(turn: Any) -> tuple[float, Array, Array]:
 
 def _rise(size: Array, turn: Any) -> Array:
     """Return d alpha / d |beta| along a phase."""
-    step = 1e-4 * np.maximum(size, 1e-6)
-    ends = [absorption(np.maximum(size + sign * step, 0) * turn) for sign in (1, -1)]
-    return np.asarray((ends[0] - ends[1]) / (2 * step)) + np.where(size <= 0, 4.0, 0.0)
+    near = np.maximum(size, 1e-10)
+    ends = [absorption(near * (1 + step) * turn) for step in (1e-4, -1e-4)]
+    return np.asarray((ends[0] - ends[1]) / (2e-4 * near))

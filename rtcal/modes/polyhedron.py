@@ -8,7 +8,6 @@ imports scikit-fem (``rtcal[modes]``).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -72,7 +71,6 @@ def modes_of(
     >>> print(modes_of(box, 50).frequencies[:2])
     [34.32 42.9 ]
     """
-    checks.instance("geometry", geometry, Polyhedron)
     largest = checks.positive("largest", largest, "Hz")
     c = checks.positive("speed_of_sound", speed_of_sound, "m/s")
     box = spacing is None and tuple(geometry.names) == SHOEBOX_WALLS
@@ -94,10 +92,15 @@ def modes_of(
 def _by_elements(geometry: Polyhedron, largest: float, c: float, spacing: float) -> RoomModes:
     top = BEYOND * largest
     refuse_many(_expected(geometry, top / c), largest, np.ptp(geometry.vertices, axis=0))
-    elements = _Elements.of(geometry, spacing)
-    frequencies, vectors = elements.eigenmodes(geometry, top, c)
-    walls = _integrals(elements.basis, geometry)
-    more, answers = elements.answers(vectors, walls, c)
+    fem = _library()
+    points, tetrahedra = fill(geometry, spacing)
+    mesh = fem.MeshTet(np.ascontiguousarray(points.T), np.ascontiguousarray(tetrahedra.T))
+    basis = fem.Basis(mesh, fem.ElementTetP2(), intorder=4)
+    stiffness, mass = (getattr(fem.models.poisson, n).assemble(basis) for n in ("laplace", "mass"))
+    frequencies, vectors = _eigenmodes(stiffness, mass, _expected(geometry, top / c), top / c)
+    walls = _integrals(basis, geometry)
+    more, answers = _answers(stiffness, mass, vectors, walls)
+    frequencies, more = c * frequencies, c * more
     # The constant one, of frequency 0, is the first that was found, and stands last.
     vectors = np.hstack([vectors[:, 1:], answers, vectors[:, :1]])
     frequencies = np.concatenate([frequencies, more])
@@ -106,7 +109,7 @@ def _by_elements(geometry: Polyhedron, largest: float, c: float, spacing: float)
     def shapes(points: Array) -> Array:
         inside = np.ascontiguousarray(np.asarray(points, dtype=float).T)
         try:
-            return np.asarray(elements.basis.probes(inside) @ vectors)
+            return np.asarray(basis.probes(inside) @ vectors)
         except ValueError as error:
             raise DataError("a position lies outside the room's walls") from error
 
@@ -120,62 +123,44 @@ def _by_elements(geometry: Polyhedron, largest: float, c: float, spacing: float)
     )
 
 
-@dataclass(frozen=True, eq=False)
-class _Elements:
-    """Quadratic elements of a room: stiffness, mass, and their spacing in m."""
+def _eigenmodes(stiffness: Any, mass: Any, count: int, top: float) -> tuple[Array, Array]:
+    """Return f / c up to ``top`` in 1/m, of ``count`` or more; and the vectors, first that of 0."""
+    from scipy.sparse.linalg import eigsh
 
-    basis: Any
-    stiffness: Any
-    mass: Any
+    size, limit = stiffness.shape[0], (2 * np.pi * top) ** 2
+    while True:
+        count = min(count, size - 2)
+        values, vectors = eigsh(stiffness, count, mass, sigma=-1.0, v0=np.ones(size))
+        if values.max() > limit or count >= size - 2:
+            break
+        count = int(1.3 * count) + 5
+    order = np.argsort(values)
+    order = order[values[order] <= limit]
+    return np.sqrt(values[order[1:]]) / (2 * np.pi), np.asarray(vectors[:, order])
 
-    @classmethod
-    def of(cls, geometry: Polyhedron, spacing: float) -> _Elements:
-        fem = _library()
-        points, tetrahedra = fill(geometry, spacing)
-        mesh = fem.MeshTet(np.ascontiguousarray(points.T), np.ascontiguousarray(tetrahedra.T))
-        basis = fem.Basis(mesh, fem.ElementTetP2(), intorder=4)
-        forms = fem.models.poisson
-        return cls(basis, forms.laplace.assemble(basis), forms.mass.assemble(basis))
 
-    def eigenmodes(self, geometry: Polyhedron, top: float, c: float) -> tuple[Array, Array]:
-        """Return frequencies up to ``top`` in Hz; and the vectors, first that of frequency 0."""
-        from scipy.sparse.linalg import eigsh
+def _answers(stiffness: Any, mass: Any, vectors: Array, walls: list[Any]) -> tuple[Array, Array]:
+    """Return what the walls' pressures excite beyond the modes: f / c in 1/m, and vectors.
 
-        size = self.stiffness.shape[0]
-        limit = (2 * np.pi * top / c) ** 2
-        count = _expected(geometry, top / c)
-        while True:
-            count = min(count, size - 2)
-            values, vectors = eigsh(self.stiffness, count, self.mass, sigma=-1.0, v0=np.ones(size))
-            if values.max() > limit or count >= size - 2:
-                break
-            count = int(1.3 * count) + 5
-        order = np.argsort(values)
-        order = order[values[order] <= limit]
-        return np.sqrt(values[order[1:]]) * c / (2 * np.pi), np.asarray(vectors[:, order])
+    The static answers to the modes' largest patterns on each wall, orthogonal to the modes
+    (Ritz vectors; MacNeal 1971). An infinite number of modes would add little to them.
+    """
+    from scipy.linalg import eigh
+    from scipy.sparse.linalg import splu
 
-    def answers(self, vectors: Array, walls: list[Any], c: float) -> tuple[Array, Array]:
-        """Return what the walls' pressures excite beyond the modes: frequencies in Hz, and vectors.
-
-        The static answers to the modes' largest patterns on each wall, orthogonal to the modes
-        (Ritz vectors; MacNeal 1971). An infinite number of modes would add little to them.
-        """
-        from scipy.linalg import eigh
-        from scipy.sparse.linalg import splu
-
-        loads = []
-        for wall in walls:
-            on_wall = wall @ vectors
-            power, patterns = np.linalg.eigh(vectors.T @ on_wall)
-            loads.append(on_wall @ patterns[:, power > _PATTERN * power[-1]])
-        solved = splu((self.stiffness + self.mass).tocsc()).solve(np.hstack(loads))
-        solved -= vectors @ (vectors.T @ (self.mass @ solved))
-        solved /= np.sqrt((solved * (self.mass @ solved)).sum(axis=0))
-        power, turn = np.linalg.eigh(solved.T @ (self.mass @ solved))
-        apart = power > _APART * power[-1]
-        solved = solved @ (turn[:, apart] / np.sqrt(power[apart]))
-        values, turn = eigh(solved.T @ (self.stiffness @ solved))
-        return np.sqrt(values) * c / (2 * np.pi), solved @ turn
+    loads = []
+    for wall in walls:
+        on_wall = wall @ vectors
+        power, patterns = np.linalg.eigh(vectors.T @ on_wall)
+        loads.append(on_wall @ patterns[:, power > _PATTERN * power[-1]])
+    solved = splu((stiffness + mass).tocsc()).solve(np.hstack(loads))
+    solved -= vectors @ (vectors.T @ (mass @ solved))
+    solved /= np.sqrt((solved * (mass @ solved)).sum(axis=0))
+    power, turn = np.linalg.eigh(solved.T @ (mass @ solved))
+    apart = power > _APART * power[-1]
+    solved = solved @ (turn[:, apart] / np.sqrt(power[apart]))
+    values, turn = eigh(solved.T @ (stiffness @ solved))
+    return np.sqrt(values) / (2 * np.pi), solved @ turn
 
 
 def _expected(geometry: Polyhedron, wavenumber: float) -> int:

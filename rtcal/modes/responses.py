@@ -92,7 +92,7 @@ def find_modes(
             f"frequencies are {fit.problem.scale:.3f} times those calculated or beyond, where the "
             "search ends: check dimensions and temperature"
         )
-    told = _told(fit, pairs, model.modes.largest, lowest, highest)
+    told = _told(fit, model.modes.largest, lowest, highest)
     return replace(told, amplitudes=size * fit.own[told.calculated])
 
 
@@ -144,13 +144,7 @@ def _checked(
     return signals
 
 
-def _told(
-    fit: Point,
-    pairs: Sequence[tuple[str, str]],
-    largest: float,
-    lowest: float,
-    highest: float,
-) -> MeasuredModes:
+def _told(fit: Point, largest: float, lowest: float, highest: float) -> MeasuredModes:
     """Return what the responses say of each mode, without what was believed of it before."""
     n = len(fit.frequencies)
     variance = np.diag(fit.covariance)
@@ -166,7 +160,7 @@ def _told(
         raise DataError("no mode is sure enough: measure at more positions, or with less noise")
     chosen = chosen[np.argsort(fit.frequencies[chosen], kind="stable")]
     notes = [
-        f"Modes of {len(pairs)} pairs: {len(chosen)} of {int(inside.sum())} calculated from "
+        f"Modes of {fit.own.shape[1]} pairs: {len(chosen)} of {int(inside.sum())} calculated from "
         f"{lowest:g} to {highest:g} Hz were heard. Together they leave {fit.unexplained:.1%} of the "
         f"responses' power, and the patterns {fit.strange:.1%} of the amplitudes'."
     ]

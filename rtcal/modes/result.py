@@ -128,13 +128,11 @@ class ModesResult(Result):
     @cached_property
     def room(self) -> Room:
         """The room with calibrated coefficients, their posterior sigma, and a record."""
-        f = self.modes.frequencies
+        told = of_modes(self.modes.frequencies, self.modes.decays)
         record = CalibrationRecord(
             method="modes",
             equation=self.answer.equation.name,
-            measured=" ".join(
-                [data_history(self.prior, self.data), of_modes(f, self.modes.decays)]
-            ),
+            measured=f"{data_history(self.prior, self.data)} {told}",
             solver=self.answer.solver,
             version=__version__,
         )
@@ -179,8 +177,8 @@ class ModesResult(Result):
         """Frequencies in Hz from and up to which modes carry each band, (n_bands,) each."""
         centres = self.prior.centre_frequencies
         between = np.sqrt(centres[1:] * centres[:-1])
-        low = np.concatenate([[centres[0] / _REACH], between])
-        return low, np.concatenate([between, [centres[-1] * np.sqrt(2)]])
+        ends = np.concatenate([[centres[0] / _REACH], between, [centres[-1] * np.sqrt(2)]])
+        return ends[:-1], ends[1:]
 
     @cached_property
     def carried(self) -> NDArray[np.bool_]:

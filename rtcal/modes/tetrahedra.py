@@ -17,6 +17,8 @@ from rtcal.support.errors import ModelError
 from rtcal.support.types import Array
 
 Integers = NDArray[np.int64]
+Plane = tuple[Array, float]
+"""Normal and offset in m."""
 
 MOST = 150_000
 """Largest number of tetrahedra."""
@@ -45,18 +47,15 @@ def fill(geometry: Polyhedron, spacing: float) -> tuple[Array, Integers]:
     for normal, face in zip(geometry.normals, geometry.faces, strict=True):
         if np.abs(normal).max() >= _AXIAL:
             fixed |= np.abs((points - geometry.vertices[face[0]]) @ normal) < _NEAR
-    for normal, offset in planes:
-        points = _moved(points, tetrahedra, fixed, normal, offset, spacing)
-        fixed |= np.abs(points @ normal - offset) < _NEAR
-        points, tetrahedra = _cut(points, tetrahedra, normal, offset)
+    for plane in planes:
+        points = _moved(points, tetrahedra, fixed, plane, spacing)
+        fixed |= np.abs(points @ plane[0] - plane[1]) < _NEAR
+        points, tetrahedra = _cut(points, tetrahedra, plane)
         fixed = np.append(fixed, np.ones(len(points) - len(fixed), dtype=bool))
         if len(tetrahedra) > MOST:
             raise ModelError(_TOO_MANY.format(f"{len(planes)} oblique planes"))
-    corners = points[tetrahedra]
-    size = np.abs(np.linalg.det(corners[:, 1:] - corners[:, :1]))
-    tetrahedra = tetrahedra[size > 1e-12]
-    inside = geometry.contains(points[tetrahedra].mean(axis=1))
-    tetrahedra = tetrahedra[inside]
+    tetrahedra = tetrahedra[np.abs(_volumes(points, tetrahedra)) > 1e-12]
+    tetrahedra = tetrahedra[geometry.contains(points[tetrahedra].mean(axis=1))]
     used, numbers = np.unique(tetrahedra, return_inverse=True)
     return points[used], numbers.reshape(-1, 4)
 
@@ -84,9 +83,9 @@ def _kuhn(lines: list[Array]) -> tuple[Array, Integers]:
     return points.reshape(-1, 3), tetrahedra
 
 
-def _oblique(geometry: Polyhedron) -> list[tuple[Array, float]]:
-    """Return planes (normal, offset) that cut: oblique walls, and edges between coplanar walls."""
-    planes: list[tuple[Array, float]] = []
+def _oblique(geometry: Polyhedron) -> list[Plane]:
+    """Return planes that cut: oblique walls, and edges between coplanar walls."""
+    planes: list[Plane] = []
 
     def add(normal: Array, point: Array) -> None:
         offset = float(normal @ point)
@@ -101,11 +100,8 @@ def _oblique(geometry: Polyhedron) -> list[tuple[Array, float]]:
     for normal, corners in zip(geometry.normals, faces, strict=True):
         add(normal, corners[0])
     for i, (normal, corners) in enumerate(zip(geometry.normals, faces, strict=True)):
-        for j in range(i):
-            if normal @ geometry.normals[j] < _AXIAL:
-                continue
-            if abs(normal @ (faces[j][0] - corners[0])) > 1e-6:
-                continue
+        along = (j for j in range(i) if normal @ geometry.normals[j] >= _AXIAL)
+        if any(abs(normal @ (faces[j][0] - corners[0])) <= 1e-6 for j in along):
             for a, b in zip(corners, np.roll(corners, -1, axis=0), strict=True):
                 across = np.cross(b - a, normal)
                 add(across / np.linalg.norm(across), a)
@@ -113,25 +109,16 @@ def _oblique(geometry: Polyhedron) -> list[tuple[Array, float]]:
 
 
 def _moved(
-    points: Array,
-    tetrahedra: Integers,
-    fixed: NDArray[np.bool_],
-    normal: Array,
-    offset: float,
-    spacing: float,
+    points: Array, tetrahedra: Integers, fixed: NDArray[np.bool_], plane: Plane, spacing: float
 ) -> Array:
     """Move free vertices that are near a plane onto it, unless that turns a tetrahedron over."""
+    normal, offset = plane
     distance = points @ normal - offset
     near = ~fixed & (np.abs(distance) < _MOVED * spacing)
     moved = points - np.where(near, distance, 0.0)[:, np.newaxis] * normal
-
-    def volumes(at: Array) -> Array:
-        corners = at[tetrahedra]
-        return np.asarray(np.linalg.det(corners[:, 1:] - corners[:, :1]))
-
-    before = volumes(points)
+    before = _volumes(points, tetrahedra)
     for _ in range(5):
-        small = volumes(moved) / before < 0.05
+        small = _volumes(moved, tetrahedra) / before < 0.05
         if not small.any():
             return np.asarray(moved)
         back = np.unique(tetrahedra[small])
@@ -139,14 +126,18 @@ def _moved(
     return points
 
 
-def _cut(
-    points: Array, tetrahedra: Integers, normal: Array, offset: float
-) -> tuple[Array, Integers]:
+def _volumes(points: Array, tetrahedra: Integers) -> Array:
+    """Return six times the volumes in m³, with their sign."""
+    corners = points[tetrahedra]
+    return np.asarray(np.linalg.det(corners[:, 1:] - corners[:, :1]))
+
+
+def _cut(points: Array, tetrahedra: Integers, plane: Plane) -> tuple[Array, Integers]:
     """Divide each edge that crosses a plane there, and the tetrahedra that have it.
 
     Of a tetrahedron's edges that with the highest vertices is first: neighbours agree on their face.
     """
-    n, distance = len(points), points @ normal - offset
+    n, distance = len(points), points @ plane[0] - plane[1]
     side = np.where(np.abs(distance) < _NEAR, 0, np.sign(distance))
     ends = np.sort(tetrahedra[:, _EDGES])
     codes = np.unique((ends @ [n, 1])[side[ends].prod(axis=2) < 0])
