@@ -93,10 +93,18 @@ class BelowSchroeder:
         return {"below": self.below, "carried": self.carried, "modes": self.modes.to_dict()}
 
     @property
+    def doubts(self) -> list[str]:
+        """What speaks against the modes' matches, as the modes' own result says it."""
+        return [note for note in self.modes.notes if note.startswith("Doubtful")]
+
+    @property
     def note(self) -> str:
-        """The room modes stand in place of what was measured: this as a sentence."""
-        if not self.below.any():
-            return "No band lies below the Schroeder frequency; the modes are part of the prior."
+        """The room modes stand in place of what was measured, and their doubts: this as sentences."""
+        told = "No band lies below the Schroeder frequency; the modes are part of the prior."
+        return " ".join([self._of_bands if self.below.any() else told, *self.doubts])
+
+    @property
+    def _of_bands(self) -> str:
         bands = [label(f) for f in self.room.centre_frequencies[self.below]]
         without = [label(mark.frequency) for mark in self.trust_marks if mark.frequency]
         doubt = (

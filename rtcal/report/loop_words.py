@@ -56,6 +56,7 @@ def summary(loop: Loop, status_of_bands: Sequence[str]) -> list[str]:
         if bands:
             which = "All bands" if len(bands) == len(f) else hertz(bands)
             sentences.append(f"{which} {description}.")
+    sentences += [] if loop.low is None else loop.low.doubts
     if not loop.finished:
         sentences.append("The loop is not finished: simulate again and run `rtcal loop next`.")
     return sentences
