@@ -94,7 +94,7 @@ class BelowSchroeder:
 
     @property
     def doubts(self) -> list[str]:
-        """What speaks against the modes' matches, as the modes' own result says it."""
+        """Reasons to doubt the modes' matches, as the modes' own result tells them."""
         return [note for note in self.modes.notes if note.startswith("Doubtful")]
 
     @property
