@@ -4,9 +4,11 @@
 
 Each room is a prism over a random footprint with a flat or a pitched roof, drawn as a person would, and
 then damaged: joints rounded to a centimetre, slivers, windows on walls, doors to the floor, flipped
-faces, faces drawn twice, free panels, tables without a bottom, small holes, fins; and what cannot be
-mended: a missing wall, a wall 15 cm beside its place, a sheet instead of a room. V and S of the room as
-meant are known. A free panel counts on both sides, a window takes the area of its wall.
+faces, faces drawn twice, free panels, tables without a bottom, small holes, fins, closed objects on the
+floor and on a wall, stages that are open to the floor and to a wall; and what cannot be mended: a
+missing wall, a wall 15 cm beside its place, a sheet instead of a room. V and S of the room as meant are
+known. A free panel counts on both sides, a window takes the area of its wall, and where an object
+stands neither it nor the wall counts.
 """
 
 from __future__ import annotations
@@ -22,8 +24,8 @@ from rtcal.simulators import triangles
 
 Array = np.ndarray
 MENDED = (
-    "joint", "sliver", "overlay", "door", "turned", "twice", "panel", "open bottom", "hole", "fin",
-    "triangles",
+    "joint", "sliver", "overlay", "door", "block", "cupboard", "stage", "turned", "twice", "panel",
+    "open bottom", "hole", "fin", "triangles",
 )  # fmt: skip
 REFUSED = {"missing wall": "hole", "wall beside": "hole", "sheet": "no faces enclose a volume"}
 
@@ -38,6 +40,7 @@ class Drawn:
     areas: Counter[str]
     defects: list[str] = field(default_factory=list)
     walls: int = 0
+    taken: set[int] = field(default_factory=set)
 
     def faces(self) -> Faces:
         names = [f"{n} {i}" for i, n in enumerate(self.names)]
@@ -72,18 +75,68 @@ def room(rng: np.random.Generator) -> Drawn:
     return Drawn(polygons, names, abs(volume), areas, walls=n)
 
 
-def on_wall(drawn: Drawn, rng: np.random.Generator, bottom: float) -> tuple[int, Array]:
-    """Return a wall, and a rectangle on it that begins at this height."""
-    i = 2 + int(rng.integers(drawn.walls))
+def on_wall(
+    drawn: Drawn,
+    rng: np.random.Generator,
+    bottom: float,
+    heights: tuple[float, float] = (0.6, 1.6),
+    starts: tuple[float, float] = (0.15, 0.4),
+    widths: tuple[float, float] = (0.1, 0.4),
+) -> tuple[int, Array]:
+    """Return a wall that is free, and a rectangle on it that begins at this height."""
+    i = int(rng.choice([i for i in range(2, 2 + drawn.walls) if i not in drawn.taken]))
+    drawn.taken.add(i)
     a, b, _, _ = drawn.polygons[i]
     along = b - a
-    start, width = rng.uniform(0.15, 0.4), rng.uniform(0.1, 0.4)
-    top = bottom + rng.uniform(0.6, 1.6)
+    start, width = rng.uniform(*starts), rng.uniform(*widths)
+    top = bottom + rng.uniform(*heights)
     foot = [a + along * start, a + along * (start + width)]
     up = np.array([0, 0, 1.0])
     return i, np.array(
         [foot[0] + bottom * up, foot[1] + bottom * up, foot[1] + top * up, foot[0] + top * up]
     )
+
+
+def prism(base: Array, shift: Array) -> list[Array]:
+    """Return the faces of a prism: its base, its sides, its top."""
+    top = base + shift
+    n = len(base)
+    sides = [np.array([base[i], base[i - 1], top[i - 1], top[i]]) for i in range(n)]
+    return [base, *sides, top[::-1]]
+
+
+def place(drawn: Drawn, kind: str, rng: np.random.Generator) -> None:
+    """Add an object that touches the floor or a wall, flat or high, up to 1 mm beside its place."""
+    beside = float(rng.choice([-0.001, 0.0, 0.001]))
+    if kind == "block":
+        x, y = rng.uniform(0.1, 0.2, 2)
+        w, d = rng.uniform(0.4, 1.0, 2)
+        h = rng.uniform(0.08, 0.2) if rng.random() < 0.5 else rng.uniform(0.5, 1.6)
+        base = np.array([[x, y, 0], [x + w, y, 0], [x + w, y + d, 0], [x, y + d, 0]])
+        faces = prism(base + np.array([0, 0, beside]), np.array([0, 0, h]))
+        covered = {"floor": size(base)}
+    else:
+        bottom = 0.0 if kind == "stage" or rng.random() < 0.5 else 0.8
+        low, high = (0.15, 0.8) if kind == "stage" else (0.5, 1.2)
+        i, base = on_wall(drawn, rng, bottom, (low, high), (0.35, 0.45), (0.1, 0.2))
+        normal = triangles.vector_area(drawn.polygons[i])
+        inwards = -normal / np.linalg.norm(normal)
+        depth = rng.uniform(0.15, 0.4)
+        faces = prism(base + beside * inwards, inwards * depth)
+        covered = {"wall": size(base)}
+        if bottom == 0:
+            covered["floor"] = depth * float(np.linalg.norm(base[1] - base[0]))
+    own = sum(map(size, faces)) - sum(covered.values())
+    solid = size(faces[0]) * float(np.linalg.norm(faces[-1][::-1][0] - faces[0][0]))
+    if kind == "stage":
+        foot = [np.ptp(f[:, 2]) < 1e-9 and f[:, 2].max() < 0.01 for f in faces]
+        faces = [f for k, f in enumerate(faces) if k and not foot[k]]
+    drawn.polygons += faces
+    drawn.names += [kind] * len(faces)
+    drawn.volume -= solid
+    drawn.areas[kind] += own
+    for name, area in covered.items():
+        drawn.areas[name] -= area
 
 
 def damage(drawn: Drawn, kind: str, rng: np.random.Generator) -> None:
@@ -109,6 +162,8 @@ def damage(drawn: Drawn, kind: str, rng: np.random.Generator) -> None:
         names.append("glass" if kind == "overlay" else "door")
         drawn.areas[names[-1]] += size(window)
         drawn.areas["wall"] -= size(window)
+    elif kind in ("block", "cupboard", "stage"):
+        place(drawn, kind, rng)
     elif kind == "turned":
         for k in rng.choice(len(polygons), max(1, len(polygons) // 3), replace=False):
             polygons[k] = polygons[k][::-1]
@@ -129,6 +184,7 @@ def damage(drawn: Drawn, kind: str, rng: np.random.Generator) -> None:
     elif kind == "open bottom":
         x, y = rng.uniform(-1.5, -1.2), rng.uniform(-1.5, -1.2)
         w, d, h = rng.uniform(0.4, 1.2, 3)
+        h *= 0.2 if rng.random() < 0.5 else 1
         low = np.array([[x, y, 0], [x + w, y, 0], [x + w, y + d, 0], [x, y + d, 0]])
         high = low + np.array([0, 0, h])
         polygons += [np.array([low[i], low[i - 1], high[i - 1], high[i]]) for i in range(4)]
@@ -189,9 +245,9 @@ def example(seed: int) -> Drawn:
     first = MENDED[seed % len(MENDED)]
     more = rng.choice(MENDED, int(rng.integers(0, 4)), replace=False)
     chosen = {first, *map(str, more)}
-    for kind in MENDED[1:10]:  # in an order in which each finds the walls as they were drawn
+    for kind in MENDED[1:-1]:  # in an order in which each finds the walls as they were drawn
         if kind in chosen and not (
-            kind == "hole" and chosen & {"overlay", "door", "sliver", "twice"}
+            kind == "hole" and chosen & {"overlay", "door", "sliver", "twice", "cupboard", "stage"}
         ):
             damage(drawn, kind, rng)
     for kind in ("triangles", "joint"):

@@ -240,6 +240,65 @@ def test_an_object_without_a_bottom_may_be_flat_or_high(size: tuple[float, float
     assert "open bottom" in kinds(done)
 
 
+@pytest.mark.parametrize("without", [("floor", "east"), ("floor",)])
+@pytest.mark.parametrize("gap", [0.0, 0.003])
+def test_a_stage_that_is_open_to_the_floor_and_a_wall_takes_both(
+    without: tuple[str, ...], gap: float
+) -> None:
+    """It had been a panel with two sides: 14.5 m² too much of it, and 12.5 m² of the walls."""
+    done = room_with(*block((8, 1, gap), (10 - gap, 6, 0.5), "stage", without))
+    assert done.areas == pytest.approx({"plaster": S - 10 - 2.5, "stage": 10 + 2.5 + 2}, abs=0.05)
+    assert done.volume == pytest.approx(V - 5, abs=0.01)
+
+
+def test_a_podium_from_wall_to_wall_is_open_to_three_of_them() -> None:
+    faces = block((8, 0, 0), (10, 7, 0.5), "stage", ("floor", "east", "south", "north"))
+    done = room_with(*faces)
+    assert done.areas == pytest.approx({"plaster": S - 14 - 3.5 - 2, "stage": 14 + 3.5})
+    assert done.volume == pytest.approx(V - 7)
+
+
+@pytest.mark.parametrize("without", [(), ("floor",)])
+def test_an_object_without_a_bottom_stands_on_another(without: tuple[str, ...]) -> None:
+    podium = block((2, 2, 0), (8, 5, 0.4), "podium", without)
+    done = room_with(*podium, *block((3, 3, 0.4), (5, 4, 1), without=("floor",)))
+    assert done.areas == pytest.approx({"plaster": S - 18, "podium": 18 + 7.2 - 2, "seats": 5.6})
+    assert done.volume == pytest.approx(V - 7.2 - 1.2)
+
+
+def test_a_folded_screen_that_divides_the_room_is_refused() -> None:
+    screen = [
+        ("screen", [[5, 0, 0], [6, 3, 0], [6, 3, 4], [5, 0, 4]]),
+        ("screen", [[6, 3, 0], [5, 7, 0], [5, 7, 4], [6, 3, 4]]),
+    ]
+    with pytest.raises(mend.MeshError, match="if they divide the room, leave the other side out"):
+        room_with(*screen)
+    low = [(name, np.minimum(face, [10, 7, 2])) for name, face in screen]
+    assert room_with(*low).areas["screen"] == pytest.approx(
+        2 * 2 * (np.hypot(1, 3) + np.hypot(1, 4)), rel=2e-3
+    )
+
+
+def test_objects_of_one_size_on_or_beside_each_other_hide_the_face_between_them() -> None:
+    below, on = block((2, 2, 0), (4, 4, 1), "below"), block((2, 2, 1), (4, 4, 2), "on")
+    beside = block((4, 2, 0), (6, 4, 1), "beside")
+    done = room_with(*below, *on, *beside)
+    areas = {"plaster": S - 8, "below": 6, "on": 12, "beside": 10}
+    assert done.areas == pytest.approx(areas)
+    assert done.volume == pytest.approx(V - 4 - 4 - 4)
+    whole = room_with(*block((0, 0, 0), (10, 7, 1)))
+    assert whole.areas == pytest.approx({"plaster": S - 70 - 34, "seats": 70})
+    with pytest.raises(mend.MeshError, match="two closed rooms have a wall in common"):
+        room_with(*block((10, 0, 0), (20, 7, 4)))
+
+
+def test_a_taller_block_against_a_podium_hides_what_touches() -> None:
+    podium = block((2, 2, 0), (6, 6, 0.5), "podium", ("floor",))
+    done = room_with(*podium, *block((6, 3, 0), (7, 4, 1), "desk", ("floor",)))
+    areas = {"plaster": S - 16 - 1, "podium": 16 + 8 - 0.5, "desk": 1 + 4 - 0.5}
+    assert done.areas == pytest.approx(areas)
+
+
 def test_a_table_whose_legs_are_open_below_stands_on_all_of_them() -> None:
     legs = [
         face

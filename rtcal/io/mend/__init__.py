@@ -122,7 +122,7 @@ def closed(faces: Faces, *, weld: float = WELD, offset: float = OFFSET) -> Mende
 def _mended(mend: Mending) -> Mended:
     work = welded(mend)
     work = without_repetitions(mend, work)
-    work = joined(mend, work)
+    work = without_repetitions(mend, joined(mend, work))
     work = snapped(mend, work)
     work = flattened(mend, work)
     mend.used = sorted({v for face in work.faces for v in face})
@@ -140,6 +140,10 @@ def _mended(mend: Mending) -> Mended:
         refused = error if isinstance(error, MeshError) else mend.refused(f"after mending, {error}")
         refused.unclosed = unclosed_room(mend, shell, others)
         raise refused from error
+    if any(geometry.contains([point])[0] for point in mend.buried):
+        raise mend.refused(
+            "two closed rooms have a wall in common: leave one of them out, or delete that wall"
+        )
     tell_turned(mend, geometry)
     geometry = without_contacts(mend, geometry)
     return Mended(geometry, tuple(mend.defects), mend.drawn.notes)

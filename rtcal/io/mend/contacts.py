@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from rtcal.io.mend.edges import parts_of
-from rtcal.io.mend.faces import MOST_PLACES, SAME, Mending, Work, numbered
+from rtcal.io.mend.faces import ANY_SHARE, CONTACT, MOST_PLACES, Mending, Work, numbered
 from rtcal.io.mend.objects import within
 from rtcal.io.mend.shapes import (
     area_of,
@@ -21,7 +21,7 @@ from rtcal.io.mend.shapes import (
     shapely,
 )
 from rtcal.io.mend.walls import COVERED, Cut, cut, lifted
-from rtcal.io.mend.welding import flattened, resnapped, rewelded
+from rtcal.io.mend.welding import settled
 from rtcal.simulators import triangles
 from rtcal.simulators.geometry import WELD, Polyhedron
 from rtcal.support.errors import DataError
@@ -29,6 +29,9 @@ from rtcal.support.types import Array
 
 _FACING = -0.999
 """Largest product of the normals of faces that face each other."""
+
+_BEFORE = 5e-4
+"""Distance in m before a face at which there is air, or behind it at which there is none."""
 
 
 @dataclass
@@ -70,34 +73,24 @@ def without_contacts(mend: Mending, geometry: Polyhedron) -> Polyhedron:
     _tell_gaps(mend, work, [c for c in contacts if c.gap > mend.weld], parts[0])
     if not touching:
         return geometry
-    fine = Mending(mend.drawn, 2 * WELD, 0.0, None)
-    fine.points = mend.points
-    for contact in touching:
-        base = fine.points[work.faces[contact.wall]]
-        normal, own = normal_of(base), work.faces[contact.face]
-        away = (fine.points[own] - base.mean(axis=0)) @ normal
-        fine.points[own] -= away[:, np.newaxis] * normal
+    moved = [_moved(mend, work, contact) for contact in touching]
     cuts: dict[int, list[Cut]] = {}
-    area, places = 0.0, []
-    for contact in touching:
-        shared = _shared(fine, work, contact, mend.weld)
+    area, places, unsure = 0.0, [], []
+    for contact, distance in zip(touching, moved, strict=True):
+        shared = _shared(mend, work, contact)
         for shape in shared:
             cuts.setdefault(contact.wall, []).append((shape, None, ""))
-            cuts.setdefault(contact.face, []).append((_seen(fine, work, contact, shape), None, ""))
+            cuts.setdefault(contact.face, []).append((_seen(mend, work, contact, shape), None, ""))
+            # What the object's other faces have gained or lost there.
+            longer = ANY_SHARE * distance * float(shape.length)
+            unsure.append((work.materials[contact.face], longer))
         if shared:
             area += sum(float(shape.area) for shape in shared)
             places.append(f'"{work.names[contact.face]}" on "{work.names[contact.wall]}"')
     if not cuts:
         return geometry
-    left = flattened(fine, resnapped(fine, rewelded(fine, cut(fine, work, cuts))))
-    left = left.kept([area_of(fine.points[f]) > SAME for f in left.faces])
     try:
-        mended = Polyhedron(
-            vertices=fine.points,
-            faces=[tuple(f) for f in left.faces],
-            materials=left.materials,
-            names=numbered(left.names),
-        )
+        mended = _without(mend, work, cuts)
     except DataError as error:
         raise mend.refused(
             f"closed objects touch other faces, and both faces cannot be cut there ({error}). Draw the "
@@ -106,14 +99,42 @@ def without_contacts(mend: Mending, geometry: Polyhedron) -> Polyhedron:
     volume = mended.volume - geometry.volume
     mend.found(
         "contact",
-        "faces of closed objects touch others: the room has neither there",
+        CONTACT,
         places,
         area,
         volume,
         float(np.sum(mended.face_areas) - np.sum(geometry.face_areas)),
         abs(volume) / np.sqrt(3),
+        unsure=unsure,
     )
     return mended
+
+
+def _moved(mend: Mending, work: Work, contact: _Contact) -> float:
+    """Move a face of an object onto its wall, and return the largest distance in m."""
+    base, own = mend.points[work.faces[contact.wall]], work.faces[contact.face]
+    normal = normal_of(base)
+    away = (mend.points[own] - base.mean(axis=0)) @ normal
+    mend.points[own] -= away[:, np.newaxis] * normal
+    return float(np.abs(away).max())
+
+
+def _without(mend: Mending, work: Work, cuts: Mapping[int, Sequence[Cut]]) -> Polyhedron:
+    """Return the room without some shapes of its faces; its joints may be as rough as ``weld``."""
+    for weld in (2 * WELD, mend.weld):
+        fine = Mending(mend.drawn, weld, 0.0, None)
+        fine.points = np.array(mend.points)
+        left = settled(fine, cut(fine, work, cuts))
+        try:
+            return Polyhedron(
+                vertices=fine.points,
+                faces=[tuple(f) for f in left.faces],
+                materials=left.materials,
+                names=numbered(left.names),
+            )
+        except DataError as error:
+            refused = error
+    raise refused
 
 
 def _work(mend: Mending, geometry: Polyhedron) -> Work:
@@ -136,9 +157,10 @@ def _by_size(mend: Mending, work: Work) -> list[list[int]]:
 def _contacts(
     mend: Mending, geometry: Polyhedron, parts: Sequence[Sequence[int]]
 ) -> Iterator[_Contact]:
-    """Yield the faces of objects that face one of the room's or of a larger object nearby."""
-    if len(parts) < 2:
-        return
+    """Yield the faces of objects that face one of the room's or of a larger object nearby.
+
+    Of one closed surface, they are those that lie on each other with no air between them.
+    """
     polygons = [mend.points[list(face)] for face in geometry.faces]
     low = np.array([p.min(axis=0) for p in polygons])
     high = np.array([p.max(axis=0) for p in polygons])
@@ -146,21 +168,30 @@ def _contacts(
     for k, part in enumerate(parts):
         rank[list(part)] = k
     through = mend.offset + mend.weld
-    for k, part in enumerate(parts[1:], 1):
+    for k, part in enumerate(parts):
         solid = geometry.triangles[np.isin(geometry.triangle_faces, part)]
         for i in part:
             near = ((low - through <= high[i]) & (low[i] <= high + through)).all(axis=1)
-            near &= (rank < k) & (geometry.normals @ geometry.normals[i] < _FACING)
+            near &= (rank < k) | ((rank == k) & (np.arange(len(rank)) < i))
+            near &= geometry.normals @ geometry.normals[i] < _FACING
             for j in np.flatnonzero(near).tolist():
                 away = (polygons[i] - polygons[j].mean(axis=0)) @ -geometry.normals[j]
                 if not (-through <= away.min() and away.max() <= max(mend.offset, mend.weld)):
                     continue
+                is_same = rank[j] == k
+                if is_same and np.abs(away).max() > WELD:
+                    continue
                 inner = _inner_point(polygons[i], polygons[j])
                 if inner is None:
                     continue
-                # A thin object on the other side of a thin wall is beyond it, too, but not through it.
-                is_through = abs(float(triangles.winding_number(inner, solid)[0])) > 0.5
-                if away.min() >= -WELD or is_through:
+                if is_same:
+                    before = inner - _BEFORE * geometry.normals[[i, j]]
+                    if not geometry.contains(before).any():
+                        yield _Contact(i, j, 0.0)
+                    continue
+                # A thin object on the other side of a thin wall is not behind this face of it.
+                behind = inner - (max(away.max(), 0.0) + _BEFORE) * geometry.normals[j]
+                if abs(float(triangles.winding_number(behind, solid)[0])) > 0.5:
                     yield _Contact(i, j, float(away.max()))
 
 
@@ -175,13 +206,13 @@ def _inner_point(corners: Array, wall: Array) -> Array | None:
     return np.asarray(flat @ axes + normal * float(wall.mean(axis=0) @ normal))
 
 
-def _shared(mend: Mending, work: Work, contact: _Contact, narrow: float) -> list[Any]:
+def _shared(mend: Mending, work: Work, contact: _Contact) -> list[Any]:
     """Return the shapes, in the wall's axes, that both faces have; not those as narrow as a sliver."""
     own, wall = mend.points[work.faces[contact.face]], mend.points[work.faces[contact.wall]]
     axes = axes_of(normal_of(wall))
     ground = polygon_of(wall, axes)
     shape = shapely().snap(polygon_of(own, axes), ground, WELD).intersection(ground)
-    return [p for p in polygons_of(shape) if p.area > narrow * extent_of(_ring(p)) / 2]
+    return [p for p in polygons_of(shape) if p.area > mend.weld * extent_of(_ring(p)) / 2]
 
 
 def _ring(piece: Any) -> Array:
@@ -205,7 +236,7 @@ def _tell_gaps(
     names, area, widest = [], 0.0, 0.0
     for contact in contacts:
         size = area_of(mend.points[work.faces[contact.face]])
-        shared = sum(float(p.area) for p in _shared(mend, work, contact, mend.weld))
+        shared = sum(float(p.area) for p in _shared(mend, work, contact))
         if contact.wall in walls and shared > COVERED * size:
             names.append(f'"{work.names[contact.face]}" before "{work.names[contact.wall]}"')
             area += size

@@ -194,8 +194,14 @@ ANY_SHARE = 1 / np.sqrt(3)
 _FOUND = ". Found, too: "
 
 
+CONTACT = "faces of closed objects touch others: the room has neither there"
+
+
 class Mending:
-    """One mesh while it is mended; ``points`` are the corners in m."""
+    """One mesh while it is mended; ``points`` are the corners in m.
+
+    ``buried`` are points (3,) of faces that two closed objects had in common.
+    """
 
     def __init__(
         self, drawn: Faces, weld: float, offset: float, largest_hole: float | None
@@ -210,6 +216,7 @@ class Mending:
         self.drawn = drawn
         self.points: Array = np.zeros((0, 3))
         self.used: list[int] = []
+        self.buried: list[Array] = []
 
     def found(
         self,

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from rtcal.io.mend.edges import open_edges
-from rtcal.io.mend.faces import ANY_SHARE, SAME, Face, Mending, Unclosed, Work
+from rtcal.io.mend.faces import ANY_SHARE, Face, Mending, Unclosed, Work
 from rtcal.io.mend.shapes import (
     area_of,
     axes_of,
@@ -19,14 +19,16 @@ from rtcal.io.mend.shapes import (
 from rtcal.io.mend.walls import (
     Cut,
     Walls,
+    at_walls,
     cut,
+    is_plane,
     lifted,
     new_points,
     overlaid_on,
-    signed_volume,
     standing_on,
+    volume_over,
 )
-from rtcal.io.mend.welding import flattened, resnapped, rewelded
+from rtcal.io.mend.welding import settled
 from rtcal.simulators.geometry import Polyhedron
 from rtcal.support.types import Array
 
@@ -123,16 +125,18 @@ def with_others(mend: Mending, shell: Work, others: Sequence[Work]) -> Work:
         vertices=mend.points, faces=[tuple(f) for f in shell.faces], materials=shell.materials
     )
     cuts: dict[int, list[Cut]] = {}
-    added, panels = Work(), list[Work]()
+    panels = list[Work]()
     told: dict[str, list[tuple[str, float, float, float]]] = {}
     reveals: list[tuple[str, float]] = []
     across: list[tuple[str, float]] = []
+    feet_unsure: list[tuple[str, float]] = []
+    shell = shell.of(range(len(shell.faces)))
     walls = Walls(mend, shell)
 
     def tell(kind: str, part: Work, size: float, volume: float, surface: float) -> None:
         told.setdefault(kind, []).append((part.names[0], size, volume, surface))
 
-    for part in others:
+    for part in _in_order(mend, others):
         size = sum(area_of(mend.points[f]) for f in part.faces)
         if not within(mend, hull, mend.corners(part)):
             is_across = _reaches_into(mend, hull, mend.corners(part))
@@ -143,7 +147,8 @@ def with_others(mend: Mending, shell: Work, others: Sequence[Work]) -> Work:
                     for m, f in zip(part.materials, part.faces, strict=True)
                 ]
         elif not open_edges(mend, part):
-            added.extend(part)
+            shell.extend(part)
+            walls = Walls(mend, shell)
         elif (flat := overlaid_on(mend, walls, part)) is not None:
             moved = 0.0
             for wall, pieces, distance in flat:
@@ -153,27 +158,48 @@ def with_others(mend: Mending, shell: Work, others: Sequence[Work]) -> Work:
                 reveals += [(str(m), ANY_SHARE * distance * p.length) for p, m, _ in pieces]
             tell("overlay", part, size, moved, -size)
         elif (foot := standing_on(mend, walls, part)) is not None:
-            prints, stood = foot
-            for wall, footprint in prints:
+            feet, stood, moved_by = foot
+            feet_unsure += moved_by
+            for wall, footprint in feet:
                 cuts.setdefault(wall, []).append((footprint, None, ""))
-            added.extend(stood)
-            base = mend.points[shell.faces[prints[0][0]]]
-            covered = sum(footprint.area for _, footprint in prints)
-            volume = -abs(signed_volume(mend, stood, base[0]))
-            tell("open bottom", part, size, volume, size - covered)
+            covered = sum(footprint.area for _, footprint in feet)
+            rise = sum(area_of(mend.points[f]) for f in stood.faces)
+            volume = volume_over(mend, walls, stood, feet)
+            tell("open bottom", part, size, -volume, rise - covered)
+            shell.extend(stood)
+            walls = Walls(mend, shell)
+        elif not is_plane(mend, part) and at_walls(mend, walls, part):
+            raise mend.refused(
+                f'"{part.names[0]}" and the faces joined to it end at walls on all sides, and what '
+                "they enclose with them is not found, or is over a third of the room: draw the missing "
+                "faces, or, if they divide the room, leave the other side out"
+            )
         else:
             panels.append(part)
             tell("panel", part, size, -THICKNESS * size, size)
-    _tell_others(mend, told, {"overlay": reveals, "partly outside": across})
+    unsure = {"overlay": reveals, "partly outside": across, "open bottom": feet_unsure}
+    _tell_others(mend, told, unsure)
     shell = cut(mend, shell, cuts)
-    shell.extend(added)
     if cuts:
-        shell = flattened(mend, resnapped(mend, rewelded(mend, shell)))
-        shell = shell.kept([area_of(mend.points[f]) > SAME for f in shell.faces])
+        shell = settled(mend, shell)
     for part in panels:
         for face, material, name in zip(part.faces, part.materials, part.names, strict=True):
             add_slab(mend, shell, face, material, name)
     return shell
+
+
+def _in_order(mend: Mending, parts: Sequence[Work]) -> list[Work]:
+    """Return closed objects first, then open ones from large to small, then plane ones as drawn.
+
+    Each may stand or lie on those before.
+    """
+
+    def key(part: Work) -> tuple[bool, bool, float]:
+        plane = is_plane(mend, part)
+        size = 0.0 if plane else sum(area_of(mend.points[f]) for f in part.faces)
+        return bool(open_edges(mend, part)), plane, -size
+
+    return sorted(parts, key=key)
 
 
 def _tell_others(

@@ -7,20 +7,22 @@ from typing import Any
 
 import numpy as np
 
-from rtcal.io.mend.edges import loops_of, open_edges
-from rtcal.io.mend.faces import SAME, Face, Mending, Work
+from rtcal.io.mend.edges import loops_of, open_edges, owners
+from rtcal.io.mend.faces import ANY_SHARE, SAME, Face, Mending, Work
 from rtcal.io.mend.shapes import (
     area_of,
     axes_of,
+    extent_of,
     normal_of,
     plane_of,
     polygon_of,
     polygons_of,
     shapely,
+    volume_by_rays,
 )
-from rtcal.io.mend.welding import flattened
-from rtcal.simulators import triangles
-from rtcal.simulators.geometry import PLANARITY
+from rtcal.io.mend.welding import flattened, resnapped, rewelded
+from rtcal.simulators.geometry import PLANARITY, WELD, Polyhedron
+from rtcal.support.errors import DataError
 from rtcal.support.types import Array
 
 COVERED = 0.95
@@ -56,7 +58,7 @@ def overlaid_on(
     normal, thick = plane_of(corners)
     if thick > max(mend.weld, PLANARITY):
         return None
-    total, found = 0.0, list[tuple[int, list[Cut], float]]()
+    found = list[tuple[int, list[Cut], float]]()
     for i, base in walls.near(corners):
         wall = normal_of(base)
         distance = np.abs((corners - base.mean(axis=0)) @ wall).max()
@@ -70,9 +72,11 @@ def overlaid_on(
             for piece in polygons_of(shape.intersection(ground)):
                 if piece.area > mend.weld**2:
                     pieces.append((piece, material, name))
-                    total += piece.area
         if pieces:
             found.append((i, pieces, float(distance)))
+    nearest = min((distance for _, _, distance in found), default=0.0)
+    found = [each for each in found if each[2] <= nearest + mend.weld]
+    total = sum(float(piece.area) for _, pieces, _ in found for piece, _, _ in pieces)
     size = sum(area_of(mend.points[f]) for f in part.faces)
     if not found or total < COVERED * size:
         return None
@@ -134,60 +138,239 @@ def cut(mend: Mending, shell: Work, cuts: Mapping[int, Sequence[Cut]]) -> Work:
     return out
 
 
+def is_plane(mend: Mending, part: Work) -> bool:
+    """Return whether a component is a sheet: all its corners are near one plane."""
+    return plane_of(mend.corners(part))[1] <= mend.weld
+
+
 def standing_on(
     mend: Mending, walls: Walls, part: Work
-) -> tuple[list[tuple[int, Any]], Work] | None:
-    """Return the footprint of an object with an open bottom on each wall, and its faces there.
+) -> tuple[list[tuple[int, Any]], Work, list[tuple[str, float]]] | None:
+    """Return the footprint of an open object on each wall, its faces there, and how sure they are.
 
-    It stands on the walls if its open edges lie on them and it rises from them: a panel's do not.
+    It stands on the walls if its open edges lie on them and it rises from them: a panel's do not. Its
+    faces that lie on a wall go. Its others gain or lose what lies between them and the wall: of each
+    material there the standard uncertainty of its area in m².
     """
+    if is_plane(mend, part):
+        return None  # a sheet, whose boundary its open edges are
+    part = part.kept([not _lies_on(mend, walls, face) for face in part.faces])
     loops = loops_of(open_edges(mend, part))
-    if not loops or plane_of(mend.corners(part))[1] <= mend.weld:
-        return None  # closed, or a sheet, whose boundary its open edges are
-    found, moved = list[tuple[int, Any]](), dict[int, Array]()
-    for loop in loops:
-        foot = _foot_of(mend, walls, loop)
-        if foot is None:
+    if not loops or is_plane(mend, part):
+        return None
+    feet = [_foot_of(mend, walls, loop) for loop in loops]
+    found = [each for foot in feet if foot is not None for each in foot[0]]
+    moved = {v: point for foot in feet if foot is not None for v, point in foot[1].items()}
+    if None in feet:
+        several = _feet_of(mend, walls, part)
+        if several is None:
             return None
-        found += foot[0]
-        moved |= foot[1]
+        found, moved = several
+    shift = {v: float(np.linalg.norm(point - mend.points[v])) for v, point in moved.items()}
+    unsure: dict[str, float] = {}  # its open edges are all as far off, so their parts add
+    for (a, b), face in open_edges(mend, part).items():
+        gained = ANY_SHARE * extent_of(mend.points[[a, b]]) * max(shift[a], shift[b])
+        unsure[part.materials[face]] = unsure.get(part.materials[face], 0.0) + gained
     for v, point in moved.items():
         mend.points[v] = point
-    return found, flattened(mend, part)
+    return found, flattened(mend, part), [*unsure.items()]
+
+
+def _lies_on(mend: Mending, walls: Walls, face: Face) -> bool:
+    """Return whether a face lies on walls, within the distance within which corners are one."""
+    flat = overlaid_on(mend, walls, Work([face], [""], [""]))
+    return flat is not None and all(distance <= mend.weld for _, _, distance in flat)
 
 
 def _foot_of(
     mend: Mending, walls: Walls, loop: Face
 ) -> tuple[list[tuple[int, Any]], dict[int, Array]] | None:
-    """Return what an open edge encloses on each wall, and its corners there; else None."""
-    size = area_of(mend.points[loop])
-    found, total, moved = [], 0.0, {}
-    for i, base in walls.near(mend.points[loop]):
-        normal = normal_of(base)
-        away = (mend.points[loop] - base.mean(axis=0)) @ normal
-        if np.abs(away).max() > mend.offset:
-            continue
-        axes = axes_of(normal)
+    """Return what an open edge encloses on the nearest walls, and its corners there; else None."""
+    corners, size = mend.points[loop], area_of(mend.points[loop])
+    away = {i: (corners - b.mean(axis=0)) @ normal_of(b) for i, b in walls.near(corners)}
+    over = dict[int, list[Any]]()
+    for i, distance in away.items():
+        if np.abs(distance).max() <= mend.offset:
+            base = mend.points[walls.faces[i]]
+            axes = axes_of(normal_of(base))
+            common = polygon_of(corners, axes).intersection(polygon_of(base, axes))
+            over[i] = [p for p in polygons_of(common) if p.area > SAME]
+    nearest = min((float(np.abs(away[i]).max()) for i in over if over[i]), default=np.inf)
+    found, moved = list[tuple[int, Any]](), dict[int, Array]()
+    for i, pieces in over.items():
+        if np.abs(away[i]).max() > nearest + mend.weld:
+            continue  # a wall behind the nearest, such as the back of a board
+        found += [(i, piece) for piece in pieces]
+        base = mend.points[walls.faces[i]]
+        axes, normal = axes_of(normal_of(base)), normal_of(base)
         ground = polygon_of(base, axes)
-        for piece in polygons_of(polygon_of(mend.points[loop], axes).intersection(ground)):
-            found.append((i, piece))
-            total += piece.area
-        for v, distance in zip(loop, away, strict=True):
+        for v, distance in zip(loop, away[i], strict=True):
             if ground.distance(shapely().Point(*(axes @ mend.points[v]))) < SAME:
                 moved[v] = mend.points[v] - normal * float(distance)
-    if total < COVERED * size or len(moved) < len(loop):
+    if sum(piece.area for _, piece in found) < COVERED * size or len(moved) < len(loop):
         return None
     return found, moved
 
 
-def signed_volume(mend: Mending, work: Work, base: Array) -> float:
-    """Return the volume between a component and a point of the plane that closes it."""
-    faces = [mend.points[f] - base for f in work.faces]
-    # Its faces may have either orientation: those away from its middle are taken as outward.
-    middle = np.mean([f.mean(axis=0) for f in faces], axis=0)
-    volume = 0.0
-    for corners in faces:
-        area = triangles.vector_area(corners)
-        sign = np.sign((corners.mean(axis=0) - middle) @ area)
-        volume += float(sign * (corners[0] @ area)) / 3
-    return volume
+_MOST_OF_ROOM = 1 / 3
+"""Largest share of the walls that an object covers; faces that cover more divide a room in two."""
+
+
+def at_walls(mend: Mending, walls: Walls, part: Work) -> bool:
+    """Return whether all open edges of a component are at walls: they are meant to close with them."""
+    corners = sorted({v for edge in open_edges(mend, part) for v in edge})
+    return all(_on_walls(mend, walls, v)[1] for v in corners)
+
+
+def _on_walls(mend: Mending, walls: Walls, corner: int) -> tuple[Array, list[int]]:
+    """Return a corner moved onto the walls near it, one of each direction, and their numbers."""
+    point, near = mend.points[corner], list[tuple[float, int]]()
+    for i, base in walls.near(point[np.newaxis]):
+        axes, normal = axes_of(normal_of(base)), normal_of(base)
+        away = abs(float((point - base.mean(axis=0)) @ normal))
+        beside = polygon_of(base, axes).distance(shapely().Point(*(axes @ point)))
+        if max(away, beside) <= mend.offset:
+            near.append((away, i))
+    used = list[int]()
+    normals = list[Array]()
+    for _, i in sorted(near):
+        base = mend.points[walls.faces[i]]
+        normal = normal_of(base)
+        if all(abs(float(normal @ other)) < 0.99 for other in normals):
+            normals.append(normal)
+            used.append(i)
+    for _ in range(4):
+        for i in used:
+            base = mend.points[walls.faces[i]]
+            normal = normal_of(base)
+            point = point - normal * float((point - base.mean(axis=0)) @ normal)
+    return point, used
+
+
+def _feet_of(
+    mend: Mending, walls: Walls, part: Work
+) -> tuple[list[tuple[int, Any]], dict[int, Array]] | None:
+    """Return what an object that is open to several walls covers of each, and its corners there.
+
+    Its open edges divide the walls into pieces. Neighbours are of one side, but for those that meet at
+    an open edge; the side of less area is covered. None if the open edges are not all on walls.
+    """
+    edges = list(open_edges(mend, part))
+    moved = {v: _on_walls(mend, walls, v)[0] for v in sorted({v for e in edges for v in e})}
+    fine = Mending(mend.drawn, mend.weld, 0.0, None)
+    fine.points = np.array(mend.points)
+    for v, point in moved.items():
+        fine.points[v] = point
+    lines = dict[int, list[Any]]()
+    for edge in edges:
+        on = _walls_of(fine, walls, edge)
+        if not on:
+            return None
+        for i, line in on:
+            lines.setdefault(i, []).append(line)
+    scene, pieces = _divided(fine, walls, lines)
+    for face in part.faces:
+        scene.add(face, "", _OBJECT)
+    side = _sides(fine, scene, len(pieces))
+    if side is None:
+        return None
+    sizes = [0.0, 0.0]
+    for (i, piece), k in zip(pieces, side, strict=True):
+        sizes[k] += area_of(fine.points[walls.faces[i]]) if piece is None else float(piece.area)
+    covered = int(np.argmin(sizes))
+    if not 0 < sizes[covered] <= _MOST_OF_ROOM * sum(sizes):
+        return None
+    found = list[tuple[int, Any]]()
+    for (i, piece), k in zip(pieces, side, strict=True):
+        if k == covered:
+            base = fine.points[walls.faces[i]]
+            whole = polygon_of(base, axes_of(normal_of(base))) if piece is None else piece
+            found.append((i, whole))
+    return found, moved
+
+
+_OBJECT = "object"
+
+
+def _walls_of(mend: Mending, walls: Walls, edge: tuple[int, int]) -> list[tuple[int, Any]]:
+    """Return the walls on which an edge lies, with its line in each one's axes.
+
+    The line is as much longer at both ends as corners may lie apart, so that it divides the wall.
+    """
+    ends, found = mend.points[list(edge)], []
+    for i, base in walls.near(ends):
+        axes, normal = axes_of(normal_of(base)), normal_of(base)
+        flat = ends @ axes.T
+        along = flat[1] - flat[0]
+        line = shapely().LineString(flat)
+        on = np.abs((ends - base.mean(axis=0)) @ normal).max() <= mend.weld
+        ground = polygon_of(base, axes)
+        if on and float(line.intersection(ground.buffer(WELD)).length) > 0.5 * line.length:
+            along *= (mend.weld + SAME) / np.linalg.norm(along)
+            found.append((i, shapely().LineString([flat[0] - along, flat[1] + along])))
+    return found
+
+
+def _divided(
+    mend: Mending, walls: Walls, lines: Mapping[int, Sequence[Any]]
+) -> tuple[Work, list[tuple[int, Any]]]:
+    """Return the walls' pieces between lines, each named by its number; and wall and shape of each."""
+    scene, pieces = Work(), list[tuple[int, Any]]()
+    for i, face in enumerate(walls.faces):
+        if i not in lines:
+            scene.add(face, "", str(len(pieces)))
+            pieces.append((i, None))
+            continue
+        axes = axes_of(normal_of(mend.points[face]))
+        ground = polygon_of(mend.points[face], axes)
+        net = shapely().union_all([ground.boundary, *lines[i]])
+        for piece in polygons_of(shapely().polygonize([net])):
+            if piece.area > SAME and ground.contains(piece.representative_point()):
+                for ring in (piece.exterior, *piece.interiors):
+                    flat = np.array(ring.coords)[:-1]
+                    corners = new_points(mend, lifted(mend, flat, face, axes))
+                    scene.add(corners, "", str(len(pieces)))
+                pieces.append((i, piece))
+    return scene, pieces
+
+
+def _sides(mend: Mending, scene: Work, number: int) -> list[int] | None:
+    """Return the side, 0 or 1, of each piece of the walls; None if an object does not divide them."""
+    scene = resnapped(mend, rewelded(mend, scene))
+    links: list[list[tuple[int, int]]] = [[] for _ in range(number)]
+    for faces in owners(mend, scene.faces).values():
+        of_walls = [int(scene.names[k]) for k in faces if scene.names[k] != _OBJECT]
+        if len(of_walls) == 2:
+            first, second = of_walls
+            crossing = (len(faces) - 2) % 2
+            links[first].append((second, crossing))
+            links[second].append((first, crossing))
+    side = [-1] * number
+    for start in range(number):
+        if side[start] >= 0:
+            continue
+        side[start] = 0
+        queue = [start]
+        for here in queue:  # the list grows during the loop
+            for there, crossing in links[here]:
+                if side[there] < 0:
+                    side[there] = side[here] ^ crossing
+                    queue.append(there)
+                elif side[there] != side[here] ^ crossing:
+                    return None
+    return side
+
+
+def volume_over(mend: Mending, walls: Walls, stood: Work, feet: Sequence[tuple[int, Any]]) -> float:
+    """Return the volume in m³ between the faces of an object and its footprints."""
+    whole = Work(list(stood.faces), list(stood.materials), list(stood.names))
+    for i, piece in feet:
+        add_piece(mend, whole, walls.faces[i], piece, "", "")
+    polygons = [mend.points[face] for face in whole.faces]
+    try:
+        closed = Polyhedron.from_polygons(
+            [(str(k), str(k), polygon) for k, polygon in enumerate(polygons)]
+        )
+    except DataError:  # the footprint was drawn a little beside it
+        return volume_by_rays(polygons)[0]
+    return float(closed.volume)

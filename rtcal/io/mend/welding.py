@@ -5,14 +5,16 @@ Faces in one plane become one polygon. Faces that are not plane become triangles
 
 from __future__ import annotations
 
+from collections import Counter
+
 import numpy as np
 from scipy.spatial import cKDTree
 
-from rtcal.io.mend.edges import edges_of, one_loop, simplified, sorted_edge
-from rtcal.io.mend.faces import ANY_SHARE, SAME, Edge, Face, Mending, Work
+from rtcal.io.mend.edges import edges_of, one_loop, owners, simplified, sorted_edge
+from rtcal.io.mend.faces import ANY_SHARE, CONTACT, SAME, Edge, Face, Mending, Work
 from rtcal.io.mend.shapes import area_of, extent_of, normal_of, plane_of
 from rtcal.simulators import triangles
-from rtcal.simulators.geometry import PLANARITY
+from rtcal.simulators.geometry import PLANARITY, WELD
 from rtcal.support.errors import DataError
 from rtcal.support.types import Array
 
@@ -50,20 +52,43 @@ def cleaned(mend: Mending, work: Work) -> Work:
 
 
 def without_repetitions(mend: Mending, work: Work) -> Work:
-    """Return the faces without those that are drawn twice."""
+    """Return the faces without those that are drawn twice.
+
+    Of two closed objects that stand on each other both faces go: without them each of their edges has
+    an even number of faces.
+    """
     seen: dict[frozenset[int], int] = {}
-    kept, twice, area, unsure = [], [], 0.0, []
+    pairs = list[tuple[int, int]]()
     for i, face in enumerate(work.faces):
-        key = frozenset(face)
-        kept.append(key not in seen)
-        if key in seen:
-            size = area_of(mend.points[face])
+        first = seen.setdefault(frozenset(face), i)
+        if first != i:
+            pairs.append((first, i))
+    if not pairs:
+        return work
+    around: dict[int, list[list[int]]] = {i: [] for pair in pairs for i in pair}
+    for sides in owners(mend, work.faces).values():
+        for i in {*sides} & around.keys():
+            around[i].append(sides)
+    copies = Counter(first for first, _ in pairs)
+    kept, twice, area, unsure = [True] * len(work.faces), [], 0.0, []
+    buried, hidden = [], 0.0
+    for first, i in pairs:
+        face, kept[i] = work.faces[i], False
+        size = area_of(mend.points[face])
+        others = [len([k for k in sides if k not in (first, i)]) for sides in around[i]]
+        if copies[first] == 1 and all(n > 0 and n % 2 == 0 for n in others):
+            kept[first] = False
+            hidden += size
+            buried.append(f'"{work.names[i]}" on "{work.names[first]}"')
+            mend.buried.append(mend.points[face].mean(axis=0))
+        else:
             area += size
-            own, other = work.materials[i], work.materials[seen[key]]
+            own, other = work.materials[i], work.materials[first]
             if own != other:  # either may be the one that is meant
                 unsure += [(own, size / np.sqrt(2)), (other, size / np.sqrt(2))]
             twice.append(work.names[i] + (f", {own} on {other}" if own != other else ""))
-        seen.setdefault(key, i)
+    if buried:
+        mend.found("contact", CONTACT, buried, hidden, surface=-2 * hidden)
     if twice:
         done = "faces drawn twice are taken once"
         mend.found("twice", done, twice, area, surface=-area, unsure=unsure)
@@ -167,6 +192,14 @@ def rewelded(mend: Mending, work: Work) -> Work:
     faces = [simplified([index[v] for v in face]) for face in work.faces]
     return Work(faces, work.materials, work.names).kept(
         [len(f) > 2 and area_of(mend.points[f]) > SAME for f in faces]
+    )
+
+
+def settled(mend: Mending, work: Work) -> Work:
+    """Return faces after cutting: joints closed, plane, and none so narrow that its corners are one."""
+    work = flattened(mend, resnapped(mend, rewelded(mend, work)))
+    return work.kept(
+        [2 * area_of(mend.points[f]) > WELD * extent_of(mend.points[f]) for f in work.faces]
     )
 
 
