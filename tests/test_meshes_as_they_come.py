@@ -292,6 +292,28 @@ def test_objects_of_one_size_on_or_beside_each_other_hide_the_face_between_them(
         room_with(*block((10, 0, 0), (20, 7, 4)))
 
 
+@pytest.mark.parametrize("triangles", [False, True])
+def test_what_is_drawn_twice_as_a_whole_is_taken_once(triangles: bool) -> None:
+    """Its faces are no contact of two objects."""
+    faces = [("plaster", BOX.vertices[list(face)]) for face in BOX.faces] * 2
+    faces += block((2, 2, 0), (4, 4, 1), without=("floor",)) * 2
+    faces += block((6, 2, 0), (8, 4, 1), "desk") * 2
+    if triangles:
+        faces = [(n, np.array(p)[list(t)]) for n, p in faces for t in ((0, 1, 2), (0, 2, 3))]
+    names = [n for n, _ in faces]
+    done = mend.mended(mend.Faces("x", [np.array(p) for _, p in faces], names, names))
+    assert done.areas == pytest.approx({"plaster": S - 8, "seats": 12, "desk": 12})
+    assert done.volume == pytest.approx(V - 4 - 4)
+    assert "twice" in kinds(done)
+
+
+def test_walls_that_are_no_shell_do_not_make_a_desk_the_room() -> None:
+    """Drawn once as rectangles and once as triangles, they were left out: V was the desk's."""
+    faces = [("plaster", BOX.vertices[list(f)][list(t)]) for f in BOX.faces for t in ((0, 1, 2),)]
+    with pytest.raises(mend.MeshError, match="the largest closed part, which begins with"):
+        room_with(*faces, *block((6, 2, 0), (8, 4, 1), "desk"))
+
+
 def test_a_taller_block_against_a_podium_hides_what_touches() -> None:
     podium = block((2, 2, 0), (6, 6, 0.5), "podium", ("floor",))
     done = room_with(*podium, *block((6, 3, 0), (7, 4, 1), "desk", ("floor",)))

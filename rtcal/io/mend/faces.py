@@ -61,7 +61,9 @@ class Defect:
             ("S", self.area_effect, "m²"),
         ):
             if abs(effect) > _SHOWN:
-                parts.append(f"{symbol} {effect:+.3g} {unit}")
+                parts.append(
+                    f"{symbol} {'-' if effect < 0 else '+'}{rounded(abs(effect), 3)} {unit}"
+                )
         if self.volume_uncertainty > _SHOWN:
             parts.append(f"u(V) {rounded(self.volume_uncertainty, 2)} m³")
         if (u := float(np.linalg.norm([*self.area_uncertainty.values()]))) > _SHOWN:

@@ -30,6 +30,7 @@ from rtcal.io.mend.walls import (
 )
 from rtcal.io.mend.welding import settled
 from rtcal.simulators.geometry import Polyhedron
+from rtcal.support.text import rounded
 from rtcal.support.types import Array
 
 THICKNESS = 0.002
@@ -125,7 +126,7 @@ def with_others(mend: Mending, shell: Work, others: Sequence[Work]) -> Work:
         vertices=mend.points, faces=[tuple(f) for f in shell.faces], materials=shell.materials
     )
     cuts: dict[int, list[Cut]] = {}
-    panels = list[Work]()
+    panels, outside = list[Work](), Work()
     told: dict[str, list[tuple[str, float, float, float]]] = {}
     reveals: list[tuple[str, float]] = []
     across: list[tuple[str, float]] = []
@@ -141,6 +142,8 @@ def with_others(mend: Mending, shell: Work, others: Sequence[Work]) -> Work:
         if not within(mend, hull, mend.corners(part)):
             is_across = _reaches_into(mend, hull, mend.corners(part))
             tell("partly outside" if is_across else "outside", part, size, 0.0, 0.0)
+            if open_edges(mend, part):
+                outside.extend(part)
             if is_across:
                 across += [
                     (str(m), ANY_SHARE * area_of(mend.points[f]))
@@ -178,6 +181,7 @@ def with_others(mend: Mending, shell: Work, others: Sequence[Work]) -> Work:
             panels.append(part)
             tell("panel", part, size, -THICKNESS * size, size)
     unsure = {"overlay": reveals, "partly outside": across, "open bottom": feet_unsure}
+    _require_shell(mend, shell, outside)
     _tell_others(mend, told, unsure)
     shell = cut(mend, shell, cuts)
     if cuts:
@@ -186,6 +190,22 @@ def with_others(mend: Mending, shell: Work, others: Sequence[Work]) -> Work:
         for face, material, name in zip(part.faces, part.materials, part.names, strict=True):
             add_slab(mend, shell, face, material, name)
     return shell
+
+
+def _require_shell(mend: Mending, shell: Work, outside: Work) -> None:
+    """Raise MeshError if what is left out as outside are the walls, and the shell is an object."""
+    if not outside.faces:
+        return
+    around, within_them = mend.corners(outside), mend.corners(shell)
+    larger = sum(area_of(mend.points[f]) for f in outside.faces)
+    encloses = (around.min(axis=0) <= within_them.min(axis=0)).all()
+    encloses &= (around.max(axis=0) >= within_them.max(axis=0)).all()
+    if encloses and larger > sum(area_of(mend.points[f]) for f in shell.faces):
+        raise mend.refused(
+            f'the largest closed part, which begins with "{shell.names[0]}", is no room: faces of '
+            f"{rounded(larger, 3)} m² lie around it and do not close. Draw each wall once, and let "
+            "neighbours have the same corners"
+        )
 
 
 def _in_order(mend: Mending, parts: Sequence[Work]) -> list[Work]:

@@ -6,6 +6,7 @@ Faces in one plane become one polygon. Faces that are not plane become triangles
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Sequence
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -54,8 +55,7 @@ def cleaned(mend: Mending, work: Work) -> Work:
 def without_repetitions(mend: Mending, work: Work) -> Work:
     """Return the faces without those that are drawn twice.
 
-    Of two closed objects that stand on each other both faces go: without them each of their edges has
-    an even number of faces.
+    Of two closed objects that stand on each other both faces go.
     """
     seen: dict[frozenset[int], int] = {}
     pairs = list[tuple[int, int]]()
@@ -65,18 +65,13 @@ def without_repetitions(mend: Mending, work: Work) -> Work:
             pairs.append((first, i))
     if not pairs:
         return work
-    around: dict[int, list[list[int]]] = {i: [] for pair in pairs for i in pair}
-    for sides in owners(mend, work.faces).values():
-        for i in {*sides} & around.keys():
-            around[i].append(sides)
-    copies = Counter(first for first, _ in pairs)
+    common = _between_objects(mend, work, pairs)
     kept, twice, area, unsure = [True] * len(work.faces), [], 0.0, []
     buried, hidden = [], 0.0
     for first, i in pairs:
         face, kept[i] = work.faces[i], False
         size = area_of(mend.points[face])
-        others = [len([k for k in sides if k not in (first, i)]) for sides in around[i]]
-        if copies[first] == 1 and all(n > 0 and n % 2 == 0 for n in others):
+        if first in common:
             kept[first] = False
             hidden += size
             buried.append(f'"{work.names[i]}" on "{work.names[first]}"')
@@ -93,6 +88,33 @@ def without_repetitions(mend: Mending, work: Work) -> Work:
         done = "faces drawn twice are taken once"
         mend.found("twice", done, twice, area, surface=-area, unsure=unsure)
     return work.kept(kept)
+
+
+def _between_objects(mend: Mending, work: Work, pairs: Sequence[tuple[int, int]]) -> set[int]:
+    """Return the first of each two faces that two closed objects, or one and the room, have in common.
+
+    Faces that are drawn twice are joined where no other face meets their edge. They are in common if
+    an even number of other faces, and some, meet in each edge around them.
+    """
+    copies = Counter(first for first, _ in pairs)
+    first_of = {i: first for pair in pairs for first in pair[:1] for i in pair}
+    group = {first: {first} for first in copies}
+    around: dict[int, list[int]] = {first: [] for first in copies}
+    for sides in owners(mend, work.faces).values():
+        own = {first_of[i] for i in sides if i in first_of}
+        if all(i in first_of for i in sides):
+            joined = set[int]().union(*(group[first] for first in own))
+            group.update(dict.fromkeys(joined, joined))
+            continue
+        for first in own:
+            around[first].append(sum(first_of.get(i) != first for i in sides))
+    common = set()
+    for first, members in group.items():
+        others = [n for member in members for n in around[member]]
+        once = all(copies[member] == 1 for member in members)
+        if once and others and all(n > 0 and n % 2 == 0 for n in others):
+            common.add(first)
+    return common
 
 
 def welded(mend: Mending) -> Work:
