@@ -11,6 +11,7 @@ from click.testing import CliRunner
 
 import rtcal as rt
 from benchmarks import archive as study
+from rtcal.calibration.archive import likelihood
 from rtcal.calibration.archive.likelihood import Evidence, RoomData, Spread
 from rtcal.command.main import cli
 from rtcal.report import pages
@@ -29,6 +30,23 @@ def small() -> tuple[list[RoomData], np.ndarray, np.ndarray, np.ndarray]:
         target = areas @ mu * rng.uniform(0.8, 1.2, 2)
         rooms.append(RoomData(areas, target, np.diag((0.02 * target.ravel()) ** 2)))
     return rooms, mu, sigma, np.log2([500.0, 1000.0])
+
+
+def test_plausible_spreads_have_the_covariance_that_the_cost_leaves() -> None:
+    evidence = Evidence(*small())
+    fitted = evidence.fitted()
+    centre = likelihood._point(fitted)
+    off = np.array([likelihood._point(each) for each in evidence.plausible(fitted)]) - centre
+    step = 0.02 * np.eye(len(centre))
+    cost = lambda x: evidence._cost(centre + x, None)  # noqa: E731
+    curvature = np.array(
+        [
+            [(cost(a + b) - cost(a - b) - cost(b - a) + cost(-a - b)) / (4 * 0.02**2) for a in step]
+            for b in step
+        ]
+    )
+    np.testing.assert_allclose(off.mean(axis=0), 0, atol=1e-9)
+    np.testing.assert_allclose(off.T @ off / len(off) @ curvature, np.eye(len(centre)), atol=0.1)
 
 
 def test_the_posterior_is_that_of_all_unknowns_by_dense_algebra() -> None:
