@@ -112,6 +112,7 @@ def computed() -> Any:
 
     # It shall not import what is replaced below.
     from rtcal.finder.positions import verification  # noqa: F401
+    from rtcal.loop import control_runs
     from rtcal.loop import positions as loop_positions
     from rtcal.prediction import designed
     from rtcal.report import gap_report, page, result_folder
@@ -136,6 +137,7 @@ def computed() -> Any:
             (loop_positions, "calibrate_positions"),
         ):
             patch.setattr(module, name, once(getattr(module, name)))
+        patch.setattr(control_runs, "RUNS", 2)
         patch.setattr(gap_report, "figures", lambda *_: {})
         patch.setattr(page, "source", lambda *_: "data:,")
         patch.setattr(

@@ -24,6 +24,7 @@ from rtcal.finder.positions.posterior import THRESHOLD
 from rtcal.finder.positions.search import find_by_positions, untried
 from rtcal.finder.positions.surfaces import patched
 from rtcal.io import tables
+from rtcal.loop import control_runs
 from rtcal.simulators import PathTracing, Polyhedron
 from rtcal.simulators.geometry import SHOEBOX_WALLS
 from rtcal.support.errors import DataError, ModelError
@@ -167,8 +168,11 @@ def with_coefficient(value: float, n_paths: int = 4800) -> rt.finder.positions.P
 
 
 @pytest.mark.parametrize("extreme", [0.0, 1.0])
-def test_a_coefficient_of_0_or_1_has_a_score(extreme: float, kept: Path) -> None:
+def test_a_coefficient_of_0_or_1_has_a_score(
+    extreme: float, kept: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """The derivative by an alpha of 1.0 had been 0 / 0, and the score nan."""
+    monkeypatch.setattr(control_runs, "RUNS", 4)
     case = with_coefficient(extreme, n_paths=600)
     assert np.isfinite(find_by_positions(case, library(), None, kept, 0, ()).score)
 

@@ -174,7 +174,7 @@ def test_a_search_that_was_interrupted_goes_on_from_its_control_runs(
 ) -> None:
     monkeypatch.setattr(control_runs, "RUNS", 4)
     case = rt.finder.positions.PositionsCase(
-        simulator=tracing(stated(), n_paths=800), measured=measured(False)
+        simulator=tracing(stated(), n_paths=320), measured=measured(False)
     )
     told: list[str] = []
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterable, Sequence
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -90,6 +91,7 @@ def nominal(frequency: float) -> float:
     return _nominal(frequency)
 
 
+@lru_cache(maxsize=1024)
 def _nominal(frequency: float) -> float:
     """Return `nominal`, without a check for each band of many rooms."""
     nearest = min(THIRD_OCTAVES, key=lambda centre: abs(frequency / centre - 1))

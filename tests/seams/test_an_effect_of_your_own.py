@@ -38,7 +38,7 @@ OWN = [e for e in rt.finder.library() if e.name != "opening"] + [Hatch()]
 @pytest.fixture(scope="module")
 def case() -> rt.finder.positions.PositionsCase:
     return rt.finder.positions.PositionsCase(
-        simulator=tracing(stated(), n_paths=1200), measured=measured(True)
+        simulator=tracing(stated(), n_paths=800), measured=measured(True)
     )
 
 

@@ -38,7 +38,7 @@ def relative(hidden: bool) -> rt.Measurement:
 
 
 def simulator() -> PathTracing:
-    return tracing(stated(), n_paths=1600)
+    return tracing(stated(), n_paths=800)
 
 
 @pytest.mark.parametrize("hidden", [False, True])
