@@ -54,6 +54,10 @@ SURVIVORS: dict[tuple[str, str], str] = {
     ): "equivalent: after the last round no free coefficient is above its upper bound (60,000 random "
     "bands: no difference)",
     (
+        "rtcal.calibration.archive.rooms.x__told_apart",
+        "+ for each, row, columns in zip(rooms, called, entries, strict=False)",
+    ): "equivalent: each room has one row of names, and one of columns",
+    (
         "rtcal.calibration.exact.batch.x__solve_chunk",
         "+ b = b + np.where(inside, 0.0, np.where(start >= b, give, -give))",
     ): "equivalent: where start is b, it is inside, or give is 0",

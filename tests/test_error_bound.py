@@ -67,6 +67,19 @@ def test_the_bound_holds_far_from_the_optimum_and_for_any_multipliers() -> None:
         assert (np.abs(u - truth) <= bound + 2e-16).all()
 
 
+def test_poor_multipliers_hardly_loosen_the_bound() -> None:
+    """What the rows leave unbalanced is put right, and what is forced to a bound is moved there."""
+    rng = np.random.default_rng(1)
+    ratios = []
+    for answer, truth in answers():
+        model = answer.model
+        u = answer.unknowns + 1e-3 * model.sigma * rng.standard_normal(truth.size)
+        rows = answer.multipliers.rows * rng.uniform(0.5, 1.5)
+        bound = certify(model, u, Multipliers(rows, 0 * u, 0 * u)).alpha_error_bound
+        ratios.append(bound.max() / np.abs(u - truth).max())
+    assert np.median(ratios) < 2  # 10 without the second, 1000 without the first
+
+
 def test_a_target_at_the_end_of_its_reach_leaves_no_freedom() -> None:
     """No move keeps such a row: its coefficients are known as precisely as its limits."""
     rooms = [

@@ -404,8 +404,7 @@ def _notes(
     """Return the assumptions beyond the list, in words."""
     from rtcal.acoustics.trust import surface_doubt
 
-    stated = "" if not sigma else f"; stated: {', '.join(sigma)}"
-    notes = [f"Assumed: {rule}{stated}" if not stated else f"{rule}{stated}"]
+    notes = [f"{rule}; stated: {', '.join(sigma)}" if sigma else f"Assumed: {rule}"]
     if doubt := surface_doubt(room):
         notes.insert(0, f"{doubt[1]}: check areas, volume and their units")
     if room.air is None:

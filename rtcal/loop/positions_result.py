@@ -336,9 +336,8 @@ class PositionsResult(Result):
         return text.html_table(self._description, header, cells, self.every_note)
 
     def _material_table(self) -> Table:
-        scattering = self.scattering
         return material_table(
-            self.prior, self.learned, self.shift, self.pulls, self.pairs, scattering
+            self.prior, self.learned, self.shift, self.pulls, self.pairs, self.scattering
         )
 
     @property

@@ -15,6 +15,7 @@ import math
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from scipy.special import logsumexp
@@ -84,7 +85,7 @@ class PositionsHypotheses:
     off: float
     unknown: bool = True
 
-    @property
+    @cached_property
     def total(self) -> float:
         """Sum of all odds."""
         odds = sum(float(s.odds.sum()) for s in self.shifts) + sum(s.odds for s in self.spreads)
