@@ -31,10 +31,10 @@ from rtcal.finder import (
     verify,
 )
 from rtcal.finder.effects.coupled_room import CoupledDecay, Opening
-from rtcal.finder.effects.non_diffuse import DirectionalDecay
 from rtcal.finder.effects.porous import Porous
 from rtcal.finder.effects.resonator import Resonator
 from rtcal.finder.effects.stated import WrongArea, WrongVolume
+from rtcal.finder.effects.whole_room import DirectionalDecay
 from rtcal.finder.means import hypotheses
 from rtcal.finder.means.bootstrap import control_rooms
 from rtcal.finder.means.corrected import not_in_room

@@ -1,14 +1,13 @@
 """The library of effects that a model may lack: one file per family of effects."""
 
-from rtcal.finder.effects.air import OmittedAir
 from rtcal.finder.effects.base import Absorber, Effect, Limits, Parameters
 from rtcal.finder.effects.coupled_room import CoupledRoom, Opening
 from rtcal.finder.effects.measuring import DirectSound, NoiseFloor
-from rtcal.finder.effects.non_diffuse import NonDiffuse
 from rtcal.finder.effects.people import Audience, Furniture, People
 from rtcal.finder.effects.porous import Curtain, Porous
 from rtcal.finder.effects.resonator import Membrane, Resonator
 from rtcal.finder.effects.stated import CoveredSurface, WrongArea, WrongFormula, WrongVolume
+from rtcal.finder.effects.whole_room import NonDiffuse, OmittedAir
 
 __all__ = ["Absorber", "Effect", "Limits", "Parameters", "library"]
 __dir__ = __all__.copy

@@ -13,10 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtcal.acoustics.air import Air
-from rtcal.finder.effects.air import OmittedAir
 from rtcal.finder.effects.base import Effect, Parameters, middle_absorption
 from rtcal.finder.effects.coupled_room import CoupledRoom
 from rtcal.finder.effects.stated import WrongVolume
+from rtcal.finder.effects.whole_room import OmittedAir
 from rtcal.finder.model import RoomState
 from rtcal.finder.positions.case import PositionsCase
 from rtcal.finder.positions.responses import AIR, OPEN, SHARES, VOLUME
