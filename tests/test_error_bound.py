@@ -68,7 +68,7 @@ def test_the_bound_holds_far_from_the_optimum_and_for_any_multipliers() -> None:
 
 
 def test_poor_multipliers_hardly_loosen_the_bound() -> None:
-    """What the rows leave unbalanced is put right, and what is forced to a bound is moved there."""
+    """The rows' imbalance is put right, and what is forced to a bound is moved there."""
     rng = np.random.default_rng(1)
     ratios = []
     for answer, truth in answers():
