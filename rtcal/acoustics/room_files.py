@@ -91,7 +91,6 @@ MAX_ENTRIES = {"material": 500, "surface": 5000, "correlation": 5000}
 _AIR = tuple(f.name for f in fields(Air))
 _RECORD = ("method", "equation", "measured")
 _RECORD_OPTIONAL = ("solver", "version")
-_SURFACE = ("name", "material", "area")
 _MATERIAL = ("area", "sigma", "alpha_min", "scattering", "source", "area_sigma")
 RELATIVE = ("volume_sigma", "common_area_sigma", "common_alpha_sigma")
 _PRIOR = ("relative", "minimum", "iso_12999_2", "in_situ_factor", "band_correlation")

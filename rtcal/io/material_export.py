@@ -21,8 +21,6 @@ from rtcal.support.types import Array
 
 MOST_NAMED = 5
 RECORD = "the record of the calibration"
-HELD = ("materials", "alpha", "scattering", "centre_frequencies")
-"""What a list of materials holds of a room."""
 LOST = {
     "name": ("name", "author"),
     "areas and volume": ("areas", "volume", "surfaces", "dimensions"),
