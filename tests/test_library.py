@@ -79,6 +79,11 @@ def test_tables_of_products(tmp_path: Path, name: str) -> None:
             b"f;A\n125;0,1\n250;0,2\n500;0,3\n250;0,8\n",
             r"products\.csv: line 3 and line 5 are both 250 Hz; a band has one coefficient",
         ),
+        (
+            "Äquivalente Absorptionsfläche je Stück\nproduct;250;500;1000\nA;0,4;0,6;0,8\n".encode(),
+            "names absorption areas in m², and no coefficients: multiply one by the number of objects",
+        ),
+        (b"f;Chair A_obj [m2]\n125;0,1\n250;0,2\n500;0,3\n", "Chair A_obj.*names absorption areas"),
         (b"product;open area [%];250;500;1000\nA;18;45;90;95\n", "45 is not from 0 to 1.5; name"),
     ],
 )

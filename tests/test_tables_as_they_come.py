@@ -205,8 +205,9 @@ def test_a_decimal_that_was_typed_wrong_at_one_position_is_named() -> None:
     rows[5][3] = 10.6
     read = tables.parse(book({"T": rows}))
     assert read.doubts == (
-        "T20 is over 3 times that of the other pairs: 10.6 s (S1 to R3 at 500 Hz; median over the "
-        "pairs 1.06 s). Look whether the decimal is another",
+        "T20 is 3 times as long as at the other pairs, or as short: 10.6 s (S1 to R3 at 500 Hz; "
+        "median over the pairs 1.06 s). Look whether the decimal is another, and whether the row is a "
+        "position",
     )
     assert read.doubts[0] in str(read)
 
@@ -674,3 +675,52 @@ def test_a_file_beside_a_position_is_left_out() -> None:
 def test_a_limit_is_no_value(cell: str) -> None:
     with pytest.raises(DataError, match="is a limit and no value: empty the cell"):
         tables.parse(f"receiver,T30 500 Hz\nR1,{cell}\n".encode())
+
+
+PLACES = [["Position", 500, 1000], ["S1-R1", 1.5, 1.4], ["S2-R1", 1.6, 1.3]]
+
+
+@pytest.mark.parametrize(
+    "below",
+    [
+        ["Anmerkung: 63 Hz nicht auswertbar", None, None],
+        ["Standardabw.", 0.05, 0.06],
+        ["\u00d8", 1.55, 1.35],
+        ["Moyenne", 1.55, 1.35],
+        ["Streuung", 0.1, 0.1],
+    ],
+)
+def test_what_stands_below_positions_is_no_position(below: Sequence[Any]) -> None:
+    m = tables.parse(book({"T20": [*PLACES, below]})).measurement
+    assert m.pairs == (("S1", "R1"), ("S2", "R1"))
+    assert m.values["t20"].tolist() == [[1.5, 1.4], [1.6, 1.3]]
+
+
+def test_a_row_among_positions_that_is_none_is_named() -> None:
+    with pytest.raises(
+        DataError, match='line 4: "JND" is no position as "S1-R1" is; if the row is'
+    ):
+        tables.parse(book({"T20": [*PLACES, ["JND", 0.05, 0.05]]}))
+
+
+def test_a_time_that_is_a_third_of_the_others_is_named() -> None:
+    rows = [["position", 500], *([f"R{n}", 1.0 + n / 50] for n in range(1, 5)), ["x", 0.05]]
+    (doubt,) = tables.parse(book({"T20": rows})).doubts
+    assert "0.05 s (S1 to x at 500 Hz" in doubt
+    assert "whether the row is a position" in doubt
+
+
+def test_what_a_sheet_hides_is_left_out_and_what_it_strikes_through_is_said() -> None:
+    def change(made: Any) -> None:
+        sheet = made["T20"]
+        sheet.row_dimensions[3].hidden = True
+        sheet.column_dimensions["C"].hidden = True
+        sheet["B2"].font = openpyxl.styles.Font(strike=True)
+
+    rows = [*PLACES, ["S2-R2", 1.7, 1.2]]
+    table = tables.parse(book({"T20": rows}, change))
+    assert table.measurement.pairs == (("S1", "R1"), ("S2", "R2"))
+    assert table.measurement.centre_frequencies.tolist() == [500]
+    assert "left out, hidden: row 3" in str(table)
+    assert "left out, hidden: column C" in str(table)
+    assert "struck through, and read: B2; empty what is withdrawn" in str(table)

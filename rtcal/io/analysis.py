@@ -9,7 +9,7 @@ import numpy as np
 
 from rtcal.acoustics import bands
 from rtcal.acoustics.measurement import Measurement
-from rtcal.acoustics.observables import observable, parameter_label
+from rtcal.acoustics.observables import REVERBERATION, observable, parameter_label
 from rtcal.support import text
 from rtcal.support.types import Array
 
@@ -202,20 +202,24 @@ def unusual(measurement: Measurement) -> tuple[str, ...]:
 
 
 def _far_from_others(measurement: Measurement, parameter: str) -> list[str]:
-    """Return a note on times that are over `_FAR` times the median over the pairs of their band."""
+    """Return a note on times far from the median over the pairs of their band (`_FAR`)."""
     table, pairs, label = measurement.values[parameter], measurement.pairs, bands.label
     counts = np.isfinite(table).sum(axis=0)
     median = np.full(len(counts), np.inf)
     median[counts > 2] = np.nanmedian(table[:, counts > 2], axis=0)
+    # Early parameters are short near a source.
+    late = np.isfinite(median) & (observable(parameter) in REVERBERATION)
+    least = np.where(late, median, 0.0) / _FAR
     found = [
         f"{table[i, k]:g} s ({' to '.join(pairs[i])} at {label(measurement.centre_frequencies[k])}; "
         f"median over the pairs {median[k]:.3g} s)"
-        for i, k in np.argwhere(table > _FAR * median)
+        for i, k in np.argwhere((table > _FAR * median) | (table < least))
     ]
     if not found:
         return []
     more = f", and {len(found) - _MOST_PAIRS} more" if len(found) > _MOST_PAIRS else ""
     return [
-        f"{parameter_label(parameter)} is over {_FAR:g} times that of the other pairs: "
-        f"{', '.join(found[:_MOST_PAIRS])}{more}. Look whether the decimal is another"
+        f"{parameter_label(parameter)} is {_FAR:g} times as long as at the other pairs, or as short: "
+        f"{', '.join(found[:_MOST_PAIRS])}{more}. Look whether the decimal is another, and whether the "
+        "row is a position"
     ]

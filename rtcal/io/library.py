@@ -44,6 +44,9 @@ _NAMES = re.compile(r"(material|product|name|produkt|bezeichnung|description|typ
 _BAND_HEADER = re.compile(
     r"\W*(f|freq\w*|frequen\w*|band|octave.*|oktav.*|terz.*|hz)\W*(hz)?\W*", re.I
 )
+_PER_OBJECT = re.compile(
+    r"A[_ ]?obj|per object|pro (objekt|stück)|absorptionsfläche|absorption area", re.I
+)
 _PERCENT = re.compile(r"%|percent|prozent", re.I)
 _UNIT = r"(?:in\s+(?:%|percent|prozent)|[\[(]\s*(?:%|percent|prozent)\s*[\])])"
 _OF_COLUMN = re.compile(rf"\s*{_UNIT}\s*$", re.I)
@@ -149,6 +152,7 @@ def _across(sheet: Sheet, at: int, at_bands: dict[int, float]) -> Iterator[Liste
             f"{sheet.place}, line {sheet.rows[at][0]}: no column has the product's name"
         )
     titles = _titles(sheet.rows[:at])
+    _refuse_objects(sheet, [*header, *titles])
     percent = _in_percent([header[k] for k in at_bands], [*header, *titles])
     elsewhere = "" if percent else _first_percent([*header, *titles])
     for line, cells in sheet.rows[at + 1 :]:
@@ -177,6 +181,7 @@ def _down(sheet: Sheet, otherwise: str) -> Iterator[ListedMaterial]:
     if not header or not (not header[0] or _BAND_HEADER.fullmatch(header[0])):
         header = []
     titles = _titles(sheet.rows[: max(first - bool(header), 0)])
+    _refuse_objects(sheet, [*header, *titles])
     width = max(len(sheet.rows[i][1]) for i, _ in rows)
     columns = [
         k
@@ -200,6 +205,15 @@ def _down(sheet: Sheet, otherwise: str) -> Iterator[ListedMaterial]:
         line = sheet.rows[first][0]
         stated = [*titles, *_lacking((f for _, f in rows), values)]
         yield _material(sheet.place, line, name, values, stated, percent, elsewhere)
+
+
+def _refuse_objects(sheet: Sheet, texts: Sequence[str]) -> None:
+    """Raise DataError for absorption areas in m² of objects (ISO 354, Sect. 8.1.3)."""
+    if named := next(filter(_PER_OBJECT.search, texts), ""):
+        raise DataError(
+            f'{sheet.place}: "{shown(named)}" names absorption areas in m², and no coefficients: '
+            "multiply one by the number of objects, and divide by the area that is stated for them"
+        )
 
 
 def _titles(rows: Sequence[Row]) -> list[str]:

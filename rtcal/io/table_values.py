@@ -21,41 +21,24 @@ from rtcal.io.table_columns import (
     scale_of,
 )
 from rtcal.io.table_layout import Row, TableLayout
-from rtcal.io.table_words import STATISTICS, WHOLE_RANGES, parameters, plain
-from rtcal.io.text import number, shown
+from rtcal.io.table_words import (
+    FORMULA_ERRORS,
+    MISSING,
+    STATISTICS,
+    WHOLE_RANGES,
+    parameters,
+    plain,
+)
+from rtcal.io.text import number, shown, unit_of
 from rtcal.support.errors import DataError
-
-MAX_CELL = 60
-"""Largest length of a cell in characters; the pattern for number and unit is slow on longer ones."""
 
 _NUMBER = re.compile(
     r"[+\-\u2212\u2013]?(\d+([.,]\d*)?|[.,]\d+)([eE][+\-\u2212]?\d{1,3})?", re.ASCII
 )
-_WITH_UNIT = re.compile(r"([^%a-z]*\d[\d.,]*(?:e[+-]?\d+)?)\s*(%|m?s|db)", re.I)
 _OTHER_UNITS = {"s": "ms", "": "%"}
 """The unit in which programs write a parameter, too."""
 _LEAST_VALUES = 3
 """Of a parameter without a unit, that tell it."""
-_FORMULA_ERRORS = ("#div/0!", "#wert!", "#value!")
-"""What a spreadsheet shows for a formula that has no result."""
-_MISSING = {
-    "",
-    "-",
-    "--",
-    "---",
-    "\u2212",
-    "\u2013",
-    "\u2014",
-    "*",
-    "na",
-    "n/a",
-    "n.a.",
-    "k.a.",
-    "k. a.",
-    "#n/a",
-    "#nv",
-    *_FORMULA_ERRORS,
-}
 _SPREADS = ("uncertainty", "common_uncertainty", "standard_deviation")
 
 Key = tuple[str, str, str, float]
@@ -128,10 +111,36 @@ class Reader:
                 "are several"
             )
         self.comma = self._decimal_comma()
-        positions = layout.cells("receiver") if "source" not in kinds else []
-        positions = [p for p in positions if p.lower() not in STATISTICS]
-        named = [position_of(p) or position_in(p) for p in positions]
-        self.example_of_both = positions[0] if named and all(p and p[0] for p in named) else None
+        self.example_of_both = self._example_of_both() if "source" not in kinds else None
+
+    def _example_of_both(self) -> str | None:
+        """Return the first position that names source and receiver; None if none does.
+
+        Raises DataError for a row of values among such positions that is none of them.
+        """
+        columns = self.layout.columns
+        at = [i for i, column in enumerate(columns) if column.kind == "receiver"]
+        rows = [
+            (line, cells[at[0]])
+            for line, cells in self.layout.rows
+            if at
+            and cells[at[0]].lower() not in STATISTICS
+            and any(
+                column.kind in ("data", "value") and cell.lower() not in MISSING
+                for column, cell in zip(columns, cells, strict=True)
+            )
+        ]
+        both = [bool((p := position_of(name) or position_in(name)) and p[0]) for _, name in rows]
+        if 2 * sum(both) <= len(both):  # few may be receivers that are called so
+            return None
+        first = rows[both.index(True)][1]
+        if not all(both):
+            line, name = rows[both.index(False)]
+            raise DataError(
+                f'{self.path}, line {line}: "{shown(name)}" is no position as "{shown(first)}" is; if '
+                "the row is no position, delete it; else name its source and receiver"
+            )
+        return first
 
     def add_to(self, single: Values, of_several: Values, where: Mapping[str, str]) -> None:
         """Add the values of the rows that ``where`` selects: of positions, and of several.
@@ -251,9 +260,9 @@ class Reader:
         of_row = (SUMMARY, SUMMARY) if statistic is not None else self._pair_of(entries)
         row_band = self._row_band(entries, place)
         for column, cell in zip(self.layout.columns, cells, strict=True):
-            if column.kind in ("data", "value") and cell.lower() in _FORMULA_ERRORS:
+            if column.kind in ("data", "value") and cell.lower() in FORMULA_ERRORS:
                 self.formula_errors.append(f"{cell} in line {place.rpartition(' ')[2]}")
-            if column.kind not in ("data", "value") or cell.lower() in _MISSING:
+            if column.kind not in ("data", "value") or cell.lower() in MISSING:
                 continue
             pair = of_row
             if column.receiver:
@@ -283,15 +292,14 @@ class Reader:
             kind = statistic or "value"
             numbers = {kind: self._number(cell, parameter, unit, place)}
             for name in _SPREADS:
-                if entries.get(name, "").lower() not in _MISSING:
+                if entries.get(name, "").lower() not in MISSING:
                     numbers[name] = self._number(entries[name], parameter, unit, place)
             for name in ("sources", "receivers"):
-                if entries.get(name, "").lower() not in _MISSING:
+                if entries.get(name, "").lower() not in MISSING:
                     numbers[name] = number(entries[name], place)
             if min(numbers.get(n, 0.0) for n in _SPREADS) < 0:
                 raise DataError(f"{place}: an uncertainty or standard deviation is below 0")
-            stated = bool(unit or _unit_of(cell))
-            yield (*pair, parameter, band), numbers, stated
+            yield (*pair, parameter, band), numbers, bool(unit or unit_of(cell))
 
     def _is_unused(self, entries: Mapping[str, str]) -> bool:
         """Return whether a row is of the whole range, or of a parameter without use; it is noted."""
@@ -356,8 +364,8 @@ class Reader:
         """Return a cell's number in the unit of its parameter."""
         if cell.startswith(("<", ">", "\u2264", "\u2265")):
             raise DataError(f'{place}: "{shown(cell)}" is a limit and no value: empty the cell')
-        if own := _unit_of(cell):
-            cell, unit = cell[: -len(own)].strip(), own
+        unit = unit_of(cell) or unit
+        cell = cell.removesuffix(unit_of(cell)).strip()
         scale = scale_of(parameter, unit, place)
         return scale * number(cell.replace(",", ".") if self.comma else cell, place)
 
@@ -383,8 +391,7 @@ class Reader:
         for line, cells in self.layout.rows:
             for column, cell in zip(self.layout.columns, cells, strict=True):
                 if column.kind in ("data", "value"):
-                    match = _WITH_UNIT.fullmatch(cell[: MAX_CELL + 1])
-                    digits = match[1].strip() if match else cell
+                    digits = cell.removesuffix(unit_of(cell)).strip()
                     if _NUMBER.fullmatch(digits):
                         commas += "," in digits
                         points += "." in digits
@@ -430,12 +437,6 @@ class Reader:
             if "receiver" not in kinds and not across:
                 report.append("no receiver is named: taken as receiver R1 of each source")
         return report
-
-
-def _unit_of(cell: str) -> str:
-    """Return the unit behind a cell's number, "" without one."""
-    match = _WITH_UNIT.fullmatch(cell) if len(cell) <= MAX_CELL else None
-    return match[2] if match else ""
 
 
 def _is_accepted(parameter: str, value: float) -> bool:

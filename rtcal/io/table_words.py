@@ -121,7 +121,25 @@ COLUMNS = {
 """What a column holds (`rtcal.io.table_columns.Column.kind`) by its header."""
 
 STATISTICS = {
-    **dict.fromkeys(("mean", "average", "avg", "avg.", "mittel", "mittelwert", "mw"), "value"),
+    **dict.fromkeys(
+        (
+            "mean",
+            "average",
+            "avg",
+            "avg.",
+            "mittel",
+            "mittelwert",
+            "mw",
+            "durchschnitt",
+            "arithm. mittel",
+            "spatial average",
+            "moyenne",
+            "promedio",
+            "media",
+            "ø",
+        ),
+        "value",
+    ),
     **dict.fromkeys(
         (
             "sd",
@@ -132,13 +150,53 @@ STATISTICS = {
             "std dev",
             "std. deviation",
             "stdabw",
+            "stabw",
+            "stabw.",
+            "standardabw.",
+            "std.abw.",
+            "stddev",
+            "sigma",
+            "σ",
+            "écart-type",
+            "ecart-type",
+            "desviación estándar",
+            "dev. std",
+            "dev. standard",
+            "deviazione standard",
             "standard deviation",
             "standardabweichung",
         ),
         "standard_deviation",
     ),
     **dict.fromkeys(
-        ("min", "max", "median", "minimum", "maximum", "number of measurements", "n", "count"), ""
+        (
+            "min",
+            "max",
+            "median",
+            "minimum",
+            "maximum",
+            "range",
+            "spannweite",
+            "streuung",
+            "number of measurements",
+            "n",
+            "count",
+            "anzahl",
+        ),
+        "",
     ),
 }
 """Names of statistics over positions: of means, of standard deviations, and of what is not read."""
+
+FORMULA_ERRORS = ("#div/0!", "#wert!", "#value!")
+"""What a spreadsheet shows for a formula that has no result."""
+
+MISSING = frozenset(
+    [
+        "",
+        "k. a.",
+        *_words("- -- --- * na n/a n.a. k.a. #n/a #nv \u2212 \u2013 \u2014"),
+        *FORMULA_ERRORS,
+    ]
+)
+"""What stands in a cell without a value, among it a typographic minus and dashes."""

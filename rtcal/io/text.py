@@ -16,6 +16,9 @@ _UNMARKED = ("utf-8", "cp1252", "latin-1")
 _NAMES = {"cp1252": "Windows-1252", "latin-1": "ISO 8859-1"}
 _LINE = re.compile(r"([^\r\n]*)(\r\n|\r|\n|\Z)")
 _NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d{1,4})?\Z", re.ASCII)
+MAX_CELL = 60
+"""Largest length of a cell in characters; the pattern for number and unit is slow on longer ones."""
+_WITH_UNIT = re.compile(r"[^%a-z]*\d[\d.,]*(?:e[+-]?\d+)?\s*(%|m?s|db)", re.I)
 _TYPOGRAPHIC_MINUS = re.compile("[\u2212\u2013](?=[\\d.,])")  # a minus sign, or a dash in its place
 
 
@@ -117,6 +120,18 @@ def number(token: str, place: str) -> float:
     if not abs(value) < 1e300:
         raise DataError(f'{place}: "{shown(token)}" is not a finite number')
     return value
+
+
+def unit_of(cell: str) -> str:
+    """Return the unit behind a cell's number, "" without one.
+
+    Examples
+    --------
+    >>> unit_of("1.2 s"), unit_of("55 %"), unit_of("1.2")
+    ('s', '%', '')
+    """
+    match = _WITH_UNIT.fullmatch(cell) if len(cell) <= MAX_CELL else None
+    return match[1] if match else ""
 
 
 def shown(text: str, length: int = 40) -> str:

@@ -1,7 +1,8 @@
 """Workbooks of Excel (xlsx), read and written by openpyxl (``rtcal[tables]``).
 
 A number has the value that the file stores, whatever digits Excel shows. A cell shown in percent is
-read with its unit. A cell that is merged over several rows fills them. Hidden sheets are left out.
+read with its unit. A cell that is merged over several rows fills them. Hidden sheets, rows and columns
+are left out, and said.
 
 Refused by name: xls and other binary formats, a formula without its stored value, a date where Excel
 has taken a number for one.
@@ -29,6 +30,7 @@ MAX_UNPACKED = 2**26
 """Largest size in bytes of a workbook's parts: a small file may unpack to gigabytes."""
 MAX_SHEETS = 200
 MAX_ROWS, MAX_COLUMNS = 20_000, 400
+_MOST_NAMED = 6
 MAX_NAME = 31
 """Largest length of a sheet's name in Excel."""
 
@@ -69,6 +71,7 @@ def sheets(content: bytes, path: str, where: Mapping[str, str]) -> list[Sheet]:
         rows = _rows(values[name], formulas[name], place)
         if rows:
             note = f'workbook, sheet "{shown(name)}"'
+            notes = (*notes, *_notes(values[name]))
             found.append(Sheet(place, tuple(rows), note, name, notes=notes))
             notes = ()
     if not found:
@@ -111,10 +114,15 @@ def _rows(values: Any, formulas: Any, place: str) -> list[Row]:
         for merged in values.merged_cells.ranges
         for row in range(merged.min_row + 1, merged.max_row + 1)
     }
+    hidden_rows, hidden_columns = _hidden(values)
     rows: list[Row] = []
     for n, cells in enumerate(values.iter_rows(), start=1):
+        if n in hidden_rows:
+            continue
         texts = []
         for cell in cells:
+            if cell.column in hidden_columns:
+                continue
             at = filled.get((cell.row, cell.column), (cell.row, cell.column))
             texts.append(_text(values.cell(*at), formulas.cell(*at), place))
         while texts and not texts[-1]:
@@ -123,6 +131,35 @@ def _rows(values: Any, formulas: Any, place: str) -> list[Row]:
             rows.append((n, texts))
     width = max((len(texts) for _, texts in rows), default=0)
     return [(n, texts + [""] * (width - len(texts))) for n, texts in rows]
+
+
+def _hidden(sheet: Any) -> tuple[set[int], set[int]]:
+    """Return the numbers of the hidden rows and columns."""
+    rows = {n for n, row in sheet.row_dimensions.items() if row.hidden and n <= sheet.max_row}
+    of_groups = [c for c in sheet.column_dimensions.values() if c.hidden]
+    columns = {n for c in of_groups for n in range(c.min, c.max + 1) if n <= sheet.max_column}
+    return rows, columns
+
+
+def _notes(sheet: Any) -> list[str]:
+    """Return what is hidden and left out, and what is struck through and read."""
+    rows, columns = _hidden(sheet)
+    letter = _library().utils.get_column_letter
+    of_columns = [letter(n) for n in sorted(columns)]
+    notes = [
+        f"left out, hidden: {what}{'s' * (len(some) > 1)} {', '.join(some[:_MOST_NAMED])}"
+        + (f" and {len(some) - _MOST_NAMED} more" if len(some) > _MOST_NAMED else "")
+        for what, some in (("row", [str(n) for n in sorted(rows)]), ("column", of_columns))
+        if some
+    ]
+    struck = [c.coordinate for row in sheet.iter_rows() for c in row if c.font.strike]
+    if struck:
+        notes.append(
+            f"struck through, and read: {struck[0]}"
+            + (f" and {len(struck) - 1} more" if len(struck) > 1 else "")
+            + "; empty what is withdrawn"
+        )
+    return notes
 
 
 def _text(cell: Any, formula: Any, place: str) -> str:
