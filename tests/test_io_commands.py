@@ -536,6 +536,25 @@ def test_a_room_goes_back_into_the_list_that_as_took_it_from(tmp_path: Path, cap
     assert Path(out).read_bytes() == listed.read_bytes()
     assert run(*back, "--as", "wall=4002 Gypsum board") == 2
     assert '--as: "wall" is no material of the room' in capsys.readouterr().err
-    new = ["export", "odeon", room, str(tmp_path / "other.Li8")]
-    assert run(*new, "--as", "drywall=4002 Gypsum board") == 2
-    assert "is a new list, with the room's own names" in capsys.readouterr().err
+
+
+def test_a_new_list_has_the_names_that_are_stated(tmp_path: Path, capsys) -> None:
+    room, out = tmp_path / "room.toml", tmp_path / "new.geo"
+    areas = ["--area", "painted brickwork=120", "--volume", "100"]
+    assert (
+        run(
+            "import",
+            "catalogue",
+            *areas,
+            "--catalogue",
+            "painted brickwork=brickwork",
+            "--out",
+            room,
+        )
+        == 0
+    )
+    capsys.readouterr()
+    assert run("export", "catt", room, out) == 2
+    assert 'state its name there: --as "painted brickwork=NAME"' in capsys.readouterr().err
+    assert run("export", "catt", room, out, "--as", "painted brickwork=brick") == 0
+    assert "ABS brick = <" in out.read_text(encoding="ascii")

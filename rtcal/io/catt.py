@@ -79,7 +79,7 @@ def write(
         coefficients of the nearest octave.
     entries : mapping of str to str, optional
         The file's name of each material of the room that has another one there, as ``--as`` has
-        stated at import.
+        stated at import, or is to have in a new file.
 
     Returns
     -------
@@ -287,8 +287,8 @@ def _new_list(room: Room) -> MaterialList:
         if not re.fullmatch(_NAME, name) or not name.isascii():
             raise DataError(
                 f'material "{name}": a name for CATT-Acoustic is ASCII, without spaces and none '
-                "of = < > { } ; :; write into the program's own list (--template), or name it "
-                "otherwise in the room's file"
+                "of = < > { } ; :; write into the program's own list (--template), or state its name "
+                f'there: entries={{"{name}": "NAME"}}'
             )
         groups = [f"ABS {name} = <{_percents(room.alpha[i])}>"]
         if room.scattering is not None:

@@ -146,12 +146,12 @@ def write_list(
     if template is None and Path(path).exists():
         template = path
     if template is not None:
-        listed = read(template).with_entries(entries or {}, room)
-    elif entries:
-        raise DataError(f"entries: {os.fspath(path)} is a new list, with the room's own names")
+        listed = read(template)
     else:
         in_new_bands, notes = _in_new_bands(room, new_bands, missing_bands, os.fspath(path))
-        listed = new_list(in_new_bands)
+        names = [(entries or {}).get(name, name) for name in room.materials]
+        listed = new_list(in_new_bands.replace(materials=names, surfaces=()))
+    listed = listed.with_entries(entries or {}, room)
     if decimals is not None:
         listed = replace(
             listed, materials=tuple(_with_decimals(m, decimals) for m in listed.materials)

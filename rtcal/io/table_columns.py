@@ -68,6 +68,8 @@ _BRACKETS = re.compile(r"([^\[\](]*(?:\(\d+\))?)\s*[\[(]\s*([^\])]*?)\s*[\])]")
 _UNIT_WITHIN = re.compile(r"([^\[\](]*\S)\s*[\[(]\s*(%|percent|m?s|sec|db)\s*[\])]\s*(\S.*)", re.I)
 _SUFFIX = re.compile(r"(.*?\S)(?:\s*/\s*|\s+in\s+|\s+|_)(%|percent|k?hz|m?s|sec|db)", re.I)
 _BOTH = re.compile(r"(\S.*?)[\s_@:,]+(?:at\s+)?(\d[\d.,]*\s*k?(?:hz)?)", re.I)
+_CORRELATION = re.compile(r"-?\s*r[\s(]*T\d+\s*\)?")
+"""Of a decay with a straight line, as "r(T20)", "-r T30" and "rT30"; "RT30" is T30."""
 _OF_WHOLE_RANGE = re.compile(rf"(\S.*?)[\s_@:,]+(?:{'|'.join(sorted(WHOLE_RANGES))})", re.I)
 _FREQUENCY = re.compile(r"(\d{1,6}(?:[.,]\d{1,6})?)\s*(k?)(?:Hz)?", re.I | re.ASCII)
 
@@ -241,7 +243,9 @@ def is_unused(text: str) -> bool:
     """
     name = name_and_unit(text)[0]
     both = _BOTH.fullmatch(name)
-    return plain(name) in UNUSED_PARAMETERS or bool(both and plain(both[1]) in UNUSED_PARAMETERS)
+    if plain(name) in UNUSED_PARAMETERS or _CORRELATION.fullmatch(text.strip()):
+        return True
+    return bool(both and plain(both[1]) in UNUSED_PARAMETERS)
 
 
 def _is_of_whole_range(name: str) -> bool:
@@ -346,7 +350,9 @@ def name_and_unit(header: str) -> tuple[str, str]:
     if within := _UNIT_WITHIN.fullmatch(header):
         return f"{within[1]} {within[3].strip('_ ')}", within[2]
     match = _BRACKETS.fullmatch(header) or _SUFFIX.fullmatch(header)
-    return (match[1].strip(), match[2]) if match else (header, "")
+    if not match or (match[2].isdigit() and len(match[2]) > 1):  # "D(50)" has no unit
+        return header, ""
+    return match[1].strip(), match[2]
 
 
 def scale_of(parameter: str, unit: str, place: str) -> float:

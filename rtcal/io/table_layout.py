@@ -300,13 +300,15 @@ class Headers:
         place = f"{self.path}, line {line}"
         header = ["" if _INDEX.fullmatch(name) else name for name in header]
         columns, unknown = [], []
-        of_positions = any(map(position_of, header))
+        of_positions, of_bands = any(map(position_of, header)), any(map(frequency_of, header))
         for i, name in enumerate(header):
             if of_positions and i and name.lower() in STATISTICS:
                 columns.append(Column("", name))
                 continue
             cells = [row[i] for _, row in body if len(row) > i and row[i]]
             column = self.column(name, place) if name else Column("") if not cells else None
+            if column is None and plain(name) in WHOLE_RANGES and of_bands:
+                column = Column("", name)
             if column is None and i == 0 and not name:
                 column = Column("first")
             if column is None and not name:
@@ -396,14 +398,26 @@ def _unknown(names: list[str]) -> str:
 
 
 def _text_below(columns: list[Column], body: list[Row]) -> list[Row]:
-    """Return the last rows of a table of bands down, if they are no bands and begin with a word."""
+    """Return the last rows of a table, if they are no part of it and begin with a word.
+
+    In a table of bands down they are no bands. Else they have one cell, which is no position's name.
+    """
     if columns[0].kind != "band":
-        return []
+        end = len(body)
+        while end and len(columns) > 2 and _is_remark(body[end - 1][1]):
+            end -= 1
+        return body[end:]
     bands = [
         i for i, (_, c) in enumerate(body) if frequency_of(c[0]) or plain(c[0]) in WHOLE_RANGES
     ]
     below = body[bands[-1] + 1 :] if bands else []
     return below if below and _KNOWN_START.match(below[0][1][0]) else []
+
+
+def _is_remark(cells: list[str]) -> bool:
+    """Return whether a row is a text alone."""
+    only = [cell for cell in cells if cell]
+    return len(only) == 1 and only[0] == cells[0] and " " in only[0] and not position_of(only[0])
 
 
 def _has_corner(columns: list[Column]) -> bool:

@@ -23,9 +23,9 @@ from rtcal.io.table_columns import (
 from rtcal.io.table_layout import Row, TableLayout
 from rtcal.io.table_words import (
     FORMULA_ERRORS,
-    MISSING,
     STATISTICS,
     WHOLE_RANGES,
+    is_missing,
     parameters,
     plain,
 )
@@ -126,7 +126,7 @@ class Reader:
             if at
             and cells[at[0]].lower() not in STATISTICS
             and any(
-                column.kind in ("data", "value") and cell.lower() not in MISSING
+                column.kind in ("data", "value") and not is_missing(cell)
                 for column, cell in zip(columns, cells, strict=True)
             )
         ]
@@ -262,7 +262,7 @@ class Reader:
         for column, cell in zip(self.layout.columns, cells, strict=True):
             if column.kind in ("data", "value") and cell.lower() in FORMULA_ERRORS:
                 self.formula_errors.append(f"{cell} in line {place.rpartition(' ')[2]}")
-            if column.kind not in ("data", "value") or cell.lower() in MISSING:
+            if column.kind not in ("data", "value") or is_missing(cell):
                 continue
             pair = of_row
             if column.receiver:
@@ -292,10 +292,10 @@ class Reader:
             kind = statistic or "value"
             numbers = {kind: self._number(cell, parameter, unit, place)}
             for name in _SPREADS:
-                if entries.get(name, "").lower() not in MISSING:
+                if not is_missing(entries.get(name, "")):
                     numbers[name] = self._number(entries[name], parameter, unit, place)
             for name in ("sources", "receivers"):
-                if entries.get(name, "").lower() not in MISSING:
+                if not is_missing(entries.get(name, "")):
                     numbers[name] = number(entries[name], place)
             if min(numbers.get(n, 0.0) for n in _SPREADS) < 0:
                 raise DataError(f"{place}: an uncertainty or standard deviation is below 0")

@@ -74,7 +74,7 @@ REMARKS = frozenset(
 WHOLE_RANGES = frozenset(
     _words(
         "full wideband broadband bb all global overall total lin linear a dba mid single wide "
-        "gesamt breitband bandaancha"
+        "gesamt breitband bandaancha awtd aweighted cwtd"
     )
 )
 """What stands in a column of bands for the whole range."""
@@ -191,12 +191,16 @@ STATISTICS = {
 FORMULA_ERRORS = ("#div/0!", "#wert!", "#value!")
 """What a spreadsheet shows for a formula that has no result."""
 
-MISSING = frozenset(
-    [
-        "",
-        "k. a.",
-        *_words("- -- --- * na n/a n.a. k.a. #n/a #nv \u2212 \u2013 \u2014"),
-        *FORMULA_ERRORS,
-    ]
-)
-"""What stands in a cell without a value, among it a typographic minus and dashes."""
+_MISSING = frozenset(["k. a.", *_words("na n/a n.a. k.a. #n/a #nv"), *FORMULA_ERRORS])
+_NO_DIGIT = re.compile(r"[-*.,\s\u2212\u2013\u2014]*")
+
+
+def is_missing(cell: str) -> bool:
+    """Return whether a cell has no value: it is empty, a dash of any kind or a word for it.
+
+    Examples
+    --------
+    >>> is_missing("--.--"), is_missing("N/A"), is_missing("-1.5")
+    (True, True, False)
+    """
+    return bool(_NO_DIGIT.fullmatch(cell)) or cell.lower() in _MISSING

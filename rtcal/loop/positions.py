@@ -169,7 +169,7 @@ def calibrate_positions(
         wanted = simulator.trusted(wanted)
     match, notes = _given(simulator, room.alpha, wanted, seed)
     if isinstance(simulator, PathTracing):
-        notes = (*notes, *simulator.source_notes)
+        notes = (*notes, *simulator.notes, *simulator.source_notes)
     if replaced:
         notes = ("T30 is matched in place of T20, which was not measured.", *notes)
     first, not_heard = _first(simulator, room.alpha, match, measured, seed)

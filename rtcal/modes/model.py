@@ -24,7 +24,7 @@ from rtcal.modes.paris import admittance, admittance_slope
 from rtcal.modes.polyhedron import modes_of
 from rtcal.modes.room_modes import Admittances, Poles, RoomModes
 from rtcal.simulators.geometry import Polyhedron
-from rtcal.simulators.tracer import check_areas, check_walls
+from rtcal.simulators.tracer import area_doubt, check_walls
 from rtcal.support.errors import DataError
 from rtcal.support.types import Array
 
@@ -101,7 +101,8 @@ class RoomPoles:
         """
         geometry = geometry_files.read(room) if geometry is None else geometry
         check_walls(geometry, room)
-        check_areas(geometry, room)
+        if doubt := area_doubt(geometry, room):
+            raise DataError(doubt)
         # In steps, so that another measurement of the room needs the same modes.
         top = _STEP * float(np.ceil(largest / _STEP - 1e-9))
         modes = modes_of(geometry, top, (room.air or Air()).speed_of_sound)

@@ -177,6 +177,12 @@ class Tracer(RoomSimulator, ABC):
         scattering = scattering_coefficients(self.room, self.scattering)
         object.__setattr__(self, "scattering", scattering)
 
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Areas that the geometry contradicts."""
+        doubt = area_doubt(self.geometry, self.room)
+        return (doubt,) if doubt else ()
+
     def _check_batches(self, name: str, number: int) -> None:
         """Raise DataError unless ``number`` rays or paths fill at least two batches."""
         checks.whole(name, number, 1)
@@ -273,20 +279,24 @@ def check_walls(geometry: Polyhedron, room: Room) -> None:
         )
 
 
-def check_areas(geometry: Polyhedron, room: Room) -> None:
-    """Raise DataError for a material of the geometry whose area is off by more than `OFF_VOLUME`.
+def area_doubt(geometry: Polyhedron, room: Room) -> str:
+    """Return what is said of areas that differ by more than `OFF_VOLUME` in a geometry; "" of none.
 
-    Of materials that the geometry lacks, such as small objects, nothing is asked.
+    Of materials that the geometry lacks, such as small objects, nothing is said.
     """
     rows = np.array(room.material_rows(geometry.materials))
     own = np.bincount(rows, geometry.face_areas, room.n_materials)
-    for i in np.flatnonzero(own).tolist():
-        if abs(room.areas[i] / own[i] - 1) > OFF_VOLUME:
-            raise DataError(
-                f"room: {room.materials[i]} has {room.areas[i]:.4g} m², but {own[i]:.4g} m² in the "
-                f"geometry; they may differ by at most {100 * OFF_VOLUME:.0f} %: check the areas, and "
-                "which side of the geometry is which"
-            )
+    off = [i for i in np.flatnonzero(own).tolist() if abs(room.areas[i] / own[i] - 1) > OFF_VOLUME]
+    if not off:
+        return ""
+    named = "; ".join(
+        f"{room.materials[i]} has {room.areas[i]:.4g} m², but {own[i]:.4g} m² in the geometry"
+        for i in off
+    )
+    return (
+        f"room: {named}. They may differ by at most {100 * OFF_VOLUME:.0f} %: check the areas, and "
+        "which side of the geometry is which"
+    )
 
 
 def scattering_coefficients(room: Room, scattering: Any) -> Array:

@@ -290,8 +290,9 @@ def _finding(
 
 def _assumed(case: PositionsCase) -> tuple[str, ...]:
     """Return notes of what the search takes together."""
+    tracer = case.simulator
     together = "" if case.surfaces is not None else of_room.merged(case.geometry, case.faces)
-    return tuple(note for note in (*case.simulator.source_notes, together) if note)
+    return tuple(note for note in (*tracer.notes, *tracer.source_notes, together) if note)
 
 
 def untried(effects: Sequence[Effect]) -> str:
