@@ -153,6 +153,21 @@ def test_a_double_slope_is_flagged() -> None:
     assert not ir.analyse(straight, bands=[500, 1000, 2000]).notes
 
 
+def test_a_recorded_sweep_is_no_decay() -> None:
+    """T20 of a recording of the excitation was 0.27 s, and the notes said that the decay is bent."""
+    time = np.arange(2 * 16000) / 16000
+    sweep = np.sin(2 * np.pi * 100 * 2 / np.log(70) * (70 ** (time / 2) - 1))
+    rng = np.random.default_rng(10)
+    recorded = np.convolve(sweep, response(0.8, rng))[: 4 * 16000]
+    signals = {("S1", "R1"): response(0.8, rng), ("S1", "R2"): recorded}
+    analysis = ir.analyse(
+        {pair: pyfar.Signal(samples, 16000) for pair, samples in signals.items()},
+        bands=[250, 500, 1000, 2000],
+    )
+    (note,) = [n for n in analysis.notes if n.startswith("no decay")]
+    assert note.startswith("no decay: impulse response S1/R2. The energy arrives late")
+
+
 def test_a_clipped_response_is_noted(tmp_path: Path) -> None:
     """EDT of a response five times too loud was 20 % too long, without a word."""
     samples = response(0.8, np.random.default_rng(10))

@@ -724,3 +724,45 @@ def test_what_a_sheet_hides_is_left_out_and_what_it_strikes_through_is_said() ->
     assert "left out, hidden: row 3" in str(table)
     assert "left out, hidden: column C" in str(table)
     assert "struck through, and read: B2; empty what is withdrawn" in str(table)
+
+
+ODEON_LIKE = """Single Point response
+Band (Hz)\t500\t1000
+T(15) (s)\t1.75\t1.70
+T(20) (s)\t1.76\t1.71
+Curvature(C)\t1.1\t1.2
+Ts (ms)\t120\t118
+D(50)\t0.38\t0.39
+SPL(A) = 16.6 dB
+"""
+WITH_CORRELATION = """Octave(Hz)\t500\t1000\tA-wtd
+T30(s)\t1.78\t1.73\t1.6
+-r T30\t0.999\t1.000\t1
+T20(s)\t1.76\t1.71\t1.6
+rT20\t--,--\t1.000\t1
+r(T20)\t0.999\t1.000\t1
+"""
+
+
+@pytest.mark.parametrize("content", [ODEON_LIKE, WITH_CORRELATION])
+def test_rows_of_quality_and_remarks_are_left_out(content: str) -> None:
+    m = tables.parse(content.encode()).measurement
+    assert m.centre_frequencies.tolist() == [500, 1000]
+    assert m.values["t20"].tolist() == [[1.76, 1.71]]
+    if "D(50)" in content:
+        assert m.values["d50"].tolist() == [[0.38, 0.39]]
+    else:
+        assert m.values["t30"].tolist() == [[1.78, 1.73]]
+
+
+def test_dashes_with_a_decimal_mark_are_no_value() -> None:
+    m = tables.parse(
+        b"position;T20 500 Hz;T20 1000 Hz\nQ1-M1;--,--;1,5\nQ1-M2;1,4;1,5\n"
+    ).measurement
+    assert m.pairs == (("Q1", "M1"), ("Q1", "M2"))
+    np.testing.assert_array_equal(m.values["t20"], [[np.nan, 1.5], [1.4, 1.5]])
+
+
+def test_a_blank_before_a_number_makes_no_other_place() -> None:
+    with pytest.raises(DataError, match='the receiver "R1" and the receiver "R 1"'):
+        tables.parse(b"position,T20 500 Hz\nR1,1.5\nR 1,1.5\n")

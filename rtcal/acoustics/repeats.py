@@ -184,7 +184,8 @@ def places_of(pairs: Sequence[Pair]) -> list[Pair]:
     for kind, names in (("source", (s for s, _ in placed)), ("receiver", (r for _, r in placed))):
         alike: dict[str, str] = {}
         for name in dict.fromkeys(names):
-            other = alike.setdefault(" ".join(name.split()).casefold(), name)
+            plain = re.sub(r"(?<=\D)\s+(?=\d)", "", " ".join(name.split())).casefold()
+            other = alike.setdefault(plain, name)
             if other != name:
                 raise DataError(
                     f'pairs has the {kind} "{other}" and the {kind} "{name}", which only upper case or '

@@ -15,6 +15,8 @@ from rtcal.support.types import Array
 
 _MOST_PAIRS = 4
 """Largest number of pairs or files that a sentence names."""
+_LATE = 0.2
+"""Largest Ts over T20 of a decay; an exponential one has 1/13.8."""
 _FAR = 3.0
 """Ratio of a time to the median over the pairs above which it is told as a likely typing error."""
 
@@ -178,6 +180,21 @@ def shortened_list(names: Sequence[str]) -> str:
     if len(names) > _MOST_PAIRS:
         names = [*names[: _MOST_PAIRS - 1], f"{len(names) - _MOST_PAIRS + 1} others"]
     return "; ".join(names)
+
+
+def late_energy(values: Mapping[str, Array], files: Sequence[str]) -> list[str]:
+    """Return a note on the files of which most bands have too large a Ts for a decay.
+
+    ``values`` of T20 and Ts in s, (n_files, n_bands).
+    """
+    late = (values["ts"] > _LATE * values["t20"]).mean(axis=1) > 0.5
+    if not late.any():
+        return []
+    named = shortened_list([file for file, is_late in zip(files, late, strict=True) if is_late])
+    return [
+        f"no decay: {named}. The energy arrives late (Ts above T20/5; that of a decay is T20/14). "
+        "Look whether it is the recording of a sweep"
+    ]
 
 
 def unusual(measurement: Measurement) -> tuple[str, ...]:

@@ -35,7 +35,7 @@ from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.observables import EARLY, OBSERVABLES, DecaySlope, of_kind, parameter_label
 from rtcal.acoustics.repeats import groups, in_words, names_of_repeats, places_of
 from rtcal.io import sofa, wav
-from rtcal.io.analysis import Analysis, pairs_in_words, shortened_list, spread
+from rtcal.io.analysis import Analysis, late_energy, pairs_in_words, shortened_list, spread
 from rtcal.support import checks
 from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError
@@ -264,11 +264,12 @@ def _analysis(
             f"no decay stands out of the noise: {shortened_list(of_file)}. Look whether it is an "
             "impulse response, and not noise or a recording of the excitation"
         )
+    notes += late_energy(values, [*places.values()])
     if clipped:
         notes.append(
             f"clipped: {shortened_list(clipped)}. Their largest value occurs {wav.LEAST_CLIPPED} times "
-            "or more, that of a decay once. The start of the decay is cut off, so all their values are "
-            "in doubt, and no table says so: measure again at a lower level, or without these files"
+            "or more, that of a decay once. All their values are in doubt, and no table says so: "
+            "measure again at a lower level, or without these files"
         )
     if silences:
         seconds = spread([*silences.values()], ".2f")

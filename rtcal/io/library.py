@@ -26,6 +26,7 @@ from rtcal.io.material_list import ListedMaterial, MaterialList
 from rtcal.io.table_columns import LEAST_BAND, frequency_of, nearest_band
 from rtcal.io.table_layout import Row, Sheet
 from rtcal.io.table_text import sheet_of_text
+from rtcal.io.table_words import is_missing
 from rtcal.io.text import MAX_TEXT, Text, decode, number, shown
 from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError
@@ -157,7 +158,9 @@ def _across(sheet: Sheet, at: int, at_bands: dict[int, float]) -> Iterator[Liste
     elsewhere = "" if percent else _first_percent([*header, *titles])
     for line, cells in sheet.rows[at + 1 :]:
         name = cells[names[0]] if len(cells) > names[0] else ""
-        values = {f: cells[k] for k, f in at_bands.items() if k < len(cells) and cells[k]}
+        values = {
+            f: cells[k] for k, f in at_bands.items() if k < len(cells) and not is_missing(cells[k])
+        }
         if not values:
             continue
         if not name:
@@ -198,7 +201,7 @@ def _down(sheet: Sheet, otherwise: str) -> Iterator[ListedMaterial]:
         values = {
             f: sheet.rows[i][1][k]
             for i, f in rows
-            if len(sheet.rows[i][1]) > k and sheet.rows[i][1][k]
+            if len(sheet.rows[i][1]) > k and not is_missing(sheet.rows[i][1][k])
         }
         percent = _in_percent(header[k : k + 1], [*header, *titles])
         elsewhere = "" if percent else _first_percent([*header, *titles])

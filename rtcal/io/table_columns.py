@@ -50,11 +50,11 @@ _SCALES: dict[str, dict[str, float]] = {
 UNIT_WORDS = {"hz", "khz", "s", "sec", "ms", "db", "%", "percent", "-", "1"}
 
 _POSITION = re.compile(
-    r"(L?S\d+|F\d+|(?:src|source|quelle|lautsprecher)[\s_.]*\d+)[\s_,-]*"
+    r"(L?S\d+|[FQ]\d+|(?:src|source|quelle|lautsprecher)[\s_.]*\d+)[\s_,-]*"
     r"((?:(?:MP|M|R|P)|(?:rec|receiver|mic|microphone|mikrofon|pos|position)[\s_.]*)\d+"
     r"(?:\s*#\d+)?)",
     re.I | re.ASCII,
-)  # source and receiver; F1-P1 is Spanish
+)  # source and receiver; F1-P1 is Spanish, Q1-M1 German
 _RECEIVER = re.compile(
     r"(?:MP|M|R|P|rec|receiver|mic|microphone|pos|position|mikrofon|messposition)"
     r"[\s_.-]*\d+(?:\s*#\d+)?",

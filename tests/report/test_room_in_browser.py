@@ -99,7 +99,9 @@ document.querySelector("iframe").onload = async event => {
     told.push(key + " " + state());
   }
   inside.querySelector("#room-parts button").click();
-  told.push("row " + state());
+  told.push("row " + state()); told.push("said " + said());
+  const list = inside.querySelector("#room-quantity");
+  list.value = 1; list.onchange(); told.push("other " + said());
   document.body.append("told: " + told.join("|") + " end");
 };</script>"""
 
@@ -114,10 +116,13 @@ def test_pointer_keys_and_rows_choose_and_turn(html) -> None:
     told = dict(step.partition(" ")[::2] for step in seen.split("|"))
     assert told["hover"].startswith("ceiling: ")
     assert told["outside"] == ""
+    # The caption of the chosen surface stayed that of the quantity before.
+    assert told["said"].partition(": ")[0] == told["other"].partition(": ")[0]
+    assert told["said"] != told["other"]
     ends = {
         name: tuple(map(float, value.split()))
         for name, value in told.items()
-        if name not in ("hover", "outside")
+        if name not in ("hover", "outside", "said", "other")
     }
     turn, tilt, part = ends["click"]
     assert part == 1

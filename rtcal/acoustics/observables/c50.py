@@ -11,6 +11,6 @@ class C50(Clarity):
     """Clarity of speech: the energy before 50 ms over that after, in dB."""
 
     key, label, rank = "c50", "C50", 40
-    spellings = ("clarityc50",)
+    spellings = ("clarityc50", "deutlichkeitsmaß", "deutlichkeitsmaßc50", "deutlichkeitsmassc50")
     limit = reaches = 0.05
     shown = True

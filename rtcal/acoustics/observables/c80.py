@@ -11,6 +11,6 @@ class C80(Clarity):
     """Clarity of music: the energy before 80 ms over that after, in dB."""
 
     key, label, rank = "c80", "C80", 50
-    spellings = ("clarityc80",)
+    spellings = ("clarityc80", "klarheitsmaß", "klarheitsmaßc80", "klarheitsmassc80")
     limit = reaches = 0.08
     matched = shown = True

@@ -19,7 +19,15 @@ class D50(Observable):
     """Definition: the share of the energy before 50 ms (ISO 3382-1:2009, A.11)."""
 
     key, label, rank = "d50", "D50", 60
-    spellings = ("definition", "definitiond50", "deutlichkeitd50", "d", "deutlichkeit")
+    spellings = (
+        "definition",
+        "definitiond50",
+        "deutlichkeitd50",
+        "d",
+        "deutlichkeit",
+        "deutlichkeitsgrad",
+        "deutlichkeitsgradd50",
+    )
     unit = ""
     decimals = 2
     jnd = 0.05

@@ -11,7 +11,15 @@ class T30(DecaySlope):
     """T30: -5 to -35 dB (ISO 3382-1:2009, 5.3)."""
 
     key, label, rank = "t30", "T30", 20
-    spellings = ("rt30", "rt60t30", "t60t30", "t60(30)", "reverberationtimet30", "nachhallzeitt30")
+    spellings = (
+        "rt30",
+        "tr30",
+        "rt60t30",
+        "t60t30",
+        "t60(30)",
+        "reverberationtimet30",
+        "nachhallzeitt30",
+    )
     upper, lower = -5.0, -35.0
     minimum_range = 45.0
     one_decay = 0.55

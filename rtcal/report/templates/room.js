@@ -238,7 +238,7 @@
   };
   const listen = (name, key) => {
     const list = find(`room-${name}`);
-    if (list) list.onchange = () => { state[key] = Number(list.value); bands(); refresh(); };
+    if (list) list.onchange = () => { state[key] = Number(list.value); bands(); refresh(); say({ part: state.part }); };
   };
   ["quantity", "column", "when"].forEach(name => listen(name, name));
 
