@@ -207,8 +207,7 @@ def import_room(
     place = "--area" if mesh is None else mesh
     renamed = _chosen_names(listed, entries, used, chosen, place)
     listed = listed.with_spellings(used)
-    in_list = {*listed.names, *listed.aliases, *renamed}
-    others = renamed | _from_catalogue(listed, in_list, program, used, chosen, place)
+    others = renamed | _from_catalogue(listed, renamed, program, used, chosen, place)
     rule = SigmaRule(
         relative=sigma_relative,
         minimum=sigma_minimum,
@@ -315,7 +314,7 @@ def _refuse_unused(option: str, named: Iterable[str], used: Sequence[str], place
 
 def _from_catalogue(
     listed: MaterialList,
-    in_list: Collection[str],
+    renamed: Collection[str],
     program: str,
     used: Sequence[str],
     chosen: dict[str, str],
@@ -323,12 +322,13 @@ def _from_catalogue(
 ) -> dict[str, ListedMaterial]:
     """Return the room's materials from the catalogue.
 
-    Raises DataError, with proposals, for materials that are in neither ``in_list`` nor the options;
+    Raises DataError, with proposals, for materials that are in neither the list nor the options;
     ``place`` is where the room names its materials.
     """
     _refuse_unused("--catalogue", chosen, used, place)
     in_catalogue = _chosen_entries(chosen)
-    if missing := [n for n in used if n not in in_list and n not in chosen]:
+    found = {*listed.names, *listed.aliases, *renamed, *chosen}
+    if missing := [n for n in used if n not in found]:
         proposals = _all_proposals(missing, listed, program)
         options = " ".join(f'--catalogue "{name}=ENTRY"' for name in missing[:_DESCRIBED])
         if len(missing) > _DESCRIBED:

@@ -220,20 +220,19 @@ def _analysis(
     centres, fractions = _centres(bands, rate)
     values = {p: np.full((len(signals), len(centres)), np.nan) for p in MINIMUM_RANGE}
     ratios = np.full((len(signals), len(centres)), np.nan)
-    missing: list[str] = []
+    missing, clipped = list[str](), list[str]()
     silences: dict[tuple[str, str], float] = {}
-    clipped: list[str] = []
     short: dict[float, list[float]] = {}
     for i, (pair, signal) in enumerate(signals.items()):
         samples = wav.prepared(signal)
-        time, onset = samples.time, samples.onset
+        onset = samples.onset
         if samples.silence >= wav.LEAST_SILENCE:
             silences[pair] = samples.silence
         if samples.clipped:
             clipped.append(f"{places[pair]} ({samples.clipped} samples)")
         for k, centre in enumerate(centres):
             bandwidth = centre * (2 ** (0.5 / fractions) - 2 ** (-0.5 / fractions))
-            energy = _filtered(time, float(signal.sampling_rate), float(centre), fractions)
+            energy = _filtered(samples.time, float(signal.sampling_rate), float(centre), fractions)
             lead = min(onset, int(4 / bandwidth * signal.sampling_rate))
             parameters, ratios[i, k], reasons = of_energy(
                 energy[onset:],
@@ -243,7 +242,7 @@ def _analysis(
                 early=float(energy[onset - lead : onset].sum()),
                 early_samples=lead,
             )
-            place = f"{pair[0]}, {pair[1]}, {_bands.label(centre)}"
+            place = f"{', '.join(pair)}, {_bands.label(centre)}"
             missing += [f"{place}: {reason}" for reason in reasons]
             for parameter, value in parameters.items():
                 values[parameter][i, k] = value
