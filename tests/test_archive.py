@@ -396,13 +396,13 @@ def test_the_command_reads_a_folder_and_writes_a_room(
     assert "--room-weight" in refused(folder, "--room-weight", "C=much")
 
 
-def test_a_coefficient_that_is_exact_teaches_nothing() -> None:
-    """A material with one has no share of its sigma that the room took away."""
+def test_a_material_that_is_hard_for_certain_teaches_nothing() -> None:
+    """Where nothing is unknown, no share of sigma is taken away."""
     room, _ = rt.datasets.bras_cr2()
-    sigma = room.sigma.copy()
-    sigma[1, 0] = 0.0
+    alpha, sigma = room.alpha.copy(), room.sigma.copy()
+    alpha[1, 0] = sigma[1, 0] = 0.0
     t = 1.2 * rt.Eyring().reverberation_time(room)
-    exact = room.replace(sigma=sigma)
+    exact = room.replace(alpha=alpha, sigma=sigma)
     rooms = [rt.calibrate(exact.replace(name=n), f * t) for n, f in (("A", 1.0), ("B", 0.97))]
     archive = rt.learn(rooms)
     assert all(0 < lesson.taught < 1 for lesson in archive.lessons)
