@@ -62,6 +62,18 @@ SURVIVORS: dict[tuple[str, str], str] = {
         "+ b = b + np.where(inside, 0.0, np.where(start >= b, give, -give))",
     ): "equivalent: where start is b, it is inside, or give is 0",
     (
+        "rtcal.calibration.numpy_model.x__check_rows",
+        "+ for row in np.flatnonzero(row_scale >= 0):",
+    ): "equivalent: a row whose scale is 0 is violated by 0 in both descriptions",
+    (
+        "rtcal.calibration.numpy_model.x__minimum",
+        "+ if all(variable.id != context.x.id for variable in expression.variables()):",
+    ): "speed only: the value is what the solved problem has",
+    (
+        "rtcal.calibration.numpy_model.x_require_agreement",
+        "+ _check_derivatives(term, model, read_only_view(centre - scale * points), scale)",
+    ): "equivalent: other random points about the same centre",
+    (
         "rtcal.calibration.separable.xǁSeparableǁ_equation",
         "+ inside = (at_prior > self.least + error) & (at_prior <= self.most - error) & ~soft",
     ): "equivalent: there S'alpha of the prior is nearest, which D = 0 gives",

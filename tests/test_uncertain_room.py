@@ -452,6 +452,7 @@ def test_a_gap_that_the_volume_takes_up_leads_the_page_and_the_text(tmp_path: Pa
         "The calibrated room does not have the measured reverberation time in 4 of"
     )
     assert lead.endswith("uncertain explains them: the volume (12 %). Check that first.")
+    assert "larger than before" not in lead
     assert words.lead(result)["level"] == "open"
     assert words.usable(result)[0] == []
     text = calibration_page(result)
