@@ -110,7 +110,7 @@ def search_case(
         refuse(stated, ": with a geometry there is no such option")
     else:
         options |= of_means
-    with _progress("control room", quiet) as progress:
+    with _progress("step", quiet) as progress:
         options |= {"cache": inputs.kept, "progress": progress}
         return find(case, **options)
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -30,7 +30,7 @@ from rtcal.simulators.tracer import LONGEST
 from rtcal.support import checks, files
 from rtcal.support.errors import DataError, TooShortError
 from rtcal.support.lazy import __version__
-from rtcal.support.progress import TaskProgress
+from rtcal.support.progress import Progress, TaskProgress
 from rtcal.support.types import Array
 
 SHARES = (-1.0, -0.5, 0.08, 0.25, 0.55, 1.0)
@@ -57,8 +57,6 @@ pair: in four rooms of the geometric world what differed was noise. So a single 
 surface a pattern over the pairs that no room has."""
 STEP = 0.08
 """Share of the way to 1 by which a material's alpha moves for the derivatives by alpha."""
-_TASKS = ("paths", "surfaces", "places")
-"""What is weighed, one after the other."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -135,17 +133,20 @@ def responses_of(
 
 
 def _weighed(case: PositionsCase, seed: int, progress: TaskProgress | None) -> PairShifts:
-    match, done = parameters(case), 0
+    match = parameters(case)
 
-    def tell(task: str) -> None:
-        nonlocal done
-        done += 1
-        if progress is not None:
-            progress(task, done, TRACINGS * len(_TASKS))
+    def telling(tracing: int) -> Progress:
+        def tell(done: int, total: int) -> None:
+            if progress is not None:
+                progress(f"surfaces, tracing {tracing} of {TRACINGS}", done, total)
+
+        return tell
 
     seconds = _seconds(case, match, seed)
     seeds = range(TRACINGS * seed, TRACINGS * (seed + 1))
-    return _mean([_of_tracing(case, match, each, seconds, tell) for each in seeds])
+    return _mean(
+        [_of_tracing(case, match, s, seconds, telling(t)) for t, s in enumerate(seeds, start=1)]
+    )
 
 
 def _of_tracing(
@@ -153,17 +154,15 @@ def _of_tracing(
     match: tuple[str, ...],
     seed: int,
     seconds: float,
-    tell: Callable[[str], None],
+    tell: Progress,
 ) -> PairShifts:
     """Return the shifts of one tracing, whose paths are followed for ``seconds`` at least."""
-    tell("paths")
     tracer = _retraced(precisely(case.simulator), geometry=case.divided.geometry)
     weighing = Weighing(tracer, match, seed, seconds)
     energy = weighing.energy(weighing.alpha, number=BASE)
     base = weighing.parameters(energy.mean(axis=0))
     groups = np.ascontiguousarray(np.moveaxis(weighing.parameters(energy), 1, 0))
-    tell("surfaces")
-    surfaces, parts, apertures, materials = _of_surfaces(case, weighing, base)
+    surfaces, parts, apertures, materials = _of_surfaces(case, weighing, base, tell)
     room = case.room
     reference = Air(20, 50).attenuation(room.centre_frequencies)
     air = [
@@ -179,7 +178,6 @@ def _of_tracing(
         tracer = _retraced(tracer, scattering_model="random")
     slopes = tracer.scattering_jacobian(room.alpha, match, number=BASE, seed=seed)
     scattering = slopes.mean(axis=0)
-    tell("places")
     return PairShifts(
         parameters=match,
         base=base,
@@ -270,7 +268,7 @@ def precisely(tracer: PathTracing) -> PathTracing:
 
 
 def _of_surfaces(
-    case: PositionsCase, weighing: Weighing, base: Array
+    case: PositionsCase, weighing: Weighing, base: Array, tell: Progress
 ) -> tuple[Array, Array, Array, Array]:
     """Return the shifts by surfaces, parts, apertures and materials; see `PairShifts`."""
     room, divided = case.room, case.divided
@@ -287,6 +285,7 @@ def _of_surfaces(
         shifts[members] = _at_shares(weighing, decays) - base[..., np.newaxis]
         if members in names:
             apertures[members] = _apertures(case, weighing, names[members], decays, base)
+        tell(len(shifts), len(groups))
     # Several surfaces together: paths would be followed for long where all of them are hard.
     other = {frozenset(f.tolist()): f for f in of_materials if frozenset(f.tolist()) not in groups}
     for members, (decay,) in zip(other, weighing.of_groups([*other.values()], [STEP]), strict=True):
