@@ -806,6 +806,29 @@ def test_a_volume_that_hardly_any_room_has_is_told_in_other_units(
     assert ("it is 280 m³ in inches (--unit 0.0254)" in said) == told
 
 
+def test_a_hall_in_feet_is_told_with_its_box(tmp_path: Path, capsys) -> None:
+    """93,150 m³ were taken in silence."""
+    hall = Polyhedron.shoebox((22 / 0.3048, 15 / 0.3048, 8 / 0.3048), "plaster")
+    hall.save(tmp_path / "hall.obj")
+    assert run("import", "check", tmp_path / "hall.obj") == 0
+    said = " ".join(capsys.readouterr().out.split())
+    assert "more than most halls have; it is 2640 m³ in feet (--unit 0.3048)" in said
+    assert "x × y × z = 72.2 × 49.2 × 26.2 m" in said
+    for unit, box in ((0.3048, "22 × 15 × 8 m"), (1.0, "72.2 × 49.2 × 26.2 m")):
+        assert run("import", "check", tmp_path / "hall.obj", "--unit", unit) == 0
+        said = " ".join(capsys.readouterr().out.split())
+        assert "in feet" not in said  # the user has said so
+        assert box in said
+    faces = [n for n, _ in enumerate(hall.faces) if hall.names[n] != "ceiling"]
+    polygons = [hall.vertices[list(hall.faces[n])] for n in faces]
+    names = [hall.names[n] for n in faces]
+    obj(mend.Faces("x", polygons, names, names), tmp_path / "open.obj")
+    assert run("import", "check", tmp_path / "open.obj", "--open") == 0
+    said = " ".join(capsys.readouterr().out.split())
+    assert "m³ in feet (--unit 0.3048)" in said
+    assert "x × y × z = 72.2 × 49.2 × 26.2 m" in said
+
+
 def test_a_refused_mesh_in_another_unit_says_so_first(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -96,6 +96,7 @@ def check(
     record = {
         "volume": done.volume,
         "volume_uncertainty": done.volume_uncertainty,
+        "size": done.size,
         "areas": done.areas,
         "area_uncertainty": done.area_uncertainty,
         "defects": [asdict(defect) for defect in done.defects],

@@ -104,22 +104,26 @@ def room(
     A mesh whose faces close as they are drawn is taken as it is.
     """
     faces = read(path, unit=unit, space=space)
-    stated = 1.0 if unit is None else unit
     done = closed(faces, weld=weld, offset=offset)
     if done is None:
         try:
             done = mended(faces, weld=weld, offset=offset, largest_hole=largest_hole)
         except MeshError as error:
-            _tell_unit(error, stated, os.fspath(path))
+            _tell_unit(error, unit, os.fspath(path))
             raise
-    obj.check_volume(done.geometry.volume, stated, os.fspath(path))
-    note = obj.volume_note(done.geometry.volume, stated)
+    stated = 1.0 if unit is None else unit
+    obj.check_volume(done.volume, stated, os.fspath(path))
+    note = obj.volume_note(done.volume, stated, is_stated=unit is not None)
     return replace(done, notes=(*done.notes, note)) if note else done
 
 
-def _tell_unit(error: MeshError, unit: float, path: str) -> None:
+def _tell_unit(error: MeshError, unit: float | None, path: str) -> None:
     """Say first of a refused mesh that its volume by rays is one in another unit, if it is."""
-    if error.unclosed is None or not (note := obj.volume_note(error.unclosed.volume, unit)):
+    if error.unclosed is None:
+        return
+    stated = 1.0 if unit is None else unit
+    note = obj.volume_note(error.unclosed.volume, stated, is_stated=unit is not None)
+    if not note:
         return
     error.args = (f"{path}: by rays {note}. {str(error).removeprefix(f'{path}: ')}",)
     error.unclosed = replace(error.unclosed, notes=(*error.unclosed.notes, f"by rays {note}"))

@@ -189,21 +189,32 @@ def check_volume(volume: float, unit: float, path: str) -> None:
 
 _USUAL = 2.0, 500_000.0
 """Volume in m³ of rooms, but for a few: a cupboard and the largest church."""
+_LARGE = 30_000.0
+"""Volume in m³ of nearly all concert halls at most. One that is drawn in feet has 35 times its own."""
 
 
-def volume_note(volume: float, unit: float) -> str:
-    """Return a note on a volume that hardly any room has, with that in other units; "" for others.
+def volume_note(volume: float, unit: float, *, is_stated: bool = False) -> str:
+    """Return a note on a volume that few rooms have, with that in other units; "" for others.
+
+    A volume that a few rooms have is no matter of doubt if the user has stated the unit.
 
     Examples
     --------
     >>> volume_note(1.644e7, 1.0)
     'V = 16440000 m³ is more than nearly any room has; it is 269 m³ in inches (unit = 0.0254)'
+    >>> volume_note(93150.0, 1.0)
+    'V = 93150 m³ is more than most halls have; it is 2640 m³ in feet (unit = 0.3048)'
     """
-    if _USUAL[0] <= volume <= _USUAL[1]:
-        return ""
+    few = volume < _USUAL[0] or volume > _USUAL[1]
     others = _in_other_units(volume, unit, (20.0, 20_000.0))
-    said = "less" if volume < _USUAL[0] else "more"
-    return f"V = {rounded(volume, 4)} m³ is {said} than nearly any room has" + (
+    if not few and (is_stated or volume <= _LARGE or not others):
+        return ""
+    said = (
+        "less than nearly any room has" if volume < _USUAL[0] else "more than nearly any room has"
+    )
+    if not few:
+        said = "more than most halls have"
+    return f"V = {rounded(volume, 4)} m³ is {said}" + (
         f"; it is {' or '.join(others)}" if others else ""
     )
 
@@ -211,7 +222,7 @@ def volume_note(volume: float, unit: float) -> str:
 def _in_other_units(volume: float, unit: float, limits: tuple[float, float]) -> list[str]:
     """Return the volume in each unit in which it lies within the limits."""
     return [
-        f"{volume * (scale / unit) ** 3:.3g} m³ in {name} (unit = {scale:g})"
+        f"{rounded(volume * (scale / unit) ** 3, 3)} m³ in {name} (unit = {scale:g})"
         for name, scale in _UNITS.items()
         if scale != unit and limits[0] <= volume * (scale / unit) ** 3 <= limits[1]
     ]

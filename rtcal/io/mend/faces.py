@@ -85,6 +85,8 @@ class Unclosed:
         Area of each material in m², every face once. What is missing is not in it.
     defects : sequence of Defect
     notes : sequence of str
+    size : sequence of float
+        Lengths along x, y and z in m of the box around it.
     """
 
     volume: float
@@ -92,6 +94,7 @@ class Unclosed:
     areas: Mapping[str, float]
     defects: tuple[Defect, ...]
     notes: tuple[str, ...] = ()
+    size: tuple[float, ...] = ()
 
     @property
     def area_uncertainty(self) -> dict[str, float]:
@@ -108,7 +111,7 @@ class Unclosed:
         u, total = self.volume_uncertainty, sum(self.areas.values())
         head = (
             f"V = {rounded(self.volume, 4)} ± {rounded(u, 2)} m³ by rays, S = {total:.6g} m² as drawn, "
-            "not closed"
+            f"not closed{_box(self.size)}"
         )
         return "\n".join([head, *_listed(self.areas, self.defects)])
 
@@ -147,6 +150,11 @@ class Mended:
         return float(self.geometry.volume)
 
     @property
+    def size(self) -> tuple[float, ...]:
+        """Lengths along x, y and z in m of the box around the room."""
+        return tuple(np.ptp(self.geometry.vertices, axis=0).tolist())
+
+    @property
     def areas(self) -> Mapping[str, float]:
         """Area of each material in m²."""
         return self.geometry.areas
@@ -166,7 +174,9 @@ class Mended:
         total = float(np.sum(self.geometry.face_areas))
         u = f" ± {rounded(self.volume_uncertainty, 2)}" if self.volume_uncertainty > _SHOWN else ""
         n = len(self.geometry.faces)
-        head = f"V = {self.geometry.volume:.6g}{u} m³, S = {total:.6g} m², {n} faces"
+        head = (
+            f"V = {self.geometry.volume:.6g}{u} m³, S = {total:.6g} m², {n} faces{_box(self.size)}"
+        )
         return "\n".join([head, *_listed(self.geometry.areas, self.defects)])
 
 
@@ -181,6 +191,11 @@ def combined(parts: Iterable[tuple[str, float]]) -> dict[str, float]:
 def uncertain_areas(defects: Sequence[Defect]) -> dict[str, float]:
     """Return the standard uncertainty of each material's area in m² by all defects."""
     return combined(each for defect in defects for each in defect.area_uncertainty.items())
+
+
+def _box(size: Sequence[float]) -> str:
+    """Return the box around a room in words, which shows whether the unit is right."""
+    return f", x × y × z = {' × '.join(rounded(x, 3) for x in size)} m" if size else ""
 
 
 def _listed(areas: Mapping[str, float], defects: Sequence[Defect]) -> list[str]:

@@ -115,7 +115,8 @@ def unclosed_room(mend: Mending, shell: Work, others: Sequence[Work]) -> Unclose
     crossed = [p for p in others if not whole or not open_edges(mend, p)]
     polygons = [mend.points[face] for part in (shell, *crossed) for face in part.faces]
     volume, uncertainty = volume_by_rays(polygons)
-    return Unclosed(volume, uncertainty, areas, tuple(mend.defects), mend.drawn.notes)
+    size = tuple(np.ptp(mend.corners(shell), axis=0).tolist())
+    return Unclosed(volume, uncertainty, areas, tuple(mend.defects), mend.drawn.notes, size)
 
 
 def with_others(mend: Mending, shell: Work, others: Sequence[Work]) -> Work:
