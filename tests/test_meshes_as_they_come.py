@@ -17,6 +17,7 @@ from rtcal.command.main import main
 from rtcal.io import geometry_files, mend, mesh
 from rtcal.io.mend.faces import unit_notes
 from rtcal.io.mend.shapes import volume_by_rays
+from rtcal.report import figures
 from rtcal.simulators.geometry import Polyhedron
 from rtcal.support.errors import DataError, MissingDependencyError
 from tests.damage import damages
@@ -216,14 +217,54 @@ def test_thin_boards_beside_each_other_do_not_touch() -> None:
     assert "contact" not in kinds(done)
 
 
-@pytest.mark.parametrize(("shift", "kind"), [(20.0, "outside"), (9.0, "partly outside")])
-def test_a_closed_object_beyond_the_walls_is_no_part_of_a_closed_room(
-    shift: float, kind: str
-) -> None:
+def test_a_closed_object_beyond_the_walls_is_no_part_of_a_closed_room() -> None:
     """Its volume had been taken from the room's, in silence."""
-    done = room_with(*block((shift, 2, 1), (shift + 2, 4, 2)))
+    done = room_with(*block((20, 2, 1), (22, 4, 2)))
     assert done.volume == V
-    assert kind in kinds(done)
+    assert "outside" in kinds(done)
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "covered", "own"),
+    [
+        ((9, 2, 1), (11, 4, 2), 2, 8),  # through a wall
+        ((2, 2, -0.3), (3, 3, 4.3), 2, 16),  # a column through floor and ceiling
+        ((-0.3, -0.2, -0.3), (2, 2, 1), 8, 8),  # through the room's corner
+    ],
+)
+def test_an_object_that_reaches_through_walls_ends_there(
+    low: tuple[float, float, float], high: tuple[float, float, float], covered: float, own: float
+) -> None:
+    """The part beyond them had been taken from V in silence."""
+    inside = np.minimum(high, (10, 7, 4)) - np.maximum(low, 0)
+    for without in ((), ("ceiling",)) if high[2] > 4 else ((),):
+        done = room_with(*block(low, high, without=without))
+        assert done.areas == pytest.approx({"plaster": S - covered, "seats": own})
+        assert done.volume == pytest.approx(V - np.prod(inside))
+        assert "through" in kinds(done)
+
+
+def test_an_object_across_the_inner_corner_of_a_room_is_uncertain() -> None:
+    """The planes of the two walls there cross the room, too."""
+    ring = [(0, 0), (10, 0), (10, 4), (4, 4), (4, 8), (0, 8)]
+    flat = [np.array([(x, y, z) for x, y in ring], dtype=float) for z in (0, 3)]
+    sides = [np.array([flat[0][i - 1], flat[0][i], flat[1][i], flat[1][i - 1]]) for i in range(6)]
+    polygons = [*flat, *sides, *(np.array(p) for _, p in block((3.5, 3.5, 0), (4.5, 4.5, 3)))]
+    names = ["plaster"] * 8 + ["seats"] * 6
+    done = mend.mended(mend.Faces("x", polygons, names, names))
+    assert "partly outside" in kinds(done)
+    assert done.area_uncertainty["seats"] > 3
+
+
+def test_walls_that_are_drawn_with_their_thickness_have_a_room_within() -> None:
+    """V had been the walls' own: 392 m³ of a hall of 2640 m³."""
+    outer = block((-0.3, -0.3, -0.3), (10.3, 7.3, 4.3), "concrete")
+    done = room_with(*outer, *block((2, 2, 0), (4, 4, 1)))
+    assert done.areas == pytest.approx({"plaster": S - 4, "seats": 12})
+    assert done.volume == pytest.approx(V - 4)
+    assert "outside" in kinds(done)
+    core = room_with(*block((1.5, 1.5, 0), (8.5, 5.5, 4), "core"))  # a corridor around a core
+    assert core.volume == pytest.approx(V - 7 * 4 * 4)
 
 
 @pytest.mark.parametrize(
@@ -804,6 +845,42 @@ def test_a_volume_that_hardly_any_room_has_is_told_in_other_units(
     assert run("import", "check", obj(large, tmp_path / "room.obj")) == 0
     said = " ".join(capsys.readouterr().out.split())
     assert ("it is 280 m³ in inches (--unit 0.0254)" in said) == told
+
+
+def test_triangles_of_one_wall_are_one_surface_of_the_room(tmp_path: Path) -> None:
+    """A room's file had listed each triangle of a flat ceiling."""
+    faces = [
+        (n, BOX.vertices[list(f)][list(t)])
+        for n, f in zip(BOX.names, BOX.faces, strict=True)
+        for t in ((0, 1, 2), (0, 2, 3))
+    ]
+    lines, count = list[str](), 0
+    for name, corners in faces:
+        lines += [f"g {name}", "usemtl concrete", *("v {} {} {}".format(*c) for c in corners)]
+        lines.append(f"f {count + 1} {count + 2} {count + 3}")
+        count += 3
+    (tmp_path / "room.obj").write_text("\n".join(lines))
+    out = tmp_path / "room.toml"
+    command = ("import", "catalogue", "--mesh", tmp_path / "room.obj", "--out", out)
+    assert run(*command, "--catalogue=concrete=rough_concrete") == 0
+    surfaces = rt.Room.from_file(out).surfaces
+    areas = dict(zip(BOX.names, BOX.face_areas, strict=True))
+    assert {s.name: s.area for s in surfaces} == pytest.approx(areas)
+    assert [s.axis for s in surfaces] == ["x", "x", "y", "y", "z", "z"]
+
+
+def test_the_pictures_legend_is_in_the_picture() -> None:
+    names = ["ceiling-block-001_Bapsextended, painted concrete", "seats", "a_window_of_glass"]
+    long = Polyhedron.shoebox((74, 38, 7), "plaster")
+    polygons = [long.vertices[list(f)] for f in long.faces]
+    faces = mend.Faces("x", polygons, [*names, *names], ["f"] * 6)
+    figure = figures.wireframe(faces)
+    for _ in range(2):  # the layout settles
+        figures.rendered(figure, "png")
+    (legend,) = [*figure.legends, *(a.get_legend() for a in figure.axes if a.get_legend())]
+    for box in (legend.get_window_extent(), figure.axes[0].get_tightbbox()):
+        assert 0 <= box.x0 < box.x1 <= figure.bbox.width
+        assert 0 <= box.y0 < box.y1 <= figure.bbox.height
 
 
 def test_a_hall_in_feet_is_told_with_its_box(tmp_path: Path, capsys) -> None:

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from rtcal.acoustics.materials import Surface
     from rtcal.acoustics.room import Room
     from rtcal.io.mend import Mended, MeshError, Unclosed
+    from rtcal.simulators.geometry import Polyhedron
 
 _LEAST_UNCERTAINTY = 1e-3
 """Relative uncertainty of V or of an area that a room states: no T is measured as exactly."""
@@ -143,7 +144,7 @@ def geometry(
                     raise _with_volume(error) from error
                 unclosed = error.unclosed
                 return unclosed, unclosed.volume, unclosed.surfaces
-        return model, model.geometry.volume, model.geometry.surfaces
+        return model, model.volume, _surfaces(model.geometry)
     if as_drawn:
         raise DataError("--open is for a mesh: state --mesh, or leave it out")
     if volume is None or not areas:
@@ -205,11 +206,27 @@ def with_uncertainty(room: Room, model: Mended | Unclosed) -> tuple[Room, list[s
     return room, notes
 
 
+def _surfaces(geometry: Polyhedron) -> list[Surface]:
+    """Return the room's surfaces: faces of one material in one plane are one, as for the finder."""
+    from rtcal.acoustics.materials import Surface
+    from rtcal.finder.positions.surfaces import of_geometry
+
+    drawn = geometry.surfaces
+    surfaces = []
+    for name, faces in of_geometry(geometry).items():
+        largest = drawn[max(faces, key=lambda i: drawn[i].area)]
+        area = sum(drawn[i].area for i in faces)
+        surfaces.append(Surface(name, largest.material, area, largest.axis))
+    return surfaces
+
+
 def _mesh_file(mesh: str, model: Mended, out: str, stated: str | None) -> str | None:
     """Return the file to which the room's mesh is written; None if the tracers read it as it is."""
     if stated is not None:
         return stated
-    if Path(mesh).suffix.lower() == ".obj" and all(d.kind == "turned" for d in model.defects):
+    if Path(mesh).suffix.lower() == ".obj" and all(
+        d.kind in ("turned", "gap") for d in model.defects
+    ):
         return None
     beside = Path(out).with_suffix(".obj")
     return str(

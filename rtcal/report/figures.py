@@ -65,11 +65,11 @@ def wireframe(mesh: Polyhedron | Faces, open_edges: Array | None = None) -> Any:
         gaps = np.concatenate([np.concatenate([e, np.full((1, 3), np.nan)]) for e in open_edges])
         axes.plot(*gaps.T, color="red", linewidth=2, label=f"{len(open_edges)} open edges")
     corners = np.concatenate(polygons)
-    axes.set_box_aspect(np.maximum(np.ptp(corners, axis=0), 1e-3))
+    axes.set_box_aspect(np.maximum(np.ptp(corners, axis=0), 1e-3), zoom=0.9)
     for axis in "xyz":
         getattr(axes, f"set_{axis}label")(f"{axis} / m")
     if len(of_material) <= 20:
-        axes.legend(fontsize="x-small", loc="upper left", bbox_to_anchor=(1.05, 1))
+        figure.legend(fontsize="x-small", loc="outside right upper")
     return figure
 
 

@@ -57,12 +57,14 @@ def of_geometry(
     if stated is not None:
         return _stated(geometry, checks.mapped("surfaces", stated))
     groups: list[list[int]] = []
-    for i in range(len(geometry.faces)):
-        for group in groups:
-            if _joined(geometry, group[0], i):
-                group.append(i)
-                break
+    firsts: dict[str, list[int]] = {}  # of each material, the numbers of its groups
+    for i, material in enumerate(geometry.materials):
+        own = firsts.setdefault(material, [])
+        joined = _joined(geometry, [groups[k][0] for k in own], i)
+        if joined.any():
+            groups[own[int(joined.argmax())]].append(i)
         else:
+            own.append(len(groups))
             groups.append([i])
     out: dict[str, Faces] = {}
     for group in groups:
@@ -106,16 +108,16 @@ def _unnumbered(name: str, others: Sequence[str]) -> str:
     return stem if stem in others else name
 
 
-def _joined(geometry: Polyhedron, first: int, other: int) -> bool:
-    """Return whether two faces lie in one plane, face the same way and have one material."""
-    if geometry.materials[first] != geometry.materials[other]:
-        return False
-    normal = geometry.normals[first]
-    if np.linalg.norm(np.cross(normal, geometry.normals[other])) > FLAT:
-        return False
+def _joined(geometry: Polyhedron, firsts: Sequence[int], other: int) -> NDArray[np.bool_]:
+    """Return whether a face lies in the plane of each of some others, and faces the same way."""
+    if not firsts:
+        return np.zeros(0, dtype=bool)
+    normals, normal = geometry.normals[firsts], geometry.normals[other]
+    points = geometry.vertices[[geometry.faces[first][0] for first in firsts]]
     corners = geometry.vertices[list(geometry.faces[other])]
-    apart = (corners - geometry.vertices[geometry.faces[first][0]]) @ normal
-    return bool(normal @ geometry.normals[other] > 0 and np.abs(apart).max() < FLAT)
+    apart = np.einsum("cfk,fk->cf", corners[:, np.newaxis] - points, normals)
+    parallel = np.linalg.norm(np.cross(normals, normal), axis=1) <= FLAT
+    return np.asarray(parallel & (normals @ normal > 0) & (np.abs(apart).max(axis=0) < FLAT))
 
 
 def _stated(geometry: Polyhedron, stated: Mapping[str, Sequence[str]]) -> dict[str, Faces]:

@@ -11,7 +11,7 @@ on walls, reflectors hang free, tables have no bottom. In this order
 4. a face on a larger one (a window on its wall, up to ``offset`` before it) takes its area;
 5. an object that stands on a face with an open bottom takes its footprint from that face;
 6. a free panel becomes a reflector with two sides, `THICKNESS` thick;
-7. what lies outside the shell is left out;
+7. what lies outside the shell is left out, and a solid that reaches through it ends there;
 8. where a closed object touches a face, neither counts.
 
 Each is a `Defect` with its number, area and effects on V and S. What cannot be mended safely is

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from rtcal.io.mend.edges import parts_of
+from rtcal.io.mend.edges import parts_of, shell_of
 from rtcal.io.mend.faces import ANY_SHARE, CONTACT, MOST_PLACES, Mending, Work, numbered
 from rtcal.io.mend.objects import within
 from rtcal.io.mend.shapes import (
@@ -46,17 +46,12 @@ class _Contact:
 
 def objects_within(mend: Mending, geometry: Polyhedron) -> bool:
     """Return whether every closed object of a room is in it."""
-    work = _work(mend, geometry)
-    shell, *objects = _by_size(mend, work)
+    shell, objects = shell_of(mend, _work(mend, geometry))
     if not objects:
         return True
-    shell_faces = work.of(shell)
-    hull = Polyhedron(
-        vertices=mend.points,
-        faces=[tuple(f) for f in shell_faces.faces],
-        materials=shell_faces.materials,
-    )
-    return all(within(mend, hull, mend.corners(work.of(part))) for part in objects)
+    faces = [tuple(face) for face in shell.faces]
+    hull = Polyhedron(vertices=mend.points, faces=faces, materials=shell.materials)
+    return all(within(mend, hull, mend.corners(part)) for part in objects)
 
 
 def without_contacts(mend: Mending, geometry: Polyhedron) -> Polyhedron:

@@ -9,7 +9,8 @@ from scipy.spatial import cKDTree
 
 from rtcal.io.mend.faces import ANY_SHARE, MOST_PLACES, SAME, Edge, Face, Mending, Work
 from rtcal.io.mend.shapes import area_of, normal_of, plane_of
-from rtcal.simulators.geometry import PLANARITY, edge_owners
+from rtcal.simulators.geometry import PLANARITY, Polyhedron, edge_owners
+from rtcal.support.errors import DataError
 from rtcal.support.text import rounded
 
 
@@ -23,7 +24,35 @@ def shell_of(mend: Mending, work: Work) -> tuple[Work, list[Work]]:
     if not solid:
         raise mend.refused("no faces enclose a volume: draw the walls, the floor and the ceiling")
     main = max(solid, key=lambda i: (round(sizes[i], 3), areas[i]))
+    outer = _volume(mend, parts[main])
+    for i in solid:
+        if i != main and 2 * sizes[i] > sizes[main] and _is_around(mend, parts[main], parts[i]):
+            inner = _volume(mend, parts[i])
+            if outer > inner > outer / 2 and outer - inner < THICKEST * areas[i]:
+                main = i  # the walls are drawn with their thickness
+                break
     return parts[main], [p for i, p in enumerate(parts) if i != main]
+
+
+THICKEST = 0.6
+"""Mean distance in m between two closed surfaces up to which they are both sides of the walls."""
+
+
+def _is_around(mend: Mending, outer: Work, inner: Work) -> bool:
+    """Return whether the box around one component holds another."""
+    around, held = mend.corners(outer), mend.corners(inner)
+    low, high = around.min(axis=0), around.max(axis=0)
+    return bool((low < held.min(axis=0)).all() and (held.max(axis=0) < high).all())
+
+
+def _volume(mend: Mending, part: Work) -> float:
+    """Return the volume in m³ of a component; 0.0 if it is open."""
+    names = [str(k) for k in range(len(part.faces))]
+    polygons = [mend.points[face] for face in part.faces]
+    try:
+        return float(Polyhedron.from_polygons([*zip(names, names, polygons, strict=True)]).volume)
+    except DataError:
+        return 0.0
 
 
 def parts_of(mend: Mending, work: Work) -> list[list[int]]:

@@ -25,7 +25,7 @@ class Defect:
     ----------
     kind : str
         "joint", "sliver", "twice", "bent", "hole", "overlay", "open bottom", "panel", "turned",
-        "partly outside", "outside", "contact", "gap".
+        "partly outside", "outside", "through", "contact", "gap".
     number : int
     area : float
         Of the faces concerned, in m².
@@ -152,7 +152,7 @@ class Mended:
     @property
     def size(self) -> tuple[float, ...]:
         """Lengths along x, y and z in m of the box around the room."""
-        return tuple(np.ptp(self.geometry.vertices, axis=0).tolist())
+        return tuple(np.ptp(self.geometry.triangles, axis=(0, 1)).tolist())
 
     @property
     def areas(self) -> Mapping[str, float]:

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from rtcal.io.mend.edges import open_edges
+from rtcal.io.mend.edges import edges_of, open_edges, sorted_edge
 from rtcal.io.mend.faces import ANY_SHARE, Face, Mending, Unclosed, Work
 from rtcal.io.mend.shapes import (
     area_of,
@@ -27,6 +27,7 @@ from rtcal.io.mend.walls import (
     overlaid_on,
     standing_on,
     volume_over,
+    within_walls,
 )
 from rtcal.io.mend.welding import settled
 from rtcal.simulators.geometry import Polyhedron
@@ -95,7 +96,7 @@ def tell_loose(mend: Mending, shell: Work, others: Sequence[Work]) -> None:
             kind = "open bottom"
         else:
             kind = "panel"
-        size = sum(area_of(mend.points[f]) for f in part.faces)
+        size = _size(mend, part)
         told.setdefault(kind, []).append((part.names[0], size))
     for kind, rows in told.items():
         mend.found(kind, _LOOSE[kind], [name for name, _ in rows], sum(size for _, size in rows))
@@ -138,10 +139,21 @@ def with_others(mend: Mending, shell: Work, others: Sequence[Work]) -> Work:
     def tell(kind: str, part: Work, size: float, volume: float, surface: float) -> None:
         told.setdefault(kind, []).append((part.names[0], size, volume, surface))
 
+    beyond: list[tuple[str, float]] = []
+    for k, part in enumerate(others := list(others)):
+        if not is_plane(mend, part) and not within(mend, hull, mend.corners(part)):
+            inside = within_walls(mend, hull, part)
+            if inside is not None and within(mend, hull, mend.corners(inside)):
+                beyond.append((part.names[0], _size(mend, part) - _size(mend, inside)))
+                others[k] = inside
+    if beyond:
+        done = "objects that reach through a wall end there"
+        names, sizes = zip(*beyond, strict=True)
+        mend.found("through", done, names, sum(sizes))
     for part in _in_order(mend, others):
-        size = sum(area_of(mend.points[f]) for f in part.faces)
+        size = _size(mend, part)
         if not within(mend, hull, mend.corners(part)):
-            is_across = _reaches_into(mend, hull, mend.corners(part))
+            is_across = _reaches_into(mend, hull, part)
             tell("partly outside" if is_across else "outside", part, size, 0.0, 0.0)
             if open_edges(mend, part):
                 outside.extend(part)
@@ -167,7 +179,7 @@ def with_others(mend: Mending, shell: Work, others: Sequence[Work]) -> Work:
             for wall, footprint in feet:
                 cuts.setdefault(wall, []).append((footprint, None, ""))
             covered = sum(footprint.area for _, footprint in feet)
-            rise = sum(area_of(mend.points[f]) for f in stood.faces)
+            rise = _size(mend, stood)
             volume = volume_over(mend, walls, stood, feet)
             tell("open bottom", part, size, -volume, rise - covered)
             shell.extend(stood)
@@ -193,15 +205,20 @@ def with_others(mend: Mending, shell: Work, others: Sequence[Work]) -> Work:
     return shell
 
 
+def _size(mend: Mending, part: Work) -> float:
+    """Return the area of a component in m²."""
+    return sum(area_of(mend.points[face]) for face in part.faces)
+
+
 def _require_shell(mend: Mending, shell: Work, outside: Work) -> None:
     """Raise MeshError if what is left out as outside are the walls, and the shell is an object."""
     if not outside.faces:
         return
     around, within_them = mend.corners(outside), mend.corners(shell)
-    larger = sum(area_of(mend.points[f]) for f in outside.faces)
+    larger = _size(mend, outside)
     encloses = (around.min(axis=0) <= within_them.min(axis=0)).all()
     encloses &= (around.max(axis=0) >= within_them.max(axis=0)).all()
-    if encloses and larger > sum(area_of(mend.points[f]) for f in shell.faces):
+    if encloses and larger > _size(mend, shell):
         raise mend.refused(
             f'the largest closed part, which begins with "{shell.names[0]}", is no room: faces of '
             f"{rounded(larger, 3)} m² lie around it and do not close. Draw each wall once, and let "
@@ -217,7 +234,7 @@ def _in_order(mend: Mending, parts: Sequence[Work]) -> list[Work]:
 
     def key(part: Work) -> tuple[bool, bool, float]:
         plane = is_plane(mend, part)
-        size = 0.0 if plane else sum(area_of(mend.points[f]) for f in part.faces)
+        size = 0.0 if plane else _size(mend, part)
         return bool(open_edges(mend, part)), plane, -size
 
     return sorted(parts, key=key)
@@ -258,7 +275,10 @@ def within(mend: Mending, hull: Polyhedron, corners: Array) -> bool:
     return not (hull.wall_distance(outside) > mend.offset + mend.weld).any()
 
 
-def _reaches_into(mend: Mending, hull: Polyhedron, corners: Array) -> bool:
-    """Return whether a corner is in the room, and not merely at its walls."""
-    inside = corners[hull.contains(corners)]
+def _reaches_into(mend: Mending, hull: Polyhedron, part: Work) -> bool:
+    """Return whether an edge of a component is in the room, and not merely at its walls."""
+    ends = mend.points[sorted({sorted_edge(*e) for face in part.faces for e in edges_of(face)})]
+    shares = np.linspace(0, 1, 9)[:, np.newaxis, np.newaxis]
+    points = (ends[:, 0] + shares * (ends[:, 1] - ends[:, 0])).reshape(-1, 3)
+    inside = points[hull.contains(points)]
     return bool((hull.wall_distance(inside) > mend.offset + mend.weld).any())

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from rtcal.io.mend.edges import loops_of, open_edges, owners
+from rtcal.io.mend.edges import edges_of, loops_of, open_edges, owners, sorted_edge
 from rtcal.io.mend.faces import ANY_SHARE, SAME, Face, Mending, Work
 from rtcal.io.mend.shapes import (
     area_of,
@@ -359,6 +359,52 @@ def _sides(mend: Mending, scene: Work, number: int) -> list[int] | None:
                 elif side[there] != side[here] ^ crossing:
                     return None
     return side
+
+
+def within_walls(mend: Mending, room: Polyhedron, part: Work) -> Work | None:
+    """Return what is in the room of an object that reaches through walls; None where that is unclear.
+
+    It is cut at a wall unless the wall's plane crosses it elsewhere in the room, too.
+    """
+    limit, is_cut = mend.offset + mend.weld, False
+    for numbers, normal in zip(room.faces, room.normals, strict=True):
+        wall = room.vertices[list(numbers)]
+        away = (mend.points - wall.mean(axis=0)) @ normal
+        own = away[sorted({v for face in part.faces for v in face})]
+        if not own.min() < -limit < limit < own.max():
+            continue
+        edges = sorted({sorted_edge(*e) for face in part.faces for e in edges_of(face)})
+        edges = [(a, b) for a, b in edges if away[a] * away[b] < 0]
+        if not edges:
+            continue  # what was before this wall is cut off already
+        shares = np.array([away[a] / (away[a] - away[b]) for a, b in edges])[:, np.newaxis]
+        start, end = (mend.points[[edge[k] for edge in edges]] for k in (0, 1))
+        crossing = start + shares * (end - start)
+        axes = axes_of(normal)
+        ground = polygon_of(wall, axes)
+        on = [ground.distance(shapely().Point(*flat)) <= mend.weld for flat in crossing @ axes.T]
+        section = shapely().MultiPoint(crossing @ axes.T).convex_hull
+        elsewhere = room.contains(crossing) & ~np.array(on)
+        if elsewhere.any() or not section.intersects(ground):
+            continue
+        new = dict(zip(edges, new_points(mend, crossing), strict=True))
+        part, is_cut = _before(part, away, new), True
+    return part if is_cut and part.faces else None
+
+
+def _before(part: Work, away: Array, new: Mapping[tuple[int, int], int]) -> Work:
+    """Return the faces of an object before a plane; ``new`` are the corners where its edges cross."""
+    out = Work()
+    for face, material, name in zip(part.faces, part.materials, part.names, strict=True):
+        left: Face = []
+        for a, b in edges_of(face):
+            if sorted_edge(a, b) in new:
+                left.append(new[sorted_edge(a, b)])
+            if away[b] <= 0:
+                left.append(b)
+        if len(left) > 2:
+            out.add(left, material, name)
+    return out
 
 
 def volume_over(mend: Mending, walls: Walls, stood: Work, feet: Sequence[tuple[int, Any]]) -> float:
