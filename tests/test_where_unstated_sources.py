@@ -40,6 +40,7 @@ def kept(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return tmp_path_factory.mktemp("kept")
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("match", [MATCH, MATCH[1:]], ids=["all", "without T"])
 def test_loudspeakers_of_which_nothing_is_stated_are_not_claimed_of_the_room(
     measured: rt.Measurement, kept: Path, monkeypatch: pytest.MonkeyPatch, match: tuple[str, ...]
