@@ -348,6 +348,16 @@ def test_what_is_drawn_twice_as_a_whole_is_taken_once(triangles: bool) -> None:
     assert "twice" in kinds(done)
 
 
+@pytest.mark.parametrize("triangles", [False, True])
+def test_a_fin_that_is_drawn_on_both_sides_is_taken_once(triangles: bool) -> None:
+    """It is no contact of two objects, though an even number of walls meet at its edge."""
+    fin = np.array([[0, 0, 0], [1, 1, 0], [1, 1, 3], [0, 0, 4]], dtype=float)
+    faces = [fin[list(t)] for t in ((0, 1, 2), (0, 2, 3))] if triangles else [fin]
+    done = room_with(*(("fin", face) for face in (*faces, *(f[::-1] for f in faces))))
+    assert done.areas == pytest.approx({"plaster": S, "fin": 2 * 3.5 * np.sqrt(2)}, rel=2e-3)
+    assert "contact" not in kinds(done)
+
+
 def test_walls_that_are_no_shell_do_not_make_a_desk_the_room() -> None:
     """Drawn once as rectangles and once as triangles, they were left out: V was the desk's."""
     faces = [("plaster", BOX.vertices[list(f)][list(t)]) for f in BOX.faces for t in ((0, 1, 2),)]

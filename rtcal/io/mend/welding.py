@@ -102,7 +102,7 @@ def _between_objects(mend: Mending, work: Work, pairs: Sequence[tuple[int, int]]
     around: dict[int, list[int]] = {first: [] for first in copies}
     for sides in owners(mend, work.faces).values():
         own = {first_of[i] for i in sides if i in first_of}
-        if all(i in first_of for i in sides):
+        if len(own) > 1 and all(i in first_of for i in sides):
             joined = set[int]().union(*(group[first] for first in own))
             group.update(dict.fromkeys(joined, joined))
             continue
