@@ -155,6 +155,34 @@ def test_integrals_of_a_box():
     np.testing.assert_allclose(corner[1, 0], -corner[0, 0])
 
 
+@pytest.mark.parametrize("factor", [0.4, 2.0])
+def test_decays_that_are_all_off_by_a_factor_are_told(factor):
+    """A rate of energy given as one of amplitude was taken without a word: Q was likely enough."""
+    modes, sure = heard(TRUTH), ROOM.replace(sigma=np.full((6, 3), 0.04))
+    off = replace(
+        modes, decays=factor * modes.decays, decay_uncertainty=factor * modes.decay_uncertainty
+    )
+    result = rt.calibrate_modes(sure, off)
+    (mark,) = [m for m in result.trust_marks if m.kind == "implausible_modes"]
+    assert "times as fast as stated coefficients make them (z = " in mark.text
+    assert "are T and decays called so" in " ".join(result.every_note)
+
+
+def test_a_band_without_a_mode_of_its_own_is_carried_by_none():
+    modes = heard(TRUTH)
+    low = modes.only(np.flatnonzero(modes.frequencies < 88))
+    room = ROOM.replace(centre_frequencies=[125, 250, 500])
+    assert (low.frequencies >= 62.5).sum() >= 3
+    assert rt.calibrate_modes(room, modes).carried[0]
+    assert not rt.calibrate_modes(room, low).carried[0]
+
+
+def test_modes_below_all_bands_tell_them_nothing():
+    high = ROOM.replace(centre_frequencies=[500, 1000, 2000], alpha=ROOM.alpha, sigma=ROOM.sigma)
+    with pytest.raises(DataError, match="no mode used reaches 250 Hz, an octave below"):
+        rt.calibrate_modes(high, heard(TRUTH), [0.5, 0.5, 0.5])
+
+
 def test_modes_tell_the_pairs_of_walls_apart():
     modes, t = heard(TRUTH), times(TRUTH)
     result = rt.calibrate_modes(ROOM, modes, t)

@@ -138,8 +138,8 @@ _ADVICE: dict[str, tuple[str, str]] = {
     ),
     "implausible_modes": (
         "",
-        "the modes contradict each other or what was stated of the materials: check their T and which "
-        "modes they are, then the stated coefficients, before using these",
+        "the modes contradict each other or what was stated of the materials: are T and "
+        "decays called so, and which modes are they? Then check the stated coefficients",
     ),
     "surface_missing": ("", "a surface is missing, or the volume is wrong: check both"),
     "surface_beyond_sense": ("", "are the areas in m² and the volume in m³?"),
@@ -213,20 +213,24 @@ def uncarried_mark(frequency: float, low: float, high: float) -> TrustMark:
     """
     text = (
         "below the Schroeder frequency, and fewer than three of the modes used lie from "
-        f"{low:.0f} to {high:.0f} Hz"
+        f"{low:.0f} to {high:.0f} Hz, or none in the band itself"
     )
     letter, advice = _ADVICE["below_schroeder"]
     return TrustMark("below_schroeder", letter, float(frequency), text, advice)
 
 
-def implausible_modes_mark(q: float, count: int, p_value: float, strangest: float) -> TrustMark:
+def implausible_modes_mark(
+    q: float, count: int, p_value: float, strangest: float, factor: float, z: float
+) -> TrustMark:
     """Return the mark of decays of modes that what was stated does not explain.
 
-    ``strangest`` is the mode in Hz that contributes most to Q.
+    ``strangest`` is the mode in Hz that contributes most to Q. All decays together are ``factor``
+    times those stated, ``z`` standard deviations off.
     """
     text = (
         f"decays of {count} modes have Q = {q:.1f}, p = {p_value:.1g}; {strangest:.1f} Hz contributes "
-        "most"
+        f"most; together they are {factor:.2g} times as fast as stated coefficients make them "
+        f"(z = {z:.1f})"
     )
     letter, advice = _ADVICE["implausible_modes"]
     return TrustMark("implausible_modes", letter, None, text, advice)

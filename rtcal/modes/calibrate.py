@@ -112,7 +112,11 @@ def calibrate_modes(
     problem = Calibration(
         as_objective(plain.objective) + MODES, plain.constraints if exact else ()
     ).build(model.room, Eyring() if equation is None else equation)
-    used = found.measured
+    used, lowest = found.measured, room.centre_frequencies[0] / 2
+    if modes.frequencies[used].max() < lowest:
+        raise DataError(
+            f"no mode used reaches {lowest:g} Hz, an octave below the room's lowest band"
+        )
     own = replace(model, chosen=tuple(found.calculated.tolist()))
     decays, _, remainder = own.linear(room.alpha)
     of_model = np.hypot(MODEL_ERROR, modes.decays / (2 * np.pi * modes.frequencies))[used]

@@ -97,18 +97,16 @@ def match(measured: MeasuredModes, frequencies: Array, decays: Array) -> Matches
         [(_likely(measured, f, frequencies, decays)[2].max(axis=1) >= SURE).sum() for f in drawn]
     )
     if not count or count < chance.mean():
-        spread = float(np.median(frequency_error(frequencies, decays)))
         raise DataError(
-            f"{count or 'none'} of the {n} measured modes is surely a calculated one, and of random "
-            f"frequencies {chance.mean():.1f} are. A calculated mode is known to {spread:.1f} Hz, and "
-            f"decays measured to {np.median(measured.decay_uncertainty / measured.decays):.0%}: check "
-            "frequencies, dimensions and temperature, then stated coefficients and uncertainties"
+            f"{count or 'none'} of the {n} measured modes is surely one calculated mode: none is near, "
+            f"or two are. Of random frequencies {chance.mean():.1f} are. Check frequencies, dimensions "
+            "and temperature, then stated coefficients and uncertainties"
         )
     doubts = []
     if (chance >= count).mean() > _BY_CHANCE:
         doubts.append(
             f"Doubtful: {count} of {n} modes were matched, and of random frequencies "
-            f"{chance.mean():.1f} are in the mean, up to {chance.max()}: measure more modes."
+            f"{chance.mean():.1f} are in the mean, up to {chance.max()}: they may be of another room."
         )
     if strangers and bdtrc(strangers - 1, n, _STRANGER) < _ODD:
         doubts.append(

@@ -27,6 +27,7 @@ from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError
 from rtcal.support.types import Array
 
+HIGHEST = 150.0  # Hz, where none is stated
 LARGEST_ERROR = 0.5
 """Largest relative uncertainty of a decay that is used."""
 UNEXPLAINED = 0.2
@@ -47,7 +48,7 @@ def find_modes(
     pairs: Sequence[tuple[str, str]],
     *,
     lowest: float = 20.0,
-    highest: float = 150.0,
+    highest: float = HIGHEST,
     geometry: Polyhedron | None = None,
 ) -> MeasuredModes:
     """Find the modes of a room in impulse responses at several positions.
@@ -106,7 +107,8 @@ def modes_in(room: Room, responses: Responses, geometry: Polyhedron | None) -> M
     for pair, samples in zip(placed.pairs, placed.samples, strict=True):
         first.setdefault(pair, samples[0])
     heard = np.array([*first.values()])
-    modes = find_modes(room, heard, placed.sampling_rate, [*first], geometry=geometry)
+    rate, top = placed.sampling_rate, min(HIGHEST, placed.sampling_rate / 2.5)
+    modes = find_modes(room, heard, rate, [*first], highest=top, geometry=geometry)
     return replace(modes, notes=[*modes.notes, *filter(None, [note])])
 
 

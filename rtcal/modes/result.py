@@ -30,14 +30,12 @@ from rtcal.support.types import Array
 
 KIND = "modes 1"
 CARRIED = 3
-"""Modes in or below a band from which its mark of the Schroeder frequency falls away."""
+"""Modes from which a band's mark falls away: in it, or for the lowest one up to an octave below."""
 _HEADER = ["mode / Hz", "T / s", "before", "after", "tells most of"]
 P_MODES = 0.01
 """p-value of the modes below which they and what was stated contradict each other."""
-_ALIKE = 0.02
-"""Share of the largest by which walls that a mode tells as much of may differ."""
-_REACH = 2.0
-"""Ratio of frequencies within which a mode below the lowest band carries it."""
+_ALIKE = 0.02  # share of the largest by which walls that a mode tells as much of may differ
+_FACTOR_Z = 3.0  # standard deviations of all decays together from what was stated, that are told
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -177,15 +175,16 @@ class ModesResult(Result):
         """Frequencies in Hz from and up to which modes carry each band, (n_bands,) each."""
         centres = self.prior.centre_frequencies
         between = np.sqrt(centres[1:] * centres[:-1])
-        ends = np.concatenate([[centres[0] / _REACH], between, [centres[-1] * np.sqrt(2)]])
+        ends = np.concatenate([[centres[0] / 2], between, [centres[-1] * np.sqrt(2)]])
         return ends[:-1], ends[1:]
 
     @cached_property
     def carried(self) -> NDArray[np.bool_]:
         """Bands below the Schroeder frequency that at least three used modes carry, (n_bands,)."""
         (low, high), f = self.reach, self.modes.frequencies[self.used]
-        count = ((f >= low[:, np.newaxis]) & (f < high[:, np.newaxis])).sum(axis=1)
-        return np.asarray(self.below & (count >= CARRIED))
+        near = (f >= low[:, np.newaxis]) & (f < high[:, np.newaxis])
+        own = near & (f >= self.prior.centre_frequencies[:, np.newaxis] / np.sqrt(2))
+        return np.asarray(self.below & (near.sum(axis=1) >= CARRIED) & own.any(axis=1))
 
     @property
     def trust_marks(self) -> tuple[TrustMark, ...]:
@@ -208,11 +207,14 @@ class ModesResult(Result):
     @property
     def own_marks(self) -> tuple[TrustMark, ...]:
         """Reasons to doubt the modes themselves."""
-        p = self.plausibility.p_value
-        if p is None or p >= P_MODES:
+        found, (off, covariance) = self.plausibility, self._off
+        pulled = np.linalg.solve(covariance, self.before)
+        together = float(pulled @ off / (pulled @ self.before))
+        z = together * float(np.sqrt(pulled @ self.before))
+        if found.p_value is None or (found.p_value >= P_MODES and abs(z) < _FACTOR_Z):
             return ()
-        frequency = self.modes.frequencies[self.used[self.strangest]]
-        return (implausible_modes_mark(self.plausibility.q, len(self.used), p, float(frequency)),)
+        f, p = float(self.modes.frequencies[self.used[self.strangest]]), found.p_value
+        return (implausible_modes_mark(found.q, len(self.used), p, f, 1 + together, z),)
 
     def __repr__(self) -> str:
         return f"<{self._description}>"
