@@ -23,11 +23,14 @@ _SECOND = np.uint64(0x94D049BB133111EB)
 _S30, _S27, _S31, _S11 = (np.uint64(s) for s in (30, 27, 31, 11))
 
 
+_LANES = 512
+"""Paths that step together: what they do alike is one vector instruction for several of them."""
+
+
 @compiled(reorder=False)
-def uniform(state: Any) -> float:
-    """Return a random number in [0, 1) and step the state, (1,) of 64 bits."""
-    state[0] += _GOLDEN
-    z = state[0]
+def uniform(state: Any, step: int) -> float:
+    """Return a random number in [0, 1): that of a state of 64 bits after some steps."""
+    z = state + np.uint64(step) * _GOLDEN
     z = (z ^ (z >> _S30)) * _FIRST
     z = (z ^ (z >> _S27)) * _SECOND
     z = z ^ (z >> _S31)
@@ -56,44 +59,15 @@ def by_plane(planes: Array) -> tuple[Any, Any]:
 
 
 @compiled(reorder=False)
-def nearest(
-    px: float,
-    py: float,
-    pz: float,
-    vx: float,
-    vy: float,
-    vz: float,
-    planes: Array,
-    sides: Array,
-    order: Any,
-    begins: Any,
-) -> tuple[int, float]:
-    """Return the first triangle that a ray from p along v hits, and its distance; else (-1, inf).
-
-    ``order`` and ``begins`` are those of `by_plane`: a plane's triangles share its distance.
-    """
-    distance, triangle = np.inf, -1
-    for plane in range(len(begins) - 1):
-        first = order[begins[plane]]
-        approach = -(planes[first, 0] * vx + planes[first, 1] * vy + planes[first, 2] * vz)
-        if approach <= 0.0:  # from behind, or parallel to the wall
-            continue
-        height = planes[first, 0] * px + planes[first, 1] * py + planes[first, 2] * pz
-        t = (height - planes[first, 3]) / approach
-        if t >= distance or t < -1e-9:
-            continue
-        x, y, z = px + t * vx, py + t * vy, pz + t * vz
-        for number in range(begins[plane], begins[plane + 1]):
-            i = order[number]
-            a = sides[i, 0, 0] * x + sides[i, 0, 1] * y + sides[i, 0, 2] * z - sides[i, 0, 3]
-            if a < -1e-9 or a > 1.0 + 1e-9:
-                continue
-            b = sides[i, 1, 0] * x + sides[i, 1, 1] * y + sides[i, 1, 2] * z - sides[i, 1, 3]
-            if b < -1e-9 or a + b > 1.0 + 1e-9:
-                continue
-            distance, triangle = t, i
-            break
-    return triangle, distance
+def hit(order: Any, begins: Any, plane: int, sides: Array, x: float, y: float, z: float) -> int:
+    """Return the triangle of a plane that holds a point of it, -1 if none does; see `by_plane`."""
+    for number in range(begins[plane], begins[plane + 1]):
+        i = order[number]
+        a = sides[i, 0, 0] * x + sides[i, 0, 1] * y + sides[i, 0, 2] * z - sides[i, 0, 3]
+        b = sides[i, 1, 0] * x + sides[i, 1, 1] * y + sides[i, 1, 2] * z - sides[i, 1, 3]
+        if (a >= -1e-9) & (a <= 1.0 + 1e-9) & (b >= -1e-9) & (a + b <= 1.0 + 1e-9):
+            return int(i)
+    return -1
 
 
 @compiled(reorder=False)
@@ -102,6 +76,43 @@ def grown(array: Any, needed: int) -> Any:
     larger = np.empty(max(2 * array.size, needed), array.dtype)
     larger[: array.size] = array
     return larger
+
+
+@compiled(reorder=False)
+def distances(rays: Array, n: int, plane: Array, out: Array) -> None:
+    """Set the distance of each ray to a plane, infinite from behind or parallel to it."""
+    a, b, c, offset = plane[0], plane[1], plane[2], plane[3]
+    for j in range(n):
+        approach = -(a * rays[3, j] + b * rays[4, j] + c * rays[5, j])
+        t = (a * rays[0, j] + b * rays[1, j] + c * rays[2, j] - offset) / approach
+        out[j] = t if (approach > 0.0) & (t >= -1e-9) else np.inf
+
+
+@compiled(reorder=False)
+def passages(rays: Array, n: int, centre: Array, square: float, out: Array) -> None:
+    """Set the distance at which each ray is nearest to a receiver, -1 where it misses it."""
+    a, b, c = centre[0], centre[1], centre[2]
+    for j in range(n):
+        x, y, z = a - rays[0, j], b - rays[1, j], c - rays[2, j]
+        along = x * rays[3, j] + y * rays[4, j] + z * rays[5, j]
+        out[j] = along if x * x + y * y + z * z - along * along < square else -1.0
+
+
+@compiled(reorder=False)
+def by_path(paths: Any, lost: Any) -> tuple[Any, Any]:
+    """Return where each path's entries begin, and their numbers, path by path but for the lost."""
+    starts = np.zeros(len(lost) + 1, np.int64)
+    for path in paths:
+        if not lost[path]:
+            starts[path + 1] += 1
+    starts = np.cumsum(starts)
+    slots, entries = starts[:-1].copy(), np.empty(starts[-1], np.int64)
+    for number in range(len(paths)):
+        path = paths[number]
+        if not lost[path]:
+            entries[slots[path]] = number
+            slots[path] += 1
+    return starts, entries
 
 
 @compiled(reorder=False)
@@ -129,96 +140,120 @@ def trace(
     lost: none of its events is kept.
     """
     n_paths, n_receivers, n_faces = len(directions), len(receivers), len(scattering)
-    starts = np.zeros(n_paths + 1, np.int64)
-    events = np.empty(64 * n_paths + 64, np.uint16)
-    lengths = np.empty(4 * n_paths + 64, np.float32)
-    weights = np.empty(4 * n_paths + 64, np.float32)
-    counts = np.zeros(4)
+    codes, of_path = np.empty(64 * n_paths, np.uint16), np.empty(64 * n_paths, np.int32)
+    lengths, weights = np.empty(4 * n_paths, np.float32), np.empty(4 * n_paths, np.float32)
+    heard_of = np.empty(4 * n_paths, np.int32)
+    lost, counts = np.zeros(n_paths, np.bool_), np.zeros(4)
     n_events = n_heard = 0
-    state = np.empty(1, np.uint64)
     order, begins = by_plane(planes)
-    for path in range(n_paths):
-        first_event, first_heard = n_events, n_heard
-        px, py, pz = origin[0], origin[1], origin[2]
-        vx, vy, vz = directions[path, 0], directions[path, 1], directions[path, 2]
-        state[0] = seeds[path]
-        travelled, reflections, diffuse = 0.0, 0, False
-        end, stage = longest, 1
-        while stage < len(shares):
-            if path % (1 << stage) != 0:
-                end = min(longest, stage * thinned)
-                break
-            stage += 1
-        while travelled < end:
-            triangle, t = nearest(px, py, pz, vx, vy, vz, planes, sides, order, begins)
-            if triangle < 0:
-                counts[0] += 1
-                n_events, n_heard = first_event, first_heard
-                break
-            if n_events + n_receivers + 1 > events.size:
-                events = grown(events, n_events + n_receivers + 1)
-            if n_heard + n_receivers > lengths.size:
-                lengths = grown(lengths, n_heard + n_receivers)
-                weights = grown(weights, n_heard + n_receivers)
-            if reflections > 0:
-                counts[1] += 1
-                counts[2] += t
-                counts[3] += t * t
-                for r in range(n_receivers):
-                    x, y, z = receivers[r, 0] - px, receivers[r, 1] - py, receivers[r, 2] - pz
-                    along = x * vx + y * vy + z * vz
-                    square = radii[r] * radii[r]
-                    if x * x + y * y + z * z - along * along >= square:
-                        continue
-                    length = travelled + along
-                    if 0.0 < along < t and length < end:
-                        stage = min(int(length / thinned), len(shares) - 1)
-                        weight = 1.0 / (math.pi * square * shares[stage])
-                        if not diffuse:
-                            weight *= 0.5 * (1.0 + math.sqrt(max(1 - square / length**2, 0.0)))
-                        events[n_events] = 2 * n_faces + r
-                        lengths[n_heard] = length
-                        weights[n_heard] = weight
-                        n_events += 1
-                        n_heard += 1
-            travelled += t
-            if travelled >= end:
-                break
-            face = owners[triangle]
-            events[n_events] = face
-            n_events += 1
-            reflections += 1
-            choice, u, w = uniform(state), uniform(state), uniform(state)
-            s = scattering[face]
-            nx, ny, nz = planes[triangle, 0], planes[triangle, 1], planes[triangle, 2]
-            across = vx * nx + vy * ny + vz * nz
-            px, py, pz = px + t * vx, py + t * vy, pz + t * vz
-            vx, vy, vz = vx - 2 * across * nx, vy - 2 * across * ny, vz - 2 * across * nz
-            if (vector and s > 0.0) or (not vector and choice < s):
-                diffuse = True
-                if not vector:
-                    events[n_events - 1] = n_faces + face
-                # The normal plus a random point of the unit sphere follows Lambert's law.
-                up = 1.0 - 2.0 * u
-                round_ = math.sqrt(max(1.0 - up * up, 0.0))
-                lx = nx + round_ * math.cos(2.0 * math.pi * w)
-                ly = ny + round_ * math.sin(2.0 * math.pi * w)
-                lz = nz + up
-                share = (s if vector else 1.0) / math.sqrt(lx * lx + ly * ly + lz * lz + 1e-30)
-                specular = 1.0 - s if vector else 0.0
-                vx = share * lx + specular * vx
-                vy = share * ly + specular * vy
-                vz = share * lz + specular * vz
-            norm = math.sqrt(vx * vx + vy * vy + vz * vz)
-            vx, vy, vz = vx / norm, vy / norm, vz / norm
-        starts[path + 1] = n_events
-    return (
-        events[:n_events].copy(),
-        starts,
-        lengths[:n_heard].copy(),
-        weights[:n_heard].copy(),
-        counts,
-    )
+    n_planes = len(begins) - 1
+    rays, to_planes = np.empty((6, _LANES)), np.empty((n_planes, _LANES))
+    to_receivers = np.empty((n_receivers, _LANES))
+    travelled, ends = np.empty(_LANES), np.empty(_LANES)
+    states, paths = np.empty(_LANES, np.uint64), np.empty(_LANES, np.int32)
+    diffuse = np.empty(_LANES, np.bool_)
+    for begin in range(0, n_paths, _LANES):
+        n = min(_LANES, n_paths - begin)
+        travelled[:n], diffuse[:n] = 0.0, False
+        for j in range(n):
+            paths[j] = path = begin + j
+            rays[:3, j], rays[3:, j], states[j] = origin, directions[path], seeds[path]
+            ends[j] = longest
+            for stage in range(1, len(shares)):
+                if path % (1 << stage) != 0:
+                    ends[j] = min(longest, stage * thinned)
+                    break
+        while n > 0:
+            for plane in range(n_planes):
+                distances(rays, n, planes[order[begins[plane]]], to_planes[plane])
+            for r in range(n_receivers):
+                passages(rays, n, receivers[r], radii[r] * radii[r], to_receivers[r])
+            if n_events + n * (n_receivers + 1) > codes.size:
+                codes = grown(codes, n_events + n * (n_receivers + 1))
+                of_path = grown(of_path, codes.size)
+            if n_heard + n * n_receivers > lengths.size:
+                lengths = grown(lengths, n_heard + n * n_receivers)
+                weights, heard_of = grown(weights, lengths.size), grown(heard_of, lengths.size)
+            on = 0  # paths that go on, in the first lanes
+            for j in range(n):
+                path, end = paths[j], ends[j]
+                px, py, pz, vx, vy, vz = rays[:, j]
+                t, plane = to_planes[0, j], 0
+                for other in range(1, n_planes):
+                    closer = to_planes[other, j] < t
+                    t = to_planes[other, j] if closer else t
+                    plane = other if closer else plane
+                # In a convex room the nearest plane is hit; in others the nearest that holds the point.
+                triangle = hit(order, begins, plane, sides, px + t * vx, py + t * vy, pz + t * vz)
+                if triangle < 0:
+                    t = np.inf
+                    for other in range(n_planes):
+                        to = to_planes[other, j]
+                        if to < t:
+                            x, y, z = px + to * vx, py + to * vy, pz + to * vz
+                            found = hit(order, begins, other, sides, x, y, z)
+                            if found >= 0:
+                                triangle, t = found, to
+                if triangle < 0:
+                    lost[path] = True
+                    continue
+                if travelled[j] > 0.0:
+                    counts[1] += 1
+                    counts[2] += t
+                    counts[3] += t * t
+                    for r in range(n_receivers):
+                        along, square = to_receivers[r, j], radii[r] * radii[r]
+                        length = travelled[j] + along
+                        if 0.0 < along < t and length < end:
+                            stage = min(int(length / thinned), len(shares) - 1)
+                            weight = 1.0 / (math.pi * square * shares[stage])
+                            if not diffuse[j]:
+                                weight *= 0.5 * (1.0 + math.sqrt(max(1 - square / length**2, 0.0)))
+                            codes[n_events], of_path[n_events] = 2 * n_faces + r, path
+                            lengths[n_heard], weights[n_heard] = length, weight
+                            heard_of[n_heard] = path
+                            n_events += 1
+                            n_heard += 1
+                length = travelled[j] + t
+                if length >= end:
+                    continue
+                face, state = owners[triangle], states[j]
+                s = scattering[face]
+                nx, ny, nz = planes[triangle, 0], planes[triangle, 1], planes[triangle, 2]
+                across = vx * nx + vy * ny + vz * nz
+                px, py, pz = px + t * vx, py + t * vy, pz + t * vz
+                vx, vy, vz = vx - 2 * across * nx, vy - 2 * across * ny, vz - 2 * across * nz
+                spread = s > 0.0 if vector else uniform(state, 1) < s
+                if spread:
+                    # The normal plus a random point of the unit sphere follows Lambert's law.
+                    up, round_angle = (
+                        1.0 - 2.0 * uniform(state, 2),
+                        2.0 * math.pi * uniform(state, 3),
+                    )
+                    round_ = math.sqrt(max(1.0 - up * up, 0.0))
+                    lx = nx + round_ * math.cos(round_angle)
+                    ly = ny + round_ * math.sin(round_angle)
+                    lz = nz + up
+                    share = (s if vector else 1.0) / math.sqrt(lx * lx + ly * ly + lz * lz + 1e-30)
+                    specular = 1.0 - s if vector else 0.0
+                    vx = share * lx + specular * vx
+                    vy = share * ly + specular * vy
+                    vz = share * lz + specular * vz
+                norm = math.sqrt(vx * vx + vy * vy + vz * vz)
+                codes[n_events] = n_faces + face if spread and not vector else face
+                of_path[n_events] = path
+                n_events += 1
+                rays[0, on], rays[1, on], rays[2, on] = px, py, pz
+                rays[3, on], rays[4, on], rays[5, on] = vx / norm, vy / norm, vz / norm
+                travelled[on], ends[on], paths[on] = length, end, path
+                states[on] = state + np.uint64(3) * _GOLDEN
+                diffuse[on] = diffuse[j] or spread
+                on += 1
+            n = on
+    counts[0] = lost.sum()
+    starts, entries = by_path(of_path[:n_events], lost)
+    _, receptions = by_path(heard_of[:n_heard], lost)
+    return codes[entries], starts, lengths[receptions], weights[receptions], counts
 
 
 @compiled(reorder=False)
@@ -233,27 +268,42 @@ def histogram(
     bin_length: float,
     out: Array,
 ) -> None:
-    """Add the energy that the receivers hear to ``out``, (n_receivers, n_bands, n_bins)."""
+    """Add the energy that the receivers hear to ``out``, (n_receivers, n_bands, n_bins).
+
+    The air's attenuation is that to the middle of a bin, times a series within the bin. So no reception
+    takes an exponential.
+    """
     n_codes, n_bands = log_reflection.shape
-    n_bins = out.shape[2]
+    n_receivers, _, n_bins = out.shape
+    reflection = np.exp(log_reflection)
+    sums = np.zeros((n_receivers, n_bins, n_bands))
     level = np.empty(n_bands)
     heard = 0
     for path in range(len(starts) - 1):
-        level[:] = 0.0
+        level[:] = 1.0
         for e in range(starts[path], starts[path + 1]):
             code = np.int64(events[e])
             if code < n_codes:
                 for k in range(n_bands):
-                    level[k] += log_reflection[code, k]
+                    level[k] *= reflection[code, k]
                 continue
-            receiver, length = code - n_codes, np.float64(lengths[heard])
-            place = math.floor((length - first[receiver]) / bin_length)
+            receiver = code - n_codes
+            after = (np.float64(lengths[heard]) - first[receiver]) / bin_length
+            place = math.floor(after)
             if 0 <= place < n_bins:
+                beyond = bin_length * (after - place - 0.5)
                 for k in range(n_bands):
-                    out[receiver, k, place] += weights[heard] * math.exp(
-                        level[k] - attenuation[k] * length
-                    )
+                    x = attenuation[k] * beyond
+                    series = 1 - x * (1 - x / 2 * (1 - x / 3 * (1 - x / 4 * (1 - x / 5))))
+                    sums[receiver, place, k] += weights[heard] * level[k] * series
             heard += 1
+    of_bin = np.exp(-attenuation * bin_length)
+    for receiver in range(n_receivers):
+        air = np.exp(-attenuation * (first[receiver] + 0.5 * bin_length))
+        for place in range(n_bins):
+            for k in range(n_bands):
+                out[receiver, k, place] += sums[receiver, place, k] * air[k]
+                air[k] *= of_bin[k]
 
 
 @compiled(reorder=False)
