@@ -21,10 +21,8 @@ _GOLDEN = np.uint64(0x9E3779B97F4A7C15)
 _FIRST = np.uint64(0xBF58476D1CE4E5B9)
 _SECOND = np.uint64(0x94D049BB133111EB)
 _S30, _S27, _S31, _S11 = (np.uint64(s) for s in (30, 27, 31, 11))
-
-
-_LANES = 512
-"""Paths that step together: what they do alike is one vector instruction for several of them."""
+_DISTANCES = 4096
+"""Distances from paths to planes that are computed together, by vector instructions."""
 
 
 @compiled(reorder=False)
@@ -147,13 +145,14 @@ def trace(
     n_events = n_heard = 0
     order, begins = by_plane(planes)
     n_planes = len(begins) - 1
-    rays, to_planes = np.empty((6, _LANES)), np.empty((n_planes, _LANES))
-    to_receivers = np.empty((n_receivers, _LANES))
-    travelled, ends = np.empty(_LANES), np.empty(_LANES)
-    states, paths = np.empty(_LANES, np.uint64), np.empty(_LANES, np.int32)
-    diffuse = np.empty(_LANES, np.bool_)
-    for begin in range(0, n_paths, _LANES):
-        n = min(_LANES, n_paths - begin)
+    lanes = max(_DISTANCES // n_planes, 16)
+    rays, to_planes = np.empty((6, lanes)), np.empty((n_planes, lanes))
+    to_receivers = np.empty((n_receivers, lanes))
+    travelled, ends = np.empty(lanes), np.empty(lanes)
+    states, paths = np.empty(lanes, np.uint64), np.empty(lanes, np.int32)
+    diffuse = np.empty(lanes, np.bool_)
+    for begin in range(0, n_paths, lanes):
+        n = min(lanes, n_paths - begin)
         travelled[:n], diffuse[:n] = 0.0, False
         for j in range(n):
             paths[j] = path = begin + j

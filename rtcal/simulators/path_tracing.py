@@ -169,9 +169,12 @@ class PathTracing(DirectedSources, Tracer):
         """
         return max((traced.lost_share for traced in self._traced.values()), default=0.0)
 
-    def energy(self, alpha: Array, seconds: float, *, seed: int = 0) -> Array:
-        """Return energy decays, (n_batches, n_sources, n_receivers, n_bands, n_bins), in 1/m².
+    def energy(
+        self, alpha: Array, seconds: float, *, seed: int = 0, number: int | None = None
+    ) -> Array:
+        """Return energy decays, (number, n_sources, n_receivers, n_bands, n_bins), in 1/m².
 
+        ``number`` is of groups of batches, by default ``n_batches``, which it divides.
         The source has unit energy. The first bin starts with the first sound. The decays end at
         least ``seconds`` after the emission; see `rtcal.simulators.paths.Paths.energy`. DataError
         for ``seconds`` above `rtcal.simulators.tracer.LONGEST`.
@@ -179,7 +182,9 @@ class PathTracing(DirectedSources, Tracer):
         alpha = check_alpha(self, alpha)
         groups = self.bands_of_paths()
         decays = [
-            self.traced(int(bands[0]), seconds, seed=seed).energy(*self._weighing(alpha, bands))
+            self.traced(int(bands[0]), seconds, seed=seed).energy(
+                *self._weighing(alpha, bands), number
+            )
             for bands in groups
         ]
         n_bins = min(decay.shape[-1] for decay in decays)
@@ -204,13 +209,13 @@ class PathTracing(DirectedSources, Tracer):
         """
         alpha, match = check_alpha(self, alpha), observations.checked_parameters(match)
         energy = decay_long_enough(
-            lambda seconds: self.energy(alpha, seconds, seed=seed),
+            lambda seconds: self.energy(alpha, seconds, seed=seed, number=1),
             self.room,
             alpha,
             longest(match),
             None if again else self._followed(seed),
-        ).mean(axis=0)
-        return self._observed(energy, alpha, match)
+        )
+        return self._observed(energy[0], alpha, match)
 
     def _followed(self, seed: int) -> float:
         """Return for how many seconds the paths of a seed were followed; `LONGEST` if for none."""
@@ -230,7 +235,7 @@ class PathTracing(DirectedSources, Tracer):
         self._check_number(number)
         # Each group is to hold the decay times, so no mean over the groups is asked.
         (energy,) = decay_long_enough(
-            lambda seconds: self._in_groups(alpha, seconds, number, seed)[np.newaxis],
+            lambda seconds: self.energy(alpha, seconds, seed=seed, number=number)[np.newaxis],
             self.room,
             alpha,
             longest(match),
@@ -254,10 +259,6 @@ class PathTracing(DirectedSources, Tracer):
             self.centre_frequencies,
             cause,
         )
-
-    def _in_groups(self, alpha: Array, seconds: float, number: int, seed: int) -> Array:
-        energy = self.energy(alpha, seconds, seed=seed)
-        return np.asarray(energy.reshape(number, -1, *energy.shape[1:]).mean(axis=1))
 
     def jacobian(
         self,

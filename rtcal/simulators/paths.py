@@ -129,7 +129,13 @@ class Paths:
         sums = np.sum([b.free_paths for source in self.batches for b in source], axis=0)
         return float(sums[0]), float(sums[1]), float(sums[2])
 
-    def energy(self, alpha: Array, air_attenuation: Array, bin_length: float) -> Array:
+    def energy(
+        self,
+        alpha: Array,
+        air_attenuation: Array,
+        bin_length: float,
+        number: int | None = None,
+    ) -> Array:
         """Return the energy that each receiver hears, in bins of length after the first sound.
 
         Parameters
@@ -141,18 +147,21 @@ class Paths:
         bin_length : float
             Width of a bin in m: the speed of sound times the width in s. The first bin starts with
             the first sound.
+        number : int, optional
+            Of groups of batches, by default of batches; it divides their number.
 
         Returns
         -------
-        array (n_batches, n_sources, n_receivers, n_bands, n_bins)
+        array (number, n_sources, n_receivers, n_bands, n_bins)
             As many bins as every pair fills. Energy per area in 1/m² for a source of unit energy:
-            the direct sound is 1/(4 pi r²). The estimate is the mean over batches.
+            the direct sound is 1/(4 pi r²). The estimate is the mean over groups.
         """
         log_reflection, attenuation = self._weights(alpha, air_attenuation)
         n_sources, n_receivers = self.first.shape
         n_bins = self._n_bins(bin_length)
         n_batches, n_bands = len(self.batches[0]), len(attenuation)
-        out = np.zeros((n_batches, n_sources, n_receivers, n_bands, n_bins))
+        number = n_batches if number is None else number
+        out = np.zeros((number, n_sources, n_receivers, n_bands, n_bins))
         histogram = kernels().histogram
         for s, source in enumerate(self.batches):
             for b, batch in enumerate(source):
@@ -162,9 +171,9 @@ class Paths:
                     attenuation,
                     self.first[s],
                     float(bin_length),
-                    out[b, s],
+                    out[b * number // n_batches, s],
                 )
-            out[:, s] *= n_batches / self._kept(s)
+            out[:, s] *= number / self._kept(s)
         out[..., 0] += self._direct_sound(attenuation)
         return out
 
@@ -345,7 +354,7 @@ class Paths:
         of_parts = replace(self, materials=parts, n_materials=n_parts)
         for j in np.flatnonzero(~alike):
             for c, other in enumerate(np.where(members[j][:, np.newaxis], changed, stated)):
-                out[j, c] = of_parts.energy(other, air_attenuation, bin_length).mean(axis=0)
+                out[j, c] = of_parts.energy(other, air_attenuation, bin_length, number=1)[0]
         return out
 
     def _by_hits(

@@ -39,7 +39,7 @@ from rtcal.loop.scattering import MaterialScattering
 from rtcal.simulators.path_tracing import PathTracing
 from rtcal.support.types import Array
 
-MORE_PATHS = 3
+MORE_PATHS = 8
 """Factor of the number of paths of the control runs: with 1 their noise gave the score a standard
 deviation of 0.5 nats in two development rooms, with 4 of 0.1."""
 OWN = 0.1

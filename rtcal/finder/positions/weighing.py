@@ -273,10 +273,9 @@ class Weighing:
         if not self.seconds:
             decay_long_enough(self._probe, room, room.alpha, longest(self.match))
         while True:
-            batches = self._energy(alpha, air, stretch)
-            energy = batches.reshape(number, -1, *batches.shape[1:]).mean(axis=1)
+            energy = self._energy(alpha, air, stretch, number)
             if self._long_enough(energy):
-                return np.asarray(energy)
+                return energy
 
     def _long_enough(self, energy: Array) -> bool:
         """Return whether decays need no longer paths; if they do, the next are longer."""
@@ -287,15 +286,15 @@ class Weighing:
 
     def _probe(self, seconds: float) -> Array:
         self.seconds = seconds
-        return self._energy(self.alpha, self.tracer.room.air_attenuation, 1.0)
+        return self._energy(self.alpha, self.tracer.room.air_attenuation, 1.0, 1)
 
-    def _energy(self, alpha: Array, attenuation: Array, stretch: float) -> Array:
+    def _energy(self, alpha: Array, attenuation: Array, stretch: float, number: int) -> Array:
         tracer = self.tracer
         width = tracer.room.speed_of_sound * tracer.bin_width
         decays = [
             # Lengths that grow by a factor: bins that are shorter by it, and air that absorbs more.
             self._by_face(int(bands[0])).energy(
-                alpha[:, bands], stretch * attenuation[bands], width / stretch
+                alpha[:, bands], stretch * attenuation[bands], width / stretch, number
             )
             for bands in self._bands
         ]
