@@ -177,9 +177,10 @@ class PathTracing(DirectedSources, Tracer):
         ``number`` is of groups of batches, by default ``n_batches``, which it divides.
         The source has unit energy. The first bin starts with the first sound. The decays end at
         least ``seconds`` after the emission; see `rtcal.simulators.paths.Paths.energy`. DataError
-        for ``seconds`` above `rtcal.simulators.tracer.LONGEST`.
+        for ``seconds`` above `rtcal.simulators.tracer.LONGEST`, or another ``number``.
         """
         alpha = check_alpha(self, alpha)
+        self._check_number(number)
         groups = self.bands_of_paths()
         decays = [
             self.traced(int(bands[0]), seconds, seed=seed).energy(
@@ -232,7 +233,6 @@ class PathTracing(DirectedSources, Tracer):
         Their differences are the noise of as many paths. ``number`` divides ``n_batches``.
         """
         alpha, match = check_alpha(self, alpha), observations.checked_parameters(match)
-        self._check_number(number)
         # Each group is to hold the decay times, so no mean over the groups is asked.
         (energy,) = decay_long_enough(
             lambda seconds: self.energy(alpha, seconds, seed=seed, number=number)[np.newaxis],
@@ -242,8 +242,8 @@ class PathTracing(DirectedSources, Tracer):
         )
         return np.array([self._observed(group, alpha, match).values for group in energy])
 
-    def _check_number(self, number: int) -> None:
-        if self.n_batches % checks.whole("number", number, 1):
+    def _check_number(self, number: int | None) -> None:
+        if number is not None and self.n_batches % checks.whole("number", number, 1):
             raise DataError(f"number = {number} does not divide n_batches = {self.n_batches}")
 
     def _observed(self, energy: Array, alpha: Array, match: Sequence[str]) -> Observations:
