@@ -154,7 +154,7 @@ def _of_tracing(
     match: tuple[str, ...],
     seed: int,
     seconds: float,
-    tell: Progress,
+    progress: Progress,
 ) -> PairShifts:
     """Return the shifts of one tracing, whose paths are followed for ``seconds`` at least."""
     tracer = _retraced(precisely(case.simulator), geometry=case.divided.geometry)
@@ -162,7 +162,7 @@ def _of_tracing(
     energy = weighing.energy(weighing.alpha, number=BASE)
     base = weighing.parameters(energy.mean(axis=0))
     groups = np.ascontiguousarray(np.moveaxis(weighing.parameters(energy), 1, 0))
-    surfaces, parts, apertures, materials = _of_surfaces(case, weighing, base, tell)
+    surfaces, parts, apertures, materials = _of_surfaces(case, weighing, base, progress)
     room = case.room
     reference = Air(20, 50).attenuation(room.centre_frequencies)
     air = [
@@ -268,7 +268,7 @@ def precisely(tracer: PathTracing) -> PathTracing:
 
 
 def _of_surfaces(
-    case: PositionsCase, weighing: Weighing, base: Array, tell: Progress
+    case: PositionsCase, weighing: Weighing, base: Array, progress: Progress
 ) -> tuple[Array, Array, Array, Array]:
     """Return the shifts by surfaces, parts, apertures and materials; see `PairShifts`."""
     room, divided = case.room, case.divided
@@ -285,7 +285,7 @@ def _of_surfaces(
         shifts[members] = _at_shares(weighing, decays) - base[..., np.newaxis]
         if members in names:
             apertures[members] = _apertures(case, weighing, names[members], decays, base)
-        tell(len(shifts), len(groups))
+        progress(len(shifts), len(groups))
     # Several surfaces together: paths would be followed for long where all of them are hard.
     other = {frozenset(f.tolist()): f for f in of_materials if frozenset(f.tolist()) not in groups}
     for members, (decay,) in zip(other, weighing.of_groups([*other.values()], [STEP]), strict=True):
