@@ -180,8 +180,9 @@ def test_a_coefficient_of_0_or_1_has_a_score(
 @pytest.mark.long
 @pytest.mark.parametrize(("extreme", "near"), [(0.0, 0.001), (1.0, 0.99)])
 def test_a_coefficient_of_0_or_1_is_weighed(extreme: float, near: float, kept: Path) -> None:
+    """At the default number of paths. With 4,800 other seeds alone moved one score by 2 nats."""
     scores = [
-        find_by_positions(with_coefficient(value), library(), None, kept, 0, ()).score
+        find_by_positions(with_coefficient(value, n_paths=8000), library(), None, kept, 0, ()).score
         for value in (extreme, near)
     ]
     assert scores[0] == pytest.approx(scores[1], abs=0.5)
