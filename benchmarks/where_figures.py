@@ -21,8 +21,8 @@ MODELS = ("before", "plain", "corrected")
 LARGE = 0.10
 """The gap is judged where the effect changes T by more, on average over the bands."""
 ROOMS = {
-    "tenth": "30 to 36 of population 4: judged once, at the defaults, by the present rule",
-    "ninth": "24 to 29 of population 4: the same with half the paths in control runs",
+    "tenth": "30 to 36 of population 4: the same with twice the paths in control runs",
+    "ninth": "24 to 29 of population 4: judged once, at the defaults, by the present rule",
     "eighth": "15 to 23 of population 4: judged once, at the defaults, by the rule before it",
     "seventh": "0 to 14 of population 4: judged once, at the defaults, by a still earlier rule",
     "sixth": "of population 3: judged once, by a still earlier rule",
