@@ -320,7 +320,7 @@ def test_random_frequencies_are_refused_or_doubted(seed):
     random = replace(some, frequencies=f)
     refused = seed not in (0, 2, 3)
     if refused:
-        with pytest.raises(DataError, match="of random frequencies"):
+        with pytest.raises(DataError, match="Of random frequencies"):
             rt.calibrate_modes(ROOM, random)
     else:
         assert any(n.startswith("Doubtful") for n in rt.calibrate_modes(ROOM, random).notes)

@@ -9,14 +9,22 @@ import numpy as np
 
 from rtcal.acoustics import bands
 from rtcal.acoustics.measurement import Measurement
-from rtcal.acoustics.observables import REVERBERATION, observable, parameter_label
+from rtcal.acoustics.observables import (
+    OBSERVABLES,
+    REVERBERATION,
+    TARGET,
+    DecaySlope,
+    observable,
+    parameter_label,
+)
 from rtcal.support import text
 from rtcal.support.types import Array
 
 _MOST_PAIRS = 4
 """Largest number of pairs or files that a sentence names."""
-_LATE = 0.2
-"""Largest Ts over T20 of a decay; an exponential one has 1/13.8."""
+_LATE = 2.8
+"""Largest T that the energy's centre of gravity tells of a decay, over its slope's; an exponential one
+has 1."""
 _FAR = 3.0
 """Ratio of a time to the median over the pairs above which it is told as a likely typing error."""
 
@@ -185,9 +193,14 @@ def shortened_list(names: Sequence[str]) -> str:
 def late_energy(values: Mapping[str, Array], files: Sequence[str]) -> list[str]:
     """Return a note on the files of which most bands have too large a Ts for a decay.
 
-    ``values`` of T20 and Ts in s, (n_files, n_bands).
+    ``values`` are those of all parameters, (n_files, n_bands).
     """
-    late = (values["ts"] > _LATE * values["t20"]).mean(axis=1) > 0.5
+    t = values[TARGET.key]
+    centres = [
+        o for o in OBSERVABLES.values() if o.unit == TARGET.unit and not isinstance(o, DecaySlope)
+    ]
+    told = [o.decay_time(values[o.key]) > _LATE * t for o in centres if o.key in values]
+    late = np.mean(told, axis=(0, 2)) > 0.5
     if not late.any():
         return []
     named = shortened_list([file for file, is_late in zip(files, late, strict=True) if is_late])
