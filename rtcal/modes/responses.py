@@ -25,21 +25,21 @@ from rtcal.simulators.geometry import Polyhedron
 from rtcal.support import checks
 from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError
+from rtcal.support.speed import single_threaded_blas
 from rtcal.support.types import Array
 
 HIGHEST = 150.0  # Hz, where none is stated
-LARGEST_ERROR = 0.5
-"""Largest relative uncertainty of a decay that is used."""
+LARGEST_ERROR = 0.5  # largest relative uncertainty of a decay that is used
 UNEXPLAINED = 0.2
 """Share of the responses' power, or of the amplitudes', from which these are not the room's modes.
 
 In seven rooms with their own positions at most 2 % of the amplitudes' were unexplained. With receivers
 exchanged or a time axis 20 ms late it was 33 % or more.
 """
-_INFLATED = 1.5
-"""Uncertainty over what independent errors would give: what the modes leave is no white noise."""
+_INFLATED = 1.5  # uncertainty over what independent errors give: what is left is no white noise
 
 
+@single_threaded_blas()
 @checked
 def find_modes(
     room: Room,
