@@ -20,7 +20,6 @@ if TYPE_CHECKING:
     from rtcal.acoustics.materials import Surface
     from rtcal.acoustics.room import Room
     from rtcal.io.mend import Mended, MeshError, Unclosed
-    from rtcal.simulators.geometry import Polyhedron
 
 _LEAST_UNCERTAINTY = 1e-3
 """Relative uncertainty of V or of an area that a room states: no T is measured as exactly."""
@@ -130,6 +129,7 @@ def geometry(
     ``names`` are those of the list's materials, for the message where the options lack them.
     """
     from rtcal.acoustics.materials import Surface
+    from rtcal.finder.positions.surfaces import stated_surfaces
     from rtcal.io import mesh as meshes
     from rtcal.io.mend import MeshError
 
@@ -144,7 +144,7 @@ def geometry(
                     raise _with_volume(error) from error
                 unclosed = error.unclosed
                 return unclosed, unclosed.volume, unclosed.surfaces
-        return model, model.volume, _surfaces(model.geometry)
+        return model, model.volume, stated_surfaces(model.geometry)
     if as_drawn:
         raise DataError("--open is for a mesh: state --mesh, or leave it out")
     if volume is None or not areas:
@@ -204,20 +204,6 @@ def with_uncertainty(room: Room, model: Mended | Unclosed) -> tuple[Room, list[s
         said = ", ".join(f"{m} to {100 * u:.2g} %" for m, u in area_sigma.items())
         notes.append(f"Areas are known (area_sigma), by what was mended: {said}")
     return room, notes
-
-
-def _surfaces(geometry: Polyhedron) -> list[Surface]:
-    """Return the room's surfaces: faces of one material in one plane are one, as for the finder."""
-    from rtcal.acoustics.materials import Surface
-    from rtcal.finder.positions.surfaces import of_geometry
-
-    drawn = geometry.surfaces
-    surfaces = []
-    for name, faces in of_geometry(geometry).items():
-        largest = drawn[max(faces, key=lambda i: drawn[i].area)]
-        area = sum(drawn[i].area for i in faces)
-        surfaces.append(Surface(name, largest.material, area, largest.axis))
-    return surfaces
 
 
 def _mesh_file(mesh: str, model: Mended, out: str, stated: str | None) -> str | None:

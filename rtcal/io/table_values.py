@@ -364,8 +364,8 @@ class Reader:
         """Return a cell's number in the unit of its parameter."""
         if cell.startswith(("<", ">", "\u2264", "\u2265")):
             raise DataError(f'{place}: "{shown(cell)}" is a limit and no value: empty the cell')
-        unit = unit_of(cell) or unit
-        cell = cell.removesuffix(unit_of(cell)).strip()
+        own = unit_of(cell)
+        cell, unit = cell.removesuffix(own).strip(), own or unit
         scale = scale_of(parameter, unit, place)
         return scale * number(cell.replace(",", ".") if self.comma else cell, place)
 

@@ -68,10 +68,11 @@ def sheets(content: bytes, path: str, where: Mapping[str, str]) -> list[Sheet]:
     notes = (f"left out, hidden: {', '.join(hidden)}",) if hidden else ()
     for name in names:
         place = f'{path}, sheet "{shown(name)}"'
-        rows = _rows(values[name], formulas[name], place)
+        hidden_in = _hidden(values[name])
+        rows = _rows(values[name], formulas[name], hidden_in, place)
         if rows:
             note = f'workbook, sheet "{shown(name)}"'
-            notes = (*notes, *_notes(values[name]))
+            notes = (*notes, *_notes(values[name], *hidden_in))
             found.append(Sheet(place, tuple(rows), note, name, notes=notes))
             notes = ()
     if not found:
@@ -102,8 +103,8 @@ def _workbook(content: bytes, path: str, stored: bool) -> Any:
         raise DataError(f"{path}: cannot be read as a workbook (xlsx): {error}") from error
 
 
-def _rows(values: Any, formulas: Any, place: str) -> list[Row]:
-    """Return the rows of a sheet that have a cell, as text."""
+def _rows(values: Any, formulas: Any, hidden: tuple[set[int], set[int]], place: str) -> list[Row]:
+    """Return the rows of a sheet that have a cell, as text, without the hidden rows and columns."""
     if values.max_row > MAX_ROWS or values.max_column > MAX_COLUMNS:
         raise DataError(
             f"{place}: {values.max_row} rows and {values.max_column} columns; at most {MAX_ROWS} "
@@ -114,7 +115,7 @@ def _rows(values: Any, formulas: Any, place: str) -> list[Row]:
         for merged in values.merged_cells.ranges
         for row in range(merged.min_row + 1, merged.max_row + 1)
     }
-    hidden_rows, hidden_columns = _hidden(values)
+    hidden_rows, hidden_columns = hidden
     rows: list[Row] = []
     for n, cells in enumerate(values.iter_rows(), start=1):
         if n in hidden_rows:
@@ -141,9 +142,8 @@ def _hidden(sheet: Any) -> tuple[set[int], set[int]]:
     return rows, columns
 
 
-def _notes(sheet: Any) -> list[str]:
+def _notes(sheet: Any, rows: set[int], columns: set[int]) -> list[str]:
     """Return what is hidden and left out, and what is struck through and read."""
-    rows, columns = _hidden(sheet)
     letter = _library().utils.get_column_letter
     of_columns = [letter(n) for n in sorted(columns)]
     notes = [

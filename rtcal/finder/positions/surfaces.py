@@ -21,6 +21,7 @@ from itertools import count
 import numpy as np
 from numpy.typing import NDArray
 
+from rtcal.acoustics.materials import Surface
 from rtcal.simulators import polygons
 from rtcal.simulators.geometry import WELD, Polyhedron
 from rtcal.simulators.polygons import Plane, is_face
@@ -106,6 +107,17 @@ def _unnumbered(name: str, others: Sequence[str]) -> str:
     """Return "wall" for "wall 2" if the surface has a face of that name, too."""
     stem = _stem(name)
     return stem if stem in others else name
+
+
+def stated_surfaces(geometry: Polyhedron) -> list[Surface]:
+    """Return a room's surfaces as its file states them: those of `of_geometry`, with area and axis."""
+    drawn = geometry.surfaces
+    surfaces = []
+    for name, faces in of_geometry(geometry).items():
+        largest = drawn[max(faces, key=lambda i: drawn[i].area)]
+        area = sum(drawn[i].area for i in faces)
+        surfaces.append(Surface(name, largest.material, area, largest.axis))
+    return surfaces
 
 
 def _joined(geometry: Polyhedron, firsts: Sequence[int], other: int) -> NDArray[np.bool_]:
