@@ -24,8 +24,7 @@ import rtcal as rt
 from benchmarks import modes_world as w
 from rtcal.acoustics.room_errors import prior_covariance
 from rtcal.acoustics.trust import schroeder_frequency
-from rtcal.modes.model import AtFrequencies, RoomPoles
-from rtcal.modes.paris import admittance, admittance_slope
+from rtcal.modes.model import AtFrequencies, RoomPoles, admittance, admittance_slope
 from rtcal.simulators.geometry import Polyhedron
 
 HIGHEST = 140.0

@@ -22,9 +22,9 @@ import rtcal as rt
 from benchmarks import modes_world as w
 from benchmarks.modes import HIGHEST, LIMIT, bound, room_of, true_poles, world_lowest
 from rtcal.acoustics.trust import schroeder_frequency
-from rtcal.modes.box import box_modes
 from rtcal.modes.fit import Spectra, fitted
 from rtcal.modes.model import RoomPoles
+from rtcal.modes.rigid_walls import box_modes
 from rtcal.simulators.geometry import SHOEBOX_WALLS, Polyhedron
 
 SURE = 0.35

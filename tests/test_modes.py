@@ -14,10 +14,9 @@ from scipy.optimize import fsolve
 import rtcal as rt
 from rtcal.command.main import cli
 from rtcal.modes import MeasuredModes, absorption, admittance
-from rtcal.modes.box import box_modes
-from rtcal.modes.matching import match
-from rtcal.modes.model import AtFrequencies
-from rtcal.modes.paris import admittance_slope
+from rtcal.modes.measured import match
+from rtcal.modes.model import AtFrequencies, admittance_slope
+from rtcal.modes.rigid_walls import box_modes
 from rtcal.report.pages import page_of
 from rtcal.simulators.geometry import SHOEBOX_WALLS
 from rtcal.support.errors import DataError

@@ -10,8 +10,7 @@ import pytest
 import rtcal as rt
 from rtcal.datasets.boxes import polyhedron
 from rtcal.modes import modes_of
-from rtcal.modes.box import box_modes
-from rtcal.modes.tetrahedra import fill
+from rtcal.modes.rigid_walls import box_modes, fill
 from rtcal.simulators.geometry import SHOEBOX_WALLS, Polyhedron
 from rtcal.support.errors import DataError, ModelError
 from tests.test_modes import TRUTH

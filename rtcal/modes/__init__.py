@@ -7,11 +7,11 @@ from rtcal.support import lazy
 if TYPE_CHECKING:
     from rtcal.modes.measured import MeasuredModes as MeasuredModes
     from rtcal.modes.measured import read as read
-    from rtcal.modes.paris import absorption as absorption
-    from rtcal.modes.paris import admittance as admittance
-    from rtcal.modes.polyhedron import modes_of as modes_of
+    from rtcal.modes.model import absorption as absorption
+    from rtcal.modes.model import admittance as admittance
     from rtcal.modes.responses import find_modes as find_modes
     from rtcal.modes.result import ModesResult as ModesResult
+    from rtcal.modes.rigid_walls import modes_of as modes_of
     from rtcal.modes.room_modes import RoomModes as RoomModes
 else:
     __getattr__, __dir__, __all__ = lazy.exports(__name__, __file__)

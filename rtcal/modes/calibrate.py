@@ -30,8 +30,7 @@ from rtcal.calibration.problem_data import MeasuredTimes, no_times, times_in_roo
 from rtcal.calibration.result import CalibrationResult
 from rtcal.calibration.terms import LinearObservations, Observed, as_objective
 from rtcal.io.sofa import Responses
-from rtcal.modes.matching import Matches, match
-from rtcal.modes.measured import MeasuredModes
+from rtcal.modes.measured import Matches, MeasuredModes, match
 from rtcal.modes.model import ABOVE, RoomPoles
 from rtcal.modes.responses import modes_in
 from rtcal.modes.result import ModesResult

@@ -23,7 +23,7 @@ from functools import cached_property
 
 import numpy as np
 
-from rtcal.modes.matching import COMMON_ERROR, DECAY_ERROR, frequency_error
+from rtcal.modes.measured import COMMON_ERROR, DECAY_ERROR, frequency_error
 from rtcal.modes.room_modes import Complex, Poles
 from rtcal.support.errors import DataError
 from rtcal.support.types import Array

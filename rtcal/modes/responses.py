@@ -18,8 +18,7 @@ from rtcal.acoustics.room import Room
 from rtcal.io.sofa import Responses
 from rtcal.io.wav import clipped_samples
 from rtcal.modes.fit import AMPLITUDE, FARTHEST, Point, Spectra, fitted
-from rtcal.modes.matching import DECAY_ERROR
-from rtcal.modes.measured import MeasuredModes
+from rtcal.modes.measured import DECAY_ERROR, MeasuredModes
 from rtcal.modes.model import ABOVE, RoomPoles
 from rtcal.simulators.geometry import Polyhedron
 from rtcal.support import checks
