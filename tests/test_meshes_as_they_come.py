@@ -16,7 +16,7 @@ from benchmarks import defective_meshes
 from rtcal.command.main import main
 from rtcal.io import geometry_files, mend, mesh
 from rtcal.io.mend.faces import unit_notes
-from rtcal.io.mend.shapes import volume_by_rays
+from rtcal.io.mend.polygons import volume_by_rays
 from rtcal.report import figures
 from rtcal.simulators.geometry import Polyhedron
 from rtcal.support.errors import DataError, MissingDependencyError

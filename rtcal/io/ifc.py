@@ -18,7 +18,7 @@ import numpy as np
 
 from rtcal.acoustics.materials import text_name
 from rtcal.io.mend import Faces
-from rtcal.io.mend.shapes import axes_of, normal_of, polygon_of
+from rtcal.io.mend.polygons import axes_of, normal_of, polygon_of
 from rtcal.io.text import shown
 from rtcal.support.errors import DataError
 from rtcal.support.lazy import library

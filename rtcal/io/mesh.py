@@ -1,17 +1,19 @@
 """Meshes of every format as `rtcal.io.mend.Faces`: what is drawn, with the names of its materials.
 
-A format is one reader: `obj`, `dxf`, `collada` and `ifc`, the others by trimesh (``rtcal[mesh]``). A
-mesh without materials, such as STL, has one, named after its file. Objects of 3MF, which have names and
-no materials, are materials.
+A format is one reader: `obj`, `dxf`, `ifc`; COLLADA (.dae), which SketchUp writes, by pycollada, and
+the others by trimesh (both ``rtcal[mesh]``). trimesh reads COLLADA, too, but not the materials' names.
+A mesh without materials, such as STL, has one, named after its file. Objects of 3MF, which have names
+and no materials, are materials.
 
 The axes are turned so that z is up where the format says that y is (glTF, COLLADA).
 """
 
 from __future__ import annotations
 
+import io
 import os
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -19,8 +21,9 @@ from typing import Any
 import numpy as np
 
 from rtcal.acoustics.materials import text_name
-from rtcal.io import collada, dxf, ifc, obj
+from rtcal.io import dxf, ifc, obj
 from rtcal.io.mend import OFFSET, WELD, Faces, Mended, MeshError, closed, mended
+from rtcal.io.mend.faces import unit_notes
 from rtcal.io.text import shown
 from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError, MissingDependencyError
@@ -32,10 +35,11 @@ __all__ = ["read", "room"]
 __dir__ = __all__.copy
 
 MAX_BYTES = 2**26
-MAX_TRIANGLES = 100_000
+MAX_FACES = 100_000
 BY_TRIMESH = (".ply", ".stl", ".glb", ".gltf", ".3mf", ".off")
 IFC = ".ifc"
 _Y_UP = (".glb", ".gltf")
+_TURNED = "y is up in the file: its z is here -y"
 _REFUSED = {
     ".skp": "SketchUp's own format; export COLLADA (.dae) from it",
     ".blend": "Blender's own format; export glTF (.glb) from it",
@@ -133,14 +137,6 @@ def _obj(content: bytes, path: str, unit: float | None) -> Faces:
     return obj.faces(content, path, 1.0 if unit is None else unit, Path(path).stem)
 
 
-def _dxf(content: bytes, path: str, unit: float | None) -> Faces:
-    return dxf.faces(content, path, unit)
-
-
-def _collada(content: bytes, path: str, unit: float | None) -> Faces:
-    return collada.faces(content, path, unit, Path(path).stem)
-
-
 def _by_trimesh(content: bytes, path: str, unit: float | None) -> Faces:
     """Return the faces of a scene that trimesh reads; each triangle is a face."""
     needed = "this format needs trimesh: pip install 'rtcal[mesh]'; OBJ and DXF do not"
@@ -165,8 +161,8 @@ def _by_trimesh(content: bytes, path: str, unit: float | None) -> Faces:
             f"{path}: cannot be read as {ending[1:]}: {error}. Export OBJ from your program, one "
             "material per layer"
         ) from error
-    if (count := sum(len(g.faces) for _, g, _ in parts)) > MAX_TRIANGLES:
-        raise DataError(f"{path}: {count} triangles; at most {MAX_TRIANGLES}: simplify the model")
+    if (count := sum(len(g.faces) for _, g, _ in parts)) > MAX_FACES:
+        raise DataError(f"{path}: {count} triangles; at most {MAX_FACES}: simplify the model")
     notes = []
     if ending == ".ply" and _LAYERS.search(content[: content.find(b"end_header")]):
         notes.append(
@@ -181,16 +177,14 @@ def _by_trimesh(content: bytes, path: str, unit: float | None) -> Faces:
         length = unit
     if length != 1.0:
         notes.append(f"the file's unit is {length:g} m")
-    if turned:
-        notes.append("y is up in the file: its z is here -y")
+    notes += [_TURNED] * turned
     polygons: list[Array] = []
     materials: list[str] = []
     names: list[str] = []
     for name, geometry, transform in parts:
         points = np.asarray(geometry.vertices, dtype=float) @ transform[:3, :3].T + transform[:3, 3]
         points = points * length
-        if turned:
-            points = points[:, [0, 2, 1]] * np.array([1.0, -1.0, 1.0])
+        points = _z_up(points) if turned else points
         index = np.asarray(geometry.faces)
         if index.size and not 0 <= index.min() <= index.max() < len(points):
             raise DataError(f'{path}: part "{shown(str(name))}" has a face without its corners')
@@ -205,6 +199,11 @@ def _by_trimesh(content: bytes, path: str, unit: float | None) -> Faces:
     if not polygons:
         raise DataError(f"{path}: there is no face; a room has at least 4")
     return Faces(path, polygons, materials, names, tuple(notes))
+
+
+def _z_up(points: Array) -> Array:
+    """Return points (n, 3) of a file in which y is up."""
+    return np.asarray(points[:, [0, 2, 1]] * np.array([1.0, -1.0, 1.0]))
 
 
 def _materials(geometry: Any, otherwise: str) -> list[str]:
@@ -225,10 +224,69 @@ def _materials(geometry: Any, otherwise: str) -> list[str]:
     return [otherwise] * n
 
 
+def _by_pycollada(content: bytes, path: str, unit: float | None) -> Faces:
+    """Return the faces of a COLLADA file, in the unit and with the axis up that it states."""
+    needed = "COLLADA needs pycollada: pip install 'rtcal[mesh]'"
+    collada = library(needed, "collada", "collada.common", "collada.lineset")
+    try:
+        model = collada.Collada(
+            io.BytesIO(content),
+            ignore=[collada.common.DaeUnsupportedError, collada.common.DaeBrokenRefError],
+        )
+        drawn = [
+            (name or geometry.original.name, _name(part, Path(path).stem), polygon.vertices)
+            for node in (model.scene.nodes if model.scene else ())
+            for name, geometry in _placed(node, np.eye(4), "")
+            for part in geometry.primitives()
+            if not isinstance(part, collada.lineset.BoundLineSet)
+            for polygon in part
+        ]
+        stated, up = model.assetInfo.unitmeter, model.assetInfo.upaxis
+    except Exception as error:  # pycollada raises what its parser raises
+        raise DataError(f"{path}: cannot be read as COLLADA: {error}") from error
+    if not drawn:
+        raise DataError(f"{path}: there is no face; a room has at least 4")
+    if len(drawn) > MAX_FACES:
+        raise DataError(f"{path}: {len(drawn)} faces; at most {MAX_FACES}: simplify the model")
+    length = unit if unit is not None else float(stated or 1.0)
+    notes = unit_notes(length, None if stated is None else float(stated), unit)
+    turned = up == "Y_UP"
+    notes += [_TURNED] * turned
+    polygons, materials, names = [], [], []
+    for name, material, corners in drawn:
+        points = np.array(corners, dtype=float) * length
+        polygons.append(_z_up(points) if turned else points)
+        materials.append(text_name(f"{path}: a material", material))
+        names.append(text_name(f"{path}: a part", name) or "part")
+    return Faces(path, polygons, materials, names, tuple(notes))
+
+
+def _placed(node: Any, matrix: Array, name: str) -> Iterator[tuple[str, Any]]:
+    """Yield each geometry below a node, in its place, with the name of the nearest node that has one.
+
+    Programs name the objects of a scene by their nodes, and a geometry by its number.
+    """
+    children = getattr(node, "children", None)
+    if children is None:  # an instance of a geometry, a camera, a light
+        yield from ((name, geometry) for geometry in node.objects("geometry", matrix))
+        return
+    named = getattr(node, "node", node)  # of an instance of a node, that node
+    own = named.name if named.name != named.id else None  # pycollada takes the id without a name
+    for child in children:
+        yield from _placed(child, matrix @ node.matrix, own or name)
+
+
+def _name(part: Any, otherwise: str) -> str:
+    """Return the name of a primitive's material: as bound in the scene, else its symbol."""
+    bound = getattr(part, "material", None)
+    name = getattr(bound, "name", None) or getattr(bound, "id", None)
+    return str(name or getattr(part.original, "material", None) or otherwise)
+
+
 READERS: dict[str, Callable[[bytes, str, float | None], Faces]] = {
     ".obj": _obj,
-    ".dxf": _dxf,
-    ".dae": _collada,
+    ".dxf": dxf.faces,
+    ".dae": _by_pycollada,
     **dict.fromkeys(BY_TRIMESH, _by_trimesh),
 }
 """The reader of each ending."""

@@ -1,8 +1,8 @@
 """Tables of measured values, as measuring systems and spreadsheets write them.
 
 A format is one module that turns a file into `Sheet`s of cells: text with separators (CSV), workbooks
-(`workbook`, xlsx), REW's text (`rew`) and the XL2's (`nti`). What the cells mean is decided here, in
-all formats alike. The header decides between five shapes:
+(`workbook`, xlsx), and REW's and the XL2's text (`decay_time_texts`). What the cells mean is decided
+here, in all formats alike. The header decides between five shapes:
 
 - *long*: one value per row, in the columns of the native file or their usual spellings;
 - *bands across*: one row per parameter or position, one column per band;
@@ -28,7 +28,7 @@ from rtcal.acoustics import bands, measurement_files
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.observables import OBSERVABLES, TARGET, parameter_label
 from rtcal.acoustics.repeats import in_words, places_of
-from rtcal.io import nti, rew, workbook
+from rtcal.io import decay_time_texts, workbook
 from rtcal.io.analysis import means, unusual
 from rtcal.io.table_columns import (
     DECAY_TIMES_OF_RT60,
@@ -53,7 +53,7 @@ MAX_PAIRS = 5000
 MAX_BYTES = 2**22
 """Largest size of a table in bytes; a workbook of 5000 positions, compressed, is a tenth of it."""
 
-FORMATS: list[Any] = [workbook, rew, nti]
+FORMATS: list[Any] = [workbook, decay_time_texts]
 """Formats beside text with separators. Each has ``claims(content)`` and
 ``sheets(content, path, where)``; one of your own is appended (docs/extending.md)."""
 

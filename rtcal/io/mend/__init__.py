@@ -25,7 +25,6 @@ from __future__ import annotations
 import numpy as np
 
 from rtcal.io.mend.contacts import objects_within, without_contacts
-from rtcal.io.mend.edges import shell_of, without_holes
 from rtcal.io.mend.faces import (
     MOST_FACES,
     OFFSET,
@@ -41,6 +40,7 @@ from rtcal.io.mend.faces import (
     numbered,
 )
 from rtcal.io.mend.objects import tell_loose, tell_turned, unclosed_room, with_others
+from rtcal.io.mend.polygons import shell_of, without_holes
 from rtcal.io.mend.welding import flattened, joined, snapped, welded, without_repetitions
 from rtcal.simulators.geometry import Polyhedron
 from rtcal.support.arguments import checked

@@ -8,17 +8,18 @@ from typing import Any
 
 import numpy as np
 
-from rtcal.io.mend.edges import parts_of, shell_of
 from rtcal.io.mend.faces import ANY_SHARE, CONTACT, MOST_PLACES, Mending, Work, numbered
 from rtcal.io.mend.objects import within
-from rtcal.io.mend.shapes import (
+from rtcal.io.mend.polygons import (
     area_of,
     axes_of,
     extent_of,
     normal_of,
+    parts_of,
     polygon_of,
     polygons_of,
     shapely,
+    shell_of,
 )
 from rtcal.io.mend.walls import COVERED, Cut, cut, lifted
 from rtcal.io.mend.welding import settled

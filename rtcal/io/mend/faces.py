@@ -80,7 +80,7 @@ class Unclosed:
     Parameters
     ----------
     volume, volume_uncertainty : float
-        In m³, by rays (`rtcal.io.mend.shapes`).
+        In m³, by rays (`rtcal.io.mend.polygons`).
     areas : mapping of str to float
         Area of each material in m², every face once. What is missing is not in it.
     defects : sequence of Defect

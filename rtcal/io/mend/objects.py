@@ -6,14 +6,16 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from rtcal.io.mend.edges import edges_of, open_edges, sorted_edge
 from rtcal.io.mend.faces import ANY_SHARE, Face, Mending, Unclosed, Work
-from rtcal.io.mend.shapes import (
+from rtcal.io.mend.polygons import (
     area_of,
     axes_of,
+    edges_of,
     normal_of,
+    open_edges,
     polygon_of,
     polygons_of,
+    sorted_edge,
     volume_by_rays,
 )
 from rtcal.io.mend.walls import (

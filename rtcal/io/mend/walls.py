@@ -7,17 +7,21 @@ from typing import Any
 
 import numpy as np
 
-from rtcal.io.mend.edges import edges_of, loops_of, open_edges, owners, sorted_edge
 from rtcal.io.mend.faces import ANY_SHARE, SAME, Face, Mending, Work
-from rtcal.io.mend.shapes import (
+from rtcal.io.mend.polygons import (
     area_of,
     axes_of,
+    edges_of,
     extent_of,
+    loops_of,
     normal_of,
+    open_edges,
+    owners,
     plane_of,
     polygon_of,
     polygons_of,
     shapely,
+    sorted_edge,
     volume_by_rays,
 )
 from rtcal.io.mend.welding import flattened, resnapped, rewelded

@@ -11,9 +11,18 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.spatial import cKDTree
 
-from rtcal.io.mend.edges import edges_of, one_loop, owners, simplified, sorted_edge
 from rtcal.io.mend.faces import ANY_SHARE, CONTACT, SAME, Edge, Face, Mending, Work
-from rtcal.io.mend.shapes import area_of, extent_of, normal_of, plane_of
+from rtcal.io.mend.polygons import (
+    area_of,
+    edges_of,
+    extent_of,
+    normal_of,
+    one_loop,
+    owners,
+    plane_of,
+    simplified,
+    sorted_edge,
+)
 from rtcal.simulators import triangles
 from rtcal.simulators.geometry import PLANARITY, WELD
 from rtcal.support.errors import DataError
