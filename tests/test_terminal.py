@@ -230,7 +230,7 @@ def test_every_progress_bar_is_documented() -> None:
     }
     text = (root / "docs" / "command_line.md").read_text(encoding="utf-8")
     rows = text.split("| the bar counts |")[1].split("\n\n")[0]
-    file_of = {"measure": "files", "report": "files", "fit": "calibrate"}
+    file_of = {"measure": "files", "report": "files", "fit": "calibrate", "study": "calibrate"}
     documented = re.findall(r"rtcal (\w+)", rows)
     assert {file_of.get(name, name) for name in documented} == shown
 

@@ -17,6 +17,7 @@ from rtcal.finder.positions import Place, PositionsFinding, PositionsVerificatio
 from rtcal.loop.control_runs import ControlRuns
 from rtcal.report import finding_pages, where_figures
 from rtcal.report.document import Heading
+from rtcal.report.room_still import ABOVE, axes_of
 from rtcal.support.errors import DataError
 from tests.test_figures import LEAST, PHONE, texts
 from tests.test_where_corrected import L_PLAN, candidate, case_in, prism, triangulated
@@ -174,7 +175,7 @@ def test_the_room_is_looked_at_so_that_the_surface_is_seen(surface: str) -> None
     shares = {n: float(n == surface) for n in finding.case.faces}
     turn = where_figures._turn(geometry, finding.case.faces, shares)
     faces = finding.case.faces[surface]
-    assert (geometry.normals[faces] @ where_figures._into(turn) > 0).all()
+    assert (geometry.normals[faces] @ axes_of(turn, ABOVE)[2] > 0).all()
 
 
 def test_pairs_and_bands_that_were_not_measured_are_left_out(finding: PositionsFinding) -> None:

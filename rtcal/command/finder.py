@@ -27,9 +27,10 @@ from rtcal.command.finder_options import (
     Inputs,
     Search,
     add_to_folder,
+    apply_change,
     before_option,
     files_read,
-    further_places,
+    find_change,
     input_options,
     number_options,
     read_case,
@@ -37,8 +38,8 @@ from rtcal.command.finder_options import (
     search_case,
     search_options,
     verified,
+    verify_change,
 )
-from rtcal.command.two_states import apply_change, find_change, verify_change
 from rtcal.support import text
 from rtcal.support.errors import DataError
 
@@ -126,7 +127,7 @@ def find(
         if finding.can_be_verified:
             verification = verified(inputs, finding, quiet)
             first = [verification.sentence]
-        place = next(iter(further_places(finding)), None)
+        place = next(iter(_further_places(finding)), None)
         paths = finding_pages.write_where(finding, verification, folder, heading, command, place)
     else:
         files = gap_report.Reproduction(command, tuple(files_read(inputs)), search.seed)
@@ -330,9 +331,21 @@ def plan(
     tell(str(result), result.to_dict(), quiet=quiet, as_json=as_json)
 
 
+def _further_places(finding: positions.PositionsFinding) -> tuple[positions.Place, ...]:
+    """Return places for a further receiver, the one that tells most first; none without a question."""
+    from rtcal.finder import positions
+
+    if not finding.can_be_added or finding.surface is not None:
+        return ()
+    try:
+        return positions.next_position(finding)
+    except DataError:  # at most one surface is in question, or the room is too small for a grid
+        return ()
+
+
 def _tell_places(finding: positions.PositionsFinding, quiet: bool, as_json: bool) -> None:
     """Print where a further receiver would tell the surfaces apart that are in question."""
-    places = further_places(finding)[:PROPOSED]
+    places = _further_places(finding)[:PROPOSED]
     lines = [*text.wrapped(finding.headline), ""]
     if places:
         names = [f'"{name}"' for name in finding.likely_surfaces]

@@ -1,4 +1,7 @@
-"""Options that the commands ``find``, ``verify``, ``apply`` and ``plan`` share."""
+"""Options and searches that ``rtcal find``, ``verify``, ``apply`` and ``plan`` share.
+
+With ``--before`` a search is for what changed between two measurements of a room.
+"""
 
 from __future__ import annotations
 
@@ -34,10 +37,11 @@ from rtcal.support.files import spare
 from rtcal.support.progress import bar
 
 if TYPE_CHECKING:
-    from rtcal.finder import positions
     from rtcal.finder.positions.corrected import Corrected
     from rtcal.finder.positions.finding import PositionsFinding
     from rtcal.finder.states import SecondState, StatesFinding
+    from rtcal.report.document import Heading
+
 
 SEEDS = (0, 1, 2)
 """Seeds of the simulator over which a gap at positions is printed."""
@@ -140,18 +144,6 @@ def _progress(unit: str, quiet: bool) -> Iterator[Callable[[str, int, int], None
             shown.update(1)
 
         yield progress
-
-
-def further_places(finding: positions.PositionsFinding) -> tuple[positions.Place, ...]:
-    """Return places for a further receiver, the one that tells most first; none without a question."""
-    from rtcal.finder import positions
-
-    if not finding.can_be_added or finding.surface is not None:
-        return ()
-    try:
-        return positions.next_position(finding)
-    except DataError:  # at most one surface is in question, or the room is too small for a grid
-        return ()
 
 
 def refuse(stated: Mapping[str, object], why: str) -> None:
@@ -346,3 +338,113 @@ def add_to_folder(
     record = {**finding.to_dict(), **made.to_dict(), "written": [str(p) for p in paths]}
     tell(printed, record, quiet=quiet, as_json=as_json)
     return True
+
+
+def find_change(
+    inputs: Inputs,
+    search: Search,
+    before: str,
+    folder: Path | None,
+    heading: Heading,
+    as_json: bool,
+    quiet: bool,
+) -> None:
+    """Find what changed, print it, and write its folder if there is one; then it is verified, too.
+
+    Raises
+    ------
+    DataError
+        Without a room and what was measured in it, and as `rtcal.find` does.
+    """
+    from rtcal.finder.search import verify
+    from rtcal.report import document, finding_pages
+    from rtcal.support.results import NUMBERS
+
+    paths = [] if folder is None else [folder / NUMBERS, folder / finding_pages.PAGE]
+    finding = _what_changed(inputs, search, before, paths)
+    printed, record = str(finding), finding.to_dict()
+    if folder is not None:
+        if finding.can_be_verified:
+            verification = verify(finding)
+            printed = f"{verification}\n{printed}"
+            record["verification"] = verification.to_dict()
+        page = finding_pages.states_page(finding, heading, lambda: None)
+        finding.save(folder)
+        document.write(paths[1], page)
+        printed += "\n" + written(paths)
+        record["written"] = [str(path) for path in paths]
+    tell(printed, record, quiet=quiet, as_json=as_json)
+
+
+def verify_change(
+    inputs: Inputs, search: Search, before: str, earlier: str | None, as_json: bool, quiet: bool
+) -> None:
+    """Print how well a change predicts pairs that were not fitted: halves, or an earlier finding's."""
+    from rtcal.finder.search import verify
+    from rtcal.finder.states import StatesFinding
+    from rtcal.support.results import load
+
+    if earlier is None:
+        finding = _what_changed(inputs, search, before)
+        if (nothing := finding.reason_for_none) is not None:
+            record = {"verdict": None, "sentence": nothing, "finding": finding.to_dict()}
+            tell(nothing, record, quiet=quiet, as_json=as_json)
+            return
+        result = verify(finding, seed=search.seed)
+    else:
+        loaded = load(earlier)
+        if not isinstance(loaded, StatesFinding):
+            raise DataError(f"--finding {earlier} holds no finding of two states")
+        _refuse_options_of_one_state(inputs, search)
+        two = {"before": before, "after": str(inputs.measured)}
+        measured = {name: read_measured(path, quiet=quiet) for name, path in two.items()}
+        result = verify(loaded, **measured)
+    tell(str(result), result.to_dict(), quiet=quiet, as_json=as_json)
+
+
+def apply_change(
+    inputs: Inputs, search: Search, before: str, folder: Path, as_json: bool, quiet: bool
+) -> bool:
+    """Write the room of the second state into a folder; return whether there was one."""
+    from rtcal.finder.states.changed import MESH, ROOM
+
+    if folder.is_file():
+        raise DataError(f"--out {folder} is a file; with --before it is a folder")
+    finding = _what_changed(inputs, search, before, [folder / ROOM, folder / MESH])
+    return add_to_folder(finding, finding.apply, folder, as_json, quiet)
+
+
+def _refuse_options_of_one_state(inputs: Inputs, search: Search) -> None:
+    """Raise DataError without a room and a measurement, and for options of a search in one state."""
+    if inputs.measured is None:
+        raise DataError(
+            "--before needs a room and what was measured after: ROOM AFTER --before BEFORE"
+        )
+    refused = {**inputs.stated, "--prior": search.prior, "--engine": search.engines_stated}
+    for option, value in refused.items():
+        if value:
+            raise DataError(f"{option} is not of a search for what changed between two states")
+
+
+def _what_changed(
+    inputs: Inputs, search: Search, before: str, targets: Sequence[Path] = ()
+) -> StatesFinding:
+    """Find what changed; no file that is read may be among the targets."""
+    from rtcal.acoustics.room import Room
+    from rtcal.finder.search import find
+    from rtcal.support.files import spare
+
+    _refuse_options_of_one_state(inputs, search)
+    measured = str(inputs.measured)
+    spare(targets, [inputs.case, measured, before])
+    room = Room.from_file(inputs.case)
+    if room.scene.mesh is not None:
+        spare(targets, [room.scene.mesh])
+    return find(
+        room,
+        read_measured(measured, quiet=True),
+        before=read_measured(before, quiet=True),
+        only=search.only,
+        without=search.without,
+        seed=search.seed,
+    )

@@ -10,14 +10,13 @@ from collections.abc import Sequence
 
 import click
 
-from rtcal.command.calibrate import calibrate, fit, learn
+from rtcal.command.calibrate import calibrate, fit, learn, study
 from rtcal.command.console import CannotPrint, printing, show_warning, warn
 from rtcal.command.files import example, export, measure, report, table
 from rtcal.command.finder import NOTHING_TO_ADD, apply, find, plan, verify
 from rtcal.command.import_room import import_room
 from rtcal.command.loop import loop
 from rtcal.command.predict import design, predict
-from rtcal.command.study import study
 from rtcal.support.errors import MissingDependencyError, RtcalError, SolverError
 from rtcal.support.lazy import __version__
 

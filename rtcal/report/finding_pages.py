@@ -19,7 +19,7 @@ from rtcal.finder.positions.finding import Place, PositionsFinding, strongest
 from rtcal.finder.positions.verification import MODELS, TITLES, PositionsVerification
 from rtcal.finder.states.finding import StatesFinding
 from rtcal.finder.states.verification import verify
-from rtcal.report import document, room_section, where_figures
+from rtcal.report import document, room_view, where_figures
 from rtcal.report.document import Heading, blocks, render, source
 from rtcal.report.figures import BLACK, BLUE, ORANGE, band_axis, new_figure, rendered
 from rtcal.support.arguments import checked
@@ -133,7 +133,7 @@ def where_page(
         "place": place,
         "notes": [*finding.reasons, *finding.notes],
         "command": command,
-        **room_section.of_finding(finding, verification, place),
+        **room_view.of_finding(finding, verification, place),
     }
     return document.render(
         "where.html", values, heading.completed(finding.case.room.name, finding.case.room.author)

@@ -19,7 +19,7 @@ from rtcal.report import (
     loop_figures,
     loop_words,
     material_figures,
-    room_section,
+    room_view,
     words,
 )
 from rtcal.report.document import Heading, blocks, data_of, material_rows, render, source
@@ -153,7 +153,7 @@ def _calibration(calibration: CalibrationResult, step: Callable[[], None]) -> di
             if calibration.prior.sources.get(m)
         ],
         "certificate": certificate,
-        **room_section.of_calibration(calibration),
+        **room_view.of_calibration(calibration),
         "inputs": _inputs(calibration),
         "command": words.command(calibration),
         "composed": words.composed(calibration),

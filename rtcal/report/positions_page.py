@@ -13,7 +13,7 @@ from rtcal.acoustics.observables import DecaySlope, of_kind, parameter_label
 from rtcal.loop.positions_result import PositionsResult
 from rtcal.modes.result import ModesResult
 from rtcal.modes.room_modes import DECAY
-from rtcal.report import loop_figures, room_section, words
+from rtcal.report import loop_figures, room_view, words
 from rtcal.report.document import Heading, blocks, material_rows, render, source
 from rtcal.report.figures import BLACK, BLUE, ORANGE, new_figure, rms
 from rtcal.simulators.observations import Observations
@@ -73,7 +73,7 @@ def page(result: PositionsResult, heading: Heading, step: Callable[[], None]) ->
                 _interval(result, order),
                 np.isin(result.alpha[order], (0.0, 1.0)),
             ),
-            **room_section.of_positions(result),
+            **room_view.of_positions(result),
             "left_out": len(result.prior.materials) - len(order),
         },
         heading.completed(result.prior.name, result.prior.author),

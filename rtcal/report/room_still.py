@@ -20,7 +20,7 @@ GREY = "#c8c8c8"
 """Colour of what has no value."""
 ABOVE, BELOW = np.radians([30, -30])
 """Directions from which the view looks, above the horizontal: floor or ceiling is seen."""
-_TURNS = np.radians([35, 125, 215, 305])
+TURNS = np.radians([35, 125, 215, 305])
 """Directions round z, of which the one is taken that shows most of what is to be seen."""
 _WIDTH, _HEIGHT = 460, 330
 _MARGIN = 20
@@ -28,6 +28,20 @@ _SIZE = 7
 _FLAT = 0.01
 """Largest sine between the normals of two faces without an edge between them."""
 _MOST_NAMES = 40
+
+
+def between(colours: Sequence[str], share: float) -> str:
+    """Return the colour at a share from 0 to 1 of a scale; beyond its ends the end; grey for NaN.
+
+    >>> between(("#000000", "#ff0000"), 0.5), between(("#000000", "#ff0000"), float("nan"))
+    ('#800000', '#c8c8c8')
+    """
+    if not np.isfinite(share):
+        return GREY
+    stops = np.array([[int(c[k : k + 2], 16) for k in (1, 3, 5)] for c in colours], dtype=float)
+    at = np.clip(share, 0, 1) * (len(stops) - 1)
+    mixed = [np.interp(at, np.arange(len(stops)), channel) for channel in stops.T]
+    return "#" + "".join(f"{int(np.floor(c + 0.5)):02x}" for c in mixed)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -67,7 +81,7 @@ class Look:
     def shapes(self) -> dict[str, Any]:
         """Return polygons (points, part, edges), the farthest first, and the edges before them."""
         flat = self._flat(self.geometry.vertices)
-        into = axes(self.turn, self.tilt)[2]
+        into = axes_of(self.turn, self.tilt)[2]
         drawn = {(int(a), int(b)) for a, b in self.edges}
         depth = self.geometry.vertices @ into
         faces = [list(face) for face in self.geometry.faces]
@@ -110,12 +124,12 @@ class Look:
 
     def _flat(self, points: Array) -> Array:
         """Return points (n, 3) in m in the picture, (n, 2), whose y is downward."""
-        right, up, _ = axes(self.turn, self.tilt)
+        right, up, _ = axes_of(self.turn, self.tilt)
         flat = np.stack([points @ right, points @ up], axis=1) - self.origin
         return np.asarray(flat * self.scale * (1, -1))
 
 
-def axes(turn: float, tilt: float) -> Array:
+def axes_of(turn: float, tilt: float) -> Array:
     """Return the unit vectors to the right, upward and into the picture, (3, 3)."""
     across, along = np.array([np.cos(turn), np.sin(turn)]), np.array([-np.sin(turn), np.cos(turn)])
     right = np.array([*across, 0.0])
@@ -130,10 +144,10 @@ def look(
     """Return the look from which most of the faces' weights (n_faces,) is seen from inside."""
 
     def shown(turn: float) -> float:
-        return float(weights @ np.clip(geometry.normals @ axes(turn, tilt)[2], 0, None))
+        return float(weights @ np.clip(geometry.normals @ axes_of(turn, tilt)[2], 0, None))
 
-    turn = float(max(_TURNS, key=shown))
-    right, up, _ = axes(turn, tilt)
+    turn = float(max(TURNS, key=shown))
+    right, up, _ = axes_of(turn, tilt)
     flat = np.stack([geometry.vertices @ right, geometry.vertices @ up], axis=1)
     low, high = flat.min(axis=0), flat.max(axis=0)
     room = np.array([_WIDTH, _HEIGHT]) - 2 * _MARGIN

@@ -1,7 +1,8 @@
 """The room of a page in three dimensions: its parts coloured by numbers, its sources and receivers.
 
-The page holds it three times: as data that its script draws with WebGL and turns, as still pictures for
-print and for browsers without WebGL (`rtcal.report.room_still`), and as tables. Nothing is fetched.
+It is the room of a calibration, of a calibration to every position, or of a finding. The page holds it
+three times: as data that its script draws with WebGL and turns, as still pictures for print and for
+browsers without WebGL (`rtcal.report.room_still`), and as tables. Nothing is fetched.
 """
 
 from __future__ import annotations
@@ -13,16 +14,25 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache
 from importlib import resources
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from rtcal.io import geometry_files
 from rtcal.report import room_still
 from rtcal.report.figures import rms
-from rtcal.report.room_still import GREY, Look
+from rtcal.report.room_still import Look, between
 from rtcal.simulators.geometry import Polyhedron
+from rtcal.support.errors import DataError
 from rtcal.support.types import Array
+
+if TYPE_CHECKING:
+    from rtcal.calibration.result import CalibrationResult
+    from rtcal.finder.positions.finding import Place, PositionsFinding
+    from rtcal.finder.positions.verification import PositionsVerification
+    from rtcal.loop.positions_result import PositionsResult
+
 
 MOST_FACES = 5000
 """Largest number of faces that are drawn: the page stays below 2 MB."""
@@ -139,20 +149,6 @@ class RoomView:
         object.__setattr__(self, "gap", scale)
 
 
-def between(colours: Sequence[str], share: float) -> str:
-    """Return the colour at a share from 0 to 1 of a scale; beyond its ends the end; grey for NaN.
-
-    >>> between(("#000000", "#ff0000"), 0.5), between(("#000000", "#ff0000"), float("nan"))
-    ('#800000', '#c8c8c8')
-    """
-    if not np.isfinite(share):
-        return GREY
-    stops = np.array([[int(c[k : k + 2], 16) for k in (1, 3, 5)] for c in colours], dtype=float)
-    at = np.clip(share, 0, 1) * (len(stops) - 1)
-    mixed = [np.interp(at, np.arange(len(stops)), channel) for channel in stops.T]
-    return "#" + "".join(f"{int(np.floor(c + 0.5)):02x}" for c in mixed)
-
-
 def of_materials(geometry: Polyhedron, materials: Sequence[str]) -> dict[str, NDArray[np.int64]]:
     """Return the faces of each of a room's materials, none for one that the geometry lacks."""
     of_face = np.array(geometry.materials, dtype=object)
@@ -166,7 +162,7 @@ def absorption(
 
     All are (n_materials, n_bands).
     """
-    columns = bands_and_mean(frequencies)
+    columns = ("mean over the bands", *(f"{f:g} Hz" for f in frequencies))
     highest = float(np.ceil(10 * max(stated.max(), calibrated.max(), 0.1))) / 10
     reach = float(np.ceil(max(2.0, np.abs(shift).max())))
 
@@ -198,11 +194,6 @@ def absorption(
     ]
 
 
-def bands_and_mean(frequencies: Array) -> tuple[str, ...]:
-    """Return the names of the columns: the mean over the bands, then each band."""
-    return ("mean over the bands", *(f"{f:g} Hz" for f in frequencies))
-
-
 def _with_mean(values: Array) -> Array:
     return np.column_stack([values.mean(axis=1), values])
 
@@ -227,17 +218,18 @@ def stands(
     return made
 
 
-def section(view: RoomView) -> dict[str, Any] | None:
-    """Return the values of the template ``room.html``; None for too many faces."""
+def _section(view: RoomView) -> dict[str, Any]:
+    """Return what the template ``room.html`` shows; of too many faces that the room is not drawn."""
     geometry = view.geometry
     if len(geometry.faces) > MOST_FACES or len(geometry.triangles) > MOST_TRIANGLES:
-        return None
+        limits = f"{MOST_FACES} faces or {MOST_TRIANGLES} triangles"
+        return {"room": None, "no_room": f"The room is not drawn: it has more than {limits}."}
     above, below = (
         room_still.look(geometry, _owners(view), _weights(view), tilt)
         for tilt in (room_still.ABOVE, room_still.BELOW)
     )
     chosen = [q for q in view.quantities if q.still]
-    return {
+    made = {
         "view": view,
         "looks": [_look(view, above, "above"), _look(view, below, "below")],
         "stills": [_still(quantity) for quantity in chosen],
@@ -258,6 +250,7 @@ def section(view: RoomView) -> dict[str, Any] | None:
         "script": script(),
         "fingerprint": fingerprint(),
     }
+    return {"room": made, "no_room": ""}
 
 
 @cache
@@ -298,19 +291,14 @@ def _look(view: RoomView, look: Look, name: str) -> dict[str, Any]:
 
 
 def _still(quantity: Quantity) -> dict[str, Any]:
-    middle = quantity.columns[0]
+    first, middle = quantity.columns[0], (quantity.low + quantity.high) / 2
     return {
         "colours": [quantity.colour(value) for value in quantity.values[:, 0]],
-        "name": f"{quantity.name}, {middle}" if middle else quantity.name,
-        "legend": _legend(quantity),
-    }
-
-
-def _legend(scale: Quantity) -> dict[str, Any]:
-    middle = (scale.low + scale.high) / 2
-    return {
-        "gradient": ", ".join(scale.colours),
-        "ticks": [scale.text(v) for v in (scale.low, middle, scale.high)],
+        "name": f"{quantity.name}, {first}" if first else quantity.name,
+        "legend": {
+            "gradient": ", ".join(quantity.colours),
+            "ticks": [quantity.text(v) for v in (quantity.low, middle, quantity.high)],
+        },
     }
 
 
@@ -351,3 +339,106 @@ def _plain(scale: Quantity) -> dict[str, Any]:
         "factor": scale.factor,
         "unit": scale.unit,
     }
+
+
+_NONE: dict[str, Any] = {"room": None, "no_room": ""}
+"""Section of a room that states no geometry."""
+
+
+def of_calibration(result: CalibrationResult) -> dict[str, Any]:
+    """Return the section of a calibration whose room states its geometry.
+
+    A mesh that cannot be read is no error: the page says so, and goes without it.
+    """
+    room = result.prior
+    if not room.scene:
+        return _NONE
+    try:
+        geometry = geometry_files.read(room)
+    except DataError as error:
+        return {"room": None, "no_room": f"The room is not drawn: {error}."}
+    shift = np.divide(
+        result.alpha - room.alpha, room.sigma, out=np.zeros_like(room.alpha), where=room.sigma > 0
+    )
+    view = RoomView(
+        geometry=geometry,
+        parts=of_materials(geometry, room.materials),
+        part="Material",
+        areas=room.areas,
+        quantities=absorption(room.centre_frequencies, room.alpha, result.alpha, shift),
+        stands=stands(room.scene.sources, room.scene.receivers, (), ()),
+    )
+    return _section(view)
+
+
+def of_positions(result: PositionsResult) -> dict[str, Any]:
+    """Return the section of a calibration to every position, if its simulator has a geometry."""
+    tracer: Any = result.tracer
+    geometry = getattr(tracer, "geometry", None)
+    if not isinstance(geometry, Polyhedron):
+        return _NONE
+    room = result.prior
+    view = RoomView(
+        geometry=geometry,
+        parts=of_materials(geometry, room.materials),
+        part="Material",
+        areas=room.areas,
+        quantities=absorption(room.centre_frequencies, room.alpha, result.alpha, result.shift),
+        stands=stands(
+            tracer.sources,
+            tracer.receivers,
+            result.pairs,
+            (result.gap_before, result.gap_after),
+        ),
+        whens=("before", "after"),
+    )
+    return _section(view)
+
+
+def of_finding(
+    finding: PositionsFinding,
+    verification: PositionsVerification | None,
+    place: Place | None = None,
+) -> dict[str, Any]:
+    """Return the section of a finding in a geometry.
+
+    Its gaps are those of a verification at pairs that were not fitted. ``place`` is a further receiver.
+    """
+    case, room = finding.case, finding.case.room
+    none = finding.verdict == "none"
+    chance = [0.0 if none else finding.surfaces.get(name, 0.0) for name in case.faces]
+    rows = [
+        room.material_index(case.geometry.materials[int(faces[0])]) for faces in case.faces.values()
+    ]
+    likely = Quantity(
+        name="Probability that something is missing on this surface",
+        head="Probability",
+        columns=("",),
+        values=np.array(chance)[:, np.newaxis],
+        low=0.0,
+        high=1.0,
+        colours=LIKELY,
+        digits=0,
+        factor=100.0,
+        unit=" %",
+    )
+    alpha = absorption(
+        room.centre_frequencies, room.alpha[rows], room.alpha[rows], np.zeros((len(rows), 1))
+    )[-1]
+    sources, receivers = case.simulator.sources, dict(case.simulator.receivers)
+    if place is not None:
+        receivers["to measure here"] = place.point
+    gaps, whens = [], []
+    if verification is not None:
+        gaps = [np.concatenate(gap) for gap in verification.gaps[[0, -1]]]
+        whens = ["as stated", "corrected"]
+    view = RoomView(
+        geometry=case.geometry,
+        parts=case.faces,
+        part="Surface",
+        areas=np.array([case.geometry.face_areas[f].sum() for f in case.faces.values()]),
+        quantities=[likely, alpha],
+        stands=stands(sources, receivers, finding.pairs, gaps),
+        whens=whens,
+    )
+    return _section(view)

@@ -14,16 +14,13 @@ from rtcal.finder.positions.finding import Place, PositionsFinding
 from rtcal.finder.positions.surfaces import Faces, kind
 from rtcal.finder.positions.verification import MODELS, PositionsVerification
 from rtcal.report.figures import BLACK, BLUE, GREEN, ORANGE, new_figure, rms, shown
+from rtcal.report.room_still import ABOVE, TURNS, axes_of
 from rtcal.simulators.geometry import Polyhedron
 from rtcal.support.arguments import checked
 from rtcal.support.types import Array
 
 _SHOWN = 0.02
 """Smallest probability of a surface that is written beside it."""
-_TILT = np.radians(30)
-"""Direction from which the axonometric view looks, above the horizontal."""
-_TURNS = np.radians([35, 125, 215, 305])
-"""Directions round z, of which the one that shows the most probable surface from inside is taken."""
 _MOST_ROWS = 24
 """Most pairs that have a row of their own in the map."""
 _SIZE = 9
@@ -53,12 +50,12 @@ def draw_room(axes: Any, finding: PositionsFinding, place: Place | None = None) 
     case, geometry = finding.case, finding.case.geometry
     probability, letters = _probabilities(finding), _letters(finding)
     turn = _turn(geometry, case.faces, probability)
-    flat, into = _projected(geometry.vertices, turn), _into(turn)
+    flat, into = _projected(geometry.vertices, turn), axes_of(turn, ABOVE)[2]
     depth = geometry.vertices @ into
     of_face = {int(i): name for name, faces in case.faces.items() for i in faces}
     seen = geometry.normals @ into > 0
     every = range(len(geometry.faces))
-    for i in sorted(every, key=lambda i: (not seen[i], -_mean(depth[[*geometry.faces[i]]]))):
+    for i in sorted(every, key=lambda i: (not seen[i], -depth[[*geometry.faces[i]]].mean())):
         corners = flat[list(geometry.faces[i])]
         name = of_face.get(i, "")
         chance = probability.get(name, 0.0)
@@ -203,30 +200,19 @@ def _turn(geometry: Polyhedron, faces: Mapping[str, Faces], chance: Mapping[str,
     """Return the direction of view in which probable surfaces are seen from inside."""
 
     def seen(turn: float) -> float:
-        into = _into(turn)
+        into = axes_of(turn, ABOVE)[2]
         return sum(
             chance[name]
             * float(np.average(geometry.normals[of] @ into > 0, weights=geometry.face_areas[of]))
             for name, of in faces.items()
         )
 
-    return float(max(_TURNS, key=seen))
+    return float(max(TURNS, key=seen))
 
 
 def _projected(points: Array, turn: float) -> Array:
     """Return points (n, 3) in the axonometric view, (n, 2)."""
-    right = np.array([np.cos(turn), np.sin(turn), 0.0])
-    up = np.array([-np.sin(turn) * np.sin(_TILT), np.cos(turn) * np.sin(_TILT), np.cos(_TILT)])
-    return np.stack([points @ right, points @ up], axis=1)
-
-
-def _into(turn: float) -> Array:
-    """Return the direction into the picture."""
-    return np.array([-np.sin(turn) * np.cos(_TILT), np.cos(turn) * np.cos(_TILT), -np.sin(_TILT)])
-
-
-def _mean(values: Array) -> float:
-    return float(np.mean(values))
+    return np.asarray(points @ axes_of(turn, ABOVE)[:2].T)
 
 
 def _middle(geometry: Polyhedron, faces: Faces) -> Array:

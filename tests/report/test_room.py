@@ -12,7 +12,7 @@ import pytest
 
 import rtcal as rt
 from rtcal.loop.matched import Beside
-from rtcal.report import page, room_section, room_still, room_view
+from rtcal.report import page, room_still, room_view
 from rtcal.simulators.geometry import Polyhedron
 from rtcal.simulators.observations import Observations
 from tests.report.pages import EVIL, no_figures
@@ -99,7 +99,7 @@ def test_evil_names_are_text(tmp_path, result) -> None:
 def test_a_mesh_that_is_gone_is_said_and_the_page_is_there(tmp_path) -> None:
     gone = calibrated(tmp_path)
     (tmp_path / "room.obj").unlink()
-    said = room_section.of_calibration(gone)
+    said = room_view.of_calibration(gone)
     assert said["room"] is None
     assert "The room is not drawn" in said["no_room"]
     assert "room.obj" in said["no_room"]
@@ -107,7 +107,7 @@ def test_a_mesh_that_is_gone_is_said_and_the_page_is_there(tmp_path) -> None:
 
 def test_a_mesh_of_too_many_faces_is_left_out_and_said(result, monkeypatch) -> None:
     monkeypatch.setattr(room_view, "MOST_FACES", 3)
-    assert "more than 3 faces" in room_section.of_calibration(result)["no_room"]
+    assert "more than 3 faces" in room_view.of_calibration(result)["no_room"]
 
 
 @pytest.mark.parametrize(
@@ -120,7 +120,7 @@ def test_a_still_shows_three_walls_of_a_box_from_inside(tilt, seen) -> None:
     names = {BOX.names[part] for _, part, _ in shapes["polygons"]}
     assert seen in names
     assert len(names) == 3
-    into = room_still.axes(look.turn, tilt)[2]
+    into = room_still.axes_of(look.turn, tilt)[2]
     for points, part, _ in shapes["polygons"]:
         x, y = np.array([p.split(",") for p in points.split()], dtype=float).T
         area = abs(x @ np.roll(y, 1) - y @ np.roll(x, 1)) / 2
