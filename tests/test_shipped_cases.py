@@ -10,7 +10,6 @@ from scipy import stats
 
 import rtcal as rt
 from benchmarks.shipped_cases import POPULATION, kinds
-from rtcal.datasets import examples
 from tests.hidden_world.populations import build
 from tests.position_rooms import shipped as where_room
 
@@ -60,7 +59,7 @@ def test_the_rule_tries_every_kind_that_the_library_has() -> None:
 @pytest.mark.long
 def test_the_room_with_a_curtain_is_measured_by_another_tracer() -> None:
     truth = json.loads(rt.datasets.path("where_room/truth.json").read_text(encoding="utf-8"))
-    room = examples._rehearsal_room(examples._l_shape())
+    room = where_room.stated_room(where_room.l_shape())
     true = np.array([truth["alpha"][name] for name in room.materials])
     off = (true - room.alpha) / room.sigma
     assert 0.001 < stats.chi2(off.size).cdf(np.sum(off**2)) < 0.999

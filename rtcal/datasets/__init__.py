@@ -9,10 +9,10 @@ if TYPE_CHECKING:
     from rtcal.datasets import catalogue as catalogue
     from rtcal.datasets import examples as examples
     from rtcal.datasets import halls as halls
-    from rtcal.datasets.shipped import bras_cr2 as bras_cr2
-    from rtcal.datasets.shipped import hidden_room as hidden_room
-    from rtcal.datasets.shipped import named_room as named_room
-    from rtcal.datasets.shipped import path as path
-    from rtcal.datasets.shipped import untold_room as untold_room
+    from rtcal.datasets.examples import bras_cr2 as bras_cr2
+    from rtcal.datasets.examples import hidden_room as hidden_room
+    from rtcal.datasets.examples import named_room as named_room
+    from rtcal.datasets.examples import path as path
+    from rtcal.datasets.examples import untold_room as untold_room
 else:
     __getattr__, __dir__, __all__ = lazy.exports(__name__, __file__)

@@ -1,27 +1,95 @@
-"""Files to start from: one small project per kind of user, as ``rtcal example`` writes them."""
+"""Rooms that ship with rtcal, and projects to start from, as ``rtcal example`` writes them.
+
+The rooms' folders state source and licence.
+"""
 
 from __future__ import annotations
 
 import io
+import json
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from scipy.io import wavfile
 
-from rtcal.acoustics.air import Air
+from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.room import Room
-from rtcal.acoustics.scene import Scene
-from rtcal.datasets import halls
-from rtcal.datasets.shipped import path
-from rtcal.io import obj
 from rtcal.simulators.geometry import SHOEBOX_WALLS, Polyhedron
-from rtcal.simulators.path_tracing import PathTracing
+from rtcal.support import checks
 from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError
 
+if TYPE_CHECKING:
+    from rtcal.finder.case import Case
+
+
 __all__ = ["NAMES", "Example", "example"]
 __dir__ = __all__.copy
+
+_HERE = Path(__file__).parent
+
+
+def path(name: str) -> Path:
+    """Return the path of a shipped file, for example ``path("bras_cr2/room.toml")``."""
+    return _HERE / checks.path("name", name)
+
+
+def bras_cr2() -> tuple[Room, Measurement]:
+    """Return the seminar room CR2 of the BRAS benchmark and its measured T30.
+
+    Aspoeck, Brinkmann, Ackermann, Weinzierl, Vorlaender: BRAS - Benchmark for Room Acoustical
+    Simulation, doi 10.14279/depositonce-6726.3, CC BY-SA 4.0.
+    """
+    folder = path("bras_cr2")
+    return (
+        Room.from_file(str(folder / "room.toml")),
+        Measurement.from_file(str(folder / "measured.csv")),
+    )
+
+
+@checked
+def hidden_room(*, closed: bool = False) -> tuple[Case, dict[str, Any]]:
+    """Return a case with a hidden effect, and the truth: the effect and ``alpha``.
+
+    It is a simulated room of six materials. The tracer is separate from rtcal's
+    (`tests/hidden_world`). Configuration A is the room as it is. In B one material is covered with
+    another one. In C everything that can be closed or taken out is closed or taken out.
+
+    Parameters
+    ----------
+    closed : bool
+        Return A and C. If False, A and B.
+    """
+    return _hidden("closed" if closed else "case", "truth")
+
+
+def named_room() -> tuple[Case, dict[str, Any]]:
+    """Return a case in which the finder names what is hidden, and the truth.
+
+    It is the first such room by the rule of `benchmarks/shipped_cases.py`. The tracer is not rtcal's,
+    and the coefficients are drawn about the stated ones with the stated sigma.
+    """
+    return _hidden("named", "named_truth")
+
+
+def untold_room() -> tuple[Case, dict[str, Any]]:
+    """Return a case in which something is hidden and the data do not tell, and the truth.
+
+    It is drawn as `named_room`: the first by that rule in which the finder claims nothing.
+    """
+    return _hidden("not_told", "not_told_truth")
+
+
+def _hidden(case: str, truth: str) -> tuple[Case, dict[str, Any]]:
+    from rtcal.finder.case import Case
+
+    folder = path("hidden_room")
+    return (
+        Case.from_file(str(folder / f"{case}.json")),
+        json.loads((folder / f"{truth}.json").read_text(encoding="utf-8")),
+    )
 
 
 @dataclass(frozen=True)
@@ -132,6 +200,8 @@ _DECAY_TIMES = {125: 1.5, 250: 1.3, 500: 1.1, 1000: 0.95, 2000: 0.85, 4000: 0.75
 
 def _response(rng: np.random.Generator) -> bytes:
     """Return a WAV file of noise that decays at `_DECAY_TIMES`, octave by octave."""
+    from scipy.io import wavfile
+
     t = np.arange(int(1.5 * _RATE)) / _RATE
     frequency = np.fft.rfftfreq(t.size, 1 / _RATE)
     sound = np.zeros(t.size)
@@ -151,7 +221,7 @@ def _responses() -> Example:
     rng = np.random.default_rng(1)
     names = ("S1_R1.wav", "S1_R2.wav", "S2_R1.wav", "S2_R2.wav")
     return Example(
-        {"room.obj": obj.text(box).encode(), **{name: _response(rng) for name in names}},
+        {"room.obj": box.to_text().encode(), **{name: _response(rng) for name in names}},
         (
             "rtcal measure S*.wav --out t.csv",
             "rtcal import catalogue --mesh room.obj --catalogue carpet=carpet_cotton "
@@ -208,6 +278,9 @@ result.room.save("calibrated.toml")
 
 
 def _simulator() -> Example:
+    from rtcal.datasets import halls
+    from rtcal.simulators.path_tracing import PathTracing
+
     hall = halls.lecture_hall()
     tracer = PathTracing(
         geometry=hall.geometry,
@@ -220,7 +293,7 @@ def _simulator() -> Example:
     return Example(
         {
             "room.toml": hall.room.to_text().encode(),
-            "room.obj": obj.text(hall.geometry).encode(),
+            "room.obj": hall.geometry.to_text().encode(),
             "t.csv": measured.to_text().encode(),
             "calibrate.py": script.encode(),
         },
@@ -275,67 +348,12 @@ def _told() -> Example:
     )
 
 
-_PLAN = ((0.0, 0.0), (9.0, 0.0), (9.0, 4.0), (5.0, 4.0), (5.0, 8.0), (0.0, 8.0))
-_HEIGHT = 3.2
-_WALLS = ("south", "east", "step", "inner", "north", "west")
-_BANDS = np.array([250.0, 500.0, 1000.0, 2000.0])
-_STATED = {
-    "parquet": (0.05, 0.06, 0.08, 0.08),
-    "ceiling": (0.20, 0.25, 0.30, 0.30),
-    "plaster": (0.08, 0.06, 0.05, 0.05),
-    "glass": (0.15, 0.10, 0.06, 0.05),
-}
-_SOURCES = {"S1": (1.5, 1.3, 1.5), "S2": (7.8, 2.9, 1.5)}
-_RECEIVERS = {
-    "R1": (3.2, 2.2, 1.2),
-    "R2": (6.2, 1.1, 1.2),
-    "R3": (2.2, 4.4, 1.2),
-    "R4": (3.9, 6.6, 1.2),
-    "R5": (1.1, 6.9, 1.2),
-    "R6": (8.0, 1.0, 1.2),
-}
-
-
-def _l_shape() -> Polyhedron:
-    """Return the L-shaped room as its model states it."""
-    faces = [("floor", "parquet", _level(0.0)), ("ceiling", "ceiling", _level(_HEIGHT))]
-    for name, start, end in zip(_WALLS, _PLAN, (*_PLAN[1:], _PLAN[0]), strict=True):
-        faces.append((name, "glass" if name == "east" else "plaster", _wall(start, end)))
-    return Polyhedron.from_polygons(faces)
-
-
-def _level(height: float) -> list[tuple[float, ...]]:
-    return [(*corner, height) for corner in _PLAN]
-
-
-def _wall(start: tuple[float, float], end: tuple[float, float]) -> list[tuple[float, ...]]:
-    return [(*start, 0.0), (*end, 0.0), (*end, _HEIGHT), (*start, _HEIGHT)]
-
-
-def _rehearsal_room(geometry: Polyhedron) -> Room:
-    alpha = np.array([_STATED[name] for name in geometry.areas])
-    return Room(
-        name="rehearsal room",
-        volume=geometry.volume,
-        materials=list(geometry.areas),
-        areas=np.array(list(geometry.areas.values())),
-        alpha=alpha,
-        sigma=np.maximum(0.2 * alpha, 0.01).round(4),
-        centre_frequencies=_BANDS,
-        air=Air(21, 45),
-        scattering=np.full(alpha.shape, 0.4),
-        scene=Scene(mesh="room.obj", sources=_SOURCES, receivers=_RECEIVERS),
-    )
-
-
 def _where() -> Example:
     """A room with a curtain that its model lacks: `tests/position_rooms/shipped.py` measures it."""
-    geometry = _l_shape()
     return Example(
         {
-            "room.toml": _rehearsal_room(geometry).to_text().encode(),
-            "room.obj": obj.text(geometry).encode(),
-            "pairs.csv": path("where_room/pairs.csv").read_bytes(),
+            name: path(f"where_room/{name}").read_bytes()
+            for name in ("room.toml", "room.obj", "pairs.csv")
         },
         (
             "rtcal find room.toml pairs.csv",

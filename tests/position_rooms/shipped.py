@@ -2,11 +2,10 @@
 
     python -m tests.position_rooms.shipped    # writes rtcal/datasets/where_room; a minute
 
-The room is the L-shaped one of `rtcal.datasets.examples`, with a curtain on its west wall. It differs
-from its model further, as in `tests.position_rooms.rooms`. The coefficients are drawn about the stated
-ones with the stated sigma, the scattering is another, and sources and receivers stand 0.05 m from where
-they are stated. Half of the differences between teams is common to all pairs. Nothing is chosen: it is
-the one draw of `SEED`.
+The room is L-shaped, with a curtain on its west wall. It differs from its model further, as in
+`tests.position_rooms.rooms`. The coefficients are drawn about the stated ones with the stated sigma.
+The scattering is another, and sources and receivers stand 0.05 m from where they are stated. Half of
+the differences between teams is common to all pairs. Nothing is chosen: it is the one draw of `SEED`.
 """
 
 from __future__ import annotations
@@ -16,9 +15,12 @@ from typing import Any
 
 import numpy as np
 
+from rtcal.acoustics.air import Air
 from rtcal.acoustics.measurement import Measurement
-from rtcal.datasets import examples
-from rtcal.datasets.shipped import path
+from rtcal.acoustics.room import Room
+from rtcal.acoustics.scene import Scene as StatedScene
+from rtcal.datasets.examples import path
+from rtcal.simulators.geometry import Polyhedron
 from tests.position_rooms import parameters
 from tests.position_rooms.rooms import OFF, REFLECTIONS, WIDTH, attenuation
 from tests.position_rooms.tracer import Scene, trace
@@ -33,24 +35,77 @@ LENGTH = 2.0  # of the echograms, s
 RADIUS = 0.3  # of the receivers, m
 TEMPERATURE, HUMIDITY = 21.0, 45.0
 
+PLAN = ((0.0, 0.0), (9.0, 0.0), (9.0, 4.0), (5.0, 4.0), (5.0, 8.0), (0.0, 8.0))
+HEIGHT = 3.2
+WALLS = ("south", "east", "step", "inner", "north", "west")
+BANDS = np.array([250.0, 500.0, 1000.0, 2000.0])
+STATED = {
+    "parquet": (0.05, 0.06, 0.08, 0.08),
+    "ceiling": (0.20, 0.25, 0.30, 0.30),
+    "plaster": (0.08, 0.06, 0.05, 0.05),
+    "glass": (0.15, 0.10, 0.06, 0.05),
+}
+SOURCES = {"S1": (1.5, 1.3, 1.5), "S2": (7.8, 2.9, 1.5)}
+RECEIVERS = {
+    "R1": (3.2, 2.2, 1.2),
+    "R2": (6.2, 1.1, 1.2),
+    "R3": (2.2, 4.4, 1.2),
+    "R4": (3.9, 6.6, 1.2),
+    "R5": (1.1, 6.9, 1.2),
+    "R6": (8.0, 1.0, 1.2),
+}
+
+
+def l_shape() -> Polyhedron:
+    """Return the L-shaped room as its model states it."""
+    faces = [("floor", "parquet", _level(0.0)), ("ceiling", "ceiling", _level(HEIGHT))]
+    for name, start, end in zip(WALLS, PLAN, (*PLAN[1:], PLAN[0]), strict=True):
+        faces.append((name, "glass" if name == "east" else "plaster", _wall(start, end)))
+    return Polyhedron.from_polygons(faces)
+
+
+def _level(height: float) -> list[tuple[float, ...]]:
+    return [(*corner, height) for corner in PLAN]
+
+
+def _wall(start: tuple[float, float], end: tuple[float, float]) -> list[tuple[float, ...]]:
+    return [(*start, 0.0), (*end, 0.0), (*end, HEIGHT), (*start, HEIGHT)]
+
+
+def stated_room(geometry: Polyhedron) -> Room:
+    """Return the room as its model states it."""
+    alpha = np.array([STATED[name] for name in geometry.areas])
+    return Room(
+        name="rehearsal room",
+        volume=geometry.volume,
+        materials=list(geometry.areas),
+        areas=np.array(list(geometry.areas.values())),
+        alpha=alpha,
+        sigma=np.maximum(0.2 * alpha, 0.01).round(4),
+        centre_frequencies=BANDS,
+        air=Air(TEMPERATURE, HUMIDITY),
+        scattering=np.full(alpha.shape, 0.4),
+        scene=StatedScene(mesh="room.obj", sources=SOURCES, receivers=RECEIVERS),
+    )
+
 
 def surfaces() -> list[tuple[str, np.ndarray]]:
     """Return the material and the polygon of each convex part of the room."""
-    inner = examples._PLAN[3]  # the corner that points inwards cuts the floor into two rectangles
+    inner = PLAN[3]  # the corner that points inwards cuts the floor into two rectangles
     parts = (
         ((0.0, 0.0), (9.0, 0.0), (9.0, inner[1]), (0.0, inner[1])),
         ((0.0, inner[1]), inner, (inner[0], 8.0), (0.0, 8.0)),
     )
     out = []
     for part in parts:
-        for name, height in (("parquet", 0.0), ("ceiling", examples._HEIGHT)):
+        for name, height in (("parquet", 0.0), ("ceiling", HEIGHT)):
             out.append((name, np.array([(*corner, height) for corner in part])))
-    shape = examples._l_shape()
+    shape = l_shape()
     for name, material, face in zip(shape.names, shape.materials, shape.faces, strict=True):
         if name == "west":
             low, high = CURTAIN_SIDES
             for a, b, of in ((8.0, high, material), (high, low, "curtain"), (low, 0.0, material)):
-                out.append((of, np.array(examples._wall((0.0, a), (0.0, b)))))
+                out.append((of, np.array(_wall((0.0, a), (0.0, b)))))
         elif name not in ("floor", "ceiling"):
             out.append((material, shape.vertices[list(face)]))
     return out
@@ -65,16 +120,16 @@ def off(rng: np.random.Generator, points: dict[str, Any]) -> np.ndarray:
 def measure() -> tuple[Measurement, dict[str, Any]]:
     """Return what is measured at the pairs, and the truth."""
     rng = np.random.default_rng(SEED)
-    room = examples._rehearsal_room(examples._l_shape())
+    room = stated_room(l_shape())
     alpha = np.clip(room.alpha + room.sigma * rng.standard_normal(room.alpha.shape), 0.01, 0.99)
     rows = dict(zip(room.materials, alpha, strict=True)) | {"curtain": CURTAIN}
     parts = surfaces()
-    sources, receivers = off(rng, examples._SOURCES), off(rng, examples._RECEIVERS)
+    sources, receivers = off(rng, SOURCES), off(rng, RECEIVERS)
     scene = Scene(
         polygons=[polygon for _, polygon in parts],
         alpha=np.array([rows[material] for material, _ in parts]),
         scattering=np.full(len(parts), SCATTERING),
-        air=attenuation(TEMPERATURE, HUMIDITY, examples._BANDS),
+        air=attenuation(TEMPERATURE, HUMIDITY, BANDS),
         c=331.3 * np.sqrt(1 + TEMPERATURE / 273.15),
         receivers=receivers,
         radius=RADIUS,
@@ -88,10 +143,10 @@ def measure() -> tuple[Measurement, dict[str, Any]]:
             for k, x in enumerate(sources)
         ]
     )
-    values = parameters.measure(rng, energy, WIDTH, examples._BANDS, SHARE)
+    values = parameters.measure(rng, energy, WIDTH, BANDS, SHARE)
     measured = Measurement(
-        centre_frequencies=examples._BANDS,
-        pairs=[(s, r) for s in examples._SOURCES for r in examples._RECEIVERS],
+        centre_frequencies=BANDS,
+        pairs=[(s, r) for s in SOURCES for r in RECEIVERS],
         values={name: values[name].round(4) for name in parameters.PARAMETERS},
     )
     truth = {name: np.round(row, 4).tolist() for name, row in rows.items()}
@@ -101,5 +156,8 @@ def measure() -> tuple[Measurement, dict[str, Any]]:
 if __name__ == "__main__":
     measured, truth = measure()
     path("where_room").mkdir(exist_ok=True)
+    geometry = l_shape()
+    path("where_room/room.obj").write_text(geometry.to_text(), encoding="utf-8")
+    path("where_room/room.toml").write_text(stated_room(geometry).to_text(), encoding="utf-8")
     path("where_room/pairs.csv").write_text(measured.to_text(), encoding="utf-8")
     path("where_room/truth.json").write_text(json.dumps(truth) + "\n", encoding="utf-8")
