@@ -381,7 +381,7 @@ def report(result: str, out: str | None, heading: Heading, as_json: bool, quiet:
     Example: rtcal report calibrated --out hall.xlsx
     """  # noqa: D301 (click's mark for lines that are not to be wrapped)
     from rtcal.io import workbook
-    from rtcal.report import document, pages, result_folder, tables
+    from rtcal.report import document, pages, result_folder
     from rtcal.support.files import spare
     from rtcal.support.progress import bar
 
@@ -393,7 +393,7 @@ def report(result: str, out: str | None, heading: Heading, as_json: bool, quiet:
     spare([target], [result, *kept])
     fit_ending("--out", out, ".html", ".htm", workbook.ENDING)
     if target.suffix.lower() == workbook.ENDING:
-        tables.write(result, target)
+        pages.write_workbook(result, target)
         done = {"written": str(target), "bytes": target.stat().st_size}
         tell(f"Written: {target}", done, quiet=quiet, as_json=as_json)
         return

@@ -124,7 +124,7 @@ def predict(
     from rtcal.datasets import catalogue
     from rtcal.loop.control_runs import RUNS
     from rtcal.loop.predicted_positions import predict_positions
-    from rtcal.prediction.compared import compare
+    from rtcal.prediction.predicted import compare
     from rtcal.support.progress import bar, following
 
     output_folder("--out", out)

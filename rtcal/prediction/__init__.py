@@ -21,11 +21,11 @@ if TYPE_CHECKING:
     from rtcal.acoustics.targets import Target as Target
     from rtcal.acoustics.targets import ansi_s12_60 as ansi_s12_60
     from rtcal.acoustics.targets import din_18041 as din_18041
-    from rtcal.prediction.compared import Predictions as Predictions
-    from rtcal.prediction.compared import compare as compare
     from rtcal.prediction.designed import Design as Design
     from rtcal.prediction.designed import Known as Known
     from rtcal.prediction.predicted import Prediction as Prediction
+    from rtcal.prediction.predicted import Predictions as Predictions
+    from rtcal.prediction.predicted import compare as compare
     from rtcal.prediction.predicted import predict as predict
 else:
     __getattr__, __dir__, __all__ = lazy.exports(__name__, __file__)

@@ -1,4 +1,7 @@
-"""T after a change: mean, 90 % interval, what the interval is made of, and how probable a range is."""
+"""T after a change, and several variants side by side.
+
+Of each: mean, 90 % interval, what the interval is made of, and how probable a range is.
+"""
 
 from __future__ import annotations
 
@@ -11,6 +14,7 @@ import numpy as np
 from scipy.special import ndtr, ndtri
 
 from rtcal.acoustics import bands
+from rtcal.acoustics.change_files import Variant, refuse_repeated_names
 from rtcal.acoustics.changes import Change, changed
 from rtcal.acoustics.equations import Eyring, LinearEquation
 from rtcal.acoustics.room import Room
@@ -19,7 +23,7 @@ from rtcal.acoustics.states import Flags, Rooms, State
 from rtcal.acoustics.targets import Target
 from rtcal.prediction import words
 from rtcal.prediction.estimate import Estimate, estimated_change, near_bounds, samples
-from rtcal.support import checks
+from rtcal.support import checks, text
 from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError
 from rtcal.support.files import json_numbers
@@ -332,3 +336,109 @@ def predict(
     )
     _ = prediction.linear_mean  # raises where the equation gives no T
     return prediction
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Predictions(Result):
+    """Predictions of several variants of one room; `compare` makes it.
+
+    Attributes
+    ----------
+    predictions : tuple of Prediction
+        One per variant.
+    costs : tuple of float or None
+        Of each variant.
+    target : Target or None
+        The range of T that they are compared with.
+    """
+
+    record_kind: ClassVar[str] = "predictions 1"
+
+    predictions: tuple[Prediction, ...]
+    costs: tuple[float | None, ...]
+    target: Target | None = None
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return each variant's `Prediction.to_dict`, its cost, and the probability of the target."""
+        record: dict[str, Any] = {
+            "variants": [prediction.to_dict() for prediction in self.predictions],
+            "costs": list(self.costs),
+        }
+        if self.target is not None:
+            ends = self.target.low, self.target.high
+            record["target"] = {
+                **self.target.to_dict(),
+                "probability": [json_numbers(p.probability(*ends)) for p in self.predictions],
+                "probability_together": [p.probability_together(*ends) for p in self.predictions],
+            }
+        return record
+
+    def __str__(self) -> str:
+        return "\n\n\n".join([*map(str, self.predictions), *self._side_by_side()])
+
+    def _side_by_side(self) -> list[str]:
+        """Return a table of the variants' T, and of cost and probability where they are known."""
+        if len(self.predictions) == 1 and self.target is None:
+            return []
+        labels = [bands.label(f) for f in self.predictions[0].after.centre_frequencies]
+        rows = [(p.name, [f"{t:.2f}" for t in p.mean]) for p in self.predictions]
+        lines = ["side by side: T / s", *text.table(rows, header=("", labels))]
+        columns = {"cost": ["-" if c is None else f"{c:.0f}" for c in self.costs]}
+        if self.target is not None:
+            lines += ["", *text.wrapped(f"Target: {self.target.source}")]
+            least, together = zip(*self.chances(), strict=True)
+            columns["least band"] = [f"{p:.2f}" for p in least]
+            columns["all bands"] = [f"{p:.2f}" for p in together]
+        elif all(cost is None for cost in self.costs):
+            return ["\n".join(lines)]
+        each = [(p.name, [c[i] for c in columns.values()]) for i, p in enumerate(self.predictions)]
+        return ["\n".join([*lines, *text.table(each, header=("", list(columns)))])]
+
+    def chances(self) -> list[tuple[float, float]]:
+        """Return of each variant the least probability of a band of the target, and that of all.
+
+        Empty without a target.
+        """
+        if self.target is None:
+            return []
+        ends, bounded = (self.target.low, self.target.high), self.target.bounded
+        return [
+            (float(p.probability(*ends)[bounded].min()), p.probability_together(*ends))
+            for p in self.predictions
+        ]
+
+    def __repr__(self) -> str:
+        return f"<Predictions: {', '.join(p.name for p in self.predictions)}>"
+
+
+@checked
+def compare(
+    states: Sequence[State],
+    variants: Sequence[Variant],
+    *,
+    before: Room | None = None,
+    equation: LinearEquation | None = None,
+    assumptions: Assumptions | None = None,
+    target: Target | None = None,
+) -> Predictions:
+    """Predict T of several variants; the arguments and errors are those of `predict`.
+
+    A ``target`` is a range of T that they are compared with. Raises DataError also where two variants
+    have one name, and for a target of other bands.
+
+    Examples
+    --------
+    >>> import rtcal as rt
+    >>> from rtcal.prediction import Open, State, Variant
+    >>> room, measured = rt.datasets.bras_cr2()
+    >>> state = State(room, measured.mean("t30"))
+    >>> compare([state], [Variant("window open", (Open("windows", 2.0),))])
+    <Predictions: window open>
+    """
+    refuse_repeated_names(variants)
+    given: dict[str, Any] = {"before": before, "equation": equation, "assumptions": assumptions}
+    made = tuple(predict(states, v.changes, name=v.name, **given) for v in variants)
+    n_bands = made[0].after.n_bands if made else 0
+    if target is not None and target.low.shape != (n_bands,):
+        raise DataError(f"target has {len(target.low)} bands; the room has {n_bands}")
+    return Predictions(predictions=made, costs=tuple(v.cost for v in variants), target=target)

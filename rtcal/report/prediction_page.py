@@ -10,9 +10,8 @@ import numpy as np
 
 from rtcal.acoustics.observables import observable, parameter_label
 from rtcal.loop.positions_prediction import PositionsPrediction, PositionsPredictions
-from rtcal.prediction.compared import Predictions
 from rtcal.prediction.designed import Design
-from rtcal.prediction.predicted import Prediction
+from rtcal.prediction.predicted import Prediction, Predictions
 from rtcal.report.document import Heading, blocks, render, source
 from rtcal.report.figures import BLACK, BLUE, GREEN, ORANGE, band_axis, new_figure, shown
 from rtcal.support.types import Array

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from rtcal.report import tables
+from rtcal.report import pages
 
 openpyxl = pytest.importorskip("openpyxl", reason="needs the extra tables")
 
@@ -25,7 +25,7 @@ def record() -> dict:
 
 @pytest.mark.parametrize("inside", [False, True])
 def test_a_value_of_a_position_stands_beside_its_names(inside) -> None:
-    made = tables.tables_of({"rtcal": "x", "finding": record()} if inside else record())
+    made = pages.tables_of({"rtcal": "x", "finding": record()} if inside else record())
     table = made["finding map" if inside else "map"]
     assert table[0] == ["parameter", "source", "receiver", "500 Hz", "1000 Hz"]
     assert table[1:3] == [["t20", "S1", "R1", 0.0, 1.0], ["t20", "S1", "R2", 2.0, 3.0]]
@@ -39,19 +39,19 @@ def test_a_value_of_a_position_stands_beside_its_names(inside) -> None:
 def test_a_part_at_the_pairs_of_the_whole_names_them() -> None:
     """The sheets of what was not matched had the sources 1, 2, 3 and no receiver."""
     part = {"parameters": ["c80"], "gap": [[[1.0, 2.0], [3.0, 4.0], [5.0, 6.0]]]}
-    made = tables.tables_of({**record(), "not_matched": part, "contradictions": [["S1", "R2"]]})
+    made = pages.tables_of({**record(), "not_matched": part, "contradictions": [["S1", "R2"]]})
     assert made["not_matched gap"][2] == ["c80", "S1", "R2", 3.0, 4.0]
     assert made["contradictions"] == [["source", "receiver"], ["S1", "R2"]]
 
 
 def test_what_lacks_names_is_numbered() -> None:
     bare = {k: v for k, v in record().items() if k not in ("parameters", "pairs")}
-    assert tables.tables_of(bare)["map"][4] == [2, 1, None, 6.0, 7.0]
+    assert pages.tables_of(bare)["map"][4] == [2, 1, None, 6.0, 7.0]
 
 
 def test_a_loop_has_its_bands_materials_and_simulations(loop_result, tmp_path) -> None:
     loop = loop_result.loop
-    tables.write(loop_result.save(tmp_path), tmp_path / "loop.xlsx")
+    pages.write_workbook(loop_result.save(tmp_path), tmp_path / "loop.xlsx")
     book = openpyxl.load_workbook(tmp_path / "loop.xlsx")
     sheet = book["bands"]
     columns = {column[0].value: [c.value for c in column[1:]] for column in sheet.columns}
@@ -70,5 +70,5 @@ def test_what_is_of_each_material_says_of_which() -> None:
         "materials": [{"name": "floor"}, {"name": "wall"}],
         "scattering": {"sigma": [[0.1, 0.2], [0.3, 0.4]]},
     }
-    sheet = tables.tables_of(stated)["scattering sigma"]
+    sheet = pages.tables_of(stated)["scattering sigma"]
     assert sheet == [["material", "125 Hz", "250 Hz"], ["floor", 0.1, 0.2], ["wall", 0.3, 0.4]]
