@@ -34,11 +34,12 @@ from rtcal.io.table_columns import (
     DECAY_TIMES_OF_RT60,
     Column,
     column_of,
+    leaves_decay_time_open,
     position_of,
     with_repeats,
 )
 from rtcal.io.table_layout import Sheet, TableLayout, has_header, layout_of
-from rtcal.io.table_text import check_options, sheet_of_text
+from rtcal.io.table_text import sheet_of_text
 from rtcal.io.table_values import Key, Reader, Values
 from rtcal.io.text import decode, shown
 from rtcal.support import checks
@@ -52,6 +53,8 @@ __dir__ = __all__.copy
 MAX_PAIRS = 5000
 MAX_BYTES = 2**22
 """Largest size of a table in bytes; a workbook of 5000 positions, compressed, is a tenth of it."""
+_MOST_COLUMNS = 20
+"""Largest number of columns that a message names."""
 
 FORMATS: list[Any] = [workbook, decay_time_texts]
 """Formats beside text with separators. Each has ``claims(content)`` and
@@ -118,7 +121,7 @@ def read(
         For a workbook (xlsx) without openpyxl.
     """
     paths = [path] if isinstance(path, (str, os.PathLike)) else list(path)
-    return _read(
+    return parse(
         {os.fspath(p): read_bytes(p, MAX_BYTES) for p in paths},
         decay_time=decay_time,
         parameter=parameter,
@@ -133,7 +136,7 @@ def read(
 
 @checked
 def parse(
-    content: bytes,
+    content: bytes | Mapping[str, bytes],
     path: str = "table",
     *,
     decay_time: str | None = None,
@@ -145,55 +148,8 @@ def parse(
     repeats: bool = False,
     sheets: Collection[str] = (),
 ) -> Table:
-    """Return the measurement of a table's content; see `read`."""
-    return _read(
-        {path: content},
-        decay_time=decay_time,
-        parameter=parameter,
-        where=where,
-        ignore=ignore,
-        n_sources=n_sources,
-        n_receivers=n_receivers,
-        repeats=repeats,
-        sheets=sheets,
-    )
-
-
-@checked
-def measurement(path: str | os.PathLike[str]) -> Table:
-    """Return the measurement of a native CSV file, of a workbook or of REW's text.
-
-    Text of any other kind is refused as `rtcal.Measurement.from_file` refuses it: its columns are to
-    be looked at first, with ``rtcal table``. ``columns`` is empty for the native file.
-    """
-    content = read_bytes(path, MAX_BYTES)
-    if any(module.claims(content) for module in FORMATS):
-        return read(path)
-    return Table(Measurement.from_file(os.fspath(path)), ())
-
-
-@checked
-def write(measurement: Measurement, path: str | os.PathLike[str]) -> None:
-    """Write the native table, one value per row: CSV, or a workbook if the name ends in .xlsx."""
-    if Path(path).suffix.lower() == workbook.ENDING:
-        workbook.write({"measurement": measurement_files.rows(measurement.to_dict())}, path)
-    else:
-        measurement.save(os.fspath(path))
-
-
-def _read(
-    contents: Mapping[str, bytes],
-    *,
-    decay_time: str | None,
-    parameter: str | None,
-    where: Mapping[str, str] | None,
-    ignore: Collection[str],
-    n_sources: int | None,
-    n_receivers: int | None,
-    repeats: bool,
-    sheets: Collection[str],
-) -> Table:
-    """Return the measurement of some files' contents; see `read`."""
+    """Return the measurement of a table's content, or of several by their names; see `read`."""
+    contents = {path: content} if isinstance(content, bytes) else content
     if not contents:
         raise DataError("no table is given")
     for name, choice, choices in (
@@ -241,6 +197,28 @@ def _read(
                 other for (s, _), other in zip(found[:i], readers, strict=False) if _alike(s, sheet)
             ]
     return _table(readers, where, notes)
+
+
+@checked
+def measurement(path: str | os.PathLike[str]) -> Table:
+    """Return the measurement of a native CSV file, of a workbook or of REW's text.
+
+    Text of any other kind is refused as `rtcal.Measurement.from_file` refuses it: its columns are to
+    be looked at first, with ``rtcal table``. ``columns`` is empty for the native file.
+    """
+    content = read_bytes(path, MAX_BYTES)
+    if any(module.claims(content) for module in FORMATS):
+        return read(path)
+    return Table(Measurement.from_file(os.fspath(path)), ())
+
+
+@checked
+def write(measurement: Measurement, path: str | os.PathLike[str]) -> None:
+    """Write the native table, one value per row: CSV, or a workbook if the name ends in .xlsx."""
+    if Path(path).suffix.lower() == workbook.ENDING:
+        workbook.write({"measurement": measurement_files.rows(measurement.to_dict())}, path)
+    else:
+        measurement.save(os.fspath(path))
 
 
 def _alike(one: Sheet, other: Sheet) -> bool:
@@ -312,21 +290,46 @@ def _check_options(
     decay_time: str | None,
     ignore: Collection[str],
 ) -> None:
-    """Raise DataError for an option that changes nothing in any table."""
-    none: dict[str, Any] = {"parameter": None, "decay_time": None, "ignore": ()}
-    stated: list[dict[str, Any]] = [{"parameter": parameter}, *({"ignore": [n]} for n in ignore)]
+    """Raise DataError for an option that changes nothing in any table.
+
+    That is a parameter where the tables name those of all values, a column to ignore that is not there,
+    and a decay time where nothing is called RT60.
+    """
+    place = f"{found[0][0].place}, line {found[0][1].header_line}"
+    first, layouts = found[0][1].columns, [layout for _, layout in found]
+    if parameter is not None and all(map(_names_parameters, layouts)):
+        named = [c.header for c in first if c.parameter or c.kind == "parameter"]
+        raise DataError(
+            f'{place}: parameter="{parameter}" is not used, since the table names its own '
+            f"({_quoted(named)}); leave it out"
+        )
+    headers = {c.header for layout in layouts for c in layout.columns}
+    if missing := [name for name in ignore if name not in headers]:
+        raise DataError(
+            f'{place}: ignore="{shown(missing[0])}" is no column; they are '
+            f"{_quoted([c.header for c in first])}"
+        )
     names = [text for sheet, layout in found for text in (sheet.name, *layout.titles)]
-    if not any(map(_leaves_open, names)):
-        stated.append({"decay_time": decay_time})
-    for option in stated:
-        errors = []
-        for sheet, layout in found:
-            try:
-                check_options(layout, sheet.place, **(none | option))
-            except DataError as error:
-                errors.append(error)
-        if len(errors) == len(found):
-            raise errors[0]
+    if decay_time is not None and not (
+        any(map(_leaves_open, names))
+        or any(c.decay_time_open for layout in layouts for c in layout.columns)
+        or any(leaves_decay_time_open(c) for layout in layouts for c in layout.cells("parameter"))
+    ):
+        raise DataError(
+            f'{place}: decay_time="{decay_time}" is not used, since nothing in the table is called '
+            "RT60 or T60; leave it out"
+        )
+
+
+def _names_parameters(layout: TableLayout) -> bool:
+    """Return whether a table names the parameters of all its values."""
+    values = [c for c in layout.columns if c.kind in ("data", "value")]
+    rows_name = any(c.kind == "parameter" for c in layout.columns)
+    return rows_name or all(c.parameter for c in values)
+
+
+def _quoted(names: Sequence[str]) -> str:
+    return ", ".join(f'"{shown(name)}"' for name in names[:_MOST_COLUMNS])
 
 
 def _leaves_open(text: str) -> bool:
@@ -348,8 +351,7 @@ def _parameter(
     sheet: Sheet, layout: TableLayout, stated: str | None, decay_time: str | None
 ) -> Column | None:
     """Return the parameter of a table's values that name none: as stated, of its sheet or title."""
-    values = [c for c in layout.columns if c.kind in ("data", "value")]
-    if any(c.kind == "parameter" for c in layout.columns) or all(c.parameter for c in values):
+    if _names_parameters(layout):
         return None
     texts = [t for t in (sheet.name, *layout.titles) if _named(t, decay_time or TARGET.key)]
     if stated is None and decay_time is None:
