@@ -132,7 +132,7 @@ def test_digital_silence_at_the_end_is_left_out(silence: float, offset: float) -
     assert t20 == pytest.approx(plain.measurement.values["t20"], rel=1e-3)
     assert t20 == pytest.approx(0.8, rel=0.25)
     assert [n for n in analysis.notes if "silence" in n] == [
-        f"S1, R1: the last {silence:.2f} s are digital silence, left out"
+        f"S1 to R1: the last {silence:.2f} s are digital silence, left out"
     ]
 
 

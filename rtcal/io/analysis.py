@@ -20,7 +20,7 @@ from rtcal.acoustics.observables import (
 from rtcal.support import text
 from rtcal.support.types import Array
 
-_MOST_PAIRS = 4
+MOST_NAMED = 4
 """Largest number of pairs or files that a sentence names."""
 _LATE = 2.8
 """Largest T that the energy's centre of gravity tells of a decay, over its slope's; an exponential one
@@ -110,13 +110,12 @@ class Analysis:
         return sentences
 
     def _pairs(self, rows: Sequence[int]) -> str:
-        """Return how many pairs these are, and which, up to `_MOST_PAIRS`."""
+        """Return how many pairs these are, and which, up to `MOST_NAMED`."""
         n = len(self.measurement.pairs)
         if len(rows) == n:
             return f"{n} of {n} pairs"
-        named = ", ".join(" to ".join(self.measurement.pairs[i]) for i in rows[:_MOST_PAIRS])
-        more = ", ..." if len(rows) > _MOST_PAIRS else ""
-        return f"{len(rows)} of {n} pairs ({named}{more})"
+        named = [" to ".join(self.measurement.pairs[i]) for i in rows]
+        return f"{len(rows)} of {n} pairs ({text.first_of(named, MOST_NAMED)})"
 
     def _noise(self, band: int) -> str:
         """Return the range of the impulse-to-noise ratio over the pairs of a band."""
@@ -166,30 +165,6 @@ def spread(values: Sequence[float] | Array, form: str) -> str:
     return " to ".join(ends)
 
 
-def pairs_in_words(pairs: Sequence[tuple[str, str]]) -> str:
-    """Return the names of some pairs; the first of many, and the number of the others.
-
-    Examples
-    --------
-    >>> pairs_in_words([("S1", "R1"), ("S1", "R2")])
-    'S1, R1; S1, R2'
-    """
-    return shortened_list([", ".join(pair) for pair in pairs])
-
-
-def shortened_list(names: Sequence[str]) -> str:
-    """Return some names; the first of many, and the number of the others.
-
-    Examples
-    --------
-    >>> shortened_list(["a.wav", "b.wav", "c.wav", "d.wav", "e.wav"])
-    'a.wav; b.wav; c.wav; 2 others'
-    """
-    if len(names) > _MOST_PAIRS:
-        names = [*names[: _MOST_PAIRS - 1], f"{len(names) - _MOST_PAIRS + 1} others"]
-    return "; ".join(names)
-
-
 def late_energy(values: Mapping[str, Array], files: Sequence[str]) -> list[str]:
     """Return a note on the files of which most bands have too large a Ts for a decay.
 
@@ -203,10 +178,10 @@ def late_energy(values: Mapping[str, Array], files: Sequence[str]) -> list[str]:
     late = np.mean(told, axis=(0, 2)) > 0.5
     if not late.any():
         return []
-    named = shortened_list([file for file, is_late in zip(files, late, strict=True) if is_late])
+    named = [file for file, is_late in zip(files, late, strict=True) if is_late]
     return [
-        f"no decay: {named}. The energy arrives late (Ts above T20/5; that of a decay is T20/14). "
-        "Look whether it is the recording of a sweep"
+        f"no decay: {text.first_of(named, MOST_NAMED)}. The energy arrives late (Ts above T20/5; that of a "
+        "decay is T20/14). Look whether it is the recording of a sweep"
     ]
 
 
@@ -247,9 +222,8 @@ def _far_from_others(measurement: Measurement, parameter: str) -> list[str]:
     ]
     if not found:
         return []
-    more = f", and {len(found) - _MOST_PAIRS} more" if len(found) > _MOST_PAIRS else ""
     return [
         f"{parameter_label(parameter)} is {_FAR:g} times as long as at the other pairs, or as short: "
-        f"{', '.join(found[:_MOST_PAIRS])}{more}. Look whether the decimal is another, and whether the "
+        f"{text.first_of(found, MOST_NAMED)}. Look whether the decimal is another, and whether the "
         "row is a position"
     ]

@@ -35,11 +35,12 @@ from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.observables import EARLY, OBSERVABLES, DecaySlope, of_kind, parameter_label
 from rtcal.acoustics.repeats import groups, in_words, names_of_repeats, places_of
 from rtcal.io import sofa, wav
-from rtcal.io.analysis import Analysis, late_energy, pairs_in_words, shortened_list, spread
+from rtcal.io.analysis import MOST_NAMED, Analysis, late_energy, spread
 from rtcal.support import checks
 from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError
 from rtcal.support.lazy import library
+from rtcal.support.text import first_of
 from rtcal.support.types import Array
 
 __all__ = ["analyse", "of_energy", "read"]
@@ -260,21 +261,20 @@ def _analysis(
         names = [*places.values()]
         of_file = [f"{names[i]} ({silent[i]} of {len(centres)} bands)" for i in lacking]
         notes.append(
-            f"no decay stands out of the noise: {shortened_list(of_file)}. Look whether it is an "
+            f"no decay stands out of the noise: {first_of(of_file, MOST_NAMED)}. Look whether it is an "
             "impulse response, and not noise or a recording of the excitation"
         )
     notes += late_energy(values, [*places.values()])
     if clipped:
         notes.append(
-            f"clipped: {shortened_list(clipped)}. Their largest value occurs {wav.LEAST_CLIPPED} times "
-            "or more, that of a decay once. All their values are in doubt, and no table says so: "
-            "measure again at a lower level, or without these files"
+            f"clipped: {first_of(clipped, MOST_NAMED)}. Their largest value occurs "
+            f"{wav.LEAST_CLIPPED} times or more, that of a decay once. All their values are in doubt, "
+            "and no table says so: measure again at a lower level, or without these files"
         )
     if silences:
         seconds = spread([*silences.values()], ".2f")
-        notes.append(
-            f"{pairs_in_words([*silences])}: the last {seconds} s are digital silence, left out"
-        )
+        named = first_of([" to ".join(pair) for pair in silences], MOST_NAMED)
+        notes.append(f"{named}: the last {seconds} s are digital silence, left out")
     for centre, products in short.items():
         count = "" if len(signals) == 1 else f" in {len(products)} of {len(signals)} pairs"
         notes.append(

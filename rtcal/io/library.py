@@ -25,9 +25,9 @@ from rtcal.io import workbook
 from rtcal.io.material_list import ListedMaterial, MaterialList
 from rtcal.io.table_columns import LEAST_BAND, frequency_of, nearest_band
 from rtcal.io.table_layout import Row, Sheet
-from rtcal.io.table_text import sheet_of_text
 from rtcal.io.table_words import is_missing
 from rtcal.io.text import MAX_TEXT, Text, decode, number, shown
+from rtcal.io.text_tables import sheet_of_text
 from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError
 from rtcal.support.files import read_bytes

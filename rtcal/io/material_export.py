@@ -196,10 +196,9 @@ def _replaced_scattering(listed: MaterialList, as_written: MaterialList) -> tupl
     ]
     if not changed:
         return ()
-    more = f" and {len(changed) - MOST_NAMED} more" if len(changed) > MOST_NAMED else ""
     return (
         "The room's scattering replaced the list's, which a fit to positions changes too. Means over "
-        f"the bands: {', '.join(changed[:MOST_NAMED])}{more}",
+        f"the bands: {text.first_of(changed, MOST_NAMED)}",
     )
 
 

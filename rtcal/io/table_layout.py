@@ -20,6 +20,7 @@ from rtcal.io.table_columns import (
 from rtcal.io.table_words import STATISTICS, WHOLE_RANGES, plain
 from rtcal.io.text import shown
 from rtcal.support.errors import DataError
+from rtcal.support.text import first_of
 
 MAX_COLUMNS = 200
 MAX_LINES_BEFORE_HEADER = 40
@@ -380,18 +381,17 @@ _ROW_NUMBERS = Column("", "")
 def _unknown(names: list[str]) -> str:
     """Return what is said of columns that are none, with what can be done about them."""
     some = names[:_MOST_NAMED]
-    quoted = ", ".join(f'"{shown(name)}"' for name in some)
-    more = f" and {len(names) - len(some)} more" if len(names) > len(some) else ""
+    quoted = first_of([f'"{shown(name)}"' for name in names], _MOST_NAMED)
     options = " ".join(f'ignore="{shown(name)}"' for name in some)
     one = len(names) == 1
     are, them = ("is", "it") if one else ("are", "them")
     if any(map(repeat_of, names)):
         return (
-            f"column{'' if one else 's'} {quoted}{more} {are} no parameter, band, source or receiver; "
+            f"column{'' if one else 's'} {quoted} {are} no parameter, band, source or receiver; "
             "if they are repeats of one place, state repeats=True"
         )
     return (
-        f"column{'' if one else 's'} {quoted}{more} {are} no parameter, band, source or receiver; "
+        f"column{'' if one else 's'} {quoted} {are} no parameter, band, source or receiver; "
         f"leave {them} out with {options}, or delete {them}; or read the rows of one room or state "
         f'only: where={{"{shown(names[0])}": "..."}}'
     )

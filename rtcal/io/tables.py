@@ -1,7 +1,7 @@
 """Tables of measured values, as measuring systems and spreadsheets write them.
 
 A format is one module that turns a file into `Sheet`s of cells: text with separators (CSV), workbooks
-(`workbook`, xlsx), and REW's and the XL2's text (`decay_time_texts`). What the cells mean is decided
+(`workbook`, xlsx), and REW's and the XL2's text (both `text_tables`). What the cells mean is decided
 here, in all formats alike. The header decides between five shapes:
 
 - *long*: one value per row, in the columns of the native file or their usual spellings;
@@ -28,7 +28,7 @@ from rtcal.acoustics import bands, measurement_files
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.observables import OBSERVABLES, TARGET, parameter_label
 from rtcal.acoustics.repeats import in_words, places_of
-from rtcal.io import decay_time_texts, workbook
+from rtcal.io import text_tables, workbook
 from rtcal.io.analysis import means, unusual
 from rtcal.io.table_columns import (
     DECAY_TIMES_OF_RT60,
@@ -39,7 +39,6 @@ from rtcal.io.table_columns import (
     with_repeats,
 )
 from rtcal.io.table_layout import Sheet, TableLayout, has_header, layout_of
-from rtcal.io.table_text import sheet_of_text
 from rtcal.io.table_values import Key, Reader, Values
 from rtcal.io.text import decode, shown
 from rtcal.support import checks
@@ -56,7 +55,7 @@ MAX_BYTES = 2**22
 _MOST_COLUMNS = 20
 """Largest number of columns that a message names."""
 
-FORMATS: list[Any] = [workbook, decay_time_texts]
+FORMATS: list[Any] = [workbook, text_tables]
 """Formats beside text with separators. Each has ``claims(content)`` and
 ``sheets(content, path, where)``; one of your own is appended (docs/extending.md)."""
 
@@ -241,7 +240,7 @@ def _sheets(
             sheets: list[Sheet] = module.sheets(content, path, where)
             return sheets
     text = decode(content, path)
-    return [sheet_of_text(text, path, decay_time=decay_time, extra_columns=columns)]
+    return [text_tables.sheet_of_text(text, path, decay_time=decay_time, extra_columns=columns)]
 
 
 def _chosen(

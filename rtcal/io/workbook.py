@@ -24,6 +24,7 @@ from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError
 from rtcal.support.files import write_bytes
 from rtcal.support.lazy import library
+from rtcal.support.text import first_of
 
 ENDING = ".xlsx"
 MAX_UNPACKED = 2**26
@@ -147,18 +148,13 @@ def _notes(sheet: Any, rows: set[int], columns: set[int]) -> list[str]:
     letter = _library().utils.get_column_letter
     of_columns = [letter(n) for n in sorted(columns)]
     notes = [
-        f"left out, hidden: {what}{'s' * (len(some) > 1)} {', '.join(some[:_MOST_NAMED])}"
-        + (f" and {len(some) - _MOST_NAMED} more" if len(some) > _MOST_NAMED else "")
+        f"left out, hidden: {what}{'s' * (len(some) > 1)} {first_of(some, _MOST_NAMED)}"
         for what, some in (("row", [str(n) for n in sorted(rows)]), ("column", of_columns))
         if some
     ]
     struck = [c.coordinate for row in sheet.iter_rows() for c in row if c.font.strike]
     if struck:
-        notes.append(
-            f"struck through, and read: {struck[0]}"
-            + (f" and {len(struck) - 1} more" if len(struck) > 1 else "")
-            + "; empty what is withdrawn"
-        )
+        notes.append(f"struck through, and read: {first_of(struck, 1)}; empty what is withdrawn")
     return notes
 
 

@@ -25,8 +25,8 @@ from numpy.typing import NDArray
 from rtcal.acoustics.observables import TARGET
 from rtcal.io.table_columns import name_and_unit
 from rtcal.io.table_layout import Headers
-from rtcal.io.table_text import sheet_of_text
 from rtcal.io.text import MAX_TEXT, decode, number, shown
+from rtcal.io.text_tables import sheet_of_text
 from rtcal.modes.room_modes import DECAY
 from rtcal.support import checks
 from rtcal.support.arguments import checked

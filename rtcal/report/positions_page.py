@@ -18,6 +18,7 @@ from rtcal.report.document import Heading, blocks, material_rows, render, source
 from rtcal.report.figures import BLACK, BLUE, ORANGE, new_figure, rms
 from rtcal.simulators.observations import Observations
 from rtcal.simulators.path_tracing import PathTracing
+from rtcal.support.text import first_of
 from rtcal.support.types import Array
 
 MOST_MATERIALS = 100
@@ -298,10 +299,9 @@ def _doubts(result: PositionsResult) -> list[dict[str, Any]]:
         for i, k in np.argwhere((result.alpha <= 0) | (result.alpha >= 1))
     ]
     if bound:
-        more = f" and {len(bound) - 5} more" if len(bound) > 5 else ""
         add(
             "Coefficient at a bound",
-            ", ".join(bound[:5]) + more,
+            first_of(bound, 5),
             "That is a warning and no result. State a smaller sigma or a floor.",
         )
     if not result.settled:

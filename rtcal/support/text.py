@@ -193,6 +193,18 @@ def shortened(text: str, longest: int = 40) -> str:
     return text if len(text) <= longest else text[: longest - 1] + "…"
 
 
+def first_of(names: Sequence[str], most: int) -> str:
+    """Return some names in words: at most so many, and how many more there are.
+
+    Examples
+    --------
+    >>> first_of(["floor", "walls"], 2), first_of(["floor", "walls", "door"], 2)
+    ('floor, walls', 'floor, walls and 1 more')
+    """
+    more = f" and {len(names) - most} more" if len(names) > most else ""
+    return ", ".join(names[:most]) + more
+
+
 def printable(text: str) -> str:
     r"""Return a text with escaped control characters, which no terminal interprets.
 
