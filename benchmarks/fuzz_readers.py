@@ -37,7 +37,7 @@ FILES_PER_PROCESS = 40_000
 MAX_KEPT_BYTES = 60_000
 """Size of all the files of a reader that are kept in the repository."""
 KERNELS = [
-    "rtcal.calibration.exact.kernel",
+    "rtcal.calibration.exact_kernel",
     "rtcal.simulators.shoebox_numba",
     "rtcal.simulators.path_numba",
     "rtcal.simulators.shoebox_numba",

@@ -40,16 +40,16 @@ SURVIVED = {
 }
 SURVIVORS: dict[tuple[str, str], str] = {
     (
-        "rtcal.calibration.exact.batch.x__solve_chunk",
+        "rtcal.calibration.exact.x__solve_chunk",
         "+ alpha[unsolved] = None",
     ): "equivalent: NumPy writes None as NaN into an array of floats",
     (
-        "rtcal.calibration.exact.batch.x__fix",
+        "rtcal.calibration.exact.x__fix",
         "+ to_high = (a > hi) & (under < over)[:, np.newaxis]",
     ): "speed only: if both sides are violated alike, D is the answer's already, and what is not "
     "fixed at its upper bound now is clipped to it at the end (2,000 such ties: no difference)",
     (
-        "rtcal.calibration.exact.batch.x__fix",
+        "rtcal.calibration.exact.x__fix",
         "+ alpha = np.clip(base - d[:, np.newaxis] * free, low, None)",
     ): "equivalent: after the last round no free coefficient is above its upper bound (60,000 random "
     "bands: no difference)",
@@ -58,7 +58,7 @@ SURVIVORS: dict[tuple[str, str], str] = {
         "+ for each, row, columns in zip(rooms, called, entries, strict=False)",
     ): "equivalent: each room has one row of names, and one of columns",
     (
-        "rtcal.calibration.exact.batch.x__solve_chunk",
+        "rtcal.calibration.exact.x__solve_chunk",
         "+ b = b + np.where(inside, 0.0, np.where(start >= b, give, -give))",
     ): "equivalent: where start is b, it is inside, or give is 0",
     (
@@ -74,7 +74,7 @@ SURVIVORS: dict[tuple[str, str], str] = {
         "+ _check_derivatives(term, model, read_only_view(centre - scale * points), scale)",
     ): "equivalent: other random points about the same centre",
     (
-        "rtcal.calibration.separable.xǁSeparableǁ_equation",
+        "rtcal.calibration.optimum.xǁSeparableǁ_equation",
         "+ inside = (at_prior > self.least + error) & (at_prior <= self.most - error) & ~soft",
     ): "equivalent: there S'alpha of the prior is nearest, which D = 0 gives",
     (

@@ -33,7 +33,7 @@ from rtcal.calibration.certificate import certify, largest_error
 from rtcal.calibration.compiled_qp import Matrices
 from rtcal.calibration.convex_program import RawSolution
 from rtcal.calibration.numpy_model import NumpyModel
-from rtcal.calibration.polish import polish_answer
+from rtcal.calibration.optimum import polish_answer
 from rtcal.calibration.presets import preset
 from rtcal.calibration.solvers import SETTINGS, STARTED
 

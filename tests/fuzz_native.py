@@ -20,7 +20,7 @@ from rtcal.loop import Loop, start
 from rtcal.report import words
 from rtcal.studies.runner import ScoreMoments, _open, _Store
 from rtcal.support import files, objects, results
-from rtcal.support.decode import json_object
+from rtcal.support.checks import json_object
 from rtcal.support.errors import DataError
 from rtcal.support.files import read_text
 from tests import faults

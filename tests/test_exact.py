@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 import rtcal as rt
 from rtcal.calibration import exact
-from rtcal.calibration.exact.batch import _excess
+from rtcal.calibration.exact import _excess
 from rtcal.support import speed
 from rtcal.support.errors import DataError, MissingDependencyError
 from tests import rational

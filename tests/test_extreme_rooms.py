@@ -11,7 +11,7 @@ import pytest
 import rtcal as rt
 from benchmarks.extreme_rooms import Counts, extreme_room
 from rtcal import terms
-from rtcal.calibration import convex_program, exact, separable, solvers
+from rtcal.calibration import convex_program, exact, optimum, solvers
 from rtcal.calibration.certificate import certify
 from rtcal.calibration.numpy_model import Multipliers
 from rtcal.support.errors import SolverError
@@ -42,7 +42,7 @@ def test_dual_is_the_exact_batch_solver_s_answer(kind: str, seed: int) -> None:
         "soft": rt.Calibration(PRIOR + 0.4 * terms.SoftMatch(0.03)),
     }[kind]
     model = calibration.build(room).solve(t, unreachable="nearest").joint.solution.model
-    u, multipliers = separable.solve(model)
+    u, multipliers = optimum.dual_solution(model)
     data, missing = model.data, np.isnan(t)
     target, uncertainty, tolerance = data.target[0], 0.0, 0.0
     if kind == "soft":
@@ -70,7 +70,7 @@ def test_dual_is_the_exact_batch_solver_s_answer(kind: str, seed: int) -> None:
     np.testing.assert_array_equal(at_upper, np.maximum(-above, 0.0))
     certificate = certify(model, u, multipliers)
     assert np.max(certificate.primal_residual) < 1e-12
-    below, above = separable.separable_form(model).enclosure()
+    below, above = optimum.separable_form(model).enclosure()
     assert (wanted >= below.T - 1e-12).all()
     assert (wanted <= above.T + 1e-12).all()
     assert (above - below).max() < 1e-6
@@ -80,7 +80,7 @@ def test_dual_is_the_exact_batch_solver_s_answer(kind: str, seed: int) -> None:
 def test_other_problems_are_not_taken_for_separable(coupled) -> None:
     room, measured = rt.datasets.bras_cr2()
     model = rt.Calibration(coupled).build(room).solve(measured).joint.solution.model
-    assert separable.solve(model) is None
+    assert optimum.dual_solution(model) is None
 
 
 def fails(*_: object, **__: object) -> None:

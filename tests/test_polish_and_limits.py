@@ -11,7 +11,7 @@ import rtcal as rt
 from rtcal import terms
 from rtcal.calibration.feasibility import reach, restrict_to_reach
 from rtcal.calibration.numpy_model import Multipliers, NumpyModel
-from rtcal.calibration.polish import active_rows, polish_answer
+from rtcal.calibration.optimum import active_rows, polish_answer
 from rtcal.support import kkt
 from rtcal.support.errors import SolverError
 from rtcal.support.kkt import Hessian

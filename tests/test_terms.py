@@ -9,9 +9,8 @@ import scipy.sparse as sp
 
 import rtcal as rt
 from rtcal import terms
-from rtcal.calibration.assemble import Assembler, layout_of
 from rtcal.calibration.compiled_qp import Context
-from rtcal.calibration.configurations import Configurations
+from rtcal.calibration.configurations import Assembler, Configurations, layout_of
 from rtcal.calibration.feasibility import reach
 from rtcal.calibration.problem_data import ProblemData, times_in_room
 from rtcal.support.kkt import Hessian

@@ -80,7 +80,7 @@ from rtcal.acoustics.room import Room
 from rtcal.acoustics.targets import Target, target_of
 from rtcal.support import checks
 from rtcal.support.arguments import checked
-from rtcal.support.decode import Entries, toml_table
+from rtcal.support.checks import Entries, toml_table
 from rtcal.support.errors import DataError
 
 Catalogue = Callable[[str, Any], Material]

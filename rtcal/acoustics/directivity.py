@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from rtcal.support import checks
 from rtcal.support.arguments import checked
-from rtcal.support.decode import Entries
+from rtcal.support.checks import Entries
 from rtcal.support.errors import DataError
 from rtcal.support.types import Array, read_only
 

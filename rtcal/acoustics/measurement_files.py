@@ -27,7 +27,7 @@ import numpy as np
 
 from rtcal.acoustics import bands
 from rtcal.acoustics.observables import OBSERVABLES, SUMMARY, parameter_label
-from rtcal.support.decode import Entries
+from rtcal.support.checks import Entries
 from rtcal.support.errors import DataError
 from rtcal.support.files import json_numbers, read_text
 from rtcal.support.types import Array

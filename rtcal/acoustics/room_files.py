@@ -79,7 +79,7 @@ from rtcal.acoustics.air import Air
 from rtcal.acoustics.materials import CalibrationRecord, Material, Surface, stacked
 from rtcal.acoustics.priors import TIERS, in_situ, sigma_iso_12999_2, sigma_relative
 from rtcal.acoustics.scene import TABLES, Scene, listed, quoted, scene_lines
-from rtcal.support.decode import Entries, toml_table
+from rtcal.support.checks import Entries, toml_table
 from rtcal.support.errors import DataError
 from rtcal.support.files import json_numbers
 from rtcal.support.types import Array

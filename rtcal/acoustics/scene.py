@@ -13,7 +13,7 @@ from rtcal.acoustics.directivity import Directivity, DirectivityFile
 from rtcal.acoustics.materials import text_name
 from rtcal.support import checks
 from rtcal.support.arguments import checked
-from rtcal.support.decode import Entries
+from rtcal.support.checks import Entries
 from rtcal.support.errors import DataError
 
 Point = tuple[float, float, float]

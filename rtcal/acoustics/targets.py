@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from rtcal.acoustics import bands
 from rtcal.support import checks
 from rtcal.support.arguments import checked
-from rtcal.support.decode import Entries
+from rtcal.support.checks import Entries
 from rtcal.support.errors import DataError
 from rtcal.support.files import json_numbers
 from rtcal.support.types import Array

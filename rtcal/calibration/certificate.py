@@ -3,7 +3,7 @@
 It uses nothing that a solver states. A few lines of NumPy repeat it.
 
 It bounds how far each coefficient is from the optimum. Where the problem is separable, its exact
-dual encloses the optimum (`rtcal.calibration.separable`). Elsewhere strong convexity does. Let v
+dual encloses the optimum (`rtcal.calibration.optimum`). Elsewhere strong convexity does. Let v
 keep all rows and the box, let F be the gradient of the Lagrangian at v for any multipliers y of the
 rows, and d = u* - v the step to the optimum. The objective at u* is at most that at v. Where y is 0
 but for the rows that v keeps with equality, and has the sign of their side, y'A d <= 0. Hence
@@ -31,9 +31,8 @@ import scipy.sparse as sp
 
 from rtcal.calibration.layout import Integers
 from rtcal.calibration.numpy_model import Multipliers, NumpyModel
-from rtcal.calibration.polish import active_rows
+from rtcal.calibration.optimum import active_rows, separable_form
 from rtcal.calibration.problem_data import Flags
-from rtcal.calibration.separable import separable_form
 from rtcal.support.types import Array
 
 _EPS = np.finfo(float).eps

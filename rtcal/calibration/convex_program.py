@@ -1,6 +1,6 @@
 """The compiled problem: filled with a problem's data, solved, polished and certified.
 
-Where the solver fails, the exact dual of a separable problem (`rtcal.calibration.separable`) answers.
+Where the solver fails, the exact dual of a separable problem (`rtcal.calibration.optimum`) answers.
 """
 
 from __future__ import annotations
@@ -19,12 +19,12 @@ from numpy.typing import NDArray
 
 from rtcal.acoustics.equations import LinearEquation
 from rtcal.acoustics.room import Room
-from rtcal.calibration import feasibility, separable, solvers
+from rtcal.calibration import feasibility, solvers
 from rtcal.calibration.certificate import Certificate, certify
 from rtcal.calibration.compiled_qp import CompiledQP, Context, WhitenedQP, from_closed_form
 from rtcal.calibration.layout import Layout
 from rtcal.calibration.numpy_model import Multipliers, NumpyModel, require_agreement
-from rtcal.calibration.polish import polish_answer, undetermined
+from rtcal.calibration.optimum import dual_solution, polish_answer, undetermined
 from rtcal.calibration.problem_data import Flags, ProblemData
 from rtcal.calibration.solvers import SolveOptions
 from rtcal.calibration.terms import (
@@ -407,7 +407,7 @@ def _failure(solution: Solution, solver: str) -> str:
 
 def _dual_answer(model: NumpyModel, failure: str) -> RawSolution | None:
     """Return the exact dual's answer in place of the solver's; None if the problem is not separable."""
-    answer = separable.solve(model)
+    answer = dual_solution(model)
     if answer is None:
         return None
     u, multipliers = answer

@@ -12,9 +12,13 @@ from rtcal.acoustics.equations import Equation, Eyring, LinearEquation
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.repeats import refuse_repeated_data
 from rtcal.acoustics.room import Room
-from rtcal.calibration.assemble import Assembler, layout_of, require_same_shape
 from rtcal.calibration.compiled_qp import WhitenedQP
-from rtcal.calibration.configurations import Configurations
+from rtcal.calibration.configurations import (
+    Assembler,
+    Configurations,
+    layout_of,
+    require_same_shape,
+)
 from rtcal.calibration.convex_program import ConvexProgram
 from rtcal.calibration.layout import Layout
 from rtcal.calibration.problem_data import MeasuredTimes, no_times, times_in_room

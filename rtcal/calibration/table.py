@@ -16,12 +16,18 @@ from rtcal.acoustics import bands
 from rtcal.acoustics.equations import LinearEquation
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.observables import TARGET, parameter_label
-from rtcal.acoustics.quality import P_CONTRADICTION, agreement, together_in_words, weak_agreement
+from rtcal.acoustics.quality import (
+    P_CONTRADICTION,
+    agreement,
+    numbers,
+    remaining_gap,
+    together_in_words,
+    weak_agreement,
+)
 from rtcal.acoustics.room import Room
 from rtcal.acoustics.trust import TrustMark, explained, letters
 from rtcal.calibration.certificate import Certificate
 from rtcal.calibration.convex_program import RawSolution
-from rtcal.calibration.gap_words import numbers, remaining_gap
 from rtcal.calibration.problem_data import MeasuredTimes
 from rtcal.support import text
 from rtcal.support.files import json_numbers

@@ -406,7 +406,7 @@ def apply_change(
     inputs: Inputs, search: Search, before: str, folder: Path, as_json: bool, quiet: bool
 ) -> bool:
     """Write the room of the second state into a folder; return whether there was one."""
-    from rtcal.finder.states.changed import MESH, ROOM
+    from rtcal.finder.states.case import MESH, ROOM
 
     if folder.is_file():
         raise DataError(f"--out {folder} is a file; with --before it is a folder")

@@ -60,7 +60,7 @@ from rtcal.finder.effects import Effect, library
 from rtcal.finder.effects.checks import check_parameters
 from rtcal.support import checks
 from rtcal.support.arguments import checked
-from rtcal.support.decode import Entries, json_object, toml_table
+from rtcal.support.checks import Entries, json_object, toml_table
 from rtcal.support.errors import DataError
 from rtcal.support.files import read_text, write_text
 from rtcal.support.text import shortened

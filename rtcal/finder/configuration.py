@@ -20,7 +20,7 @@ from rtcal.acoustics.observables import observable
 from rtcal.acoustics.room import AXES, Room, text_name
 from rtcal.support import checks
 from rtcal.support.arguments import checked
-from rtcal.support.decode import Entries
+from rtcal.support.checks import Entries
 from rtcal.support.errors import DataError, OtherBandsWarning
 from rtcal.support.files import json_numbers
 from rtcal.support.types import Array, read_only

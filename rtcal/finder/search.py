@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping, Sequence
-from typing import Any, overload
+from typing import Any, TypeAlias, overload
 
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.room import Room
@@ -26,7 +26,7 @@ from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError
 from rtcal.support.progress import TaskProgress
 
-AnyCase = Case | positions.PositionsCase | states.StatesCase
+AnyCase: TypeAlias = Case | positions.PositionsCase | states.StatesCase
 
 
 def case_of(

@@ -26,13 +26,12 @@ from rtcal.acoustics.scene import POSITION, checked_uncertainty
 from rtcal.calibration.nonlinear import Steps
 from rtcal.calibration.problem import Calibration
 from rtcal.loop import control_runs
-from rtcal.loop.below_schroeder import BelowSchroeder
 from rtcal.loop.control_runs import (
     ControlRuns,
     simulated_controls,
     trace_ahead,
 )
-from rtcal.loop.matched import Beside
+from rtcal.loop.matched import BelowSchroeder, Beside
 from rtcal.loop.matched import means as measured_beside
 from rtcal.loop.measured_pairs import MeasuredPairs, Pair, history, pairs_to_match
 from rtcal.loop.positions_result import GaussNewtonStep, PositionsResult

@@ -29,8 +29,16 @@ from rtcal.calibration.presets import preset
 from rtcal.calibration.problem import CalibrationProblem
 from rtcal.calibration.problem_data import data_history, times_in_room
 from rtcal.calibration.result import CalibrationResult
-from rtcal.loop.below_schroeder import BelowSchroeder
-from rtcal.loop.matched import Gaps, Matched, ParameterGap, Weights, left, matched_times, means
+from rtcal.loop.matched import (
+    BelowSchroeder,
+    Gaps,
+    Matched,
+    ParameterGap,
+    Weights,
+    left,
+    matched_times,
+    means,
+)
 from rtcal.loop.rules import (
     CLOSE_TARGETS,
     RULES,

@@ -36,7 +36,7 @@ from rtcal.report import finding_pages, gap_report, loop_words, positions_page, 
 from rtcal.report.document import Heading
 from rtcal.report.page import calibration_page, loop_page
 from rtcal.support.arguments import checked
-from rtcal.support.decode import json_object
+from rtcal.support.checks import json_object
 from rtcal.support.errors import DataError
 from rtcal.support.files import json_numbers, read_text
 from rtcal.support.results import MAX_BYTES, NUMBERS, load

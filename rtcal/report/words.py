@@ -15,11 +15,11 @@ from rtcal.acoustics.quality import (
     MET,
     P_CONTRADICTION,
     agreement,
+    remaining_gap,
     together_in_words,
     weak_agreement,
 )
 from rtcal.acoustics.trust import TrustMark
-from rtcal.calibration.gap_words import remaining_gap
 from rtcal.calibration.presets import METHODS
 from rtcal.calibration.result import CalibrationResult
 from rtcal.calibration.table import equation_parameters

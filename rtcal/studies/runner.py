@@ -30,7 +30,7 @@ import numpy as np
 from rtcal.studies.draws import CALIBRATIONS, METHODS
 from rtcal.support import checks, files
 from rtcal.support.arguments import checked
-from rtcal.support.decode import json_object
+from rtcal.support.checks import json_object
 from rtcal.support.errors import DataError
 from rtcal.support.files import make_folder, read_text, write_bytes, write_text
 from rtcal.support.progress import bar as progress_bar

@@ -24,7 +24,7 @@ from typing import Any
 import numpy as np
 
 from rtcal.support import checks
-from rtcal.support.decode import Entries
+from rtcal.support.checks import Entries
 from rtcal.support.errors import DataError
 
 MAX_LEVELS = 60

@@ -14,7 +14,7 @@ import numpy as np
 
 from rtcal.support import objects
 from rtcal.support.arguments import checked
-from rtcal.support.decode import Entries, json_object
+from rtcal.support.checks import Entries, json_object
 from rtcal.support.errors import DataError
 from rtcal.support.files import make_folder, read_text, write_all
 from rtcal.support.lazy import __version__

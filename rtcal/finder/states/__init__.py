@@ -6,8 +6,8 @@ from rtcal.support import lazy
 
 if TYPE_CHECKING:
     from rtcal.finder.states.case import Differences as Differences
+    from rtcal.finder.states.case import SecondState as SecondState
     from rtcal.finder.states.case import StatesCase as StatesCase
-    from rtcal.finder.states.changed import SecondState as SecondState
     from rtcal.finder.states.finding import StatesFinding as StatesFinding
     from rtcal.finder.states.search import find as find
     from rtcal.finder.states.verification import StatesVerification as StatesVerification

@@ -21,8 +21,7 @@ from rtcal.finder.finding import (
     over_frequency,
 )
 from rtcal.finder.prior import NONE
-from rtcal.finder.states.case import StatesCase
-from rtcal.finder.states.changed import SecondState, changed_room
+from rtcal.finder.states.case import SecondState, StatesCase, changed_room
 from rtcal.finder.states.evidence import ADDED
 from rtcal.support import text
 from rtcal.support.errors import DataError

@@ -24,6 +24,9 @@ from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError, MissingDependencyError
 from rtcal.support.types import Array
 
+__all__ = ["ABOVE", "BAD_INPUT", "BELOW", "OK", "Answer", "solve"]
+__dir__ = __all__.copy
+
 OK, BELOW, ABOVE, BAD_INPUT = 0, 1, 2, 3
 """Values of ``status``: solved; target below or above what the bounds allow; invalid datum."""
 
@@ -167,7 +170,7 @@ def solve(
         b = np.where(((g > 0) & (g < LEAST_SIGMA)).any(axis=-1), np.nan, b)
     data = (m, g, s, b, low, high, give, slack)
     if _engine(engine) == "numba":
-        from rtcal.calibration.exact import kernel as exact_kernel
+        from rtcal.calibration import exact_kernel
 
         exact_kernel.solve_rows(*data, a, d, code)
     else:
@@ -196,7 +199,7 @@ def _rows(x: Array, batch: tuple[int, ...], n: int) -> Array:
 def _solve_chunk(
     data: Sequence[Array], alpha: Array, multiplier: Array, status: NDArray[np.int8]
 ) -> None:
-    """Solve some rows with NumPy, by the arithmetic of `kernel.solve_rows`."""
+    """Solve some rows with NumPy, by the arithmetic of `exact_kernel.solve_rows`."""
     m, g, s, b, low, high, give, slack = data
     rows, n = alpha.shape
     with np.errstate(all="ignore"):  # rows with bad input get NaN below

@@ -1,6 +1,6 @@
-"""The compiled engine of `rtcal.calibration.exact.batch`: it solves the rows one by one, in one thread.
+"""The compiled engine of `rtcal.calibration.exact`: it solves the rows one by one, in one thread.
 
-It does the arithmetic of the NumPy engine in `rtcal.calibration.exact.batch`; tests compare the two.
+It does the arithmetic of the NumPy engine in `rtcal.calibration.exact`; tests compare the two.
 """
 
 from __future__ import annotations
