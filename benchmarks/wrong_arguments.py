@@ -33,7 +33,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 import rtcal as rt
-from rtcal.calibration.posterior.distributions import distribution
+from rtcal.calibration.posterior import distribution
 from rtcal.calibration.problem import CalibrationProblem, JointProblem
 from rtcal.calibration.solvers import SolveKeywords
 from rtcal.finder import (

@@ -19,7 +19,7 @@ from rtcal.finder.case import AppliedEffect
 from rtcal.loop import Loop, start
 from rtcal.report import words
 from rtcal.studies.runner import ScoreMoments, _open, _Store
-from rtcal.support import files, objects, results
+from rtcal.support import files, results
 from rtcal.support.checks import json_object
 from rtcal.support.errors import DataError
 from rtcal.support.files import read_text
@@ -109,7 +109,7 @@ def loop_holds(loop: Loop) -> None:
         assert not (step.target <= 0).any()
     if loop.steps:
         assert len(loop.status) == loop.room.n_bands
-    assert objects.decode(objects.encode(loop)).to_json() == loop.to_json()
+    assert results.decode(results.encode(loop)).to_json() == loop.to_json()
 
 
 RESULT = (
@@ -121,7 +121,7 @@ RESULT = (
 def read_objects(path: str) -> Any:
     """Read the object of a result without its checksum, which every change would break."""
     try:
-        return objects.decode(json_object(read_text(path, results.MAX_BYTES)))
+        return results.decode(json_object(read_text(path, results.MAX_BYTES)))
     except DataError as error:
         raise DataError(f"{path}: {error}") from error
 
@@ -135,7 +135,7 @@ def result_holds(result: Any) -> None:
     words.large_shifts(result)
 
 
-OBJECTS = (json.dumps(objects.encode(rt.calibrate(_ROOM, _MEASURED))).encode(),)
+OBJECTS = (json.dumps(results.encode(rt.calibrate(_ROOM, _MEASURED))).encode(),)
 
 
 _STUDY = ([35.0, 20.0], 0.05, 30, 5, 0)

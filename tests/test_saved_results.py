@@ -16,7 +16,7 @@ import pytest
 import rtcal as rt
 from rtcal.loop.control_runs import ControlRuns
 from rtcal.simulators import EquationSimulator, PathTracing
-from rtcal.support import objects
+from rtcal.support import results
 from rtcal.support.errors import DataError
 from rtcal.support.results import NUMBERS, Result
 from tests.test_positions import HALL, MATCH, heard, tracing
@@ -41,7 +41,7 @@ def same(one: Any, other: Any) -> bool:
     if isinstance(one, Mapping):
         return same(list(one.items()), list(other.items()))
     if dataclasses.is_dataclass(one):
-        names = [f.name for f in dataclasses.fields(one) if f.metadata != objects.NOT_SAVED]
+        names = [f.name for f in dataclasses.fields(one) if f.metadata != results.NOT_SAVED]
         return all(same(getattr(one, n), getattr(other, n)) for n in names)
     if isinstance(one, functools.partial):
         return same((one.func, one.args, one.keywords), (other.func, other.args, other.keywords))
@@ -176,19 +176,19 @@ def test_what_was_changed_is_refused(table, row, key, value, said) -> None:
     record[table][row][key] = value
     content = {name: record[name] for name in ("objects", "arrays", "value")}
     with pytest.raises(DataError) as caught:
-        objects.decode(content)
+        results.decode(content)
     assert said in str(caught.value)
 
 
 def test_a_field_that_came_later_has_its_default() -> None:
     """Results of positions were saved before they had `held_out`."""
-    content = objects.encode(rt.datasets.bras_cr2()[0])
+    content = results.encode(rt.datasets.bras_cr2()[0])
     fields = content["objects"][-1]["fields"]
     del fields["author"]
-    assert objects.decode(content).author == ""
+    assert results.decode(content).author == ""
     del fields["volume"]
     with pytest.raises(DataError, match=r"Room has the fields .* calculate the result again"):
-        objects.decode(content)
+        results.decode(content)
 
 
 def test_a_changed_file_is_refused(tmp_path: Path) -> None:

@@ -15,8 +15,8 @@ from rtcal.calibration import table
 from rtcal.calibration.certificate import Certificate
 from rtcal.calibration.configurations import Configurations
 from rtcal.calibration.convex_program import Solution
+from rtcal.calibration.posterior import Optimality
 from rtcal.calibration.posterior.density import CoupledBands, IndependentBands
-from rtcal.calibration.posterior.distributions import Optimality
 from rtcal.calibration.problem_data import MeasuredTimes, ProblemData
 from rtcal.calibration.terms import (
     LinearObservations,

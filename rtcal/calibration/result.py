@@ -23,8 +23,8 @@ from rtcal.calibration.certificate import Certificate
 from rtcal.calibration.convex_program import RawSolution
 from rtcal.calibration.feasibility import Unreachable, where_valid
 from rtcal.calibration.joint_solution import JointSolution
+from rtcal.calibration.posterior import Optimality, exact_interval
 from rtcal.calibration.posterior.density import CoupledBands, IndependentBands
-from rtcal.calibration.posterior.distributions import Optimality, exact_interval
 from rtcal.calibration.problem_data import MeasuredTimes, ProblemData, data_history
 from rtcal.calibration.table import html_table, text_table
 from rtcal.prediction.predicted import Prediction, predict

@@ -14,8 +14,8 @@ from rtcal.acoustics.equations import LinearEquation
 from rtcal.calibration.configurations import Configurations
 from rtcal.calibration.convex_program import Solution
 from rtcal.calibration.numpy_model import NumpyModel
+from rtcal.calibration.posterior import Optimality, linear_estimate_sigma
 from rtcal.calibration.posterior.density import CoupledBands, IndependentBands
-from rtcal.calibration.posterior.distributions import Optimality, linear_estimate_sigma
 from rtcal.calibration.problem_data import MeasuredTimes, ProblemData
 from rtcal.calibration.terms import (
     ExactMatch,

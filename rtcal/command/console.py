@@ -19,7 +19,7 @@ import click
 from rtcal.acoustics.equations import EQUATIONS, LinearEquation, equation_keys
 from rtcal.acoustics.observables import MATCH, OBSERVABLES
 from rtcal.support.errors import DataError
-from rtcal.support.results import json_text
+from rtcal.support.files import json_text
 from rtcal.support.text import fitted, printable, width
 
 if TYPE_CHECKING:

@@ -38,7 +38,7 @@ from rtcal.support import checks
 from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError
 from rtcal.support.files import make_folder, write_all
-from rtcal.support.objects import NOT_SAVED
+from rtcal.support.results import NOT_SAVED
 from rtcal.support.types import Array
 
 _LEAST = 1e-6
