@@ -92,7 +92,8 @@ def calibrate(
 
     folder = output_folder("--out", out)
     if folder is not None:
-        result_folder.refuse_inputs(folder, [p for p in (room, measured, modes) if p is not None])
+        read = [room, measured, *([] if modes is None else [modes])]
+        spare([folder / name for name in result_folder.FILES], read)
     if modes is not None:
         if (method, solver, unreachable) != ("mle", "clarabel", "raise"):
             raise DataError(
@@ -202,7 +203,6 @@ def fit(
     from rtcal.loop.control_runs import RUNS
     from rtcal.loop.positions import calibrate_positions
     from rtcal.report import result_folder
-    from rtcal.support.files import spare
     from rtcal.support.progress import bar, following
 
     folder = output_folder("--out", out)
@@ -400,7 +400,6 @@ def study(
     Example: rtcal study --kind shoebox --sampling sigma_n --out study
     """
     from rtcal.report import study_report
-    from rtcal.support.files import make_folder, write_all
 
     target = output_folder("--out", out)
     if target is not None:

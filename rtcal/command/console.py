@@ -25,8 +25,6 @@ from rtcal.support.text import fitted, printable, width
 if TYPE_CHECKING:
     from rtcal.acoustics.measurement import Measurement
     from rtcal.acoustics.room import Room
-    from rtcal.io.sofa import Responses
-    from rtcal.modes.measured import MeasuredModes
     from rtcal.modes.result import ModesResult
 
 
@@ -154,14 +152,6 @@ PATHS = 8000
 """Paths from each source, by default; the number of `PathTracing`."""
 
 
-def read_modes(path: str) -> MeasuredModes | Responses:
-    """Return the modes of a table, or the responses of a SOFA file; DataError as their readers."""
-    from rtcal.io import sofa
-    from rtcal.modes import measured
-
-    return sofa.read(path) if sofa.claims(path) else measured.read(path)
-
-
 def told_by_modes(
     room: Room,
     path: str,
@@ -170,14 +160,20 @@ def told_by_modes(
     *,
     quiet: bool,
 ) -> ModesResult:
-    """Return the calibration to the modes of a file, which says after ten seconds what it does."""
+    """Return the calibration to a table of modes, or to the modes of a SOFA file's responses.
+
+    It says after ten seconds what it does. Raises DataError as the files' readers.
+    """
+    from rtcal.io import sofa
+    from rtcal.modes import measured as tables
     from rtcal.modes.calibrate import calibrate_modes
     from rtcal.support.progress import bar
 
+    modes = sofa.read(path) if sofa.claims(path) else tables.read(path)
     with bar(1, "calculation", False, said(quiet)) as shown:
         if not quiet:
             shown.set_description("room modes, minutes where a mesh has hundreds of them")
-        return calibrate_modes(room, read_modes(path), measured, equation=equation)
+        return calibrate_modes(room, modes, measured, equation=equation)
 
 
 modes_option = click.option(

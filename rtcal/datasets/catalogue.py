@@ -207,12 +207,11 @@ def _words(text: str) -> set[str]:
 def _closest(word: str, others: set[str]) -> float:
     """Return the largest likeness of a word, or of a synonym, to one of others; 0 below the least."""
     shares = [(word, 1.0), *((synonym, 0.9) for synonym in _SYNONYMS.get(word, ()))]
-    best = max((share * _likeness(w, o) for w, share in shares for o in others), default=0.0)
+    likeness = (
+        share * difflib.SequenceMatcher(None, w, o).ratio() for w, share in shares for o in others
+    )
+    best = max(likeness, default=0.0)
     return best if best >= _LEAST_LIKENESS else 0.0
-
-
-def _likeness(first: str, second: str) -> float:
-    return difflib.SequenceMatcher(None, first, second).ratio()
 
 
 def _entries() -> tuple[list[float], dict[str, dict[str, Any]]]:

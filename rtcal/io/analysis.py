@@ -180,8 +180,8 @@ def late_energy(values: Mapping[str, Array], files: Sequence[str]) -> list[str]:
         return []
     named = [file for file, is_late in zip(files, late, strict=True) if is_late]
     return [
-        f"no decay: {text.first_of(named, MOST_NAMED)}. The energy arrives late (Ts above T20/5; that of "
-        "a decay is T20/14). Look whether it is the recording of a sweep"
+        f"no decay: {text.first_of(named, MOST_NAMED)}. The energy arrives late (Ts above T20/5; that "
+        "of a decay is T20/14). Look whether it is the recording of a sweep"
     ]
 
 

@@ -19,7 +19,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from rtcal.acoustics import bands
-from rtcal.acoustics.directivity import UPWARDS, Directivity, DirectivityFile
+from rtcal.acoustics.directivity import UPWARDS, Directivity
 from rtcal.io import sofa, text
 from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError
@@ -103,11 +103,6 @@ def read(
             "file's axis is not where it radiates"
         )
     return made
-
-
-def read_stated(stated: DirectivityFile, frequencies: Array) -> Directivity:
-    """Return the directivity that a room's file names; raises as `read`."""
-    return read(stated.file, frequencies, stated.aim, stated.up)
 
 
 def _from_sofa(place: str, wanted: Sequence[float]) -> list[Array]:

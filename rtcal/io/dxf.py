@@ -43,7 +43,8 @@ def faces(content: bytes, path: str, unit: float | None) -> Faces:
     for entity in _entities(pairs):
         kind = entity[0][1]
         if kind == "3DFACE":
-            corners = [_point(entity, k, path) for k in range(4) if _has(entity, 10 + k)]
+            codes = {code for code, _, _ in entity}
+            corners = [_point(entity, k, path) for k in range(4) if 10 + k in codes]
             _add(polygons, layers, corners, entity, path)
         elif kind == "POLYLINE":
             mesh = [entity]
@@ -119,10 +120,6 @@ def _entities(pairs: Sequence[Pair]) -> Iterator[list[Pair]]:
                 entity = [pair]
         elif entity:
             entity.append(pair)
-
-
-def _has(entity: Sequence[Pair], code: int) -> bool:
-    return any(c == code for c, _, _ in entity)
 
 
 def _value(entity: Sequence[Pair], code: int, path: str, otherwise: float | None = None) -> float:

@@ -77,5 +77,6 @@ def directivity(room: Room) -> dict[str, Any]:
     """Return the directivities of a room's sources, those in files read; raises as `balloon.read`."""
     stated = room.scene.directivity
     files = {of for of in stated.values() if isinstance(of, DirectivityFile)}
-    made = {of: balloon.read_stated(of, room.centre_frequencies) for of in files}
+    f = room.centre_frequencies
+    made = {of: balloon.read(of.file, f, of.aim, of.up) for of in files}
     return {n: made[of] if isinstance(of, DirectivityFile) else of for n, of in stated.items()}

@@ -76,7 +76,10 @@ def wireframe(mesh: Polyhedron | Faces, open_edges: Array | None = None) -> Any:
 BLACK, ORANGE, BLUE, GREEN = "#000000", "#D55E00", "#0072B2", "#009E73"
 _LONGEST_NAME = 40
 _MANY_BANDS = 10
-_MOST_PANELS = 10_000  # a panel takes 0.1 MB
+MOST_PANELS = 12
+"""Largest number of materials of which a figure draws one each; the table of a page lists more."""
+_FEW = 6
+_MOST_AXES = 10_000  # a panel takes 0.1 MB
 
 
 @checked
@@ -96,8 +99,8 @@ def new_figure(
         ) from error
     checks.positive("width", width, "in")
     checks.positive("height", height, "in")
-    if checks.whole("rows", rows, 1) * checks.whole("columns", columns, 1) > _MOST_PANELS:
-        raise DataError(f"rows and columns of more than {_MOST_PANELS} panels")
+    if checks.whole("rows", rows, 1) * checks.whole("columns", columns, 1) > _MOST_AXES:
+        raise DataError(f"rows and columns of more than {_MOST_AXES} panels")
     figure = Figure(figsize=(width, height), layout="constrained")
     return figure, figure.subplots(rows, columns)
 
@@ -115,6 +118,27 @@ def shown(name: str, longest: int = _LONGEST_NAME) -> str:
     """
     line = "".join(c if c.isprintable() else "?" for c in name)
     return "\n".join(textwrap.wrap(line, longest) or [line]).replace("$", r"\$")
+
+
+@checked
+def panels(number: int, frequencies: Array) -> tuple[Any, list[Any]]:
+    """Return a figure with small axes over the bands, and these: one for each material, at most twelve.
+
+    Few stand in two columns, which a phone shows legibly; more in three.
+    """
+    columns = min(2 if number <= _FEW else 3, number)
+    rows = -(-number // columns)
+    figure, grid = new_figure(max(5.0, 3.1 * columns), 2.4 * rows + 0.7, rows, columns)
+    every = [*np.atleast_1d(grid).ravel()]
+    for axes in every[number:]:
+        axes.set_visible(False)
+    for axes in every[:number]:
+        band_axis(axes, frequencies)
+        few = frequencies[:: -(-len(frequencies) // 4)]
+        axes.set_xticks(few, [f"{f:g}" for f in few], rotation=0)
+        axes.tick_params(labelsize=8.5)
+        axes.set_xlabel("Band / Hz", fontsize=9)
+    return figure, every[:number]
 
 
 @checked

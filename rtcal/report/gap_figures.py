@@ -15,7 +15,18 @@ from rtcal.finder.means.finding import FEATURE_NAMES, MeansFinding
 from rtcal.finder.means.verification import MeansVerification, residual_map, reverberation_times
 from rtcal.finder.prior import NONE
 from rtcal.report.document import MOST, odds
-from rtcal.report.figures import BLACK, BLUE, GREEN, ORANGE, band_axis, jnd_band, new_figure, shown
+from rtcal.report.figures import (
+    BLACK,
+    BLUE,
+    GREEN,
+    MOST_PANELS,
+    ORANGE,
+    band_axis,
+    jnd_band,
+    new_figure,
+    panels,
+    shown,
+)
 from rtcal.support.arguments import checked
 from rtcal.support.text import number
 from rtcal.support.types import Array
@@ -31,10 +42,6 @@ __all__ = [
 ]
 __dir__ = __all__.copy
 
-MOST_PANELS = 12
-"""Largest number of materials that `shifts` draws."""
-_FEW = 6
-"""Up to so many panels stand in two columns, which a phone shows legibly; more in three."""
 _STRONG = 4.0
 """Residual in standard deviations at which the colours of the map saturate."""
 _BENT = 0.01
@@ -282,12 +289,9 @@ def shifts(verification: MeansVerification) -> Any:
     models = (verification.plain, verification.corrected)
     moved = np.max([np.abs(x.alpha - room.alpha).max(1) for x in models], axis=0) * room.areas
     drawn = np.sort(np.argsort(-moved, kind="stable")[:MOST_PANELS])
-    columns = min(2 if len(drawn) <= _FEW else 3, len(drawn))
-    rows = -(-len(drawn) // columns)
-    figure, grid = new_figure(max(5.0, 3.0 * columns), 2.2 * rows + 0.8, rows, columns)
-    panels = np.atleast_1d(grid).ravel()
     f = room.centre_frequencies
-    for axes, i in zip(panels, drawn, strict=False):
+    figure, small = panels(len(drawn), f)
+    for axes, i in zip(small, drawn, strict=True):
         wide = NORMAL_90 * room.sigma[i]
         ends = np.clip([room.alpha[i] - wide, room.alpha[i] + wide], 0, 1) - room.alpha[i]
         axes.fill_between(f, *ends, color="0.88", label="prior, 90 %")
@@ -309,14 +313,7 @@ def shifts(verification: MeansVerification) -> Any:
                 capsize=2,
                 label=shown(label),
             )
-        band_axis(axes, f)
-        step = -(-len(f) // 4)
-        axes.set_xticks(f[::step], [f"{v:g}" for v in f[::step]], rotation=0)
-        axes.tick_params(labelsize=8.5)
-        axes.set_xlabel("Band / Hz", fontsize=9)
         axes.set_ylabel("shift of α", fontsize=9)
         axes.set_title(f"{shown(room.materials[i], 25)}, {room.areas[i]:.4g} m²", fontsize=9)
-    for axes in panels[len(drawn) :]:
-        axes.set_visible(False)
-    figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", fontsize=9)
+    figure.legend(*small[0].get_legend_handles_labels(), loc="outside lower center", fontsize=9)
     return figure

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from rtcal.report.figures import BLACK, BLUE, GREEN, ORANGE, band_axis, new_figure, shown
+from rtcal.report.figures import BLACK, BLUE, GREEN, MOST_PANELS, ORANGE, new_figure, panels, shown
 from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError
 from rtcal.support.types import Array
@@ -17,10 +17,6 @@ if TYPE_CHECKING:
 __all__ = ["coefficients", "intervals", "plane", "shares"]
 __dir__ = __all__.copy
 
-MOST_PANELS = 12
-"""Largest number of materials that `coefficients` draws; the table of a page lists more."""
-_FEW = 6
-"""Up to so many panels stand in two columns, which a phone shows legibly; more in three."""
 _NORMAL_90 = 1.6449  # standard deviations on each side that hold 90 % of a normal distribution
 _SHARES = (
     ("#0072B2", ""),
@@ -43,14 +39,11 @@ def coefficients(result: CalibrationResult) -> Any:
     """
     size = np.max(result.prior.areas[:, np.newaxis] * result.alpha, axis=1)
     drawn = np.sort(np.argsort(-size, kind="stable")[:MOST_PANELS])
-    columns = min(2 if len(drawn) <= _FEW else 3, len(drawn))
-    rows = -(-len(drawn) // columns)
-    figure, grid = new_figure(max(5.0, 3.1 * columns), 2.4 * rows + 0.7, rows, columns)
-    panels = np.atleast_1d(grid).ravel()
     low, high = intervals(result)
     f = result.prior.centre_frequencies
+    figure, small = panels(len(drawn), f)
     apart = float(f[1] / f[0]) ** 0.08 if len(f) > 1 else 1.0
-    for axes, i in zip(panels, drawn, strict=False):
+    for axes, i in zip(small, drawn, strict=True):
         prior, after, bound = (
             result.prior.alpha[i],
             result.alpha[i],
@@ -94,21 +87,14 @@ def coefficients(result: CalibrationResult) -> Any:
             zorder=5,
         )
         stars.set_in_layout(False)
-        band_axis(axes, f)
-        step = -(-len(f) // 4)
-        axes.set_xticks(f[::step], [f"{v:g}" for v in f[::step]], rotation=0)
-        axes.tick_params(labelsize=8.5)
-        axes.set_xlabel("Band / Hz", fontsize=9)
         axes.set_ylabel("α", fontsize=9)
         axes.set_ylim(0, None)
         axes.margins(y=0.1)
         axes.set_title(
             f"{shown(result.prior.materials[i], 28)}, {result.prior.areas[i]:.4g} m²", fontsize=9
         )
-    for axes in panels[len(drawn) :]:
-        axes.set_visible(False)
-    handles, labels = panels[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=min(columns, 2), fontsize=9)
+    handles, labels = small[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=min(len(drawn), 2), fontsize=9)
     figure.suptitle("α by band (each panel has its own scale)", fontsize=11)
     return figure
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from rtcal.acoustics import room_files
+from rtcal.acoustics import bands, room_files
 from rtcal.acoustics.trust import letters
 from rtcal.calibration import table
 from rtcal.calibration.result import CalibrationResult
@@ -139,7 +139,7 @@ def _calibration(calibration: CalibrationResult, step: Callable[[], None]) -> di
         "not_met": words.not_met(calibration),
         "figures": _figures(calibration, step),
         "blocks": blocks(len(calibration.prior.centre_frequencies)),
-        "labels": words.band_labels(calibration),
+        "labels": [bands.label(f) for f in calibration.prior.centre_frequencies],
         "band_rows": _band_rows(calibration),
         "band_letters": [
             letters(calibration.trust_marks, f) for f in calibration.prior.centre_frequencies

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -11,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from rtcal.report import figures, loop_figures
 from rtcal.support import checks
 from rtcal.support.errors import MissingDependencyError
-from rtcal.support.files import make_folder, spare, write_all
+from rtcal.support.files import make_folder, write_all
 from rtcal.support.results import NUMBERS
 
 if TYPE_CHECKING:
@@ -24,11 +23,6 @@ ROOM, FIGURE = "room.toml", "reverberation_time.png"
 FILES = (ROOM, NUMBERS, FIGURE)
 PLAN, SHIFTS = "plan.png", "shifts.png"
 POSITION_FILES = (ROOM, NUMBERS, PLAN, SHIFTS)
-
-
-def refuse_inputs(folder: Path, inputs: Sequence[str | os.PathLike[str]]) -> None:
-    """Raise DataError if `write` would overwrite one of the files that a calibration reads."""
-    spare([folder / name for name in FILES], inputs)
 
 
 def write(result: CalibrationResult, folder: Path) -> list[Path]:

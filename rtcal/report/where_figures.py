@@ -83,7 +83,8 @@ def draw_room(axes: Any, finding: PositionsFinding, place: Place | None = None) 
     axes.set_aspect("equal")
     axes.axis("off")
     axes.set_title("\n".join(above), fontsize=_SIZE, loc="left")
-    _legend(axes)
+    below = {"loc": "upper center", "bbox_to_anchor": (0.5, -0.02), "ncols": 3, "frameon": False}
+    axes.legend(fontsize=_SIZE, **below)
 
 
 def _probabilities(finding: PositionsFinding) -> dict[str, float]:
@@ -177,12 +178,6 @@ def _mark(axes: Any, x: float, y: float, marker: str, colour: str) -> None:
         label = "_" + label
     style = {"linestyle": "none", "markersize": 8, "zorder": 7, "label": label}
     axes.plot(x, y, marker=marker, color=colour, **style)
-
-
-def _legend(axes: Any) -> None:
-    """Draw the legend of what stands in the room below the axes."""
-    style = {"loc": "upper center", "bbox_to_anchor": (0.5, -0.02), "ncols": 3, "frameon": False}
-    axes.legend(fontsize=_SIZE, **style)
 
 
 def _points(

@@ -409,8 +409,3 @@ def command(calibration: CalibrationResult) -> str | None:
     if calibration.unreachable:
         chosen += ["--unreachable", "nearest"]
     return shlex.join(["rtcal", "calibrate", "room.toml", "t.csv", *chosen, "--out", "calibrated"])
-
-
-def band_labels(calibration: CalibrationResult) -> list[str]:
-    """Return the bands' names for a table's head."""
-    return [bands.label(f) for f in calibration.prior.centre_frequencies]
