@@ -1,9 +1,9 @@
-"""The prediction of what every position hears: intervals, and what these are made of."""
+"""The prediction at every position: what it takes of a calibration, and the intervals that it gives."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,8 +13,12 @@ from rtcal.acoustics import bands
 from rtcal.acoustics.changes import Change
 from rtcal.acoustics.observables import observable, parameter_label
 from rtcal.acoustics.room import Room
+from rtcal.loop.control_runs import ControlRuns
+from rtcal.loop.measured_pairs import MeasuredPairs
+from rtcal.loop.scattering import Scattering
 from rtcal.prediction import words
 from rtcal.prediction.predicted import LEVEL
+from rtcal.simulators.base import Simulator
 from rtcal.support import text
 from rtcal.support.errors import DataError
 from rtcal.support.files import json_numbers
@@ -24,6 +28,68 @@ from rtcal.support.types import Array
 
 Z = float(ndtri((1 + LEVEL) / 2))
 """Half of a normal interval, in standard deviations."""
+
+
+_SAMPLES = 2000
+_BENT = 0.1
+"""Departure from a straight line at the interval's ends, in standard deviations, from which the
+interval is that of samples."""
+
+
+class CalibratedAtPositions(Protocol):
+    """A calibration to every position, as far as a prediction takes it: a `PositionsResult`."""
+
+    @property
+    def prior(self) -> Room:
+        """The room as it was given."""
+
+    @property
+    def room(self) -> Room:
+        """The room with the calibrated coefficients."""
+
+    @property
+    def alpha(self) -> Array:
+        """The calibrated coefficients, (n_materials, n_bands)."""
+
+    @property
+    def prior_covariance(self) -> Array:
+        """The covariance of the prior, (n_materials * n_bands,) squared."""
+
+    @property
+    def parameters(self) -> tuple[str, ...]:
+        """The parameters that were matched."""
+
+    @property
+    def pairs(self) -> tuple[tuple[str, str], ...]:
+        """The pairs that were matched."""
+
+    @property
+    def measured(self) -> MeasuredPairs:
+        """The measured values there, and their covariance."""
+
+    @property
+    def simulator(self) -> str:
+        """The name of the calibrated simulator."""
+
+    @property
+    def weighed(self) -> Simulator:
+        """The calibrated simulator, with as many paths as are weighed."""
+
+    @property
+    def seed(self) -> int:
+        """The seed of all its simulations."""
+
+    @property
+    def scattering(self) -> Scattering | None:
+        """The scattering that was fitted; None where the one stated was kept."""
+
+    @property
+    def controls(self) -> ControlRuns | None:
+        """The control runs; None where no error is known."""
+
+    @property
+    def error_scale(self) -> float:
+        """Factor of the simulator's variance."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -241,3 +307,42 @@ class PositionsPredictions(Result):
 
     def __repr__(self) -> str:
         return f"<PositionsPredictions: {', '.join(p.name for p in self.predictions)}>"
+
+
+@dataclass(frozen=True)
+class PairsAndMean:
+    """Values (n_parameters, n_pairs, n_bands), and the mean over the pairs behind them."""
+
+    shape: tuple[int, int, int]
+
+    @property
+    def with_mean(self) -> tuple[int, int, int]:
+        """The shape with the mean, (n_parameters, n_pairs + 1, n_bands)."""
+        p, i, k = self.shape
+        return p, i + 1, k
+
+    def values(self, values: Array) -> Array:
+        """Return values with their mean over the pairs, (n_parameters, n_pairs + 1, n_bands)."""
+        return np.concatenate([values, values.mean(axis=1, keepdims=True)], axis=1)
+
+    def variances(self, covariance: Array) -> Array:
+        """Return the variances of values and of their mean, of the covariance of all values."""
+        of_mean = np.einsum("pikpjk->pk", covariance.reshape(*self.shape, *self.shape))
+        own = np.diag(covariance).reshape(self.shape)
+        return np.concatenate([own, of_mean[:, np.newaxis] / self.shape[1] ** 2], axis=1)
+
+
+def quantiles(
+    middle: Array, sigma: Array, slope: Array, bend: Array
+) -> tuple[Array, Array, NDArray[np.bool_]]:
+    """Return the ends of the 90 % intervals, and where they are those of samples."""
+    sampled = np.abs(bend) * Z**2 > _BENT * sigma
+    low, high = middle - Z * sigma, middle + Z * sigma
+    rest = np.sqrt(np.maximum(sigma**2 - slope**2, 0.0))
+    z = ndtri((np.arange(_SAMPLES) + 0.5) / _SAMPLES)
+    other = np.random.default_rng(0).permutation(z)
+    for at in np.argwhere(sampled):
+        a, b, c, d = (each[tuple(at)] for each in (middle, slope, bend, rest))
+        drawn = a + b * z + c * z**2 + d * other
+        low[tuple(at)], high[tuple(at)] = np.quantile(drawn, [(1 - LEVEL) / 2, (1 + LEVEL) / 2])
+    return low, high, sampled
