@@ -28,6 +28,9 @@ __dir__ = __all__.copy
 TIERS: dict[str, float] = {"low": 0.01, "moderate": 0.05, "high": 0.1}
 """Standard deviation by degree of uncertainty (Bellows & Katz 2025, Sect. 4.3.1)."""
 
+NORMAL_90 = 1.6449
+"""Half-width in standard deviations of the interval that holds 90 % of a normal distribution."""
+
 # ISO 12999-2:2020, Table 1: sigma_R = m alpha + n in third-octaves (as transcribed in the open
 # source package phonometry, J. M. Requena Plens; the standard itself was not at hand).
 _ISO_12999_2: dict[float, tuple[float, float]] = {

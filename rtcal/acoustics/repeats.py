@@ -15,6 +15,7 @@ import numpy as np
 from rtcal.acoustics.materials import ARCHIVE
 from rtcal.acoustics.room import Room
 from rtcal.support.errors import DataError
+from rtcal.support.text import first_of
 from rtcal.support.types import Array
 
 _SAME = 1e-4
@@ -233,6 +234,5 @@ def in_words(placed: Iterable[Pair]) -> list[str]:
     repeated = [(pair, len(rows)) for pair, rows in groups(placed).items() if len(rows) > 1]
     if not repeated:
         return []
-    each = ", ".join(f"{n} of {' to '.join(pair)}" for pair, n in repeated[:4])
-    more = f" and {len(repeated) - 4} more" if len(repeated) > 4 else ""
-    return [f"repeats of one place are averaged and count as one position: {each}{more}"]
+    each = first_of([f"{n} of {' to '.join(pair)}" for pair, n in repeated], 4)
+    return [f"repeats of one place are averaged and count as one position: {each}"]

@@ -43,6 +43,7 @@ from rtcal.acoustics import bands
 from rtcal.acoustics.equations import mean_equation
 from rtcal.acoustics.materials import text_name
 from rtcal.acoustics.measurement import Measurement
+from rtcal.acoustics.priors import NORMAL_90
 from rtcal.acoustics.repeats import refuse_repeated_data
 from rtcal.acoustics.room import Room
 from rtcal.calibration.problem_data import times_in_room
@@ -69,8 +70,6 @@ from rtcal.support.types import Array
 CLIMATE_UNCERTAINTY = (2.0, 10.0)
 """Standard uncertainty of a stated climate: 2 K and 10 % of relative humidity. That is what a
 thermometer and a hygrometer on a wall leave open in a room. A judgement, without a study."""
-NORMAL_90 = 1.6449
-"""Half-width in standard deviations of the interval that holds 90 % of a normal distribution."""
 
 
 @checked

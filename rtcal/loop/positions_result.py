@@ -12,6 +12,7 @@ import numpy as np
 from rtcal.acoustics.change_files import Variant
 from rtcal.acoustics.changes import Change
 from rtcal.acoustics.observables import LEVEL, observable, parameter_label
+from rtcal.acoustics.priors import NORMAL_90
 from rtcal.acoustics.room import Room
 from rtcal.acoustics.room_errors import Assumptions
 from rtcal.acoustics.scene import POSITION
@@ -42,8 +43,6 @@ from rtcal.support.types import Array
 
 KIND = "positions 1"
 """Value of the key ``rtcal`` in a saved result."""
-_HALF_WIDTH = 1.6449
-"""Half the width of a 90 % interval in standard deviations of a normal distribution."""
 _FARTHER = 0.5
 """JND: the noise of a tracing. A larger rise of the mean gap is the calibration's."""
 
@@ -210,7 +209,7 @@ class PositionsResult(Result):
         """
         if self.controls is None:
             return None
-        half = _HALF_WIDTH * self.sigma
+        half = NORMAL_90 * self.sigma
         return np.clip(self.alpha - half, 0, 1), np.clip(self.alpha + half, 0, 1)
 
     @property

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from rtcal.acoustics.observables import DecaySlope, of_kind
-from rtcal.finder.case import NORMAL_90
+from rtcal.acoustics.priors import NORMAL_90
 from rtcal.finder.claim import CLAIMED, SAID
 from rtcal.finder.means.features import state
 from rtcal.finder.means.finding import FEATURE_NAMES, MeansFinding

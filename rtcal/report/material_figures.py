@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from rtcal.acoustics.priors import NORMAL_90
 from rtcal.report.figures import BLACK, BLUE, GREEN, MOST_PANELS, ORANGE, new_figure, panels, shown
 from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError
@@ -17,7 +18,6 @@ if TYPE_CHECKING:
 __all__ = ["coefficients", "intervals", "plane", "shares"]
 __dir__ = __all__.copy
 
-_NORMAL_90 = 1.6449  # standard deviations on each side that hold 90 % of a normal distribution
 _SHARES = (
     ("#0072B2", ""),
     ("#E69F00", "//"),
@@ -49,7 +49,7 @@ def coefficients(result: CalibrationResult) -> Any:
             result.alpha[i],
             result.active[i] != 0,
         )
-        spread = _NORMAL_90 * result.prior.sigma[i]
+        spread = NORMAL_90 * result.prior.sigma[i]
         ends = np.clip([prior - spread, prior + spread], 0, 1)
         axes.errorbar(
             f / apart,
@@ -104,7 +104,7 @@ def intervals(calibration: CalibrationResult) -> tuple[Array, Array]:
     """Return the ends of the calibrated coefficients' 90 % intervals, (n_materials, n_bands)."""
     if calibration.interval is not None:
         return calibration.interval[0], calibration.interval[1]
-    spread = _NORMAL_90 * calibration.posterior_sigma
+    spread = NORMAL_90 * calibration.posterior_sigma
     return np.clip(calibration.alpha - spread, 0, 1), np.clip(calibration.alpha + spread, 0, 1)
 
 

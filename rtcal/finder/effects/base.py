@@ -286,12 +286,6 @@ def interpolate_octaves(frequencies: Array, octaves: Sequence[float]) -> Array:
     return np.asarray(np.interp(np.log(frequencies), centres, octaves))
 
 
-def read_only(values: Array) -> Array:
-    """Return the array, locked: a cache hands the same one out again."""
-    values.setflags(write=False)
-    return values
-
-
 def first_decay(decays: Decay) -> Decay:
     """Return the first of many decays."""
     return Decay(decays.weights[0], decays.rates[0])

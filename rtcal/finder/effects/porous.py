@@ -11,8 +11,8 @@ from typing import ClassVar
 import numpy as np
 
 from rtcal.acoustics.room import Room
-from rtcal.finder.effects.base import Absorber, Limits, Parameters, read_only
-from rtcal.support.types import Array
+from rtcal.finder.effects.base import Absorber, Limits, Parameters
+from rtcal.support.types import Array, read_only_view
 
 
 @dataclass(frozen=True)
@@ -63,7 +63,7 @@ def _alpha(frequencies: tuple[float, ...], thickness: float, flow_resistivity: f
     angles = np.linspace(0, np.radians(78), 40)
     normal, weight = z[..., None] * np.cos(angles), np.sin(2 * angles)
     absorbed = 1 - np.abs((normal - 1) / (normal + 1)) ** 2
-    return read_only(np.clip((absorbed @ weight / weight.sum()).mean(-1), 0, 1))
+    return read_only_view(np.clip((absorbed @ weight / weight.sum()).mean(-1), 0, 1))
 
 
 _MASS = 0.4
@@ -122,4 +122,4 @@ def _curtain_alpha(frequencies: tuple[float, ...], airspace: float, resistance: 
     impedance = fabric - 1j / (np.tan(phase) * cosine)
     absorbed = 1 - np.abs((impedance * cosine - 1) / (impedance * cosine + 1)) ** 2
     weight = np.sin(2 * angles)
-    return read_only(np.clip((absorbed @ weight / weight.sum()).mean(-1), 0, 1))
+    return read_only_view(np.clip((absorbed @ weight / weight.sum()).mean(-1), 0, 1))

@@ -11,8 +11,8 @@ from typing import ClassVar
 import numpy as np
 
 from rtcal.acoustics.room import Room
-from rtcal.finder.effects.base import Absorber, Limits, Parameters, read_only
-from rtcal.support.types import Array
+from rtcal.finder.effects.base import Absorber, Limits, Parameters
+from rtcal.support.types import Array, read_only_view
 
 
 @dataclass(frozen=True)
@@ -45,7 +45,7 @@ class Resonator(Absorber):
 def resonance_alpha(frequencies: tuple[float, ...], resonance: float, quality: float) -> Array:
     """Return a resonator's alpha with a0 = 0.8, averaged over each octave, (n_bands,)."""
     x = np.array(frequencies)[:, None] * 2.0 ** np.linspace(-0.45, 0.45, 9) / resonance
-    return read_only((0.8 / (1 + quality**2 * (x - 1 / x) ** 2)).mean(1))
+    return read_only_view((0.8 / (1 + quality**2 * (x - 1 / x) ** 2)).mean(1))
 
 
 _PEAK = 0.55

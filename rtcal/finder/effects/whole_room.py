@@ -12,9 +12,9 @@ import numpy as np
 
 from rtcal.acoustics.air import Air
 from rtcal.acoustics.room import Room
-from rtcal.finder.effects.base import Effect, Limits, Parameters, first_decay, read_only
+from rtcal.finder.effects.base import Effect, Limits, Parameters, first_decay
 from rtcal.finder.model import Decay, RoomState, speeds, surface_absorption
-from rtcal.support.types import Array
+from rtcal.support.types import Array, read_only_view
 
 
 @dataclass(frozen=True)
@@ -90,7 +90,7 @@ def _climate(
 ) -> tuple[Array, float]:
     """Return the air's energy attenuation in 1/m, (n_bands,), and its speed of sound in m/s."""
     air = Air(temperature, humidity)
-    return read_only(air.attenuation(frequencies)), air.speed_of_sound
+    return read_only_view(air.attenuation(frequencies)), air.speed_of_sound
 
 
 _TERMS = 12

@@ -20,9 +20,10 @@ from rtcal.acoustics.changes import Further, new_name, with_materials
 from rtcal.acoustics.equations import mean_equation
 from rtcal.acoustics.materials import Material
 from rtcal.acoustics.measurement import Measurement
+from rtcal.acoustics.priors import NORMAL_90
 from rtcal.acoustics.room import Room
 from rtcal.finder.candidate import amount
-from rtcal.finder.case import NORMAL_90, AppliedEffect, Case
+from rtcal.finder.case import AppliedEffect, Case
 from rtcal.finder.configuration import Configuration
 from rtcal.finder.means.features import distances, seen, state, with_applied
 from rtcal.finder.model import FEATURES, RoomState, highest, mean_contributions, predict

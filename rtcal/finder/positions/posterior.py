@@ -22,8 +22,9 @@ from scipy.special import logsumexp
 
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.observables import observable
+from rtcal.acoustics.priors import NORMAL_90
 from rtcal.finder.candidate import Candidate
-from rtcal.finder.case import NORMAL_90, Case
+from rtcal.finder.case import Case
 from rtcal.finder.claim import most_probable_first, with_added
 from rtcal.finder.configuration import PARAMETERS, Configuration
 from rtcal.finder.effects import Effect

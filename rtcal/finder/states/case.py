@@ -24,10 +24,10 @@ from rtcal.acoustics.equations import Eyring, LinearEquation
 from rtcal.acoustics.materials import Material
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.observables import MATCH, REVERBERATION, SUMMARY, parameter_label
+from rtcal.acoustics.priors import NORMAL_90
 from rtcal.acoustics.room import Room
 from rtcal.acoustics.scene import Scene
 from rtcal.calibration.presets import calibrate
-from rtcal.finder.case import NORMAL_90
 from rtcal.finder.finding import listed
 from rtcal.finder.positions import surfaces as of_room
 from rtcal.io import obj
@@ -39,6 +39,7 @@ from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError
 from rtcal.support.files import make_folder, write_all
 from rtcal.support.results import NOT_SAVED
+from rtcal.support.text import first_of
 from rtcal.support.types import Array
 
 _LEAST = 1e-6
@@ -164,9 +165,7 @@ class Differences:
 def _named(measured: Measurement) -> str:
     if measured.is_summary:
         return "means over positions"
-    source, receiver = measured.pairs[0]
-    more = "" if len(measured.pairs) == 1 else f" and {len(measured.pairs) - 1} more"
-    return f"{source} to {receiver}{more}"
+    return first_of([*map(" to ".join, measured.pairs)], 1)
 
 
 def _lacking(before: Measurement, after: Measurement, pairs: list[tuple[str, str]]) -> list[str]:
@@ -174,9 +173,7 @@ def _lacking(before: Measurement, after: Measurement, pairs: list[tuple[str, str
     for name, state in (("before", before), ("after", after)):
         alone = [p for p in state.pairs if p not in pairs]
         if alone:
-            source, receiver = alone[0]
-            more = "" if len(alone) == 1 else f" and {len(alone) - 1} more"
-            out.append(f"Only {name} has {source} to {receiver}{more}: left out.")
+            out.append(f"Only {name} has {first_of([*map(' to '.join, alone)], 1)}: left out.")
     return out
 
 

@@ -37,6 +37,7 @@ from rtcal.simulators.observations import Observations
 from rtcal.simulators.path_tracing import PathTracing
 from rtcal.support import checks
 from rtcal.support.arguments import checked
+from rtcal.support.text import first_of
 from rtcal.support.types import Array
 
 MOST_SURFACES = 8
@@ -373,9 +374,8 @@ def _located(
     if case.simulator is None:
         return None, _OF_MEANS
     if unstated := case.sources_unstated:
-        more = "" if len(unstated) == 1 else f" and {len(unstated) - 1} more"
         return None, (
-            f"The directivity of {unstated[0]}{more} is not stated, so no surface is told. An "
+            f"The directivity of {first_of(unstated, 1)} is not stated, so no surface is told. An "
             "omnidirectional source has the index 0."
         )
     states = [
