@@ -16,6 +16,7 @@ from rtcal.command.console import (
     equation_option,
     errors_name_options,
     exclude_option,
+    is_quiet,
     json_option,
     match_option,
     method_option,
@@ -77,8 +78,6 @@ def calibrate(
     unreachable: Literal["raise", "nearest"],
     modes: str | None,
     out: str | None,
-    as_json: bool,
-    quiet: bool,
 ) -> None:
     """Calibrate ROOM (TOML) to MEASURED (CSV, xlsx) and print T, gaps and coefficients per band.
 
@@ -99,12 +98,12 @@ def calibrate(
             raise DataError(
                 "--modes has a method of its own: leave out --method, --solver, --unreachable"
             )
-        _by_modes(room, measured, modes, equation, folder, quiet=quiet, as_json=as_json)
+        _by_modes(room, measured, modes, equation, folder)
         return
     with without_air_warning():
         result = presets.calibrate(
             Room.from_file(room),
-            read_measured(measured, quiet=quiet),
+            read_measured(measured),
             method=method,
             equation=equation,
             solver=solver,
@@ -113,30 +112,23 @@ def calibrate(
     text = str(result)
     if folder is not None:
         text += "\n" + written(result_folder.write(result, folder))
-    tell(text, result.to_dict(), quiet=quiet, as_json=as_json)
+    tell(text, result.to_dict())
 
 
 def _by_modes(
-    room: str,
-    measured: str,
-    modes: str,
-    equation: LinearEquation,
-    folder: Path | None,
-    *,
-    quiet: bool,
-    as_json: bool,
+    room: str, measured: str, modes: str, equation: LinearEquation, folder: Path | None
 ) -> None:
     """Calibrate to measured modes and T, and tell the result."""
     from rtcal.acoustics.room import Room
     from rtcal.report import result_folder
 
     with without_air_warning():
-        heard = read_measured(measured, quiet=quiet)
-        result = told_by_modes(Room.from_file(room), modes, heard, equation, quiet=quiet)
+        heard = read_measured(measured)
+        result = told_by_modes(Room.from_file(room), modes, heard, equation)
     text = str(result)
     if folder is not None:
         text += "\n" + written(result_folder.write_with_figures(result, folder, {}))
-    tell(text, result.to_dict(), quiet=quiet, as_json=as_json)
+    tell(text, result.to_dict())
 
 
 _START = 0.1
@@ -184,8 +176,6 @@ def fit(
     seed: int,
     modes: str | None,
     out: str | None,
-    as_json: bool,
-    quiet: bool,
 ) -> None:
     """Calibrate ROOM (TOML) to every pair of MEASURED (CSV) by path tracing.
 
@@ -211,10 +201,10 @@ def fit(
         mesh = [] if stated.scene.mesh is None else [stated.scene.mesh]
         read = [room, measured, *mesh, *([] if modes is None else [modes])]
         spare([folder / name for name in result_folder.POSITION_FILES], read)
-    heard = read_measured(measured, quiet=quiet)
+    heard = read_measured(measured)
     if stated.scattering is None and scattering is None and not keep_scattering:
         scattering = _START
-        if not quiet:
+        if not is_quiet():
             warn(
                 f"{room} states no scattering: the fit starts at {_START:g} for every material and "
                 "band, and --scattering states another start"
@@ -222,12 +212,12 @@ def fit(
     told = None
     if modes is not None:
         with without_air_warning():
-            told = told_by_modes(stated, modes, quiet=quiet)
+            told = told_by_modes(stated, modes)
     with errors_name_options("scattering", "n_paths"), without_air_warning():
         tracer = geometry_files.path_tracing(
             stated, scattering=scattering, scattering_model=scattering_model, n_paths=paths or PATHS
         )
-        with bar(RUNS, "control run", bar_wanted(quiet), said(quiet)) as shown:
+        with bar(RUNS, "control run", bar_wanted(), said()) as shown:
             result = calibrate_positions(
                 tracer,
                 stated if told is None else told,
@@ -246,7 +236,7 @@ def fit(
             result, folder, tracer.geometry, tracer.sources, tracer.receivers
         )
         text += "\n" + written(paths_written)
-    tell(text, result.to_dict(), quiet=quiet, as_json=as_json)
+    tell(text, result.to_dict())
 
 
 LIBRARY_ROOM = "room.toml"
@@ -281,8 +271,6 @@ def learn(
     weights: tuple[str, ...],
     room: str | None,
     out: str | None,
-    as_json: bool,
-    quiet: bool,
 ) -> None:
     """Learn from the results below FOLDER, as rtcal calibrate --out writes them.
 
@@ -322,7 +310,7 @@ def learn(
         make_folder(target)
         write_all(files)
         said += "\n" + written([*files])
-    tell(said, record, quiet=quiet, as_json=as_json)
+    tell(said, record)
 
 
 @click.command(short_help="The paper's stochastic study beside its numbers.")
@@ -390,8 +378,6 @@ def study(
     workers: int | None,
     folder: str | None,
     out: str | None,
-    as_json: bool,
-    quiet: bool,
 ) -> None:
     """Simulate random rooms and score every calibration method, beside the paper's tables.
 
@@ -414,7 +400,7 @@ def study(
             sampling=sampling,  # type: ignore[arg-type]
             workers=workers,
             folder=output_folder("--folder", folder),
-            progress=bar_wanted(quiet),
+            progress=bar_wanted(),
             with_files=target is not None,
         )
     if target is not None:
@@ -426,4 +412,4 @@ def study(
         "seed": seed,
         "studies": report.records,
     }
-    tell(str(report), record, quiet=quiet, as_json=as_json)
+    tell(str(report), record)

@@ -119,8 +119,10 @@ ARGUMENTS = (
 """Arguments of `rtcal.io.tables.read` that its messages name, and `rtcal table` has as options."""
 
 
-def read_measured(path: str | os.PathLike[str], *, quiet: bool) -> Measurement:
+def read_measured(path: str | os.PathLike[str], *, quietly: bool = False) -> Measurement:
     """Return the measurement that a command takes; what was read from another format is told once.
+
+    With ``quietly`` it is not told, since another command or step has told it.
 
     Raises DataError as `rtcal.io.tables.measurement`; where the table leaves something open, the
     message says how `rtcal table` is told.
@@ -134,7 +136,8 @@ def read_measured(path: str | os.PathLike[str], *, quiet: bool) -> Measurement:
         if text != str(error):
             text += f". `rtcal table {path}` takes the option, and --out writes what it read"
         raise DataError(text) from error
-    if table.columns and not quiet:
+    told = not (quietly or is_quiet())
+    if table.columns and told:
         measured = table.measurement
         n = len(measured.pairs)
         of = "means" if measured.is_summary else f"{n} pair{'s' * (n > 1)}"
@@ -142,7 +145,7 @@ def read_measured(path: str | os.PathLike[str], *, quiet: bool) -> Measurement:
             f"{path}: {', '.join(p.upper() for p in measured.values)} of {of} in "
             f"{len(measured.centre_frequencies)} bands; `rtcal table {path}` shows how it was read"
         )
-    if not quiet:
+    if told:
         for doubt in table.doubts:
             warn(f"{path}: {doubt}")
     return table.measurement
@@ -157,8 +160,6 @@ def told_by_modes(
     path: str,
     measured: Measurement | None = None,
     equation: LinearEquation | None = None,
-    *,
-    quiet: bool,
 ) -> ModesResult:
     """Return the calibration to a table of modes, or to the modes of a SOFA file's responses.
 
@@ -170,8 +171,8 @@ def told_by_modes(
     from rtcal.support.progress import bar
 
     modes = sofa.read(path) if sofa.claims(path) else tables.read(path)
-    with bar(1, "calculation", False, said(quiet)) as shown:
-        if not quiet:
+    with bar(1, "calculation", False, said()) as shown:
+        if not is_quiet():
             shown.set_description("room modes, minutes where a mesh has hundreds of them")
         return calibrate_modes(room, modes, measured, equation=equation)
 
@@ -182,10 +183,41 @@ modes_option = click.option(
     help="Table (CSV) of measured modes: frequency, decay or T, and its uncertainty; or responses "
     "(SOFA), whose modes are found. Below the Schroeder frequency they stand in place of T.",
 )
+
+
+def _kept(context: click.Context, parameter: click.Parameter, value: bool) -> bool:
+    """Keep a flag with the call of the command, from which what prints asks for it."""
+    context.meta[f"rtcal.{parameter.name}"] = value
+    return value
+
+
+def _flag(name: str) -> bool:
+    """Return a flag that is kept with the running command; False outside a command."""
+    context = click.get_current_context(silent=True)
+    return context is not None and bool(context.meta.get(f"rtcal.{name}"))
+
+
+def is_quiet() -> bool:
+    """Return whether the running command was called with ``--quiet``."""
+    return _flag("quiet")
+
+
 quiet_option = click.option(
-    "--quiet", "-q", is_flag=True, help="Print nothing but errors, and the JSON."
+    "--quiet",
+    "-q",
+    is_flag=True,
+    expose_value=False,
+    callback=_kept,
+    help="Print nothing but errors, and the JSON.",
 )
-json_option = click.option("--json", "as_json", is_flag=True, help="Print JSON in place of text.")
+json_option = click.option(
+    "--json",
+    "as_json",
+    is_flag=True,
+    expose_value=False,
+    callback=_kept,
+    help="Print JSON in place of text.",
+)
 method_option = click.option(
     "--method",
     type=click.Choice(("mle", "lse", "soft", "smooth", "robust")),
@@ -301,13 +333,14 @@ class CannotPrint(click.ClickException):
     exit_code = 5
 
 
-def tell(text: str, record: Mapping[str, Any], *, quiet: bool, as_json: bool) -> None:
+def tell(text: str, record: Mapping[str, Any]) -> None:
     """Print a text, or with ``--json`` its record; without that, nothing with ``--quiet``.
 
     Commands write their files before they print, since a reader may close the output (``| head``).
     Raises CannotPrint where the output is closed or full.
     """
-    if quiet and not as_json:
+    as_json = _flag("as_json")
+    if is_quiet() and not as_json:
         return
     if sys.stdout is None:
         raise CannotPrint("cannot print: the standard output is closed")
@@ -347,8 +380,7 @@ def show_warning(message: Warning | str, *_: object, **__: object) -> None:
 
     Takes the place of `warnings.showwarning`.
     """
-    context = click.get_current_context(silent=True)
-    if context is None or not context.params.get("quiet"):
+    if not is_quiet():
         warn(message)
 
 
@@ -375,15 +407,15 @@ def output_folder(option: str, path: str | None) -> Path | None:
     return None if path is None else Path(path)
 
 
-def said(quiet: bool) -> Callable[[str], None] | None:
+def said() -> Callable[[str], None] | None:
     """Return what prints progress where no bar is shown, one line on standard error; None if quiet."""
-    return None if quiet else warn
+    return None if is_quiet() else warn
 
 
-def bar_wanted(quiet: bool) -> bool:
+def bar_wanted() -> bool:
     """Whether to show a progress bar: on a terminal, if tqdm is installed."""
     return (
-        not quiet
+        not is_quiet()
         and sys.stderr is not None
         and sys.stderr.isatty()
         and find_spec("tqdm") is not None

@@ -21,6 +21,7 @@ from rtcal.command.console import (
     errors_name_options,
     fit_ending,
     heading_options,
+    is_quiet,
     json_option,
     numbers,
     output_folder,
@@ -84,8 +85,6 @@ def measure(
     repeats: bool,
     positions: str | None,
     out: str | None,
-    as_json: bool,
-    quiet: bool,
 ) -> None:
     """Measure T20, T30, EDT, C50, C80, D50, STI and Ts of RESPONSES (WAV, SOFA).
 
@@ -102,7 +101,7 @@ def measure(
     scene = None if positions is None else _positions_text(responses)
     with (
         errors_name_options("channels", "repeats"),
-        bar(len(responses), "response", bar_wanted(quiet), said(quiet)) as shown,
+        bar(len(responses), "response", bar_wanted(), said()) as shown,
     ):
         analysis = impulse_responses.read(
             responses,
@@ -120,7 +119,7 @@ def measure(
             f"{out}: not written, since no parameter could be determined. {analysis.missing[0]}. "
             "Without --out, all reasons are printed"
         )
-    if nothing and not quiet:
+    if nothing and not is_quiet():
         click.echo("rtcal: no parameter could be determined; the reasons are listed", err=True)
     if positions is not None and scene is not None:
         write_text(positions, scene)
@@ -130,7 +129,7 @@ def measure(
         "missing": analysis.missing,
         "notes": analysis.notes,
     }
-    _write_and_tell(analysis, notes, out, as_json, quiet)
+    _write_and_tell(analysis, notes, out)
 
 
 def _positions_text(responses: tuple[str, ...]) -> str:
@@ -178,8 +177,6 @@ def table(
     repeats: bool,
     sheets: tuple[str, ...],
     out: str | None,
-    as_json: bool,
-    quiet: bool,
 ) -> None:
     """Read measuring systems' tables (CSV, Excel's xlsx, REW's and Dirac's text) as one measurement.
 
@@ -208,11 +205,13 @@ def table(
     columns = tuple(as_options(line, ARGUMENTS) for line in table_read.columns)
     table_read = replace(table_read, columns=columns)
     notes = {"columns": table_read.columns, "doubts": table_read.doubts}
-    _write_and_tell(table_read, notes, out, as_json, quiet)
+    _write_and_tell(table_read, notes, out)
 
 
 def _write_and_tell(
-    analysis: Analysis | Table, notes: dict[str, Any], out: str | None, as_json: bool, quiet: bool
+    analysis: Analysis | Table,
+    notes: dict[str, Any],
+    out: str | None,
 ) -> None:
     """Write the file, then print the text, since ``| head`` closes the output early."""
     from rtcal.io import tables
@@ -228,7 +227,7 @@ def _write_and_tell(
         "written": out,
     }
     text = str(analysis) if out is None else f"{analysis}\nWritten: {out}"
-    tell(text, record, quiet=quiet, as_json=as_json)
+    tell(text, record)
 
 
 @click.command(short_help="A calibrated room into a program's material list, changed or new.")
@@ -259,8 +258,6 @@ def export(
     decimals: int | None,
     entries: tuple[str, ...],
     missing_bands: str,
-    as_json: bool,
-    quiet: bool,
 ) -> None:
     """Write ROOM's coefficients into a program's MATERIALS; print the effect of the rounding on T.
 
@@ -297,7 +294,7 @@ def export(
         "notes": done.notes,
         "not_in_file": done.lost,
     }
-    tell(str(done), record, quiet=quiet, as_json=as_json)
+    tell(str(done), record)
 
 
 _PURPOSES = {
@@ -327,7 +324,10 @@ _LIST = "\b\n" + "\n".join(f"    {name:16s}{text}" for name, text in _PURPOSES.i
 @click.option("--out", type=click.Path(file_okay=False), help="Folder to write; NAME if not given.")
 @json_option
 @quiet_option
-def example(name: str, out: str | None, as_json: bool, quiet: bool) -> None:
+def example(
+    name: str,
+    out: str | None,
+) -> None:
     """Write the files of a small project, and print the commands that use them."""
     from rtcal.datasets import examples
     from rtcal.support.errors import DataError
@@ -347,8 +347,6 @@ def example(name: str, out: str | None, as_json: bool, quiet: bool) -> None:
     tell(
         "\n".join(lines),
         {"written": [str(path) for path in targets], "commands": list(project.commands)},
-        quiet=quiet,
-        as_json=as_json,
     )
 
 
@@ -366,7 +364,11 @@ _FIGURES = 5
 @heading_options
 @json_option
 @quiet_option
-def report(result: str, out: str | None, heading: Heading, as_json: bool, quiet: bool) -> None:
+def report(
+    result: str,
+    out: str | None,
+    heading: Heading,
+) -> None:
     """Write RESULT as one HTML page: summary, doubts, tables, figures; or its tables as a workbook.
 
     RESULT is the folder of `rtcal calibrate`, `fit`, `find`, `predict` or `design --out`, its
@@ -395,14 +397,9 @@ def report(result: str, out: str | None, heading: Heading, as_json: bool, quiet:
     if target.suffix.lower() == workbook.ENDING:
         pages.write_workbook(result, target)
         done = {"written": str(target), "bytes": target.stat().st_size}
-        tell(f"Written: {target}", done, quiet=quiet, as_json=as_json)
+        tell(f"Written: {target}", done)
         return
-    with bar(_FIGURES, "figure", bar_wanted(quiet), said(quiet)) as shown:
+    with bar(_FIGURES, "figure", bar_wanted(), said()) as shown:
         text = pages.page_of(result, heading=heading, progress=lambda: shown.update(1))
     document.write(target, text)
-    tell(
-        f"Written: {target}",
-        {"written": str(target), "bytes": len(text.encode())},
-        quiet=quiet,
-        as_json=as_json,
-    )
+    tell(f"Written: {target}", {"written": str(target), "bytes": len(text.encode())})

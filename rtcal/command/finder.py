@@ -73,8 +73,6 @@ def find(
     number: Mapping[str, Any],
     before: str | None,
     heading: Heading,
-    as_json: bool,
-    quiet: bool,
     out: str | None,
 ) -> None:
     """Print whether the model misses something, where it shows, and what it is.
@@ -98,16 +96,16 @@ def find(
     folder = output_folder("--out", out)
     if before is not None:
         refuse(_more_than_one(number), OF_ONE_STATE)
-        find_change(inputs, search, before, folder, heading, as_json, quiet)
+        find_change(inputs, search, before, folder, heading)
         return
     if folder is None:
-        finding = search_case(inputs, search, quiet, number=number)
-        tell(str(finding), finding.to_dict(), quiet=quiet, as_json=as_json)
+        finding = search_case(inputs, search, number=number)
+        tell(str(finding), finding.to_dict())
         return
     from rtcal.report import finding_pages, gap_report
 
     targets = [folder / name for name in {*gap_report.WRITTEN, *finding_pages.FILES}]
-    finding = search_case(inputs, search, quiet, targets, number)
+    finding = search_case(inputs, search, targets, number)
     numbers_stated = [
         word
         for name, value in number.items()
@@ -125,7 +123,7 @@ def find(
     if inputs.at_positions:
         verification = None
         if finding.can_be_verified:
-            verification = verified(inputs, finding, quiet)
+            verification = verified(inputs, finding)
             first = [verification.sentence]
         place = next(iter(_further_places(finding)), None)
         paths = finding_pages.write_where(finding, verification, folder, heading, command, place)
@@ -134,7 +132,7 @@ def find(
         paths = gap_report.write(finding, folder, files, heading)
     printed = "\n".join([*first, str(finding), written(paths)])
     record = {**finding.to_dict(), "written": [str(p) for p in paths]}
-    tell(printed, record, quiet=quiet, as_json=as_json)
+    tell(printed, record)
 
 
 @click.command(short_help="Compare the gaps with and without what was found.")
@@ -150,8 +148,6 @@ def verify(
     search: Search,
     before: str | None,
     finding: str | None,
-    as_json: bool,
-    quiet: bool,
 ) -> None:
     """Add the named effect, calibrate again, and compare the gaps that alpha cannot close.
 
@@ -163,16 +159,16 @@ def verify(
     Example: rtcal verify case.toml
     """
     if before is not None:
-        verify_change(inputs, search, before, finding, as_json, quiet)
+        verify_change(inputs, search, before, finding)
         return
     refuse({"--finding": finding}, " needs --before")
-    found = search_case(inputs, search, quiet)
+    found = search_case(inputs, search)
     if (nothing := found.reason_for_none) is not None:
         record = {"verdict": None, "sentence": nothing, "finding": found.to_dict()}
-        tell(nothing, record, quiet=quiet, as_json=as_json)
+        tell(nothing, record)
         return
-    result = verified(inputs, found, quiet)
-    tell(str(result), result.to_dict(), quiet=quiet, as_json=as_json)
+    result = verified(inputs, found)
+    tell(str(result), result.to_dict())
 
 
 @click.command(short_help="Add what was found to the model.")
@@ -202,8 +198,6 @@ def apply(
     inputs: Inputs,
     search: Search,
     number: Mapping[str, Any],
-    as_json: bool,
-    quiet: bool,
     out: str,
     room: str | None,
     form: str | None,
@@ -231,7 +225,7 @@ def apply(
     stated = {"--room": room, "--form": form, "--at": at}
     if before is not None:
         refuse(stated | _more_than_one(number), OF_ONE_STATE)
-        if not apply_change(inputs, search, before, Path(out), as_json, quiet):
+        if not apply_change(inputs, search, before, Path(out)):
             raise click.exceptions.Exit(NOTHING_TO_ADD)
         return
     if not inputs.at_positions:
@@ -241,9 +235,9 @@ def apply(
         case = read_case(inputs, [out] if room is None else [out, room])
         of_patch = {k: stated[k] for k in ("--form", "--at")}
         refuse(of_patch, ": a case without a geometry has no surface")
-        correction = correct(search_case(inputs, search, quiet, (), number, case), out, room)
+        correction = correct(search_case(inputs, search, (), number, case), out, room)
         write_all(correction.files)
-        tell(str(correction), correction.to_dict(), quiet=quiet, as_json=as_json)
+        tell(str(correction), correction.to_dict())
         added = bool(correction.files)
     else:
         from rtcal.finder.positions.corrected import FILES
@@ -252,9 +246,9 @@ def apply(
         if os.path.isfile(out):
             raise DataError(f"--out {out} is a file; with a geometry it is a folder")
         place = _place(at)
-        finding = search_case(inputs, search, quiet, [Path(out, name) for name in FILES])
+        finding = search_case(inputs, search, [Path(out, name) for name in FILES])
         made = partial(finding.apply, form or "patch", at=place)
-        added = add_to_folder(finding, made, Path(out), as_json, quiet)
+        added = add_to_folder(finding, made, Path(out))
     if not added:
         raise click.exceptions.Exit(NOTHING_TO_ADD)
 
@@ -287,8 +281,6 @@ def plan(
     after: bool,
     costs: tuple[str, ...],
     seed: int,
-    as_json: bool,
-    quiet: bool,
 ) -> None:
     """Print which effects the data could distinguish, and what to measure next.
 
@@ -307,7 +299,7 @@ def plan(
             {"--relative-change": change, "--cost": costs or None},
             ": with a geometry a place for a receiver is proposed",
         )
-        _tell_places(search_case(inputs, search, quiet), quiet, as_json)
+        _tell_places(search_case(inputs, search))
         return
     from rtcal.finder import plan as planned_with
     from rtcal.finder.means.set_posterior import MOST
@@ -322,13 +314,11 @@ def plan(
     result = planned_with(
         read,
         change=CHANGE if change is None else change,
-        finding=search_case(inputs, search, quiet, number={"most": MOST}, case=read)
-        if after
-        else None,
+        finding=search_case(inputs, search, number={"most": MOST}, case=read) if after else None,
         costs=numbers("--cost", costs, "MEASUREMENT=HOURS, such as G=0.5"),
         planned=planned,
     )
-    tell(str(result), result.to_dict(), quiet=quiet, as_json=as_json)
+    tell(str(result), result.to_dict())
 
 
 def _further_places(finding: positions.PositionsFinding) -> tuple[positions.Place, ...]:
@@ -343,7 +333,9 @@ def _further_places(finding: positions.PositionsFinding) -> tuple[positions.Plac
         return ()
 
 
-def _tell_places(finding: positions.PositionsFinding, quiet: bool, as_json: bool) -> None:
+def _tell_places(
+    finding: positions.PositionsFinding,
+) -> None:
     """Print where a further receiver would tell the surfaces apart that are in question."""
     places = _further_places(finding)[:PROPOSED]
     lines = [*text.wrapped(finding.headline), ""]
@@ -368,7 +360,7 @@ def _tell_places(finding: positions.PositionsFinding, quiet: bool, as_json: bool
         "places": [{**vars(place), "point": list(place.point)} for place in places],
         "finding": finding.to_dict(),
     }
-    tell("\n".join(lines), record, quiet=quiet, as_json=as_json)
+    tell("\n".join(lines), record)
 
 
 def _more_than_one(number: Mapping[str, Any]) -> dict[str, Any]:

@@ -47,7 +47,7 @@ SEEDS = (0, 1, 2)
 """Seeds of the simulator over which a gap at positions is printed."""
 
 
-def read_case(inputs: Inputs, targets: Sequence[str | Path] = (), *, quiet: bool = True) -> Any:
+def read_case(inputs: Inputs, targets: Sequence[str | Path] = (), *, quietly: bool = True) -> Any:
     """Read the case; DataError if a file to be written is also one of those that are read."""
     from rtcal.acoustics.room import Room
     from rtcal.finder import Case
@@ -61,13 +61,13 @@ def read_case(inputs: Inputs, targets: Sequence[str | Path] = (), *, quiet: bool
         return case
     room = Room.from_file(inputs.case)
     spare(targets, [path for path in (*files_read(inputs), room.scene.mesh) if path is not None])
-    measured = read_measured(inputs.measured, quiet=quiet)
+    measured = read_measured(inputs.measured)
     if not inputs.at_positions:
         refuse(inputs.stated, _NEEDS_POSITIONS)
         return case_of(room, measured)
     more: dict[str, Any] = {"exclude": pairs("--exclude", inputs.exclude)}
     if inputs.simulated is not None:
-        more["simulated"] = read_measured(inputs.simulated, quiet=quiet)
+        more["simulated"] = read_measured(inputs.simulated)
     if inputs.match:
         more["match"] = inputs.match
     tracing = {"n_paths": inputs.paths, "scattering": inputs.scattering}
@@ -92,7 +92,6 @@ def files_read(inputs: Inputs) -> list[str]:
 def search_case(
     inputs: Inputs,
     search: Search,
-    quiet: bool,
     targets: Sequence[str | Path] = (),
     number: Mapping[str, Any] | None = None,
     case: Any = None,
@@ -100,7 +99,7 @@ def search_case(
     """Find what a room's model misses; simulations are kept beside its file."""
     from rtcal.finder.search import find
 
-    case = read_case(inputs, targets, quiet=quiet) if case is None else case
+    case = read_case(inputs, targets, quietly=False) if case is None else case
     options: dict[str, Any] = {"seed": search.seed, "without": search.without, "only": search.only}
     number = {} if number is None else number
     of_means = {"prior": search.prior, "engines": search.engines, **number}
@@ -114,26 +113,26 @@ def search_case(
         refuse(stated, ": with a geometry there is no such option")
     else:
         options |= of_means
-    with _progress("step", quiet) as progress:
+    with _progress("step") as progress:
         options |= {"cache": inputs.kept, "progress": progress}
         return find(case, **options)
 
 
-def verified(inputs: Inputs, finding: Any, quiet: bool) -> Any:
+def verified(inputs: Inputs, finding: Any) -> Any:
     """Return the gaps before and after; at pairs that were not fitted over `SEEDS`."""
     from rtcal import finder
 
     if not inputs.at_positions:
         return finder.verify(finding)
-    with _progress("model", quiet) as progress:
+    with _progress("model") as progress:
         return finder.verify(finding, seeds=SEEDS, cache=inputs.kept, progress=progress)
 
 
 @contextmanager
-def _progress(unit: str, quiet: bool) -> Iterator[Callable[[str, int, int], None]]:
+def _progress(unit: str) -> Iterator[Callable[[str, int, int], None]]:
     """Show a bar for each step of a computation."""
     begun: list[str] = []
-    with bar(0, unit, bar_wanted(quiet), said(quiet)) as shown:
+    with bar(0, unit, bar_wanted(), said()) as shown:
 
         def progress(step: str, done: int, total: int) -> None:
             if step not in begun and hasattr(shown, "reset"):
@@ -183,7 +182,7 @@ class Inputs:
         from rtcal.acoustics.room import Room
 
         stated = Room.from_file(self.case).scene.sources
-        return bool(stated) and not read_measured(self.measured, quiet=True).is_summary
+        return bool(stated) and not read_measured(self.measured, quietly=True).is_summary
 
     @property
     def kept(self) -> Path:
@@ -324,19 +323,17 @@ def add_to_folder(
     finding: PositionsFinding | StatesFinding,
     apply: Callable[[], Corrected | SecondState],
     folder: Path,
-    as_json: bool,
-    quiet: bool,
 ) -> bool:
     """Write the room with what was found into a folder; return whether something was found."""
     if (nothing := finding.reason_for_none) is not None:
         record = {**finding.to_dict(), "written": []}
-        tell(f"{nothing}\nNothing is written.", record, quiet=quiet, as_json=as_json)
+        tell(f"{nothing}\nNothing is written.", record)
         return False
     made = apply()
     paths = made.save(folder)
     printed = "\n".join([finding.headline, *made.in_words, written(paths)])
     record = {**finding.to_dict(), **made.to_dict(), "written": [str(p) for p in paths]}
-    tell(printed, record, quiet=quiet, as_json=as_json)
+    tell(printed, record)
     return True
 
 
@@ -346,8 +343,6 @@ def find_change(
     before: str,
     folder: Path | None,
     heading: Heading,
-    as_json: bool,
-    quiet: bool,
 ) -> None:
     """Find what changed, print it, and write its folder if there is one; then it is verified, too.
 
@@ -373,11 +368,14 @@ def find_change(
         document.write(paths[1], page)
         printed += "\n" + written(paths)
         record["written"] = [str(path) for path in paths]
-    tell(printed, record, quiet=quiet, as_json=as_json)
+    tell(printed, record)
 
 
 def verify_change(
-    inputs: Inputs, search: Search, before: str, earlier: str | None, as_json: bool, quiet: bool
+    inputs: Inputs,
+    search: Search,
+    before: str,
+    earlier: str | None,
 ) -> None:
     """Print how well a change predicts pairs that were not fitted: halves, or an earlier finding's."""
     from rtcal.finder.search import verify
@@ -388,7 +386,7 @@ def verify_change(
         finding = _what_changed(inputs, search, before)
         if (nothing := finding.reason_for_none) is not None:
             record = {"verdict": None, "sentence": nothing, "finding": finding.to_dict()}
-            tell(nothing, record, quiet=quiet, as_json=as_json)
+            tell(nothing, record)
             return
         result = verify(finding, seed=search.seed)
     else:
@@ -397,13 +395,16 @@ def verify_change(
             raise DataError(f"--finding {earlier} holds no finding of two states")
         _refuse_options_of_one_state(inputs, search)
         two = {"before": before, "after": str(inputs.measured)}
-        measured = {name: read_measured(path, quiet=quiet) for name, path in two.items()}
+        measured = {name: read_measured(path) for name, path in two.items()}
         result = verify(loaded, **measured)
-    tell(str(result), result.to_dict(), quiet=quiet, as_json=as_json)
+    tell(str(result), result.to_dict())
 
 
 def apply_change(
-    inputs: Inputs, search: Search, before: str, folder: Path, as_json: bool, quiet: bool
+    inputs: Inputs,
+    search: Search,
+    before: str,
+    folder: Path,
 ) -> bool:
     """Write the room of the second state into a folder; return whether there was one."""
     from rtcal.finder.states.case import MESH, ROOM
@@ -411,7 +412,7 @@ def apply_change(
     if folder.is_file():
         raise DataError(f"--out {folder} is a file; with --before it is a folder")
     finding = _what_changed(inputs, search, before, [folder / ROOM, folder / MESH])
-    return add_to_folder(finding, finding.apply, folder, as_json, quiet)
+    return add_to_folder(finding, finding.apply, folder)
 
 
 def _refuse_options_of_one_state(inputs: Inputs, search: Search) -> None:
@@ -442,8 +443,8 @@ def _what_changed(
         spare(targets, [room.scene.mesh])
     return find(
         room,
-        read_measured(measured, quiet=True),
-        before=read_measured(before, quiet=True),
+        read_measured(measured, quietly=True),
+        before=read_measured(before, quietly=True),
         only=search.only,
         without=search.without,
         seed=search.seed,

@@ -54,9 +54,6 @@ def check(
     as_drawn: bool,
     mended: str | None,
     picture: str | None,
-    *,
-    as_json: bool,
-    quiet: bool,
 ) -> None:
     """Print V, S and the defects of a mesh, without a list of materials; write it and its picture.
 
@@ -71,7 +68,7 @@ def check(
     spare([path for path in (mended, picture) if path is not None], [mesh])
     done: Mended | Unclosed
     drawn: Any
-    with errors_name_options("unit", "weld"), _patience(mesh, quiet):
+    with errors_name_options("unit", "weld"), _patience(mesh):
         try:
             done = meshes.room(mesh, unit=unit, space=space, weld=weld, largest_hole=hole)
             drawn, edges = done.geometry, None
@@ -103,12 +100,12 @@ def check(
         "notes": notes,
         "written": files,
     }
-    tell(text, record, quiet=quiet, as_json=as_json)
+    tell(text, record)
 
 
-def _patience(mesh: str, quiet: bool) -> Any:
+def _patience(mesh: str) -> Any:
     """Return what says, once, that a mesh takes longer: how much longer is not known."""
-    return bar(1, f"mending of {mesh}", False, said(quiet))
+    return bar(1, f"mending of {mesh}", False, said())
 
 
 def geometry(
@@ -121,8 +118,6 @@ def geometry(
     volume: float | None,
     areas: tuple[str, ...],
     names: Sequence[str],
-    *,
-    quiet: bool,
 ) -> tuple[Mended | Unclosed | None, float, Sequence[Surface]]:
     """Return the mesh's room, volume in m³ and surfaces, from the mesh or from the options.
 
@@ -136,7 +131,7 @@ def geometry(
     if mesh is not None and (volume is not None or areas):
         raise DataError("--mesh states volume and areas already: leave --volume and --area out")
     if mesh is not None:
-        with errors_name_options("unit", "weld"), _patience(mesh, quiet):
+        with errors_name_options("unit", "weld"), _patience(mesh):
             try:
                 model = meshes.room(mesh, unit=unit, space=space, weld=weld, largest_hole=hole)
             except MeshError as error:

@@ -150,8 +150,6 @@ def import_room(
     in_situ_factor: float,
     scattering: float | None,
     out: str | None,
-    as_json: bool,
-    quiet: bool,
 ) -> None:
     """Make a room of a program's MATERIALS and a mesh, or stated areas and volume.
 
@@ -179,18 +177,7 @@ def import_room(
 
     if program == "check":
         refuse_unused_options()
-        check(
-            materials or mesh,
-            unit,
-            space,
-            weld,
-            hole,
-            as_drawn,
-            mended,
-            picture,
-            as_json=as_json,
-            quiet=quiet,
-        )
+        check(materials or mesh, unit, space, weld, hole, as_drawn, mended, picture)
         return
     if out is None:
         raise DataError("--out is missing: the room's file (TOML) to write")
@@ -200,7 +187,7 @@ def import_room(
     fit_ending("--mended", mended, ".obj")
     listed = _materials(program, materials)
     model, volume, surfaces = geometry(
-        mesh, unit, space, weld, hole, as_drawn, volume, areas, listed.names, quiet=quiet
+        mesh, unit, space, weld, hole, as_drawn, volume, areas, listed.names
     )
     used = list(dict.fromkeys(surface.material for surface in surfaces))
     chosen = texts("--catalogue", in_catalogue, "NAME=ENTRY")
@@ -239,7 +226,7 @@ def import_room(
     notes = _notes(
         room, rule, sigma, {n: (others.get(n) or listed.listed(n)).scattering for n in used}
     )
-    _tell(room, unused, notes + of_mesh, out, as_json=as_json, quiet=quiet)
+    _tell(room, unused, notes + of_mesh, out)
 
 
 def _materials(program: str, path: str | None) -> MaterialList:
@@ -426,9 +413,7 @@ def _notes(
     return notes
 
 
-def _tell(
-    room: Room, unused: list[str], notes: list[str], out: str, *, as_json: bool, quiet: bool
-) -> None:
+def _tell(room: Room, unused: list[str], notes: list[str], out: str) -> None:
     from rtcal.acoustics.bands import span
 
     areas = dict(zip(room.materials, room.areas.tolist(), strict=True))
@@ -447,4 +432,4 @@ def _tell(
         "left_out": unused,
         "written": out,
     }
-    tell("\n".join(rows), record, quiet=quiet, as_json=as_json)
+    tell("\n".join(rows), record)

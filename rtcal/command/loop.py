@@ -94,8 +94,6 @@ def start(
     weights: tuple[str, ...],
     decimals: int | None,
     modes: str | None,
-    as_json: bool,
-    quiet: bool,
 ) -> None:
     """Write ROOM (TOML) with the coefficients to simulate first, for MEASURED (CSV).
 
@@ -114,9 +112,9 @@ def start(
     spare([state, out], [room, measured, *([] if modes is None else [modes])])
     calibrate.refuse_progress(state)
     stated_room = Room.from_file(room)
-    data = read_measured(measured, quiet=quiet)
+    data = read_measured(measured)
     stated = numbers("--weight", weights, "PARAMETER=NUMBER, such as edt=0.5")
-    told = None if modes is None else told_by_modes(stated_room, modes, quiet=quiet)
+    told = None if modes is None else told_by_modes(stated_room, modes)
     begun = begin(
         stated_room,
         data,
@@ -147,7 +145,7 @@ def start(
         *([] if begun.low is None else text.wrapped(begun.low.note)),
         _next_step(out),
     ]
-    tell("\n".join(lines), record, quiet=quiet, as_json=as_json)
+    tell("\n".join(lines), record)
 
 
 def _next_step(out: str) -> str:
@@ -168,7 +166,11 @@ def _next_step(out: str) -> str:
 @quiet_option
 @_holding_state
 def next_(
-    room: str, simulated: str, state: str, out: str, again: bool, as_json: bool, quiet: bool
+    room: str,
+    simulated: str,
+    state: str,
+    out: str,
+    again: bool,
 ) -> None:
     """Read what the program SIMULATED (CSV) and write what to simulate next.
 
@@ -227,7 +229,7 @@ def next_(
         "farther": after.farther,
         "trust_marks": [vars(mark) for mark in after.trust_marks],
     }
-    tell("\n".join(lines), record, quiet=quiet, as_json=as_json)
+    tell("\n".join(lines), record)
 
 
 @loop.command(short_help="Take the last step back.")
@@ -237,7 +239,11 @@ def next_(
 @json_option
 @quiet_option
 @_holding_state
-def back(room: str, state: str, out: str, as_json: bool, quiet: bool) -> None:
+def back(
+    room: str,
+    state: str,
+    out: str,
+) -> None:
     """Forget the table that `next` read last, and write the room to simulate in its place.
 
     \b
@@ -256,4 +262,4 @@ def back(room: str, state: str, out: str, as_json: bool, quiet: bool) -> None:
         f"{state} now holds {len(before.steps)} "
         f"{'simulation' if len(before.steps) == 1 else 'simulations'}. {_next_step(out)}"
     )
-    tell(text, record, quiet=quiet, as_json=as_json)
+    tell(text, record)

@@ -63,12 +63,12 @@ def what_is_known(command: Callable[..., None]) -> Callable[..., None]:
     return command
 
 
-def told(found: Result, out: str | None, *, quiet: bool, as_json: bool) -> None:
+def told(found: Result, out: str | None) -> None:
     """Write a result's file where asked for, and print the result."""
     text, folder = str(found), output_folder("--out", out)
     if folder is not None:
         text += "\n" + written([found.save(folder)])
-    tell(text, found.to_dict(), quiet=quiet, as_json=as_json)
+    tell(text, found.to_dict())
 
 
 def read_changes(path: str, read: Callable[[str], Any]) -> Any:
@@ -105,8 +105,6 @@ def predict(
     also: tuple[tuple[str, str], ...],
     equation: LinearEquation,
     out: str | None,
-    as_json: bool,
-    quiet: bool,
 ) -> None:
     """Predict T of ROOM (TOML), MEASURED (CSV) as it is, after the changes of a file.
 
@@ -139,21 +137,21 @@ def predict(
     if known is None or means:
         before, states = measured_states(room, measured, also)
         found = compare(states, variants, before=before, equation=equation, target=target)
-        told(found, out, quiet=quiet, as_json=as_json)
+        told(found, out)
         return
     if also or target is not None:
         stated = "--also" if also else f"{change}: a target"
         raise DataError(f"{stated} takes T by an equation; add --means")
     if isinstance(known, Measurement):
-        known = calibrated_to_positions(Path(room), before, known, paths or PATHS, quiet=quiet)
-    with bar(RUNS, "control run", bar_wanted(quiet), said(quiet)) as shown:
+        known = calibrated_to_positions(Path(room), before, known, paths or PATHS)
+    with bar(RUNS, "control run", bar_wanted(), said()) as shown:
         at_positions = predict_positions(
             known,
             variants,
             position_uncertainty=before.scene.position_uncertainty,
             progress=following(shown),
         )
-    told(at_positions, out, quiet=quiet, as_json=as_json)
+    told(at_positions, out)
 
 
 def fitted_folder(room: str, measured: str | None) -> PositionsResult | None:
@@ -173,7 +171,7 @@ def fitted_folder(room: str, measured: str | None) -> PositionsResult | None:
 
 def heard_at_positions(room: Room, measured: str) -> Measurement | None:
     """Return what was measured at the room's positions; None where either has none."""
-    heard, scene = read_measured(measured, quiet=True), room.scene
+    heard, scene = read_measured(measured, quietly=True), room.scene
     if not (scene.mesh or room.dimensions is not None) or heard.is_summary:
         return None
     placed = any(s in scene.sources and r in scene.receivers for s, r in heard.pairs)
@@ -181,7 +179,7 @@ def heard_at_positions(room: Room, measured: str) -> Measurement | None:
 
 
 def calibrated_to_positions(
-    file: Path, room: Room, heard: Measurement, paths: int, *, quiet: bool
+    file: Path, room: Room, heard: Measurement, paths: int
 ) -> PositionsResult:
     """Return the calibration to every position."""
     from rtcal.finder.means.bootstrap import FOLDER
@@ -190,7 +188,7 @@ def calibrated_to_positions(
     from rtcal.loop.positions import calibrate_positions
     from rtcal.support.progress import bar, following
 
-    with without_air_warning(), bar(RUNS, "control run", bar_wanted(quiet), said(quiet)) as shown:
+    with without_air_warning(), bar(RUNS, "control run", bar_wanted(), said()) as shown:
         return calibrate_positions(
             geometry_files.path_tracing(room, n_paths=paths),
             room,
@@ -210,7 +208,7 @@ def measured_states(
     from rtcal.calibration.problem_data import times_in_room
 
     def state(stated: Room, path: str) -> State:
-        times = times_in_room(stated, read_measured(path, quiet=True))
+        times = times_in_room(stated, read_measured(path, quietly=True))
         return State(stated, times.reverberation_time, times.uncertainty)
 
     if Path(room).is_dir():
@@ -239,8 +237,6 @@ def design(
     also: tuple[tuple[str, str], ...],
     equation: LinearEquation,
     out: str | None,
-    as_json: bool,
-    quiet: bool,
 ) -> None:
     """Find the cheapest treatments of ROOM (TOML), MEASURED (CSV) as it is.
 
@@ -264,4 +260,4 @@ def design(
         target,
         in_file if probability is None else probability,
     )
-    told(found, out, quiet=quiet, as_json=as_json)
+    told(found, out)

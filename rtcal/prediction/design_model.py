@@ -167,15 +167,12 @@ class DesignModel:
         """The room with another whole surface in m²."""
         return {}
 
-    def area(self, x: Array, at: Array | None = None) -> tuple[Array, Array]:
-        """Return mean and standard deviation of A in m², (n_bands,) each, for areas x in m².
-
-        ``at`` is the mean at which ln T is linear, that of x if not given.
-        """
+    def area(self, x: Array) -> tuple[Array, Array]:
+        """Return mean and standard deviation of A in m², (n_bands,) each, for areas x in m²."""
         mean, root, beta, _, _ = self._known
         w = self.areas + self.steps @ x
         m = mean @ w
-        q = self._slope(m if at is None else at, x)
+        q = self._slope(m, x)
         sigma = np.linalg.norm(np.einsum("kij,kj->ki", root, w - q[:, np.newaxis] * beta), axis=1)
         return m, sigma
 

@@ -144,10 +144,10 @@ def test_quiet_and_json(result, loop, tmp_path, monkeypatch, capsys) -> None:
 
 def test_progress_bars_only_where_someone_looks(tmp_path, monkeypatch, capsys, evil) -> None:
     pytest.importorskip("tqdm", reason="tqdm is not installed (rtcal[studies])")
-    assert not console.bar_wanted(quiet=False)  # standard error is caught here, no terminal
+    assert not console.bar_wanted()  # standard error is caught here, no terminal
     (tmp_path / "result.json").write_text(evil.to_json(), encoding="utf-8")
     monkeypatch.setattr(page, "source", lambda _, step: step() or "data:,")
-    monkeypatch.setattr("rtcal.command.files.bar_wanted", lambda quiet: not quiet)
+    monkeypatch.setattr("rtcal.command.files.bar_wanted", lambda: not console.is_quiet())
     monkeypatch.setattr("rtcal.support.progress.DELAY", 1000.0)
     assert run("report", tmp_path) == 0
     assert capsys.readouterr().err == ""  # done before the delay is over
@@ -157,10 +157,12 @@ def test_progress_bars_only_where_someone_looks(tmp_path, monkeypatch, capsys, e
     assert run("report", tmp_path, "--quiet") == 0
     assert capsys.readouterr().err == ""
     monkeypatch.setattr("sys.stderr.isatty", lambda: True)
-    assert console.bar_wanted(quiet=False)
-    assert not console.bar_wanted(quiet=True)
+    assert console.bar_wanted()
+    with click.Context(cli) as context:
+        context.meta["rtcal.quiet"] = True
+        assert not console.bar_wanted()
     monkeypatch.setitem(__import__("sys").modules, "tqdm", None)
-    assert not console.bar_wanted(quiet=False)
+    assert not console.bar_wanted()
 
 
 def test_the_commands_offer_every_method_of_one_configuration() -> None:

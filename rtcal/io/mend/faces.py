@@ -244,7 +244,6 @@ class Mending:
         volume: float = 0.0,
         surface: float = 0.0,
         uncertainty: float = 0.0,
-        number: int | None = None,
         unsure: Iterable[tuple[str, float]] = (),
     ) -> None:
         """Add a defect of these places, with its effects in m², m³ and m².
@@ -254,7 +253,7 @@ class Mending:
         self.defects.append(
             Defect(
                 kind,
-                len(places) if number is None else number,
+                len(places),
                 area,
                 volume,
                 surface,
