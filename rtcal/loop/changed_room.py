@@ -26,12 +26,12 @@ from rtcal.acoustics.equations import Eyring
 from rtcal.acoustics.room import Room
 from rtcal.acoustics.room_errors import Assumptions
 from rtcal.acoustics.states import Rooms
-from rtcal.simulators import polygons
+from rtcal.simulators import facets
 from rtcal.simulators.base import Simulator
-from rtcal.simulators.geometry import WELD, Polyhedron
+from rtcal.simulators.facets import WELD
+from rtcal.simulators.geometry import Plane, Polyhedron, convex_parts
 from rtcal.simulators.observations import observe
 from rtcal.simulators.path_tracing import PathTracing
-from rtcal.simulators.polygons import Plane
 from rtcal.support.errors import DataError
 from rtcal.support.types import Array
 
@@ -139,7 +139,7 @@ def _ends(geometry: Polyhedron, owner: NDArray[np.int64], moved: Array) -> list[
     faces = np.flatnonzero(moved[owner] > 0)
     faces = faces[np.argsort(-geometry.face_areas[faces], kind="stable")]
     area = float(geometry.face_areas[faces] @ moved[owner[faces]])
-    parts = [part for i in faces.tolist() for part in polygons.convex_parts(geometry, i)]
+    parts = [part for i in faces.tolist() for part in convex_parts(geometry, i)]
     corners = np.concatenate(parts)
     plane = Plane.of(geometry, faces.tolist())
     axes = [plane.along, plane.across, geometry.normals[faces[0]]]
@@ -154,7 +154,7 @@ def _ends(geometry: Polyhedron, owner: NDArray[np.int64], moved: Array) -> list[
             first, last = float((corners @ along).min()), float((corners @ along).max())
             for _ in range(_HALVINGS):
                 edge = (first + last) / 2
-                within = sum(polygons.area(polygons.cut(p, along, edge)[0]) for p in parts)
+                within = sum(facets.area(facets.cut(p, along, edge)[0]) for p in parts)
                 first, last = (edge, last) if within < area else (first, edge)
             found.append((along, (first + last) / 2))
     return found
@@ -164,17 +164,17 @@ def _cut(geometry: Polyhedron, face: int, sides: Sequence[HalfSpace]) -> list[Ar
     """Return the pieces of a face on either side of every edge; the face itself without any."""
     if not sides:
         return [geometry.vertices[list(geometry.faces[face])]]
-    pieces = polygons.convex_parts(geometry, face)
+    pieces = convex_parts(geometry, face)
     for along, offset in sides:
         both = [
             piece
             for whole in pieces
             # What lies in the edge's own plane is on one side of it.
             for piece in (
-                polygons.cut(whole, along, offset) if np.ptp(whole @ along) > WELD else [whole]
+                facets.cut(whole, along, offset) if np.ptp(whole @ along) > WELD else [whole]
             )
         ]
-        pieces = [piece for piece in both if polygons.is_face(piece)]
+        pieces = [piece for piece in both if facets.is_face(piece)]
     return pieces
 
 

@@ -18,8 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtcal.modes.room_modes import RoomModes
-from rtcal.simulators.geometry import SHOEBOX_WALLS, WELD, Polyhedron
-from rtcal.simulators.triangles import distances
+from rtcal.simulators.facets import WELD, distances
+from rtcal.simulators.geometry import SHOEBOX_WALLS, Polyhedron
 from rtcal.support import checks
 from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError, MissingDependencyError, ModelError

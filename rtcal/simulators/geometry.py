@@ -16,7 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtcal.acoustics.room import AXES, Surface, text_name
-from rtcal.simulators import triangles as _triangles
+from rtcal.simulators import facets
+from rtcal.simulators.facets import WELD, edge_owners
 from rtcal.support import checks
 from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError
@@ -26,13 +27,8 @@ from rtcal.support.types import Array
 SHOEBOX_WALLS = ("west", "east", "south", "north", "floor", "ceiling")
 """Faces of a shoebox in order: x = 0, x = length, y = 0, y = width, z = 0, z = height."""
 
-WELD = 1e-4
-"""Distance in m below which vertices are merged, since mesh files round their coordinates."""
-
 PLANARITY = 2e-3
 """Largest distance in m of a vertex from the plane of its face: two roundings to a millimetre."""
-
-Edge = tuple[int, int]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -101,7 +97,7 @@ class Polyhedron:
                 value.setflags(write=False)
             object.__setattr__(self, name, value)
 
-        vertices, index = _welded(_points("vertices", self.vertices))
+        vertices, index = facets.welded(_points("vertices", self.vertices))
         put("vertices", vertices)
         put("faces", checks.listed("faces", self.faces))
         put("materials", tuple(str(m) for m in checks.listed("materials", self.materials)))
@@ -116,12 +112,12 @@ class Polyhedron:
         faces = [self._face(i, index) for i in range(len(self.faces))]
         faces = _turned_outward(vertices, faces, self.names)
         put("faces", tuple(faces))
-        areas = _triangles.vector_areas(vertices, faces)
+        areas = facets.vector_areas(vertices, faces)
         put("face_areas", np.linalg.norm(areas, axis=1))
         put("normals", areas / self.face_areas[:, np.newaxis])
         corners, owners = [], []
         for i, face in enumerate(faces):
-            for triangle in _triangles.triangulate(vertices[list(face)]):
+            for triangle in facets.triangulate(vertices[list(face)]):
                 corners.append(vertices[[face[k] for k in triangle]])
                 owners.append(i)
         put("triangles", np.array(corners))
@@ -144,7 +140,7 @@ class Polyhedron:
         if len(face) < 3:
             raise DataError(f'face "{name}" has {len(face)} distinct vertices; it needs at least 3')
         corners = self.vertices[list(face)]
-        area = _triangles.vector_area(corners)
+        area = facets.vector_area(corners)
         size = float(np.linalg.norm(area))
         if size <= WELD**2:
             raise DataError(f'face "{name}" has no area: its vertices lie on one line')
@@ -226,13 +222,11 @@ class Polyhedron:
 
     def contains(self, points: Any) -> NDArray[np.bool_]:
         """Return whether each point, (n_points, 3) in m, lies in the room's air, (n_points,)."""
-        return np.asarray(
-            _triangles.winding_number(_points("points", points), self.triangles) > 0.5
-        )
+        return np.asarray(facets.winding_number(_points("points", points), self.triangles) > 0.5)
 
     def wall_distance(self, points: Any) -> Array:
         """Return each point's distance in m from the nearest wall, (n_points,)."""
-        return _triangles.distance(_points("points", points), self.triangles)
+        return facets.distance(_points("points", points), self.triangles)
 
     def to_text(self) -> str:
         """Return the room as OBJ in m; `rtcal.io.obj.read` gives the same room."""
@@ -295,73 +289,10 @@ def _place(point: Array) -> str:
     return "(" + ", ".join(f"{x:.6g}" for x in point) + ") m"
 
 
-def _welded(vertices: Array) -> tuple[Array, NDArray[np.int64]]:
-    """Return vertices of which no two are closer than `WELD`, and the new number of each old one."""
-    index = np.zeros(len(vertices), dtype=np.int64)
-    kept: list[int] = []
-    is_kept = np.zeros(len(vertices), dtype=bool)
-    for i, near in enumerate(_tree(vertices).query_ball_point(vertices, WELD, p=np.inf)):
-        before = np.array([k for k in near if is_kept[k]], dtype=np.int64)
-        before = before[(np.abs(vertices[before] - vertices[i]) < WELD).all(axis=1)]
-        if before.size:
-            index[i] = index[before].min()
-        else:
-            index[i], is_kept[i] = len(kept), True
-            kept.append(i)
-    return vertices[kept], index
-
-
-def _tree(points: Array) -> Any:
-    from scipy.spatial import cKDTree
-
-    return cKDTree(points)
-
-
 def _volume(vertices: Array, faces: Sequence[Sequence[int]], areas: Array) -> float:
     # Relative to a corner of the room, so that a model far from the origin loses no digits.
     first = np.array([vertices[face[0]] for face in faces]) - vertices[faces[0][0]]
     return float(np.sum(first * areas) / 3)
-
-
-def edge_owners(
-    vertices: Array, faces: Sequence[Sequence[int]]
-) -> dict[Edge, list[tuple[int, bool]]]:
-    """Return the faces at each piece of an edge, and whether each runs from its lower vertex.
-
-    Every vertex of the ``faces`` that lies on an edge divides it.
-    """
-    sides = [(i, face[k - 1], face[k]) for i, face in enumerate(faces) for k in range(len(face))]
-    edges = list({(min(a, b), max(a, b)): None for _, a, b in sides})
-    if not edges:
-        return {}
-    used = np.unique(edges)
-    ends = vertices[np.array(edges)]
-    lengths = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
-    near = _tree(vertices[used]).query_ball_point(ends.mean(axis=1), lengths / 2 + WELD)
-    divided = {
-        edge: [edge[0], *_between(vertices, edge, used[candidates]), edge[1]]
-        for edge, candidates in zip(edges, near, strict=True)
-    }
-    owners: dict[Edge, list[tuple[int, bool]]] = {}
-    for i, a, b in sides:
-        chain = divided[a, b] if a < b else divided[b, a][::-1]
-        for start, end in pairwise(chain):
-            owners.setdefault((min(start, end), max(start, end)), []).append((i, start < end))
-    return owners
-
-
-def _between(vertices: Array, edge: Edge, candidates: NDArray[np.int64]) -> list[int]:
-    """Return the candidates that lie on an edge between its ends, in order."""
-    start, along = vertices[edge[0]], vertices[edge[1]] - vertices[edge[0]]
-    length = float(np.linalg.norm(along))
-    if len(candidates) < 3 or length <= 2 * WELD:
-        return []
-    local = vertices[candidates] - start
-    position = local @ along / length
-    distance = np.linalg.norm(local - position[:, np.newaxis] * along / length, axis=1)
-    between = np.flatnonzero((distance < WELD) & (position > WELD) & (position < length - WELD))
-    inner: list[int] = candidates[between[np.argsort(position[between])]].tolist()
-    return inner
 
 
 def _turned_outward(
@@ -385,7 +316,7 @@ def _turned_outward(
             neighbours[j].append((i, forward_i == forward_j))
     turned, shells = _shells(neighbours, names)
     faces = [face[::-1] if turn else face for face, turn in zip(faces, turned, strict=True)]
-    areas = _triangles.vector_areas(vertices, faces)
+    areas = facets.vector_areas(vertices, faces)
     volumes = []
     for shell in shells:
         if np.linalg.norm(areas[shell].sum(axis=0)) > 1e-3 * np.abs(areas[shell]).sum():
@@ -427,3 +358,62 @@ def _shells(
                     )
         shells.append(shell)
     return [bool(t) for t in turned], shells
+
+
+@dataclass(frozen=True, eq=False)
+class Plane:
+    """Axes in the plane of some faces, and the rectangle that bounds them.
+
+    ``along`` is the direction of the longest edge of their outline. ``size`` (2,) are the rectangle's
+    sides in m.
+    """
+
+    along: Array
+    across: Array
+    middle: Array
+    size: Array
+
+    @classmethod
+    def of(cls, geometry: Polyhedron, faces: Sequence[int]) -> Plane:
+        """Return the plane of faces, in that of the first of which the axes lie."""
+        normal = geometry.normals[faces[0]]
+        edges = outline(geometry, faces)
+        edges = edges - (edges @ normal)[:, np.newaxis] * normal
+        longest = edges[np.argmax(np.linalg.norm(edges, axis=1))]
+        along = longest / np.linalg.norm(longest)
+        across = np.cross(normal, along)
+        corners = np.concatenate([geometry.vertices[list(geometry.faces[i])] for i in faces])
+        ends = np.array([[f(corners @ axis) for f in (np.min, np.max)] for axis in (along, across)])
+        height = float(corners[0] @ normal) * normal
+        middle = ends.mean(axis=1) @ np.array([along, across]) + height
+        return cls(along, across, middle, ends[:, 1] - ends[:, 0])
+
+    def half_planes(self, centre: Array, scale: float) -> list[tuple[Array, float]]:
+        """Return the sides of the bounding rectangle, scaled about a point: x @ normal <= offset."""
+        return [
+            (sign * axis, float(sign * centre @ axis + scale * side / 2))
+            for axis, side in ((self.along, self.size[0]), (self.across, self.size[1]))
+            for sign in (1.0, -1.0)
+        ]
+
+
+def outline(geometry: Polyhedron, faces: Sequence[int]) -> Array:
+    """Return the edges (n, 3) of faces that no two of them share; all, where none is left.
+
+    A mesh divides a wall into triangles, whose diagonals are no edges of the wall.
+    """
+    rings = [geometry.faces[i] for i in faces]
+    every = [edge for ring in rings for edge in zip(ring, [*ring[1:], ring[0]], strict=True)]
+    both = set(every)
+    outer = [(a, b) for a, b in every if (b, a) not in both] or every
+    start, end = np.array(outer).T
+    return np.asarray(geometry.vertices[end] - geometry.vertices[start])
+
+
+def convex_parts(geometry: Polyhedron, face: int) -> list[Array]:
+    """Return a convex face as it is, another one as its triangles."""
+    corners = geometry.vertices[list(geometry.faces[face])]
+    edges = np.roll(corners, -1, axis=0) - corners
+    if (np.cross(edges, np.roll(edges, -1, axis=0)) @ geometry.normals[face] >= 0).all():
+        return [corners]
+    return list(geometry.triangles[geometry.triangle_faces == face])

@@ -22,9 +22,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtcal.acoustics.materials import Surface
-from rtcal.simulators import polygons
-from rtcal.simulators.geometry import WELD, Polyhedron
-from rtcal.simulators.polygons import Plane, is_face
+from rtcal.simulators import facets
+from rtcal.simulators.facets import WELD
+from rtcal.simulators.geometry import Plane, Polyhedron, convex_parts
 from rtcal.support import checks
 from rtcal.support.errors import DataError
 from rtcal.support.types import Array
@@ -251,13 +251,13 @@ def _quarters(geometry: Polyhedron, face: int, plane: Plane) -> list[tuple[int, 
     if first == last:
         return [(first, corners)]
     out = []
-    for polygon in polygons.convex_parts(geometry, face):
+    for polygon in convex_parts(geometry, face):
         left = polygon
         for quarter, end in enumerate(ends):
-            piece, left = polygons.cut(left, axis, end)
-            if polygons.is_face(piece):
+            piece, left = facets.cut(left, axis, end)
+            if facets.is_face(piece):
                 out.append((quarter, piece))
-            if not polygons.is_face(left):
+            if not facets.is_face(left):
                 break
     return out
 
@@ -276,13 +276,13 @@ def _parts(geometry: Polyhedron, surface: int, owner: Faces, quarters: Faces) ->
 
 def _part_middle(geometry: Polyhedron, faces: Faces) -> tuple[float, float, float]:
     """Return the middle of some faces, or if it is off them that of the largest convex piece."""
-    convex = [piece for i in faces.tolist() for piece in polygons.convex_parts(geometry, i)]
-    areas = [polygons.area(piece) for piece in convex]
+    convex = [piece for i in faces.tolist() for piece in convex_parts(geometry, i)]
+    areas = [facets.area(piece) for piece in convex]
     middles = np.array([piece.mean(axis=0) for piece in convex])
     middle = np.average(middles, axis=0, weights=areas)
     largest = int(np.argmax(areas))
     normal = geometry.normals[faces[np.argmax(geometry.face_areas[faces])]]
-    off = polygons.distance(middle, normal, convex)
+    off = facets.distance_in_plane(middle, normal, convex)
     x, y, z = (middle if off < WELD else middles[largest]).tolist()
     return x, y, z
 
@@ -332,9 +332,9 @@ def patched(
         If ``at`` is further than `NEAR` from the surface.
     """
     flat = _in_one_plane(geometry, [int(i) for i in faces], at)
-    parts = {i: polygons.convex_parts(geometry, i) for i in flat}
+    parts = {i: convex_parts(geometry, i) for i in flat}
     every = [part for some in parts.values() for part in some]
-    if area >= LARGEST_PATCH * sum(map(polygons.area, every)):
+    if area >= LARGEST_PATCH * sum(map(facets.area, every)):
         return None
     normal = geometry.normals[flat[0]]
     plane = Plane.of(geometry, flat)
@@ -343,13 +343,13 @@ def patched(
     taken = set(geometry.names)
     pieces: list[Polygon] = []
     for i, (other, made_of) in enumerate(zip(geometry.names, geometry.materials, strict=True)):
-        if not any(is_face(polygons.inside(part, sides)) for part in parts.get(i, ())):
+        if not any(facets.is_face(facets.inside(part, sides)) for part in parts.get(i, ())):
             pieces.append((other, made_of, geometry.vertices[list(geometry.faces[i])]))
             continue
         rim = [other]
         for part in parts[i]:
-            inner, outer = polygons.divided(part, sides)
-            if is_face(inner):
+            inner, outer = facets.divided(part, sides)
+            if facets.is_face(inner):
                 pieces.append((_new_name(name, taken), material, inner))
             for piece in outer:
                 pieces.append((rim.pop() if rim else _new_name(other, taken), made_of, piece))
@@ -372,7 +372,7 @@ def face_at(geometry: Polyhedron, point: Array) -> tuple[int, float]:
 
 def _away(point: Array, geometry: Polyhedron, face: int) -> float:
     """Return a point's distance in m from a face."""
-    return polygons.distance(point, geometry.normals[face], polygons.convex_parts(geometry, face))
+    return facets.distance_in_plane(point, geometry.normals[face], convex_parts(geometry, face))
 
 
 def _in_one_plane(geometry: Polyhedron, faces: list[int], at: Array | None) -> list[int]:
@@ -395,7 +395,7 @@ def _scale(plane: Plane, centre: Array, parts: Sequence[Array], area: float) -> 
     for _ in range(_HALVINGS):
         scale = (low + high) / 2
         sides = plane.half_planes(centre, scale)
-        if sum(polygons.area(polygons.inside(part, sides)) for part in parts) < area:
+        if sum(facets.area(facets.inside(part, sides)) for part in parts) < area:
             low = scale
         else:
             high = scale
@@ -404,14 +404,14 @@ def _scale(plane: Plane, centre: Array, parts: Sequence[Array], area: float) -> 
 
 def _patch_middle(plane: Plane, normal: Array, parts: Sequence[Array]) -> Array:
     """Return the middle of the bounding rectangle, or if it is off the surface of the largest part."""
-    if polygons.distance(plane.middle, normal, parts) < WELD:
+    if facets.distance_in_plane(plane.middle, normal, parts) < WELD:
         return plane.middle
-    return np.asarray(max(parts, key=polygons.area).mean(axis=0))
+    return np.asarray(max(parts, key=facets.area).mean(axis=0))
 
 
 def _on(point: Array, normal: Array, parts: Sequence[Array]) -> Array:
     """Return the place of the surface nearest to a point; DataError if that is far."""
-    if (distance := polygons.distance(point, normal, parts)) > NEAR:
+    if (distance := facets.distance_in_plane(point, normal, parts)) > NEAR:
         raise DataError(
             f"at = ({', '.join(f'{x:g}' for x in point)}) m is {distance:.2g} m from the surface; the "
             f"limit is {NEAR:g} m"

@@ -23,8 +23,9 @@ from rtcal.io.mend.polygons import (
 )
 from rtcal.io.mend.walls import COVERED, Cut, cut, lifted
 from rtcal.io.mend.welding import settled
-from rtcal.simulators import triangles
-from rtcal.simulators.geometry import WELD, Polyhedron
+from rtcal.simulators import facets
+from rtcal.simulators.facets import WELD
+from rtcal.simulators.geometry import Polyhedron
 from rtcal.support.errors import DataError
 from rtcal.support.types import Array
 
@@ -145,7 +146,7 @@ def _by_size(mend: Mending, work: Work) -> list[list[int]]:
 
     def volume(part: Sequence[int]) -> float:
         polygons = [mend.points[work.faces[i]] - mend.points[0] for i in part]
-        return abs(sum(float(p[0] @ triangles.vector_area(p)) for p in polygons))
+        return abs(sum(float(p[0] @ facets.vector_area(p)) for p in polygons))
 
     return sorted(parts_of(mend, work), key=lambda part: (-volume(part), part))
 
@@ -187,7 +188,7 @@ def _contacts(
                     continue
                 # A thin object on the other side of a thin wall is not behind this face of it.
                 behind = inner - (max(away.max(), 0.0) + _BEFORE) * geometry.normals[j]
-                if abs(float(triangles.winding_number(behind, solid)[0])) > 0.5:
+                if abs(float(facets.winding_number(behind, solid)[0])) > 0.5:
                     yield _Contact(i, j, float(away.max()))
 
 

@@ -16,8 +16,9 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from rtcal.io.mend.faces import ANY_SHARE, MOST_PLACES, SAME, Edge, Face, Mending, Work
-from rtcal.simulators import triangles
-from rtcal.simulators.geometry import PLANARITY, Polyhedron, edge_owners
+from rtcal.simulators import facets
+from rtcal.simulators.facets import edge_owners
+from rtcal.simulators.geometry import PLANARITY, Polyhedron
 from rtcal.support.errors import DataError
 from rtcal.support.lazy import library
 from rtcal.support.text import rounded
@@ -26,12 +27,12 @@ from rtcal.support.types import Array
 
 def area_of(corners: Array) -> float:
     """Return the area of a plane polygon in m²."""
-    return float(np.linalg.norm(triangles.vector_area(corners)))
+    return float(np.linalg.norm(facets.vector_area(corners)))
 
 
 def normal_of(corners: Array) -> Array:
     """Return the unit normal of a polygon; that of a point is upward."""
-    area = triangles.vector_area(corners)
+    area = facets.vector_area(corners)
     size = float(np.linalg.norm(area))
     return np.asarray(area / size if size else np.array([0.0, 0.0, 1.0]))
 
@@ -351,7 +352,7 @@ def volume_by_rays(polygons: Sequence[Array]) -> tuple[float, float]:
     """
     corners = np.concatenate(
         [
-            polygon[np.array(triangles.triangulate(polygon), dtype=int).reshape(-1, 3)]
+            polygon[np.array(facets.triangulate(polygon), dtype=int).reshape(-1, 3)]
             for polygon in map(np.asarray, polygons)
         ]  # a polygon without area has no triangle
     )

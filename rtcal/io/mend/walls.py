@@ -25,7 +25,8 @@ from rtcal.io.mend.polygons import (
     volume_by_rays,
 )
 from rtcal.io.mend.welding import flattened, resnapped, rewelded
-from rtcal.simulators.geometry import PLANARITY, WELD, Polyhedron
+from rtcal.simulators.facets import WELD
+from rtcal.simulators.geometry import PLANARITY, Polyhedron
 from rtcal.support.errors import DataError
 from rtcal.support.types import Array
 

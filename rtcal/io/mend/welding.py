@@ -23,8 +23,9 @@ from rtcal.io.mend.polygons import (
     simplified,
     sorted_edge,
 )
-from rtcal.simulators import triangles
-from rtcal.simulators.geometry import PLANARITY, WELD
+from rtcal.simulators import facets
+from rtcal.simulators.facets import WELD
+from rtcal.simulators.geometry import PLANARITY
 from rtcal.support.errors import DataError
 from rtcal.support.types import Array
 
@@ -303,7 +304,7 @@ def flattened(mend: Mending, work: Work) -> Work:
         if off <= PLANARITY * 0.9:
             out.add(face, material, name)
             continue
-        parts = triangles.triangulate(corners)
+        parts = facets.triangulate(corners)
         if off > mend.weld:  # else it is a joint's, told already
             bent.append(name)
             area += area_of(corners)
