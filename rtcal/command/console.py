@@ -300,6 +300,15 @@ def bands(text: str | None) -> str | list[float] | None:
 def heading_options(command: Callable[..., None]) -> Callable[..., None]:
     """Add --title, --author and --date to a command that takes the ``heading`` of a page."""
 
+    @click.option("--title", default="", help="Title of the page; the room's name if not given.")
+    @click.option(
+        "--author",
+        default="",
+        envvar="RTCAL_AUTHOR",
+        show_envvar=True,
+        help="Who made the page, as the page names it.",
+    )
+    @click.option("--date", help="Date on the page; today if not given.")
     @functools.wraps(command)
     def with_heading(title: str, author: str, date: str | None, **others: Any) -> None:
         from rtcal.report.document import Heading
@@ -307,20 +316,6 @@ def heading_options(command: Callable[..., None]) -> Callable[..., None]:
         today = time.strftime("%Y-%m-%d")
         command(heading=Heading(title, author, today if date is None else date), **others)
 
-    for option in (
-        click.option("--date", help="Date on the page; today if not given."),
-        click.option(
-            "--author",
-            default="",
-            envvar="RTCAL_AUTHOR",
-            show_envvar=True,
-            help="Who made the page, as the page names it.",
-        ),
-        click.option(
-            "--title", default="", help="Title of the page; the room's name if not given."
-        ),
-    ):
-        with_heading = option(with_heading)
     return with_heading
 
 

@@ -213,25 +213,22 @@ def input_options(command: Any) -> Any:
     """Add the arguments and options of `Inputs`, which the command takes as ``inputs``."""
     names = [field.name for field in fields(Inputs)]
 
+    @click.argument("case", metavar="CASE|ROOM", type=click.Path())
+    @click.argument("measured", type=click.Path(), required=False)
+    @click.option(
+        "--simulated",
+        type=click.Path(dir_okay=False),
+        help="What another program gave for the model as stated (CSV), with positions.",
+    )
+    @match_option
+    @exclude_option
+    @scattering_option
+    @paths_option
     @wraps(command)
     def with_inputs(**stated: Any) -> Any:
         of_inputs = {name: stated.pop(name) for name in names}
         return command(inputs=Inputs(**of_inputs), **stated)
 
-    for option in (
-        paths_option,
-        scattering_option,
-        exclude_option,
-        match_option,
-        click.option(
-            "--simulated",
-            type=click.Path(dir_okay=False),
-            help="What another program gave for the model as stated (CSV), with positions.",
-        ),
-        click.argument("measured", type=click.Path(), required=False),
-        click.argument("case", metavar="CASE|ROOM", type=click.Path()),
-    ):
-        with_inputs = option(with_inputs)
     return with_inputs
 
 
@@ -262,6 +259,23 @@ class Search:
 def search_options(command: Any) -> Any:
     """Add `Inputs` and the options of the search, which the command takes as ``search``."""
 
+    @click.option(
+        "--engine",
+        "engines",
+        multiple=True,
+        help="Simulator of the control rooms, at least two; by default path tracing and network.",
+    )
+    @click.option("--without", multiple=True, metavar="EFFECT", help="Do not try this effect.")
+    @click.option("--only", multiple=True, metavar="EFFECT", help="Try this effect alone.")
+    @click.option(
+        "--prior",
+        multiple=True,
+        metavar="EFFECT=ODDS",
+        help="Prior odds of an effect, of none or of coefficients: opening=2.",
+    )
+    @seed_option
+    @json_option
+    @quiet_option
     @wraps(command)
     def with_search(
         engines: tuple[str, ...],
@@ -275,47 +289,24 @@ def search_options(command: Any) -> Any:
         search = Search(engines or ENGINES, seed, without, only, odds, bool(engines))
         return command(search=search, **others)
 
-    for option in (
-        quiet_option,
-        json_option,
-        seed_option,
-        click.option(
-            "--prior",
-            multiple=True,
-            metavar="EFFECT=ODDS",
-            help="Prior odds of an effect, of none or of coefficients: opening=2.",
-        ),
-        click.option("--only", multiple=True, metavar="EFFECT", help="Try this effect alone."),
-        click.option("--without", multiple=True, metavar="EFFECT", help="Do not try this effect."),
-        click.option(
-            "--engine",
-            "engines",
-            multiple=True,
-            help="Simulator of the control rooms, at least two; by default path tracing and network.",
-        ),
-    ):
-        with_search = option(with_search)
     return input_options(with_search)
 
 
 def number_options(command: Any) -> Any:
     """Add how many effects may be missing at once; the command takes them as ``number``, for `find`."""
 
+    @click.option(
+        "--most",
+        type=int,
+        default=1,
+        show_default=True,
+        help="Largest number of effects that may be missing at once, up to 3.",
+    )
+    @click.option("--expected", type=float, help="Expected number of effects, with --most.")
     @wraps(command)
     def with_numbers(most: int, expected: float | None, **others: Any) -> Any:
         return command(number={"most": most, "expected": expected}, **others)
 
-    for option in (
-        click.option("--expected", type=float, help="Expected number of effects, with --most."),
-        click.option(
-            "--most",
-            type=int,
-            default=1,
-            show_default=True,
-            help="Largest number of effects that may be missing at once, up to 3.",
-        ),
-    ):
-        with_numbers = option(with_numbers)
     return with_numbers
 
 

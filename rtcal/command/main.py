@@ -132,7 +132,3 @@ def _fill_closed_descriptors() -> None:
             os.fstat(descriptor)
         except OSError:
             os.open(os.devnull, os.O_RDWR)
-
-
-if __name__ == "__main__":
-    main()
