@@ -1,9 +1,9 @@
 """Meshes of every format as `rtcal.io.mend.Faces`: what is drawn, with the names of its materials.
 
-A format is one reader: `obj`, `dxf`, `ifc`; COLLADA (.dae), which SketchUp writes, by pycollada, and
-the others by trimesh (both ``rtcal[mesh]``). trimesh reads COLLADA, too, but not the materials' names.
-A mesh without materials, such as STL, has one, named after its file. Objects of 3MF, which have names
-and no materials, are materials.
+A format is one reader: those of `obj` and `cad`; COLLADA (.dae), which SketchUp writes, by pycollada,
+and the others by trimesh (both ``rtcal[mesh]``). trimesh reads COLLADA, too, but not the materials'
+names. A mesh without materials, such as STL, has one, named after its file. Objects of 3MF, which have
+names and no materials, are materials.
 
 The axes are turned so that z is up where the format says that y is (glTF, COLLADA).
 """
@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 
 from rtcal.acoustics.materials import text_name
-from rtcal.io import dxf, ifc, obj
+from rtcal.io import cad, obj
 from rtcal.io.mend import OFFSET, WELD, Faces, Mended, MeshError, closed, mended
 from rtcal.io.mend.faces import unit_notes
 from rtcal.io.text import shown
@@ -35,7 +35,6 @@ __all__ = ["read", "room"]
 __dir__ = __all__.copy
 
 MAX_BYTES = 2**26
-MAX_FACES = 100_000
 BY_TRIMESH = (".ply", ".stl", ".glb", ".gltf", ".3mf", ".off")
 IFC = ".ifc"
 _Y_UP = (".glb", ".gltf")
@@ -80,7 +79,7 @@ def read(
         raise DataError(f"unit = {unit:g} m is not finite and above 0")
     ending = Path(path).suffix.lower()
     if ending == IFC:
-        return ifc.faces(os.fspath(path), unit, space)
+        return cad.ifc_faces(os.fspath(path), unit, space)
     if space is not None:
         raise DataError(f"{path}: only a building model (IFC) has spaces: leave --space out")
     if ending in _REFUSED:
@@ -161,8 +160,8 @@ def _by_trimesh(content: bytes, path: str, unit: float | None) -> Faces:
             f"{path}: cannot be read as {ending[1:]}: {error}. Export OBJ from your program, one "
             "material per layer"
         ) from error
-    if (count := sum(len(g.faces) for _, g, _ in parts)) > MAX_FACES:
-        raise DataError(f"{path}: {count} triangles; at most {MAX_FACES}: simplify the model")
+    if (count := sum(len(g.faces) for _, g, _ in parts)) > obj.MOST_DRAWN:
+        raise DataError(f"{path}: {count} triangles; at most {obj.MOST_DRAWN}: simplify the model")
     notes = []
     if ending == ".ply" and _LAYERS.search(content[: content.find(b"end_header")]):
         notes.append(
@@ -246,8 +245,8 @@ def _by_pycollada(content: bytes, path: str, unit: float | None) -> Faces:
         raise DataError(f"{path}: cannot be read as COLLADA: {error}") from error
     if not drawn:
         raise DataError(f"{path}: there is no face; a room has at least 4")
-    if len(drawn) > MAX_FACES:
-        raise DataError(f"{path}: {len(drawn)} faces; at most {MAX_FACES}: simplify the model")
+    if len(drawn) > obj.MOST_DRAWN:
+        raise DataError(f"{path}: {len(drawn)} faces; at most {obj.MOST_DRAWN}: simplify the model")
     length = unit if unit is not None else float(stated or 1.0)
     notes = unit_notes(length, None if stated is None else float(stated), unit)
     turned = up == "Y_UP"
@@ -285,7 +284,7 @@ def _name(part: Any, otherwise: str) -> str:
 
 READERS: dict[str, Callable[[bytes, str, float | None], Faces]] = {
     ".obj": _obj,
-    ".dxf": dxf.faces,
+    ".dxf": cad.dxf_faces,
     ".dae": _by_pycollada,
     **dict.fromkeys(BY_TRIMESH, _by_trimesh),
 }

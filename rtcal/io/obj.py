@@ -37,7 +37,7 @@ MAX_FACES = 1500
 """A room for geometrical acoustics has tens to hundreds of faces; checking more takes too long."""
 
 MOST_DRAWN = 100_000
-"""Largest number of faces of a mesh that is to be mended, and joined where they are in one plane."""
+"""Largest number of faces of a mesh of any format that is mended; those in one plane are joined."""
 
 VOLUME_LIMITS = (1e-3, 2e7)
 """Accepted volumes in m³, from a scale model of a litre. The largest building by volume, Boeing's in
