@@ -134,6 +134,17 @@ def label(frequency: float) -> str:
     return f"{frequency:g} Hz"
 
 
+def labels(frequencies: Iterable[float]) -> list[str]:
+    """Return the bands' names, as `label`.
+
+    Examples
+    --------
+    >>> labels([500, 1000])
+    ['500 Hz', '1000 Hz']
+    """
+    return [label(frequency) for frequency in frequencies]
+
+
 @checked
 def span(frequencies: Sequence[float] | Array) -> str:
     """Return the number of bands with the first and the last, as part of a sentence.

@@ -226,7 +226,7 @@ class Measurement:
             unit = f" / {OBSERVABLES[parameter].unit}".removesuffix(" / ")
             means = zip(self.mean(parameter), self.mean_uncertainty(parameter), strict=True)
             rows.append([parameter_label(parameter) + unit, *(_mean_text(m, u) for m, u in means)])
-        labels = [bands.label(f) for f in self.centre_frequencies]
+        labels = bands.labels(self.centre_frequencies)
         return text.html_table(self._description, ["mean ± u", *labels], rows)
 
     def refuse_large_uncertainty(self) -> None:

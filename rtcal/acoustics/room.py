@@ -240,7 +240,7 @@ class Room:
             ]
             for i, (name, area) in enumerate(zip(self.materials, self.areas, strict=True))
         ]
-        labels = [bands.label(f) for f in self.centre_frequencies]
+        labels = bands.labels(self.centre_frequencies)
         return text.html_table(self._description, ["α ± σ", "S / m²", *labels], rows)
 
     @property

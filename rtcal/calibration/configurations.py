@@ -431,6 +431,6 @@ def require_same_shape(built: Configurations, asked: Configurations) -> Configur
         if new.materials != old.materials:
             raise DataError(f"room has materials {new.materials}; built with {old.materials}")
         if not np.array_equal(new.centre_frequencies, old.centre_frequencies):
-            has = ", ".join(bands.label(f) for f in new.centre_frequencies)
+            has = ", ".join(bands.labels(new.centre_frequencies))
             raise DataError(f"room has other bands than the one built with: {has}")
     return asked

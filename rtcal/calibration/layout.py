@@ -97,7 +97,7 @@ class Layout:
         if band is not None:
             place = bands.index(np.array(self.centre_frequencies), band)
             if place is None:
-                has = ", ".join(bands.label(f) for f in self.centre_frequencies)
+                has = ", ".join(bands.labels(self.centre_frequencies))
                 raise DataError(f"band {bands.label(band)} is no band of the room; it has {has}")
             columns = np.array([place])
         return np.asarray((rows[:, np.newaxis] * self.n_bands + columns).ravel())

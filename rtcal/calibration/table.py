@@ -237,7 +237,7 @@ def html_table(record: Mapping[str, Any]) -> str:
 
 
 def _band_labels(record: Mapping[str, Any]) -> list[str]:
-    return [bands.label(f) for f in record["centre_frequencies"]]
+    return bands.labels(record["centre_frequencies"])
 
 
 def _header(record: Mapping[str, Any]) -> tuple[str, str]:
@@ -357,7 +357,7 @@ def _notes(record: Mapping[str, Any]) -> list[tuple[str, str]]:
     if measured["caution"]:
         notes.append((measured["caution"], "  "))
     if measured["bands_not_in_room"]:
-        ignored = ", ".join(bands.label(f) for f in measured["bands_not_in_room"])
+        ignored = ", ".join(bands.labels(measured["bands_not_in_room"]))
         notes.append((f"left out: {ignored} (measured, but no band of the room)", "  "))
     if beyond := _bands_beyond_equation(record):
         notes.append(

@@ -109,7 +109,7 @@ def material(
     by_band = dict(zip(centres, coefficients, strict=False))  # some end at 4 kHz
     for frequency in f:
         if frequency not in by_band:
-            has = ", ".join(bands.label(c) for c in by_band)
+            has = ", ".join(bands.labels(by_band))
             raise DataError(f'"{name}" has no value at {bands.label(frequency)}; it has {has}')
     alpha = np.array([by_band[frequency] for frequency in f])
     tabulated = np.minimum(f, 4000.0)

@@ -13,8 +13,9 @@ import numpy as np
 from scipy.special import logsumexp
 
 from rtcal.finder.effects import Effect
-from rtcal.finder.finding import Finding, listed
+from rtcal.finder.finding import Finding
 from rtcal.finder.prior import COEFFICIENTS, NONE, UNKNOWN, Prior
+from rtcal.support.text import listed
 
 Key = TypeVar("Key")
 CLAIMED = 0.9

@@ -326,7 +326,7 @@ def in_room_bands(room: Room, c: Configuration) -> Configuration:
     notes = [band_conversion.rule(stated, wanted, "T")]
     unused = band_conversion.unused(stated, wanted)
     if unused.size:
-        notes.append(f"left out, not in the room: {', '.join(bands.label(f) for f in unused)}")
+        notes.append(f"left out, not in the room: {', '.join(bands.labels(unused))}")
     if any(notes):
         warnings.warn(
             f"{where}: {'; '.join(filter(None, notes))}",

@@ -44,24 +44,6 @@ def over_frequency(values: Array) -> str:
     return f"{'rising' if high > low else 'falling'} with frequency"
 
 
-def listed(names: Sequence[str], last: str = "and") -> str:
-    """Return names as a sentence lists them: a, b and c.
-
-    >>> listed(["a", "b", "c"]), listed(["a", "b"], last="or")
-    ('a, b and c', 'a or b')
-    """
-    return f" {last} ".join([", ".join(names[:-1]), names[-1]] if len(names) > 1 else names)
-
-
-def as_sentence(words: str) -> str:
-    """Return words as a sentence of its own.
-
-    >>> as_sentence("the coefficients are off together")
-    'The coefficients are off together.'
-    """
-    return words[:1].upper() + words[1:].rstrip(".") + "."
-
-
 _CONFIDENCE = 0.95
 """Of a gap over pairs that is said to shrink or to grow: one-sided, by Student's t."""
 

@@ -143,7 +143,7 @@ def means(measurement: Measurement) -> list[str]:
         )
         for parameter in measurement.values
     ]
-    header = ("", [bands.label(f) for f in measurement.centre_frequencies])
+    header = ("", bands.labels(measurement.centre_frequencies))
     lines = [title, *text.table(rows, header=header)]
     for parameter in measurement.values:
         kind = observable(parameter)

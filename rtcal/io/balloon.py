@@ -181,7 +181,7 @@ def _from_text(place: str, wanted: Sequence[float]) -> list[Array]:
     for f in wanted:
         inside = [at[b] for b in at if f / np.sqrt(2) <= b < f * np.sqrt(2)]
         if not inside:
-            have = ", ".join(bands.label(b) for b in at) or "none"
+            have = ", ".join(bands.labels(at)) or "none"
             raise DataError(f"{place}: no band in the octave of {bands.label(f)}; it has {have}")
         out.append(
             np.mean([Directivity(gains=[e], aim=(1, 0, 0)).gains[0] for e in inside], axis=0)

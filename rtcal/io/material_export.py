@@ -107,7 +107,7 @@ class ExportReport:
             *text.table(cells, header=("band", ["T / s", "as read / s", "change / JND"])),
         ]
         if self.bands_not_written:
-            missing = ", ".join(bands.label(f) for f in self.bands_not_written)
+            missing = ", ".join(bands.labels(self.bands_not_written))
             rows.append(f"Not in the file, so not written: {missing}")
         rows += self.notes
         rows += text.wrapped(f"Not in the file: {', '.join(self.lost)}. Keep the room's own file.")

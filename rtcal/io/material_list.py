@@ -292,7 +292,7 @@ class MaterialList:
         if not obtainable.size:
             raise DataError(
                 f"{self.path}: none of its bands can be had from the room's, "
-                f"{', '.join(bands.label(f) for f in room.centre_frequencies)}"
+                f"{', '.join(bands.labels(room.centre_frequencies))}"
             )
         return band_conversion.room(room, obtainable)
 

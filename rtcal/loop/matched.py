@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtcal.acoustics import band_conversion
-from rtcal.acoustics.bands import label
+from rtcal.acoustics.bands import label, labels
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.observables import EARLY, LEVEL, OBSERVABLES, TARGET, parameter_label
 from rtcal.acoustics.quality import gap_jnd
@@ -400,7 +400,7 @@ class BelowSchroeder:
 
     @property
     def _of_bands(self) -> str:
-        bands = [label(f) for f in self.room.centre_frequencies[self.below]]
+        bands = labels(self.room.centre_frequencies[self.below])
         without = [label(mark.frequency) for mark in self.trust_marks if mark.frequency]
         doubt = (
             f" Fewer than three carry {', '.join(without)}: do not use these." if without else ""

@@ -241,7 +241,7 @@ class PositionsPrediction(Result):
         )
 
     def __str__(self) -> str:
-        labels = [bands.label(f) for f in self.before.centre_frequencies]
+        labels = bands.labels(self.before.centre_frequencies)
         rows = []
         for i, p in enumerate(self.parameters):
             of, (low, high) = observable(p), self.interval(p)

@@ -8,7 +8,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from rtcal.acoustics.bands import label
+from rtcal.acoustics.bands import labels
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.observables import TARGET, observable, parameter_label
 from rtcal.acoustics.quality import gap_jnd
@@ -188,7 +188,7 @@ class LoopResult(Result):
     def _table(self) -> tuple[list[str], list[list[str]]]:
         """Return the header and one row per band."""
         columns: dict[str, Sequence[str]] = {
-            "": [label(f) for f in self.room.centre_frequencies],
+            "": labels(self.room.centre_frequencies),
             "T wanted / s": _numbers(self.loop.wanted, ".3f"),
             "simulated / s": _numbers(self.loop.matched.combined(self.final.mean), ".3f"),
             "gap / JND": _numbers(self.gap, "+.2f"),
@@ -201,7 +201,7 @@ class LoopResult(Result):
         """Return header and rows of the gaps of what is matched together; nothing for T20 alone."""
         if len(self.compromise) == 1:
             return [], []
-        columns: dict[str, Sequence[str]] = {"": [label(f) for f in self.room.centre_frequencies]}
+        columns: dict[str, Sequence[str]] = {"": labels(self.room.centre_frequencies)}
         for parameter, part in self.compromise.items():
             name = parameter_label(parameter)
             columns[f"{name} gap / JND before"] = _numbers(part.before, "+.1f")
@@ -211,7 +211,7 @@ class LoopResult(Result):
 
     def _beside(self) -> tuple[list[str], list[list[str]]]:
         """Return header and rows of EDT, C50 and C80: measured, before and after the loop."""
-        columns: dict[str, Sequence[str]] = {"": [label(f) for f in self.room.centre_frequencies]}
+        columns: dict[str, Sequence[str]] = {"": labels(self.room.centre_frequencies)}
         for parameter in (p for p in SHOWN if p != TARGET.key and p in self.before.values):
             name = f"{parameter_label(parameter)} / {observable(parameter).unit}"
             measured = self.measured and self.measured.values

@@ -250,7 +250,7 @@ class ModesResult(Result):
             [f"{a:.2f} > {b:.2f} ({c:.2f}-{d:.2f})" for a, b, c, d in zip(*row, strict=True)]
             for row in zip(*parts, strict=True)
         ]
-        low = [bands.label(f) for f in self.prior.centre_frequencies[self.below]]
+        low = bands.labels(self.prior.centre_frequencies[self.below])
         of_materials = list(zip(self.prior.materials, cells, strict=True))
         lines = text.table(self.mode_rows, header=(_HEADER[0], _HEADER[1:]))
         lines += ["", *text.table(of_materials, header=("alpha (90 %)", low)), ""]

@@ -343,7 +343,7 @@ def can_be_had(model: DesignModel, probability: float) -> list[str]:
     x = np.zeros(len(model.treatments))
     alone = model.ranges(x).best()[1]
     said = [f"No areas of these treatments are in range with probability {probability:g}."]
-    labels = [bands.label(f) for f in frequencies]
+    labels = bands.labels(frequencies)
     if (short := bounded & (alone < probability)).any():
         listed = ", ".join(f"{labels[k]} {alone[k]:.2f}" for k in np.flatnonzero(short))
         said.append(f"The equation's error alone allows: {listed}.")

@@ -380,7 +380,7 @@ class Predictions(Result):
         """Return a table of the variants' T, and of cost and probability where they are known."""
         if len(self.predictions) == 1 and self.target is None:
             return []
-        labels = [bands.label(f) for f in self.predictions[0].after.centre_frequencies]
+        labels = bands.labels(self.predictions[0].after.centre_frequencies)
         rows = [(p.name, [f"{t:.2f}" for t in p.mean]) for p in self.predictions]
         lines = ["side by side: T / s", *text.table(rows, header=("", labels))]
         columns = {"cost": ["-" if c is None else f"{c:.0f}" for c in self.costs]}

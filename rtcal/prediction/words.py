@@ -82,7 +82,7 @@ def sentences(
 
 def text_of(record: Mapping[str, Any]) -> str:
     """Return the text that ``print(prediction)`` shows, from `Prediction.to_dict`."""
-    labels = [bands.label(f) for f in record["centre_frequencies"]]
+    labels = bands.labels(record["centre_frequencies"])
     low, high = record["interval_90"]
     rows = [
         ("T before / s", record["reverberation_time_before"], ".2f"),

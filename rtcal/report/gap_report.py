@@ -14,7 +14,6 @@ from rtcal.acoustics import room_files
 from rtcal.acoustics.equations import mean_equation
 from rtcal.calibration.presets import calibrate
 from rtcal.finder.claim import CLAIMED, SAID
-from rtcal.finder.finding import as_sentence, listed
 from rtcal.finder.means.bootstrap import QUANTILE
 from rtcal.finder.means.finding import MeansFinding
 from rtcal.finder.means.recalibration import recalibrate
@@ -28,6 +27,7 @@ from rtcal.support.arguments import checked
 from rtcal.support.errors import MissingAirWarning
 from rtcal.support.files import make_folder, write_all
 from rtcal.support.results import NUMBERS, Result
+from rtcal.support.text import as_sentence, listed
 
 __all__ = ["figures", "summary", "write"]
 __dir__ = __all__.copy

@@ -139,7 +139,7 @@ def _calibration(calibration: CalibrationResult, step: Callable[[], None]) -> di
         "not_met": words.not_met(calibration),
         "figures": _figures(calibration, step),
         "blocks": blocks(len(calibration.prior.centre_frequencies)),
-        "labels": [bands.label(f) for f in calibration.prior.centre_frequencies],
+        "labels": bands.labels(calibration.prior.centre_frequencies),
         "band_rows": _band_rows(calibration),
         "band_letters": [
             letters(calibration.trust_marks, f) for f in calibration.prior.centre_frequencies

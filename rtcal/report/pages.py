@@ -164,7 +164,7 @@ def tables_of(record: Mapping[str, Any]) -> dict[str, Table]:
 [125, 1.5], [250, -2.0]]}
     """
     frequencies = _frequencies(record)
-    labels = [bands.label(f) for f in frequencies]
+    labels = bands.labels(frequencies)
     summary: Table = [["quantity", "value"]]
     of_bands: dict[str, Sequence[Any]] = {}
     lists: dict[str, Table] = {}

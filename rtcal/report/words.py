@@ -23,6 +23,7 @@ from rtcal.acoustics.trust import TrustMark
 from rtcal.calibration.presets import METHODS
 from rtcal.calibration.result import CalibrationResult
 from rtcal.calibration.table import equation_parameters
+from rtcal.support.text import as_sentence
 
 LARGE_SHIFT = 2.0
 """Shift in standard deviations of the prior above which T contradicts a material's stated alpha."""
@@ -196,7 +197,7 @@ def verdict(calibration: CalibrationResult) -> tuple[str, str, str]:
             level,
             heading,
             (
-                f"{asks[0].upper()}{asks[1:]}. There is no p-value for all bands together, because a "
+                f"{as_sentence(asks)} There is no p-value for all bands together, because a "
                 f"coefficient stands at a bound ({numbers})."
             ),
         )

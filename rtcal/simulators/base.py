@@ -23,7 +23,7 @@ from rtcal.acoustics.observables import TARGET
 from rtcal.acoustics.room import Room
 from rtcal.support import checks
 from rtcal.support.errors import DataError, RtcalError, SimulatorError, of_bands
-from rtcal.support.text import shortened
+from rtcal.support.text import as_sentence, shortened
 from rtcal.support.types import Array, read_only
 
 
@@ -174,9 +174,7 @@ def at_places(simulator: Simulator, measured: Measurement) -> tuple[Measurement,
         return measured, ()
     of_sources, of_receivers = same.values()
     placed = [(of_sources.get(s, s), of_receivers.get(r, r)) for s, r in measured.pairs]
-    return measured.with_repeats(**same), tuple(
-        f"{note[0].upper()}{note[1:]}." for note in repeats.in_words(placed)
-    )
+    return measured.with_repeats(**same), tuple(map(as_sentence, repeats.in_words(placed)))
 
 
 def check_measurement(simulator: Simulator, measurement: object) -> Measurement:

@@ -193,6 +193,28 @@ def shortened(text: str, longest: int = 40) -> str:
     return text if len(text) <= longest else text[: longest - 1] + "…"
 
 
+def listed(names: Sequence[str], last: str = "and") -> str:
+    """Return names as a sentence lists them: a, b and c.
+
+    Examples
+    --------
+    >>> listed(["a", "b", "c"]), listed(["a", "b"], last="or")
+    ('a, b and c', 'a or b')
+    """
+    return f" {last} ".join([", ".join(names[:-1]), names[-1]] if len(names) > 1 else names)
+
+
+def as_sentence(words: str) -> str:
+    """Return words as a sentence of its own.
+
+    Examples
+    --------
+    >>> as_sentence("the coefficients are off together")
+    'The coefficients are off together.'
+    """
+    return words[:1].upper() + words[1:].rstrip(".") + "."
+
+
 def first_of(names: Sequence[str], most: int) -> str:
     """Return some names in words: at most so many, and how many more there are.
 

@@ -192,7 +192,9 @@ class Archive(Result):
             name = room.materials[i]
             held = sources.get(name, "the room's table")
             label = f"{held} times {1 + self.together:.2f}" if j is None else self._source(j)
-            sources[name] = f"{label}; {_listed(rest)}: {held}" if rest.size else label
+            sources[name] = (
+                f"{label}; {', '.join(bands.labels(rest))}: {held}" if rest.size else label
+            )
         before = [] if room.calibration is None else [room.calibration.measured]
         record = CalibrationRecord(
             method=ARCHIVE,
@@ -219,7 +221,7 @@ class Archive(Result):
         left = [i for i in range(room.n_materials) if i not in {i for i, _ in pairs} | {*moved}]
         apart = [i for i in left if room.materials[i] in self.materials]
         rest = np.delete(room.centre_frequencies, [k for k, _ in columns])
-        bands_left = [_listed(rest)] if rest.size else []
+        bands_left = [", ".join(bands.labels(rest))] if rest.size else []
 
         def quoted(rows: list[int]) -> list[str]:
             return [f'"{room.materials[i]}"' for i in rows]
@@ -310,7 +312,7 @@ class Archive(Result):
         return f"<Archive of {len(self.lessons)} rooms, {len(self.materials)} materials>"
 
     def __str__(self) -> str:
-        labels = [bands.label(f) for f in self.centre_frequencies]
+        labels = bands.labels(self.centre_frequencies)
         shift = (self.alpha - self.table) / np.maximum(self.mean_sigma, 1e-12)
         rows = [
             (
@@ -360,7 +362,3 @@ class Archive(Result):
                 *(line for note in notes for line in text.wrapped(note)),
             ]
         )
-
-
-def _listed(frequencies: Array) -> str:
-    return ", ".join(bands.label(float(f)) for f in frequencies)

@@ -398,7 +398,7 @@ def _selection(
     if band is not None:
         place = bands.index(room.centre_frequencies, band)
         if place is None:
-            has = ", ".join(bands.label(f) for f in room.centre_frequencies)
+            has = ", ".join(bands.labels(room.centre_frequencies))
             raise DataError(f"band {bands.label(band)} is no band of the room; it has {has}")
         columns = np.array([place])
     return rows, columns

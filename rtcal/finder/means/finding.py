@@ -13,7 +13,7 @@ from rtcal.finder import track_record
 from rtcal.finder.candidate import Size
 from rtcal.finder.case import AppliedEffect, Case
 from rtcal.finder.claim import SAID, Names, SetsFinding
-from rtcal.finder.finding import NATS, as_sentence, engine_title, listed
+from rtcal.finder.finding import NATS, engine_title
 from rtcal.finder.means.model_error import ModelDiscrepancy
 from rtcal.finder.means.verdict import Fit
 from rtcal.finder.prior import COEFFICIENTS, NONE, OffTogether, Prior
@@ -21,6 +21,7 @@ from rtcal.support import text
 from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError
 from rtcal.support.files import json_numbers
+from rtcal.support.text import as_sentence, listed
 from rtcal.support.types import Array
 
 FEATURE_NAMES = ("T20", "EDT/T20", "T30/T20", "C80", "G")
@@ -301,7 +302,7 @@ class MeansFinding(SetsFinding):
         said += [self.evidence_in_words, self.track_record]
         for sentence in filter(None, said):
             lines += text.wrapped(sentence, indent="  ")
-        header = ("", [bands.label(f) for f in self.case.room.centre_frequencies])
+        header = ("", bands.labels(self.case.room.centre_frequencies))
         for c, residuals in zip(self.case.configurations, self.residuals, strict=True):
             lines += text.wrapped(
                 f'residuals of "{c.name}", in standard deviations (model - measured):',

@@ -131,7 +131,7 @@ def decided_below_schroeder(
     rest = float(table[name] - table[NONE])
     if rest >= 0.5 * nats or rest >= DISTINCT_NATS:
         return []
-    places = [bands.label(f) for f in case.room.centre_frequencies[low.any(0)]]
+    places = bands.labels(case.room.centre_frequencies[low.any(0)])
     words = (
         f"{name} rests on {', '.join(places)}, below Schroeder's frequency, where no field is diffuse: "
         f"without them its evidence is {rest:+.1f} nats instead of {nats:+.1f}"

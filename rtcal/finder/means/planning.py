@@ -14,7 +14,6 @@ from rtcal.finder.claim import DISTINCT_NATS
 from rtcal.finder.configuration import Configuration
 from rtcal.finder.effects import Effect, library
 from rtcal.finder.effects.checks import checked_effects
-from rtcal.finder.finding import listed
 from rtcal.finder.means.features import ObservedFeatures, observe
 from rtcal.finder.means.finding import MeansFinding
 from rtcal.finder.means.hypotheses import MeansHypotheses, predict_hypotheses
@@ -39,6 +38,7 @@ from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError
 from rtcal.support.results import Result
 from rtcal.support.speed import single_threaded_blas
+from rtcal.support.text import listed
 
 STEPS = 3
 """Measurements that are proposed one after the other."""

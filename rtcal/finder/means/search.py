@@ -276,7 +276,7 @@ def _notes(case: Case) -> list[str]:
         low = [f for f in case.room.centre_frequencies if f < limit]
         if low:
             out.append(
-                f'"{c.name}": {", ".join(bands.label(f) for f in low)} under Schroeder\'s frequency '
+                f'"{c.name}": {", ".join(bands.labels(low))} under Schroeder\'s frequency '
                 f"({limit:.0f} Hz), where no field is diffuse"
             )
         if unused := [parameter_label(p) for p in c.measured.values if p not in FEATURES]:

@@ -16,7 +16,7 @@ import numpy as np
 
 from rtcal.acoustics.observables import observable
 from rtcal.finder.case import Case
-from rtcal.finder.finding import Verification, listed
+from rtcal.finder.finding import Verification
 from rtcal.finder.means.features import distances, observe, state
 from rtcal.finder.means.finding import FEATURE_NAMES, MeansFinding
 from rtcal.finder.means.gap import LITTLE
@@ -30,6 +30,7 @@ from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError
 from rtcal.support.files import json_numbers
 from rtcal.support.speed import single_threaded_blas
+from rtcal.support.text import listed
 from rtcal.support.types import Array
 
 EXACT = 0.005

@@ -12,7 +12,7 @@ import numpy as np
 from rtcal.finder.candidate import Candidate
 from rtcal.finder.claim import SAID
 from rtcal.finder.effects.coupled_room import CoupledRoom
-from rtcal.finder.finding import LEAST_PAIRS, Finding, listed
+from rtcal.finder.finding import LEAST_PAIRS, Finding
 from rtcal.finder.positions.case import PositionsCase
 from rtcal.finder.positions.posterior import detection_in_words
 from rtcal.finder.positions.weighing import Weighing
@@ -22,6 +22,7 @@ from rtcal.support import checks, text
 from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError
 from rtcal.support.files import json_numbers
+from rtcal.support.text import listed
 from rtcal.support.types import Array
 
 if TYPE_CHECKING:

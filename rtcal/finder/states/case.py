@@ -28,7 +28,6 @@ from rtcal.acoustics.priors import NORMAL_90
 from rtcal.acoustics.room import Room
 from rtcal.acoustics.scene import Scene
 from rtcal.calibration.presets import calibrate
-from rtcal.finder.finding import listed
 from rtcal.finder.positions import surfaces as of_room
 from rtcal.io import obj
 from rtcal.simulators import observations
@@ -39,7 +38,7 @@ from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError
 from rtcal.support.files import make_folder, write_all
 from rtcal.support.results import NOT_SAVED
-from rtcal.support.text import first_of
+from rtcal.support.text import first_of, listed
 from rtcal.support.types import Array
 
 _LEAST = 1e-6
@@ -343,7 +342,7 @@ def changed_room(
     notes = []
     unknown = room_bands[~case.differences.measured].tolist()
     if unknown:
-        at = listed([bands.label(f) for f in unknown])
+        at = listed(bands.labels(unknown))
         notes.append(f"Nothing is known of {at}: there the room is that of the first state.")
     geometry: Polyhedron | None = None
     if surfaces and case.simulator is not None:

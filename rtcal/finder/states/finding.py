@@ -12,20 +12,14 @@ import numpy as np
 from rtcal.acoustics import bands
 from rtcal.finder.candidate import Size, amount
 from rtcal.finder.claim import CLAIMED, Names
-from rtcal.finder.finding import (
-    LEAST_PAIRS,
-    NATS,
-    Finding,
-    as_sentence,
-    listed,
-    over_frequency,
-)
+from rtcal.finder.finding import LEAST_PAIRS, NATS, Finding, over_frequency
 from rtcal.finder.prior import NONE
 from rtcal.finder.states.case import SecondState, StatesCase, changed_room
 from rtcal.finder.states.evidence import ADDED
 from rtcal.support import text
 from rtcal.support.errors import DataError
 from rtcal.support.files import json_numbers
+from rtcal.support.text import as_sentence, listed
 from rtcal.support.types import Array
 
 
