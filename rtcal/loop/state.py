@@ -29,6 +29,7 @@ from rtcal.calibration.presets import preset
 from rtcal.calibration.problem import CalibrationProblem
 from rtcal.calibration.problem_data import data_history, times_in_room
 from rtcal.calibration.result import CalibrationResult
+from rtcal.loop import rules
 from rtcal.loop.matched import (
     BelowSchroeder,
     Gaps,
@@ -39,21 +40,7 @@ from rtcal.loop.matched import (
     matched_times,
     means,
 )
-from rtcal.loop.rules import (
-    CLOSE_TARGETS,
-    RULES,
-    Rule,
-    Step,
-    band_goals,
-    band_statuses,
-    check_decimals,
-    confirmed_statuses,
-    next_targets,
-    simulated_time,
-    stuck_bands,
-    target_limits,
-    target_without_t20,
-)
+from rtcal.loop.rules import RULES, Rule, Step
 from rtcal.modes.result import ModesResult
 from rtcal.simulators.base import check_alpha
 from rtcal.support import checks
@@ -229,16 +216,16 @@ class Loop(Result):
     @property
     def goal(self) -> Array:
         """Gap in JND at which each band is done, (n_bands,); see `rtcal.loop.rules.band_goals`."""
-        return band_goals(self.tolerance, self.steps[-1].noise / self._jnd)
+        return rules.band_goals(self.tolerance, self.steps[-1].noise / self._jnd)
 
     @property
     def status(self) -> tuple[str, ...]:
         """Status of each band: one of `rtcal.loop.rules.STATUSES`."""
-        close = np.abs(np.log(self._target_without_t20 / self.best_target)) < CLOSE_TARGETS
+        close = np.abs(np.log(self._target_without_t20 / self.best_target)) < rules.CLOSE_TARGETS
         alpha = np.array([step.alpha for step in self.steps])
         simulated = np.array([step.simulated for step in self.steps])
-        stuck = stuck_bands(alpha, simulated)
-        every = band_statuses(
+        stuck = rules.stuck_bands(alpha, simulated)
+        every = rules.band_statuses(
             self.gap,
             self.goal,
             self.steps[-1].target,
@@ -260,7 +247,9 @@ class Loop(Result):
         See `rtcal.loop.rules.confirmed_statuses`.
         """
         noise = self.matched.noise(measurement) / self._jnd
-        return confirmed_statuses(self.status, self.matched.gap(measurement), noise, self.tolerance)
+        return rules.confirmed_statuses(
+            self.status, self.matched.gap(measurement), noise, self.tolerance
+        )
 
     @property
     def next_target(self) -> Array:
@@ -271,7 +260,7 @@ class Loop(Result):
         """
         if not self.steps:
             return self.wanted.copy()
-        return next_targets(
+        return rules.next_targets(
             self.rule,
             self.steps,
             self.wanted,
@@ -343,7 +332,9 @@ class Loop(Result):
         """
         if self.finished:
             raise DataError("the loop is done: no band is left that another simulation helps")
-        time = simulated_time(simulated, self.room.centre_frequencies, self.matched, self.steps)
+        time = rules.simulated_time(
+            simulated, self.room.centre_frequencies, self.matched, self.steps
+        )
         time[np.array(without_t20, dtype=int)] = np.nan
         step = Step(
             target=self.next_target,
@@ -376,11 +367,11 @@ class Loop(Result):
 
     @property
     def _target_without_t20(self) -> Array:
-        return target_without_t20(self.steps, self.wanted, self.best_target)
+        return rules.target_without_t20(self.steps, self.wanted, self.best_target)
 
     @property
     def _target_limits(self) -> tuple[Array, Array]:
-        return target_limits(self.room, self.equation)
+        return rules.target_limits(self.room, self.equation)
 
     def to_dict(self) -> dict[str, Any]:
         """Return the loop as plain values."""
@@ -434,7 +425,7 @@ def start(
         raise DataError(f'rule = "{rule}" is not one of {", ".join(RULES)}')
     checks.instance("room", room, Room)
     preset(method)
-    check_decimals(decimals)
+    rules.check_decimals(decimals)
     checks.positive("tolerance", tolerance, "JND")
     low = None if modes is None else BelowSchroeder.of(modes, room, measured)
     room, measured = (low.room, low.above(measured)) if low else (room, measured)
