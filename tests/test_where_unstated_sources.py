@@ -1,4 +1,4 @@
-"""Sources of which nothing is stated: what a loudspeaker does is not claimed of the room."""
+"""Sources of which nothing, or an index, is stated: their lobes are not claimed of the room."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.typing import ArrayLike
 
 import rtcal as rt
 from rtcal.finder.positions import model_error
@@ -21,17 +22,26 @@ SPEAKERS = {
 }
 
 
+INDEX = (3.0, 6.0, 8.0)
+"""Of the loudspeakers, in dB."""
+
+
 def box(**options: object) -> PathTracing:
     return tracing(stated(), sources=SPEAKERS, receivers=MICROPHONE, **options)
+
+
+def aimed(index: ArrayLike) -> dict[str, rt.Directivity]:
+    """The loudspeakers' lobes, which aim at the microphone."""
+    return {
+        name: rt.Directivity(index=index, aim=tuple(np.subtract(MICROPHONE["M"], point)))
+        for name, point in SPEAKERS.items()
+    }
 
 
 @pytest.fixture(scope="module")
 def measured() -> rt.Measurement:
     """The box as it is stated, measured with loudspeakers that aim at the microphone."""
-    lobes = {
-        name: rt.Directivity(index=[3, 6, 8], aim=tuple(np.subtract(MICROPHONE["M"], point)))
-        for name, point in SPEAKERS.items()
-    }
+    lobes = aimed(INDEX)
     return heard(box(scattering=0.45, n_paths=9600, directivity=lobes), stated().alpha)
 
 
@@ -59,13 +69,58 @@ def test_loudspeakers_of_which_nothing_is_stated_are_not_claimed_of_the_room(
     assert taken.detected
 
 
-def test_lobes_are_those_of_the_sources_of_which_nothing_is_stated() -> None:
+@pytest.mark.long
+@pytest.mark.parametrize("off", [0.0, -1.5, 1.5], ids="{:+g} dB".format)
+def test_an_index_that_is_off_is_not_claimed_of_the_room(
+    measured: rt.Measurement, kept: Path, monkeypatch: pytest.MonkeyPatch, off: float
+) -> None:
+    index = np.add(INDEX, off)
+    case = rt.finder.positions.PositionsCase(
+        simulator=box(n_paths=800, directivity=aimed(index)), measured=measured, match=MATCH
+    )
+    finding = rt.finder.positions.find(case, cache=kept)
+    assert not finding.detected
+    assert any("not taken as stated" in note for note in finding.notes) == (off != 0)
+    assert finding.parameters == (("t20",) if off else MATCH)
+    monkeypatch.setattr(model_error, "LIKELY_LOBES", np.inf)
+    exact = rt.finder.positions.find(case, cache=kept)
+    assert (exact.score > 20) == (off != 0)
+
+
+@pytest.mark.long
+def test_what_absorbs_is_found_with_a_stated_index(kept: Path) -> None:
+    """All parameters count where the index is right."""
+    absorbing = stated().alpha.copy()
+    absorbing[5] += 0.6
+    lobes = aimed(INDEX)
+    heard_there = heard(box(scattering=0.45, n_paths=9600, directivity=lobes), absorbing)
+    case = rt.finder.positions.PositionsCase(
+        simulator=box(n_paths=800, directivity=lobes), measured=heard_there, match=MATCH
+    )
+    finding = rt.finder.positions.find(case, cache=kept)
+    assert finding.detected
+    assert finding.parameters == MATCH
+    assert sum(p for f, p in finding.families.items() if f.startswith("added absorption")) > 0.9
+
+
+def test_lobes_are_those_of_sources_of_which_nothing_or_an_index_is_stated() -> None:
     made = model_error.lobes(tracing(stated(), directivity={"S1": "unknown"}))
-    assert [list(lobes) for lobes in made] == [[1]] * 7
+    assert [list(lobes) for lobes in made] == [["S2"]] * 7
     middle = np.mean(list(RECEIVERS.values()), axis=0)
-    assert made[0][1].aim == pytest.approx(middle - SOURCES["S2"])
+    assert made[0]["S2"].aim == pytest.approx(middle - SOURCES["S2"])
     among = tracing(stated(), sources={"S": tuple(middle)})
-    assert np.linalg.norm(model_error.lobes(among)[0][0].aim) > 0
+    assert np.linalg.norm(model_error.lobes(among)[0]["S"].aim) > 0
+    balloon = rt.Directivity(gains=np.ones((3, 7, 4)), aim=(1, 0, 0))
+    omnidirectional = rt.Directivity(index=0, aim=(1, 0, 0))
+    exact = tracing(stated(), directivity={"S1": balloon, "S2": omnidirectional})
+    assert model_error.lobes(exact) == [{}] * 7
+    lobe = rt.Directivity(index=[3, 6, 24], aim=(0, 1, 0))
+    together, own = model_error.lobes(tracing(stated(), directivity={"S1": lobe, "S2": balloon}))[
+        :2
+    ]
+    assert together["S1"].index == pytest.approx([5, 8, 25])
+    assert own["S1"].index == pytest.approx([3.5, 6.5, 24.5])
+    assert together["S1"].aim == own["S1"].aim == lobe.aim
 
 
 def test_the_covariance_is_that_of_aims_that_are_drawn() -> None:

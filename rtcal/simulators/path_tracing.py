@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from itertools import repeat
@@ -11,6 +11,7 @@ from typing import Any, ClassVar, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from rtcal.acoustics.directivity import Directivity
 from rtcal.acoustics.observables import MATCH, longest
 from rtcal.simulators import observations, path_trace, paths
 from rtcal.simulators.base import check_alpha
@@ -150,6 +151,14 @@ class PathTracing(DirectedSources, Tracer):
             radius=self.radius or LARGER * self.geometry.volume ** (1 / 3),
             thinned=_THINNED * eyring_seconds(self.room, self.room.alpha),
         )
+
+    def aimed(self, directivity: Mapping[str, Directivity]) -> PathTracing:
+        """Return the tracing with other directivities of some sources, and the paths it has traced."""
+        changed = replace(self, directivity={**self.directivity, **directivity})
+        omnidirectional = 2  # a key with a band, too, has the paths of its directivity
+        kept = {key: of for key, of in self._traced.items() if len(key) == omnidirectional}
+        changed._traced.update(kept)
+        return changed
 
     def trace_ahead(self, alpha: Array, factor: float, *, seed: int = 0) -> None:
         """Trace the paths for ``factor`` times Eyring's T for alpha (n_materials, n_bands).

@@ -25,6 +25,7 @@ from rtcal.finder.positions.model_error import (
     TracingError,
     covariance_of_lobes,
     levels,
+    lobes,
     simulator_error,
 )
 from rtcal.finder.positions.responses import AIR, STEP, TRACINGS, PairShifts
@@ -65,7 +66,7 @@ class PositionsProblem:
     error : TracingError
     levels : ScatteringLevels
     aimed : array (n, n), optional
-        Covariance of what lobes change of sources of which nothing is stated; None where all are.
+        Covariance of what other lobes of the sources change; None where no source may have any.
     nodes : mapping of str to array (n_bands, n_values, n_nodes)
     """
 
@@ -103,7 +104,7 @@ class PositionsProblem:
     ) -> Likelihoods:
         """Return the likelihoods with coefficients as stated, off together, and of the unknown.
 
-        With ``aimed`` the sources of which nothing is stated have lobes.
+        With ``aimed`` the sources have other lobes (`model_error.lobes`).
         """
         error = self.simulator_error(without)
         base = self.alpha @ self.alpha.T + self.measurement + error
@@ -196,7 +197,7 @@ def problem_of(case: PositionsCase, made: PairShifts, controls: ControlRuns) -> 
         error=error,
         levels=levels(of_levels.reshape(len(of_levels), *stated.shape[:2], -1)),
         aimed=covariance_of_lobes(shifted(made.aimed), wanted.pairs, room.centre_frequencies)
-        if set(tracer.sources) - set(tracer.directivity)
+        if lobes(tracer)[0]
         else None,
         nodes=nodes,
     )

@@ -20,7 +20,14 @@ from rtcal.acoustics.observables import MATCH
 from rtcal.acoustics.scene import plain_directivities
 from rtcal.finder.positions import surfaces as of_room
 from rtcal.finder.positions.case import PositionsCase
-from rtcal.finder.positions.model_error import AIMS, LOBE_INDEX, TRACED, lobes
+from rtcal.finder.positions.model_error import (
+    AIMS,
+    INDEX_ERROR,
+    LOBE_INDEX,
+    OWN_INDEX_ERROR,
+    TRACED,
+    lobes,
+)
 from rtcal.finder.positions.weighing import MOVE, SECOND_ROOMS, Weighing, displaced
 from rtcal.loop.control_runs import share_of_signal
 from rtcal.loop.scattering import scattered
@@ -81,7 +88,7 @@ class PairShifts:
     levels : array (n_parameters, n_pairs, n_bands, n_levels)
         Where the whole room scatters more or less, by `model_error.TRACED`.
     aimed : array (n_parameters, n_pairs, n_bands, n_aims)
-        Where sources of which nothing is stated are loudspeakers (`model_error.lobes`).
+        Where the sources have other lobes (`model_error.lobes`).
     materials : array (n_parameters, n_pairs, n_bands, n_materials)
         Where a material's alpha is larger by `STEP` of the way to 1.
     scattering : array (n_parameters, n_pairs, n_bands, n_materials)
@@ -171,7 +178,8 @@ def _of_tracing(
     ]
     volume = [weighing.observe(weighing.alpha, stretch=float(np.exp(t / 3))) for t in VOLUME]
     aimed = [
-        replace(weighing, lobes=of).observe(weighing.alpha) if of else base for of in lobes(tracer)
+        replace(weighing, tracer=tracer.aimed(of)).observe(weighing.alpha) if of else base
+        for of in lobes(tracer)
     ]
     # Only paths of the model "random" tell the derivatives.
     if tracer.scattering_model != "random":
@@ -421,6 +429,17 @@ def key_of(case: PositionsCase, seed: int) -> str:
         plain_directivities(tracer.directivity),
         list(parameters(case)),
         [TRACINGS, BASE, DENSER, LARGER, STEP, seed],
-        [SHARES, SECOND_ROOMS, AIR, VOLUME, TRACED, MOVE, LOBE_INDEX, __version__],
+        [
+            SHARES,
+            SECOND_ROOMS,
+            AIR,
+            VOLUME,
+            TRACED,
+            MOVE,
+            LOBE_INDEX,
+            INDEX_ERROR,
+            OWN_INDEX_ERROR,
+            __version__,
+        ],
     ]
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:32]

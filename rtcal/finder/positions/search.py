@@ -187,13 +187,18 @@ def find_by_positions(
 
     numbers, hypotheses, evidence = searched(case)
     score, noise = scores(weights(evidence, hypotheses), hypotheses)
-    aimed = 0.0
+    reverberation = any(observable(p).part == "late" for p in numbers.data.observations.parameters)
+    with_index = list(model_error.with_index(case.simulator))
+    aimed, unexplained = 0.0, False
     if score[0] > threshold and numbers.aimed is not None:
         residuals = numbers.residual[:, np.newaxis]
         lobes = evaluate(numbers.likelihoods(aimed=True), hypotheses, residuals)
         aimed = float(gain(lobes, evidence, hypotheses)[0])
-    if aimed > model_error.LIKELY_LOBES:
-        if any(observable(p).part == "late" for p in numbers.data.observations.parameters):
+        told = summary_of(case, hypotheses, weights(evidence, hypotheses, TOLD_TEMPER))
+        unexplained = bool(with_index) and told.probabilities[UNKNOWN] >= CLAIMED and reverberation
+    doubted = aimed > model_error.LIKELY_LOBES or unexplained
+    if doubted:
+        if reverberation:
             case = model_error.as_unknown(case)
             numbers, hypotheses, evidence = searched(case)
         else:  # nothing is left that says as much whatever the source
@@ -211,8 +216,8 @@ def find_by_positions(
         posterior = with_families(posterior, hypotheses, means.families)
     likelihood = numbers.likelihoods()[0].with_one_level()
     finding = _finding(case, numbers, hypotheses, posterior, likelihood, detected, effects)
-    notes = (*finding.notes, model_error.lobes_in_words(aimed), untried(effects))
-    notes = (*notes, *([CHOSEN] if left_out else []))
+    notes = (*finding.notes, model_error.lobes_in_words(aimed, with_index if doubted else ()))
+    notes = (*notes, untried(effects), *([CHOSEN] if left_out else []))
     return replace(finding, left_out=tuple(left_out), notes=tuple(filter(None, notes)))
 
 

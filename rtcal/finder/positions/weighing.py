@@ -17,7 +17,7 @@ a source, convolved with h(t), is what comes back to all of them:
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import product
 from typing import Any
@@ -26,7 +26,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
-from rtcal.acoustics.directivity import Directivity
 from rtcal.acoustics.observables import TARGET, longest
 from rtcal.acoustics.room import Room
 from rtcal.finder.effects.stated import HARD
@@ -161,8 +160,6 @@ class Weighing:
     match: Sequence[str]
     seed: int = 0
     seconds: float = 0.0
-    lobes: Mapping[int, Directivity] = field(default_factory=dict)
-    """Other directivities than the tracer's, of one band, by the number of the source."""
 
     @property
     def alpha(self) -> Array:
@@ -346,8 +343,7 @@ class Weighing:
         """Return the band's paths with each face as a material of its own."""
         traced = self.tracer.traced(band, self.seconds, seed=self.seed)
         n_faces = len(traced.materials)
-        by_face = replace(traced, materials=np.arange(n_faces), n_materials=n_faces)
-        return by_face.aimed(self.lobes, self.tracer.to_receivers) if self.lobes else by_face
+        return replace(traced, materials=np.arange(n_faces), n_materials=n_faces)
 
 
 MOVE = 0.5
