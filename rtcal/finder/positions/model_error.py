@@ -16,10 +16,10 @@ the sources have some lobe. It is an error of what is simulated: its index is of
 together. Where the lobes are likelier, the directivities are taken as unknown.
 
 A stated index says how strong a lobe is, to some dB, and little of its shape. Taken as exact in a box
-with ten loudspeakers and nothing hidden, an index that is 1.5 dB off gives more than 20 nats for another
-volume or a displaced source (tests/test_where_unstated_sources.py). So a source with a stated index is
-tried with another one, too. What then agrees with nothing that is tried
-("unknown") may be the lobes' shape, and is no finding of the room.
+with ten loudspeakers and nothing hidden, an index that is 1.5 dB off gives more than 20 nats for
+another volume or a displaced source (tests/test_where_unstated_sources.py). So a source with a stated
+index is tried with another one, too. What then agrees with nothing that is tried ("unknown") may be the
+lobes' shape, and is no finding of the room.
 """
 
 from __future__ import annotations
