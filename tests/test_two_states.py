@@ -203,6 +203,8 @@ def test_the_changed_room_has_t_of_the_second_state(panels: StatesFinding) -> No
     )
     assert (changed.room.alpha <= 1).all()
     assert any("not told" in note for note in changed.notes)
+    says = changed.room.sources.values()
+    assert list(says) == ["changed by rtcal find: two states"] * changed.room.n_materials
     result = rt.calibrate(changed.room, panels.case.after, method="soft")
     assert np.abs(result.shift_in_sigmas).max() < 1
     back = rt.find(panels.case.room, panels.case.before, before=panels.case.after).apply()

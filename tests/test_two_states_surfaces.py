@@ -119,6 +119,7 @@ def test_the_changed_room_has_the_claimed_wall_as_a_material(
     room = changed.room
     row = room.material_index("east, changed")
     assert room.areas[row] == pytest.approx(15)
+    assert room.sources["east, changed"] == "changed by rtcal find: two states"
     np.testing.assert_allclose(room.areas @ room.alpha, finding.area + finding.change[0], rtol=0.02)
     # Half of what the wall reflected, of coefficients scaled to T before.
     assert (room.alpha[row] > 0.35).mean() > 0.5

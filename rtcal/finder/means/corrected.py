@@ -53,10 +53,10 @@ def corrected_room(case: Case) -> Room:
 
     By the model's equation it has the absorption area and T of the case's model, without what
     `not_in_room` lists. (A calibration of Millington's model uses Eyring's equation.) A change of a
-    stated material, such as a cover, is in its row. Absorbers are materials after the stated ones, with
-    the walls' mean scattering. Their sigma, and that of a changed material, contains the interval of
-    the effect's size. An absorber's area is larger than the effect's, so that alpha = 1 is the upper
-    end of the interval.
+    stated material, such as a cover, is in its row, and its source says so. Absorbers are materials
+    after the stated ones, with the walls' mean scattering. Their sigma, and that of a changed material,
+    contains the interval of the effect's size. An absorber's area is larger than the effect's, so that
+    alpha = 1 is the upper end of the interval.
 
     Raises DataError for coefficients below 0 or above 1.
     """
@@ -269,8 +269,12 @@ def _corrected(case: Case) -> _Corrected:
     first = before = state(replace(case, applied=()), base)
     absent, last_air = dict[str, str](), "air"
     gains: dict[str, list[tuple[AppliedEffect, Array]]] = {"covering": [], "objects": []}
+    sources = dict(room.sources)
     for p in case.applied:
         after = with_applied(before, [p], base)
+        for row in np.flatnonzero((after.alpha != before.alpha).any(axis=1)).tolist():
+            name = room.materials[row]
+            sources[name] = "; ".join(filter(None, [sources.get(name, ""), _changed_by(p)]))
         for name, each in gains.items():
             gain = getattr(after, name) - getattr(before, name) + np.zeros(room.n_bands)
             if gain.any():
@@ -294,6 +298,7 @@ def _corrected(case: Case) -> _Corrected:
         alpha=whole.alpha,
         sigma=_sigma(case, first, whole),
         alpha_min=None if room.alpha_min is None else np.minimum(room.alpha_min, whole.alpha),
+        sources=sources,
     )
     if whole.volume != room.volume or not np.array_equal(whole.areas, room.areas):
         stated = stated.replace(
@@ -340,8 +345,7 @@ def _with_absorbers(
             names.append(new_name(names, p.name))
             source = ""
             if p.size_interval is not None:
-                size = amount(p.parameters[p.effect.size], p.effect.unit, p.size_interval)
-                source = f"rtcal find: {size}; the area leaves room for more"
+                source = f"rtcal find: {_size(p)}; the area leaves room for more"
             alpha = equation.coefficient(absorber)
             mean_wall = stated.absorption_area / stated.total_area
             sigma = np.minimum(np.abs(alpha - mean_wall) * _spread(p), 1.0)
@@ -357,6 +361,15 @@ def _with_absorbers(
         further = [Further(m, area) for m, area in zip(materials, areas[n:], strict=True)]
         room = with_materials(stated, further, areas=areas[:n], surfaces=(), dimensions=None)
     return _Corrected(room, stated, whole, kept, tuple(shares), n_coverings, absent)
+
+
+def _changed_by(p: AppliedEffect) -> str:
+    """Return what a changed material's source says of an effect: its name and its size."""
+    return f"changed by rtcal find: {p.name}, {_size(p)}"
+
+
+def _size(p: AppliedEffect) -> str:
+    return amount(p.parameters[p.effect.size], p.effect.unit, p.size_interval).rstrip()
 
 
 def _is_air(air: Air | None, s: RoomState) -> bool:

@@ -351,7 +351,10 @@ def changed_room(
         alpha, sigma, lacking = _absorbing(
             before.alpha, before.sigma, before.areas, change[0], spread
         )
-        room = before.replace(alpha=alpha, sigma=sigma)
+        changed = (alpha != before.alpha).any(axis=1)
+        each = zip(before.materials, changed.tolist(), strict=True)
+        sources = {name: _source([before.sources.get(name, "")]) for name, so in each if so}
+        room = before.replace(alpha=alpha, sigma=sigma, sources={**before.sources, **sources})
         notes.append("Where it changed is not told: every material has its share.")
     for k in np.flatnonzero(np.abs(lacking) > _TOLD * np.abs(change[0])).tolist():
         notes.append(
@@ -374,6 +377,11 @@ def changed_room(
         geometry=geometry,
         notes=tuple(notes),
     )
+
+
+def _source(stated: Sequence[str]) -> str:
+    """Return the source of a material that changed, of the sources of what was there."""
+    return "; ".join([*filter(None, dict.fromkeys(stated)), "changed by rtcal find: two states"])
 
 
 def _absorbing(
@@ -399,7 +407,7 @@ def _on_surfaces(
     """Return room and geometry in which each claimed surface has a material of its own."""
     geometry, faces = simulator.geometry, of_room.of_geometry(simulator.geometry)
     scattering, left = simulator.scattering, before.areas.copy()
-    rows, names, areas = [], [], []
+    rows, names, areas, sources = [], [], [], []
     taken, materials = list(before.materials), list(geometry.materials)
     for surface in surfaces:
         of_face = before.material_rows([geometry.materials[i] for i in faces[surface]])
@@ -408,6 +416,8 @@ def _on_surfaces(
         rows.append(weights / weights.sum())
         areas.append(float(weights.sum()))
         left = np.maximum(left - weights, 0.0)
+        below = [before.materials[i] for i in np.flatnonzero(weights).tolist()]
+        sources.append(_source([before.sources.get(name, "") for name in below]))
         names.append(new_name(taken, f"{surface}, changed"))
         taken.append(names[-1])
         for i in faces[surface]:
@@ -418,9 +428,9 @@ def _on_surfaces(
     )
     kept = [i for i in range(before.n_materials) if left[i] > 1e-6 * before.total_area]
     further = [
-        Further(Material(name, a.tolist(), s.tolist(), scattering=scatter.tolist()), area)
-        for name, a, s, scatter, area in zip(
-            names, alpha, sigma, mix @ scattering, areas, strict=True
+        Further(Material(name, a.tolist(), s.tolist(), 0.0, scatter.tolist(), source), area)
+        for name, a, s, scatter, source, area in zip(
+            names, alpha, sigma, mix @ scattering, sources, areas, strict=True
         )
     ]
     geometry = replace(geometry, materials=materials)
