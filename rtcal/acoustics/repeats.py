@@ -9,17 +9,23 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from urllib.parse import quote, unquote
 
 import numpy as np
 
 from rtcal.acoustics.materials import ARCHIVE
+from rtcal.acoustics.observables import OBSERVABLES, parameter_label
 from rtcal.acoustics.room import Room
 from rtcal.support.errors import DataError
 from rtcal.support.text import first_of
 from rtcal.support.types import Array
 
+Pair = tuple[str, str]
+
 _SAME = 1e-4
 """Largest difference of the same data, relative above 1."""
+NEARLY_ALL = 0.9
+"""Least share of equal values, of those that two names of the same data both have."""
 
 
 def fingerprint(kind: str, values: Mapping[str, float]) -> str:
@@ -45,13 +51,26 @@ def of_modes(frequencies: Array, decays: Array) -> str:
     return fingerprint("modes", dict(zip(labels, decays.tolist(), strict=True)))
 
 
+def of_pairs(
+    parameter: str, pairs: Sequence[Pair], values: Array, centre_frequencies: Array
+) -> str:
+    """Return the name of a parameter's values at pairs, (n_pairs, n_bands)."""
+    cells = {
+        f"{'>'.join(quote(name, safe='') for name in pair)}@{f:g}": value
+        for pair, row in zip(pairs, values.tolist(), strict=True)
+        for f, value in zip(centre_frequencies.tolist(), row, strict=True)
+    }
+    return fingerprint(parameter, cells)
+
+
 def times_of(room: Room) -> Array:
     """Return the T in s that a calibrated room's record names, (n_bands,); NaN where it names none.
 
     A record with several T, as of several configurations, names none of the room alone.
     """
     times = np.full(room.n_bands, np.nan)
-    names = [] if room.calibration is None else room.calibration.measured.split()
+    every = [] if room.calibration is None else room.calibration.measured.split()
+    names = [name for name in every if name.partition(":")[0] not in OBSERVABLES]
     if len(names) != 1 or not names[0].startswith("T:"):
         return times
     cells = _cells(names[0])
@@ -69,37 +88,85 @@ def _cells(name: str) -> dict[str, str]:
 
 
 def same_data(one: str, other: str) -> bool:
-    """Whether two names are of the same data, to within a ten-thousandth in every value.
+    """Whether two names are of the same data, or one of a part of the other's.
 
-    No measurement is repeated so exactly; a program that rounds or converts changes less.
+    Values are one if they differ by a ten-thousandth at most: no measurement is repeated so exactly,
+    and a program that rounds or converts changes less. A single value, or some of many, may agree by
+    chance, the more so where they are rounded. So names are of the same data if `NEARLY_ALL` of the
+    values that both have are equal, and at least two, or all that either has. A measurement in which
+    more values were taken anew counts as another one.
 
     Examples
     --------
     >>> same_data("T:500=1.92000", "T:500=1.92001"), same_data("T:500=1.92000", "T:500=1.93000")
     (True, False)
+    >>> same_data("T:250=2.1,500=1.92,1000=1.7", "T:500=1.92,1000=1.7")
+    True
+    >>> same_data("T:250=2.1,500=1.92", "T:500=1.92,1000=1.7")
+    False
     """
-    if one == other or one.partition(":")[0] != other.partition(":")[0]:
-        return one == other
+    return bool(_shared(one, other))
+
+
+def _shared(one: str, other: str) -> list[str]:
+    """Return the labels of the values that two names of the same data share; [] for other data."""
+    if one.partition(":")[0] != other.partition(":")[0]:
+        return []
     of_one, of_other = _cells(one), _cells(other)
-    return of_one.keys() == of_other.keys() and all(
-        abs(float(v) - float(of_other[f])) <= _SAME * max(1.0, abs(float(v)))
-        for f, v in of_one.items()
-    )
+    if one == other:
+        return list(of_one) or [one]
+    both = [label for label in of_one if label in of_other]
+    equal = [label for label in both if _equal(of_one[label], of_other[label])]
+    least = 1 if of_one.keys() == of_other.keys() else 2
+    return equal if len(equal) >= max(least, NEARLY_ALL * len(both)) else []
+
+
+def _equal(one: str, other: str) -> bool:
+    try:
+        value = float(one)
+        return abs(value - float(other)) <= _SAME * max(1.0, abs(value))
+    except ValueError:  # a record that was written by hand
+        return one == other
 
 
 def refuse_repeated_data(room: Room, *names: str) -> None:
-    """Raise DataError if the room was calibrated already on the data of one of these names."""
+    """Raise DataError if the room was calibrated already on data of one of these names.
+
+    A name may hold several names of data, with blanks between. The message names the shared values.
+    """
     before = [] if room.calibration is None else room.calibration.measured.split()
-    if any(same_data(old, new) for old in before for new in names):
-        if room.calibration is not None and room.calibration.method == ARCHIVE:
-            raise DataError(
-                f'room "{room.name}" has the coefficients of an archive that has learned from these '
-                "data; calibrating to them would count them twice. Leave their room out of the archive"
-            )
+    anew = [one for name in names for one in name.split()]
+    found = ((new, _shared(new, old)) for old in before for new in anew)
+    name, shared = next((each for each in found if each[1]), ("", []))
+    if not shared:
+        return
+    what = first_of([_value_in_words(name.partition(":")[0], label) for label in shared], 3)
+    if room.calibration is not None and room.calibration.method == ARCHIVE:
         raise DataError(
-            f'room "{room.name}" was already calibrated on these data; doing so again would '
-            "count them twice. Take the room as it was before, or other data"
+            f'room "{room.name}" has the coefficients of an archive that has learned from these '
+            f"data ({what}); calibrating to them would count them twice. Leave their room out of the "
+            "archive"
         )
+    raise DataError(
+        f'room "{room.name}" was already calibrated on these data ({what}); doing so again would '
+        "count them twice. Take the room as it was before, or other data"
+    )
+
+
+def _value_in_words(kind: str, label: str) -> str:
+    """Return a value's label in a name of data as a message names it.
+
+    >>> _value_in_words("t20", "S1>R1@500"), _value_in_words("T", "500")
+    ('T20 of S1 to R1 at 500 Hz', 'T at 500 Hz')
+    """
+    pair, _, band = label.rpartition("@")
+    if pair:
+        places = " to ".join(unquote(name) for name in pair.split(">"))
+        return f"{parameter_label(kind)} of {places} at {band} Hz"
+    if kind == "pairs":
+        parameter, _, band = label.rpartition("-")
+        return f"mean {parameter_label(parameter)} at {band} Hz"
+    return f"{'mode' if kind == 'modes' else kind} at {band} Hz"
 
 
 def of_room(room: Room) -> list[bytes]:
@@ -114,8 +181,6 @@ def of_room(room: Room) -> list[bytes]:
     )
     return [*(m.encode() for m in room.materials), *(np.asarray(n).tobytes() for n in numbers)]
 
-
-Pair = tuple[str, str]
 
 SAME_PLACE = 0.01
 """Distance in m within which two positions are one place: no microphone is put back more exactly."""

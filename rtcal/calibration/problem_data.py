@@ -77,7 +77,7 @@ def times_in_room(room: Room, measured: Measurement | Sequence[float] | Array) -
             uncertainty=decay.uncertainty,
             parameter=decay.parameter,
             ignored=tuple(band_conversion.unused(stated, wanted).tolist()),
-            fingerprint=repeats.of_times(room, mean),
+            fingerprint=" ".join([repeats.of_times(room, mean), *_at_pairs(in_room)]),
             caution=". ".join(filter(None, cautions)),
             bent=bent_decays(in_room),
         )
@@ -101,6 +101,15 @@ def times_in_room(room: Room, measured: Measurement | Sequence[float] | Array) -
         repeats.of_times(room, times),
         "",
     )
+
+
+def _at_pairs(measured: Measurement) -> list[str]:
+    """Return the names of T20 and T30 at every pair; [] of a mean, which T itself names."""
+    if measured.is_summary:
+        return []
+    f = measured.centre_frequencies
+    tables = {o.key: measured.values[o.key] for o in REVERBERATION if o.key in measured.values}
+    return [repeats.of_pairs(key, measured.pairs, table, f) for key, table in tables.items()]
 
 
 def copied(measured: Measurement) -> str:

@@ -27,7 +27,7 @@ from rtcal.acoustics.observables import (
     parameter_label,
 )
 from rtcal.acoustics.quality import gap_jnd
-from rtcal.acoustics.repeats import fingerprint, refuse_repeated_data
+from rtcal.acoustics.repeats import fingerprint, of_pairs, refuse_repeated_data
 from rtcal.acoustics.room import Room
 from rtcal.calibration.problem_data import copied, times_in_room
 from rtcal.simulators.observations import Observations
@@ -218,17 +218,26 @@ def _with_level(observations: Observations, levels: Array) -> Observations:
 
 
 def fingerprints(room: Room, observations: Observations, measured: Measurement) -> tuple[str, ...]:
-    """Return the names of the data; DataError if the room was calibrated on some of them."""
+    """Return the names of the data; DataError if the room was calibrated on some of them.
+
+    A relative level has no name at every pair: alone it is 0, and its mean changes with the pairs.
+    """
     means = {
         f"{p}-{f:g}": float(np.nanmean(values)) if np.isfinite(values).any() else np.nan
         for p, of_parameter in zip(observations.parameters, observations.values, strict=True)
         for f, values in zip(observations.centre_frequencies, of_parameter.T, strict=True)
     }
-    names: tuple[str, ...] = (fingerprint("pairs", means),)
+    names = [fingerprint("pairs", means)]
     if {o.key for o in REVERBERATION} & set(measured.values):
-        names = (*names, times_in_room(room, measured).fingerprint)
+        names += times_in_room(room, measured).fingerprint.split()
+    names += [
+        of_pairs(p, observations.pairs, of_parameter, observations.centre_frequencies)
+        for p, of_parameter in zip(observations.parameters, observations.values, strict=True)
+        if p != LEVEL.key
+    ]
+    names = list(dict.fromkeys(names))
     refuse_repeated_data(room, *names)
-    return names
+    return tuple(names)
 
 
 def history(room: Room) -> list[str]:

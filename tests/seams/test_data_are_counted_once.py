@@ -46,6 +46,69 @@ def test_every_position(room_and_times, change: float) -> None:
     assert names(room.replace(calibration=record), 0.01)
 
 
+def test_a_part_of_the_data_counts_once_too(room_and_times) -> None:
+    room, times = room_and_times
+    part = times.copy()
+    part[0] = np.nan
+    of_part, of_all = (rt.calibrate(room, t).room for t in (part, times))
+    with pytest.raises(DataError, match=r"on these data \(T at 250 Hz, T at 500 Hz, T at 1000 Hz"):
+        rt.calibrate(of_part, times)
+    with pytest.raises(DataError, match="already calibrated on these data"):
+        rt.calibrate(of_all, part)
+
+
+def test_values_that_agree_by_chance_are_other_data(room_and_times) -> None:
+    """One band's rounded T, or a third of the bands'."""
+    room, times = room_and_times
+    once = rt.calibrate(room, times).room
+    for equal in ([2], [1, 4]):
+        other = 1.02 * times
+        other[equal] = times[equal]
+        rt.calibrate(once, other)
+
+
+PLACES = [("S 1", f"R,{i}") for i in range(4)]
+"""Names with characters that a record sets apart."""
+
+
+def at_places(room: rt.Room, times: np.ndarray, kept: list[int], **scale: float) -> rt.Measurement:
+    spread = times * (1 + 0.03 * np.arange(len(PLACES)))[:, np.newaxis]
+    return rt.Measurement(
+        centre_frequencies=room.centre_frequencies,
+        values={name: (factor * spread)[kept] for name, factor in scale.items()},
+        pairs=[PLACES[i] for i in kept],
+    )
+
+
+@pytest.mark.parametrize("entry", ["mean", "positions"])
+def test_a_pair_is_left_out(room_and_times, entry: str, tmp_path) -> None:
+    room, times = room_and_times
+
+    def data_of(of: rt.Room, kept: list[int], **scale: float) -> str:
+        measured = at_places(of, times, kept, **scale)
+        if entry == "mean":
+            return rt.calibrate(of, measured).room.calibration.measured
+        observations = Observations.of_measurement(measured, tuple(scale), measured.pairs)
+        return " ".join(fingerprints(of, observations, measured))
+
+    names = data_of(room, [0, 1, 2], t20=1.0)
+    record = rt.acoustics.room.CalibrationRecord(method="fit", equation="", measured=names)
+    room.replace(calibration=record).save(str(tmp_path / "room.toml"))
+    once = rt.Room.from_file(str(tmp_path / "room.toml"))
+    for kept in ([0, 1], [1, 2, 0], [0, 1, 2]):
+        with pytest.raises(DataError, match="already calibrated on these data"):
+            data_of(once, kept, t20=1.0)
+    with pytest.raises(DataError, match=r"T20 of S 1 to R,2 at 125 Hz"):
+        data_of(once, [2, 3], t20=1.0)
+    assert data_of(once, [3], t20=1.0)  # another pair
+    assert data_of(once, [0, 1, 2], t20=1.01)  # another state, or the same one measured again
+    assert data_of(once, [0, 1, 2], t30=1.01)  # another parameter
+    if entry == "positions":
+        assert data_of(once, [0, 1, 2], edt=1.0)
+        with pytest.raises(DataError, match="already calibrated on these data"):
+            data_of(once, [0, 1], t20=1.0, edt=1.1)
+
+
 def test_a_file_keeps_the_record(room_and_times, tmp_path) -> None:
     room, times = room_and_times
     rt.calibrate(room, times).room.save(str(tmp_path / "room.toml"))
