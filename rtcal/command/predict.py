@@ -203,12 +203,14 @@ def measured_states(
     room: str, measured: str | None, also: tuple[tuple[str, str], ...]
 ) -> tuple[Room, tuple[State, ...]]:
     """Return the room, and its measured states: none, one or several."""
+    from rtcal.acoustics.repeats import refuse_repeated_data
     from rtcal.acoustics.room import Room
     from rtcal.acoustics.states import State
     from rtcal.calibration.problem_data import times_in_room
 
     def state(stated: Room, path: str) -> State:
         times = times_in_room(stated, read_measured(path, quietly=True))
+        refuse_repeated_data(stated, times.fingerprint)  # a state does not know its pairs
         return State(stated, times.reverberation_time, times.uncertainty)
 
     if Path(room).is_dir():
