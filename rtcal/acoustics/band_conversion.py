@@ -112,6 +112,21 @@ def rule(frequencies: Iterable[float], wanted: Iterable[float], quantity: str) -
     return f"{quantity} is converted from third-octaves to octaves: {average}"
 
 
+def notes(measured: Iterable[float], wanted: Iterable[float], quantity: str = "T") -> list[str]:
+    """Return how a measurement is taken to a room's bands, and the bands that the room lacks.
+
+    Examples
+    --------
+    >>> notes([500, 1000], [500])
+    ['left out, not in the room: 1000 Hz']
+    """
+    stated = bands.as_bands(measured)
+    said = [rule(stated, wanted, quantity)]
+    if (left := unused(stated, wanted)).size:
+        said.append(f"left out, not in the room: {', '.join(bands.labels(left))}")
+    return [note for note in said if note]
+
+
 def absorption(values: Array, frequencies: Iterable[float], wanted: Iterable[float]) -> Array:
     """Return absorption coefficients or areas, or their sigma, in other bands.
 

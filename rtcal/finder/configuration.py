@@ -323,13 +323,9 @@ def in_room_bands(room: Room, c: Configuration) -> Configuration:
         measured = band_conversion.measurement_in_room_bands(c.measured, wanted)
     except DataError as error:
         raise DataError(f"{where}: {error}") from error
-    notes = [band_conversion.rule(stated, wanted, "T")]
-    unused = band_conversion.unused(stated, wanted)
-    if unused.size:
-        notes.append(f"left out, not in the room: {', '.join(bands.labels(unused))}")
-    if any(notes):
+    if notes := band_conversion.notes(stated, wanted):
         warnings.warn(
-            f"{where}: {'; '.join(filter(None, notes))}",
+            f"{where}: {'; '.join(notes)}",
             OtherBandsWarning,
             stacklevel=checks.stack_level(),
         )

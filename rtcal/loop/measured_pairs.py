@@ -32,6 +32,7 @@ from rtcal.acoustics.room import Room
 from rtcal.calibration.problem_data import copied, times_in_room
 from rtcal.simulators.observations import Observations
 from rtcal.support.errors import DataError
+from rtcal.support.text import as_sentence
 from rtcal.support.types import Array
 
 Pair = tuple[str, str]
@@ -136,7 +137,11 @@ def pairs_to_match(
         notes.append(f"Left out, since the simulator has no such pair: {_names(unknown)}.")
     if exclude:
         notes.append(left_out(exclude))
-    in_room = band_conversion.measurement_in_room_bands(measured, room.centre_frequencies)
+    wanted = room.centre_frequencies
+    in_room = band_conversion.measurement_in_room_bands(measured, wanted)
+    times = any(observable(name).logarithmic for name in match)
+    what = "T" if times else "What was measured"
+    notes += map(as_sentence, band_conversion.notes(measured.centre_frequencies, wanted, what))
     level = ""
     if LEVEL.key in match:
         level = "relative" if LEVEL.key in measured.values else "absolute"

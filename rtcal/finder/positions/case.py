@@ -140,9 +140,7 @@ class PositionsCase:
         """Raise DataError for the first measured value that the program did not give."""
         kind = observable(name)
         key = kind.key_in(self.measured.values)
-        measured = band_conversion.measurement_in_room_bands(
-            self.measured, self.room.centre_frequencies
-        ).values[key]
+        measured = self.in_room.values[key]
         given = simulated.values.get(key, simulated.values.get(str(kind.stand_in)))
         for pair in self.pairs:
             there = np.isfinite(measured[self.measured.pairs.index(pair)])
@@ -220,6 +218,13 @@ class PositionsCase:
     def areas(self) -> dict[str, float]:
         """Area of each surface in m²."""
         return {n: float(self.geometry.face_areas[f].sum()) for n, f in self.faces.items()}
+
+    @cached_property
+    def in_room(self) -> Measurement:
+        """The measurement in the room's bands, NaN where it has none of them."""
+        return band_conversion.measurement_in_room_bands(
+            self.measured, self.room.centre_frequencies
+        )
 
     @property
     def pairs(self) -> tuple[Pair, ...]:

@@ -283,7 +283,7 @@ def evidence_of_means(
 
 def of_means(case: PositionsCase) -> Case:
     """Return the case without its geometry; DataError where it has no T that can be trusted."""
-    measured, tracer = case.measured, case.simulator
+    measured, tracer = case.in_room, case.simulator
     names = [observable(name).stand_in or name for name in case.match]
     rows = [measured.pairs.index(pair) for pair in case.pairs]
 

@@ -363,5 +363,5 @@ def _gap_in_jnd(
 
     A relative level has its mean over each source's pairs taken off.
     """
-    measured = Observations.of_measurement(case.measured, finding.parameters, pairs)
+    measured = Observations.of_measurement(case.in_room, finding.parameters, pairs)
     return gap_at_pairs(heard.at(measured), measured, relative=LEVEL.key in case.measured.values)

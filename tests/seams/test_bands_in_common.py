@@ -1,0 +1,86 @@
+"""A law: room and file may differ in bands. What both have is compared; the rest is said once."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.typing import ArrayLike
+
+import rtcal as rt
+from rtcal.acoustics import band_conversion
+from rtcal.datasets import examples
+from rtcal.finder import positions
+from rtcal.finder.effects import library
+from rtcal.support.errors import OtherBandsWarning
+
+pytest.importorskip("numba", reason="the paths are traced by compiled code (extra fast)")
+
+THIRDS = (200, 250, 315, 400, 500, 630, 800, 1000, 1250, 1600, 2000, 2500)
+IN_BANDS: dict[str, Callable[[rt.Measurement], rt.Measurement]] = {
+    "alike": lambda m: m,
+    "one more": lambda m: with_values(m, [*m.centre_frequencies, 4000], np.r_[0:4, 3]),
+    "one fewer": lambda m: with_values(m, m.centre_frequencies[1:], np.r_[1:4]),
+    "thirds": lambda m: band_conversion.measurement(m, THIRDS),
+}
+NOTES = {
+    "alike": [],
+    "one more": ["Left out, not in the room: 4000 Hz."],
+    "one fewer": ["Left out, since missing: 60 of 240 values."],
+    "thirds": [
+        "T is converted from third-octaves to octaves: the mean of 1/T over the three thirds."
+    ],
+}
+
+
+def with_values(measured: rt.Measurement, bands: ArrayLike, columns: np.ndarray) -> rt.Measurement:
+    values = {p: v[:, columns] for p, v in measured.values.items()}
+    return replace(measured, centre_frequencies=np.asarray(bands, dtype=float), values=values)
+
+
+@pytest.fixture(scope="module")
+def searched(
+    tmp_path_factory: pytest.TempPathFactory,
+) -> Callable[[str], positions.PositionsFinding]:
+    """Return the finding in the shipped room, whose file has other bands."""
+    kept = tmp_path_factory.mktemp("kept")
+    room = rt.Room.from_file(str(examples.path("where_room/room.toml")))
+    measured = rt.Measurement.from_file(str(examples.path("where_room/pairs.csv")))
+    curtain = [e for e in library() if e.name == "curtain"]
+
+    def of(bands: str) -> positions.PositionsFinding:
+        case = positions.PositionsCase.from_room(
+            room, IN_BANDS[bands](measured), tracing={"n_paths": 600}
+        )
+        with warnings.catch_warnings():
+            warnings.simplefilter("error", OtherBandsWarning)  # the notes say it
+            return positions.find(case, effects=curtain, cache=kept)
+
+    return of
+
+
+@pytest.fixture(scope="module")
+def gaps(searched: Callable[[str], positions.PositionsFinding]) -> np.ndarray:
+    return positions.verify(searched("alike")).gaps
+
+
+@pytest.mark.parametrize("bands", ["one more", "thirds", "one fewer"])
+def test_bands_in_common_are_compared(
+    bands: str, searched: Callable[[str], positions.PositionsFinding], gaps: np.ndarray
+) -> None:
+    """Another shape than the model's ended it, after the search."""
+    found = searched(bands)
+    about = ("Left out", "T is converted")
+    assert [note for note in found.notes if note.startswith(about)] == NOTES[bands]
+    made = positions.verify(found).gaps
+    assert made.shape == gaps.shape
+    if bands == "one fewer":
+        assert np.isnan(made[..., 0]).all()
+        assert np.isfinite(made[..., 1:]).all()
+        # What nothing was calibrated to is the same in the bands that are left.
+        np.testing.assert_allclose(made[0, ..., 1:], gaps[0, ..., 1:], atol=1e-9)
+    else:
+        np.testing.assert_allclose(made, gaps, atol=1e-6)
