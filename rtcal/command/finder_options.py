@@ -384,7 +384,7 @@ def verify_change(
         loaded = load(earlier)
         if not isinstance(loaded, StatesFinding):
             raise DataError(f"--finding {earlier} holds no finding of two states")
-        _refuse_options_of_one_state(inputs, search)
+        _refuse_options_of_one_state(inputs, search, traced=False)
         two = {"before": before, "after": str(inputs.measured)}
         measured = {name: read_measured(path) for name, path in two.items()}
         result = verify(loaded, **measured)
@@ -406,13 +406,18 @@ def apply_change(
     return add_to_folder(finding, finding.apply, folder)
 
 
-def _refuse_options_of_one_state(inputs: Inputs, search: Search) -> None:
-    """Raise DataError without a room and a measurement, and for options of a search in one state."""
+def _refuse_options_of_one_state(inputs: Inputs, search: Search, *, traced: bool) -> None:
+    """Raise DataError without a room and a measurement, and for options of a search in one state.
+
+    The scattering is of both, where paths are ``traced``.
+    """
     if inputs.measured is None:
         raise DataError(
             "--before needs a room and what was measured after: ROOM AFTER --before BEFORE"
         )
     refused = {**inputs.stated, "--prior": search.prior, "--engine": search.engines_stated}
+    if traced and inputs.at_positions:
+        refused.pop("--scattering", None)
     for option, value in refused.items():
         if value:
             raise DataError(f"{option} is not of a search for what changed between two states")
@@ -423,20 +428,21 @@ def _what_changed(
 ) -> StatesFinding:
     """Find what changed; no file that is read may be among the targets."""
     from rtcal.acoustics.room import Room
-    from rtcal.finder.search import find
+    from rtcal.finder.search import case_of, find
     from rtcal.support.files import spare
 
-    _refuse_options_of_one_state(inputs, search)
+    _refuse_options_of_one_state(inputs, search, traced=True)
     measured = str(inputs.measured)
     spare(targets, [inputs.case, measured, before])
     room = Room.from_file(inputs.case)
     if room.scene.mesh is not None:
         spare(targets, [room.scene.mesh])
-    return find(
-        room,
-        read_measured(measured, quietly=True),
-        before=read_measured(before, quietly=True),
-        only=search.only,
-        without=search.without,
-        seed=search.seed,
-    )
+    scattering = {} if inputs.scattering is None else {"scattering": inputs.scattering}
+    with errors_name_options("scattering"):
+        case: Any = case_of(
+            room,
+            read_measured(measured, quietly=True),
+            before=read_measured(before, quietly=True),
+            tracing=scattering,
+        )
+    return find(case, only=search.only, without=search.without, seed=search.seed)

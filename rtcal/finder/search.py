@@ -39,7 +39,7 @@ def case_of(
     """Return the case of a room and what was measured in it: of its positions, where both have them.
 
     With ``before`` it is that of two states. ``stated`` are further parameters of
-    `positions.PositionsCase`, and of no other.
+    `positions.PositionsCase.from_room`; of them two states have ``tracing`` alone.
     """
     checks.instance("room", room, Room)
     checks.instance("measured", measured, Measurement)
@@ -48,7 +48,9 @@ def case_of(
     if before is not None:
         pairs = not (measured.is_summary or before.is_summary)
         if simulator is None and pairs and room.scene.sources:
-            simulator = geometry_files.path_tracing(room)
+            simulator = geometry_files.path_tracing(room, **stated.pop("tracing", {}))
+        for name in filter(stated.get, stated):
+            raise DataError(f"{name} is not of a search for what changed between these two states")
         return states.StatesCase(room=room, before=before, after=measured, simulator=simulator)
     if not measured.is_summary and simulator is not None:
         return positions.PositionsCase(simulator=simulator, measured=measured, **stated)
