@@ -445,4 +445,5 @@ def _what_changed(
             before=read_measured(before, quietly=True),
             tracing=scattering,
         )
-    return find(case, only=search.only, without=search.without, seed=search.seed)
+    found: StatesFinding = find(case, only=search.only, without=search.without, seed=search.seed)
+    return found
