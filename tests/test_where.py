@@ -242,6 +242,20 @@ def test_a_receiver_that_stands_elsewhere_is_a_hint(kept: Path) -> None:
     assert finding.surface is None
 
 
+def test_t30_is_matched_where_t20_is_absent(kept: Path) -> None:
+    """It was refused, as if nothing had been measured."""
+    model = tracing(stated())
+    every = heard(model, model.room.alpha, match=("t20", "t30"))
+    alone = heard(model, model.room.alpha, match=("t30",))
+    case = rt.finder.positions.PositionsCase(simulator=model, measured=alone)
+    assert case.match == ("t30", *MATCH[1:])
+    finding = rt.finder.positions.find(case, cache=kept)
+    assert finding.parameters == ("t30",)
+    assert "T30 is matched in place of T20, which was not measured." in finding.notes
+    both = rt.finder.positions.PositionsCase(simulator=model, measured=every)
+    assert both.match == MATCH
+
+
 def test_the_user_says_where_on_which_surface(
     finding: rt.finder.positions.PositionsFinding,
 ) -> None:

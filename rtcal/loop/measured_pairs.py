@@ -23,6 +23,7 @@ from rtcal.acoustics.observables import (
     LEVEL,
     OBSERVABLES,
     REVERBERATION,
+    TARGET,
     observable,
     parameter_label,
 )
@@ -30,7 +31,7 @@ from rtcal.acoustics.quality import gap_jnd
 from rtcal.acoustics.repeats import fingerprint, of_pairs, refuse_repeated_data
 from rtcal.acoustics.room import Room
 from rtcal.calibration.problem_data import copied, times_in_room
-from rtcal.simulators.observations import Observations
+from rtcal.simulators.observations import Observations, checked_parameters
 from rtcal.support.errors import DataError
 from rtcal.support.text import as_sentence
 from rtcal.support.types import Array
@@ -45,6 +46,7 @@ _LEAST = 1e-6
 cannot be factored."""
 _OFFSET = 100.0
 """Standard deviation in dB of a source's unknown power: far more than any, so that it says nothing."""
+T30_ALONE = "T30 is matched in place of T20, which was not measured."
 _BINS = 4000
 """Bins of the exponential decay that stands for a noise-like response, over twice its T."""
 
@@ -97,6 +99,15 @@ def gap_at_pairs(simulated: Observations, measured: Observations, *, relative: b
             model = with_reference(model, heard, measured.pairs)
         gaps.append(gap_jnd(model, heard, name))
     return np.stack(gaps)
+
+
+def with_t30(match: Sequence[str], measured: Measurement) -> tuple[str, ...]:
+    """Return the parameters, with T30 in place of T20 where T30 alone was measured."""
+    names = checked_parameters(match)
+    known = [o.key for o in REVERBERATION if np.isfinite(measured.mean(o.key)).any()]
+    if TARGET.key in known or not known or known[0] in names:
+        return names
+    return tuple(known[0] if p == TARGET.key else p for p in names)
 
 
 def pairs_to_match(

@@ -19,7 +19,7 @@ import numpy as np
 from rtcal.acoustics.band_conversion import measurement_in_room_bands
 from rtcal.acoustics.materials import CalibrationRecord
 from rtcal.acoustics.measurement import Measurement
-from rtcal.acoustics.observables import MATCH, REVERBERATION, TARGET, parameter_label
+from rtcal.acoustics.observables import MATCH, parameter_label
 from rtcal.acoustics.room import Room
 from rtcal.acoustics.room_errors import in_words, prior_covariance
 from rtcal.acoustics.scene import POSITION, checked_uncertainty
@@ -33,7 +33,14 @@ from rtcal.loop.control_runs import (
 )
 from rtcal.loop.matched import BelowSchroeder, Beside
 from rtcal.loop.matched import means as measured_beside
-from rtcal.loop.measured_pairs import MeasuredPairs, Pair, history, pairs_to_match
+from rtcal.loop.measured_pairs import (
+    T30_ALONE,
+    MeasuredPairs,
+    Pair,
+    history,
+    pairs_to_match,
+    with_t30,
+)
 from rtcal.loop.positions_result import GaussNewtonStep, PositionsResult
 from rtcal.loop.positions_steps import (
     GROUPS,
@@ -162,7 +169,7 @@ def calibrate_positions(
     tracer = simulator
     simulator = precise(simulator, more_paths)
     trace_ahead(simulator, room.alpha, seed)
-    wanted = _with_t30(match, measured)
+    wanted = with_t30(match, measured)
     replaced = wanted != tuple(match)
     if isinstance(simulator, PathTracing):
         wanted = simulator.trusted(wanted)
@@ -170,7 +177,7 @@ def calibrate_positions(
     if isinstance(simulator, PathTracing):
         notes = (*notes, *simulator.notes, *simulator.source_notes)
     if replaced:
-        notes = ("T30 is matched in place of T20, which was not measured.", *notes)
+        notes = (T30_ALONE, *notes)
     first, not_heard = _first(simulator, room.alpha, match, measured, seed)
     data = pairs_to_match(room, measured, match, first, exclude)
     notes = (*notes, *not_heard, *repeated)
@@ -336,15 +343,6 @@ def _first(
         without = observe(simulator, alpha, match, seed=seed)
     names = ", ".join(map(parameter_label, more))
     return without, (f"Not shown, since the simulated decays do not hold it: {names}.",)
-
-
-def _with_t30(match: Sequence[str], measured: Measurement) -> tuple[str, ...]:
-    """Return the parameters, with T30 in place of T20 where T30 alone was measured."""
-    names = observations.checked_parameters(match)
-    known = [o.key for o in REVERBERATION if np.isfinite(measured.mean(o.key)).any()]
-    if TARGET.key in known or not known or known[0] in names:
-        return names
-    return tuple(known[0] if p == TARGET.key else p for p in names)
 
 
 def _refuse_one_place(simulator: Simulator, pairs: Sequence[Pair], uncertainty: float) -> None:

@@ -22,7 +22,7 @@ from rtcal.finder.positions import surfaces
 from rtcal.finder.positions import surfaces as of_room
 from rtcal.finder.positions.surfaces import Divided, Faces
 from rtcal.io import geometry_files
-from rtcal.loop.measured_pairs import Pair, history, refuse_unknown
+from rtcal.loop.measured_pairs import Pair, history, refuse_unknown, with_t30
 from rtcal.simulators.base import at_places
 from rtcal.simulators.geometry import Polyhedron
 from rtcal.simulators.path_tracing import PathTracing
@@ -46,9 +46,10 @@ class PositionsCase:
         A row per pair. Its pairs have the simulator's names of sources and receivers. Pairs at one
         place are repeats: the case has their mean, as one pair.
     match : sequence of str
-        Parameters that are compared. Where a source's directivity is unknown, reverberation times
-        alone. The level is G of a calibrated source where ``g`` was measured.
-        A measured ``level`` has any reference that all receivers of a source share.
+        Parameters that are compared; T30 in place of T20 where T30 alone was measured. Where a
+        source's directivity is unknown, reverberation times alone. The level is G of a calibrated
+        source where ``g`` was measured. A measured ``level`` has any reference that all receivers of a
+        source share.
     simulated : Measurement, optional
         What another program gave for the model as stated, in the room's bands, for every value that
         was measured. The disagreement is then that program's. How it depends on the surfaces is still
@@ -85,7 +86,8 @@ class PositionsCase:
         checks.instance("simulator", self.simulator, PathTracing)
         checks.instance("measured", self.measured, Measurement)
         checked_uncertainty(self.position_uncertainty)
-        object.__setattr__(self, "match", self.simulator.trusted(self.match))
+        wanted = with_t30(self.match, self.measured)
+        object.__setattr__(self, "match", self.simulator.trusted(wanted))
         object.__setattr__(self, "exclude", checks.pairs("exclude", self.exclude))
         for name in ("measured", "simulated"):
             values = getattr(self, name)

@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from rtcal.acoustics.observables import observable
+from rtcal.acoustics.observables import TARGET, observable
 from rtcal.finder import track_record
 from rtcal.finder.candidate import Candidate
 from rtcal.finder.claim import CLAIMED, DISTINCT_NATS, claimed
@@ -51,6 +51,7 @@ from rtcal.finder.positions.responses import PairShifts, parameters, responses_o
 from rtcal.finder.positions.shift import NOISE, POSITION, UNKNOWN, ShiftHypothesis
 from rtcal.finder.prior import COEFFICIENTS, NONE, left_out_of, probability_off
 from rtcal.loop.control_runs import ControlRuns, simulated_controls
+from rtcal.loop.measured_pairs import T30_ALONE, with_t30
 from rtcal.support import checks
 from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError
@@ -297,7 +298,9 @@ def _assumed(case: PositionsCase) -> tuple[str, ...]:
     """Return notes of what the search takes together."""
     tracer = case.simulator
     together = "" if case.surfaces is not None else of_room.merged(case.geometry, case.faces)
-    return tuple(note for note in (*tracer.notes, *tracer.source_notes, together) if note)
+    (instead,) = with_t30([TARGET.key], case.measured)
+    alone = T30_ALONE if instead != TARGET.key and instead in case.match else ""
+    return tuple(note for note in (alone, *tracer.notes, *tracer.source_notes, together) if note)
 
 
 def untried(effects: Sequence[Effect]) -> str:
