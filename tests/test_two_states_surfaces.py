@@ -14,7 +14,7 @@ from click.testing import CliRunner
 import rtcal as rt
 from rtcal.command.main import cli
 from rtcal.finder.states import StatesFinding
-from rtcal.finder.states.search import sets_of
+from rtcal.finder.states.surfaces import sets_of
 from rtcal.io import obj
 from rtcal.simulators import PathTracing
 from rtcal.support.types import Array

@@ -1,0 +1,292 @@
+"""On which surface something changed between two states: what every pair's differences say.
+
+The coefficients are scaled to T before. Then sets of surfaces absorb more, each with a share of the
+way to alpha = 1 that goes through the bands as a random walk, and the same paths are weighed with them.
+In the difference of two weighings the simulator's error and the coefficients' cancel to first order.
+
+T and an absolute level are tied. A source whose level shifts otherwise than T says has another gain in
+the two states, and its level is left out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import combinations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import logsumexp
+
+from rtcal.acoustics import bands
+from rtcal.acoustics.decay import gradients
+from rtcal.acoustics.measurement import Measurement
+from rtcal.acoustics.observables import DB, EARLY, LEVEL, OBSERVABLES, TARGET
+from rtcal.finder.claim import most_probable_first
+from rtcal.finder.positions import surfaces as of_room
+from rtcal.finder.positions.surfaces import Faces
+from rtcal.finder.positions.weighing import Weighing
+from rtcal.simulators import observations
+from rtcal.simulators.observations import Observations
+from rtcal.simulators.path_tracing import PathTracing
+from rtcal.support.types import Array
+
+MOST_SURFACES = 8
+"""Largest number of surfaces of which sets are tried: the largest ones."""
+NODES = (0.08, 0.25, 0.55, 1.0)
+"""Shares of the way to alpha = 1 that are weighed; between them the shifts are interpolated."""
+SHARES = np.geomspace(0.02, 0.95, 30)
+WALK = 0.5
+"""Standard deviation per octave of ln share."""
+PAIR, COMMON = 0.15, 0.1
+"""Error of a pair's shift, and of all pairs', over the mean shift of a parameter and band."""
+POWER = 0.5
+"""Power of the likelihood: pairs and parameters share errors that no covariance of this module has."""
+MOST_DIRECT = 0.76
+"""Share of the direct sound in the energy, 5 dB above the rest, from which EDT says nothing."""
+MOST_GAIN = 1.5
+"""Shift in dB of a source's level beside what T says, from which its level is left out."""
+_MISSING = 1e6
+_TINY = 1e-8
+
+
+@dataclass(frozen=True, eq=False)
+class Located:
+    """On which surfaces something changed.
+
+    Attributes
+    ----------
+    surfaces : mapping of str to float
+        Probability of each surface, the most probable first.
+    sets : mapping of (names of surfaces) to float
+        Of the sets that were tried, the most probable first.
+    gains : mapping of str to float
+        By how many dB the level of a source shifts beside what T says, where it was left out.
+    """
+
+    surfaces: Mapping[str, float]
+    sets: Mapping[tuple[str, ...], float]
+    gains: Mapping[str, float] = field(default_factory=dict)
+
+
+def sets_of(simulator: PathTracing, surfaces: Mapping[str, Faces]) -> list[tuple[str, ...]]:
+    """Return the sets of surfaces that are tried: one, two, three walls, and all walls."""
+    area = {n: float(simulator.geometry.face_areas[f].sum()) for n, f in surfaces.items()}
+    largest = sorted(sorted(area, key=lambda n: -area[n])[:MOST_SURFACES])
+    upright = [n for n in largest if of_room.kind(simulator.geometry, surfaces[n]) == "wall"]
+    out: list[tuple[str, ...]] = [(n,) for n in largest]
+    out += combinations(largest, 2)
+    out += combinations(upright, 3)
+    if len(upright) > 3:
+        out.append(tuple(upright))
+    return out
+
+
+def locate(
+    simulator: PathTracing,
+    before: Measurement,
+    after: Measurement,
+    match: Sequence[str],
+    weights: Array,
+    surfaces: Mapping[str, Faces] | None = None,
+    seed: int = 0,
+) -> Located:
+    """Return the probability of each surface that it absorbs more after than before.
+
+    Parameters
+    ----------
+    simulator : PathTracing
+        With every source's directivity.
+    before, after : Measurement
+        Of the same pairs of the simulator, in the room's bands; before absorbs less.
+    match : sequence of str
+        Parameters that are compared.
+    weights : array (n_pairs,)
+        Precision of each pair's noise over the expected one.
+    """
+    faces = of_room.of_geometry(simulator.geometry) if surfaces is None else surfaces
+    pairs = before.pairs
+    rows = [simulator.pairs.index(p) for p in pairs]
+    two = [Observations.of_measurement(m, match, pairs).values for m in (before, after)]
+    change = two[1] - two[0]
+    weighing = _scaled_to(simulator, before, match, rows, seed)
+    energy = weighing.energy(weighing.alpha)[0]
+    base = _heard(energy, simulator, match)
+    noise = _noise(energy[rows], simulator, match)
+    direct = energy[rows, :, 0] / energy[rows].sum(axis=-1)
+    if EARLY.key in match:
+        change[list(match).index(EARLY.key)][direct > MOST_DIRECT] = np.nan
+    gains = dict[str, float]()
+    if LEVEL.key in match:
+        times = [m.decay_time().mean for m in (before, after)]
+        level = change[list(match).index(LEVEL.key)]
+        gains = _gains(simulator, pairs, energy[rows], times, level)
+        level[[source in gains for source, _ in pairs]] = np.nan
+    shorter = np.nanmean(np.exp(two[0][0] - two[1][0]), axis=0) if match[0] == TARGET.key else 1.0
+    noise = noise * (1 + np.asarray(shorter))[:, None, None] / weights[:, None, None, None]
+    tried = sets_of(simulator, faces)
+    groups = [np.concatenate([faces[n] for n in names]) for names in tried]
+    shifts = np.array(
+        [
+            [np.zeros_like(base), *(_heard(decay, simulator, match) - base for decay in decays)]
+            for decays in weighing.of_groups(groups, NODES)
+        ]
+    )[:, :, :, rows]
+    # What a decay lacks under any set counts for none: EDT, where the direct sound is all there is.
+    change[~np.isfinite(shifts).all(axis=(0, 1))] = np.nan
+    shifts = np.where(np.isfinite(shifts), shifts, 0.0)
+    frequencies = simulator.centre_frequencies
+    evidence = [_evidence(change, of_set, noise, match, frequencies) for of_set in shifts]
+    log_p = np.array(evidence) - logsumexp(evidence)
+    order = np.argsort(-log_p)
+    sets = {tried[i]: float(np.exp(log_p[i])) for i in order}
+    by_surface = {n: sum(p for names, p in sets.items() if n in names) for n in faces}
+    return Located(most_probable_first(by_surface), sets, gains)
+
+
+def _gains(
+    simulator: PathTracing,
+    pairs: Sequence[tuple[str, str]],
+    energy: Array,
+    times: Sequence[Array],
+    change: Array,
+) -> dict[str, float]:
+    """Return by how many dB a source's level shifts beside what T says, if by `MOST_GAIN` or more.
+
+    By T every path but the direct one loses in proportion to its length. The mean is over a source's
+    pairs and bands.
+
+    Parameters
+    ----------
+    energy : array (n_pairs, n_bands, n_bins)
+        Decays of the state before; the direct sound is in the first bin.
+    times : two arrays (n_bands,)
+        Mean T in s before and after.
+    change : array (n_pairs, n_bands)
+        Of the level in dB.
+    """
+    ends = np.array([(simulator.sources[s], simulator.receivers[r]) for s, r in pairs], dtype=float)
+    arrival = np.linalg.norm(ends[:, 0] - ends[:, 1], axis=1) / simulator.room.speed_of_sound
+    seconds = arrival[:, np.newaxis] + simulator.bin_width * np.arange(energy.shape[-1])
+    faster = 6 * np.log(10) * (1 / times[1] - 1 / times[0])
+    kept = np.exp(-faster[:, np.newaxis] * seconds[:, np.newaxis])
+    kept[..., 0] = 1.0
+    off = change - DB * np.log((energy * kept).sum(axis=-1) / energy.sum(axis=-1))
+    of_source = {
+        source: off[[s == source for s, _ in pairs]]
+        for source in dict.fromkeys(s for s, _ in pairs)
+    }
+    means = {s: float(np.nanmean(v)) for s, v in of_source.items() if np.isfinite(v).any()}
+    return {s: mean for s, mean in means.items() if abs(mean) >= MOST_GAIN}
+
+
+def _scaled_to(
+    simulator: PathTracing, before: Measurement, match: Sequence[str], rows: list[int], seed: int
+) -> Weighing:
+    """Return a weighing whose coefficients have T before: the stated ones, scaled band by band."""
+    wanted = before.decay_time().mean
+    tracer = simulator
+    factor = np.ones(simulator.room.n_bands)
+    for _ in range(3):
+        weighing = Weighing(tracer, match, seed)
+        (of_t20,) = _heard(weighing.energy(weighing.alpha)[0], simulator, (TARGET.key,))
+        simulated = np.exp(of_t20[rows])
+        room = tracer.room
+        air = 4 * room.air_attenuation * room.volume
+        constant = 24 * np.log(10) / room.speed_of_sound * room.volume
+        damped = np.maximum(constant / np.array([wanted, simulated.mean(axis=0)]) - air, 1e-3)
+        factor = np.where(np.isfinite(wanted), damped[0] / damped[1], 1.0)
+        alpha = -np.expm1(factor * np.log1p(-np.minimum(room.alpha, observations.LARGEST_ALPHA)))
+        scaled = replace(tracer, room=room.replace(alpha=np.clip(alpha, 1e-4, 0.99)))
+        scaled._traced.update(tracer._traced)  # alpha weighs the same paths
+        tracer = scaled
+    return Weighing(tracer, match, seed)
+
+
+def _heard(energy: Array, simulator: PathTracing, match: Sequence[str]) -> Array:
+    """Return the parameters of decays as observed, (n_parameters, n_pairs, n_bands); NaN without."""
+    kinds = [OBSERVABLES[name] for name in match]
+    return np.array([k.observed(k.value(energy, simulator.bin_width)) for k in kinds])
+
+
+def _noise(energy: Array, simulator: PathTracing, match: Sequence[str]) -> Array:
+    """Return the covariance of the parameters of one noise-like response.
+
+    (n_pairs, n_bands, n_parameters, n_parameters). A bin of width w has the relative variance
+    1 / (B w) in a band of bandwidth B; the direct sound in the first bin has none.
+    """
+    width = simulator.bin_width
+    by_bin = gradients(energy, width, match) * energy[None]
+    by_bin[..., 0] = 0.0
+    f = simulator.centre_frequencies
+    bandwidth = bands.bandwidth_factor(f) * f
+    covariance = np.einsum("prkb,qrkb->rkpq", by_bin, by_bin)
+    return np.asarray(np.nan_to_num(covariance / (bandwidth * width)[:, None, None]))
+
+
+def _evidence(
+    change: Array, shifts: Array, noise: Array, match: Sequence[str], frequencies: Array
+) -> float:
+    """Return the log evidence of a set of surfaces.
+
+    Parameters
+    ----------
+    change : array (n_parameters, n_pairs, n_bands)
+    shifts : array (n_nodes, n_parameters, n_pairs, n_bands)
+        At a share of 0 and those of `NODES`.
+    noise : array (n_pairs, n_bands, n_parameters, n_parameters)
+    """
+    nodes = np.array([0.0, *NODES])
+    to = np.array([np.interp(SHARES, nodes, row) for row in np.eye(len(nodes))]).T
+    predicted = np.einsum("jn,nprk->jrkp", to, shifts)
+    mean = predicted.mean(axis=1)  # over the pairs: (n_shares, n_bands, n_parameters)
+    observed = np.moveaxis(change, 0, -1)
+    known = np.isfinite(observed)
+    off = np.where(known, observed - predicted, 0.0)
+    one = np.eye(len(match))
+    own = np.where(known, 0.0, _MISSING)[None] + (PAIR * mean[:, None]) ** 2
+    own_covariance = noise[None] + (own[..., None] + _TINY) * one
+    inverse = np.linalg.inv(own_covariance)
+    pulled = np.einsum("jrkpq,jrkq->jrkp", inverse, off)
+    again = np.array([OBSERVABLES[name].remeasured for name in match])
+    common = (again**2 + (COMMON * mean) ** 2)[..., None] * one
+    held = np.linalg.inv(common) + inverse.sum(axis=1)
+    b = pulled.sum(axis=1)
+    squares = np.einsum("jrkp,jrkp->jk", off, pulled)
+    squares = squares - np.einsum("jkp,jkp->jk", b, np.linalg.solve(held, b[..., None])[..., 0])
+    determinants = np.linalg.slogdet(own_covariance)[1].sum(axis=1)
+    determinants = determinants + np.linalg.slogdet(common)[1] + np.linalg.slogdet(held)[1]
+    log_likelihood = -POWER * (squares + determinants) / 2
+    used = np.asarray(known.any(axis=(0, 2)))
+    return _through_bands(log_likelihood.T, frequencies, used)
+
+
+def _through_bands(log_likelihood: Array, frequencies: Array, used: NDArray[np.bool_]) -> float:
+    """Return the log of the mean over all random walks of ln share through the bands.
+
+    ``log_likelihood`` is (n_bands, n_shares).
+    """
+    steps = np.subtract.outer(np.log(SHARES), np.log(SHARES))
+    at = np.full(len(SHARES), -np.log(len(SHARES)))
+    last = None
+    for k in np.flatnonzero(used).tolist():
+        if last is not None:
+            variance = WALK**2 * abs(float(np.log2(frequencies[k] / frequencies[last])))
+            move = -(steps**2) / (2 * variance)
+            move = move - logsumexp(move, axis=0)
+            at = logsumexp(move + at, axis=1)
+        at = at + log_likelihood[k]
+        last = k
+    return float(logsumexp(at))
+
+
+def trusted(
+    simulator: PathTracing, match: Sequence[str], before: Measurement, after: Measurement
+) -> tuple[str, ...]:
+    """Return T20, and what both states have of the parameters that the directivities allow."""
+    wanted = dict.fromkeys((TARGET.key, *simulator.trusted(match)))
+    return tuple(
+        name
+        for name in wanted
+        if all(OBSERVABLES[name].key_in(m.values) in m.values for m in (before, after))
+    )
