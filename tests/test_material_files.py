@@ -398,6 +398,22 @@ def test_bad_input_names_the_line_and_the_rule(module: Any, content: bytes, rule
         module.parse(content)
 
 
+def test_a_new_list_renames_what_catt_does_not_read(tmp_path: Path) -> None:
+    """A name that `apply` gives, "curtain on west", was refused."""
+    room = octave_room(materials=["curtain on west", "curtain_on_west"])
+    path = tmp_path / "new.geo"
+    report = catt.write(room, path)
+    assert catt.read(path).names == ("curtain_on_west_1", "curtain_on_west")
+    assert (
+        'Renamed, as the program reads names: "curtain on west" is curtain_on_west_1'
+        in " ".join(report.notes)
+    )
+    stated = catt.write(room, tmp_path / "mine.geo", entries={"curtain on west": "mine"})
+    assert catt.read(tmp_path / "mine.geo").names == ("mine", "curtain_on_west")
+    assert "Renamed" not in " ".join(stated.notes)
+    np.testing.assert_allclose(stated.room.alpha, report.room.alpha)
+
+
 def test_refused_writes_leave_the_file(tmp_path: Path) -> None:
     path = tmp_path / "hall.geo"
     path.write_bytes(b"ABS brick = <1 2 3 4 5 6>\n")
@@ -408,7 +424,7 @@ def test_refused_writes_leave_the_file(tmp_path: Path) -> None:
         catt.write(octave_room(), path)
     assert path.read_bytes() == b"not a list of materials\n"
     with pytest.raises(DataError, match="without spaces"):
-        catt.write(octave_room(), tmp_path / "new.geo")
+        catt.write(octave_room(), tmp_path / "new.geo", entries={"7 felt": "my felt"})
     low = rt.Room(
         name="",
         volume=9,

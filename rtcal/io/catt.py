@@ -64,7 +64,8 @@ def write(
 
     Only numbers that change are written, of alpha and scattering; everything else keeps its bytes. A
     material without scattering gets that of the room. If neither file exists, the file is a new list
-    of the octaves 125 Hz to 4 kHz, with 8 and 16 kHz if the room has them.
+    of the octaves 125 Hz to 4 kHz, with 8 and 16 kHz if the room has them. There a name has an
+    underscore in place of a character that CATT does not read.
 
     Parameters
     ----------
@@ -101,6 +102,7 @@ def write(
         entries=entries,
         new_bands=_bands_of_new_list(room),
         missing_bands=missing_bands,
+        readable=lambda name: re.sub(r"[^!-~]|[=<>{};:]", "_", name),
     )
 
 

@@ -131,13 +131,15 @@ def write_list(
     new_bands: Sequence[float] = (),
     missing_bands: str = "refuse",
     entries: Mapping[str, str] | None = None,
+    readable: Callable[[str], str] = str,
 ) -> ExportReport:
     """Write a room's coefficients into the template, else into the existing file, else into a new file.
 
     ``read`` and ``new_list`` are functions of the format: they return the material list of a file,
     and a new one for a room. ``new_bands`` are the bands of a new file. With
     ``missing_bands="nearest"``, bands that the room lacks have the coefficients of the nearest
-    band; with "refuse" they are an error.
+    band; with "refuse" they are an error. ``readable`` returns the name that a new file has for a
+    material without one in ``entries``.
     """
     if missing_bands not in ("refuse", "nearest"):
         raise DataError(f'missing_bands = "{missing_bands}" is neither "refuse" nor "nearest"')
@@ -149,7 +151,14 @@ def write_list(
         listed = read(template)
     else:
         in_new_bands, notes = _in_new_bands(room, new_bands, missing_bands, os.fspath(path))
-        names = [(entries or {}).get(name, name) for name in room.materials]
+        renamed = _renamed(room.materials, entries or {}, readable)
+        entries = {**(entries or {}), **renamed}
+        names = [entries.get(name, name) for name in room.materials]
+        if renamed:
+            pairs = [f'"{name}" is {new}' for name, new in renamed.items()]
+            notes += text.wrapped(
+                f"Renamed, as the program reads names: {text.first_of(pairs, MOST_NAMED)}"
+            )
         listed = new_list(in_new_bands.replace(materials=names, surfaces=()))
     listed = listed.with_entries(entries or {}, room)
     if decimals is not None:
@@ -182,6 +191,23 @@ def write_list(
     if template is None:
         return report
     return replace(report, notes=(*report.notes, *_replaced_scattering(listed, read(path))))
+
+
+def _renamed(
+    materials: Sequence[str], stated: Mapping[str, str], readable: Callable[[str], str]
+) -> dict[str, str]:
+    """Return other names for materials whose own cannot stand in a new file, each there once."""
+    taken = {stated.get(name, name) for name in materials}
+    renamed: dict[str, str] = {}
+    for i, name in enumerate(materials):
+        new = readable(name)
+        if name in stated or new == name:
+            continue
+        while new in taken:
+            new = f"{new}_{i + 1}"
+        taken.add(new)
+        renamed[name] = new
+    return renamed
 
 
 def _replaced_scattering(listed: MaterialList, as_written: MaterialList) -> tuple[str, ...]:

@@ -7,7 +7,6 @@ has a surface, and so a geometry.
 from __future__ import annotations
 
 import os
-import re
 import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -165,32 +164,16 @@ class Corrected:
     def _lists(self) -> dict[str, tuple[bytes, tuple[str, ...]]]:
         """The lists of materials for CATT and ODEON, and what they lack, by file name."""
         stated = self._with_scene(Path(MESH))
-        names = [re.sub(r"[^!-~]|[=<>{};:]", "_", m) for m in self.room.materials]
-        if len(set(names)) < len(names):
-            names = [f"{name}_{i + 1}" for i, name in enumerate(names)]
-        plain = _renamed(stated, names)
         # Their writers fill in a list that exists; these are new ones.
         with tempfile.TemporaryDirectory(prefix="rtcal-") as empty:
             reports = {
-                CATT: catt.write(plain, Path(empty, CATT), missing_bands="nearest"),
+                CATT: catt.write(stated, Path(empty, CATT), missing_bands="nearest"),
                 ODEON: odeon.write(stated, Path(empty, ODEON), missing_bands="nearest"),
             }
             return {n: (Path(empty, n).read_bytes(), r.lost) for n, r in reports.items()}
 
     def __repr__(self) -> str:
         return f'<Corrected room: {self.added.title} as {self.form} "{self.material}">'
-
-
-def _renamed(room: Room, names: Sequence[str]) -> Room:
-    """Return the room with other names of its materials."""
-    new = dict(zip(room.materials, names, strict=True))
-    pairs = room.material_correlation.items()
-    return room.replace(
-        materials=names,
-        surfaces=[replace(s, material=new[s.material]) for s in room.surfaces],
-        material_correlation={(new[a], new[b]): value for (a, b), value in pairs},
-        sources={new[name]: source for name, source in room.sources.items()},
-    )
 
 
 def corrected_geometry(
