@@ -554,7 +554,9 @@ def test_a_new_list_has_the_names_that_are_stated(tmp_path: Path, capsys) -> Non
         == 0
     )
     capsys.readouterr()
-    assert run("export", "catt", room, out) == 2
-    assert 'state its name there: --as "painted brickwork=NAME"' in capsys.readouterr().err
+    assert run("export", "catt", room, out, "--as", "painted brickwork=my brick") == 2
+    assert 'material "my brick": a name for CATT-Acoustic is ASCII' in capsys.readouterr().err
+    assert run("export", "catt", room, tmp_path / "renamed.geo") == 0
+    assert '"painted brickwork" is painted_brickwork' in capsys.readouterr().out
     assert run("export", "catt", room, out, "--as", "painted brickwork=brick") == 0
     assert "ABS brick = <" in out.read_text(encoding="ascii")

@@ -289,8 +289,7 @@ def _new_list(room: Room) -> MaterialList:
         if not re.fullmatch(_NAME, name) or not name.isascii():
             raise DataError(
                 f'material "{name}": a name for CATT-Acoustic is ASCII, without spaces and none '
-                "of = < > { } ; :; write into the program's own list (--template), or state its name "
-                f'there: entries={{"{name}": "NAME"}}'
+                "of = < > { } ; :"
             )
         groups = [f"ABS {name} = <{_percents(room.alpha[i])}>"]
         if room.scattering is not None:

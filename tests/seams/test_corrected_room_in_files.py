@@ -65,7 +65,7 @@ def test_a_file_of_a_corrected_room_is_the_room(
             assert ("Renamed" in " ".join(report.notes)) == (names != room.materials)
         assert {"areas and volume", "sigma"} <= set(report.lost)
         assert ("air" in report.lost) == (room.air is not None)
-        assert ("sources" in report.lost) == bool(room.sources)
+        assert ("where coefficients are from" in report.lost) == bool(room.sources)
         again = module.read(path).room(
             name=room.name,
             volume=room.volume,
