@@ -52,7 +52,7 @@ from tests.second_world import rooms as second_world
 from tests.third_world import generate as third_world_stored
 from tests.third_world import rooms as third_world
 
-POPULATIONS = {1: 10, 2: 8, 3: 2}
+POPULATIONS = {1: 11, 2: 9, 3: 3}
 """Populations that no finder had read when the rule was frozen (2026-11-24)."""
 LEVELS = "and C80, G"
 CHAIN = {
@@ -181,6 +181,11 @@ def judged(every: Mapping[str, dict[str, Any]], world: int, *data: str) -> list[
     return out
 
 
+def over(room: Judged) -> float:
+    """By how much a threshold is exceeded; the score, of rules that had one threshold."""
+    return float(room.row.get("excess", room.row["score"]))
+
+
 def table(rows: Mapping[str, dict[str, Any]], setting: str) -> None:
     for world in POPULATIONS:
         for data in (*CHAIN, SECOND):
@@ -191,11 +196,11 @@ def table(rows: Mapping[str, dict[str, Any]], setting: str) -> None:
             found = [r for r in hidden if r.flagged]
             claimed = [r for r in found if r.row["verdict"] in ("named", "family")]
             right = [r.right_name if r.single else r.right_family for r in claimed]
-            limit = float(np.quantile([r.row["score"] for r in empty], 0.95))
+            limit = float(np.quantile([over(r) for r in empty], 0.95))
             print(f"\n== world {world}, {data}; setting: {setting} ==")
             print("nothing hidden, flagged    ", rate(r.flagged for r in empty))
             print("something hidden, detected ", rate(r.flagged for r in hidden))
-            print("  at equal false alarms    ", rate(r.row["score"] > limit for r in hidden))
+            print("  at equal false alarms    ", rate(over(r) > limit for r in hidden))
             if data in (LEVELS, SECOND):
                 for words, some in (("flagged", empty), ("detected", hidden)):
                     above = [r.flagged and r.row["score"] > EARLIER_FLOOR for r in some]

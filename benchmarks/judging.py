@@ -54,12 +54,19 @@ def row_of(finding: MeansFinding) -> dict[str, Any]:
         "candidates": list(finding.names),
         "score": finding.score,
         "threshold": finding.threshold,
+        "excess": excess(finding),
         "parameters": dict(finding.best_parameters),
         "evidence": {k: round(v, 2) for k, v in finding.evidence.items()},
         "probabilities": rounded(finding.probabilities),
         "families": rounded(finding.families),
         "size": None if size is None else [size.mean, size.low, size.high],
     }
+
+
+def excess(finding: MeansFinding) -> float:
+    """By how many nats the finding exceeds a threshold, of T20 or of all data; below 0, of neither."""
+    every = (finding.detection, *finding.detection.parts.values())
+    return max(d.score - d.threshold for d in every)
 
 
 def rounded(table: Any) -> dict[str, float]:

@@ -324,7 +324,7 @@ def scored(case: Case, controls: list[ControlRooms]) -> tuple[float, np.ndarray]
     predicted = predict_hypotheses(case, library())
     drawn = bootstrap.bootstrap_threshold(case, observed, predicted, controls, prior)
     evidence = evaluate(observed, predicted, drawn.discrepancy, prior.off)
-    return float(bootstrap.score(evidence, prior)), drawn.scores
+    return float(bootstrap.score(evidence, prior)), drawn.scores[:, -1]
 
 
 def residuals(folder: str, world: int, population: int, step: int) -> None:

@@ -537,7 +537,9 @@ def test_a_threshold_may_be_given() -> None:
     strict = find(case, effects=[Opening()], threshold=1e6, controls=controls_of(case))
     assert strict.verdict in ("none", "hint")
     error = ModelDiscrepancy(np.zeros(35), np.diag(np.full(35, 0.03**2)))
-    known = find(case, effects=[Opening()], threshold=Threshold(2.3, np.zeros(1), error))
+    known = find(
+        case, effects=[Opening()], threshold=Threshold(np.array([2.3]), np.zeros((1, 1)), error)
+    )
     assert known.verdict == "named"
     with pytest.raises(DataError, match="nan nats is not finite"):
         find(case, effects=[Opening()], threshold=float("nan"), controls=controls_of(case))

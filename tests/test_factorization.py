@@ -35,15 +35,17 @@ def test_products_and_determinant_are_those_of_the_whole_matrix(rank: int | None
     if low_rank is not None:
         covariance += low_rank.swapaxes(1, 2) @ low_rank
     rows = rng.standard_normal((n, 5, m))
-    expected = rows @ np.linalg.solve(covariance, rows.swapaxes(1, 2))
     factors = Factorization(blocks, places, low_rank)
-    np.testing.assert_allclose(
-        factors.half_log_determinant, 0.5 * np.linalg.slogdet(covariance)[1], rtol=1e-12
-    )
-    square, across, others = factors.inner(rows, 2)
-    np.testing.assert_allclose(square, np.diagonal(expected, axis1=1, axis2=2)[:, :2], rtol=1e-9)
-    np.testing.assert_allclose(across, expected[:, :2, 2:], rtol=1e-8, atol=1e-12)
-    np.testing.assert_allclose(others, expected[:, 2:, 2:], rtol=1e-8, atol=1e-12)
+    ends = [3, 6, 9]
+    for end, products in zip(ends, factors.leading(rows.copy(), 2, ends), strict=True):
+        part, seen = covariance[:, :end, :end], rows[:, :, :end]
+        expected = seen @ np.linalg.solve(part, seen.swapaxes(1, 2))
+        half, square, across, others = products
+        np.testing.assert_allclose(half, 0.5 * np.linalg.slogdet(part)[1], rtol=1e-12)
+        diagonal = np.diagonal(expected, axis1=1, axis2=2)
+        np.testing.assert_allclose(square, diagonal[:, :2], rtol=1e-9)
+        np.testing.assert_allclose(across, expected[:, :2, 2:], rtol=1e-8, atol=1e-12)
+        np.testing.assert_allclose(others, expected[:, 2:, 2:], rtol=1e-8, atol=1e-12)
 
 
 def test_a_matrix_that_is_not_positive_definite_is_an_error() -> None:

@@ -365,7 +365,37 @@ def test_the_smallest_threshold_is_the_same_for_all_data(
     predicted = predict_hypotheses(case, [Opening()])
     prior = prior_of(case.room, [Opening()], {})
     limit = bootstrap.bootstrap_threshold(case, observed, predicted, controls(case), prior)
-    assert limit.value == 0
+    assert (limit.values == 0).all()
+
+
+def test_of_the_null_rooms_one_in_twenty_exceeds_a_threshold() -> None:
+    rng = np.random.default_rng(0)
+    both = rng.multivariate_normal([1.0, 2.0], [[1.0, 0.6], [0.6, 1.0]], 4000)
+    values = bootstrap.thresholds(both)
+    assert np.mean((both > values).any(1)) == pytest.approx(0.05, abs=0.001)
+    each = np.mean(both > values, axis=0)
+    np.testing.assert_allclose(each, each.mean(), atol=0.001)  # at one level
+    alone = bootstrap.thresholds(both[:, :1])
+    assert alone == pytest.approx(max(np.quantile(both[:, 0], 0.95), 0.0), abs=1e-3)
+    assert (bootstrap.thresholds(both - 10) == bootstrap.MINIMUM).all()
+
+
+def test_data_that_say_nothing_do_not_hide_what_t20_detects() -> None:
+    """Levels that fit worse than assumed, whatever is there, take the evidence of T20 for weaker."""
+    hidden = Opening().change
+    case = with_levels(stated=True)
+    (c,) = case.configurations
+    shorter = {**c.measured.values, "t20": 0.75 * c.measured.values["t20"]}
+    shorter |= {p: 0.75 * v for p, v in shorter.items() if p in ("edt", "t30")}
+    noisy = {p: v + 4.0 * (-1.0) ** np.arange(v.shape[1]) for p, v in shorter.items() if p == "c80"}
+    measured = replace(c.measured, values={**shorter, **noisy})
+    case = replace(case, configurations=[replace(c, measured=measured)])
+    alone = find(case.only("t20"), effects=[Opening()], controls=controls(case))
+    assert alone.detected, hidden
+    whole = find(case, effects=[Opening()], controls=controls(case))
+    assert whole.detection.verdict is None
+    assert whole.detection.deciding == "T20"
+    assert "Detected by T20 alone" in str(whole)
 
 
 def test_people_are_objects_and_an_audience_covers_floor() -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -169,6 +169,9 @@ class Detection:
         that was not tried.
     means : float or None
         Of means over positions, where positions decide; None where they were not asked.
+    parts : mapping of str to Detection
+        Of means over positions, the same from a part of the data, by what it is: what a part detects is
+        detected. The score and threshold above are those of all data.
 
     Raises
     ------
@@ -180,6 +183,7 @@ class Detection:
     threshold: float
     noise: float | None = None
     means: float | None = None
+    parts: Mapping[str, Detection] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         for name in ("score", "noise", "means"):
@@ -191,9 +195,16 @@ class Detection:
                 )
 
     @property
+    def deciding(self) -> str | None:
+        """The part of the data that detects most where all data detect nothing; None without one."""
+        excess = {words: part.score - part.threshold for words, part in self.parts.items()}
+        most = max(excess, key=lambda words: excess[words], default="")
+        return most if self.score <= self.threshold and excess.get(most, 0.0) > 0 else None
+
+    @property
     def verdict(self) -> str | None:
         """The verdict where nothing is detected, "none" or "hint"; None where something is."""
-        if self.score > self.threshold:
+        if self.score > self.threshold or self.deciding is not None:
             return None
         return "hint" if max(self.score, self.noise or 0.0) > 0 else "none"
 

@@ -20,7 +20,7 @@ from rtcal.finder.means.recalibration import recalibrate
 from rtcal.finder.means.verdict import TWO
 from rtcal.finder.means.verification import MeansVerification, verify
 from rtcal.report import gap_figures
-from rtcal.report.document import Heading, data_of, material_rows, odds
+from rtcal.report.document import Heading, data_of, in_odds, material_rows, odds
 from rtcal.report.figures import rendered
 from rtcal.report.page import FINDING_FIGURES, finding_page
 from rtcal.support.arguments import checked
@@ -155,7 +155,8 @@ def evidence(finding: MeansFinding) -> str:
     """Return the evidence and its threshold in words."""
     often = f"{100 * (1 - QUANTILE):.0f} %"
     return (
-        f"The odds that something is missing are {odds(finding.score)} from the measurement alone. The "
+        f"{in_odds(finding.deciding_in_words)}The odds that something is missing are "
+        f"{odds(finding.score)} from the measurement alone. The "
         f"threshold is {odds(finding.threshold)}: at most {often} of simulated rooms that lack nothing "
         "exceed it."
     )

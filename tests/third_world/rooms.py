@@ -32,6 +32,7 @@ COUNTS = {
     1: {k: {"nothing": 16}.get(k, 7) for k in KINDS},
     # Drawn on 2026-11-24, before any finder read a room of it.
     2: {k: {"nothing": 16}.get(k, 6) for k in KINDS},
+    3: {k: {"nothing": 16}.get(k, 6) for k in KINDS},
 }
 RADIUS = 0.4
 """Of the source in m: a sphere that reflects and radiates alike from everywhere."""

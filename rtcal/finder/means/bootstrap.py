@@ -1,4 +1,9 @@
-"""The threshold: the evidence that rooms without a missing effect give by chance.
+"""The thresholds: the evidence that rooms without a missing effect give by chance.
+
+What T20 of the first configuration detects, more data must not hide: one scale of all data dilutes what
+T20 says with values that say nothing of the effect. So T20 and all data have a threshold each
+(`features.steps`), the quantile of the null rooms' scores at one level: 5 % of these rooms exceed
+either (the smallest p-value, Westfall & Young 1993).
 
 A parametric bootstrap. Each draw takes alpha from the prior, the model's error from the engines'
 control rooms, and noise from the measurement and from distances that are not stated. The errors that
@@ -25,8 +30,8 @@ from rtcal.finder.means.engines import (
     draw_alpha,
     recentred,
 )
-from rtcal.finder.means.evidence import MeansEvidence, evaluate
-from rtcal.finder.means.features import ObservedFeatures, distances, states
+from rtcal.finder.means.evidence import MeansEvidence, evaluate_leading
+from rtcal.finder.means.features import ObservedFeatures, distances, states, steps
 from rtcal.finder.means.hypotheses import LowRank, MeansHypotheses
 from rtcal.finder.means.model_error import ModelDiscrepancy, estimate_discrepancy
 from rtcal.finder.model import FEATURES, predict
@@ -40,7 +45,7 @@ from rtcal.support.speed import single_threaded_blas
 from rtcal.support.types import Array
 
 QUANTILE = 0.95
-"""Quantile of the null rooms' scores that is the threshold: 5 % false alarms."""
+"""Share of the null rooms that exceed no threshold: 5 % false alarms."""
 MINIMUM = 0.0
 """Smallest threshold in nats: below it, nothing missing explains the data better."""
 
@@ -49,10 +54,11 @@ MINIMUM = 0.0
 class Threshold:
     """The evidence in nats that a finding must exceed, and what it was estimated from.
 
-    ``scores`` (n_draws,) are those of the null rooms; ``discrepancy`` is that of all control rooms.
+    ``values`` (n_steps,) are of ever more data, the last of all (`features.steps`). ``scores``
+    (n_draws, n_steps) are those of the null rooms; ``discrepancy`` is that of all control rooms.
     """
 
-    value: float
+    values: Array
     scores: Array
     discrepancy: ModelDiscrepancy
 
@@ -153,18 +159,33 @@ def bootstrap_threshold(
     seed: int = 0,
     draws: int = 200,
 ) -> Threshold:
-    """Return the threshold for this case's data."""
+    """Return the thresholds for this case's data."""
     rng = np.random.default_rng([seed, 3])
-    scores = []
+    ends, scores = list(steps(case, observed.used)), []
     for fold in (0, 1):
         training = [_part(c, fold) for c in controls]
         test = [c.errors for c in recentred([_part(c, 1 - fold) for c in controls])]
         values = draw_null_features(case, observed, predicted.applied, test, rng, draws // 2)
         learnt = estimate_discrepancy(case, training)
-        scores.append(score(evaluate(observed, predicted, learnt, prior.off, values), prior))
+        parts = evaluate_leading(observed, predicted, learnt, prior.off, ends, values)
+        scores.append(np.stack([score(part, prior) for part in parts], axis=1))
     table = np.concatenate(scores)
-    value = max(float(np.quantile(table, QUANTILE)), MINIMUM)
-    return Threshold(value, table, estimate_discrepancy(case, controls))
+    return Threshold(thresholds(table), table, estimate_discrepancy(case, controls))
+
+
+def thresholds(scores: Array) -> Array:
+    """Return the threshold of each step, (n_steps,), from the null rooms' scores (n_draws, n_steps).
+
+    They are quantiles of the steps at one level, and at least `MINIMUM`. Of the rooms `QUANTILE` exceed
+    none of them.
+
+    >>> thresholds(np.stack([np.arange(101.0), np.arange(101.0)], axis=1))
+    array([95., 95.])
+    """
+    raised = np.maximum(scores, MINIMUM)
+    below = [np.searchsorted(np.sort(column), column) for column in raised.T]
+    level = np.quantile(np.max(below, axis=0) / max(len(scores) - 1, 1), QUANTILE)
+    return np.asarray(np.quantile(raised, level, axis=0))
 
 
 _FEW = 16

@@ -31,6 +31,7 @@ from rtcal.finder.means.likelihood import (
     covariance_of,
     log_densities,
     log_likelihood,
+    log_sum,
 )
 from rtcal.finder.means.model_error import ModelDiscrepancy
 from rtcal.finder.prior import COEFFICIENTS, NONE, UNKNOWN, grid_weights
@@ -85,7 +86,7 @@ class MeansEvidence:
         """Return the log likelihood of each hypothesis, whatever the coefficients."""
         with np.errstate(divide="ignore"):
             stated, off = np.log(1 - self.prior_off), np.log(self.prior_off)
-        return np.asarray(np.logaddexp(self.stated + stated, self.off + off))
+        return log_sum(np.stack([self.stated + stated, self.off + off]))
 
     def off_given(self, name: str) -> Array:
         """Return the probability of coefficients that are off together, given an effect or "none"."""
@@ -99,7 +100,7 @@ def _weighted(log: Array, weights: Array) -> Array:
     """Return the log of the weighted sum of exponentials over the first axis."""
     with np.errstate(divide="ignore"):
         terms = np.log(weights).reshape(-1, *[1] * (log.ndim - 1)) + log
-    return np.asarray(np.logaddexp.reduce(terms))
+    return log_sum(terms)
 
 
 def evaluate(
@@ -114,15 +115,31 @@ def evaluate(
     ``values`` (n_draws, n_used) replace the observed features; ``prior_off`` is the prior probability
     of coefficients that are off together.
     """
+    ends = [len(observed.values)]
+    return evaluate_leading(observed, predicted, discrepancy, prior_off, ends, values)[0]
+
+
+def evaluate_leading(
+    observed: ObservedFeatures,
+    predicted: MeansHypotheses,
+    discrepancy: ModelDiscrepancy,
+    prior_off: float,
+    ends: Sequence[int],
+    values: Array | None = None,
+) -> list[MeansEvidence]:
+    """Return the same of the first so many of the features in use, for each of ``ends``."""
     y = np.atleast_2d(observed.values if values is None else values)
-    stated, off = log_likelihood(observed, predicted, discrepancy, y, off=prior_off > 0)
+    stated, off = log_likelihood(observed, predicted, discrepancy, y, ends, off=prior_off > 0)
     mask = observed.used.ravel()
     residual = y - predicted.features[0].ravel()[mask] - discrepancy.bias[mask]
     alpha, other = covariance_of(observed, predicted, discrepancy, 0)
-    unknown = unknown_evidence(residual, alpha + other, observed.used)
+    unknown = unknown_evidence(residual, alpha + other, observed.used, ends)
     if values is None:
-        stated, off, unknown = stated[:, 0], off[:, 0], unknown[0]
-    return MeansEvidence(stated, off, unknown, predicted.names, predicted.weights, prior_off)
+        stated, off, unknown = stated[..., 0], off[..., 0], unknown[..., 0]
+    return [
+        MeansEvidence(*parts, predicted.names, predicted.weights, prior_off)
+        for parts in zip(stated, off, unknown, strict=True)
+    ]
 
 
 def evaluate_beyond(
@@ -131,17 +148,21 @@ def evaluate_beyond(
     predicted: MeansHypotheses,
     discrepancy: ModelDiscrepancy,
     prior_off: float,
-) -> tuple[MeansHypotheses, MeansEvidence]:
+    ends: Sequence[int] = (),
+) -> tuple[MeansHypotheses, list[MeansEvidence]]:
     """Return hypotheses and their evidence, with grids that go on until the evidence falls.
+
+    The evidence is that of the first so many features, for each of ``ends``, and then of all.
 
     An effect whose likeliest size is the last of its grid gets further sizes, in the grid's own steps
     and away from the size that changes nothing. They end where physics does (`Effect.limits`), or where
     the evidence no longer changes. The prior's density goes on as the effect states it.
     """
-    evidence = evaluate(observed, predicted, discrepancy, prior_off)
+    ends = [*ends, len(observed.values)]
+    evidence = evaluate_leading(observed, predicted, discrepancy, prior_off, ends)
     base, reached = state(case, case.configurations[0]), dict[str, float]()
     for _ in range(_ROUNDS):
-        likelihood, names = evidence.by_hypothesis(), np.array(predicted.names)
+        likelihood, names = evidence[-1].by_hypothesis(), np.array(predicted.names)
         least, grids = max(likelihood[0], likelihood.max() - NEGLIGIBLE), []
         for name, effect in predicted.effects.items():
             rows = np.flatnonzero(names == name)
@@ -160,7 +181,7 @@ def evaluate_beyond(
             predict_hypotheses(case, effects, grids),
             weights=np.concatenate([np.ones(1), *weights]),
         )
-        evidence = evaluate(observed, predicted, discrepancy, prior_off)
+        evidence = evaluate_leading(observed, predicted, discrepancy, prior_off, ends)
     return predicted, evidence
 
 
@@ -171,11 +192,17 @@ _FLAT = 0.1
 
 
 def unknown_evidence(
-    residual: Array, covariance: Array, used: Array, *, coarsened: bool = True
+    residual: Array,
+    covariance: Array,
+    used: Array,
+    ends: Sequence[int],
+    *,
+    coarsened: bool = True,
 ) -> Array:
     """Return the log evidence of an unknown effect: a change that is partly smooth over bands.
 
-    ``coarsened`` as for `likelihood.student`.
+    (n_ends, n_draws), of the first so many features for each of ``ends``. ``coarsened`` as for
+    `likelihood.student`.
     """
     count, kinds, bands = used.shape
     scale = np.array(UNKNOWN_FEATURES)
@@ -191,8 +218,9 @@ def unknown_evidence(
         covariance + np.square(UNKNOWN_SIZES)[:, None, None] * extra
     )
     rows = np.repeat(residual[None], len(UNKNOWN_SIZES), axis=0)
-    parts = log_densities(factorization, rows, len(residual), coarsened=coarsened)[0]
-    return np.asarray(np.logaddexp.reduce(parts) - np.log(len(parts)))
+    densities = log_densities(factorization, rows, len(residual), ends, coarsened=coarsened)
+    parts = [log_sum(of_sizes) for of_sizes, _ in densities]
+    return np.array(parts) - np.log(len(UNKNOWN_SIZES))
 
 
 @dataclass(frozen=True, eq=False)
@@ -225,4 +253,4 @@ class Searched:
             self.discrepancy,
             self.evidence.prior_off,
         )
-        return replace(self, case=case, predicted=predicted, evidence=evidence)
+        return replace(self, case=case, predicted=predicted, evidence=evidence[-1])

@@ -60,6 +60,18 @@ class ObservedFeatures:
         return np.asarray(self.features[self.used])
 
 
+def steps(case: Case, used: Array) -> dict[int, str]:
+    """Return numbers of leading features, T20 of the first configuration and all, and their names.
+
+    ``used`` is as `ObservedFeatures.used`.
+    """
+    first = int(np.argmax(used.any((1, 2))))
+    configuration = case.configurations[first]
+    time = parameter_label("t20" if "t20" in configuration.measured.values else "t30")
+    of = f' of "{configuration.name}"' if len(case.configurations) > 1 else ""
+    return {int(used[first, 0].sum()): f"{time}{of}", int(used.sum()): "all data"}
+
+
 def observe(case: Case) -> tuple[ObservedFeatures, list[str]]:
     """Return the measured features, and in words which bands were dropped.
 

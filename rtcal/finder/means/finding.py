@@ -226,6 +226,7 @@ class MeansFinding(SetsFinding):
         size, effect = self.size, self.effects.get(str(self.best_effect))
         return {
             **super().to_dict(),
+            "detected_by": self.detection.deciding,
             "effect": self.effect,
             "named": list(self.named),
             "named_families": list(self.named_families),
@@ -328,12 +329,22 @@ class MeansFinding(SetsFinding):
         if self.more_than_one:
             title += " of being there at all"
         return (
-            f"{f'{title}: {listing}. ' if others else ''}"
+            f"{self.deciding_in_words}{f'{title}: {listing}. ' if others else ''}"
             "Evidence that something is missing, whatever it is: "
             f"{self.score:+.1f} nats ({NATS}). Threshold: {self.threshold:.1f} nats, which at most "
             "5 % of simulated rooms exceed that lack nothing "
             f"({', '.join(map(engine_title, self.engines)) or 'no engine'})."
         )
+
+    @property
+    def deciding_in_words(self) -> str:
+        """The part of the data that detects what all data do not; "" without one."""
+        words = self.detection.deciding
+        if words is None:
+            return ""
+        part = self.detection.parts[words]
+        said = f"{part.score:+.1f} nats; threshold {part.threshold:.1f}"
+        return f"Detected by {words} alone: {said}. All data together say less. "
 
     @property
     def track_record(self) -> str:

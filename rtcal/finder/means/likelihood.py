@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from functools import cached_property
 from itertools import pairwise
 
@@ -33,11 +33,6 @@ class Factorization:
     low_rank : array (n, r, m), optional
         U'.
 
-    Attributes
-    ----------
-    half_log_determinant : array (n,)
-        ln sqrt|C|.
-
     Raises
     ------
     numpy.linalg.LinAlgError
@@ -51,36 +46,46 @@ class Factorization:
         low_rank: Array | None = None,
     ) -> None:
         self._blocks, self._places = blocks, places
-        self.half_log_determinant = np.zeros(len(blocks[0]))
-        for block in blocks:
-            self.half_log_determinant += _cholesky(block)
-        self._whitened: Array | None = None
-        if low_rank is not None:
-            self._whitened = self._by_blocks(low_rank)
-            self._inner = self._whitened @ self._whitened.swapaxes(1, 2)
-            diagonal = np.arange(low_rank.shape[1])
-            self._inner[:, diagonal, diagonal] += 1.0
-            self.half_log_determinant += _cholesky(self._inner)
+        diagonals = [_cholesky(block) for block in blocks]
+        self._half = np.cumsum(np.concatenate(diagonals, axis=1), axis=1)
+        self._whitened = None if low_rank is None else self._by_blocks(low_rank)
 
     @classmethod
     def whole(cls, covariance: Array) -> Factorization:
         """Return the factors of covariances (n, m, m), which are overwritten."""
         return cls([covariance], [slice(None)])
 
-    def inner(self, rows: Array, first: int) -> tuple[Array, Array, Array]:
-        """Return products x C⁻¹ y' of rows (n, d, m); ``rows`` may be overwritten.
+    def leading(
+        self, rows: Array, first: int, ends: Sequence[int]
+    ) -> Iterator[tuple[Array, Array, Array, Array]]:
+        """Yield ln sqrt|C| and products x C⁻¹ y' of rows (n, d, m), for leading parts of C.
 
-        The squares of the ``first`` rows (n, first), their products with the others
-        (n, first, d - first), and those of the others with one another.
+        ``ends`` are the parts' numbers of rows and columns; they rise. The factor of a leading part is
+        the leading part of the factor, so that all cost little more than the last. The products are the
+        squares of the ``first`` rows (n, first), those with the others (n, first, d - first), and those
+        of the others with one another. ``rows`` may be overwritten.
         """
-        whitened = self._by_blocks(rows)
-        square, across, others = _products(whitened, first)
-        if self._whitened is not None:
-            along = np.ascontiguousarray(whitened @ self._whitened.swapaxes(1, 2))
-            _solve(self._inner, along)
-            less = _products(along, first)
-            square, across, others = square - less[0], across - less[1], others - less[2]
-        return square, across, others
+        whitened, low, begin = self._by_blocks(rows), self._whitened, 0
+        square, across, others = (np.zeros(()) for _ in range(3))
+        inner, along = np.zeros(()), np.zeros(())
+        for end in ends:
+            part = whitened[:, :, begin:end]
+            new = _products(part, first)
+            square, across, others = square + new[0], across + new[1], others + new[2]
+            half = self._half[:, end - 1]
+            if low is None:
+                yield half, square, across, others
+            else:
+                seen = low[:, :, begin:end]
+                inner = inner + seen @ seen.swapaxes(1, 2)
+                along = along + part @ seen.swapaxes(1, 2)
+                factor = inner + np.eye(low.shape[1])
+                half = half + _cholesky(factor).sum(1)
+                solved = np.array(along)
+                _solve(factor, solved)
+                less = _products(solved, first)
+                yield half, square - less[0], across - less[1], others - less[2]
+            begin = end
 
     def _by_blocks(self, rows: Array) -> Array:
         """Return rows times L⁻ᵀ."""
@@ -103,7 +108,7 @@ def _products(rows: Array, first: int) -> tuple[Array, Array, Array]:
 
 
 def _cholesky(matrices: Array) -> Array:
-    """Replace the lower triangles of (n, m, m) by their Cholesky factors; return ln sqrt|C|, (n,).
+    """Replace the lower triangles of (n, m, m) by their Cholesky factors L; return ln diag L, (n, m).
 
     LAPACK sees the transpose of a matrix in C order, so its upper factor is the lower one.
     """
@@ -111,7 +116,7 @@ def _cholesky(matrices: Array) -> Array:
         _, info = dpotrf(matrix.T, lower=0, clean=0, overwrite_a=1)
         if info:
             raise np.linalg.LinAlgError(f"covariance {i} is not positive definite")
-    return np.asarray(np.log(np.diagonal(matrices, axis1=1, axis2=2)).sum(1))
+    return np.asarray(np.log(np.diagonal(matrices, axis1=1, axis2=2)))
 
 
 def _solve(factors: Array, rows: Array) -> None:
@@ -140,17 +145,18 @@ def log_likelihood(
     predicted: MeansHypotheses,
     discrepancy: ModelDiscrepancy,
     values: Array,
+    ends: Sequence[int],
     *,
     off: bool,
 ) -> tuple[Array, Array]:
-    """Return log N(y; y_k + bias, C) of ``values`` (n_draws, n): two arrays (n_hypotheses, n_draws).
+    """Return log N(y; y_k + bias, C) of the first so many of ``values`` (n_draws, n), by ``ends``.
 
-    The first with the coefficients as stated, the second with coefficients that are off together; -inf
-    without ``off``. In nats.
+    Two arrays (n_ends, n_hypotheses, n_draws), in nats. The first with the coefficients as stated, the
+    second with coefficients that are off together; -inf without ``off``.
     """
     model = _Likelihood(observed, predicted, discrepancy)
     n, (draws, m) = len(predicted.names), values.shape
-    stated, together = (np.full((n, draws), -np.inf) for _ in range(2))
+    stated, together = (np.full((len(ends), n, draws), -np.inf) for _ in range(2))
     # A few hypotheses at a time, so that their covariances stay in the processor's cache.
     step = max(1, min(_AT_ONCE, _ELEMENTS // (m + draws) ** 2))
     for begin in range(0, n, step):
@@ -160,9 +166,11 @@ def log_likelihood(
             common = predicted.alpha_covariance.off_together(part).take(model.t20, 1)
             common = common * model.slopes[part, :, None]
             rows = np.concatenate([rows, common.swapaxes(1, 2)], axis=1)
-        stated[part], scaled = log_densities(model.factorization(part), rows, draws)
-        if scaled is not None:
-            together[part] = scaled
+        densities = log_densities(model.factorization(part), rows, draws, ends)
+        for i, (as_stated, scaled) in enumerate(densities):
+            stated[i, part] = as_stated
+            if scaled is not None:
+                together[i, part] = scaled
     return stated, together
 
 
@@ -307,11 +315,9 @@ def spreading(observed: ObservedFeatures, predicted: MeansHypotheses, i: int) ->
 
 def log_density(residual: Array, covariance: Array) -> float:
     """Return the log density of a residual (m,) under a covariance, in nats."""
-    return float(
-        log_densities(Factorization.whole(covariance[None].copy()), residual[None, None].copy(), 1)[
-            0
-        ][0, 0]
-    )
+    factorization = Factorization.whole(covariance[None].copy())
+    ((log, _),) = log_densities(factorization, residual[None, None].copy(), 1, [len(residual)])
+    return float(log[0, 0])
 
 
 def without_alpha(
@@ -337,29 +343,43 @@ def alpha_covariance(predicted: MeansHypotheses, i: int) -> Array:
 
 
 def log_densities(
-    factorization: Factorization, rows: Array, draws: int, *, coarsened: bool = True
-) -> tuple[Array, Array | None]:
-    """Return log densities (n, draws) of residuals under C: as stated, and off together.
+    factorization: Factorization,
+    rows: Array,
+    draws: int,
+    ends: Sequence[int],
+    *,
+    coarsened: bool = True,
+) -> Iterator[tuple[Array, Array | None]]:
+    """Yield log densities (n, draws) of residuals under C: as stated, and off together.
 
-    ``rows`` (n, draws + r, m) are the residuals, then F'; without F' the second is None. It is the mean
-    density over `SCALES` under C + (s² - 1) F F'. With M = F' C⁻¹ F, a scale costs the factors of
-    I + (s² - 1) M (Woodbury). ``coarsened`` as for `student`.
+    They are of the first so many values, for each of ``ends``. ``rows`` (n, draws + r, m) are the
+    residuals, then F'; without F' the second is None. It is the mean density over `SCALES` under
+    C + (s² - 1) F F'. With M = F' C⁻¹ F, a scale costs the factors of I + (s² - 1) M (Woodbury).
+    ``coarsened`` as for `student`.
     """
-    m = rows.shape[2]
-    square, across, others = factorization.inner(rows, draws)
-    halves = factorization.half_log_determinant
-    stated = student(square, halves[:, None], m, coarsened=coarsened)
-    if rows.shape[1] == draws:
-        return stated, None
-    parts = []
-    for scale, probability in SCALES:
-        more = scale**2 - 1
-        grown = Factorization.whole(np.eye(others.shape[1]) + more * others)
-        less = grown.inner(across.copy(), draws)[0]
-        spread = halves + grown.half_log_determinant
-        log = student(square - more * less, spread[:, None], m, coarsened=coarsened)
-        parts.append(np.log(probability) + log)
-    return stated, np.asarray(np.logaddexp.reduce(parts))
+    scales = np.array(SCALES)
+    more, log_probability = (scales[:, 0] ** 2 - 1)[:, None], np.log(scales[:, 1])[:, None]
+    for m, products in zip(ends, factorization.leading(rows, draws, ends), strict=True):
+        half, square, across, others = products
+        stated = student(square, half[:, None], m, coarsened=coarsened)
+        if rows.shape[1] == draws:
+            yield stated, None
+            continue
+        grown = np.eye(others.shape[1]) + more[:, None] * others[:, None]
+        solved = across[:, None] @ np.linalg.inv(grown)
+        less = more * np.einsum("nsdr,ndr->nsd", solved, across)
+        spread = half[:, None] + 0.5 * np.linalg.slogdet(grown)[1]
+        log = student(square[:, None] - less, spread[:, :, None], m, coarsened=coarsened)
+        yield stated, log_sum(log_probability + log, axis=1)
+
+
+def log_sum(logs: Array, axis: int = 0) -> Array:
+    """Return the log of the sum of exponentials; quicker than `numpy.logaddexp.reduce`."""
+    most = logs.max(axis=axis, keepdims=True)
+    most = np.where(np.isfinite(most), most, 0.0)
+    with np.errstate(divide="ignore"):
+        total = np.log(np.exp(logs - most).sum(axis=axis))
+    return np.asarray(total + most.squeeze(axis))
 
 
 def student(square: Array, half_log_determinant: Array, m: int, *, coarsened: bool = True) -> Array:
@@ -373,7 +393,7 @@ def student(square: Array, half_log_determinant: Array, m: int, *, coarsened: bo
         return np.asarray(power * log)
     n, scale = DEGREES, DEGREES - 2
     constant = gammaln((n + m) / 2) - gammaln(n / 2) - 0.5 * m * np.log(scale * np.pi)
-    log = constant - half_log_determinant - 0.5 * (n + m) * np.log1p(square / scale)
+    log = constant - half_log_determinant - 0.5 * (n + m) * np.log(1 + square / scale)
     return np.asarray(power * log)
 
 

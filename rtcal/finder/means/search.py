@@ -25,7 +25,7 @@ from rtcal.finder.means.bootstrap import (
 from rtcal.finder.means.bootstrap import score as evidence_of_something
 from rtcal.finder.means.engines import ControlRooms
 from rtcal.finder.means.evidence import Searched, evaluate_beyond
-from rtcal.finder.means.features import ObservedFeatures, observe
+from rtcal.finder.means.features import ObservedFeatures, observe, steps
 from rtcal.finder.means.finding import MeansFinding
 from rtcal.finder.means.gap import schroeder_limit
 from rtcal.finder.means.hypotheses import MeansHypotheses, predict_hypotheses
@@ -49,6 +49,7 @@ from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError
 from rtcal.support.progress import TaskProgress
 from rtcal.support.speed import single_threaded_blas
+from rtcal.support.types import Array
 
 
 @single_threaded_blas()
@@ -135,15 +136,17 @@ def find(
         else:
             controls = checked_controls(case, controls)
         bootstrapped = bootstrap_threshold(case, observed, predicted, controls, before, seed)
-        limit = bootstrapped.value if threshold is None else checks.number("threshold", threshold)
-        if not 0 <= limit < np.inf:
-            raise DataError(f"threshold = {limit:g} nats is not finite and 0 or more")
+        limits = bootstrapped.values
         if threshold is not None:
+            limit = checks.number("threshold", threshold)
+            if not 0 <= limit < np.inf:
+                raise DataError(f"threshold = {limit:g} nats is not finite and 0 or more")
+            limits = np.array([limit])
             notes.append("the threshold was given, not bootstrapped")
     else:
-        bootstrapped, limit = threshold, threshold.value
+        bootstrapped, limits = threshold, threshold.values
     return _conclude(
-        case, observed, predicted, bootstrapped.discrepancy, limit, before, notes, number
+        case, observed, predicted, bootstrapped.discrepancy, limits, before, notes, number
     )
 
 
@@ -198,18 +201,26 @@ def _conclude(
     observed: ObservedFeatures,
     predicted: MeansHypotheses,
     discrepancy: ModelDiscrepancy,
-    limit: float,
+    limits: Array,
     prior: Prior,
     notes: Sequence[str],
     number: _Numbers,
 ) -> MeansFinding:
     """Compare the hypotheses' evidence and return the finding."""
-    predicted, evidence = evaluate_beyond(case, observed, predicted, discrepancy, prior.off)
+    parts = dict(list(steps(case, observed.used).items())[-len(limits) :])
+    predicted, by_part = evaluate_beyond(
+        case, observed, predicted, discrepancy, prior.off, list(parts)[:-1]
+    )
+    evidence = by_part[-1]
     searched = Searched(case, observed, predicted, discrepancy, evidence)
     compared = compare(case, observed, predicted, discrepancy)
     table = {k: float(v) for k, v in evidence.by_effect().items()}
     over = {k: v - table[NONE] for k, v in table.items() if k != NONE}
-    detection = Detection(float(evidence_of_something(evidence, prior)), limit)
+    *fewer, everything = (
+        Detection(float(evidence_of_something(part, prior)), float(limit))
+        for part, limit in zip(by_part, limits, strict=True)
+    )
+    detection = replace(everything, parts=dict(zip(parts.values(), fewer, strict=False)))
     detected = detection.verdict
     probabilities = of_one = posterior(table, prior)
     families = of_one_family = by_family(of_one, predicted.effects)

@@ -244,7 +244,8 @@ def evaluate_sets(compared: Comparison, sets: Sequence[Rows], *, off: bool) -> S
         rows = (compared.observed.values - of.mean)[:, None, :]
         if off:
             rows = np.concatenate([rows, of.common], axis=1)
-        one, scaled = log_densities(Factorization.whole(of.covariance), rows, 1, coarsened=False)
+        factorization, ends = Factorization.whole(of.covariance), [rows.shape[2]]
+        ((one, scaled),) = log_densities(factorization, rows, 1, ends, coarsened=False)
         stated[part] = np.where(of.possible, one[:, 0], -np.inf)
         if scaled is not None:
             together[part] = np.where(of.possible, scaled[:, 0], -np.inf)
@@ -337,8 +338,11 @@ def unknown_beside(compared: Comparison, rows: Indices) -> Array:
         alpha, other = covariance_of(observed, predicted, compared.discrepancy, int(i))
         other = other + compared.cells[i] @ compared.cells[i].T
         residual = observed.values - predicted.features[i].ravel()[mask] - bias[mask]
-        value = unknown_evidence(residual[None], alpha + other, observed.used, coarsened=False)
-        out.append(value[0])
+        ends = [len(residual)]
+        value = unknown_evidence(
+            residual[None], alpha + other, observed.used, ends, coarsened=False
+        )
+        out.append(value[0, 0])
     return np.array(out)
 
 
