@@ -11,10 +11,11 @@ the finder reads the same rooms. A row is stored room by room. `table` prints wh
 nothing is hidden, what was detected and claimed, and the same at equal false alarms: the threshold that
 one in 20 of the rooms with nothing hidden passes. Last, how often each verdict was right.
 
-The stored rows are of the present rule ("chosen"; the third world's rooms, too). Those of the rule
-"with a floor" under the threshold, of the one before it ("before"; of what it changes only) and of a
-likelihood that was not taken ("mean of normal densities", and "beside it" the rule of that day) are of
-earlier rooms. Each rule was frozen before its rooms were read (docs/discrepancy_study.md).
+The stored rows are of the present rule ("chosen"), and of the one before it in the same rooms ("one
+score": all data decide). The others are of earlier rooms: "one score, earlier" of that rule, the third
+world's too; "with a floor" under the threshold; the one before it ("before"; of what it changes only);
+and a likelihood that was not taken ("mean of normal densities", "beside it" the rule of that day). Each
+rule was frozen before its rooms were read (docs/discrepancy_study.md).
 """
 
 from __future__ import annotations
@@ -68,7 +69,15 @@ SETTINGS: dict[str, dict[str, float]] = {
     "full power, normal": {"COARSENING": np.inf, "DEGREES": np.inf},
 }
 """Values of `rtcal.finder.means.likelihood` that are tried."""
-TRIED = ("chosen", "with a floor", "before", "mean of normal densities", "beside it")
+TRIED = (
+    "chosen",
+    "one score",
+    "one score, earlier",
+    "with a floor",
+    "before",
+    "mean of normal densities",
+    "beside it",
+)
 """Of the rows that are stored."""
 EARLIER_FLOOR = 0.5
 """Smallest threshold in nats with C80 or G, until 2026-11-24."""
@@ -182,7 +191,7 @@ def judged(every: Mapping[str, dict[str, Any]], world: int, *data: str) -> list[
 
 
 def over(room: Judged) -> float:
-    """By how much a threshold is exceeded; the score, of rules that had one threshold."""
+    """Return by how many nats a threshold is exceeded; the score, of rules that had only one."""
     return float(room.row.get("excess", room.row["score"]))
 
 

@@ -64,7 +64,7 @@ def row_of(finding: MeansFinding) -> dict[str, Any]:
 
 
 def excess(finding: MeansFinding) -> float:
-    """By how many nats the finding exceeds a threshold, of T20 or of all data; below 0, of neither."""
+    """Return by how many nats a threshold is exceeded, of T20 or of all data; below 0, neither."""
     every = (finding.detection, *finding.detection.parts.values())
     return max(d.score - d.threshold for d in every)
 

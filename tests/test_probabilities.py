@@ -381,21 +381,19 @@ def test_of_the_null_rooms_one_in_twenty_exceeds_a_threshold() -> None:
 
 
 def test_data_that_say_nothing_do_not_hide_what_t20_detects() -> None:
-    """Levels that fit worse than assumed, whatever is there, take the evidence of T20 for weaker."""
-    hidden = Opening().change
-    case = with_levels(stated=True)
-    (c,) = case.configurations
-    shorter = {**c.measured.values, "t20": 0.75 * c.measured.values["t20"]}
-    shorter |= {p: 0.75 * v for p, v in shorter.items() if p in ("edt", "t30")}
-    noisy = {p: v + 4.0 * (-1.0) ** np.arange(v.shape[1]) for p, v in shorter.items() if p == "c80"}
-    measured = replace(c.measured, values={**shorter, **noisy})
-    case = replace(case, configurations=[replace(c, measured=measured)])
-    alone = find(case.only("t20"), effects=[Opening()], controls=controls(case))
-    assert alone.detected, hidden
-    whole = find(case, effects=[Opening()], controls=controls(case))
-    assert whole.detection.verdict is None
+    """C80 that fits worse than assumed takes every error for larger, that of T20, too."""
+    first = with_levels(stated=True).configurations[0].measured
+    up_and_down = 4.0 * (-1.0) ** np.arange(6)  # from band to band, as no effect changes it
+    values = {"t20": 0.95 * first.values["t20"], "c80": first.values["c80"] + up_and_down}
+    heard = Configuration(name="A", measured=replace(first, values=values))
+    case = replace(with_levels(stated=True), configurations=[heard])
+    tried = {"effects": [Opening()], "without": ["unknown"], "controls": controls(case)}
+    assert find(case.only("t20"), **tried).detected
+    whole = find(case, **tried)
+    assert whole.score < whole.threshold
     assert whole.detection.deciding == "T20"
     assert "Detected by T20 alone" in str(whole)
+    assert whole.detected
 
 
 def test_people_are_objects_and_an_audience_covers_floor() -> None:

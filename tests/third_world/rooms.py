@@ -30,7 +30,7 @@ from tests.second_world.rooms import BANDS, CEILINGS, COMMON, FLOORS, PARAMETERS
 KINDS = ("nothing", "porous", "opening", "coupled room", "noise floor", "material")
 COUNTS = {
     1: {k: {"nothing": 16}.get(k, 7) for k in KINDS},
-    # Drawn on 2026-11-24, before any finder read a room of it.
+    # Drawn on 2026-11-24, before any finder read a room of them.
     2: {k: {"nothing": 16}.get(k, 6) for k in KINDS},
     3: {k: {"nothing": 16}.get(k, 6) for k in KINDS},
 }

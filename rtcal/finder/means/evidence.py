@@ -220,7 +220,7 @@ def unknown_evidence(
     rows = np.repeat(residual[None], len(UNKNOWN_SIZES), axis=0)
     densities = log_densities(factorization, rows, len(residual), ends, coarsened=coarsened)
     parts = [log_sum(of_sizes) for of_sizes, _ in densities]
-    return np.array(parts) - np.log(len(UNKNOWN_SIZES))
+    return np.asarray(np.array(parts) - np.log(len(UNKNOWN_SIZES)))
 
 
 @dataclass(frozen=True, eq=False)
