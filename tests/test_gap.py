@@ -21,7 +21,7 @@ from rtcal.command.finder_options import Inputs
 from rtcal.command.main import cli
 from rtcal.finder import Case, MeansFinding, MeansVerification, control_rooms, verify
 from rtcal.finder.candidate import Size
-from rtcal.finder.means import evidence
+from rtcal.finder.means import bootstrap, evidence, search
 from rtcal.finder.means.bootstrap import FOLDER
 from rtcal.finder.means.engines import ControlRooms
 from rtcal.finder.means.features import distances, state
@@ -418,7 +418,12 @@ def differences(index: int) -> list[str]:
     # As the stored run has it: one configuration is judged by its part of the whole case's rooms.
     controls = [ControlRooms(c.engine, c.errors[:, :1]) for c in control_rooms(case)]
     # The stored run's grids ended; since then they go on, and a rival may have more evidence.
-    with patch.object(evidence, "_ROUNDS", 0):
+    # All data had one threshold, which is that of one step.
+    with (
+        patch.object(evidence, "_ROUNDS", 0),
+        patch.object(bootstrap, "steps", all_data),
+        patch.object(search, "steps", all_data),
+    ):
         finding = find(one, controls=controls)
     now = find(one, controls=controls)
     # The control rooms were kept in single precision. The threshold is a quantile of simulated rooms:
@@ -440,6 +445,10 @@ def differences(index: int) -> list[str]:
         error = np.sqrt((area * off**2).sum() / area.sum() / off.shape[1])
         near["rmse"] = error == pytest.approx(stored_["rmse"][2], rel=0.03)
     return [name for name, is_so in near.items() if not is_so]
+
+
+def all_data(_: Case, used: np.ndarray) -> dict[int, str]:
+    return {int(used.sum()): "all data"}
 
 
 @pytest.mark.parametrize("kind", [pytest.param(0, marks=LONG), pytest.param(2, marks=LONG), 11])
