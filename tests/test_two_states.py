@@ -205,12 +205,21 @@ def test_the_changed_room_has_t_of_the_second_state(panels: StatesFinding) -> No
     assert any("not told" in note for note in changed.notes)
     says = changed.room.sources.values()
     assert list(says) == ["changed by rtcal find: two states"] * changed.room.n_materials
-    result = rt.calibrate(changed.room, panels.case.after, method="soft")
+    for used in (panels.case.before, panels.case.after):  # it was made of both
+        with pytest.raises(rt.errors.DataError, match="already calibrated on these data"):
+            rt.calibrate(changed.room, used, method="soft")
+    result = rt.calibrate(changed.room, measured(times(12), 7), method="soft")
     assert np.abs(result.shift_in_sigmas).max() < 1
     back = rt.find(panels.case.room, panels.case.before, before=panels.case.after).apply()
     np.testing.assert_allclose(
         rt.Eyring().reverberation_time(back.room), panels.case.differences.before, rtol=0.08
     )
+
+
+def test_one_file_given_twice_is_said(panels: StatesFinding) -> None:
+    case, said = panels.case, "Both states hold the same values. Are they one file?"
+    assert said in rt.find(case.room, case.before, before=case.before).notes
+    assert said not in panels.notes
 
 
 def test_what_does_not_fit_in_the_room_is_said(panels: StatesFinding) -> None:

@@ -279,3 +279,11 @@ def test_what_is_written_is_read_again(geometry: Polyhedron, tmp_path: Path) -> 
     assert "scattering" in made.lost["odeon.txt"]  # a list for ODEON has no column for it
     assert any(row.startswith("odeon.txt lacks: scattering") for row in made.in_words)
     assert "scattering" not in made.lost.get("catt.txt", ())
+    assert 125 not in BANDS
+    for name in (
+        "catt.txt",
+        "odeon.txt",
+    ):  # the lists have bands that the room lacks, and say which
+        said = " ".join(made.in_words)
+        assert f"{name}: " in said
+        assert any(note.startswith("125 Hz is not in the room") for note in made.filled[name])

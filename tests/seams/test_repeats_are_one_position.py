@@ -107,7 +107,12 @@ def test_by_position() -> None:
     room, tracer = box()
     measured = of_names(["R1", "R2", "R3"])
     joined = measured.with_repeats(receivers={"R2": "R1"})
-    assert PositionsCase(simulator=tracer, measured=measured).measured.pairs == joined.pairs
+    case = PositionsCase(simulator=tracer, measured=measured)
+    assert case.measured.pairs == joined.pairs
+    for same in (case, case.only(case.pairs[:1])):
+        assert [note for note in same.notes if "one position: 2 of S1 to R1" in note] != []
+        assert len(same.notes) == 1
+    assert PositionsCase(simulator=tracer, measured=joined).notes == ()
     to_all = calibrate_positions(
         tracer, room, measured, ("t20", "edt"), fit_scattering=False, more_paths=1
     )

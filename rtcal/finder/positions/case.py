@@ -60,6 +60,8 @@ class PositionsCase:
         Names of each surface's faces. By default the coplanar faces of one material are one surface.
     position_uncertainty : float
         Of sources and receivers, in m.
+    notes : sequence of str
+        Sentences on the data, which the finding prints; which pairs are repeats of one place is added.
 
     Attributes
     ----------
@@ -80,6 +82,7 @@ class PositionsCase:
     exclude: Sequence[Pair] = ()
     surfaces: Mapping[str, Sequence[str]] | None = None
     position_uncertainty: float = POSITION
+    notes: Sequence[str] = ()
     faces: dict[str, Faces] = field(init=False)
 
     def __post_init__(self) -> None:
@@ -92,7 +95,11 @@ class PositionsCase:
         for name in ("measured", "simulated"):
             values = getattr(self, name)
             if isinstance(values, Measurement):
-                values, _ = at_places(self.simulator, values)
+                values, repeated = at_places(self.simulator, values)
+                if name == "measured":
+                    object.__setattr__(
+                        self, "notes", (*checks.listed("notes", self.notes), *repeated)
+                    )
                 object.__setattr__(self, name, values)
             if values is not None and values.is_summary:
                 raise DataError(

@@ -25,6 +25,7 @@ from rtcal.finder.candidate import Candidate
 from rtcal.finder.positions.case import PositionsCase
 from rtcal.finder.positions.surfaces import NEAR, face_at, patched
 from rtcal.io import catt, obj, odeon
+from rtcal.io.material_export import ExportReport
 from rtcal.simulators.geometry import Polyhedron
 from rtcal.simulators.path_tracing import PathTracing
 from rtcal.support import checks
@@ -84,9 +85,10 @@ class Corrected:
 
     @property
     def in_words(self) -> list[str]:
-        """The effect that was added, why in another form than asked for, and what the lists lack."""
+        """The effect that was added, its form, and what the lists fill in and lack."""
         said = f"Added {self.added.title}, {self.added.in_words}, as {self.form}"
         rows = [f'{said}: material "{self.material}".', *([self.note] if self.note else [])]
+        rows += [f"{name}: {'. '.join(notes)}." for name, notes in self.filled.items()]
         return rows + [f"{name} lacks: {', '.join(lost)}." for name, lost in self.lost.items()]
 
     def to_dict(self) -> dict[str, Any]:
@@ -95,6 +97,7 @@ class Corrected:
             "added": self.added.to_dict(),
             "form": self.form,
             "note": self.note,
+            "filled": {name: list(notes) for name, notes in self.filled.items()},
             "lost": {name: list(lost) for name, lost in self.lost.items()},
         }
 
@@ -158,11 +161,16 @@ class Corrected:
     @property
     def lost(self) -> dict[str, tuple[str, ...]]:
         """The entries that a list of materials does not hold, by the list's file name."""
-        return {name: lost for name, (_, lost) in self._lists.items() if lost}
+        return {name: report.lost for name, (_, report) in self._lists.items() if report.lost}
+
+    @property
+    def filled(self) -> dict[str, tuple[str, ...]]:
+        """Notes on the bands of a list that the room lacks or has in other widths, by its file name."""
+        return {name: report.notes for name, (_, report) in self._lists.items() if report.notes}
 
     @cached_property
-    def _lists(self) -> dict[str, tuple[bytes, tuple[str, ...]]]:
-        """The lists of materials for CATT and ODEON, and what they lack, by file name."""
+    def _lists(self) -> dict[str, tuple[bytes, ExportReport]]:
+        """The lists of materials for CATT and ODEON, and their reports, by file name."""
         stated = self._with_scene(Path(MESH))
         # Their writers fill in a list that exists; these are new ones.
         with tempfile.TemporaryDirectory(prefix="rtcal-") as empty:
@@ -170,7 +178,7 @@ class Corrected:
                 CATT: catt.write(stated, Path(empty, CATT), missing_bands="nearest"),
                 ODEON: odeon.write(stated, Path(empty, ODEON), missing_bands="nearest"),
             }
-            return {n: (Path(empty, n).read_bytes(), r.lost) for n, r in reports.items()}
+            return {n: (Path(empty, n).read_bytes(), r) for n, r in reports.items()}
 
     def __repr__(self) -> str:
         return f'<Corrected room: {self.added.title} as {self.form} "{self.material}">'

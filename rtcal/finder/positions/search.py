@@ -287,6 +287,7 @@ def _finding(
             track_record.of_positions(case.room, observations.parameters),
             *_assumed(case),
             *_of_size(hypotheses, placed),
+            *case.notes,
             *numbers.data.notes,
         ),
         controls=numbers.controls,

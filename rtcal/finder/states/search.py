@@ -116,6 +116,7 @@ def find(
     if family is not None and "absorption" in family:
         located, why = _located(case, change, variance, added, assumed, seed)
     gain = "" if located is None else _of_gains(located.gains, 1 if added else -1)
+    alike = "" if np.nan_to_num(change).any() else _ALIKE
     return StatesFinding(
         case=case,
         verdict=verdict,
@@ -132,10 +133,11 @@ def find(
         surfaces={} if located is None else located.surfaces,
         sets={} if located is None else located.sets,
         reasons=(),
-        notes=(*filter(None, [gain]), *found.notes, *filter(None, [why])),
+        notes=(*filter(None, [gain]), *found.notes, *filter(None, [why, alike])),
     )
 
 
+_ALIKE = "Both states hold the same values. Are they one file?"
 _OF_MEANS = "T alone does not tell on which surface something changed."
 
 
