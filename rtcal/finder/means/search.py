@@ -25,7 +25,7 @@ from rtcal.finder.means.bootstrap import (
 from rtcal.finder.means.bootstrap import score as evidence_of_something
 from rtcal.finder.means.engines import ControlRooms
 from rtcal.finder.means.evidence import Searched, evaluate_beyond
-from rtcal.finder.means.features import ObservedFeatures, observe, steps
+from rtcal.finder.means.features import LEVELS, ObservedFeatures, observe, steps
 from rtcal.finder.means.finding import MeansFinding
 from rtcal.finder.means.gap import schroeder_limit
 from rtcal.finder.means.hypotheses import MeansHypotheses, predict_hypotheses
@@ -252,7 +252,7 @@ def _conclude(
         detection=detection,
         advice=next_measurement(searched, told_apart),
         residuals=standardized_residuals(observed, predicted, discrepancy),
-        notes=(*notes, observed.origin, *_notes(case)),
+        notes=(*_off_levels(case, observed, predicted), *notes, observed.origin, *_notes(case)),
         discrepancy=discrepancy,
         effects=predicted.effects,
     )
@@ -277,6 +277,29 @@ def _applied(predicted: MeansHypotheses, rows: Rows) -> tuple[AppliedEffect, ...
     """Return the effects of a set with their parameters."""
     names, parameters = predicted.names, predicted.parameters
     return tuple(AppliedEffect.of(predicted.effects[names[i]], parameters[i]) for i in rows)
+
+
+_OFF_LEVEL = 3.0
+"""Least mean in dB over the bands by which a level is said to be off; its spread is a third at most."""
+
+
+def _off_levels(case: Case, observed: ObservedFeatures, predicted: MeansHypotheses) -> list[str]:
+    """Return notes of levels that are off alike in all bands, beside what T says of the stated room."""
+    off = observed.features - predicted.features[0]
+    level, name = FEATURES.index(LEVELS[-1]), parameter_label(LEVELS[-1])
+    beside = off[:, level] - predicted.slopes[0, :, level] * off[:, 0]
+    out = []
+    for configuration, by_band in zip(case.configurations, beside, strict=True):
+        known = by_band[np.isfinite(by_band)]
+        mean = known.mean() if len(known) > 1 else 0.0
+        if abs(mean) >= max(_OFF_LEVEL, 3 * float(known.std()) if len(known) else 0.0):
+            side = "above" if mean > 0 else "below"
+            out.append(
+                f'"{configuration.name}": {name} is {abs(mean):.1f} dB {side} what T and the stated '
+                "room give, alike in all bands. Its calibration may be off as well as the room. If its "
+                'reference is not sure, name it "level"'
+            )
+    return out
 
 
 def _notes(case: Case) -> list[str]:

@@ -1,0 +1,42 @@
+"""A level that is off alike in all bands is told as such, whatever T says; one that is not is not."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import rtcal as rt
+from rtcal.finder import library
+from rtcal.finder.means.features import observe
+from rtcal.finder.means.hypotheses import predict_hypotheses
+from rtcal.finder.means.search import _off_levels
+
+
+def notes(off: float, slope: float = 0.0) -> list[str]:
+    """Of the shipped room, whose absorption is another than stated, G off and tilted over the bands."""
+    case, _ = rt.datasets.hidden_room()
+    configurations = []
+    for each in case.configurations:
+        values = dict(each.measured.values)
+        tilt = slope * np.linspace(-1, 1, np.shape(values["g"])[-1])
+        values["g"] = np.asarray(values["g"]) + off + tilt
+        configurations.append(replace(each, measured=replace(each.measured, values=values)))
+    case = replace(case, configurations=tuple(configurations))
+    return _off_levels(case, observe(case)[0], predict_hypotheses(case, library()))
+
+
+@pytest.mark.parametrize("off", [-30, -5, 5, 20])
+def test_a_level_that_is_off_is_told(off: float) -> None:
+    said = notes(off)
+    assert len(said) == 2
+    for note in said:
+        assert ("above" if off > 0 else "below") in note
+        words = note.split(" dB")[0].split()
+        assert float(words[-1]) == pytest.approx(abs(off), abs=0.5)
+
+
+def test_what_a_room_may_do_is_not_told_so() -> None:
+    assert notes(0) == []
+    assert notes(5, slope=6) == []
