@@ -1,4 +1,4 @@
-"""A level that is off alike in all bands is told as such, whatever T says; one that is not is not."""
+"""A level that is off alike in all bands is told first; one that is tilted is not."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from rtcal.finder.means.search import _off_levels
 
 
 def notes(off: float, slope: float = 0.0) -> list[str]:
-    """Of the shipped room, whose absorption is another than stated, G off and tilted over the bands."""
+    """Return the notes of the shipped room with G off and tilted over the bands."""
     case, _ = rt.datasets.hidden_room()
     configurations = []
     for each in case.configurations:
