@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import replace
 from urllib.parse import quote, unquote
 
 import numpy as np
@@ -128,15 +127,6 @@ def _equal(one: str, other: str) -> bool:
         return abs(value - float(other)) <= _SAME * max(1.0, abs(value))
     except ValueError:  # a record that was written by hand
         return one == other
-
-
-def with_data(room: Room, *names: str) -> Room:
-    """Return a calibrated room whose record has further names of data; any other room as it is."""
-    if room.calibration is None:
-        return room
-    every = " ".join([room.calibration.measured, *names]).split()
-    record = replace(room.calibration, measured=" ".join(dict.fromkeys(every)))
-    return room.replace(calibration=record)
 
 
 def refuse_repeated_data(room: Room, *names: str) -> None:

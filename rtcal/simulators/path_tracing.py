@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from copy import copy
 from dataclasses import dataclass, field, replace
 from itertools import repeat
 from typing import Any, ClassVar, Literal
@@ -153,11 +154,15 @@ class PathTracing(DirectedSources, Tracer):
         )
 
     def aimed(self, directivity: Mapping[str, Directivity]) -> PathTracing:
-        """Return the tracing with other directivities of some sources, and the paths it has traced."""
-        changed = replace(self, directivity={**self.directivity, **directivity})
-        omnidirectional = 2  # a key with a band, too, has the paths of its directivity
-        kept = {key: of for key, of in self._traced.items() if len(key) == omnidirectional}
-        changed._traced.update(kept)
+        """Return the tracing with other directivities of some sources, and the paths it has traced.
+
+        They have a value per band.
+        """
+        changed = copy(self)
+        # A key with a band, too, has the paths of its directivity.
+        kept = {key: of for key, of in self._traced.items() if len(key) == 2}
+        object.__setattr__(changed, "_traced", kept)
+        object.__setattr__(changed, "directivity", {**self.directivity, **directivity})
         return changed
 
     def trace_ahead(self, alpha: Array, factor: float, *, seed: int = 0) -> None:
@@ -403,13 +408,13 @@ class PathTracing(DirectedSources, Tracer):
         The paths of the last seed are kept and returned again. DataError for ``seconds`` above
         `rtcal.simulators.tracer.LONGEST`.
         """
-        checks.whole("seed", seed, 0)
         if checks.whole("band", band, 0) >= self.room.n_bands:
             raise DataError(f"band = {checks.shown(band)} is not from 0 to {self.room.n_bands - 1}")
         longest = check_seconds(seconds) * self.room.speed_of_sound
         columns = [tuple(column) for column in self.scattering.T]
         key = (seed, columns.index(columns[band]))
         if key not in self._traced or self._traced[key].longest < longest:
+            checks.whole("seed", seed, 0)
             if any(other != seed for other, *_ in self._traced):
                 self._traced.clear()
             self._traced[key] = self._trace(self.scattering[:, band], longest, seed)

@@ -179,6 +179,8 @@ def thresholds(scores: Array) -> Array:
     They are quantiles of the steps at one level, and at least `MINIMUM`. Of the rooms `QUANTILE` exceed
     none of them.
 
+    Examples
+    --------
     >>> thresholds(np.stack([np.arange(101.0), np.arange(101.0)], axis=1))
     array([95., 95.])
     """

@@ -20,6 +20,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.special import logsumexp
 
 from rtcal.finder.case import AppliedEffect, Case
 from rtcal.finder.effects import Effect, Parameters
@@ -31,7 +32,6 @@ from rtcal.finder.means.likelihood import (
     covariance_of,
     log_densities,
     log_likelihood,
-    log_sum,
 )
 from rtcal.finder.means.model_error import ModelDiscrepancy
 from rtcal.finder.prior import COEFFICIENTS, NONE, UNKNOWN, grid_weights
@@ -86,7 +86,7 @@ class MeansEvidence:
         """Return the log likelihood of each hypothesis, whatever the coefficients."""
         with np.errstate(divide="ignore"):
             stated, off = np.log(1 - self.prior_off), np.log(self.prior_off)
-        return log_sum(np.stack([self.stated + stated, self.off + off]))
+        return np.asarray(logsumexp(np.stack([self.stated + stated, self.off + off]), axis=0))
 
     def off_given(self, name: str) -> Array:
         """Return the probability of coefficients that are off together, given an effect or "none"."""
@@ -100,7 +100,7 @@ def _weighted(log: Array, weights: Array) -> Array:
     """Return the log of the weighted sum of exponentials over the first axis."""
     with np.errstate(divide="ignore"):
         terms = np.log(weights).reshape(-1, *[1] * (log.ndim - 1)) + log
-    return log_sum(terms)
+    return np.asarray(logsumexp(terms, axis=0))
 
 
 def evaluate(
@@ -219,7 +219,7 @@ def unknown_evidence(
     )
     rows = np.repeat(residual[None], len(UNKNOWN_SIZES), axis=0)
     densities = log_densities(factorization, rows, len(residual), ends, coarsened=coarsened)
-    parts = [log_sum(of_sizes) for of_sizes, _ in densities]
+    parts = [logsumexp(of_sizes, axis=0) for of_sizes, _ in densities]
     return np.asarray(np.array(parts) - np.log(len(UNKNOWN_SIZES)))
 
 

@@ -8,7 +8,7 @@ from itertools import pairwise
 
 import numpy as np
 from scipy.linalg.lapack import dpotrf, dtrtrs
-from scipy.special import chdtrc, gammaln
+from scipy.special import chdtrc, gammaln, logsumexp
 
 from rtcal.finder.means.features import ObservedFeatures
 from rtcal.finder.means.hypotheses import LowRank, MeansHypotheses, misfit
@@ -370,16 +370,7 @@ def log_densities(
         less = more * np.einsum("nsdr,ndr->nsd", solved, across)
         spread = half[:, None] + 0.5 * np.linalg.slogdet(grown)[1]
         log = student(square[:, None] - less, spread[:, :, None], m, coarsened=coarsened)
-        yield stated, log_sum(log_probability + log, axis=1)
-
-
-def log_sum(logs: Array, axis: int = 0) -> Array:
-    """Return the log of the sum of exponentials; quicker than `numpy.logaddexp.reduce`."""
-    most = logs.max(axis=axis, keepdims=True)
-    most = np.where(np.isfinite(most), most, 0.0)
-    with np.errstate(divide="ignore"):
-        total = np.log(np.exp(logs - most).sum(axis=axis))
-    return np.asarray(total + most.squeeze(axis))
+        yield stated, logsumexp(log_probability + log, axis=1)
 
 
 def student(square: Array, half_log_determinant: Array, m: int, *, coarsened: bool = True) -> Array:

@@ -206,7 +206,9 @@ def lobes(tracer: PathTracing) -> list[dict[str, Directivity]]:
     middle = tracer.to_receivers.mean(axis=1)
     # A source in the middle of its receivers aims at none of them.
     middle[~middle.any(axis=1)] = np.eye(3)[0]
-    towards = dict(zip(tracer.sources, middle, strict=True))
+    index = np.full(tracer.room.n_bands, LOBE_INDEX)
+    unstated = [s for s, name in enumerate(tracer.sources) if name not in tracer.directivity]
+    names = [list(tracer.sources)[s] for s in unstated]
 
     def changed(decibels: float) -> dict[str, Directivity]:
         return {
@@ -214,14 +216,12 @@ def lobes(tracer: PathTracing) -> list[dict[str, Directivity]]:
             for name, of in with_index(tracer).items()
         }
 
+    towards = [Directivity(index=index, aim=tuple(middle[s])) for s in unstated]
+    along = [Directivity(index=index, aim=aim) for aim in AIMS if aim is not None]
+    own = changed(OWN_INDEX_ERROR)
     return [
-        changed(INDEX_ERROR if aim is None else OWN_INDEX_ERROR)
-        | {
-            name: Directivity(index=LOBE_INDEX, aim=tuple(towards[name]) if aim is None else aim)
-            for name in tracer.sources
-            if name not in tracer.directivity
-        }
-        for aim in AIMS
+        changed(INDEX_ERROR) | dict(zip(names, towards, strict=True)),
+        *(own | dict.fromkeys(names, lobe) for lobe in along),
     ]
 
 

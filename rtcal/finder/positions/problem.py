@@ -25,7 +25,6 @@ from rtcal.finder.positions.model_error import (
     TracingError,
     covariance_of_lobes,
     levels,
-    lobes,
     simulator_error,
 )
 from rtcal.finder.positions.responses import AIR, STEP, TRACINGS, PairShifts
@@ -197,7 +196,7 @@ def problem_of(case: PositionsCase, made: PairShifts, controls: ControlRuns) -> 
         error=error,
         levels=levels(of_levels.reshape(len(of_levels), *stated.shape[:2], -1)),
         aimed=covariance_of_lobes(shifted(made.aimed), wanted.pairs, room.centre_frequencies)
-        if lobes(tracer)[0]
+        if made.aimed.any()
         else None,
         nodes=nodes,
     )

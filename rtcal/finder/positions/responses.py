@@ -16,6 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from rtcal.acoustics.air import Air
+from rtcal.acoustics.directivity import Directivity
 from rtcal.acoustics.observables import MATCH
 from rtcal.acoustics.scene import plain_directivities
 from rtcal.finder.positions import surfaces as of_room
@@ -149,10 +150,13 @@ def _weighed(case: PositionsCase, seed: int, progress: TaskProgress | None) -> P
 
         return tell
 
-    seconds = _seconds(case, match, seed)
+    seconds, aimed = _seconds(case, match, seed), lobes(case.simulator)
     seeds = range(TRACINGS * seed, TRACINGS * (seed + 1))
     return _mean(
-        [_of_tracing(case, match, s, seconds, telling(t)) for t, s in enumerate(seeds, start=1)]
+        [
+            _of_tracing(case, match, s, seconds, aimed, telling(t))
+            for t, s in enumerate(seeds, start=1)
+        ]
     )
 
 
@@ -161,6 +165,7 @@ def _of_tracing(
     match: tuple[str, ...],
     seed: int,
     seconds: float,
+    directivities: Sequence[Mapping[str, Directivity]],
     progress: Progress,
 ) -> PairShifts:
     """Return the shifts of one tracing, whose paths are followed for ``seconds`` at least."""
@@ -179,7 +184,7 @@ def _of_tracing(
     volume = [weighing.observe(weighing.alpha, stretch=float(np.exp(t / 3))) for t in VOLUME]
     aimed = [
         replace(weighing, tracer=tracer.aimed(of)).observe(weighing.alpha) if of else base
-        for of in lobes(tracer)
+        for of in directivities
     ]
     # Only paths of the model "random" tell the derivatives.
     if tracer.scattering_model != "random":

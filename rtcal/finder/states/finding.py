@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import islice
 from typing import Any, ClassVar
 
 import numpy as np
 
 from rtcal.acoustics import bands
-from rtcal.acoustics.repeats import with_data
-from rtcal.calibration.problem_data import times_in_room
 from rtcal.finder.candidate import Size, amount
 from rtcal.finder.claim import CLAIMED, Names
 from rtcal.finder.finding import LEAST_PAIRS, NATS, Finding, over_frequency
@@ -112,10 +110,7 @@ class StatesFinding(Finding):
         if self.reason_for_none is not None:
             raise DataError(self.reason_for_none)
         kinds = [c.effect for c in self.candidates]
-        made = changed_room(self.case, self.area, self.change, self.claimed_surfaces, kinds)
-        states = (self.case.before, self.case.after)
-        used = [times_in_room(self.case.room, state).fingerprint for state in states]
-        return replace(made, room=with_data(made.room, *used))
+        return changed_room(self.case, self.area, self.change, self.claimed_surfaces, kinds)
 
     @property
     def claimed_surfaces(self) -> tuple[str, ...]:
