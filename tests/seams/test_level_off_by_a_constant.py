@@ -40,3 +40,9 @@ def test_a_level_that_is_off_is_told(off: float) -> None:
 def test_what_a_room_may_do_is_not_told_so() -> None:
     assert notes(0) == []
     assert notes(5, slope=6) == []
+
+
+def test_a_level_that_fits_the_stated_room_is_not_told_so() -> None:
+    """A noise floor lengthens T. It had been said that G is 8 dB below what T gives."""
+    case, _ = rt.datasets.named_room()
+    assert _off_levels(case, observe(case)[0], predict_hypotheses(case, library())) == []

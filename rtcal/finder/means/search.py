@@ -284,15 +284,21 @@ _OFF_LEVEL = 3.0
 
 
 def _off_levels(case: Case, observed: ObservedFeatures, predicted: MeansHypotheses) -> list[str]:
-    """Return notes of levels that are off alike in all bands, beside what T says of the stated room."""
-    off = observed.features - predicted.features[0]
+    """Return notes of levels that are off alike in all bands, beside what T says of the stated room.
+
+    They are off from the stated room itself, too: noise in the decay lengthens T and leaves the level.
+    """
     level, name = FEATURES.index(LEVELS[-1]), parameter_label(LEVELS[-1])
+    off = observed.features - predicted.features[0]
     beside = off[:, level] - predicted.slopes[0, :, level] * off[:, 0]
     out = []
-    for configuration, by_band in zip(case.configurations, beside, strict=True):
-        known = by_band[np.isfinite(by_band)]
-        mean = known.mean() if len(known) > 1 else 0.0
-        if abs(mean) >= max(_OFF_LEVEL, 3 * float(known.std()) if len(known) else 0.0):
+    for c, configuration in enumerate(case.configurations):
+        known = np.isfinite(beside[c])
+        if known.sum() < 2:
+            continue
+        mean, direct = beside[c, known].mean(), off[c, level, known].mean()
+        least = max(_OFF_LEVEL, 3 * beside[c, known].std())
+        if abs(mean) >= least and np.sign(mean) * direct >= _OFF_LEVEL:
             side = "above" if mean > 0 else "below"
             out.append(
                 f'"{configuration.name}": {name} is {abs(mean):.1f} dB {side} what T and the stated '
