@@ -101,6 +101,8 @@ def test_what_absorbs_is_found_with_a_stated_index(kept: Path) -> None:
     assert finding.detected
     assert finding.parameters == MATCH
     assert sum(p for f, p in finding.families.items() if f.startswith("added absorption")) > 0.9
+    # Without "unknown" among what is tried.
+    assert rt.finder.positions.find(case, cache=kept, only=("opening",)).detected
 
 
 def test_lobes_are_those_of_sources_of_which_nothing_or_an_index_is_stated() -> None:

@@ -61,13 +61,13 @@ def read_case(inputs: Inputs, targets: Sequence[str | Path] = (), *, quietly: bo
         return case
     room = Room.from_file(inputs.case)
     spare(targets, [path for path in (*files_read(inputs), room.scene.mesh) if path is not None])
-    measured = read_measured(inputs.measured)
+    measured = read_measured(inputs.measured, quietly=quietly)
     if not inputs.at_positions:
         refuse(inputs.stated, _NEEDS_POSITIONS)
         return case_of(room, measured)
     more: dict[str, Any] = {"exclude": pairs("--exclude", inputs.exclude)}
     if inputs.simulated is not None:
-        more["simulated"] = read_measured(inputs.simulated)
+        more["simulated"] = read_measured(inputs.simulated, quietly=quietly)
     if inputs.match:
         more["match"] = inputs.match
     tracing = {"n_paths": inputs.paths, "scattering": inputs.scattering}
@@ -429,7 +429,6 @@ def _what_changed(
     """Find what changed; no file that is read may be among the targets."""
     from rtcal.acoustics.room import Room
     from rtcal.finder.search import case_of, find
-    from rtcal.support.files import spare
 
     _refuse_options_of_one_state(inputs, search, traced=True)
     measured = str(inputs.measured)

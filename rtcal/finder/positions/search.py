@@ -195,8 +195,9 @@ def find_by_positions(
         residuals = numbers.residual[:, np.newaxis]
         lobes = evaluate(numbers.likelihoods(aimed=True), hypotheses, residuals)
         aimed = float(gain(lobes, evidence, hypotheses)[0])
-        told = summary_of(case, hypotheses, weights(evidence, hypotheses, TOLD_TEMPER))
-        unexplained = bool(with_index) and told.probabilities[UNKNOWN] >= CLAIMED and reverberation
+        if with_index and reverberation:
+            told = summary_of(case, hypotheses, weights(evidence, hypotheses, TOLD_TEMPER))
+            unexplained = told.probabilities.get(UNKNOWN, 0.0) >= CLAIMED
     doubted = aimed > model_error.LIKELY_LOBES or unexplained
     if doubted:
         if reverberation:
