@@ -40,7 +40,6 @@ KERNELS = [
     "rtcal.calibration.exact_kernel",
     "rtcal.simulators.shoebox_numba",
     "rtcal.simulators.path_numba",
-    "rtcal.simulators.shoebox_numba",
     "rtcal.studies.trials_kernel",
 ]
 """Modules that numba compiles: it does not know what atheris writes into them."""

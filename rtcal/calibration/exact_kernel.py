@@ -75,7 +75,7 @@ def solve_rows(
                 # Written so that NaN counts as a violation.
                 violations += not ((x >= low[i]) & (x <= high[i]) & (s[i] >= 0) & (g[i] >= 0))
                 room += weight[i] * (x - low[i]) * (high[i] - x)
-            # If b counts as an end (see `batch.solve`), `room` is less than this.
+            # If b counts as an end (see `exact.solve`), `room` is less than this.
             least_room = 32 * n * EPS * area * largest * largest * variance
             solved = violations == 0 and room > least_room
             multiplier[r] = d

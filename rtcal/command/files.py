@@ -384,7 +384,6 @@ def report(
     """  # noqa: D301 (click's mark for lines that are not to be wrapped)
     from rtcal.io import workbook
     from rtcal.report import document, pages, result_folder
-    from rtcal.support.files import spare
     from rtcal.support.progress import bar
 
     if out == "":

@@ -212,7 +212,7 @@ def next_(
             (name, [text.number(v, f"+.{digits}f" if sign else f".{digits}f") for v in values])
             for name, values, digits, sign in more
         ]
-        header = [("", [bands.label(frequency) for frequency in frequencies])]
+        header = [("", bands.labels(frequencies))]
         lines += ["", *text.table(cells, header=header)]
     for sentence in sentences(after.gaps_beside, frequencies):
         lines += text.wrapped(sentence)

@@ -174,8 +174,7 @@ def _by_trimesh(content: bytes, path: str, unit: float | None) -> Faces:
         length = _LENGTHS.get(str(stated), 0.001)
     if unit is not None:
         length = unit
-    if length != 1.0:
-        notes.append(f"the file's unit is {length:g} m")
+    notes += unit_notes(length, None, unit)
     notes += [_TURNED] * turned
     polygons: list[Array] = []
     materials: list[str] = []

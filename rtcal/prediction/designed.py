@@ -162,7 +162,7 @@ class Design(Result):
 
 def text_of(record: dict[str, Any]) -> str:
     """Return the text that ``print(design)`` shows, from `Design.to_dict`."""
-    labels = [bands.label(f) for f in record["prediction"]["centre_frequencies"]]
+    labels = bands.labels(record["prediction"]["centre_frequencies"])
     put = []
     for t in record["treatments"]:
         panels = "-" if t["panels"] is None else f"{t['panels']:d}"

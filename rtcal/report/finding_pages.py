@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from rtcal.acoustics import bands
 from rtcal.acoustics.observables import parameter_label
 from rtcal.finder.claim import SAID
 from rtcal.finder.means.corrected import corrected_room, not_in_room
@@ -196,7 +197,7 @@ def states_page(finding: StatesFinding, heading: Heading, step: Callable[[], Non
                 ("to / m²", high, 1, True),
             ],
             "blocks": blocks(len(frequencies)),
-            "labels": [f"{f:g} Hz" for f in frequencies],
+            "labels": bands.labels(frequencies),
             "times": {
                 "source": source(_times(finding), step),
                 "alt": f"{name}: T before and after, by band",

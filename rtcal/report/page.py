@@ -178,10 +178,10 @@ def loop_page(
     if ends is not None:
         summary.append(loop_words.confirmed(loop, ends))
     summary += matched.sentences(result.gaps_beside, loop.room.centre_frequencies)
-    bands = loop_words.bands_table(loop, status)
-    bands["numbers"] += loop_words.lost_rows(result.compromise)
+    by_band = loop_words.bands_table(loop, status)
+    by_band["numbers"] += loop_words.lost_rows(result.compromise)
     if ends is None:
-        bands["numbers"] += loop_words.beside_rows(loop)
+        by_band["numbers"] += loop_words.beside_rows(loop)
     figure = loop_figures.path(loop)
     drawn = source(figure, progress or (lambda: None))
     return render(
@@ -198,10 +198,10 @@ def loop_page(
                 "caption": f"By band: {loop.matched.label}, and how far each simulation was off. "
                 "One JND is 5 %.",
             },
-            "bands": bands,
+            "bands": by_band,
             "ends": ends,
             "blocks": blocks(loop.room.n_bands),
-            "labels": [f"{f:g} Hz" for f in loop.room.centre_frequencies],
+            "labels": bands.labels(loop.room.centre_frequencies),
             "materials": loop_words.materials_table(loop),
             "equation_option": loop_words.equation_option(loop),
             "weights_option": loop_words.weights_option(loop),

@@ -65,7 +65,7 @@ def page(result: PositionsResult, heading: Heading, step: Callable[[], None]) ->
             ],
             "doubts": _doubts(result),
             "blocks": blocks(len(result.prior.centre_frequencies)),
-            "labels": [f"{f:g} Hz" for f in result.prior.centre_frequencies],
+            "labels": bands.labels(result.prior.centre_frequencies),
             "materials": material_rows(
                 [result.prior.materials[i] for i in order],
                 result.prior.areas[order],
@@ -329,7 +329,7 @@ def modes_page(result: ModesResult, heading: Heading, step: Callable[[], None]) 
             "command": "rtcal calibrate room.toml t.csv --modes modes.csv --out calibrated"
             if measured.any()
             else "rtcal.calibrate_modes(room, modes)",
-            "labels": [f"{f:g} Hz" for f in room.centre_frequencies],
+            "labels": bands.labels(room.centre_frequencies),
             "blocks": blocks(room.n_bands),
             "carries": np.where(result.below | measured, carries, "–"),
             "materials": material_rows(

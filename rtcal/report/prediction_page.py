@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from rtcal.acoustics import bands
 from rtcal.acoustics.observables import observable, parameter_label
 from rtcal.loop.positions_prediction import PositionsPrediction, PositionsPredictions
 from rtcal.prediction.designed import Design
@@ -167,7 +168,7 @@ def page(
             "equation": first.equation.name,
             "n_states": len(first.states),
             "blocks": blocks(len(frequencies)),
-            "labels": [f"{f:g} Hz" for f in frequencies],
+            "labels": bands.labels(frequencies),
         },
         heading.completed(first.before.name, first.before.author),
     )
@@ -201,7 +202,7 @@ def page_at_positions(
             "basis": f"{first.simulator}, {len(first.pairs)} pairs of source and receiver. Its error "
             "is that of its control runs, heard before and after the change.",
             "blocks": blocks(len(frequencies)),
-            "labels": [f"{f:g} Hz" for f in frequencies],
+            "labels": bands.labels(frequencies),
         },
         heading.completed(first.before.name, first.before.author),
     )

@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rtcal.acoustics import bands
 from rtcal.io import geometry_files
 from rtcal.report import room_still
 from rtcal.report.figures import rms
@@ -162,7 +163,7 @@ def absorption(
 
     All are (n_materials, n_bands).
     """
-    columns = ("mean over the bands", *(f"{f:g} Hz" for f in frequencies))
+    columns = ("mean over the bands", *bands.labels(frequencies))
     highest = float(np.ceil(10 * max(stated.max(), calibrated.max(), 0.1))) / 10
     reach = float(np.ceil(max(2.0, np.abs(shift).max())))
 

@@ -182,10 +182,16 @@ def _of_tracing(
         for t in AIR
     ]
     volume = [weighing.observe(weighing.alpha, stretch=float(np.exp(t / 3))) for t in VOLUME]
-    aimed = [
-        replace(weighing, tracer=tracer.aimed(of)).observe(weighing.alpha) if of else base
-        for of in directivities
-    ]
+    aimed: list[Array] = []
+    for i, of in enumerate(directivities):
+        if (
+            i and of == directivities[i - 1]
+        ):  # only sources of which nothing is stated aim elsewhere
+            aimed.append(aimed[-1])
+        elif of:
+            aimed.append(replace(weighing, tracer=tracer.aimed(of)).observe(weighing.alpha))
+        else:
+            aimed.append(base)
     # Only paths of the model "random" tell the derivatives.
     if tracer.scattering_model != "random":
         tracer = _retraced(tracer, scattering_model="random")
@@ -434,17 +440,7 @@ def key_of(case: PositionsCase, seed: int) -> str:
         plain_directivities(tracer.directivity),
         list(parameters(case)),
         [TRACINGS, BASE, DENSER, LARGER, STEP, seed],
-        [
-            SHARES,
-            SECOND_ROOMS,
-            AIR,
-            VOLUME,
-            TRACED,
-            MOVE,
-            LOBE_INDEX,
-            INDEX_ERROR,
-            OWN_INDEX_ERROR,
-            __version__,
-        ],
+        [LOBE_INDEX, INDEX_ERROR, OWN_INDEX_ERROR],
+        [SHARES, SECOND_ROOMS, AIR, VOLUME, TRACED, MOVE, __version__],
     ]
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:32]
