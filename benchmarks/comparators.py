@@ -23,7 +23,7 @@ import numpy as np
 from scipy import optimize
 
 import rtcal as rt
-from rtcal.acoustics.decay import clarity, decay_time
+from rtcal.acoustics.decay import parameters
 from rtcal.datasets import halls
 from rtcal.simulators.external import External
 from rtcal.simulators.path_tracing import PathTracing
@@ -57,9 +57,7 @@ class Counter:
         """T20, EDT and C80 by receiver, (3, n_receivers)."""
         energy = self.tracer.energy(alpha[:, np.newaxis], 3.0).mean(axis=0)[0, :, 0]
         dt = self.tracer.bin_width
-        return np.stack(
-            [decay_time(energy, dt), decay_time(energy, dt, "edt"), clarity(energy, dt, 0.08)]
-        )
+        return np.stack([*parameters(energy, dt, ["t20", "edt", "c80"]).values()])
 
     def times(self, alpha: np.ndarray) -> float:
         """Mean T20 in s; counts."""

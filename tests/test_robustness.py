@@ -10,7 +10,7 @@ import pytest
 import rtcal as rt
 from rtcal import loop as closed_loop
 from rtcal import studies
-from rtcal.acoustics.decay import clarity, decay_time
+from rtcal.acoustics.decay import decay_time
 from rtcal.calibration import closed_form
 from rtcal.calibration.configurations import Configurations
 from rtcal.calibration.posterior import distribution, sensitivity
@@ -489,7 +489,6 @@ WRONG_KINDS = [
     (lambda: Polyhedron.from_polygons([5]), "polygons = 5 is not a list"),
     (lambda: decay_time("a", 0.1), "energy is not an array of real numbers"),
     (lambda: decay_time([1, 0.5], "a"), "bin_width = 'a' is not a number"),
-    (lambda: clarity([1, 0.5], 0.1, "a"), "limit = 'a' is not a number"),
     (lambda: sensitivity(5), "result = 5 is not the result of a calibration"),
 ]
 

@@ -7,18 +7,13 @@ the shape of the axes before it.
 
 from __future__ import annotations
 
-import functools
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, TypeVar, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rtcal.acoustics import bands, decay_curve
-from rtcal.acoustics.decay_curve import MARGIN_DB as MARGIN_DB
-from rtcal.acoustics.decay_curve import bins as bins
-from rtcal.acoustics.decay_curve import checked_decay
+from rtcal.acoustics import bands
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.observables import (
     OBSERVABLES,
@@ -28,15 +23,20 @@ from rtcal.acoustics.observables import (
     observable,
     of_kind,
 )
+from rtcal.acoustics.observables.decay_slope import MARGIN_DB as MARGIN_DB
+from rtcal.acoustics.observables.decay_slope import cut_off_db as cut_off_db
+from rtcal.acoustics.observables.decay_slope import decay_curve_db as decay_curve_db
 from rtcal.support import checks
 from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError, TooShortError, of_bands
 from rtcal.support.types import Array
 
-__all__ = ["decay_time", "gradients", "measurement", "parameters", "slope_time", "too_short"]
+__all__ = ["decay_time", "gradients", "measurement", "parameters", "too_short"]
 __dir__ = __all__.copy
 
 
+MAX_BIN = 0.01
+"""Largest bin width of a simulator in s; five such bins fill the 50 ms of C50."""
 _ALLOWED = 2.0
 """Standard deviations of a straight decay's ratio that are allowed."""
 
@@ -96,26 +96,27 @@ def bent_decays(measured: Measurement) -> tuple[BentDecay, ...]:
     return tuple(BentDecay(f, f"the decay is bent, {', '.join(texts[f])}") for f in sorted(texts))
 
 
-F = TypeVar("F", bound=Callable[..., Any])
+def bins(bin_width: float) -> float:
+    """Return a simulator's bin width in s; DataError unless above 0 and at most `MAX_BIN`."""
+    if checks.positive("bin_width", bin_width, "s") > MAX_BIN:
+        raise DataError(f"bin_width = {bin_width:g} s is more than {MAX_BIN:g} s, too wide for C50")
+    return float(bin_width)
 
 
-def _of_any_decay(function: F) -> F:
-    """Return a function of `decay_curve` that checks the decay, its bins and its limit first."""
-
-    @functools.wraps(function)
-    def call(energy: Array, *times: float, **named: float) -> Any:
-        for name, value in (*zip(("bin_width", "limit"), times, strict=False), *named.items()):
-            checks.positive(name, value, "s")
-        return function(checked_decay(energy), *times, **named)
-
-    return cast("F", call)
-
-
-centre_time = _of_any_decay(decay_curve.centre_time)
-clarity = _of_any_decay(decay_curve.clarity)
-cut_off_db = _of_any_decay(decay_curve.cut_off_db)
-decay_curve_db = _of_any_decay(decay_curve.decay_curve_db)
-early_energy = _of_any_decay(decay_curve.early_energy)
+def checked_decay(energy: Array, bin_width: float = 1.0) -> Array:
+    """Return energy decays (..., n_bins), of bins in s; DataError for what is none."""
+    checks.positive("bin_width", bin_width, "s")
+    energy = checks.array("energy", energy)
+    if energy.ndim == 0 or energy.shape[-1] == 0:
+        raise DataError(
+            f"energy has shape {energy.shape}; it needs at least one bin, on its last axis"
+        )
+    if (bad := ~np.isfinite(energy) | (energy < 0)).any():
+        where = tuple(int(i) for i in np.argwhere(bad)[0])
+        raise DataError(
+            f"energy{list(where)} = {energy[where]:g} is not a finite value of 0 or more"
+        )
+    return energy
 
 
 @checked
@@ -151,32 +152,6 @@ def decay_time(energy: Array, bin_width: float, parameter: str = TARGET.key) -> 
     0.8
     """
     return _decay_time(parameter).value(checked_decay(energy, bin_width), bin_width)
-
-
-@checked
-def slope_time(level: Array, bin_width: float, parameter: str = TARGET.key) -> Array:
-    """Return -60 dB over the slope of a decay curve within a parameter's range, in s, (...).
-
-    Parameters
-    ----------
-    level : array (..., n_bins)
-        Decay curve in dB at the start of each bin; 0 at the direct sound.
-    bin_width : float
-        s.
-    parameter : {"t20", "t30", "edt"}
-
-    Returns
-    -------
-    array (...)
-        NaN where fewer than two points lie within the range, or the curve does not fall.
-
-    Raises
-    ------
-    DataError
-        For an unknown parameter or a width not above 0.
-    """
-    checks.positive("bin_width", bin_width, "s")
-    return _decay_time(parameter).of_curve(level, bin_width)
 
 
 @checked
@@ -243,7 +218,7 @@ def gradients(energy: Array, bin_width: float, parameters: Sequence[str]) -> Arr
     [4.343]
     """
     energy = checked_decay(energy, bin_width)
-    level = decay_curve.decay_curve_db(energy)
+    level = decay_curve_db(energy)
     out = np.empty((len(parameters), *energy.shape))
     for row, kind in zip(out, _observables(parameters), strict=True):
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -283,7 +258,7 @@ def measurement(
         pair, band = (int(i) for i in np.argwhere(bad)[0])
         where = f"{' to '.join(pairs[pair])}, {bands.label(np.asarray(centre_frequencies)[band])}"
         if short[pair, band]:
-            down = max(0.0, -float(decay_curve.cut_off_db(energy)[pair, band]))
+            down = max(0.0, -float(cut_off_db(energy)[pair, band]))
             raise TooShortError(
                 f"the decay from {where} is too short to hold {TARGET.label}: "
                 f"{energy.shape[-1] * bin_width:.3g} s end {down:.0f} dB down, "

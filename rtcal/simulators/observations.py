@@ -16,8 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtcal.acoustics import bands
-from rtcal.acoustics.decay import gradients
-from rtcal.acoustics.decay_curve import checked_decay
+from rtcal.acoustics.decay import checked_decay, gradients
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.observables import MATCH, OBSERVABLES, observable, parameter_label
 from rtcal.simulators import base

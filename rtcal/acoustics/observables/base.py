@@ -130,7 +130,7 @@ class Observable(ABC):
     def gradient(self, energy: Array, level: Array, bin_width: float) -> Array:
         """Return d observed / d energy of each bin, (..., n_bins), in 1 or dB over the energy's unit.
 
-        ``level`` is the decay curve in dB, `rtcal.acoustics.decay_curve.decay_curve_db`.
+        ``level`` is the decay curve in dB, `rtcal.acoustics.decay.decay_curve_db`.
         """
 
     @abstractmethod

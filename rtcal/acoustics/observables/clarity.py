@@ -7,9 +7,22 @@ from typing import ClassVar
 import numpy as np
 
 from rtcal.acoustics import bands
-from rtcal.acoustics.decay_curve import clarity
 from rtcal.acoustics.observables.base import DB, Observable, Scale
 from rtcal.support.types import Array
+
+
+def divided(energy: Array, bin_width: float, limit: float) -> tuple[Array, Array]:
+    """Return the energy before and after ``limit`` s; a bin that it divides counts in proportion.
+
+    Both are summed, since the later energy as a difference could round to a value below 0.
+    """
+    share = early_share(energy.shape[-1], bin_width, limit)
+    return energy @ share, energy @ (1 - share)
+
+
+def early_share(n_bins: int, bin_width: float, limit: float) -> Array:
+    """Return the part of each bin that is before ``limit`` s, (n_bins,)."""
+    return np.clip(limit / bin_width - np.arange(n_bins), 0.0, 1.0)
 
 
 def _early_share(clarity: Array) -> Array:
@@ -40,12 +53,14 @@ class Clarity(Observable):
     )
 
     def value(self, energy: Array, bin_width: float) -> Array:
-        """Return the clarity in dB."""
-        return clarity(energy, bin_width, self.limit)
+        """Return the clarity in dB; infinite without late energy, NaN without any."""
+        early, late = divided(energy, bin_width, self.limit)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return np.asarray(10 * np.log10(early / late))
 
     def gradient(self, energy: Array, level: Array, bin_width: float) -> Array:
         """Return DB (share / early - (1 - share) / late), share the part of a bin before the limit."""
-        share = np.clip(self.limit / bin_width - np.arange(energy.shape[-1]), 0.0, 1.0)
+        share = early_share(energy.shape[-1], bin_width, self.limit)
         early, late = energy @ share, energy @ (1 - share)
         return np.asarray(
             DB * (share / early[..., np.newaxis] - (1 - share) / late[..., np.newaxis])

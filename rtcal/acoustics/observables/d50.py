@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from rtcal.acoustics.decay_curve import early_energy
 from rtcal.acoustics.observables.base import DB, Observable, register
 from rtcal.acoustics.observables.c50 import C50
+from rtcal.acoustics.observables.clarity import divided, early_share
 from rtcal.support.types import Array
 
 _C50 = C50()
@@ -40,12 +40,14 @@ class D50(Observable):
     predicted = True
 
     def value(self, energy: Array, bin_width: float) -> Array:
-        """Return the early share."""
-        return early_energy(energy, bin_width, C50.limit)
+        """Return the early share; NaN without energy."""
+        early, late = divided(energy, bin_width, C50.limit)
+        with np.errstate(invalid="ignore"):
+            return np.asarray(early / (early + late))
 
     def gradient(self, energy: Array, level: Array, bin_width: float) -> Array:
         """Return (share - D50) / sum of E, share the part of a bin before 50 ms."""
-        share = np.clip(C50.limit / bin_width - np.arange(energy.shape[-1]), 0.0, 1.0)
+        share = early_share(energy.shape[-1], bin_width, C50.limit)
         total = energy.sum(-1, keepdims=True)
         return np.asarray((share - (energy @ share)[..., np.newaxis] / total) / total)
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from rtcal.acoustics.decay_curve import centre_time
 from rtcal.acoustics.observables.base import register
 from rtcal.acoustics.observables.decay_slope import Relative
 from rtcal.acoustics.observables.edt import EDT
@@ -27,8 +26,10 @@ class Ts(Relative):
     matched = True
 
     def value(self, energy: Array, bin_width: float) -> Array:
-        """Return the centre time in s."""
-        return centre_time(energy, bin_width)
+        """Return the centre time in s; NaN without energy."""
+        middle = (np.arange(energy.shape[-1]) + 0.5) * bin_width
+        with np.errstate(invalid="ignore"):
+            return np.asarray(energy @ middle / energy.sum(axis=-1))
 
     def gradient(self, energy: Array, level: Array, bin_width: float) -> Array:
         """Return d ln Ts / d E_k = k / sum(E k) - 1 / sum(E)."""
