@@ -136,8 +136,8 @@ def study() -> list[tuple[str, float, str, bool]]:
     found = []
     realisations, trials = 100, 10_000
     for name, areas in (
-        ("shoebox", studies.rooms.SHOEBOX),
-        ("lecture hall", tuple(studies.rooms.LECTURE_HALL.values())),
+        ("shoebox", studies.paper.SHOEBOX),
+        ("lecture hall", tuple(studies.paper.LECTURE_HALL.values())),
     ):
         for level in paper.SIGMA_R:
             rng = np.random.Generator(np.random.SFC64(1))
@@ -155,7 +155,7 @@ def study() -> list[tuple[str, float, str, bool]]:
             found.append((f"study / drawing, {name} {level:g}", ratio, "at most 2", ratio <= 2))
     # The analytic study draws as many realisations as the paper's 10^4 x 10^4 rooms, so that its
     # standard error is not larger: the trials only add noise.
-    shoebox, level = studies.rooms.SHOEBOX, 0.1
+    shoebox, level = studies.paper.SHOEBOX, 0.1
     some = studies.run(shoebox, level, 2000, 500, seed=1).scores()
     sure = studies.analytic_scores(shoebox, level, 2000, seed=1)
     if np.any(sure.standard_error[1:] > 1.01 * some.standard_error[1:4]):
@@ -186,7 +186,7 @@ def scaling() -> None:
     clock, cpu = [], []
     for workers in (1, 2):
         began = time.perf_counter(), time.process_time()
-        studies.run(studies.rooms.SHOEBOX, 0.1, 1200, 10_000, workers=workers)
+        studies.run(studies.paper.SHOEBOX, 0.1, 1200, 10_000, workers=workers)
         clock.append(time.perf_counter() - began[0])
         cpu.append(time.process_time() - began[1])
     print(
@@ -199,7 +199,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--rows", type=int, default=1_000_000)
     rows = parser.parse_args().rows
-    studies.run(studies.rooms.SHOEBOX, 0.1, 1, 100)  # compiles
+    studies.run(studies.paper.SHOEBOX, 0.1, 1, 100)  # compiles
     found = batch(rows) + study()
     for name, ratio, limit, held in found:
         print(f"{name:<36}{ratio:>12.2f}   {limit:<18}{'' if held else 'MISSED'}")

@@ -54,7 +54,7 @@ SURVIVORS: dict[tuple[str, str], str] = {
     ): "equivalent: after the last round no free coefficient is above its upper bound (60,000 random "
     "bands: no difference)",
     (
-        "rtcal.calibration.archive.rooms.x__told_apart",
+        "rtcal.calibration.archive.x__told_apart",
         "+ for each, row, columns in zip(rooms, called, entries, strict=False)",
     ): "equivalent: each room has one row of names, and one of columns",
     (

@@ -18,7 +18,7 @@ import numpy as np
 
 import rtcal as rt
 from rtcal.studies import draws
-from rtcal.studies.rooms import SHOEBOX
+from rtcal.studies.paper import SHOEBOX
 from rtcal.support.types import Array
 
 AREAS, VOLUME = np.array(SHOEBOX), 105.0

@@ -44,7 +44,7 @@ if TYPE_CHECKING:
     from rtcal.calibration import exact as exact
     from rtcal.calibration import posterior as posterior
     from rtcal.calibration import terms as terms
-    from rtcal.calibration.archive.rooms import learn as learn
+    from rtcal.calibration.archive import learn as learn
     from rtcal.calibration.configurations import Configurations as Configurations
     from rtcal.calibration.presets import calibrate as calibrate
     from rtcal.calibration.problem import Calibration as Calibration

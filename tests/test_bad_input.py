@@ -316,7 +316,7 @@ def test_an_unreachable_band_is_told_by_what_it_asks_for() -> None:
 
 
 def test_closed_forms_refuse_what_they_cannot_meet() -> None:
-    closed = rt.calibration.closed_form
+    closed = rt.exact
     for compute, message in (
         (lambda: closed.scaling([0.0, 0.0], [1, 1], 1.0), "S'mu = 0: scaling cannot reach any"),
         (lambda: closed.scaling([0.1, 0.1], [1, 1, 1], 1.0), r"mu \(2,\), areas \(3,\) and target"),

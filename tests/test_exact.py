@@ -305,7 +305,7 @@ def test_the_twins_agree(n: int, seed: int, spread: float) -> None:
 def test_optimum_and_closed_form() -> None:
     rng = np.random.default_rng(6)
     mu, sigma, areas = rng.uniform(0.3, 0.7, 6), rng.uniform(0.01, 0.1, 6), rng.uniform(5, 50, 6)
-    closed = rt.calibration.closed_form.maximum_likelihood(mu, sigma, areas, 80.0)
+    closed = rt.exact.maximum_likelihood(mu, sigma, areas, 80.0)
     assert closed.min() > 0
     np.testing.assert_allclose(exact.solve(mu, sigma, areas, 80.0).alpha, closed, rtol=1e-12)
     best = exact.solve(mu, sigma, areas, 10.0).alpha  # bounds active

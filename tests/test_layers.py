@@ -35,7 +35,6 @@ SEPARATE = [
     ("simulators", "calibration"),
     ("exact", "calibration"),
     ("posterior", "calibration"),
-    ("closed_form", "problem"),
 ]
 ONE_DOOR = (
     "threadpoolctl",

@@ -65,9 +65,9 @@ PRINTED = {
 def table_1() -> dict[str, np.ndarray]:
     b = AREAS @ TRUTH
     return {
-        "ref": rt.calibration.closed_form.scaling(MU, AREAS, b),
-        "lse": rt.calibration.closed_form.least_squares(MU, AREAS, b),
-        "mle": rt.calibration.closed_form.maximum_likelihood(MU, SIGMA, AREAS, b),
+        "ref": rt.exact.scaling(MU, AREAS, b),
+        "lse": rt.exact.least_squares(MU, AREAS, b),
+        "mle": rt.exact.maximum_likelihood(MU, SIGMA, AREAS, b),
     }
 
 
@@ -102,7 +102,7 @@ def test_equations_11_12_26_27_agree_with_the_projection() -> None:
             numerator = s * (np.exp(-rates[1] / s) - np.exp(-rates[0] / s))
         c = numerator / np.sum(AREAS**2)
         d = numerator / np.sum(AREAS**2 * SIGMA**2)
-        lse = rt.calibration.closed_form.least_squares(room.alpha, AREAS, b)
-        mle = rt.calibration.closed_form.maximum_likelihood(room.alpha, room.sigma, AREAS, b)
+        lse = rt.exact.least_squares(room.alpha, AREAS, b)
+        mle = rt.exact.maximum_likelihood(room.alpha, room.sigma, AREAS, b)
         np.testing.assert_allclose(lse[:, 0], MU - c * AREAS, rtol=1e-12)
         np.testing.assert_allclose(mle[:, 0], MU - d * AREAS * SIGMA**2, rtol=1e-12)

@@ -9,7 +9,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import rtcal as rt
-from rtcal.calibration import closed_form
 from rtcal.calibration.presets import preset
 from tests.conftest import random_room, true_times
 
@@ -24,11 +23,11 @@ def test_both_methods_equal_their_closed_form_where_no_bound_is_active(seed: int
     t = true_times(rng, room, EYRING)
     for method, sigma in (("mle", room.sigma), ("lse", np.ones_like(room.sigma))):
         result = rt.calibrate(room, t, method=method)
-        oracle = closed_form.maximum_likelihood(room.alpha, sigma, room.areas, result.target)
+        oracle = rt.exact.maximum_likelihood(room.alpha, sigma, room.areas, result.target)
         if np.all((oracle > 0) & (oracle < 1)):
             assert not result.active.any()
             np.testing.assert_allclose(result.alpha, oracle, rtol=0, atol=1e-10)
-            multiplier = closed_form.multiplier(room.alpha, sigma, room.areas, result.target)
+            multiplier = rt.exact.multiplier(room.alpha, sigma, room.areas, result.target)
             np.testing.assert_allclose(result.multipliers, multiplier, rtol=1e-8, atol=1e-12)
         np.testing.assert_allclose(result.reverberation_time_after, t, rtol=1e-9)
 

@@ -11,7 +11,6 @@ import rtcal as rt
 from rtcal import loop as closed_loop
 from rtcal import studies
 from rtcal.acoustics.decay import decay_time
-from rtcal.calibration import closed_form
 from rtcal.calibration.configurations import Configurations
 from rtcal.calibration.posterior import distribution, sensitivity
 from rtcal.command import main as cli
@@ -323,9 +322,7 @@ def test_tiny_sigmas_pass_the_certificate() -> None:
         known = room(sigma=np.full((2, 2), scale))
         result = rt.calibrate(known, [0.8, 0.75])
         assert np.abs(result.gap_after).max() < 1e-6
-        oracle = closed_form.maximum_likelihood(
-            known.alpha, known.sigma, known.areas, result.target
-        )
+        oracle = rt.exact.maximum_likelihood(known.alpha, known.sigma, known.areas, result.target)
         np.testing.assert_allclose(result.alpha, oracle, atol=1e-9)
 
 
@@ -394,7 +391,7 @@ WRONG_KINDS = [
     (lambda: rt.exact.solve(*SMALL, out=[0, 0]), "out is not an array that can be written to"),
     (lambda: rt.exact.solve(*SMALL, out=READ_ONLY), "out is read-only"),
     (
-        lambda: closed_form.least_squares(HIDDEN, [10, 10], 3.0),
+        lambda: rt.exact.least_squares(HIDDEN, [10, 10], 3.0),
         "mu is a masked array",
     ),
     (lambda: room(areas=HIDDEN), "areas is a masked array with hidden entries"),
@@ -454,7 +451,7 @@ WRONG_KINDS = [
     (lambda: rt.Millington("a"), "speed_of_sound = 'a' is not a number"),
     (lambda: rt.Eyring().absorption_area(room(), "a"), "T is not an array of real numbers"),
     (
-        lambda: closed_form.scaling([np.nan, 0.1], [1, 1], 1),
+        lambda: rt.exact.scaling([np.nan, 0.1], [1, 1], 1),
         "mu has a value that is not finite",
     ),
     (lambda: rt.calibrate(room(), [0.8, 0.7], settings={5: 1}), "settings has 5, which is no"),
@@ -470,7 +467,7 @@ WRONG_KINDS = [
     (lambda: rt.Millington().reverberation_time(5), "room = 5 is not a rtcal.Room"),
     (lambda: rt.Fitzroy().reverberation_time(5), "room = 5 is not a rtcal.Room"),
     (lambda: rt.datasets.path(5), "name = 5 is not a path"),
-    (lambda: studies.rooms.random_hall("a"), "seed = 'a' is not a whole number of at least 0"),
+    (lambda: studies.paper.random_hall("a"), "seed = 'a' is not a whole number of at least 0"),
     (lambda: External(room=5, run=print, name="x"), "room = 5 is not a rtcal.Room"),
     (lambda: External(room=room(), run=5, name="x"), "run = 5 cannot be called"),
     (lambda: command(5, room()), "arguments = 5 is not a list"),

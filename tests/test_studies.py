@@ -16,15 +16,14 @@ from click.testing import CliRunner
 import rtcal as rt
 from rtcal import studies
 from rtcal.acoustics.priors import TruncatedNormal
-from rtcal.calibration import closed_form
 from rtcal.command.main import cli
 from rtcal.studies import draws, paper
 from rtcal.studies.runner import SERIES, ScoreMoments
 from rtcal.support import speed
 from rtcal.support.errors import DataError, MissingDependencyError
 
-SHOEBOX = np.array(studies.rooms.SHOEBOX)
-HALL = np.array(list(studies.rooms.LECTURE_HALL.values()))
+SHOEBOX = np.array(studies.paper.SHOEBOX)
+HALL = np.array(list(studies.paper.LECTURE_HALL.values()))
 
 
 def drawn(
@@ -120,9 +119,9 @@ def test_errors_against_the_exact_solver_and_the_closed_forms() -> None:
         }
         want = [np.mean((each - truth) ** 2)]
         closed = [
-            np.array([closed_form.scaling(room.mu, SHOEBOX, x) for x in b]),
-            np.array([closed_form.least_squares(room.mu, SHOEBOX, x) for x in b]),
-            np.array([closed_form.maximum_likelihood(room.mu, room.sigma, SHOEBOX, x) for x in b]),
+            np.array([rt.exact.scaling(room.mu, SHOEBOX, x) for x in b]),
+            np.array([rt.exact.least_squares(room.mu, SHOEBOX, x) for x in b]),
+            np.array([rt.exact.maximum_likelihood(room.mu, room.sigma, SHOEBOX, x) for x in b]),
         ]
         want += [np.mean((a - truth) ** 2) for a in closed]
         for k, spread in enumerate(cases.values()):
@@ -272,11 +271,11 @@ def test_the_halls_are_closed_and_have_the_papers_numbers() -> None:
     ends = np.cumsum([4, 3, 4, 3, 4, 5])
     for start, end, face in zip([0, *ends[:-1]], ends, faces, strict=True):
         assert HALL[start:end].sum() == pytest.approx(face)
-    for seed in studies.rooms.HALL_SEEDS:
-        areas = np.array(studies.rooms.random_hall(seed))
+    for seed in studies.paper.HALL_SEEDS:
+        areas = np.array(studies.paper.random_hall(seed))
         assert areas.size == 23
         assert areas.max() / areas.min() == pytest.approx(66.6, rel=1e-9)
-    assert studies.rooms.random_hall(1) != studies.rooms.random_hall(2)
+    assert studies.paper.random_hall(1) != studies.paper.random_hall(2)
 
 
 # Running ------------------------------------------------------------------------------------------
@@ -489,6 +488,6 @@ def test_progress_bar(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.Mo
     pytest.importorskip("tqdm", reason="tqdm is not installed (rtcal[studies])")
     studies.run(SHOEBOX, 0.1, 250, 10, progress=True)
     assert capsys.readouterr().err == ""  # done within two seconds
-    monkeypatch.setattr("rtcal.support.progress.DELAY", 0.0)
+    monkeypatch.setattr("rtcal.support.speed.DELAY", 0.0)
     studies.run(SHOEBOX, 0.1, 250, 10, progress=True)
     assert "3/3" in capsys.readouterr().err

@@ -14,7 +14,7 @@ import rtcal as rt
 from rtcal.command.main import cli, main
 from rtcal.datasets import halls
 from rtcal.io import mesh as meshes
-from rtcal.support import progress
+from rtcal.support import speed
 
 pytest.importorskip("matplotlib", reason="needs the extra report")
 pytest.importorskip("jinja2", reason="needs the extra report")
@@ -238,8 +238,8 @@ def test_every_progress_bar_is_documented() -> None:
 def test_a_progress_bar_says_how_long_it_will_take(monkeypatch, capsys) -> None:
     pytest.importorskip("tqdm", reason="tqdm is not installed (rtcal[studies])")
     monkeypatch.setenv("COLUMNS", "60")
-    monkeypatch.setattr(progress, "DELAY", 0.0)
-    with progress.bar(3, "figure", wanted=True) as shown:
+    monkeypatch.setattr(speed, "DELAY", 0.0)
+    with speed.bar(3, "figure", wanted=True) as shown:
         for _ in range(3):
             shown.update(1)
     frames = capsys.readouterr().err.replace("\n", "\r").split("\r")
@@ -250,15 +250,15 @@ def test_a_progress_bar_says_how_long_it_will_take(monkeypatch, capsys) -> None:
 def test_a_long_step_says_once_what_it_does_without_a_terminal(monkeypatch) -> None:
     """`fit` was silent for fifteen minutes in a log."""
     lines: list[str] = []
-    monkeypatch.setattr(progress, "PATIENCE", 0.05)
-    with progress.bar(4, "control run", wanted=False, say=lines.append) as shown:
+    monkeypatch.setattr(speed, "PATIENCE", 0.05)
+    with speed.bar(4, "control run", wanted=False, say=lines.append) as shown:
         for _ in range(4):
             time.sleep(0.04)
             shown.update(1)
     assert len(lines) == 1
     assert re.fullmatch(r"1 of 4 control runs in 0 s, about 0 s left", lines[0])
     lines.clear()
-    with progress.bar(0, "model", wanted=False, say=lines.append) as shown:
+    with speed.bar(0, "model", wanted=False, say=lines.append) as shown:
         shown.reset(2)
         shown.set_description("weighing")
         time.sleep(0.15)
@@ -266,12 +266,12 @@ def test_a_long_step_says_once_what_it_does_without_a_terminal(monkeypatch) -> N
     assert lines[0] == "weighing: the first model of 2 takes more than 0.05 s"
     assert lines[1].startswith("weighing: 1 of 2 models in")
     lines.clear()
-    with progress.bar(2, "figure", wanted=False, say=lines.append) as shown:
+    with speed.bar(2, "figure", wanted=False, say=lines.append) as shown:
         shown.update(2)
     time.sleep(0.1)
     assert lines == []
-    with progress.bar(16, "control run", wanted=False, say=lines.append) as shown:
-        progress.following(shown)(16, 16)  # they were kept; the fit itself takes long
+    with speed.bar(16, "control run", wanted=False, say=lines.append) as shown:
+        speed.following(shown)(16, 16)  # they were kept; the fit itself takes long
         time.sleep(0.15)
     assert lines == ["what follows the control runs takes more than 0.05 s"]
 
@@ -279,7 +279,7 @@ def test_a_long_step_says_once_what_it_does_without_a_terminal(monkeypatch) -> N
 def test_a_mesh_that_takes_long_says_so(tmp_path: Path, monkeypatch, capsys) -> None:
     """A model of 2,600 faces was mended in silence for three minutes."""
     mended = meshes.room
-    monkeypatch.setattr(progress, "PATIENCE", 0.05)
+    monkeypatch.setattr(speed, "PATIENCE", 0.05)
     monkeypatch.setattr(meshes, "room", lambda *a, **k: time.sleep(0.2) or mended(*a, **k))
     mesh = str(tmp_path / "hall.obj")
     rt.simulators.Polyhedron.shoebox((3.0, 4.0, 5.0), "plaster").save(mesh)

@@ -12,7 +12,6 @@ import rtcal as rt
 from rtcal.acoustics.priors import TruncatedNormal, in_situ, sigma_iso_12999_2, sigma_relative
 from rtcal.acoustics.quality import agreement, plausibility
 from rtcal.acoustics.trust import explained
-from rtcal.calibration import closed_form
 from rtcal.calibration.terms import SoftMatch
 from rtcal.finder import ChangedMaterial, Configuration
 from rtcal.loop.state import start
@@ -69,13 +68,13 @@ REFUSED: list[tuple[Callable[[], Any], str]] = [
     (lambda: sigma_iso_12999_2([-1, 5], [500, 1000]), "alpha has -1, which is not from 0 to 2"),
     (lambda: sigma_iso_12999_2([0.1, 0.2], [500, 1000, 2000]), "its last axis has 3 bands"),
     (
-        lambda: closed_form.maximum_likelihood([0.1, 0.2], [-0.1, 0.1], [10, 20], 4),
+        lambda: rt.exact.maximum_likelihood([0.1, 0.2], [-0.1, 0.1], [10, 20], 4),
         "sigma has -0.1, which is not 0 or more",
     ),
-    (lambda: closed_form.multiplier([0.1, 0.2], [-0.1, 0.1], [10, 20], 4), "value below 0"),
-    (lambda: closed_form.multiplier([0.1, 0.2], [0, 0], [10, 20], 4), "no coefficient there"),
-    (lambda: closed_form.least_squares([0.1, 0.2], [-10, 20], 4), "areas has -10 m²"),
-    (lambda: closed_form.scaling([0.1, 0.2], [0, 20], 4), "areas has 0 m²"),
+    (lambda: rt.exact.multiplier([0.1, 0.2], [-0.1, 0.1], [10, 20], 4), "value below 0"),
+    (lambda: rt.exact.multiplier([0.1, 0.2], [0, 0], [10, 20], 4), "no coefficient there"),
+    (lambda: rt.exact.least_squares([0.1, 0.2], [-10, 20], 4), "areas has -10 m²"),
+    (lambda: rt.exact.scaling([0.1, 0.2], [0, 20], 4), "areas has 0 m²"),
     (lambda: analytic_scores([1e300, 1e300], 0.05, 10), r"areas\[0\] = 1e\+300 m² is not above 0"),
     (
         lambda: start(room(), measured(t20=[1, 1])).record("nonsense", measured(t20=[1, 1])),

@@ -22,8 +22,7 @@ from rtcal.calibration.presets import preset
 from rtcal.calibration.problem import CalibrationProblem, JointProblem
 from rtcal.datasets.halls import lecture_hall
 from rtcal.studies.draws import realisations
-from rtcal.studies.paper import SIGMA_R, TABLE_1_MU, TABLE_1_SIGMA
-from rtcal.studies.rooms import SHOEBOX
+from rtcal.studies.paper import SHOEBOX, SIGMA_R, TABLE_1_MU, TABLE_1_SIGMA
 from rtcal.support.types import Array
 from tests import problems
 

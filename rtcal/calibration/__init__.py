@@ -5,7 +5,6 @@ from typing import TYPE_CHECKING
 from rtcal.support import lazy
 
 if TYPE_CHECKING:
-    from rtcal.calibration import closed_form as closed_form
     from rtcal.calibration.convex_program import forget as forget
     from rtcal.calibration.problem import CalibrationProblem as CalibrationProblem
     from rtcal.calibration.problem import JointProblem as JointProblem

@@ -10,7 +10,7 @@ The dual of a separable problem has one multiplier D per band. With independent 
 matched sum per band, the coefficients for a given D are alpha(D) = clip(mu - D S sigma², lower, upper).
 The sum S'alpha(D) falls with D and is linear between the points where a coefficient meets a bound. A
 bisection over those points and one linear equation give D. It shares no code with solvers, with
-polishing, with `closed_form` or with `rtcal.exact`.
+polishing, or with `rtcal.exact`.
 """
 
 from __future__ import annotations

@@ -193,7 +193,7 @@ def fit(
     from rtcal.loop.control_runs import RUNS
     from rtcal.loop.positions import calibrate_positions
     from rtcal.report import result_folder
-    from rtcal.support.progress import bar, following
+    from rtcal.support.speed import bar, following
 
     folder = output_folder("--out", out)
     stated = Room.from_file(room)
@@ -280,7 +280,7 @@ def learn(
     likely misnamed. Nothing leaves this machine.
     """
     from rtcal.acoustics.room import Room
-    from rtcal.calibration.archive import rooms
+    from rtcal.calibration import archive
     from rtcal.support.results import NUMBERS
 
     target = output_folder("--out", out)
@@ -290,20 +290,20 @@ def learn(
         read = [*map(str, Path(folder).rglob(NUMBERS)), *([] if room is None else [room])]
         spare([target / NUMBERS, target / LIBRARY_ROOM], read)
     called = texts("--as", entries, "MATERIAL=ENTRY")
-    calibrated = rooms.read_folder(folder)
+    calibrated = archive.read_folder(folder)
     new = None if room is None else Room.from_file(room)
     of_room = {} if new is None else {m: e for m, e in called.items() if m in new.materials}
-    known = {m for result in calibrated for m in rooms.materials(result)}
-    archive = rooms.learn(
+    known = {m for result in calibrated for m in archive.materials(result)}
+    library = archive.learn(
         calibrated,
         {m: entry for m, entry in called.items() if m in known or m not in of_room},
         numbers("--room-weight", weights, "ROOM=WEIGHT, such as hall=0.5"),
     )
-    said, record = str(archive), archive.to_dict()
+    said, record = str(library), library.to_dict()
     if target is not None:
-        files = {target / NUMBERS: archive.to_json().encode()}
+        files = {target / NUMBERS: library.to_json().encode()}
         if new is not None:
-            applied, left = archive.apply(new, of_room), archive.left_as_stated(new, of_room)
+            applied, left = library.apply(new, of_room), library.left_as_stated(new, of_room)
             record["left_as_stated"] = list(left)
             said = "\n".join([said, *(line for each in left for line in text.wrapped(each))])
             files[target / LIBRARY_ROOM] = applied.to_text(target).encode()

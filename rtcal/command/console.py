@@ -168,7 +168,7 @@ def told_by_modes(
     from rtcal.io import sofa
     from rtcal.modes import measured as tables
     from rtcal.modes.calibrate import calibrate_modes
-    from rtcal.support.progress import bar
+    from rtcal.support.speed import bar
 
     modes = sofa.read(path) if sofa.claims(path) else tables.read(path)
     with bar(1, "calculation", False, said()) as shown:

@@ -94,7 +94,7 @@ def measure(
     """
     from rtcal.io import impulse_responses
     from rtcal.io.analysis import with_uncertainty
-    from rtcal.support.progress import bar
+    from rtcal.support.speed import bar
 
     spare([path for path in (out, positions) if path is not None], responses)
     fit_ending("--out", out, *_TABLES)
@@ -384,7 +384,7 @@ def report(
     """  # noqa: D301 (click's mark for lines that are not to be wrapped)
     from rtcal.io import workbook
     from rtcal.report import document, pages, result_folder
-    from rtcal.support.progress import bar
+    from rtcal.support.speed import bar
 
     if out == "":
         raise DataError("--out is empty; it is a file")

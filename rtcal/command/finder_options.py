@@ -34,7 +34,7 @@ from rtcal.command.console import (
 )
 from rtcal.support.errors import DataError
 from rtcal.support.files import spare
-from rtcal.support.progress import bar
+from rtcal.support.speed import bar
 
 if TYPE_CHECKING:
     from rtcal.finder.positions.corrected import Corrected

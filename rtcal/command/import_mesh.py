@@ -13,7 +13,7 @@ from click.core import ParameterSource
 from rtcal.command.console import as_options, errors_name_options, fit_ending, numbers, said, tell
 from rtcal.support.errors import DataError
 from rtcal.support.files import spare
-from rtcal.support.progress import bar
+from rtcal.support.speed import bar
 from rtcal.support.text import rounded, shortened
 
 if TYPE_CHECKING:

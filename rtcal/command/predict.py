@@ -123,7 +123,7 @@ def predict(
     from rtcal.loop.control_runs import RUNS
     from rtcal.loop.predicted_positions import predict_positions
     from rtcal.prediction.predicted import compare
-    from rtcal.support.progress import bar, following
+    from rtcal.support.speed import bar, following
 
     output_folder("--out", out)
     # What the file of variants states is checked before anything is calibrated.
@@ -186,7 +186,7 @@ def calibrated_to_positions(
     from rtcal.io import geometry_files
     from rtcal.loop.control_runs import RUNS
     from rtcal.loop.positions import calibrate_positions
-    from rtcal.support.progress import bar, following
+    from rtcal.support.speed import bar, following
 
     with without_air_warning(), bar(RUNS, "control run", bar_wanted(), said()) as shown:
         return calibrate_positions(

@@ -24,7 +24,7 @@ from rtcal.simulators.path_tracing import PathTracing
 from rtcal.support import checks
 from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError
-from rtcal.support.progress import TaskProgress
+from rtcal.support.speed import TaskProgress
 
 AnyCase: TypeAlias = Case | positions.PositionsCase | states.StatesCase
 

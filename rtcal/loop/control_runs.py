@@ -32,7 +32,7 @@ from rtcal.support import checks, files
 from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError, RtcalError, TooShortError
 from rtcal.support.lazy import __version__
-from rtcal.support.progress import Progress
+from rtcal.support.speed import Progress
 from rtcal.support.types import Array, read_only
 
 RUNS = 16

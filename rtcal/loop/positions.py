@@ -61,7 +61,7 @@ from rtcal.support import checks
 from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError, SimulatorError
 from rtcal.support.lazy import __version__
-from rtcal.support.progress import Progress
+from rtcal.support.speed import Progress
 from rtcal.support.types import Array
 
 MORE_PATHS = 4

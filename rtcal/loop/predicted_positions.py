@@ -48,7 +48,7 @@ from rtcal.simulators.base import Simulator
 from rtcal.simulators.observations import checked_parameters, jacobian, observe
 from rtcal.simulators.path_tracing import PathTracing
 from rtcal.support.errors import DataError
-from rtcal.support.progress import Progress
+from rtcal.support.speed import Progress
 from rtcal.support.types import Array
 
 

@@ -3,12 +3,12 @@
 Examples
 --------
 >>> from rtcal import studies
->>> table = studies.analytic_scores(studies.rooms.SHOEBOX, sigma_r=0.1, realisations=1000, seed=1)
+>>> table = studies.analytic_scores(studies.paper.SHOEBOX, sigma_r=0.1, realisations=1000, seed=1)
 >>> print(table.method[table.score.argmax()])
 mle
 """
 
-from rtcal.studies import paper, rooms
+from rtcal.studies import paper
 from rtcal.studies.runner import write_table
 from rtcal.studies.study import (
     Study,
@@ -22,7 +22,6 @@ __all__ = [
     "analytic_emse",
     "analytic_scores",
     "paper",
-    "rooms",
     "run",
     "write_table",
 ]

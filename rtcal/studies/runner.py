@@ -33,7 +33,7 @@ from rtcal.support.arguments import checked
 from rtcal.support.checks import json_object
 from rtcal.support.errors import DataError
 from rtcal.support.files import make_folder, read_text, write_bytes, write_text
-from rtcal.support.progress import bar as progress_bar
+from rtcal.support.speed import bar as progress_bar
 from rtcal.support.speed import thread_pool
 from rtcal.support.types import Array
 

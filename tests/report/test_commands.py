@@ -148,10 +148,10 @@ def test_progress_bars_only_where_someone_looks(tmp_path, monkeypatch, capsys, e
     (tmp_path / "result.json").write_text(evil.to_json(), encoding="utf-8")
     monkeypatch.setattr(page, "source", lambda _, step: step() or "data:,")
     monkeypatch.setattr("rtcal.command.files.bar_wanted", lambda: not console.is_quiet())
-    monkeypatch.setattr("rtcal.support.progress.DELAY", 1000.0)
+    monkeypatch.setattr("rtcal.support.speed.DELAY", 1000.0)
     assert run("report", tmp_path) == 0
     assert capsys.readouterr().err == ""  # done before the delay is over
-    monkeypatch.setattr("rtcal.support.progress.DELAY", 0.0)
+    monkeypatch.setattr("rtcal.support.speed.DELAY", 0.0)
     assert run("report", tmp_path) == 0
     assert "5/5" in capsys.readouterr().err
     assert run("report", tmp_path, "--quiet") == 0

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 import rtcal as rt
-from rtcal.calibration import closed_form
 from rtcal.report import (
     figures,
     loop_figures,
@@ -104,7 +103,7 @@ def test_plane_of_two_materials(result) -> None:
 def test_the_papers_plane() -> None:
     """Fig. 3b: mu (0.6, 0.5), sigma (0.05, 0.1) gives (0.54, 0.26); the truth is (0.6, 0.2)."""
     mu, sigma, areas = np.array([0.6, 0.5]), np.array([0.05, 0.1]), np.array([47.0, 47.0])
-    alpha = closed_form.maximum_likelihood(mu[:, None], sigma[:, None], areas, [47 * 0.8])[:, 0]
+    alpha = rt.exact.maximum_likelihood(mu[:, None], sigma[:, None], areas, [47 * 0.8])[:, 0]
     assert alpha == pytest.approx([0.54, 0.26], abs=1e-9)
     axes = material_figures.plane(mu, sigma, areas, 47 * 0.8, alpha, truth=[0.6, 0.2]).axes[0]
     assert [v[0] for v in line(axes, "true").get_data()] == [0.6, 0.2]

@@ -24,10 +24,10 @@ from rtcal.acoustics.equations.base import mean_equation as mean_equation
 from rtcal.acoustics.equations.base import register as register
 from rtcal.acoustics.equations.by_axis import ArauPuchades as ArauPuchades
 from rtcal.acoustics.equations.by_axis import Fitzroy as Fitzroy
-from rtcal.acoustics.equations.eyring import Eyring as Eyring
-from rtcal.acoustics.equations.kuttruff import Kuttruff as Kuttruff
-from rtcal.acoustics.equations.millington import Millington as Millington
-from rtcal.acoustics.equations.sabine import Sabine as Sabine
+from rtcal.acoustics.equations.by_mean import Eyring as Eyring
+from rtcal.acoustics.equations.by_mean import Kuttruff as Kuttruff
+from rtcal.acoustics.equations.by_mean import Millington as Millington
+from rtcal.acoustics.equations.by_mean import Sabine as Sabine
 
 for _module in pkgutil.iter_modules(__path__):
     importlib.import_module(f"{__name__}.{_module.name}")

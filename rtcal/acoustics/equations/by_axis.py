@@ -12,7 +12,7 @@ from typing import ClassVar
 import numpy as np
 
 from rtcal.acoustics.equations.base import ReverberationEquation, register
-from rtcal.acoustics.equations.eyring import Eyring
+from rtcal.acoustics.equations.by_mean import Eyring
 from rtcal.acoustics.room import AXES, Room
 from rtcal.support import checks
 from rtcal.support.errors import ModelError

@@ -40,8 +40,7 @@ from rtcal.support import checks, files
 from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError
 from rtcal.support.lazy import __version__
-from rtcal.support.progress import TaskProgress
-from rtcal.support.speed import single_threaded_blas
+from rtcal.support.speed import TaskProgress, single_threaded_blas
 from rtcal.support.types import Array
 
 QUANTILE = 0.95

@@ -25,7 +25,7 @@ from rtcal.simulators.path_tracing import PathTracing
 from rtcal.simulators.ray_tracing import RayTracing
 from rtcal.simulators.sdn import ScatteringDelayNetwork
 from rtcal.simulators.tracer import LONGEST, Tracer
-from rtcal.support.progress import TaskProgress
+from rtcal.support.speed import TaskProgress
 from rtcal.support.types import Array
 
 _AXIS_OF_WALL = (0, 0, 1, 1, 2, 2)

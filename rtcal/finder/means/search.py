@@ -47,8 +47,7 @@ from rtcal.finder.prior import (
 from rtcal.support import checks
 from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError
-from rtcal.support.progress import TaskProgress
-from rtcal.support.speed import single_threaded_blas
+from rtcal.support.speed import TaskProgress, single_threaded_blas
 from rtcal.support.types import Array
 
 

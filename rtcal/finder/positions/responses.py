@@ -38,7 +38,7 @@ from rtcal.simulators.tracer import LONGEST
 from rtcal.support import checks, files
 from rtcal.support.errors import DataError, TooShortError
 from rtcal.support.lazy import __version__
-from rtcal.support.progress import Progress, TaskProgress
+from rtcal.support.speed import Progress, TaskProgress
 from rtcal.support.types import Array
 
 SHARES = (-1.0, -0.5, 0.08, 0.25, 0.55, 1.0)

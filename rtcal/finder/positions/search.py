@@ -55,8 +55,7 @@ from rtcal.loop.measured_pairs import T30_ALONE, with_t30
 from rtcal.support import checks
 from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError
-from rtcal.support.progress import Progress, TaskProgress
-from rtcal.support.speed import single_threaded_blas
+from rtcal.support.speed import Progress, TaskProgress, single_threaded_blas
 from rtcal.support.types import Array
 
 

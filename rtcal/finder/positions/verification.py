@@ -32,7 +32,7 @@ from rtcal.support import checks, files, text
 from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError
 from rtcal.support.files import json_numbers
-from rtcal.support.progress import TaskProgress
+from rtcal.support.speed import TaskProgress
 from rtcal.support.types import Array
 
 MODELS = ("before", "plain", "corrected")
