@@ -9,7 +9,7 @@ import pytest
 
 from rtcal.command import finder as commands
 from rtcal.finder.search import find
-from rtcal.report import figures, gap_report, pages, result_folder, study_report
+from rtcal.report import figures, gap_report, pages, study_report
 from tests.test_discrepancy import controls_of, opened
 from tests.test_fault_commands import WRITERS, attempt, fit_once, search_once
 
@@ -37,7 +37,7 @@ def computed_once(monkeypatch: pytest.MonkeyPatch) -> None:
     for name in ("verify", "figures", "finding_page"):
         once(monkeypatch, gap_report, name)
     once(monkeypatch, pages, "page_of")
-    for module in (figures, gap_report, result_folder.figures, study_report):
+    for module in (figures, gap_report, study_report):
         if hasattr(module, "rendered"):
             once(monkeypatch, module, "rendered")
 

@@ -19,7 +19,7 @@ from rtcal.io import obj
 from rtcal.loop import control_runs
 from rtcal.loop.measured_pairs import response_noise, rows_of_pairs
 from rtcal.loop.scattering import Scattering
-from rtcal.report import loop_figures, pages, result_folder
+from rtcal.report import loop_figures, pages
 from rtcal.simulators import (
     DifferentiableSimulator,
     ImageSource,
@@ -345,7 +345,7 @@ def test_the_command_writes_room_and_record_whole(folder):
     record = json.loads((folder / "made" / "result.json").read_text())
     assert room.calibration.method == "positions"
     np.testing.assert_allclose(room.alpha[0], record["materials"][0]["alpha_after"], rtol=1e-9)
-    assert {p.name for p in (folder / "made").iterdir()} == set(result_folder.POSITION_FILES)
+    assert {p.name for p in (folder / "made").iterdir()} == set(loop_figures.POSITION_FILES)
     assert len(list((folder / ".rtcal_cache").glob("*.array"))) == 1
     kept_as_stated = fit(folder, "--match", "t20", "--keep-scattering", "--json")
     assert json.loads(kept_as_stated.stdout)["scattering"] is None

@@ -87,12 +87,12 @@ def calibrate(
     """
     from rtcal.acoustics.room import Room
     from rtcal.calibration import presets
-    from rtcal.report import result_folder
+    from rtcal.report import figures
 
     folder = output_folder("--out", out)
     if folder is not None:
         read = [room, measured, *([] if modes is None else [modes])]
-        spare([folder / name for name in result_folder.FILES], read)
+        spare([folder / name for name in figures.FILES], read)
     if modes is not None:
         if (method, solver, unreachable) != ("mle", "clarabel", "raise"):
             raise DataError(
@@ -111,7 +111,7 @@ def calibrate(
         )
     text = str(result)
     if folder is not None:
-        text += "\n" + written(result_folder.write(result, folder))
+        text += "\n" + written(figures.write_folder(result, folder))
     tell(text, result.to_dict())
 
 
@@ -120,14 +120,14 @@ def _by_modes(
 ) -> None:
     """Calibrate to measured modes and T, and tell the result."""
     from rtcal.acoustics.room import Room
-    from rtcal.report import result_folder
+    from rtcal.report import figures
 
     with without_air_warning():
         heard = read_measured(measured)
         result = told_by_modes(Room.from_file(room), modes, heard, equation)
     text = str(result)
     if folder is not None:
-        text += "\n" + written(result_folder.write_with_figures(result, folder, {}))
+        text += "\n" + written(figures.write_with_figures(result, folder, {}))
     tell(text, result.to_dict())
 
 
@@ -192,7 +192,7 @@ def fit(
     from rtcal.io import geometry_files
     from rtcal.loop.control_runs import RUNS
     from rtcal.loop.positions import calibrate_positions
-    from rtcal.report import result_folder
+    from rtcal.report import loop_figures
     from rtcal.support.speed import bar, following
 
     folder = output_folder("--out", out)
@@ -200,7 +200,7 @@ def fit(
     if folder is not None:
         mesh = [] if stated.scene.mesh is None else [stated.scene.mesh]
         read = [room, measured, *mesh, *([] if modes is None else [modes])]
-        spare([folder / name for name in result_folder.POSITION_FILES], read)
+        spare([folder / name for name in loop_figures.POSITION_FILES], read)
     heard = read_measured(measured)
     if stated.scattering is None and scattering is None and not keep_scattering:
         scattering = _START
@@ -232,7 +232,7 @@ def fit(
             ).traced()
     text = str(result)
     if folder is not None:
-        paths_written = result_folder.write_positions(
+        paths_written = loop_figures.write_positions(
             result, folder, tracer.geometry, tracer.sources, tracer.receivers
         )
         text += "\n" + written(paths_written)

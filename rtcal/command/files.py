@@ -383,13 +383,13 @@ def report(
     Example: rtcal report calibrated --out hall.xlsx
     """  # noqa: D301 (click's mark for lines that are not to be wrapped)
     from rtcal.io import workbook
-    from rtcal.report import document, pages, result_folder
+    from rtcal.report import document, figures, pages
     from rtcal.support.speed import bar
 
     if out == "":
         raise DataError("--out is empty; it is a file")
     folder = Path(result) if Path(result).is_dir() else Path(result).parent
-    kept = [folder / name for name in result_folder.FILES if (folder / name).exists()]
+    kept = [folder / name for name in figures.FILES if (folder / name).exists()]
     target = Path(out) if out is not None else folder / "report.html"
     spare([target], [result, *kept])
     fit_ending("--out", out, ".html", ".htm", workbook.ENDING)

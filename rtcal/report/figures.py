@@ -1,4 +1,4 @@
-"""The figures of a calibration over frequency. No other module imports matplotlib.
+"""The figures of a calibration over frequency, and its folder. No other module imports matplotlib.
 
 The figures can be read in grey and by colour-blind readers: each line has its own marker and style,
 each bar its own hatch, and the colours are Okabe and Ito's (2008).
@@ -10,6 +10,8 @@ import io
 import os
 import textwrap
 import warnings
+from collections.abc import Callable, Mapping
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -21,7 +23,8 @@ from rtcal.simulators.geometry import Polyhedron
 from rtcal.support import checks
 from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError, MissingDependencyError
-from rtcal.support.files import write_bytes
+from rtcal.support.files import make_folder, write_all, write_bytes
+from rtcal.support.results import NUMBERS
 from rtcal.support.types import Array
 
 if TYPE_CHECKING:
@@ -29,6 +32,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from rtcal.calibration.result import CalibrationResult
+    from rtcal.loop.positions_result import PositionsResult
+    from rtcal.modes.result import ModesResult
 
 __all__ = ["gap", "rendered", "reverberation_time", "save"]
 __dir__ = __all__.copy
@@ -79,6 +84,9 @@ _MANY_BANDS = 10
 MOST_PANELS = 12
 """Largest number of materials of which a figure draws one each; the table of a page lists more."""
 _FEW = 6
+ROOM, FIGURE = "room.toml", "reverberation_time.png"
+FILES = (ROOM, NUMBERS, FIGURE)
+"""Files of a calibration's folder."""
 _MOST_AXES = 10_000  # a panel takes 0.1 MB
 
 
@@ -274,3 +282,36 @@ def save(figure: Any, path: str | os.PathLike[str]) -> None:
 def _check_kind(kind: str, place: str) -> None:
     if kind not in ("png", "svg", "pdf"):
         raise DataError(f'{place}: a figure ends with .png, .svg or .pdf, not ".{kind}"')
+
+
+def write_folder(result: CalibrationResult, folder: Path) -> list[Path]:
+    """Write room, numbers and figure, all or none, and return their paths.
+
+    Without matplotlib there is no figure, and a warning says so.
+
+    Raises
+    ------
+    DataError
+        If the folder cannot be made, or a file cannot be written.
+    """
+    return write_with_figures(result, folder, {FIGURE: lambda: reverberation_time(result)})
+
+
+def write_with_figures(
+    result: CalibrationResult | PositionsResult | ModesResult,
+    folder: Path,
+    draw: Mapping[str, Callable[[], Any]],
+) -> list[Path]:
+    """Write room, numbers and the figures that ``draw`` makes by file name; see `write_folder`."""
+    contents = {
+        folder / ROOM: result.room.to_text(folder).encode(),
+        folder / NUMBERS: result.to_json().encode(),
+    }
+    try:
+        pictures = {name: rendered(figure(), "png") for name, figure in draw.items()}
+        contents |= {folder / name: picture for name, picture in pictures.items()}
+    except MissingDependencyError as error:
+        warnings.warn(f"no figure{'s' * (len(draw) > 1)}: {error}", stacklevel=checks.stack_level())
+    make_folder(folder)
+    write_all(contents)
+    return list(contents)

@@ -3,14 +3,26 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from rtcal.acoustics.quality import gap_jnd
-from rtcal.report.figures import BLACK, BLUE, ORANGE, band_axis, jnd_band, new_figure, shown
+from rtcal.report.figures import (
+    BLACK,
+    BLUE,
+    ORANGE,
+    ROOM,
+    band_axis,
+    jnd_band,
+    new_figure,
+    shown,
+    write_with_figures,
+)
 from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError
+from rtcal.support.results import NUMBERS
 from rtcal.support.types import Array
 
 if TYPE_CHECKING:
@@ -22,6 +34,9 @@ __all__ = ["path"]
 __dir__ = __all__.copy
 
 
+PLAN, SHIFTS = "plan.png", "shifts.png"
+POSITION_FILES = (ROOM, NUMBERS, PLAN, SHIFTS)
+"""Files of the folder of a calibration to every position."""
 _MOST_NUMBERS = 200
 """Largest number of coefficients whose shifts are printed in their cells."""
 
@@ -137,6 +152,29 @@ def _label(panel: Any, place: Any, text: str) -> None:
     panel.annotate(
         text, (place[0], place[1]), xytext=(6, 6), textcoords="offset points", fontsize=9
     )
+
+
+def write_positions(
+    result: PositionsResult,
+    folder: Path,
+    geometry: Polyhedron,
+    sources: Mapping[str, Sequence[float]],
+    receivers: Mapping[str, Sequence[float]],
+) -> list[Path]:
+    """Write room, numbers and figures, all or none, and return their paths.
+
+    Without matplotlib there are no figures, and a warning says so.
+
+    Raises
+    ------
+    DataError
+        If the folder cannot be made, or a file cannot be written.
+    """
+    draw = {
+        PLAN: lambda: plan(result, geometry, sources, receivers),
+        SHIFTS: lambda: shifts(result),
+    }
+    return write_with_figures(result, folder, draw)
 
 
 _MARKERS = "o^vDPX<>"

@@ -15,8 +15,8 @@ from rtcal.command.finder import NOTHING_TO_ADD
 from rtcal.command.main import EXIT_CODES, cli
 from rtcal.report import (
     document,
+    figures,
     page,
-    result_folder,
 )
 from rtcal.support.errors import MissingDependencyError
 from tests.report.pages import no_figures, run
@@ -45,9 +45,7 @@ def test_report_command(result, evil, tmp_path, capsys, monkeypatch) -> None:
     ):
         assert run("report", folder / "result.json", "--out", out) == 2
         assert said in capsys.readouterr().err
-    for (
-        name
-    ) in result_folder.FILES:  # what calibrate keeps there stays as it is, however it is named
+    for name in figures.FILES:  # what calibrate keeps there stays as it is, however it is named
         (folder / name).touch()
         before = (folder / name).read_bytes()
         for source in (folder, folder / "result.json"):
