@@ -142,6 +142,25 @@ def distances(points: Array, triangles: Array) -> Array:
     return np.asarray(np.where(inside, np.abs(height), nearest))
 
 
+def first_hit(p: Array, v: Array, planes: Array, sides: Array) -> tuple[NDArray[np.int64], Array]:
+    """Return the first triangle that each ray hits and its distance, infinite if it hits none.
+
+    ``p`` and ``v`` (n_rays, 3) are the rays' origins and directions. Planes and sides are those of
+    `rtcal.simulators.tracer.planes`.
+    """
+    approach = -(v @ planes[:, :3].T)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        t = (p @ planes[:, :3].T - planes[:, 3]) / approach
+        met = (approach > 0) & (t >= -1e-9)
+        a, b = (
+            p @ sides[:, i, :3].T + t * (v @ sides[:, i, :3].T) - sides[:, i, 3] for i in (0, 1)
+        )
+        met &= (a >= -1e-9) & (b >= -1e-9) & (a <= 1 + 1e-9) & (a + b <= 1 + 1e-9)
+    t = np.where(met, t, np.inf)
+    triangle = np.argmin(t, axis=1)
+    return triangle, t[np.arange(len(t)), triangle]
+
+
 def welded(vertices: Array) -> tuple[Array, NDArray[np.int64]]:
     """Return vertices of which no two are closer than `WELD`, and the new number of each old one."""
     index = np.zeros(len(vertices), dtype=np.int64)

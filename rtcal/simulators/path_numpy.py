@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rtcal.simulators.facets import first_hit
 from rtcal.support.types import Array
 
 _GOLDEN = np.uint64(0x9E3779B97F4A7C15)
@@ -21,21 +22,6 @@ def _uniform(state: NDArray[np.uint64]) -> Array:
     z = (z ^ (z >> _S27)) * _SECOND
     z = z ^ (z >> _S31)
     return np.asarray((z >> _S11) * 2.0**-53)
-
-
-def nearest(p: Array, v: Array, planes: Array, sides: Array) -> tuple[NDArray[np.int64], Array]:
-    """Return the first triangle that each ray hits and its distance, infinite if it hits none."""
-    approach = -(v @ planes[:, :3].T)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        t = (p @ planes[:, :3].T - planes[:, 3]) / approach
-        met = (approach > 0) & (t >= -1e-9)
-        a, b = (
-            p @ sides[:, i, :3].T + t * (v @ sides[:, i, :3].T) - sides[:, i, 3] for i in (0, 1)
-        )
-        met &= (a >= -1e-9) & (b >= -1e-9) & (a <= 1 + 1e-9) & (a + b <= 1 + 1e-9)
-    t = np.where(met, t, np.inf)
-    triangle = np.argmin(t, axis=1)
-    return triangle, t[np.arange(len(t)), triangle]
 
 
 def _kept(which: NDArray[np.bool_], *columns: Any) -> tuple[Any, ...]:
@@ -71,7 +57,7 @@ def trace(
     events: list[tuple[Any, Any, Any, Any]] = []  # path, code, length and weight, by step
     step = 0
     while alive.size:
-        triangle, t = nearest(p, v, planes, sides)
+        triangle, t = first_hit(p, v, planes, sides)
         hits_wall = np.isfinite(t)
         lost[alive[~hits_wall]] = True
         alive, p, v, travelled, state, diffuse, triangle, t = _kept(

@@ -25,6 +25,7 @@ from rtcal.simulators.tracer import (
     decay_long_enough,
     equal_columns,
     eyring_seconds,
+    of_all_bands,
 )
 from rtcal.support import checks
 from rtcal.support.arguments import checked
@@ -202,11 +203,7 @@ class PathTracing(DirectedSources, Tracer):
             )
             for bands in groups
         ]
-        n_bins = min(decay.shape[-1] for decay in decays)
-        energy = np.empty((*decays[0].shape[:3], self.room.n_bands, n_bins))
-        for bands, decay in zip(groups, decays, strict=True):
-            energy[:, :, :, bands] = decay[..., :n_bins]
-        return energy
+        return of_all_bands(groups, decays)
 
     @checked
     def observe(
@@ -223,14 +220,8 @@ class PathTracing(DirectedSources, Tracer):
         `TooShortError` where paths that were traced end too early and are not to be traced ``again``.
         """
         alpha, match = check_alpha(self, alpha), observations.checked_parameters(match)
-        energy = decay_long_enough(
-            lambda seconds: self.energy(alpha, seconds, seed=seed, number=1),
-            self.room,
-            alpha,
-            longest(match),
-            None if again else self._followed(seed),
-        )
-        return self._observed(energy[0], alpha, match)
+        (energy,) = self._groups(alpha, match, 1, seed, None if again else self._followed(seed))
+        return self._observed(energy, alpha, match)
 
     def _followed(self, seed: int) -> float:
         """Return for how many seconds the paths of a seed were followed; `LONGEST` if for none."""
@@ -247,14 +238,22 @@ class PathTracing(DirectedSources, Tracer):
         Their differences are the noise of as many paths. ``number`` divides ``n_batches``.
         """
         alpha, match = check_alpha(self, alpha), observations.checked_parameters(match)
+        groups = self._groups(alpha, match, number, seed)
+        return np.array([self._observed(energy, alpha, match).values for energy in groups])
+
+    def _groups(
+        self, alpha: Array, match: Sequence[str], number: int, seed: int, most: float | None = None
+    ) -> Array:
+        """Return the energy decays of groups of the paths, each long enough for ``match``."""
         # Each group is to hold the decay times, so no mean over the groups is asked.
-        (energy,) = decay_long_enough(
+        (groups,) = decay_long_enough(
             lambda seconds: self.energy(alpha, seconds, seed=seed, number=number)[np.newaxis],
             self.room,
             alpha,
             longest(match),
+            most,
         )
-        return np.array([self._observed(group, alpha, match).values for group in energy])
+        return np.asarray(groups)
 
     def _check_number(self, number: int | None) -> None:
         if number is not None and self.n_batches % checks.whole("number", number, 1):
@@ -305,18 +304,18 @@ class PathTracing(DirectedSources, Tracer):
         """
         alpha, match = check_alpha(self, alpha), observations.checked_parameters(match)
         alpha = np.minimum(alpha, observations.LARGEST_ALPHA)
-        owners = self._materials()
+        owners = self.room.material_rows(self.geometry.materials)
         surface = observations.by_surface(by)
         groups = np.arange(len(owners)) if surface else owners
         n_unknowns = len(owners) if surface else self.room.n_materials
-        (derivatives,) = self._derivatives(
+        derivatives = self._derivatives(
             alpha,
             match,
             seed,
-            lambda traced, source, by: _in_one_group(traced.energy_gradient(source, *by, groups)),
-            (1, n_unknowns),
+            lambda traced, source, by: traced.energy_gradient(source, *by, groups),
+            n_unknowns,
         )
-        return np.asarray(derivatives)
+        return np.asarray(derivatives[0])
 
     def scattering_jacobian(
         self, alpha: Array, match: Sequence[str] = MATCH, *, number: int = 2, seed: int = 0
@@ -353,7 +352,7 @@ class PathTracing(DirectedSources, Tracer):
             match,
             seed,
             lambda traced, source, by: traced.scattering_gradient(source, *by, number),
-            (number, self.room.n_materials),
+            self.room.n_materials,
         )
 
     def _weighing(self, alpha: Array, bands: NDArray[np.int64]) -> _Weighing:
@@ -367,12 +366,11 @@ class PathTracing(DirectedSources, Tracer):
         match: Sequence[str],
         seed: int,
         gradient: _Gradient,
-        size: tuple[int, int],
+        n_unknowns: int,
     ) -> Array:
         """Return the derivatives of `observe`, (number, n_parameters, n_pairs, n_bands, n_unknowns).
 
-        ``gradient`` gives those of the energies in ``number`` groups; ``size`` is (number, n_unknowns).
-        Unknowns that no face has are 0.
+        ``gradient`` gives those of the energies in ``number`` groups. Unknowns that no face has are 0.
         """
         sweeps: list[list[tuple[Array, Array]]] = []
         groups, sources = self.bands_of_paths(), range(len(self.sources))
@@ -384,15 +382,11 @@ class PathTracing(DirectedSources, Tracer):
                     traced = self.traced(int(bands[0]), seconds, seed=seed)
                     by = self._weighing(alpha, bands)
                     sweeps.append([*pool.map(gradient, repeat(traced), sources, repeat(by))])
-            n_bins = min(energy.shape[-1] for sweep in sweeps for energy, _ in sweep)
-            out = np.empty((1, len(sources), len(self.receivers), self.room.n_bands, n_bins))
-            for bands, sweep in zip(groups, sweeps, strict=True):
-                for s, (energy, _) in enumerate(sweep):
-                    out[0, s][:, bands] = energy[..., :n_bins]
-            return out
+            decays = [np.stack([energy for energy, _ in sweep]) for sweep in sweeps]
+            return of_all_bands(groups, decays)[np.newaxis]
 
-        decays = decay_long_enough(trace, self.room, alpha, longest(match))[0]
-        number, n_unknowns = size
+        (decays,) = decay_long_enough(trace, self.room, alpha, longest(match))
+        number = len(sweeps[0][0][1])
         out = np.zeros((number, len(match), *decays.shape[:3], n_unknowns))
         for bands, sweep in zip(groups, sweeps, strict=True):
             for s, (_, of_groups) in enumerate(sweep):
@@ -435,17 +429,13 @@ class PathTracing(DirectedSources, Tracer):
             self._traced[(*key, band)] = aimed
         return aimed
 
-    def _materials(self) -> NDArray[np.int64]:
-        """Return the number of each face's material, (n_faces,)."""
-        return self.room.material_rows(self.geometry.materials)
-
     def _trace(self, scattering: Array, longest: float, seed: int) -> paths.Paths:
         sources, receivers = self._points()
         return path_trace.trace(
             self.geometry,
             sources,
             receivers,
-            materials=self._materials(),
+            materials=self.room.material_rows(self.geometry.materials),
             scattering=scattering,
             radii=self._radii(),
             longest=longest,
@@ -456,9 +446,3 @@ class PathTracing(DirectedSources, Tracer):
             workers=self.workers,
             thinned=np.inf if self.thinned is None else self.thinned * self.room.speed_of_sound,
         )
-
-
-def _in_one_group(swept: tuple[Array, Array]) -> tuple[Array, Array]:
-    """Return energy and gradient as if of one group of the paths."""
-    energy, gradient = swept
-    return energy, gradient[np.newaxis]

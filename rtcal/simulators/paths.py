@@ -199,8 +199,8 @@ class Paths:
         -------
         energy : array (n_receivers, n_bands, n_bins)
             Mean over the batches.
-        gradient : array (n_receivers, n_bins, n_groups, n_bands)
-            d energy / d alpha of each group's faces.
+        gradient : array (1, n_receivers, n_bins, n_groups, n_bands)
+            d energy / d alpha of each group's faces; the first axis is that of `scattering_gradient`.
         """
         energy, gradient = self._swept(
             self.batches[source],
@@ -212,7 +212,7 @@ class Paths:
         material = np.zeros(gradient.shape[2], dtype=np.int64)
         material[groups] = self.materials
         # The kernel sums n E, n being the number of hits on the group's faces.
-        return energy, gradient / -(1 - np.asarray(alpha, dtype=float)[material])
+        return energy, gradient[np.newaxis] / -(1 - np.asarray(alpha, dtype=float)[material])
 
     def scattering_gradient(
         self,

@@ -19,8 +19,8 @@ from rtcal.acoustics.observables import OBSERVABLES, TARGET, DecaySlope
 from rtcal.acoustics.room import Room
 from rtcal.acoustics.scene import directivities
 from rtcal.acoustics.trust import OFF_VOLUME
-from rtcal.simulators import path_numpy
 from rtcal.simulators.base import RoomSimulator, check_alpha
+from rtcal.simulators.facets import first_hit
 from rtcal.simulators.geometry import Polyhedron
 from rtcal.simulators.observations import checked_parameters
 from rtcal.support import checks
@@ -128,7 +128,7 @@ def direct_lengths(geometry: Polyhedron, sources: Array, receivers: Array) -> Ar
             raise DataError("a source and a receiver are at the same place")
         directions = vectors / lengths[s][:, np.newaxis]
         origins = np.tile(source, (len(vectors), 1))
-        _, t = path_numpy.nearest(origins, directions, walls, sides)
+        _, t = first_hit(origins, directions, walls, sides)
         lengths[s, t < lengths[s]] = np.nan
     return lengths
 
@@ -258,6 +258,18 @@ def equal_columns(rows: Array) -> list[NDArray[np.int64]]:
     """Return the numbers of the columns in groups that are equal, (n_rows, n_columns)."""
     columns, group = np.unique(rows, axis=1, return_inverse=True)
     return [np.asarray(np.flatnonzero(group.reshape(-1) == g)) for g in range(columns.shape[1])]
+
+
+def of_all_bands(groups: Sequence[NDArray[np.int64]], decays: Sequence[Array]) -> Array:
+    """Return decays of groups of bands, (..., n_bands, n_bins), as those of all bands.
+
+    They have as many bins as every group has.
+    """
+    n_bins = min(decay.shape[-1] for decay in decays)
+    out = np.empty((*decays[0].shape[:-2], sum(map(len, groups)), n_bins))
+    for bands, decay in zip(groups, decays, strict=True):
+        out[..., bands, :] = decay[..., :n_bins]
+    return out
 
 
 def check_seconds(seconds: float) -> float:
