@@ -265,10 +265,10 @@ def of_all_bands(groups: Sequence[NDArray[np.int64]], decays: Sequence[Array]) -
 
     They have as many bins as every group has.
     """
-    n_bins = min(decay.shape[-1] for decay in decays)
+    n_bins = min(group.shape[-1] for group in decays)
     out = np.empty((*decays[0].shape[:-2], sum(map(len, groups)), n_bins))
-    for bands, decay in zip(groups, decays, strict=True):
-        out[..., bands, :] = decay[..., :n_bins]
+    for bands, group in zip(groups, decays, strict=True):
+        out[..., bands, :] = group[..., :n_bins]
     return out
 
 
