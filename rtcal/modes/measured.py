@@ -7,7 +7,7 @@ difference, and that of the logarithm of the decays' ratio.
 
 No measured mode and no calculated one is used twice: a match counts where its probability is large seen
 from either side. Modes of responses need no matching: they were found as the room's own
-(`rtcal.modes.responses`).
+(`rtcal.modes.calibrate`).
 """
 
 from __future__ import annotations
