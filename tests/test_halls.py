@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from rtcal.datasets import boxes, halls
+from rtcal.datasets import halls
 from rtcal.support.errors import DataError
 
 HALLS = (halls.lecture_hall, halls.hard_hall, halls.theatre, halls.corridor)
@@ -41,8 +41,8 @@ def test_the_theatre_has_thirty_materials_and_uneven_absorption():
 def test_boxes_add_subtract_and_need_paint():
     box = ((0.0, 2.0), (0.0, 2.0), (0.0, 2.0))
     cut = ((1.0, 2.0), (0.0, 1.0), (0.0, 3.3 - 1.3))  # a rounding away from 2
-    room = boxes.polyhedron([box], [cut], [("wall", "a", box), ("cut", "b", cut)])
+    room = halls.polyhedron([box], [cut], [("wall", "a", box), ("cut", "b", cut)])
     assert room.volume == pytest.approx(6)
     assert room.areas == pytest.approx({"a": 18, "b": 4})
     with pytest.raises(DataError, match="no paint"):
-        boxes.polyhedron([box], [], [("floor", "a", ((0, 2), (0, 2), (0, 0)))])
+        halls.polyhedron([box], [], [("floor", "a", ((0, 2), (0, 2), (0, 0)))])

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import rtcal as rt
-from rtcal.datasets.boxes import polyhedron
+from rtcal.datasets.halls import polyhedron
 from rtcal.modes import modes_of
 from rtcal.modes.rigid_walls import box_modes, fill
 from rtcal.simulators.geometry import SHOEBOX_WALLS, Polyhedron

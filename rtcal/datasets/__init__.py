@@ -5,7 +5,6 @@ from typing import TYPE_CHECKING
 from rtcal.support import lazy
 
 if TYPE_CHECKING:
-    from rtcal.datasets import boxes as boxes
     from rtcal.datasets import catalogue as catalogue
     from rtcal.datasets import examples as examples
     from rtcal.datasets import halls as halls

@@ -1,4 +1,4 @@
-"""Invented halls for case studies and benchmarks. None is a model of a real room.
+"""Invented halls for case studies and benchmarks, and rooms made of boxes. None models a real room.
 
 `lecture_hall` has the published data of the paper's lecture hall (Bellows & Katz 2025, Sect. 4.1): 23
 surfaces, 334 m³, ratio 66.6 of largest to smallest area. The paper has no plan and no areas. The
@@ -6,29 +6,32 @@ stochastic study uses the areas ``lecture_hall().geometry.face_areas``. `hard_ha
 des Papes (hard parallel walls), `theatre` the Athenee (thirty materials, very uneven absorption).
 `corridor` is long and thin, so that its decay depends on the scattering model.
 
-Absorption coefficients are rounded textbook values, scattering coefficients are estimates, one
-per material; sigma is the paper's three tiers 0.01, 0.05 and 0.1 (Sect. 4.3.1).
+Their materials stand in halls.csv. Absorption coefficients are rounded textbook values, scattering
+coefficients are estimates, one per material; sigma is the paper's three tiers 0.01, 0.05 and 0.1
+(Sect. 4.3.1).
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import csv
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from importlib import resources
 
 import numpy as np
 
 from rtcal.acoustics.air import Air
 from rtcal.acoustics.bands import octaves
 from rtcal.acoustics.room import Material, Room
-from rtcal.datasets import boxes
 from rtcal.simulators.geometry import Polyhedron
+from rtcal.support.arguments import checked
+from rtcal.support.errors import DataError
 
-__all__ = ["BANDS", "Hall", "corridor", "hard_hall", "lecture_hall", "theatre"]
+__all__ = ["BANDS", "Hall", "corridor", "hard_hall", "lecture_hall", "polyhedron", "theatre"]
 __dir__ = __all__.copy
 
 Point = tuple[float, float, float]
 BANDS = octaves(125, 8000)
-_LOW, _MIDDLE, _HIGH = 0.01, 0.05, 0.1  # sigma
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,39 +55,33 @@ class Hall:
 def _hall(
     name: str,
     geometry: Polyhedron,
-    table: Mapping[str, tuple[tuple[float, ...], float, float]],
+    materials: str,
     sources: Mapping[str, Point],
     receivers: Mapping[str, Point],
     held_out: Mapping[str, Point],
     dimensions: Point | None = None,
 ) -> Hall:
-    """Return a hall; ``table`` maps a material to (alpha in `BANDS`, sigma, scattering)."""
+    """Return a hall with the ``materials`` of this name in halls.csv."""
+    table = resources.files("rtcal.datasets").joinpath("halls.csv").read_text(encoding="utf-8")
+    rows = [row for row in csv.DictReader(table.splitlines()) if row["hall"] == materials]
     room = Room.from_surfaces(
         name=name,
         volume=geometry.volume,
         surfaces=geometry.surfaces,
         materials=[
-            Material(m, alpha, [sigma] * len(BANDS), scattering=[scattering] * len(BANDS))
-            for m, (alpha, sigma, scattering) in table.items()
+            Material(
+                row["material"],
+                [float(row[f"{f:g}"]) for f in BANDS],
+                [float(row["sigma"])] * len(BANDS),
+                scattering=[float(row["scattering"])] * len(BANDS),
+            )
+            for row in rows
         ],
         centre_frequencies=BANDS,
         air=Air(20, 50),
         dimensions=dimensions,
     )
     return Hall(geometry, room, sources, receivers, held_out)
-
-
-_LECTURE_HALL = {
-    "linoleum": ((0.02, 0.02, 0.03, 0.03, 0.04, 0.04, 0.05), _LOW, 0.10),
-    "desks and chairs": ((0.10, 0.12, 0.18, 0.22, 0.24, 0.25, 0.25), _HIGH, 0.70),
-    "gypsum board": ((0.18, 0.10, 0.06, 0.05, 0.05, 0.06, 0.07), _LOW, 0.20),
-    "perforated ceiling": ((0.25, 0.50, 0.65, 0.55, 0.45, 0.40, 0.35), _HIGH, 0.25),
-    "wood panelling": ((0.25, 0.18, 0.12, 0.09, 0.08, 0.08, 0.08), _MIDDLE, 0.30),
-    "painted plaster": ((0.02, 0.02, 0.03, 0.03, 0.04, 0.05, 0.05), _LOW, 0.25),
-    "blackboard": ((0.10, 0.08, 0.06, 0.05, 0.05, 0.05, 0.05), _MIDDLE, 0.10),
-    "glass": ((0.25, 0.15, 0.08, 0.05, 0.04, 0.03, 0.03), _MIDDLE, 0.20),
-    "metal door": ((0.15, 0.10, 0.08, 0.06, 0.05, 0.05, 0.05), _MIDDLE, 0.30),
-}
 
 
 def lecture_hall() -> Hall:
@@ -193,7 +190,7 @@ def lecture_hall() -> Hall:
     return _hall(
         "lecture hall (invented)",
         geometry,
-        _LECTURE_HALL,
+        "lecture_hall",
         sources={"S1": (4.4, 1.6, 1.5), "S2": (2.2, 1.1, 1.5)},
         receivers={
             "R1": (3.0, 4.2, 1.5),
@@ -205,17 +202,6 @@ def lecture_hall() -> Hall:
     )
 
 
-_HARD_HALL = {
-    "limestone": ((0.04, 0.04, 0.05, 0.05, 0.06, 0.07, 0.08), _LOW, 0.05),
-    "stone floor": ((0.01, 0.01, 0.02, 0.02, 0.02, 0.03, 0.04), _LOW, 0.03),
-    "stone vault": ((0.03, 0.03, 0.04, 0.04, 0.05, 0.06, 0.07), _MIDDLE, 0.15),
-    "wooden platform": ((0.30, 0.22, 0.15, 0.10, 0.08, 0.08, 0.08), _MIDDLE, 0.10),
-    "chairs": ((0.10, 0.14, 0.22, 0.30, 0.32, 0.32, 0.30), _HIGH, 0.50),
-    "leaded glass": ((0.20, 0.12, 0.08, 0.06, 0.05, 0.04, 0.04), _MIDDLE, 0.10),
-    "oak door": ((0.14, 0.12, 0.10, 0.08, 0.08, 0.08, 0.08), _MIDDLE, 0.10),
-}
-
-
 def hard_hall() -> Hall:
     """Return a hard hall with parallel walls, 40 x 14 x 10 m, a platform and chairs on its floor.
 
@@ -223,7 +209,7 @@ def hard_hall() -> Hall:
     The decay is therefore longer than by Sabine's equation.
     """
     x, y, z = (0.0, 40.0), (0.0, 14.0), (0.0, 10.0)
-    geometry = boxes.polyhedron(
+    geometry = polyhedron(
         air=[(x, y, z)],
         solid=[((0, 8), (2, 12), (0, 0.8))],
         paint=[
@@ -242,7 +228,7 @@ def hard_hall() -> Hall:
     return _hall(
         "hard hall (invented)",
         geometry,
-        _HARD_HALL,
+        "hard_hall",
         sources={"S1": (4.0, 7.0, 2.3), "S2": (6.0, 4.5, 2.3)},
         receivers={
             "R1": (12.5, 5.2, 1.2),
@@ -255,41 +241,6 @@ def hard_hall() -> Hall:
     )
 
 
-# Thirty materials, from bare plaster to the stage's drapes and the fly loft.
-_THEATRE = {
-    "stalls seats": ((0.35, 0.48, 0.60, 0.68, 0.70, 0.68, 0.65), _HIGH, 0.60),
-    "aisle carpet": ((0.05, 0.10, 0.20, 0.30, 0.35, 0.40, 0.45), _MIDDLE, 0.10),
-    "orchestra floor": ((0.15, 0.12, 0.10, 0.08, 0.07, 0.07, 0.07), _MIDDLE, 0.10),
-    "auditorium ceiling": ((0.14, 0.10, 0.06, 0.05, 0.04, 0.04, 0.04), _MIDDLE, 0.15),
-    "dome": ((0.10, 0.08, 0.06, 0.06, 0.06, 0.07, 0.08), _MIDDLE, 0.30),
-    "auditorium wall": ((0.12, 0.10, 0.08, 0.08, 0.09, 0.10, 0.10), _MIDDLE, 0.20),
-    "rear wall, stalls": ((0.10, 0.12, 0.15, 0.18, 0.20, 0.22, 0.22), _MIDDLE, 0.20),
-    "rear wall, first tier": ((0.12, 0.14, 0.16, 0.20, 0.22, 0.24, 0.24), _MIDDLE, 0.20),
-    "rear wall, second tier": ((0.12, 0.12, 0.12, 0.14, 0.15, 0.16, 0.16), _MIDDLE, 0.20),
-    "entrance doors": ((0.14, 0.10, 0.08, 0.08, 0.08, 0.08, 0.08), _MIDDLE, 0.10),
-    "first tier seats": ((0.30, 0.42, 0.55, 0.62, 0.65, 0.62, 0.60), _HIGH, 0.60),
-    "first tier boxes": ((0.20, 0.28, 0.38, 0.45, 0.48, 0.48, 0.46), _HIGH, 0.50),
-    "first tier parapet": ((0.15, 0.12, 0.10, 0.10, 0.10, 0.10, 0.10), _MIDDLE, 0.40),
-    "first tier soffit": ((0.15, 0.10, 0.07, 0.06, 0.05, 0.05, 0.05), _MIDDLE, 0.15),
-    "box partitions": ((0.18, 0.16, 0.14, 0.14, 0.16, 0.18, 0.18), _MIDDLE, 0.20),
-    "second tier seats": ((0.22, 0.30, 0.40, 0.46, 0.48, 0.46, 0.44), _HIGH, 0.60),
-    "second tier boxes": ((0.15, 0.20, 0.28, 0.34, 0.36, 0.36, 0.35), _HIGH, 0.50),
-    "second tier parapet": ((0.15, 0.12, 0.10, 0.09, 0.08, 0.08, 0.08), _MIDDLE, 0.40),
-    "second tier soffit": ((0.15, 0.10, 0.07, 0.06, 0.05, 0.05, 0.05), _MIDDLE, 0.15),
-    "proscenium": ((0.08, 0.06, 0.05, 0.05, 0.05, 0.06, 0.06), _LOW, 0.25),
-    "proscenium reveal": ((0.10, 0.08, 0.06, 0.06, 0.06, 0.06, 0.06), _MIDDLE, 0.20),
-    "forestage": ((0.18, 0.14, 0.10, 0.08, 0.07, 0.07, 0.07), _MIDDLE, 0.10),
-    "stage floor": ((0.25, 0.18, 0.12, 0.09, 0.08, 0.08, 0.08), _MIDDLE, 0.10),
-    "set": ((0.20, 0.15, 0.12, 0.10, 0.10, 0.12, 0.12), _HIGH, 0.40),
-    "backcloth": ((0.10, 0.25, 0.45, 0.60, 0.65, 0.65, 0.65), _HIGH, 0.30),
-    "drapes": ((0.15, 0.35, 0.60, 0.75, 0.75, 0.72, 0.70), _HIGH, 0.40),
-    "wing walls": ((0.05, 0.06, 0.08, 0.10, 0.12, 0.14, 0.15), _MIDDLE, 0.30),
-    "fly tower walls": ((0.10, 0.14, 0.20, 0.26, 0.30, 0.32, 0.32), _HIGH, 0.40),
-    "grid": ((0.30, 0.40, 0.50, 0.60, 0.65, 0.70, 0.70), _HIGH, 0.60),
-    "fire curtain": ((0.06, 0.06, 0.06, 0.07, 0.08, 0.09, 0.09), _MIDDLE, 0.10),
-}
-
-
 def theatre() -> Hall:
     """Return a theatre with two tiers, boxes, a fly tower and thirty materials.
 
@@ -297,8 +248,8 @@ def theatre() -> Hall:
     stage and auditorium.
     """
     hall, house = ((-7.0, 7.0), (0.0, 15.0), (0.0, 11.0)), ((-8.0, 8.0), (-9.5, -0.5), (0.9, 15.0))
-    solid: list[boxes.Box] = []
-    paint: list[tuple[str, str, boxes.Box]] = [
+    solid: list[Box] = []
+    paint: list[tuple[str, str, Box]] = [
         ("auditorium wall", "auditorium wall", hall),
         ("auditorium ceiling", "auditorium ceiling", ((-7, 7), (0, 15), (11, 11))),
         ("dome", "dome", ((-3, 3), (4, 11), (11, 11))),
@@ -358,13 +309,13 @@ def theatre() -> Hall:
                 )
     solid.append(((-2.0, 2.0), (-7.0, -6.7), (0.9, 4.0)))
     paint.append(("set", "set", ((-2, 2), (-7, -6.7), (0.9, 4))))
-    geometry = boxes.polyhedron(
+    geometry = polyhedron(
         air=[hall, ((-4.5, 4.5), (-0.5, 0.0), (0.9, 7.9)), house], solid=solid, paint=paint
     )
     return _hall(
         "theatre (invented)",
         geometry,
-        _THEATRE,
+        "theatre",
         sources={"S1": (0.4, -2.2, 2.4), "S2": (-1.8, -4.0, 2.4)},
         receivers={
             "R1": (1.2, 4.1, 1.2),
@@ -375,14 +326,6 @@ def theatre() -> Hall:
         },
         held_out={"R6": (-1.4, 5.2, 1.2), "R7": (1.9, 8.7, 1.2), "R8": (2.4, 12.6, 4.5)},
     )
-
-
-_CORRIDOR = {
-    "vinyl floor": ((0.02, 0.02, 0.03, 0.03, 0.03, 0.03, 0.04), _LOW, 0.10),
-    "ceiling tiles": ((0.20, 0.30, 0.40, 0.45, 0.45, 0.45, 0.40), _HIGH, 0.10),
-    "plaster": ((0.03, 0.03, 0.04, 0.05, 0.05, 0.06, 0.06), _MIDDLE, 0.10),
-    "end wall": ((0.10, 0.08, 0.06, 0.05, 0.05, 0.05, 0.05), _MIDDLE, 0.10),
-}
 
 
 def corridor() -> Hall:
@@ -402,7 +345,7 @@ def corridor() -> Hall:
     return _hall(
         "corridor (invented)",
         geometry,
-        _CORRIDOR,
+        "corridor",
         sources={"S1": (4.0, 1.0, 1.5)},
         receivers={
             "R1": (8.0, 1.4, 1.3),
@@ -413,3 +356,79 @@ def corridor() -> Hall:
         held_out={"R5": (11.0, 1.3, 1.3), "R6": (27.0, 1.1, 1.3)},
         dimensions=dimensions,
     )
+
+
+Box = tuple[tuple[float, float], tuple[float, float], tuple[float, float]]
+"""(x from, to), (y from, to), (z from, to) in m."""
+
+Rectangle = tuple[tuple[int, int], tuple[int, int]]
+
+
+@checked
+def polyhedron(
+    air: Sequence[Box], solid: Sequence[Box], paint: Sequence[tuple[str, str, Box]]
+) -> Polyhedron:
+    """Return the room of the ``air`` boxes without the ``solid`` boxes.
+
+    ``paint`` is a sequence of (surface, material, region). A wall belongs to the last region that
+    contains its middle. Raises DataError if no region does.
+    """
+    boxes = [*air, *solid, *(region for _, _, region in paint)]
+    # Rounded, so that 3.3 + 2.9 and 6.2 are one line.
+    lines = [np.unique(np.round([lim for b in boxes for lim in b[axis]], 6)) for axis in range(3)]
+    middles = [(line[:-1] + line[1:]) / 2 for line in lines]
+    full = np.zeros(tuple(len(m) + 2 for m in middles), dtype=bool)  # a solid layer all round
+    inner = full[1:-1, 1:-1, 1:-1]
+    for group, value in ((air, True), (solid, False)):
+        for box in group:
+            within = [(m > lo) & (m < hi) for m, (lo, hi) in zip(middles, box, strict=True)]
+            inner[np.ix_(*within)] = value
+    faces: dict[tuple[int, int, bool, int], set[tuple[int, int]]] = {}
+    for axis in range(3):
+        # A wall stands wherever air and solid meet along the axis.
+        cells = np.moveaxis(full, axis, 0)[:, 1:-1, 1:-1]
+        u, v = (a for a in range(3) if a != axis)
+        for plane, i, j in np.argwhere(cells[1:] != cells[:-1]):
+            middle = np.empty(3)
+            middle[axis], middle[u], middle[v] = lines[axis][plane], middles[u][i], middles[v][j]
+            key = (axis, int(plane), bool(cells[plane, i, j]), _painted(middle, paint))
+            faces.setdefault(key, set()).add((int(i), int(j)))
+    polygons = []
+    count: dict[str, int] = {}
+    for (axis, plane, _, k), wall_cells in faces.items():
+        u, v = (a for a in range(3) if a != axis)
+        for (i0, i1), (j0, j1) in _rectangles(wall_cells):
+            corners = np.empty((4, 3))
+            corners[:, axis] = lines[axis][plane]
+            corners[:, u] = lines[u][[i0, i1, i1, i0]]
+            corners[:, v] = lines[v][[j0, j0, j1, j1]]
+            surface, material, _ = paint[k]
+            count[surface] = count.get(surface, 0) + 1
+            name = surface if count[surface] == 1 else f"{surface} {count[surface]}"
+            polygons.append((name, material, corners))
+    return Polyhedron.from_polygons(polygons)
+
+
+def _painted(middle: np.ndarray, paint: Sequence[tuple[str, str, Box]]) -> int:
+    for k in reversed(range(len(paint))):
+        region = np.array(paint[k][2])
+        if ((middle >= region[:, 0] - 1e-9) & (middle <= region[:, 1] + 1e-9)).all():
+            return k
+    raise DataError(f"no paint covers the wall at {middle.tolist()} m")
+
+
+def _rectangles(cells: set[tuple[int, int]]) -> list[Rectangle]:
+    """Cover cells with few rectangles: each is the longest run along j, extended along i."""
+    left = set(cells)
+    rectangles = []
+    while left:
+        i0, j0 = min(left)
+        j1 = j0 + 1
+        while (i0, j1) in left:
+            j1 += 1
+        i1 = i0 + 1
+        while all((i1, j) in left for j in range(j0, j1)):
+            i1 += 1
+        left -= {(i, j) for i in range(i0, i1) for j in range(j0, j1)}
+        rectangles.append(((i0, i1), (j0, j1)))
+    return rectangles
