@@ -47,7 +47,7 @@ from rtcal.loop.positions import MORE_PATHS, precise
 from rtcal.loop.positions_steps import Listener
 from rtcal.simulators import PathTracing, path_trace, paths
 from rtcal.simulators.observations import Observations
-from rtcal.simulators.path_batch import ScatteringModel
+from rtcal.simulators.tracer import ScatteringModel
 from tests.position_rooms.generate import order
 from tests.position_rooms.load import PositionRoom, at, load, stored, true_alpha, without_noise
 from tests.position_rooms.rooms import PRIORS

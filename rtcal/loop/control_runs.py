@@ -24,10 +24,9 @@ from rtcal.acoustics.scene import POSITION, checked_uncertainty, plain_directivi
 from rtcal.simulators.base import Simulator
 from rtcal.simulators.geometry import SHOEBOX_WALLS, Polyhedron
 from rtcal.simulators.observations import Observations, observe
-from rtcal.simulators.path_batch import ScatteringModel
 from rtcal.simulators.path_tracing import DENSER, PathTracing
 from rtcal.simulators.shoebox import ShoeboxSimulator
-from rtcal.simulators.tracer import eyring_seconds
+from rtcal.simulators.tracer import ScatteringModel, eyring_seconds
 from rtcal.support import checks, files
 from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError, RtcalError, TooShortError

@@ -29,8 +29,8 @@ from rtcal.loop.scattering import (
 )
 from rtcal.simulators.base import Simulator
 from rtcal.simulators.observations import Observations, jacobian, observe
-from rtcal.simulators.path_batch import ScatteringModel
 from rtcal.simulators.path_tracing import PathTracing
+from rtcal.simulators.tracer import ScatteringModel
 from rtcal.support.types import Array
 
 _OF_CONTROLS = 0.5

@@ -24,8 +24,8 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import solve_triangular
 
 from rtcal.loop.control_runs import MODELS, SCATTERING, ControlRuns, level, share_of_signal
-from rtcal.simulators.path_batch import ScatteringModel
 from rtcal.simulators.path_tracing import PathTracing
+from rtcal.simulators.tracer import ScatteringModel
 from rtcal.support.files import json_numbers
 from rtcal.support.types import Array
 
@@ -61,7 +61,7 @@ class Scattering:
     Attributes
     ----------
     model : {"random", "vector"}
-        Meaning of the coefficients; see `rtcal.simulators.path_batch.ScatteringModel`.
+        Meaning of the coefficients; see `rtcal.simulators.tracer.ScatteringModel`.
     coefficients : array (n_materials, n_bands)
     sigma : array (n_materials, n_bands)
         Their posterior standard deviations, linear in the log odds; 0 where they are 0 or 1.

@@ -129,7 +129,7 @@ def trace(
     thinned: float,
     shares: Array,
 ) -> tuple[Any, Any, Any, Any, Array]:
-    """Trace paths: events, starts, lengths, weights (see `rtcal.simulators.path_batch.Batch`), counts.
+    """Trace paths: events, starts, lengths, weights (see `rtcal.simulators.path_numpy.Batch`), counts.
 
     ``owners`` has the face of each triangle, ``scattering`` the coefficient of each face. Paths whose
     number 2^i does not divide end at i times the length ``thinned``; what is heard after it weighs 1 /

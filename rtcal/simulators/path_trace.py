@@ -7,7 +7,8 @@ from numpy.typing import NDArray
 
 from rtcal.simulators import paths, tracer
 from rtcal.simulators.geometry import Polyhedron
-from rtcal.simulators.path_batch import LARGEST_CODE, Batch, ScatteringModel
+from rtcal.simulators.path_numpy import LARGEST_CODE, Batch
+from rtcal.simulators.tracer import ScatteringModel
 from rtcal.support.errors import DataError
 from rtcal.support.speed import thread_pool
 from rtcal.support.types import Array

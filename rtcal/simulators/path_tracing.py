@@ -72,7 +72,7 @@ class PathTracing(DirectedSources, Tracer):
         Scattering coefficients, by default the room's. Bands with equal ones share their paths.
     scattering_model : {"random", "vector"}, optional
         How a wall scatters, by default as the room states; see
-        `rtcal.simulators.path_batch.ScatteringModel`. The two models give different decays in long or
+        `rtcal.simulators.tracer.ScatteringModel`. The two models give different decays in long or
         flat rooms.
     radius : float, optional
         Radius of the receivers in m, by default 0.075 times the cube root of the volume. A receiver

@@ -21,7 +21,8 @@ from numpy.typing import NDArray
 
 from rtcal.acoustics.directivity import Directivity
 from rtcal.simulators import path_numpy
-from rtcal.simulators.path_batch import Batch, ScatteringModel, aimed, joined
+from rtcal.simulators.path_numpy import Batch, aimed, joined
+from rtcal.simulators.tracer import ScatteringModel
 from rtcal.support import speed
 from rtcal.support.errors import DataError
 from rtcal.support.types import Array

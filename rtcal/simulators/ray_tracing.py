@@ -9,7 +9,7 @@ module depends on:
 - ``energy_thres`` is 1e-16, since the default 1e-7 cuts the late decay off.
 - Ray directions are a fixed lattice. This module rotates the room at random for every batch of
   rays, so that batches are independent and their spread is the noise.
-- Scattering follows the model "vector" of `rtcal.simulators.path_batch.ScatteringModel`, with the mean
+- Scattering follows the model "vector" of `rtcal.simulators.tracer.ScatteringModel`, with the mean
   coefficient over bands. Bands with other coefficients are therefore traced separately.
 - A receiver hears scattered energy twice: by a ray sent to it, and by the ray that continues. The
   measurement therefore has no level G.

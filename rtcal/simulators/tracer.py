@@ -6,7 +6,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +26,15 @@ from rtcal.simulators.observations import checked_parameters
 from rtcal.support import checks
 from rtcal.support.errors import DataError
 from rtcal.support.types import Array, read_only
+
+ScatteringModel = Literal["random", "vector"]
+"""How a wall with the scattering coefficient s reflects a path.
+
+``"random"``: with probability s in a random direction after Lambert's law, else specularly (Heinz
+1993; Vorlaender 2008, Sect. 11.3). ``"vector"``: along s·Lambert + (1 - s)·specular, both unit
+vectors (Christensen & Rindel 2005, Forum Acusticum; also pyroomacoustics). The two models agree at
+s = 0 and s = 1 only.
+"""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)

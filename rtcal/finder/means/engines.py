@@ -20,11 +20,10 @@ from rtcal.acoustics.room import Room
 from rtcal.finder.case import Case
 from rtcal.finder.model import FEATURES, RoomState, predict
 from rtcal.simulators.geometry import SHOEBOX_WALLS, Polyhedron
-from rtcal.simulators.path_batch import ScatteringModel
 from rtcal.simulators.path_tracing import PathTracing
 from rtcal.simulators.ray_tracing import RayTracing
 from rtcal.simulators.sdn import ScatteringDelayNetwork
-from rtcal.simulators.tracer import LONGEST, Tracer
+from rtcal.simulators.tracer import LONGEST, ScatteringModel, Tracer
 from rtcal.support.speed import TaskProgress
 from rtcal.support.types import Array
 
