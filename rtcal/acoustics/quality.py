@@ -36,6 +36,14 @@ def gap_jnd(model: Array, measured: Array, parameter: str = TARGET.key) -> Array
     return np.asarray((model - measured) / unit_of(measured))
 
 
+def rms(values: Array, axis: int | tuple[int, ...] | None = None) -> Any:
+    """Return the root mean square over some axes of what is known; NaN where nothing is."""
+    known = np.isfinite(values)
+    squares = np.where(known, values, 0.0) ** 2
+    with np.errstate(invalid="ignore"):
+        return np.sqrt(squares.sum(axis=axis) / known.sum(axis=axis))
+
+
 MET = 0.5
 """Gap in JND below which the words count the measured T as met: half of what can be heard."""
 P_CONTRADICTION = 0.05

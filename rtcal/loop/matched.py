@@ -22,7 +22,7 @@ from rtcal.acoustics import band_conversion
 from rtcal.acoustics.bands import label, labels
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.observables import EARLY, LEVEL, OBSERVABLES, TARGET, parameter_label
-from rtcal.acoustics.quality import gap_jnd
+from rtcal.acoustics.quality import gap_jnd, rms
 from rtcal.acoustics.repeats import of_room
 from rtcal.acoustics.room import Room
 from rtcal.acoustics.trust import TrustMark
@@ -286,17 +286,11 @@ class Beside:
     def gaps(self) -> Gaps:
         """Root mean squares over the pairs."""
         ends = zip(self.parameters, self.gap_before, self.gap_after, strict=True)
-        return {p: (_over_pairs(before), _over_pairs(after)) for p, before, after in ends}
+        return {p: (rms(before, axis=0), rms(after, axis=0)) for p, before, after in ends}
 
     def _gap(self, simulated: Observations) -> Array:
         gaps = [gap_jnd(simulated.natural(p), self.measured.natural(p), p) for p in self.parameters]
         return np.reshape(gaps, self.measured.values.shape)
-
-
-def _over_pairs(gap: Array) -> Array:
-    known = np.isfinite(gap)
-    number = np.where(known.any(axis=0), known.sum(axis=0), np.nan)
-    return np.asarray(np.sqrt((np.where(known, gap, 0.0) ** 2).sum(axis=0) / number))
 
 
 def left(gaps: Gaps) -> tuple[str, ...]:

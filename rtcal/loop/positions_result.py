@@ -13,6 +13,7 @@ from rtcal.acoustics.change_files import Variant
 from rtcal.acoustics.changes import Change
 from rtcal.acoustics.observables import LEVEL, observable, parameter_label
 from rtcal.acoustics.priors import NORMAL_90
+from rtcal.acoustics.quality import rms
 from rtcal.acoustics.room import Room
 from rtcal.acoustics.room_errors import Assumptions
 from rtcal.acoustics.scene import POSITION
@@ -31,7 +32,7 @@ from rtcal.loop.measured_pairs import (
     rows_of_pairs,
 )
 from rtcal.loop.positions_prediction import PositionsPrediction
-from rtcal.loop.positions_tables import Table, farther_in_words, gap_table, material_table, rms
+from rtcal.loop.positions_tables import Table, farther_in_words, gap_table, material_table
 from rtcal.loop.predicted_positions import WANTED, predict_positions
 from rtcal.loop.scattering import Scattering
 from rtcal.simulators.base import Simulator
@@ -243,7 +244,7 @@ class PositionsResult(Result):
 
     @property
     def _farther_matched(self) -> tuple[str, ...]:
-        before, after = (rms(gap) for gap in (self.gap_before, self.gap_after))
+        before, after = (rms(gap, axis=(1, 2)) for gap in (self.gap_before, self.gap_after))
         each = zip(self.parameters, before, after, strict=True)
         return tuple(p for p, old, new in each if new > old + _FARTHER)
 
@@ -345,7 +346,7 @@ class PositionsResult(Result):
         farther = self._farther_matched
         if not farther:
             return ""
-        ends = rms(self.gap_before), rms(self.gap_after)
+        ends = rms(self.gap_before, axis=(1, 2)), rms(self.gap_after, axis=(1, 2))
         named = [row for row in zip(self.parameters, *ends, strict=True) if row[0] in farther]
         return farther_in_words(named, fitted=self.scattering is not None)
 
@@ -373,7 +374,7 @@ class PositionsResult(Result):
                 "a time and 0.5 dB of a level."
             )
         if self.error_scale > 1:
-            off = rms(self.gap_after)
+            off = rms(self.gap_after, axis=(1, 2))
             worst = int(np.argmax(off))
             notes.append(
                 "Simulator and prior miss what was measured by more than their errors let expect: the "

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from rtcal.acoustics.observables import parameter_label
+from rtcal.acoustics.quality import rms
 from rtcal.acoustics.room import Room
 from rtcal.loop.measured_pairs import Pair
 from rtcal.loop.scattering import Scattering
@@ -30,7 +31,7 @@ def gap_table(
     """
 
     def row(name: str, some: list[int]) -> list[str]:
-        ends = (rms(before[:, some]), rms(after[:, some]))
+        ends = (rms(before[:, some], axis=(1, 2)), rms(after[:, some], axis=(1, 2)))
         cells = (" to ".join(number(x, ".1f") for x in pair) for pair in zip(*ends, strict=True))
         return [name, *cells]
 
@@ -68,12 +69,6 @@ def material_table(
             row.append(f"{s:.2f} ± {sigma:.2f}")
         rows.append(row)
     return header, rows
-
-
-def rms(values: Array) -> list[float]:
-    """Return the root mean square over pairs and bands by parameter, NaN without a value."""
-    known: Sequence[Array] = [v[np.isfinite(v)] for v in values]
-    return [float(np.sqrt((v**2).mean())) if v.size else float("nan") for v in known]
 
 
 def farther_in_words(gaps: Sequence[tuple[str, float, float]], *, fitted: bool) -> str:

@@ -39,14 +39,6 @@ __all__ = ["gap", "rendered", "reverberation_time", "save"]
 __dir__ = __all__.copy
 
 
-def rms(values: Array, axis: int | tuple[int, ...] | None = None) -> Any:
-    """Return the root mean square over some axes of what is known; NaN where nothing is."""
-    known = np.isfinite(values)
-    squares = np.where(known, values, 0.0) ** 2
-    with np.errstate(invalid="ignore"):
-        return np.sqrt(squares.sum(axis=axis) / known.sum(axis=axis))
-
-
 def wireframe(mesh: Polyhedron | Faces, open_edges: Array | None = None) -> Any:
     """Return the figure of a mesh, drawn or mended, with its open edges, (n, 2, 3) in m, in red.
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from rtcal.acoustics.quality import gap_jnd
+from rtcal.acoustics.quality import gap_jnd, rms
 from rtcal.report.figures import (
     BLACK,
     BLUE,
@@ -100,7 +100,7 @@ def draw_plan(
         for name, place, value in zip(heard, points, gap, strict=True):
             _label(panel, place, f"{shown(name, 12)}: {value:.1f}")
         panel.set_aspect("equal")
-        panel.set_title(f"{when} calibration: gap {np.sqrt(np.nanmean(gap**2)):.1f} JND")
+        panel.set_title(f"{when} calibration: gap {rms(gap):.1f} JND")
         panel.set_ylabel("y / m")
     axes[1].set_xlabel("x / m")
     markers = dict(zip(*reversed(axes[0].get_legend_handles_labels()), strict=True))
@@ -144,8 +144,7 @@ def draw_shifts(moved: Array, materials: Sequence[str], frequencies: Array) -> A
 def _by_receiver(pairs: Sequence[tuple[str, str]], gap: Array, receivers: Sequence[str]) -> Array:
     """Return the root mean square gap of each receiver in JND, NaN without a value."""
     rows = [[i for i, (_, r) in enumerate(pairs) if r == name] for name in receivers]
-    squares = [gap[:, row][np.isfinite(gap[:, row])] ** 2 for row in rows]
-    return np.array([np.sqrt(s.mean()) if s.size else np.nan for s in squares])
+    return np.array([rms(gap[:, row]) for row in rows])
 
 
 def _label(panel: Any, place: Any, text: str) -> None:

@@ -10,12 +10,13 @@ import numpy as np
 
 from rtcal.acoustics import bands
 from rtcal.acoustics.observables import DecaySlope, of_kind, parameter_label
+from rtcal.acoustics.quality import rms
 from rtcal.loop.positions_result import PositionsResult
 from rtcal.modes.result import ModesResult
 from rtcal.modes.room_modes import DECAY
 from rtcal.report import loop_figures, room_view, words
 from rtcal.report.document import Heading, blocks, material_rows, render, source
-from rtcal.report.figures import BLACK, BLUE, ORANGE, new_figure, rms
+from rtcal.report.figures import BLACK, BLUE, ORANGE, new_figure
 from rtcal.simulators.observations import Observations
 from rtcal.simulators.path_tracing import PathTracing
 from rtcal.support.text import first_of

@@ -20,9 +20,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtcal.acoustics import bands
+from rtcal.acoustics.quality import rms
 from rtcal.io import geometry_files
 from rtcal.report import room_still
-from rtcal.report.figures import rms
 from rtcal.report.room_still import Look, between
 from rtcal.simulators.geometry import Polyhedron
 from rtcal.support.errors import DataError

@@ -10,10 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtcal.acoustics.observables import parameter_label
+from rtcal.acoustics.quality import rms
 from rtcal.finder.positions.finding import Place, PositionsFinding
 from rtcal.finder.positions.surfaces import Faces, kind
 from rtcal.finder.positions.verification import MODELS, PositionsVerification
-from rtcal.report.figures import BLACK, BLUE, GREEN, ORANGE, new_figure, rms, shown
+from rtcal.report.figures import BLACK, BLUE, GREEN, ORANGE, new_figure, shown
 from rtcal.report.room_still import ABOVE, TURNS, axes_of
 from rtcal.simulators.geometry import Polyhedron
 from rtcal.support.arguments import checked
