@@ -22,12 +22,12 @@ from rtcal.acoustics.equations.base import MeanEquation as MeanEquation
 from rtcal.acoustics.equations.base import equation_keys as equation_keys
 from rtcal.acoustics.equations.base import mean_equation as mean_equation
 from rtcal.acoustics.equations.base import register as register
-from rtcal.acoustics.equations.by_axis import ArauPuchades as ArauPuchades
-from rtcal.acoustics.equations.by_axis import Fitzroy as Fitzroy
-from rtcal.acoustics.equations.by_mean import Eyring as Eyring
-from rtcal.acoustics.equations.by_mean import Kuttruff as Kuttruff
-from rtcal.acoustics.equations.by_mean import Millington as Millington
-from rtcal.acoustics.equations.by_mean import Sabine as Sabine
+from rtcal.acoustics.equations.formulas import ArauPuchades as ArauPuchades
+from rtcal.acoustics.equations.formulas import Eyring as Eyring
+from rtcal.acoustics.equations.formulas import Fitzroy as Fitzroy
+from rtcal.acoustics.equations.formulas import Kuttruff as Kuttruff
+from rtcal.acoustics.equations.formulas import Millington as Millington
+from rtcal.acoustics.equations.formulas import Sabine as Sabine
 
 for _module in pkgutil.iter_modules(__path__):
     importlib.import_module(f"{__name__}.{_module.name}")
