@@ -17,7 +17,6 @@ from rtcal.command.console import (
     errors_name_options,
     exclude_option,
     is_quiet,
-    json_option,
     match_option,
     method_option,
     modes_option,
@@ -25,7 +24,7 @@ from rtcal.command.console import (
     output_folder,
     pairs,
     paths_option,
-    quiet_option,
+    printed,
     read_measured,
     said,
     scattering_option,
@@ -67,8 +66,7 @@ from rtcal.support.files import make_folder, spare, write_all
     help="Folder for the calibrated room (room.toml), all numbers (result.json) and T(f) "
     "(reverberation_time.png, not with --modes). Nothing is written without it.",
 )
-@json_option
-@quiet_option
+@printed
 def calibrate(
     room: str,
     measured: str,
@@ -162,8 +160,7 @@ and it matters. In one simulated room, 4,000 paths, starts of 0.05, 0.1 and 0.2 
     help="Folder for the calibrated room (room.toml), all numbers (result.json), a plan (plan.png) and "
     "the coefficients' shifts (shifts.png). Nothing is written without it.",
 )
-@json_option
-@quiet_option
+@printed
 def fit(
     room: str,
     measured: str,
@@ -263,8 +260,7 @@ LIBRARY_ROOM = "room.toml"
     type=click.Path(file_okay=False),
     help="Folder for the archive (result.json), and with --apply for the room (room.toml).",
 )
-@json_option
-@quiet_option
+@printed
 def learn(
     folder: str,
     entries: tuple[str, ...],
@@ -366,8 +362,7 @@ def learn(
     type=click.Path(file_okay=False),
     help="Folder for the tables (CSV) and figures (PNG).",
 )
-@json_option
-@quiet_option
+@printed
 def study(
     rooms: tuple[str, ...],
     sigma_r: tuple[float, ...],

@@ -202,7 +202,7 @@ def is_quiet() -> bool:
     return _flag("quiet")
 
 
-quiet_option = click.option(
+_quiet_option = click.option(
     "--quiet",
     "-q",
     is_flag=True,
@@ -210,7 +210,7 @@ quiet_option = click.option(
     callback=_kept,
     help="Print nothing but errors, and the JSON.",
 )
-json_option = click.option(
+_json_option = click.option(
     "--json",
     "as_json",
     is_flag=True,
@@ -218,6 +218,13 @@ json_option = click.option(
     callback=_kept,
     help="Print JSON in place of text.",
 )
+
+
+def printed(command: Callable[..., None]) -> Callable[..., None]:
+    """Add --json and --quiet to a command, for which `tell` asks."""
+    return _json_option(_quiet_option(command))
+
+
 method_option = click.option(
     "--method",
     type=click.Choice(("mle", "lse", "soft", "smooth", "robust")),

@@ -22,10 +22,9 @@ from rtcal.command.console import (
     fit_ending,
     heading_options,
     is_quiet,
-    json_option,
     numbers,
     output_folder,
-    quiet_option,
+    printed,
     repeats_option,
     said,
     tell,
@@ -74,8 +73,7 @@ PROGRAMS = ("catt", "odeon", "pyroomacoustics", "bras")
     help="File (TOML) to write: [sources] and [receivers] of one SOFA file, for the room's file.",
 )
 @click.option("--out", type=click.Path(dir_okay=False), help="Measurement (CSV, xlsx) to write.")
-@json_option
-@quiet_option
+@printed
 def measure(
     responses: tuple[str, ...],
     bands: str | list[float] | None,
@@ -164,8 +162,7 @@ def _positions_text(responses: tuple[str, ...]) -> str:
     "--sheets", multiple=True, metavar="SHEET", help="Read only this sheet of a workbook."
 )
 @click.option("--out", type=click.Path(dir_okay=False), help="Measurement (CSV, xlsx) to write.")
-@json_option
-@quiet_option
+@printed
 def table(
     paths: tuple[str, ...],
     decay_time: str | None,
@@ -248,8 +245,7 @@ def _write_and_tell(
     show_default=True,
     help="If the room lacks a band of a new list (CATT, ODEON): refuse, or use the nearest band.",
 )
-@json_option
-@quiet_option
+@printed
 def export(
     program: str,
     room: str,
@@ -322,8 +318,7 @@ _LIST = "\b\n" + "\n".join(f"    {name:16s}{text}" for name, text in _PURPOSES.i
 )
 @click.argument("name", type=click.Choice(tuple(_PURPOSES)))
 @click.option("--out", type=click.Path(file_okay=False), help="Folder to write; NAME if not given.")
-@json_option
-@quiet_option
+@printed
 def example(
     name: str,
     out: str | None,
@@ -362,8 +357,7 @@ _FIGURES = 5
     "workbook of all its tables.",
 )
 @heading_options
-@json_option
-@quiet_option
+@printed
 def report(
     result: str,
     out: str | None,

@@ -14,10 +14,9 @@ import click
 
 from rtcal.command.console import (
     heading_options,
-    json_option,
     numbers,
     output_folder,
-    quiet_option,
+    printed,
     seed_option,
     tell,
     written,
@@ -273,8 +272,7 @@ def apply(
     help="Hours of a further measurement, such as G=0.5.",
 )
 @seed_option
-@json_option
-@quiet_option
+@printed
 def plan(
     inputs: Inputs,
     change: float | None,

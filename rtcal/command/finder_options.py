@@ -19,12 +19,11 @@ from rtcal.command.console import (
     bar_wanted,
     errors_name_options,
     exclude_option,
-    json_option,
     match_option,
     numbers,
     pairs,
     paths_option,
-    quiet_option,
+    printed,
     read_measured,
     said,
     scattering_option,
@@ -274,8 +273,7 @@ def search_options(command: Any) -> Any:
         help="Prior odds of an effect, of none or of coefficients: opening=2.",
     )
     @seed_option
-    @json_option
-    @quiet_option
+    @printed
     @wraps(command)
     def with_search(
         engines: tuple[str, ...],

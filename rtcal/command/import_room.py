@@ -13,8 +13,7 @@ from rtcal.command.console import (
     bands_option,
     entries_option,
     fit_ending,
-    json_option,
-    quiet_option,
+    printed,
     scattering_option,
     tell,
     texts,
@@ -122,8 +121,7 @@ if TYPE_CHECKING:
 )
 @scattering_option
 @click.option("--out", type=click.Path(dir_okay=False), help="Room (TOML) to write.")
-@json_option
-@quiet_option
+@printed
 def import_room(
     program: str,
     materials: str | None,

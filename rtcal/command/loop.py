@@ -15,11 +15,10 @@ from rtcal.acoustics.observables import parameter_label
 from rtcal.command.console import (
     decimals_option,
     equation_option,
-    json_option,
     method_option,
     modes_option,
     numbers,
-    quiet_option,
+    printed,
     read_measured,
     tell,
     told_by_modes,
@@ -80,8 +79,7 @@ def loop() -> None:
 )
 @decimals_option
 @modes_option
-@json_option
-@quiet_option
+@printed
 @_holding_state
 def start(
     room: str,
@@ -162,8 +160,7 @@ def _next_step(out: str) -> str:
     is_flag=True,
     help="Accept a table equal to the last step's, or to the measurement.",
 )
-@json_option
-@quiet_option
+@printed
 @_holding_state
 def next_(
     room: str,
@@ -236,8 +233,7 @@ def next_(
 @click.argument("room", type=click.Path())
 @_state_option
 @_out_option
-@json_option
-@quiet_option
+@printed
 @_holding_state
 def back(
     room: str,

@@ -13,10 +13,9 @@ from rtcal.command.console import (
     PATHS,
     bar_wanted,
     equation_option,
-    json_option,
     output_folder,
     paths_option,
-    quiet_option,
+    printed,
     read_measured,
     said,
     tell,
@@ -41,8 +40,7 @@ MAX_BYTES = 2**18
 def what_is_known(command: Callable[..., None]) -> Callable[..., None]:
     """Add the options of measured states, the equation and what is done with the result."""
     for option in (
-        quiet_option,
-        json_option,
+        printed,
         click.option(
             "--out",
             type=click.Path(file_okay=False),
