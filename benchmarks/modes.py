@@ -22,8 +22,8 @@ import numpy as np
 
 import rtcal as rt
 from benchmarks import modes_world as w
+from rtcal.acoustics.bands import schroeder_frequency
 from rtcal.acoustics.room_errors import prior_covariance
-from rtcal.acoustics.trust import schroeder_frequency
 from rtcal.modes.model import AtFrequencies, RoomPoles, admittance, admittance_slope
 from rtcal.simulators.geometry import Polyhedron
 

@@ -21,7 +21,7 @@ import numpy as np
 import rtcal as rt
 from benchmarks import modes_world as w
 from benchmarks.modes import HIGHEST, LIMIT, bound, room_of, true_poles, world_lowest
-from rtcal.acoustics.trust import schroeder_frequency
+from rtcal.acoustics.bands import schroeder_frequency
 from rtcal.modes.fit import Spectra, fitted
 from rtcal.modes.model import RoomPoles
 from rtcal.modes.rigid_walls import box_modes

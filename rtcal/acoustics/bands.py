@@ -1,4 +1,7 @@
-"""Frequency bands: nominal octave and third-octave centres (IEC 61260-1), labels and matching."""
+"""Frequency bands: nominal octave and third-octave centres (IEC 61260-1), labels and matching.
+
+Also T at mid frequencies, and the Schroeder frequency that follows from it.
+"""
 
 from __future__ import annotations
 
@@ -22,8 +25,10 @@ __all__ = [
     "index",
     "is_middle",
     "label",
+    "mid_frequency_time",
     "nominal",
     "octaves",
+    "schroeder_frequency",
     "span",
     "third_octaves",
 ]
@@ -270,3 +275,33 @@ def bandwidth_factor(frequencies: Array) -> float:
     if len(frequencies) < 2:
         return 0.71
     return 0.23 if float(np.min(frequencies[1:] / frequencies[:-1])) < np.sqrt(2) else 0.71
+
+
+@checked
+def schroeder_frequency(t: Array, volume: float) -> Array:
+    """Return 2000 sqrt(T / V) in Hz, T in s and V in m³ (Schroeder & Kuttruff 1962).
+
+    Examples
+    --------
+    >>> print(schroeder_frequency(np.array([2.0]), 200.0))
+    [200.]
+    """
+    return np.asarray(2000 * np.sqrt(np.asarray(t, dtype=float) / volume))
+
+
+@checked
+def mid_frequency_time(t: Array, centre_frequencies: Array) -> float:
+    """Return the mean of T over the octaves 500 and 1000 Hz, or their thirds; else over all bands.
+
+    T in s, (n_bands,), NaN where missing; NaN if every band is.
+
+    Examples
+    --------
+    >>> mid_frequency_time(np.array([1.4, 2.0, 1.8]), np.array([125, 500, 1000]))
+    1.9
+    """
+    t, f = np.asarray(t, dtype=float), np.asarray(centre_frequencies, dtype=float)
+    has_t = np.isfinite(t)
+    middle = has_t & (f > 500 / np.sqrt(2)) & (f < 1000 * np.sqrt(2))
+    used = middle if middle.any() else has_t
+    return float(np.mean(t[used])) if used.any() else float("nan")

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rtcal.acoustics.bands import mid_frequency_time, schroeder_frequency
 from rtcal.acoustics.decay import BentDecay
 from rtcal.acoustics.observables import TARGET
 from rtcal.acoustics.room import Room
@@ -19,8 +20,6 @@ __all__ = [
     "TrustMark",
     "bent_marks",
     "explained",
-    "mid_frequency_time",
-    "schroeder_frequency",
     "trust_marks",
 ]
 __dir__ = __all__.copy
@@ -167,36 +166,6 @@ OFF_VOLUME = 0.1
 """Relative difference of the volume from that of the stated dimensions: plans are no more precise."""
 _WIDE_SIGMA = 0.5
 """The standard deviation of a coefficient of which nothing is known, uniform from 0 to 1, is 0.29."""
-
-
-@checked
-def schroeder_frequency(t: Array, volume: float) -> Array:
-    """Return 2000 sqrt(T / V) in Hz, T in s and V in m³ (Schroeder & Kuttruff 1962).
-
-    Examples
-    --------
-    >>> print(schroeder_frequency(np.array([2.0]), 200.0))
-    [200.]
-    """
-    return np.asarray(2000 * np.sqrt(np.asarray(t, dtype=float) / volume))
-
-
-@checked
-def mid_frequency_time(t: Array, centre_frequencies: Array) -> float:
-    """Return the mean of T over the octaves 500 and 1000 Hz, or their thirds; else over all bands.
-
-    T in s, (n_bands,), NaN where missing; NaN if every band is.
-
-    Examples
-    --------
-    >>> mid_frequency_time(np.array([1.4, 2.0, 1.8]), np.array([125, 500, 1000]))
-    1.9
-    """
-    t, f = np.asarray(t, dtype=float), np.asarray(centre_frequencies, dtype=float)
-    has_t = np.isfinite(t)
-    middle = has_t & (f > 500 / np.sqrt(2)) & (f < 1000 * np.sqrt(2))
-    used = middle if middle.any() else has_t
-    return float(np.mean(t[used])) if used.any() else float("nan")
 
 
 @checked

@@ -26,10 +26,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtcal.acoustics import band_conversion, repeats
+from rtcal.acoustics.bands import mid_frequency_time, schroeder_frequency
 from rtcal.acoustics.equations import Eyring, LinearEquation
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.room import Room
-from rtcal.acoustics.trust import mid_frequency_time, schroeder_frequency
 from rtcal.calibration.nonlinear import gauss_newton
 from rtcal.calibration.presets import preset
 from rtcal.calibration.problem import Calibration, CalibrationProblem, Times

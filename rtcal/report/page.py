@@ -117,7 +117,7 @@ def _calibration(calibration: CalibrationResult, step: Callable[[], None]) -> di
     """Return what the template of a calibration shows."""
     clean, marked = words.usable(calibration)
     shifts, shift_count = words.large_shifts(calibration)
-    certified = calibration.certificate
+    certified, agreed = calibration.certificate, words.verdict(calibration)
     certificate = {
         "primal": _worst(certified.primal_residual),
         "dual": _worst(certified.dual_residual),
@@ -126,9 +126,9 @@ def _calibration(calibration: CalibrationResult, step: Callable[[], None]) -> di
     }
     return {
         "calibration": calibration,
-        **words.lead(calibration),
-        "summary": words.summary(calibration),
-        "verdict": words.verdict(calibration),
+        **words.lead(calibration, agreed),
+        "summary": words.summary(calibration, agreed),
+        "verdict": agreed,
         "hertz": words.hertz,
         "clean": clean,
         "marked": marked,

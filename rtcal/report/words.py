@@ -43,6 +43,9 @@ _GAP_REMAINS = (
 
 _AGAINST = "The measurement contradicts what was stated of the materials"
 
+Verdict = tuple[str, str, str]
+"""The agreement of measurement and prior: a word, a heading and a sentence."""
+
 _METHODS = {
     "mle": "mle: the likeliest coefficients that give the measured reverberation time exactly; "
     "coefficients that were stated as uncertain move more (maximum likelihood).",
@@ -100,14 +103,14 @@ def compared(calibration: CalibrationResult) -> str:
     return bands.span(calibration.prior.centre_frequencies[has_gap]) if has_gap.any() else "no band"
 
 
-def lead(calibration: CalibrationResult) -> dict[str, str]:
+def lead(calibration: CalibrationResult, agreed: Verdict) -> dict[str, str]:
     """Return what a reader who is no acoustician reads first.
 
     "headline" is the result as one sentence. "level" is the kind of the box around it: "agrees", "open"
     or "contradicts"; a model that lacks the measured T does not agree, whatever its materials do.
     "proves_nothing" is what the agreement, or what is left of the gap, says of the model.
     """
-    of_materials = verdict(calibration)[0]
+    of_materials = agreed[0]
     if left := remaining_gap(calibration.to_dict()):
         level = "open" if of_materials == "agrees" else of_materials
         return {"headline": left, "level": level, "proves_nothing": _GAP_REMAINS}
@@ -123,11 +126,14 @@ def lead(calibration: CalibrationResult) -> dict[str, str]:
     return {"headline": said, "level": of_materials, "proves_nothing": PROVES_NOTHING}
 
 
-def summary(calibration: CalibrationResult) -> list[str]:
+def summary(calibration: CalibrationResult, agreed: Verdict) -> list[str]:
     """Return the calibration in three sentences: before, after, and whether to believe it."""
     f, has_gap = calibration.prior.centre_frequencies, np.isfinite(calibration.gap_before)
     if not has_gap.any():
-        return ["Model and measurement could be compared in no band.", _believable(calibration)]
+        return [
+            "Model and measurement could be compared in no band.",
+            _believable(calibration, agreed),
+        ]
     gap = np.where(has_gap, np.abs(calibration.gap_before), -1.0)
     k = int(np.argmax(gap))
     return [
@@ -136,13 +142,13 @@ def summary(calibration: CalibrationResult) -> list[str]:
         f"had {calibration.reverberation_time_before[k]:.2f} s where {calibration.measured[k]:.2f} s "
         "were measured.",
         _after(calibration),
-        _believable(calibration),
+        _believable(calibration, agreed),
     ]
 
 
-def _believable(calibration: CalibrationResult) -> str:
+def _believable(calibration: CalibrationResult, agreed: Verdict) -> str:
     """Return whether measurement and prior agree, and the bands that carry a reservation."""
-    level, heading, _ = verdict(calibration)
+    level, heading, _ = agreed
     clean, marked = usable(calibration)
     if not marked:
         doubtful = "in no band did a check find a reason for doubt"
@@ -170,7 +176,7 @@ def _after(calibration: CalibrationResult) -> str:
     return text + f"{met} of {count} bands; the largest gap that remains is {gap.max():.1f} JND."
 
 
-def verdict(calibration: CalibrationResult) -> tuple[str, str, str]:
+def verdict(calibration: CalibrationResult) -> Verdict:
     """Return the agreement of measurement and prior: a word, a heading and a sentence.
 
     The word is "agrees", "contradicts" or "open".

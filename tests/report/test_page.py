@@ -120,7 +120,8 @@ def test_verdicts() -> None:
     near = rt.Eyring().reverberation_time(room)
     assert words.verdict(rt.calibrate(room, near))[0] == "agrees"
     assert words.verdict(rt.calibrate(room, 0.6 * near))[0] == "contradicts"
-    assert "within what was stated" in words.lead(rt.calibrate(room, near))["headline"]
+    alike = rt.calibrate(room, near)
+    assert "within what was stated" in words.lead(alike, words.verdict(alike))["headline"]
     assert words.large_shifts(rt.calibrate(room, near)) == ([], 0)
     shifts, count = words.large_shifts(rt.calibrate(room, 0.6 * near))
     assert count == len(shifts) > 1
@@ -133,8 +134,10 @@ def test_a_gap_that_nobody_hears_is_met_and_printed() -> None:
     gap = np.nanmax(np.abs(result.gap_after))
     assert 0.05 < gap < 0.5
     n = int(np.isfinite(result.gap_after).sum())
-    assert f"in all {n} bands, to within {gap:.1f} JND." in " ".join(words.summary(result))
-    assert "bands" not in words.lead(result)["headline"]
+    assert f"in all {n} bands, to within {gap:.1f} JND." in " ".join(
+        words.summary(result, words.verdict(result))
+    )
+    assert "bands" not in words.lead(result, words.verdict(result))["headline"]
     assert not any("gap remains" in sentence for sentence in words.not_met(result))
 
 

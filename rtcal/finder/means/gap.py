@@ -13,8 +13,8 @@ from typing import Literal
 import numpy as np
 
 from rtcal.acoustics import bands
+from rtcal.acoustics.bands import mid_frequency_time, schroeder_frequency
 from rtcal.acoustics.observables import observable
-from rtcal.acoustics.trust import mid_frequency_time, schroeder_frequency
 from rtcal.finder.candidate import Size
 from rtcal.finder.case import Case
 from rtcal.finder.claim import DISTINCT_NATS
