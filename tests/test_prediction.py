@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 import rtcal as rt
+from rtcal.acoustics.states import Rooms, estimated_change
 from rtcal.prediction import (
     Add,
     Assumptions,
@@ -27,7 +28,6 @@ from rtcal.prediction import (
     predict,
     read_variants,
 )
-from rtcal.prediction.estimate import Rooms, estimated_change
 from rtcal.support.errors import DataError, ModelError
 
 BANDS = [500.0, 1000.0]

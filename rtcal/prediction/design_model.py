@@ -1,6 +1,6 @@
 """A room's absorption as a linear function of the treatments' areas, and the cheapest areas.
 
-With the posterior of `rtcal.prediction.estimate`, the absorption area of the treated surfaces is
+With the posterior of `rtcal.acoustics.states`, the absorption area of the treated surfaces is
 A = w'a, w = S + U x, of the effective coefficients a = alpha exp(ln S error). The error of ln T that is
 none of theirs (the equation's, and that of ln V) is regressed on them: a part beta'(a - mean) moves
 with them, and is added to w as -q beta, with q = -1 / (d ln T / dA); the rest is independent.
@@ -21,9 +21,8 @@ from rtcal.acoustics.changes import changed
 from rtcal.acoustics.equations import LinearEquation
 from rtcal.acoustics.room import Room
 from rtcal.acoustics.room_errors import Assumptions
-from rtcal.acoustics.states import Rooms, State
+from rtcal.acoustics.states import Rooms, State, estimated_change, near_bounds, samples
 from rtcal.acoustics.targets import Target
-from rtcal.prediction.estimate import estimated_change, near_bounds, samples
 from rtcal.prediction.predicted import SAMPLES, Prediction, predict
 from rtcal.prediction.program import TANGENTS, ProgramNumbers, Ranges, program
 from rtcal.support.types import Array

@@ -19,10 +19,17 @@ from rtcal.acoustics.changes import Change, changed
 from rtcal.acoustics.equations import Eyring, LinearEquation
 from rtcal.acoustics.room import Room
 from rtcal.acoustics.room_errors import Assumptions
-from rtcal.acoustics.states import Flags, Rooms, State
+from rtcal.acoustics.states import (
+    Estimate,
+    Flags,
+    Rooms,
+    State,
+    estimated_change,
+    near_bounds,
+    samples,
+)
 from rtcal.acoustics.targets import Target
 from rtcal.prediction import words
-from rtcal.prediction.estimate import Estimate, estimated_change, near_bounds, samples
 from rtcal.support import checks, text
 from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError
