@@ -275,7 +275,7 @@ def _band_rows(record: Mapping[str, Any]) -> list[text.Row]:
     trust = [letters(marks, f) or "." for f in record["centre_frequencies"]]
     return [
         *([("matched", parameters)] if len(_parameters(record)) > 1 else []),
-        *((label, _cells(numbers(values), form)) for label, values, form in quantities),
+        *((label, text.numbers(numbers(values), form)) for label, values, form in quantities),
         ("do not trust, see below", trust),
     ]
 
@@ -311,14 +311,10 @@ def _shift_rows(record: Mapping[str, Any]) -> list[text.Row]:
     return [
         (
             material["name"],
-            [f"{cell} " for cell in _cells(numbers(material["shift_in_sigmas"]), "+.1f")],
+            [f"{cell} " for cell in text.numbers(numbers(material["shift_in_sigmas"]), "+.1f")],
         )
         for material in record["materials"]
     ]
-
-
-def _cells(values: Array, form: str) -> list[str]:
-    return [text.number(v, form) for v in values]
 
 
 def _trust_marks(record: Mapping[str, Any]) -> list[TrustMark]:

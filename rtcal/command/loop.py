@@ -206,7 +206,7 @@ def next_(
     more = [*lost_rows(after.compromise), *beside_rows(after)]
     if more:
         cells = [
-            (name, [text.number(v, f"+.{digits}f" if sign else f".{digits}f") for v in values])
+            (name, text.numbers(values, f"+.{digits}f" if sign else f".{digits}f"))
             for name, values, digits, sign in more
         ]
         header = [("", bands.labels(frequencies))]

@@ -253,16 +253,9 @@ class PositionsPrediction(Result):
                 ("90 %: from", low),
                 ("to", high),
             ):
-                rows.append(
-                    (
-                        f"{of.label} {name}{unit}",
-                        [text.number(v, f".{of.decimals}f") for v in values],
-                    )
-                )
-        shares = self.parts(self.parameters[0])
-        made_of = [
-            (n, [text.number(100 * v, ".0f") for v in of_part]) for n, of_part in shares.items()
-        ]
+                shown = text.numbers(values, f".{of.decimals}f")
+                rows.append((f"{of.label} {name}{unit}", shown))
+        first = self.parameters[0]
         return "\n".join(
             [
                 *text.wrapped(f"{self.before.name}: {self.name}"),
@@ -270,9 +263,9 @@ class PositionsPrediction(Result):
                 "",
                 *text.table(rows, header=("", labels)),
                 "",
-                f"what the interval of {parameter_label(self.parameters[0])} is made of / % of the "
-                "variance",
-                *text.table(made_of, header=("", labels)),
+                *words.made_of(
+                    f"the interval of {parameter_label(first)}", self.parts(first), labels
+                ),
                 "",
                 *(line for sentence in self.sentences for line in text.wrapped(sentence)),
             ]

@@ -189,10 +189,10 @@ class LoopResult(Result):
         """Return the header and one row per band."""
         columns: dict[str, Sequence[str]] = {
             "": labels(self.room.centre_frequencies),
-            "T wanted / s": _numbers(self.loop.wanted, ".3f"),
-            "simulated / s": _numbers(self.loop.matched.combined(self.final.mean), ".3f"),
-            "gap / JND": _numbers(self.gap, "+.2f"),
-            "z": _numbers(self.loop.outcome.plausibility.z, "+.1f"),
+            "T wanted / s": text.numbers(self.loop.wanted, ".3f"),
+            "simulated / s": text.numbers(self.loop.matched.combined(self.final.mean), ".3f"),
+            "gap / JND": text.numbers(self.gap, "+.2f"),
+            "z": text.numbers(self.loop.outcome.plausibility.z, "+.1f"),
             "status": self.status,
         }
         return list(columns), [list(row) for row in zip(*columns.values(), strict=True)]
@@ -204,9 +204,9 @@ class LoopResult(Result):
         columns: dict[str, Sequence[str]] = {"": labels(self.room.centre_frequencies)}
         for parameter, part in self.compromise.items():
             name = parameter_label(parameter)
-            columns[f"{name} gap / JND before"] = _numbers(part.before, "+.1f")
-            columns[f"{name} gap / JND after"] = _numbers(part.after, "+.1f")
-            columns[f"{name} lost / JND"] = _numbers(part.lost, ".1f")
+            columns[f"{name} gap / JND before"] = text.numbers(part.before, "+.1f")
+            columns[f"{name} gap / JND after"] = text.numbers(part.after, "+.1f")
+            columns[f"{name} lost / JND"] = text.numbers(part.lost, ".1f")
         return list(columns), [list(row) for row in zip(*columns.values(), strict=True)]
 
     def _beside(self) -> tuple[list[str], list[list[str]]]:
@@ -221,7 +221,7 @@ class LoopResult(Result):
                 ("after", self.final),
             ):
                 if of is not None:
-                    columns[f"{name} {when}"] = _numbers(of.mean(parameter), ".2f")
+                    columns[f"{name} {when}"] = text.numbers(of.mean(parameter), ".2f")
         if len(columns) == 1:
             return [], []
         return list(columns), [list(row) for row in zip(*columns.values(), strict=True)]
@@ -244,7 +244,3 @@ class LoopResult(Result):
         if self.loop.low is not None:
             notes.append(self.loop.low.note)
         return [*notes, *self.notes]
-
-
-def _numbers(values: Array, form: str) -> list[str]:
-    return [format(v, form) if np.isfinite(v) else "-" for v in values]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 import numpy as np
@@ -80,6 +80,17 @@ def sentences(
     return said
 
 
+def made_of(interval: str, parts: Mapping[str, Iterable[float]], labels: list[str]) -> list[str]:
+    """Return the table of the parts of an interval, shares of its variance (n_bands,), as lines."""
+    rows = [
+        (name, [text.number(100 * share, ".0f") for share in part]) for name, part in parts.items()
+    ]
+    return [
+        f"what {interval} is made of / % of the variance",
+        *text.table(rows, header=("", labels)),
+    ]
+
+
 def text_of(record: Mapping[str, Any]) -> str:
     """Return the text that ``print(prediction)`` shows, from `Prediction.to_dict`."""
     labels = bands.labels(record["centre_frequencies"])
@@ -92,21 +103,16 @@ def text_of(record: Mapping[str, Any]) -> str:
         ("change / JND", record["change_jnd"], "+.1f"),
         ("half width / JND", record["half_width_jnd"], ".1f"),
     ]
-    shares = [
-        (name, [text.number(100 * share, ".0f") for share in part])
-        for name, part in record["parts"].items()
-    ]
     return "\n".join(
         [
             *text.wrapped(f"{record['room']}: {record['name']}"),
             "",
             *text.table(
-                [(name, [text.number(v, form) for v in values]) for name, values, form in rows],
+                [(name, text.numbers(values, form)) for name, values, form in rows],
                 header=("", labels),
             ),
             "",
-            "what the interval is made of / % of the variance",
-            *text.table(shares, header=("", labels)),
+            *made_of("the interval", record["parts"], labels),
             "",
             *(line for sentence in record["sentences"] for line in text.wrapped(sentence)),
         ]

@@ -7,7 +7,7 @@ import math
 import re
 import shutil
 import textwrap
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 Row = tuple[str, Sequence[str]]
@@ -111,6 +111,11 @@ def number(value: float, form: str) -> str:
         return "-"
     printed = format(value, form)
     return printed if float(printed) else printed.lstrip("+-")
+
+
+def numbers(values: Iterable[float], form: str) -> list[str]:
+    """Return each value as `number` prints it."""
+    return [number(value, form) for value in values]
 
 
 def rounded(value: float, digits: int) -> str:
