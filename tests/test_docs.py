@@ -172,7 +172,6 @@ NEEDS_NO_EXAMPLE = {
     "bent_marks": "trust_marks calls it",
     "of_energy": "one response of impulse_responses.analyse",
     "finding_page": "`rtcal find --out` calls it; takes seconds",
-    "loop_page": "as page.page, with a loop's result",
     "page_of": "as page.page, from a folder",
     "summary": "the first sentences of a finding's page",
 }

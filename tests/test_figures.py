@@ -17,7 +17,7 @@ from tests.test_several_effects import BOTH, case_with, sought
 pytest.importorskip("matplotlib", reason="needs the extra report")
 from matplotlib.text import Text
 
-from rtcal.report import figures, gap_figures, loop_figures, study_report
+from rtcal.report import figures, gap_figures, loop_page, positions_page, study_report
 
 ROOT = Path(__file__).resolve().parents[1]
 PHONE = 370  # px: a screen of 400 px less the page's margins
@@ -43,10 +43,10 @@ def drawn(kept: Path) -> dict[str, Any]:
     pairs, gaps = [("S1", "R1"), ("S1", "R2")], (np.full((2, 2, 3), 3.0), np.full((2, 2, 3), 1.0))
     face = np.array([[0, 0, 0], [5, 0, 0], [5, 4, 0], [0, 4, 0]], dtype=float)
     receivers = {"R1": (1, 1, 1), "R2": (4, 3, 1)}
-    found["plan"] = loop_figures.draw_plan(pairs, gaps, [face], {"S1": (2, 2, 1)}, receivers)
+    found["plan"] = positions_page.draw_plan(pairs, gaps, [face], {"S1": (2, 2, 1)}, receivers)
     bands = [125.0, 250.0, 500.0, 1000.0, 2000.0, 4000.0, 8000.0]
     moved = np.linspace(-2, 2, 21).reshape(3, 7)
-    found["shifts of positions"] = loop_figures.draw_shifts(moved, ["a", "b", "c"], bands)
+    found["shifts of positions"] = positions_page.draw_shifts(moved, ["a", "b", "c"], bands)
     found["priors of six"] = study_report.priors([0.1, 0.2, 0.3, 0.4, 0.5, 0.6], [0.05] * 6, "")
     return found
 
@@ -106,7 +106,7 @@ def test_lines_that_differ_in_colour_alone_are_seen() -> None:
 
 
 def test_sixteen_bands_of_a_loop_are_told_apart(measured_loop: Any) -> None:
-    assert not twins(loop_figures.path(measured_loop))
+    assert not twins(loop_page.path(measured_loop))
 
 
 @pytest.fixture

@@ -19,7 +19,7 @@ from rtcal.io import obj
 from rtcal.loop import control_runs
 from rtcal.loop.measured_pairs import response_noise, rows_of_pairs
 from rtcal.loop.scattering import Scattering
-from rtcal.report import loop_figures, pages
+from rtcal.report import pages, positions_page
 from rtcal.simulators import (
     DifferentiableSimulator,
     ImageSource,
@@ -304,16 +304,16 @@ def test_shoebox_simulators_hear_levels_and_are_calibrated(simulator):
 
 def test_figures_show_each_position_and_each_shift(tracer, measured):
     result = calibrate(tracer, measured)
-    plan = loop_figures.plan(result, HALL.geometry, **PLACES)
+    plan = positions_page.plan(result, HALL.geometry, **PLACES)
     texts = {t.get_text() for t in plan.axes[1].texts}
     gap = np.sqrt(np.mean(result.gap_after[:, [r == "R1" for _, r in result.pairs]] ** 2))
     assert f"R1: {gap:.1f}" in texts
     assert len(texts) == len(PLACES["sources"]) + len(PLACES["receivers"])
-    shifts = loop_figures.shifts(result)
+    shifts = positions_page.shifts(result)
     moved = (result.alpha - ROOM.alpha) / ROOM.sigma
     assert shifts.axes[0].texts[0].get_text() == f"{moved[0, 0]:+.1f}"
     with pytest.raises(DataError, match="has no position"):
-        loop_figures.plan(result, HALL.geometry, PLACES["sources"], {"R9": (1, 1, 1)})
+        positions_page.plan(result, HALL.geometry, PLACES["sources"], {"R9": (1, 1, 1)})
 
 
 def test_noise_of_a_response_is_that_of_iso_3382_2():
@@ -345,7 +345,7 @@ def test_the_command_writes_room_and_record_whole(folder):
     record = json.loads((folder / "made" / "result.json").read_text())
     assert room.calibration.method == "positions"
     np.testing.assert_allclose(room.alpha[0], record["materials"][0]["alpha_after"], rtol=1e-9)
-    assert {p.name for p in (folder / "made").iterdir()} == set(loop_figures.POSITION_FILES)
+    assert {p.name for p in (folder / "made").iterdir()} == set(positions_page.POSITION_FILES)
     assert len(list((folder / ".rtcal_cache").glob("*.array"))) == 1
     kept_as_stated = fit(folder, "--match", "t20", "--keep-scattering", "--json")
     assert json.loads(kept_as_stated.stdout)["scattering"] is None

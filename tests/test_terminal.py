@@ -115,7 +115,7 @@ def computed() -> Any:
     from rtcal.loop import control_runs
     from rtcal.loop import positions as loop_positions
     from rtcal.prediction import designed
-    from rtcal.report import gap_report, loop_figures, page
+    from rtcal.report import gap_report, page, positions_page
 
     def once(function: Any) -> Any:
         results: list[Any] = []
@@ -141,7 +141,7 @@ def computed() -> Any:
         patch.setattr(gap_report, "figures", lambda *_: {})
         patch.setattr(page, "source", lambda *_: "data:,")
         patch.setattr(
-            loop_figures, "write_positions", lambda _, folder, *__: [folder / "room.toml"]
+            positions_page, "write_positions", lambda _, folder, *__: [folder / "room.toml"]
         )
         yield
 

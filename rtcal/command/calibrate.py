@@ -189,7 +189,7 @@ def fit(
     from rtcal.io import geometry_files
     from rtcal.loop.control_runs import RUNS
     from rtcal.loop.positions import calibrate_positions
-    from rtcal.report import loop_figures
+    from rtcal.report import positions_page
     from rtcal.support.speed import bar, following
 
     folder = output_folder("--out", out)
@@ -197,7 +197,7 @@ def fit(
     if folder is not None:
         mesh = [] if stated.scene.mesh is None else [stated.scene.mesh]
         read = [room, measured, *mesh, *([] if modes is None else [modes])]
-        spare([folder / name for name in loop_figures.POSITION_FILES], read)
+        spare([folder / name for name in positions_page.POSITION_FILES], read)
     heard = read_measured(measured)
     if stated.scattering is None and scattering is None and not keep_scattering:
         scattering = _START
@@ -229,7 +229,7 @@ def fit(
             ).traced()
     text = str(result)
     if folder is not None:
-        paths_written = loop_figures.write_positions(
+        paths_written = positions_page.write_positions(
             result, folder, tracer.geometry, tracer.sources, tracer.receivers
         )
         text += "\n" + written(paths_written)

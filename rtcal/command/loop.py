@@ -184,7 +184,7 @@ def next_(
     from rtcal.loop import calibrate
     from rtcal.loop.matched import sentences
     from rtcal.loop.state import Loop
-    from rtcal.report.loop_words import beside_rows, lost_rows, statuses
+    from rtcal.report.loop_page import beside_rows, lost_rows, statuses
     from rtcal.support import text
 
     spare([state, out], [room, simulated])

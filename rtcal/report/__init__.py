@@ -9,10 +9,11 @@ if TYPE_CHECKING:
     from rtcal.report import figures as figures
     from rtcal.report import gap_figures as gap_figures
     from rtcal.report import gap_report as gap_report
-    from rtcal.report import loop_figures as loop_figures
+    from rtcal.report import loop_page as loop_page
     from rtcal.report import material_figures as material_figures
     from rtcal.report import page as page
     from rtcal.report import pages as pages
+    from rtcal.report import positions_page as positions_page
     from rtcal.report import study_report as study_report
 else:
     __getattr__, __dir__, __all__ = lazy.exports(__name__, __file__)

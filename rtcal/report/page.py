@@ -1,4 +1,4 @@
-"""The HTML pages of a calibration, a finding and a closed loop, for readers without Python."""
+"""The HTML pages of a calibration, also to room modes, and of a finding, for readers without Python."""
 
 from __future__ import annotations
 
@@ -11,22 +11,20 @@ from rtcal.acoustics import bands, room_files
 from rtcal.acoustics.trust import letters
 from rtcal.calibration import table
 from rtcal.calibration.result import CalibrationResult
-from rtcal.loop import matched
-from rtcal.loop.result import LoopResult
-from rtcal.loop.state import Loop
+from rtcal.modes.result import ModesResult
+from rtcal.modes.room_modes import DECAY
 from rtcal.report import (
     figures,
-    loop_figures,
-    loop_words,
     material_figures,
     room_view,
     words,
 )
 from rtcal.report.document import Heading, blocks, data_of, material_rows, render, source
+from rtcal.report.figures import BLACK, BLUE, ORANGE, new_figure
 from rtcal.support.arguments import checked
 from rtcal.support.types import Array
 
-__all__ = ["calibration_page", "finding_page", "loop_page"]
+__all__ = ["calibration_page", "finding_page"]
 __dir__ = __all__.copy
 
 MOST_MATERIALS = 100
@@ -160,56 +158,6 @@ def _calibration(calibration: CalibrationResult, step: Callable[[], None]) -> di
     }
 
 
-@checked
-def loop_page(
-    result: Loop | LoopResult,
-    *,
-    heading: Heading | None = None,
-    progress: Callable[[], None] | None = None,
-) -> str:
-    """Return a closed loop as one HTML page; DataError if it has no simulation.
-
-    Only a `LoopResult` has other parameters before and after. ``heading`` is as for `calibration_page`.
-    """
-    ends = loop_words.ends(result) if isinstance(result, LoopResult) else None
-    loop = result.loop if isinstance(result, LoopResult) else result
-    status = loop_words.statuses(loop) if ends is None else ends["status"]
-    summary = loop_words.summary(loop, status)
-    if ends is not None:
-        summary.append(loop_words.confirmed(loop, ends))
-    summary += matched.sentences(result.gaps_beside, loop.room.centre_frequencies)
-    by_band = loop_words.bands_table(loop, status)
-    by_band["numbers"] += loop_words.lost_rows(result.compromise)
-    if ends is None:
-        by_band["numbers"] += loop_words.beside_rows(loop)
-    figure = loop_figures.path(loop)
-    drawn = source(figure, progress or (lambda: None))
-    return render(
-        "loop.html",
-        {
-            "loop_state": loop,
-            "doubts": words.doubts(loop.trust_marks),
-            "summary": summary,
-            "at_ends": loop_words.at_ends(loop),
-            "assumed": loop_words.assumed(loop),
-            "figure": {
-                "source": drawn,
-                "alt": f"{loop.matched.label}, wanted and simulated, by band; gap by simulation",
-                "caption": f"By band: {loop.matched.label}, and how far each simulation was off. "
-                "One JND is 5 %.",
-            },
-            "bands": by_band,
-            "ends": ends,
-            "blocks": blocks(loop.room.n_bands),
-            "labels": bands.labels(loop.room.centre_frequencies),
-            "materials": loop_words.materials_table(loop),
-            "equation_option": loop_words.equation_option(loop),
-            "weights_option": loop_words.weights_option(loop),
-        },
-        (heading or Heading()).completed(loop.room.name, loop.room.author),
-    )
-
-
 def _worst(values: Array) -> str:
     return f"{values.max():.1e}" if np.isfinite(values).all() else "unknown"
 
@@ -318,3 +266,55 @@ def _inputs(calibration: CalibrationResult) -> dict[str, str] | None:
     if len(texts["room"]) > room_files.MAX_BYTES:
         return None
     return {key: data_of(text) for key, text in texts.items()}
+
+
+def modes_page(result: ModesResult, heading: Heading, step: Callable[[], None]) -> str:
+    """Return the page as HTML; raises as `rtcal.report.page.calibration_page`."""
+    room = result.prior
+    measured = np.isfinite(result.data.reverberation_time)
+    carries = np.where(result.below, np.where(result.carried, "modes", "–"), "T")
+    return render(
+        "modes.html",
+        {
+            "result": result,
+            "decays": {
+                "source": source(_decays(result), step),
+                "alt": f"{room.name}: decay times of the modes, measured, before and after",
+                "caption": "Decay time of each mode used: measured, with the stated coefficients, and "
+                "after the calibration.",
+            },
+            "rows": result.mode_rows,
+            "remarks": [*result.every_note[:2], *result.notes],
+            "command": "rtcal calibrate room.toml t.csv --modes modes.csv --out calibrated"
+            if measured.any()
+            else "rtcal.calibrate_modes(room, modes)",
+            "labels": bands.labels(room.centre_frequencies),
+            "blocks": blocks(room.n_bands),
+            "carries": np.where(result.below | measured, carries, "–"),
+            "materials": material_rows(
+                room.materials,
+                room.areas,
+                room.alpha,
+                result.alpha,
+                result.interval,
+                np.isin(result.alpha, (0.0, 1.0)),
+            ),
+            "doubts": words.doubts(result.trust_marks),
+        },
+        heading.completed(room.name, room.author),
+    )
+
+
+def _decays(result: ModesResult) -> Any:
+    """Return the decay times of the modes used over their frequencies."""
+    figure, axes = new_figure()
+    f = result.modes.frequencies[result.used]
+    t, relative = DECAY / result.measured, result.modes.decay_uncertainty[result.used]
+    axes.errorbar(f, t, t * relative / result.measured, fmt="o", color=BLACK, label="measured")
+    axes.plot(f, DECAY / result.before, "x", color=ORANGE, label="before")
+    axes.plot(f, DECAY / result.after, "s", color=BLUE, fillstyle="none", label="after")
+    axes.set_xlabel("frequency / Hz")
+    axes.set_ylabel("T / s")
+    axes.set_ylim(bottom=0)
+    axes.legend(fontsize="small")
+    return figure

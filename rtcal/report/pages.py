@@ -32,9 +32,9 @@ from rtcal.loop.state import Loop
 from rtcal.modes.result import ModesResult
 from rtcal.prediction.designed import Design
 from rtcal.prediction.predicted import Prediction, Predictions
-from rtcal.report import finding_pages, gap_report, loop_words, positions_page, prediction_page
+from rtcal.report import finding_pages, gap_report, loop_page, positions_page, prediction_page
 from rtcal.report.document import Heading
-from rtcal.report.page import calibration_page, loop_page
+from rtcal.report.page import calibration_page, modes_page
 from rtcal.support.arguments import checked
 from rtcal.support.checks import json_object
 from rtcal.support.errors import DataError
@@ -70,7 +70,7 @@ def page_of(
             found, verified, gap_report.figures(found, verified), heading=heading
         )
     if isinstance(result, Loop | LoopResult):
-        return loop_page(result, heading=heading, progress=progress)
+        return loop_page.page(result, heading=heading, progress=progress)
     if isinstance(result, CalibrationResult):
         return calibration_page(result, heading=heading, progress=progress)
     head, step = heading or Heading(), progress or (lambda: None)
@@ -81,7 +81,7 @@ def page_of(
     if isinstance(result, PositionsResult):
         return positions_page.page(result, head, step)
     if isinstance(result, ModesResult):
-        return positions_page.modes_page(result, head, step)
+        return modes_page(result, head, step)
     if isinstance(result, Prediction | Predictions | Design):
         return prediction_page.page(result, head, step)
     if isinstance(result, StatesFinding):
@@ -128,8 +128,8 @@ def write_workbook(result: str | os.PathLike[str], path: str | os.PathLike[str])
 def _of_loop(result: Loop | LoopResult) -> dict[str, Any]:
     """Return a loop's record with the numbers of its room, which its file holds as text."""
     loop = result.loop if isinstance(result, LoopResult) else result
-    room, status = loop.room, loop_words.statuses(loop)
-    by_band = loop_words.bands_table(loop, status)
+    room, status = loop.room, loop_page.statuses(loop)
+    by_band = loop_page.bands_table(loop, status)
     return {
         "rtcal": result.record_kind,
         "room": room.name,

@@ -1,9 +1,10 @@
-"""The pages of a calibration to every position, and of one to room modes."""
+"""The page of a calibration to every position, its figures, and its folder."""
 
 from __future__ import annotations
 
 import shlex
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,18 +13,28 @@ from rtcal.acoustics import bands
 from rtcal.acoustics.observables import DecaySlope, of_kind, parameter_label
 from rtcal.acoustics.quality import rms
 from rtcal.loop.positions_result import PositionsResult
-from rtcal.modes.result import ModesResult
-from rtcal.modes.room_modes import DECAY
-from rtcal.report import loop_figures, room_view, words
+from rtcal.report import room_view
 from rtcal.report.document import Heading, blocks, material_rows, render, source
-from rtcal.report.figures import BLACK, BLUE, ORANGE, new_figure
+from rtcal.report.figures import BLACK, ORANGE, ROOM, new_figure, shown, write_with_figures
+from rtcal.simulators.geometry import Polyhedron
 from rtcal.simulators.observations import Observations
 from rtcal.simulators.path_tracing import PathTracing
+from rtcal.support.arguments import checked
+from rtcal.support.errors import DataError
+from rtcal.support.results import NUMBERS
 from rtcal.support.text import first_of
 from rtcal.support.types import Array
 
+__all__ = ["plan", "shifts"]
+__dir__ = __all__.copy
+
 MOST_MATERIALS = 100
 """Largest number of materials in the page's tables, which list those of which most was learned."""
+PLAN, SHIFTS = "plan.png", "shifts.png"
+POSITION_FILES = (ROOM, NUMBERS, PLAN, SHIFTS)
+"""Files of the folder of a calibration to every position."""
+_MOST_NUMBERS = 200
+"""Largest number of coefficients whose shifts are printed in their cells."""
 _LEARNED = 0.9
 """Posterior over prior sigma up to which a material counts as learned in the summary."""
 _REMAINS = 1.0
@@ -34,7 +45,7 @@ _MISFIT = 2.0
 
 def page(result: PositionsResult, heading: Heading, step: Callable[[], None]) -> str:
     """Return the page as HTML; raises as `rtcal.report.page.calibration_page`."""
-    order = _most_learned_first(result)
+    order, interval = _most_learned_first(result), result.interval
     return render(
         "positions.html",
         {
@@ -43,7 +54,7 @@ def page(result: PositionsResult, heading: Heading, step: Callable[[], None]) ->
             "summary": _summary(result, order),
             "shifts": {
                 "source": source(
-                    loop_figures.draw_shifts(
+                    draw_shifts(
                         result.shift[order],
                         [result.prior.materials[i] for i in order],
                         result.prior.centre_frequencies,
@@ -72,7 +83,7 @@ def page(result: PositionsResult, heading: Heading, step: Callable[[], None]) ->
                 result.prior.areas[order],
                 result.prior.alpha[order],
                 result.alpha[order],
-                _interval(result, order),
+                None if interval is None else (interval[0][order], interval[1][order]),
                 np.isin(result.alpha[order], (0.0, 1.0)),
             ),
             **room_view.of_positions(result),
@@ -223,14 +234,6 @@ def _learned(result: PositionsResult, i: int) -> dict[str, Any]:
     }
 
 
-def _interval(result: PositionsResult, order: list[int]) -> tuple[Array, Array] | None:
-    """Return the ends of the intervals of some materials, if there are any."""
-    if result.interval is None:
-        return None
-    low, high = result.interval
-    return low[order], high[order]
-
-
 def _scattering(result: PositionsResult, i: int) -> tuple[float, float] | None:
     """Return a material's mean scattering coefficient and sigma, if they were fitted."""
     if result.scattering is None:
@@ -310,53 +313,136 @@ def _doubts(result: PositionsResult) -> list[dict[str, Any]]:
     return doubts
 
 
-def modes_page(result: ModesResult, heading: Heading, step: Callable[[], None]) -> str:
-    """Return the page as HTML; raises as `rtcal.report.page.calibration_page`."""
-    room = result.prior
-    measured = np.isfinite(result.data.reverberation_time)
-    carries = np.where(result.below, np.where(result.carried, "modes", "–"), "T")
-    return render(
-        "modes.html",
-        {
-            "result": result,
-            "decays": {
-                "source": source(_decays(result), step),
-                "alt": f"{room.name}: decay times of the modes, measured, before and after",
-                "caption": "Decay time of each mode used: measured, with the stated coefficients, and "
-                "after the calibration.",
-            },
-            "rows": result.mode_rows,
-            "remarks": [*result.every_note[:2], *result.notes],
-            "command": "rtcal calibrate room.toml t.csv --modes modes.csv --out calibrated"
-            if measured.any()
-            else "rtcal.calibrate_modes(room, modes)",
-            "labels": bands.labels(room.centre_frequencies),
-            "blocks": blocks(room.n_bands),
-            "carries": np.where(result.below | measured, carries, "–"),
-            "materials": material_rows(
-                room.materials,
-                room.areas,
-                room.alpha,
-                result.alpha,
-                result.interval,
-                np.isin(result.alpha, (0.0, 1.0)),
-            ),
-            "doubts": words.doubts(result.trust_marks),
-        },
-        heading.completed(room.name, room.author),
+@checked
+def plan(
+    result: PositionsResult,
+    geometry: Polyhedron,
+    sources: Mapping[str, Sequence[float]],
+    receivers: Mapping[str, Sequence[float]],
+) -> Any:
+    """Return a plan of the room with its receivers coloured by their gap, before and after.
+
+    A receiver's gap is the root mean square over parameters, bands and sources, in JND. It stands
+    beside the receiver's name.
+
+    Raises
+    ------
+    DataError
+        If a receiver of the result has no position.
+    """
+    if missing := [r for _, r in result.pairs if r not in receivers]:
+        raise DataError(f'receiver "{missing[0]}" of the result has no position')
+    faces = [geometry.vertices[list(face)] for face in geometry.faces]
+    return draw_plan(result.pairs, (result.gap_before, result.gap_after), faces, sources, receivers)
+
+
+def draw_plan(
+    pairs: Sequence[tuple[str, str]],
+    before_and_after: tuple[Array, Array],
+    faces: Sequence[Array],
+    sources: Mapping[str, Any],
+    receivers: Mapping[str, Any],
+) -> Any:
+    """Return the figure of `plan` from gaps in JND, each (n_parameters, n_pairs, n_bands)."""
+    heard = list(dict.fromkeys(r for _, r in pairs))
+    gaps = [_by_receiver(pairs, gap, heard) for gap in before_and_after]
+    figure, axes = new_figure(6.2, 8.4, 2, 1)
+    most = max(2.0, *(float(np.nanmax(gap)) for gap in gaps))
+    points = np.array([receivers[r] for r in heard], dtype=float)
+    drawn = None
+    for panel, gap, when in zip(axes, gaps, ("before", "after"), strict=True):
+        for face in faces:
+            corners = np.vstack([face, face[:1]])
+            panel.plot(corners[:, 0], corners[:, 1], color="0.75", linewidth=1)
+        for name, place in sources.items():
+            panel.plot(*place[:2], "^", color=ORANGE, markersize=9, label="source")
+            _label(panel, place, shown(name, 12))
+        drawn = panel.scatter(
+            points[:, 0],
+            points[:, 1],
+            c=gap,
+            cmap="cividis_r",
+            vmin=0,
+            vmax=most,
+            s=110,
+            edgecolors=BLACK,
+            zorder=3,
+            label="receiver: its gap in JND",
+        )
+        for name, place, value in zip(heard, points, gap, strict=True):
+            _label(panel, place, f"{shown(name, 12)}: {value:.1f}")
+        panel.set_aspect("equal")
+        panel.set_title(f"{when} calibration: gap {rms(gap):.1f} JND")
+        panel.set_ylabel("y / m")
+    axes[1].set_xlabel("x / m")
+    markers = dict(zip(*reversed(axes[0].get_legend_handles_labels()), strict=True))
+    figure.legend(markers.values(), markers, loc="outside lower center", ncols=2, fontsize=9)
+    figure.colorbar(drawn, ax=list(axes), label="Root mean square gap of a receiver / JND")
+    return figure
+
+
+@checked
+def shifts(result: PositionsResult) -> Any:
+    """Return the figure of how far each coefficient moved, in prior sigmas, by material and band."""
+    return draw_shifts(result.shift, result.prior.materials, result.prior.centre_frequencies)
+
+
+def draw_shifts(moved: Array, materials: Sequence[str], frequencies: Array) -> Any:
+    """Return the figure of `shifts` from shifts in prior sigmas, (n_materials, n_bands)."""
+    n_materials, n_bands = moved.shape
+    figure, axes = new_figure(2.4 + 0.55 * n_bands, 1.6 + 0.32 * n_materials)
+    reach = max(2.0, float(np.max(np.abs(moved))))
+    image = axes.imshow(moved, cmap="RdBu_r", vmin=-reach, vmax=reach, aspect="auto")
+    axes.set_yticks(range(n_materials), [shown(m, 30) for m in materials])
+    labels = [f"{f:g}" for f in frequencies]
+    axes.set_xticks(range(n_bands), labels, rotation=90 if n_bands > 10 else 0)
+    axes.set_xlabel("Band centre frequency / Hz")
+    if moved.size <= _MOST_NUMBERS:
+        for (i, k), value in np.ndenumerate(moved):
+            dark = abs(value) > 0.6 * reach
+            axes.text(
+                k,
+                i,
+                f"{value:+.1f}",
+                ha="center",
+                va="center",
+                fontsize=9,
+                color="white" if dark else BLACK,
+            )
+    figure.colorbar(image, ax=axes, label="Shift of α / prior σ")
+    return figure
+
+
+def _by_receiver(pairs: Sequence[tuple[str, str]], gap: Array, receivers: Sequence[str]) -> Array:
+    """Return the root mean square gap of each receiver in JND, NaN without a value."""
+    rows = [[i for i, (_, r) in enumerate(pairs) if r == name] for name in receivers]
+    return np.array([rms(gap[:, row]) for row in rows])
+
+
+def _label(panel: Any, place: Any, text: str) -> None:
+    panel.annotate(
+        text, (place[0], place[1]), xytext=(6, 6), textcoords="offset points", fontsize=9
     )
 
 
-def _decays(result: ModesResult) -> Any:
-    """Return the decay times of the modes used over their frequencies."""
-    figure, axes = new_figure()
-    f = result.modes.frequencies[result.used]
-    t, relative = DECAY / result.measured, result.modes.decay_uncertainty[result.used]
-    axes.errorbar(f, t, t * relative / result.measured, fmt="o", color=BLACK, label="measured")
-    axes.plot(f, DECAY / result.before, "x", color=ORANGE, label="before")
-    axes.plot(f, DECAY / result.after, "s", color=BLUE, fillstyle="none", label="after")
-    axes.set_xlabel("frequency / Hz")
-    axes.set_ylabel("T / s")
-    axes.set_ylim(bottom=0)
-    axes.legend(fontsize="small")
-    return figure
+def write_positions(
+    result: PositionsResult,
+    folder: Path,
+    geometry: Polyhedron,
+    sources: Mapping[str, Sequence[float]],
+    receivers: Mapping[str, Sequence[float]],
+) -> list[Path]:
+    """Write room, numbers and figures, all or none, and return their paths.
+
+    Without matplotlib there are no figures, and a warning says so.
+
+    Raises
+    ------
+    DataError
+        If the folder cannot be made, or a file cannot be written.
+    """
+    draw = {
+        PLAN: lambda: plan(result, geometry, sources, receivers),
+        SHIFTS: lambda: shifts(result),
+    }
+    return write_with_figures(result, folder, draw)

@@ -10,7 +10,7 @@ import pytest
 import rtcal as rt
 from rtcal.report import (
     figures,
-    loop_figures,
+    loop_page,
     material_figures,
 )
 from rtcal.support.errors import DataError
@@ -27,7 +27,7 @@ def test_axes_have_units(result, loop) -> None:
         material_figures.coefficients(result),
         material_figures.shares(result),
         material_figures.plane_of(result),
-        loop_figures.path(loop),
+        loop_page.path(loop),
     ]
     for figure in every:
         for axes in (a for a in figure.axes if a.get_visible()):
@@ -110,7 +110,7 @@ def test_the_papers_plane() -> None:
 
 
 def test_the_loops_path(loop) -> None:
-    left, right = loop_figures.path(loop).axes
+    left, right = loop_page.path(loop).axes
     assert line(left, "first simulation").get_ydata() == pytest.approx(loop.steps[0].simulated)
     assert len(loop.steps) >= 2
     drawn = line(right, "125 Hz").get_ydata()
@@ -118,7 +118,7 @@ def test_the_loops_path(loop) -> None:
     assert abs(drawn[0]) > abs(drawn[loop.best[0]])
     begun = rt.loop.start(*rt.datasets.bras_cr2())
     with pytest.raises(DataError, match="no simulation yet"):
-        loop_figures.path(begun)
+        loop_page.path(begun)
 
 
 def test_the_same_figure_has_the_same_bytes(result) -> None:

@@ -8,10 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 import rtcal as rt
-from rtcal.report import (
-    page,
-    pages,
-)
+from rtcal.report import loop_page, pages
 from tests.report.pages import run
 
 
@@ -29,7 +26,7 @@ def test_a_loops_page(loop, tmp_path) -> None:
 def test_a_loop_results_page(loop_result, tmp_path) -> None:
     path = loop_result.save(tmp_path)
     text = pages.page_of(path)
-    assert text == pages.page_of(tmp_path) == page.loop_page(loop_result)
+    assert text == pages.page_of(tmp_path) == loop_page.page(loop_result)
     assert "Simulated by Kuttruff&#39;s equation for BRAS CR2" in text
     after = loop_result.after.mean("t20")
     row = text.split("T20, with the coefficients returned / s")[1].split("</tr>")[0]
@@ -42,7 +39,7 @@ def test_a_loop_results_page(loop_result, tmp_path) -> None:
     steps = [
         replace(s, alpha=np.where(s.alpha > 0.1, 1.0, s.alpha)) for s in loop_result.loop.steps
     ]
-    text = page.loop_page(replace(loop_result.loop, steps=tuple(steps)))
+    text = loop_page.page(replace(loop_result.loop, steps=tuple(steps)))
     assert "windows: α = 1 at 125 and 2000 Hz" in text
 
 
@@ -50,7 +47,7 @@ def test_a_loops_page_says_what_the_terminal_says(
     loop_result, tmp_path, capsys, monkeypatch
 ) -> None:
     """It lacked z, the reservations, and called a band of an unfinished loop "not converging"."""
-    text = page.loop_page(loop_result)
+    text = loop_page.page(loop_result)
     for mark in loop_result.trust_marks:
         assert mark.advice in text
     row = text.split('<th scope="row">z</th>')[1].split("</tr>")[0]

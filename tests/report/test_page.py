@@ -13,6 +13,7 @@ import pytest
 import rtcal as rt
 from rtcal.report import (
     document,
+    loop_page,
     page,
     pages,
     words,
@@ -159,7 +160,7 @@ def test_title_author_and_date_are_settable(result, loop, tmp_path, capsys) -> N
         patch.setattr(page, "_figures", no_figures)
         texts = [
             page.calibration_page(result, heading=heading),
-            page.loop_page(loop, heading=heading),
+            loop_page.page(loop, heading=heading),
             page.finding_page(result, FINDING, {}, heading=heading),
         ]
         assert page.calibration_page(result) == page.calibration_page(result)
@@ -195,7 +196,7 @@ def test_the_author_of_a_room_stands_on_its_pages(loop, tmp_path) -> None:
         for text in (
             page.calibration_page(result),
             pages.page_of(tmp_path),
-            page.loop_page(replace(loop, room=signed)),
+            loop_page.page(replace(loop, room=signed)),
         ):
             assert "· B &amp; Sons" in text
         assert "· C" in page.calibration_page(result, heading=heading)

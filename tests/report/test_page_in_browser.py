@@ -11,6 +11,7 @@ import rtcal as rt
 from rtcal.report import (
     document,
     figures,
+    loop_page,
     page,
     positions_page,
 )
@@ -74,7 +75,7 @@ def test_no_page_is_wider_than_a_phone(html, evil_html, loop, result, tmp_path) 
     pages = {
         "page": html,
         "evil": evil_html,
-        "loop": page.loop_page(loop),
+        "loop": loop_page.page(loop),
         "finding": page.finding_page(result, FINDING, drawn),
         "wide": '<div style="width: 700px">x</div>',
     }

@@ -23,7 +23,7 @@ from rtcal.finder.positions.case import PositionsCase
 from rtcal.finder.positions.corrected import Corrected, corrected_geometry
 from rtcal.io import bras, catt, geometry_files, odeon, pyroomacoustics, tables
 from rtcal.loop.positions_result import PositionsResult
-from rtcal.report import loop_figures, positions_page
+from rtcal.report import positions_page
 from rtcal.simulators import EquationSimulator, Polyhedron
 from rtcal.support.errors import DataError
 from tests.test_saved_results import same
@@ -252,7 +252,7 @@ def test_a_list_holds_what_it_does_not_say(
 def test_what_a_fit_has_gained_is_in_the_file(name: str, tmp_path: Path) -> None:
     """T of the exported room is that of the fit, whose scattering was fitted."""
     result = fitted()
-    loop_figures.write_positions(result, tmp_path, GEOMETRY, SOURCES, RECEIVERS)
+    positions_page.write_positions(result, tmp_path, GEOMETRY, SOURCES, RECEIVERS)
     room = rt.Room.from_file(str(tmp_path / "room.toml"))
     shared = list(range(8))
     if name != "native":

@@ -14,7 +14,7 @@ from click.testing import CliRunner
 import rtcal as rt
 from rtcal.command.main import cli
 from rtcal.loop import Loop
-from rtcal.report import page, pages, positions_page
+from rtcal.report import loop_page, pages, positions_page
 from rtcal.report.document import Heading
 from rtcal.support.errors import DataError
 
@@ -84,7 +84,7 @@ def test_what_was_measured_is_saved_and_on_the_page() -> None:
     result = calibrated(30.0, {"c80": 1.5})
     saved = json.loads(result.to_json())["result"]
     np.testing.assert_allclose(saved["measured"]["c80"], 1.5)
-    assert "C80, measured / dB" in page.loop_page(result)
+    assert "C80, measured / dB" in loop_page.page(result)
 
 
 def test_bands_of_t30_are_named() -> None:
