@@ -25,7 +25,7 @@ from rtcal.finder import (
     Case,
     verify,
 )
-from rtcal.finder.effects.people import AT_1_KHZ
+from rtcal.finder.effects.absorbers import AT_1_KHZ
 from rtcal.finder.means.bootstrap import MINIMUM
 from rtcal.finder.means.engines import ControlRooms
 from rtcal.finder.search import find

@@ -13,7 +13,7 @@ from benchmarks.hidden_effects import name_of
 from benchmarks.judging import first_of, kept_controls, one
 from benchmarks.second_world import place
 from rtcal.finder import AppliedEffect, Case
-from rtcal.finder.effects.people import AT_1_KHZ
+from rtcal.finder.effects.absorbers import AT_1_KHZ
 from rtcal.finder.means.engines import ControlRooms
 from tests.hidden_world.generate import read
 from tests.hidden_world.populations import COUNTS, DOUBLE, TOGGLED, build

@@ -27,18 +27,17 @@ from scipy.special import logsumexp
 from benchmarks.positions_table import bootstrap
 from benchmarks.where import case_of, prepared
 from benchmarks.where_figures import ABSORBERS, DATA
-from rtcal.finder.positions.evidence import Likelihood
-from rtcal.finder.positions.finding import LIKELY
-from rtcal.finder.positions.hypotheses import COUPLED
-from rtcal.finder.positions.posterior import PositionsHypotheses, evaluate, scores, weights
-from rtcal.finder.positions.problem import PositionsProblem
-from rtcal.finder.positions.shift import (
+from rtcal.finder.positions.evidence import (
     MEASUREMENT,
     POSITION,
+    Likelihood,
     ShiftHypothesis,
     SpreadHypothesis,
-    uneven_amount,
 )
+from rtcal.finder.positions.finding import LIKELY
+from rtcal.finder.positions.hypotheses import COUPLED, uneven_amount
+from rtcal.finder.positions.posterior import PositionsHypotheses, evaluate, scores, weights
+from rtcal.finder.positions.problem import PositionsProblem
 from tests.geometric_world.load import IN_SITU, load
 
 STORED = Path(__file__).with_name("where_ideal.json.gz")

@@ -35,7 +35,7 @@ from benchmarks.where_figures import MODELS, first
 from rtcal.acoustics.observables import observable
 from rtcal.finder.positions.evidence import flat
 from rtcal.finder.positions.problem import PositionsProblem, problem_of
-from rtcal.finder.positions.responses import parameters, precisely, responses_of
+from rtcal.finder.positions.responses import BASE, parameters, responses_of
 from rtcal.finder.positions.search import controls_of
 from rtcal.finder.positions.weighing import Weighing
 from rtcal.simulators import PathTracing, Polyhedron
@@ -269,7 +269,7 @@ def told(folder: Path, only: str | None, workers: int | None) -> None:
     runs = controls_of(own, cache=controls)
     made = responses_of(own, 0, controls)
     closed = simulator(workers, "closed")
-    heard = Weighing(precisely(closed), names).observe(Weighing(closed, names).alpha)
+    heard = Weighing(closed.denser(BASE), names).observe(Weighing(closed, names).alpha)
     print(f"{'nats: got / expected':28}" + "".join(f"{state:>16}" for state in STATES))
     others = []
     for model in [only] if only else [OWN, *participants()]:

@@ -28,6 +28,7 @@ from benchmarks.where_figures import ABSORBERS, DATA, family_of, right_families
 from benchmarks.where_threshold import numbers_of
 from rtcal.finder.claim import CLAIMED
 from rtcal.finder.positions import search
+from rtcal.finder.positions.evidence import MEASUREMENT
 from rtcal.finder.positions.hypotheses import COUPLED
 from rtcal.finder.positions.posterior import (
     LEAST_BY_MEANS,
@@ -36,8 +37,7 @@ from rtcal.finder.positions.posterior import (
     evidence_of_means,
     weights,
 )
-from rtcal.finder.positions.shift import MEASUREMENT, UNKNOWN
-from rtcal.finder.prior import COEFFICIENTS, NONE
+from rtcal.finder.prior import COEFFICIENTS, NONE, UNKNOWN
 from tests.geometric_world.load import IN_SITU, load, truth
 from tests.geometric_world.rooms import NOTHING
 

@@ -20,10 +20,9 @@ import numpy as np
 
 from benchmarks.where import case_of, prepared
 from benchmarks.where_figures import DATA
-from rtcal.finder.positions.evidence import Likelihood, Residuals
+from rtcal.finder.positions.evidence import Likelihood, Residuals, ShiftHypothesis
 from rtcal.finder.positions.posterior import TEMPER, PositionsHypotheses, evaluate, scores, weights
 from rtcal.finder.positions.problem import PositionsProblem
-from rtcal.finder.positions.shift import ShiftHypothesis
 from tests.geometric_world.load import HANDBOOK, IN_SITU, load, truth
 
 FOLDS, DRAWS = 4, 25

@@ -23,7 +23,7 @@ from benchmarks.where import case_of, prepared
 from rtcal.acoustics.observables import observable
 from rtcal.finder.positions.evidence import flat
 from rtcal.finder.positions.posterior import evaluate, scores, weights
-from rtcal.finder.positions.responses import precisely, responses_of
+from rtcal.finder.positions.responses import BASE, responses_of
 from rtcal.simulators.observations import Observations
 from tests.geometric_world.load import IN_SITU, load, truth, without_noise
 
@@ -39,7 +39,7 @@ def told(population: int, index: int, folder: Path) -> Iterator[tuple[str, float
     likelihoods = numbers.likelihoods()
     wanted = numbers.data.observations
     names, n_bands = wanted.parameters, room.room.n_bands
-    tracer, alpha = precisely(case.simulator), np.clip(true["alpha"], 0.001, 0.99)
+    tracer, alpha = case.simulator.denser(BASE), np.clip(true["alpha"], 0.001, 0.99)
     columns = [tracer.pairs.index(pair) for pair in wanted.pairs]
     made = responses_of(case, 0, folder)
     base = made.base[[made.parameters.index(name) for name in names]][:, columns]

@@ -17,7 +17,7 @@ import rtcal as rt
 from rtcal import terms
 from rtcal.calibration import convex_program, solvers
 from rtcal.finder import AppliedEffect, recalibrate, verify
-from rtcal.finder.effects.coupled_room import Opening
+from rtcal.finder.effects.absorbers import Opening
 from rtcal.finder.search import find
 from rtcal.support.errors import SolverError
 from tests.conftest import random_room, true_times

@@ -30,11 +30,9 @@ from rtcal.finder import (
     recalibrate,
     verify,
 )
-from rtcal.finder.effects.coupled_room import CoupledDecay, Opening
-from rtcal.finder.effects.porous import Porous
-from rtcal.finder.effects.resonator import Resonator
+from rtcal.finder.effects.absorbers import Opening, Porous, Resonator
 from rtcal.finder.effects.stated import WrongArea, WrongVolume
-from rtcal.finder.effects.whole_room import DirectionalDecay
+from rtcal.finder.effects.whole_room import CoupledDecay, DirectionalDecay
 from rtcal.finder.means import hypotheses
 from rtcal.finder.means.bootstrap import control_rooms
 from rtcal.finder.means.corrected import not_in_room

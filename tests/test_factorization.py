@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from rtcal.finder import ChangedMaterial
-from rtcal.finder.effects.coupled_room import Opening
-from rtcal.finder.effects.measuring import NoiseFloor
+from rtcal.finder.effects.absorbers import Opening
+from rtcal.finder.effects.stated import NoiseFloor
 from rtcal.finder.means.engines import ControlRooms
 from rtcal.finder.means.evidence import evaluate
 from rtcal.finder.means.features import observe

@@ -31,7 +31,7 @@ from rtcal.finder import (
     simulator,
     verify,
 )
-from rtcal.finder.effects.coupled_room import Opening
+from rtcal.finder.effects.absorbers import Opening
 from rtcal.finder.means.engines import ControlRooms, Engine
 from rtcal.finder.means.features import state
 from rtcal.finder.means.model_error import ModelDiscrepancy

@@ -15,9 +15,9 @@ from rtcal.acoustics.room_errors import HANDBOOK_SIGMA
 from rtcal.command.main import cli
 from rtcal.finder import Case, ChangedMaterial, Configuration, library, recalibrate
 from rtcal.finder.claim import by_family, claimed
-from rtcal.finder.effects.coupled_room import CoupledRoom, Opening
-from rtcal.finder.effects.people import Audience, People
+from rtcal.finder.effects.absorbers import Audience, Opening, People
 from rtcal.finder.effects.stated import WrongVolume
+from rtcal.finder.effects.whole_room import CoupledRoom
 from rtcal.finder.means import bootstrap
 from rtcal.finder.means.bootstrap import draw_null_features
 from rtcal.finder.means.engines import ControlRooms

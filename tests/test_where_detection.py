@@ -14,6 +14,7 @@ import rtcal as rt
 from rtcal.finder import track_record
 from rtcal.finder.effects import library
 from rtcal.finder.finding import Detection
+from rtcal.finder.positions.evidence import NOISE, POSITION, SpreadHypothesis
 from rtcal.finder.positions.hypotheses import shifts
 from rtcal.finder.positions.posterior import (
     OF_PROGRAMS,
@@ -26,7 +27,6 @@ from rtcal.finder.positions.posterior import (
     scores,
     weights,
 )
-from rtcal.finder.positions.shift import NOISE, POSITION, SpreadHypothesis
 from tests.test_where import MATCH, measured, stated, tracing
 
 pytest.importorskip("numba", reason="the paths are traced by compiled code (extra fast)")

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from rtcal.finder.positions.evidence import Likelihood
-from rtcal.finder.positions.model_error import COMMON, OWN, TRACED, levels, simulator_error
-from rtcal.finder.positions.responses import TRACINGS, _at_shares, without_noise
+from rtcal.finder.positions.problem import COMMON, OWN, levels, simulator_error
+from rtcal.finder.positions.responses import TRACED, TRACINGS, _at_shares, without_noise
 from rtcal.loop.control_runs import ControlRuns
 from rtcal.support.errors import DataError
 

@@ -9,7 +9,9 @@ import pytest
 from numpy.typing import ArrayLike
 
 import rtcal as rt
-from rtcal.finder.positions import model_error
+from rtcal.finder.positions import search
+from rtcal.finder.positions.case import lobes
+from rtcal.finder.positions.problem import covariance_of_lobes
 from rtcal.simulators import PathTracing
 from tests.test_where import MATCH, RECEIVERS, SOURCES, heard, stated, tracing
 
@@ -63,7 +65,7 @@ def test_loudspeakers_of_which_nothing_is_stated_are_not_claimed_of_the_room(
     assert any("not taken as omnidirectional" in note for note in finding.notes)
     unknown = finding.case.simulator.unknown_sources
     assert unknown == (tuple(SPEAKERS) if "t20" in match else ())
-    monkeypatch.setattr(model_error, "LIKELY_LOBES", np.inf)
+    monkeypatch.setattr(search, "LIKELY_LOBES", np.inf)
     taken = rt.finder.positions.find(case, cache=kept)
     assert taken.detection.score > finding.detection.score + 3
     assert taken.detected
@@ -82,7 +84,7 @@ def test_an_index_that_is_off_is_not_claimed_of_the_room(
     assert not finding.detected
     assert any("not taken as stated" in note for note in finding.notes) == (off != 0)
     assert finding.parameters == (("t20",) if off else MATCH)
-    monkeypatch.setattr(model_error, "LIKELY_LOBES", np.inf)
+    monkeypatch.setattr(search, "LIKELY_LOBES", np.inf)
     exact = rt.finder.positions.find(case, cache=kept)
     assert (exact.score > 20) == (off != 0)
 
@@ -106,20 +108,18 @@ def test_what_absorbs_is_found_with_a_stated_index(kept: Path) -> None:
 
 
 def test_lobes_are_those_of_sources_of_which_nothing_or_an_index_is_stated() -> None:
-    made = model_error.lobes(tracing(stated(), directivity={"S1": "unknown"}))
+    made = lobes(tracing(stated(), directivity={"S1": "unknown"}))
     assert [list(lobes) for lobes in made] == [["S2"]] * 7
     middle = np.mean(list(RECEIVERS.values()), axis=0)
     assert made[0]["S2"].aim == pytest.approx(middle - SOURCES["S2"])
     among = tracing(stated(), sources={"S": tuple(middle)})
-    assert np.linalg.norm(model_error.lobes(among)[0]["S"].aim) > 0
+    assert np.linalg.norm(lobes(among)[0]["S"].aim) > 0
     balloon = rt.Directivity(gains=np.ones((3, 7, 4)), aim=(1, 0, 0))
     omnidirectional = rt.Directivity(index=0, aim=(1, 0, 0))
     exact = tracing(stated(), directivity={"S1": balloon, "S2": omnidirectional})
-    assert model_error.lobes(exact) == [{}] * 7
+    assert lobes(exact) == [{}] * 7
     lobe = rt.Directivity(index=[3, 6, 24], aim=(0, 1, 0))
-    together, own = model_error.lobes(tracing(stated(), directivity={"S1": lobe, "S2": balloon}))[
-        :2
-    ]
+    together, own = lobes(tracing(stated(), directivity={"S1": lobe, "S2": balloon}))[:2]
     assert together["S1"].index == pytest.approx([5, 8, 25])
     assert own["S1"].index == pytest.approx([3.5, 6.5, 24.5])
     assert together["S1"].aim == own["S1"].aim == lobe.aim
@@ -129,7 +129,7 @@ def test_the_covariance_is_that_of_aims_that_are_drawn() -> None:
     rng = np.random.default_rng(1)
     pairs, f = [("A", "1"), ("A", "2"), ("B", "1")], np.array([500.0, 2000.0])
     nodes = rng.standard_normal((2, 6, 7))
-    got = model_error.covariance_of_lobes(nodes, pairs, f)
+    got = covariance_of_lobes(nodes, pairs, f)
     band = np.linalg.cholesky([[1, 0.7**2], [0.7**2, 1]])
     n = 200_000
     together = np.einsum("kl,nl->nk", band, rng.standard_normal((n, 2)))

@@ -9,7 +9,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from rtcal.finder.effects.coupled_room import CoupledRoom
+from rtcal.finder.effects.whole_room import CoupledRoom
 from rtcal.support.files import json_numbers
 from rtcal.support.types import Array
 

@@ -11,7 +11,8 @@ from rtcal.acoustics.room import Room
 from rtcal.finder import positions, states
 from rtcal.finder.case import Case
 from rtcal.finder.configuration import Configuration
-from rtcal.finder.effects import Effect, library
+from rtcal.finder.effects import Effect
+from rtcal.finder.effects.checks import checked_effects
 from rtcal.finder.means.engines import ControlRooms
 from rtcal.finder.means.finding import MeansFinding
 from rtcal.finder.means.search import find as find_by_means
@@ -158,7 +159,7 @@ def find(
         for name, value in {"controls": controls, **of_means}.items():
             if value is not None:
                 raise DataError(f"{name} is not of a search for what changed between two states")
-        tried = chosen_effects(library() if effects is None else effects, without, only)[0]
+        tried = chosen_effects(checked_effects(effects), without, only)[0]
         return states.find(case, effects=tried, seed=seed)
     common: Mapping[str, Any] = {
         "effects": effects,

@@ -19,7 +19,7 @@ from rtcal.finder.means.recalibration import recalibrate
 from rtcal.finder.positions.finding import Place, PositionsFinding, strongest
 from rtcal.finder.positions.verification import MODELS, TITLES, PositionsVerification
 from rtcal.finder.states.finding import StatesFinding
-from rtcal.finder.states.verification import verify
+from rtcal.finder.states.search import verify
 from rtcal.report import document, room_view, where_figures
 from rtcal.report.document import Heading, blocks, render, source
 from rtcal.report.figures import BLACK, BLUE, ORANGE, band_axis, new_figure, rendered

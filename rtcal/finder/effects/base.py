@@ -173,6 +173,22 @@ class Effect(ABC):
         """Return the air of the corrected room."""
         return stated
 
+    def errors_over_bands(self, frequencies: Array) -> Array:
+        """Return the relative errors of the effect's change, one standard deviation each.
+
+        (n_bands, 2 + n_bands): common to all bands, a tilt, and those that a rough spectrum has.
+        """
+        common, tilt, rough = self.spectrum_error
+        octaves = np.log2(frequencies / 1000)
+        lag = np.abs(np.subtract.outer(octaves, octaves))
+        smooth = np.stack([np.full(len(octaves), common), tilt * octaves], axis=1)
+        return np.concatenate([smooth, rough * np.linalg.cholesky(0.5**lag)], axis=1)
+
+    def error_over_bands(self, frequencies: Array) -> Array:
+        """Return the covariance of the relative error of the effect's change, (n_bands, n_bands)."""
+        errors = self.errors_over_bands(frequencies)
+        return np.asarray(errors @ errors.T)
+
     def added_absorption(self, without: RoomState, with_effect: RoomState) -> Array | None:
         """Return the absorption area that the effect adds in m², (n_bands,).
 

@@ -1,4 +1,4 @@
-"""Rules that every effect must obey; a message names the effect and the rule that it breaks."""
+"""The library of effects, and the rules that each must obey; a message names effect and rule."""
 
 from __future__ import annotations
 
@@ -12,7 +12,26 @@ import numpy as np
 
 from rtcal.acoustics.equations import mean_equation
 from rtcal.acoustics.room import Room
+from rtcal.finder.effects.absorbers import (
+    Audience,
+    Curtain,
+    Furniture,
+    Membrane,
+    Opening,
+    People,
+    Porous,
+    Resonator,
+)
 from rtcal.finder.effects.base import Effect, Limits, Parameters
+from rtcal.finder.effects.stated import (
+    CoveredSurface,
+    DirectSound,
+    NoiseFloor,
+    WrongArea,
+    WrongFormula,
+    WrongVolume,
+)
+from rtcal.finder.effects.whole_room import CoupledRoom, NonDiffuse, OmittedAir
 from rtcal.finder.model import Decay, RoomState
 from rtcal.support import checks
 from rtcal.support.errors import DataError, RtcalError
@@ -38,8 +57,36 @@ _NUMBERS = {
 }
 
 
-def checked_effects(effects: object) -> tuple[Effect, ...]:
-    """Return the effects; DataError unless each is complete and has a name of its own."""
+def library() -> tuple[Effect, ...]:
+    """Return every effect that rtcal has."""
+    return (
+        OmittedAir(),
+        Opening(),
+        Audience(),
+        People(),
+        Furniture(),
+        Porous(),
+        Curtain(),
+        Resonator(),
+        Membrane(),
+        CoveredSurface(),
+        WrongArea(),
+        WrongVolume(),
+        WrongFormula(),
+        CoupledRoom(),
+        NonDiffuse(),
+        NoiseFloor(),
+        DirectSound(),
+    )
+
+
+def checked_effects(effects: object | None) -> tuple[Effect, ...]:
+    """Return the effects, the whole library for None.
+
+    Raises DataError unless each is complete and has a name of its own.
+    """
+    if effects is None:
+        return library()
     every: tuple[Any, ...] = checks.listed("effects", effects)
     if not every:
         raise DataError("effects is empty; there is at least one to try")

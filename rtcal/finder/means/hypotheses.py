@@ -133,7 +133,7 @@ def predict_hypotheses(
     frequencies = case.room.centre_frequencies
     nothing = np.zeros((1, case.room.n_bands, case.room.n_bands + 2))
     errors = [
-        np.repeat(spectrum_errors(effect, frequencies)[None], len(grid), axis=0)
+        np.repeat(effect.errors_over_bands(frequencies)[None], len(grid), axis=0)
         for effect, grid in zip(effects, grids, strict=True)
     ]
     return MeansHypotheses(
@@ -235,7 +235,7 @@ def _applied(case: Case) -> LowRank:
         amount = np.broadcast_to(d[:, :1], d.shape).ravel()
         feature = np.broadcast_to(np.arange(len(FEATURES))[:, None], d.shape).ravel()
         bands = np.broadcast_to(np.arange(d.shape[2]), d.shape).ravel()
-        errors = spectrum_errors(a.effect, case.room.centre_frequencies)[bands]
+        errors = a.effect.errors_over_bands(case.room.centre_frequencies)[bands]
         error = misfit(d.ravel(), amount, feature, errors, a.effect.formula_error)
         columns.append(error.factor)
         diagonal = diagonal + error.diagonal
@@ -288,18 +288,6 @@ def _change_errors(case: Case) -> LowRank:
     )
 
 
-def spectrum_errors(effect: Effect, frequencies: Array) -> Array:
-    """Return the relative errors of an effect's change, one standard deviation each.
-
-    (n_bands, 2 + n_bands): common to all bands, a tilt, and those that a rough spectrum has.
-    """
-    common, tilt, rough = effect.spectrum_error
-    octaves = np.log2(frequencies / 1000)
-    lag = np.abs(np.subtract.outer(octaves, octaves))
-    smooth = np.stack([np.full(len(octaves), common), tilt * octaves], axis=1)
-    return np.concatenate([smooth, rough * np.linalg.cholesky(0.5**lag)], axis=1)
-
-
 def misfit(
     d: Array,
     amount: Array,
@@ -318,7 +306,7 @@ def misfit(
     feature : int array (m,)
         Rows of `FEATURES`.
     errors : array (..., m, n_errors)
-        Relative errors in the features' bands (`spectrum_errors`).
+        Relative errors in the features' bands (`Effect.errors_over_bands`).
     alone : array (...) or float
         Standard deviation of the relative error that no two features share.
     """

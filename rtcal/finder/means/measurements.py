@@ -22,7 +22,7 @@ from rtcal.acoustics.air import Air
 from rtcal.finder.case import Case
 from rtcal.finder.claim import DISTINCT_NATS
 from rtcal.finder.configuration import ChangedMaterial, Configuration
-from rtcal.finder.effects.porous import Porous
+from rtcal.finder.effects.absorbers import Porous
 from rtcal.finder.means.evidence import Searched
 from rtcal.finder.means.features import ObservedFeatures
 from rtcal.finder.means.hypotheses import MeansHypotheses

@@ -12,7 +12,7 @@ from rtcal.acoustics.observables import parameter_label
 from rtcal.finder.case import AppliedEffect, Case
 from rtcal.finder.claim import DISTINCT_NATS
 from rtcal.finder.configuration import Configuration
-from rtcal.finder.effects import Effect, library
+from rtcal.finder.effects import Effect
 from rtcal.finder.effects.checks import checked_effects
 from rtcal.finder.means.features import ObservedFeatures, observe
 from rtcal.finder.means.finding import MeansFinding
@@ -283,7 +283,7 @@ def plan(
     if finding is not None and finding.case is not case:
         raise DataError("finding is of another case: state the case that it was found in")
     observed, _ = observe(case)
-    tried = library() if effects is None else checked_effects(effects)
+    tried = checked_effects(effects)
     predicted = predict_hypotheses(case, tried)
     if discrepancy is None and finding is not None:
         discrepancy = finding.discrepancy

@@ -13,7 +13,7 @@ from rtcal.acoustics.observables import parameter_label
 from rtcal.finder.candidate import Candidate
 from rtcal.finder.case import AppliedEffect, Case
 from rtcal.finder.claim import by_family, credible_set, family_of, posterior
-from rtcal.finder.effects import Effect, library
+from rtcal.finder.effects import Effect
 from rtcal.finder.effects.checks import checked_effects
 from rtcal.finder.finding import Detection
 from rtcal.finder.means.bootstrap import (
@@ -121,7 +121,7 @@ def find(
     """
     checks.instance("case", case, Case).require_fresh()
     checks.whole("seed", seed, 0)
-    every = library() if effects is None else checked_effects(effects)
+    every = checked_effects(effects)
     effects, left_out = chosen_effects(every, without, only)
     number = _checked_numbers(most, expected, effects, prior)
     observed, notes = observe(case)

@@ -13,7 +13,7 @@ several levels, and every density is their mean (`ScatteringLevels`).
 
 The error of d_h has two parts. Each band's shift is larger or smaller by a factor
 (`ShiftHypothesis.error`), and pairs hear more or less of it than if it were spread evenly
-(`rtcal.finder.positions.shift`).
+(`rtcal.finder.positions.hypotheses`).
 
 All hypotheses share one covariance and differ in a product. Those on means
 (`rtcal.finder.means.likelihood`) have a covariance each, since a closed form gives the derivatives by
@@ -23,15 +23,125 @@ alpha of every one.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import logsumexp
 
-from rtcal.finder.positions.shift import ShiftHypothesis, SpreadHypothesis
+from rtcal.finder.effects.base import Parameters
+from rtcal.finder.prior import COEFFICIENTS, UNKNOWN
 from rtcal.support.types import Array
+
+POSITION, NOISE, MEASUREMENT = "position", "noise", "measurement"
+ODDS = {
+    POSITION: 0.5,
+    NOISE: 0.5,
+    UNKNOWN: 0.5,
+    "air": 1.0,
+    "volume": 1.0,
+    COEFFICIENTS: 1.0,
+}
+"""Prior odds against an effect of odds 1; those of the absorbers are their classes'."""
+
+
+@dataclass(frozen=True, eq=False)
+class ShiftHypothesis:
+    """Hypotheses of one effect in one place, with their sizes.
+
+    Attributes
+    ----------
+    effect, family : str
+    surface : int or None
+        Number of the surface; None for the whole room.
+    response : str
+        Which of the responses is interpolated.
+    weights : array (n_hypotheses, n_bands, n_nodes)
+        Shift of band k is weights[:, k] @ the response's nodes of band k.
+    odds : array (n_hypotheses,)
+        Prior odds of each within its effect; over all surfaces they are normalised to 1.
+    sizes : array (n_hypotheses,)
+    unit : str
+    parameters : sequence of mapping
+    spectra : array (n_hypotheses, n_bands)
+        Alpha of what stands on the surface; empty for the whole room.
+    error : array (n_bands, n_bands)
+        Covariance of the relative error of the change, band by band.
+    uneven : array (n_hypotheses,)
+        How far pairs may hear more or less of it; see `rtcal.finder.positions.hypotheses`.
+    size_error : float
+        Standard deviation of ln size that the effect's description leaves open.
+    place : str
+        The material whose coefficients are off.
+    part : int or None
+        Number of the part of the surface; None for all of it.
+    divisible : bool
+        Whether it may stand on a part of its surface alone.
+    """
+
+    effect: str
+    family: str
+    surface: int | None
+    response: str
+    weights: Array
+    odds: Array
+    sizes: Array
+    unit: str
+    parameters: Sequence[Parameters]
+    spectra: Array
+    error: Array
+    uneven: Array
+    size_error: float = 0.0
+    place: str = ""
+    part: int | None = None
+    divisible: bool = False
+
+    def some(self, which: slice) -> ShiftHypothesis:
+        """Return some of the hypotheses."""
+        return replace(
+            self,
+            weights=self.weights[which],
+            odds=self.odds[which],
+            sizes=self.sizes[which],
+            parameters=self.parameters[which],
+            spectra=self.spectra[which],
+            uneven=self.uneven[which],
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class SpreadHypothesis:
+    """A hypothesis that some values err by more: their covariance grows by ``covariance``.
+
+    ``rows`` are the values' numbers in the order (band, parameter, pair). ``place`` names the
+    source, receiver or pair.
+    """
+
+    effect: str
+    place: str
+    size: float
+    unit: str
+    rows: NDArray[np.int64]
+    covariance: Array
+    odds: float
+
+
+def interpolation(nodes: Sequence[float], at: Array) -> Array:
+    """Return the nodes' weights (..., n_nodes) in a linear interpolation that is 0 at 0.
+
+    Beyond the nodes the value at the last one is taken.
+    """
+    every = np.array(sorted([*nodes, 0.0]))
+    position = np.clip(at, every[0], every[-1])
+    right = np.clip(np.searchsorted(every, position), 1, len(every) - 1)
+    share = (position - every[right - 1]) / (every[right] - every[right - 1])
+    out = np.zeros((*np.shape(at), len(every)))
+    np.put_along_axis(out, right[..., np.newaxis], share[..., np.newaxis], -1)
+    np.put_along_axis(out, right[..., np.newaxis] - 1, (1 - share)[..., np.newaxis], -1)
+    kept = [int(np.flatnonzero(every == node)[0]) for node in nodes]
+    return np.asarray(out[..., kept])
+
 
 _AT_ONCE = 256
 """Hypotheses in one product: their matrices fill some 10 MB."""
@@ -94,7 +204,7 @@ class Likelihood:
     nodes : mapping of str to array (n_bands, n_values, n_nodes)
         Shifts at the nodes of each response, by band.
     uneven : array (n_values, n_columns)
-        Deviations by pair at a change of 1 of the absorption; see `rtcal.finder.positions.shift`.
+        Deviations by pair at a change of 1 of the absorption; see `rtcal.finder.positions.hypotheses`.
     amount : array (n_values,)
         Weights of a band's shift in that change.
     levels : ScatteringLevels

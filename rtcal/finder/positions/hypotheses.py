@@ -2,6 +2,12 @@
 
 An effect gives its alpha here, and its whole state to means (`rtcal.finder.means.hypotheses`): what
 stands on a surface is traced, not calculated.
+
+A hypothesis spreads an absorber over its surface. In truth it hangs somewhere: receivers near it lose
+more than others, and T changes by more or less. Neither is known before the place is, so it is an error
+of the hypothesis, in proportion to its change of the absorption. The shares come from patches on walls
+of development boxes, which are weighed on the same paths (`python -m benchmarks.where_patches`). They
+are over sqrt(1 / s - 1), s being the part of the surface that is covered.
 """
 
 from __future__ import annotations
@@ -13,29 +19,79 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtcal.acoustics.air import Air
+from rtcal.acoustics.observables import observable
 from rtcal.finder.effects.base import Effect, Parameters, middle_absorption
-from rtcal.finder.effects.coupled_room import CoupledRoom
-from rtcal.finder.effects.stated import WrongVolume
-from rtcal.finder.effects.whole_room import OmittedAir
+from rtcal.finder.effects.stated import HARD, WrongVolume
+from rtcal.finder.effects.whole_room import CoupledRoom, OmittedAir
 from rtcal.finder.model import RoomState
 from rtcal.finder.positions.case import PositionsCase
-from rtcal.finder.positions.responses import AIR, OPEN, SHARES, VOLUME
-from rtcal.finder.positions.shift import (
+from rtcal.finder.positions.evidence import (
     NOISE,
     ODDS,
     POSITION,
     ShiftHypothesis,
     SpreadHypothesis,
-    error_over_bands,
     interpolation,
-    towards,
-    unevenness,
 )
+from rtcal.finder.positions.responses import AIR, OPEN, SHARES, VOLUME
 from rtcal.finder.positions.surfaces import Part
 from rtcal.finder.positions.weighing import MOVE, SECOND_ROOMS
 from rtcal.finder.prior import COEFFICIENTS, grid_weights, relative_sigma
 from rtcal.loop.measured_pairs import Pair
 from rtcal.support.types import Array
+
+
+def towards(moved: Array, stated: Array) -> Array:
+    """Return changes of alpha as shares of the way to 1, or (below 0) to a hard wall; see `SHARES`."""
+    up = moved / np.maximum(1 - stated, 1e-6)
+    down = moved / np.maximum(stated - HARD, 1e-6)
+    return np.asarray(np.where(moved >= 0, up, np.maximum(down, -1.0)))
+
+
+LEAST_COVERED = 1 / 9
+"""Least part of a surface for which the shares were found; smaller ones have its error."""
+
+
+COMMON_UNEVENNESS = {"late": 0.05, "early": 0.06, "level": 0.14}
+"""Relative deviation that all pairs share, by `Observable.part`. That of T and of the early parameters
+is the same one."""
+
+
+OWN_UNEVENNESS = {"late": 0.06, "early": 0.06, "level": 0.24}
+"""Relative deviation of each pair: one for T, one for all early parameters, one for the level."""
+
+
+def sign(parameter: str) -> float:
+    """Return whether a parameter's linear scale rises or falls with the absorption."""
+    return 1.0 if observable(parameter).rises else -1.0
+
+
+def uneven_amount(parameters: Sequence[str], n_pairs: int) -> Array:
+    """Return the weights of a mean change of the absorption, (n_parameters n_pairs,)."""
+    signs = np.array([sign(name) for name in parameters])
+    return np.repeat(signs, n_pairs) / (len(parameters) * n_pairs)
+
+
+def uneven_columns(parameters: Sequence[str], n_pairs: int) -> Array:
+    """Return the deviations at a change of 1, (n_parameters n_pairs, n_columns)."""
+    signs = np.array([sign(name) for name in parameters])
+    groups = [observable(name).part for name in parameters]
+    out = []
+    for shared in (("late", "early"), ("level",)):
+        row = [COMMON_UNEVENNESS[g] if g in shared else 0.0 for g in groups]
+        out.append(np.repeat(signs * row, n_pairs))
+    for group in OWN_UNEVENNESS:
+        own = np.array([OWN_UNEVENNESS[g] if g == group else 0.0 for g in groups])
+        for pair in np.eye(n_pairs):
+            out.append(np.outer(signs * own, pair).ravel())
+    every = np.array(out).T
+    return np.asarray(every[:, np.abs(every).max(axis=0) > 0])
+
+
+def unevenness(covered: Array) -> Array:
+    """Return the size of the deviation where these parts of a surface are covered."""
+    return np.asarray(np.sqrt(1 / np.clip(covered, LEAST_COVERED, 1.0) - 1))
+
 
 FACTORS = np.array([-1.2, -0.9, -0.65, -0.45, -0.3, 0.3, 0.45, 0.65, 0.9, 1.2])
 """ln of the factors by which one material's coefficients may be off."""
@@ -87,27 +143,25 @@ def materials(case: PositionsCase) -> list[ShiftHypothesis]:
 
 
 def _whole(
-    effect: str,
-    family: str,
+    effect: Effect,
     at: Array,
     nodes: Sequence[float],
     *,
     odds: Array,
     sizes: Array,
-    unit: str,
     parameters: Sequence[Parameters],
     error: Array,
 ) -> ShiftHypothesis:
-    odds = odds * ODDS[effect] / odds.sum()
+    """Return an effect of the whole room, whose response has the effect's name."""
     return ShiftHypothesis(
-        effect=effect,
-        family=family,
+        effect=effect.name,
+        family=effect.family,
         surface=None,
-        response=effect,
+        response=effect.name,
         weights=interpolation(nodes, at),
-        odds=odds,
+        odds=odds * ODDS[effect.name] / odds.sum(),
         sizes=sizes,
-        unit=unit,
+        unit=effect.unit,
         parameters=parameters,
         spectra=np.zeros((len(sizes), 0)),
         error=error,
@@ -130,15 +184,13 @@ def air(case: PositionsCase) -> ShiftHypothesis:
     attenuation = np.array([state.air for state in effect.changes(stated, grid)])
     density = grid_weights(effect, grid, stated)
     return _whole(
-        "air",
-        effect.family,
+        effect,
         (attenuation - room.air_attenuation) / reference,
         AIR,
         odds=density * effect.prior_odds(room),
         sizes=np.array([p["humidity"] for p in grid]),
-        unit=effect.unit,
         parameters=grid,
-        error=error_over_bands(effect, f),
+        error=effect.error_over_bands(f),
     )
 
 
@@ -150,13 +202,11 @@ def volume(case: PositionsCase) -> ShiftHypothesis:
     logs = np.log([p["ratio"] for p in grid])
     density = grid_weights(effect, grid, stated)
     return _whole(
-        "volume",
-        effect.family,
+        effect,
         np.repeat(logs[:, np.newaxis], n_bands, axis=1),
         VOLUME,
         odds=density,
         sizes=np.exp(logs),
-        unit=effect.unit,
         parameters=grid,
         error=np.full((n_bands, n_bands), 0.02**2) + 0.02**2 * np.eye(n_bands),
     )
@@ -217,7 +267,7 @@ def _on_surfaces(case: PositionsCase, effect: Effect) -> list[ShiftHypothesis]:
                 moved = share * (spectrum - stated[j])
                 if covering:
                     moved = np.minimum(moved, 0.0)
-                    if (-moved / np.maximum(stated[j], 1e-6)).max() < _LEAST_COVERED:
+                    if (-moved / np.maximum(stated[j], 1e-6)).max() < _LEAST_TAKEN:
                         continue
                 changes.append(moved)
                 fitting = areas[possible & (areas >= (0 if covering else area))]
@@ -238,7 +288,7 @@ def _on_surfaces(case: PositionsCase, effect: Effect) -> list[ShiftHypothesis]:
                     unit="m²",
                     parameters=parameters,
                     spectra=np.array(alpha),
-                    error=error_over_bands(effect, frequencies),
+                    error=effect.error_over_bands(frequencies),
                     uneven=unevenness(np.array(used) / areas[j]),
                     size_error=effect.size_error,
                     divisible=not covering,
@@ -253,7 +303,7 @@ def _normalised(shifts: Sequence[ShiftHypothesis], odds: float) -> list[ShiftHyp
     return [replace(s, odds=s.odds * odds / total) for s in shifts]
 
 
-_LEAST_COVERED = 0.1
+_LEAST_TAKEN = 0.1
 """A cover that takes less than this share of a surface's absorption is no hypothesis."""
 
 
@@ -288,7 +338,7 @@ def _apertures(case: PositionsCase) -> list[ShiftHypothesis]:
                     for a in area
                 ],
                 spectra=np.ones((len(SECOND_ROOMS) * len(area), n_bands)),
-                error=error_over_bands(COUPLED, room.centre_frequencies),
+                error=COUPLED.error_over_bands(room.centre_frequencies),
                 uneven=np.tile(unevenness(area / areas[j]), len(SECOND_ROOMS)),
                 size_error=COUPLED.size_error,
             )

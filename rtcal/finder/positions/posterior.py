@@ -32,16 +32,15 @@ from rtcal.finder.finding import Detection
 from rtcal.finder.means.finding import MeansFinding
 from rtcal.finder.means.search import find as find_by_means
 from rtcal.finder.positions.case import PositionsCase
-from rtcal.finder.positions.evidence import Likelihoods
-from rtcal.finder.positions.shift import (
+from rtcal.finder.positions.evidence import (
     MEASUREMENT,
     NOISE,
     ODDS,
-    UNKNOWN,
+    Likelihoods,
     ShiftHypothesis,
     SpreadHypothesis,
 )
-from rtcal.finder.prior import COEFFICIENTS, NO_EFFECT, NONE, SCALES
+from rtcal.finder.prior import COEFFICIENTS, NO_EFFECT, NONE, SCALES, UNKNOWN
 from rtcal.support.errors import DataError
 from rtcal.support.types import Array
 

@@ -20,13 +20,12 @@ from rtcal.acoustics.directivity import Directivity
 from rtcal.acoustics.observables import MATCH
 from rtcal.acoustics.scene import plain_directivities
 from rtcal.finder.positions import surfaces as of_room
-from rtcal.finder.positions.case import PositionsCase
-from rtcal.finder.positions.model_error import (
+from rtcal.finder.positions.case import (
     AIMS,
     INDEX_ERROR,
     LOBE_INDEX,
     OWN_INDEX_ERROR,
-    TRACED,
+    PositionsCase,
     lobes,
 )
 from rtcal.finder.positions.weighing import MOVE, SECOND_ROOMS, Weighing, displaced
@@ -50,6 +49,13 @@ VOLUME = (-0.5, -0.25, 0.25, 0.5)
 """Nodes of ln volume over what is stated."""
 OPEN = tuple(share for share in SHARES if share > 0)
 """Nodes of an aperture: shares of its surface."""
+
+
+TRACED = (-2.0, -1.0, 1.5)
+"""Changes of the log odds at which the whole room is traced, from what is stated or assumed. From 0.4
+they lead to 0.08, 0.2 and 0.75."""
+
+
 _FEW_PATHS = 1600
 """Paths from each source that tell how long the others must be."""
 _SPARE = 1.15
@@ -87,9 +93,9 @@ class PairShifts:
     moved : mapping of str to array (n_displacements, n_parameters, n_pairs, n_bands)
         Where a source or receiver is displaced by `MOVE`, by its name.
     levels : array (n_parameters, n_pairs, n_bands, n_levels)
-        Where the whole room scatters more or less, by `model_error.TRACED`.
+        Where the whole room scatters more or less, by `TRACED`.
     aimed : array (n_parameters, n_pairs, n_bands, n_aims)
-        Where the sources have other lobes (`model_error.lobes`).
+        Where the sources have other lobes (`rtcal.finder.positions.case.lobes`).
     materials : array (n_parameters, n_pairs, n_bands, n_materials)
         Where a material's alpha is larger by `STEP` of the way to 1.
     scattering : array (n_parameters, n_pairs, n_bands, n_materials)
@@ -169,7 +175,7 @@ def _of_tracing(
     progress: Progress,
 ) -> PairShifts:
     """Return the shifts of one tracing, whose paths are followed for ``seconds`` at least."""
-    tracer = _retraced(precisely(case.simulator), geometry=case.divided.geometry)
+    tracer = _retraced(case.simulator.denser(BASE), geometry=case.divided.geometry)
     weighing = Weighing(tracer, match, seed, seconds)
     energy = weighing.energy(weighing.alpha, number=BASE)
     base = weighing.parameters(energy.mean(axis=0))
@@ -279,11 +285,6 @@ def _seconds(case: PositionsCase, match: Sequence[str], seed: int) -> float:
     for _ in few.of_groups([*case.faces.values()], [min(SHARES)]):
         pass
     return min(_SPARE * few.seconds, LONGEST)
-
-
-def precisely(tracer: PathTracing) -> PathTracing:
-    """Return the tracing with the paths that are weighed."""
-    return tracer.denser(BASE)
 
 
 def _of_surfaces(

@@ -26,7 +26,6 @@ from rtcal.acoustics.bands import is_middle
 from rtcal.acoustics.equations import LinearEquation
 from rtcal.acoustics.room import Room
 from rtcal.finder.effects import Effect
-from rtcal.finder.means.hypotheses import spectrum_errors
 from rtcal.finder.model import RoomState
 from rtcal.finder.prior import UNKNOWN, UNKNOWN_ODDS
 from rtcal.support.types import Array
@@ -81,7 +80,7 @@ def shapes(room: Room, effects: Sequence[Effect]) -> list[Shape]:
         spectra = [alpha for _, alpha in effect.on_surface(frequencies)] or [
             _of_objects(effect, base)
         ]
-        error = spectrum_errors(effect, frequencies)
+        error = effect.error_over_bands(frequencies)
         for alpha in spectra:
             out.append(
                 Shape(
@@ -89,7 +88,7 @@ def shapes(room: Room, effects: Sequence[Effect]) -> list[Shape]:
                     effect.family.removeprefix(f"{_FAMILY}, "),
                     effect.prior_odds(room) / len(spectra),
                     _scaled(alpha),
-                    error @ error.T,
+                    error,
                 )
             )
     free = WALK**2 * _walk(np.log2(frequencies / 1000))

@@ -12,7 +12,13 @@ import numpy as np
 from rtcal.acoustics import bands
 from rtcal.finder.candidate import Size, amount
 from rtcal.finder.claim import CLAIMED, Names
-from rtcal.finder.finding import LEAST_PAIRS, NATS, Finding, over_frequency
+from rtcal.finder.finding import (
+    LEAST_PAIRS,
+    NATS,
+    Finding,
+    HeldOutVerification,
+    over_frequency,
+)
 from rtcal.finder.prior import NONE
 from rtcal.finder.states.case import SecondState, StatesCase, changed_room
 from rtcal.finder.states.evidence import ADDED
@@ -247,4 +253,69 @@ class StatesFinding(Finding):
             "absorption_area_before": json_numbers(self.area),
             "change": json_numbers(self.change),
             "pairs": [list(pair) for pair in found.pairs],
+        }
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class StatesVerification(HeldOutVerification):
+    """The change of T at pairs that were not fitted: measured, and as the fitted pairs say.
+
+    Attributes
+    ----------
+    finding : StatesFinding
+    case : Case or None
+        What was measured at pairs that the finding had not; None where the halves of its own pairs
+        predict each other.
+    gaps : array (2, n_pairs, n_bands)
+        ln T before less measured after, in JND of 5 %: as if nothing had changed. ln T predicted less
+        measured after.
+    """
+
+    record_kind: ClassVar[str] = "two states verification 1"
+
+    finding: StatesFinding
+    case: StatesCase | None = None
+
+    @property
+    def before(self) -> float:
+        """Mean absolute gap at held-out pairs without the change, in JND."""
+        return float(np.nanmean(np.abs(self.gaps[0])))
+
+    @property
+    def after(self) -> float:
+        """The same with the change."""
+        return float(np.nanmean(np.abs(self.gaps[1])))
+
+    @property
+    def gains(self) -> Array:
+        """Mean absolute gap of each pair without less with the change, (1, n_pairs), in JND."""
+        without, with_change = np.abs(self.gaps)
+        by_pair = np.nanmean(without - with_change, axis=1)
+        return np.asarray(by_pair[np.newaxis])
+
+    @property
+    def sentence(self) -> str:
+        """The verdict in a sentence."""
+        others = "the other half of the pairs" if self.case is None else "the other pairs"
+        return (
+            f"{self.verdict}: at pairs that were not fitted the mean gap of T is {self.before:.1f} JND "
+            f"if nothing changed, and {self.after:.1f} JND with what {others} found."
+        )
+
+    def __repr__(self) -> str:
+        return f"<StatesVerification {self.verdict}>"
+
+    def __str__(self) -> str:
+        return "\n".join(text.wrapped(self.sentence))
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain values for JSON."""
+        found = (self.finding.case if self.case is None else self.case).differences
+        return {
+            **super().to_dict(),
+            "gaps": [self.before, self.after],
+            "pairs": [list(pair) for pair in found.pairs],
+            "centre_frequencies": json_numbers(found.centre_frequencies),
+            "before": json_numbers(self.gaps[0]),
+            "after": json_numbers(self.gaps[1]),
         }

@@ -1,4 +1,4 @@
-"""The search for what changed between two states."""
+"""The search for what changed between two states, and whether it predicts T at pairs not fitted."""
 
 from __future__ import annotations
 
@@ -10,18 +10,22 @@ from numpy.typing import NDArray
 from scipy.special import logsumexp
 
 from rtcal.acoustics import band_conversion, bands
+from rtcal.acoustics.measurement import Measurement
+from rtcal.acoustics.observables import TARGET
 from rtcal.finder.candidate import Candidate, Size
 from rtcal.finder.claim import SAID, claimed, most_probable_first
-from rtcal.finder.effects import Effect, library
-from rtcal.finder.finding import Detection
+from rtcal.finder.effects import Effect
+from rtcal.finder.effects.checks import checked_effects
+from rtcal.finder.finding import Detection, check_pairs
 from rtcal.finder.prior import NO_EFFECT, NONE
 from rtcal.finder.states import evidence
 from rtcal.finder.states.case import StatesCase
 from rtcal.finder.states.evidence import ADDED, AIR, REMOVED, Baseline, Errors, Fits, Grid, grid
-from rtcal.finder.states.finding import StatesFinding
+from rtcal.finder.states.finding import StatesFinding, StatesVerification
 from rtcal.finder.states.surfaces import Located, locate, trusted
 from rtcal.support import checks
 from rtcal.support.arguments import checked
+from rtcal.support.errors import DataError
 from rtcal.support.text import first_of
 from rtcal.support.types import Array
 
@@ -78,7 +82,7 @@ def find(
     baseline = Baseline.of(room, case.equation, found.before, measured)
     area = np.full(room.n_bands, np.nan)
     area[measured] = baseline.area
-    of_library = library() if effects is None else tuple(effects)
+    of_library = checked_effects(effects)
     tried = grid(room, area, measured, of_library)
     nothing = evidence.none(change, variance, assumed)
     fits = evidence.fits(change, variance, baseline, tried, assumed)
@@ -230,3 +234,113 @@ def _candidate(name: str, tried: Grid, probability: float, samples: Array) -> Ca
         high=size.high,
         unit=size.unit,
     )
+
+
+_LEAST_NEW = 2
+"""Fewest pairs that a finding had not: their scatter tells how sure the gain is."""
+
+
+@checked
+def verify(
+    finding: StatesFinding,
+    *,
+    before: Measurement | None = None,
+    after: Measurement | None = None,
+    seed: int = 0,
+) -> StatesVerification:
+    """Verify a finding at pairs that were not fitted.
+
+    Parameters
+    ----------
+    finding : StatesFinding
+    before, after : Measurement, optional
+        Of both states. The finding predicts the pairs that it had not. Without them each half of the
+        finding's pairs predicts the other.
+    seed : int
+        Of the samples from which the intervals come.
+
+    Raises
+    ------
+    DataError
+        If nothing was detected; for fewer than four pairs, or fewer than two that are new; if one of
+        the states is missing.
+
+    Examples
+    --------
+    >>> import rtcal as rt
+    >>> room = rt.Room(name="box", volume=200, materials=["all"], areas=[220], alpha=[[0.1] * 2],
+    ...                sigma=[[0.05] * 2], centre_frequencies=[500, 1000])
+    >>> pairs = [("S1", "R1"), ("S1", "R2"), ("S2", "R1"), ("S2", "R2")]
+    >>> before, after = (
+    ...     rt.Measurement(centre_frequencies=[500, 1000], values={"t20": t}, pairs=pairs)
+    ...     for t in ([[1.5, 1.4], [1.4, 1.4], [1.5, 1.3], [1.6, 1.5]],
+    ...               [[0.8, 0.7], [0.8, 0.7], [0.7, 0.7], [0.8, 0.7]])
+    ... )
+    >>> print(verify(rt.find(room, after, before=before)).verdict)
+    supported
+    """
+    case, found = finding.case, finding.case.differences
+    if not finding.detected:
+        raise DataError(f'the verdict is "{finding.verdict}"; there is no change to verify')
+    if (before is None) != (after is None):
+        lacking = "before" if before is None else "after"
+        raise DataError(f"{lacking} is missing: the change is verified in both states")
+    if before is not None and after is not None:
+        case = _at_new_pairs(finding, before, after)
+        found = case.differences
+        gaps = _gaps(found.change, _shift(finding))
+        return StatesVerification(finding=finding, gaps=gaps, case=case)
+    check_pairs(found.pairs)
+    predicted = np.full(found.change.shape, np.nan)
+    for half in range(2):
+        fitted = [i for i in range(len(found.pairs)) if i % 2 == half]
+        held_out = [i for i in range(len(found.pairs)) if i % 2 != half]
+        predicted[held_out] = _predicted(case, [found.pairs[i] for i in fitted], seed)
+    gaps = _gaps(found.change, predicted)
+    return StatesVerification(finding=finding, gaps=gaps)
+
+
+def _gaps(change: Array, predicted: Array) -> Array:
+    """Return the gaps in JND, (2, n_pairs, n_bands): as if nothing had changed, and as predicted."""
+    jnd = np.log1p(TARGET.jnd)
+    return np.stack([-change / jnd, (predicted - change) / jnd])
+
+
+def _at_new_pairs(finding: StatesFinding, before: Measurement, after: Measurement) -> StatesCase:
+    """Return the case of the pairs that a finding had not; DataError for fewer than two."""
+    fitted = finding.case.differences.pairs
+    if finding.case.differences.of_means or before.is_summary or after.is_summary:
+        raise DataError("means over positions have no pairs that were not fitted")
+    new = [p for p in before.pairs if p in after.pairs and p not in fitted]
+    if len(new) < _LEAST_NEW:
+        raise DataError(
+            f"{len(new)} pairs of before and after are not among the {len(fitted)} that were fitted; "
+            f"{_LEAST_NEW} are needed"
+        )
+    case = finding.case
+    return StatesCase(
+        room=case.room, before=before.select(new), after=after.select(new), equation=case.equation
+    )
+
+
+def _predicted(case: StatesCase, pairs: list[tuple[str, str]], seed: int) -> Array:
+    """Return the shift of ln T that these pairs alone tell, (n_bands,); NaN where they have no T."""
+    of_half = StatesCase(
+        room=case.room,
+        before=case.before.select(pairs),
+        after=case.after.select(pairs),
+        equation=case.equation,
+    )
+    return _shift(find(of_half, seed=seed))
+
+
+def _shift(finding: StatesFinding) -> Array:
+    """Return the shift of ln T that a finding states, (n_bands,); NaN where it has no T."""
+    case = finding.case
+    found, measured = case.differences, case.differences.measured
+    baseline = Baseline.of(case.room, case.equation, found.before, measured)
+    shift = np.full(len(measured), np.nan)
+    shift[measured] = np.log(
+        baseline.whole(baseline.area) / baseline.whole(baseline.area + finding.change[0, measured])
+    )
+    return shift
