@@ -28,6 +28,7 @@ from rtcal.finder.means import likelihood
 from rtcal.finder.means.evidence import evaluate
 from rtcal.finder.means.features import observe
 from rtcal.finder.means.hypotheses import predict_hypotheses
+from rtcal.finder.means.likelihood import MeansProblem
 from rtcal.finder.means.model_error import estimate_discrepancy
 from rtcal.finder.prior import Prior, prior_of, relative_sigma
 from rtcal.support.speed import single_threaded_blas
@@ -85,11 +86,12 @@ def rows_of(what: str, folder: str, world: int, step: int) -> Rows:
             observed, _ = observe(case)
             predicted = predict_hypotheses(case, library())
             error = estimate_discrepancy(case, made)
+            problem = MeansProblem(case, observed, predicted, error)
             prior = prior_of(case.room, library(), {})
             plain = replace(prior, sharpness=1.0)
             for degrees, power in SETTINGS if what == "likelihood" else [CHOSEN]:
                 with mock.patch.multiple(likelihood, DEGREES=degrees, COARSENING=power):
-                    evidence = evaluate(observed, predicted, error, prior.off)
+                    evidence = evaluate(problem, prior.off)
                 table = {k: float(v) for k, v in evidence.by_effect().items()}
                 out[data, f"degrees {degrees:g}, n {power:g}"].append(row_of(table, plain, name))
             if what == "probabilities":

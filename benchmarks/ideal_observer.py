@@ -23,14 +23,15 @@ from rtcal.finder.claim import by_family_sets, families_of, numbers_of
 from rtcal.finder.means.engines import ControlRooms
 from rtcal.finder.means.features import observe
 from rtcal.finder.means.hypotheses import predict_hypotheses
+from rtcal.finder.means.likelihood import MeansProblem
 from rtcal.finder.means.model_error import estimate_discrepancy
 from rtcal.finder.means.set_posterior import posterior_of_sets
-from rtcal.finder.means.sets import Comparison, Rows, acting_order, compare, moments, shapes
+from rtcal.finder.means.sets import Rows, acting_order, compare, moments, shapes
 from rtcal.finder.means.verdict import TWO
 from rtcal.finder.prior import UNKNOWN, Prior, prior_of
 
 
-def drawn(compared: Comparison, prior: Prior, number: int, rng: np.random.Generator) -> Rows:
+def drawn(compared: MeansProblem, prior: Prior, number: int, rng: np.random.Generator) -> Rows:
     """So many effects with their parameters, from the prior."""
     names, order = (
         np.array(compared.predicted.names),
@@ -50,8 +51,8 @@ def drawn(compared: Comparison, prior: Prior, number: int, rng: np.random.Genera
     return tuple(out)
 
 
-def measured(compared: Comparison, rows: Rows, rng: np.random.Generator) -> Comparison:
-    """The comparison with features that are drawn from the likelihood of a set."""
+def measured(compared: MeansProblem, rows: Rows, rng: np.random.Generator) -> MeansProblem:
+    """The problem with features that are drawn from the likelihood of a set."""
     of = moments(compared, [rows])
     factor = np.linalg.cholesky(of.covariance[0])
     features = compared.observed.features.copy()
@@ -69,7 +70,9 @@ def examined(
     """
     observed, _ = observe(case)
     predicted, prior = predict_hypotheses(case, library()), prior_of(case.room, library(), {})
-    compared = compare(case, observed, predicted, estimate_discrepancy(case, controls))
+    compared = compare(
+        MeansProblem(case, observed, predicted, estimate_discrepancy(case, controls))
+    )
     rows = drawn(compared, prior, number, rng)
     posterior = posterior_of_sets(measured(compared, rows, rng), prior, most=2)
     truth = families_of(tuple(predicted.names[i] for i in rows), predicted.effects)

@@ -27,10 +27,10 @@ from rtcal.finder.means import likelihood
 from rtcal.finder.means.bootstrap import score
 from rtcal.finder.means.engines import ControlRooms
 from rtcal.finder.means.evidence import evaluate
-from rtcal.finder.means.features import ObservedFeatures, distances, observe, state
-from rtcal.finder.means.hypotheses import MeansHypotheses, predict_hypotheses
-from rtcal.finder.means.likelihood import DEGREES, alpha_covariance
-from rtcal.finder.means.model_error import ModelDiscrepancy, estimate_discrepancy
+from rtcal.finder.means.features import distances, observe, state
+from rtcal.finder.means.hypotheses import predict_hypotheses
+from rtcal.finder.means.likelihood import DEGREES, MeansProblem, alpha_covariance
+from rtcal.finder.means.model_error import estimate_discrepancy
 from rtcal.finder.model import predict
 from rtcal.finder.prior import prior_of
 from rtcal.support.types import Array
@@ -101,7 +101,8 @@ def told(
     nearest = int(np.argmin(apart))
     residual = observed.values - error.bias[mask]
     scale = np.linalg.cholesky(np.linalg.inv(inverse))
-    scores = drawn_scores(case, observed, predicted, error, [true, table[0]], scale)
+    problem = MeansProblem(case, observed, predicted, error)
+    scores = drawn_scores(problem, [true, table[0]], scale)
     return Told(
         far=float(np.sqrt(square(true - table[0]))),
         rival=float(np.sqrt(apart[nearest])),
@@ -112,14 +113,7 @@ def told(
     )
 
 
-def drawn_scores(
-    case: Case,
-    observed: ObservedFeatures,
-    predicted: MeansHypotheses,
-    error: ModelDiscrepancy,
-    means: Sequence[Array],
-    scale: Array,
-) -> Array:
+def drawn_scores(problem: MeansProblem, means: Sequence[Array], scale: Array) -> Array:
     """Return the evidence that something is missing in rooms drawn around each of these means.
 
     (n_means, n_draws), in nats, with the whole likelihood: not coarsened, it is the most powerful test
@@ -128,10 +122,10 @@ def drawn_scores(
     rng = np.random.default_rng([len(scale), 21])
     z = rng.standard_normal((SCORED, len(scale))) @ scale.T
     wide = np.sqrt((DEGREES - 2) / rng.chisquare(DEGREES, (SCORED, 1)))
-    prior = prior_of(case.room, library(), {})
-    values = np.concatenate([mean + error.bias[observed.used.ravel()] + wide * z for mean in means])
+    prior = prior_of(problem.case.room, library(), {})
+    values = np.concatenate([mean + problem.bias + wide * z for mean in means])
     with mock.patch.object(likelihood, "COARSENING", np.inf):
-        evidence = evaluate(observed, predicted, error, prior.off, values)
+        evidence = evaluate(problem, prior.off, values)
     return score(evidence, prior).reshape(len(means), SCORED)
 
 

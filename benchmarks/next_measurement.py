@@ -28,6 +28,7 @@ from rtcal.finder import Case, library, plan
 from rtcal.finder.means.engines import ControlRooms
 from rtcal.finder.means.features import observe
 from rtcal.finder.means.hypotheses import predict_hypotheses
+from rtcal.finder.means.likelihood import MeansProblem
 from rtcal.finder.means.measurements import COSTS
 from rtcal.finder.means.model_error import estimate_discrepancy
 from rtcal.finder.means.set_posterior import MOST, posterior_of_sets
@@ -46,7 +47,7 @@ def said(case: Case, made: list[ControlRooms], truth: list[str]) -> dict[str, An
     observed, _ = observe(case)
     predicted = predict_hypotheses(case, library())
     error, prior = estimate_discrepancy(case, made), prior_of(case.room, library(), {})
-    posterior = posterior_of_sets(compare(case, observed, predicted, error), prior)
+    posterior = posterior_of_sets(compare(MeansProblem(case, observed, predicted, error)), prior)
     best = posterior.best(predicted.effects)
     right = [s for s in posterior.sets if "unknown" not in s and wide(list(s)) == wide(truth)]
     return {

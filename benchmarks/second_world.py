@@ -54,7 +54,7 @@ from rtcal.finder.means.engines import ControlRooms, recentred
 from rtcal.finder.means.evidence import evaluate
 from rtcal.finder.means.features import observe
 from rtcal.finder.means.hypotheses import predict_hypotheses
-from rtcal.finder.means.likelihood import covariance_of
+from rtcal.finder.means.likelihood import MeansProblem
 from rtcal.finder.means.model_error import estimate_discrepancy
 from rtcal.finder.model import FEATURES
 from rtcal.finder.prior import NULL_POWER, prior_of
@@ -323,7 +323,7 @@ def scored(case: Case, controls: list[ControlRooms]) -> tuple[float, np.ndarray]
     prior = prior_of(case.room, library(), {})
     predicted = predict_hypotheses(case, library())
     drawn = bootstrap.bootstrap_threshold(case, observed, predicted, controls, prior)
-    evidence = evaluate(observed, predicted, drawn.discrepancy, prior.off)
+    evidence = evaluate(MeansProblem(case, observed, predicted, drawn.discrepancy), prior.off)
     return float(bootstrap.score(evidence, prior)), drawn.scores[:, -1]
 
 
@@ -354,7 +354,9 @@ def residuals(folder: str, world: int, population: int, step: int) -> None:
             np.random.default_rng(0),
             DRAWN,
         )
-        factor = np.linalg.cholesky(sum(covariance_of(observed, predicted, error, 0)))
+        factor = np.linalg.cholesky(
+            sum(MeansProblem(case, observed, predicted, error).covariance_of(0))
+        )
         rows = np.concatenate([observed.values[np.newaxis], drawn]) - centre
         square = np.linalg.solve(factor, rows.T) ** 2
         configuration, feature, _ = np.nonzero(observed.used)

@@ -47,7 +47,7 @@ from rtcal.finder import Case, recalibrate
 from rtcal.finder.means.engines import ControlRooms
 from rtcal.finder.means.features import observe
 from rtcal.finder.means.hypotheses import predict_hypotheses
-from rtcal.finder.means.likelihood import alpha_covariance
+from rtcal.finder.means.likelihood import MeansProblem, alpha_covariance
 from rtcal.finder.means.model_error import ModelDiscrepancy, estimate_discrepancy
 from rtcal.finder.means.recalibration import plain
 from rtcal.finder.means.set_posterior import MOST
@@ -126,7 +126,7 @@ def coefficients_left(
     """
     told = replace(case, applied=true_effects(case, truth))
     observed, _ = observe(case)
-    compared = compare(told, observed, predict_hypotheses(told, []), discrepancy)
+    compared = compare(MeansProblem(told, observed, predict_hypotheses(told, []), discrepancy))
     simple = rmse(plain(case).alpha, truth)
     across = covariance_with_alpha(compared, [()])[0]
     mask = observed.used.ravel()

@@ -40,7 +40,7 @@ from rtcal.finder.means.engines import ControlRooms, recentred
 from rtcal.finder.means.evidence import evaluate
 from rtcal.finder.means.features import distances, observe, state
 from rtcal.finder.means.hypotheses import predict_hypotheses
-from rtcal.finder.means.likelihood import alpha_covariance, goodness_of_fit
+from rtcal.finder.means.likelihood import MeansProblem, alpha_covariance
 from rtcal.finder.means.model_error import ModelDiscrepancy, estimate_discrepancy
 from rtcal.finder.model import RoomState, predict, sensitivities
 from rtcal.finder.search import find
@@ -231,7 +231,8 @@ def test_evidence_is_the_normal_density() -> None:
     observed, _ = observe(case)
     predicted = predict_hypotheses(case, [Opening()])
     error = estimate_discrepancy(case, controls_of(case))
-    got = evaluate(observed, predicted, error, prior_off=0.2)
+    problem = MeansProblem(case, observed, predicted, error)
+    got = evaluate(problem, prior_off=0.2)
     mask = observed.used.ravel()
     for i in (0, 3, 9):
         d = (predicted.features[i] - predicted.features[0]).ravel()[mask]
@@ -268,9 +269,7 @@ def test_evidence_is_the_normal_density() -> None:
             for s in (2, 4)
         ]
         assert got.off[i] == pytest.approx(np.log(0.6 * both[0] + 0.4 * both[1]), rel=1e-6)
-    several = evaluate(
-        observed, predicted, error, prior_off=0.2, values=np.stack([observed.values] * 3)
-    )
+    several = evaluate(problem, prior_off=0.2, values=np.stack([observed.values] * 3))
     np.testing.assert_allclose(several.stated[:, 2], got.stated, rtol=1e-9)
     np.testing.assert_allclose(several.off[:, 2], got.off, rtol=1e-9)
     each = 0.8 * np.exp(got.stated[1:]) + 0.2 * np.exp(got.off[1:])
@@ -575,7 +574,7 @@ def test_surprise_is_chi_square_s() -> None:
     observed, _ = observe(case)
     predicted = predict_hypotheses(case, [Opening()])
     error = estimate_discrepancy(case, controls_of(case))
-    times, probability = goodness_of_fit(observed, predicted, error, 0)
+    times, probability = MeansProblem(case, observed, predicted, error).goodness_of_fit(0)
     mask = observed.used.ravel()
     covariance = alpha_covariance(predicted, 0) + error.covariance
     covariance = covariance[np.ix_(mask, mask)] + observed.covariance

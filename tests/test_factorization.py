@@ -14,7 +14,7 @@ from rtcal.finder.means.engines import ControlRooms
 from rtcal.finder.means.evidence import evaluate
 from rtcal.finder.means.features import observe
 from rtcal.finder.means.hypotheses import predict_hypotheses
-from rtcal.finder.means.likelihood import Factorization
+from rtcal.finder.means.likelihood import Factorization, MeansProblem
 from rtcal.finder.means.model_error import AlphaCovariance, estimate_discrepancy
 from rtcal.support.speed import single_threaded_blas
 from tests.test_discrepancy import ALPHA, opened
@@ -75,11 +75,12 @@ def test_evidence_of_many_configurations_is_the_same_by_blocks(
     observed, _ = observe(case)
     predicted = predict_hypotheses(case, [Opening(), NoiseFloor()])
     error = estimate_discrepancy(case, controls)
+    problem = MeansProblem(case, observed, predicted, error)
     values = observed.values + 0.05 * rng.standard_normal((6, observed.used.sum()))
     by_blocks = predicted.alpha_covariance.low_rank(slice(0, 2))
     assert by_blocks is not None
-    few = evaluate(observed, predicted, error, 0.2, values)
+    few = evaluate(problem, 0.2, values)
     monkeypatch.setattr(AlphaCovariance, "low_rank", lambda *_: None)
-    whole = evaluate(observed, predicted, error, 0.2, values)
+    whole = evaluate(problem, 0.2, values)
     np.testing.assert_allclose(few.stated, whole.stated, rtol=1e-9, atol=1e-8)
     np.testing.assert_allclose(few.off, whole.off, rtol=1e-9, atol=1e-8)

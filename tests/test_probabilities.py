@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import ClassVar
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -246,7 +247,8 @@ def test_coefficients_off_together_given_an_effect_follow_bayes() -> None:
     stated, off = np.array([-3.0, -1.0, -2.0, -9.0]), np.array([-2.5, -4.0, -0.5, -9.0])
     weights, prior = np.array([1.0, 0.7, 0.3, 0.0]), 0.2
     names = ("none", "air", "air", "air")
-    evidence = MeansEvidence(stated, off, np.array(-5.0), names, weights, prior)
+    problem = Mock(predicted=Mock(names=names, weights=weights))
+    evidence = MeansEvidence(problem, stated, off, np.array(-5.0), prior)
     for name, rows in (("none", [0]), ("air", [1, 2, 3])):
         with_off = prior * (weights[rows] @ np.exp(off[rows]))
         without = (1 - prior) * (weights[rows] @ np.exp(stated[rows]))

@@ -32,11 +32,10 @@ from rtcal.finder.means.evidence import evaluate
 from rtcal.finder.means.features import observe
 from rtcal.finder.means.gap import Objection
 from rtcal.finder.means.hypotheses import predict_hypotheses
-from rtcal.finder.means.likelihood import DEGREES, alpha_covariance, covariance_of
+from rtcal.finder.means.likelihood import DEGREES, MeansProblem, alpha_covariance
 from rtcal.finder.means.model_error import estimate_discrepancy
 from rtcal.finder.means.set_posterior import Kept, log_prior, posterior_of_sets
 from rtcal.finder.means.sets import (
-    Comparison,
     Screen,
     acting_order,
     averaged_alpha,
@@ -106,14 +105,14 @@ def controls_of(case: Case) -> list[ControlRooms]:
     return [ControlRooms(name, scale * rng.standard_normal(shape)) for name in ("one", "other")]
 
 
-def compared(*effects: AppliedEffect) -> Comparison:
+def compared(*effects: AppliedEffect) -> MeansProblem:
     return compared_case(case_with(*effects), library())
 
 
-def compared_case(case: Case, effects: Sequence[Effect]) -> Comparison:
+def compared_case(case: Case, effects: Sequence[Effect]) -> MeansProblem:
     observed, _ = observe(case)
     error = estimate_discrepancy(case, controls_of(case))
-    return compare(case, observed, predict_hypotheses(case, effects), error)
+    return compare(MeansProblem(case, observed, predict_hypotheses(case, effects), error))
 
 
 def sought(case: Case, only: tuple[str, ...] = FEW, **more: float) -> MeansFinding:
@@ -121,7 +120,7 @@ def sought(case: Case, only: tuple[str, ...] = FEW, **more: float) -> MeansFindi
     return find(case, only=only, controls=controls_of(case), **more)  # type: ignore[arg-type]
 
 
-def row(c: Comparison, name: str, place: int = 3) -> int:
+def row(c: MeansProblem, name: str, place: int = 3) -> int:
     return [i for i, n in enumerate(c.predicted.names) if n == name][place]
 
 
@@ -132,10 +131,10 @@ def test_the_evidence_of_a_set_is_the_density_with_all_of_it_in_the_model() -> N
     together = predict_hypotheses(replace(c.case, applied=applied), [])
     mask = c.observed.used.ravel()
     covariance = alpha_covariance(together, 0)[np.ix_(mask, mask)]
-    fixed = covariance_of(c.observed, c.predicted, c.discrepancy, 0)[1]
+    fixed = c.covariance_of(0)[1]
     covariance = covariance + fixed
     for i in rows:
-        covariance += covariance_of(c.observed, c.predicted, c.discrepancy, i)[1] - fixed
+        covariance += c.covariance_of(i)[1] - fixed
         covariance += c.cells[i] @ c.cells[i].T
     mean = together.features[0].ravel()[mask] + c.discrepancy.bias[mask]
     shape = covariance * (DEGREES - 2) / DEGREES
@@ -144,7 +143,7 @@ def test_the_evidence_of_a_set_is_the_density_with_all_of_it_in_the_model() -> N
     assert np.isneginf(evaluate_sets(c, [rows], off=False).off[0])
 
 
-def at_the_points(c: Comparison) -> Comparison:
+def at_the_points(c: MeansProblem) -> MeansProblem:
     """Without the error of what lies between the grid's points."""
     return replace(c, cells=np.zeros_like(c.cells))
 
@@ -161,7 +160,7 @@ def test_what_lies_between_the_points_of_a_grid_is_no_second_effect() -> None:
 def test_a_set_of_one_is_the_single_hypothesis(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(likelihood, "COARSENING", np.inf)
     c = compared(*BOTH)
-    single = evaluate(c.observed, c.predicted, c.discrepancy, 0.1)
+    single = evaluate(c, 0.1)
     rows = [row(c, name) for name in ("opening", "air", "coupled room")]
     sets = evaluate_sets(at_the_points(c), [(i,) for i in rows], off=True)
     np.testing.assert_allclose(sets.stated, single.stated[rows], atol=1e-8)
@@ -180,7 +179,7 @@ def test_the_screen_is_the_density_where_effects_add(monkeypatch: pytest.MonkeyP
     )
     c = replace(c, predicted=predicted)
     i, k = row(c, "volume"), row(c, "opening")
-    none = evaluate(c.observed, c.predicted, c.discrepancy, 0.0).stated[0]
+    none = evaluate(c, 0.0).stated[0]
     first = np.array([i, 0])
     table = Screen(c).pairs(first, np.array([k, 0]))
     assert table[1, 1] == pytest.approx(none, abs=1e-8)

@@ -33,6 +33,7 @@ from rtcal.finder.means.engines import (
 from rtcal.finder.means.evidence import MeansEvidence, evaluate_leading
 from rtcal.finder.means.features import ObservedFeatures, distances, states, steps
 from rtcal.finder.means.hypotheses import LowRank, MeansHypotheses
+from rtcal.finder.means.likelihood import MeansProblem
 from rtcal.finder.means.model_error import ModelDiscrepancy, estimate_discrepancy
 from rtcal.finder.model import FEATURES, predict
 from rtcal.finder.prior import NONE, NULL_POWER, Prior, directions, drawn
@@ -165,8 +166,8 @@ def bootstrap_threshold(
         training = [_part(c, fold) for c in controls]
         test = [c.errors for c in recentred([_part(c, 1 - fold) for c in controls])]
         values = draw_null_features(case, observed, predicted.applied, test, rng, draws // 2)
-        learnt = estimate_discrepancy(case, training)
-        parts = evaluate_leading(observed, predicted, learnt, prior.off, ends, values)
+        learnt = MeansProblem(case, observed, predicted, estimate_discrepancy(case, training))
+        parts = evaluate_leading(learnt, prior.off, ends, values)
         scores.append(np.stack([score(part, prior) for part in parts], axis=1))
     table = np.concatenate(scores)
     return Threshold(thresholds(table), table, estimate_discrepancy(case, controls))

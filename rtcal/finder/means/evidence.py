@@ -18,22 +18,18 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.special import logsumexp
 
-from rtcal.finder.case import AppliedEffect, Case
+from rtcal.finder.case import AppliedEffect
 from rtcal.finder.effects import Effect, Parameters
 from rtcal.finder.effects.checks import beyond
-from rtcal.finder.means.features import ObservedFeatures, state
-from rtcal.finder.means.hypotheses import MeansHypotheses, predict_hypotheses
-from rtcal.finder.means.likelihood import (
-    Factorization,
-    covariance_of,
-    log_densities,
-    log_likelihood,
-)
-from rtcal.finder.means.model_error import ModelDiscrepancy
+from rtcal.finder.means.features import state
+from rtcal.finder.means.hypotheses import predict_hypotheses
+from rtcal.finder.means.likelihood import Factorization, MeansProblem, log_densities
 from rtcal.finder.prior import COEFFICIENTS, NONE, UNKNOWN, grid_weights
 from rtcal.support.types import Array
 
@@ -60,25 +56,27 @@ class MeansEvidence:
     """Log likelihood of every hypothesis, in nats: (n_hypotheses,), or (n_hypotheses, n_draws).
 
     ``stated`` with the coefficients as stated, ``off`` with coefficients that are off together.
-    ``unknown`` is the log evidence of an unknown effect, a float or (n_draws,). ``weights``
-    (n_hypotheses,) are the prior probabilities of the parameters given the effect. ``prior_off`` is
-    that of coefficients that are off together.
+    ``unknown`` is the log evidence of an unknown effect, a float or (n_draws,). ``prior_off`` is the
+    prior probability of coefficients that are off together.
     """
 
+    problem: MeansProblem
     stated: Array
     off: Array
     unknown: Array
-    names: tuple[str, ...]
-    weights: Array
     prior_off: float
+
+    @cached_property
+    def rows(self) -> dict[str, NDArray[np.intp]]:
+        """The numbers of each effect's hypotheses, and of "none"."""
+        names = np.array(self.problem.predicted.names)
+        return {name: np.flatnonzero(names == name) for name in dict.fromkeys(names.tolist())}
 
     def by_effect(self) -> dict[str, Array]:
         """Return the log evidence of each effect, "none", "coefficients" and "unknown", in nats."""
         out = {NONE: self.stated[0], COEFFICIENTS: self.off[0]}
         both = self.by_hypothesis()
-        names = np.array(self.names)
-        for name in dict.fromkeys(self.names[1:]):
-            out[name] = _weighted(both[names == name], self.weights[names == name])
+        out |= {name: self._weighted(both, name) for name in self.rows if name != NONE}
         out[UNKNOWN] = self.unknown
         return out
 
@@ -90,82 +88,82 @@ class MeansEvidence:
 
     def off_given(self, name: str) -> Array:
         """Return the probability of coefficients that are off together, given an effect or "none"."""
-        rows = np.array(self.names) == name
         with np.errstate(divide="ignore"):
-            off = _weighted(self.off[rows], self.weights[rows]) + np.log(self.prior_off)
-        return np.asarray(np.exp(off - _weighted(self.by_hypothesis()[rows], self.weights[rows])))
+            off = self._weighted(self.off, name) + np.log(self.prior_off)
+        return np.asarray(np.exp(off - self._weighted(self.by_hypothesis(), name)))
+
+    def _weighted(self, log: Array, name: str) -> Array:
+        """Return the log of an effect's sum of exponentials, weighted by the prior, (n_draws,)."""
+        rows = self.rows[name]
+        with np.errstate(divide="ignore"):
+            weights = np.log(self.problem.predicted.weights[rows])
+        terms = weights.reshape(-1, *[1] * (log.ndim - 1)) + log[rows]
+        return np.asarray(logsumexp(terms, axis=0))
+
+    def nats(self, name: str) -> float:
+        """Return the log evidence of an effect over "none"."""
+        table = self.by_effect()
+        return float(table[name] - table[NONE])
+
+    def under(self, effect: Effect, grid: Sequence[Parameters]) -> MeansEvidence:
+        """Return the evidence of "none", and of an effect with these sets of parameters."""
+        predicted = predict_hypotheses(self.problem.case, [effect], [grid])
+        return evaluate(replace(self.problem, predicted=predicted), self.prior_off)
+
+    def beside(self, name: str, others: Sequence[AppliedEffect] = ()) -> MeansEvidence:
+        """Return the evidence of one effect, with others in the model."""
+        case = self.problem.case
+        case = replace(case, applied=(*case.applied, *others))
+        predicted = predict_hypotheses(case, [self.problem.predicted.effects[name]])
+        problem = replace(self.problem, case=case, predicted=predicted)
+        return evaluate_beyond(problem, self.prior_off)[-1]
 
 
-def _weighted(log: Array, weights: Array) -> Array:
-    """Return the log of the weighted sum of exponentials over the first axis."""
-    with np.errstate(divide="ignore"):
-        terms = np.log(weights).reshape(-1, *[1] * (log.ndim - 1)) + log
-    return np.asarray(logsumexp(terms, axis=0))
-
-
-def evaluate(
-    observed: ObservedFeatures,
-    predicted: MeansHypotheses,
-    discrepancy: ModelDiscrepancy,
-    prior_off: float,
-    values: Array | None = None,
-) -> MeansEvidence:
+def evaluate(problem: MeansProblem, prior_off: float, values: Array | None = None) -> MeansEvidence:
     """Return the evidence of every hypothesis and of an unknown effect.
 
     ``values`` (n_draws, n_used) replace the observed features; ``prior_off`` is the prior probability
     of coefficients that are off together.
     """
-    ends = [len(observed.values)]
-    return evaluate_leading(observed, predicted, discrepancy, prior_off, ends, values)[0]
+    return evaluate_leading(problem, prior_off, [len(problem.observed.values)], values)[0]
 
 
 def evaluate_leading(
-    observed: ObservedFeatures,
-    predicted: MeansHypotheses,
-    discrepancy: ModelDiscrepancy,
-    prior_off: float,
-    ends: Sequence[int],
-    values: Array | None = None,
+    problem: MeansProblem, prior_off: float, ends: Sequence[int], values: Array | None = None
 ) -> list[MeansEvidence]:
     """Return the same of the first so many of the features in use, for each of ``ends``."""
-    y = np.atleast_2d(observed.values if values is None else values)
-    stated, off = log_likelihood(observed, predicted, discrepancy, y, ends, off=prior_off > 0)
-    mask = observed.used.ravel()
-    residual = y - predicted.features[0].ravel()[mask] - discrepancy.bias[mask]
-    alpha, other = covariance_of(observed, predicted, discrepancy, 0)
-    unknown = unknown_evidence(residual, alpha + other, observed.used, ends)
+    y = np.atleast_2d(problem.observed.values if values is None else values)
+    stated, off = problem.log_likelihood(y, ends, off=prior_off > 0)
+    alpha, other = problem.covariance_of(0)
+    unknown = unknown_evidence(problem.residual(0, y), alpha + other, problem.observed.used, ends)
     if values is None:
         stated, off, unknown = stated[..., 0], off[..., 0], unknown[..., 0]
     return [
-        MeansEvidence(*parts, predicted.names, predicted.weights, prior_off)
+        MeansEvidence(problem, *parts, prior_off)
         for parts in zip(stated, off, unknown, strict=True)
     ]
 
 
 def evaluate_beyond(
-    case: Case,
-    observed: ObservedFeatures,
-    predicted: MeansHypotheses,
-    discrepancy: ModelDiscrepancy,
-    prior_off: float,
-    ends: Sequence[int] = (),
-) -> tuple[MeansHypotheses, list[MeansEvidence]]:
-    """Return hypotheses and their evidence, with grids that go on until the evidence falls.
+    problem: MeansProblem, prior_off: float, ends: Sequence[int] = ()
+) -> list[MeansEvidence]:
+    """Return the evidence of hypotheses whose grids go on until it falls.
 
-    The evidence is that of the first so many features, for each of ``ends``, and then of all.
+    It is that of the first so many features, for each of ``ends``, and then of all.
 
     An effect whose likeliest size is the last of its grid gets further sizes, in the grid's own steps
     and away from the size that changes nothing. They end where physics does (`Effect.limits`), or where
     the evidence no longer changes. The prior's density goes on as the effect states it.
     """
-    ends = [*ends, len(observed.values)]
-    evidence = evaluate_leading(observed, predicted, discrepancy, prior_off, ends)
+    case = problem.case
+    ends = [*ends, len(problem.observed.values)]
+    evidence = evaluate_leading(problem, prior_off, ends)
     base, reached = state(case, case.configurations[0]), dict[str, float]()
     for _ in range(_ROUNDS):
-        likelihood, names = evidence[-1].by_hypothesis(), np.array(predicted.names)
+        predicted, likelihood = problem.predicted, evidence[-1].by_hypothesis()
         least, grids = max(likelihood[0], likelihood.max() - NEGLIGIBLE), []
         for name, effect in predicted.effects.items():
-            rows = np.flatnonzero(names == name)
+            rows = evidence[-1].rows[name]
             likeliest = rows[np.argmax(likelihood[rows])]
             grid = [predicted.parameters[i] for i in rows]
             rises = likelihood[likeliest] > reached.get(name, -np.inf) + _FLAT
@@ -173,7 +171,7 @@ def evaluate_beyond(
             if rises and reached[name] > least:
                 grid = beyond(effect, grid, predicted.parameters[likeliest], case.room)
             grids.append(grid)
-        if sum(map(len, grids)) == len(names) - 1:
+        if sum(map(len, grids)) == len(predicted.names) - 1:
             break
         effects = list(predicted.effects.values())
         weights = [grid_weights(e, grid, base) for e, grid in zip(effects, grids, strict=True)]
@@ -181,8 +179,9 @@ def evaluate_beyond(
             predict_hypotheses(case, effects, grids),
             weights=np.concatenate([np.ones(1), *weights]),
         )
-        evidence = evaluate_leading(observed, predicted, discrepancy, prior_off, ends)
-    return predicted, evidence
+        problem = replace(problem, predicted=predicted)
+        evidence = evaluate_leading(problem, prior_off, ends)
+    return evidence
 
 
 _ROUNDS = 5
@@ -221,36 +220,3 @@ def unknown_evidence(
     densities = log_densities(factorization, rows, len(residual), ends, coarsened=coarsened)
     parts = [logsumexp(of_sizes, axis=0) for of_sizes, _ in densities]
     return np.asarray(np.array(parts) - np.log(len(UNKNOWN_SIZES)))
-
-
-@dataclass(frozen=True, eq=False)
-class Searched:
-    """The parts of a search: hypotheses with their evidence, the measurement, the model's error."""
-
-    case: Case
-    observed: ObservedFeatures
-    predicted: MeansHypotheses
-    discrepancy: ModelDiscrepancy
-    evidence: MeansEvidence
-
-    def nats(self, name: str) -> float:
-        """Return the log evidence of an effect over "none"."""
-        table = self.evidence.by_effect()
-        return float(table[name] - table[NONE])
-
-    def under(self, effect: Effect, grid: Sequence[Parameters]) -> MeansEvidence:
-        """Return the evidence of "none", and of an effect with these sets of parameters."""
-        predicted = predict_hypotheses(self.case, [effect], [grid])
-        return evaluate(self.observed, predicted, self.discrepancy, self.evidence.prior_off)
-
-    def beside(self, name: str, others: Sequence[AppliedEffect] = ()) -> Searched:
-        """Return the search for one effect, with others in the model."""
-        case = replace(self.case, applied=(*self.case.applied, *others))
-        predicted, evidence = evaluate_beyond(
-            case,
-            self.observed,
-            predict_hypotheses(case, [self.predicted.effects[name]]),
-            self.discrepancy,
-            self.evidence.prior_off,
-        )
-        return replace(self, case=case, predicted=predicted, evidence=evidence[-1])

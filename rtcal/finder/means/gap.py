@@ -19,13 +19,10 @@ from rtcal.finder.candidate import Size
 from rtcal.finder.case import Case
 from rtcal.finder.claim import DISTINCT_NATS
 from rtcal.finder.effects import Effect, Parameters
-from rtcal.finder.means.evidence import Searched, evaluate
-from rtcal.finder.means.features import ObservedFeatures
+from rtcal.finder.means.evidence import MeansEvidence, evaluate
 from rtcal.finder.means.hypotheses import MeansHypotheses
-from rtcal.finder.means.likelihood import covariance_of, log_density
-from rtcal.finder.means.model_error import ModelDiscrepancy
+from rtcal.finder.means.likelihood import MeansProblem, log_density
 from rtcal.finder.model import FEATURES
-from rtcal.finder.prior import NONE
 from rtcal.support.types import Array
 
 GROSS = np.log(2.0)
@@ -113,22 +110,22 @@ def schroeder_limit(case: Case, times: Array) -> float:
 
 
 def decided_below_schroeder(
-    searched: Searched, predicted: MeansHypotheses, name: str
+    evidence: MeansEvidence, predicted: MeansHypotheses, name: str
 ) -> list[Objection]:
     """Return a doubt where the evidence for ``name`` comes from bands below Schroeder's frequency.
 
     ``predicted`` holds the hypotheses of that effect.
     """
-    case, observed, nats = searched.case, searched.observed, searched.nats(name)
+    problem, nats = evidence.problem, evidence.nats(name)
+    case, observed = problem.case, problem.observed
     low = below_schroeder(case)
     used = np.logical_and(observed.used, np.logical_not(low)[:, None, :])
     if not low.any() or (used == observed.used).all() or not used.any():
         return []
     kept = used[observed.used]
     part = replace(observed, used=used, covariance=observed.covariance[np.ix_(kept, kept)])
-    error, off = searched.discrepancy, searched.evidence.prior_off
-    table = evaluate(part, predicted, error, off).by_effect()
-    rest = float(table[name] - table[NONE])
+    above = replace(problem, observed=part, predicted=predicted)
+    rest = evaluate(above, evidence.prior_off).nats(name)
     if rest >= 0.5 * nats or rest >= DISTINCT_NATS:
         return []
     places = bands.labels(case.room.centre_frequencies[low.any(0)])
@@ -139,13 +136,14 @@ def decided_below_schroeder(
     return [Objection(words, "effect")]
 
 
-def gross(observed: ObservedFeatures, predicted: MeansHypotheses, gap: GapCheck) -> list[Objection]:
+def gross(problem: MeansProblem, gap: GapCheck) -> list[Objection]:
     """Return a doubt where T is twice or half the model's.
 
     None where decay shape, level and the other configurations show the effect by themselves: a noise
     floor may make T six times as long, and a wrong volume does not bend the decay.
     """
-    change = float(np.nanmedian((observed.features - predicted.features[0])[:, 0]))
+    off = problem.observed.features - problem.predicted.features[0]
+    change = float(np.nanmedian(off[:, 0]))
     if abs(change) <= GROSS or gap.predictive > SHOWN:
         return []
     words = (
@@ -191,32 +189,25 @@ class GapCheck:
         return self.predictive < CONTRADICTED
 
 
-def gap_check(
-    observed: ObservedFeatures,
-    predicted: MeansHypotheses,
-    discrepancy: ModelDiscrepancy,
-    i: int,
-    scale: float,
-) -> GapCheck:
+def gap_check(problem: MeansProblem, i: int, scale: float) -> GapCheck:
     """Return the gap under "none" and under hypothesis ``i``.
 
     With a ``scale`` other than 1, hypothesis ``i`` has coefficients that are off together.
     """
-    c, f, _ = np.nonzero(observed.used)
+    c, f, _ = problem.places
     fitted = (c == 0) & (f == 0)
     if fitted.all():
         return GapCheck(np.nan, np.nan, np.nan, 0.0)
     jnd = np.array([observable(name).jnd for name in FEATURES])[f[~fitted]]
-    mask = observed.used.ravel()
     gaps, moves, density = [], [], []
     for row, factor, exact in ((0, 1.0, True), (i, scale, False)):
-        alpha, other = covariance_of(observed, predicted, discrepancy, row, factor)
+        alpha, other = problem.covariance_of(row, factor)
         whole = alpha + other
         against = alpha if exact else whole
         gain = np.linalg.solve(
             _plus(against[np.ix_(fitted, fitted)]), alpha[np.ix_(fitted, ~fitted)]
         ).T
-        residual = observed.values - predicted.features[row].ravel()[mask] - discrepancy.bias[mask]
+        residual = problem.residual(row)
         gaps.append((residual[~fitted] - gain @ residual[fitted]) / jnd)
         moves.append(np.concatenate([-gain, np.eye(int((~fitted).sum()))], axis=1) / jnd[:, None])
         kept = np.flatnonzero(fitted)

@@ -1,15 +1,18 @@
-"""The likelihood of each hypothesis: mean and covariance of the features, and their density."""
+"""The problem of a search by means, and the likelihood of each hypothesis in it."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.linalg.lapack import dpotrf, dtrtrs
 from scipy.special import chdtrc, gammaln, logsumexp
 
+from rtcal.finder.case import Case
 from rtcal.finder.means.features import ObservedFeatures
 from rtcal.finder.means.hypotheses import LowRank, MeansHypotheses, misfit
 from rtcal.finder.means.model_error import ModelDiscrepancy
@@ -140,118 +143,160 @@ to them, has this power (Miller & Dunson 2019, the coarsened posterior). Chosen 
 `python -m benchmarks.calibrated likelihood` on development rooms of both worlds."""
 
 
-def log_likelihood(
-    observed: ObservedFeatures,
-    predicted: MeansHypotheses,
-    discrepancy: ModelDiscrepancy,
-    values: Array,
-    ends: Sequence[int],
-    *,
-    off: bool,
-) -> tuple[Array, Array]:
-    """Return log N(y; y_k + bias, C) of the first so many of ``values`` (n_draws, n), by ``ends``.
+@dataclass(frozen=True, eq=False)
+class MeansProblem:
+    """The problem of a search by means: what was measured, what each hypothesis predicts, the errors.
 
-    Two arrays (n_ends, n_hypotheses, n_draws), in nats. The first with the coefficients as stated, the
-    second with coefficients that are off together; -inf without ``off``.
-    """
-    model = _Likelihood(observed, predicted, discrepancy)
-    n, (draws, m) = len(predicted.names), values.shape
-    stated, together = (np.full((len(ends), n, draws), -np.inf) for _ in range(2))
-    # A few hypotheses at a time, so that their covariances stay in the processor's cache.
-    step = max(1, min(_AT_ONCE, _ELEMENTS // (m + draws) ** 2))
-    for begin in range(0, n, step):
-        part = slice(begin, begin + step)
-        rows = values - model.centres[part, None]
-        if off:
-            common = predicted.alpha_covariance.off_together(part).take(model.t20, 1)
-            common = common * model.slopes[part, :, None]
-            rows = np.concatenate([rows, common.swapaxes(1, 2)], axis=1)
-        densities = log_densities(model.factorization(part), rows, draws, ends)
-        for i, (as_stated, scaled) in enumerate(densities):
-            stated[i, part] = as_stated
-            if scaled is not None:
-                together[i, part] = scaled
-    return stated, together
-
-
-class _Likelihood:
-    """Mean and covariance of the features in use, under each hypothesis.
-
-    ``centres`` (n_hypotheses, n_used) are the means, ``slopes``, same shape, d feature / d ln T20, and
-    ``t20`` (n_used,) the row of each feature's ln T20 among configurations and bands.
+    Attributes
+    ----------
+    case : Case
+    observed : ObservedFeatures
+    predicted : MeansHypotheses
+    discrepancy : ModelDiscrepancy
+    cells : array (n_hypotheses, n_used, n_parameters)
+        Of sets: changes of the features over the cell of the grid that a hypothesis stands for, one
+        standard deviation of each parameter (`rtcal.finder.means.sets.compare`).
     """
 
-    def __init__(
-        self, observed: ObservedFeatures, predicted: MeansHypotheses, discrepancy: ModelDiscrepancy
-    ) -> None:
-        c, f, b = np.nonzero(observed.used)
-        self._observed, self._predicted, self._discrepancy = observed, predicted, discrepancy
-        self._mask = observed.used.ravel()
-        self._bands, self._features = b, f
-        ends = [*np.flatnonzero(np.diff(c)) + 1, len(c)]
-        self._configurations = [slice(*pair) for pair in pairwise([0, *ends])]
-        features = predicted.features[:, c, f, b]
-        self._changes = features - features[0]
-        self._amounts = predicted.features[:, c, 0, b] - predicted.features[0, c, 0, b]
-        self.centres = features + discrepancy.bias[self._mask]
-        self.slopes = predicted.slopes[:, c, f, b]
-        self.t20 = c * observed.used.shape[2] + b
+    case: Case
+    observed: ObservedFeatures
+    predicted: MeansHypotheses
+    discrepancy: ModelDiscrepancy
+    cells: Array = field(default_factory=lambda: np.zeros((0, 0, 0)))
 
     @cached_property
-    def _fixed(self) -> Array:
-        return without_alpha(self._observed, self._predicted, self._discrepancy)
+    def mask(self) -> NDArray[np.bool_]:
+        """Which of all features, raveled, are in use."""
+        return np.asarray(self.observed.used.ravel())
+
+    @cached_property
+    def places(self) -> tuple[NDArray[np.intp], ...]:
+        """Configurations, rows of `FEATURES` and bands of the features in use, (n_used,) each."""
+        return np.nonzero(self.observed.used)
+
+    @cached_property
+    def t20(self) -> NDArray[np.intp]:
+        """The row of each feature's ln T20 among configurations and bands, (n_used,)."""
+        c, _, b = self.places
+        return np.asarray(c * self.observed.used.shape[2] + b)
+
+    @cached_property
+    def changes(self) -> Array:
+        """Changes of the features in use by each hypothesis, (n_hypotheses, n_used)."""
+        c, f, b = self.places
+        return np.asarray((self.predicted.features - self.predicted.features[0])[:, c, f, b])
+
+    @cached_property
+    def amounts(self) -> Array:
+        """Change of ln T20 in the same band and configuration, (n_hypotheses, n_used)."""
+        c, _, b = self.places
+        return np.asarray((self.predicted.features - self.predicted.features[0])[:, c, 0, b])
+
+    @cached_property
+    def slopes(self) -> Array:
+        """The derivatives of the features in use by ln T20, (n_hypotheses, n_used)."""
+        c, f, b = self.places
+        return np.asarray(self.predicted.slopes[:, c, f, b])
+
+    @property
+    def bias(self) -> Array:
+        """The model's bias of the features in use, (n_used,)."""
+        return np.asarray(self.discrepancy.bias[self.mask])
+
+    def residual(self, i: int, values: Array | None = None) -> Array:
+        """Return the measured features, or ``values`` for them, less those of hypothesis ``i``."""
+        y = self.observed.values if values is None else values
+        return np.asarray(y - self.predicted.features[i].ravel()[self.mask] - self.bias)
+
+    def log_likelihood(
+        self, values: Array, ends: Sequence[int], *, off: bool
+    ) -> tuple[Array, Array]:
+        """Return log N(y; y_k + bias, C) of the first so many of ``values`` (n_draws, n), by ``ends``.
+
+        Two arrays (n_ends, n_hypotheses, n_draws), in nats. The first with the coefficients as stated,
+        the second with coefficients that are off together; -inf without ``off``.
+        """
+        c, f, b = self.places
+        centres = self.predicted.features[:, c, f, b] + self.bias
+        n, (draws, m) = len(centres), values.shape
+        stated, together = (np.full((len(ends), n, draws), -np.inf) for _ in range(2))
+        # A few hypotheses at a time, so that their covariances stay in the processor's cache.
+        step = max(1, min(_AT_ONCE, _ELEMENTS // (m + draws) ** 2))
+        for begin in range(0, n, step):
+            part = slice(begin, begin + step)
+            rows = values - centres[part, None]
+            if off:
+                common = self.predicted.alpha_covariance.off_together(part).take(self.t20, 1)
+                common = common * self.slopes[part, :, None]
+                rows = np.concatenate([rows, common.swapaxes(1, 2)], axis=1)
+            densities = log_densities(self._factorization(part), rows, draws, ends)
+            for i, (as_stated, scaled) in enumerate(densities):
+                stated[i, part] = as_stated
+                if scaled is not None:
+                    together[i, part] = scaled
+        return stated, together
+
+    @cached_property
+    def without_alpha(self) -> Array:
+        """R + D + the covariance from the applied effects, of the features in use."""
+        both = self.discrepancy.covariance + self.predicted.applied.covariance
+        return np.asarray(self.observed.covariance + both[np.ix_(self.mask, self.mask)])
 
     @cached_property
     def _fixed_low_rank(self) -> tuple[Array, Array] | None:
         """R and diagonals by configuration, raveled to (n_used, n_used), and factors (r, n_used)."""
-        if self._discrepancy.factor is None:
+        if self.discrepancy.factor is None:
             return None
-        factor = self._discrepancy.factor[self._mask]
-        diagonal = np.diag(self._discrepancy.covariance)[self._mask] - (factor**2).sum(1)
-        applied = self._predicted.applied
-        diagonal += applied.diagonal[self._mask]
-        factor = np.concatenate([factor, applied.factor[self._mask]], axis=1)
+        factor = self.discrepancy.factor[self.mask]
+        diagonal = np.diag(self.discrepancy.covariance)[self.mask] - (factor**2).sum(1)
+        applied = self.predicted.applied
+        diagonal += applied.diagonal[self.mask]
+        factor = np.concatenate([factor, applied.factor[self.mask]], axis=1)
         factor = factor[:, factor.any(0)]
-        return self._observed.covariance + np.diag(diagonal), factor.T
+        return self.observed.covariance + np.diag(diagonal), factor.T
 
-    def alpha(self, part: slice) -> Array:
+    def _alpha(self, part: slice) -> Array:
         """Return J Sigma J' of some hypotheses, (n, n_used, n_used)."""
-        out = self._predicted.alpha_covariance.of(part).take(self.t20, 2)
+        out = self.predicted.alpha_covariance.of(part).take(self.t20, 2)
         out *= self.slopes[part, None, :]
         out = out.take(self.t20, 1)
         return np.asarray(out * self.slopes[part, :, None])
 
-    def misfit(self, part: slice) -> LowRank:
+    def _misfit(self, part: slice) -> LowRank:
         """Return the error of the effects' changes of some hypotheses."""
-        errors = self._predicted.spectrum_errors[part]
-        errors = errors[:, :, errors.any((0, 1))].take(self._bands, 1)
-        alone = self._predicted.formula_errors[part]
-        return misfit(self._changes[part], self._amounts[part], self._features, errors, alone)
+        _, f, b = self.places
+        errors = self.predicted.spectrum_errors[part]
+        errors = errors[:, :, errors.any((0, 1))].take(b, 1)
+        alone = self.predicted.formula_errors[part]
+        return misfit(self.changes[part], self.amounts[part], f, errors, alone)
 
-    def factorization(self, part: slice) -> Factorization:
+    def _factorization(self, part: slice) -> Factorization:
         """Return the factors of some hypotheses' covariances."""
         if self._fixed_low_rank is not None:
-            low_rank = self._predicted.alpha_covariance.low_rank(part)
+            low_rank = self.predicted.alpha_covariance.low_rank(part)
             if low_rank is not None:
                 return self._by_configuration(part, *self._fixed_low_rank, *low_rank)
-        covariance = self.alpha(part)
-        covariance += self._fixed
-        covariance += self.misfit(part).covariance
+        covariance = self._alpha(part)
+        covariance += self.without_alpha
+        covariance += self._misfit(part).covariance
         return Factorization.whole(covariance)
 
     def _by_configuration(
         self, part: slice, fixed: Array, factor: Array, shared: Array, within: Array
     ) -> Factorization:
         """Return the factors by blocks of configurations, and a part of low rank."""
-        error = self.misfit(part)
+        error = self._misfit(part)
         alpha = shared.take(self.t20, 1) * self.slopes[part, :, None]
         low_rank = np.concatenate([alpha, error.factor], axis=2).swapaxes(1, 2)
         low_rank = np.concatenate(
             [np.broadcast_to(factor, (len(alpha), *factor.shape)), low_rank], axis=1
         )
         blocks = []
-        for place in self._configurations:
-            bands, slopes = self._bands[place], self.slopes[part][:, place]
+        c, _, b = self.places
+        ends = [*np.flatnonzero(np.diff(c)) + 1, len(c)]
+        configurations = [slice(*pair) for pair in pairwise([0, *ends])]
+        for place in configurations:
+            bands, slopes = b[place], self.slopes[part][:, place]
             which = self.t20[place.start] // within.shape[-1]
             block = within[:, which].take(bands, 1).take(bands, 2)
             block *= slopes[:, :, None] * slopes[:, None, :]
@@ -259,74 +304,47 @@ class _Likelihood:
             rows = np.arange(len(bands))
             block[:, rows, rows] += error.diagonal[:, place]
             blocks.append(block)
-        return Factorization(blocks, self._configurations, low_rank)
+        return Factorization(blocks, configurations, low_rank)
 
+    def covariance_of(self, i: int, scale: float = 1.0) -> tuple[Array, Array]:
+        """Return the covariance of hypothesis ``i`` from the coefficients, and that from all else.
 
-def goodness_of_fit(
-    observed: ObservedFeatures,
-    predicted: MeansHypotheses,
-    discrepancy: ModelDiscrepancy,
-    i: int,
-    scale: float = 1.0,
-) -> tuple[float, float]:
-    """Return the distance of the measurement from hypothesis ``i``, and its probability.
+        Both (n_used, n_used). ``scale`` multiplies the error that the coefficients have in common.
+        """
+        part = slice(i, i + 1)
+        alpha = self._alpha(part)[0]
+        if scale != 1:
+            common = self.spreading(i) @ self.predicted.alpha_covariance.off_together(part)[0]
+            alpha = alpha + (scale**2 - 1) * common @ common.T
+        return alpha, self.without_alpha + self._misfit(part).covariance[0]
 
-    The distance is sqrt(r' C^-1 r / n), 1 on average. The probability is that of a larger chi-square
-    (Gelman, Meng & Stern 1996, without their draws, since C includes the prior). ``scale`` as for
-    `covariance_of`.
-    """
-    mask = observed.used.ravel()
-    alpha, other = covariance_of(observed, predicted, discrepancy, i, scale)
-    residual = observed.values - predicted.features[i].ravel()[mask] - discrepancy.bias[mask]
-    square = float(residual @ np.linalg.solve(alpha + other, residual))
-    return float(np.sqrt(square / len(residual))), float(chdtrc(len(residual), square))
+    def spreading(self, i: int) -> Array:
+        """Return d feature / d ln T20, (n_used, n_configurations * n_bands)."""
+        count, _, bands = self.observed.used.shape
+        out = np.zeros((len(self.t20), count * bands))
+        out[np.arange(len(self.t20)), self.t20] = self.slopes[i]
+        return out
 
+    def goodness_of_fit(self, i: int, scale: float = 1.0) -> tuple[float, float]:
+        """Return the distance of the measurement from hypothesis ``i``, and its probability.
 
-def covariance_of(
-    observed: ObservedFeatures,
-    predicted: MeansHypotheses,
-    discrepancy: ModelDiscrepancy,
-    i: int,
-    scale: float = 1.0,
-) -> tuple[Array, Array]:
-    """Return the covariance of hypothesis ``i`` from the coefficients, and that from all else.
+        The distance is sqrt(r' C^-1 r / n), 1 on average. The probability is that of a larger
+        chi-square (Gelman, Meng & Stern 1996, without their draws, since C includes the prior).
+        ``scale`` as for `covariance_of`.
+        """
+        alpha, other = self.covariance_of(i, scale)
+        residual = self.residual(i)
+        square = float(residual @ np.linalg.solve(alpha + other, residual))
+        return float(np.sqrt(square / len(residual))), float(chdtrc(len(residual), square))
 
-    Both (n_used, n_used). ``scale`` multiplies the error that the coefficients have in common.
-    """
-    model, part = _Likelihood(observed, predicted, discrepancy), slice(i, i + 1)
-    alpha = model.alpha(part)[0]
-    if scale != 1:
-        common = (
-            spreading(observed, predicted, i) @ predicted.alpha_covariance.off_together(part)[0]
-        )
-        alpha = alpha + (scale**2 - 1) * common @ common.T
-    fixed = without_alpha(observed, predicted, discrepancy)
-    return alpha, fixed + model.misfit(part).covariance[0]
-
-
-def spreading(observed: ObservedFeatures, predicted: MeansHypotheses, i: int) -> Array:
-    """Return d feature / d ln T20, (n_used, n_configurations * n_bands)."""
-    c, f, b = np.nonzero(observed.used)
-    count, _, bands = observed.used.shape
-    out = np.zeros((len(c), count * bands))
-    out[np.arange(len(c)), c * bands + b] = predicted.slopes[i, c, f, b]
-    return out
-
-
-def log_density(residual: Array, covariance: Array) -> float:
-    """Return the log density of a residual (m,) under a covariance, in nats."""
-    factorization = Factorization.whole(covariance[None].copy())
-    ((log, _),) = log_densities(factorization, residual[None, None].copy(), 1, [len(residual)])
-    return float(log[0, 0])
-
-
-def without_alpha(
-    observed: ObservedFeatures, predicted: MeansHypotheses, discrepancy: ModelDiscrepancy
-) -> Array:
-    """Return R + D + the covariance from the applied effects, of the features in use."""
-    mask = observed.used.ravel()
-    both = discrepancy.covariance + predicted.applied.covariance
-    return np.asarray(observed.covariance + both[np.ix_(mask, mask)])
+    def standardized_residuals(self) -> Array:
+        """Return modelled less measured over its standard deviation, as `ObservedFeatures.features`."""
+        c = alpha_covariance(self.predicted, 0) + self.discrepancy.covariance
+        spread = np.sqrt(np.diag(c)[self.mask] + np.diag(self.observed.covariance))
+        out = np.full(self.mask.size, np.nan)
+        modelled = self.predicted.features[0].ravel()[self.mask] + self.bias
+        out[self.mask] = (modelled - self.observed.values) / spread
+        return out.reshape(self.observed.used.shape)
 
 
 _AT_ONCE = 32  # hypotheses
@@ -340,6 +358,13 @@ def alpha_covariance(predicted: MeansHypotheses, i: int) -> Array:
     variance = predicted.alpha_covariance.of(slice(i, i + 1)).reshape(count, bands, count, bands)
     full = np.einsum("afk,akbl,bgl->afkbgl", slopes, variance, slopes)
     return np.asarray(full.reshape(count * kinds * bands, -1))
+
+
+def log_density(residual: Array, covariance: Array) -> float:
+    """Return the log density of a residual (m,) under a covariance, in nats."""
+    factorization = Factorization.whole(covariance[None].copy())
+    ((log, _),) = log_densities(factorization, residual[None, None].copy(), 1, [len(residual)])
+    return float(log[0, 0])
 
 
 def log_densities(
@@ -386,16 +411,3 @@ def student(square: Array, half_log_determinant: Array, m: int, *, coarsened: bo
     constant = gammaln((n + m) / 2) - gammaln(n / 2) - 0.5 * m * np.log(scale * np.pi)
     log = constant - half_log_determinant - 0.5 * (n + m) * np.log(1 + square / scale)
     return np.asarray(power * log)
-
-
-def standardized_residuals(
-    observed: ObservedFeatures, predicted: MeansHypotheses, discrepancy: ModelDiscrepancy
-) -> Array:
-    """Return modelled less measured over its standard deviation, as `ObservedFeatures.features`."""
-    mask = observed.used.ravel()
-    c = alpha_covariance(predicted, 0) + discrepancy.covariance
-    spread = np.sqrt(np.diag(c)[mask] + np.diag(observed.covariance))
-    out = np.full(mask.size, np.nan)
-    modelled = predicted.features[0].ravel()[mask] + discrepancy.bias[mask]
-    out[mask] = (modelled - observed.values) / spread
-    return out.reshape(observed.used.shape)

@@ -23,10 +23,10 @@ from rtcal.finder.case import Case
 from rtcal.finder.claim import DISTINCT_NATS
 from rtcal.finder.configuration import ChangedMaterial, Configuration
 from rtcal.finder.effects.absorbers import Porous
-from rtcal.finder.means.evidence import Searched
+from rtcal.finder.means.evidence import MeansEvidence
 from rtcal.finder.means.features import ObservedFeatures
 from rtcal.finder.means.hypotheses import MeansHypotheses
-from rtcal.finder.means.likelihood import alpha_covariance, student
+from rtcal.finder.means.likelihood import MeansProblem, alpha_covariance, student
 from rtcal.finder.means.model_error import ModelDiscrepancy
 from rtcal.finder.means.sets import Moments
 from rtcal.finder.model import FEATURES
@@ -143,27 +143,17 @@ def separation(
     return float(0.5 * np.einsum("ni,ij,nj->n", d, inverse, d).min())
 
 
-def covariance_with(
-    predicted: MeansHypotheses, discrepancy: ModelDiscrepancy, measured: Array, i: int
-) -> Array:
-    """Return the covariance of all features under hypothesis ``i``, ``measured`` their variances."""
-    return np.asarray(alpha_covariance(predicted, i) + discrepancy.covariance + np.diag(measured))
-
-
-def variances_of(observed: ObservedFeatures) -> Array:
-    """Measurement variance of every feature, also of features that were not measured."""
-    shape = observed.used.shape
-    table = np.broadcast_to(USUAL[None, :, None] ** 2, shape).copy()
-    table[observed.used] = np.diag(observed.covariance)
-    return np.asarray(table.ravel())
+def covariance_of_all(problem: MeansProblem, i: int) -> Array:
+    """Return the covariance of all features under hypothesis ``i``, also of those not measured."""
+    observed = problem.observed
+    variances = np.broadcast_to(USUAL[None, :, None] ** 2, observed.used.shape).copy()
+    variances[observed.used] = np.diag(observed.covariance)
+    of_alpha = alpha_covariance(problem.predicted, i)
+    return np.asarray(of_alpha + problem.discrepancy.covariance + np.diag(variances.ravel()))
 
 
 def separations(
-    case: Case,
-    observed: ObservedFeatures,
-    predicted: MeansHypotheses,
-    discrepancy: ModelDiscrepancy,
-    change: float,
+    problem: MeansProblem, change: float
 ) -> tuple[dict[str, float], dict[str, Separations]]:
     """Return each effect's change of T, and the evidence between effects, by what is measured more.
 
@@ -171,7 +161,8 @@ def separations(
     away in some) and bands, is nearest to ``change``. The evidence of the data as they are is that of
     "".
     """
-    used, variances, base = observed.used, variances_of(observed), predicted.features[0]
+    case, used, predicted = problem.case, problem.observed.used, problem.predicted
+    base = predicted.features[0]
     names = [n for n in dict.fromkeys(predicted.names) if n != NONE]
     masks = {"": used}
     for label, features in (
@@ -191,7 +182,7 @@ def separations(
         moved = np.abs(np.expm1(predicted.features[rows][:, :, 0] - base[:, 0])).max((1, 2))
         nearest = int(np.argmin(np.abs(moved - change)))
         first, reached[a] = rows[nearest], float(moved[nearest])
-        covariance = covariance_with(predicted, discrepancy, variances, first)
+        covariance = covariance_of_all(problem, first)
         for label, mask in masks.items():
             for b in (NONE, *names):
                 if a != b:
@@ -314,26 +305,20 @@ def _covered(case: Case, again: Configuration) -> FurtherMeasurement:
 
 @dataclass(frozen=True, eq=False)
 class Extended:
-    """A case with all further configurations, and which features each measurement would add.
+    """A problem with all further configurations, and which features each measurement would add.
 
-    ``measured`` (m,) are the features in use that are measured already; ``masks`` those of each further
-    measurement.
+    Its hypotheses are those of the case as it is. ``measured`` (m,) are the features in use that are
+    measured already; ``masks`` those of each further measurement.
     """
 
-    case: Case
-    observed: ObservedFeatures
-    discrepancy: ModelDiscrepancy
+    problem: MeansProblem
     measured: Mask
     masks: Mapping[str, Mask]
 
 
-def extended(
-    case: Case,
-    observed: ObservedFeatures,
-    discrepancy: ModelDiscrepancy,
-    further: Sequence[FurtherMeasurement],
-) -> Extended:
-    """Return the case with every further configuration in it."""
+def extended(problem: MeansProblem, further: Sequence[FurtherMeasurement]) -> Extended:
+    """Return the problem with every further configuration in its case."""
+    case, observed = problem.case, problem.observed
     new = [(f, f.configuration) for f in further if f.configuration is not None]
     added = [replace(c, name=f"further {i}") for i, (_, c) in enumerate(new)]
     configurations = [*case.configurations, *added]
@@ -364,9 +349,12 @@ def extended(
     places = np.flatnonzero(old.ravel())
     full[np.ix_(places, places)] = observed.covariance
     return Extended(
-        replace(case, configurations=configurations),
-        ObservedFeatures(np.zeros(every.shape), every, full[np.ix_(flat, flat)]),
-        _model_error(discrepancy, count, [f.same_error for f, _ in new]),
+        replace(
+            problem,
+            case=replace(case, configurations=configurations),
+            observed=ObservedFeatures(np.zeros(every.shape), every, full[np.ix_(flat, flat)]),
+            discrepancy=_model_error(problem.discrepancy, count, [f.same_error for f, _ in new]),
+        ),
         used.ravel()[flat],
         {words: mask.ravel()[flat] for words, mask in masks.items()},
     )
@@ -388,9 +376,9 @@ def _model_error(
     return ModelDiscrepancy(bias, covariance.reshape(n * size, n * size), discrepancy.engines)
 
 
-def next_measurement(searched: Searched, candidates: Sequence[str]) -> str:
+def next_measurement(evidence: MeansEvidence, candidates: Sequence[str]) -> str:
     """Return the measurement that would decide between the candidates."""
-    observed, predicted = searched.observed, searched.predicted
+    problem, predicted = evidence.problem, evidence.problem.predicted
     named = [c for c in candidates if c not in (UNKNOWN, COEFFICIENTS)]
     if candidates and candidates[0] == COEFFICIENTS:
         return (
@@ -404,15 +392,15 @@ def next_measurement(searched: Searched, candidates: Sequence[str]) -> str:
             else "see in the residuals which band and parameter disagree, and measure these again"
         )
     best = named[0]
-    rows = [i for i, n in enumerate(predicted.names) if n == best]
-    first = rows[int(np.argmax(searched.evidence.by_hypothesis()[rows]))]
+    rows = evidence.rows[best]
+    first = int(rows[np.argmax(evidence.by_hypothesis()[rows])])
     if len(named) == 1:
         if predicted.effects[best].removable:
             return f"confirm it: measure once without the {best}"
         return f"confirm it: check the {best} where it can be looked up or measured by itself"
     rival = named[1]
-    used, variances = observed.used, variances_of(observed)
-    covariance = covariance_with(predicted, searched.discrepancy, variances, first)
+    used = problem.observed.used
+    covariance = covariance_of_all(problem, first)
     now = separation(predicted, covariance, used.ravel(), first, rival)
     options = []
     for kind, features in _PARAMETERS.items():

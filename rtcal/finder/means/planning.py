@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
 import numpy as np
@@ -17,6 +17,7 @@ from rtcal.finder.effects.checks import checked_effects
 from rtcal.finder.means.features import ObservedFeatures, observe
 from rtcal.finder.means.finding import MeansFinding
 from rtcal.finder.means.hypotheses import MeansHypotheses, predict_hypotheses
+from rtcal.finder.means.likelihood import MeansProblem
 from rtcal.finder.means.measurements import (
     COSTS,
     Extended,
@@ -293,7 +294,8 @@ def plan(
         discrepancy = ModelDiscrepancy(np.zeros(spread.size), np.diag(spread))
     else:
         checked_discrepancy(case, discrepancy)
-    reached, tables = separations(case, observed, predicted, discrepancy, change)
+    problem = MeansProblem(case, observed, predicted, discrepancy)
+    reached, tables = separations(problem, change)
     measured = tuple(
         p
         for p in ("t20", "edt", "t30", "c80", "g")
@@ -301,7 +303,7 @@ def plan(
     )
     with_more = {label: t for label, t in tables.items() if label}
     further = possible(case, planned)
-    whole = extended(case, observed, discrepancy, further)
+    whole = extended(problem, further)
     if finding is None:
         every = _before(case, predicted)
     else:
@@ -361,7 +363,7 @@ def _information(
             grid = grids.setdefault(a.name, [])
             if a.parameters not in grid:
                 grid.append(a.parameters)
-    predicted = predict_hypotheses(whole.case, list(effects.values()), list(grids.values()))
+    predicted = predict_hypotheses(whole.problem.case, list(effects.values()), list(grids.values()))
     first = {name: predicted.names.index(name) for name in grids}
     rows = [
         tuple(first[a.name] + grids[a.name].index(a.parameters) for a in applied)
@@ -369,7 +371,7 @@ def _information(
     ]
     names = [tuple(a.name for a in applied) for applied, _ in every]
     groups = {n: k for k, n in enumerate(dict.fromkeys(names))}
-    of = moments(compare(whole.case, whole.observed, predicted, whole.discrepancy), rows)
+    of = moments(compare(replace(whole.problem, predicted=predicted)), rows)
     weights = np.array([p for _, p in every]) * of.possible
     return Information(
         of,

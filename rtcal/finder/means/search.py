@@ -24,14 +24,13 @@ from rtcal.finder.means.bootstrap import (
 )
 from rtcal.finder.means.bootstrap import score as evidence_of_something
 from rtcal.finder.means.engines import ControlRooms
-from rtcal.finder.means.evidence import Searched, evaluate_beyond
-from rtcal.finder.means.features import LEVELS, ObservedFeatures, observe, steps
+from rtcal.finder.means.evidence import evaluate_beyond
+from rtcal.finder.means.features import LEVELS, observe, steps
 from rtcal.finder.means.finding import MeansFinding
 from rtcal.finder.means.gap import schroeder_limit
 from rtcal.finder.means.hypotheses import MeansHypotheses, predict_hypotheses
-from rtcal.finder.means.likelihood import standardized_residuals
+from rtcal.finder.means.likelihood import MeansProblem
 from rtcal.finder.means.measurements import next_measurement
-from rtcal.finder.means.model_error import ModelDiscrepancy
 from rtcal.finder.means.set_posterior import MOST, posterior_of_sets, single_posterior
 from rtcal.finder.means.sets import Rows, averaged_alpha, compare
 from rtcal.finder.means.verdict import Fit, of_sets, of_single
@@ -144,9 +143,8 @@ def find(
             notes.append("the threshold was given, not bootstrapped")
     else:
         bootstrapped, limits = threshold, threshold.values
-    return _conclude(
-        case, observed, predicted, bootstrapped.discrepancy, limits, before, notes, number
-    )
+    problem = MeansProblem(case, observed, predicted, bootstrapped.discrepancy)
+    return _conclude(problem, limits, before, notes, number)
 
 
 LEAST_EXPECTED, MOST_EXPECTED = 0.01, 10.0
@@ -196,23 +194,15 @@ CHOSEN = (
 
 
 def _conclude(
-    case: Case,
-    observed: ObservedFeatures,
-    predicted: MeansHypotheses,
-    discrepancy: ModelDiscrepancy,
-    limits: Array,
-    prior: Prior,
-    notes: Sequence[str],
-    number: _Numbers,
+    problem: MeansProblem, limits: Array, prior: Prior, notes: Sequence[str], number: _Numbers
 ) -> MeansFinding:
     """Compare the hypotheses' evidence and return the finding."""
+    case, observed = problem.case, problem.observed
     parts = dict(list(steps(case, observed.used).items())[-len(limits) :])
-    predicted, by_part = evaluate_beyond(
-        case, observed, predicted, discrepancy, prior.off, list(parts)[:-1]
-    )
+    by_part = evaluate_beyond(problem, prior.off, list(parts)[:-1])
     evidence = by_part[-1]
-    searched = Searched(case, observed, predicted, discrepancy, evidence)
-    compared = compare(case, observed, predicted, discrepancy)
+    problem, effects = evidence.problem, evidence.problem.predicted.effects
+    compared = compare(problem)
     table = {k: float(v) for k, v in evidence.by_effect().items()}
     over = {k: v - table[NONE] for k, v in table.items() if k != NONE}
     *fewer, everything = (
@@ -222,38 +212,38 @@ def _conclude(
     detection = replace(everything, parts=dict(zip(parts.values(), fewer, strict=False)))
     detected = detection.verdict
     probabilities = of_one = posterior(table, prior)
-    families = of_one_family = by_family(of_one, predicted.effects)
+    families = of_one_family = by_family(of_one, effects)
     if number.most == 1:
-        sets = single_posterior(evidence, predicted, of_one)
+        sets = single_posterior(evidence, of_one)
     else:
         sets = posterior_of_sets(compared, prior, expected=number.expected, most=number.most)
-        probabilities, families = sets.effects(), sets.families(predicted.effects)
+        probabilities, families = sets.effects(), sets.families(effects)
     if number.most == 1 or detected is not None:
-        verdict = of_single(searched, of_one, of_one_family, detected)
+        verdict = of_single(evidence, of_one, of_one_family, detected)
         told_apart = verdict.names
     else:
-        verdict = of_sets(searched, sets, probabilities, families)
+        verdict = of_sets(evidence, sets, probabilities, families)
         told_apart = credible_set(of_one)
     return MeansFinding(
         case=case,
         **{k: v for k, v in vars(verdict).items() if k != "names"},
         candidates=tuple(
-            _candidate(name, verdict.fits.get(name), probabilities, predicted.effects)
+            _candidate(name, verdict.fits.get(name), probabilities, effects)
             for name in verdict.names
         ),
         evidence={k: over[k] for k in sorted(over, key=lambda k: -over[k])},
         probabilities=probabilities,
         families=families,
         sets=sets.sets,
-        likely=[(_applied(predicted, rows), p) for rows, p in sets.likely],
+        likely=[(_applied(problem.predicted, rows), p) for rows, p in sets.likely],
         alpha=averaged_alpha(compared, sets.likely),
         prior=prior,
         detection=detection,
-        advice=next_measurement(searched, told_apart),
-        residuals=standardized_residuals(observed, predicted, discrepancy),
-        notes=(*_off_levels(case, observed, predicted), *notes, observed.origin, *_notes(case)),
-        discrepancy=discrepancy,
-        effects=predicted.effects,
+        advice=next_measurement(evidence, told_apart),
+        residuals=problem.standardized_residuals(),
+        notes=(*_off_levels(problem), *notes, observed.origin, *_notes(case)),
+        discrepancy=problem.discrepancy,
+        effects=effects,
     )
 
 
@@ -282,16 +272,16 @@ _OFF_LEVEL = 3.0
 """Least mean in dB over the bands by which a level is said to be off; its spread is a third at most."""
 
 
-def _off_levels(case: Case, observed: ObservedFeatures, predicted: MeansHypotheses) -> list[str]:
+def _off_levels(problem: MeansProblem) -> list[str]:
     """Return notes of levels that are off alike in all bands, beside what T says of the stated room.
 
     They are off from the stated room itself, too: noise in the decay lengthens T and leaves the level.
     """
     level, name = FEATURES.index(LEVELS[-1]), parameter_label(LEVELS[-1])
-    off = observed.features - predicted.features[0]
-    beside = off[:, level] - predicted.slopes[0, :, level] * off[:, 0]
+    off = problem.observed.features - problem.predicted.features[0]
+    beside = off[:, level] - problem.predicted.slopes[0, :, level] * off[:, 0]
     out = []
-    for c, configuration in enumerate(case.configurations):
+    for c, configuration in enumerate(problem.case.configurations):
         known = np.isfinite(beside[c])
         if known.sum() < 2:
             continue

@@ -18,10 +18,9 @@ from rtcal.finder.case import AppliedEffect
 from rtcal.finder.claim import Names, families_of, family_of, most_probable_first
 from rtcal.finder.effects import Effect
 from rtcal.finder.means.evidence import MeansEvidence
-from rtcal.finder.means.hypotheses import MeansHypotheses, predict_hypotheses
-from rtcal.finder.means.likelihood import goodness_of_fit
+from rtcal.finder.means.hypotheses import predict_hypotheses
+from rtcal.finder.means.likelihood import MeansProblem
 from rtcal.finder.means.sets import (
-    Comparison,
     Rows,
     Screen,
     acting_order,
@@ -134,9 +133,7 @@ class SetPosterior:
         return out
 
 
-def single_posterior(
-    evidence: MeansEvidence, predicted: MeansHypotheses, probabilities: Mapping[str, float]
-) -> SetPosterior:
+def single_posterior(evidence: MeansEvidence, probabilities: Mapping[str, float]) -> SetPosterior:
     """Return what the data say of sets of one, from the ``probabilities`` of a single effect.
 
     "coefficients" among these is the empty set with coefficients that are off together.
@@ -146,14 +143,14 @@ def single_posterior(
     off = {(): probabilities[COEFFICIENTS] / nothing if nothing else 0.0, (UNKNOWN,): 0.0}
     rows: dict[Names, Rows] = {(): (), (UNKNOWN,): ()}
     likely: list[tuple[Rows, float]] = [((), nothing)]
-    log, names = evidence.by_hypothesis(), np.array(predicted.names)
+    log, predicted = evidence.by_hypothesis(), evidence.problem.predicted
     for name, p in probabilities.items():
         if name in (NONE, COEFFICIENTS):
             continue
         sets[name,] = p
         if name == UNKNOWN:
             continue
-        places = np.flatnonzero(names == name)
+        places = evidence.rows[name]
         with np.errstate(divide="ignore"):
             weighted = log[places] + np.log(predicted.weights[places])
         share = p * np.exp(weighted - logsumexp(weighted))
@@ -169,7 +166,7 @@ def single_posterior(
 
 
 def posterior_of_sets(
-    compared: Comparison,
+    compared: MeansProblem,
     prior: Prior,
     *,
     expected: float = EXPECTED,
@@ -197,7 +194,7 @@ def posterior_of_sets(
 class _Tables:
     """Log evidence of each set, its probability of coefficients off together, and its best rows."""
 
-    def __init__(self, compared: Comparison, prior: Prior) -> None:
+    def __init__(self, compared: MeansProblem, prior: Prior) -> None:
         self._compared = compared
         predicted = compared.predicted
         self.order = acting_order(compared.case, predicted)
@@ -287,9 +284,9 @@ class _Tables:
             for n, i in zip(names, self.best[names], strict=True)
         ]
         with_both = replace(case, applied=(*case.applied, *added))
-        observed, discrepancy = self._compared.observed, self._compared.discrepancy
-        both = compare(with_both, observed, predict_hypotheses(with_both, []), discrepancy)
-        return goodness_of_fit(observed, both.predicted, discrepancy, 0)[1] >= UNEXPLAINED
+        predicted = predict_hypotheses(with_both, [])
+        both = compare(replace(self._compared, case=with_both, predicted=predicted))
+        return both.goodness_of_fit(0)[1] >= UNEXPLAINED
 
     def _likeliest_pairs(self, n: int) -> list[Names]:
         pairs: list[Names] = [s for s in self.log if len(s) == 2 and UNKNOWN not in s]

@@ -27,42 +27,17 @@ from rtcal.finder.case import Case
 from rtcal.finder.effects import Effect
 from rtcal.finder.effects.checks import added, changed_states
 from rtcal.finder.means.evidence import unknown_evidence
-from rtcal.finder.means.features import ObservedFeatures, distances, state
+from rtcal.finder.means.features import distances, state
 from rtcal.finder.means.hypotheses import LowRank, MeansHypotheses, misfit
-from rtcal.finder.means.likelihood import (
-    Factorization,
-    covariance_of,
-    log_densities,
-    student,
-    without_alpha,
-)
-from rtcal.finder.means.model_error import COMMON_CORRELATION, AlphaCovariance, ModelDiscrepancy
+from rtcal.finder.means.likelihood import Factorization, MeansProblem, log_densities, student
+from rtcal.finder.means.model_error import COMMON_CORRELATION, AlphaCovariance
 from rtcal.finder.model import RoomState, predict, sensitivities
 from rtcal.support.types import Array
 
 
-@dataclass(frozen=True, eq=False)
-class Comparison:
-    """A comparison: a case, its measured features, the single hypotheses, and the model's error.
-
-    ``cells`` (n, n_used, n_parameters) are the changes of the features over the cell of the grid that a
-    hypothesis stands for, one standard deviation of each parameter.
-    """
-
-    case: Case
-    observed: ObservedFeatures
-    predicted: MeansHypotheses
-    discrepancy: ModelDiscrepancy
-    cells: Array
-
-
-def compare(
-    case: Case,
-    observed: ObservedFeatures,
-    predicted: MeansHypotheses,
-    discrepancy: ModelDiscrepancy,
-) -> Comparison:
-    """Return what is compared, with the error of the direct sound (`DIRECT_SOUND`) and of the grids."""
+def compare(problem: MeansProblem) -> MeansProblem:
+    """Return a problem of sets: with errors of the direct sound (`DIRECT_SOUND`) and the grids."""
+    case, predicted = problem.case, problem.predicted
     columns = np.zeros((*predicted.features.shape[1:], case.room.n_bands))
     octaves = np.log2(case.room.centre_frequencies)
     lag = np.abs(np.subtract.outer(octaves, octaves))
@@ -75,16 +50,17 @@ def compare(
     applied = predicted.applied
     factor = np.concatenate([applied.factor, columns.reshape(-1, columns.shape[-1])], axis=1)
     predicted = replace(predicted, applied=LowRank(factor, applied.diagonal))
-    return Comparison(case, observed, predicted, discrepancy, _cells(observed, predicted))
+    return replace(problem, predicted=predicted, cells=_cells(problem))
 
 
-def _cells(observed: ObservedFeatures, predicted: MeansHypotheses) -> Array:
+def _cells(problem: MeansProblem) -> Array:
     """Return the changes of the features over each hypothesis's cell of the grid.
 
     The standard deviation of an even distribution is the step over sqrt(12). Without it, what lies
     between the grid's points would look like a second effect.
     """
-    c, f, b = np.nonzero(observed.used)
+    predicted = problem.predicted
+    c, f, b = problem.places
     features = predicted.features[:, c, f, b]
     names = np.array(predicted.names)
     steps: list[Array] = []
@@ -151,30 +127,23 @@ class Screen:
     nothing.
     """
 
-    def __init__(self, compared: Comparison, base: Rows = ()) -> None:
-        observed, predicted = compared.observed, compared.predicted
-        discrepancy = compared.discrepancy
-        mask = observed.used.ravel()
-        c, f, b = np.nonzero(observed.used)
-        alpha, other = covariance_of(observed, predicted, discrepancy, 0)
-        change = (predicted.features - predicted.features[0])[:, c, f, b]
-        amount = (predicted.features - predicted.features[0])[:, c, 0, b]
+    def __init__(self, compared: MeansProblem, base: Rows = ()) -> None:
+        predicted, change, amount = compared.predicted, compared.changes, compared.amounts
+        _, f, b = compared.places
+        alpha, other = compared.covariance_of(0)
         smooth = predicted.spectrum_errors[:, :, :2].take(b, 1)
         error = misfit(change, amount, f, smooth, 0.0)
-        residual = observed.values - predicted.features[0].ravel()[mask] - discrepancy.bias[mask]
+        residual = compared.residual(0)
         for i in base:
             residual = residual - change[i]
-            other = (
-                other
-                + misfit(
-                    change[i],
-                    amount[i],
-                    f,
-                    predicted.spectrum_errors[i][b],
-                    predicted.formula_errors[i],
-                ).covariance
-                + compared.cells[i] @ compared.cells[i].T
+            of_change = misfit(
+                change[i],
+                amount[i],
+                f,
+                predicted.spectrum_errors[i][b],
+                predicted.formula_errors[i],
             )
+            other = other + of_change.covariance + compared.cells[i] @ compared.cells[i].T
         factor = np.linalg.cholesky(alpha + other)
         self._half = float(np.log(np.diag(factor)).sum())
         self._m = len(factor)
@@ -235,7 +204,7 @@ class Moments:
     possible: NDArray[np.bool_]
 
 
-def evaluate_sets(compared: Comparison, sets: Sequence[Rows], *, off: bool) -> SetEvidence:
+def evaluate_sets(compared: MeansProblem, sets: Sequence[Rows], *, off: bool) -> SetEvidence:
     """Return the log likelihoods of sets, each with all of its effects in the state."""
     stated, together = (np.full(len(sets), -np.inf) for _ in range(2))
     for begin in range(0, len(sets), _AT_ONCE):
@@ -252,13 +221,10 @@ def evaluate_sets(compared: Comparison, sets: Sequence[Rows], *, off: bool) -> S
     return SetEvidence(stated, together)
 
 
-def moments(compared: Comparison, sets: Sequence[Rows]) -> Moments:
+def moments(compared: MeansProblem, sets: Sequence[Rows]) -> Moments:
     """Return mean and covariance of the features in use, with all effects of a set in the state."""
-    case, observed, predicted = compared.case, compared.observed, compared.predicted
-    c, f, b = np.nonzero(observed.used)
-    t20 = c * observed.used.shape[2] + b
-    change = (predicted.features - predicted.features[0])[:, c, f, b]
-    amount = (predicted.features - predicted.features[0])[:, c, 0, b]
+    case, predicted, t20 = compared.case, compared.predicted, compared.t20
+    c, f, b = compared.places
     if max(map(len, sets)) < 2:
         # These are predicted already.
         which = np.array([rows[0] if rows else 0 for rows in sets])
@@ -279,22 +245,24 @@ def moments(compared: Comparison, sets: Sequence[Rows]) -> Moments:
     features, slopes = features[:, c, f, b], slopes[:, c, f, b]
     covariance = alpha.of(which).take(t20, 2) * slopes[:, None, :]
     covariance = covariance.take(t20, 1) * slopes[:, :, None]
-    covariance += without_alpha(observed, predicted, compared.discrepancy)
+    covariance += compared.without_alpha
     for member in range(max(map(len, sets))):
         at = np.array([rows[member] if member < len(rows) else 0 for rows in sets])
         errors = predicted.spectrum_errors[at].take(b, 1)
         alone = predicted.formula_errors[at]
-        covariance += misfit(change[at], amount[at], f, errors, alone).covariance
+        covariance += misfit(
+            compared.changes[at], compared.amounts[at], f, errors, alone
+        ).covariance
         cells = compared.cells[at]
         covariance += cells @ cells.swapaxes(1, 2)
     common = alpha.off_together(which).take(t20, 1) * slopes[:, :, None]
-    mean = features + compared.discrepancy.bias[observed.used.ravel()]
+    mean = features + compared.bias
     possible = np.isfinite(mean).all(1) & np.isfinite(covariance).all((1, 2))
     mean[~possible], covariance[~possible], common[~possible] = 0.0, np.eye(len(f)), 0.0
     return Moments(mean, covariance, common.swapaxes(1, 2), possible)
 
 
-def states_of(compared: Comparison, sets: Sequence[Rows]) -> list[list[RoomState]]:
+def states_of(compared: MeansProblem, sets: Sequence[Rows]) -> list[list[RoomState]]:
     """Return the states of sets in each configuration."""
     case, predicted = compared.case, compared.predicted
     return [
@@ -328,25 +296,20 @@ def _states(
     return [made[rows] for rows in sets]
 
 
-def unknown_beside(compared: Comparison, rows: Indices) -> Array:
+def unknown_beside(compared: MeansProblem, rows: Indices) -> Array:
     """Return the log evidence of single hypotheses with an unknown effect beside them, (n_rows,)."""
-    observed, predicted = compared.observed, compared.predicted
-    bias = compared.discrepancy.bias
-    mask = observed.used.ravel()
-    out = []
-    for i in rows:
-        alpha, other = covariance_of(observed, predicted, compared.discrepancy, int(i))
+    used, out = compared.observed.used, []
+    for i in rows.tolist():
+        alpha, other = compared.covariance_of(i)
         other = other + compared.cells[i] @ compared.cells[i].T
-        residual = observed.values - predicted.features[i].ravel()[mask] - bias[mask]
+        residual = compared.residual(i)
         ends = [len(residual)]
-        value = unknown_evidence(
-            residual[None], alpha + other, observed.used, ends, coarsened=False
-        )
+        value = unknown_evidence(residual[None], alpha + other, used, ends, coarsened=False)
         out.append(value[0, 0])
     return np.array(out)
 
 
-def averaged_alpha(compared: Comparison, likely: Sequence[tuple[Rows, float]]) -> Array:
+def averaged_alpha(compared: MeansProblem, likely: Sequence[tuple[Rows, float]]) -> Array:
     """Return the posterior mean of alpha over sets with these probabilities, (n_materials, n_bands).
 
     Under each set, features and coefficients are jointly normal, with the moments that the evidence
@@ -365,7 +328,7 @@ def averaged_alpha(compared: Comparison, likely: Sequence[tuple[Rows, float]]) -
     return np.clip(out, 0.0, 1.0)
 
 
-def covariance_with_alpha(compared: Comparison, sets: Sequence[Rows]) -> Array:
+def covariance_with_alpha(compared: MeansProblem, sets: Sequence[Rows]) -> Array:
     """Return G Sigma, the prior's covariance of the features in use and alpha, under each set.
 
     (n_sets, n_used, n_materials, n_bands).

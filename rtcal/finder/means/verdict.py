@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import product
 from typing import Any
 
@@ -26,7 +26,7 @@ from rtcal.finder.claim import (
 from rtcal.finder.effects import Effect, Parameters
 from rtcal.finder.effects.checks import changed_states
 from rtcal.finder.finding import AbsorptionChange
-from rtcal.finder.means.evidence import NEGLIGIBLE, Searched
+from rtcal.finder.means.evidence import NEGLIGIBLE, MeansEvidence
 from rtcal.finder.means.features import state
 from rtcal.finder.means.gap import (
     GapCheck,
@@ -40,7 +40,6 @@ from rtcal.finder.means.gap import (
     unexplained,
 )
 from rtcal.finder.means.hypotheses import predict_hypotheses
-from rtcal.finder.means.likelihood import covariance_of, goodness_of_fit, spreading
 from rtcal.finder.means.set_posterior import SetPosterior
 from rtcal.finder.model import rates
 from rtcal.finder.prior import COEFFICIENTS, NONE, SCALES, UNKNOWN, OffTogether
@@ -63,7 +62,7 @@ def absorption_change(
 
 
 def estimate_size(
-    searched: Searched, name: str, *, precise: bool = True
+    evidence: MeansEvidence, name: str, *, precise: bool = True
 ) -> tuple[Parameters, Size | None]:
     """Return the effect's most probable parameters, and its size with a 90 % interval.
 
@@ -71,13 +70,13 @@ def estimate_size(
     steps. With it, a search improves the best set, and the size is evaluated in fine steps for it and
     for the three most probable sets of the other parameters.
     """
-    predicted, effect = searched.predicted, searched.predicted.effects[name]
-    rows = [i for i, n in enumerate(predicted.names) if n == name]
-    likelihood = searched.evidence.by_hypothesis()[rows]
+    predicted = evidence.problem.predicted
+    effect, rows = predicted.effects[name], evidence.rows[name]
+    likelihood = evidence.by_hypothesis()[rows]
     grid = [predicted.parameters[i] for i in rows]
 
     def evaluated(thetas: Sequence[Parameters]) -> Array:
-        return searched.under(effect, thetas).by_hypothesis()[1:]
+        return evidence.under(effect, thetas).by_hypothesis()[1:]
 
     best = grid[int(np.argmax(likelihood))]
     if precise:
@@ -95,7 +94,7 @@ def estimate_size(
     sizes = np.array([theta[effect.size] for theta in grid])
     logs = bool(sizes.min() > 0)
     low, high = float(sizes.min()), float(sizes.max())
-    possible = effect.limits(searched.case.room).get(effect.size, (-np.inf, np.inf))
+    possible = effect.limits(evidence.problem.case.room).get(effect.size, (-np.inf, np.inf))
     if logs:
         first, last = np.log(low / 3), np.log(high * 3)
         ends = np.log(np.maximum(possible, low / 1e6))
@@ -231,7 +230,7 @@ class Verdict:
 
 
 def of_single(
-    searched: Searched,
+    evidence: MeansEvidence,
     probabilities: Mapping[str, float],
     families: Mapping[str, float],
     detected: str | None,
@@ -240,7 +239,7 @@ def of_single(
 
     ``detected`` is "none" or "hint" where the score does not exceed its threshold, else None.
     """
-    effects = searched.predicted.effects
+    effects = evidence.problem.predicted.effects
     best = next(k for k in probabilities if k != NONE)
     rough = [name for name, effect in effects.items() if not effect.alone]
     verdict, family = claimed(detected, probabilities, families, rough)
@@ -248,13 +247,13 @@ def of_single(
         return Verdict(verdict=verdict, family=family)
     fits, found = dict[str, Fit](), tuple[Objection, ...]()
     if best != UNKNOWN:
-        fits[best] = fit(searched, best, precise=True)
-        found = doubts(searched, fits[best])
+        fits[best] = fit(evidence, best, precise=True)
+        found = doubts(evidence, fits[best])
         verdict = doubted(verdict, family, found)
     names = (best,) if verdict == "named" else credible_set(probabilities)
     for name in names:
         if name not in (best, UNKNOWN):
-            fits[name] = fit(searched, name, precise=False)
+            fits[name] = fit(evidence, name, precise=False)
     sure = family is not None and verdict in ("named", "family")
     return Verdict(
         verdict=verdict,
@@ -269,7 +268,7 @@ def of_single(
 
 
 def of_sets(
-    searched: Searched,
+    evidence: MeansEvidence,
     posterior: SetPosterior,
     probabilities: Mapping[str, float],
     families: Mapping[str, float],
@@ -280,10 +279,10 @@ def of_sets(
     """
     if probabilities.get(UNKNOWN, 0.0) >= CLAIMED:
         return Verdict(verdict="unknown", names=(UNKNOWN,))
-    effects = searched.predicted.effects
+    effects = evidence.problem.predicted.effects
     together = _together(by_family_sets(posterior.sets, effects), numbers_of(posterior.sets))
     best = posterior.best(effects, together)
-    fits, found = _members(searched, posterior, best)
+    fits, found = _members(evidence, posterior, best)
     refuted = {n for n in best if any(doubt.of == "effect" for doubt in found[n])}
     if refuted:
         together = ()
@@ -308,17 +307,18 @@ def of_sets(
         members=best,
         names=(*best, *(n for n in others if n not in best)),
         fits=fits,
-        alone={n: fit(searched.beside(n), n, precise=True) for n in best} if len(best) > 1 else {},
+        alone={n: fit(evidence.beside(n), n, precise=True) for n in best} if len(best) > 1 else {},
         stand_ins=stand_ins,
         reasons=tuple(doubt.words for n in best for doubt in found[n]),
     )
 
 
 def _members(
-    searched: Searched, posterior: SetPosterior, best: Names
+    evidence: MeansEvidence, posterior: SetPosterior, best: Names
 ) -> tuple[dict[str, Fit], dict[str, tuple[Objection, ...]]]:
     """Return the fit of each effect of a set with the others in the model, and the doubts about it."""
-    effects, parameters = searched.predicted.effects, searched.predicted.parameters
+    predicted = evidence.problem.predicted
+    effects, parameters = predicted.effects, predicted.parameters
     model = {
         name: AppliedEffect.of(effects[name], parameters[i])
         for name, i in zip(best, posterior.rows[best], strict=True)
@@ -327,7 +327,7 @@ def _members(
     found: dict[str, tuple[Objection, ...]] = {}
     # The others' sizes enter each fit, so the first is fitted again.
     for name in (*best, best[0]) if len(best) > 1 else best:
-        beside = searched.beside(name, [model[n] for n in best if n != name])
+        beside = evidence.beside(name, [model[n] for n in best if n != name])
         fits[name] = fit(beside, name, precise=True)
         found[name] = doubts(beside, fits[name])
         model[name] = fits[name].applied(effects[name])
@@ -354,52 +354,53 @@ def _families_claimed(
     return claimed
 
 
-def fit(searched: Searched, name: str, *, precise: bool) -> Fit:
+def fit(evidence: MeansEvidence, name: str, *, precise: bool) -> Fit:
     """Return a candidate's parameters, its size (`estimate_size`), and what becomes of the gap."""
-    case, observed, discrepancy = searched.case, searched.observed, searched.discrepancy
+    problem = evidence.problem
+    case = problem.case
     parameters: Parameters = {}
     likely: Parameters = {}
     size, absorption = None, None
-    row, alone = 0, predict_hypotheses(case, [])
+    row, predicted = 0, predict_hypotheses(case, [])
     probability = 1.0
     if name != COEFFICIENTS:
-        effect = searched.predicted.effects[name]
-        likely, size = estimate_size(searched, name, precise=precise)
+        effect = problem.predicted.effects[name]
+        likely, size = estimate_size(evidence, name, precise=precise)
         parameters = likely if size is None else {**likely, effect.size: size.mean}
         absorption = absorption_change(case, effect, parameters, size)
-        alone, row = predict_hypotheses(case, [effect], [[parameters]]), 1
-        probability = float(searched.evidence.off_given(name))
+        row, predicted = 1, predict_hypotheses(case, [effect], [[parameters]])
+        probability = float(evidence.off_given(name))
+    alone = replace(problem, predicted=predicted)
     off, scale = None, 1.0
     if probability >= LIKELY:
         scale = _LARGER
-        alpha, other = covariance_of(observed, alone, discrepancy, row)
-        mask = observed.used.ravel()
-        residual = observed.values - alone.features[row].ravel()[mask] - discrepancy.bias[mask]
+        alpha, other = alone.covariance_of(row)
         off = prior.off_together(
             case,
-            alone.alpha_covariance.slopes(row),
-            spreading(observed, alone, row),
-            residual,
+            predicted.alpha_covariance.slopes(row),
+            alone.spreading(row),
+            alone.residual(row),
             alpha + other,
             probability,
         )
-    gap = gap_check(observed, alone, discrepancy, row, scale)
-    surprise = goodness_of_fit(observed, alone, discrepancy, row, scale)
+    gap = gap_check(alone, row, scale)
+    surprise = alone.goodness_of_fit(row, scale)
     return Fit(name, parameters, size, off, gap, likely, surprise, absorption)
 
 
-def doubts(searched: Searched, best: Fit) -> tuple[Objection, ...]:
+def doubts(evidence: MeansEvidence, best: Fit) -> tuple[Objection, ...]:
     """Return the doubts about the best candidate."""
-    out = gross(searched.observed, searched.predicted, best.gap)
+    problem = evidence.problem
+    out = gross(problem, best.gap)
     out += unexplained(best.name, *best.surprise)
     out += gap_against(best.name, best.gap)
     effects = []
     if best.name != COEFFICIENTS:
-        effects = [searched.predicted.effects[best.name]]
+        effects = [problem.predicted.effects[best.name]]
         out += end_of_range(best.name, best.size)
-        out += too_large(searched.case, effects[0], best.parameters)
-    hypotheses = predict_hypotheses(searched.case, effects)
-    return (*out, *decided_below_schroeder(searched, hypotheses, best.name))
+        out += too_large(problem.case, effects[0], best.parameters)
+    hypotheses = predict_hypotheses(problem.case, effects)
+    return (*out, *decided_below_schroeder(evidence, hypotheses, best.name))
 
 
 def doubted(verdict: str, family: str | None, found: Sequence[Objection]) -> str:

@@ -21,7 +21,7 @@ from rtcal.finder.means.features import distances, observe, state
 from rtcal.finder.means.finding import FEATURE_NAMES, MeansFinding
 from rtcal.finder.means.gap import LITTLE
 from rtcal.finder.means.hypotheses import predict_hypotheses
-from rtcal.finder.means.likelihood import standardized_residuals
+from rtcal.finder.means.likelihood import MeansProblem
 from rtcal.finder.means.recalibrated import Recalibrated, table
 from rtcal.finder.means.recalibration import plain, recalibrate
 from rtcal.finder.model import FEATURES, predict
@@ -274,7 +274,8 @@ def residual_map(verification: MeansVerification) -> Array:
     predicted = replace(
         predict_hypotheses(case, []), features=verification.corrected.features[None]
     )
-    return standardized_residuals(observed, predicted, finding.discrepancy)
+    problem = MeansProblem(case, observed, predicted, finding.discrepancy)
+    return problem.standardized_residuals()
 
 
 def reverberation_times(verification: MeansVerification) -> list[dict[str, Array]]:
