@@ -26,10 +26,9 @@ from rtcal.finder import Case, library
 from rtcal.finder.claim import posterior
 from rtcal.finder.means import likelihood
 from rtcal.finder.means.evidence import evaluate
-from rtcal.finder.means.features import observe
+from rtcal.finder.means.features import estimate_discrepancy, observe
 from rtcal.finder.means.hypotheses import predict_hypotheses
 from rtcal.finder.means.likelihood import MeansProblem
-from rtcal.finder.means.model_error import estimate_discrepancy
 from rtcal.finder.prior import Prior, prior_of, relative_sigma
 from rtcal.support.speed import single_threaded_blas
 

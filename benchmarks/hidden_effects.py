@@ -26,8 +26,8 @@ from rtcal.finder import (
     verify,
 )
 from rtcal.finder.effects.absorbers import AT_1_KHZ
-from rtcal.finder.means.bootstrap import MINIMUM
 from rtcal.finder.means.engines import ControlRooms
+from rtcal.finder.means.evidence import MINIMUM
 from rtcal.finder.search import find
 from tests.hidden_world.generate import read
 from tests.hidden_world.populations import DOUBLE, TOGGLED, TWINS

@@ -21,10 +21,9 @@ from benchmarks.several_effects_rooms import rooms
 from rtcal.finder import Case, library
 from rtcal.finder.claim import by_family_sets, families_of, numbers_of
 from rtcal.finder.means.engines import ControlRooms
-from rtcal.finder.means.features import observe
+from rtcal.finder.means.features import estimate_discrepancy, observe
 from rtcal.finder.means.hypotheses import predict_hypotheses
 from rtcal.finder.means.likelihood import MeansProblem
-from rtcal.finder.means.model_error import estimate_discrepancy
 from rtcal.finder.means.set_posterior import posterior_of_sets
 from rtcal.finder.means.sets import Rows, acting_order, compare, moments, shapes
 from rtcal.finder.means.verdict import TWO

@@ -24,13 +24,11 @@ import numpy as np
 from benchmarks.judging import families_of
 from rtcal.finder import Case, library
 from rtcal.finder.means import likelihood
-from rtcal.finder.means.bootstrap import score
 from rtcal.finder.means.engines import ControlRooms
-from rtcal.finder.means.evidence import evaluate
-from rtcal.finder.means.features import distances, observe, state
+from rtcal.finder.means.evidence import evaluate, score
+from rtcal.finder.means.features import distances, estimate_discrepancy, observe, state
 from rtcal.finder.means.hypotheses import predict_hypotheses
 from rtcal.finder.means.likelihood import DEGREES, MeansProblem, alpha_covariance
-from rtcal.finder.means.model_error import estimate_discrepancy
 from rtcal.finder.model import predict
 from rtcal.finder.prior import prior_of
 from rtcal.support.types import Array

@@ -26,11 +26,10 @@ from benchmarks.several_effects import wide
 from benchmarks.several_effects_rooms import Room, judged_alone, rooms
 from rtcal.finder import Case, library, plan
 from rtcal.finder.means.engines import ControlRooms
-from rtcal.finder.means.features import observe
+from rtcal.finder.means.features import estimate_discrepancy, observe
 from rtcal.finder.means.hypotheses import predict_hypotheses
 from rtcal.finder.means.likelihood import MeansProblem
 from rtcal.finder.means.measurements import COSTS
-from rtcal.finder.means.model_error import estimate_discrepancy
 from rtcal.finder.means.set_posterior import MOST, posterior_of_sets
 from rtcal.finder.means.sets import compare
 from rtcal.finder.prior import prior_of

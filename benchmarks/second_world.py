@@ -48,14 +48,12 @@ from benchmarks.judging import (
 )
 from rtcal.acoustics.room_errors import POWER
 from rtcal.finder import AppliedEffect, Case, library
-from rtcal.finder.means import bootstrap
-from rtcal.finder.means.bootstrap import QUANTILE
+from rtcal.finder.means import evidence as bootstrap
 from rtcal.finder.means.engines import ControlRooms, recentred
-from rtcal.finder.means.evidence import evaluate
-from rtcal.finder.means.features import observe
+from rtcal.finder.means.evidence import QUANTILE, evaluate
+from rtcal.finder.means.features import estimate_discrepancy, observe
 from rtcal.finder.means.hypotheses import predict_hypotheses
 from rtcal.finder.means.likelihood import MeansProblem
-from rtcal.finder.means.model_error import estimate_discrepancy
 from rtcal.finder.model import FEATURES
 from rtcal.finder.prior import NULL_POWER, prior_of
 from rtcal.finder.search import find

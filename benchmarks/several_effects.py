@@ -45,10 +45,9 @@ from benchmarks.several_effects_rooms import (
 )
 from rtcal.finder import Case, recalibrate
 from rtcal.finder.means.engines import ControlRooms
-from rtcal.finder.means.features import observe
+from rtcal.finder.means.features import ModelDiscrepancy, estimate_discrepancy, observe
 from rtcal.finder.means.hypotheses import predict_hypotheses
 from rtcal.finder.means.likelihood import MeansProblem, alpha_covariance
-from rtcal.finder.means.model_error import ModelDiscrepancy, estimate_discrepancy
 from rtcal.finder.means.recalibration import plain
 from rtcal.finder.means.set_posterior import MOST
 from rtcal.finder.means.sets import averaged_alpha, compare, covariance_with_alpha, moments

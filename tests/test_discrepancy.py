@@ -34,14 +34,18 @@ from rtcal.finder.effects.absorbers import Opening, Porous, Resonator
 from rtcal.finder.effects.stated import WrongArea, WrongVolume
 from rtcal.finder.effects.whole_room import CoupledDecay, DirectionalDecay
 from rtcal.finder.means import hypotheses
-from rtcal.finder.means.bootstrap import control_rooms
 from rtcal.finder.means.corrected import not_in_room
 from rtcal.finder.means.engines import ControlRooms, recentred
-from rtcal.finder.means.evidence import evaluate
-from rtcal.finder.means.features import distances, observe, state
+from rtcal.finder.means.evidence import control_rooms, evaluate
+from rtcal.finder.means.features import (
+    ModelDiscrepancy,
+    distances,
+    estimate_discrepancy,
+    observe,
+    state,
+)
 from rtcal.finder.means.hypotheses import predict_hypotheses
 from rtcal.finder.means.likelihood import MeansProblem, alpha_covariance
-from rtcal.finder.means.model_error import ModelDiscrepancy, estimate_discrepancy
 from rtcal.finder.model import RoomState, predict, sensitivities
 from rtcal.finder.search import find
 from rtcal.support.errors import DataError

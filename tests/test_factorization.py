@@ -12,10 +12,9 @@ from rtcal.finder.effects.absorbers import Opening
 from rtcal.finder.effects.stated import NoiseFloor
 from rtcal.finder.means.engines import ControlRooms
 from rtcal.finder.means.evidence import evaluate
-from rtcal.finder.means.features import observe
+from rtcal.finder.means.features import AlphaCovariance, estimate_discrepancy, observe
 from rtcal.finder.means.hypotheses import predict_hypotheses
 from rtcal.finder.means.likelihood import Factorization, MeansProblem
-from rtcal.finder.means.model_error import AlphaCovariance, estimate_discrepancy
 from rtcal.support.speed import single_threaded_blas
 from tests.test_discrepancy import ALPHA, opened
 

@@ -20,10 +20,10 @@ from rtcal.command import finder as commands
 from rtcal.command.finder_options import Inputs
 from rtcal.command.main import cli
 from rtcal.finder import Case, MeansFinding, MeansVerification, control_rooms, verify
-from rtcal.finder.candidate import Size
-from rtcal.finder.means import bootstrap, evidence, search
-from rtcal.finder.means.bootstrap import FOLDER
+from rtcal.finder.finding import Size
+from rtcal.finder.means import evidence, search
 from rtcal.finder.means.engines import ControlRooms
+from rtcal.finder.means.evidence import FOLDER
 from rtcal.finder.means.features import distances, state
 from rtcal.finder.model import predict
 from rtcal.finder.search import find
@@ -421,7 +421,7 @@ def differences(index: int) -> list[str]:
     # All data had one threshold, which is that of one step.
     with (
         patch.object(evidence, "_ROUNDS", 0),
-        patch.object(bootstrap, "steps", all_data),
+        patch.object(evidence, "steps", all_data),
         patch.object(search, "steps", all_data),
     ):
         finding = find(one, controls=controls)

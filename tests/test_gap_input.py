@@ -33,8 +33,7 @@ from rtcal.finder import (
 )
 from rtcal.finder.effects.absorbers import Opening
 from rtcal.finder.means.engines import ControlRooms, Engine
-from rtcal.finder.means.features import state
-from rtcal.finder.means.model_error import ModelDiscrepancy
+from rtcal.finder.means.features import ModelDiscrepancy, state
 from rtcal.finder.model import Decay, RoomState
 from rtcal.finder.search import find
 from rtcal.support.errors import DataError, OtherBandsWarning, RtcalError

@@ -19,10 +19,9 @@ from rtcal.finder.claim import by_family, claimed
 from rtcal.finder.effects.absorbers import Audience, Opening, People
 from rtcal.finder.effects.stated import WrongVolume
 from rtcal.finder.effects.whole_room import CoupledRoom
-from rtcal.finder.means import bootstrap
-from rtcal.finder.means.bootstrap import draw_null_features
+from rtcal.finder.means import evidence as bootstrap
 from rtcal.finder.means.engines import ControlRooms
-from rtcal.finder.means.evidence import MeansEvidence
+from rtcal.finder.means.evidence import MeansEvidence, draw_null_features
 from rtcal.finder.means.features import distances, observe, state
 from rtcal.finder.means.hypotheses import LowRank, predict_hypotheses
 from rtcal.finder.model import predict

@@ -29,11 +29,10 @@ from rtcal.finder.claim import numbers_of
 from rtcal.finder.means import hypotheses, likelihood
 from rtcal.finder.means.engines import ControlRooms
 from rtcal.finder.means.evidence import evaluate
-from rtcal.finder.means.features import observe
+from rtcal.finder.means.features import estimate_discrepancy, observe
 from rtcal.finder.means.gap import Objection
 from rtcal.finder.means.hypotheses import predict_hypotheses
 from rtcal.finder.means.likelihood import DEGREES, MeansProblem, alpha_covariance
-from rtcal.finder.means.model_error import estimate_discrepancy
 from rtcal.finder.means.set_posterior import Kept, log_prior, posterior_of_sets
 from rtcal.finder.means.sets import (
     Screen,

@@ -8,12 +8,12 @@ from pathlib import Path
 import pytest
 
 import rtcal as rt
-from rtcal.finder import track_record
-from rtcal.finder.track_record import (
+from rtcal.finder import claim
+from rtcal.finder.claim import (
     HANDBOOK,
     IN_SITU,
     LATER,
-    POSITIONS,
+    RECORDS_OF_POSITIONS,
     WITH_LEVEL,
     WITHOUT_LEVEL,
     Share,
@@ -29,7 +29,7 @@ def numbers(label: str) -> dict[str, tuple[int, int]]:
     """Return a row of the table of both worlds, with the second number first, by kind of data."""
     (row,) = re.findall(rf"^\| {label} \| (\d+); (\d+) \| (\d+); (\d+) \|$", PAGE, re.MULTILINE)
     times, right_of_times, every, right = map(int, row)
-    return {track_record.TIMES: (right_of_times, times), track_record.ALL: (right, every)}
+    return {claim.TIMES: (right_of_times, times), claim.ALL: (right, every)}
 
 
 @pytest.mark.parametrize(
@@ -41,21 +41,21 @@ def numbers(label: str) -> dict[str, tuple[int, int]]:
     ],
 )
 def test_claims_and_right_ones_are_those_of_the_table(label: str, claimed: str) -> None:
-    stated = {data: record.right[claimed] for data, record in track_record.MEANS.items()}
+    stated = {data: record.right[claimed] for data, record in claim.RECORDS_OF_MEANS.items()}
     assert stated == numbers(label)
 
 
 def test_what_is_missed_and_flagged_is_that_of_the_table() -> None:
     for data, (missed, hidden) in numbers("something hidden; missed").items():
-        assert track_record.MEANS[data].detected == (hidden - missed, hidden)
+        assert claim.RECORDS_OF_MEANS[data].detected == (hidden - missed, hidden)
     for data, flagged in numbers("nothing hidden; flagged").items():
-        assert track_record.MEANS[data].flagged == flagged
+        assert claim.RECORDS_OF_MEANS[data].flagged == flagged
 
 
 def test_measured_cases_are_those_of_the_page() -> None:
     measured = re.search(r"measured rooms: wrong claims \|[^|]+\|[^|]+\| (\d+) of (\d+)", PAGE)
     assert measured is not None
-    assert tuple(int(n) for n in measured.groups()) == track_record.MEASURED
+    assert tuple(int(n) for n in measured.groups()) == claim.MEASURED
 
 
 @pytest.mark.parametrize(
@@ -66,28 +66,28 @@ def test_measured_cases_are_those_of_the_page() -> None:
     ],
 )
 def test_claims_beside_others_are_those_of_the_table(label: str, kind: str) -> None:
-    right, of = track_record.SEVERAL[kind]
+    right, of = claim.SEVERAL[kind]
     assert re.search(rf"^\| {label} \| \| {right / of:.2f} \[.*\] of {of} \|$", PAGE, re.MULTILINE)
-    assert f"{right} of {of} such {kind} were right" in track_record.of_several([kind])
+    assert f"{right} of {of} such {kind} were right" in claim.record_of_several([kind])
 
 
 def test_every_verdict_says_how_often_it_was_right(kept: Path) -> None:
     case, _ = rt.datasets.hidden_room()
     finding = rt.find(case, cache=kept)
-    assert finding.track_record == track_record.of_means(finding.verdict, track_record.ALL)
+    assert finding.track_record == claim.record_of_means(finding.verdict, claim.ALL)
     assert finding.track_record in " ".join(str(finding).split())
-    for data in (track_record.TIMES, track_record.ALL):
+    for data in (claim.TIMES, claim.ALL):
         for verdict in ("none", "hint", "named", "family", "ambiguous", "unknown"):
-            assert "not used to make the finder" in track_record.of_means(verdict, data)
+            assert "not used to make the finder" in claim.record_of_means(verdict, data)
 
 
 def test_the_record_is_that_of_the_case_s_own_kind_of_data() -> None:
     case, _ = rt.datasets.hidden_room()
     first = case.configurations[0].name
-    assert track_record.data_of(case) == track_record.ALL
+    assert claim.data_of(case) == claim.ALL
     times = case.only("t20", "edt", "t30", configurations=[first])
-    assert track_record.data_of(times) == track_record.TIMES
-    assert track_record.data_of(case.only("t20", "c80", configurations=[first])) == track_record.ALL
+    assert claim.data_of(times) == claim.TIMES
+    assert claim.data_of(case.only("t20", "c80", configurations=[first])) == claim.ALL
 
 
 def counts(record: TrackRecord) -> dict[str, Share]:
@@ -101,7 +101,7 @@ def counts(record: TrackRecord) -> dict[str, Share]:
 
 @pytest.mark.parametrize(("data", "column"), [(WITHOUT_LEVEL, 3), (WITH_LEVEL, 4)])
 def test_what_a_finding_with_a_geometry_says_is_the_study_s(data: str, column: int) -> None:
-    for label, stated in counts(POSITIONS[IN_SITU, data]).items():
+    for label, stated in counts(RECORDS_OF_POSITIONS[IN_SITU, data]).items():
         (row,) = (line for line in WHERE.splitlines() if line.startswith(f"| {label} |"))
         cell = row.split("|")[column].split()
         judged = int(cell[-1])
@@ -126,7 +126,9 @@ def test_what_it_says_of_a_later_version_is_what_was_judged(data: str, which: st
 
 
 def test_what_it_says_of_a_handbook_s_coefficients_is_the_study_s() -> None:
-    without, with_level = (POSITIONS[HANDBOOK, data] for data in (WITHOUT_LEVEL, WITH_LEVEL))
+    without, with_level = (
+        RECORDS_OF_POSITIONS[HANDBOOK, data] for data in (WITHOUT_LEVEL, WITH_LEVEL)
+    )
     right = without.right["surface"], with_level.right["surface"]
     said = (
         f"{without.detected[0]} and {with_level.detected[0]} of {without.detected[1]} detected, "
@@ -138,5 +140,5 @@ def test_what_it_says_of_a_handbook_s_coefficients_is_the_study_s() -> None:
 
 def test_a_room_is_compared_with_those_whose_sigma_is_like_its_own() -> None:
     room = rt.datasets.hidden_room()[0].room
-    assert track_record.statement(room.replace(sigma=0.3 * room.alpha)) == HANDBOOK
-    assert track_record.statement(room.replace(sigma=0.1 * room.alpha)) == IN_SITU
+    assert claim.statement_of(room.replace(sigma=0.3 * room.alpha)) == HANDBOOK
+    assert claim.statement_of(room.replace(sigma=0.1 * room.alpha)) == IN_SITU

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import rtcal as rt
-from rtcal.finder.candidate import Candidate
+from rtcal.finder.finding import Candidate
 from rtcal.finder.positions.case import PositionsCase
 from rtcal.finder.positions.corrected import corrected_geometry
 from rtcal.finder.positions.surfaces import of_geometry, patched

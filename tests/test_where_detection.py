@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import rtcal as rt
-from rtcal.finder import track_record
+from rtcal.finder.claim import record_of_positions
 from rtcal.finder.effects import library
 from rtcal.finder.finding import Detection
 from rtcal.finder.positions.evidence import NOISE, POSITION, SpreadHypothesis
@@ -160,7 +160,7 @@ def test_the_record_is_that_of_what_was_measured(
     lacking = rt.finder.positions.PositionsCase(simulator=case.simulator, measured=without)
     assert "level" in lacking.match
     finding = rt.finder.positions.find(lacking, cache=kept)
-    assert track_record.of_positions(case.room, finding.parameters) == finding.notes[0]
+    assert record_of_positions(case.room, finding.parameters) == finding.notes[0]
     assert "level" not in finding.parameters
 
 

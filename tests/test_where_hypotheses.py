@@ -11,7 +11,7 @@ import pytest
 
 import rtcal as rt
 from rtcal.acoustics import decay
-from rtcal.finder.candidate import Candidate
+from rtcal.finder.finding import Candidate
 from rtcal.finder.positions.evidence import Likelihood, ScatteringLevels, ShiftHypothesis
 from rtcal.finder.positions.hypotheses import uneven_amount, uneven_columns, unevenness
 from rtcal.finder.positions.weighing import Aperture

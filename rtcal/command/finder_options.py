@@ -186,7 +186,7 @@ class Inputs:
     @property
     def kept(self) -> Path:
         """The folder in which simulations are kept, beside the case or room."""
-        from rtcal.finder.means.bootstrap import FOLDER
+        from rtcal.finder.means.evidence import FOLDER
 
         return Path(self.case).parent / FOLDER
 

@@ -180,7 +180,7 @@ def calibrated_to_positions(
     file: Path, room: Room, heard: Measurement, paths: int
 ) -> PositionsResult:
     """Return the calibration to every position."""
-    from rtcal.finder.means.bootstrap import FOLDER
+    from rtcal.finder.means.evidence import FOLDER
     from rtcal.io import geometry_files
     from rtcal.loop.control_runs import RUNS
     from rtcal.loop.positions import calibrate_positions

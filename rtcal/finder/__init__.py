@@ -14,7 +14,6 @@ from rtcal.support import lazy
 if TYPE_CHECKING:
     from rtcal.finder import positions as positions
     from rtcal.finder import states as states
-    from rtcal.finder.candidate import Candidate as Candidate
     from rtcal.finder.case import AppliedEffect as AppliedEffect
     from rtcal.finder.case import Case as Case
     from rtcal.finder.configuration import ChangedMaterial as ChangedMaterial
@@ -22,12 +21,13 @@ if TYPE_CHECKING:
     from rtcal.finder.effects import Absorber as Absorber
     from rtcal.finder.effects import Effect as Effect
     from rtcal.finder.effects import library as library
+    from rtcal.finder.finding import Candidate as Candidate
     from rtcal.finder.finding import Finding as Finding
     from rtcal.finder.finding import Verification as Verification
-    from rtcal.finder.means.bootstrap import Threshold as Threshold
-    from rtcal.finder.means.bootstrap import control_rooms as control_rooms
     from rtcal.finder.means.corrected import corrected_room as corrected_room
     from rtcal.finder.means.corrected import simulator as simulator
+    from rtcal.finder.means.evidence import Threshold as Threshold
+    from rtcal.finder.means.evidence import control_rooms as control_rooms
     from rtcal.finder.means.finding import MeansFinding as MeansFinding
     from rtcal.finder.means.planning import Plan as Plan
     from rtcal.finder.means.planning import Proposal as Proposal

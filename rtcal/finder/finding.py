@@ -1,34 +1,171 @@
-"""The bases of what a search and a verification return, whatever was observed, and their words."""
+"""An effect that explains the data, and the bases of what a search and a verification return."""
 
 from __future__ import annotations
 
+import math
 from abc import abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from scipy import stats
 
-from rtcal.finder.candidate import Candidate, End
 from rtcal.finder.effects import Effect
+from rtcal.finder.effects.whole_room import CoupledRoom
 from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError, ModelError
+from rtcal.support.files import json_numbers
 from rtcal.support.results import Result
 from rtcal.support.types import Array
+
+End = Literal["", "least", "most"]
+"""At which end of what is tried the data allow any size."""
+
+
+def amount(value: float, unit: str, interval: tuple[float, float] | None = None) -> str:
+    """Return a size with its unit and its 90 % interval; a ratio as so many times.
+
+    Examples
+    --------
+    >>> amount(2.0, "of the stated area"), amount(12.3, "m²", (8.0, 17.0))
+    ('2 times the stated area', '12.3 m² (90 %: 8 to 17)')
+    >>> amount(0.875, "of its area covered", (0.47, 1.0))
+    '0.875 of its area covered (90 %: 0.47 to 1)'
+    """
+    times = unit.replace("of the stated ", "times the stated ")
+    ends = "" if interval is None else f" (90 %: {interval[0]:.3g} to {interval[1]:.3g})"
+    return f"{value:.3g} {times}{ends}"
+
+
+@dataclass(frozen=True)
+class Size:
+    """Size of an effect: mean and 90 % interval, in ``unit``.
+
+    ``end`` is "least" where the data allow any size above ``low``, "most" where they allow any below
+    ``high``: the evidence does not fall within what is tried, and physics does not end there.
+    """
+
+    mean: float
+    low: float
+    high: float
+    unit: str
+    end: End = ""
+
+    @property
+    def words(self) -> str:
+        """The size with its interval.
+
+        Examples
+        --------
+        >>> Size(12.3, 8.0, 17.0, "m²").words
+        '12.3 m² (90 %: 8 to 17)'
+        >>> Size(61.0, 26.0, 109.0, "m²", "least").words
+        'at least 26 m² (95 %)'
+        """
+        if self.end:
+            value = self.low if self.end == "least" else self.high
+            return f"at {self.end} {amount(value, self.unit)} (95 %)"
+        return amount(self.mean, self.unit, (self.low, self.high))
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain values for JSON."""
+        return {**vars(self), "end": self.end or None}
+
+
+Point = tuple[float, float, float]
+LOCATED = 0.5
+"""Share of a candidate's probability from which a part of its surface is where it stands."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Candidate:
+    """An effect that explains the data, of positions in one place.
+
+    Attributes
+    ----------
+    effect, family : str
+    surface : str or None
+        None for the whole room, the measurement, and of means over positions.
+    place : str
+        The surface's name; of the measurement's errors "receiver R1", "source S1" or "S1 to R1"; "" for
+        the whole room.
+    probability : float
+    size, low, high : float
+        Posterior mean and 90 % interval, in ``unit``; NaN for coefficients off together and for
+        "unknown".
+    unit : str
+    parameters : mapping of str to float
+        The most probable ones.
+    spectrum : array (n_bands,) or (0,)
+        Posterior mean alpha of what stands on the surface.
+    parts : tuple of (middle, probability)
+        Of a large surface: the middle (x, y, z) of each part in m, and the probability that it stands
+        on this part alone. With the rest of its probability it is spread over the surface.
+    """
+
+    effect: str
+    family: str
+    probability: float
+    surface: str | None = None
+    place: str = ""
+    size: float = math.nan
+    low: float = math.nan
+    high: float = math.nan
+    unit: str = ""
+    parameters: Mapping[str, float] = field(default_factory=dict)
+    spectrum: Array = field(default_factory=lambda: np.zeros(0))
+    parts: tuple[tuple[Point, float], ...] = ()
+
+    @property
+    def middle(self) -> Point | None:
+        """Middle in m of the part that holds at least half of the probability; None without one."""
+        middle, probability = max(self.parts, key=lambda part: part[1], default=(None, 0.0))
+        return middle if probability >= LOCATED * self.probability else None
+
+    @property
+    def about(self) -> str:
+        """The middle in words; "" without one."""
+        if self.middle is None:
+            return ""
+        return f", most probably about ({', '.join(f'{x:.1f}' for x in self.middle)}) m"
+
+    @property
+    def title(self) -> str:
+        """Effect and place, as a sentence names them."""
+        if self.surface is not None:
+            return f'{self.effect} on "{self.surface}"'
+        return f"{self.effect} of {self.place}" if self.place else self.effect
+
+    @property
+    def can_be_added(self) -> bool:
+        """Whether it stands on a surface and a room of one geometry can have it."""
+        return self.surface is not None and self.effect != CoupledRoom.name
+
+    @property
+    def in_words(self) -> str:
+        """Size with its interval; "" where there is none."""
+        if not np.isfinite(self.size):
+            return ""
+        return amount(self.size, self.unit, (self.low, self.high))
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain values."""
+        return {
+            **{k: v for k, v in vars(self).items() if k not in _CONVERTED},
+            **{k: json_numbers(getattr(self, k)) for k in ("size", "low", "high")},
+            "parameters": dict(self.parameters),
+            "spectrum": json_numbers(self.spectrum),
+            "parts": [{"middle": list(m), "probability": p} for m, p in self.parts],
+        }
+
+
+_CONVERTED = ("size", "low", "high", "spectrum", "parameters", "parts")
+
 
 NATS = "2.3 nats are odds of ten to one"
 _ALIKE = 1.25
 """Ratio of the upper and the lower bands, below which these are alike."""
-
-
-def engine_title(name: str) -> str:
-    """Return what an engine is called in a sentence.
-
-    >>> engine_title("network"), engine_title("path tracing")
-    ('scattering delay network', 'path tracing')
-    """
-    return "scattering delay network" if name == "network" else name
 
 
 def over_frequency(values: Array) -> str:
@@ -46,17 +183,6 @@ def over_frequency(values: Array) -> str:
 
 _CONFIDENCE = 0.95
 """Of a gap over pairs that is said to shrink or to grow: one-sided, by Student's t."""
-
-
-def verdict_of(gain: float, uncertainty: float, n_pairs: int) -> str:
-    """Return the verdict on a gap that shrinks by ``gain``, with its standard error over the pairs.
-
-    >>> verdict_of(0.5, 0.1, 8), verdict_of(0.1, 0.1, 8), verdict_of(-0.5, 0.1, 8)
-    ('supported', 'unproven', 'withdrawn')
-    """
-    if abs(gain) <= uncertainty * float(stats.t.ppf(_CONFIDENCE, n_pairs - 1)):
-        return "unproven"
-    return "supported" if gain > 0 else "withdrawn"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -138,9 +264,12 @@ class HeldOutVerification(Verification):
     def verdict(self) -> str:
         """``supported``, ``unproven`` or ``withdrawn``: the gap shrinks, hardly changes, or grows.
 
-        By more than its uncertainty, one-sided, by Student's t over the pairs (`verdict_of`).
+        By more than its uncertainty, one-sided, by Student's t over the pairs.
         """
-        return verdict_of(self.gain, self.uncertainty, self.gains.shape[1])
+        gain, free = self.gain, self.gains.shape[1] - 1
+        if abs(gain) <= self.uncertainty * float(stats.t.ppf(_CONFIDENCE, free)):
+            return "unproven"
+        return "supported" if gain > 0 else "withdrawn"
 
 
 def check_pairs(pairs: Sequence[object]) -> None:
@@ -207,34 +336,6 @@ class Detection:
         if self.score > self.threshold or self.deciding is not None:
             return None
         return "hint" if max(self.score, self.noise or 0.0) > 0 else "none"
-
-
-@dataclass(frozen=True, eq=False)
-class AbsorptionChange:
-    """Absorption area that an effect adds by band, over the room's mean one over the bands.
-
-    ``share`` (3, n_bands) is that of the size's mean, and of both ends of its interval. ``end`` is the
-    size's.
-    """
-
-    share: Array
-    end: End = ""
-
-    @property
-    def words(self) -> str:
-        """The mean over the bands, and whether it rises with frequency.
-
-        >>> AbsorptionChange(np.array([[0.2, 0.6], [0.1, 0.3], [0.3, 0.9]])).words
-        '40 % more absorption (90 %: 20 to 60 %), rising with frequency'
-        """
-        mean, *ends = 100 * np.abs(self.share.mean(1))
-        more = "more" if self.share[0].mean() > 0 else "less"
-        if self.end:
-            bound = min(ends) if self.end == "least" else max(ends)
-            said = f"at {self.end} {bound:.0f} % {more} absorption"
-        else:
-            said = f"{mean:.0f} % {more} absorption (90 %: {min(ends):.0f} to {max(ends):.0f} %)"
-        return f"{said}, {over_frequency(self.share[0])}"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)

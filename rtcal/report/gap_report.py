@@ -14,7 +14,7 @@ from rtcal.acoustics import room_files
 from rtcal.acoustics.equations import mean_equation
 from rtcal.calibration.presets import calibrate
 from rtcal.finder.claim import CLAIMED, SAID
-from rtcal.finder.means.bootstrap import QUANTILE
+from rtcal.finder.means.evidence import QUANTILE
 from rtcal.finder.means.finding import MeansFinding
 from rtcal.finder.means.recalibration import recalibrate
 from rtcal.finder.means.verdict import TWO

@@ -207,8 +207,8 @@ THE_MEANS_HAVE_FIVE = {
     *(
         f"finder/means/{name}.py"
         for name in (
-            *("corrected", "engines", "features", "hypotheses", "measurements"),
-            *("model_error", "planning", "recalibration", "search"),
+            *("corrected", "engines", "features", "gap", "hypotheses", "measurements"),
+            *("planning", "recalibration", "search"),
         )
     ),
 }

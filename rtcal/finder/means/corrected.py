@@ -22,10 +22,10 @@ from rtcal.acoustics.materials import Material
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.priors import NORMAL_90
 from rtcal.acoustics.room import Room
-from rtcal.finder.candidate import amount
 from rtcal.finder.case import AppliedEffect, Case
 from rtcal.finder.configuration import Configuration
-from rtcal.finder.means.features import distances, seen, state, with_applied
+from rtcal.finder.finding import amount
+from rtcal.finder.means.features import distances, state, with_applied
 from rtcal.finder.model import FEATURES, RoomState, highest, mean_contributions, predict
 from rtcal.simulators.base import RoomSimulator, Simulator, check_alpha, run
 from rtcal.simulators.geometry import Polyhedron
@@ -410,3 +410,21 @@ def _absorption(s: RoomState) -> Array:
     """The equation's mean over walls, coverings and objects, without the air."""
     exponent = (s.surface_absorption + s.objects) / s.total_area
     return mean_equation(s.equation).inverse(exponent)
+
+
+_STEP = 1e-4
+"""Step of alpha for a derivative."""
+
+
+def seen(case: Case, configuration: Configuration) -> Array:
+    """Return d (alpha of the state) / d (alpha of the room), (n_materials, n_bands).
+
+    It is 1 but where an applied effect changes alpha: what is covered is not seen.
+    """
+    at = np.array(case.room.alpha)
+    unchanged = replace(configuration, changes={})
+    after = state(case, unchanged, at).alpha
+    if np.array_equal(after, at):
+        return np.ones_like(at)
+    step = np.where(at < 0.5, _STEP, -_STEP)
+    return np.asarray((state(case, unchanged, at + step).alpha - after) / step)

@@ -24,6 +24,8 @@ from rtcal.simulators.path_tracing import PathTracing
 from rtcal.simulators.ray_tracing import RayTracing
 from rtcal.simulators.sdn import ScatteringDelayNetwork
 from rtcal.simulators.tracer import LONGEST, ScatteringModel, Tracer
+from rtcal.support import checks
+from rtcal.support.errors import DataError
 from rtcal.support.speed import TaskProgress
 from rtcal.support.types import Array
 
@@ -410,3 +412,33 @@ ENGINES: Mapping[str, Engine] = {
         ),
     )
 }
+
+
+def checked_engines(engines: object) -> list[str]:
+    """Return the names of at least two engines, each once; DataError otherwise."""
+    names = list(dict.fromkeys(map(str, checks.listed("engines", engines))))
+    if unknown := sorted(set(names) - set(ENGINES)):
+        raise DataError(f'engine "{unknown[0]}" is not one of {", ".join(ENGINES)}')
+    if len(names) < 2:
+        raise DataError(f"engines = {names}: a threshold needs at least two engines")
+    return names
+
+
+def checked_controls(case: Case, controls: object, least: int = 2) -> tuple[ControlRooms, ...]:
+    """Return control rooms of this case's shape and of ``least`` engines; DataError otherwise."""
+    every = tuple(
+        checks.instance("controls", c, ControlRooms) for c in checks.listed("controls", controls)
+    )
+    if len({c.engine for c in every}) < least:
+        raise DataError(
+            f"controls are of {', '.join(c.engine for c in every) or 'no engine'}: a threshold needs "
+            "at least two engines"
+        )
+    shape = len(case.configurations), len(FEATURES), case.room.n_bands
+    for c in every:
+        if c.errors.shape[1:] != shape or not len(c.errors):
+            raise DataError(
+                f'controls of "{c.engine}" have shape {c.errors.shape}; this case\'s are (n_controls, '
+                f"{', '.join(map(str, shape))}): they are of another case"
+            )
+    return every

@@ -9,12 +9,17 @@ from typing import Any, ClassVar
 import numpy as np
 
 from rtcal.acoustics import bands
-from rtcal.finder import track_record
-from rtcal.finder.candidate import Size
 from rtcal.finder.case import AppliedEffect, Case
-from rtcal.finder.claim import SAID, Names, SetsFinding
-from rtcal.finder.finding import NATS, engine_title
-from rtcal.finder.means.model_error import ModelDiscrepancy
+from rtcal.finder.claim import (
+    SAID,
+    Names,
+    SetsFinding,
+    data_of,
+    record_of_means,
+    record_of_several,
+)
+from rtcal.finder.finding import NATS, Size
+from rtcal.finder.means.features import ModelDiscrepancy
 from rtcal.finder.means.verdict import Fit
 from rtcal.finder.prior import COEFFICIENTS, NONE, OffTogether, Prior
 from rtcal.support import text
@@ -328,12 +333,13 @@ class MeansFinding(SetsFinding):
         title = "other probabilities" if said else "probabilities"
         if self.more_than_one:
             title += " of being there at all"
+        titles = ["scattering delay network" if e == "network" else e for e in self.engines]
         return (
             f"{self.deciding_in_words}{f'{title}: {listing}. ' if others else ''}"
             "Evidence that something is missing, whatever it is: "
             f"{self.score:+.1f} nats ({NATS}). Threshold: {self.threshold:.1f} nats, which at most "
             "5 % of simulated rooms exceed that lack nothing "
-            f"({', '.join(map(engine_title, self.engines)) or 'no engine'})."
+            f"({', '.join(titles) or 'no engine'})."
         )
 
     @property
@@ -351,8 +357,8 @@ class MeansFinding(SetsFinding):
         """The share of such verdicts that were right in rooms that were not used to make the finder."""
         if self.more_than_one and self.verdict not in ("none", "hint"):
             claimed = {"families": self.named_families, "sets of families": self.named_set}
-            return track_record.of_several([kind for kind, names in claimed.items() if names])
-        return track_record.of_means(self.verdict, track_record.data_of(self.case))
+            return record_of_several([kind for kind, names in claimed.items() if names])
+        return record_of_means(self.verdict, data_of(self.case))
 
     @property
     def headline(self) -> str:

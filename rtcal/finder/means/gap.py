@@ -1,4 +1,4 @@
-"""The gap where alpha cannot close it, with and without the effect, and the doubts that follow.
+"""The gap where alpha cannot close it, the doubts that follow, and what would decide.
 
 Plain calibration meets T20 of the first configuration whatever the model lacks. What is left of the
 other features is what alpha cannot absorb. The linear model of `evidence` gives it without a QP;
@@ -7,6 +7,7 @@ other features is what alpha cannot absorb. The linear model of `evidence` gives
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -15,14 +16,15 @@ import numpy as np
 from rtcal.acoustics import bands
 from rtcal.acoustics.bands import mid_frequency_time, schroeder_frequency
 from rtcal.acoustics.observables import observable
-from rtcal.finder.candidate import Size
 from rtcal.finder.case import Case
 from rtcal.finder.claim import DISTINCT_NATS
 from rtcal.finder.effects import Effect, Parameters
+from rtcal.finder.finding import Size
 from rtcal.finder.means.evidence import MeansEvidence, evaluate
 from rtcal.finder.means.hypotheses import MeansHypotheses
-from rtcal.finder.means.likelihood import MeansProblem, log_density
+from rtcal.finder.means.likelihood import MeansProblem, alpha_covariance, log_density
 from rtcal.finder.model import FEATURES
+from rtcal.finder.prior import COEFFICIENTS, UNKNOWN
 from rtcal.support.types import Array
 
 GROSS = np.log(2.0)
@@ -231,3 +233,100 @@ def _plus(covariance: Array) -> Array:
     """Return the matrix with a trace on its diagonal, so that it can be inverted where sigma is 0."""
     size = len(covariance)
     return np.asarray(covariance + 1e-9 * (1.0 + np.trace(covariance) / size) * np.eye(size))
+
+
+USUAL = np.array([0.015, 0.03, 0.02, 0.5, 0.5])
+"""Standard uncertainty of a mean over four positions that is not measured yet, by feature."""
+
+
+def separation(
+    predicted: MeansHypotheses, covariance: Array, mask: Array, first: int, second: str
+) -> float:
+    """Return the expected evidence in nats against effect ``second`` if ``first`` is true.
+
+    It is ½ min d' C⁻¹ d over the parameters of ``second``, with the masked features.
+    """
+    rows = [i for i, n in enumerate(predicted.names) if n == second]
+    inverse = np.linalg.inv(covariance[np.ix_(mask, mask)])
+    d = predicted.features[rows].reshape(len(rows), -1)[:, mask]
+    d = d - predicted.features[first].ravel()[mask]
+    return float(0.5 * np.einsum("ni,ij,nj->n", d, inverse, d).min())
+
+
+def covariance_of_all(problem: MeansProblem, i: int) -> Array:
+    """Return the covariance of all features under hypothesis ``i``, also of those not measured."""
+    observed = problem.observed
+    variances = np.broadcast_to(USUAL[None, :, None] ** 2, observed.used.shape).copy()
+    variances[observed.used] = np.diag(observed.covariance)
+    of_alpha = alpha_covariance(problem.predicted, i)
+    return np.asarray(of_alpha + problem.discrepancy.covariance + np.diag(variances.ravel()))
+
+
+def with_features(used: Array, features: Sequence[str]) -> Array:
+    """Return which features are in use, (n_configurations, n_features, n_bands), with further ones."""
+    more = used.copy()
+    more[:, [FEATURES.index(f) for f in features]] = True
+    return more
+
+
+_PARAMETERS = {"EDT and T30": ("edt", "t30"), "C80": ("c80",), "G": ("g",)}
+
+
+def _in_words(kind: str) -> str:
+    return "G, with a calibrated source" if kind == "G" else kind
+
+
+def next_measurement(evidence: MeansEvidence, candidates: Sequence[str]) -> str:
+    """Return the measurement that would decide between the candidates."""
+    problem, predicted = evidence.problem, evidence.problem.predicted
+    named = [c for c in candidates if c not in (UNKNOWN, COEFFICIENTS)]
+    if candidates and candidates[0] == COEFFICIENTS:
+        return (
+            "look for another source of the coefficients, first for the material with the largest "
+            "product of area and sigma; or measure with and without a known absorber"
+        )
+    if not named:
+        return (
+            "these data leave nothing to tell apart. That does not confirm the model"
+            if not candidates
+            else "see in the residuals which band and parameter disagree, and measure these again"
+        )
+    best = named[0]
+    rows = evidence.rows[best]
+    first = int(rows[np.argmax(evidence.by_hypothesis()[rows])])
+    if len(named) == 1:
+        if predicted.effects[best].removable:
+            return f"confirm it: measure once without the {best}"
+        return f"confirm it: check the {best} where it can be looked up or measured by itself"
+    rival = named[1]
+    used = problem.observed.used
+    covariance = covariance_of_all(problem, first)
+    now = separation(predicted, covariance, used.ravel(), first, rival)
+    options = []
+    for kind, features in _PARAMETERS.items():
+        more = with_features(used, features)
+        if more.sum() > used.sum():
+            nats = separation(predicted, covariance, more.ravel(), first, rival)
+            options.append((nats, _in_words(kind)))
+    removable = {n: predicted.effects[n].removable for n in (best, rival)}
+    if len(set(removable.values())) == 2:
+        suspect = best if removable[best] else rival
+        return (
+            f"measure with and without the {suspect}. If it is that, T changes, and the uncertainty of "
+            "alpha cancels in the difference"
+        )
+    if options and max(options)[0] > now + 1:
+        gain, label = max(options)
+        return (
+            f"measure {label}: with it {best} and {rival} would differ by {gain:.1f} nats instead of "
+            f"{now:.1f}"
+        )
+    if all(removable.values()):
+        return (
+            f"measure without the {best} and without the {rival}, one at a time. The uncertainty of "
+            "alpha cancels in the difference"
+        )
+    return (
+        f"look at the room: {best} and {rival} predict the same in every parameter, and one of them "
+        "can be seen, or measured with a rule"
+    )

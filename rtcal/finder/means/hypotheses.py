@@ -13,8 +13,7 @@ from rtcal.finder.case import AppliedEffect, Case
 from rtcal.finder.configuration import Configuration
 from rtcal.finder.effects import Effect, Parameters
 from rtcal.finder.effects.checks import changed_states, checked_grid
-from rtcal.finder.means.features import DISTANCE_ERROR, distances, state
-from rtcal.finder.means.model_error import AlphaCovariance
+from rtcal.finder.means.features import DISTANCE_ERROR, AlphaCovariance, distances, state
 from rtcal.finder.model import FEATURES, RoomState, predict
 from rtcal.finder.prior import NONE, grid_weights
 from rtcal.support.errors import DataError

@@ -13,9 +13,8 @@ from scipy.linalg.lapack import dpotrf, dtrtrs
 from scipy.special import chdtrc, gammaln, logsumexp
 
 from rtcal.finder.case import Case
-from rtcal.finder.means.features import ObservedFeatures
+from rtcal.finder.means.features import ModelDiscrepancy, ObservedFeatures
 from rtcal.finder.means.hypotheses import LowRank, MeansHypotheses, misfit
-from rtcal.finder.means.model_error import ModelDiscrepancy
 from rtcal.finder.prior import SCALES
 from rtcal.support.types import Array
 

@@ -14,7 +14,12 @@ from rtcal.finder.claim import DISTINCT_NATS
 from rtcal.finder.configuration import Configuration
 from rtcal.finder.effects import Effect
 from rtcal.finder.effects.checks import checked_effects
-from rtcal.finder.means.features import ObservedFeatures, observe
+from rtcal.finder.means.features import (
+    ModelDiscrepancy,
+    ObservedFeatures,
+    checked_discrepancy,
+    observe,
+)
 from rtcal.finder.means.finding import MeansFinding
 from rtcal.finder.means.hypotheses import MeansHypotheses, predict_hypotheses
 from rtcal.finder.means.likelihood import MeansProblem
@@ -31,7 +36,6 @@ from rtcal.finder.means.measurements import (
     possible,
     separations,
 )
-from rtcal.finder.means.model_error import ModelDiscrepancy, checked_discrepancy
 from rtcal.finder.means.sets import compare, moments
 from rtcal.finder.prior import NONE, prior_of
 from rtcal.support import checks, text

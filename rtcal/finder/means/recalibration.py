@@ -16,6 +16,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from rtcal.acoustics.air import Air
 from rtcal.acoustics.equations import LinearEquation, mean_equation
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.room import Room
@@ -27,8 +28,14 @@ from rtcal.calibration.result import JointResult
 from rtcal.calibration.terms import AddedAbsorption, PriorDeviation, SoftMatch
 from rtcal.finder.case import AppliedEffect, Case
 from rtcal.finder.configuration import Configuration
-from rtcal.finder.means.features import air_of, distances, observe, seen, state
-from rtcal.finder.means.model_error import ModelDiscrepancy, checked_discrepancy
+from rtcal.finder.means.corrected import seen
+from rtcal.finder.means.features import (
+    ModelDiscrepancy,
+    checked_discrepancy,
+    distances,
+    observe,
+    state,
+)
 from rtcal.finder.means.recalibrated import Recalibrated
 from rtcal.finder.model import FEATURES, STEEPEST, RoomState, predict
 from rtcal.support.arguments import checked
@@ -51,6 +58,14 @@ _MISFIT = 0.15
 """Relative standard deviation of an effect's change of T: half of its
 variance is common to all bands (`Effect.spectrum_error`), half is not (`Effect.formula_error`)."""
 _T20 = FEATURES.index("t20")
+
+
+def air_of(case: Case, configuration: Configuration) -> Air | None:
+    """Return the climate of a configuration, with the applied effects."""
+    air = configuration.air or case.room.air
+    for added in case.applied:
+        air = added.effect.air(air, added.parameters)
+    return air
 
 
 def plain(case: Case) -> Recalibrated:

@@ -10,27 +10,24 @@ import numpy as np
 
 from rtcal.acoustics import bands
 from rtcal.acoustics.observables import parameter_label
-from rtcal.finder.candidate import Candidate
 from rtcal.finder.case import AppliedEffect, Case
 from rtcal.finder.claim import by_family, credible_set, family_of, posterior
 from rtcal.finder.effects import Effect
 from rtcal.finder.effects.checks import checked_effects
-from rtcal.finder.finding import Detection
-from rtcal.finder.means.bootstrap import (
+from rtcal.finder.finding import Candidate, Detection
+from rtcal.finder.means.engines import ControlRooms, checked_controls
+from rtcal.finder.means.evidence import (
     Threshold,
     bootstrap_threshold,
-    checked_controls,
     control_rooms,
+    evaluate_beyond,
 )
-from rtcal.finder.means.bootstrap import score as evidence_of_something
-from rtcal.finder.means.engines import ControlRooms
-from rtcal.finder.means.evidence import evaluate_beyond
+from rtcal.finder.means.evidence import score as evidence_of_something
 from rtcal.finder.means.features import LEVELS, observe, steps
 from rtcal.finder.means.finding import MeansFinding
-from rtcal.finder.means.gap import schroeder_limit
+from rtcal.finder.means.gap import next_measurement, schroeder_limit
 from rtcal.finder.means.hypotheses import MeansHypotheses, predict_hypotheses
 from rtcal.finder.means.likelihood import MeansProblem
-from rtcal.finder.means.measurements import next_measurement
 from rtcal.finder.means.set_posterior import MOST, posterior_of_sets, single_posterior
 from rtcal.finder.means.sets import Rows, averaged_alpha, compare
 from rtcal.finder.means.verdict import Fit, of_sets, of_single

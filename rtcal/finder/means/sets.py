@@ -27,10 +27,9 @@ from rtcal.finder.case import Case
 from rtcal.finder.effects import Effect
 from rtcal.finder.effects.checks import added, changed_states
 from rtcal.finder.means.evidence import unknown_evidence
-from rtcal.finder.means.features import distances, state
+from rtcal.finder.means.features import COMMON_CORRELATION, AlphaCovariance, distances, state
 from rtcal.finder.means.hypotheses import LowRank, MeansHypotheses, misfit
 from rtcal.finder.means.likelihood import Factorization, MeansProblem, log_densities, student
-from rtcal.finder.means.model_error import COMMON_CORRELATION, AlphaCovariance
 from rtcal.finder.model import RoomState, predict, sensitivities
 from rtcal.support.types import Array
 

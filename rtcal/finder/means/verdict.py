@@ -11,7 +11,6 @@ import numpy as np
 from scipy.special import logsumexp
 
 from rtcal.finder import prior
-from rtcal.finder.candidate import End, Size
 from rtcal.finder.case import AppliedEffect, Case
 from rtcal.finder.claim import (
     CLAIMED,
@@ -25,7 +24,7 @@ from rtcal.finder.claim import (
 )
 from rtcal.finder.effects import Effect, Parameters
 from rtcal.finder.effects.checks import changed_states
-from rtcal.finder.finding import AbsorptionChange
+from rtcal.finder.finding import End, Size, over_frequency
 from rtcal.finder.means.evidence import NEGLIGIBLE, MeansEvidence
 from rtcal.finder.means.features import state
 from rtcal.finder.means.gap import (
@@ -47,6 +46,34 @@ from rtcal.support.types import Array
 
 _AT_END = 2.0
 """Evidence in nats below that of the best size from which the last size that is tried is no end."""
+
+
+@dataclass(frozen=True, eq=False)
+class AbsorptionChange:
+    """Absorption area that an effect adds by band, over the room's mean one over the bands.
+
+    ``share`` (3, n_bands) is that of the size's mean, and of both ends of its interval. ``end`` is the
+    size's.
+    """
+
+    share: Array
+    end: End = ""
+
+    @property
+    def words(self) -> str:
+        """The mean over the bands, and whether it rises with frequency.
+
+        >>> AbsorptionChange(np.array([[0.2, 0.6], [0.1, 0.3], [0.3, 0.9]])).words
+        '40 % more absorption (90 %: 20 to 60 %), rising with frequency'
+        """
+        mean, *ends = 100 * np.abs(self.share.mean(1))
+        more = "more" if self.share[0].mean() > 0 else "less"
+        if self.end:
+            bound = min(ends) if self.end == "least" else max(ends)
+            said = f"at {self.end} {bound:.0f} % {more} absorption"
+        else:
+            said = f"{mean:.0f} % {more} absorption (90 %: {min(ends):.0f} to {max(ends):.0f} %)"
+        return f"{said}, {over_frequency(self.share[0])}"
 
 
 def absorption_change(

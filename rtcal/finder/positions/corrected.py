@@ -21,7 +21,7 @@ from rtcal.acoustics.directivity import DirectivityFile
 from rtcal.acoustics.materials import Material
 from rtcal.acoustics.room import Room
 from rtcal.acoustics.scene import Scene
-from rtcal.finder.candidate import Candidate
+from rtcal.finder.finding import Candidate
 from rtcal.finder.positions.case import PositionsCase
 from rtcal.finder.positions.surfaces import NEAR, face_at, patched
 from rtcal.io import catt, obj, odeon

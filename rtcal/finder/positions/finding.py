@@ -9,10 +9,9 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
-from rtcal.finder.candidate import Candidate
 from rtcal.finder.claim import SAID
 from rtcal.finder.effects.whole_room import CoupledRoom
-from rtcal.finder.finding import LEAST_PAIRS, Finding
+from rtcal.finder.finding import LEAST_PAIRS, Candidate, Finding
 from rtcal.finder.positions.case import PositionsCase
 from rtcal.finder.positions.posterior import detection_in_words
 from rtcal.finder.positions.weighing import Weighing

@@ -23,12 +23,11 @@ from scipy.special import logsumexp
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.observables import observable
 from rtcal.acoustics.priors import NORMAL_90
-from rtcal.finder.candidate import Candidate
 from rtcal.finder.case import Case
 from rtcal.finder.claim import most_probable_first, with_added
 from rtcal.finder.configuration import PARAMETERS, Configuration
 from rtcal.finder.effects import Effect
-from rtcal.finder.finding import Detection
+from rtcal.finder.finding import Candidate, Detection
 from rtcal.finder.means.finding import MeansFinding
 from rtcal.finder.means.search import find as find_by_means
 from rtcal.finder.positions.case import PositionsCase

@@ -9,12 +9,10 @@ from dataclasses import replace
 import numpy as np
 
 from rtcal.acoustics.observables import TARGET, observable
-from rtcal.finder import track_record
-from rtcal.finder.candidate import Candidate
-from rtcal.finder.claim import CLAIMED, DISTINCT_NATS, claimed
+from rtcal.finder.claim import CLAIMED, DISTINCT_NATS, claimed, record_of_positions
 from rtcal.finder.effects import Effect, library
 from rtcal.finder.effects.checks import checked_effects
-from rtcal.finder.finding import Detection
+from rtcal.finder.finding import Candidate, Detection
 from rtcal.finder.means.finding import MeansFinding
 from rtcal.finder.means.search import CHOSEN
 from rtcal.finder.positions import surfaces as of_room
@@ -294,7 +292,7 @@ def _finding(
         pairs=observations.pairs,
         reasons=reasons,
         notes=(
-            track_record.of_positions(case.room, observations.parameters),
+            record_of_positions(case.room, observations.parameters),
             *_assumed(case),
             *_of_size(hypotheses, placed),
             *case.notes,

@@ -16,8 +16,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from rtcal.acoustics.observables import LEVEL, parameter_label
-from rtcal.finder.candidate import Candidate
-from rtcal.finder.finding import HeldOutVerification, check_pairs
+from rtcal.finder.finding import Candidate, HeldOutVerification, check_pairs
 from rtcal.finder.positions.case import PositionsCase
 from rtcal.finder.positions.corrected import corrected_geometry
 from rtcal.finder.positions.finding import PositionsFinding

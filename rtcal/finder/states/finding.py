@@ -10,13 +10,14 @@ from typing import Any, ClassVar
 import numpy as np
 
 from rtcal.acoustics import bands
-from rtcal.finder.candidate import Size, amount
 from rtcal.finder.claim import CLAIMED, Names
 from rtcal.finder.finding import (
     LEAST_PAIRS,
     NATS,
     Finding,
     HeldOutVerification,
+    Size,
+    amount,
     over_frequency,
 )
 from rtcal.finder.prior import NONE

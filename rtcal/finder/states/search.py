@@ -12,11 +12,10 @@ from scipy.special import logsumexp
 from rtcal.acoustics import band_conversion, bands
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.observables import TARGET
-from rtcal.finder.candidate import Candidate, Size
 from rtcal.finder.claim import SAID, claimed, most_probable_first
 from rtcal.finder.effects import Effect
 from rtcal.finder.effects.checks import checked_effects
-from rtcal.finder.finding import Detection, check_pairs
+from rtcal.finder.finding import Candidate, Detection, Size, check_pairs
 from rtcal.finder.prior import NO_EFFECT, NONE
 from rtcal.finder.states import evidence
 from rtcal.finder.states.case import StatesCase
