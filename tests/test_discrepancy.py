@@ -31,8 +31,7 @@ from rtcal.finder import (
     verify,
 )
 from rtcal.finder.effects.absorbers import Opening, Porous, Resonator
-from rtcal.finder.effects.stated import WrongArea, WrongVolume
-from rtcal.finder.effects.whole_room import CoupledDecay, DirectionalDecay
+from rtcal.finder.effects.whole_room import CoupledDecay, WrongArea, WrongVolume
 from rtcal.finder.means import hypotheses
 from rtcal.finder.means.corrected import not_in_room
 from rtcal.finder.means.engines import ControlRooms, recentred
@@ -46,7 +45,7 @@ from rtcal.finder.means.features import (
 )
 from rtcal.finder.means.hypotheses import predict_hypotheses
 from rtcal.finder.means.likelihood import MeansProblem, alpha_covariance
-from rtcal.finder.model import RoomState, predict, sensitivities
+from rtcal.finder.model import DirectionalDecay, RoomState, predict, sensitivities
 from rtcal.finder.search import find
 from rtcal.support.errors import DataError
 from tests.conftest import candidates_of

@@ -9,7 +9,7 @@ import pytest
 
 from rtcal.finder import ChangedMaterial
 from rtcal.finder.effects.absorbers import Opening
-from rtcal.finder.effects.stated import NoiseFloor
+from rtcal.finder.effects.whole_room import NoiseFloor
 from rtcal.finder.means.engines import ControlRooms
 from rtcal.finder.means.evidence import evaluate
 from rtcal.finder.means.features import AlphaCovariance, estimate_discrepancy, observe

@@ -17,8 +17,7 @@ from rtcal.command.main import cli
 from rtcal.finder import Case, ChangedMaterial, Configuration, library, recalibrate
 from rtcal.finder.claim import by_family, claimed
 from rtcal.finder.effects.absorbers import Audience, Opening, People
-from rtcal.finder.effects.stated import WrongVolume
-from rtcal.finder.effects.whole_room import CoupledRoom
+from rtcal.finder.effects.whole_room import CoupledRoom, WrongVolume
 from rtcal.finder.means import evidence as bootstrap
 from rtcal.finder.means.engines import ControlRooms
 from rtcal.finder.means.evidence import MeansEvidence, draw_null_features

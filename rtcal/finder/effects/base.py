@@ -13,7 +13,7 @@ from rtcal.acoustics import bands
 from rtcal.acoustics.air import Air
 from rtcal.acoustics.materials import LARGEST
 from rtcal.acoustics.room import Room
-from rtcal.finder.model import Decay, RoomState, covered
+from rtcal.finder.model import RoomState, covered
 from rtcal.support import checks
 from rtcal.support.errors import DataError
 from rtcal.support.types import Array
@@ -300,8 +300,3 @@ def interpolate_octaves(frequencies: Array, octaves: Sequence[float]) -> Array:
     """Interpolate values at 63 Hz to 8 kHz, linearly over the logarithm of the frequency."""
     centres = np.log(62.5 * 2.0 ** np.arange(8))
     return np.asarray(np.interp(np.log(frequencies), centres, octaves))
-
-
-def first_decay(decays: Decay) -> Decay:
-    """Return the first of many decays."""
-    return Decay(decays.weights[0], decays.rates[0])

@@ -23,15 +23,17 @@ from rtcal.finder.effects.absorbers import (
     Resonator,
 )
 from rtcal.finder.effects.base import Effect, Limits, Parameters
-from rtcal.finder.effects.stated import (
+from rtcal.finder.effects.whole_room import (
+    CoupledRoom,
     CoveredSurface,
     DirectSound,
     NoiseFloor,
+    NonDiffuse,
+    OmittedAir,
     WrongArea,
     WrongFormula,
     WrongVolume,
 )
-from rtcal.finder.effects.whole_room import CoupledRoom, NonDiffuse, OmittedAir
 from rtcal.finder.model import Decay, RoomState
 from rtcal.support import checks
 from rtcal.support.errors import DataError, RtcalError

@@ -21,8 +21,7 @@ from numpy.typing import NDArray
 from rtcal.acoustics.air import Air
 from rtcal.acoustics.observables import observable
 from rtcal.finder.effects.base import Effect, Parameters, middle_absorption
-from rtcal.finder.effects.stated import HARD, WrongVolume
-from rtcal.finder.effects.whole_room import CoupledRoom, OmittedAir
+from rtcal.finder.effects.whole_room import HARD, CoupledRoom, OmittedAir, WrongVolume
 from rtcal.finder.model import RoomState
 from rtcal.finder.positions.case import PositionsCase
 from rtcal.finder.positions.evidence import (

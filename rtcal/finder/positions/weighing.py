@@ -28,7 +28,7 @@ from scipy.signal import lfilter
 
 from rtcal.acoustics.observables import TARGET, longest
 from rtcal.acoustics.room import Room
-from rtcal.finder.effects.stated import HARD
+from rtcal.finder.effects.whole_room import HARD
 from rtcal.finder.positions.case import PositionsCase
 from rtcal.finder.positions.surfaces import Faces
 from rtcal.simulators import observations, paths
