@@ -138,8 +138,8 @@ def test_the_evidence_of_a_set_is_the_density_with_all_of_it_in_the_model() -> N
     mean = together.features[0].ravel()[mask] + c.discrepancy.bias[mask]
     shape = covariance * (DEGREES - 2) / DEGREES
     expected = multivariate_t.logpdf(c.observed.values, mean, shape, DEGREES)
-    assert evaluate_sets(c, [rows], off=False).stated[0] == pytest.approx(expected, abs=1e-6)
-    assert np.isneginf(evaluate_sets(c, [rows], off=False).off[0])
+    assert evaluate_sets(c, [rows], off=False)[0, 0] == pytest.approx(expected, abs=1e-6)
+    assert np.isneginf(evaluate_sets(c, [rows], off=False)[0, 1])
 
 
 def at_the_points(c: MeansProblem) -> MeansProblem:
@@ -162,8 +162,8 @@ def test_a_set_of_one_is_the_single_hypothesis(monkeypatch: pytest.MonkeyPatch) 
     single = evaluate(c, 0.1)
     rows = [row(c, name) for name in ("opening", "air", "coupled room")]
     sets = evaluate_sets(at_the_points(c), [(i,) for i in rows], off=True)
-    np.testing.assert_allclose(sets.stated, single.stated[rows], atol=1e-8)
-    np.testing.assert_allclose(sets.off, single.off[rows], atol=1e-8)
+    np.testing.assert_allclose(sets[:, 0], single.stated[rows], atol=1e-8)
+    np.testing.assert_allclose(sets[:, 1], single.off[rows], atol=1e-8)
 
 
 def test_the_screen_is_the_density_where_effects_add(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -320,8 +320,7 @@ class _Tables:
         new = [rows for rows in dict.fromkeys(sets) if rows not in self._evaluated]
         if new:
             off = bool(np.isfinite(self._prior_off[1]))
-            values = evaluate_sets(self._compared, new, off=off)
-            both = np.stack([values.stated, values.off], axis=1) + self._prior_off
+            both = evaluate_sets(self._compared, new, off=off) + self._prior_off
             self._evaluated |= dict(zip(new, both, strict=True))
         return np.array([self._evaluated[rows] for rows in sets])
 

@@ -182,14 +182,6 @@ class Screen:
 
 
 @dataclass(frozen=True, eq=False)
-class SetEvidence:
-    """Log likelihoods of sets in nats, (n_sets,): coefficients as stated, and off together."""
-
-    stated: Array
-    off: Array
-
-
-@dataclass(frozen=True, eq=False)
 class Moments:
     """Mean (n, m) and covariance (n, m, m) of the features in use under each of n sets.
 
@@ -203,9 +195,12 @@ class Moments:
     possible: NDArray[np.bool_]
 
 
-def evaluate_sets(compared: MeansProblem, sets: Sequence[Rows], *, off: bool) -> SetEvidence:
-    """Return the log likelihoods of sets, each with all of its effects in the state."""
-    stated, together = (np.full(len(sets), -np.inf) for _ in range(2))
+def evaluate_sets(compared: MeansProblem, sets: Sequence[Rows], *, off: bool) -> Array:
+    """Return the log likelihoods of sets in nats, each with all of its effects in the state.
+
+    (n_sets, 2): with the coefficients as stated, and off together; -inf without ``off``.
+    """
+    out = np.full((len(sets), 2), -np.inf)
     for begin in range(0, len(sets), _AT_ONCE):
         part = slice(begin, begin + _AT_ONCE)
         of = moments(compared, sets[part])
@@ -214,10 +209,10 @@ def evaluate_sets(compared: MeansProblem, sets: Sequence[Rows], *, off: bool) ->
             rows = np.concatenate([rows, of.common], axis=1)
         factorization, ends = Factorization.whole(of.covariance), [rows.shape[2]]
         ((one, scaled),) = log_densities(factorization, rows, 1, ends, coarsened=False)
-        stated[part] = np.where(of.possible, one[:, 0], -np.inf)
+        out[part, 0] = np.where(of.possible, one[:, 0], -np.inf)
         if scaled is not None:
-            together[part] = np.where(of.possible, scaled[:, 0], -np.inf)
-    return SetEvidence(stated, together)
+            out[part, 1] = np.where(of.possible, scaled[:, 0], -np.inf)
+    return out
 
 
 def moments(compared: MeansProblem, sets: Sequence[Rows]) -> Moments:

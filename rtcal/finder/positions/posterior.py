@@ -62,7 +62,7 @@ _TINY = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class PositionsEvidence:
-    """Log evidence of every hypothesis, for n_draws sets of residuals.
+    """Log evidence of every hypothesis, or its log posterior weight, for n_draws sets of residuals.
 
     ``none`` (n_draws,). ``shifts`` has an array (n_hypotheses, n_draws) for each `ShiftHypothesis`,
     ``spreads`` an array (n_draws,) for each `SpreadHypothesis`.
@@ -73,6 +73,13 @@ class PositionsEvidence:
     unknown: Array
     shifts: list[Array]
     spreads: list[Array]
+
+    @property
+    def total(self) -> Array:
+        """Log of the sum over all hypotheses, (n_draws,)."""
+        every = [self.none, self.coefficients, self.unknown, *self.spreads]
+        every += [np.asarray(logsumexp(w, axis=0)) for w in self.shifts]
+        return np.asarray(logsumexp(np.array(every), axis=0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,25 +146,7 @@ def evaluate(
     )
 
 
-@dataclass(frozen=True, eq=False)
-class Weights:
-    """Log posterior weights of every hypothesis, (n_draws,) each; see `PositionsEvidence`."""
-
-    none: Array
-    coefficients: Array
-    unknown: Array
-    shifts: list[Array]
-    spreads: list[Array]
-
-    @property
-    def total(self) -> Array:
-        """Log of the sum of all weights, (n_draws,)."""
-        every = [self.none, self.coefficients, self.unknown, *self.spreads]
-        every += [np.asarray(logsumexp(w, axis=0)) for w in self.shifts]
-        return np.asarray(logsumexp(np.array(every), axis=0))
-
-
-def scores(posterior: Weights, hypotheses: PositionsHypotheses) -> tuple[Array, Array]:
+def scores(posterior: PositionsEvidence, hypotheses: PositionsHypotheses) -> tuple[Array, Array]:
     """Return the evidence in nats that something is other than stated, and that a pair is noisy.
 
     Both (n_draws,). A noisy pair is no evidence of the first, which is against nothing or such a pair;
@@ -180,7 +169,7 @@ def scores(posterior: Weights, hypotheses: PositionsHypotheses) -> tuple[Array, 
 
 def weights(
     evidence: PositionsEvidence, hypotheses: PositionsHypotheses, temper: float = TEMPER
-) -> Weights:
+) -> PositionsEvidence:
     """Return log posterior weights, the weight of "none" being its prior.
 
     Log evidences are divided by ``temper``.
@@ -190,7 +179,7 @@ def weights(
     def relative(values: Array) -> Array:
         return np.asarray((values - evidence.none) / temper)
 
-    return Weights(
+    return PositionsEvidence(
         none=np.full_like(evidence.none, np.log(NO_EFFECT * (1 - off))),
         coefficients=np.log(NO_EFFECT * off) + relative(evidence.coefficients),
         unknown=hypotheses.log_prior(hypotheses.unknown_odds) + relative(evidence.unknown),
@@ -214,8 +203,8 @@ def gain(
 
 
 def with_families(
-    posterior: Weights, hypotheses: PositionsHypotheses, families: Mapping[str, float]
-) -> Weights:
+    posterior: PositionsEvidence, hypotheses: PositionsHypotheses, families: Mapping[str, float]
+) -> PositionsEvidence:
     """Return weights times the probabilities of their families by means, to `MEANS_POWER`.
 
     A logarithmic pool of two opinions (Genest & Zidek 1986).
@@ -224,7 +213,7 @@ def with_families(
     def factor(family: str) -> float:
         return MEANS_POWER * float(np.log(max(families.get(family, 0.0), LEAST_BY_MEANS)))
 
-    return Weights(
+    return PositionsEvidence(
         none=posterior.none + factor(NONE),
         coefficients=posterior.coefficients + factor(COEFFICIENTS),
         unknown=posterior.unknown + factor(UNKNOWN),
@@ -335,7 +324,9 @@ class Summary:
     on_surfaces: float
 
 
-def summary_of(case: PositionsCase, hypotheses: PositionsHypotheses, posterior: Weights) -> Summary:
+def summary_of(
+    case: PositionsCase, hypotheses: PositionsHypotheses, posterior: PositionsEvidence
+) -> Summary:
     """Return what the weights of a single set of residuals say."""
     total = float(posterior.total[0])
     names = list(case.faces)
