@@ -15,7 +15,7 @@ import numpy as np
 import rtcal as rt
 from rtcal import studies
 from rtcal.finder import Case
-from rtcal.finder.case import AppliedEffect
+from rtcal.finder.effects.checks import AppliedEffect
 from rtcal.loop import Loop, start
 from rtcal.report import words
 from rtcal.studies.runner import ScoreMoments, _open, _Store

@@ -14,13 +14,13 @@ from rtcal.support import lazy
 if TYPE_CHECKING:
     from rtcal.finder import positions as positions
     from rtcal.finder import states as states
-    from rtcal.finder.case import AppliedEffect as AppliedEffect
     from rtcal.finder.case import Case as Case
     from rtcal.finder.configuration import ChangedMaterial as ChangedMaterial
     from rtcal.finder.configuration import Configuration as Configuration
     from rtcal.finder.effects import Absorber as Absorber
     from rtcal.finder.effects import Effect as Effect
     from rtcal.finder.effects import library as library
+    from rtcal.finder.effects.checks import AppliedEffect as AppliedEffect
     from rtcal.finder.finding import Candidate as Candidate
     from rtcal.finder.finding import Finding as Finding
     from rtcal.finder.finding import Verification as Verification

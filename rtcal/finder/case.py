@@ -32,7 +32,6 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 from itertools import combinations
 from pathlib import Path
 from typing import Any
@@ -43,7 +42,6 @@ from rtcal.acoustics import bands
 from rtcal.acoustics.equations import mean_equation
 from rtcal.acoustics.materials import text_name
 from rtcal.acoustics.measurement import Measurement
-from rtcal.acoustics.priors import NORMAL_90
 from rtcal.acoustics.repeats import refuse_repeated_data
 from rtcal.acoustics.room import Room
 from rtcal.calibration.problem_data import times_in_room
@@ -57,8 +55,7 @@ from rtcal.finder.configuration import (
     in_room_bands,
     shares,
 )
-from rtcal.finder.effects import Effect, library
-from rtcal.finder.effects.checks import check_parameters
+from rtcal.finder.effects.checks import AppliedEffect, check_parameters
 from rtcal.support import checks
 from rtcal.support.arguments import checked
 from rtcal.support.checks import Entries, json_object, toml_table
@@ -70,92 +67,6 @@ from rtcal.support.types import Array
 CLIMATE_UNCERTAINTY = (2.0, 10.0)
 """Standard uncertainty of a stated climate: 2 K and 10 % of relative humidity. That is what a
 thermometer and a hygrometer on a wall leave open in a room. A judgement, without a study."""
-
-
-@checked
-@dataclass(frozen=True)
-class AppliedEffect:
-    """An effect that was added to the model.
-
-    Parameters
-    ----------
-    name : str
-        The effect's name.
-    parameters : mapping of str to float
-        Values of the effect's parameters.
-    size_interval : (float, float), optional
-        90 % interval of the effect's size.
-    custom : Effect, optional
-        An effect that is not in the library. A case that holds such an effect cannot be saved.
-
-    Raises
-    ------
-    DataError
-        If ``custom`` is not stated and the library has no effect of this name, or if a parameter is
-        missing or outside the effect's `Effect.limits`.
-    """
-
-    name: str
-    parameters: Mapping[str, float]
-    size_interval: tuple[float, float] | None = None
-    custom: Effect | None = None
-
-    def __post_init__(self) -> None:
-        for name, value in checks.mapped("effect: parameters", self.parameters).items():
-            checks.number(f"effect: parameters[{name!r}]", value)
-        if self.size_interval is not None:
-            ends = checks.array("effect: size_interval", self.size_interval)
-            if ends.shape != (2,) or not ends[0] <= ends[1]:
-                raise DataError(
-                    f"effect: size_interval = {self.size_interval!r} is not two numbers in order"
-                )
-        if self.custom is not None and not isinstance(self.custom, Effect):
-            raise DataError(f"effect: custom = {self.custom!r} is no rtcal.finder.Effect")
-        check_parameters(self.effect, self.parameters, interval=self.size_interval)
-
-    @classmethod
-    @checked
-    def of(
-        cls,
-        effect: Effect,
-        parameters: Mapping[str, float],
-        size_interval: tuple[float, float] | None = None,
-    ) -> AppliedEffect:
-        """Return an effect of the library, or another one, with these parameters."""
-        custom = None if effect in library() else effect
-        return cls(effect.name, dict(parameters), size_interval, custom)
-
-    @cached_property
-    def effect(self) -> Effect:
-        """The effect, from the library or ``custom``."""
-        effect = self.custom or next((e for e in library() if e.name == self.name), None)
-        if effect is None:
-            raise DataError(f'effect "{self.name}" is not in the library')
-        return effect
-
-    @property
-    def size_sigma(self) -> float:
-        """Standard deviation of the size; 0 if the effect has none."""
-        if self.size_interval is None:
-            return 0.0
-        return (self.size_interval[1] - self.size_interval[0]) / (2 * NORMAL_90)
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return plain values for JSON, as `from_dict` reads them."""
-        ends = None if self.size_interval is None else list(self.size_interval)
-        return {"effect": self.name, "parameters": dict(self.parameters), "size_interval": ends}
-
-    @classmethod
-    def from_dict(cls, data: Mapping[str, Any], place: str = "effect") -> AppliedEffect:
-        """Return the effect of plain values; DataError, which begins with ``place``, if it is none."""
-        entry = Entries(f"{place}.", data, ("effect", "parameters"), ("size_interval",))
-        parameters = entry.mapping("parameters")
-        numbers = Entries(f"{place}.parameters.", parameters, (), parameters)
-        ends = None
-        if "size_interval" in entry:
-            low, high = entry.array("size_interval", (2,)).tolist()
-            ends = (low, high)
-        return cls(entry.text("effect"), {k: numbers.number(k) for k in parameters}, ends)
 
 
 @checked

@@ -137,6 +137,10 @@ class Effect(ABC):
         """
         return {}
 
+    def size_limits(self, room: Room) -> tuple[float, float]:
+        """Return the least and the largest possible size in this room."""
+        return self.limits(room).get(self.size, (-np.inf, np.inf))
+
     def prior_odds(self, room: Room) -> float:
         """Return the prior odds of the effect in this room, against the others: `odds`."""
         return self.odds

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import fields
-from functools import partial
+from dataclasses import dataclass, fields, replace
+from functools import cached_property, partial
 from math import isfinite
 from typing import Any, TypeVar
 
 import numpy as np
 
 from rtcal.acoustics.equations import mean_equation
+from rtcal.acoustics.priors import NORMAL_90
 from rtcal.acoustics.room import Room
 from rtcal.finder.effects.absorbers import (
     Audience,
@@ -36,6 +37,8 @@ from rtcal.finder.effects.whole_room import (
 )
 from rtcal.finder.model import Decay, RoomState
 from rtcal.support import checks
+from rtcal.support.arguments import checked
+from rtcal.support.checks import Entries
 from rtcal.support.errors import DataError, RtcalError
 from rtcal.support.text import shortened
 from rtcal.support.types import Array
@@ -328,3 +331,98 @@ def _run(where: str, call: Callable[[], T], parameters: Parameters | None = None
         what = " ".join(str(error).split())
         with_what = "" if parameters is None else f" with {', '.join(parameters) or 'no parameter'}"
         raise DataError(f"{where}{with_what} raises {type(error).__name__}: {what}") from error
+
+
+@checked
+@dataclass(frozen=True)
+class AppliedEffect:
+    """An effect that was added to the model.
+
+    Parameters
+    ----------
+    name : str
+        The effect's name.
+    parameters : mapping of str to float
+        Values of the effect's parameters.
+    size_interval : (float, float), optional
+        90 % interval of the effect's size.
+    custom : Effect, optional
+        An effect that is not in the library. A case that holds such an effect cannot be saved.
+
+    Raises
+    ------
+    DataError
+        If ``custom`` is not stated and the library has no effect of this name, or if a parameter is
+        missing or outside the effect's `Effect.limits`.
+    """
+
+    name: str
+    parameters: Mapping[str, float]
+    size_interval: tuple[float, float] | None = None
+    custom: Effect | None = None
+
+    def __post_init__(self) -> None:
+        for name, value in checks.mapped("effect: parameters", self.parameters).items():
+            checks.number(f"effect: parameters[{name!r}]", value)
+        if self.size_interval is not None:
+            ends = checks.array("effect: size_interval", self.size_interval)
+            if ends.shape != (2,) or not ends[0] <= ends[1]:
+                raise DataError(
+                    f"effect: size_interval = {self.size_interval!r} is not two numbers in order"
+                )
+        if self.custom is not None and not isinstance(self.custom, Effect):
+            raise DataError(f"effect: custom = {self.custom!r} is no rtcal.finder.Effect")
+        check_parameters(self.effect, self.parameters, interval=self.size_interval)
+
+    @classmethod
+    @checked
+    def of(
+        cls,
+        effect: Effect,
+        parameters: Mapping[str, float],
+        size_interval: tuple[float, float] | None = None,
+    ) -> AppliedEffect:
+        """Return an effect of the library, or another one, with these parameters."""
+        custom = None if effect in library() else effect
+        return cls(effect.name, dict(parameters), size_interval, custom)
+
+    @cached_property
+    def effect(self) -> Effect:
+        """The effect, from the library or ``custom``."""
+        effect = self.custom or next((e for e in library() if e.name == self.name), None)
+        if effect is None:
+            raise DataError(f'effect "{self.name}" is not in the library')
+        return effect
+
+    @property
+    def size(self) -> float:
+        """How much of the effect there is."""
+        return float(self.parameters[self.effect.size])
+
+    def resized(self, size: float) -> AppliedEffect:
+        """Return the effect with another size."""
+        return replace(self, parameters={**self.parameters, self.effect.size: size})
+
+    @property
+    def size_sigma(self) -> float:
+        """Standard deviation of the size; 0 if the effect has none."""
+        if self.size_interval is None:
+            return 0.0
+        return (self.size_interval[1] - self.size_interval[0]) / (2 * NORMAL_90)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain values for JSON, as `from_dict` reads them."""
+        ends = None if self.size_interval is None else list(self.size_interval)
+        return {"effect": self.name, "parameters": dict(self.parameters), "size_interval": ends}
+
+    @classmethod
+    def from_dict(cls, data: Mapping[str, Any], place: str = "effect") -> AppliedEffect:
+        """Return the effect of plain values; DataError, which begins with ``place``, if it is none."""
+        entry = Entries(f"{place}.", data, ("effect", "parameters"), ("size_interval",))
+        parameters = entry.mapping("parameters")
+        numbers = Entries(f"{place}.parameters.", parameters, (), parameters)
+        ends = None
+        if "size_interval" in entry:
+            low, high = entry.array("size_interval", (2,)).tolist()
+            ends = (low, high)
+        return cls(entry.text("effect"), {k: numbers.number(k) for k in parameters}, ends)

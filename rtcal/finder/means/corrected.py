@@ -22,8 +22,9 @@ from rtcal.acoustics.materials import Material
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.priors import NORMAL_90
 from rtcal.acoustics.room import Room
-from rtcal.finder.case import AppliedEffect, Case
+from rtcal.finder.case import Case
 from rtcal.finder.configuration import Configuration
+from rtcal.finder.effects.checks import AppliedEffect
 from rtcal.finder.finding import amount
 from rtcal.finder.means.features import distances, state, with_applied
 from rtcal.finder.model import FEATURES, RoomState, highest, mean_contributions, predict
@@ -369,7 +370,7 @@ def _changed_by(p: AppliedEffect) -> str:
 
 
 def _size(p: AppliedEffect) -> str:
-    return amount(p.parameters[p.effect.size], p.effect.unit, p.size_interval).rstrip()
+    return amount(p.size, p.effect.unit, p.size_interval).rstrip()
 
 
 def _is_air(air: Air | None, s: RoomState) -> bool:
@@ -397,13 +398,13 @@ def _sigma(case: Case, before: RoomState, after: RoomState) -> Array:
 def _sized(case: Case, i: int, size: float) -> list[AppliedEffect]:
     """Return the case's effects, the one at ``i`` with another size."""
     out = list(case.applied)
-    out[i] = replace(out[i], parameters={**out[i].parameters, out[i].effect.size: size})
+    out[i] = out[i].resized(size)
     return out
 
 
 def _spread(p: AppliedEffect) -> float:
     """The relative standard deviation of an absorber's size."""
-    return p.size_sigma / max(abs(p.parameters[p.effect.size]), 1e-9)
+    return p.size_sigma / max(abs(p.size), 1e-9)
 
 
 def _absorption(s: RoomState) -> Array:

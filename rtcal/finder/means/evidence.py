@@ -40,9 +40,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import logsumexp
 
-from rtcal.finder.case import AppliedEffect, Case
+from rtcal.finder.case import Case
 from rtcal.finder.effects import Effect, Parameters
-from rtcal.finder.effects.checks import beyond
+from rtcal.finder.effects.checks import AppliedEffect, beyond
 from rtcal.finder.means.engines import (
     ENGINES,
     ControlRooms,

@@ -9,7 +9,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from rtcal.acoustics import bands
-from rtcal.finder.case import AppliedEffect, Case
+from rtcal.finder.case import Case
 from rtcal.finder.claim import (
     SAID,
     Names,
@@ -18,6 +18,7 @@ from rtcal.finder.claim import (
     record_of_means,
     record_of_several,
 )
+from rtcal.finder.effects.checks import AppliedEffect
 from rtcal.finder.finding import NATS, Size
 from rtcal.finder.means.features import ModelDiscrepancy
 from rtcal.finder.means.verdict import Fit

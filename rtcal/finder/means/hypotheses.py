@@ -9,10 +9,10 @@ from itertools import groupby
 import numpy as np
 from numpy.typing import NDArray
 
-from rtcal.finder.case import AppliedEffect, Case
+from rtcal.finder.case import Case
 from rtcal.finder.configuration import Configuration
 from rtcal.finder.effects import Effect, Parameters
-from rtcal.finder.effects.checks import changed_states, checked_grid
+from rtcal.finder.effects.checks import AppliedEffect, changed_states, checked_grid
 from rtcal.finder.means.features import DISTANCE_ERROR, AlphaCovariance, distances, state
 from rtcal.finder.model import FEATURES, RoomState, predict
 from rtcal.finder.prior import NONE, grid_weights
@@ -219,15 +219,10 @@ def _applied(case: Case) -> LowRank:
     base = features(case.applied) if case.applied else np.zeros_like(diagonal)
     for i, a in enumerate(case.applied):
         if a.size_sigma > 0:
-            size, most = (
-                a.effect.size,
-                a.effect.limits(case.room).get(a.effect.size, (0.0, np.inf))[1],
-            )
-            larger = a.parameters[size] + a.size_sigma
+            most, larger = a.effect.size_limits(case.room)[1], a.size + a.size_sigma
             # Near the end of what is possible, the size by as much smaller: only the square counts.
-            other = larger if larger <= most else a.parameters[size] - a.size_sigma
             others = list(case.applied)
-            others[i] = replace(a, parameters={**a.parameters, size: other})
+            others[i] = a.resized(larger if larger <= most else a.size - a.size_sigma)
             columns.append((features(others) - base)[:, None])
         without = features([other for other in case.applied if other is not a])
         d = (base - without).reshape(len(case.configurations), len(FEATURES), -1)

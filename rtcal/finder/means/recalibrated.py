@@ -13,7 +13,8 @@ from rtcal.acoustics.priors import NORMAL_90
 from rtcal.acoustics.room import CalibrationRecord, Room
 from rtcal.calibration.problem_data import data_history, times_in_room
 from rtcal.calibration.result import JointResult
-from rtcal.finder.case import AppliedEffect, Case
+from rtcal.finder.case import Case
+from rtcal.finder.effects.checks import AppliedEffect
 from rtcal.finder.finding import amount
 from rtcal.finder.means.corrected import corrected_room
 from rtcal.support import text

@@ -26,8 +26,9 @@ from rtcal.calibration.presets import calibrate
 from rtcal.calibration.problem import Calibration
 from rtcal.calibration.result import JointResult
 from rtcal.calibration.terms import AddedAbsorption, PriorDeviation, SoftMatch
-from rtcal.finder.case import AppliedEffect, Case
+from rtcal.finder.case import Case
 from rtcal.finder.configuration import Configuration
+from rtcal.finder.effects.checks import AppliedEffect
 from rtcal.finder.means.corrected import seen
 from rtcal.finder.means.features import (
     ModelDiscrepancy,
@@ -144,7 +145,7 @@ def _calibrated(
             for c in whole.configurations
         ]
     )
-    sizes = {p.name: _size(p) for p in applied if np.isfinite(p.effect.neutral)}
+    sizes = {p.name: p.size for p in applied if np.isfinite(p.effect.neutral)}
     off = float(np.sqrt(np.nanmean(((point.log_time - measured) / u) ** 2)))
     return Recalibrated(done, point.alpha, point.changed, sizes, features, off, solved)
 
@@ -192,7 +193,7 @@ def _step(point: _Point, measured: Array, u: Array, *, exact: bool) -> JointResu
 
     def qp_log_time(of: _Point) -> Array:
         # The QP sees the absorption of its effects only through these unknowns.
-        sizes = [[(g[c], _size(p)) for p, g in gains] for c in range(len(rooms))]
+        sizes = [[(g[c], p.size) for p, g in gains] for c in range(len(rooms))]
         each = zip(rooms, of.coefficients, sizes, strict=True)
         return np.log([_qp_time(equation, r, alpha, size) for r, alpha, size in each])
 
@@ -204,7 +205,7 @@ def _step(point: _Point, measured: Array, u: Array, *, exact: bool) -> JointResu
     slope = np.divide(by_model, by_qp, out=np.ones_like(by_qp), where=by_qp != 0)
     slope = np.clip(slope, _LEAST_SLOPE, _LARGEST_SLOPE)
     target = np.exp(now + np.clip((measured - point.log_time) / slope, -1.5, 1.5))
-    terms = [AddedAbsorption(p.name, list(g), sigma=_spread(p), mean=_size(p)) for p, g in gains]
+    terms = [AddedAbsorption(p.name, list(g), sigma=_spread(p), mean=p.size) for p, g in gains]
     # An uncertainty near T itself says nothing; a measurement refuses one that is larger than T.
     return _solve(rooms, equation, target, np.minimum(u / slope, 0.9), terms, exact=exact)
 
@@ -212,7 +213,7 @@ def _step(point: _Point, measured: Array, u: Array, *, exact: bool) -> JointResu
 def _reached(case: Case, solved: JointResult) -> _Point:
     alpha, changed = _values(case, solved)
     sizes = solved.effects
-    effects = [_resized(case, p, sizes) if p.name in sizes else p for p in case.applied]
+    effects = [_resized(case, p, sizes[p.name]) if p.name in sizes else p for p in case.applied]
     return _Point(replace(case, applied=effects), alpha, changed)
 
 
@@ -280,7 +281,7 @@ def _misfit(case: Case) -> Array:
 
 def _relative_spread(p: AppliedEffect) -> float:
     """Return the size's standard deviation over its distance from the size that changes nothing."""
-    apart = abs(_size(p) - p.effect.neutral)
+    apart = abs(p.size - p.effect.neutral)
     return min(p.size_sigma / max(apart, _SMALLEST), 1.0) if p.size_sigma else 0.0
 
 
@@ -318,20 +319,14 @@ def _room(case: Case, c: Configuration, s: RoomState) -> Room:
     )
 
 
-def _size(p: AppliedEffect) -> float:
-    return float(p.parameters[p.effect.size])
-
-
 def _spread(p: AppliedEffect) -> float:
     """Return the prior standard deviation of the size: the size itself, so that T determines it."""
-    return max(_size(p), _SMALLEST)
+    return max(p.size, _SMALLEST)
 
 
-def _resized(case: Case, p: AppliedEffect, sizes: Mapping[str, float]) -> AppliedEffect:
-    """The effect with another size, within what is possible."""
-    ends = p.effect.limits(case.room).get(p.effect.size, (-np.inf, np.inf))
-    size = float(np.clip(sizes[p.name], *ends))
-    return replace(p, parameters={**p.parameters, p.effect.size: size})
+def _resized(case: Case, p: AppliedEffect, size: float) -> AppliedEffect:
+    """Return the effect with another size, within what is possible."""
+    return p.resized(float(np.clip(size, *p.effect.size_limits(case.room))))
 
 
 def _gains(point: _Point) -> list[tuple[AppliedEffect, Array]]:
@@ -346,9 +341,9 @@ def _gains(point: _Point) -> list[tuple[AppliedEffect, Array]]:
             continue
         others = [q for j, q in enumerate(case.applied) if j != i]
         # The slope is needed also at a size of 0.
-        size = max(_size(p), _SMALLEST)
+        size = max(p.size, _SMALLEST)
         resized = [*case.applied]
-        resized[i] = _resized(case, p, {p.name: size})
+        resized[i] = _resized(case, p, size)
         rows: list[Array | None] = []
         for c, alpha in zip(case.configurations, point.coefficients, strict=True):
             unchanged = replace(c, changes={})

@@ -10,10 +10,10 @@ import numpy as np
 
 from rtcal.acoustics import bands
 from rtcal.acoustics.observables import parameter_label
-from rtcal.finder.case import AppliedEffect, Case
+from rtcal.finder.case import Case
 from rtcal.finder.claim import by_family, credible_set, family_of, posterior
 from rtcal.finder.effects import Effect
-from rtcal.finder.effects.checks import checked_effects
+from rtcal.finder.effects.checks import AppliedEffect, checked_effects
 from rtcal.finder.finding import Candidate, Detection
 from rtcal.finder.means.engines import ControlRooms, checked_controls
 from rtcal.finder.means.evidence import (

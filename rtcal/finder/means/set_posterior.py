@@ -14,9 +14,9 @@ from math import factorial
 import numpy as np
 from scipy.special import logsumexp
 
-from rtcal.finder.case import AppliedEffect
 from rtcal.finder.claim import Names, families_of, family_of, most_probable_first
 from rtcal.finder.effects import Effect
+from rtcal.finder.effects.checks import AppliedEffect
 from rtcal.finder.means.evidence import MeansEvidence
 from rtcal.finder.means.hypotheses import predict_hypotheses
 from rtcal.finder.means.likelihood import MeansProblem

@@ -11,7 +11,7 @@ import numpy as np
 from scipy.special import logsumexp
 
 from rtcal.finder import prior
-from rtcal.finder.case import AppliedEffect, Case
+from rtcal.finder.case import Case
 from rtcal.finder.claim import (
     CLAIMED,
     Names,
@@ -23,7 +23,7 @@ from rtcal.finder.claim import (
     numbers_of,
 )
 from rtcal.finder.effects import Effect, Parameters
-from rtcal.finder.effects.checks import changed_states
+from rtcal.finder.effects.checks import AppliedEffect, changed_states
 from rtcal.finder.finding import End, Size, over_frequency
 from rtcal.finder.means.evidence import NEGLIGIBLE, MeansEvidence
 from rtcal.finder.means.features import state
@@ -121,7 +121,7 @@ def estimate_size(
     sizes = np.array([theta[effect.size] for theta in grid])
     logs = bool(sizes.min() > 0)
     low, high = float(sizes.min()), float(sizes.max())
-    possible = effect.limits(evidence.problem.case.room).get(effect.size, (-np.inf, np.inf))
+    possible = effect.size_limits(evidence.problem.case.room)
     if logs:
         first, last = np.log(low / 3), np.log(high * 3)
         ends = np.log(np.maximum(possible, low / 1e6))
