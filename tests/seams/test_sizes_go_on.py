@@ -8,8 +8,10 @@ import numpy as np
 import pytest
 
 from rtcal.finder import Case
-from rtcal.finder.effects import Effect, NoiseFloor, NonDiffuse, Opening, Porous, WrongArea
+from rtcal.finder.effects import Effect
+from rtcal.finder.effects.absorbers import Opening, Porous
 from rtcal.finder.effects.checks import checked_grid
+from rtcal.finder.effects.whole_room import NoiseFloor, NonDiffuse, WrongArea
 from rtcal.finder.means.features import state
 from rtcal.finder.means.gap import Objection
 from rtcal.finder.means.hypotheses import predict_hypotheses
