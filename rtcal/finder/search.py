@@ -15,9 +15,9 @@ from rtcal.finder.effects import Effect
 from rtcal.finder.effects.checks import checked_effects
 from rtcal.finder.means.engines import ControlRooms
 from rtcal.finder.means.finding import MeansFinding
+from rtcal.finder.means.recalibration import verify as verify_by_means
 from rtcal.finder.means.search import find as find_by_means
 from rtcal.finder.means.verification import MeansVerification
-from rtcal.finder.means.verification import verify as verify_by_means
 from rtcal.finder.prior import chosen_effects
 from rtcal.io import geometry_files
 from rtcal.loop.control_runs import ControlRuns

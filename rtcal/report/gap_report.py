@@ -16,9 +16,9 @@ from rtcal.calibration.presets import calibrate
 from rtcal.finder.claim import CLAIMED, SAID
 from rtcal.finder.means.evidence import QUANTILE
 from rtcal.finder.means.finding import MeansFinding
-from rtcal.finder.means.recalibration import recalibrate
+from rtcal.finder.means.recalibration import recalibrate, verify
 from rtcal.finder.means.verdict import TWO
-from rtcal.finder.means.verification import MeansVerification, verify
+from rtcal.finder.means.verification import MeansVerification
 from rtcal.report import gap_figures
 from rtcal.report.document import Heading, data_of, in_odds, material_rows, odds
 from rtcal.report.figures import rendered

@@ -396,7 +396,7 @@ class AppliedEffect:
 
     @property
     def size(self) -> float:
-        """How much of the effect there is."""
+        """The value of the parameter that says how much of the effect there is."""
         return float(self.parameters[self.effect.size])
 
     def resized(self, size: float) -> AppliedEffect:

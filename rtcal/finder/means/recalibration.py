@@ -37,10 +37,11 @@ from rtcal.finder.means.features import (
     observe,
     state,
 )
-from rtcal.finder.means.recalibrated import Recalibrated
+from rtcal.finder.means.finding import MeansFinding
+from rtcal.finder.means.verification import MeansVerification, Recalibrated
 from rtcal.finder.model import FEATURES, STEEPEST, RoomState, predict
 from rtcal.support.arguments import checked
-from rtcal.support.errors import MissingAirWarning
+from rtcal.support.errors import DataError, MissingAirWarning
 from rtcal.support.speed import single_threaded_blas
 from rtcal.support.types import Array
 
@@ -405,3 +406,21 @@ def _values(case: Case, solved: JointResult) -> tuple[Array, dict[tuple[str, str
     alpha = np.array([row.get(m, case.room.alpha[i]) for i, m in enumerate(case.room.materials)])
     changed = {(c.name, m): row[_name(c, m)] for c in case.configurations for m in c.changes}
     return alpha, changed
+
+
+@single_threaded_blas()
+@checked
+def verify(finding: MeansFinding, case: Case | None = None) -> MeansVerification:
+    """Compare the plainly calibrated model with the one that has the named effect.
+
+    Raises DataError where there is no named effect (see `MeansFinding.apply`), where there are two or
+    more, or ``case`` differs in shape.
+    """
+    if len(finding.members) > 1:
+        raise DataError(
+            f"{len(finding.members)} effects were found together; the gap is compared for one: search "
+            "with most = 1"
+        )
+    case = finding.case if case is None else case
+    before, after = plain(case), recalibrate(finding.apply(case), finding.discrepancy)
+    return MeansVerification.of(finding, case, before, after)
