@@ -295,8 +295,7 @@ def estimate_discrepancy(case: Case, controls: Sequence[ControlRooms]) -> ModelD
     for c in controls:
         centred = np.nan_to_num(c.errors - c.mean).reshape(-1, size)
         rows.append(centred / np.sqrt(max(len(centred) - 1, 1) * len(controls)))
-    octaves = np.log2(case.room.centre_frequencies)
-    over_bands = COMMON_CORRELATION ** np.abs(np.subtract.outer(octaves, octaves))
+    over_bands = correlation(case.room.centre_frequencies, COMMON_CORRELATION)
     root = np.linalg.cholesky(over_bands).T
     for name, uncertainty in COMMON_UNCERTAINTY.items():
         common = np.zeros((k, n, len(FEATURES), k))

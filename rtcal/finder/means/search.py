@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -119,7 +119,7 @@ def find(
     checks.whole("seed", seed, 0)
     every = checked_effects(effects)
     effects, left_out = chosen_effects(every, without, only)
-    number = _checked_numbers(most, expected, effects, prior)
+    number = _checked_number(most, expected, effects, prior)
     observed, notes = observe(case)
     if len(without) or len(only) or prior:
         notes = [*notes, CHOSEN]
@@ -141,34 +141,26 @@ def find(
     else:
         bootstrapped, limits = threshold, threshold.values
     problem = MeansProblem(case, observed, predicted, bootstrapped.discrepancy)
-    return _conclude(problem, limits, before, notes, number)
+    return _conclude(problem, limits, before, notes, most, number)
 
 
 LEAST_EXPECTED, MOST_EXPECTED = 0.01, 10.0
 """Numbers of effects that may be expected: beyond, nothing measured would change the answer."""
 
 
-@dataclass(frozen=True)
-class _Numbers:
-    """The largest number of missing effects, and the expected one."""
-
-    most: int
-    expected: float
-
-
-def _checked_numbers(
+def _checked_number(
     most: int,
     expected: float | None,
     effects: Sequence[Effect],
     prior: Mapping[str, float] | None,
-) -> _Numbers:
-    """Return the numbers of effects; DataError where they do not go together."""
+) -> float:
+    """Return the expected number of effects; DataError where it does not go with the largest."""
     if checks.whole("most", most, 1) > MOST:
         raise DataError(f"most = {most} is not from 1 to {MOST}")
     if most == 1:
         if expected is not None:
             raise DataError(f"expected = {expected} is of more than one effect: state most, 2 or 3")
-        return _Numbers(most, EXPECTED)
+        return EXPECTED
     number = EXPECTED if expected is None else checks.positive("expected", expected)
     if not LEAST_EXPECTED <= number <= MOST_EXPECTED:
         raise DataError(
@@ -180,7 +172,7 @@ def _checked_numbers(
         )
     if len(effects) < 2:
         raise DataError(f"most = {most}, and {len(effects)} effect is tried: most is 1 then")
-    return _Numbers(most, number)
+    return number
 
 
 CHOSEN = (
@@ -191,7 +183,12 @@ CHOSEN = (
 
 
 def _conclude(
-    problem: MeansProblem, limits: Array, prior: Prior, notes: Sequence[str], number: _Numbers
+    problem: MeansProblem,
+    limits: Array,
+    prior: Prior,
+    notes: Sequence[str],
+    most: int,
+    expected: float,
 ) -> MeansFinding:
     """Compare the hypotheses' evidence and return the finding."""
     case, observed = problem.case, problem.observed
@@ -210,12 +207,12 @@ def _conclude(
     detected = detection.verdict
     probabilities = of_one = posterior(table, prior)
     families = of_one_family = by_family(of_one, effects)
-    if number.most == 1:
+    if most == 1:
         sets = single_posterior(evidence, of_one)
     else:
-        sets = posterior_of_sets(compared, prior, expected=number.expected, most=number.most)
+        sets = posterior_of_sets(compared, prior, expected=expected, most=most)
         probabilities, families = sets.effects(), sets.families(effects)
-    if number.most == 1 or detected is not None:
+    if most == 1 or detected is not None:
         verdict = of_single(evidence, of_one, of_one_family, detected)
         told_apart = verdict.names
     else:

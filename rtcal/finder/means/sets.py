@@ -38,9 +38,7 @@ def compare(problem: MeansProblem) -> MeansProblem:
     """Return a problem of sets: with errors of the direct sound (`DIRECT_SOUND`) and the grids."""
     case, predicted = problem.case, problem.predicted
     columns = np.zeros((*predicted.features.shape[1:], case.room.n_bands))
-    octaves = np.log2(case.room.centre_frequencies)
-    lag = np.abs(np.subtract.outer(octaves, octaves))
-    over_bands = np.linalg.cholesky(COMMON_CORRELATION**lag)
+    over_bands = np.linalg.cholesky(correlation(case.room.centre_frequencies, COMMON_CORRELATION))
     for i, c in enumerate(case.configurations):
         base, at = state(case, c), distances(case, c)
         levels = (base.direct_db + 1.0, base.direct_db - 1.0)

@@ -18,6 +18,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from rtcal.acoustics import bands
 from rtcal.acoustics.air import Air
 from rtcal.acoustics.observables import observable
 from rtcal.finder.effects.base import Effect, Parameters, middle_absorption
@@ -106,7 +107,7 @@ def materials(case: PositionsCase) -> list[ShiftHypothesis]:
     """
     room = case.room
     made_of = room.material_rows(case.geometry.materials)
-    octaves = np.abs(np.subtract.outer(*(2 * [np.log2(room.centre_frequencies)])))
+    over_bands = bands.correlation(room.centre_frequencies, 0.7)
     density = np.exp(-np.abs(FACTORS) / FACTOR_SCALE)
     # Who states a small sigma knows the coefficients from a measurement (`probability_off`).
     odds = ODDS[COEFFICIENTS] * relative_sigma(room) ** 2
@@ -133,7 +134,7 @@ def materials(case: PositionsCase) -> list[ShiftHypothesis]:
                 unit="of what is stated",
                 parameters=[{"factor": float(np.exp(f))} for f in FACTORS],
                 spectra=np.zeros((len(FACTORS), 0)),
-                error=0.1**2 + 0.15**2 * 0.7**octaves,
+                error=0.1**2 + 0.15**2 * over_bands,
                 uneven=np.zeros(len(FACTORS)),
                 place=material,
             )

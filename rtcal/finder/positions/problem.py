@@ -189,11 +189,10 @@ def covariance_of_lobes(nodes: Array, pairs: Sequence[Pair], frequencies: Array)
     n_bands, n_values, _ = nodes.shape
     of_source = np.array([source for source, _ in pairs] * (n_values // len(pairs)))
     same = of_source[:, np.newaxis] == of_source
-    octaves = np.abs(np.subtract.outer(*(2 * [np.log2(frequencies)])))
     together, own = nodes[..., 0], nodes[..., 1:]
     every = np.einsum("kv,lw->kvlw", together, together)
     every += np.einsum("kva,lwa->kvlw", own, own) / own.shape[-1] * same[:, np.newaxis]
-    every *= (0.7**octaves)[:, np.newaxis, :, np.newaxis]
+    every *= bands.correlation(frequencies, 0.7)[:, np.newaxis, :, np.newaxis]
     return np.asarray(every.reshape(n_bands * n_values, -1))
 
 
