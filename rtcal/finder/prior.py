@@ -183,7 +183,7 @@ def _cells(values: Array) -> Array:
 
 NULL_POWER = 4.0
 """The power with which errors in common fall in the rooms that set the threshold; in the evidence it is
-`common_errors.POWER`. The evidence allows for more than is likely, so that a common error is not taken
+`room_errors.POWER`. The evidence allows for more than is likely, so that a common error is not taken
 for an effect. The threshold is right only if its rooms err as real ones do.
 `python -m benchmarks.second_world null` shows it on development rooms of both worlds
 (docs/discrepancy_study.md)."""
