@@ -18,6 +18,24 @@ Table = tuple[list[str], list[list[str]]]
 """Header and rows."""
 
 
+def gap_rows(
+    pairs: Sequence[Pair], before: Array, after: Array
+) -> list[tuple[str, list[tuple[float, float]]]]:
+    """Return the name of each pair and of all, with the rms gap before and after by parameter.
+
+    Gaps are (n_parameters, n_pairs, n_bands) in JND.
+    """
+    every = [(" to ".join(pair), [i]) for i, pair in enumerate(pairs)]
+    every.append(("all", list(range(len(pairs)))))
+    ends = [
+        [rms(gap[:, some], axis=(1, 2)).tolist() for gap in (before, after)] for _, some in every
+    ]
+    return [
+        (name, list(zip(*of_some, strict=True)))
+        for (name, _), of_some in zip(every, ends, strict=True)
+    ]
+
+
 def gap_table(
     parameters: Sequence[str],
     pairs: Sequence[Pair],
@@ -25,19 +43,12 @@ def gap_table(
     after: Array,
     title: str = "rms gap / JND",
 ) -> Table:
-    """Return rms gaps by pair, before and after, and over all pairs.
-
-    Gaps are (n_parameters, n_pairs, n_bands) in JND.
-    """
-
-    def row(name: str, some: list[int]) -> list[str]:
-        ends = (rms(before[:, some], axis=(1, 2)), rms(after[:, some], axis=(1, 2)))
-        cells = (" to ".join(number(x, ".1f") for x in pair) for pair in zip(*ends, strict=True))
-        return [name, *cells]
-
-    rows = [row(" to ".join(pair), [i]) for i, pair in enumerate(pairs)]
-    header = [title, *(parameter_label(p) for p in parameters)]
-    return header, [*rows, row("all", list(range(len(pairs))))]
+    """Return the header and rows of `gap_rows`."""
+    rows = [
+        [name, *(" to ".join(number(x, ".1f") for x in ends) for ends in cells)]
+        for name, cells in gap_rows(pairs, before, after)
+    ]
+    return [title, *(parameter_label(p) for p in parameters)], rows
 
 
 def material_table(

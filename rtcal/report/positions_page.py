@@ -13,6 +13,7 @@ from rtcal.acoustics import bands
 from rtcal.acoustics.observables import DecaySlope, of_kind, parameter_label
 from rtcal.acoustics.quality import rms
 from rtcal.loop.positions_result import PositionsResult
+from rtcal.loop.positions_tables import gap_rows
 from rtcal.report import room_view
 from rtcal.report.document import Heading, blocks, material_rows, render, source
 from rtcal.report.figures import BLACK, ORANGE, ROOM, new_figure, shown, write_with_figures
@@ -45,13 +46,14 @@ _MISFIT = 2.0
 
 def page(result: PositionsResult, heading: Heading, step: Callable[[], None]) -> str:
     """Return the page as HTML; raises as `rtcal.report.page.calibration_page`."""
-    order, interval = _most_learned_first(result), result.interval
+    order = [result.prior.material_index(name) for name, _, _ in result.learned[:MOST_MATERIALS]]
+    interval = result.interval
     return render(
         "positions.html",
         {
             "result": result,
             "headline": _headline(result),
-            "summary": _summary(result, order),
+            "summary": _summary(result),
             "shifts": {
                 "source": source(
                     draw_shifts(
@@ -93,16 +95,6 @@ def page(result: PositionsResult, heading: Heading, step: Callable[[], None]) ->
     )
 
 
-def _share(result: PositionsResult) -> Array:
-    """Return posterior over prior sigma of each material, 1 where sigma was 0."""
-    before, after = (rms(s, axis=1) for s in (result.prior.sigma, result.sigma))
-    return np.asarray(np.divide(after, before, out=np.ones_like(after), where=before > 0))
-
-
-def _most_learned_first(result: PositionsResult) -> list[int]:
-    return [int(i) for i in np.argsort(_share(result), kind="stable")[:MOST_MATERIALS]]
-
-
 def _headline(result: PositionsResult) -> str:
     """Return what the calibrated simulator lacks of what was matched; "" where all is within 1 JND."""
     left = {p: rms(gap) for p, gap in zip(result.parameters, result.gap_after, strict=True)}
@@ -127,11 +119,12 @@ def _headline(result: PositionsResult) -> str:
     return said
 
 
-def _summary(result: PositionsResult, order: list[int]) -> list[str]:
+def _summary(result: PositionsResult) -> list[str]:
     parameters = ", ".join(parameter_label(p) for p in result.parameters)
     n_pairs = len(result.pairs)
-    share = _share(result)
-    learned = [result.prior.materials[i] for i in order if share[i] <= _LEARNED]
+    learned = [
+        name for name, before, after in result.learned if before and after <= _LEARNED * before
+    ]
     names = ", ".join(f"“{name}”" for name in learned[:3])
     told = (
         f"The measurement tells of {len(learned)} of {result.prior.n_materials} materials, most of "
@@ -178,18 +171,10 @@ def _held_out(result: PositionsResult) -> dict[str, Any] | None:
     left = result.held_out
     if left is None:
         return None
+    *of_pairs, _ = gap_rows(left.measured.pairs, left.gap_before, left.gap_after)
     return {
         "parameters": [parameter_label(p) for p in left.parameters],
-        "rows": [
-            {
-                "name": " to ".join(pair),
-                "cells": [
-                    (float(rms(b[i])), float(rms(a[i])))
-                    for b, a in zip(left.gap_before, left.gap_after, strict=True)
-                ],
-            }
-            for i, pair in enumerate(left.measured.pairs)
-        ],
+        "rows": [{"name": name, "cells": cells} for name, cells in of_pairs],
         "before": float(rms(left.gap_before)),
         "after": float(rms(left.gap_after)),
         "times": _times(left.before, left.after, left.measured),
@@ -244,20 +229,14 @@ def _scattering(result: PositionsResult, i: int) -> tuple[float, float] | None:
 
 def _gaps(result: PositionsResult) -> list[dict[str, Any]]:
     """Return a row per pair and one for all: gap before and after of each parameter, and the misfit."""
-    rows = [(" to ".join(p), [i], float(result.misfit[i])) for i, p in enumerate(result.pairs)]
-    before = (*result.gap_before, *result.beside.gap_before)
-    after = (*result.gap_after, *result.beside.gap_after)
-    rows.append(("all", list(range(len(result.pairs))), float("nan")))
+    beside = result.beside
+    before = np.concatenate([result.gap_before, beside.gap_before])
+    after = np.concatenate([result.gap_after, beside.gap_after])
+    rows = gap_rows(result.pairs, before, after)
+    misfits = [*result.misfit.tolist(), float("nan")]
     return [
-        {
-            "name": name,
-            "cells": [
-                (float(rms(b[pairs])), float(rms(a[pairs])))
-                for b, a in zip(before, after, strict=True)
-            ],
-            "misfit": misfit,
-        }
-        for name, pairs, misfit in rows
+        {"name": name, "cells": cells, "misfit": misfit}
+        for (name, cells), misfit in zip(rows, misfits, strict=True)
     ]
 
 
