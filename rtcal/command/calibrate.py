@@ -22,9 +22,9 @@ from rtcal.command.console import (
     modes_option,
     numbers,
     output_folder,
+    output_options,
     pairs,
     paths_option,
-    printed,
     read_measured,
     said,
     scattering_option,
@@ -34,7 +34,6 @@ from rtcal.command.console import (
     told_by_modes,
     warn,
     without_air_warning,
-    written,
 )
 from rtcal.support import text
 from rtcal.support.errors import DataError
@@ -66,7 +65,7 @@ from rtcal.support.files import make_folder, spare, write_all
     help="Folder for the calibrated room (room.toml), all numbers (result.json) and T(f) "
     "(reverberation_time.png, not with --modes). Nothing is written without it.",
 )
-@printed
+@output_options
 def calibrate(
     room: str,
     measured: str,
@@ -107,10 +106,8 @@ def calibrate(
             solver=solver,
             unreachable=unreachable,
         )
-    text = str(result)
-    if folder is not None:
-        text += "\n" + written(figures.write_folder(result, folder))
-    tell(text, result.to_dict())
+    files = [] if folder is None else figures.write_folder(result, folder)
+    tell(str(result), result.to_dict(), files)
 
 
 def _by_modes(
@@ -123,10 +120,8 @@ def _by_modes(
     with without_air_warning():
         heard = read_measured(measured)
         result = told_by_modes(Room.from_file(room), modes, heard, equation)
-    text = str(result)
-    if folder is not None:
-        text += "\n" + written(figures.write_with_figures(result, folder, {}))
-    tell(text, result.to_dict())
+    files = [] if folder is None else figures.write_with_figures(result, folder, {})
+    tell(str(result), result.to_dict(), files)
 
 
 _START = 0.1
@@ -160,7 +155,7 @@ and it matters. In one simulated room, 4,000 paths, starts of 0.05, 0.1 and 0.2 
     help="Folder for the calibrated room (room.toml), all numbers (result.json), a plan (plan.png) and "
     "the coefficients' shifts (shifts.png). Nothing is written without it.",
 )
-@printed
+@output_options
 def fit(
     room: str,
     measured: str,
@@ -227,13 +222,12 @@ def fit(
                 seed=seed,
                 progress=following(shown),
             ).traced()
-    text = str(result)
+    files = []
     if folder is not None:
-        paths_written = positions_page.write_positions(
+        files = positions_page.write_positions(
             result, folder, tracer.geometry, tracer.sources, tracer.receivers
         )
-        text += "\n" + written(paths_written)
-    tell(text, result.to_dict())
+    tell(str(result), result.to_dict(), files)
 
 
 LIBRARY_ROOM = "room.toml"
@@ -260,7 +254,7 @@ LIBRARY_ROOM = "room.toml"
     type=click.Path(file_okay=False),
     help="Folder for the archive (result.json), and with --apply for the room (room.toml).",
 )
-@printed
+@output_options
 def learn(
     folder: str,
     entries: tuple[str, ...],
@@ -296,6 +290,7 @@ def learn(
         numbers("--room-weight", weights, "ROOM=WEIGHT, such as hall=0.5"),
     )
     said, record = str(library), library.to_dict()
+    files: dict[Path, bytes] = {}
     if target is not None:
         files = {target / NUMBERS: library.to_json().encode()}
         if new is not None:
@@ -305,8 +300,7 @@ def learn(
             files[target / LIBRARY_ROOM] = applied.to_text(target).encode()
         make_folder(target)
         write_all(files)
-        said += "\n" + written([*files])
-    tell(said, record)
+    tell(said, record, [*files])
 
 
 @click.command(short_help="The paper's stochastic study beside its numbers.")
@@ -362,7 +356,7 @@ def learn(
     type=click.Path(file_okay=False),
     help="Folder for the tables (CSV) and figures (PNG).",
 )
-@printed
+@output_options
 def study(
     rooms: tuple[str, ...],
     sigma_r: tuple[float, ...],

@@ -220,7 +220,7 @@ _json_option = click.option(
 )
 
 
-def printed(command: Callable[..., None]) -> Callable[..., None]:
+def output_options(command: Callable[..., None]) -> Callable[..., None]:
     """Add --json and --quiet to a command, for which `tell` asks."""
     return _json_option(_quiet_option(command))
 
@@ -335,9 +335,10 @@ class CannotPrint(click.ClickException):
     exit_code = 5
 
 
-def tell(text: str, record: Mapping[str, Any]) -> None:
+def tell(text: str, record: Mapping[str, Any], files: Sequence[object] = ()) -> None:
     """Print a text, or with ``--json`` its record; without that, nothing with ``--quiet``.
 
+    The text ends with the ``files`` that were written.
     Commands write their files before they print, since a reader may close the output (``| head``).
     Raises CannotPrint where the output is closed or full.
     """
@@ -346,6 +347,8 @@ def tell(text: str, record: Mapping[str, Any]) -> None:
         return
     if sys.stdout is None:
         raise CannotPrint("cannot print: the standard output is closed")
+    if files:
+        text += "\n" + written(files)
     with printing():
         click.echo(_json_text(record) if as_json else printable(fitted(text)))
 

@@ -24,7 +24,7 @@ from rtcal.command.console import (
     is_quiet,
     numbers,
     output_folder,
-    printed,
+    output_options,
     repeats_option,
     said,
     tell,
@@ -73,7 +73,7 @@ PROGRAMS = ("catt", "odeon", "pyroomacoustics", "bras")
     help="File (TOML) to write: [sources] and [receivers] of one SOFA file, for the room's file.",
 )
 @click.option("--out", type=click.Path(dir_okay=False), help="Measurement (CSV, xlsx) to write.")
-@printed
+@output_options
 def measure(
     responses: tuple[str, ...],
     bands: str | list[float] | None,
@@ -162,7 +162,7 @@ def _positions_text(responses: tuple[str, ...]) -> str:
     "--sheets", multiple=True, metavar="SHEET", help="Read only this sheet of a workbook."
 )
 @click.option("--out", type=click.Path(dir_okay=False), help="Measurement (CSV, xlsx) to write.")
-@printed
+@output_options
 def table(
     paths: tuple[str, ...],
     decay_time: str | None,
@@ -223,8 +223,7 @@ def _write_and_tell(
         **notes,
         "written": out,
     }
-    text = str(analysis) if out is None else f"{analysis}\nWritten: {out}"
-    tell(text, record)
+    tell(str(analysis), record, [] if out is None else [out])
 
 
 @click.command(short_help="A calibrated room into a program's material list, changed or new.")
@@ -245,7 +244,7 @@ def _write_and_tell(
     show_default=True,
     help="If the room lacks a band of a new list (CATT, ODEON): refuse, or use the nearest band.",
 )
-@printed
+@output_options
 def export(
     program: str,
     room: str,
@@ -318,7 +317,7 @@ _LIST = "\b\n" + "\n".join(f"    {name:16s}{text}" for name, text in _PURPOSES.i
 )
 @click.argument("name", type=click.Choice(tuple(_PURPOSES)))
 @click.option("--out", type=click.Path(file_okay=False), help="Folder to write; NAME if not given.")
-@printed
+@output_options
 def example(
     name: str,
     out: str | None,
@@ -357,7 +356,7 @@ _FIGURES = 5
     "workbook of all its tables.",
 )
 @heading_options
-@printed
+@output_options
 def report(
     result: str,
     out: str | None,

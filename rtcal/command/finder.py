@@ -16,10 +16,9 @@ from rtcal.command.console import (
     heading_options,
     numbers,
     output_folder,
-    printed,
+    output_options,
     seed_option,
     tell,
-    written,
 )
 from rtcal.command.finder_options import (
     ENGINES,
@@ -129,9 +128,8 @@ def find(
     else:
         files = gap_report.Reproduction(command, tuple(files_read(inputs)), search.seed)
         paths = gap_report.write(finding, folder, files, heading)
-    printed = "\n".join([*first, str(finding), written(paths)])
     record = {**finding.to_dict(), "written": [str(p) for p in paths]}
-    tell(printed, record)
+    tell("\n".join([*first, str(finding)]), record, paths)
 
 
 @click.command(short_help="Compare the gaps with and without what was found.")
@@ -272,7 +270,7 @@ def apply(
     help="Hours of a further measurement, such as G=0.5.",
 )
 @seed_option
-@printed
+@output_options
 def plan(
     inputs: Inputs,
     change: float | None,

@@ -21,15 +21,14 @@ from rtcal.command.console import (
     exclude_option,
     match_option,
     numbers,
+    output_options,
     pairs,
     paths_option,
-    printed,
     read_measured,
     said,
     scattering_option,
     seed_option,
     tell,
-    written,
 )
 from rtcal.support.errors import DataError
 from rtcal.support.files import spare
@@ -273,7 +272,7 @@ def search_options(command: Any) -> Any:
         help="Prior odds of an effect, of none or of coefficients: opening=2.",
     )
     @seed_option
-    @printed
+    @output_options
     @wraps(command)
     def with_search(
         engines: tuple[str, ...],
@@ -320,9 +319,8 @@ def add_to_folder(
         return False
     made = apply()
     paths = made.save(folder)
-    printed = "\n".join([finding.headline, *made.in_words, written(paths)])
     record = {**finding.to_dict(), **made.to_dict(), "written": [str(p) for p in paths]}
-    tell(printed, record)
+    tell("\n".join([finding.headline, *made.in_words]), record, paths)
     return True
 
 
@@ -355,9 +353,8 @@ def find_change(
         page = finding_pages.states_page(finding, heading, lambda: None)
         finding.save(folder)
         document.write(paths[1], page)
-        printed += "\n" + written(paths)
         record["written"] = [str(path) for path in paths]
-    tell(printed, record)
+    tell(printed, record, paths)
 
 
 def verify_change(

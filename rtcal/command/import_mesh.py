@@ -89,7 +89,6 @@ def check(
         draw(drawn, edges, picture)
     files = [path for path in (mended, picture) if path is not None]
     notes = [as_options(note, ["unit"]) for note in done.notes]
-    text = "\n".join([*notes, str(done), *([f"Written: {', '.join(files)}"] if files else [])])
     record = {
         "volume": done.volume,
         "volume_uncertainty": done.volume_uncertainty,
@@ -100,7 +99,7 @@ def check(
         "notes": notes,
         "written": files,
     }
-    tell(text, record)
+    tell("\n".join([*notes, str(done)]), record, files)
 
 
 def _patience(mesh: str) -> Any:

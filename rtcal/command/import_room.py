@@ -13,7 +13,7 @@ from rtcal.command.console import (
     bands_option,
     entries_option,
     fit_ending,
-    printed,
+    output_options,
     scattering_option,
     tell,
     texts,
@@ -121,7 +121,7 @@ if TYPE_CHECKING:
 )
 @scattering_option
 @click.option("--out", type=click.Path(dir_okay=False), help="Room (TOML) to write.")
-@printed
+@output_options
 def import_room(
     program: str,
     materials: str | None,
@@ -420,7 +420,6 @@ def _tell(room: Room, unused: list[str], notes: list[str], out: str) -> None:
         *(f"{area:10.3f} m²  {material}" for material, area in areas.items()),
         *notes,
         *([f"Left out, without area: {', '.join(unused)}"] if unused else []),
-        f"Written: {out}",
     ]
     record = {
         "volume": room.volume,
@@ -430,4 +429,4 @@ def _tell(room: Room, unused: list[str], notes: list[str], out: str) -> None:
         "left_out": unused,
         "written": out,
     }
-    tell("\n".join(rows), record)
+    tell("\n".join(rows), record, [out])

@@ -18,7 +18,7 @@ from rtcal.command.console import (
     method_option,
     modes_option,
     numbers,
-    printed,
+    output_options,
     read_measured,
     tell,
     told_by_modes,
@@ -79,7 +79,7 @@ def loop() -> None:
 )
 @decimals_option
 @modes_option
-@printed
+@output_options
 @_holding_state
 def start(
     room: str,
@@ -160,7 +160,7 @@ def _next_step(out: str) -> str:
     is_flag=True,
     help="Accept a table equal to the last step's, or to the measurement.",
 )
-@printed
+@output_options
 @_holding_state
 def next_(
     room: str,
@@ -233,7 +233,7 @@ def next_(
 @click.argument("room", type=click.Path())
 @_state_option
 @_out_option
-@printed
+@output_options
 @_holding_state
 def back(
     room: str,

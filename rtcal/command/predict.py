@@ -14,13 +14,12 @@ from rtcal.command.console import (
     bar_wanted,
     equation_option,
     output_folder,
+    output_options,
     paths_option,
-    printed,
     read_measured,
     said,
     tell,
     without_air_warning,
-    written,
 )
 from rtcal.support.errors import DataError
 from rtcal.support.files import read_text
@@ -40,7 +39,7 @@ MAX_BYTES = 2**18
 def what_is_known(command: Callable[..., None]) -> Callable[..., None]:
     """Add the options of measured states, the equation and what is done with the result."""
     for option in (
-        printed,
+        output_options,
         click.option(
             "--out",
             type=click.Path(file_okay=False),
@@ -63,10 +62,8 @@ def what_is_known(command: Callable[..., None]) -> Callable[..., None]:
 
 def told(found: Result, out: str | None) -> None:
     """Write a result's file where asked for, and print the result."""
-    text, folder = str(found), output_folder("--out", out)
-    if folder is not None:
-        text += "\n" + written([found.save(folder)])
-    tell(text, found.to_dict())
+    folder = output_folder("--out", out)
+    tell(str(found), found.to_dict(), [] if folder is None else [found.save(folder)])
 
 
 def read_changes(path: str, read: Callable[[str], Any]) -> Any:
