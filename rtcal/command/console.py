@@ -336,9 +336,8 @@ class CannotPrint(click.ClickException):
 
 
 def tell(text: str, record: Mapping[str, Any], files: Sequence[object] = ()) -> None:
-    """Print a text, or with ``--json`` its record; without that, nothing with ``--quiet``.
+    """Print a text and the files written, or with ``--json`` a record; else nothing with ``--quiet``.
 
-    The text ends with the ``files`` that were written.
     Commands write their files before they print, since a reader may close the output (``| head``).
     Raises CannotPrint where the output is closed or full.
     """

@@ -11,6 +11,7 @@ from functools import cached_property
 from typing import Any, ClassVar
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.special import ndtr, ndtri
 
 from rtcal.acoustics import bands
@@ -19,15 +20,7 @@ from rtcal.acoustics.changes import Change, changed
 from rtcal.acoustics.equations import Eyring, LinearEquation
 from rtcal.acoustics.room import Room
 from rtcal.acoustics.room_errors import Assumptions
-from rtcal.acoustics.states import (
-    Estimate,
-    Flags,
-    Rooms,
-    State,
-    estimated_change,
-    near_bounds,
-    samples,
-)
+from rtcal.acoustics.states import Estimate, Rooms, State, estimated_change, near_bounds, samples
 from rtcal.acoustics.targets import Target
 from rtcal.prediction import words
 from rtcal.support import checks, text
@@ -102,7 +95,7 @@ class Prediction(Result):
         return np.asarray(np.sqrt(np.maximum(variance, 0) + self.assumptions.own**2))
 
     @cached_property
-    def sampled(self) -> Flags:
+    def sampled(self) -> NDArray[np.bool_]:
         """Which bands are sampled, (n_bands,) of bool: a coefficient that matters is near a bound.
 
         Elsewhere ln T is normal.
