@@ -395,9 +395,8 @@ class MeansFinding(SetsFinding):
     def amount(self) -> str:
         """The absorption that the room has more or less; "" where that is not claimed."""
         fit = self.fits.get(str(self.best_effect))
-        if self.verdict not in ("named", "family") or fit is None or fit.absorption is None:
-            return ""
-        if len(self.members) > 1:
+        alone = self.verdict in ("named", "family") and len(self.members) < 2
+        if not alone or fit is None or fit.absorption is None:
             return ""
         return f"The room has {fit.absorption.words}."
 
@@ -418,9 +417,8 @@ class MeansFinding(SetsFinding):
     @property
     def in_words(self) -> list[str]:
         """The candidates' sizes, the coefficients, and the reasons that the sentence leaves out."""
-        sizes = [words for c in self.names if (words := self.size_of(c))]
-        off = [] if self.coefficients is None else [self.coefficients_in_words]
-        return [*sizes, *off, *self.reasons[self.verdict == "hint" :]]
+        said = [*map(self.size_of, self.names), self.coefficients_in_words]
+        return [*filter(None, said), *self.reasons[self.verdict == "hint" :]]
 
     @property
     def coefficients_in_words(self) -> str:
