@@ -171,6 +171,8 @@ _ALIKE = 1.25
 def over_frequency(values: Array) -> str:
     """Return how the size of values (n_bands,) goes with frequency.
 
+    Examples
+    --------
     >>> over_frequency(np.array([1.0, 2.0])), over_frequency(np.array([-2.0, -2.2]))
     ('rising with frequency', 'alike at all frequencies')
     """
