@@ -56,6 +56,19 @@ def test_no_reference_changes_a_finding(hidden: bool, kept: Path) -> None:
     np.testing.assert_allclose(other.map, found.map, atol=1e-6)
 
 
+@pytest.mark.parametrize("off", [-3.0, -2.0, 2.0, 3.0])
+def test_a_gain_that_is_off_names_nothing(off: float, kept: Path) -> None:
+    """G that was 2 dB off in a box of another's tracer had named a volume, with 18.6 nats."""
+    made = measured(False, "g")
+    values = {**made.values, "g": made.values["g"] + off}
+    case = rt.finder.positions.PositionsCase(
+        simulator=simulator(), measured=replace(made, values=values)
+    )
+    found = rt.finder.positions.find(case, cache=kept)
+    assert found.verdict == "none"
+    assert found.probabilities["volume"] < 0.2
+
+
 def test_no_reference_of_another_programs_level_changes_a_finding(kept: Path) -> None:
     tracer = simulator()
     heard = tracer.observe(tracer.room.alpha, MATCH, seed=3)

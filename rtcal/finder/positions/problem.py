@@ -20,7 +20,8 @@ from scipy.special import logsumexp
 
 from rtcal.acoustics import bands
 from rtcal.acoustics.air import Air
-from rtcal.acoustics.observables import Observable, observable
+from rtcal.acoustics.measurement import Measurement
+from rtcal.acoustics.observables import LEVEL, Observable, observable
 from rtcal.acoustics.room_errors import alike_alpha, common_error_columns, prior_covariance
 from rtcal.finder.case import CLIMATE_UNCERTAINTY
 from rtcal.finder.positions.case import PositionsCase
@@ -45,6 +46,10 @@ from rtcal.simulators.observations import LARGEST_ALPHA, Observations
 from rtcal.support.errors import DataError
 from rtcal.support.types import Array
 
+GAIN, OWN_GAIN = 1.0, 0.5
+"""Standard deviations in dB by which calibrated sources have another gain than stated: all, and each.
+
+They count where no common uncertainty of G is stated. A G that was 2 dB off had named a volume."""
 UNKNOWN_SCALES = (4.0, 16.0)
 """Factors of the variance of the simulator's error if it misses something that no effect explains."""
 
@@ -348,7 +353,7 @@ def problem_of(case: PositionsCase, made: PairShifts, controls: ControlRuns) -> 
         used=used,
         alpha=alpha,
         together=together,
-        measurement=_measurement(data) * np.outer(flat(scale), flat(scale)),
+        measurement=_measurement(data, case.measured) * np.outer(flat(scale), flat(scale)),
         error=error,
         levels=levels(of_levels.reshape(len(of_levels), *stated.shape[:2], -1)),
         aimed=covariance_of_lobes(shifted(made.aimed), wanted.pairs, room.centre_frequencies)
@@ -384,12 +389,24 @@ def _of_materials(case: PositionsCase, nodes: Mapping[str, Array]) -> dict[str, 
     return out
 
 
-def _measurement(data: MeasuredPairs) -> Array:
+def _measurement(data: MeasuredPairs, measured: Measurement) -> Array:
     """Return the covariance of the measurement's errors over all values, 0 where there is none."""
     used = data.used.ravel()
     full = np.zeros((used.size, used.size))
     full[np.ix_(used, used)] = data.covariance
+    key = LEVEL.key_in(measured.values)
+    if data.level == "absolute" and key not in measured.common_uncertainty:
+        full += _of_gains(data) * np.outer(used, used)
     return reordered(full, data.used.shape)
+
+
+def _of_gains(data: MeasuredPairs) -> Array:
+    """Return the covariance of levels whose sources have another gain than stated, over all values."""
+    sources = np.array([source for source, _ in data.observations.pairs])
+    alike = GAIN**2 + OWN_GAIN**2 * (sources[:, np.newaxis] == sources)
+    parameters, n_bands = data.observations.parameters, len(data.observations.centre_frequencies)
+    of_level = np.array([name == LEVEL.key for name in parameters], dtype=float)
+    return np.asarray(np.kron(np.diag(of_level), np.kron(alike, np.ones((n_bands, n_bands)))))
 
 
 def _prior(case: PositionsCase, slopes: Array, air: Array) -> tuple[Array, Array]:

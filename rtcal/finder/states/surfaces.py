@@ -44,6 +44,8 @@ POWER = 0.5
 """Power of the likelihood: pairs and parameters share errors that no covariance of this module has."""
 MOST_DIRECT = 0.76
 """Share of the direct sound in the energy, 5 dB above the rest, from which EDT says nothing."""
+GAIN = 1.0
+"""Standard deviation in dB by which the gain of a source differs between two states, per band."""
 MOST_GAIN = 1.5
 """Shift in dB of a source's level beside what T says, from which its level is left out."""
 _MISSING = 1e6
@@ -136,7 +138,8 @@ def locate(
     change[~np.isfinite(shifts).all(axis=(0, 1))] = np.nan
     shifts = np.where(np.isfinite(shifts), shifts, 0.0)
     frequencies = simulator.centre_frequencies
-    evidence = [_evidence(change, of_set, noise, match, frequencies) for of_set in shifts]
+    common = _common_errors(pairs, match)
+    evidence = [_evidence(change, of_set, noise, match, frequencies, common) for of_set in shifts]
     log_p = np.array(evidence) - logsumexp(evidence)
     order = np.argsort(-log_p)
     sets = {tried[i]: float(np.exp(log_p[i])) for i in order}
@@ -224,8 +227,37 @@ def _noise(energy: Array, simulator: PathTracing, match: Sequence[str]) -> Array
     return np.asarray(np.nan_to_num(covariance / (bandwidth * width)[:, None, None]))
 
 
+def _common_errors(pairs: Sequence[tuple[str, str]], match: Sequence[str]) -> tuple[Array, Array]:
+    """Return what several pairs err by together, and its variance where nothing changes.
+
+    All pairs share an error of each parameter, and those of a source another gain of its level.
+
+    Returns
+    -------
+    columns : array (n_pairs, n_parameters, n_errors)
+    variance : array (n_errors,)
+    """
+    again = np.array([OBSERVABLES[name].remeasured for name in match])
+    shared = np.broadcast_to(np.eye(len(match)), (len(pairs), len(match), len(match)))
+    if LEVEL.key not in match:
+        return shared, again**2
+    sources = list(dict.fromkeys(source for source, _ in pairs))
+    gain = np.zeros((len(pairs), len(match), len(sources)))
+    for r, (source, _) in enumerate(pairs):
+        gain[r, list(match).index(LEVEL.key), sources.index(source)] = 1.0
+    return (
+        np.concatenate([shared, gain], axis=2),
+        np.concatenate([again**2, np.full(len(sources), GAIN**2)]),
+    )
+
+
 def _evidence(
-    change: Array, shifts: Array, noise: Array, match: Sequence[str], frequencies: Array
+    change: Array,
+    shifts: Array,
+    noise: Array,
+    match: Sequence[str],
+    frequencies: Array,
+    common: tuple[Array, Array],
 ) -> float:
     """Return the log evidence of a set of surfaces.
 
@@ -235,6 +267,8 @@ def _evidence(
     shifts : array (n_nodes, n_parameters, n_pairs, n_bands)
         At a share of 0 and those of `NODES`.
     noise : array (n_pairs, n_bands, n_parameters, n_parameters)
+    common
+        As `_common_errors`.
     """
     nodes = np.array([0.0, *NODES])
     to = np.array([np.interp(SHARES, nodes, row) for row in np.eye(len(nodes))]).T
@@ -248,14 +282,16 @@ def _evidence(
     own_covariance = noise[None] + (own[..., None] + _TINY) * one
     inverse = np.linalg.inv(own_covariance)
     pulled = np.einsum("jrkpq,jrkq->jrkp", inverse, off)
-    again = np.array([OBSERVABLES[name].remeasured for name in match])
-    common = (again**2 + (COMMON * mean) ** 2)[..., None] * one
-    held = np.linalg.inv(common) + inverse.sum(axis=1)
-    b = pulled.sum(axis=1)
+    columns, least = common
+    variance = np.broadcast_to(least, (*mean.shape[:2], len(least))).copy()
+    variance[..., : len(match)] += (COMMON * mean) ** 2
+    b = np.einsum("rpc,jrkp->jkc", columns, pulled)
+    held = np.einsum("rpc,jrkpq,rqd->jkcd", columns, inverse, columns, optimize=True)
+    held = held + np.eye(len(least)) / variance[..., None]
     squares = np.einsum("jrkp,jrkp->jk", off, pulled)
     squares = squares - np.einsum("jkp,jkp->jk", b, np.linalg.solve(held, b[..., None])[..., 0])
     determinants = np.linalg.slogdet(own_covariance)[1].sum(axis=1)
-    determinants = determinants + np.linalg.slogdet(common)[1] + np.linalg.slogdet(held)[1]
+    determinants = determinants + np.log(variance).sum(axis=-1) + np.linalg.slogdet(held)[1]
     log_likelihood = -POWER * (squares + determinants) / 2
     used = np.asarray(known.any(axis=(0, 2)))
     return _through_bands(log_likelihood.T, frequencies, used)
