@@ -16,6 +16,10 @@ with ten loudspeakers and nothing hidden, an index that is 1.5 dB off gives more
 another volume or a displaced source (tests/test_where_unstated_sources.py). So a source with a stated
 index is tried with another one, too. What then agrees with nothing that is tried ("unknown") may be the
 lobes' shape, and is no finding of the room.
+
+G needs a calibrated source, and its calibration may be wrong by more than the uncertainty of a right
+one. In a box of another's tracer with nothing hidden, G that was 2 dB off gave 18 nats for another
+volume. So what is detected with G is the mean of two likelihoods, one of them with another gain.
 """
 
 from __future__ import annotations
@@ -30,7 +34,7 @@ import numpy as np
 from rtcal.acoustics import band_conversion, bands
 from rtcal.acoustics.directivity import LARGEST_INDEX, Directivity
 from rtcal.acoustics.measurement import Measurement
-from rtcal.acoustics.observables import MATCH, observable, parameter_label
+from rtcal.acoustics.observables import LEVEL, MATCH, observable, parameter_label
 from rtcal.acoustics.room import Room
 from rtcal.acoustics.scene import POSITION, UNKNOWN, checked_uncertainty
 from rtcal.finder.positions import surfaces
@@ -289,6 +293,10 @@ their freedom that another volume stayed likelier."""
 
 LIKELY_LOBES = 2.5
 """Evidence in nats from which other lobes are taken to explain what was measured."""
+GAIN, OWN_GAIN = 4.0, 1.0
+"""Standard deviations in dB of a gain that was calibrated wrongly: of all sources, and of each."""
+MISCALIBRATED = 0.1
+"""Prior probability that it was, where no common uncertainty of G is stated."""
 
 
 AIMS = (None, *(tuple(sign * axis) for axis in np.eye(3) for sign in (-1.0, 1.0)))
@@ -336,6 +344,25 @@ def as_unknown(case: PositionsCase) -> PositionsCase:
     stated = {name: tracer.directivity.get(name, UNKNOWN) for name in tracer.sources}
     stated |= dict.fromkeys(with_index(tracer), UNKNOWN)
     return replace(case, simulator=replace(tracer, directivity=stated))
+
+
+def covariance_of_gains(parameters: Sequence[str], pairs: Sequence[Pair], n_bands: int) -> Array:
+    """Return the covariance in dB² of levels of other gains, (n, n), by band, parameter and pair."""
+    sources = np.array([source for source, _ in pairs])
+    alike = GAIN**2 + OWN_GAIN**2 * (sources[:, np.newaxis] == sources)
+    level = np.diag([float(name == LEVEL.key) for name in parameters])
+    return np.asarray(np.kron(np.ones((n_bands, n_bands)), np.kron(level, alike)))
+
+
+def gains_in_words(nats: float) -> str:
+    """Return a note that calibrated sources may have another gain; "" where that is less likely."""
+    if nats <= -np.log(MISCALIBRATED):
+        return ""
+    return (
+        "G agrees better with the room where its calibration is off, alike in all bands: "
+        f"{nats:+.1f} nats. It counts as far as it is right. If its reference is not sure, name it "
+        '"level".'
+    )
 
 
 def lobes_in_words(nats: float, stated: Sequence[str]) -> str:

@@ -202,6 +202,23 @@ def gain(
     return np.asarray(more + (other.none - evidence.none) / TEMPER)
 
 
+def either(
+    evidence: PositionsEvidence, other: PositionsEvidence, share: float
+) -> PositionsEvidence:
+    """Return the evidence where a second likelihood holds with the probability ``share``."""
+
+    def mean(one: Array, two: Array) -> Array:
+        return np.asarray(np.logaddexp(np.log1p(-share) + one, np.log(share) + two))
+
+    return PositionsEvidence(
+        none=mean(evidence.none, other.none),
+        coefficients=mean(evidence.coefficients, other.coefficients),
+        unknown=mean(evidence.unknown, other.unknown),
+        shifts=[mean(*both) for both in zip(evidence.shifts, other.shifts, strict=True)],
+        spreads=[mean(*both) for both in zip(evidence.spreads, other.spreads, strict=True)],
+    )
+
+
 def with_families(
     posterior: PositionsEvidence, hypotheses: PositionsHypotheses, families: Mapping[str, float]
 ) -> PositionsEvidence:

@@ -20,11 +20,10 @@ from scipy.special import logsumexp
 
 from rtcal.acoustics import bands
 from rtcal.acoustics.air import Air
-from rtcal.acoustics.measurement import Measurement
-from rtcal.acoustics.observables import LEVEL, Observable, observable
+from rtcal.acoustics.observables import Observable, observable
 from rtcal.acoustics.room_errors import alike_alpha, common_error_columns, prior_covariance
 from rtcal.finder.case import CLIMATE_UNCERTAINTY
-from rtcal.finder.positions.case import PositionsCase
+from rtcal.finder.positions.case import PositionsCase, covariance_of_gains
 from rtcal.finder.positions.evidence import (
     Likelihood,
     Likelihoods,
@@ -46,10 +45,6 @@ from rtcal.simulators.observations import LARGEST_ALPHA, Observations
 from rtcal.support.errors import DataError
 from rtcal.support.types import Array
 
-GAIN, OWN_GAIN = 1.0, 0.5
-"""Standard deviations in dB by which calibrated sources have another gain than stated: all, and each.
-
-They count where no common uncertainty of G is stated. A G that was 2 dB off had named a volume."""
 UNKNOWN_SCALES = (4.0, 16.0)
 """Factors of the variance of the simulator's error if it misses something that no effect explains."""
 
@@ -227,6 +222,8 @@ class PositionsProblem:
     levels : ScatteringLevels
     aimed : array (n, n), optional
         Covariance of what other lobes of the sources change; None where no source may have any.
+    gains : array (n, n), optional
+        Covariance of what other gains of calibrated sources change (`covariance_of_gains`).
     nodes : mapping of str to array (n_bands, n_values, n_nodes)
     """
 
@@ -241,6 +238,7 @@ class PositionsProblem:
     error: TracingError
     levels: ScatteringLevels
     aimed: Array | None
+    gains: Array | None
     nodes: Mapping[str, Array]
 
     @property
@@ -260,16 +258,14 @@ class PositionsProblem:
         return covariance * np.outer(self.scale, self.scale)
 
     def likelihoods(
-        self, without: NDArray[np.int64] | None = None, aimed: bool = False
+        self, without: NDArray[np.int64] | None = None, sources: Array | float = 0.0
     ) -> Likelihoods:
         """Return the likelihoods with coefficients as stated, off together, and of the unknown.
 
-        With ``aimed`` the sources have other lobes (`rtcal.finder.positions.case.lobes`).
+        ``sources`` is a covariance of what the sources may be off by: `aimed` or `gains`.
         """
         error = self.simulator_error(without)
-        base = self.alpha @ self.alpha.T + self.measurement + error
-        if aimed and self.aimed is not None:
-            base = base + self.aimed
+        base = self.alpha @ self.alpha.T + self.measurement + error + sources
         common = self.together @ self.together.T
         names, n_pairs = self.data.observations.parameters, self.shape[1]
         uneven, amount = uneven_columns(names, n_pairs), uneven_amount(names, n_pairs)
@@ -353,11 +349,15 @@ def problem_of(case: PositionsCase, made: PairShifts, controls: ControlRuns) -> 
         used=used,
         alpha=alpha,
         together=together,
-        measurement=_measurement(data, case.measured) * np.outer(flat(scale), flat(scale)),
+        measurement=_measurement(data) * np.outer(flat(scale), flat(scale)),
         error=error,
         levels=levels(of_levels.reshape(len(of_levels), *stated.shape[:2], -1)),
         aimed=covariance_of_lobes(shifted(made.aimed), wanted.pairs, room.centre_frequencies)
         if made.aimed.any()
+        else None,
+        gains=covariance_of_gains(wanted.parameters, wanted.pairs, room.n_bands)
+        * np.outer(flat(scale), flat(scale))
+        if data.level == "absolute" and "g" not in case.measured.common_uncertainty
         else None,
         nodes=nodes,
     )
@@ -389,24 +389,12 @@ def _of_materials(case: PositionsCase, nodes: Mapping[str, Array]) -> dict[str, 
     return out
 
 
-def _measurement(data: MeasuredPairs, measured: Measurement) -> Array:
+def _measurement(data: MeasuredPairs) -> Array:
     """Return the covariance of the measurement's errors over all values, 0 where there is none."""
     used = data.used.ravel()
     full = np.zeros((used.size, used.size))
     full[np.ix_(used, used)] = data.covariance
-    key = LEVEL.key_in(measured.values)
-    if data.level == "absolute" and key not in measured.common_uncertainty:
-        full += _of_gains(data) * np.outer(used, used)
     return reordered(full, data.used.shape)
-
-
-def _of_gains(data: MeasuredPairs) -> Array:
-    """Return the covariance of levels whose sources have another gain than stated, over all values."""
-    sources = np.array([source for source, _ in data.observations.pairs])
-    alike = GAIN**2 + OWN_GAIN**2 * (sources[:, np.newaxis] == sources)
-    parameters, n_bands = data.observations.parameters, len(data.observations.centre_frequencies)
-    of_level = np.array([name == LEVEL.key for name in parameters], dtype=float)
-    return np.asarray(np.kron(np.diag(of_level), np.kron(alike, np.ones((n_bands, n_bands)))))
 
 
 def _prior(case: PositionsCase, slopes: Array, air: Array) -> tuple[Array, Array]:

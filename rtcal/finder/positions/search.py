@@ -18,8 +18,10 @@ from rtcal.finder.means.search import CHOSEN
 from rtcal.finder.positions import surfaces as of_room
 from rtcal.finder.positions.case import (
     LIKELY_LOBES,
+    MISCALIBRATED,
     PositionsCase,
     as_unknown,
+    gains_in_words,
     lobes_in_words,
     with_index,
 )
@@ -40,6 +42,7 @@ from rtcal.finder.positions.posterior import (
     PositionsEvidence,
     PositionsHypotheses,
     Summary,
+    either,
     evaluate,
     evidence_of_means,
     gain,
@@ -199,7 +202,7 @@ def find_by_positions(
     aimed, unexplained = 0.0, False
     if score[0] > threshold and numbers.aimed is not None:
         residuals = numbers.residual[:, np.newaxis]
-        lobes = evaluate(numbers.likelihoods(aimed=True), hypotheses, residuals)
+        lobes = evaluate(numbers.likelihoods(sources=numbers.aimed), hypotheses, residuals)
         aimed = float(gain(lobes, evidence, hypotheses)[0])
         if indexed and reverberation:
             told = summary_of(case, hypotheses, weights(evidence, hypotheses, TOLD_TEMPER))
@@ -213,6 +216,13 @@ def find_by_positions(
             evidence = lobes
         score, noise = scores(weights(evidence, hypotheses), hypotheses)
         means = None if means is None else evidence_of_means(case, effects, seed, cache)
+    of_gain = -np.inf
+    if score[0] > threshold and numbers.gains is not None:
+        residuals = numbers.residual[:, np.newaxis]
+        regained = evaluate(numbers.likelihoods(sources=numbers.gains), hypotheses, residuals)
+        of_gain = float(gain(regained, evidence, hypotheses)[0])
+        evidence = either(evidence, regained, MISCALIBRATED)
+        score, noise = scores(weights(evidence, hypotheses), hypotheses)
     detected = Detection(
         score=float(score[0]),
         threshold=threshold,
@@ -225,7 +235,7 @@ def find_by_positions(
     likelihood = numbers.likelihoods()[0].with_one_level()
     finding = _finding(case, numbers, hypotheses, posterior, likelihood, detected, effects)
     notes = (*finding.notes, lobes_in_words(aimed, indexed if doubted else ()))
-    notes = (*notes, untried(effects), *([CHOSEN] if left_out else []))
+    notes = (*notes, gains_in_words(of_gain), untried(effects), *([CHOSEN] if left_out else []))
     return replace(finding, left_out=tuple(left_out), notes=tuple(filter(None, notes)))
 
 

@@ -24,6 +24,7 @@ from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.observables import DB, EARLY, LEVEL, OBSERVABLES, TARGET
 from rtcal.finder.claim import most_probable_first
 from rtcal.finder.positions import surfaces as of_room
+from rtcal.finder.positions.case import MISCALIBRATED
 from rtcal.finder.positions.surfaces import Faces
 from rtcal.finder.positions.weighing import Weighing
 from rtcal.simulators import observations
@@ -44,8 +45,8 @@ POWER = 0.5
 """Power of the likelihood: pairs and parameters share errors that no covariance of this module has."""
 MOST_DIRECT = 0.76
 """Share of the direct sound in the energy, 5 dB above the rest, from which EDT says nothing."""
-GAIN = 1.0
-"""Standard deviation in dB by which the gain of a source differs between two states, per band."""
+GAIN = 1.5
+"""Standard deviation in dB, per band, by which a source has another gain in two states, if it has."""
 MOST_GAIN = 1.5
 """Shift in dB of a source's level beside what T says, from which its level is left out."""
 _MISSING = 1e6
@@ -138,9 +139,19 @@ def locate(
     change[~np.isfinite(shifts).all(axis=(0, 1))] = np.nan
     shifts = np.where(np.isfinite(shifts), shifts, 0.0)
     frequencies = simulator.centre_frequencies
-    common = _common_errors(pairs, match)
-    evidence = [_evidence(change, of_set, noise, match, frequencies, common) for of_set in shifts]
-    log_p = np.array(evidence) - logsumexp(evidence)
+
+    def evidence_of(sources: Sequence[str]) -> Array:
+        common = _common_errors(pairs, match, sources)
+        numbers = noise, match, frequencies, common
+        return np.array([_evidence(change, of_set, *numbers) for of_set in shifts])
+
+    evidence = evidence_of(())
+    if LEVEL.key in match:
+        regained = evidence_of([*dict.fromkeys(source for source, _ in pairs)])
+        evidence = np.logaddexp(
+            np.log1p(-MISCALIBRATED) + evidence, np.log(MISCALIBRATED) + regained
+        )
+    log_p = evidence - logsumexp(evidence)
     order = np.argsort(-log_p)
     sets = {tried[i]: float(np.exp(log_p[i])) for i in order}
     by_surface = {n: sum(p for names, p in sets.items() if n in names) for n in faces}
@@ -227,10 +238,12 @@ def _noise(energy: Array, simulator: PathTracing, match: Sequence[str]) -> Array
     return np.asarray(np.nan_to_num(covariance / (bandwidth * width)[:, None, None]))
 
 
-def _common_errors(pairs: Sequence[tuple[str, str]], match: Sequence[str]) -> tuple[Array, Array]:
+def _common_errors(
+    pairs: Sequence[tuple[str, str]], match: Sequence[str], sources: Sequence[str]
+) -> tuple[Array, Array]:
     """Return what several pairs err by together, and its variance where nothing changes.
 
-    All pairs share an error of each parameter, and those of a source another gain of its level.
+    All pairs share an error of each parameter, and those of each of ``sources`` a gain of the level.
 
     Returns
     -------
@@ -239,16 +252,12 @@ def _common_errors(pairs: Sequence[tuple[str, str]], match: Sequence[str]) -> tu
     """
     again = np.array([OBSERVABLES[name].remeasured for name in match])
     shared = np.broadcast_to(np.eye(len(match)), (len(pairs), len(match), len(match)))
-    if LEVEL.key not in match:
-        return shared, again**2
-    sources = list(dict.fromkeys(source for source, _ in pairs))
     gain = np.zeros((len(pairs), len(match), len(sources)))
     for r, (source, _) in enumerate(pairs):
-        gain[r, list(match).index(LEVEL.key), sources.index(source)] = 1.0
-    return (
-        np.concatenate([shared, gain], axis=2),
-        np.concatenate([again**2, np.full(len(sources), GAIN**2)]),
-    )
+        if source in sources:
+            gain[r, list(match).index(LEVEL.key), sources.index(source)] = 1.0
+    variance = np.concatenate([again**2, np.full(len(sources), GAIN**2)])
+    return np.concatenate([shared, gain], axis=2), variance
 
 
 def _evidence(
