@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 import rtcal as rt
+from rtcal.acoustics.repeats import times_of
 from rtcal.command.main import main
 from rtcal.finder.states import Differences, StatesCase, StatesFinding
 from tests.two_states import BANDS, measured, room, times
@@ -205,6 +206,7 @@ def test_the_changed_room_has_t_of_the_second_state(panels: StatesFinding) -> No
     assert any("not told" in note for note in changed.notes)
     says = changed.room.sources.values()
     assert list(says) == ["changed by rtcal find: two states"] * changed.room.n_materials
+    assert np.isnan(times_of(changed.room)).all()  # the record's T is that of the first state
     result = rt.calibrate(changed.room, panels.case.after, method="soft")
     assert np.abs(result.shift_in_sigmas).max() < 1
     back = rt.find(panels.case.room, panels.case.before, before=panels.case.after).apply()

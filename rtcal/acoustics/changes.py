@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Container, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from itertools import count
 from typing import Any
@@ -15,8 +15,9 @@ from rtcal.acoustics.materials import Material
 from rtcal.acoustics.room import Room
 from rtcal.acoustics.scene import Scene
 from rtcal.support import checks
-from rtcal.support.arguments import checked
+from rtcal.support.arguments import check_fields, checked
 from rtcal.support.errors import DataError
+from rtcal.support.text import without_looks
 from rtcal.support.types import Array
 
 OPENING = "opening"
@@ -31,6 +32,9 @@ _ROUNDING = 1e-9
 
 class Change(ABC):
     """A change of a room; it makes the room that it leads to."""
+
+    def __post_init__(self) -> None:
+        check_fields(self)
 
     @abstractmethod
     def apply(self, room: Room) -> Room:
@@ -397,8 +401,8 @@ def _least(room: Room) -> Array:
     return np.zeros_like(room.alpha) if room.alpha_min is None else room.alpha_min
 
 
-def new_name(taken: Container[str], wanted: str) -> str:
-    """Return a name that is not taken: the wanted one, or that with a number.
+def new_name(taken: Iterable[str], wanted: str) -> str:
+    """Return a name that looks like none that is taken: the wanted one, or that with a number.
 
     Examples
     --------
@@ -406,7 +410,8 @@ def new_name(taken: Container[str], wanted: str) -> str:
     ('panel', 'panel (3)')
     """
     numbered = (wanted if n == 1 else f"{wanted} ({n})" for n in count(1))
-    return next(name for name in numbered if name not in taken)
+    seen = {without_looks(name) for name in taken}
+    return next(name for name in numbered if without_looks(name) not in seen)
 
 
 def _row(room: Room, material: str, name: str, values: float | Sequence[float]) -> Array:

@@ -14,7 +14,7 @@ from rtcal.acoustics.air import Air
 from rtcal.support import checks
 from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError
-from rtcal.support.text import shortened
+from rtcal.support.text import LOOKS, look_alike, shortened
 from rtcal.support.types import Array, read_only
 
 AXES = ("x", "y", "z")
@@ -86,6 +86,8 @@ class Geometry(Protocol):
 
 ARCHIVE = "archive"
 """Method in the record of a room whose coefficients come from an archive of other rooms."""
+CHANGED = "changed"
+"""Method in the record of a room whose coefficients were changed after their calibration."""
 
 
 @dataclass(frozen=True)
@@ -126,6 +128,18 @@ def short_name(place: str, value: object) -> str:
     if len(name) > LONGEST_NAME:
         raise DataError(f"{place} has {len(name)} characters; at most {LONGEST_NAME} are allowed")
     return name
+
+
+def check_apart(materials: Sequence[str]) -> None:
+    """Raise DataError for a material that is there twice, and for two whose names look alike."""
+    if len({*materials}) < len(materials):
+        twice = min(m for m in materials if materials.count(m) > 1)
+        raise DataError(
+            f'materials has "{twice}" twice; a material is one row (Room.from_surfaces sums its '
+            "surfaces)"
+        )
+    if alike := look_alike(materials):
+        raise DataError(f'materials has "{alike[0]}" and "{alike[1]}", {LOOKS}')
 
 
 def array_of(name: str, value: object) -> Array:
@@ -314,8 +328,8 @@ def climate(stated: Any, air: Air | None) -> tuple[float, float]:
     return kelvin, percent
 
 
-LARGEST = 1e9
-"""Of areas in m² and volumes in m³. Nothing that is built comes near it."""
+LEAST, LARGEST = 1e-9, 1e9
+"""Of volumes in m³, the largest of areas in m², too. Nothing that is built comes near either."""
 LARGEST_LABORATORY_ALPHA = 2.0
 """ISO 354 gives up to some 1.3 for thick absorbers of 10 m² (edge effect); small objects give more."""
 

@@ -13,11 +13,11 @@ from urllib.parse import quote, unquote
 
 import numpy as np
 
-from rtcal.acoustics.materials import ARCHIVE
+from rtcal.acoustics.materials import ARCHIVE, CHANGED
 from rtcal.acoustics.observables import OBSERVABLES, parameter_label
 from rtcal.acoustics.room import Room
 from rtcal.support.errors import DataError
-from rtcal.support.text import first_of
+from rtcal.support.text import LOOKS, first_of, look_alike
 from rtcal.support.types import Array
 
 Pair = tuple[str, str]
@@ -66,10 +66,11 @@ def of_pairs(
 def times_of(room: Room) -> Array:
     """Return the T in s that a calibrated room's record names, (n_bands,); NaN where it names none.
 
-    A record with several T, as of several configurations, names none of the room alone.
+    A record with several T, as of several configurations, names none of the room alone; nor does that
+    of a room that was changed since.
     """
-    times = np.full(room.n_bands, np.nan)
-    every = [] if room.calibration is None else room.calibration.measured.split()
+    times, record = np.full(room.n_bands, np.nan), room.calibration
+    every = [] if record is None or record.method == CHANGED else record.measured.split()
     names = [name for name in every if name.partition(":")[0] not in OBSERVABLES]
     if len(names) != 1 or not names[0].startswith("T:"):
         return times
@@ -243,20 +244,17 @@ def names_of_repeats(receiver: str) -> Iterator[str]:
 def places_of(pairs: Sequence[Pair]) -> list[Pair]:
     """Return the place of each pair, (n_pairs,), by the names of sources and receivers.
 
-    Raises DataError for names that only upper case or blanks keep apart.
+    Raises DataError for names that look alike (`rtcal.support.text.look_alike`).
     """
     of_sources, of_receivers = (of_names(p[i] for p in pairs) for i in range(2))
     placed = [(of_sources.get(s, s), of_receivers.get(r, r)) for s, r in pairs]
     for kind, names in (("source", (s for s, _ in placed)), ("receiver", (r for _, r in placed))):
-        alike: dict[str, str] = {}
-        for name in dict.fromkeys(names):
-            plain = re.sub(r"(?<=\D)\s+(?=\d)", "", " ".join(name.split())).casefold()
-            other = alike.setdefault(plain, name)
-            if other != name:
-                raise DataError(
-                    f'pairs has the {kind} "{other}" and the {kind} "{name}", which only upper case or '
-                    f'blanks keep apart; repeats at one place are "{other}" and "{other}#2"'
-                )
+        if alike := look_alike(names):
+            other, name = alike
+            raise DataError(
+                f'pairs has the {kind} "{other}" and the {kind} "{name}", {LOOKS}; repeats at one '
+                f'place are "{other}" and "{other}#2"'
+            )
     return placed
 
 

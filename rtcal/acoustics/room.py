@@ -18,11 +18,13 @@ from rtcal.acoustics.materials import (
     ARCHIVE,
     AXES,
     LARGEST,
+    LEAST,
     CalibrationRecord,
     Geometry,
     Material,
     Surface,
     by_material,
+    check_apart,
     check_correlation,
     check_minimum,
     check_surfaces,
@@ -62,7 +64,7 @@ class Room:
     ----------
     name : str
     volume : float
-        m³, above 0.
+        m³, from 1e-9 to 1e9.
     materials : sequence of str (n_materials,)
         Names, each once.
     areas : array (n_materials,)
@@ -183,16 +185,12 @@ class Room:
             raise DataError("surfaces has something that is no rtcal.Surface")
         put("centre_frequencies", read_only(bands.as_bands(self.centre_frequencies)))
         put("volume", checks.positive("volume", self.volume, "m³"))
-        if self.volume > LARGEST:
-            raise DataError(f"volume = {self.volume:g} m³ is above {LARGEST:g} m³")
+        if not LEAST <= self.volume <= LARGEST:
+            raise DataError(f"volume = {self.volume:g} m³ is not from {LEAST:g} to {LARGEST:g} m³")
         n, k = self.n_materials, self.n_bands
         if n == 0:
             raise DataError("materials is empty; a room has at least one material")
-        if repeated := sorted({m for m in self.materials if self.materials.count(m) > 1}):
-            raise DataError(
-                f'materials has "{repeated[0]}" twice; a material is one row '
-                "(Room.from_surfaces sums its surfaces)"
-            )
+        check_apart(self.materials)
         for name in ("areas", "alpha", "sigma", "scattering", "alpha_min"):
             stated = getattr(self, name)
             put(name, in_order(name, stated, self.materials, self.centre_frequencies))

@@ -12,7 +12,7 @@ import numpy as np
 from rtcal.acoustics import band_conversion, bands, quality, repeats
 from rtcal.acoustics.equations import Eyring, LinearEquation
 from rtcal.acoustics.room import Room
-from rtcal.acoustics.scene import Scene
+from rtcal.acoustics.scene import POSITION, Scene
 from rtcal.io.material_list import ListedMaterial, MaterialList
 from rtcal.support import text
 from rtcal.support.errors import DataError
@@ -22,7 +22,8 @@ from rtcal.support.types import Array
 MOST_NAMED = 5
 RECORD = "the record of the calibration"
 LOST = {
-    "name": ("name", "author"),
+    "name": ("name",),
+    "author": ("author",),
     "areas and volume": ("areas", "volume", "surfaces", "dimensions"),
     "sigma": ("sigma",),
     "uncertainties of areas, volume and climate": (
@@ -268,9 +269,12 @@ def _of_scene(scene: Scene) -> tuple[str, ...]:
     """Return what a scene states, in words: no sources and receivers where it has none."""
     said = ["mesh"] if scene.mesh is not None else []
     said += ["sources and receivers"] if scene.sources else []
-    if not said and scene:
-        said = ["names of surfaces"]
-    return (", ".join(said),) if said else ()
+    further = {
+        "directivity of sources": bool(scene.directivity),
+        "uncertainty of positions": scene.position_uncertainty != POSITION,
+        "names of surfaces": bool(scene.surfaces),
+    }
+    return (*filter(None, [", ".join(said)]), *(words for words, is_so in further.items() if is_so))
 
 
 def _in_new_bands(

@@ -102,6 +102,24 @@ def _wrapped(function: Callable[..., Any], called: str = "") -> Callable[..., An
     return call
 
 
+def check_fields(instance: Any) -> None:
+    """Raise DataError for the first field of a dataclass that its annotation does not allow.
+
+    For a class that only keeps its fields, so that a wrong one would fail where it is used. It is
+    called at the end of ``__post_init__``.
+    """
+    kind = type(instance)
+    for name, rule in _rules_of(kind).items():
+        if rule is not None and name != "self" and not rule[0](value := getattr(instance, name)):
+            raise DataError(f"{kind.__name__}: {name} = {shown(value)} is not {rule[1]}")
+
+
+@functools.cache
+def _rules_of(kind: type) -> dict[str, Rule | None]:
+    create = kind.__init__  # type: ignore[misc]
+    return _rules(create, list(inspect.signature(create).parameters.values()))
+
+
 def _place(function: Callable[..., Any]) -> str:
     """Return ``Class.method``, or a function's name after that of the package that has it."""
     if "." in function.__qualname__:

@@ -117,18 +117,26 @@ def public_name(thing: Any) -> str:
 def array(place: str, value: object, error: type[RtcalError] = DataError) -> Array:
     """Return real numbers as an array; a float array is not copied.
 
-    ``error`` for anything else, and for a masked array with masked entries, since these are no data.
+    ``error`` for anything else, also true and false, and for a masked array with masked entries.
     """
     if np.ma.isMaskedArray(value) and np.ma.getmaskarray(value).any():
         raise error(f"{place} is a masked array with hidden entries; numbers are needed for all")
     if value is None:
         raise error(f"{place} = None is not an array of real numbers")
     try:
-        if not np.iscomplexobj(np.asarray(value)):
+        kind = np.asarray(value).dtype.kind
+        if kind not in "bc" and not _has_flags(value):
             return np.asarray(value, dtype=float)
     except (TypeError, ValueError, OverflowError) as cause:
         raise error(f"{place} is not an array of real numbers: {cause}") from cause
-    raise error(f"{place} is not an array of real numbers: it has complex ones")
+    found = "complex ones" if kind == "c" else "true or false"
+    raise error(f"{place} is not an array of real numbers: it has {found}")
+
+
+def _has_flags(value: object) -> bool:
+    """Whether a list has true or false beside its numbers, of which NumPy makes 1 and 0."""
+    nested = isinstance(value, list | tuple)
+    return any(map(_has_flags, value)) if nested else isinstance(value, bool | np.bool_)
 
 
 def listed(place: str, value: object) -> tuple[Any, ...]:

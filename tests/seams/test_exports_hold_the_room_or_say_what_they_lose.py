@@ -143,7 +143,7 @@ ROOMS: dict[str, Callable[[], rt.Room]] = {
 }
 SAID = {
     "name": "name",
-    "author": "name",
+    "author": "author",
     **dict.fromkeys(("volume", "areas", "surfaces", "dimensions"), "areas and volume"),
     "sigma": "sigma",
     **dict.fromkeys(
@@ -246,6 +246,26 @@ def test_a_list_holds_what_it_does_not_say(
     assert ("would count them twice" in said) == (room.calibration is not None)
     if kind == "fit" and again.scattering is not None:
         assert np.abs(again.scattering - 0.1).max() > 0.02  # fitted, not what it began with
+
+
+@pytest.mark.parametrize("field", sorted({f.name for f in dataclasses.fields(rt.Scene)} - {"unit"}))
+def test_a_list_says_of_each_part_of_a_scene_that_it_is_lost(field: str, tmp_path: Path) -> None:
+    """The unit is the mesh's. Sources and receivers are stated both, or neither."""
+    points = {"sources": {"S1": (1, 1, 1)}, "receivers": {"R1": (2, 2, 1)}}
+    state: dict[str, Any] = {
+        "mesh": "box.obj",
+        "position_uncertainty": 0.2,
+        "surfaces": {"front": ["wall"]},
+        "directivity": {"S1": "unknown"},
+        **points,
+    }
+    needed = points if field == "directivity" else {}
+    alone = points if field in points else needed | {field: state[field]}
+    of = [
+        bras.write(stated().replace(scene=rt.Scene(**scene)), tmp_path / f"{n}.csv").lost
+        for n, scene in enumerate((needed, alone))
+    ]
+    assert len(of[1]) == len(of[0]) + 1
 
 
 @pytest.mark.parametrize("name", ["native", "catt", "pyroomacoustics"])

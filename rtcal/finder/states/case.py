@@ -12,7 +12,7 @@ import os
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +21,7 @@ from rtcal.acoustics import band_conversion, bands
 from rtcal.acoustics.changes import Further, new_name, with_materials
 from rtcal.acoustics.directivity import Directivity
 from rtcal.acoustics.equations import Eyring, LinearEquation
-from rtcal.acoustics.materials import Material
+from rtcal.acoustics.materials import CHANGED, Material
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.observables import MATCH, REVERBERATION, SUMMARY, parameter_label
 from rtcal.acoustics.priors import NORMAL_90
@@ -337,6 +337,8 @@ def changed_room(
         equation=case.equation,
         unreachable="nearest",
     ).room
+    # T before, not that of the changed room, stays on record: it is not to count twice.
+    before = before.replace(calibration=replace(cast("Any", before.calibration), method=CHANGED))
     change = np.where(np.isfinite(change), change, 0.0)
     spread = (change[2] - change[1]) / (2 * NORMAL_90)
     notes = []
@@ -389,8 +391,7 @@ def _absorbing(
 ) -> tuple[Array, Array, Array]:
     """Return alpha and sigma with a change of the absorption area, and what of it did not fit.
 
-    ``alpha`` and ``sigma`` are (n, n_bands), ``areas`` (n,), ``change`` and ``spread`` (n_bands,) in
-    m².
+    ``alpha`` and ``sigma`` are (n, n_bands), ``areas`` (n,), and the others in m² (n_bands,).
     """
     more = change > 0
     by_share = np.where(more, 1 - alpha, alpha)
