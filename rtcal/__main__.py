@@ -4,8 +4,12 @@ from __future__ import annotations
 
 import os
 import signal
+import sys
+from contextlib import suppress
 
 INTERRUPTED = 130
+_ERRORS = 2  # POSIX's number of the stream
+_LAST = 3  # files that are named
 
 
 def main() -> None:
@@ -35,7 +39,14 @@ def _interrupt(*_: object) -> None:
 
 
 def _end() -> None:
-    """End the process now. Python would wait for threads that nobody needs any more."""
+    """Say so, and end the process now. Python would wait for threads that nobody needs any more."""
+    # Nothing is imported here: the interrupt may have come while a library loads.
+    begun = getattr(sys.modules.get("rtcal.support.files"), "begun", ())
+    last = ", ".join(path.name for path in begun[-_LAST:])
+    what = f"written last, or begun: {last}" if begun else "nothing was written"
+    said = "".join(c if c.isprintable() else "?" for c in f"rtcal: interrupted; {what}")
+    with suppress(OSError):
+        os.write(_ERRORS, f"{said}\n".encode(errors="backslashreplace"))
     os._exit(INTERRUPTED)
 
 

@@ -20,11 +20,13 @@ signal.signal(signal.SIGINT, signal.default_int_handler)
 import rtcal.__main__ as m; print('started', flush=True); m.main()
 """
 """The command as a terminal starts it. A shell's background job, and its children, ignore SIGINT."""
+NOTHING = "rtcal: interrupted; nothing was written\n"
 SHOEBOX = [35, 35, 21, 21, 15, 15]
 
 
 def interrupted(folder: Path, seconds: float) -> int:
     """Return the exit code of a study that is interrupted after some seconds."""
+    there = files_below(folder)
     size = ["--realisations", "300", "--trials", "100", "--sigma-r", "0.05"]
     places = ["--folder", str(folder / "pieces"), "--out", str(folder / "made")]
     process = subprocess.Popen(
@@ -43,9 +45,17 @@ def interrupted(folder: Path, seconds: float) -> int:
     assert "Traceback" not in ours, said
     # The signal itself where Python is already on its way out.
     assert process.returncode in (0, 130, -signal.SIGINT), (process.returncode, said)
+    if process.returncode == 130:  # one line, and "nothing" alone where nothing was written
+        assert ours.splitlines()[-1].startswith("rtcal: interrupted; "), said
+        assert not ours.endswith(NOTHING) or files_below(folder) == there
     written = sorted(p.name for p in (folder / "made").glob("[!.]*"))
     assert len(written) in (0, 7), written
     return process.returncode
+
+
+def files_below(folder: Path) -> dict[Path, float]:
+    """Return when each file below a folder was written."""
+    return {path: path.stat().st_mtime for path in folder.rglob("*") if path.is_file()}
 
 
 def check(tmp_path: Path, times: int, longest: float) -> list[int]:
@@ -79,7 +89,7 @@ def test_an_interrupt_within_a_futures_lock_does_not_hang() -> None:
         check=False,
     )
     assert done.returncode == 130
-    assert done.stderr.strip() == ""
+    assert done.stderr.strip() == NOTHING.strip()
 
 
 SWALLOWED = """
@@ -108,7 +118,7 @@ def test_an_interrupt_that_a_library_swallows_ends_the_command(of_the_tests: Any
     finally:
         signal.signal(signal.SIGINT, before)
     assert done.returncode == 130
-    assert done.stderr.strip() == ""
+    assert done.stderr.strip() == NOTHING.strip()
 
 
 def swallowed() -> subprocess.CompletedProcess[str]:
@@ -119,6 +129,45 @@ def swallowed() -> subprocess.CompletedProcess[str]:
         timeout=60,
         check=False,
     )
+
+
+WRITTEN = """
+import os, signal
+from rtcal.support import files
+
+finish = files._finish
+
+def finished(folders):
+    finish(folders)
+    os.kill(os.getpid(), signal.SIGINT)
+
+files._finish = finished
+"""
+"""An interrupt at the end of a write, which holds it back until the files are in place."""
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["example", "room", "--out", "made"],
+        ["study", "--realisations", "9", "--trials", "9", "--out", "made"],
+    ],
+    ids=lambda arguments: arguments[0],
+)
+def test_a_command_that_has_written_names_its_files(arguments: list[str], tmp_path: Path) -> None:
+    """Exporting returned 130, without a word, with its file in place."""
+    done = subprocess.run(
+        [sys.executable, "-c", WRITTEN + STARTED, *arguments],
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+        cwd=tmp_path,
+    )
+    assert done.returncode == 130
+    _, _, names = done.stderr.strip().partition("rtcal: interrupted; written last, or begun: ")
+    assert names
+    assert {*names.split(", ")} <= {path.name for path in tmp_path.rglob("*")}
 
 
 def test_interrupts_at_random_moments(tmp_path: Path) -> None:

@@ -108,7 +108,7 @@ def check_fields(instance: Any) -> None:
     For a class that only keeps its fields, so that a wrong one would fail where it is used. It is
     called at the end of ``__post_init__``.
     """
-    kind = type(instance)
+    kind: Any = type(instance)
     for name, rule in _rules_of(kind).items():
         if rule is not None and name != "self" and not rule[0](value := getattr(instance, name)):
             raise DataError(f"{kind.__name__}: {name} = {shown(value)} is not {rule[1]}")

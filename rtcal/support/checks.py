@@ -133,7 +133,7 @@ def array(place: str, value: object, error: type[RtcalError] = DataError) -> Arr
     raise error(f"{place} is not an array of real numbers: it has {found}")
 
 
-def _has_flags(value: object) -> bool:
+def _has_flags(value: Any) -> bool:
     """Whether a list has true or false beside its numbers, of which NumPy makes 1 and 0."""
     nested = isinstance(value, list | tuple)
     return any(map(_has_flags, value)) if nested else isinstance(value, bool | np.bool_)

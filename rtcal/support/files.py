@@ -44,6 +44,8 @@ LONGEST_WAIT = 10.0
 _PAUSE = 0.02
 _FOLDERS, _JOURNAL = "folders", "journal"
 
+begun: list[Path] = []
+"""Files that this process has written, or begun to write: without any, nothing was written."""
 _thread_lock = threading.RLock()
 _locked: set[Path] = set()  # folders that this process has locked
 
@@ -135,6 +137,7 @@ def write_set(targets: Mapping[Path, bytes]) -> None:
     """
     parents = list(dict.fromkeys(path.parent for path in targets))
     with locked(*parents), _undisturbed():
+        begun.extend(targets)
         for parent in parents:
             _go_on(parent)
         name = f"{PREFIX}{uuid.uuid4().hex[:12]}"
