@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -18,7 +19,7 @@ from rtcal.acoustics.observables import REVERBERATION, TARGET, parameter_label
 from rtcal.acoustics.room import Room
 from rtcal.calibration.layout import Layout, Whitened
 from rtcal.support import checks
-from rtcal.support.errors import DataError
+from rtcal.support.errors import DataError, OtherBandsWarning
 from rtcal.support.kkt import DENSE
 from rtcal.support.text import shortened
 from rtcal.support.types import Array, read_only_view
@@ -101,6 +102,18 @@ def times_in_room(room: Room, measured: Measurement | Sequence[float] | Array) -
         repeats.of_times(room, times),
         "",
     )
+
+
+def tell_bands(room: Room, measured: Measurement) -> None:
+    """Warn of measured bands that are converted or left out, and of the room's bands without T."""
+    wanted = room.centre_frequencies
+    in_room = band_conversion.measurement_in_room_bands(measured, wanted)
+    told = band_conversion.notes(measured.centre_frequencies, wanted)
+    lacking = wanted[np.isnan(in_room.decay_time().mean)]
+    if lacking.size:
+        told.append(f"no T was measured at {', '.join(bands.labels(lacking))}")
+    if told:
+        warnings.warn("; ".join(told), OtherBandsWarning, stacklevel=checks.stack_level())
 
 
 def _at_pairs(measured: Measurement) -> list[str]:

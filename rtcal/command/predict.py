@@ -201,10 +201,12 @@ def measured_states(
     from rtcal.acoustics.repeats import refuse_repeated_data
     from rtcal.acoustics.room import Room
     from rtcal.acoustics.states import State
-    from rtcal.calibration.problem_data import times_in_room
+    from rtcal.calibration.problem_data import tell_bands, times_in_room
 
     def state(stated: Room, path: str) -> State:
-        times = times_in_room(stated, read_measured(path, quietly=True))
+        heard = read_measured(path, quietly=True)
+        times = times_in_room(stated, heard)
+        tell_bands(stated, heard)
         refuse_repeated_data(stated, times.fingerprint)  # a state does not know its pairs
         return State(stated, times.reverberation_time, times.uncertainty)
 

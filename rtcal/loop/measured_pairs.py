@@ -256,6 +256,17 @@ def fingerprints(room: Room, observations: Observations, measured: Measurement) 
     return tuple(names)
 
 
+def refuse_known(
+    room: Room, measured: Measurement, match: Sequence[str], kept: Sequence[Pair]
+) -> None:
+    """Raise DataError if the room was calibrated on what is matched at the kept pairs."""
+    if room.calibration is None or not kept or measured.is_summary:
+        return
+    in_room = band_conversion.measurement_in_room_bands(measured, room.centre_frequencies)
+    named = [p for p in match if p in in_room.values and p != LEVEL.key]
+    fingerprints(room, Observations.of_measurement(in_room, named, kept), measured)
+
+
 def history(room: Room) -> list[str]:
     """Return the names of the data that a room was calibrated on."""
     return [] if room.calibration is None else room.calibration.measured.split()

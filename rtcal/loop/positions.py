@@ -39,6 +39,7 @@ from rtcal.loop.measured_pairs import (
     Pair,
     history,
     pairs_to_match,
+    refuse_known,
     with_t30,
 )
 from rtcal.loop.positions_result import GaussNewtonStep, PositionsResult
@@ -167,9 +168,12 @@ def calibrate_positions(
         room, measured = low.room, low.above(measured)
         repeated = (*repeated, low.note)
     tracer = simulator
+    wanted = with_t30(match, measured)
+    # Data that were used before are told before anything is simulated.
+    kept = [p for p in measured.pairs if p in simulator.pairs and p not in exclude]
+    refuse_known(room, measured, wanted, kept)
     simulator = precise(simulator, more_paths)
     trace_ahead(simulator, room.alpha, seed)
-    wanted = with_t30(match, measured)
     replaced = wanted != tuple(match)
     if isinstance(simulator, PathTracing):
         wanted = simulator.trusted(wanted)

@@ -97,7 +97,7 @@ class RtcalWarning(UserWarning):
 
 
 class OtherBandsWarning(RtcalWarning):
-    """A measurement is in other bands than its room: it is converted, or some are left out."""
+    """A measurement is in other bands than its room: converted, left out, or without T in some."""
 
 
 class MissingAirWarning(RtcalWarning):

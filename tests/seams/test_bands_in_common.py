@@ -5,6 +5,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from numpy.typing import ArrayLike
 
 import rtcal as rt
 from rtcal.acoustics import band_conversion
+from rtcal.command.main import cli
 from rtcal.datasets import examples
 from rtcal.finder import positions
 from rtcal.finder.effects import library
@@ -84,3 +86,34 @@ def test_bands_in_common_are_compared(
         np.testing.assert_allclose(made[0, ..., 1:], gaps[0, ..., 1:], atol=1e-9)
     else:
         np.testing.assert_allclose(made, gaps, atol=1e-6)
+
+
+OTHERS = {
+    "left out": ([63, 125, 250, 500, 1000, 2000, 4000], "left out, not in the room: 63 Hz"),
+    "thirds": (THIRDS, "converted from third-octaves to octaves"),
+    "few": ([500, 1000], "no T was measured at 125 Hz, 250 Hz, 2000 Hz, 4000 Hz"),
+}
+
+
+@pytest.mark.parametrize(("frequencies", "said"), OTHERS.values(), ids=OTHERS)
+@pytest.mark.parametrize(
+    "command",
+    [
+        ["predict", "--change", "variants.toml"],
+        ["design", "--treatments", "treatments.toml"],
+        ["loop start", "--state", "loop.json", "--out", "next.toml"],
+    ],
+    ids=lambda command: command[0],
+)
+def test_commands_on_t_say_what_bands_they_lack(
+    command: list[str], frequencies: list[float], said: str, tmp_path: Path, monkeypatch
+) -> None:
+    """They were silent, and a band without T looks like the others."""
+    for name, content in examples.example("change").files.items():
+        (tmp_path / name).write_bytes(content)
+    monkeypatch.chdir(tmp_path)
+    times = np.full(len(frequencies), 1.8)
+    rt.Measurement.from_values(frequencies, t20=times).save("measured.csv")
+    name, *options = command
+    with pytest.warns(OtherBandsWarning, match=said):
+        cli.main([*name.split(), "room.toml", "measured.csv", *options], standalone_mode=False)

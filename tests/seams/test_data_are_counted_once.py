@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 import rtcal as rt
+from rtcal.loop import positions
 from rtcal.loop.measured_pairs import fingerprints, pairs_to_match
 from rtcal.simulators.observations import Observations
 from rtcal.support.errors import DataError
@@ -154,3 +157,35 @@ def test_an_empty_calibration_is_refused() -> None:
     )
     with pytest.raises(DataError, match=r"calibration = \[\] is not a rtcal"):
         rt.calibrate_positions(tracer, hall.room, measured, match=("t20", "edt"), calibration=[])
+
+
+@pytest.mark.parametrize("match", [("t20",), ("edt", "t20"), ("edt",)])
+def test_a_fit_refuses_them_before_it_simulates(
+    match: tuple[str, ...], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It refused after more than 10 s of paths."""
+
+    def begun(*_: object) -> None:
+        raise AssertionError("the paths have begun")
+
+    monkeypatch.setattr(positions, "trace_ahead", begun)
+    hall = rt.datasets.halls.corridor()
+    tracer = rt.simulators.PathTracing(
+        room=hall.room,
+        geometry=hall.geometry,
+        sources=hall.sources,
+        receivers=hall.receivers,
+        n_paths=800,
+    )
+    times = 1 + np.arange(len(tracer.pairs) * hall.room.n_bands).reshape(-1, hall.room.n_bands) / 9
+    measured = rt.Measurement(
+        centre_frequencies=hall.room.centre_frequencies,
+        values={"t20": times, "edt": 1.1 * times},
+        pairs=tracer.pairs,
+    )
+    once = rt.calibrate(hall.room, measured, unreachable="nearest").room
+    used = replace(tracer, room=once)
+    with pytest.raises(DataError, match="already calibrated on these data"):
+        rt.calibrate_positions(used, once, measured, match)
+    with pytest.raises(AssertionError, match="have begun"):
+        rt.calibrate_positions(tracer, hall.room, measured, match)
