@@ -169,9 +169,9 @@ def calibrate_positions(
         repeated = (*repeated, low.note)
     tracer = simulator
     wanted = with_t30(match, measured)
-    # Data that were used before are told before anything is simulated.
-    kept = [p for p in measured.pairs if p in simulator.pairs and p not in exclude]
-    refuse_known(room, measured, wanted, kept)
+    if isinstance(simulator, PathTracing):  # data that were used before are told before the paths
+        kept = [p for p in measured.pairs if p in simulator.pairs and p not in exclude]
+        refuse_known(room, measured, wanted, kept)
     simulator = precise(simulator, more_paths)
     trace_ahead(simulator, room.alpha, seed)
     replaced = wanted != tuple(match)
