@@ -27,7 +27,7 @@ from rtcal.acoustics.room import Room
 from rtcal.acoustics.trust import TrustMark, bent_marks
 from rtcal.calibration.presets import preset
 from rtcal.calibration.problem import CalibrationProblem
-from rtcal.calibration.problem_data import data_history, tell_bands, times_in_room
+from rtcal.calibration.problem_data import data_history, times_in_room
 from rtcal.calibration.result import CalibrationResult
 from rtcal.loop import rules
 from rtcal.loop.matched import (
@@ -428,7 +428,6 @@ def start(
     rules.check_decimals(decimals)
     checks.positive("tolerance", tolerance, "JND")
     low = None if modes is None else BelowSchroeder.of(modes, room, measured)
-    tell_bands(room, measured)
     room, measured = (low.room, low.above(measured)) if low else (room, measured)
     data = times_in_room(room, measured)
     refuse_repeated_data(room, data.fingerprint)
