@@ -100,6 +100,14 @@ def test_bands_of_noise_like_responses() -> None:
     assert [float(cell) for cell in row.split()[3:]] == np.round(mean, 3).tolist()
 
 
+def test_a_renamed_copy_of_a_recording_is_told() -> None:
+    rng = np.random.default_rng(5)
+    one, other = (pyfar.Signal(response(0.8, rng), 16000) for _ in range(2))
+    named = {("S1", "R1"): one, ("S1", "R2"): other, ("S1", "R3"): one}
+    (note,) = ir.analyse(named, bands=[500, 1000]).notes
+    assert "S1 to R3 and S1 to R1. If one is a copy" in note
+
+
 def test_the_backward_filter_keeps_a_short_decay() -> None:
     # The energy that a filter's response h makes of white noise with a decay e, exactly: the decay
     # of conv(h², e) forwards, of the correlation backwards.

@@ -24,8 +24,11 @@ Pair = tuple[str, str]
 
 _SAME = 1e-4
 """Largest difference of the same data, relative above 1."""
-NEARLY_ALL = 0.9
-"""Least share of equal values, of those that two names of the same data both have."""
+_SPREAD = 0.03
+"""Share of a value over which a second measurement of it spreads: three standard deviations of 1 %.
+Teams differ by more at one pair (Bork 2005), one team on another day hardly by less."""
+_CHANCE = 0.001
+"""Probability below which values are not equal by chance."""
 
 
 def fingerprint(kind: str, values: Mapping[str, float]) -> str:
@@ -91,11 +94,10 @@ def _cells(name: str) -> dict[str, str]:
 def same_data(one: str, other: str) -> bool:
     """Whether two names are of the same data, or one of a part of the other's.
 
-    Values are one if they differ by a ten-thousandth at most: no measurement is repeated so exactly,
-    and a program that rounds or converts changes less. A single value, or some of many, may agree by
-    chance, the more so where they are rounded. So names are of the same data if `NEARLY_ALL` of the
-    values that both have are equal, and at least two, or all that either has. A measurement in which
-    more values were taken anew counts as another one.
+    Values are one if they differ by a ten-thousandth at most: a program that rounds or converts
+    changes less. Names are of the same data if all values that both have are equal, and at least two or
+    all that either has; or if more are equal than chance allows (`beyond_chance`). Two measured T that
+    are rounded to 0.01 s are often equal, two of four digits hardly ever.
 
     Examples
     --------
@@ -104,6 +106,10 @@ def same_data(one: str, other: str) -> bool:
     >>> same_data("T:250=2.1,500=1.92,1000=1.7", "T:500=1.92,1000=1.7")
     True
     >>> same_data("T:250=2.1,500=1.92", "T:500=1.92,1000=1.7")
+    False
+    >>> same_data("T:250=2.114,500=1.923,1000=1.7", "T:250=2.114,500=1.923,1000=1.745")
+    True
+    >>> same_data("T:250=2.11,500=1.92,1000=1.7", "T:250=2.11,500=1.92,1000=1.74")
     False
     """
     return bool(_shared(one, other))
@@ -119,15 +125,63 @@ def _shared(one: str, other: str) -> list[str]:
     both = [label for label in of_one if label in of_other]
     equal = [label for label in both if _equal(of_one[label], of_other[label])]
     least = 1 if of_one.keys() == of_other.keys() else 2
-    return equal if len(equal) >= max(least, NEARLY_ALL * len(both)) else []
+    if len(equal) == len(both):
+        return equal if len(equal) >= least else []
+    chances = [chance_of_equal([_number(of[label]) for label in both]) for of in (of_one, of_other)]
+    return equal if beyond_chance(len(equal), np.maximum(*chances)) else []
 
 
 def _equal(one: str, other: str) -> bool:
-    try:
-        value = float(one)
-        return abs(value - float(other)) <= _SAME * max(1.0, abs(value))
-    except ValueError:  # a record that was written by hand
+    value, second = _number(one), _number(other)
+    if math.isnan(value) or math.isnan(second):
         return one == other
+    return abs(value - second) <= _SAME * max(1.0, abs(value))
+
+
+def _number(text: str) -> float:
+    """Return a value of a name of data; NaN where a record that was written by hand has none."""
+    try:
+        return float(text)
+    except ValueError:
+        return math.nan
+
+
+def chance_of_equal(values: Array | Sequence[float]) -> Array:
+    """Return how probably each value would be measured again to its last digit; 1 of NaN.
+
+    The digits are those of most of the values: 1.7 beside 1.923 and 2.114 is 1.700. No more than three
+    decimals count: a mean of rounded values has more, and they tell little.
+
+    Examples
+    --------
+    >>> chance_of_equal([1.92, 2.11, 1.7]).round(2).tolist()
+    [0.17, 0.16, 0.2]
+    >>> chance_of_equal([1.923, 2.114, 1.7]).round(2).tolist()
+    [0.02, 0.02, 0.02]
+    """
+    sizes = np.abs(np.asarray(values, dtype=float))
+    known = sizes[np.isfinite(sizes)].tolist()
+    decimals = sorted(len(f"{v:.5f}".rstrip("0").partition(".")[2]) for v in known) or [0]
+    step = np.maximum(10.0 ** -min(decimals[len(decimals) // 2], 3), 2 * _SAME * sizes)
+    return np.asarray(np.fmin(1.0, step / np.maximum(_SPREAD * sizes, step)))
+
+
+def beyond_chance(n_equal: int, chances: Array) -> bool:
+    """Whether more of some values are equal than chance allows; ``chances`` (n_values,) of each.
+
+    Of values that are not equally probable the binomial distribution of the mean has the wider tail.
+
+    Examples
+    --------
+    >>> chances = chance_of_equal([1.92, 2.11, 1.93, 1.81, 1.74, 1.65])
+    >>> beyond_chance(6, chances), beyond_chance(3, chances)
+    (True, False)
+    """
+    from scipy.special import bdtrc
+
+    if n_equal == 0:
+        return False
+    return bool(bdtrc(n_equal - 1, len(chances), float(chances.mean())) < _CHANCE)
 
 
 def refuse_repeated_data(room: Room, *names: str) -> None:
@@ -299,3 +353,38 @@ def in_words(placed: Iterable[Pair]) -> list[str]:
         return []
     each = first_of([f"{n} of {' to '.join(pair)}" for pair, n in repeated], 4)
     return [f"repeats of one place are averaged and count as one position: {each}"]
+
+
+_LEAST_COPIED = 3
+"""Least number of values that tell a copy."""
+
+
+def copies_in_words(pairs: Sequence[Pair], tables: Iterable[Array]) -> list[str]:
+    """Return a note on pairs that have all values of another, if hardly by chance; [] without any.
+
+    ``tables`` are (n_pairs, n_bands) by parameter.
+
+    Examples
+    --------
+    >>> t = np.array([[1.514, 1.411, 1.313]] * 2)
+    >>> copies_in_words([("S1", "R1"), ("S1", "R2")], [t])[0][:52]
+    'the same values in every band: S1 to R2 and S1 to R1'
+    >>> copies_in_words([("S1", "R1"), ("S1", "R2")], [t.round(1)])
+    []
+    """
+    every = [*tables]
+    rows = np.nan_to_num(np.hstack(every), nan=-np.inf)
+    chances = np.hstack([chance_of_equal(table) for table in every])
+    first: dict[bytes, int] = {}
+    copied = []
+    for i, row in enumerate(rows):
+        j, known = first.setdefault(row.tobytes(), i), np.isfinite(row)
+        n = int(known.sum())
+        if j != i and n >= _LEAST_COPIED and beyond_chance(n, chances[i, known]):
+            copied.append(" and ".join(" to ".join(pairs[k]) for k in (i, j)))
+    if not copied:
+        return []
+    return [
+        f"the same values in every band: {first_of(copied, 3)}. If one is a copy, leave it out, or "
+        "name it as a repeat (R1#2 of R1): else it counts as a position of its own"
+    ]

@@ -17,6 +17,7 @@ from rtcal.acoustics.observables import (
     observable,
     parameter_label,
 )
+from rtcal.acoustics.repeats import copies_in_words
 from rtcal.support import text
 from rtcal.support.types import Array
 
@@ -186,8 +187,11 @@ def late_energy(values: Mapping[str, Array], files: Sequence[str]) -> list[str]:
 
 
 def unusual(measurement: Measurement) -> tuple[str, ...]:
-    """Return a note on each parameter with values that hardly any room, or no other pair, has."""
-    notes = []
+    """Return a note on each parameter with values that hardly any room, or no other pair, has.
+
+    And one on pairs that have the values of another.
+    """
+    notes = copies_in_words(measurement.pairs, measurement.values.values())
     for parameter, table in measurement.values.items():
         kind = observable(parameter)
         least, most = kind.usual

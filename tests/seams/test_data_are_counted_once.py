@@ -60,14 +60,60 @@ def test_a_part_of_the_data_counts_once_too(room_and_times) -> None:
         rt.calibrate(of_all, part)
 
 
-def test_values_that_agree_by_chance_are_other_data(room_and_times) -> None:
-    """One band's rounded T, or a third of the bands'."""
+@pytest.mark.parametrize("equal", [[2], [1, 4], [0, 2, 5]])
+def test_rounded_values_agree_by_chance_and_are_other_data(room_and_times, equal) -> None:
     room, times = room_and_times
+    times = times.round(2)
     once = rt.calibrate(room, times).room
-    for equal in ([2], [1, 4]):
-        other = 1.02 * times
-        other[equal] = times[equal]
+    other = (1.02 * times).round(2)
+    other[equal] = times[equal]
+    rt.calibrate(once, other)
+
+
+@pytest.mark.parametrize(("decimals", "n_new"), [(3, 3), (4, 3)])
+def test_some_new_values_among_those_of_the_record_do_not_hide_them(
+    room_and_times, decimals: int, n_new: int
+) -> None:
+    """Of three digits after the point, hardly any agrees by chance."""
+    room, times = room_and_times
+    times = (1.01234 * times).round(decimals)
+    once = rt.calibrate(room, times).room
+    other = times.copy()
+    other[:n_new] = (1.02 * times[:n_new]).round(decimals)
+    with pytest.raises(DataError, match="already calibrated on these data"):
         rt.calibrate(once, other)
+
+
+def test_a_room_measured_anew_is_other_data(room_and_times) -> None:
+    """Both times rounded to 0.01 s, with 1 % between them: a fifth of the values are equal."""
+    room, times = room_and_times
+    rng = np.random.default_rng(0)
+    truth = times * (1 + 0.03 * rng.standard_normal((12, 1)))
+    pairs = [("S1", f"R{i}") for i in range(12)]
+    for _ in range(20):
+        states = [
+            rt.Measurement(
+                centre_frequencies=room.centre_frequencies,
+                values={"t20": (truth * (1 + 0.01 * rng.standard_normal(truth.shape))).round(2)},
+                pairs=pairs,
+            )
+            for _ in range(2)
+        ]
+        once = rt.calibrate(room, states[0]).room
+        assert rt.calibrate(once, states[1]).room.calibration is not None
+
+
+def test_a_new_band_beside_old_values_at_pairs(room_and_times) -> None:
+    room, times = room_and_times
+    times = times.round(3)
+    kept = [0, 1, 2]
+    once = rt.calibrate(room, at_places(room, times, kept, t20=1.0)).room
+    table = np.full((3, room.n_bands), np.nan)
+    table[:, 2] = at_places(room, times, kept, t20=1.0).values["t20"][:, 2]
+    table[0, 3] = 1.1
+    mixed = replace(at_places(room, times, kept, t20=1.0), values={"t20": table})
+    with pytest.raises(DataError, match="already calibrated on these data"):
+        rt.calibrate(once, mixed)
 
 
 PLACES = [("S 1", f"R,{i}") for i in range(4)]
