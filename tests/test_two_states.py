@@ -143,9 +143,9 @@ def test_states_without_a_common_pair_are_refused() -> None:
     other = replace(before, pairs=[(f"T{i}", "R1") for i in range(6)])
     with pytest.raises(rt.errors.DataError, match="no source and receiver in common"):
         StatesCase(room=room(), before=before, after=other)
-    edt = rt.Measurement.from_values(BANDS, edt=times())
+    edt, shorter = (rt.Measurement.from_values(BANDS, edt=f * times()) for f in (1.0, 0.9))
     with pytest.raises(rt.errors.DataError, match="T20 or T30"):
-        StatesCase(room=room(), before=edt, after=edt)
+        StatesCase(room=room(), before=edt, after=shorter)
 
 
 def test_options_of_one_state_are_refused(panels: StatesFinding) -> None:
@@ -215,10 +215,54 @@ def test_the_changed_room_has_t_of_the_second_state(panels: StatesFinding) -> No
     )
 
 
-def test_one_file_given_twice_is_said(panels: StatesFinding) -> None:
-    case, said = panels.case, "Both states hold the same values. Are they one file?"
-    assert said in rt.find(case.room, case.before, before=case.before).notes
-    assert said not in panels.notes
+def test_one_file_given_twice_is_refused(panels: StatesFinding) -> None:
+    case = panels.case
+    with pytest.raises(
+        rt.errors.DataError, match=r"same values at every pair: are they one file\?"
+    ):
+        rt.find(case.room, case.before, before=case.before)
+
+
+@pytest.mark.parametrize("decimals", [2, 4])
+def test_pairs_that_were_copied_are_left_out_and_said(panels: StatesFinding, decimals: int) -> None:
+    """Half of the pairs were the file of before, and what had changed was not found."""
+    before, after = (
+        replace(m, values={"t20": m.values["t20"].round(decimals)})
+        for m in (panels.case.before, panels.case.after)
+    )
+    table, half = after.values["t20"].copy(), len(before.pairs) // 2
+    table[:half] = before.values["t20"][:half]
+    mixed = Differences.of(room(), before, replace(after, values={"t20": table}))
+    assert mixed.pairs == before.pairs[half:]
+    alone = Differences.of(room(), before, after.select(after.pairs[half:]))
+    np.testing.assert_array_equal(mixed.change, alone.change)
+    assert mixed.notes[0].startswith("S0 to R1, S1 to R1, S2 to R1")
+    assert "the same values before and after, as if copied. Left out." in mixed.notes[0]
+    assert Differences.of(room(), before, after).pairs == before.pairs
+
+
+def test_values_that_were_copied_are_left_out_and_said(panels: StatesFinding) -> None:
+    before, after = (
+        replace(m, values={"t20": m.values["t20"].round(4)})
+        for m in (panels.case.before, panels.case.after)
+    )
+    table = after.values["t20"].copy()
+    table[:, ::2] = before.values["t20"][:, ::2]
+    mixed = Differences.of(room(), before, replace(after, values={"t20": table}))
+    assert mixed.measured.tolist() == [False, True] * 3
+    assert "to the last digit, as if copied. Left out." in mixed.notes[0]
+
+
+def test_rounded_values_that_are_equal_by_chance_stay(panels: StatesFinding) -> None:
+    before, after = (
+        replace(m, values={"t20": m.values["t20"].round(2)})
+        for m in (panels.case.before, measured(times(), 2))
+    )
+    table = after.values["t20"].copy()
+    table[::3, 2] = before.values["t20"][::3, 2]
+    kept = Differences.of(room(), before, replace(after, values={"t20": table}))
+    assert kept.notes == ()
+    assert np.isfinite(kept.change).all()
 
 
 def test_what_does_not_fit_in_the_room_is_said(panels: StatesFinding) -> None:
@@ -276,7 +320,14 @@ def test_the_command_writes_numbers_and_page(
     ]
     made = rt.Room.from_file(str(tmp_path / "changed" / "room.toml"))
     np.testing.assert_array_equal(made.alpha, panels.apply().room.alpha)
-    same = ["apply", names["room.toml"], names["before.csv"], "--before", names["before.csv"]]
+    measured(times(), 9).save(str(tmp_path / "again.csv"))
+    same = [
+        "apply",
+        names["room.toml"],
+        str(tmp_path / "again.csv"),
+        "--before",
+        names["before.csv"],
+    ]
     assert run(*same, "--out", str(tmp_path / "none")) == 6
     assert "Nothing is written" in capsys.readouterr().out
     assert not (tmp_path / "none").exists()

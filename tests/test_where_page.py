@@ -102,6 +102,14 @@ def test_a_gap_that_changes_by_less_than_its_uncertainty_is_unproven(
     assert np.isfinite(list(result.spread["plain"].values())).all()
 
 
+@pytest.mark.parametrize(("before", "said"), [(1.5, True), (3.0, False)])
+def test_a_calibration_that_is_worse_than_the_stated_model_is_said(
+    before: float, said: bool
+) -> None:
+    result = verification_of(PAIRS, {"before": before, "plain": 2.0, "corrected": 1.0})
+    assert ("Calibrated alone, the model is no better" in result.sentence) == said
+
+
 @pytest.mark.parametrize("verdict", ["none", "hint", "named", "family", "ambiguous", "unknown"])
 def test_attributes_have_one_type_whatever_was_found(
     finding: PositionsFinding, verdict: str

@@ -74,7 +74,7 @@ def test_rounded_values_agree_by_chance_and_are_other_data(room_and_times, equal
 def test_some_new_values_among_those_of_the_record_do_not_hide_them(
     room_and_times, decimals: int, n_new: int
 ) -> None:
-    """Of three digits after the point, hardly any agrees by chance."""
+    """Values with three digits after the point hardly ever agree by chance."""
     room, times = room_and_times
     times = (1.01234 * times).round(decimals)
     once = rt.calibrate(room, times).room

@@ -142,8 +142,15 @@ class PositionsVerification(HeldOutVerification):
         before, plain, after = (self.gap(m).mean() for m in MODELS)
         return (
             f"{self.verdict_in_words} At positions that were not fitted it is {before:.2f} JND as "
-            f"stated, {plain:.2f} calibrated, {after:.2f} corrected and calibrated."
+            f"stated, {plain:.2f} calibrated, {after:.2f} corrected and calibrated.{self.warning}"
         )
+
+    @property
+    def warning(self) -> str:
+        """A sentence, after a blank, if the calibrated model is no better than the stated; else empty."""
+        if self.before < self.gap("before").mean():
+            return ""
+        return " Calibrated alone, the model is no better there than as stated: do not simulate with it."
 
     @property
     def support(self) -> str:

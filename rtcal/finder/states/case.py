@@ -29,6 +29,7 @@ from rtcal.acoustics.room import Room
 from rtcal.acoustics.scene import Scene
 from rtcal.calibration.presets import calibrate
 from rtcal.finder.positions import surfaces as of_room
+from rtcal.finder.states.copies import without_copies
 from rtcal.io import obj
 from rtcal.simulators import observations
 from rtcal.simulators.geometry import Polyhedron
@@ -64,7 +65,9 @@ class Differences:
     variance : array (n_pairs, n_bands)
         Of the noise of ``change``: of both states.
     notes : tuple of str
-        Pairs that one state lacks, and where the uncertainties come from.
+        Pairs that one state lacks, what is copied, and where the uncertainties come from.
+    states : two Measurement
+        What is compared: the pairs that both have, in the room's bands.
     """
 
     centre_frequencies: Array
@@ -75,6 +78,7 @@ class Differences:
     change: Array
     variance: Array
     notes: tuple[str, ...]
+    states: tuple[Measurement, Measurement]
 
     @classmethod
     def of(cls, room: Room, before: Measurement, after: Measurement) -> Differences:
@@ -88,19 +92,18 @@ class Differences:
         Raises
         ------
         DataError
-            If the states have no pair in common, or no T20 or T30 in any band of the room.
+            If the states have no pair in common, or no T20 or T30 in any band; for one file twice.
         """
-        states = [
-            band_conversion.measurement_in_room_bands(m, room.centre_frequencies)
-            for m in (before, after)
-        ]
+        before, after, notes = without_copies(before, after)
+        wanted = room.centre_frequencies
+        states = [band_conversion.measurement_in_room_bands(m, wanted) for m in (before, after)]
         pairs = [p for p in states[0].pairs if p in states[1].pairs]
         if not pairs:
             raise DataError(
                 "before and after have no source and receiver in common; two states are measured at "
                 f"the same positions, and these are {_named(before)} and {_named(after)}"
             )
-        notes = _lacking(states[0], states[1], pairs)
+        notes += _lacking(states[0], states[1], pairs)
         chosen = [m.select(pairs) for m in states]
         shape = (len(pairs), room.n_bands)
         change, variance = np.full(shape, np.nan), np.full(shape, np.nan)
@@ -139,16 +142,8 @@ class Differences:
                 "A mean T states neither its uncertainty nor of how many positions it is: it is taken "
                 "as that of one position (ISO 3382-2). State either, or give the pairs."
             )
-        return cls(
-            room.centre_frequencies,
-            tuple(names),
-            times[0],
-            times[1],
-            tuple(pairs),
-            change,
-            variance,
-            tuple(notes),
-        )
+        named = (wanted, tuple(names), times[0], times[1], tuple(pairs))
+        return cls(*named, change, variance, tuple(notes), (chosen[0], chosen[1]))
 
     @property
     def of_means(self) -> bool:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import logsumexp
 
-from rtcal.acoustics import band_conversion, bands
+from rtcal.acoustics import bands
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.observables import TARGET
 from rtcal.finder.claim import SAID, claimed, most_probable_first
@@ -119,7 +119,6 @@ def find(
     if family is not None and "absorption" in family:
         located, why = _located(case, change, variance, added, assumed, seed)
     gain = "" if located is None else _of_gains(located.gains, 1 if added else -1)
-    alike = "" if np.nan_to_num(change).any() else _ALIKE
     return StatesFinding(
         case=case,
         verdict=verdict,
@@ -136,11 +135,10 @@ def find(
         surfaces={} if located is None else located.surfaces,
         sets={} if located is None else located.sets,
         reasons=(),
-        notes=(*filter(None, [gain]), *found.notes, *filter(None, [why, alike])),
+        notes=(*filter(None, [gain]), *found.notes, *filter(None, [why])),
     )
 
 
-_ALIKE = "Both states hold the same values. Are they one file?"
 _OF_MEANS = "T alone does not tell on which surface something changed."
 
 
@@ -166,12 +164,7 @@ def _located(
             f"The directivity of {first_of(unstated, 1)} is not stated, so no surface is told. An "
             "omnidirectional source has the index 0."
         )
-    states = [
-        band_conversion.measurement_in_room_bands(m, case.room.centre_frequencies).select(
-            case.differences.pairs
-        )
-        for m in (case.before, case.after)
-    ]
+    states = case.differences.states
     less, more_absorbing = states if added else states[::-1]
     match = trusted(case.simulator, case.match, less, more_absorbing)
     # How far each pair's differences lie from the pairs' mean tells how noisy the pair is.

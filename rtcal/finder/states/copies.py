@@ -1,0 +1,73 @@
+"""A second measurement may hold copies of the first: what was not measured anew tells no change."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from rtcal.acoustics import bands
+from rtcal.acoustics.measurement import Measurement
+from rtcal.acoustics.observables import parameter_label
+from rtcal.acoustics.repeats import beyond_chance, chance_of_equal
+from rtcal.support.errors import DataError
+from rtcal.support.text import first_of
+
+_PRECISE = 0.1
+"""Largest chance of being measured again to the last digit, of a value that is told a copy alone."""
+
+
+def without_copies(
+    before: Measurement, after: Measurement
+) -> tuple[Measurement, Measurement, list[str]]:
+    """Return two measurements without what the second has copied of the first, and notes of it.
+
+    A pair is left out if all values that both have are equal, and hardly by chance. Of the other pairs,
+    equal values are left out if they are stated precisely, and more are equal than chance allows.
+    Measurements in different bands have no copies.
+
+    Raises
+    ------
+    DataError
+        If nothing but copies is in both.
+    """
+    pairs = [pair for pair in before.pairs if pair in after.pairs]
+    shared = [p for p in before.values if p in after.values]
+    same_bands = np.array_equal(before.centre_frequencies, after.centre_frequencies)
+    if not (pairs and shared and same_bands):
+        return before, after, []
+    one, other = (
+        np.stack([m.select(pairs).values[p] for p in shared], axis=1) for m in (before, after)
+    )
+    equal, known = one == other, np.isfinite(one) & np.isfinite(other)
+    chance = np.stack([chance_of_equal(one[:, j]) for j in range(len(shared))], axis=1)
+    copied = [
+        bool(equal[i][known[i]].all()) and beyond_chance(int(known[i].sum()), chance[i][known[i]])
+        for i in range(len(pairs))
+    ]
+    names = [pair for pair, is_copy in zip(pairs, copied, strict=True) if is_copy]
+    if len(names) == len(pairs):
+        raise DataError("before and after have the same values at every pair: are they one file?")
+    notes = []
+    if names:
+        notes.append(
+            f"{first_of([*map(' to '.join, names)], 3)}: the same values before and after, as if "
+            "copied. Left out."
+        )
+        before, after = (m.select([p for p in m.pairs if p not in names]) for m in (before, after))
+    told = known & (chance < _PRECISE) & ~np.array(copied)[:, np.newaxis, np.newaxis]
+    cells = np.argwhere(told & equal)
+    if not beyond_chance(len(cells), chance[told]):
+        return before, after, notes
+    values = {p: table.copy() for p, table in after.values.items()}
+    for i, j, k in cells:
+        values[shared[j]][after.pairs.index(pairs[i]), k] = np.nan
+    each = [
+        f"{parameter_label(shared[j])} of {' to '.join(pairs[i])} at "
+        f"{bands.label(after.centre_frequencies[k])}"
+        for i, j, k in cells
+    ]
+    notes.append(
+        f"{first_of(each, 3)}: the same before and after to the last digit, as if copied. Left out."
+    )
+    return before, replace(after, values=values), notes
