@@ -107,7 +107,7 @@ def test_a_calibration_that_is_worse_than_the_stated_model_is_said(
     before: float, said: bool
 ) -> None:
     result = verification_of(PAIRS, {"before": before, "plain": 2.0, "corrected": 1.0})
-    assert ("Calibrated alone, the model is no better" in result.sentence) == said
+    assert ("Calibrated, the model is no better" in result.sentence) == said
 
 
 @pytest.mark.parametrize("verdict", ["none", "hint", "named", "family", "ambiguous", "unknown"])

@@ -406,6 +406,9 @@ def _candidate(case: PositionsCase, members: Sequence[tuple[ShiftHypothesis, Arr
     ends = [mean, mean - NORMAL_90 * deviation, mean + NORMAL_90 * deviation]
     size, low, high = ends if signed else np.exp(ends).tolist()
     surface = None if shift.surface is None else list(case.faces)[shift.surface]
+    if surface is not None and shift.unit == "m²":  # no more stands on a surface than it has
+        area = float(case.geometry.face_areas[case.faces[surface]].sum())
+        size, low, high = (min(end, area) for end in (size, low, high))
     return Candidate(
         effect=shift.effect,
         family=shift.family,

@@ -147,10 +147,10 @@ class PositionsVerification(HeldOutVerification):
 
     @property
     def warning(self) -> str:
-        """A sentence, after a blank, if the calibrated model is no better than the stated; else empty."""
+        """A sentence, after a blank, if the calibrated model is no better than the stated; else ""."""
         if self.before < self.gap("before").mean():
             return ""
-        return " Calibrated alone, the model is no better there than as stated: do not simulate with it."
+        return " Calibrated, the model is no better there than as stated: do not simulate with it."
 
     @property
     def support(self) -> str:
