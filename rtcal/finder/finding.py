@@ -94,7 +94,8 @@ class Candidate:
     size, low, high : float
         Posterior mean and 90 % interval, in ``unit``; NaN for coefficients off together and for
         "unknown".
-    unit : str
+    unit, end : str
+        As of a `Size`.
     parameters : mapping of str to float
         The most probable ones.
     spectrum : array (n_bands,) or (0,)
@@ -113,6 +114,7 @@ class Candidate:
     low: float = math.nan
     high: float = math.nan
     unit: str = ""
+    end: End = ""
     parameters: Mapping[str, float] = field(default_factory=dict)
     spectrum: Array = field(default_factory=lambda: np.zeros(0))
     parts: tuple[tuple[Point, float], ...] = ()
@@ -147,13 +149,14 @@ class Candidate:
         """Size with its interval; "" where there is none."""
         if not np.isfinite(self.size):
             return ""
-        return amount(self.size, self.unit, (self.low, self.high))
+        return Size(self.size, self.low, self.high, self.unit, self.end).words
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain values."""
         return {
             **{k: v for k, v in vars(self).items() if k not in _CONVERTED},
             **{k: json_numbers(getattr(self, k)) for k in ("size", "low", "high")},
+            "end": self.end or None,
             "parameters": dict(self.parameters),
             "spectrum": json_numbers(self.spectrum),
             "parts": [{"middle": list(m), "probability": p} for m, p in self.parts],

@@ -250,10 +250,10 @@ def _candidate(
     if fit is None:
         return found
     found = replace(found, parameters=fit.parameters)
-    size = fit.size
-    if size is None:
+    s = fit.size
+    if s is None:
         return found
-    return replace(found, size=size.mean, low=size.low, high=size.high, unit=size.unit)
+    return replace(found, size=s.mean, low=s.low, high=s.high, unit=s.unit, end=s.end)
 
 
 def _applied(predicted: MeansHypotheses, rows: Rows) -> tuple[AppliedEffect, ...]:

@@ -44,7 +44,7 @@ from rtcal.finder.model import rates
 from rtcal.finder.prior import COEFFICIENTS, NONE, SCALES, UNKNOWN, OffTogether
 from rtcal.support.types import Array
 
-_AT_END = 2.0
+AT_END = 2.0
 """Evidence in nats below that of the best size from which the last size that is tried is no end."""
 
 
@@ -140,9 +140,9 @@ def estimate_size(
     fine = steps(first, last, 25)
     log_p = at(fine, likely[:1])
     end: End = ""
-    if high > effect.neutral and fine[-1] < ends[1] and log_p[-1] > log_p.max() - _AT_END:
+    if high > effect.neutral and fine[-1] < ends[1] and log_p[-1] > log_p.max() - AT_END:
         end = "least"
-    elif low < effect.neutral and fine[0] > ends[0] and log_p[0] > log_p.max() - _AT_END:
+    elif low < effect.neutral and fine[0] > ends[0] and log_p[0] > log_p.max() - AT_END:
         end = "most"
     if precise:
         likely_range = fine[log_p > log_p.max() - NEGLIGIBLE]
