@@ -526,18 +526,13 @@ def test_the_next_position_is_free_and_tells_something(
         rt.finder.positions.next_position(finding, number=0)
 
 
-def test_a_size_at_the_end_of_what_is_tried_is_a_note_and_leaves_the_surface() -> None:
+def test_an_unknown_source_leaves_no_surface() -> None:
     from types import SimpleNamespace
 
     from rtcal.finder.positions import search
 
-    tried = SimpleNamespace(shifts=[SimpleNamespace(effect="opening", sizes=np.array([1.0, 10.0]))])
     best = SimpleNamespace(effect="opening", surface="east", size=9.5, title="opening, east")
     case = SimpleNamespace(simulator=SimpleNamespace(unknown_sources=()))
     assert search._reasons(case, "named", best) == ()
-    (note,) = search._of_size(tried, best)
-    assert "may be larger" in note
-    best.size = 5.0
-    assert search._of_size(tried, best) == ()
     case.simulator.unknown_sources = ("S1",)
     assert "directivity is unknown" in search._reasons(case, "named", best)[0]

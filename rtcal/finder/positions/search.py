@@ -86,8 +86,6 @@ _ANYWHERE = (
     "one was detected, its aperture was on another surface than the most probable one."
 )
 """Why the surface of an aperture is not claimed (docs/where_study.md)."""
-_AT_END = 0.9
-"""Share of the largest size that is tried, from which a size may as well be larger."""
 
 
 MORE_PATHS = 3
@@ -303,7 +301,6 @@ def _finding(
         notes=(
             record_of_positions(case.room, observations.parameters),
             *_assumed(case),
-            *_of_size(hypotheses, placed),
             *case.notes,
             *numbers.data.notes,
         ),
@@ -349,16 +346,6 @@ def _reasons(case: PositionsCase, verdict: str, best: Candidate | None) -> tuple
     if verdict in ("named", "family", "ambiguous") and case.simulator.unknown_sources:
         return (_AIMED,)
     return (_ANYWHERE,) if best is not None and best.effect == COUPLED.name else ()
-
-
-def _of_size(hypotheses: PositionsHypotheses, best: Candidate | None) -> tuple[str, ...]:
-    """Return the doubt of a size at the end of what is tried. It concerns no surface."""
-    if best is None:
-        return ()
-    largest = max(s.sizes.max() for s in hypotheses.shifts if s.effect == best.effect)
-    if best.size <= _AT_END * largest:
-        return ()
-    return (f"The size of {best.title} stands at the end of what is tried: it may be larger.",)
 
 
 def _map(numbers: PositionsProblem, likelihood: Likelihood) -> Array:
