@@ -359,7 +359,7 @@ _LEAST_COPIED = 3
 """Least number of values that tell a copy."""
 
 
-def copies_in_words(pairs: Sequence[Pair], tables: Iterable[Array]) -> list[str]:
+def copies(pairs: Sequence[Pair], tables: Iterable[Array]) -> list[str]:
     """Return a note on pairs that have all values of another, if hardly by chance; [] without any.
 
     ``tables`` are (n_pairs, n_bands) by parameter.
@@ -367,9 +367,9 @@ def copies_in_words(pairs: Sequence[Pair], tables: Iterable[Array]) -> list[str]
     Examples
     --------
     >>> t = np.array([[1.514, 1.411, 1.313]] * 2)
-    >>> copies_in_words([("S1", "R1"), ("S1", "R2")], [t])[0][:52]
+    >>> copies([("S1", "R1"), ("S1", "R2")], [t])[0][:52]
     'the same values in every band: S1 to R2 and S1 to R1'
-    >>> copies_in_words([("S1", "R1"), ("S1", "R2")], [t.round(1)])
+    >>> copies([("S1", "R1"), ("S1", "R2")], [t.round(1)])
     []
     """
     every = [*tables]

@@ -94,8 +94,7 @@ class Candidate:
     size, low, high : float
         Posterior mean and 90 % interval, in ``unit``; NaN for coefficients off together and for
         "unknown".
-    unit, end : str
-        As of a `Size`.
+    unit, end : str, as of a `Size`
     parameters : mapping of str to float
         The most probable ones.
     spectrum : array (n_bands,) or (0,)
@@ -156,7 +155,6 @@ class Candidate:
         return {
             **{k: v for k, v in vars(self).items() if k not in _CONVERTED},
             **{k: json_numbers(getattr(self, k)) for k in ("size", "low", "high")},
-            "end": self.end or None,
             "parameters": dict(self.parameters),
             "spectrum": json_numbers(self.spectrum),
             "parts": [{"middle": list(m), "probability": p} for m, p in self.parts],

@@ -33,13 +33,7 @@ from rtcal.acoustics.decay import bent_decays
 from rtcal.acoustics.materials import text_name
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.observables import EARLY, OBSERVABLES, DecaySlope, of_kind, parameter_label
-from rtcal.acoustics.repeats import (
-    copies_in_words,
-    groups,
-    in_words,
-    names_of_repeats,
-    places_of,
-)
+from rtcal.acoustics.repeats import copies, groups, in_words, names_of_repeats, places_of
 from rtcal.io import sofa, wav
 from rtcal.io.analysis import MOST_NAMED, Analysis, late_energy, spread
 from rtcal.support import checks
@@ -261,7 +255,7 @@ def _analysis(
     measurement = Measurement(centre_frequencies=centres, pairs=tuple(signals), values=values)
     placed = places_of([*signals])
     of_place = groups(placed).values()
-    notes = in_words(placed) + copies_in_words([*signals], values.values())
+    notes = in_words(placed) + copies([*signals], values.values())
     silent = np.isneginf(ratios).sum(axis=1)
     if lacking := np.flatnonzero(2 * silent > len(centres)).tolist():
         names = [*places.values()]
