@@ -8,7 +8,7 @@ import numpy as np
 
 from rtcal.acoustics import bands
 from rtcal.acoustics.measurement import Measurement
-from rtcal.acoustics.observables import parameter_label
+from rtcal.acoustics.observables import observable, parameter_label
 from rtcal.acoustics.repeats import beyond_chance, chance_of_equal
 from rtcal.support.errors import DataError
 from rtcal.support.text import first_of
@@ -23,7 +23,7 @@ def without_copies(
     """Return two measurements without what the second has copied of the first, and notes of it.
 
     A pair is left out if all values that both have are equal, and hardly by chance. Of the other pairs,
-    equal values are left out if they are stated precisely, and more are equal than chance allows.
+    equal times are left out if they are stated precisely, and more are equal than chance allows.
     Measurements in different bands have no copies.
 
     Raises
@@ -55,7 +55,9 @@ def without_copies(
             "copied. Left out."
         )
         before, after = (m.select([p for p in m.pairs if p not in names]) for m in (before, after))
-    told = known & (chance < _PRECISE) & ~np.array(copied)[:, np.newaxis, np.newaxis]
+    # A level may well be the same to 0.1 dB again.
+    times = np.array([observable(p).logarithmic for p in shared])[:, np.newaxis]
+    told = known & times & (chance < _PRECISE) & ~np.array(copied)[:, np.newaxis, np.newaxis]
     cells = np.argwhere(told & equal)
     if not beyond_chance(len(cells), chance[told]):
         return before, after, notes
