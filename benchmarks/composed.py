@@ -15,7 +15,7 @@ import numpy as np
 import rtcal as rt
 from rtcal import terms
 from rtcal.acoustics.bands import third_octaves
-from rtcal.calibration.presets import METHODS, preset
+from rtcal.calibration.methods import METHODS, preset
 
 THIRDS = third_octaves(50, 10_000)
 SIZES = (5, 10, 20, 40, 80, 208)

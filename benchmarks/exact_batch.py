@@ -22,7 +22,7 @@ import numpy as np
 
 import rtcal as rt
 from rtcal import studies
-from rtcal.studies import draws, paper
+from rtcal.studies import paper
 
 N = 23
 
@@ -56,7 +56,7 @@ def problems(rows: int) -> tuple[np.ndarray, ...]:
     """Rooms of 23 surfaces, one in twenty with a bound active at the optimum."""
     rng = np.random.default_rng(0)
     areas = 10 ** rng.uniform(0, 1.5, N)
-    mu, sigma = draws.realisations(rng, rows, N, 0.05)
+    mu, sigma = paper.realisations(rng, rows, N, 0.05)
     sign = np.where(rng.random((rows, 1)) < 0.0625, 4.0, 0.0)  # these are far more absorbing
     drawn = rng.standard_normal((rows, N))
     truth = np.clip(mu + sigma * np.where(sign > 0, sign * abs(drawn), drawn), 0, 1)

@@ -32,9 +32,9 @@ import rtcal as rt
 from rtcal.calibration.certificate import certify, largest_error
 from rtcal.calibration.compiled_qp import Matrices
 from rtcal.calibration.convex_program import RawSolution
+from rtcal.calibration.methods import preset
 from rtcal.calibration.numpy_model import NumpyModel
 from rtcal.calibration.optimum import polish_answer
-from rtcal.calibration.presets import preset
 from rtcal.calibration.solvers import SETTINGS, STARTED
 
 BANDS = 8

@@ -12,7 +12,7 @@ import time
 import numpy as np
 
 import rtcal as rt
-from rtcal.calibration.presets import preset
+from rtcal.calibration.methods import preset
 
 STATED = {"volume_sigma": 0.05, "area_sigma": 0.03}
 CASES = {

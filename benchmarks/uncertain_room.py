@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 import rtcal as rt
-from rtcal.studies import draws
+from rtcal.studies import paper
 from rtcal.studies.paper import SHOEBOX
 from rtcal.support.types import Array
 
@@ -67,11 +67,11 @@ def drawn(
     rng: np.random.Generator, sigma_r: float, off: dict[str, float], common: float
 ) -> tuple[Array, Array, Array, Array]:
     """mu, sigma and the true alpha, (n, k) each, and the measured T in s, (k,)."""
-    mu, sigma = draws.realisations(rng, len(BANDS), len(AREAS), sigma_r)
+    mu, sigma = paper.realisations(rng, len(BANDS), len(AREAS), sigma_r)
     mu, sigma = mu.T, sigma.T
     centre = np.clip(mu * (1 + common * rng.standard_normal()), 0.005, 0.995)
     z = np.empty((mu.size, 1))
-    draws.trials(rng, centre.ravel(), sigma.ravel(), z)
+    paper.trials(rng, centre.ravel(), sigma.ravel(), z)
     alpha = centre + sigma * z.reshape(mu.shape)
     true = room_of(alpha, sigma, EXACT).replace(
         volume=VOLUME * (1 + off["volume_sigma"] * rng.standard_normal()),

@@ -11,8 +11,8 @@ Each name is imported when it is first used.
 
 from typing import TYPE_CHECKING
 
-from rtcal.support import lazy
-from rtcal.support.lazy import __version__ as __version__
+from rtcal import support
+from rtcal.support import __version__ as __version__
 
 if TYPE_CHECKING:
     from rtcal import acoustics as acoustics
@@ -46,7 +46,7 @@ if TYPE_CHECKING:
     from rtcal.calibration import terms as terms
     from rtcal.calibration.archive import learn as learn
     from rtcal.calibration.configurations import Configurations as Configurations
-    from rtcal.calibration.presets import calibrate as calibrate
+    from rtcal.calibration.methods import calibrate as calibrate
     from rtcal.calibration.problem import Calibration as Calibration
     from rtcal.finder.search import find as find
     from rtcal.loop.calibrate import calibrate_simulator as calibrate_simulator
@@ -56,4 +56,4 @@ if TYPE_CHECKING:
     from rtcal.support import errors as errors
     from rtcal.support.results import load as load
 else:
-    __getattr__, __dir__, __all__ = lazy.exports(__name__, __file__)
+    __getattr__, __dir__, __all__ = support.exports(__name__, __file__)

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import rtcal as rt
-from rtcal.calibration.presets import preset
+from rtcal.calibration.methods import preset
 from rtcal.support.errors import InfeasibleError, SolverError
 from tests import rational
 from tests.problems import Problem, problems

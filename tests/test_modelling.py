@@ -13,8 +13,7 @@ from hypothesis import strategies as st
 import rtcal as rt
 from rtcal import terms
 from rtcal.calibration.configurations import Configurations
-from rtcal.calibration.nonlinear import Taken, gauss_newton
-from rtcal.calibration.presets import METHODS, preset
+from rtcal.calibration.methods import METHODS, Taken, gauss_newton, preset
 from rtcal.support.errors import ModelError
 from tests.conftest import random_room, true_times
 

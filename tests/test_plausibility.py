@@ -12,7 +12,7 @@ import rtcal as rt
 from rtcal import terms
 from rtcal.acoustics.bands import third_octaves
 from rtcal.calibration.configurations import Configurations
-from rtcal.calibration.presets import METHODS
+from rtcal.calibration.methods import METHODS
 from rtcal.command.main import main
 
 

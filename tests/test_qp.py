@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import rtcal as rt
-from rtcal.calibration.presets import preset
+from rtcal.calibration.methods import preset
 from tests.conftest import random_room, true_times
 
 EYRING = rt.Eyring()

@@ -72,13 +72,13 @@ CALIBRATE = ["calibrate", "room.toml", "measured.csv"]
 def fails_with(error: str) -> str:
     """Return code after which calibration raises ``error``: no input makes a solver fail at will."""
     return f"""
-import rtcal.calibration.presets as presets
+import rtcal.calibration.methods as methods
 from rtcal.support.errors import SolverError
 
 def calibrate(*_, **__):
     raise {error}
 
-presets.calibrate = calibrate
+methods.calibrate = calibrate
 """
 
 

@@ -17,7 +17,7 @@ import rtcal as rt
 from rtcal import studies
 from rtcal.acoustics.priors import TruncatedNormal
 from rtcal.command.main import cli
-from rtcal.studies import draws, paper
+from rtcal.studies import paper
 from rtcal.studies.runner import SERIES, ScoreMoments
 from rtcal.support import speed
 from rtcal.support.errors import DataError, MissingDependencyError
@@ -30,7 +30,7 @@ def drawn(
     n: int = 6, sigma_r: float = 0.1, count: int = 20, seed: int = 0
 ) -> tuple[np.random.Generator, np.ndarray, np.ndarray]:
     rng = np.random.default_rng(seed)
-    return rng, *draws.realisations(rng, count, n, sigma_r)
+    return rng, *paper.realisations(rng, count, n, sigma_r)
 
 
 def by_method(table: np.recarray) -> dict[tuple[str, bool], np.record]:
@@ -43,10 +43,10 @@ def by_method(table: np.recarray) -> dict[tuple[str, bool], np.record]:
 def test_sigma_has_the_law_that_redrawing_leaves() -> None:
     rng = np.random.default_rng(1)
     redrawn = rng.rayleigh(0.1, 400_000)
-    assert np.mean(redrawn >= 0.25) == pytest.approx(draws.redrawn_share(0.1, "sigma_n"), rel=0.03)
-    assert draws.redrawn_share(0.1, "sigma_n") == pytest.approx(0.0439, abs=1e-4)
+    assert np.mean(redrawn >= 0.25) == pytest.approx(paper.redrawn_share(0.1, "sigma_n"), rel=0.03)
+    assert paper.redrawn_share(0.1, "sigma_n") == pytest.approx(0.0439, abs=1e-4)
     redrawn = redrawn[redrawn < 0.25]
-    mu, sigma = draws.realisations(rng, 60_000, 6, 0.1, "sigma_n")
+    mu, sigma = paper.realisations(rng, 60_000, 6, 0.1, "sigma_n")
     assert sigma.min() > 0
     assert sigma.max() < 0.25
     shares = (0.05, 0.25, 0.5, 0.75, 0.95)
@@ -60,8 +60,8 @@ def test_sigma_has_the_law_that_redrawing_leaves() -> None:
 
 def test_mu_keeps_twice_sigma_r_from_0_and_1_whatever_sigma_is() -> None:
     rng = np.random.default_rng(1)
-    mu, sigma = draws.realisations(rng, 60_000, 6, 0.1, "sigma_r")
-    assert draws.redrawn_share(0.1, "sigma_r") == 0
+    mu, sigma = paper.realisations(rng, 60_000, 6, 0.1, "sigma_r")
+    assert paper.redrawn_share(0.1, "sigma_r") == 0
     shares = np.array([0.05, 0.25, 0.5, 0.75, 0.95])
     rayleigh = 0.1 * np.sqrt(-2 * np.log(1 - shares))  # its quantiles, by inversion
     np.testing.assert_allclose(np.quantile(sigma, shares), rayleigh, atol=1.5e-3)
@@ -76,7 +76,7 @@ def test_trials_are_truncated_normal() -> None:
     rng = np.random.default_rng(2)
     mu, sigma = np.array([0.45, 0.1, 0.9]), np.array([0.22, 0.05, 0.05])
     z = np.empty((3, 200_000))
-    draws.trials(rng, mu, sigma, z)
+    paper.trials(rng, mu, sigma, z)
     alpha = mu[:, np.newaxis] + sigma[:, np.newaxis] * z
     assert alpha.min() >= 0
     assert alpha.max() <= 1
@@ -104,10 +104,10 @@ def test_errors_against_the_exact_solver_and_the_closed_forms() -> None:
     """Every method's error, trial by trial, from alpha itself: no shared formula."""
     rng, mu, sigma = drawn(sigma_r=0.2, count=12, seed=4)
     trials, active = 400, 0
-    for room in draws.tabulated(mu, sigma, SHOEBOX):
+    for room in paper.tabulated(mu, sigma, SHOEBOX):
         z = np.empty((6, trials))
-        draws.trials(rng, room.mu, room.sigma, z)
-        sums = draws.score(z, room)
+        paper.trials(rng, room.mu, room.sigma, z)
+        sums = paper.score(z, room)
         got = sums.errors(room, trials)
         truth = (room.mu[:, np.newaxis] + room.sigma[:, np.newaxis] * z).T
         b = truth @ SHOEBOX
@@ -154,7 +154,7 @@ def test_analytic_emse_is_the_mean_over_trials() -> None:
 # Scores -------------------------------------------------------------------------------------------
 
 
-STATED: dict[draws.Sampling, dict[str, tuple[float, ...]]] = {
+STATED: dict[paper.Sampling, dict[str, tuple[float, ...]]] = {
     # Own simulations of 60 studies of 10,000 rooms (issue 36), and STATISTICS.md.
     "sigma_r": {
         "scaling": (4.34, 5.48, 6.44),
@@ -169,7 +169,7 @@ STATED: dict[draws.Sampling, dict[str, tuple[float, ...]]] = {
 }
 
 
-def distances(which: draws.Sampling) -> dict[tuple[str, float], float]:
+def distances(which: paper.Sampling) -> dict[tuple[str, float], float]:
     """Distance of Table 2's scores from ours, in standard deviations of a study of 10,000 rooms."""
     rooms, found = 100_000, {}
     for k, level in enumerate(paper.SIGMA_R):

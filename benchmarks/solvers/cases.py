@@ -18,11 +18,10 @@ from rtcal import terms
 from rtcal.acoustics.bands import third_octaves
 from rtcal.calibration.compiled_qp import WhitenedQP
 from rtcal.calibration.configurations import Configurations
-from rtcal.calibration.presets import preset
+from rtcal.calibration.methods import preset
 from rtcal.calibration.problem import CalibrationProblem, JointProblem
 from rtcal.datasets.halls import lecture_hall
-from rtcal.studies.draws import realisations
-from rtcal.studies.paper import SHOEBOX, SIGMA_R, TABLE_1_MU, TABLE_1_SIGMA
+from rtcal.studies.paper import SHOEBOX, SIGMA_R, TABLE_1_MU, TABLE_1_SIGMA, realisations
 from rtcal.support.types import Array
 from tests import problems
 

@@ -2,7 +2,7 @@
 
 from typing import TYPE_CHECKING
 
-from rtcal.support import lazy
+from rtcal import support
 
 if TYPE_CHECKING:
     from rtcal.acoustics import band_conversion as band_conversion
@@ -13,4 +13,4 @@ if TYPE_CHECKING:
     from rtcal.acoustics import trust as trust
     from rtcal.acoustics.directivity import DirectivityFile as DirectivityFile
 else:
-    __getattr__, __dir__, __all__ = lazy.exports(__name__, __file__)
+    __getattr__, __dir__, __all__ = support.exports(__name__, __file__)

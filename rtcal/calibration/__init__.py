@@ -2,7 +2,7 @@
 
 from typing import TYPE_CHECKING
 
-from rtcal.support import lazy
+from rtcal import support
 
 if TYPE_CHECKING:
     from rtcal.calibration.convex_program import forget as forget
@@ -11,4 +11,4 @@ if TYPE_CHECKING:
     from rtcal.calibration.result import CalibrationResult as CalibrationResult
     from rtcal.calibration.result import JointResult as JointResult
 else:
-    __getattr__, __dir__, __all__ = lazy.exports(__name__, __file__)
+    __getattr__, __dir__, __all__ = support.exports(__name__, __file__)

@@ -28,9 +28,9 @@ from rtcal.calibration.posterior.density import CoupledBands, IndependentBands
 from rtcal.calibration.problem_data import MeasuredTimes, ProblemData, data_history
 from rtcal.calibration.table import html_table, text_table
 from rtcal.prediction.predicted import Prediction, predict
+from rtcal.support import __version__
 from rtcal.support.errors import ModelError
 from rtcal.support.files import json_numbers
-from rtcal.support.lazy import __version__
 from rtcal.support.results import Result
 from rtcal.support.text import shortened
 from rtcal.support.types import Array, read_only_view

@@ -29,9 +29,8 @@ from rtcal.acoustics.trust import TrustMark, explained, letters
 from rtcal.calibration.certificate import Certificate
 from rtcal.calibration.convex_program import RawSolution
 from rtcal.calibration.problem_data import MeasuredTimes
-from rtcal.support import text
+from rtcal.support import __version__, text
 from rtcal.support.files import json_numbers
-from rtcal.support.lazy import __version__
 from rtcal.support.types import Array
 
 KIND = "calibration 1"

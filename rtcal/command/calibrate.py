@@ -83,7 +83,7 @@ def calibrate(
     `rtcal report calibrated` makes a page of the results.
     """
     from rtcal.acoustics.room import Room
-    from rtcal.calibration import presets
+    from rtcal.calibration import methods
     from rtcal.report import figures
 
     folder = output_folder("--out", out)
@@ -98,7 +98,7 @@ def calibrate(
         _by_modes(room, measured, modes, equation, folder)
         return
     with without_air_warning():
-        result = presets.calibrate(
+        result = methods.calibrate(
             Room.from_file(room),
             read_measured(measured),
             method=method,

@@ -17,8 +17,8 @@ from rtcal.command.finder import NOTHING_TO_ADD, apply, find, plan, verify
 from rtcal.command.import_room import import_room
 from rtcal.command.loop import loop
 from rtcal.command.predict import design, predict
+from rtcal.support import __version__
 from rtcal.support.errors import MissingDependencyError, RtcalError, SolverError
-from rtcal.support.lazy import __version__
 
 EXIT_CODES = {
     0: "done",

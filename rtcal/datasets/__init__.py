@@ -2,7 +2,7 @@
 
 from typing import TYPE_CHECKING
 
-from rtcal.support import lazy
+from rtcal import support
 
 if TYPE_CHECKING:
     from rtcal.datasets import catalogue as catalogue
@@ -14,4 +14,4 @@ if TYPE_CHECKING:
     from rtcal.datasets.examples import path as path
     from rtcal.datasets.examples import untold_room as untold_room
 else:
-    __getattr__, __dir__, __all__ = lazy.exports(__name__, __file__)
+    __getattr__, __dir__, __all__ = support.exports(__name__, __file__)

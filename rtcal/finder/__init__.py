@@ -9,7 +9,7 @@ docs/discrepancy.md has the method and what it can and cannot do.
 
 from typing import TYPE_CHECKING
 
-from rtcal.support import lazy
+from rtcal import support
 
 if TYPE_CHECKING:
     from rtcal.finder import positions as positions
@@ -37,4 +37,4 @@ if TYPE_CHECKING:
     from rtcal.finder.means.verification import Recalibrated as Recalibrated
     from rtcal.finder.search import verify as verify
 else:
-    __getattr__, __dir__, __all__ = lazy.exports(__name__, __file__)
+    __getattr__, __dir__, __all__ = support.exports(__name__, __file__)

@@ -9,7 +9,7 @@ states its scene. `impulse_responses` turns WAV and SOFA files into a `Measureme
 
 from typing import TYPE_CHECKING
 
-from rtcal.support import lazy
+from rtcal import support
 
 if TYPE_CHECKING:
     from rtcal.io import balloon as balloon
@@ -25,4 +25,4 @@ if TYPE_CHECKING:
     from rtcal.io import sofa as sofa
     from rtcal.io import tables as tables
 else:
-    __getattr__, __dir__, __all__ = lazy.exports(__name__, __file__)
+    __getattr__, __dir__, __all__ = support.exports(__name__, __file__)

@@ -30,8 +30,8 @@ from rtcal.io.mend.faces import unit_notes
 from rtcal.io.mend.polygons import axes_of, normal_of, polygon_of
 from rtcal.io.obj import MOST_DRAWN
 from rtcal.io.text import decode, lines, number, shown
+from rtcal.support import library
 from rtcal.support.errors import DataError
-from rtcal.support.lazy import library
 from rtcal.support.types import Array
 
 _UNITS = {1: 0.0254, 2: 0.3048, 4: 0.001, 5: 0.01, 6: 1.0, 14: 0.1}

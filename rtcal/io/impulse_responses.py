@@ -36,10 +36,9 @@ from rtcal.acoustics.observables import EARLY, OBSERVABLES, DecaySlope, of_kind,
 from rtcal.acoustics.repeats import copies, groups, in_words, names_of_repeats, places_of
 from rtcal.io import sofa, wav
 from rtcal.io.analysis import MOST_NAMED, Analysis, late_energy, spread
-from rtcal.support import checks
+from rtcal.support import checks, library
 from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError
-from rtcal.support.lazy import library
 from rtcal.support.text import first_of
 from rtcal.support.types import Array
 

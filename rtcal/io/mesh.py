@@ -25,10 +25,10 @@ from rtcal.io import cad, obj
 from rtcal.io.mend import OFFSET, WELD, Faces, Mended, MeshError, closed, mended
 from rtcal.io.mend.faces import unit_notes
 from rtcal.io.text import shown
+from rtcal.support import library
 from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError, MissingDependencyError
 from rtcal.support.files import read_bytes
-from rtcal.support.lazy import library
 from rtcal.support.types import Array
 
 __all__ = ["read", "room"]

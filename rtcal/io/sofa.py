@@ -22,9 +22,9 @@ import numpy as np
 from rtcal.acoustics.repeats import SAME_PLACE
 from rtcal.acoustics.scene import Scene
 from rtcal.io.wav import MAX_CHANNEL_SAMPLES
+from rtcal.support import library
 from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError
-from rtcal.support.lazy import library
 from rtcal.support.types import Array
 
 __all__ = ["Responses", "claims", "read"]

@@ -20,10 +20,10 @@ from typing import Any
 
 from rtcal.io.table_layout import Row, Sheet
 from rtcal.io.text import shown
+from rtcal.support import library
 from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError
 from rtcal.support.files import write_bytes
-from rtcal.support.lazy import library
 from rtcal.support.text import first_of
 
 ENDING = ".xlsx"

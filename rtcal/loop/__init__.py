@@ -2,7 +2,7 @@
 
 from typing import TYPE_CHECKING
 
-from rtcal.support import lazy
+from rtcal import support
 
 if TYPE_CHECKING:
     from rtcal.loop.control_runs import ControlRuns as ControlRuns
@@ -17,4 +17,4 @@ if TYPE_CHECKING:
     from rtcal.loop.state import Loop as Loop
     from rtcal.loop.state import start as start
 else:
-    __getattr__, __dir__, __all__ = lazy.exports(__name__, __file__)
+    __getattr__, __dir__, __all__ = support.exports(__name__, __file__)

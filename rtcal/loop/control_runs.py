@@ -27,10 +27,9 @@ from rtcal.simulators.observations import Observations, observe
 from rtcal.simulators.path_tracing import DENSER, PathTracing
 from rtcal.simulators.shoebox import ShoeboxSimulator
 from rtcal.simulators.tracer import ScatteringModel, eyring_seconds
-from rtcal.support import checks, files
+from rtcal.support import __version__, checks, files
 from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError, RtcalError, TooShortError
-from rtcal.support.lazy import __version__
 from rtcal.support.speed import Progress
 from rtcal.support.types import Array, read_only
 

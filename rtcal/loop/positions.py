@@ -23,7 +23,7 @@ from rtcal.acoustics.observables import MATCH, parameter_label
 from rtcal.acoustics.room import Room
 from rtcal.acoustics.room_errors import in_words, prior_covariance
 from rtcal.acoustics.scene import POSITION, checked_uncertainty
-from rtcal.calibration.nonlinear import Steps
+from rtcal.calibration.methods import Steps
 from rtcal.calibration.problem import Calibration
 from rtcal.loop import control_runs
 from rtcal.loop.control_runs import (
@@ -58,10 +58,9 @@ from rtcal.simulators import base, observations
 from rtcal.simulators.base import Simulator
 from rtcal.simulators.observations import DifferentiableSimulator, Observations, observe
 from rtcal.simulators.path_tracing import PathTracing
-from rtcal.support import checks
+from rtcal.support import __version__, checks
 from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError, SimulatorError
-from rtcal.support.lazy import __version__
 from rtcal.support.speed import Progress
 from rtcal.support.types import Array
 

@@ -18,7 +18,7 @@ from rtcal.acoustics.room import Room
 from rtcal.acoustics.room_errors import Assumptions
 from rtcal.acoustics.scene import POSITION
 from rtcal.calibration.certificate import Certificate
-from rtcal.calibration.nonlinear import gain, learned_materials
+from rtcal.calibration.methods import gain, learned_materials
 from rtcal.calibration.result import CalibrationResult
 from rtcal.calibration.table import coefficients
 from rtcal.loop.control_runs import ControlRuns
@@ -31,8 +31,13 @@ from rtcal.loop.measured_pairs import (
     relative_misfit,
     rows_of_pairs,
 )
-from rtcal.loop.positions_prediction import PositionsPrediction
-from rtcal.loop.positions_tables import Table, farther_in_words, gap_table, material_table
+from rtcal.loop.positions_prediction import (
+    PositionsPrediction,
+    Table,
+    farther_in_words,
+    gap_table,
+    material_table,
+)
 from rtcal.loop.predicted_positions import WANTED, predict_positions
 from rtcal.loop.scattering import Scattering
 from rtcal.simulators.base import Simulator

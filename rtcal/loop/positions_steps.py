@@ -13,7 +13,7 @@ from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.observables import observable
 from rtcal.acoustics.room import Room
 from rtcal.acoustics.room_errors import heard_changes
-from rtcal.calibration.nonlinear import Steps, Taken, gauss_newton
+from rtcal.calibration.methods import Steps, Taken, gauss_newton
 from rtcal.calibration.problem import Calibration
 from rtcal.calibration.result import CalibrationResult
 from rtcal.calibration.terms import LinearObservations, Observed, PriorDeviation, as_objective

@@ -25,7 +25,7 @@ from rtcal.acoustics.quality import gap_jnd
 from rtcal.acoustics.repeats import of_room, refuse_repeated_data
 from rtcal.acoustics.room import Room
 from rtcal.acoustics.trust import TrustMark, bent_marks
-from rtcal.calibration.presets import preset
+from rtcal.calibration.methods import preset
 from rtcal.calibration.problem import CalibrationProblem
 from rtcal.calibration.problem_data import data_history, times_in_room
 from rtcal.calibration.result import CalibrationResult

@@ -2,7 +2,7 @@
 
 from typing import TYPE_CHECKING
 
-from rtcal.support import lazy
+from rtcal import support
 
 if TYPE_CHECKING:
     from rtcal.modes.calibrate import find_modes as find_modes
@@ -14,4 +14,4 @@ if TYPE_CHECKING:
     from rtcal.modes.rigid_walls import modes_of as modes_of
     from rtcal.modes.room_modes import RoomModes as RoomModes
 else:
-    __getattr__, __dir__, __all__ = lazy.exports(__name__, __file__)
+    __getattr__, __dir__, __all__ = support.exports(__name__, __file__)

@@ -30,8 +30,7 @@ from rtcal.acoustics.bands import mid_frequency_time, schroeder_frequency
 from rtcal.acoustics.equations import Eyring, LinearEquation
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.room import Room
-from rtcal.calibration.nonlinear import gauss_newton
-from rtcal.calibration.presets import preset
+from rtcal.calibration.methods import gauss_newton, preset
 from rtcal.calibration.problem import Calibration, CalibrationProblem, Times
 from rtcal.calibration.problem_data import MeasuredTimes, no_times, times_in_room
 from rtcal.calibration.result import CalibrationResult

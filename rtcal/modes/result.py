@@ -22,9 +22,8 @@ from rtcal.calibration.result import CalibrationResult
 from rtcal.calibration.table import coefficients
 from rtcal.modes.measured import MeasuredModes
 from rtcal.modes.room_modes import DECAY
-from rtcal.support import text
+from rtcal.support import __version__, text
 from rtcal.support.files import json_numbers
-from rtcal.support.lazy import __version__
 from rtcal.support.results import Result
 from rtcal.support.types import Array
 

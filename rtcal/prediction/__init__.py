@@ -2,7 +2,7 @@
 
 from typing import TYPE_CHECKING
 
-from rtcal.support import lazy
+from rtcal import support
 
 if TYPE_CHECKING:
     from rtcal.acoustics.change_files import Treatment as Treatment
@@ -28,4 +28,4 @@ if TYPE_CHECKING:
     from rtcal.prediction.predicted import compare as compare
     from rtcal.prediction.predicted import predict as predict
 else:
-    __getattr__, __dir__, __all__ = lazy.exports(__name__, __file__)
+    __getattr__, __dir__, __all__ = support.exports(__name__, __file__)

@@ -2,7 +2,7 @@
 
 from typing import TYPE_CHECKING
 
-from rtcal.support import lazy
+from rtcal import support
 
 if TYPE_CHECKING:
     from rtcal.report import document as document
@@ -16,4 +16,4 @@ if TYPE_CHECKING:
     from rtcal.report import positions_page as positions_page
     from rtcal.report import study_report as study_report
 else:
-    __getattr__, __dir__, __all__ = lazy.exports(__name__, __file__)
+    __getattr__, __dir__, __all__ = support.exports(__name__, __file__)

@@ -19,10 +19,10 @@ from numpy.typing import NDArray
 
 from rtcal.acoustics.materials import LONGEST_NAME, short_name
 from rtcal.report import figures
+from rtcal.support import __version__
 from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError, MissingDependencyError
 from rtcal.support.files import write_text
-from rtcal.support.lazy import __version__
 from rtcal.support.text import shortened
 from rtcal.support.types import Array
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from rtcal.acoustics import room_files
 from rtcal.acoustics.equations import mean_equation
-from rtcal.calibration.presets import calibrate
+from rtcal.calibration.methods import calibrate
 from rtcal.finder.claim import CLAIMED, SAID
 from rtcal.finder.means.evidence import QUANTILE
 from rtcal.finder.means.finding import MeansFinding

@@ -15,8 +15,14 @@ import numpy as np
 from rtcal.acoustics.priors import TruncatedNormal
 from rtcal.report.figures import new_figure, rendered
 from rtcal.studies import paper
-from rtcal.studies.draws import Sampling, redrawn_share
-from rtcal.studies.paper import HALL_SEEDS, LECTURE_HALL, SHOEBOX, random_hall
+from rtcal.studies.paper import (
+    HALL_SEEDS,
+    LECTURE_HALL,
+    SHOEBOX,
+    Sampling,
+    random_hall,
+    redrawn_share,
+)
 from rtcal.studies.runner import table_csv
 from rtcal.studies.study import Study, Table, analytic_scores, run
 from rtcal.support import text

@@ -20,7 +20,7 @@ from rtcal.acoustics.quality import (
     weak_agreement,
 )
 from rtcal.acoustics.trust import TrustMark
-from rtcal.calibration.presets import METHODS
+from rtcal.calibration.methods import METHODS
 from rtcal.calibration.result import CalibrationResult
 from rtcal.calibration.table import equation_parameters
 from rtcal.support.text import as_sentence

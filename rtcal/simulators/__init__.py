@@ -8,7 +8,7 @@ function, `command` another program. `Simulator` is the protocol that all of the
 
 from typing import TYPE_CHECKING
 
-from rtcal.support import lazy
+from rtcal import support
 
 if TYPE_CHECKING:
     from rtcal.simulators.base import Simulator as Simulator
@@ -23,4 +23,4 @@ if TYPE_CHECKING:
     from rtcal.simulators.sdn import ScatteringDelayNetwork as ScatteringDelayNetwork
     from rtcal.simulators.shoebox import ImageSource as ImageSource
 else:
-    __getattr__, __dir__, __all__ = lazy.exports(__name__, __file__)
+    __getattr__, __dir__, __all__ = support.exports(__name__, __file__)

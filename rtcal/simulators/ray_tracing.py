@@ -28,9 +28,8 @@ from numpy.typing import NDArray
 from rtcal.simulators import tracer
 from rtcal.simulators.base import check_alpha
 from rtcal.simulators.tracer import Tracer, check_seconds
-from rtcal.support import checks
+from rtcal.support import checks, library
 from rtcal.support.errors import DataError
-from rtcal.support.lazy import library
 from rtcal.support.types import Array
 
 ENERGY_THRESHOLD = 1e-16

@@ -9,10 +9,10 @@ mle
 """
 
 from rtcal.studies import paper
+from rtcal.studies.paper import analytic_emse
 from rtcal.studies.runner import write_table
 from rtcal.studies.study import (
     Study,
-    analytic_emse,
     analytic_scores,
     run,
 )

@@ -27,7 +27,7 @@ from typing import Any
 
 import numpy as np
 
-from rtcal.studies.draws import CALIBRATIONS, METHODS
+from rtcal.studies.paper import CALIBRATIONS, METHODS
 from rtcal.support import checks, files
 from rtcal.support.arguments import checked
 from rtcal.support.checks import json_object

@@ -18,12 +18,18 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from rtcal.acoustics.priors import TruncatedNormal
-from rtcal.studies import draws
-from rtcal.studies.draws import CALIBRATIONS, METHODS, SAMPLINGS, SIGMA_LIMIT, Sampling, TrialSums
+from rtcal.studies import paper
+from rtcal.studies.paper import (
+    CALIBRATIONS,
+    METHODS,
+    SAMPLINGS,
+    SIGMA_LIMIT,
+    Sampling,
+    TrialSums,
+    analytic_emse,
+)
 from rtcal.studies.runner import SAMPLED, ScoreMoments, run_pieces
 from rtcal.support import checks
-from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError
 from rtcal.support.results import Result
 from rtcal.support.types import Array
@@ -135,7 +141,7 @@ class Study(Result):
     @property
     def redrawn_share(self) -> float:
         """Share of Rayleigh draws that left no interval for mu and were therefore drawn again."""
-        return draws.redrawn_share(self.sigma_r, self.sampling)
+        return paper.redrawn_share(self.sigma_r, self.sampling)
 
     def _row(
         self, method: str, bounded: bool, series: dict[str, float], baseline: dict[str, float]
@@ -243,27 +249,13 @@ def analytic_scores(
     return _table(study.controlled_scores().tolist()[: len(METHODS)], _SCORES)
 
 
-@checked
-def analytic_emse(mu: Array, sigma: Array, areas: Array) -> Array:
-    """Return EMSE of no calibration, scaling, LSE and MLE, (..., 4), in closed form.
-
-    Eq. 30, with the term that it omits: mu is not the mean of the truncated normal, so E(mu -
-    alpha)² is the variance plus the squared bias.
-    """
-    prior = TruncatedNormal(mu, sigma)
-    bias = mu - prior.mean()
-    second = bias[..., :, np.newaxis] * bias[..., np.newaxis, :]
-    second += np.eye(areas.size) * prior.variance()[..., np.newaxis, :]
-    return draws.expected_errors(second, draws.directions(mu, sigma, areas), areas)
-
-
 def _drawn(
     areas: Array, sigma_r: float, realisations: int, seed: int, sampling: Sampling, number: int
 ) -> tuple[np.random.Generator, Array, Array]:
     """Return the generator of a piece and its realisations."""
     rng = np.random.Generator(np.random.SFC64(np.random.SeedSequence(seed, spawn_key=(number,))))
     count = min(PIECE, realisations - number * PIECE)
-    return rng, *draws.realisations(rng, count, areas.size, sigma_r, sampling)
+    return rng, *paper.realisations(rng, count, areas.size, sigma_r, sampling)
 
 
 def _analytic(
@@ -298,13 +290,13 @@ def _piece(
     active = np.empty((len(mu), len(CALIBRATIONS)))
     block = min(trials, max(1, BLOCK // areas.size))
     buffer = np.empty(areas.size * block)
-    for r, room in enumerate(draws.tabulated(mu, sigma, areas)):
+    for r, room in enumerate(paper.tabulated(mu, sigma, areas)):
         sums: list[TrialSums] = []
         for start in range(0, trials, block):
             few = min(block, trials - start)
             z = buffer[: areas.size * few].reshape(areas.size, few)
-            draws.trials(rng, room.mu, room.sigma, z)
-            sums.append(draws.score(z, room))
+            paper.trials(rng, room.mu, room.sigma, z)
+            sums.append(paper.score(z, room))
         total = functools.reduce(operator.add, sums)
         sampled[r], active[r] = total.errors(room, trials), total.active
     return ScoreMoments.of(np.hstack([sampled, analytic_emse(mu, sigma, areas)]), active)

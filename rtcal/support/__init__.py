@@ -1,1 +1,79 @@
-"""Helpers that every package uses: checks, types, files, progress, numba."""
+"""The version, and what is imported at its first use: public names, optional libraries."""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Callable
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+from rtcal.support.errors import MissingDependencyError
+
+
+def exports(
+    package: str, file: str
+) -> tuple[Callable[[str], Any], Callable[[], list[str]], list[str]]:
+    """Return ``__getattr__``, ``__dir__`` and ``__all__`` of a package (PEP 562).
+
+    The public names are those that the package's ``__init__.py`` imports under
+    ``if TYPE_CHECKING:``, each as ``from module import Name as Name``. Type checkers and editors
+    read these imports; Python runs each of them when its name is first used.
+
+    Parameters
+    ----------
+    package : str
+        The package's ``__name__``.
+    file : str
+        The package's ``__file__``.
+
+    Examples
+    --------
+    ::
+
+        if TYPE_CHECKING:
+            from rtcal.simulators.path_tracing import PathTracing as PathTracing
+        else:
+            __getattr__, __dir__, __all__ = support.exports(__name__, __file__)
+    """
+    modules = typing_imports(Path(file).read_text(encoding="utf-8"))
+
+    def load(name: str) -> Any:
+        if name not in modules:
+            raise AttributeError(f"module {package!r} has no attribute {name!r}")
+        if modules[name] == package:  # a module of the package itself
+            return import_module(f"{package}.{name}")
+        value = getattr(__import__(modules[name], fromlist=[name]), name)
+        vars(import_module(package))[name] = value
+        return value
+
+    names = sorted(modules)
+    return load, lambda: [*names], names
+
+
+def library(message: str, name: str, *further: str) -> Any:
+    """Return an optional library, with further modules of it imported.
+
+    Raises MissingDependencyError with the message where it is not installed.
+    """
+    try:
+        for module in further:
+            import_module(module)
+        return import_module(name)
+    except ImportError as error:
+        raise MissingDependencyError(message) from error
+
+
+def typing_imports(source: str) -> dict[str, str]:
+    """Return for each name imported under ``if TYPE_CHECKING:`` the module it comes from."""
+    return {
+        alias.asname or alias.name: node.module or ""
+        for block in ast.parse(source).body
+        if isinstance(block, ast.If) and ast.unparse(block.test) == "TYPE_CHECKING"
+        for node in block.body
+        if isinstance(node, ast.ImportFrom)
+        for alias in node.names
+    }
+
+
+__version__ = "0.1.0"

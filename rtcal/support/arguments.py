@@ -27,9 +27,9 @@ from typing import Any, Literal, TypeVar, get_args, get_origin
 import numpy as np
 from numpy.typing import ArrayLike
 
+from rtcal.support import typing_imports
 from rtcal.support.checks import public_name, shown
 from rtcal.support.errors import DataError, RtcalError
-from rtcal.support.lazy import typing_imports
 
 F = TypeVar("F", bound=Callable[..., Any])
 Test = Callable[[Any], bool]

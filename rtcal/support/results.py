@@ -28,12 +28,11 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from rtcal.support import checks
+from rtcal.support import __version__, checks
 from rtcal.support.arguments import checked
 from rtcal.support.checks import Entries, json_object
 from rtcal.support.errors import DataError
 from rtcal.support.files import json_text, make_folder, read_text, write_all
-from rtcal.support.lazy import __version__
 
 NUMBERS = "result.json"
 """Name of a result's file in its folder."""

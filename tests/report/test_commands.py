@@ -9,7 +9,7 @@ import click
 import pytest
 
 import rtcal as rt
-from rtcal.calibration.presets import METHODS
+from rtcal.calibration.methods import METHODS
 from rtcal.command import console
 from rtcal.command.finder import NOTHING_TO_ADD
 from rtcal.command.main import EXIT_CODES, cli

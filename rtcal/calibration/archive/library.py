@@ -13,11 +13,10 @@ from rtcal.acoustics import bands
 from rtcal.acoustics.materials import ARCHIVE, CalibrationRecord
 from rtcal.acoustics.room import Material, Room
 from rtcal.calibration.archive.likelihood import Spread
-from rtcal.support import checks, text
+from rtcal.support import __version__, checks, text
 from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError
 from rtcal.support.files import json_numbers
-from rtcal.support.lazy import __version__
 from rtcal.support.results import Result
 from rtcal.support.types import Array
 

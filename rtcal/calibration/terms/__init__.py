@@ -9,10 +9,12 @@ In both the unknowns u are one flat vector: alpha row by row with the bands last
 unknowns (`rtcal.calibration.problem_data.Layout`).
 """
 
+from rtcal.calibration.layout import Observed as Observed
 from rtcal.calibration.terms.base import (
     BaseTerm,
     BoundConstraint,
     FurtherUnknown,
+    LinearObservations,
     MatchConstraint,
     Objective,
     ObjectiveTerm,
@@ -39,7 +41,6 @@ from rtcal.calibration.terms.match import (
     SoftMatch,
     match_matrix,
 )
-from rtcal.calibration.terms.observations import LinearObservations, Observed
 from rtcal.calibration.terms.prior import HuberDeviation, PriorDeviation
 
 __all__ = [

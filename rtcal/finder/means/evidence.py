@@ -73,10 +73,9 @@ from rtcal.finder.prior import (
     drawn,
     grid_weights,
 )
-from rtcal.support import checks, files
+from rtcal.support import __version__, checks, files
 from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError
-from rtcal.support.lazy import __version__
 from rtcal.support.speed import TaskProgress, single_threaded_blas
 from rtcal.support.types import Array
 

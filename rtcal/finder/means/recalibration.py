@@ -21,8 +21,7 @@ from rtcal.acoustics.equations import LinearEquation, mean_equation
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.room import Room
 from rtcal.calibration.configurations import Configurations
-from rtcal.calibration.nonlinear import gauss_newton
-from rtcal.calibration.presets import calibrate
+from rtcal.calibration.methods import calibrate, gauss_newton
 from rtcal.calibration.problem import Calibration
 from rtcal.calibration.result import JointResult
 from rtcal.calibration.terms import AddedAbsorption, PriorDeviation, SoftMatch

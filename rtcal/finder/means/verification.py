@@ -31,9 +31,8 @@ from rtcal.finder.means.gap import LITTLE
 from rtcal.finder.means.hypotheses import predict_hypotheses
 from rtcal.finder.means.likelihood import MeansProblem
 from rtcal.finder.model import FEATURES, predict
-from rtcal.support import text
+from rtcal.support import __version__, text
 from rtcal.support.files import json_numbers
-from rtcal.support.lazy import __version__
 from rtcal.support.results import Result
 from rtcal.support.text import listed
 from rtcal.support.types import Array

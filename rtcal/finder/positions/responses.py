@@ -34,9 +34,8 @@ from rtcal.loop.scattering import scattered
 from rtcal.simulators.observations import LARGEST_ALPHA
 from rtcal.simulators.path_tracing import DENSER, LARGER, PathTracing
 from rtcal.simulators.tracer import LONGEST
-from rtcal.support import checks, files
+from rtcal.support import __version__, checks, files
 from rtcal.support.errors import DataError, TooShortError
-from rtcal.support.lazy import __version__
 from rtcal.support.speed import Progress, TaskProgress
 from rtcal.support.types import Array
 

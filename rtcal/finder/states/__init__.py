@@ -2,7 +2,7 @@
 
 from typing import TYPE_CHECKING
 
-from rtcal.support import lazy
+from rtcal import support
 
 if TYPE_CHECKING:
     from rtcal.finder.states.case import Differences as Differences
@@ -13,4 +13,4 @@ if TYPE_CHECKING:
     from rtcal.finder.states.search import find as find
     from rtcal.finder.states.search import verify as verify
 else:
-    __getattr__, __dir__, __all__ = lazy.exports(__name__, __file__)
+    __getattr__, __dir__, __all__ = support.exports(__name__, __file__)

@@ -27,7 +27,7 @@ from rtcal.acoustics.observables import MATCH, REVERBERATION, SUMMARY, parameter
 from rtcal.acoustics.priors import NORMAL_90
 from rtcal.acoustics.room import Room
 from rtcal.acoustics.scene import Scene
-from rtcal.calibration.presets import calibrate
+from rtcal.calibration.methods import calibrate
 from rtcal.finder.positions import surfaces as of_room
 from rtcal.finder.states.copies import without_copies
 from rtcal.io import obj

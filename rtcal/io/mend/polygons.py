@@ -19,8 +19,8 @@ from rtcal.io.mend.faces import ANY_SHARE, MOST_PLACES, SAME, Edge, Face, Mendin
 from rtcal.simulators import facets
 from rtcal.simulators.facets import edge_owners
 from rtcal.simulators.geometry import PLANARITY, Polyhedron
+from rtcal.support import library
 from rtcal.support.errors import DataError
-from rtcal.support.lazy import library
 from rtcal.support.text import rounded
 from rtcal.support.types import Array
 
