@@ -584,7 +584,7 @@ def test_a_model_error_is_no_data_error() -> None:
 
 
 @pytest.mark.parametrize(("sampling", "most"), [("sigma_r", 0.25), ("sigma_n", 10.0)])
-def test_a_study_of_no_sense_is_refused(sampling: studies.draws.Sampling, most: float) -> None:
+def test_a_study_of_no_sense_is_refused(sampling: studies.paper.Sampling, most: float) -> None:
     for sigma_r in (1e-300, 1e9, 1e300):
         with pytest.raises(DataError, match=f"is not from 1e-09 to {most:g}"):
             studies.analytic_scores([35, 20], sigma_r, 3, sampling=sampling)

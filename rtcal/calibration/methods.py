@@ -1,4 +1,4 @@
-"""The calibration methods by name, `calibrate` (the main path), and Gauss-Newton around the compiled QP.
+"""The calibration methods by name, `calibrate` (the main path), and Gauss-Newton around the QP.
 
 Each Gauss-Newton step linearises the model at a point, solves the QP of the linearised one, and goes
 towards its answer: the whole way, or half of it and half again as long as the model itself gets farther
