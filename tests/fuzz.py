@@ -24,6 +24,7 @@ from rtcal.io.text import number
 from rtcal.loop import Loop
 from rtcal.support import results
 from rtcal.support.errors import DataError
+from rtcal.support.text import look_alike
 from tests import fuzz_native as native
 
 
@@ -102,6 +103,8 @@ def material_list_holds(result: MaterialList) -> None:
     # Materials of different bands may be refused: octaves of a few thirds cannot be had.
     if any(m.doubt for m in result.materials):
         return  # a room refuses them
+    if look_alike(result.names):
+        return  # and names that only upper case or blanks keep apart
     if len({m.centre_frequencies for m in result.materials}) == 1:
         room = result.room(name="", volume=1, areas=dict.fromkeys(result.names, 1.0))
         assert result.with_room(room)[0] == Path(result.path).read_bytes()

@@ -84,8 +84,8 @@ def test_bands_in_common_are_compared(
         assert np.isfinite(made[..., 1:]).all()
         # What nothing was calibrated to is the same in the bands that are left.
         np.testing.assert_allclose(made[0, ..., 1:], gaps[0, ..., 1:], atol=1e-9)
-    else:
-        np.testing.assert_allclose(made, gaps, atol=1e-6)
+    else:  # a calibration's last step is rounded otherwise on another machine
+        np.testing.assert_allclose(made, gaps, atol=1e-5)
 
 
 OTHERS = {

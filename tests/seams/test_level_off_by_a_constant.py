@@ -3,15 +3,23 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 
 import rtcal as rt
-from rtcal.finder import library
+from rtcal.finder import Case, library
 from rtcal.finder.means.features import observe
 from rtcal.finder.means.hypotheses import predict_hypotheses
 from rtcal.finder.means.search import _off_levels
+
+
+def problem(case: Case) -> Any:
+    """Return what the notes ask of a problem of means."""
+    observed, predicted = observe(case)[0], predict_hypotheses(case, library())
+    return SimpleNamespace(case=case, observed=observed, predicted=predicted)
 
 
 def notes(off: float, slope: float = 0.0) -> list[str]:
@@ -24,7 +32,7 @@ def notes(off: float, slope: float = 0.0) -> list[str]:
         values["g"] = np.asarray(values["g"]) + off + tilt
         configurations.append(replace(each, measured=replace(each.measured, values=values)))
     case = replace(case, configurations=tuple(configurations))
-    return _off_levels(case, observe(case)[0], predict_hypotheses(case, library()))
+    return _off_levels(problem(case))
 
 
 @pytest.mark.parametrize("off", [-30, -5, 5, 20])
@@ -45,4 +53,4 @@ def test_what_a_room_may_do_is_not_told_so() -> None:
 def test_a_level_that_fits_the_stated_room_is_not_told_so() -> None:
     """A noise floor lengthens T. It had been said that G is 8 dB below what T gives."""
     case, _ = rt.datasets.named_room()
-    assert _off_levels(case, observe(case)[0], predict_hypotheses(case, library())) == []
+    assert _off_levels(problem(case)) == []
