@@ -190,8 +190,13 @@ def find_by_positions(
     ) -> tuple[PositionsProblem, PositionsHypotheses, PositionsEvidence]:
         numbers = problem_of(case, made, controls)
         hypotheses = every_hypothesis(case, made, numbers, effects, left_out)
+        return numbers, hypotheses, evaluated(numbers, hypotheses)
+
+    def evaluated(
+        numbers: PositionsProblem, hypotheses: PositionsHypotheses, sources: Array | float = 0.0
+    ) -> PositionsEvidence:
         residuals = numbers.residual[:, np.newaxis]
-        return numbers, hypotheses, evaluate(numbers.likelihoods(), hypotheses, residuals)
+        return evaluate(numbers.likelihoods(sources=sources), hypotheses, residuals)
 
     numbers, hypotheses, evidence = searched(case)
     score, noise = scores(weights(evidence, hypotheses), hypotheses)
@@ -199,8 +204,7 @@ def find_by_positions(
     indexed = list(with_index(case.simulator))
     aimed, unexplained = 0.0, False
     if score[0] > threshold and numbers.aimed is not None:
-        residuals = numbers.residual[:, np.newaxis]
-        lobes = evaluate(numbers.likelihoods(sources=numbers.aimed), hypotheses, residuals)
+        lobes = evaluated(numbers, hypotheses, numbers.aimed)
         aimed = float(gain(lobes, evidence, hypotheses)[0])
         if indexed and reverberation:
             told = summary_of(case, hypotheses, weights(evidence, hypotheses, TOLD_TEMPER))
@@ -216,8 +220,7 @@ def find_by_positions(
         means = None if means is None else evidence_of_means(case, effects, seed, cache)
     of_gain = -np.inf
     if score[0] > threshold and numbers.gains is not None:
-        residuals = numbers.residual[:, np.newaxis]
-        regained = evaluate(numbers.likelihoods(sources=numbers.gains), hypotheses, residuals)
+        regained = evaluated(numbers, hypotheses, numbers.gains)
         of_gain = float(gain(regained, evidence, hypotheses)[0])
         evidence = either(evidence, regained, MISCALIBRATED)
         score, noise = scores(weights(evidence, hypotheses), hypotheses)
