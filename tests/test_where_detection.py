@@ -15,13 +15,13 @@ from rtcal.finder.claim import record_of_positions
 from rtcal.finder.effects import library
 from rtcal.finder.finding import Detection
 from rtcal.finder.positions.evidence import NOISE, POSITION, SpreadHypothesis
+from rtcal.finder.positions.finding import detection_in_words
 from rtcal.finder.positions.hypotheses import shifts
 from rtcal.finder.positions.posterior import (
     OF_PROGRAMS,
     THRESHOLD,
     PositionsEvidence,
     PositionsHypotheses,
-    detection_in_words,
     evidence_of_means,
     of_means,
     scores,

@@ -245,13 +245,14 @@ class PositionsResult(Result):
         Of what was matched, the root mean square gap over pairs and bands is larger by over half a JND.
         Of what was not, that over the pairs is larger by over a JND in some band.
         """
-        return (*self._farther_matched, *left(self.beside.gaps))
+        return (*(name for name, _, _ in self._farther_matched), *left(self.beside.gaps))
 
     @property
-    def _farther_matched(self) -> tuple[str, ...]:
-        before, after = (rms(gap, axis=(1, 2)) for gap in (self.gap_before, self.gap_after))
-        each = zip(self.parameters, before, after, strict=True)
-        return tuple(p for p, old, new in each if new > old + _FARTHER)
+    def _farther_matched(self) -> list[tuple[str, float, float]]:
+        """Those of them that were matched, with the gap before and after."""
+        ends = (rms(gap, axis=(1, 2)) for gap in (self.gap_before, self.gap_after))
+        every = zip(self.parameters, *ends, strict=True)
+        return [(name, old, new) for name, old, new in every if new > old + _FARTHER]
 
     @property
     def shift(self) -> Array:
@@ -349,11 +350,7 @@ class PositionsResult(Result):
     def warning(self) -> str:
         """That the calibrated simulator is not to be used, which is said first; "" if it may be."""
         farther = self._farther_matched
-        if not farther:
-            return ""
-        ends = rms(self.gap_before, axis=(1, 2)), rms(self.gap_after, axis=(1, 2))
-        named = [row for row in zip(self.parameters, *ends, strict=True) if row[0] in farther]
-        return farther_in_words(named, fitted=self.scattering is not None)
+        return farther_in_words(farther, fitted=self.scattering is not None) if farther else ""
 
     @property
     def every_note(self) -> list[str]:

@@ -11,9 +11,8 @@ import numpy as np
 
 from rtcal.finder.claim import SAID
 from rtcal.finder.effects.whole_room import CoupledRoom
-from rtcal.finder.finding import LEAST_PAIRS, Candidate, Finding
+from rtcal.finder.finding import LEAST_PAIRS, Candidate, Detection, Finding
 from rtcal.finder.positions.case import PositionsCase
-from rtcal.finder.positions.posterior import detection_in_words
 from rtcal.finder.positions.weighing import Weighing
 from rtcal.finder.prior import NONE
 from rtcal.loop.control_runs import ControlRuns
@@ -240,6 +239,28 @@ class PositionsFinding(Finding):
             "centre_frequencies": json_numbers(self.case.room.centre_frequencies),
             "map": json_numbers(self.map),
         }
+
+
+BY_SEED = 0.5
+"""Standard deviation in nats of the score by random numbers, in a development room in which something
+is detected (`python -m benchmarks.where_seeds --rooms 0.7 --seeds 0,1,2,3`)."""
+
+
+def detection_in_words(detection: Detection) -> str:
+    """Return the score and its threshold in a sentence or two."""
+    score, threshold = detection.score, detection.threshold
+    said = f"Evidence that something is other than stated: {score:+.1f} nats; "
+    said += f"threshold {threshold:.1f}."
+    if abs(score - threshold) < BY_SEED:
+        said += (
+            f" In one room random numbers gave it a standard deviation of {BY_SEED:.1f} nats: look "
+            "whether another seed says the same."
+        )
+    if detection.verdict is not None and detection.noise is not None and detection.noise > 0:
+        said += f" That one pair is noisier than assumed: {detection.noise:+.1f} nats."
+    if detection.means is None:
+        return said
+    return f"{said} Means over positions alone give {detection.means:+.1f} nats."
 
 
 LIKELY = 0.7

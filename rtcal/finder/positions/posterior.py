@@ -15,7 +15,7 @@ import math
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 from scipy.special import logsumexp
@@ -27,7 +27,7 @@ from rtcal.finder.case import Case
 from rtcal.finder.claim import most_probable_first, with_added
 from rtcal.finder.configuration import PARAMETERS, Configuration
 from rtcal.finder.effects import Effect
-from rtcal.finder.finding import Candidate, Detection, End
+from rtcal.finder.finding import Candidate, End
 from rtcal.finder.means.finding import MeansFinding
 from rtcal.finder.means.search import find as find_by_means
 from rtcal.finder.means.verdict import AT_END
@@ -40,7 +40,7 @@ from rtcal.finder.positions.evidence import (
     ShiftHypothesis,
     SpreadHypothesis,
 )
-from rtcal.finder.prior import COEFFICIENTS, NO_EFFECT, NONE, SCALES, UNKNOWN
+from rtcal.finder.prior import COEFFICIENTS, NO_EFFECT, NONE, SCALES, UNKNOWN, log_mixture
 from rtcal.support.errors import DataError
 from rtcal.support.types import Array
 
@@ -128,10 +128,10 @@ def evaluate(
             one.each_shifted(hypotheses.shifts, r) for one, r in zip(off, as_off, strict=True)
         ]
         shifts = [
-            np.logaddexp(
-                np.log1p(-hypotheses.off) + first,
-                np.log(hypotheses.off)
-                + logsumexp([s + d for s, d in zip(shares, each, strict=True)], axis=0),
+            log_mixture(
+                first,
+                logsumexp([s + d for s, d in zip(shares, each, strict=True)], axis=0),
+                hypotheses.off,
             )
             for first, each in zip(shifts, zip(*others, strict=True), strict=True)
         ]
@@ -207,16 +207,13 @@ def either(
     evidence: PositionsEvidence, other: PositionsEvidence, share: float
 ) -> PositionsEvidence:
     """Return the evidence where a second likelihood holds with the probability ``share``."""
-
-    def mean(one: Array, two: Array) -> Array:
-        return np.asarray(np.logaddexp(np.log1p(-share) + one, np.log(share) + two))
-
+    mixed = partial(log_mixture, share=share)
     return PositionsEvidence(
-        none=mean(evidence.none, other.none),
-        coefficients=mean(evidence.coefficients, other.coefficients),
-        unknown=mean(evidence.unknown, other.unknown),
-        shifts=[mean(*both) for both in zip(evidence.shifts, other.shifts, strict=True)],
-        spreads=[mean(*both) for both in zip(evidence.spreads, other.spreads, strict=True)],
+        none=mixed(evidence.none, other.none),
+        coefficients=mixed(evidence.coefficients, other.coefficients),
+        unknown=mixed(evidence.unknown, other.unknown),
+        shifts=[mixed(*both) for both in zip(evidence.shifts, other.shifts, strict=True)],
+        spreads=[mixed(*both) for both in zip(evidence.spreads, other.spreads, strict=True)],
     )
 
 
@@ -245,29 +242,9 @@ def with_families(
 THRESHOLD = 2.5
 """Of the evidence of the positions, in nats. In situ 1 of 23 rooms for development with nothing hidden
 exceeds it without level, and 1 with it (`python -m benchmarks.where_decides`)."""
-BY_SEED = 0.5
-"""Standard deviation in nats of the score by random numbers, in a development room in which something
-is detected (`python -m benchmarks.where_seeds --rooms 0.7 --seeds 0,1,2,3`)."""
 OF_PROGRAMS = 13.0
 """The same where another program's values are compared, which errs in ways that control runs do not
 show. Of 17 participants' models of PTB's studio as it was, an earlier version flagged one."""
-
-
-def detection_in_words(detection: Detection) -> str:
-    """Return the score and its threshold in a sentence or two."""
-    score, threshold = detection.score, detection.threshold
-    said = f"Evidence that something is other than stated: {score:+.1f} nats; "
-    said += f"threshold {threshold:.1f}."
-    if abs(score - threshold) < BY_SEED:
-        said += (
-            f" In one room random numbers gave it a standard deviation of {BY_SEED:.1f} nats: look "
-            "whether another seed says the same."
-        )
-    if detection.verdict is not None and detection.noise is not None and detection.noise > 0:
-        said += f" That one pair is noisier than assumed: {detection.noise:+.1f} nats."
-    if detection.means is None:
-        return said
-    return f"{said} Means over positions alone give {detection.means:+.1f} nats."
 
 
 def evidence_of_means(

@@ -26,6 +26,7 @@ from rtcal.finder.claim import most_probable_first
 from rtcal.finder.positions import surfaces as of_room
 from rtcal.finder.positions.surfaces import Faces
 from rtcal.finder.positions.weighing import Weighing
+from rtcal.finder.prior import log_mixture
 from rtcal.simulators import observations
 from rtcal.simulators.observations import Observations
 from rtcal.simulators.path_tracing import PathTracing
@@ -150,7 +151,7 @@ def locate(
     evidence = evidence_of(())
     if LEVEL.key in match:
         regained = evidence_of([*dict.fromkeys(source for source, _ in pairs)])
-        evidence = np.logaddexp(np.log1p(-ANOTHER_GAIN) + evidence, np.log(ANOTHER_GAIN) + regained)
+        evidence = log_mixture(evidence, regained, ANOTHER_GAIN)
     log_p = evidence - logsumexp(evidence)
     order = np.argsort(-log_p)
     sets = {tried[i]: float(np.exp(log_p[i])) for i in order}
