@@ -23,9 +23,9 @@ from rtcal.acoustics.observables import (
     observable,
     of_kind,
 )
-from rtcal.acoustics.observables.decay_slope import MARGIN_DB as MARGIN_DB
-from rtcal.acoustics.observables.decay_slope import cut_off_db as cut_off_db
-from rtcal.acoustics.observables.decay_slope import decay_curve_db as decay_curve_db
+from rtcal.acoustics.observables.decay_times import MARGIN_DB as MARGIN_DB
+from rtcal.acoustics.observables.decay_times import cut_off_db as cut_off_db
+from rtcal.acoustics.observables.decay_times import decay_curve_db as decay_curve_db
 from rtcal.support import checks
 from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError, TooShortError, of_bands

@@ -13,7 +13,6 @@ C80 True t20
 
 import importlib
 import pkgutil
-from collections.abc import Iterable
 
 from rtcal.acoustics.observables.base import DB as DB
 from rtcal.acoustics.observables.base import (
@@ -25,7 +24,7 @@ from rtcal.acoustics.observables.base import (
     parameter_label,
     register,
 )
-from rtcal.acoustics.observables.decay_slope import DecaySlope
+from rtcal.acoustics.observables.decay_times import DecaySlope, longest
 
 __all__ = [
     "EARLY",
@@ -59,15 +58,3 @@ LEVEL = OBSERVABLES["level"]
 """The level, whose reference is a source's own where G was not measured."""
 MATCH = tuple(key for key, o in OBSERVABLES.items() if o.matched)
 """Keys of what is matched at every position where nothing else is asked for."""
-
-
-def longest(keys: Iterable[str]) -> DecaySlope:
-    """Return the decay time that needs the longest decay, of these observables and `TARGET`.
-
-    Examples
-    --------
-    >>> longest(["edt", "t30", "c80"]).label, longest(["edt"]).label
-    ('T30', 'T20')
-    """
-    every = [TARGET, *(o for key, o in of_kind(DecaySlope).items() if key in [*keys])]
-    return min(every, key=lambda o: o.lower)

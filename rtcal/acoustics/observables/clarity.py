@@ -1,4 +1,4 @@
-"""Clarity: the early energy over the late, in dB (ISO 3382-1:2009, A.10)."""
+"""Clarity, C50 and C80: the early energy over the late, in dB (ISO 3382-1:2009, A.10)."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import ClassVar
 import numpy as np
 
 from rtcal.acoustics import bands
-from rtcal.acoustics.observables.base import DB, Observable, Scale
+from rtcal.acoustics.observables.base import DB, Observable, Scale, register
 from rtcal.support.types import Array
 
 
@@ -42,7 +42,7 @@ class Clarity(Observable):
     # C80 of T = 0.1 s is 48 dB; of 1 m from a source in a long T it is some 20 dB.
     usual = -40.0, 45.0
     rises = True
-    # Of C80 between teams, in dB; see `rtcal.acoustics.observables.decay_slope.TEAMS`.
+    # Of C80 between teams, in dB; see `rtcal.acoustics.observables.decay_times.TEAMS`.
     teams = (0.83, 0.70, 0.59, 0.49, 0.42, 0.35)
     unknown_error = 0.5
     remeasured = 0.1
@@ -93,3 +93,23 @@ class Clarity(Observable):
             end = np.exp(-rate * self.limit)
             variance = rate / (2 * bandwidth) * ((1 + end) / (1 - end) + 1)
             return np.asarray(10 / np.log(10) * np.sqrt(variance))
+
+
+@register
+class C50(Clarity):
+    """Clarity of speech: the energy before 50 ms over that after, in dB."""
+
+    key, label, rank = "c50", "C50", 40
+    spellings = ("clarityc50", "deutlichkeitsmaß", "deutlichkeitsmaßc50", "deutlichkeitsmassc50")
+    limit = reaches = 0.05
+    shown = True
+
+
+@register
+class C80(Clarity):
+    """Clarity of music: the energy before 80 ms over that after, in dB."""
+
+    key, label, rank = "c80", "C80", 50
+    spellings = ("clarityc80", "klarheitsmaß", "klarheitsmaßc80", "klarheitsmassc80")
+    limit = reaches = 0.08
+    matched = shown = True

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from rtcal.acoustics.observables.base import DB, Observable, register
-from rtcal.acoustics.observables.c50 import C50
-from rtcal.acoustics.observables.clarity import divided, early_share
+from rtcal.acoustics.observables.clarity import C50, divided, early_share
 from rtcal.support.types import Array
 
 _C50 = C50()

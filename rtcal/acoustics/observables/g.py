@@ -18,7 +18,7 @@ class OfEnergy(Observable):
     doubt = "is it in dB?"
     minimum_range = None
     part = "level"
-    # In dB, of G; see `rtcal.acoustics.observables.decay_slope.TEAMS`.
+    # In dB, of G; see `rtcal.acoustics.observables.decay_times.TEAMS`.
     teams = (2.0, 1.55, 1.20, 0.92, 0.72, 0.55)
     unknown_error = 0.5
     remeasured = 0.2

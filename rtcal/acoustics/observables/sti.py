@@ -7,7 +7,7 @@ from functools import cached_property
 import numpy as np
 
 from rtcal.acoustics.observables.base import DB, Observable, register
-from rtcal.acoustics.observables.edt import EDT
+from rtcal.acoustics.observables.decay_times import EDT
 from rtcal.support.types import Array
 
 MODULATIONS = np.array([0.63, 0.8, 1.0, 1.25, 1.6, 2.0, 2.5, 3.15, 4.0, 5.0, 6.3, 8.0, 10.0, 12.5])

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from rtcal.acoustics.observables.base import register
-from rtcal.acoustics.observables.decay_slope import Relative
-from rtcal.acoustics.observables.edt import EDT
+from rtcal.acoustics.observables.decay_times import EDT, Relative
 from rtcal.support.types import Array
 
 

@@ -1,7 +1,11 @@
-"""Decay times: the slope of the decay curve between two levels (ISO 3382-1:2009, 5.3 and A.2.2)."""
+"""Decay times, T20, T30 and EDT: the slope of the decay curve between two levels.
+
+ISO 3382-1:2009, 5.3 and A.2.2.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -9,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtcal.acoustics import bands
-from rtcal.acoustics.observables.base import DB, Observable, Part, Scale
+from rtcal.acoustics.observables.base import DB, Observable, Part, Scale, of_kind, register
 from rtcal.support.errors import DataError
 from rtcal.support.types import Array
 
@@ -228,3 +232,77 @@ class DecaySlope(Relative):
             raise DataError(
                 f"{place} = {value:g} s is not from {low:g} to {high:g} s, as in any room: {self.doubt}"
             )
+
+
+@register
+class T20(DecaySlope):
+    """T20: -5 to -25 dB (ISO 3382-1:2009, 5.3)."""
+
+    key, label, rank = "t20", "T20", 10
+    spellings = (
+        "rt20",
+        "tr20",
+        "rt60t20",
+        "t60t20",
+        "t60(20)",
+        "reverberationtimet20",
+        "nachhallzeitt20",
+    )
+    upper, lower = -5.0, -25.0
+    minimum_range = 35.0
+    one_decay = 0.88
+    averages = (0.88, 1.90)
+    matched = shown = True
+
+
+@register
+class T30(DecaySlope):
+    """T30: -5 to -35 dB (ISO 3382-1:2009, 5.3)."""
+
+    key, label, rank = "t30", "T30", 20
+    spellings = (
+        "rt30",
+        "tr30",
+        "rt60t30",
+        "t60t30",
+        "t60(30)",
+        "reverberationtimet30",
+        "nachhallzeitt30",
+    )
+    upper, lower = -5.0, -35.0
+    minimum_range = 45.0
+    one_decay = 0.55
+    averages = (0.55, 1.52)
+    # ISO 3382-2:2008, B.3: above 10 % a decay is far from straight. The scatter is 0.70 to 0.77.
+    bend = Bend("curvature T30/T20 - 1", 10.0, 0.75)
+
+
+@register
+class EDT(DecaySlope):
+    """Early decay time: 0 to -10 dB (ISO 3382-1:2009, A.2.2)."""
+
+    key, label, rank = "edt", "EDT", 30
+    spellings = ("earlydecaytime",)
+    upper, lower = 0.0, -10.0
+    # Strong direct sound makes it arbitrarily short.
+    limits = 0.0, LIMITS[1]
+    usual = 0.005, 30.0
+    # 400 decays of octave-filtered Gaussian noise at 500 Hz and 400 at 1 kHz, T = 1 s, have 1.7.
+    one_decay = 1.6
+    part = "early"
+    # Four JND, in the mean over positions. The scatter is 2.2 to 2.3.
+    bend = Bend("EDT/T20 - 1", 20.0, 2.25)
+    teams = (0.100, 0.080, 0.064, 0.051, 0.041, 0.033)
+    matched = shown = True
+
+
+def longest(keys: Iterable[str]) -> DecaySlope:
+    """Return the decay time that needs the longest decay, of these observables and T20.
+
+    Examples
+    --------
+    >>> longest(["edt", "t30", "c80"]).label, longest(["edt"]).label
+    ('T30', 'T20')
+    """
+    asked = {T20.key, *keys}
+    return min((o for k, o in of_kind(DecaySlope).items() if k in asked), key=lambda o: o.lower)
