@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from rtcal.acoustics.materials import text_name
 from rtcal.support import checks
 from rtcal.support.arguments import checked
 from rtcal.support.checks import Entries
@@ -278,3 +279,35 @@ def _balloon(gains: Any) -> Array:
         raise DataError(f"gains[{int(np.argmin(mean))}] is 0 in all directions")
     # What was made 1 stays as it is, bit by bit.
     return np.asarray(np.where(np.abs(mean - 1) < 1e-12, 1.0, 1 / mean)[:, None, None] * table)
+
+
+StatedDirectivity = Directivity | DirectivityFile | Literal["unknown"]
+UNKNOWN: Literal["unknown"] = "unknown"
+"""A source's directivity that nobody knows: it may be a loudspeaker, aimed anywhere."""
+
+
+def directivities(
+    stated: Mapping[str, Any], sources: Mapping[str, Any]
+) -> dict[str, StatedDirectivity]:
+    """Return the sources' directivities; DataError for one of no source or of another kind."""
+    made: dict[str, StatedDirectivity] = {}
+    for name, of in checks.mapped("directivity", stated).items():
+        place = f'directivity["{text_name("directivity", name)}"]'
+        if name not in sources:
+            known = ", ".join(sources) or "none"
+            raise DataError(f"{place} is of a source that is not stated; the sources are: {known}")
+        if not isinstance(of, Directivity | DirectivityFile) and of != UNKNOWN:
+            raise DataError(f'{place} = {checks.shown(of)} is not a Directivity or "{UNKNOWN}"')
+        made[name] = of
+    return made
+
+
+def directivity_of_table(table: Any, place: str) -> Directivity | DirectivityFile:
+    """Return the directivity of a table in a room's file; DataError, which begins with ``place``."""
+    named = isinstance(table, dict) and "file" in table
+    return (DirectivityFile if named else Directivity).from_dict(table, place)
+
+
+def plain_directivities(stated: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the sources' directivities as plain values, as `Scene.from_dict` reads them."""
+    return {name: of if isinstance(of, str) else of.to_dict() for name, of in stated.items()}

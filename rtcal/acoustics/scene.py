@@ -7,9 +7,15 @@ import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path, PurePath
-from typing import Any, Literal
+from typing import Any
 
-from rtcal.acoustics.directivity import Directivity, DirectivityFile
+from rtcal.acoustics.directivity import (
+    DirectivityFile,
+    StatedDirectivity,
+    directivities,
+    directivity_of_table,
+    plain_directivities,
+)
 from rtcal.acoustics.materials import text_name
 from rtcal.support import checks
 from rtcal.support.arguments import checked
@@ -17,11 +23,8 @@ from rtcal.support.checks import Entries
 from rtcal.support.errors import DataError
 
 Point = tuple[float, float, float]
-Stated = Directivity | DirectivityFile | Literal["unknown"]
 _GEOMETRY = ("mesh", "unit", "position_uncertainty", "surfaces")
 _POINTS = ("sources", "receivers")
-UNKNOWN: Literal["unknown"] = "unknown"
-"""A source's directivity that nobody knows: it may be a loudspeaker, aimed anywhere."""
 TABLES = ("geometry", *_POINTS, "directivity")
 """Names of its tables in a room's file."""
 POSITION = 0.1
@@ -71,7 +74,7 @@ class Scene:
     unit: float = 1.0
     sources: Mapping[str, Sequence[float]] = field(default_factory=dict)
     receivers: Mapping[str, Sequence[float]] = field(default_factory=dict)
-    directivity: Mapping[str, Stated] = field(default_factory=dict)
+    directivity: Mapping[str, StatedDirectivity] = field(default_factory=dict)
     position_uncertainty: float = POSITION
     surfaces: Mapping[str, Sequence[str]] = field(default_factory=dict)
 
@@ -178,7 +181,7 @@ class Scene:
             stated["directivity"] = {
                 name: of
                 if isinstance(of, str)
-                else _of_table(of, f"{tables.place}directivity.{name}")
+                else directivity_of_table(of, f"{tables.place}directivity.{name}")
                 for name, of in tables.mapping("directivity").items()
             }
         return cls(**stated)
@@ -193,30 +196,6 @@ def checked_uncertainty(position_uncertainty: float) -> float:
             "nothing"
         )
     return uncertainty
-
-
-def directivities(stated: Mapping[str, Any], sources: Mapping[str, Any]) -> dict[str, Stated]:
-    """Return the sources' directivities; DataError for one of no source or of another kind."""
-    made: dict[str, Stated] = {}
-    for name, of in checks.mapped("directivity", stated).items():
-        place = f'directivity["{text_name("directivity", name)}"]'
-        if name not in sources:
-            known = ", ".join(sources) or "none"
-            raise DataError(f"{place} is of a source that is not stated; the sources are: {known}")
-        if not isinstance(of, Directivity | DirectivityFile) and of != UNKNOWN:
-            raise DataError(f'{place} = {checks.shown(of)} is not a Directivity or "{UNKNOWN}"')
-        made[name] = of
-    return made
-
-
-def _of_table(table: Any, place: str) -> Directivity | DirectivityFile:
-    named = isinstance(table, dict) and "file" in table
-    return (DirectivityFile if named else Directivity).from_dict(table, place)
-
-
-def plain_directivities(stated: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the sources' directivities as plain values, as `Scene.from_dict` reads them."""
-    return {name: of if isinstance(of, str) else of.to_dict() for name, of in stated.items()}
 
 
 def _points(kind: str, stated: Mapping[str, Sequence[float]]) -> dict[str, Point]:

@@ -18,9 +18,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from rtcal.acoustics import bands, decay
+from rtcal.acoustics.directivity import plain_directivities
 from rtcal.acoustics.observables import REVERBERATION
 from rtcal.acoustics.room import Room
-from rtcal.acoustics.scene import POSITION, checked_uncertainty, plain_directivities
+from rtcal.acoustics.scene import POSITION, checked_uncertainty
 from rtcal.simulators.base import Simulator
 from rtcal.simulators.geometry import SHOEBOX_WALLS, Polyhedron
 from rtcal.simulators.observations import Observations, observe

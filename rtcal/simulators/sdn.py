@@ -230,9 +230,7 @@ class ScatteringDelayNetwork(ShoeboxSimulator):
         heard = np.exp(-half * tap) / (1 + tap / source)
         run = _blocks
         if speed.available():
-            from rtcal.simulators import shoebox_numba
-
-            run = shoebox_numba.blocks
+            from rtcal.simulators.shoebox_numba import blocks as run
         out[:] = run(
             network.lines,
             network.source_delays,

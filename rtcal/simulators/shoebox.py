@@ -314,9 +314,7 @@ class ImageSource(ShoeboxSimulator):
         """Return the energy of a pair's bins, (n_bands, n_bins), by a factor per wall and hits."""
         weigh = _weigh
         if speed.available():
-            from rtcal.simulators import shoebox_numba
-
-            weigh = shoebox_numba.weigh
+            from rtcal.simulators.shoebox_numba import weigh
         x, y, z = (
             near[:, hits[:, 0]] * far[:, hits[:, 1]]
             for near, far, hits in zip(reflected[::2], reflected[1::2], images.hits, strict=True)

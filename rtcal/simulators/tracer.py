@@ -12,12 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtcal.acoustics import decay
-from rtcal.acoustics.directivity import Directivity, DirectivityFile
+from rtcal.acoustics.directivity import Directivity, DirectivityFile, directivities
 from rtcal.acoustics.equations import Eyring
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.observables import OBSERVABLES, TARGET, DecaySlope
 from rtcal.acoustics.room import Room
-from rtcal.acoustics.scene import directivities
 from rtcal.acoustics.trust import OFF_VOLUME
 from rtcal.simulators.base import RoomSimulator, check_alpha
 from rtcal.simulators.facets import first_hit

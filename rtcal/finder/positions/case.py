@@ -32,11 +32,11 @@ from typing import Any
 import numpy as np
 
 from rtcal.acoustics import band_conversion, bands
-from rtcal.acoustics.directivity import LARGEST_INDEX, Directivity
+from rtcal.acoustics.directivity import LARGEST_INDEX, UNKNOWN, Directivity
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.observables import LEVEL, MATCH, observable, parameter_label
 from rtcal.acoustics.room import Room
-from rtcal.acoustics.scene import POSITION, UNKNOWN, checked_uncertainty
+from rtcal.acoustics.scene import POSITION, checked_uncertainty
 from rtcal.finder.positions import surfaces
 from rtcal.finder.positions import surfaces as of_room
 from rtcal.finder.positions.surfaces import Divided, Faces

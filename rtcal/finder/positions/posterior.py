@@ -123,18 +123,14 @@ def evaluate(
     none = stated.stated(as_stated)
 
     shifts = stated.each_shifted(hypotheses.shifts, as_stated)
-    if hypotheses.off > 0:
+    if shifts and hypotheses.off > 0:
         others = [
-            one.each_shifted(hypotheses.shifts, r) for one, r in zip(off, as_off, strict=True)
+            np.concatenate(one.each_shifted(hypotheses.shifts, r))
+            for one, r in zip(off, as_off, strict=True)
         ]
-        shifts = [
-            log_mixture(
-                first,
-                logsumexp([s + d for s, d in zip(shares, each, strict=True)], axis=0),
-                hypotheses.off,
-            )
-            for first, each in zip(shifts, zip(*others, strict=True), strict=True)
-        ]
+        of_scales = logsumexp([s + each for s, each in zip(shares, others, strict=True)], axis=0)
+        mixed = log_mixture(np.concatenate(shifts), of_scales, hypotheses.off)
+        shifts = np.split(mixed, np.cumsum([len(each) for each in shifts])[:-1])
 
     return PositionsEvidence(
         none=none,

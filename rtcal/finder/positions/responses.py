@@ -16,9 +16,8 @@ from pathlib import Path
 import numpy as np
 
 from rtcal.acoustics.air import Air
-from rtcal.acoustics.directivity import Directivity
+from rtcal.acoustics.directivity import Directivity, plain_directivities
 from rtcal.acoustics.observables import MATCH
-from rtcal.acoustics.scene import plain_directivities
 from rtcal.finder.positions import surfaces as of_room
 from rtcal.finder.positions.case import (
     AIMS,
