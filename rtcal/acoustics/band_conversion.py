@@ -35,7 +35,6 @@ from rtcal.support.types import Array
 
 __all__ = [
     "absorption",
-    "complete_octaves",
     "measurement",
     "measurement_in_room_bands",
     "obtainable",
@@ -46,18 +45,6 @@ __all__ = [
     "unused",
 ]
 __dir__ = __all__.copy
-
-
-def complete_octaves(frequencies: Iterable[float]) -> Array:
-    """Return the octave centres in Hz of which ``frequencies`` has all three thirds, (n_octaves,).
-
-    Examples
-    --------
-    >>> print(complete_octaves([400, 500, 630, 800, 1000]))
-    [500.]
-    """
-    centres = bands.as_bands(frequencies).tolist()
-    return np.array([f for f in bands.OCTAVES if set(_thirds_of(f)) <= set(centres)], dtype=float)
 
 
 def obtainable(frequencies: Iterable[float], wanted: Iterable[float]) -> Array:
@@ -146,8 +133,8 @@ def absorption(values: Array, frequencies: Iterable[float], wanted: Iterable[flo
     Raises
     ------
     DataError
-        If an octave lacks one of its thirds, or a third its octave. `complete_octaves` returns
-        the octaves that have all three.
+        If an octave lacks one of its thirds, or a third its octave. `obtainable` returns the bands
+        that lack none.
 
     Examples
     --------

@@ -24,6 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtcal.acoustics.equations import Equation
+from rtcal.acoustics.quality import rms
 from rtcal.acoustics.room import Room
 from rtcal.calibration.configurations import Configurations
 from rtcal.calibration.problem import Calibration, Times
@@ -227,15 +228,12 @@ def gain(prior: Array, matrix: Array, covariance: Array) -> Array:
     return np.asarray(across @ np.linalg.solve(matrix @ across + covariance, np.eye(len(matrix))))
 
 
-def learned_materials(
-    room: Room, sigma: Array, of_bands: NDArray[np.bool_] | None = None
-) -> tuple[tuple[str, float, float], ...]:
-    """Return materials with prior and posterior sigma (rms over some bands), most learned first.
+def learned_materials(room: Room, sigma: Array) -> tuple[tuple[str, float, float], ...]:
+    """Return materials with prior and posterior sigma (rms over the bands), most learned first.
 
-    ``sigma`` (n_materials, n_bands) is the posterior's; all bands count where none are named.
+    ``sigma`` (n_materials, n_bands) is the posterior's.
     """
-    used = slice(None) if of_bands is None else of_bands
-    before, after = (np.sqrt(np.mean(s[:, used] ** 2, axis=1)) for s in (room.sigma, sigma))
+    before, after = (rms(s, axis=1) for s in (room.sigma, sigma))
     share = np.divide(after, before, out=np.ones_like(after), where=before > 0)
     return tuple(
         (room.materials[i], float(before[i]), float(after[i]))

@@ -14,7 +14,6 @@ from rtcal.acoustics.observables import parameter_label
 from rtcal.acoustics.quality import (
     MET,
     P_CONTRADICTION,
-    agreement,
     remaining_gap,
     together_in_words,
     weak_agreement,
@@ -208,7 +207,7 @@ def verdict(calibration: CalibrationResult) -> Verdict:
             ),
         )
     p_together = plausibility.p_together
-    if agreement(p, p_together) == "too good":
+    if plausibility.agreement == "too good":
         return (
             "agrees",
             "It agrees too well to be true",
@@ -218,7 +217,7 @@ def verdict(calibration: CalibrationResult) -> Verdict:
                 "too large, or T was calculated from these coefficients."
             ),
         )
-    if agreement(p, p_together) == "contradicts":
+    if plausibility.agreement == "contradicts":
         return (
             "contradicts",
             _AGAINST,
