@@ -233,10 +233,6 @@ class People(AbsorbingObject):
         counts = np.geomspace(0.08, 1.3, 10) * middle_absorption(state) / AT_1_KHZ
         return [{"persons": float(n)} for n in counts]
 
-    def limits(self, room: Room | None) -> Limits:
-        """Return 0 or more: objects need no wall."""
-        return {self.size: (0.0, np.inf)}
-
     def change(self, state: RoomState, parameters: Parameters) -> RoomState:
         """Return the room with the people."""
         each = interpolate_octaves(state.frequencies, PER_PERSON)
@@ -306,10 +302,6 @@ class Furniture(AbsorbingObject):
         """Return 0.05 to 1.1 times the room's absorption area."""
         sizes = np.geomspace(0.05, 1.1, 12) * middle_absorption(state)
         return [{"absorption_area": float(a)} for a in sizes]
-
-    def limits(self, room: Room | None) -> Limits:
-        """Return 0 or more: objects need no wall."""
-        return {self.size: (0.0, np.inf)}
 
     def change(self, state: RoomState, parameters: Parameters) -> RoomState:
         """Return the room with the objects."""

@@ -207,6 +207,10 @@ class AbsorbingObject(Effect):
 
     removable: ClassVar[bool] = True
 
+    def limits(self, room: Room | None) -> Limits:
+        """Return 0 or more: objects need no wall."""
+        return {self.size: (0.0, np.inf)}
+
     def added_absorption(self, without: RoomState, with_effect: RoomState) -> Array | None:
         """Return the difference of the absorption areas in m², (n_bands,)."""
         added = with_effect.surface_absorption - without.surface_absorption

@@ -349,7 +349,7 @@ def _features(energy: Array, width: float, level: float) -> Array:
 
     10 log10 of ``level`` times the energy is G.
     """
-    values = decay.parameters(energy, width)
+    values = decay.parameters(energy, width, ("t20", "edt", "t30", "c80"))
     t20, edt, t30 = (values[p].mean(0) for p in ("t20", "edt", "t30"))
     g = 10 * np.log10(level * energy.sum(-1)).mean(0)
     return np.stack([np.log(t20), np.log(edt / t20), np.log(t30 / t20), values["c80"].mean(0), g])
