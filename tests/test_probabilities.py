@@ -24,7 +24,7 @@ from rtcal.finder.means.evidence import MeansEvidence, draw_null_features
 from rtcal.finder.means.features import distances, observe, state
 from rtcal.finder.means.hypotheses import LowRank, predict_hypotheses
 from rtcal.finder.model import predict
-from rtcal.finder.prior import SHARPER, prior_of, probability_off
+from rtcal.finder.prior import SHARPER, log_mixture, prior_of, probability_off
 from rtcal.finder.search import find
 from rtcal.support.errors import DataError
 from tests.conftest import candidates_of
@@ -111,6 +111,13 @@ def test_measured_coefficients_are_hardly_off_together() -> None:
     exact = room(0.0)
     assert probability_off(exact) == 0.0
     assert prior_of(exact, library(), {}).log_probability["coefficients"] == -np.inf
+
+
+def test_a_mixture_is_the_mean_of_two_densities_also_where_they_round_to_zero() -> None:
+    one, other = np.array([-1.0, -2.0]), np.array([-3.0, 0.5])
+    expected = np.log(0.7 * np.exp(one) + 0.3 * np.exp(other))
+    assert log_mixture(one, other, 0.3) == pytest.approx(expected)
+    assert log_mixture(one - 1e4, other - 1e4, 0.3) == pytest.approx(expected - 1e4)
 
 
 def test_probabilities_sum_to_one_and_families_hold_their_members() -> None:
