@@ -141,8 +141,6 @@ class _Point:
     centre, radius : array (size,)
     still : array (size,) of bool
         Unknowns that have no freedom, so that the point shares them with the optimum.
-    side : array (n_rows,)
-        -1 and 1 for the rows that the point keeps with equality, at their lower or upper limit.
     multipliers : array (n_rows,)
         Of the rows: those that leave the unknowns with room the least force. Rows that the point does
         not keep with equality have none, so that no row has a gap.
@@ -151,7 +149,6 @@ class _Point:
     centre: Array
     radius: Array
     still: Flags
-    side: Array
     multipliers: Array
 
 
@@ -234,7 +231,7 @@ def _onto(
     balanced = multipliers.copy()
     balanced[used] -= inverse @ np.asarray(shares @ force) / norm
     kept = equal | (balanced * side > 0)
-    return _Point(centre, radius + width, still, side, np.where(kept, balanced, multipliers))
+    return _Point(centre, radius + width, still, np.where(kept, balanced, multipliers))
 
 
 def _at_bounds(model: NumpyModel, point: _Point) -> Array:
