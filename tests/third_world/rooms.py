@@ -33,6 +33,8 @@ COUNTS = {
     # Drawn on 2026-11-24, before any finder read a room of them.
     2: {k: {"nothing": 16}.get(k, 6) for k in KINDS},
     3: {k: {"nothing": 16}.get(k, 6) for k in KINDS},
+    # Drawn on 2026-11-27, for the rule of that day.
+    13: {k: {"nothing": 24}.get(k, 5) for k in KINDS},
 }
 RADIUS = 0.4
 """Of the source in m: a sphere that reflects and radiates alike from everywhere."""
