@@ -175,6 +175,14 @@ def test_a_patch_of_alpha_1_is_drawn_larger(box: PositionsCase) -> None:
     made = corrected_geometry(box, candidate("east", 6.0, 1.0))
     assert made.geometry.areas[made.material] == pytest.approx(6.0 / 0.9)
     assert made.room.alpha[-1] == pytest.approx(np.full(2, 0.12 + 0.88 * 0.9))
+    said = "The patch is drawn with 6.67 m² for 6 m²"
+    assert any(row.startswith(said) for row in made.in_words)
+    source = made.room.sources[made.material]
+    assert source.startswith('rtcal find: porous on "east", 6 m² (90 %: 4.8 to 7.2).')
+    assert said in source
+    # What is drawn as large as it was found says nothing of it.
+    as_found = corrected_geometry(box, candidate("east", 6.0, 0.8))
+    assert "drawn" not in " ".join([*as_found.in_words, *as_found.room.sources.values()])
 
 
 def test_a_patch_that_does_not_fit_is_the_whole_surface_and_says_so(box: PositionsCase) -> None:

@@ -84,10 +84,18 @@ class Corrected:
         )
 
     @property
+    def drawn(self) -> str:
+        """Why a patch has another area than was found; "" where it has that one."""
+        if self.form != "patch":
+            return ""
+        return _drawn(self.added, self.geometry.areas[self.material])
+
+    @property
     def in_words(self) -> list[str]:
         """The effect that was added, its form, and what the lists fill in and lack."""
         said = f"Added {self.added.title}, {self.added.in_words}, as {self.form}"
-        rows = [f'{said}: material "{self.material}".', *([self.note] if self.note else [])]
+        rows = [f'{said}: material "{self.material}".']
+        rows += [note for note in (self.drawn, self.note) if note]
         rows += [f"{name}: {'. '.join(notes)}." for name, notes in self.filled.items()]
         return rows + [f"{name} lacks: {', '.join(lost)}." for name, lost in self.lost.items()]
 
@@ -273,11 +281,14 @@ def _made(
     # A material keeps its stated area but for what the new one takes of it in the geometry.
     sizes = (room.areas - _replaced(case, geometry))[kept]
     scattering = case.simulator.scattering
+    source = [f"rtcal find: {added.title}, {added.in_words}."]
+    source += [_drawn(added, areas[material])] if form == "patch" else []
     new = Material(
         material,
         np.clip(alpha, 0.0, 1.0).tolist(),
         np.minimum(np.maximum(sigma, 0.01), 1.0).tolist(),
         scattering=scattering[below].tolist(),
+        source=" ".join(source).strip(),
     )
     # No scene, whose mesh is not that of the corrected geometry; and simulators of boxes know one
     # material per wall.
@@ -301,6 +312,16 @@ def _made(
         geometry=geometry,
         material=material,
         form=form,
+    )
+
+
+def _drawn(added: Candidate, area: float) -> str:
+    """Return why a patch has another area in m² than was found; "" where it has that one."""
+    if np.isclose(area, added.size, rtol=1e-3):
+        return ""
+    return (
+        f"The patch is drawn with {area:.3g} m² for {added.size:.3g} m², and its coefficients are "
+        "lower for it: so a calibration can make it absorb more as well as less."
     )
 
 
