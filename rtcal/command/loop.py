@@ -102,7 +102,7 @@ def start(
         --state loop.json --out next.toml --decimals 3
     """  # noqa: D301 (click's mark for lines that are not to be wrapped)
     from rtcal.acoustics.room import Room
-    from rtcal.calibration.problem_data import tell_bands, times_in_room
+    from rtcal.calibration.problem_data import times_in_room
     from rtcal.loop import calibrate
     from rtcal.loop.state import start as begin
     from rtcal.support import text
@@ -111,7 +111,6 @@ def start(
     calibrate.refuse_progress(state)
     stated_room = Room.from_file(room)
     data = read_measured(measured)
-    tell_bands(stated_room, data)
     stated = numbers("--weight", weights, "PARAMETER=NUMBER, such as edt=0.5")
     told = None if modes is None else told_by_modes(stated_room, modes)
     begun = begin(

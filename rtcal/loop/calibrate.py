@@ -11,13 +11,14 @@ from __future__ import annotations
 
 import hashlib
 import re
+import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 
-from rtcal.acoustics.band_conversion import measurement_in_room_bands
+from rtcal.acoustics.band_conversion import measurement_in_room_bands, notes
 from rtcal.acoustics.bands import label
 from rtcal.acoustics.equations import LinearEquation
 from rtcal.acoustics.measurement import Measurement
@@ -33,8 +34,9 @@ from rtcal.loop.state import Loop, start
 from rtcal.modes.result import ModesResult
 from rtcal.simulators.base import Simulator, at_places, check_fits, lost_paths, run
 from rtcal.support import checks
-from rtcal.support.errors import DataError, RtcalError, SimulatorError
+from rtcal.support.errors import DataError, OtherBandsWarning, RtcalError, SimulatorError
 from rtcal.support.files import read_text, write_all
+from rtcal.support.text import as_sentence
 from rtcal.support.types import Array
 
 
@@ -128,22 +130,25 @@ def calibrate_simulator(
         refuse_unknown(exclude, measured)
         measured = _without(measured, exclude)
         repeated = (*repeated, left_out(exclude))
-    loop = start(
-        room,
-        measured,
-        modes=modes,
-        rule=rule or ("safeguarded" if simulator.smooth else "regression"),
-        method=method,
-        equation=equation,
-        decimals=decimals,
-        tolerance=tolerance,
-        weights=weights,
-    )
+    # The result's notes and marks say it.
+    with warnings.catch_warnings(action="ignore", category=OtherBandsWarning):
+        loop = start(
+            room,
+            measured,
+            modes=modes,
+            rule=rule or ("safeguarded" if simulator.smooth else "regression"),
+            method=method,
+            equation=equation,
+            decimals=decimals,
+            tolerance=tolerance,
+            weights=weights,
+        )
     result = _run(simulator, loop, max_simulations, seed, after_step, exclude)
+    of_bands = map(as_sentence, notes(measured.centre_frequencies, room.centre_frequencies))
     return replace(
         result,
         measured=measurement_in_room_bands(measured, room.centre_frequencies),
-        notes=(*repeated, *_with_t30(room, measured), *result.notes),
+        notes=(*repeated, *of_bands, *_with_t30(room, measured), *result.notes),
     )
 
 

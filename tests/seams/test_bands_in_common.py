@@ -117,3 +117,22 @@ def test_commands_on_t_say_what_bands_they_lack(
     name, *options = command
     with pytest.warns(OtherBandsWarning, match=said):
         cli.main([*name.split(), "room.toml", "measured.csv", *options], standalone_mode=False)
+
+
+@pytest.mark.parametrize(("frequencies", "said"), OTHERS.values(), ids=OTHERS)
+def test_the_library_s_loop_says_what_its_command_says(frequencies: list[float], said: str) -> None:
+    """`rt.loop.start` was silent; a calibration to a simulator says it with its result."""
+    room = rt.datasets.bras_cr2()[0]
+    measured = rt.Measurement.from_values(frequencies, t20=np.full(len(frequencies), 1.8))
+    with pytest.warns(OtherBandsWarning, match=said):
+        rt.loop.start(room, measured)
+    program = rt.simulators.External(
+        room=room,
+        name="program",
+        run=lambda alpha, seed: rt.Eyring().time(room, room.areas @ alpha),
+    )
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", OtherBandsWarning)
+        result = rt.calibrate_simulator(program, room, measured)
+    lacking = [s for s in result.status if s == "no measured T"]
+    assert said.lower() in " ".join(result.notes).lower() or len(lacking) == 4
