@@ -13,6 +13,7 @@ from typing import Any, TypeVar
 
 __all__ = [
     "DataError",
+    "FewPathsWarning",
     "InfeasibleError",
     "MissingAirWarning",
     "MissingDependencyError",
@@ -98,6 +99,10 @@ class RtcalWarning(UserWarning):
 
 class OtherBandsWarning(RtcalWarning):
     """A measurement is in other bands than its room: converted, left out, or without T in some."""
+
+
+class FewPathsWarning(RtcalWarning):
+    """The paths from each source are so few that their noise hides what is to be matched."""
 
 
 class MissingAirWarning(RtcalWarning):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,7 +13,7 @@ import rtcal as rt
 from rtcal.command.main import cli
 from rtcal.io import obj
 from rtcal.loop import positions
-from rtcal.support.errors import DataError
+from rtcal.support.errors import DataError, FewPathsWarning
 
 pytest.importorskip("numba", reason="the paths are traced by compiled code (extra fast)")
 
@@ -63,3 +64,14 @@ def test_by_command(
     done = CliRunner().invoke(cli, ["fit", *files, *OPTIONS])
     assert isinstance(done.exception, DataError)
     assert "Take a larger --paths" in str(done.exception)
+
+
+def test_a_noise_that_hides_what_is_matched_is_told(measured: rt.Measurement) -> None:
+    """Decays of 100 paths hold every parameter here, with a noise of nearly a JND."""
+    said = r"100 paths from each source are few: T20 .* noise of (0\.[5-9]\d*|1\.\d) JND.* Take (\d+)00"
+    with pytest.warns(FewPathsWarning, match=said) as told, pytest.raises(AssertionError):
+        rt.calibrate_positions(tracer(100), HALL.room, measured, match=("t20",))
+    enough = int(str(told[0].message).split()[-4])
+    with warnings.catch_warnings(), pytest.raises(AssertionError, match="have begun"):
+        warnings.simplefilter("error", FewPathsWarning)
+        rt.calibrate_positions(tracer(2 * enough), HALL.room, measured, match=("t20",))
