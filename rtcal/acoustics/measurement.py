@@ -261,6 +261,11 @@ class Measurement:
         """Whether the values are means over several pairs."""
         return self.pairs == ((SUMMARY, SUMMARY),)
 
+    @property
+    def copies(self) -> list[str]:
+        """A note on pairs that have all values of another, if hardly by chance; [] without any."""
+        return repeats.copies(self.pairs, self.values.values())
+
     @classmethod
     def from_values(
         cls, centre_frequencies: Sequence[float] | Array, **parameters: Sequence[float] | Array

@@ -35,8 +35,8 @@ class MeasuredTimes:
     ``reverberation_time`` and ``uncertainty`` in s, (n_bands,), NaN where missing or unknown;
     ``parameter`` is ``"t20"``, ``"t30"`` or ``""`` per band. ``ignored`` are the measured bands in Hz
     that the room lacks. ``fingerprint`` identifies the data. ``caution`` is a sentence if T was
-    converted from bands of another width or T30 is a copy of T20, else empty. ``bent`` are the bands
-    whose decay is not straight.
+    converted from bands of another width, or if T30 is a copy of T20 or a pair one of another, else
+    empty. ``bent`` are the bands whose decay is not straight.
     """
 
     reverberation_time: Array
@@ -72,7 +72,8 @@ def times_in_room(room: Room, measured: Measurement | Sequence[float] | Array) -
                 f"the measurement has {parameters}, but no T20 and no T30 in any band of the room"
             )
         stated, wanted = measured.centre_frequencies, room.centre_frequencies
-        cautions = (band_conversion.rule(stated, wanted, "T"), copied(measured))
+        rule, of_pairs = band_conversion.rule(stated, wanted, "T"), measured.copies
+        cautions = (rule, copied(measured), *of_pairs)
         return MeasuredTimes(
             reverberation_time=mean,
             uncertainty=decay.uncertainty,

@@ -17,7 +17,6 @@ from rtcal.acoustics.observables import (
     observable,
     parameter_label,
 )
-from rtcal.acoustics.repeats import copies
 from rtcal.support import text
 from rtcal.support.types import Array
 
@@ -191,7 +190,7 @@ def unusual(measurement: Measurement) -> tuple[str, ...]:
 
     And one on pairs that have the values of another.
     """
-    notes = copies(measurement.pairs, measurement.values.values())
+    notes = measurement.copies
     for parameter, table in measurement.values.items():
         kind = observable(parameter)
         least, most = kind.usual

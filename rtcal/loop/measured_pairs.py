@@ -180,6 +180,7 @@ def pairs_to_match(
         notes.append(f"Left out, since missing: {missing} of {observations.values.size} values.")
     if all(o.key in observations.parameters for o in REVERBERATION) and (copy := copied(measured)):
         notes.append(f"{copy}. Both are matched, and count twice: leave one out of match.")
+    notes += map(as_sentence, measured.copies)
     if LEVEL.key in absent:
         level = ""
     compared = observations

@@ -12,6 +12,7 @@ from rtcal.loop import positions
 from rtcal.loop.measured_pairs import fingerprints, pairs_to_match
 from rtcal.simulators.observations import Observations
 from rtcal.support.errors import DataError
+from tests.test_discrepancy import controls_of
 
 
 @pytest.fixture(scope="module")
@@ -186,6 +187,37 @@ def test_a_copied_decay_time_is_said_at_every_position(room_and_times, factor, s
     match = ("t20", "t30")
     data = pairs_to_match(room, heard, match, Observations.of_measurement(heard, match, pairs))
     assert any("leave one out of match" in note for note in data.notes) == said
+
+
+@pytest.mark.parametrize(("factor", "said"), [(1.0, True), (1.02, False)])
+def test_a_renamed_copy_is_said_by_every_answer(room_and_times, factor, said) -> None:
+    """It was said where a file is read, and not of a `Measurement` of a script."""
+    room, times = room_and_times
+    t20 = np.stack([times, 1.1 * times, factor * times]).round(4)
+    pairs = [("S1", "R1"), ("S1", "R2"), ("S1", "R3")]
+    heard = rt.Measurement(
+        centre_frequencies=room.centre_frequencies, values={"t20": t20}, pairs=pairs
+    )
+    configuration = rt.finder.Configuration(name="measured", measured=heard)
+    case = rt.finder.Case(room=room, configurations=[configuration])
+    seen = Observations.of_measurement(heard, ("t20",), pairs)
+    answers = {
+        "calibrate": str(rt.calibrate(room, heard)),
+        "fit": " ".join(pairs_to_match(room, heard, ("t20",), seen).notes),
+        "find": str(
+            rt.find(
+                case,
+                threshold=0.0,
+                controls=controls_of(case),
+                only=["opening"],
+            )
+        ),
+    }
+    copy = "the same values in every band: S1 to R3 and S1 to R1"
+    told = {
+        name: copy in " ".join(text.replace("The", "the").split()) for name, text in answers.items()
+    }
+    assert told == dict.fromkeys(answers, said)
 
 
 def test_an_empty_calibration_is_refused() -> None:
