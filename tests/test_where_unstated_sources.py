@@ -14,6 +14,7 @@ from rtcal.finder.positions.case import lobes
 from rtcal.finder.positions.problem import covariance_of_lobes
 from rtcal.simulators import PathTracing
 from tests.test_where import MATCH, RECEIVERS, SOURCES, heard, stated, tracing
+from tests.test_where import measured as opened
 
 pytest.importorskip("numba", reason="the paths are traced by compiled code (extra fast)")
 
@@ -66,6 +67,7 @@ def test_loudspeakers_of_which_nothing_is_stated_are_not_claimed_of_the_room(
     unknown = finding.case.simulator.unknown_sources
     assert unknown == (tuple(SPEAKERS) if "t20" in match else ())
     monkeypatch.setattr(search, "LIKELY_LOBES", np.inf)
+    monkeypatch.setattr(search, "AIMED", 1e-300)
     taken = rt.finder.positions.find(case, cache=kept)
     assert taken.detection.score > finding.detection.score + 3
     assert taken.detected
@@ -86,9 +88,27 @@ def test_an_index_that_is_off_is_not_claimed_of_the_room(
     assert finding.parameters == (("t20",) if off else MATCH)
     # Where neither another lobe nor another gain is thought of, the room is to blame.
     monkeypatch.setattr(search, "LIKELY_LOBES", np.inf)
+    monkeypatch.setattr(search, "AIMED", 1e-300)
     monkeypatch.setattr(search, "MISCALIBRATED", 1e-300)
     exact = rt.finder.positions.find(case, cache=kept)
     assert (exact.score > 20) == (off != 0)
+
+
+@pytest.mark.parametrize(("nats", "level"), [(5.0, True), (20.0, False)])
+def test_lobes_that_are_not_certain_leave_the_level_and_its_surfaces(
+    nats: float, level: bool, kept: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A covered wall had no surface by level of any reference: 2.55 nats for lobes, 0.4 by G."""
+    case = rt.finder.positions.PositionsCase(
+        simulator=tracing(stated(), n_paths=800), measured=opened(True, "level")
+    )
+    monkeypatch.setattr(search, "gain", lambda *_: np.array([nats]))
+    finding = rt.finder.positions.find(case, cache=kept)
+    assert finding.detected
+    assert ("level" in finding.parameters) == level
+    assert bool(finding.case.simulator.unknown_sources) != level
+    words = "count as far as they are likely" if level else "not taken as omnidirectional"
+    assert any(words in note for note in finding.notes)
 
 
 @pytest.mark.long

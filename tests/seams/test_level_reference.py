@@ -69,6 +69,21 @@ def test_a_gain_that_is_off_names_nothing(off: float, kept: Path) -> None:
     assert found.probabilities["volume"] < 0.2
 
 
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_gains_that_are_off_by_source_and_band_name_nothing(seed: int, kept: Path) -> None:
+    """G that was 1 to 3 dB off by source and band had named a second room, with 85 nats."""
+    made, rng = measured(False, "g"), np.random.default_rng(seed)
+    n_bands = made.values["g"].shape[1]
+    each = {s: rng.choice([-1, 1], n_bands) * rng.uniform(1, 3, n_bands) for s in ("S1", "S2")}
+    g = np.array([row + each[s] for (s, _), row in zip(made.pairs, made.values["g"], strict=True)])
+    case = rt.finder.positions.PositionsCase(
+        simulator=simulator(), measured=replace(made, values={**made.values, "g": g})
+    )
+    found = rt.finder.positions.find(case, cache=kept)
+    assert found.verdict in ("none", "hint")
+    assert found.probabilities.get("coupled room", 0.0) < 0.2
+
+
 def test_no_reference_of_another_programs_level_changes_a_finding(kept: Path) -> None:
     tracer = simulator()
     heard = tracer.observe(tracer.room.alpha, MATCH, seed=3)

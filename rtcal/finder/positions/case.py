@@ -9,7 +9,7 @@ omnidirectional, twelve aimed loudspeakers in a laboratory with nothing hidden p
 (docs/where_study.md). So what is detected with omnidirectional sources is compared with the same where
 the sources have some lobe. It is an error of what is simulated: its index is of the order of
 `LOBE_INDEX` and varies from band to band, its aim is any, and all sources may aim at the receivers
-together. Where the lobes are likelier, the directivities are taken as unknown.
+together. The evidence is the mean of both. Where lobes are certain, the directivities are unknown.
 
 A stated index says how strong a lobe is, to some dB, and little of its shape. Taken as exact in a box
 with ten loudspeakers and nothing hidden, an index that is 1.5 dB off gives more than 20 nats for
@@ -19,7 +19,9 @@ lobes' shape, and is no finding of the room.
 
 G needs a calibrated source, and its calibration may be wrong by more than the uncertainty of a right
 one. In a box of another's tracer with nothing hidden, G that was 2 dB off gave 18 nats for another
-volume. So what is detected with G is the mean of two likelihoods, one of them with another gain.
+volume; one that was 1 to 3 dB off by source and band gave 85 nats for a second room. So what is
+detected with G is the mean of three likelihoods: as calibrated, with another gain, and with one in each
+band.
 """
 
 from __future__ import annotations
@@ -291,12 +293,20 @@ OWN_INDEX_ERROR = 0.5
 their freedom that another volume stayed likelier."""
 
 
-LIKELY_LOBES = 2.5
-"""Evidence in nats from which other lobes are taken to explain what was measured."""
-GAIN, OWN_GAIN = 4.0, 1.0
-"""Standard deviations in dB of a gain that was calibrated wrongly: of all sources, and of each."""
+AIMED = 0.04
+"""Prior probability that sources have other lobes than stated: what is detected is the mean of two
+likelihoods. Taken for certain from 2.5 nats, they hid a covered wall from omnidirectional sources."""
+LIKELY_LOBES = 10.0
+"""Evidence in nats from which lobes are certain, and so strong that their shape counts, which no index
+tells. In a box weak lobes (1 to 4 dB) have 2 to 6 nats, strong ones (2 to 8 dB) 40 to 50."""
+GAIN, OWN_GAIN, BAND_GAIN = 4.0, 1.0, 2.0
+"""Standard deviations in dB of a gain that was calibrated wrongly: of all sources, of each, and of each
+in each band."""
 MISCALIBRATED = 0.1
-"""Prior probability that it was, where no common uncertainty of G is stated."""
+"""Prior probability that it was, where no common uncertainty of G is stated: alike in all bands, and
+as much again band by band."""
+LIKELY_GAINS = 1.0
+"""Evidence in nats for gains that may be off from which it is said."""
 
 
 AIMS = (None, *(tuple(sign * axis) for axis in np.eye(3) for sign in (-1.0, 1.0)))
@@ -346,35 +356,48 @@ def as_unknown(case: PositionsCase) -> PositionsCase:
     return replace(case, simulator=replace(tracer, directivity=stated))
 
 
-def covariance_of_gains(parameters: Sequence[str], pairs: Sequence[Pair], n_bands: int) -> Array:
-    """Return the covariance in dB² of levels of other gains, (n, n), by band, parameter and pair."""
+def covariances_of_gains(
+    parameters: Sequence[str], pairs: Sequence[Pair], n_bands: int
+) -> tuple[Array, Array]:
+    """Return the covariances in dB² of levels of other gains, (n, n), by band, parameter and pair.
+
+    The first is of gains that are alike in all bands, the second of gains that differ between bands.
+    """
     sources = np.array([source for source, _ in pairs])
-    alike = GAIN**2 + OWN_GAIN**2 * (sources[:, np.newaxis] == sources)
+    same = (sources[:, np.newaxis] == sources).astype(float)
     level = np.diag([float(name == LEVEL.key) for name in parameters])
-    return np.asarray(np.kron(np.ones((n_bands, n_bands)), np.kron(level, alike)))
+    alike = np.kron(level, GAIN**2 + OWN_GAIN**2 * same)
+    own = np.kron(level, BAND_GAIN**2 * same)
+    together = np.kron(np.ones((n_bands, n_bands)), alike)
+    return together, together + np.kron(np.eye(n_bands), own)
 
 
 def gains_in_words(nats: float) -> str:
-    """Return a note that calibrated sources may have another gain; "" where that is less likely."""
-    if nats <= -np.log(MISCALIBRATED):
+    """Return a note that calibrated sources may have other gains; "" where that is hardly likelier."""
+    if nats <= LIKELY_GAINS:
         return ""
     return (
-        "G agrees better with the room where its calibration is off, alike in all bands: "
-        f"{nats:+.1f} nats. It counts as far as it is right. If its reference is not sure, name it "
-        '"level".'
+        "G agrees better with the room where its calibration may be off, alike in all bands or band by "
+        f"band: {nats:+.1f} nats. It counts as far as it is right. If its reference is not sure, name "
+        'it "level".'
     )
 
 
 def lobes_in_words(nats: float, stated: Sequence[str]) -> str:
     """Return a note that the sources may have other lobes; "" where they are as taken.
 
-    ``stated`` are sources of which an index is stated.
+    ``stated`` are sources of which an index is stated, where it is not taken as stated.
     """
-    if nats > LIKELY_LOBES and not stated:
+    if nats > -np.log(AIMED) and not stated:
+        taken = (
+            "So they are not taken as omnidirectional."
+            if nats > LIKELY_LOBES
+            else "They count as far as they are likely."
+        )
         return (
             "Sources that are not omnidirectional explain what was measured better than what the room "
-            f"may lack: {nats:+.1f} nats. So they are not taken as omnidirectional. State them with "
-            "[directivity]; an omnidirectional source has the index 0."
+            f"may lack: {nats:+.1f} nats. {taken} State them with [directivity]; an omnidirectional "
+            "source has the index 0."
         )
     if not stated:
         return ""

@@ -23,7 +23,7 @@ from rtcal.acoustics.air import Air
 from rtcal.acoustics.observables import Observable, observable
 from rtcal.acoustics.room_errors import alike_alpha, common_error_columns, prior_covariance
 from rtcal.finder.case import CLIMATE_UNCERTAINTY
-from rtcal.finder.positions.case import PositionsCase, covariance_of_gains
+from rtcal.finder.positions.case import PositionsCase, covariances_of_gains
 from rtcal.finder.positions.evidence import (
     Likelihood,
     Likelihoods,
@@ -222,8 +222,9 @@ class PositionsProblem:
     levels : ScatteringLevels
     aimed : array (n, n), optional
         Covariance of what other lobes of the sources change; None where no source may have any.
-    gains : array (n, n), optional
-        Covariance of what other gains of calibrated sources change (`covariance_of_gains`).
+    gains : sequence of array (n, n)
+        Covariances of what other gains of calibrated sources change (`covariances_of_gains`); none
+        where the level is relative, or its common uncertainty is stated.
     nodes : mapping of str to array (n_bands, n_values, n_nodes)
     """
 
@@ -238,7 +239,7 @@ class PositionsProblem:
     error: TracingError
     levels: ScatteringLevels
     aimed: Array | None
-    gains: Array | None
+    gains: Sequence[Array]
     nodes: Mapping[str, Array]
 
     @property
@@ -341,6 +342,10 @@ def problem_of(case: PositionsCase, made: PairShifts, controls: ControlRuns) -> 
     step = STEP * (1 - traced.T)  # (n_bands, n_materials)
     slopes = shifted(made.materials) / step[:, np.newaxis]
     alpha, together = _prior(case, slopes, nodes["air"])
+    gains: list[Array] = []
+    if data.level == "absolute" and "g" not in case.measured.common_uncertainty:
+        every = covariances_of_gains(wanted.parameters, wanted.pairs, room.n_bands)
+        gains = [of_gain * np.outer(flat(scale), flat(scale)) for of_gain in every]
     return PositionsProblem(
         data=data,
         controls=controls,
@@ -355,10 +360,7 @@ def problem_of(case: PositionsCase, made: PairShifts, controls: ControlRuns) -> 
         aimed=covariance_of_lobes(shifted(made.aimed), wanted.pairs, room.centre_frequencies)
         if made.aimed.any()
         else None,
-        gains=covariance_of_gains(wanted.parameters, wanted.pairs, room.n_bands)
-        * np.outer(flat(scale), flat(scale))
-        if data.level == "absolute" and "g" not in case.measured.common_uncertainty
-        else None,
+        gains=gains,
         nodes=nodes,
     )
 

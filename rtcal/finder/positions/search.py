@@ -17,6 +17,7 @@ from rtcal.finder.means.finding import MeansFinding
 from rtcal.finder.means.search import CHOSEN
 from rtcal.finder.positions import surfaces as of_room
 from rtcal.finder.positions.case import (
+    AIMED,
     LIKELY_LOBES,
     MISCALIBRATED,
     PositionsCase,
@@ -198,31 +199,44 @@ def find_by_positions(
         residuals = numbers.residual[:, np.newaxis]
         return evaluate(numbers.likelihoods(sources=sources), hypotheses, residuals)
 
+    def with_gains(
+        numbers: PositionsProblem,
+        hypotheses: PositionsHypotheses,
+        evidence: PositionsEvidence,
+        sources: Array | float = 0.0,
+    ) -> PositionsEvidence:
+        for gains in numbers.gains:
+            regained = evaluated(numbers, hypotheses, sources + gains)
+            evidence = either(evidence, regained, MISCALIBRATED)
+        return evidence
+
     numbers, hypotheses, evidence = searched(case)
     score, noise = scores(weights(evidence, hypotheses), hypotheses)
+    of_gain = -np.inf
+    if score[0] > threshold and len(numbers.gains):
+        as_calibrated = evidence
+        evidence = with_gains(numbers, hypotheses, evidence)
+        of_gain = float(gain(evidence, as_calibrated, hypotheses)[0])
+        score, noise = scores(weights(evidence, hypotheses), hypotheses)
     reverberation = any(observable(p).part == "late" for p in numbers.data.observations.parameters)
     indexed = list(with_index(case.simulator))
-    aimed, unexplained = 0.0, False
+    aimed, unexplained, doubted = 0.0, False, False
     if score[0] > threshold and numbers.aimed is not None:
         lobes = evaluated(numbers, hypotheses, numbers.aimed)
+        lobes = with_gains(numbers, hypotheses, lobes, numbers.aimed)
         aimed = float(gain(lobes, evidence, hypotheses)[0])
         if indexed and reverberation:
             told = summary_of(case, hypotheses, weights(evidence, hypotheses, TOLD_TEMPER))
             unexplained = told.probabilities.get(UNKNOWN, 0.0) >= CLAIMED
-    doubted = aimed > LIKELY_LOBES or unexplained
-    if doubted:
-        if reverberation:
-            case = as_unknown(case)
+        doubted = aimed > LIKELY_LOBES or unexplained
+        if doubted and reverberation:
+            case, of_gain = as_unknown(case), -np.inf
             numbers, hypotheses, evidence = searched(case)
-        else:  # nothing is left that says as much whatever the source
+            means = None if means is None else evidence_of_means(case, effects, seed, cache)
+        elif doubted:  # nothing is left that says as much whatever the source
             evidence = lobes
-        score, noise = scores(weights(evidence, hypotheses), hypotheses)
-        means = None if means is None else evidence_of_means(case, effects, seed, cache)
-    of_gain = -np.inf
-    if score[0] > threshold and numbers.gains is not None:
-        regained = evaluated(numbers, hypotheses, numbers.gains)
-        of_gain = float(gain(regained, evidence, hypotheses)[0])
-        evidence = either(evidence, regained, MISCALIBRATED)
+        else:
+            evidence = either(evidence, lobes, AIMED)
         score, noise = scores(weights(evidence, hypotheses), hypotheses)
     detected = Detection(
         score=float(score[0]),
