@@ -560,6 +560,41 @@ def test_what_no_effect_explains_is_said_so() -> None:
     assert "times the model's: look for a mistake" in finding.reasons[0]
 
 
+def absorbing_room(share: float, *, alike: bool, shape: bool) -> rt.finder.MeansFinding:
+    """An absorber on a share of all surfaces, or its median factor of T in every band."""
+    room = opened().room
+    soft = np.array([0.1, 0.25, 0.6, 0.9, 0.95, 0.95, 0.95])
+    stated = rt.Eyring().reverberation_time(room)
+    times = rt.Eyring().time(room, room.areas @ room.alpha + share * room.total_area * soft)
+    if alike:
+        times = np.exp(np.median(np.log(times / stated))) * stated
+    case = case_with(times, **({"edt": times, "t30": times} if shape else {}))
+    return find(case, controls=controls_of(case))
+
+
+@pytest.mark.parametrize("share", [0.25, 0.35])
+def test_much_absorption_is_claimed_after_a_doubt_about_what_is_stated(share: float) -> None:
+    """An absorber on a quarter of all surfaces was a hint: T was less than half the model's."""
+    finding = absorbing_room(share, alike=False, shape=False)
+    assert finding.verdict == "family"
+    assert str(finding.family).startswith("added absorption")
+    assert finding.sentence.startswith(f"{finding.reasons[0]}. If there is none: ")
+    assert "look for a mistake in volume, areas, coefficients and units first" in finding.reasons[0]
+    assert finding.reasons[0] not in finding.in_words
+    assert finding.reason_for_none is None
+
+
+@pytest.mark.parametrize("shape", [False, True])
+@pytest.mark.parametrize("share", [0.25, 0.35])
+def test_the_same_large_factor_in_every_band_is_no_more_than_a_hint(
+    share: float, *, shape: bool
+) -> None:
+    """With EDT and T30 it had been a family, as if the straight decay showed an absorber."""
+    finding = absorbing_room(share, alike=True, shape=shape)
+    assert finding.verdict not in ("named", "family")
+    assert "before any effect is believed" in finding.reasons[0]
+
+
 def test_a_noise_floor_that_makes_t_many_times_longer_is_named() -> None:
     """T20 is 2.9 times the model's: the decay's bend tells a noise floor from a mistake."""
     case = opened()

@@ -84,10 +84,11 @@ def test_an_index_that_is_off_is_not_claimed_of_the_room(
     )
     finding = rt.finder.positions.find(case, cache=kept)
     assert not finding.detected
-    assert any("not taken as stated" in note for note in finding.notes) == (off != 0)
-    assert finding.parameters == (("t20",) if off else MATCH)
+    # One receiver does not tell a lobe from another gain of its source in each band.
+    told = ("not taken as stated", "calibration may be off")
+    assert any(words in note for words in told for note in finding.notes) == (off != 0)
     # Where neither another lobe nor another gain is thought of, the room is to blame.
-    monkeypatch.setattr(search, "LIKELY_LOBES", np.inf)
+    monkeypatch.setattr(search, "LIKELY_INDEX", np.inf)
     monkeypatch.setattr(search, "AIMED", 1e-300)
     monkeypatch.setattr(search, "MISCALIBRATED", 1e-300)
     exact = rt.finder.positions.find(case, cache=kept)

@@ -65,9 +65,9 @@ class MeansFinding(SetsFinding):
     residuals : array (n_configurations, n_features, n_bands)
         Modelled less measured, as every gap, over its standard deviation: amount (ln T20), shape
         (EDT/T20, T30/T20), level (C80, G). NaN where nothing was measured.
-    reasons : tuple of str
-        Doubts about what is most probable. One about the size or the fit leaves its family claimed.
-        Any other makes the claim of one effect a hint, and of a set takes it back.
+    reasons, leads : tuple of str, bool
+        Doubts about what is most probable. One about the size, the fit or what is stated leaves its
+        family claimed; the last stands first and ``leads``. Any other takes the claim back.
     discrepancy : ModelDiscrepancy
         Bias and covariance of the model's error.
     """
@@ -84,6 +84,7 @@ class MeansFinding(SetsFinding):
     advice: str
     residuals: Array
     discrepancy: ModelDiscrepancy
+    leads: bool = False
 
     @property
     def engines(self) -> tuple[str, ...]:
@@ -368,11 +369,11 @@ class MeansFinding(SetsFinding):
 
     @property
     def sentence(self) -> str:
-        """The verdict as a sentence about the model; of a hint, the reason first."""
+        """The verdict as a sentence about the model, after the doubt that comes first."""
+        first = f"{as_sentence(self.reasons[0])} If there is none: " if self.leads else ""
         if len(self.members) > 1 or (self.named and self.named != self.members):
-            if self.verdict == "ambiguous":
-                return f"Something is missing; {self.likely_in_words}."
-            return self.claims
+            likely = f"Something is missing; {self.likely_in_words}."
+            return likely if self.verdict == "ambiguous" else f"{first}{self.claims}"
         others = ", ".join(f"{self.title_of(c)} ({self.percent(c)})" for c in self.names)
         hint = f"A hint of {self.title}, under the threshold."
         if self.reasons:
@@ -386,7 +387,7 @@ class MeansFinding(SetsFinding):
             "none": "No disagreement beyond what prior, measurement and model error allow.",
             "hint": hint,
             "named": f"{lead}{named}",
-            "family": f"{lead}{self.kind}: {self.family}, {which} {others}.",
+            "family": f"{first}{lead}{self.kind}: {self.family}, {which} {others}.",
             "ambiguous": f"{self.kind}: one of {others}.",
             "unknown": "Something is missing that no effect of the library explains.",
         }[self.verdict]
@@ -418,7 +419,7 @@ class MeansFinding(SetsFinding):
     def in_words(self) -> list[str]:
         """The candidates' sizes, the coefficients, and the reasons that the sentence leaves out."""
         said = [*map(self.size_of, self.names), self.coefficients_in_words]
-        return [*filter(None, said), *self.reasons[self.verdict == "hint" :]]
+        return [*filter(None, said), *self.reasons[self.verdict == "hint" or self.leads :]]
 
     @property
     def coefficients_in_words(self) -> str:

@@ -22,13 +22,21 @@ from rtcal.finder.effects import Effect, Parameters
 from rtcal.finder.finding import Size
 from rtcal.finder.means.evidence import MeansEvidence, evaluate
 from rtcal.finder.means.hypotheses import MeansHypotheses
-from rtcal.finder.means.likelihood import MeansProblem, alpha_covariance, log_density
+from rtcal.finder.means.likelihood import (
+    Factorization,
+    MeansProblem,
+    alpha_covariance,
+    log_densities,
+    log_density,
+)
 from rtcal.finder.model import FEATURES
 from rtcal.finder.prior import COEFFICIENTS, UNKNOWN
 from rtcal.support.types import Array
 
 GROSS = np.log(2.0)
 """Change of ln T, a factor of two, beyond which a mistake in what is stated is the first suspicion."""
+MISTAKE = 1.5
+"""Standard deviation of ln T by a mistake in what is stated: factors of 2 to 20 are usual."""
 SHOWN = 4.6
 """Evidence in nats, odds of 100 to one, from which features other than T show an effect."""
 SURPRISING = 1e-3
@@ -39,11 +47,12 @@ SURPRISING = 1e-3
 class Objection:
     """A reason against a claim, and what it speaks against.
 
-    ``of`` is "size" or "fit" where it leaves the effect's family as probable as it is, else "effect".
+    ``of`` is "size", "fit" or "stated" where it leaves the effect's family as probable as it is, else
+    "effect". "stated" doubts what the model states, and is said before the claim.
     """
 
     words: str
-    of: Literal["size", "fit", "effect"]
+    of: Literal["size", "fit", "stated", "effect"]
 
 
 def end_of_range(name: str, size: Size | None) -> list[Objection]:
@@ -138,21 +147,44 @@ def decided_below_schroeder(
     return [Objection(words, "effect")]
 
 
-def gross(problem: MeansProblem, gap: GapCheck) -> list[Objection]:
+def gross(evidence: MeansEvidence, name: str, gap: GapCheck) -> list[Objection]:
     """Return a doubt where T is twice or half the model's.
 
-    None where decay shape, level and the other configurations show the effect by themselves: a noise
-    floor may make T six times as long, and a wrong volume does not bend the decay.
+    It leaves the effect's family claimed where the effect explains the data better than a factor that
+    is alike in all bands, as most mistakes in what is stated are. None where the effect explains them
+    better than other units of T do, and decay shape, level and the other configurations show it by
+    themselves: a noise floor may make T six times as long, and a wrong volume does not bend the decay.
     """
+    problem = evidence.problem
     off = problem.observed.features - problem.predicted.features[0]
     change = float(np.nanmedian(off[:, 0]))
-    if abs(change) <= GROSS or gap.predictive > SHOWN:
+    if abs(change) <= GROSS:
         return []
-    words = (
-        f"T is {np.exp(change):.2g} times the model's: look for a mistake in volume, areas, "
-        "coefficients and units before any effect is believed"
-    )
-    return [Objection(words, "effect")]
+    of_units, of_room = evidence_of_factors(problem)
+    best = float(evidence.by_effect()[name])
+    if gap.predictive > SHOWN and best - of_units > DISTINCT_NATS:
+        return []
+    words = f"T is {np.exp(change):.2g} times the model's: look for a mistake in volume, areas, "
+    if best - max(of_units, of_room) > DISTINCT_NATS:
+        return [Objection(f"{words}coefficients and units first", "stated")]
+    return [Objection(f"{words}coefficients and units before any effect is believed", "effect")]
+
+
+def evidence_of_factors(problem: MeansProblem) -> tuple[float, float]:
+    """Return the log evidence of a factor alike in all bands, in nats: of times, and of all features.
+
+    The first is a mistake in the units of T. The second is one in volume, areas or coefficients, and
+    the other features follow T.
+    """
+    _, f, _ = problem.places
+    alpha, other = problem.covariance_of(0)
+    directions = np.array([f == 0, problem.slopes[0]], dtype=float)
+    more = MISTAKE**2 * np.einsum("di,dj->dij", directions, directions)
+    rows = np.broadcast_to(problem.residual(0), (2, 1, len(f)))
+    factorization = Factorization.whole(alpha + other + more)
+    ((densities, _),) = log_densities(factorization, rows, 1, [len(f)])
+    of_units, of_room = densities[:, 0].tolist()
+    return of_units, of_room
 
 
 LITTLE = 0.1

@@ -254,6 +254,7 @@ class Verdict:
     alone: Mapping[str, Fit] = field(default_factory=dict)
     stand_ins: Mapping[str, Names] = field(default_factory=dict)
     reasons: tuple[str, ...] = ()
+    leads: bool = False
 
 
 def of_single(
@@ -291,6 +292,7 @@ def of_single(
         names=names,
         fits=fits,
         reasons=tuple(doubt.words for doubt in found),
+        leads=sure and bool(found) and found[0].of == "stated",
     )
 
 
@@ -302,7 +304,7 @@ def of_sets(
 ) -> Verdict:
     """Return what is claimed of sets of effects, where something is missing.
 
-    A doubt about a size or the fit leaves the family claimed, any other doubt nothing of that effect.
+    A doubt that speaks against the effect leaves nothing of it claimed, any other its family.
     """
     if probabilities.get(UNKNOWN, 0.0) >= CLAIMED:
         return Verdict(verdict="unknown", names=(UNKNOWN,))
@@ -310,6 +312,7 @@ def of_sets(
     together = _together(by_family_sets(posterior.sets, effects), numbers_of(posterior.sets))
     best = posterior.best(effects, together)
     fits, found = _members(evidence, posterior, best)
+    every = [doubt for n in best for doubt in found[n]]
     refuted = {n for n in best if any(doubt.of == "effect" for doubt in found[n])}
     if refuted:
         together = ()
@@ -336,7 +339,8 @@ def of_sets(
         fits=fits,
         alone={n: fit(evidence.beside(n), n, precise=True) for n in best} if len(best) > 1 else {},
         stand_ins=stand_ins,
-        reasons=tuple(doubt.words for n in best for doubt in found[n]),
+        reasons=tuple(dict.fromkeys(doubt.words for doubt in every)),
+        leads=verdict == "family" and bool(every) and every[0].of == "stated",
     )
 
 
@@ -418,7 +422,7 @@ def fit(evidence: MeansEvidence, name: str, *, precise: bool) -> Fit:
 def doubts(evidence: MeansEvidence, best: Fit) -> tuple[Objection, ...]:
     """Return the doubts about the best candidate."""
     problem = evidence.problem
-    out = gross(problem, best.gap)
+    out = gross(evidence, best.name, best.gap)
     out += unexplained(best.name, *best.surprise)
     out += gap_against(best.name, best.gap)
     effects = []
@@ -433,7 +437,7 @@ def doubts(evidence: MeansEvidence, best: Fit) -> tuple[Objection, ...]:
 def doubted(verdict: str, family: str | None, found: Sequence[Objection]) -> str:
     """Return what is left of a claim after the doubts about its best candidate.
 
-    Doubts about the size or the fit leave the family claimed, where it has the probability.
+    Doubts about the size, the fit or what is stated leave the family claimed, where it is probable.
     """
     if verdict not in ("named", "family") or not found:
         return verdict

@@ -299,6 +299,8 @@ likelihoods. Taken for certain from 2.5 nats, they hid a covered wall from omnid
 LIKELY_LOBES = 10.0
 """Evidence in nats from which lobes are certain, and so strong that their shape counts, which no index
 tells. In a box weak lobes (1 to 4 dB) have 2 to 6 nats, strong ones (2 to 8 dB) 40 to 50."""
+LIKELY_INDEX = 2.5
+"""The same where an index is stated: what is off is then little, and the shape counts the more."""
 GAIN, OWN_GAIN, BAND_GAIN = 4.0, 1.0, 2.0
 """Standard deviations in dB of a gain that was calibrated wrongly: of all sources, of each, and of each
 in each band."""
@@ -368,8 +370,8 @@ def covariances_of_gains(
     level = np.diag([float(name == LEVEL.key) for name in parameters])
     alike = np.kron(level, GAIN**2 + OWN_GAIN**2 * same)
     own = np.kron(level, BAND_GAIN**2 * same)
-    together = np.kron(np.ones((n_bands, n_bands)), alike)
-    return together, together + np.kron(np.eye(n_bands), own)
+    together = np.asarray(np.kron(np.ones((n_bands, n_bands)), alike))
+    return together, np.asarray(together + np.kron(np.eye(n_bands), own))
 
 
 def gains_in_words(nats: float) -> str:
@@ -403,7 +405,7 @@ def lobes_in_words(nats: float, stated: Sequence[str]) -> str:
         return ""
     better = (
         f"Other lobes explain what was measured better than what the room may lack: {nats:+.1f} nats."
-        if nats > LIKELY_LOBES
+        if nats > LIKELY_INDEX
         else "Nothing that is tried explains the level and the early parameters."
     )
     return (

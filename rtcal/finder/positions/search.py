@@ -18,6 +18,7 @@ from rtcal.finder.means.search import CHOSEN
 from rtcal.finder.positions import surfaces as of_room
 from rtcal.finder.positions.case import (
     AIMED,
+    LIKELY_INDEX,
     LIKELY_LOBES,
     MISCALIBRATED,
     PositionsCase,
@@ -228,7 +229,7 @@ def find_by_positions(
         if indexed and reverberation:
             told = summary_of(case, hypotheses, weights(evidence, hypotheses, TOLD_TEMPER))
             unexplained = told.probabilities.get(UNKNOWN, 0.0) >= CLAIMED
-        doubted = aimed > LIKELY_LOBES or unexplained
+        doubted = aimed > (LIKELY_INDEX if indexed else LIKELY_LOBES) or unexplained
         if doubted and reverberation:
             case, of_gain = as_unknown(case), -np.inf
             numbers, hypotheses, evidence = searched(case)
