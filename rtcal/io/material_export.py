@@ -110,7 +110,8 @@ class ExportReport:
         if self.bands_not_written:
             missing = ", ".join(bands.labels(self.bands_not_written))
             rows.append(f"Not in the file, so not written: {missing}")
-        rows += self.notes
+        for note in self.notes:
+            rows += text.wrapped(note)
         rows += text.wrapped(f"Not in the file: {', '.join(self.lost)}. Keep the room's own file.")
         if RECORD in self.lost:
             rows += text.wrapped(
@@ -157,9 +158,8 @@ def write_list(
         names = [entries.get(name, name) for name in room.materials]
         if renamed:
             pairs = [f'"{name}" is {new}' for name, new in renamed.items()]
-            notes += text.wrapped(
-                f"Renamed, as the program reads names: {text.first_of(pairs, MOST_NAMED)}"
-            )
+            some = text.first_of(pairs, MOST_NAMED)
+            notes.append(f"Renamed, as the program reads names: {some}")
         listed = new_list(in_new_bands.replace(materials=names, surfaces=()))
     listed = listed.with_entries(entries or {}, room)
     if decimals is not None:
@@ -241,10 +241,10 @@ def _without_measured_time(room: Room, equation: LinearEquation) -> list[str]:
         f"{bands.label(f)} {g:+.1f} JND"
         for f, g in zip(room.centre_frequencies[left], gap[left], strict=True)
     )
-    return text.wrapped(
+    return [
         f"The room as exported does not have the measured T ({each}). The calibration left this gap, "
-        "as to an uncertain volume: see its page before you simulate."
-    )
+        "as to an uncertain volume: see its page before you simulate"
+    ]
 
 
 def _lost(room: Room, lacking: Sequence[str]) -> tuple[str, ...]:
