@@ -223,15 +223,17 @@ def test_one_file_given_twice_is_refused(panels: StatesFinding) -> None:
         rt.find(case.room, case.before, before=case.before)
 
 
-@pytest.mark.parametrize("decimals", [2, 4])
-def test_pairs_that_were_copied_are_left_out_and_said(panels: StatesFinding, decimals: int) -> None:
+@pytest.mark.parametrize(("decimals", "then"), [(2, 2), (4, 4), (3, 2), (2, 3)])
+def test_pairs_that_were_copied_are_left_out_and_said(
+    panels: StatesFinding, decimals: int, then: int
+) -> None:
     """Half of the pairs were the file of before, and what had changed was not found."""
     before, after = (
-        replace(m, values={"t20": m.values["t20"].round(decimals)})
-        for m in (panels.case.before, panels.case.after)
+        replace(m, values={"t20": m.values["t20"].round(n)})
+        for m, n in ((panels.case.before, decimals), (panels.case.after, then))
     )
     table, half = after.values["t20"].copy(), len(before.pairs) // 2
-    table[:half] = before.values["t20"][:half]
+    table[:half] = panels.case.before.values["t20"][:half].round(then)
     mixed = Differences.of(room(), before, replace(after, values={"t20": table}))
     assert mixed.pairs == before.pairs[half:]
     alone = Differences.of(room(), before, after.select(after.pairs[half:]))
@@ -253,13 +255,15 @@ def test_values_that_were_copied_are_left_out_and_said(panels: StatesFinding) ->
     assert "to the last digit, as if copied. Left out." in mixed.notes[0]
 
 
-def test_rounded_values_that_are_equal_by_chance_stay(panels: StatesFinding) -> None:
+@pytest.mark.parametrize("then", [1, 2])
+def test_rounded_values_that_are_equal_by_chance_stay(panels: StatesFinding, then: int) -> None:
+    """To 0.1 s many values are equal, to 0.01 s some."""
     before, after = (
-        replace(m, values={"t20": m.values["t20"].round(2)})
-        for m in (panels.case.before, measured(times(), 2))
+        replace(m, values={"t20": m.values["t20"].round(n)})
+        for m, n in ((panels.case.before, 2), (measured(times(), 2), then))
     )
     table = after.values["t20"].copy()
-    table[::3, 2] = before.values["t20"][::3, 2]
+    table[::3, 2] = before.values["t20"][::3, 2].round(then)
     kept = Differences.of(room(), before, replace(after, values={"t20": table}))
     assert kept.notes == ()
     assert np.isfinite(kept.change).all()

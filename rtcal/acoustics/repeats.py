@@ -12,6 +12,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from urllib.parse import quote, unquote
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rtcal.acoustics.materials import ARCHIVE, CHANGED
 from rtcal.acoustics.observables import OBSERVABLES, parameter_label
@@ -27,8 +28,11 @@ _SAME = 1e-4
 _SPREAD = 0.03
 """Share of a value over which a second measurement of it spreads: three standard deviations of 1 %.
 Teams differ by more at one pair (Bork 2005), one team on another day hardly by less."""
-_CHANCE = 0.001
+CHANCE = 0.001
 """Probability below which values are not equal by chance."""
+_ALL_BY_CHANCE = 0.05
+"""Probability below which values that are all equal when rounded are the same data: data are given
+again more often than all of them are measured alike."""
 
 
 def fingerprint(kind: str, values: Mapping[str, float]) -> str:
@@ -94,10 +98,11 @@ def _cells(name: str) -> dict[str, str]:
 def same_data(one: str, other: str) -> bool:
     """Whether two names are of the same data, or one of a part of the other's.
 
-    Values are one if they differ by a ten-thousandth at most: a program that rounds or converts
-    changes less. Names are of the same data if all values that both have are equal, and at least two or
-    all that either has; or if more are equal than chance allows (`beyond_chance`). Two measured T that
-    are rounded to 0.01 s are often equal, two of four digits hardly ever.
+    Values are one if they differ by a ten-thousandth at most: a program that converts changes less.
+    Names are of the same data if all values that both have are equal, and at least two or all that
+    either has; or if more are equal than chance allows (`beyond_chance`). Two measured T that are
+    rounded to 0.01 s are often equal, two of four digits hardly ever. Values that are equal when they
+    are rounded alike (`equal_rounded`) count where that is not probable by chance.
 
     Examples
     --------
@@ -110,6 +115,10 @@ def same_data(one: str, other: str) -> bool:
     >>> same_data("T:250=2.114,500=1.923,1000=1.7", "T:250=2.114,500=1.923,1000=1.745")
     True
     >>> same_data("T:250=2.11,500=1.92,1000=1.7", "T:250=2.11,500=1.92,1000=1.74")
+    False
+    >>> same_data("T:250=2.114,500=1.923,1000=1.745", "T:250=2.11,500=1.92,1000=1.75")
+    True
+    >>> same_data("T:250=2.114,500=1.923,1000=1.745", "T:250=2.1,500=1.9,1000=1.7")
     False
     """
     return bool(_shared(one, other))
@@ -127,8 +136,12 @@ def _shared(one: str, other: str) -> list[str]:
     least = 1 if of_one.keys() == of_other.keys() else 2
     if len(equal) == len(both):
         return equal if len(equal) >= least else []
-    chances = [chance_of_equal([_number(of[label]) for label in both]) for of in (of_one, of_other)]
-    return equal if beyond_chance(len(equal), np.maximum(*chances)) else []
+    values = [np.array([_number(of[label]) for label in both]) for of in (of_one, of_other)]
+    chances = np.maximum(*map(chance_of_equal, values))
+    alike = [label for label, e in zip(both, equal_rounded(*values), strict=True) if e]
+    shared = alike if len(alike) > len(equal) else equal
+    every = len(shared) == len(both) >= least and chances.prod() < _ALL_BY_CHANCE
+    return shared if every or beyond_chance(len(shared), chances) else []
 
 
 def _equal(one: str, other: str) -> bool:
@@ -160,10 +173,30 @@ def chance_of_equal(values: Array | Sequence[float]) -> Array:
     [0.02, 0.02, 0.02]
     """
     sizes = np.abs(np.asarray(values, dtype=float))
-    known = sizes[np.isfinite(sizes)].tolist()
-    decimals = sorted(len(f"{v:.5f}".rstrip("0").partition(".")[2]) for v in known) or [0]
-    step = np.maximum(10.0 ** -min(decimals[len(decimals) // 2], 3), 2 * _SAME * sizes)
+    step = np.maximum(10.0 ** -min(_decimals(sizes), 3), 2 * _SAME * sizes)
     return np.asarray(np.fmin(1.0, step / np.maximum(_SPREAD * sizes, step)))
+
+
+def _decimals(values: Array) -> int:
+    """Return the decimals of most of the values, of five at most."""
+    known = values[np.isfinite(values)].tolist()
+    decimals = sorted(len(f"{v:.5f}".rstrip("0").partition(".")[2]) for v in known) or [0]
+    return decimals[len(decimals) // 2]
+
+
+def equal_rounded(one: Array, other: Array) -> NDArray[np.bool_]:
+    """Return which values of two rows are equal when both are rounded to the decimals of the coarser.
+
+    A value that was rounded twice, 1.9149 to 1.915 and to 1.92, is equal to itself rounded once.
+
+    Examples
+    --------
+    >>> equal_rounded(np.array([1.923, 2.114, 1.745]), np.array([1.92, 2.11, 1.77])).tolist()
+    [True, True, False]
+    """
+    coarse, fine = sorted(map(_decimals, (one, other)))
+    most = (10.0**-coarse + (10.0**-fine if fine > coarse else 0.0)) / 2
+    return np.asarray(np.abs(one - other) <= np.maximum(most, _SAME * np.maximum(1.0, np.abs(one))))
 
 
 def beyond_chance(n_equal: int, chances: Array) -> bool:
@@ -181,7 +214,7 @@ def beyond_chance(n_equal: int, chances: Array) -> bool:
 
     if n_equal == 0:
         return False
-    return bool(bdtrc(n_equal - 1, len(chances), float(chances.mean())) < _CHANCE)
+    return bool(bdtrc(n_equal - 1, len(chances), float(chances.mean())) < CHANCE)
 
 
 def refuse_repeated_data(room: Room, *names: str) -> None:

@@ -27,7 +27,26 @@ def test_an_equation(room_and_times, change: float) -> None:
     once = rt.calibrate(room, times).room
     with pytest.raises(DataError, match="already calibrated on these data"):
         rt.calibrate(once, times + change)
-    rt.calibrate(once, times * 1.001)
+    rt.calibrate(once, times * 1.01)
+
+
+@pytest.mark.parametrize(
+    ("first", "then", "factor", "refused"),
+    [(4, 2, 1.0, True), (2, 4, 1.0, True), (4, 2, 1.01, False), (4, 1, 1.0, False)],
+)
+def test_the_same_times_in_another_rounding(
+    room_and_times, first: int, then: int, factor: float, refused: bool
+) -> None:
+    """T to 0.01 s had been other data than T to 1 ms. To 0.1 s it is equal by chance."""
+    room, times = room_and_times
+    times = 1.01234 * times
+    once = rt.calibrate(room, times.round(first)).room
+    again = (factor * times).round(then)
+    if refused:
+        with pytest.raises(DataError, match=r"on these data \(T at 125 Hz"):
+            rt.calibrate(once, again)
+    else:
+        assert rt.calibrate(once, again, unreachable="nearest").room.calibration is not None
 
 
 @pytest.mark.parametrize("change", [0.0, 1e-7, 2e-5])

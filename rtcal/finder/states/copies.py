@@ -9,7 +9,7 @@ import numpy as np
 from rtcal.acoustics import bands
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.observables import observable, parameter_label
-from rtcal.acoustics.repeats import beyond_chance, chance_of_equal
+from rtcal.acoustics.repeats import CHANCE, beyond_chance, chance_of_equal, equal_rounded
 from rtcal.support.errors import DataError
 from rtcal.support.text import first_of
 
@@ -22,7 +22,8 @@ def without_copies(
 ) -> tuple[Measurement, Measurement, list[str]]:
     """Return two measurements without what the second has copied of the first, and notes of it.
 
-    A pair is left out if all values that both have are equal, and hardly by chance. Of the other pairs,
+    A pair is left out if all values that both have are equal, and hardly by chance: alone, or together
+    with the other pairs that are. Values are compared as the coarser is rounded. Of the other pairs,
     equal times are left out if they are stated precisely, and more are equal than chance allows.
     Measurements in different bands have no copies.
 
@@ -39,12 +40,16 @@ def without_copies(
     one, other = (
         np.stack([m.select(pairs).values[p] for p in shared], axis=1) for m in (before, after)
     )
-    equal, known = one == other, np.isfinite(one) & np.isfinite(other)
-    chance = np.stack([chance_of_equal(one[:, j]) for j in range(len(shared))], axis=1)
-    copied = [
-        bool(equal[i][known[i]].all()) and beyond_chance(int(known[i].sum()), chance[i][known[i]])
-        for i in range(len(pairs))
-    ]
+    known = np.isfinite(one) & np.isfinite(other)
+    # Each row has its own decimals: copied rows may stand beside others that are rounded otherwise.
+    equal, chance = np.zeros_like(known), np.ones_like(one)
+    for at in np.ndindex(known.shape[:2]):
+        equal[at] = equal_rounded(one[at], other[at])
+        chance[at] = np.maximum(chance_of_equal(one[at]), chance_of_equal(other[at]))
+    whole = known.any(axis=(1, 2)) & (equal | ~known).all(axis=(1, 2))
+    of_pair = np.where(known, chance, 1.0).prod(axis=(1, 2))
+    together = beyond_chance(int(whole.sum()), of_pair)
+    copied = whole & (together | (of_pair < CHANCE))
     names = [pair for pair, is_copy in zip(pairs, copied, strict=True) if is_copy]
     if len(names) == len(pairs):
         raise DataError("before and after have the same values at every pair: are they one file?")
@@ -57,7 +62,7 @@ def without_copies(
         before, after = (m.select([p for p in m.pairs if p not in names]) for m in (before, after))
     # A level may well be the same to 0.1 dB again.
     times = np.array([observable(p).logarithmic for p in shared])[:, np.newaxis]
-    told = known & times & (chance < _PRECISE) & ~np.array(copied)[:, np.newaxis, np.newaxis]
+    told = known & times & (chance < _PRECISE) & ~copied[:, np.newaxis, np.newaxis]
     cells = np.argwhere(told & equal)
     if not beyond_chance(len(cells), chance[told]):
         return before, after, notes
