@@ -255,6 +255,45 @@ def test_values_that_were_copied_are_left_out_and_said(panels: StatesFinding) ->
     assert "to the last digit, as if copied. Left out." in mixed.notes[0]
 
 
+def test_pairs_that_are_copies_within_a_state_are_said(panels: StatesFinding) -> None:
+    """All pairs had the values of the first, and the change was claimed as if of six."""
+    first, second = (
+        replace(m, values={"t20": np.tile(m.values["t20"][:1], (6, 1))})
+        for m in (panels.case.before, panels.case.after)
+    )
+    note = "the same values in every band: S1 to R1 and S0 to R1"
+    both = " ".join(Differences.of(room(), first, second).notes)
+    assert f"Before and after: {note}" in both
+    one = " ".join(Differences.of(room(), first, panels.case.after).notes)
+    assert f"Before: {note}" in one
+    assert "after: the same" not in one.lower()
+
+
+def test_a_pair_without_t_in_one_state_is_said(panels: StatesFinding) -> None:
+    table = panels.case.after.values["t20"].copy()
+    table[4] = np.nan
+    after = replace(panels.case.after, values={"t20": table})
+    notes = Differences.of(room(), panels.case.before, after).notes
+    assert notes == ("No T of both states at S4 to R1: left out.",)
+
+
+def test_bands_that_are_converted_or_lacking_are_said(panels: StatesFinding) -> None:
+    """Before in third-octaves, after in octaves: the bands that were left out went unsaid."""
+    thirds = [200.0, 250, 315, 400, 500, 630, 800, 1000, 1250]
+    times_before = np.repeat(panels.case.before.values["t20"][:, 1:4], 3, axis=1)
+    before = replace(panels.case.before, centre_frequencies=thirds, values={"t20": times_before})
+    (note,) = Differences.of(room(), before, panels.case.after).notes
+    assert note.startswith("Before: T is converted from third-octaves to octaves")
+    assert note.endswith("no T was measured at 125 Hz, 2000 Hz, 4000 Hz.")
+
+
+@pytest.mark.parametrize("seed", [np.array([1, 2]), -1, 1.5])
+def test_a_wrong_seed_is_refused(panels: StatesFinding, seed: object) -> None:
+    for call in (rt.finder.verify, rt.finder.states.find):
+        with pytest.raises(rt.errors.DataError, match=r"seed = .* is not a whole number"):
+            call(panels if call is rt.finder.verify else panels.case, seed=seed)
+
+
 @pytest.mark.parametrize("then", [1, 2])
 def test_rounded_values_that_are_equal_by_chance_stay(panels: StatesFinding, then: int) -> None:
     """To 0.1 s many values are equal, to 0.01 s some."""

@@ -105,15 +105,23 @@ def times_in_room(room: Room, measured: Measurement | Sequence[float] | Array) -
     )
 
 
-def tell_bands(room: Room, measured: Measurement) -> None:
-    """Warn of measured bands that are converted or left out, and of the room's bands without T."""
+def notes_of_bands(room: Room, measured: Measurement) -> list[str]:
+    """Return what bands are converted or left out, and in which bands of the room no T was measured.
+
+    Raises DataError without a band in common.
+    """
     wanted = room.centre_frequencies
     in_room = band_conversion.measurement_in_room_bands(measured, wanted)
     told = band_conversion.notes(measured.centre_frequencies, wanted)
     lacking = wanted[np.isnan(in_room.decay_time().mean)]
     if lacking.size:
         told.append(f"no T was measured at {', '.join(bands.labels(lacking))}")
-    if told:
+    return told
+
+
+def tell_bands(room: Room, measured: Measurement) -> None:
+    """Warn of measured bands that are converted or left out, and of the room's bands without T."""
+    if told := notes_of_bands(room, measured):
         warnings.warn("; ".join(told), OtherBandsWarning, stacklevel=checks.stack_level())
 
 

@@ -29,6 +29,7 @@ from rtcal.acoustics.room import Room
 from rtcal.acoustics.scene import Scene
 from rtcal.calibration.methods import calibrate
 from rtcal.finder.positions import surfaces as of_room
+from rtcal.finder.states import told
 from rtcal.finder.states.copies import without_copies
 from rtcal.io import obj
 from rtcal.simulators import observations
@@ -39,7 +40,7 @@ from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError
 from rtcal.support.files import make_folder, write_all
 from rtcal.support.results import NOT_SAVED
-from rtcal.support.text import first_of, listed
+from rtcal.support.text import listed
 from rtcal.support.types import Array
 
 _LEAST = 1e-6
@@ -65,7 +66,8 @@ class Differences:
     variance : array (n_pairs, n_bands)
         Of the noise of ``change``: of both states.
     notes : tuple of str
-        Pairs that one state lacks, what is copied, and where the uncertainties come from.
+        Bands and pairs that one state lacks, what is converted or copied, and where the uncertainties
+        come from.
     states : two Measurement
         What is compared: the pairs that both have, in the room's bands.
     """
@@ -94,6 +96,7 @@ class Differences:
         DataError
             If the states have no pair in common, or no T20 or T30 in any band; for one file twice.
         """
+        of_bands = told.of_bands(room, before, after)
         before, after, notes = without_copies(before, after)
         wanted = room.centre_frequencies
         states = [band_conversion.measurement_in_room_bands(m, wanted) for m in (before, after)]
@@ -101,9 +104,10 @@ class Differences:
         if not pairs:
             raise DataError(
                 "before and after have no source and receiver in common; two states are measured at "
-                f"the same positions, and these are {_named(before)} and {_named(after)}"
+                f"the same positions, and these are {told.named(before)} and {told.named(after)}"
             )
-        notes += _lacking(states[0], states[1], pairs)
+        notes += [*of_bands, *told.of_copies(before.select(pairs), after.select(pairs))]
+        notes += told.alone(states[0], states[1], pairs)
         chosen = [m.select(pairs) for m in states]
         shape = (len(pairs), room.n_bands)
         change, variance = np.full(shape, np.nan), np.full(shape, np.nan)
@@ -137,6 +141,7 @@ class Differences:
             raise DataError(
                 f"no {labels} in any band of the room that before and after have in common"
             )
+        notes += told.without_times(pairs, change)
         if unstated:
             notes.append(
                 "A mean T states neither its uncertainty nor of how many positions it is: it is taken "
@@ -154,21 +159,6 @@ class Differences:
     def measured(self) -> NDArray[np.bool_]:
         """In which bands there is a difference, (n_bands,)."""
         return np.asarray(np.isfinite(self.change).any(axis=0))
-
-
-def _named(measured: Measurement) -> str:
-    if measured.is_summary:
-        return "means over positions"
-    return first_of([*map(" to ".join, measured.pairs)], 1)
-
-
-def _lacking(before: Measurement, after: Measurement, pairs: list[tuple[str, str]]) -> list[str]:
-    out = []
-    for name, state in (("before", before), ("after", after)):
-        alone = [p for p in state.pairs if p not in pairs]
-        if alone:
-            out.append(f"Only {name} has {first_of([*map(' to '.join, alone)], 1)}: left out.")
-    return out
 
 
 @checked

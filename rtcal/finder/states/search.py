@@ -72,6 +72,7 @@ def find(
     family added absorption
     """
     checks.instance("case", case, StatesCase)
+    checks.whole("seed", seed, 0)
     assumed = Errors() if errors is None else checks.instance("errors", errors, Errors)
     found, room = case.differences, case.room
     if found.of_means:
@@ -271,6 +272,7 @@ def verify(
     >>> print(verify(rt.find(room, after, before=before)).verdict)
     supported
     """
+    checks.whole("seed", seed, 0)
     case, found = finding.case, finding.case.differences
     if not finding.detected:
         raise DataError(f'the verdict is "{finding.verdict}"; there is no change to verify')
