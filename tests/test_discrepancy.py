@@ -595,6 +595,16 @@ def test_the_same_large_factor_in_every_band_is_no_more_than_a_hint(
     assert "before any effect is believed" in finding.reasons[0]
 
 
+def test_a_box_that_is_entered_twice_as_large_is_doubted() -> None:
+    """Its T is twice what was measured, or a little less: added absorption had been claimed."""
+    room = opened().room
+    times = rt.Eyring().reverberation_time(room) / 1.95
+    case = case_with(times)
+    finding = find(case, controls=controls_of(case))
+    assert finding.verdict not in ("named", "family")
+    assert "before any effect is believed" in finding.reasons[0]
+
+
 def test_a_noise_floor_that_makes_t_many_times_longer_is_named() -> None:
     """T20 is 2.9 times the model's: the decay's bend tells a noise floor from a mistake."""
     case = opened()

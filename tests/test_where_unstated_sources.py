@@ -112,6 +112,24 @@ def test_lobes_that_are_not_certain_leave_the_level_and_its_surfaces(
     assert any(words in note for note in finding.notes)
 
 
+def test_lobes_are_tried_where_a_pair_seems_noisy(
+    kept: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Aimed sources with a G off by source and band had been the noise of one pair, 100 %."""
+    middle = np.mean(list(RECEIVERS.values()), axis=0)
+    aimed_at = {n: rt.Directivity(index=INDEX, aim=tuple(middle - p)) for n, p in SOURCES.items()}
+    made = heard(tracing(stated(), n_paths=4800, directivity=aimed_at), stated().alpha, "level")
+    case = rt.finder.positions.PositionsCase(
+        simulator=tracing(stated(), n_paths=800), measured=made
+    )
+    first = [(np.array([-24.0]), np.array([20.0]))]
+    scores = search.scores
+    monkeypatch.setattr(search, "scores", lambda *given: first.pop() if first else scores(*given))
+    finding = rt.finder.positions.find(case, cache=kept)
+    assert finding.case.simulator.unknown_sources == ("S1", "S2")
+    assert not finding.detected
+
+
 @pytest.mark.long
 def test_what_absorbs_is_found_with_a_stated_index(kept: Path) -> None:
     """All parameters count where the index is right."""

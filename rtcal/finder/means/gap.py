@@ -33,8 +33,9 @@ from rtcal.finder.model import FEATURES
 from rtcal.finder.prior import COEFFICIENTS, UNKNOWN
 from rtcal.support.types import Array
 
-GROSS = np.log(2.0)
-"""Change of ln T, a factor of two, beyond which a mistake in what is stated is the first suspicion."""
+GROSS = np.log(1.8)
+"""Change of ln T beyond which a mistake in what is stated is the first suspicion. A box that is entered
+twice as large has twice the T, or a little less with air."""
 MISTAKE = 1.5
 """Standard deviation of ln T by a mistake in what is stated: factors of 2 to 20 are usual."""
 SHOWN = 4.6
@@ -148,7 +149,7 @@ def decided_below_schroeder(
 
 
 def gross(evidence: MeansEvidence, name: str, gap: GapCheck) -> list[Objection]:
-    """Return a doubt where T is twice or half the model's.
+    """Return a doubt where T is about twice or half the model's.
 
     It leaves the effect's family claimed where the effect explains the data better than a factor that
     is alike in all bands, as most mistakes in what is stated are. None where the effect explains them

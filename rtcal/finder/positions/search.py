@@ -213,8 +213,10 @@ def find_by_positions(
 
     numbers, hypotheses, evidence = searched(case)
     score, noise = scores(weights(evidence, hypotheses), hypotheses)
+    # A gain or a lobe that is off may pass for the noise of a pair, which is no evidence by itself.
+    disagree = max(score[0], noise[0]) > threshold
     of_gain = -np.inf
-    if score[0] > threshold and len(numbers.gains):
+    if disagree and len(numbers.gains):
         as_calibrated = evidence
         evidence = with_gains(numbers, hypotheses, evidence)
         of_gain = float(gain(evidence, as_calibrated, hypotheses)[0])
@@ -222,7 +224,7 @@ def find_by_positions(
     reverberation = any(observable(p).part == "late" for p in numbers.data.observations.parameters)
     indexed = list(with_index(case.simulator))
     aimed, unexplained, doubted = 0.0, False, False
-    if score[0] > threshold and numbers.aimed is not None:
+    if disagree and numbers.aimed is not None:
         lobes = evaluated(numbers, hypotheses, numbers.aimed)
         lobes = with_gains(numbers, hypotheses, lobes, numbers.aimed)
         aimed = float(gain(lobes, evidence, hypotheses)[0])
