@@ -19,7 +19,7 @@ from rtcal.acoustics.observables import REVERBERATION, TARGET, parameter_label
 from rtcal.acoustics.room import Room
 from rtcal.calibration.layout import Layout, Whitened
 from rtcal.support import checks
-from rtcal.support.errors import DataError, OtherBandsWarning
+from rtcal.support.errors import CopiedPairsWarning, DataError, OtherBandsWarning
 from rtcal.support.kkt import DENSE
 from rtcal.support.text import shortened
 from rtcal.support.types import Array, read_only_view
@@ -123,6 +123,12 @@ def tell_bands(room: Room, measured: Measurement) -> None:
     """Warn of measured bands that are converted or left out, and of the room's bands without T."""
     if told := notes_of_bands(room, measured):
         warnings.warn("; ".join(told), OtherBandsWarning, stacklevel=checks.stack_level())
+
+
+def tell_copies(measured: Measurement) -> None:
+    """Warn of pairs that have all values of another."""
+    for note in measured.copies:
+        warnings.warn(note, CopiedPairsWarning, stacklevel=checks.stack_level())
 
 
 def _at_pairs(measured: Measurement) -> list[str]:

@@ -34,7 +34,13 @@ from rtcal.loop.state import Loop, start
 from rtcal.modes.result import ModesResult
 from rtcal.simulators.base import Simulator, at_places, check_fits, lost_paths, run
 from rtcal.support import checks
-from rtcal.support.errors import DataError, OtherBandsWarning, RtcalError, SimulatorError
+from rtcal.support.errors import (
+    CopiedPairsWarning,
+    DataError,
+    OtherBandsWarning,
+    RtcalError,
+    SimulatorError,
+)
 from rtcal.support.files import read_text, write_all
 from rtcal.support.text import as_sentence
 from rtcal.support.types import Array
@@ -131,7 +137,9 @@ def calibrate_simulator(
         measured = _without(measured, exclude)
         repeated = (*repeated, left_out(exclude))
     # The result's notes and marks say it.
-    with warnings.catch_warnings(action="ignore", category=OtherBandsWarning):
+    with warnings.catch_warnings():
+        for told in (OtherBandsWarning, CopiedPairsWarning):
+            warnings.simplefilter("ignore", told)
         loop = start(
             room,
             measured,
@@ -144,11 +152,12 @@ def calibrate_simulator(
             weights=weights,
         )
     result = _run(simulator, loop, max_simulations, seed, after_step, exclude)
-    of_bands = map(as_sentence, notes(measured.centre_frequencies, room.centre_frequencies))
+    of_bands = notes(measured.centre_frequencies, room.centre_frequencies)
+    of_data = map(as_sentence, [*of_bands, *measured.copies])
     return replace(
         result,
         measured=measurement_in_room_bands(measured, room.centre_frequencies),
-        notes=(*repeated, *of_bands, *_with_t30(room, measured), *result.notes),
+        notes=(*repeated, *of_data, *_with_t30(room, measured), *result.notes),
     )
 
 

@@ -46,6 +46,7 @@ from rtcal.support import checks
 from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError
 from rtcal.support.speed import single_threaded_blas
+from rtcal.support.text import as_sentence
 from rtcal.support.types import Array
 
 MODES = LinearObservations("modes")
@@ -156,7 +157,7 @@ def calibrate_modes(
         data=times,
         steps=len(path.steps),
         settled=path.settled,
-        notes=_notes(modes, found, path.settled),
+        notes=_notes(modes, found, times, path.settled),
     )
 
 
@@ -210,8 +211,10 @@ class _Linearised:
         return np.asarray(self.observed.values - self.observed.matrix @ end.ravel())
 
 
-def _notes(modes: MeasuredModes, found: Matches, settled: bool) -> tuple[str, ...]:
-    notes = [*modes.notes, *found.doubts]
+def _notes(
+    modes: MeasuredModes, found: Matches, times: MeasuredTimes, settled: bool
+) -> tuple[str, ...]:
+    notes = [*map(as_sentence, filter(None, [times.caution])), *modes.notes, *found.doubts]
     if len(unsure := np.delete(modes.frequencies, found.measured)):
         where = ", ".join(f"{f:.1f}" for f in unsure)
         notes.append(f"Not used, since not surely one calculated mode: {where} Hz.")

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 
 import rtcal as rt
+from rtcal.command.main import cli
 from rtcal.loop import positions
 from rtcal.loop.measured_pairs import fingerprints, pairs_to_match
 from rtcal.simulators.observations import Observations
-from rtcal.support.errors import DataError
+from rtcal.support.errors import CopiedPairsWarning, DataError
 from tests.test_discrepancy import controls_of
 
 
@@ -237,6 +240,49 @@ def test_a_renamed_copy_is_said_by_every_answer(room_and_times, factor, said) ->
         name: copy in " ".join(text.replace("The", "the").split()) for name, text in answers.items()
     }
     assert told == dict.fromkeys(answers, said)
+
+
+@pytest.mark.parametrize("command", ["calibrate", "loop start"])
+def test_a_command_says_a_renamed_copy_once(command: str, room_and_times, tmp_path) -> None:
+    """It was said where the file is read, and by the answer; `rt.loop.start` did not say it."""
+    room, times = room_and_times
+    t20 = np.stack([times, 1.1 * times, times]).round(4)
+    pairs = [("S1", "R1"), ("S1", "R2"), ("S1", "R3")]
+    files = {
+        name: str(tmp_path / name) for name in ("room.toml", "t.csv", "loop.json", "next.toml")
+    }
+    room.save(files["room.toml"])
+    rt.Measurement(
+        centre_frequencies=room.centre_frequencies, values={"t20": t20}, pairs=pairs
+    ).save(files["t.csv"])
+    also = ["--state", files["loop.json"], "--out", files["next.toml"]] if "loop" in command else []
+    arguments = [*command.split(), files["room.toml"], files["t.csv"], *also]
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always")
+        done = CliRunner().invoke(cli, arguments)
+    assert done.exit_code == 0, done.output
+    said = " ".join([done.output, *(str(w.message) for w in told)]).split()
+    assert " ".join(said).count("S1 to R3 and S1 to R1") == 1
+
+
+def test_a_simulator_s_calibration_notes_a_renamed_copy(room_and_times) -> None:
+    room, times = room_and_times
+    heard = rt.Measurement(
+        centre_frequencies=room.centre_frequencies,
+        values={"t20": np.stack([times, times]).round(4)},
+        pairs=[("S1", "R1"), ("S1", "R2")],
+    )
+    with pytest.warns(CopiedPairsWarning, match="S1 to R2 and S1 to R1"):
+        rt.loop.start(room, heard)
+    program = rt.simulators.External(
+        room=room,
+        name="program",
+        run=lambda alpha, seed: rt.Eyring().time(room, room.areas @ alpha),
+    )
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", CopiedPairsWarning)
+        result = rt.calibrate_simulator(program, room, heard)
+    assert any("S1 to R2 and S1 to R1" in note for note in result.notes)
 
 
 def test_an_empty_calibration_is_refused() -> None:

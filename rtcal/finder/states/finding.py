@@ -307,7 +307,8 @@ class StatesVerification(HeldOutVerification):
         return f"<StatesVerification {self.verdict}>"
 
     def __str__(self) -> str:
-        return "\n".join(text.wrapped(self.sentence))
+        notes = () if self.case is None else self.case.differences.notes
+        return "\n".join(line for each in (self.sentence, *notes) for line in text.wrapped(each))
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain values for JSON."""
