@@ -550,6 +550,7 @@ def test_what_no_effect_explains_is_said_so() -> None:
     case = opened()
     finding = find(case, controls=controls_of(case))
     assert not any("does not explain" in n or "mistake" in n for n in finding.reasons)
+    assert finding.mistake == ""
     measured = case.configurations[0].measured
     times = {k: 10 * v for k, v in measured.values.items()}
     errors = {k: 10 * v for k, v in measured.uncertainty.items()}
@@ -558,6 +559,7 @@ def test_what_no_effect_explains_is_said_so() -> None:
     finding = find(tenfold, controls=controls_of(tenfold))
     assert finding.verdict not in ("named", "family")
     assert "times the model's: look for a mistake" in finding.reasons[0]
+    assert finding.mistake == finding.reasons[0]
 
 
 def absorbing_room(share: float, *, alike: bool, shape: bool) -> rt.finder.MeansFinding:
@@ -581,6 +583,7 @@ def test_much_absorption_is_claimed_after_a_doubt_about_what_is_stated(share: fl
     assert finding.sentence.startswith(f"{finding.reasons[0]}. If there is none: ")
     assert "look for a mistake in volume, areas, coefficients and units first" in finding.reasons[0]
     assert finding.reasons[0] not in finding.in_words
+    assert finding.mistake == finding.reasons[0]
     assert finding.reason_for_none is None
 
 

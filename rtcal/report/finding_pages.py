@@ -159,7 +159,8 @@ def _said(name: str, finding: PositionsFinding, verification: PositionsVerificat
             f"{frequency:g} Hz."
         )
     likely = "; ".join(f"{n} {100 * finding.surfaces[n]:.0f} %" for n in finding.likely_surfaces)
-    what = "no surface is coloured" if finding.verdict == "none" else f"coloured are {likely}"
+    some = finding.verdict != "none" and likely
+    what = f"coloured are {likely}" if some else "no surface is coloured"
     view = "The plan of the room" if name == PLAN else "The room in an axonometric view"
     return f"{view} with sources and receivers; {what}."
 

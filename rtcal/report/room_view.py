@@ -406,7 +406,7 @@ def of_finding(
     Its gaps are those of a verification at pairs that were not fitted. ``place`` is a further receiver.
     """
     case, room = finding.case, finding.case.room
-    none = finding.verdict == "none"
+    none = finding.verdict == "none" or not finding.likely_surfaces
     chance = [0.0 if none else finding.surfaces.get(name, 0.0) for name in case.faces]
     rows = [
         room.material_index(case.geometry.materials[int(faces[0])]) for faces in case.faces.values()

@@ -89,8 +89,8 @@ def draw_room(axes: Any, finding: PositionsFinding, place: Place | None = None) 
 
 
 def _probabilities(finding: PositionsFinding) -> dict[str, float]:
-    """Return the probability of each surface, 0 where nothing is other than stated."""
-    none = finding.verdict == "none"
+    """Return the probability of each surface, 0 where hardly anything stands on one."""
+    none = finding.verdict == "none" or not finding.likely_surfaces
     return {n: 0.0 if none else finding.surfaces.get(n, 0.0) for n in finding.case.faces}
 
 

@@ -65,9 +65,10 @@ class MeansFinding(SetsFinding):
     residuals : array (n_configurations, n_features, n_bands)
         Modelled less measured, as every gap, over its standard deviation: amount (ln T20), shape
         (EDT/T20, T30/T20), level (C80, G). NaN where nothing was measured.
-    reasons, leads : tuple of str, bool
+    reasons, leads, mistake : tuple of str, bool, str
         Doubts about what is most probable. One about the size, the fit or what is stated leaves its
-        family claimed; the last stands first and ``leads``. Any other takes the claim back.
+        family claimed; the last stands first and ``leads``. Any other takes the claim back. The
+        ``mistake`` is that T is twice or half the model's; "" where it is not.
     discrepancy : ModelDiscrepancy
         Bias and covariance of the model's error.
     """
@@ -85,6 +86,7 @@ class MeansFinding(SetsFinding):
     residuals: Array
     discrepancy: ModelDiscrepancy
     leads: bool = False
+    mistake: str = ""
 
     @property
     def engines(self) -> tuple[str, ...]:
@@ -230,7 +232,8 @@ class MeansFinding(SetsFinding):
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain values for JSON."""
-        size, effect = self.size, self.effects.get(str(self.best_effect))
+        size, off = self.size, self.coefficients
+        effect = self.effects.get(str(self.best_effect))
         return {
             **super().to_dict(),
             "detected_by": self.detection.deciding,
@@ -248,12 +251,7 @@ class MeansFinding(SetsFinding):
             "sizes_alone": {n: f.size and f.size.to_dict() for n, f in self.alone.items()},
             "stand_ins": {name: list(others) for name, others in self.stand_ins.items()},
             "alpha": self.alpha.tolist(),
-            "coefficients": None
-            if self.coefficients is None
-            else {
-                "probability": self.coefficients.probability,
-                "ratio": self.coefficients.ratio.tolist(),
-            },
+            "coefficients": off and {"probability": off.probability, "ratio": off.ratio.tolist()},
             "engines": list(self.engines),
             "parameters": dict(self.best_parameters),
             "material": effect and effect.material(self.best_parameters, self.case.room),

@@ -49,11 +49,18 @@ class Objection:
     """A reason against a claim, and what it speaks against.
 
     ``of`` is "size", "fit" or "stated" where it leaves the effect's family as probable as it is, else
-    "effect". "stated" doubts what the model states, and is said before the claim.
+    "effect". "stated" doubts what the model states, and is said before the claim. A ``mistake`` is that
+    T is far off, whatever of the claim is left.
     """
 
     words: str
     of: Literal["size", "fit", "stated", "effect"]
+    mistake: bool = False
+
+
+def mistake_in(found: Sequence[Objection]) -> str:
+    """Return the doubt that T is far off, in words; "" without one."""
+    return next((doubt.words for doubt in found if doubt.mistake), "")
 
 
 def end_of_range(name: str, size: Size | None) -> list[Objection]:
@@ -167,8 +174,9 @@ def gross(evidence: MeansEvidence, name: str, gap: GapCheck) -> list[Objection]:
         return []
     words = f"T is {np.exp(change):.2g} times the model's: look for a mistake in volume, areas, "
     if best - max(of_units, of_room) > DISTINCT_NATS:
-        return [Objection(f"{words}coefficients and units first", "stated")]
-    return [Objection(f"{words}coefficients and units before any effect is believed", "effect")]
+        return [Objection(f"{words}coefficients and units first", "stated", mistake=True)]
+    words = f"{words}coefficients and units before any effect is believed"
+    return [Objection(words, "effect", mistake=True)]
 
 
 def evidence_of_factors(problem: MeansProblem) -> tuple[float, float]:

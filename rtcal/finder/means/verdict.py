@@ -35,6 +35,7 @@ from rtcal.finder.means.gap import (
     gap_against,
     gap_check,
     gross,
+    mistake_in,
     too_large,
     unexplained,
 )
@@ -255,6 +256,7 @@ class Verdict:
     stand_ins: Mapping[str, Names] = field(default_factory=dict)
     reasons: tuple[str, ...] = ()
     leads: bool = False
+    mistake: str = ""
 
 
 def of_single(
@@ -293,6 +295,7 @@ def of_single(
         fits=fits,
         reasons=tuple(doubt.words for doubt in found),
         leads=sure and bool(found) and found[0].of == "stated",
+        mistake=mistake_in(found),
     )
 
 
@@ -341,6 +344,7 @@ def of_sets(
         stand_ins=stand_ins,
         reasons=tuple(dict.fromkeys(doubt.words for doubt in every)),
         leads=verdict == "family" and bool(every) and every[0].of == "stated",
+        mistake=mistake_in(every),
     )
 
 

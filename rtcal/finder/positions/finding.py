@@ -20,7 +20,7 @@ from rtcal.support import checks, text
 from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError
 from rtcal.support.files import json_numbers
-from rtcal.support.text import listed
+from rtcal.support.text import as_sentence, listed
 from rtcal.support.types import Array
 
 if TYPE_CHECKING:
@@ -57,6 +57,8 @@ class PositionsFinding(Finding):
         The simulator's error, to be given to another search or calibration.
     left_out : tuple of str
         What of the library was not tried.
+    mistake : str
+        The doubt of means over positions that T is twice or half the model's; "" without it.
     """
 
     record_kind: ClassVar[str] = "finding at positions 1"
@@ -71,6 +73,7 @@ class PositionsFinding(Finding):
     pairs: tuple[tuple[str, str], ...]
     controls: ControlRuns
     left_out: tuple[str, ...] = ()
+    mistake: str = ""
 
     @property
     def located(self) -> Candidate | None:
@@ -80,7 +83,12 @@ class PositionsFinding(Finding):
 
     @property
     def likely_surfaces(self) -> tuple[str, ...]:
-        """The fewest surfaces that hold `LIKELY` of the probability."""
+        """The fewest surfaces that hold `LIKELY` of the probability; none where hardly anything does.
+
+        Where something stands on a surface with less than `SAID`, no effect on one is printed either.
+        """
+        if sum(c.probability for c in self.candidates if c.surface is not None) < SAID:
+            return ()
         held, out = 0.0, []
         for name, probability in self.surfaces.items():
             out.append(name)
@@ -169,14 +177,16 @@ class PositionsFinding(Finding):
         best = self.best
         if best is None:
             return "none: no disagreement beyond what prior, measurement and simulator allow."
+        first = f"{as_sentence(self.mistake)} If there is none: " if self.mistake else ""
         if self.verdict == "hint":
-            return f"hint: {best.title}, but not claimed. {' '.join(self.reasons[:1])}".rstrip()
+            said = f"hint: {first}{best.title}, but not claimed."
+            return f"{said} {' '.join(self.reasons[:1])}".rstrip()
         what = {
             "unknown": "Something is other than stated that no effect of the library explains.",
             "named": f"Other than stated: {self.effect}.",
             "family": f"Other than stated: {self.family}.",
         }.get(self.verdict, f"Other than stated: {listed(self._names(), last='or')}.")
-        return f"{self.verdict}: {what} {self.place_in_words}".rstrip()
+        return f"{self.verdict}: {first}{what} {self.place_in_words}".rstrip()
 
     @property
     def detection_in_words(self) -> str:
@@ -228,6 +238,7 @@ class PositionsFinding(Finding):
             **super().to_dict(),
             "effect": self.effect,
             "surface": self.surface,
+            "mistake": self.mistake or None,
             "surfaces": dict(self.surfaces),
             "likely_surfaces": list(self.likely_surfaces),
             "groups": [list(group) for group in self.groups],

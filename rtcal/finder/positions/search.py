@@ -140,7 +140,8 @@ def find(
     if not left_out and case.simulated is None:
         # The means know neither fewer effects nor another program's values.
         means = evidence_of_means(case, every, seed, cache)
-    return find_by_positions(case, every, controls, cache, seed, left_out, progress, means)
+    found = find_by_positions(case, every, controls, cache, seed, left_out, progress, means)
+    return found if means is None else replace(found, mistake=means.mistake)
 
 
 def controls_of(

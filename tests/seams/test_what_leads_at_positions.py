@@ -1,0 +1,73 @@
+"""A doubt about T leads at positions too, and surfaces are listed where something stands on one."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+
+import rtcal as rt
+from rtcal.finder.finding import Candidate
+from rtcal.finder.positions import PositionsCase, PositionsFinding, find
+from rtcal.report import where_figures
+from tests.test_where import heard, stated, tracing
+
+pytest.importorskip("numba", reason="the paths are traced by compiled code (extra fast)")
+
+FOAM = (0.6, 0.9, 0.95)
+"""Alpha of the ceiling in truth."""
+
+
+def hard() -> rt.Room:
+    room = stated()
+    return room.replace(alpha=0.3 * room.alpha, sigma=0.3 * room.sigma)
+
+
+def case() -> PositionsCase:
+    """Return the hard room, measured with foam on its ceiling."""
+    room = hard()
+    alpha = room.alpha.copy()
+    alpha[-1] = FOAM
+    measured = heard(tracing(room, scattering=0.5, n_paths=9600), alpha)
+    return PositionsCase(simulator=tracing(room, n_paths=1600), measured=measured)
+
+
+@pytest.fixture(scope="module")
+def finding(kept: Path) -> PositionsFinding:
+    return find(case(), cache=kept)
+
+
+def test_the_doubt_of_means_about_what_is_stated_leads(
+    finding: PositionsFinding, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    doubt = "T is 0.3 times the model's: look for a mistake"
+    search = sys.modules[find.__module__]
+    monkeypatch.setattr(search, "evidence_of_means", lambda *_: SimpleNamespace(mistake=doubt))
+    monkeypatch.setattr(search, "find_by_positions", lambda *_: finding)
+    led = find(finding.case)
+    assert led.headline.startswith(f"{finding.verdict}: {doubt}. If there is none: Other than")
+    assert led.to_dict()["mistake"] == doubt
+    assert doubt not in finding.headline
+
+
+def test_likely_surfaces_are_told_where_something_stands_on_one(finding: PositionsFinding) -> None:
+    """Beside a receiver that stood elsewhere, 58 %, and "unknown", 42 %, the ceiling was listed."""
+    assert finding.likely_surfaces
+    receiver = Candidate(
+        effect="position", family="measurement", place="receiver R1", probability=0.98
+    )
+    few = replace(
+        finding,
+        verdict="ambiguous",
+        surface=None,
+        candidates=(
+            receiver,
+            *(replace(c, probability=0.02 * c.probability) for c in finding.candidates),
+        ),
+    )
+    assert few.likely_surfaces == ()
+    assert not any(where_figures._probabilities(few).values())
+    assert "surface" not in few.place_in_words
