@@ -53,6 +53,18 @@ def test_the_doubt_of_means_about_what_is_stated_leads(
     assert doubt not in finding.headline
 
 
+def test_a_surface_with_the_largest_size_that_is_tried_is_not_claimed(
+    finding: PositionsFinding,
+) -> None:
+    """The whole ceiling was 13 m² on a wall, claimed with 92 %: no larger size had been tried."""
+    assert finding.detected
+    best = next(c for c in finding.candidates if c.surface is not None)
+    assert best.end == "least"
+    assert best.size < 0.9 * finding.case.areas["ceiling"]
+    assert finding.surface is None
+    assert any("largest that is tried" in reason for reason in finding.reasons)
+
+
 def test_likely_surfaces_are_told_where_something_stands_on_one(finding: PositionsFinding) -> None:
     """Beside a receiver that stood elsewhere, 58 %, and "unknown", 42 %, the ceiling was listed."""
     assert finding.likely_surfaces
