@@ -531,7 +531,9 @@ def test_an_unknown_source_leaves_no_surface() -> None:
 
     from rtcal.finder.positions import search
 
-    best = SimpleNamespace(effect="opening", surface="east", size=9.5, title="opening, east")
+    best = SimpleNamespace(
+        effect="opening", surface="east", size=9.5, title="opening, east", end=""
+    )
     case = SimpleNamespace(simulator=SimpleNamespace(unknown_sources=()))
     assert search._reasons(case, "named", best) == ()
     case.simulator.unknown_sources = ("S1",)
