@@ -136,9 +136,9 @@ def _shared(one: str, other: str) -> list[str]:
     least = 1 if of_one.keys() == of_other.keys() else 2
     if len(equal) == len(both):
         return equal if len(equal) >= least else []
-    values = [np.array([_number(of[label]) for label in both]) for of in (of_one, of_other)]
-    chances = np.maximum(*map(chance_of_equal, values))
-    alike = [label for label, e in zip(both, equal_rounded(*values), strict=True) if e]
+    values = (np.array([_number(of[label]) for label in both]) for of in (of_one, of_other))
+    as_rounded, chances = equal_rounded(*values)
+    alike = [label for label, e in zip(both, as_rounded, strict=True) if e]
     shared = alike if len(alike) > len(equal) else equal
     every = len(shared) == len(both) >= least and chances.prod() < _ALL_BY_CHANCE
     return shared if every or beyond_chance(len(shared), chances) else []
@@ -184,19 +184,23 @@ def _decimals(values: Array) -> int:
     return decimals[len(decimals) // 2]
 
 
-def equal_rounded(one: Array, other: Array) -> NDArray[np.bool_]:
+def equal_rounded(one: Array, other: Array) -> tuple[NDArray[np.bool_], Array]:
     """Return which values of two rows are equal when both are rounded to the decimals of the coarser.
+
+    And the probability that each is by chance, as it is of the coarser (`chance_of_equal`).
 
     A value that was rounded twice, 1.9149 to 1.915 and to 1.92, is equal to itself rounded once.
 
     Examples
     --------
-    >>> equal_rounded(np.array([1.923, 2.114, 1.745]), np.array([1.92, 2.11, 1.77])).tolist()
+    >>> equal, _ = equal_rounded(np.array([1.923, 2.114, 1.745]), np.array([1.92, 2.11, 1.77]))
+    >>> equal.tolist()
     [True, True, False]
     """
     coarse, fine = sorted(map(_decimals, (one, other)))
     most = (10.0**-coarse + (10.0**-fine if fine > coarse else 0.0)) / 2
-    return np.asarray(np.abs(one - other) <= np.maximum(most, _SAME * np.maximum(1.0, np.abs(one))))
+    equal = np.abs(one - other) <= np.maximum(most, _SAME * np.maximum(1.0, np.abs(one)))
+    return np.asarray(equal), np.maximum(chance_of_equal(one), chance_of_equal(other))
 
 
 def beyond_chance(n_equal: int, chances: Array) -> bool:

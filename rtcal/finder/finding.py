@@ -17,6 +17,7 @@ from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError, ModelError
 from rtcal.support.files import json_numbers
 from rtcal.support.results import Result
+from rtcal.support.text import as_sentence
 from rtcal.support.types import Array
 
 End = Literal["", "least", "most"]
@@ -167,6 +168,11 @@ _CONVERTED = ("size", "low", "high", "spectrum", "parameters", "parts")
 NATS = "2.3 nats are odds of ten to one"
 _ALIKE = 1.25
 """Ratio of the upper and the lower bands, below which these are alike."""
+
+
+def after_doubt(doubt: str) -> str:
+    """Return how a claim begins that stands after a doubt about what is stated; "" without one."""
+    return f"{as_sentence(doubt)} If there is none: " if doubt else ""
 
 
 def over_frequency(values: Array) -> str:

@@ -19,7 +19,7 @@ from rtcal.finder.claim import (
     record_of_several,
 )
 from rtcal.finder.effects.checks import AppliedEffect
-from rtcal.finder.finding import NATS, Size
+from rtcal.finder.finding import NATS, Size, after_doubt
 from rtcal.finder.means.features import ModelDiscrepancy
 from rtcal.finder.means.verdict import Fit
 from rtcal.finder.prior import COEFFICIENTS, NONE, OffTogether, Prior
@@ -368,7 +368,7 @@ class MeansFinding(SetsFinding):
     @property
     def sentence(self) -> str:
         """The verdict as a sentence about the model, after the doubt that comes first."""
-        first = f"{as_sentence(self.reasons[0])} If there is none: " if self.leads else ""
+        first = after_doubt(self.reasons[0] if self.leads else "")
         if len(self.members) > 1 or (self.named and self.named != self.members):
             likely = f"Something is missing; {self.likely_in_words}."
             return likely if self.verdict == "ambiguous" else f"{first}{self.claims}"

@@ -11,7 +11,7 @@ import numpy as np
 
 from rtcal.finder.claim import SAID
 from rtcal.finder.effects.whole_room import CoupledRoom
-from rtcal.finder.finding import LEAST_PAIRS, Candidate, Detection, Finding
+from rtcal.finder.finding import LEAST_PAIRS, Candidate, Detection, Finding, after_doubt
 from rtcal.finder.positions.case import PositionsCase
 from rtcal.finder.positions.weighing import Weighing
 from rtcal.finder.prior import NONE
@@ -20,7 +20,7 @@ from rtcal.support import checks, text
 from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError
 from rtcal.support.files import json_numbers
-from rtcal.support.text import as_sentence, listed
+from rtcal.support.text import listed
 from rtcal.support.types import Array
 
 if TYPE_CHECKING:
@@ -177,7 +177,7 @@ class PositionsFinding(Finding):
         best = self.best
         if best is None:
             return "none: no disagreement beyond what prior, measurement and simulator allow."
-        first = f"{as_sentence(self.mistake)} If there is none: " if self.mistake else ""
+        first = after_doubt(self.mistake)
         if self.verdict == "hint":
             said = f"hint: {first}{best.title}, but not claimed."
             return f"{said} {' '.join(self.reasons[:1])}".rstrip()

@@ -9,7 +9,7 @@ import numpy as np
 from rtcal.acoustics import bands
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.observables import observable, parameter_label
-from rtcal.acoustics.repeats import CHANCE, beyond_chance, chance_of_equal, equal_rounded
+from rtcal.acoustics.repeats import CHANCE, beyond_chance, equal_rounded
 from rtcal.support.errors import DataError
 from rtcal.support.text import first_of
 
@@ -44,8 +44,7 @@ def without_copies(
     # Each row has its own decimals: copied rows may stand beside others that are rounded otherwise.
     equal, chance = np.zeros_like(known), np.ones_like(one)
     for at in np.ndindex(known.shape[:2]):
-        equal[at] = equal_rounded(one[at], other[at])
-        chance[at] = np.maximum(chance_of_equal(one[at]), chance_of_equal(other[at]))
+        equal[at], chance[at] = equal_rounded(one[at], other[at])
     whole = known.any(axis=(1, 2)) & (equal | ~known).all(axis=(1, 2))
     of_pair = np.where(known, chance, 1.0).prod(axis=(1, 2))
     together = beyond_chance(int(whole.sum()), of_pair)
