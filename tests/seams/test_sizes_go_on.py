@@ -16,6 +16,7 @@ from rtcal.finder.means.features import state
 from rtcal.finder.means.gap import Objection
 from rtcal.finder.means.hypotheses import predict_hypotheses
 from rtcal.finder.means.verdict import doubted
+from rtcal.finder.positions.hypotheses import LEAST, RATIO, areas_tried
 from rtcal.finder.search import find
 from tests.test_discrepancy import case_with, controls_of, opened
 
@@ -90,3 +91,15 @@ def test_only_a_doubt_about_the_effect_leaves_a_hint() -> None:
     assert doubted("named", "field", [size]) == doubted("family", "field", [fit, size]) == "family"
     assert doubted("named", "field", [size, effect]) == doubted("family", None, [fit]) == "hint"
     assert doubted("ambiguous", None, [effect]) == "ambiguous"
+
+
+@pytest.mark.parametrize("area", [0.04, 3.0, 5.0 * LEAST * RATIO**20, 1000.0])
+def test_areas_on_a_surface_go_on_to_its_own(area: float) -> None:
+    """They ended at 1.4 times the room's absorption area, here 7 m²."""
+    tried = areas_tried(5.0, area)
+    assert (len(tried) == 0) == (area < 5.0 * LEAST)
+    assert all(area / RATIO * (1 - 1e-12) < last <= area for last in tried[-1:])
+    before = np.geomspace(0.05, 1.4, 14) * 5.0
+    n = min(len(tried), len(before))
+    np.testing.assert_allclose(tried[:n], before[:n], rtol=1e-12)
+    assert n == len(before[before <= area * (1 + 1e-12)])

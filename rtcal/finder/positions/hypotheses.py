@@ -12,6 +12,7 @@ are over sqrt(1 / s - 1), s being the part of the surface that is covered.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
@@ -213,8 +214,10 @@ def volume(case: PositionsCase) -> ShiftHypothesis:
 
 
 COUPLED = CoupledRoom()
-SIZES = tuple(np.geomspace(0.05, 1.4, 14))
-"""Areas that are tried, over the room's absorption area at 500 to 2000 Hz."""
+LEAST = 0.05
+"""Least area that is tried, over the room's absorption area at 500 to 2000 Hz."""
+RATIO = 28.0 ** (1 / 13)
+"""Of an area that is tried to the one before it. The last is the largest that the surface holds."""
 WHOLE = {"air": air, "volume": volume}
 """Effects of the whole room that change what is traced, by name."""
 DISPLACEMENTS = (0.5, 1.0, 2.0)
@@ -223,6 +226,12 @@ NOISES = (3.0, 10.0)
 """Factors of the standard deviation of a pair whose measurement failed."""
 LOCATED = 0.5
 """Prior probability that something which fits on a part of its surface stands on one alone."""
+
+
+def areas_tried(middle: float, area: float) -> Array:
+    """Return the areas that are tried on a surface, in m², up to its own."""
+    number = 1 + math.floor(math.log(max(area / (LEAST * middle), 1 / RATIO)) / math.log(RATIO))
+    return np.minimum(LEAST * middle * RATIO ** np.arange(number), area)
 
 
 def on_surfaces(effects: Sequence[Effect]) -> list[Effect]:
@@ -254,24 +263,20 @@ def _on_surfaces(case: PositionsCase, effect: Effect) -> list[ShiftHypothesis]:
     spectra = effect.on_surface(frequencies)
     middle = middle_absorption(stated_room(case))
     covering = bool(effect.shares)
-    sizes = np.array(effect.shares or SIZES)
     made = []
     for j in np.flatnonzero(possible):
         changes, odds, used, parameters, alpha = [], [], [], [], []
+        tried = np.array(effect.shares) * areas[j] if covering else areas_tried(middle, areas[j])
         for settings, spectrum in spectra:
-            for size in sizes:
-                area = size * areas[j] if covering else size * middle
-                share = min(area / areas[j], 1.0)
-                if not covering and area > areas[j]:
-                    continue
-                moved = share * (spectrum - stated[j])
+            for area in tried:
+                moved = area / areas[j] * (spectrum - stated[j])
                 if covering:
                     moved = np.minimum(moved, 0.0)
                     if (-moved / np.maximum(stated[j], 1e-6)).max() < _LEAST_TAKEN:
                         continue
                 changes.append(moved)
                 fitting = areas[possible & (areas >= (0 if covering else area))]
-                odds.append(areas[j] / fitting.sum() / (len(spectra) * len(sizes)))
+                odds.append(areas[j] / fitting.sum() / len(spectra))
                 used.append(area)
                 parameters.append({**settings, "area": float(area)})
                 alpha.append(spectrum)
@@ -314,7 +319,7 @@ def _apertures(case: PositionsCase) -> list[ShiftHypothesis]:
     possible = np.array([k in COUPLED.stands_on for k in case.kinds])
     made = []
     for j in np.flatnonzero(possible):
-        area = np.array([size * middle for size in SIZES if size * middle <= areas[j]])
+        area = areas_tried(middle, areas[j])
         if not len(area):
             continue
         share = interpolation(OPEN, np.repeat(area[:, np.newaxis] / areas[j], n_bands, axis=1))

@@ -27,10 +27,9 @@ from rtcal.finder.case import Case
 from rtcal.finder.claim import most_probable_first, with_added
 from rtcal.finder.configuration import PARAMETERS, Configuration
 from rtcal.finder.effects import Effect
-from rtcal.finder.finding import Candidate, End
+from rtcal.finder.finding import Candidate
 from rtcal.finder.means.finding import MeansFinding
 from rtcal.finder.means.search import find as find_by_means
-from rtcal.finder.means.verdict import AT_END
 from rtcal.finder.positions.case import PositionsCase
 from rtcal.finder.positions.evidence import (
     MEASUREMENT,
@@ -380,15 +379,8 @@ def _candidate(case: PositionsCase, members: Sequence[tuple[ShiftHypothesis, Arr
     ends = [mean, mean - NORMAL_90 * deviation, mean + NORMAL_90 * deviation]
     size, low, high = ends if signed else np.exp(ends).tolist()
     surface = None if shift.surface is None else list(case.faces)[shift.surface]
-    end: End = ""
     if surface is not None and shift.unit == "m²":  # no more stands on a surface than it has
-        area = case.areas[surface]
-        size, low, high = (min(each, area) for each in (size, low, high))
-        tried, rows = np.unique(sizes, return_inverse=True)
-        by_size = np.bincount(rows, share)
-        fits = len(tried) > 1 and tried[-1] ** 2 / tried[-2] <= area  # the size after the largest
-        if fits and by_size[-1] > np.exp(-AT_END) * by_size.max():
-            end = "least"
+        size, low, high = (min(each, case.areas[surface]) for each in (size, low, high))
     return Candidate(
         effect=shift.effect,
         family=shift.family,
@@ -399,7 +391,6 @@ def _candidate(case: PositionsCase, members: Sequence[tuple[ShiftHypothesis, Arr
         low=low,
         high=high,
         unit=shift.unit,
-        end=end,
         parameters=[p for member, _ in members for p in member.parameters][likely],
         spectrum=np.asarray(share @ np.concatenate([member.spectra for member, _ in members])),
         parts=tuple(

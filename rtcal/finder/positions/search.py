@@ -88,9 +88,6 @@ _ANYWHERE = (
     "one was detected, its aperture was on another surface than the most probable one."
 )
 """Why the surface of an aperture is not claimed (docs/where_study.md)."""
-_LARGER = "Its size is the largest that is tried: a larger one on another surface was not compared."
-"""Why a surface is not claimed where more may stand on it. A whole ceiling of foam in a hard room, T a
-quarter of the model's, had been 13 m² on a wall, 92 %."""
 
 
 MORE_PATHS = 3
@@ -369,11 +366,7 @@ def _reasons(case: PositionsCase, verdict: str, best: Candidate | None) -> tuple
     """Return why the most probable surface is not claimed."""
     if verdict in ("named", "family", "ambiguous") and case.simulator.unknown_sources:
         return (_AIMED,)
-    if best is None:
-        return ()
-    if best.effect == COUPLED.name:
-        return (_ANYWHERE,)
-    return (_LARGER,) if best.end == "least" else ()
+    return (_ANYWHERE,) if best is not None and best.effect == COUPLED.name else ()
 
 
 def _map(numbers: PositionsProblem, likelihood: Likelihood) -> Array:
