@@ -30,6 +30,8 @@ _SPREAD = 0.03
 Teams differ by more at one pair (Bork 2005), one team on another day hardly by less."""
 CHANCE = 0.001
 """Probability below which values are not equal by chance."""
+_TELL = 3
+"""Least number of differences that tell how near the values of a band are to each other."""
 _ALL_BY_CHANCE = 0.05
 """Probability below which values that are all equal when rounded are the same data: data are given
 again more often than all of them are measured alike."""
@@ -173,8 +175,41 @@ def chance_of_equal(values: Array | Sequence[float]) -> Array:
     [0.02, 0.02, 0.02]
     """
     sizes = np.abs(np.asarray(values, dtype=float))
-    step = np.maximum(10.0 ** -min(_decimals(sizes), 3), 2 * _SAME * sizes)
+    step = _step(sizes)
     return np.asarray(np.fmin(1.0, step / np.maximum(_SPREAD * sizes, step)))
+
+
+def _step(sizes: Array) -> Array:
+    """Return the distance of values that are told apart, as they are rounded."""
+    return np.maximum(10.0 ** -min(_decimals(sizes), 3), 2 * _SAME * sizes)
+
+
+def chance_of_near(one: Array, other: Array) -> Array:
+    """Return how probably two values of a band are equal, by how near others are, (n_bands,).
+
+    ``one`` and ``other`` are rows (n_rows, n_bands); equal values and NaN tell nothing, since what is
+    equal may be a copy. The steps of rounding between the others are taken as geometric on both sides
+    of 0. A band with fewer than `_TELL` of them is as all bands are; 0 if there are none.
+
+    Examples
+    --------
+    >>> t = np.array([[1.514], [1.516], [1.511], [1.515], [1.510]])
+    >>> chance_of_near(t[:-1], t[1:]).round(2), chance_of_equal([1.514]).round(2)
+    (array([0.06]), array([0.02]))
+    """
+    steps = np.abs(one - other) / np.maximum(_step(np.abs(one)), _step(np.abs(other)))
+    counted = [column[column > _SAME] for column in steps.T]
+    every = np.concatenate(counted)
+    return np.array([_chance_of_none(c if len(c) >= _TELL else every) for c in counted])
+
+
+def _chance_of_none(steps: Array) -> float:
+    """Return the probability of no step, by the steps between values that are not equal."""
+    if not len(steps):
+        return 0.0
+    near = max(1.0, float(np.median(steps)) / 2)
+    ratio = float(np.mean(steps.round(3) > near)) ** (1 / near)
+    return (1 - ratio) / (1 + ratio)
 
 
 def _decimals(values: Array) -> int:
@@ -203,9 +238,10 @@ def equal_rounded(one: Array, other: Array) -> tuple[NDArray[np.bool_], Array]:
     return np.asarray(equal), np.maximum(chance_of_equal(one), chance_of_equal(other))
 
 
-def beyond_chance(n_equal: int, chances: Array) -> bool:
+def beyond_chance(n_equal: int, chances: Array, *, compared: int = 1) -> bool:
     """Whether more of some values are equal than chance allows; ``chances`` (n_values,) of each.
 
+    ``compared`` is the number of sets of values of which this is one.
     Of values that are not equally probable the binomial distribution of the mean has the wider tail.
 
     Examples
@@ -218,7 +254,7 @@ def beyond_chance(n_equal: int, chances: Array) -> bool:
 
     if n_equal == 0:
         return False
-    return bool(bdtrc(n_equal - 1, len(chances), float(chances.mean())) < CHANCE)
+    return bool(bdtrc(n_equal - 1, len(chances), float(chances.mean())) < CHANCE / compared)
 
 
 def refuse_repeated_data(room: Room, *names: str) -> None:
@@ -411,13 +447,19 @@ def copies(pairs: Sequence[Pair], tables: Iterable[Array]) -> list[str]:
     """
     every = [*tables]
     rows = np.nan_to_num(np.hstack(every), nan=-np.inf)
-    chances = np.hstack([chance_of_equal(table) for table in every])
     first: dict[bytes, int] = {}
+    of_row = [first.setdefault(row.tobytes(), i) for i, row in enumerate(rows)]
+    if len(first) == len(rows):
+        return []
+    own = [table[[*first.values()]] for table in every]
+    near = np.hstack([chance_of_near(table[:-1], table[1:]) for table in own])
+    chances = np.maximum(np.hstack([chance_of_equal(table) for table in every]), near)
     copied = []
-    for i, row in enumerate(rows):
-        j, known = first.setdefault(row.tobytes(), i), np.isfinite(row)
+    for i, j in enumerate(of_row):
+        known = np.isfinite(rows[i])
         n = int(known.sum())
-        if j != i and n >= _LEAST_COPIED and beyond_chance(n, chances[i, known]):
+        among = math.comb(len(rows), 2)
+        if j != i and n >= _LEAST_COPIED and beyond_chance(n, chances[i, known], compared=among):
             copied.append(" and ".join(" to ".join(pairs[k]) for k in (i, j)))
     if not copied:
         return []

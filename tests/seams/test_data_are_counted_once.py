@@ -10,7 +10,9 @@ import pytest
 from click.testing import CliRunner
 
 import rtcal as rt
+from rtcal.acoustics import repeats
 from rtcal.command.main import cli
+from rtcal.finder.states.copies import without_copies
 from rtcal.loop import positions
 from rtcal.loop.measured_pairs import fingerprints, pairs_to_match
 from rtcal.simulators.observations import Observations
@@ -332,3 +334,47 @@ def test_a_fit_refuses_them_before_it_simulates(
         rt.calibrate_positions(used, once, measured, match)
     with pytest.raises(AssertionError, match="have begun"):
         rt.calibrate_positions(tracer, hall.room, measured, match)
+
+
+def times_at(rng: np.random.Generator, spread: float, bands: int = 6) -> np.ndarray:
+    """Return T of twelve pairs, (12, n_bands), whose relative standard deviation is ``spread``."""
+    return rng.uniform(0.5, 2, bands) * (1 + spread * rng.standard_normal((12, bands)))
+
+
+@pytest.mark.parametrize("bands", [3, 5, 8])
+def test_values_that_repeat_closely_are_no_copies(bands: int) -> None:
+    """T that repeats to 0.3 % is often equal to three decimals, and 48 of 200 had a copied pair."""
+    pairs, found = [("S1", f"R{i}") for i in range(12)], 0
+    for seed in range(200):
+        rng = np.random.default_rng(seed)
+        found += bool(repeats.copies(pairs, [times_at(rng, 0.003, bands).round(3)]))
+        true = times_at(rng, 0.03, bands)
+        states = [
+            rt.Measurement(
+                centre_frequencies=1000.0 * 2.0 ** np.arange(-bands + 4, 4),
+                values={"t20": (true * (1 + 0.003 * rng.standard_normal(true.shape))).round(3)},
+                pairs=pairs,
+            )
+            for _ in range(2)
+        ]
+        found += bool(without_copies(*states)[2])
+    assert found <= 2
+
+
+@pytest.mark.parametrize("bands", [5, 8])
+def test_copies_of_values_that_differ_are_seen(bands: int) -> None:
+    pairs = [("S1", f"R{i}") for i in range(12)]
+    for seed in range(50):
+        rng = np.random.default_rng(seed)
+        before, after = (times_at(rng, 0.03, bands).round(3) for _ in range(2))
+        before[-1], after[4] = before[0], before[4]
+        assert "S1 to R11 and S1 to R0" in repeats.copies(pairs, [before])[0]
+        states = [
+            rt.Measurement(
+                centre_frequencies=1000.0 * 2.0 ** np.arange(-bands + 4, 4),
+                values={"t20": times},
+                pairs=pairs,
+            )
+            for times in (before, after)
+        ]
+        assert without_copies(*states)[2][0].startswith("S1 to R4: the same values")

@@ -9,7 +9,7 @@ import numpy as np
 from rtcal.acoustics import bands
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.observables import observable, parameter_label
-from rtcal.acoustics.repeats import CHANCE, beyond_chance, equal_rounded
+from rtcal.acoustics.repeats import CHANCE, beyond_chance, chance_of_near, equal_rounded
 from rtcal.support.errors import DataError
 from rtcal.support.text import first_of
 
@@ -42,13 +42,17 @@ def without_copies(
     )
     known = np.isfinite(one) & np.isfinite(other)
     # Each row has its own decimals: copied rows may stand beside others that are rounded otherwise.
-    equal, chance = np.zeros_like(known), np.ones_like(one)
+    equal, as_rounded = np.zeros_like(known), np.ones_like(one)
     for at in np.ndindex(known.shape[:2]):
-        equal[at], chance[at] = equal_rounded(one[at], other[at])
+        equal[at], as_rounded[at] = equal_rounded(one[at], other[at])
     whole = known.any(axis=(1, 2)) & (equal | ~known).all(axis=(1, 2))
+    # Where the measurement repeats closely, values are often equal: what is not tells how often.
+    apart = np.where(equal, np.nan, one)
+    near = [chance_of_near(apart[:, j], other[:, j]) for j in range(len(shared))]
+    chance = np.maximum(as_rounded, np.array(near))
     of_pair = np.where(known, chance, 1.0).prod(axis=(1, 2))
     together = beyond_chance(int(whole.sum()), of_pair)
-    copied = whole & (together | (of_pair < CHANCE))
+    copied = whole & (together | (of_pair < CHANCE / len(pairs)))
     names = [pair for pair, is_copy in zip(pairs, copied, strict=True) if is_copy]
     if len(names) == len(pairs):
         raise DataError("before and after have the same values at every pair: are they one file?")
@@ -61,7 +65,7 @@ def without_copies(
         before, after = (m.select([p for p in m.pairs if p not in names]) for m in (before, after))
     # A level may well be the same to 0.1 dB again.
     times = np.array([observable(p).logarithmic for p in shared])[:, np.newaxis]
-    told = known & times & (chance < _PRECISE) & ~copied[:, np.newaxis, np.newaxis]
+    told = known & times & (as_rounded < _PRECISE) & ~copied[:, np.newaxis, np.newaxis]
     cells = np.argwhere(told & equal)
     if not beyond_chance(len(cells), chance[told]):
         return before, after, notes
