@@ -79,6 +79,15 @@ def true_times(rng: np.random.Generator, room: rt.Room, equation: rt.Eyring) -> 
     return equation.time(room, room.areas @ np.clip(drawn, 0.01, 0.99))
 
 
+def program_of(room: rt.Room) -> rt.simulators.External:
+    """A program that has the room's T by Eyring's equation."""
+    return rt.simulators.External(
+        room=room,
+        name="program",
+        run=lambda alpha, seed: rt.Eyring().time(room, room.areas @ alpha),
+    )
+
+
 def candidates_of(*effects: str) -> tuple[Candidate, ...]:
     """Return candidates of which nothing but their effects is known."""
     return tuple(Candidate(effect=e, family=e, probability=0.0) for e in effects)

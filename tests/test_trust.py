@@ -161,6 +161,17 @@ def test_missing_air_warns(cr2) -> None:
         rt.calibrate(room, measured)
 
 
+def test_a_loop_warns_of_missing_air_once(cr2) -> None:
+    """`rt.loop.start` said nothing; its command did, by the calibration after it."""
+    room, measured = cr2
+    with pytest.warns(rt.errors.MissingAirWarning, match="states no air"):
+        loop = rt.loop.start(room.with_air(None), measured)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        loop.calibrated(loop.wanted)
+        rt.loop.start(room, measured)
+
+
 def test_uncertainty_of_t_over_pairs() -> None:
     """Two sources x three receivers: n_eff is 3, not 6; never below ISO 3382-2's own variance."""
     rng = np.random.default_rng(3)

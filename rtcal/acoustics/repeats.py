@@ -208,7 +208,7 @@ def _chance_of_none(steps: Array) -> float:
     if not len(steps):
         return 0.0
     near = max(1.0, float(np.median(steps)) / 2)
-    ratio = float(np.mean(steps.round(3) > near)) ** (1 / near)
+    ratio: float = np.mean(steps.round(3) > near).item() ** (1 / near)
     return (1 - ratio) / (1 + ratio)
 
 

@@ -119,14 +119,10 @@ def notes_of_bands(room: Room, measured: Measurement) -> list[str]:
     return told
 
 
-def tell_bands(room: Room, measured: Measurement) -> None:
-    """Warn of measured bands that are converted or left out, and of the room's bands without T."""
+def tell_data(room: Room, measured: Measurement) -> None:
+    """Warn of bands that are converted, left out or without T, and of pairs that are copies."""
     if told := notes_of_bands(room, measured):
         warnings.warn("; ".join(told), OtherBandsWarning, stacklevel=checks.stack_level())
-
-
-def tell_copies(measured: Measurement) -> None:
-    """Warn of pairs that have all values of another."""
     for note in measured.copies:
         warnings.warn(note, CopiedPairsWarning, stacklevel=checks.stack_level())
 

@@ -177,12 +177,14 @@ def calibrated_to_positions(
     file: Path, room: Room, heard: Measurement, paths: int
 ) -> PositionsResult:
     """Return the calibration to every position."""
+    from rtcal.calibration.problem_data import tell_data
     from rtcal.finder.means.evidence import FOLDER
     from rtcal.io import geometry_files
     from rtcal.loop.control_runs import RUNS
     from rtcal.loop.positions import calibrate_positions
     from rtcal.support.speed import bar, following
 
+    tell_data(room, heard)
     with without_air_warning(), bar(RUNS, "control run", bar_wanted(), said()) as shown:
         return calibrate_positions(
             geometry_files.path_tracing(room, n_paths=paths),
@@ -201,12 +203,12 @@ def measured_states(
     from rtcal.acoustics.repeats import refuse_repeated_data
     from rtcal.acoustics.room import Room
     from rtcal.acoustics.states import State
-    from rtcal.calibration.problem_data import tell_bands, times_in_room
+    from rtcal.calibration.problem_data import tell_data, times_in_room
 
     def state(stated: Room, path: str) -> State:
         heard = read_measured(path, quietly=True)
         times = times_in_room(stated, heard)
-        tell_bands(stated, heard)
+        tell_data(stated, heard)
         refuse_repeated_data(stated, times.fingerprint)  # a state does not know its pairs
         return State(stated, times.reverberation_time, times.uncertainty)
 

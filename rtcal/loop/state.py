@@ -27,7 +27,7 @@ from rtcal.acoustics.room import Room
 from rtcal.acoustics.trust import TrustMark, bent_marks
 from rtcal.calibration.methods import preset
 from rtcal.calibration.problem import CalibrationProblem
-from rtcal.calibration.problem_data import data_history, tell_bands, tell_copies, times_in_room
+from rtcal.calibration.problem_data import data_history, tell_data, times_in_room
 from rtcal.calibration.result import CalibrationResult
 from rtcal.loop import rules
 from rtcal.loop.matched import (
@@ -419,7 +419,7 @@ def start(
     """Return a loop before its first simulation; see `Loop` for the parameters.
 
     ``weights`` and ``modes`` are those of `calibrate_simulator`. Raises DataError if an argument breaks
-    its rule, or the room was calibrated to these data. Warns of other bands, and of copied pairs.
+    its rule, or the room was calibrated to these data. Warns of other bands, copies and no air.
     """
     if not isinstance(rule, str) or rule not in RULES:
         raise DataError(f'rule = "{rule}" is not one of {", ".join(RULES)}')
@@ -431,8 +431,7 @@ def start(
     room, measured = (low.room, low.above(measured)) if low else (room, measured)
     data = times_in_room(room, measured)
     refuse_repeated_data(room, data.fingerprint)
-    tell_bands(room, stated)
-    tell_copies(stated)
+    tell_data(room, stated)
     what = matched_times(room, measured, data.reverberation_time, weights)
     heard = means(measurement_in_room_bands(measured, room.centre_frequencies))
     return Loop(
@@ -447,4 +446,5 @@ def start(
         bent=data.bent,
         beside={p: mean for p, mean in heard.items() if p not in what.shares},
         low=low,
+        _problems=[preset(method, room).build(room.as_exact, equation)],
     )

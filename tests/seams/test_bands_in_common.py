@@ -18,6 +18,7 @@ from rtcal.datasets import examples
 from rtcal.finder import positions
 from rtcal.finder.effects import library
 from rtcal.support.errors import OtherBandsWarning
+from tests.conftest import program_of
 
 pytest.importorskip("numba", reason="the paths are traced by compiled code (extra fast)")
 
@@ -126,13 +127,8 @@ def test_the_library_s_loop_says_what_its_command_says(frequencies: list[float],
     measured = rt.Measurement.from_values(frequencies, t20=np.full(len(frequencies), 1.8))
     with pytest.warns(OtherBandsWarning, match=said):
         rt.loop.start(room, measured)
-    program = rt.simulators.External(
-        room=room,
-        name="program",
-        run=lambda alpha, seed: rt.Eyring().time(room, room.areas @ alpha),
-    )
     with warnings.catch_warnings():
         warnings.simplefilter("error", OtherBandsWarning)
-        result = rt.calibrate_simulator(program, room, measured)
+        result = rt.calibrate_simulator(program_of(room), room, measured)
     lacking = [s for s in result.status if s == "no measured T"]
     assert said.lower() in " ".join(result.notes).lower() or len(lacking) == 4

@@ -17,6 +17,7 @@ from rtcal.loop import positions
 from rtcal.loop.measured_pairs import fingerprints, pairs_to_match
 from rtcal.simulators.observations import Observations
 from rtcal.support.errors import CopiedPairsWarning, DataError
+from tests.conftest import program_of
 from tests.test_discrepancy import controls_of
 
 
@@ -244,9 +245,9 @@ def test_a_renamed_copy_is_said_by_every_answer(room_and_times, factor, said) ->
     assert told == dict.fromkeys(answers, said)
 
 
-@pytest.mark.parametrize("command", ["calibrate", "loop start"])
+@pytest.mark.parametrize("command", ["calibrate", "loop start", "predict"])
 def test_a_command_says_a_renamed_copy_once(command: str, room_and_times, tmp_path) -> None:
-    """It was said where the file is read, and by the answer; `rt.loop.start` did not say it."""
+    """It was said where the file is read, and by the answer; a prediction said nothing."""
     room, times = room_and_times
     t20 = np.stack([times, 1.1 * times, times]).round(4)
     pairs = [("S1", "R1"), ("S1", "R2"), ("S1", "R3")]
@@ -257,7 +258,15 @@ def test_a_command_says_a_renamed_copy_once(command: str, room_and_times, tmp_pa
     rt.Measurement(
         centre_frequencies=room.centre_frequencies, values={"t20": t20}, pairs=pairs
     ).save(files["t.csv"])
-    also = ["--state", files["loop.json"], "--out", files["next.toml"]] if "loop" in command else []
+    change = tmp_path / "change.toml"
+    change.write_text(
+        '[[variant]]\nname = "warm"\nchange = [{air = {temperature = 26, humidity = 60}}]\n',
+        encoding="utf-8",
+    )
+    also = {
+        "loop start": ["--state", files["loop.json"], "--out", files["next.toml"]],
+        "predict": ["--change", str(change)],
+    }.get(command, [])
     arguments = [*command.split(), files["room.toml"], files["t.csv"], *also]
     with warnings.catch_warnings(record=True) as told:
         warnings.simplefilter("always")
@@ -276,14 +285,9 @@ def test_a_simulator_s_calibration_notes_a_renamed_copy(room_and_times) -> None:
     )
     with pytest.warns(CopiedPairsWarning, match="S1 to R2 and S1 to R1"):
         rt.loop.start(room, heard)
-    program = rt.simulators.External(
-        room=room,
-        name="program",
-        run=lambda alpha, seed: rt.Eyring().time(room, room.areas @ alpha),
-    )
     with warnings.catch_warnings():
         warnings.simplefilter("error", CopiedPairsWarning)
-        result = rt.calibrate_simulator(program, room, heard)
+        result = rt.calibrate_simulator(program_of(room), room, heard)
     assert any("S1 to R2 and S1 to R1" in note for note in result.notes)
 
 

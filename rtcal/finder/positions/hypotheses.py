@@ -231,7 +231,7 @@ LOCATED = 0.5
 def areas_tried(middle: float, area: float) -> Array:
     """Return the areas that are tried on a surface, in m², up to its own."""
     number = 1 + math.floor(math.log(max(area / (LEAST * middle), 1 / RATIO)) / math.log(RATIO))
-    return np.minimum(LEAST * middle * RATIO ** np.arange(number), area)
+    return np.asarray(np.minimum(LEAST * middle * RATIO ** np.arange(number), area))
 
 
 def on_surfaces(effects: Sequence[Effect]) -> list[Effect]:
