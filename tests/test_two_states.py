@@ -269,6 +269,19 @@ def test_pairs_that_are_copies_within_a_state_are_said(panels: StatesFinding) ->
     assert "after: the same" not in one.lower()
 
 
+def test_exchanged_names_are_said(panels: StatesFinding) -> None:
+    """One file, two pairs of which had each other's name, was a change that nothing explains."""
+    before = replace(panels.case.before, values={"t20": panels.case.before.values["t20"].round(3)})
+    table = panels.case.after.values["t20"].round(3)
+    table[[1, 3]] = before.values["t20"][[3, 1]]
+    after = replace(panels.case.after, values={"t20": table})
+    said = " ".join(Differences.of(room(), before, after).notes)
+    first, second = (" to ".join(before.pairs[i]) for i in (1, 3))
+    each = f"{first} has those of {second}, {second} has those of {first}"
+    assert f"another pair before: {each}. Are" in said
+    assert "another pair" not in " ".join(panels.case.differences.notes)
+
+
 def test_a_pair_without_t_in_one_state_is_said(panels: StatesFinding) -> None:
     table = panels.case.after.values["t20"].copy()
     table[4] = np.nan

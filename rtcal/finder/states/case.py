@@ -106,7 +106,8 @@ class Differences:
                 "before and after have no source and receiver in common; two states are measured at "
                 f"the same positions, and these are {told.named(before)} and {told.named(after)}"
             )
-        notes += [*of_bands, *told.of_copies(before.select(pairs), after.select(pairs))]
+        paired = before.select(pairs), after.select(pairs)
+        notes += [*of_bands, *told.of_copies(*paired), *told.of_names(*paired)]
         notes += told.alone(states[0], states[1], pairs)
         chosen = [m.select(pairs) for m in states]
         shape = (len(pairs), room.n_bands)

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from rtcal.acoustics.measurement import Measurement
-from rtcal.acoustics.repeats import Pair
+from rtcal.acoustics.repeats import Pair, beyond_chance, chance_of_equal, chance_of_near
 from rtcal.acoustics.room import Room
 from rtcal.calibration.problem_data import notes_of_bands
 from rtcal.support.text import as_sentence, first_of
@@ -22,6 +22,35 @@ def of_bands(room: Room, before: Measurement, after: Measurement) -> list[str]:
 def of_copies(before: Measurement, after: Measurement) -> list[str]:
     """Return notes of the pairs that have all values of another of the same state."""
     return _by_state(*("; ".join(m.copies) for m in (before, after)))
+
+
+def of_names(before: Measurement, after: Measurement) -> list[str]:
+    """Return a note of pairs that have after what another pair had before, if hardly by chance.
+
+    Both have the same pairs. Names that are exchanged and measured anew are not told.
+    """
+    shared = [name for name in before.values if name in after.values]
+    same_bands = np.array_equal(before.centre_frequencies, after.centre_frequencies)
+    if not (shared and same_bands):
+        return []
+    tables = [before.values[name] for name in shared]
+    near = np.hstack([chance_of_near(table[:-1], table[1:]) for table in tables])
+    chances = np.maximum(np.hstack([*map(chance_of_equal, tables)]), near)
+    one, other = np.hstack(tables), np.hstack([after.values[name] for name in shared])
+    rows = {row.tobytes(): i for i, row in enumerate(np.nan_to_num(one, nan=-np.inf))}
+    exchanged = []
+    for j, row in enumerate(np.nan_to_num(other, nan=-np.inf)):
+        i, known = rows.get(row.tobytes(), j), np.isfinite(other[j])
+        n = int(known.sum())
+        if i != j and beyond_chance(n, chances[i, known], compared=len(one) ** 2):
+            own, another = (" to ".join(before.pairs[k]) for k in (j, i))
+            exchanged.append(f"{own} has those of {another}")
+    if not exchanged:
+        return []
+    return [
+        f"Values after are those of another pair before: {first_of(exchanged, 3)}. Are the names of "
+        "pairs exchanged?"
+    ]
 
 
 def _by_state(before: str, after: str) -> list[str]:
