@@ -63,7 +63,7 @@ def child(name: str, n_materials: int, n_configurations: int) -> None:
     scale = np.array([0.02, 0.02, 0.01, 0.4, 0.4])[:, None]
     controls = [
         ControlRooms(engine, scale * rng.standard_normal(shape))
-        for engine in ("path tracing", "network")
+        for engine in ("path tracing", "image sources")
     ]
 
     def call() -> object:

@@ -16,7 +16,7 @@ import numpy as np
 from scipy.stats import beta
 
 from rtcal.finder import Case, MeansFinding, control_rooms, library
-from rtcal.finder.means.engines import ControlRooms
+from rtcal.finder.means.engines import ENGINES, ControlRooms
 
 NOTHING = "none"
 UNKNOWN = "unknown"
@@ -35,13 +35,15 @@ def first_of(controls: Sequence[ControlRooms]) -> list[ControlRooms]:
 
 
 def kept_controls(case: Case, path: Path) -> list[ControlRooms]:
-    """The case's control rooms, run once and kept."""
-    if not path.exists():
-        rooms = control_rooms(case)
-        path.parent.mkdir(parents=True, exist_ok=True)
-        np.savez_compressed(path, **{c.engine: c.errors.astype(np.float32) for c in rooms})
-    with np.load(path) as table:
-        return [ControlRooms(name, table[name].astype(float)) for name in table.files]
+    """The case's control rooms, run once and kept; run anew where rtcal lacks an engine of theirs."""
+    if path.exists():
+        with np.load(path) as table:
+            if set(table.files) <= set(ENGINES):
+                return [ControlRooms(name, table[name].astype(float)) for name in table.files]
+    rooms = control_rooms(case)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    np.savez_compressed(path, **{c.engine: c.errors.astype(np.float32) for c in rooms})
+    return [ControlRooms(c.engine, c.errors.astype(np.float32).astype(float)) for c in rooms]
 
 
 def row_of(finding: MeansFinding) -> dict[str, Any]:

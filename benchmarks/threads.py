@@ -37,7 +37,7 @@ def task(name: str) -> Callable[[], object]:
         scale = np.array([0.02, 0.02, 0.01, 0.4, 0.4])[:, None]
         controls = [
             ControlRooms(engine, scale * rng.standard_normal(shape))
-            for engine in ("path tracing", "network")
+            for engine in ("path tracing", "image sources")
         ]
         return lambda: rt.find(case, controls=controls)
     room, measured = rt.datasets.bras_cr2()

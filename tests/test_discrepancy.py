@@ -283,24 +283,24 @@ def test_evidence_is_the_normal_density() -> None:
 def test_the_bias_is_the_mean_of_those_who_can_tell_it_and_of_the_model() -> None:
     case = case_with(np.ones(7))
     rng = np.random.default_rng(2)
-    tracing, sdn, rays = (
+    tracing, images, rays = (
         ControlRooms(name, mean + 0.01 * rng.standard_normal((12, 1, 5, 7)))
-        for name, mean in (("path tracing", 0.3), ("network", 5.0), ("rays", 0.6))
+        for name, mean in (("path tracing", 0.3), ("image sources", 5.0), ("rays", 0.6))
     )
-    sdn.errors[0, 0, :, 0] = np.nan  # a band that could not be evaluated there
-    own = [np.nanmean(c.errors, axis=0) for c in (tracing, sdn, rays)]
+    images.errors[0, 0, :, 0] = np.nan  # a band that could not be evaluated there
+    own = [np.nanmean(c.errors, axis=0) for c in (tracing, images, rays)]
     bias = (own[0] + own[2]) / 3
-    bias[:, 4] = own[0][:, 4] / 2  # pyroomacoustics does not tell G, nor the network anything
-    error = estimate_discrepancy(case, [tracing, sdn, rays])
+    bias[:, 4] = own[0][:, 4] / 2  # pyroomacoustics does not tell G, nor image sources anything
+    error = estimate_discrepancy(case, [tracing, images, rays])
     np.testing.assert_allclose(error.bias, bias.ravel(), rtol=1e-12)
     # Between 0, 0.3 and 0.6 lies a variance of 0.09, of G between 0 and 0.3 one of 0.045.
     variance = np.diag(error.covariance).reshape(5, 7) / 1.2
     np.testing.assert_allclose(variance[0], 0.09, rtol=0.1)
     np.testing.assert_allclose(variance[4] - 0.5**2, 0.045, rtol=0.1)
-    first, moved, third = recentred([tracing, sdn, rays])
+    first, moved, third = recentred([tracing, images, rays])
     np.testing.assert_array_equal(first.errors, tracing.errors)
     np.testing.assert_allclose(np.nanmean(moved.errors, axis=0), bias, rtol=1e-12)
-    np.testing.assert_allclose(moved.errors - bias, sdn.errors - own[1], rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(moved.errors - bias, images.errors - own[1], rtol=1e-9, atol=1e-12)
     np.testing.assert_array_equal(third.errors[:, :, :4], rays.errors[:, :, :4])
     np.testing.assert_allclose(third.errors[:, :, 4].mean(0), bias[:, 4], rtol=1e-12)
 
@@ -527,9 +527,9 @@ def test_a_plan_s_change_is_a_share_of_t(change: object) -> None:
 
 def test_two_engines_are_the_least() -> None:
     with pytest.raises(DataError, match="at least two engines"):
-        control_rooms(opened(), engines=["network"])
+        control_rooms(opened(), engines=["image sources"])
     with pytest.raises(DataError, match='engine "horn" is not one of'):
-        control_rooms(opened(), engines=["network", "horn"])
+        control_rooms(opened(), engines=["image sources", "horn"])
 
 
 def test_a_threshold_may_be_given() -> None:
@@ -676,7 +676,7 @@ def test_control_rooms_of_another_case_are_refused() -> None:
             find(case, seed=seed)  # type: ignore[arg-type]
     with pytest.raises(DataError, match="case = None"):
         find(None)  # type: ignore[arg-type]
-    for engines in (None, (["network"], "rays")):
+    for engines in (None, (["image sources"], "rays")):
         with pytest.raises(DataError, match="engine"):
             find(case, engines=engines)  # type: ignore[arg-type]
     for threshold in (-5.0, "5", np.inf):

@@ -69,7 +69,7 @@ def test_evidence_of_many_configurations_is_the_same_by_blocks(
     scale = np.array([0.03, 0.03, 0.02, 0.5, 0.5])[:, None]
     controls = [
         ControlRooms(name, scale * rng.standard_normal((20, 14, 5, 7)))
-        for name in ("path tracing", "network")
+        for name in ("path tracing", "image sources")
     ]
     observed, _ = observe(case)
     predicted = predict_hypotheses(case, [Opening(), NoiseFloor()])

@@ -21,7 +21,7 @@ from rtcal.command.finder_options import Inputs
 from rtcal.command.main import cli
 from rtcal.finder import Case, MeansFinding, MeansVerification, control_rooms, verify
 from rtcal.finder.finding import Size
-from rtcal.finder.means import evidence, search
+from rtcal.finder.means import engines, evidence, search
 from rtcal.finder.means.engines import ControlRooms
 from rtcal.finder.means.evidence import FOLDER
 from rtcal.finder.means.features import distances, state
@@ -30,6 +30,7 @@ from rtcal.finder.search import find
 from rtcal.report import gap_figures, pages
 from rtcal.report.document import Heading
 from rtcal.report.gap_report import summary
+from rtcal.simulators.sdn import ScatteringDelayNetwork
 
 pytest.importorskip("numba", reason="the engines are compiled (extra fast)")
 
@@ -73,7 +74,7 @@ def test_the_commands_find_add_and_prove(folder: Path) -> None:
     assert "opening" in found["candidates"]
     assert found["family"] == "added absorption"
     assert sum(found["probabilities"].values()) == pytest.approx(1)
-    assert found["engines"] == ["path tracing", "network"]
+    assert found["engines"] == ["path tracing", "image sources"]
     # The truth, datasets/hidden_room. Every candidate is shown with its size.
     assert found["sizes"]["opening"]["low"] < 39.6 < found["sizes"]["opening"]["high"]
     out = folder / "corrected.json"
@@ -106,7 +107,7 @@ def test_the_report_is_written_whole(folder: Path) -> None:
     # Its shape is no nearer to the measured one than plain calibration's; the page says so.
     assert "Nothing but the evidence supports them" in page
     assert "The name may be wrong" in page
-    assert "--seed 0 --engine &#39;path tracing&#39; --engine network --out" in page
+    assert "--seed 0 --engine &#39;path tracing&#39; --engine &#39;image sources&#39; --out" in page
     assert "measured.csv" in page
     assert len(page) < 2_000_000
     assert saved.quantities
@@ -411,12 +412,37 @@ _NEAR = {"air": 0.25}
 sound in another climate; of seven rooms, four of them of another air, the largest change was 0.13."""
 
 
+RATE = 4000.0
+
+
+def delay_network(setup: engines.Setup) -> engines.Simulation:
+    """The stored run's second simulator; its responses begin at the direct sound."""
+    network = ScatteringDelayNetwork(**setup.positions, sampling_rate=RATE)
+    speed = setup.room.speed_of_sound
+    first = [round(d * RATE / speed) for d in engines._distances(setup)]
+
+    def simulate(alpha: np.ndarray, duration: float) -> np.ndarray:
+        energy = network.impulse_responses(alpha, min(duration, network.longest)) ** 2
+        length = energy.shape[-1] - max(first)
+        aligned = np.stack([e[:, s : s + length] for e, s in zip(energy, first, strict=True)])
+        return engines._features(aligned, 1 / RATE, 100.0)
+
+    return simulate
+
+
+THEN = ("path tracing", "network")
+NETWORK = replace(
+    engines.ENGINES["image sources"], name="network", simulator=delay_network, stream=2
+)
+
+
+@patch.dict(engines.ENGINES, network=NETWORK)
 def differences(index: int) -> list[str]:
     """Return the differences from what is stored, of a room of population 1 with T20, EDT, T30."""
     case, stored_ = Case.from_dict(read(1, "case")[index]), stored()[index]["one"]
     one = case.only("t20", "edt", "t30", configurations=[case.configurations[0].name])
     # As the stored run has it: one configuration is judged by its part of the whole case's rooms.
-    controls = [ControlRooms(c.engine, c.errors[:, :1]) for c in control_rooms(case)]
+    controls = [ControlRooms(c.engine, c.errors[:, :1]) for c in control_rooms(case, engines=THEN)]
     # The stored run's grids ended; since then they go on, and a rival may have more evidence.
     # All data had one threshold, which is that of one step.
     with (

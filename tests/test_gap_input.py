@@ -502,13 +502,13 @@ def test_commands_simulate_a_case_s_control_rooms_once(
         return done.stdout
 
     said = command("find", path)
-    assert runs == ["path tracing", "network"]
+    assert runs == ["path tracing", "image sources"]
     assert command("find", path) == said
     command("verify", path)
     command("apply", path, "--out", str(tmp_path / "out.json"))
-    assert runs == ["path tracing", "network"]
+    assert runs == ["path tracing", "image sources"]
     command("find", path, "--seed", "1")
-    assert runs == ["path tracing", "network"] * 2
+    assert runs == ["path tracing", "image sources"] * 2
     # Another case in the same folder has rooms of its own.
     command("find", str(tmp_path / "out.json"))
     assert len(runs) == 6
@@ -530,7 +530,7 @@ def test_a_folder_that_cannot_be_written_is_no_error(
     monkeypatch.setattr(Engine, "run", lambda self, *_: ControlRooms(self.name, ERRORS))
     (tmp_path / "file").write_text("")
     rooms = control_rooms(case, cache=tmp_path / "file")
-    assert [c.engine for c in rooms] == ["path tracing", "network"]
+    assert [c.engine for c in rooms] == ["path tracing", "image sources"]
     assert (tmp_path / "file").read_text() == ""
 
 

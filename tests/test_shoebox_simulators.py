@@ -9,6 +9,7 @@ import rtcal as rt
 from rtcal.acoustics import decay
 from rtcal.simulators import base
 from rtcal.simulators.geometry import SHOEBOX_WALLS, Polyhedron
+from rtcal.simulators.late_images import mean_energy
 from rtcal.simulators.sdn import ScatteringDelayNetwork, _blocks
 from rtcal.simulators.shoebox import ImageSource, lattice
 from rtcal.support import speed
@@ -175,6 +176,24 @@ def test_image_sources_by_hand() -> None:
     # A bin's images share the mean of their lengths in the air's term: 8e-3/m times half of 0.34 m.
     assert images.energy(ALPHA)[0] == pytest.approx(expected, rel=1.4e-3)
     assert (expected[:, 1:] > 0).any()
+
+
+def test_late_images_have_their_mean_over_positions() -> None:
+    """40 pairs are compared in three parts of the decay; the walls of each axis absorb alike."""
+    room, of_axis = box(rt.Air(20, 50)), np.array([[0.1, 0.3], [0.35, 0.2], [0.2, 0.05]])
+    rng = np.random.default_rng(4)
+    sources, receivers = (
+        {f"{n}{i}": rng.uniform(0.1, 0.9, 3) * DIMENSIONS for i in range(m)}
+        for n, m in (("S", 5), ("R", 8))
+    )
+    images = ImageSource(room=room, sources=sources, receivers=receivers, duration=0.6)
+    counted = images.energy(np.repeat(of_axis, 2, axis=0))
+    distances = np.array([np.linalg.norm(sources[s] - receivers[r]) for s, r in images.box.pairs])
+    times = (np.arange(counted.shape[-1]) + 0.5) * images.bin_width
+    mean = mean_energy(room, of_axis, distances, times) * images.bin_width
+    for part in (slice(150, 300), slice(300, 450), slice(450, 600)):
+        both = (e[..., part].sum(-1).mean(0) for e in (mean, counted))
+        np.testing.assert_allclose(*both, rtol=0.03)
 
 
 def test_image_numba_and_numpy_weigh_alike(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -448,7 +448,7 @@ def test_a_wrong_file_is_refused(
     ("options", "message"),
     [
         (("--exclude", "S1R1"), '--exclude: "S1R1" is not SOURCE:RECEIVER'),
-        (("--engine", "network", "--engine", "path tracing"), "--engine"),
+        (("--engine", "image sources", "--engine", "path tracing"), "--engine"),
         (("--prior", "opening=2"), "--prior"),
         (("--scattering", "2"), "scattering"),
     ],

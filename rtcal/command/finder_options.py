@@ -150,7 +150,7 @@ def refuse(stated: Mapping[str, object], why: str) -> None:
             raise DataError(f"{option}{why}")
 
 
-ENGINES = ("path tracing", "network")
+ENGINES = ("path tracing", "image sources")
 
 before_option = click.option(
     "--before",
@@ -261,7 +261,7 @@ def search_options(command: Any) -> Any:
         "--engine",
         "engines",
         multiple=True,
-        help="Simulator of the control rooms, at least two; by default path tracing and network.",
+        help="Simulator of the control rooms, at least two; by default path tracing and image sources.",
     )
     @click.option("--without", multiple=True, metavar="EFFECT", help="Do not try this effect.")
     @click.option("--only", multiple=True, metavar="EFFECT", help="Try this effect alone.")

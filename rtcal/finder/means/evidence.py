@@ -23,7 +23,8 @@ A parametric bootstrap. Each draw takes alpha from the prior, the model's error 
 control rooms, and noise from the measurement and from distances that are not stated. The errors that
 coefficients have in common fall faster with the stated sigma than in the evidence
 (`rtcal.finder.prior.NULL_POWER`). The model's bias and covariance are estimated from one half of the
-control rooms, and the draws use the other half. The few control rooms of the network are not divided.
+control rooms, and the draws use the other half. The few control rooms of the image sources are not
+divided.
 """
 
 from __future__ import annotations
@@ -301,7 +302,7 @@ FOLDER = ".rtcal_cache"
 def control_rooms(
     case: Case,
     seed: int = 0,
-    engines: Sequence[str] = ("path tracing", "network"),
+    engines: Sequence[str] = ("path tracing", "image sources"),
     progress: TaskProgress | None = None,
     cache: str | os.PathLike[str] | None = None,
 ) -> tuple[ControlRooms, ...]:

@@ -333,13 +333,12 @@ class MeansFinding(SetsFinding):
         title = "other probabilities" if said else "probabilities"
         if self.more_than_one:
             title += " of being there at all"
-        titles = ["scattering delay network" if e == "network" else e for e in self.engines]
         return (
             f"{self.deciding_in_words}{f'{title}: {listing}. ' if others else ''}"
             "Evidence that something is missing, whatever it is: "
             f"{self.score:+.1f} nats ({NATS}). Threshold: {self.threshold:.1f} nats, which at most "
             "5 % of simulated rooms exceed that lack nothing "
-            f"({', '.join(titles) or 'no engine'})."
+            f"({', '.join(self.engines) or 'no engine'})."
         )
 
     @property

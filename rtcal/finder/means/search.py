@@ -60,7 +60,7 @@ def find(
     without: Sequence[str] = (),
     only: Sequence[str] = (),
     prior: Mapping[str, float] | None = None,
-    engines: Sequence[str] = ("path tracing", "network"),
+    engines: Sequence[str] = ("path tracing", "image sources"),
     controls: Sequence[ControlRooms] | None = None,
     cache: str | os.PathLike[str] | None = None,
     progress: TaskProgress | None = None,
