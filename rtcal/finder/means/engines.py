@@ -392,7 +392,7 @@ ENGINES: Mapping[str, Engine] = {
             duration=1.15,
             models=tuple(SCATTERING),
         ),
-        # Without scattering the slow decays along an axis stay. Its T is up to twice as long as by any
+        # Without scattering slow decays along an axis stay. Its T is up to 2.3 times as long as by any
         # equation, and its decay is bent.
         Engine(
             name="image sources",
