@@ -1,6 +1,10 @@
 """The effects that an observer could name with the finder's beliefs, of rooms drawn from that belief.
 
-    python -m benchmarks.ideal_observer --folder out --population 0 --rooms 24
+    python -m benchmarks.ideal_observer --folder out --population 0 --rooms 24     # two effects, or one
+    python -m benchmarks.ideal_observer --folder out --chain                       # one, or none
+
+The second takes the rooms that `benchmarks.chain run` left in this folder. Each has the effect that is
+hidden in it, or any where it is not of the library, with a size from the prior.
 
 Two effects, or one, and their parameters are drawn from the finder's prior, and the features from its
 likelihood, in rooms whose control rooms stand. So prior and likelihood are exactly right, and no other
@@ -12,22 +16,32 @@ from __future__ import annotations
 
 import argparse
 import warnings
+from contextlib import suppress
 from dataclasses import replace
+from pathlib import Path
+from typing import Any
+from unittest import mock
 
 import numpy as np
 
+from benchmarks.chain import data_sets, made, steps, table
+from benchmarks.chain import rooms as chain_rooms
+from benchmarks.judging import NOTHING, row_of
+from benchmarks.second_world import truth_of
 from benchmarks.several_effects import LEVEL
 from benchmarks.several_effects_rooms import rooms
 from rtcal.finder import Case, library
 from rtcal.finder.claim import by_family_sets, families_of, numbers_of
+from rtcal.finder.means import search
 from rtcal.finder.means.engines import ControlRooms
-from rtcal.finder.means.features import estimate_discrepancy, observe
+from rtcal.finder.means.features import ObservedFeatures, estimate_discrepancy, observe
 from rtcal.finder.means.hypotheses import predict_hypotheses
 from rtcal.finder.means.likelihood import MeansProblem
 from rtcal.finder.means.set_posterior import posterior_of_sets
 from rtcal.finder.means.sets import Rows, acting_order, compare, moments, shapes
 from rtcal.finder.means.verdict import TWO
 from rtcal.finder.prior import UNKNOWN, Prior, prior_of
+from rtcal.support.errors import DataError
 
 
 def drawn(compared: MeansProblem, prior: Prior, number: int, rng: np.random.Generator) -> Rows:
@@ -83,14 +97,68 @@ def examined(
     return float(np.log(more / less)), likeliest == truth, claimed
 
 
+def one_effect(compared: MeansProblem, prior: Prior, hidden: str, rng: np.random.Generator) -> Rows:
+    """A hidden effect with its parameters, or any effect of the library, from the prior."""
+    rows = np.flatnonzero(np.array(compared.predicted.names) == hidden)
+    if not len(rows):
+        return drawn(compared, prior, 1, rng)
+    weights = compared.predicted.weights[rows]
+    return (int(rng.choice(rows, p=weights / weights.sum())),)
+
+
+def found(
+    case: Case, controls: list[ControlRooms], hidden: str, rng: np.random.Generator
+) -> dict[str, Any]:
+    """Return what the finder says of each data set of a room that has this effect, as a row."""
+    observed, _ = observe(case)
+    predicted, prior = predict_hypotheses(case, library()), prior_of(case.room, library(), {})
+    compared = compare(
+        MeansProblem(case, observed, predicted, estimate_discrepancy(case, controls))
+    )
+    rows = () if hidden == NOTHING else one_effect(compared, prior, hidden, rng)
+    table = measured(compared, rows, rng).observed.features
+
+    def as_drawn(some: Case) -> tuple[ObservedFeatures, list[str]]:
+        of, notes = observe(some)
+        features = np.where(of.used, table[: len(of.features)], np.nan)
+        return replace(of, features=features), notes
+
+    row: dict[str, Any] = {"truth": [predicted.names[rows[0]] if rows else NOTHING]}
+    with mock.patch.object(search, "observe", as_drawn):
+        for data, some, theirs in data_sets(case, controls):
+            row[data] = row_of(search.find(some, controls=theirs))
+    return row
+
+
+def chain(folder: Path, seed: int) -> None:
+    """Print `benchmarks.chain table` of the rooms as an observer finds them."""
+    rows = {}
+    for number, room in enumerate((*chain_rooms(50, 3, (1, 2)), *chain_rooms(24, 5, (3,)))):
+        truth, case, controls = made(folder, room)
+        known, rng = truth_of(room[0], truth), np.random.default_rng([seed, number])
+        if known is None:
+            continue
+        (hidden, *_) = known[0]
+        with suppress(DataError):  # no band can be trusted
+            row = found(case, controls, hidden, rng)
+            rows["_".join(map(str, room))] = {**row, "statement": known[1]}
+    table(rows, "ideal observer")
+    steps(rows)
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--folder", required=True)
     parser.add_argument("--population", type=int, default=0)
     parser.add_argument("--rooms", type=int, default=24)
+    parser.add_argument("--chain", action="store_true")
+    parser.add_argument("--seed", type=int, default=0, help="of a chain")
     parser.add_argument("--part", default="0/1", help="1/3: the second of three parts of the rooms")
     given = parser.parse_args()
     warnings.simplefilter("ignore")
+    if given.chain:
+        chain(Path(given.folder), given.seed)
+        return
     first, parts = (int(x) for x in given.part.split("/"))
     every = list(rooms(given.folder, given.population, given.rooms, double=True))[: given.rooms]
     pairs, singles = [], []
