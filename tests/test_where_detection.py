@@ -6,6 +6,8 @@ import json
 import sys
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -22,6 +24,7 @@ from rtcal.finder.positions.posterior import (
     THRESHOLD,
     PositionsEvidence,
     PositionsHypotheses,
+    Summary,
     evidence_of_means,
     of_means,
     scores,
@@ -172,3 +175,40 @@ def test_a_finding_tells_what_means_and_positions_say(
     assert finding.detected == (finding.score > finding.threshold)
     assert f"{finding.detection.means:+.1f} nats" in " ".join(str(finding).split())
     assert finding.to_dict()["nats_of_means"] == finding.detection.means
+
+
+def test_a_coupled_room_is_claimed_by_its_family_alone(
+    case: rt.finder.positions.PositionsCase, kept: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A box with scattering of 0.05, assumed to have 0.3, had been named a coupled room."""
+    module = sys.modules["rtcal.finder.positions.search"]
+    summary_of = module.summary_of
+
+    def certain(*arguments: Any) -> Summary:
+        told = summary_of(*arguments)
+        probabilities = {"coupled room": 0.97, "none": 0.03}
+        return replace(told, probabilities=probabilities, families={"field": 0.97, "none": 0.03})
+
+    monkeypatch.setattr(module, "THRESHOLD", -np.inf)
+    monkeypatch.setattr(module, "summary_of", certain)
+    finding = rt.finder.positions.find(case, only=["coupled room"], cache=kept)
+    assert (finding.verdict, finding.effect, finding.family) == ("family", None, "field")
+    assert finding.surface is None
+    assert "scatters less than assumed" in " ".join(finding.reasons)
+
+
+def test_what_means_claim_is_said_where_positions_claim_nothing(
+    case: rt.finder.positions.PositionsCase, kept: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A covered wall's family, 98 % by means, had been a hint at "audience on floor, 19 %"."""
+    module = sys.modules["rtcal.finder.positions.search"]
+    families = {"field": 0.98, "none": 0.02}
+    means = SimpleNamespace(score=4.7, effect=None, family="field", families=families, mistake="")
+    monkeypatch.setattr(module, "evidence_of_means", lambda *_: means)
+    monkeypatch.setattr(module, "THRESHOLD", np.inf)
+    finding = rt.finder.positions.find(case, cache=kept)
+    assert (finding.effect, finding.family) == (None, None)
+    assert "Means over positions claim field (98 %)" in " ".join(str(finding).split())
+    means.family = None
+    finding = rt.finder.positions.find(case, cache=kept)
+    assert "Means over positions claim" not in " ".join(str(finding).split())

@@ -271,7 +271,7 @@ def detection_in_words(detection: Detection) -> str:
         said += f" That one pair is noisier than assumed: {detection.noise:+.1f} nats."
     if detection.means is None:
         return said
-    return f"{said} Means over positions alone give {detection.means:+.1f} nats."
+    return f"{said} Means of these data over positions give {detection.means:+.1f} nats."
 
 
 LIKELY = 0.7

@@ -258,6 +258,18 @@ def evidence_of_means(
         return None
 
 
+def unconfirmed(means: MeansFinding) -> str:
+    """Return what means over positions claim where positions claim nothing; "" without that."""
+    name = means.effect or means.family
+    if name is None:
+        return ""
+    probability = (means.probabilities if means.effect else means.families)[name]
+    return (
+        f"Means over positions claim {name} ({100 * probability:.0f} %), which the differences "
+        "between positions do not confirm."
+    )
+
+
 def of_means(case: PositionsCase) -> Case:
     """Return the case without its geometry; DataError where it has no T that can be trusted."""
     measured, tracer = case.in_room, case.simulator

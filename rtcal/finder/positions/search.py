@@ -50,6 +50,7 @@ from rtcal.finder.positions.posterior import (
     gain,
     scores,
     summary_of,
+    unconfirmed,
     weights,
     with_families,
 )
@@ -85,9 +86,11 @@ _AIMED = (
 )
 _ANYWHERE = (
     "A second room gives its energy back to all positions alike. In both judged rooms in which "
-    "one was detected, its aperture was on another surface than the most probable one."
+    "one was detected, its aperture was on another surface than the most probable one. A room that "
+    "scatters less than assumed has such decays, too: compare with a lower --scattering."
 )
-"""Why the surface of an aperture is not claimed (docs/where_study.md)."""
+"""Why the surface of an aperture is not claimed (docs/where_study.md). A box with scattering of 0.05,
+assumed to have 0.3, had been named a coupled room."""
 
 
 MORE_PATHS = 3
@@ -254,6 +257,8 @@ def find_by_positions(
     likelihood = numbers.likelihoods()[0].with_one_level()
     finding = _finding(case, numbers, hypotheses, posterior, likelihood, detected, effects)
     notes = (*finding.notes, lobes_in_words(aimed, indexed if doubted else ()))
+    if means is not None and finding.effect is None and finding.family is None:
+        notes = (unconfirmed(means), *notes)
     notes = (*notes, gains_in_words(of_gain), untried(effects), *([CHOSEN] if left_out else []))
     return replace(finding, left_out=tuple(left_out), notes=tuple(filter(None, notes)))
 
@@ -295,7 +300,10 @@ def _finding(
 ) -> PositionsFinding:
     summary = summary_of(case, hypotheses, posterior)
     groups = _groups(case, hypotheses, summary, likelihood)
-    verdict, family = claimed(detected.verdict, summary.probabilities, summary.families)
+    in_families = [effect.name for effect in effects if not effect.alone]
+    verdict, family = claimed(
+        detected.verdict, summary.probabilities, summary.families, in_families
+    )
     best = next(e for e in summary.probabilities if e != NONE)
     placed = _first_placed(summary, verdict)
     reasons = _reasons(case, verdict, placed)
