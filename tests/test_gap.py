@@ -78,7 +78,9 @@ def test_the_commands_find_add_and_prove(folder: Path) -> None:
     # The truth, datasets/hidden_room. Every candidate is shown with its size.
     assert found["sizes"]["opening"]["low"] < 39.6 < found["sizes"]["opening"]["high"]
     out = folder / "corrected.json"
-    assert f"Added {found['candidates'][0]}" in run("apply", case, "--out", str(out))
+    assert f"Added: {found['candidates'][0]} ({found['verdict']}: " in run(
+        "apply", case, "--out", str(out)
+    )
     again = json.loads(run("find", str(out), "--json"))
     assert again["verdict"] in ("none", "hint")
     assert again["score"] < 0.2 * found["score"]
@@ -234,7 +236,7 @@ def test_the_verdict_stands_beside_what_is_supported(finding: MeansFinding) -> N
     assert f"ambiguous: {name} 60 %; opening 30 %, not told apart" in torn.sentence
     assert torn.to_dict()["finding"]["candidates"] == ["area", "opening"]
     page = summary(torn.finding, torn)
-    assert page["plain"].endswith(f"not to be used, the model lacks {name} or opening")
+    assert page["plain"].endswith(f"not to be used, the model lacks something ({name} or opening)")
     assert "opening would explain the data about as well" in page["unknowable"]
     assert (
         f"{numbers} with {name} in the model, which supports the finding." in page["rests_on"][-3]
@@ -296,11 +298,18 @@ def test_an_ambiguous_effect_is_not_added_silently(
     out = folder / "torn.json"
     text = " ".join(run("apply", str(folder / "case.json"), "--out", str(out)).split())
     name = f'area of "{finding.case.room.materials[1]}"'
-    assert text.startswith(
-        f"Added {name}. Ambiguous: it is the best with 60 %, but opening has 30 %."
-    )
+    assert text.startswith(f"Added: {name} (ambiguous: {name} 60 %; opening 30 %, not told apart).")
     assert f"{name}: 1.4 times the stated area" in text
     assert Case.from_file(str(out)).applied[0].parameters["material"] == 1.0
+
+
+def test_that_nothing_is_missing_is_told_first_where_it_may_be(finding: MeansFinding) -> None:
+    torn = unsure(finding)
+    probabilities = {**torn.probabilities, "none": 0.32}
+    assert str(replace(torn, probabilities=probabilities)).startswith("ambiguous (nothing: 32 %): ")
+    page = summary(replace(torn, probabilities=probabilities), None)
+    assert page["headline"].startswith("The model lacks something (nothing: 32 %).")
+    assert "nothing" not in replace(torn, probabilities={**probabilities, "none": 0.09}).headline
 
 
 def test_parameters_have_names_and_units(finding: MeansFinding) -> None:

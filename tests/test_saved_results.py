@@ -206,6 +206,12 @@ def test_a_changed_file_is_refused(tmp_path: Path) -> None:
         path.write_text(content)
         with pytest.raises(DataError, match=said):
             rt.load(path)
+    rt.datasets.hidden_room()[0].save(str(path))
+    with pytest.raises(DataError, match="but a case: rtcal.finder.Case.from_file"):
+        rt.load(path)
+    for name, reader in (("a.csv", "Measurement.from_file"), ("a.toml", "Room.from_file or")):
+        with pytest.raises(DataError, match=rf"{name}: no saved result but a .*{reader}"):
+            rt.load(tmp_path / name)
     path.unlink()
     with pytest.raises(DataError, match=f"has no {NUMBERS}"):
         rt.load(tmp_path)

@@ -110,6 +110,31 @@ def test_without_the_directivity_something_changed_but_no_surface_is_told(
     assert any("The directivity of S1 and 5 more is not stated" in note for note in found.notes)
 
 
+def test_another_gain_is_told_first_whether_something_changed_or_not(
+    states: tuple[rt.Measurement, rt.Measurement],
+) -> None:
+    model = simulator(dict.fromkeys(PLACES, POINT))
+    for state in states:
+        other = np.array([3.0 * (source == "S1") for source, _ in state.pairs])[:, np.newaxis]
+        noise = 0.001 * np.random.default_rng(1).standard_normal(state.values["t20"].shape)
+        louder = {"t20": state.values["t20"] * (1 + noise), "g": state.values["g"] + other}
+        after = replace(state, values={**state.values, **louder})
+        found = rt.find(model.room, after, model, before=states[0])
+        assert found.detected == (state is states[1])
+        assert str(found).startswith("The level is off beside what T says of the change: S1 by +")
+        assert str(found).count("The level is off") == 1
+
+
+def test_where_several_surfaces_may_have_changed_their_sum_is_explained(
+    finding: StatesFinding,
+) -> None:
+    some = replace(finding, surfaces={"north": 0.7, "south": 0.6})
+    assert "together, so these need not add up to 100 %" in some.not_told_where
+    assert finding.or_nothing == ""
+    open_ = replace(finding, probabilities={**finding.probabilities, "none": 0.12})
+    assert open_.headline.startswith("Changed (nothing: 12 %): ")
+
+
 def test_a_finding_with_surfaces_is_saved_and_loaded(finding: StatesFinding, tmp_path) -> None:
     again = rt.load(finding.save(tmp_path))
     assert again.surfaces == finding.surfaces

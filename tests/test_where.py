@@ -130,6 +130,8 @@ def test_an_opening_is_found_on_its_wall(finding: rt.finder.positions.PositionsF
     assert finding.family is not None
     assert finding.family.startswith("added absorption")
     assert "The probability that nothing is other than stated is" in finding.headline
+    torn = replace(finding, probabilities={**finding.probabilities, "none": 0.2})
+    assert torn.headline.startswith(f"{finding.verdict} (nothing: 20 %): ")
     assert "Not tried, since they stand on no surface: furniture, people" in " ".join(
         str(finding).split()
     )
@@ -242,6 +244,17 @@ def test_a_receiver_that_stands_elsewhere_is_a_hint(kept: Path) -> None:
     assert finding.surface is None
 
 
+def test_pairs_without_a_place_are_told_first_and_once(kept: Path) -> None:
+    """Half of the pairs went with a misspelt source, and the last lines said so."""
+    model = tracing(stated())
+    here = heard(model, model.room.alpha, match=("t20",))
+    renamed = replace(here, pairs=[("S7" if s == "S1" else s, r) for s, r in here.pairs])
+    case = rt.finder.positions.PositionsCase(simulator=model, measured=renamed)
+    finding = rt.finder.positions.find(case, cache=kept)
+    assert finding.headline.startswith("Left out, since the simulator has no such pair: S7 to R1")
+    assert str(finding).count("no such pair") == 1
+
+
 def test_t30_is_matched_where_t20_is_absent(kept: Path) -> None:
     """It was refused, as if nothing had been measured."""
     model = tracing(stated())
@@ -262,6 +275,12 @@ def test_the_user_says_where_on_which_surface(
     """The most probable candidate on the surface at that place."""
     made = finding.apply(at=(7.0, 2.2, 1.4))
     assert made.added.surface == "east"
+    assert made.in_words[0].startswith(f"Added: {made.added.title}, ")
+    one = f"{made.added.title} {100 * made.added.probability:.0f} %"
+    assert f"({finding.verdict}: {one}" in made.in_words[0]
+    first, second = (replace(c, probability=p) for c, p in zip(finding.candidates, (0.5, 0.4)))
+    torn = replace(finding, candidates=(first, second)).apply()
+    assert f"{first.title} 50 %; {second.title} 40 %, not told apart" in torn.in_words[0]
     hole = made.geometry.names.index(made.material)
     middle = made.geometry.vertices[list(made.geometry.faces[hole])].mean(axis=0)
     assert middle == pytest.approx([7.0, 2.2, 1.4])

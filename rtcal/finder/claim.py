@@ -24,7 +24,8 @@ from rtcal.finder.configuration import LEVELS
 from rtcal.finder.effects import Effect
 from rtcal.finder.finding import Finding
 from rtcal.finder.prior import COEFFICIENTS, NONE, UNKNOWN, Prior, relative_sigma
-from rtcal.support.text import listed
+from rtcal.support.text import as_sentence, listed
+from rtcal.support.types import Array
 
 Key = TypeVar("Key")
 CLAIMED = 0.9
@@ -36,6 +37,28 @@ CREDIBLE = 0.9
 DISTINCT_NATS = 2.3
 """Evidence in nats from which two effects, or two surfaces, are told apart: odds of ten to one."""
 _ABSORPTION = "added absorption"
+_ALIKE = 1.25
+"""Ratio of the upper and the lower bands, below which these are alike."""
+
+
+def after_doubt(doubt: str) -> str:
+    """Return how a claim begins that stands after a doubt about what is stated; "" without one."""
+    return f"{as_sentence(doubt)} If there is none: " if doubt else ""
+
+
+def over_frequency(values: Array) -> str:
+    """Return how the size of values (n_bands,) goes with frequency.
+
+    Examples
+    --------
+    >>> over_frequency(np.array([1.0, 2.0])), over_frequency(np.array([-2.0, -2.2]))
+    ('rising with frequency', 'alike at all frequencies')
+    """
+    half, size = max(1, len(values) // 2), np.abs(values)
+    low, high = size[:half].mean(), size[-half:].mean()
+    if max(low, high) < _ALIKE * min(low, high):
+        return "alike at all frequencies"
+    return f"{'rising' if high > low else 'falling'} with frequency"
 
 
 def posterior(evidence: Mapping[str, float], prior: Prior) -> dict[str, float]:

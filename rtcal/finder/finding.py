@@ -17,7 +17,6 @@ from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError, ModelError
 from rtcal.support.files import json_numbers
 from rtcal.support.results import Result
-from rtcal.support.text import as_sentence
 from rtcal.support.types import Array
 
 End = Literal["", "least", "most"]
@@ -165,31 +164,9 @@ class Candidate:
 _CONVERTED = ("size", "low", "high", "spectrum", "parameters", "parts")
 
 
+OPEN = 0.1
+"""Probability that nothing is other than stated, from which a verdict says it first."""
 NATS = "2.3 nats are odds of ten to one"
-_ALIKE = 1.25
-"""Ratio of the upper and the lower bands, below which these are alike."""
-
-
-def after_doubt(doubt: str) -> str:
-    """Return how a claim begins that stands after a doubt about what is stated; "" without one."""
-    return f"{as_sentence(doubt)} If there is none: " if doubt else ""
-
-
-def over_frequency(values: Array) -> str:
-    """Return how the size of values (n_bands,) goes with frequency.
-
-    Examples
-    --------
-    >>> over_frequency(np.array([1.0, 2.0])), over_frequency(np.array([-2.0, -2.2]))
-    ('rising with frequency', 'alike at all frequencies')
-    """
-    half, size = max(1, len(values) // 2), np.abs(values)
-    low, high = size[:half].mean(), size[-half:].mean()
-    if max(low, high) < _ALIKE * min(low, high):
-        return "alike at all frequencies"
-    return f"{'rising' if high > low else 'falling'} with frequency"
-
-
 _CONFIDENCE = 0.95
 """Of a gap over pairs that is said to shrink or to grow: one-sided, by Student's t."""
 
@@ -436,6 +413,17 @@ class Finding(Result):
         """Return one line: verdict, what was found, score and threshold."""
         score = f"{self.score:+.1f} nats, threshold {self.threshold:.1f}"
         return f"<{type(self).__name__} {self.verdict}: {self.what}; {score}>"
+
+    @property
+    def or_nothing(self) -> str:
+        """Behind a verdict, the probability of "none" from `OPEN` on, in words; else ""."""
+        probable = self.verdict != "none" and self.probabilities.get("none", 0.0) >= OPEN
+        return f" (nothing: {self.percent('none')})" if probable else ""
+
+    def support_of(self, best: str, rivals: Sequence[str]) -> str:
+        """Return verdict, what is best and what else explains the data, in words."""
+        said = f"{self.verdict}: {best}"
+        return f"{said}; {', '.join(rivals)}, not told apart" if rivals else said
 
     @checked
     def percent(self, name: str) -> str:

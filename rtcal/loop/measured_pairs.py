@@ -137,15 +137,13 @@ def pairs_to_match(
     measured.refuse_large_uncertainty()
     notes, pairs = [], simulated.pairs
     refuse_unknown(exclude, measured)
-    unknown = [p for p in measured.pairs if p not in pairs]
     kept = tuple(p for p in pairs if p in measured.pairs and p not in exclude)
     if not kept:
         raise DataError(
             f"no pair is left: the measurement has {_names(measured.pairs)}, the simulator "
             f"{_names(pairs)}" + (f", and {_names(exclude)} is excluded" if exclude else "")
         )
-    if unknown:
-        notes.append(f"Left out, since the simulator has no such pair: {_names(unknown)}.")
+    notes += without_place(measured, pairs)
     if exclude:
         notes.append(left_out(exclude))
     wanted = room.centre_frequencies
@@ -199,6 +197,13 @@ def pairs_to_match(
         notes=tuple(notes),
         fingerprints=fingerprints(room, observations, measured),
     )
+
+
+def without_place(measured: Measurement, pairs: Sequence[Pair]) -> list[str]:
+    """Return a note of the measured pairs that the simulator lacks; none without any."""
+    unknown = [p for p in measured.pairs if p not in pairs]
+    said = f"Left out, since the simulator has no such pair: {_names(unknown)}."
+    return [said] * bool(unknown)
 
 
 def refuse_unknown(exclude: Sequence[Pair], measured: Measurement) -> None:

@@ -57,11 +57,12 @@ def headline(finding: MeansFinding) -> str:
     lacks = finding.amount or f"The model lacks {family(str(finding.family))}."
     return {
         "none": "Nothing shows that the model lacks anything.",
-        "hint": "The model may lack something, but the measurements do not establish it.",
+        "hint": "The model may lack something, but the measurements do not establish it"
+        f"{finding.or_nothing}.",
         "named": finding.sentence,
         "family": f"{lacks} {which}",
-        "ambiguous": f"The model lacks something. {several}",
-        "unknown": "The model lacks something, and no known effect explains it.",
+        "ambiguous": f"The model lacks something{finding.or_nothing}. {several}",
+        "unknown": f"The model lacks something, and no known effect explains it{finding.or_nothing}.",
     }[finding.verdict]
 
 
@@ -69,7 +70,7 @@ def _headline_of_set(finding: MeansFinding) -> str:
     """Return what is claimed, or likely, of two or more effects."""
     if finding.verdict == "ambiguous":
         return (
-            "The model lacks something, and the measurements do not tell what: "
+            f"The model lacks something{finding.or_nothing}, and the measurements do not tell what: "
             f"{finding.likely_in_words}."
         )
     claimed = finding.claimed_in_words(family)
@@ -313,7 +314,7 @@ def summary(finding: MeansFinding, verification: MeansVerification | None) -> di
     plain = f'plain calibration to T20 of "{first}"'
     if supported:
         lacking = listed([finding.title, *finding.rivals], last="or")
-        plain += f": not to be used, the model lacks {lacking}"
+        plain += f": not to be used, the model lacks something ({lacking})"
     return {
         "headline": headline(finding),
         "level": level(finding),

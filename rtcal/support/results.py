@@ -47,6 +47,10 @@ _GONE = {
     "where verification 1": "rtcal.find and rtcal.finder.verify",
 }
 """Kinds of result that are no longer read, and what makes a new one of the same data."""
+_READERS = {
+    ".csv": "a table: rtcal.Measurement.from_file reads it",
+    ".toml": "a room or a case: rtcal.Room.from_file or rtcal.finder.Case.from_file reads it",
+}
 
 
 class Result(ABC):
@@ -139,6 +143,8 @@ def load(path: str | os.PathLike[str]) -> Any:
         place /= NUMBERS
         if not place.exists():
             raise DataError(f"folder {Path(path).resolve()} has no {NUMBERS}; `save` writes one")
+    if place.suffix in _READERS:
+        raise DataError(f"{place}: no saved result but {_READERS[place.suffix]}")
     try:
         return loaded(json_object(read_text(place, MAX_BYTES)))
     except DataError as error:
@@ -150,9 +156,10 @@ def load(path: str | os.PathLike[str]) -> Any:
 def loaded(record: Mapping[str, Any]) -> Any:
     """Return the result of a file's content; DataError as `load`, without the file's name."""
     if not isinstance(record.get("rtcal"), str) or _OBJECT not in record:
+        if "configurations" in record:
+            raise DataError("no saved result but a case: rtcal.finder.Case.from_file reads it")
         raise DataError(
-            f'no saved result: it has no "rtcal" and "{_OBJECT}". Files of before rtcal 0.1.0 lack '
-            "them: calibrate or search again"
+            f'no saved result: it has no "rtcal" and "{_OBJECT}", as of before 0.1.0: calculate again'
         )
     if "not_saved" in Entries("", record, (), record).entries(_OBJECT, (), record[_OBJECT]):
         raise DataError(f"the result itself is not in it: {record[_OBJECT]['not_saved']}")
@@ -161,11 +168,8 @@ def loaded(record: Mapping[str, Any]) -> Any:
             f'a "{record["rtcal"]}" of an earlier version, which this one does not read: search again '
             f"with {again}"
         )
-    inside = Entries(
-        f"{_OBJECT}.",
-        record[_OBJECT],
-        ("version", "sha256", "objects", "arrays", "value"),
-    )
+    keys = ("version", "sha256", "objects", "arrays", "value")
+    inside = Entries(f"{_OBJECT}.", record[_OBJECT], keys)
     content = {key: inside.values[key] for key in ("objects", "arrays", "value")}
     numbers = {key: value for key, value in record.items() if key != _OBJECT}
     if inside.text("sha256") != _digest(numbers, content):

@@ -32,6 +32,7 @@ from rtcal.simulators.base import RoomSimulator, Simulator, check_alpha, run
 from rtcal.simulators.geometry import Polyhedron
 from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError
+from rtcal.support.text import listed
 from rtcal.support.types import Array
 
 _LARGEST_SHARE = 0.5
@@ -40,6 +41,7 @@ _LARGEST_SHARE = 0.5
 Half of every wall remains. T of the corrected room does not depend on the share w, since the
 absorber's coefficient is wall + (both - wall) / w. The limit only bounds how far a calibration can
 enlarge the absorber."""
+_LARGER = ", larger than found, so that a calibration can make it absorb more"
 _NO_ABSORPTION = 1e-12
 """Change of the mean over the walls under which an effect absorbs nothing."""
 _OFF_GEOMETRY = 0.01
@@ -76,9 +78,25 @@ def not_in_room(case: Case) -> list[str]:
             f"speed of sound: the model has {model:.1f} m/s, the room {own:.1f} m/s, that of its air; "
             f"so its T is {abs(100 * (model / own - 1)):.1f} % {'shorter' if own > model else 'longer'}"
         )
-    for name in ("surfaces", "dimensions"):
-        if getattr(case.room, name) and not getattr(c.room, name):
-            out.append(f"{name}: areas or volume are other than those of the stated {name}")
+    names = ("surfaces", "dimensions")
+    lost = [n for n in names if getattr(case.room, n) and not getattr(c.room, n)]
+    changed = _resized(case.room, c)
+    return out + [f"{listed([*lost, 'areas as stated'])}: {listed(changed)}"] * bool(changed)
+
+
+def _resized(stated: Room, c: _Corrected) -> list[str]:
+    """Return in words which areas, and whether the volume, are other than stated, and why."""
+    room, n = c.room, stated.n_materials
+    out = []
+    if room.volume != stated.volume:
+        out = [f"the volume is {room.volume:.4g} m³ and was {stated.volume:.4g}"]
+    for name, was, area in zip(stated.materials, stated.areas, c.stated.areas, strict=True):
+        out += [f'the area of "{name}" is {area:.4g} m² and was {was:.4g}'] * bool(area != was)
+    if c.shares:
+        further = zip(room.materials[n:], room.areas[n:], strict=True)
+        each = listed([f"{name} ({area:.1f} m²)" for name, area in further])
+        factor = room.areas[0] / c.stated.areas[0]
+        out.append(f"each area is {factor:.3g} times as large, and the rest became {each}{_LARGER}")
     return out
 
 
@@ -346,7 +364,7 @@ def _with_absorbers(
             names.append(new_name(names, p.name))
             source = ""
             if p.size_interval is not None:
-                source = f"rtcal find: {_size(p)}; the area leaves room for more"
+                source = f"rtcal find: {_size(p)}{_LARGER}"
             alpha = equation.coefficient(absorber)
             mean_wall = stated.absorption_area / stated.total_area
             sigma = np.minimum(np.abs(alpha - mean_wall) * _spread(p), 1.0)

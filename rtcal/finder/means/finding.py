@@ -14,12 +14,13 @@ from rtcal.finder.claim import (
     SAID,
     Names,
     SetsFinding,
+    after_doubt,
     data_of,
     record_of_means,
     record_of_several,
 )
 from rtcal.finder.effects.checks import AppliedEffect
-from rtcal.finder.finding import NATS, Size, after_doubt
+from rtcal.finder.finding import NATS, Size
 from rtcal.finder.means.features import ModelDiscrepancy
 from rtcal.finder.means.verdict import Fit
 from rtcal.finder.prior import COEFFICIENTS, NONE, OffTogether, Prior
@@ -190,11 +191,9 @@ class MeansFinding(SetsFinding):
     @property
     def support(self) -> str:
         """Verdict, the best effect's probability and the next best effects, in words."""
-        best = f"{self.verdict}: {self.title} {self.percent(str(self.best_effect))}"
-        if self.rivals:
-            others = ", ".join(f"{r} {self.percent(r)}" for r in self.rivals)
-            return f"{best}; {others}, not told apart"
-        return f"{best}; next {self.second_best}"
+        best = f"{self.title} {self.percent(str(self.best_effect))}"
+        best += "" if self.rivals else f"; next {self.second_best}"
+        return self.support_of(best, [f"{self.title_of(r)} {self.percent(r)}" for r in self.rivals])
 
     @property
     def second_best(self) -> str:
@@ -221,14 +220,10 @@ class MeansFinding(SetsFinding):
             titles = [f"{self.title_of(n)} ({self.percent(n)})" for n in self.members]
             share = 100 * self.sets[self.members]
             return (
-                f"Added {listed(titles)}, the most probable set ({share:.0f} %). "
+                f"Added: {listed(titles)}, the most probable set ({share:.0f} %). "
                 f"{self.claimed_of_members}"
             )
-        if not self.rivals:
-            return f"Added {self.title} ({self.support})."
-        behind = listed([f"{self.title_of(r)} has {self.percent(r)}" for r in self.rivals])
-        best = self.percent(str(self.best_effect))
-        return f"Added {self.title}. Ambiguous: it is the best with {best}, but {behind}."
+        return f"Added: {self.title} ({self.support})."
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain values for JSON."""
@@ -362,7 +357,7 @@ class MeansFinding(SetsFinding):
     @property
     def headline(self) -> str:
         """The verdict and its `sentence`."""
-        return f"{self.verdict}: {self.sentence}"
+        return f"{self.verdict}{self.or_nothing}: {self.sentence}"
 
     @property
     def sentence(self) -> str:

@@ -333,12 +333,15 @@ def next_measurement(evidence: MeansEvidence, candidates: Sequence[str]) -> str:
             else "see in the residuals which band and parameter disagree, and measure these again"
         )
     best = named[0]
+    removed = any(c.suspect_removed for c in problem.case.configurations)
     rows = evidence.rows[best]
     first = int(rows[np.argmax(evidence.by_hypothesis()[rows])])
     if len(named) == 1:
-        if predicted.effects[best].removable:
-            return f"confirm it: measure once without the {best}"
-        return f"confirm it: check the {best} where it can be looked up or measured by itself"
+        if not predicted.effects[best].removable:
+            return f"confirm it where it can be looked up or measured by itself ({best})"
+        if removed:
+            return f"nothing more to confirm it: it was measured with and without it ({best})"
+        return f"confirm it: measure once without it ({best})"
     rival = named[1]
     used = problem.observed.used
     covariance = covariance_of_all(problem, first)
@@ -349,12 +352,12 @@ def next_measurement(evidence: MeansEvidence, candidates: Sequence[str]) -> str:
         if more.sum() > used.sum():
             nats = separation(predicted, covariance, more.ravel(), first, rival)
             options.append((nats, _in_words(kind)))
-    removable = {n: predicted.effects[n].removable for n in (best, rival)}
+    removable = {n: predicted.effects[n].removable and not removed for n in (best, rival)}
     if len(set(removable.values())) == 2:
         suspect = best if removable[best] else rival
         return (
-            f"measure with and without the {suspect}. If it is that, T changes, and the uncertainty of "
-            "alpha cancels in the difference"
+            f"measure with and without one of them ({suspect}). If it is that, T changes, and the "
+            "uncertainty of alpha cancels in the difference"
         )
     if options and max(options)[0] > now + 1:
         gain, label = max(options)
@@ -364,7 +367,7 @@ def next_measurement(evidence: MeansEvidence, candidates: Sequence[str]) -> str:
         )
     if all(removable.values()):
         return (
-            f"measure without the {best} and without the {rival}, one at a time. The uncertainty of "
+            f"measure once without each of these, one at a time: {best}, {rival}. The uncertainty of "
             "alpha cancels in the difference"
         )
     return (

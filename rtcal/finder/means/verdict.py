@@ -21,10 +21,11 @@ from rtcal.finder.claim import (
     family_of,
     narrowest_family,
     numbers_of,
+    over_frequency,
 )
 from rtcal.finder.effects import Effect, Parameters
 from rtcal.finder.effects.checks import AppliedEffect, changed_states
-from rtcal.finder.finding import End, Size, over_frequency
+from rtcal.finder.finding import End, Size
 from rtcal.finder.means.evidence import NEGLIGIBLE, MeansEvidence
 from rtcal.finder.means.features import state
 from rtcal.finder.means.gap import (
@@ -319,9 +320,8 @@ def of_sets(
     refuted = {n for n in best if any(doubt.of == "effect" for doubt in found[n])}
     if refuted:
         together = ()
-    sound = sorted(
-        (n for n in best if n not in refuted), key=lambda n: -families[family_of(n, effects)]
-    )
+    sound = [n for n in best if n not in refuted]
+    sound.sort(key=lambda n: -families[family_of(n, effects)])
     if not together:
         sound = sound[:1]
     named = [n for n in sound if probabilities[n] >= CLAIMED and effects[n].alone and not found[n]]

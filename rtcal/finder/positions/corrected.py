@@ -63,6 +63,8 @@ class Corrected:
         Whether it has faces of its own, or the whole surface absorbs as much.
     note : str
         Why the form is another than the one that was asked for; "" if it is not.
+    support : str
+        Verdict, probability and rivals of what was added, in words.
     """
 
     case: PositionsCase
@@ -72,6 +74,7 @@ class Corrected:
     material: str
     form: str
     note: str = ""
+    support: str = ""
 
     @property
     def simulator(self) -> PathTracing:
@@ -93,8 +96,9 @@ class Corrected:
     @property
     def in_words(self) -> list[str]:
         """The effect that was added, its form, and what the lists fill in and lack."""
-        said = f"Added {self.added.title}, {self.added.in_words}, as {self.form}"
-        rows = [f'{said}: material "{self.material}".']
+        said = f"Added: {self.added.title}, {self.added.in_words}, as {self.form}"
+        sure = f" ({self.support})" if self.support else ""
+        rows = [f'{said}, material "{self.material}"{sure}.']
         rows += [note for note in (self.drawn, self.note) if note]
         rows += [f"{name}: {'. '.join(notes)}." for name, notes in self.filled.items()]
         return rows + [f"{name} lacks: {', '.join(lost)}." for name, lost in self.lost.items()]

@@ -9,13 +9,14 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
-from rtcal.finder.claim import SAID
+from rtcal.finder.claim import SAID, after_doubt, credible_set
 from rtcal.finder.effects.whole_room import CoupledRoom
-from rtcal.finder.finding import LEAST_PAIRS, Candidate, Detection, Finding, after_doubt
+from rtcal.finder.finding import LEAST_PAIRS, Candidate, Detection, Finding
 from rtcal.finder.positions.case import PositionsCase
 from rtcal.finder.positions.weighing import Weighing
 from rtcal.finder.prior import NONE
 from rtcal.loop.control_runs import ControlRuns
+from rtcal.loop.measured_pairs import without_place
 from rtcal.support import checks, text
 from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError
@@ -144,7 +145,13 @@ class PositionsFinding(Finding):
         if (nothing := self.reason_for_none) is not None:
             raise DataError(nothing)
         best = self.candidates[0] if at is None else self._candidate_at(at)
-        return corrected_geometry(self.case, best, form, at)
+        every = {c.title: c.probability for c in self.candidates}
+        rivals = [
+            name for name in credible_set(every) if name != best.title and every[name] >= SAID
+        ]
+        one, *others = (f"{name} {100 * every[name]:.0f} %" for name in (best.title, *rivals))
+        made = corrected_geometry(self.case, best, form, at)
+        return replace(made, support=self.support_of(one, others))
 
     def _candidate_at(self, at: Sequence[float]) -> Candidate:
         """Return the most probable candidate on the surface at a place."""
@@ -165,11 +172,12 @@ class PositionsFinding(Finding):
 
     @property
     def headline(self) -> str:
-        """The verdict in a sentence, and how probable it is that nothing is other than stated."""
-        return (
-            f"{self._verdict} The probability that nothing is other than stated is "
-            f"{self.percent(NONE)}."
-        )
+        """The pairs without a place, the verdict, and how probable it is that nothing is other."""
+        said = [*without_place(self.case.measured, self.case.simulator.pairs), self._verdict]
+        if not self.or_nothing:
+            nothing = self.percent(NONE)
+            said.append(f"The probability that nothing is other than stated is {nothing}.")
+        return " ".join(said)
 
     @property
     def _verdict(self) -> str:
@@ -179,14 +187,14 @@ class PositionsFinding(Finding):
             return "none: no disagreement beyond what prior, measurement and simulator allow."
         first = after_doubt(self.mistake)
         if self.verdict == "hint":
-            said = f"hint: {first}{best.title}, but not claimed."
+            said = f"hint{self.or_nothing}: {first}{best.title}, but not claimed."
             return f"{said} {' '.join(self.reasons[:1])}".rstrip()
         what = {
             "unknown": "Something is other than stated that no effect of the library explains.",
             "named": f"Other than stated: {self.effect}.",
             "family": f"Other than stated: {self.family}.",
         }.get(self.verdict, f"Other than stated: {listed(self._names(), last='or')}.")
-        return f"{self.verdict}: {first}{what} {self.place_in_words}".rstrip()
+        return f"{self.verdict}{self.or_nothing}: {first}{what} {self.place_in_words}".rstrip()
 
     @property
     def detection_in_words(self) -> str:

@@ -10,7 +10,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from rtcal.acoustics import bands
-from rtcal.finder.claim import CLAIMED, Names
+from rtcal.finder.claim import CLAIMED, Names, over_frequency
 from rtcal.finder.finding import (
     LEAST_PAIRS,
     NATS,
@@ -18,7 +18,6 @@ from rtcal.finder.finding import (
     HeldOutVerification,
     Size,
     amount,
-    over_frequency,
 )
 from rtcal.finder.prior import NONE
 from rtcal.finder.states.case import SecondState, StatesCase, changed_room
@@ -152,16 +151,17 @@ class StatesFinding(Finding):
 
     @property
     def headline(self) -> str:
-        """The verdict in a sentence, and how probable it is that nothing changed."""
+        """What to know first, the verdict, and how probable it is that nothing changed."""
         said = {
             NONE: "Nothing changed beyond the noise of both measurements.",
-            "hint": f"A hint, not claimed: {self.what}.",
-        }.get(self.verdict, f"Changed: {self.what}.")
-        nothing = 100 * self.probabilities[NONE]
+            "hint": f"A hint, not claimed{self.or_nothing}: {self.what}.",
+        }.get(self.verdict, f"Changed{self.or_nothing}: {self.what}.")
         if self.claimed_surfaces:
             names = [f'"{name}"' for name in self.claimed_surfaces]
             said += f" It is on {listed(names)}."
-        return f"{said} The probability that nothing changed is {nothing:.0f} %."
+        if not self.or_nothing:
+            said += f" The probability that nothing changed is {self.percent(NONE)}."
+        return " ".join([*self.reasons, said])
 
     @property
     def not_told_apart(self) -> str:
@@ -179,16 +179,19 @@ class StatesFinding(Finding):
             for name, p in self.surfaces.items()
             if 1 - CLAIMED <= p < CLAIMED
         ]
-        return f"It may be on {listed(some)} as well." if some else ""
+        if not some:
+            return ""
+        together = "Several may have changed together, so these need not add up to 100 %."
+        return f"It may be on {listed(some)} as well. {together}"
 
     @property
     def sentences(self) -> tuple[str, ...]:
-        """Sentences on what cannot be told apart, on the score, reasons and notes."""
+        """Sentences on what cannot be told apart, on the score, and notes."""
         score = (
             f"Evidence that something changed: {self.score:+.1f} nats; threshold "
             f"{self.threshold:.1f} nats."
         )
-        said = (self.not_told_apart, self.not_told_where, score, *self.reasons, *self.notes)
+        said = (self.not_told_apart, self.not_told_where, score, *self.notes)
         return tuple(filter(None, said))
 
     def _rows(self) -> list[tuple[str, list[str]]]:

@@ -21,7 +21,7 @@ from rtcal.finder.states import evidence
 from rtcal.finder.states.case import StatesCase
 from rtcal.finder.states.evidence import ADDED, AIR, REMOVED, Baseline, Errors, Fits, Grid, grid
 from rtcal.finder.states.finding import StatesFinding, StatesVerification
-from rtcal.finder.states.surfaces import Located, locate, trusted
+from rtcal.finder.states.surfaces import Located, locate, other_gains, trusted
 from rtcal.support import checks
 from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError
@@ -119,7 +119,11 @@ def find(
     added = families.get(f"{ADDED} absorption", 0.0) > families.get(f"{REMOVED} absorption", 0.0)
     if family is not None and "absorption" in family:
         located, why = _located(case, change, variance, added, assumed, seed)
-    gain = "" if located is None else _of_gains(located.gains, 1 if added else -1)
+    gains: Mapping[str, float] = {}
+    if located is not None:
+        gains = {s: gain if added else -gain for s, gain in located.gains.items()}
+    elif case.simulator is not None and not case.sources_unstated:
+        gains = other_gains(case.simulator, *found.states, case.match, seed)
     return StatesFinding(
         case=case,
         verdict=verdict,
@@ -135,22 +139,22 @@ def find(
         middle=tuple(frequencies[inside].tolist()),
         surfaces={} if located is None else located.surfaces,
         sets={} if located is None else located.sets,
-        reasons=(),
-        notes=(*filter(None, [gain]), *found.notes, *filter(None, [why])),
+        reasons=_of_gains(gains),
+        notes=(*found.notes, *filter(None, [why])),
     )
 
 
 _OF_MEANS = "T alone does not tell on which surface something changed."
 
 
-def _of_gains(gains: Mapping[str, float], sign: int) -> str:
-    """Return a note of the sources whose level has another gain after than before; "" of none."""
+def _of_gains(gains: Mapping[str, float]) -> tuple[str, ...]:
+    """Return what to know of sources whose level has another gain after than before; () of none."""
     if not gains:
-        return ""
-    each = first_of([f"{source} by {sign * gain:+.1f} dB" for source, gain in gains.items()], 3)
+        return ()
+    each = first_of([f"{source} by {gain:+.1f} dB" for source, gain in gains.items()], 3)
     return (
         f"The level is off beside what T says of the change: {each}. That is another gain, so the "
-        "level is left out there. Measure both states with one reference."
+        "level is left out there. Measure both states with one reference.",
     )
 
 

@@ -159,6 +159,27 @@ def locate(
     return Located(most_probable_first(by_surface), sets, gains)
 
 
+def other_gains(
+    simulator: PathTracing,
+    before: Measurement,
+    after: Measurement,
+    match: Sequence[str],
+    seed: int = 0,
+) -> dict[str, float]:
+    """Return the `Located.gains` of two states of which no surface is told."""
+    match = trusted(simulator, match, before, after)
+    if LEVEL.key not in match:
+        return {}
+    rows = [simulator.pairs.index(p) for p in before.pairs]
+    two = [
+        Observations.of_measurement(m, (LEVEL.key,), before.pairs).values for m in (before, after)
+    ]
+    weighing = _scaled_to(simulator, before, match, rows, seed)
+    times = [m.decay_time().mean for m in (before, after)]
+    energy = weighing.energy(weighing.alpha)[0][rows]
+    return _gains(simulator, before.pairs, energy, times, two[1][0] - two[0][0])
+
+
 def _gains(
     simulator: PathTracing,
     pairs: Sequence[tuple[str, str]],
