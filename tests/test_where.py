@@ -278,7 +278,9 @@ def test_the_user_says_where_on_which_surface(
     assert made.in_words[0].startswith(f"Added: {made.added.title}, ")
     one = f"{made.added.title} {100 * made.added.probability:.0f} %"
     assert f"({finding.verdict}: {one}" in made.in_words[0]
-    first, second = (replace(c, probability=p) for c, p in zip(finding.candidates, (0.5, 0.4)))
+    first, second = (
+        replace(c, probability=p) for c, p in zip(finding.candidates[:2], (0.5, 0.4), strict=True)
+    )
     torn = replace(finding, candidates=(first, second)).apply()
     assert f"{first.title} 50 %; {second.title} 40 %, not told apart" in torn.in_words[0]
     hole = made.geometry.names.index(made.material)
