@@ -151,7 +151,7 @@ class StatesFinding(Finding):
 
     @property
     def headline(self) -> str:
-        """What to know first, the verdict, and how probable it is that nothing changed."""
+        """The doubt that leads, the verdict, and how probable it is that nothing changed."""
         said = {
             NONE: "Nothing changed beyond the noise of both measurements.",
             "hint": f"A hint, not claimed{self.or_nothing}: {self.what}.",
