@@ -430,7 +430,7 @@ def test_the_commands_find_add_and_report(folder: Path, tmp_path: Path) -> None:
     assert (tmp_path / "corrected" / "catt.txt").exists()
     assert (tmp_path / "corrected" / "odeon.txt").exists()
     said = run("apply", folder, "--out", str(tmp_path / "there"), "--at", "7,2.2,1.4")
-    assert "as patch: material" in said
+    assert "as patch, material" in said
     there = rt.io.obj.read(tmp_path / "there" / "room.obj")
     hole = there.vertices[list(there.faces[there.materials.index(room.materials[-1])])]
     assert hole.mean(axis=0) == pytest.approx([7.0, 2.2, 1.4])
