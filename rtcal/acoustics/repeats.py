@@ -54,12 +54,6 @@ def of_times(room: Room, times: Array) -> str:
     return fingerprint("T", dict(zip(labels, times.tolist(), strict=True)))
 
 
-def of_modes(frequencies: Array, decays: Array) -> str:
-    """Return the name of measured modes: their frequencies in Hz and decays in 1/s, each (n_modes,)."""
-    labels = (f"{f:.2f}" for f in frequencies.tolist())
-    return fingerprint("modes", dict(zip(labels, decays.tolist(), strict=True)))
-
-
 def of_pairs(
     parameter: str, pairs: Sequence[Pair], values: Array, centre_frequencies: Array
 ) -> str:
@@ -295,19 +289,6 @@ def _value_in_words(kind: str, label: str) -> str:
         parameter, _, band = label.rpartition("-")
         return f"mean {parameter_label(parameter)} at {band} Hz"
     return f"{'mode' if kind == 'modes' else kind} at {band} Hz"
-
-
-def of_room(room: Room) -> list[bytes]:
-    """Return a room's materials, areas, bands, air and prior as one comparable value."""
-    numbers = (
-        [room.volume, room.speed_of_sound],
-        room.areas,
-        room.centre_frequencies,
-        room.air_attenuation,
-        room.alpha,
-        room.sigma,
-    )
-    return [*(m.encode() for m in room.materials), *(np.asarray(n).tobytes() for n in numbers)]
 
 
 SAME_PLACE = 0.01

@@ -23,7 +23,6 @@ from rtcal.acoustics.bands import label, labels
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.observables import EARLY, LEVEL, OBSERVABLES, TARGET, parameter_label
 from rtcal.acoustics.quality import gap_jnd, rms
-from rtcal.acoustics.repeats import of_room
 from rtcal.acoustics.room import Room
 from rtcal.acoustics.trust import TrustMark
 from rtcal.calibration.problem_data import times_in_room
@@ -36,6 +35,19 @@ from rtcal.support.types import Array, read_only
 
 PARAMETERS = (TARGET.key, EARLY.key)
 Weights = Mapping[str, float | Sequence[float]]
+
+
+def of_room(room: Room) -> list[bytes]:
+    """Return a room's materials, areas, bands, air and prior as one comparable value."""
+    numbers = (
+        [room.volume, room.speed_of_sound],
+        room.areas,
+        room.centre_frequencies,
+        room.air_attenuation,
+        room.alpha,
+        room.sigma,
+    )
+    return [*(m.encode() for m in room.materials), *(np.asarray(n).tobytes() for n in numbers)]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

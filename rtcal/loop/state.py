@@ -22,7 +22,7 @@ from rtcal.acoustics.equations import Eyring, LinearEquation
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.observables import TARGET
 from rtcal.acoustics.quality import gap_jnd
-from rtcal.acoustics.repeats import of_room, refuse_repeated_data
+from rtcal.acoustics.repeats import refuse_repeated_data
 from rtcal.acoustics.room import Room
 from rtcal.acoustics.trust import TrustMark, bent_marks
 from rtcal.calibration.methods import preset
@@ -39,6 +39,7 @@ from rtcal.loop.matched import (
     left,
     matched_times,
     means,
+    of_room,
 )
 from rtcal.loop.rules import RULES, Rule, Step
 from rtcal.modes.result import ModesResult
@@ -397,9 +398,7 @@ class Loop(Result):
             raise DataError(f"{path} is no state of a loop: it holds a {type(loop).__name__}")
         own = loop.low.modes.prior if loop.low else loop.room
         if room is not None and of_room(room) != of_room(own):
-            raise DataError(
-                f'{path} is the state of another room, or room "{room.name}" was changed since'
-            )
+            raise DataError(f'{path} is of another room, or room "{room.name}" was changed since')
         return loop if room is None or loop.low else replace(loop, room=room)
 
 

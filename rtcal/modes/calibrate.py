@@ -25,10 +25,11 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from rtcal.acoustics import band_conversion, repeats
+from rtcal.acoustics import band_conversion
 from rtcal.acoustics.bands import mid_frequency_time, schroeder_frequency
 from rtcal.acoustics.equations import Eyring, LinearEquation
 from rtcal.acoustics.measurement import Measurement
+from rtcal.acoustics.repeats import refuse_repeated_data
 from rtcal.acoustics.room import Room
 from rtcal.calibration.methods import gauss_newton, preset
 from rtcal.calibration.problem import Calibration, CalibrationProblem, Times
@@ -110,8 +111,7 @@ def calibrate_modes(
     every = model.calculated
     found = match(modes, every.frequencies, every.decays)
     times = no_times(room) if measured is None else times_in_room(room, measured)
-    of_modes = repeats.of_modes(modes.frequencies, modes.decays)
-    repeats.refuse_repeated_data(room, of_modes, *times.fingerprint.split())
+    refuse_repeated_data(room, modes.fingerprint, *times.fingerprint.split())
     low = below_schroeder(room, times)
     exact = np.isfinite(times.reverberation_time[~low]).any()
     t: Times | None = np.where(low, np.nan, times.reverberation_time) if exact else None

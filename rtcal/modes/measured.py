@@ -23,6 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtcal.acoustics.observables import TARGET
+from rtcal.acoustics.repeats import fingerprint
 from rtcal.io.table_columns import name_and_unit
 from rtcal.io.table_layout import Headers
 from rtcal.io.text import MAX_TEXT, decode, number, shown
@@ -142,6 +143,12 @@ class MeasuredModes:
     def __repr__(self) -> str:
         f = self.frequencies
         return f"<MeasuredModes: {f.size} from {f[0]:.1f} to {f[-1]:.1f} Hz>"
+
+    @property
+    def fingerprint(self) -> str:
+        """Name of these data: frequencies in Hz and decays in 1/s."""
+        labels = (f"{f:.2f}" for f in self.frequencies.tolist())
+        return fingerprint("modes", dict(zip(labels, self.decays.tolist(), strict=True)))
 
     @property
     def decay_times(self) -> Array:

@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from rtcal.acoustics import bands
 from rtcal.acoustics.materials import CalibrationRecord
 from rtcal.acoustics.quality import Plausibility, plausibility
-from rtcal.acoustics.repeats import of_modes
 from rtcal.acoustics.room import Room
 from rtcal.acoustics.room_errors import prior_covariance
 from rtcal.acoustics.trust import TrustMark, explained, implausible_modes_mark, uncarried_mark
@@ -125,11 +124,10 @@ class ModesResult(Result):
     @cached_property
     def room(self) -> Room:
         """The room with calibrated coefficients, their posterior sigma, and a record."""
-        told = of_modes(self.modes.frequencies, self.modes.decays)
         record = CalibrationRecord(
             method="modes",
             equation=self.answer.equation.name,
-            measured=f"{data_history(self.prior, self.data)} {told}",
+            measured=f"{data_history(self.prior, self.data)} {self.modes.fingerprint}",
             solver=self.answer.solver,
             version=__version__,
         )
