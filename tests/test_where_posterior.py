@@ -65,7 +65,10 @@ def test_a_finding_names_the_family_that_means_know_of(
     """The positions say the same; the families of the means differ."""
     found = {}
     for family in ("added absorption, flat", "scale"):
-        means = SimpleNamespace(score=5.0, families={family: 0.999, "none": 0.001}, mistake="")
+        families = {family: 0.999, "none": 0.001}
+        means = SimpleNamespace(
+            score=5.0, effect=None, family=family, families=families, mistake=""
+        )
         monkeypatch.setattr(
             sys.modules["rtcal.finder.positions.search"], "evidence_of_means", lambda *_, m=means: m
         )

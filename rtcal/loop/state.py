@@ -433,6 +433,7 @@ def start(
     tell_data(room, stated)
     what = matched_times(room, measured, data.reverberation_time, weights)
     heard = means(measurement_in_room_bands(measured, room.centre_frequencies))
+    exact = room.as_exact
     return Loop(
         room=room,
         matched=what,
@@ -445,5 +446,5 @@ def start(
         bent=data.bent,
         beside={p: mean for p, mean in heard.items() if p not in what.shares},
         low=low,
-        _problems=[preset(method, room).build(room.as_exact, equation)],
+        _problems=[preset(method, exact).build(exact, equation or Eyring())],
     )
