@@ -73,6 +73,14 @@ def measured(compared: MeansProblem, rows: Rows, rng: np.random.Generator) -> Me
     return replace(compared, observed=replace(compared.observed, features=features))
 
 
+def believed(case: Case, controls: list[ControlRooms]) -> tuple[MeansProblem, Prior]:
+    """The finder's likelihood and prior in a room."""
+    observed, _ = observe(case)
+    predicted = predict_hypotheses(case, library())
+    problem = MeansProblem(case, observed, predicted, estimate_discrepancy(case, controls))
+    return compare(problem), prior_of(case.room, library(), {})
+
+
 def examined(
     case: Case, controls: list[ControlRooms], number: int, rng: np.random.Generator
 ) -> tuple[float, bool, bool]:
@@ -81,15 +89,13 @@ def examined(
     The log odds of two or more effects; whether the most probable families of two are right; and
     whether a search for sets would claim them.
     """
-    observed, _ = observe(case)
-    predicted, prior = predict_hypotheses(case, library()), prior_of(case.room, library(), {})
-    compared = compare(
-        MeansProblem(case, observed, predicted, estimate_discrepancy(case, controls))
-    )
+    compared, prior = believed(case, controls)
     rows = drawn(compared, prior, number, rng)
     posterior = posterior_of_sets(measured(compared, rows, rng), prior, most=2)
-    truth = families_of(tuple(predicted.names[i] for i in rows), predicted.effects)
-    sets = by_family_sets(posterior.sets, predicted.effects)
+    truth = families_of(
+        tuple(compared.predicted.names[i] for i in rows), compared.predicted.effects
+    )
+    sets = by_family_sets(posterior.sets, compared.predicted.effects)
     likeliest = next(s for s in sets if len(s) == 2 and UNKNOWN not in s)
     numbers = numbers_of(posterior.sets)
     less, more = sum(numbers[:2]), sum(numbers[2:])
@@ -110,11 +116,7 @@ def found(
     case: Case, controls: list[ControlRooms], hidden: str, rng: np.random.Generator
 ) -> dict[str, Any]:
     """Return what the finder says of each data set of a room that has this effect, as a row."""
-    observed, _ = observe(case)
-    predicted, prior = predict_hypotheses(case, library()), prior_of(case.room, library(), {})
-    compared = compare(
-        MeansProblem(case, observed, predicted, estimate_discrepancy(case, controls))
-    )
+    compared, prior = believed(case, controls)
     rows = () if hidden == NOTHING else one_effect(compared, prior, hidden, rng)
     table = measured(compared, rows, rng).observed.features
 
@@ -123,7 +125,7 @@ def found(
         features = np.where(of.used, table[: len(of.features)], np.nan)
         return replace(of, features=features), notes
 
-    row: dict[str, Any] = {"truth": [predicted.names[rows[0]] if rows else NOTHING]}
+    row: dict[str, Any] = {"truth": [compared.predicted.names[rows[0]] if rows else NOTHING]}
     with mock.patch.object(search, "observe", as_drawn):
         for data, some, theirs in data_sets(case, controls):
             row[data] = row_of(search.find(some, controls=theirs))

@@ -197,6 +197,15 @@ def chance_of_near(one: Array, other: Array) -> Array:
     return np.array([_chance_of_none(c if len(c) >= _TELL else every) for c in counted])
 
 
+def chances_at_pairs(tables: Sequence[Array], rows: Sequence[int] | slice = slice(None)) -> Array:
+    """Return how probably each value of tables (n_pairs, n_bands) is met again, side by side.
+
+    How near values are is told by neighbouring ``rows``.
+    """
+    near = [chance_of_near(own[:-1], own[1:]) for own in (table[rows] for table in tables)]
+    return np.maximum(np.hstack([*map(chance_of_equal, tables)]), np.hstack(near))
+
+
 def _chance_of_none(steps: Array) -> float:
     """Return the probability of no step, by the steps between values that are not equal."""
     if not len(steps):
@@ -432,9 +441,7 @@ def copies(pairs: Sequence[Pair], tables: Iterable[Array]) -> list[str]:
     of_row = [first.setdefault(row.tobytes(), i) for i, row in enumerate(rows)]
     if len(first) == len(rows):
         return []
-    own = [table[[*first.values()]] for table in every]
-    near = np.hstack([chance_of_near(table[:-1], table[1:]) for table in own])
-    chances = np.maximum(np.hstack([chance_of_equal(table) for table in every]), near)
+    chances = chances_at_pairs(every, [*first.values()])
     copied = []
     for i, j in enumerate(of_row):
         known = np.isfinite(rows[i])

@@ -164,7 +164,7 @@ class Candidate:
 _CONVERTED = ("size", "low", "high", "spectrum", "parameters", "parts")
 
 
-OPEN = 0.1
+_NOTHING = 0.1
 """Probability that nothing is other than stated, from which a verdict says it first."""
 NATS = "2.3 nats are odds of ten to one"
 _CONFIDENCE = 0.95
@@ -416,8 +416,8 @@ class Finding(Result):
 
     @property
     def or_nothing(self) -> str:
-        """Behind a verdict, the probability of "none" from `OPEN` on, in words; else ""."""
-        probable = self.verdict != "none" and self.probabilities.get("none", 0.0) >= OPEN
+        """Behind a verdict, the probability of "none" from `_NOTHING` on, in words; else ""."""
+        probable = self.verdict != "none" and self.probabilities.get("none", 0.0) >= _NOTHING
         return f" (nothing: {self.percent('none')})" if probable else ""
 
     def support_of(self, best: str, rivals: Sequence[str]) -> str:

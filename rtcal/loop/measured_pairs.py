@@ -202,8 +202,9 @@ def pairs_to_match(
 def without_place(measured: Measurement, pairs: Sequence[Pair]) -> list[str]:
     """Return a note of the measured pairs that the simulator lacks; none without any."""
     unknown = [p for p in measured.pairs if p not in pairs]
-    said = f"Left out, since the simulator has no such pair: {_names(unknown)}."
-    return [said] * bool(unknown)
+    if not unknown:
+        return []
+    return [f"Left out, since the simulator has no such pair: {_names(unknown)}."]
 
 
 def refuse_unknown(exclude: Sequence[Pair], measured: Measurement) -> None:

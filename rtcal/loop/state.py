@@ -132,10 +132,13 @@ class Loop(Result):
         with the loops that `record` returns. Volume, areas and climate count as exact: else the
         coefficients would carry the share of each target that the loop tries.
         """
+        return self._problem().solve(target, unreachable="nearest", method=self.method)
+
+    def _problem(self) -> CalibrationProblem:
         if not self._problems:
             room = self.room.as_exact
             self._problems.append(preset(self.method, room).build(room, self.equation))
-        return self._problems[0].solve(target, unreachable="nearest", method=self.method)
+        return self._problems[0]
 
     @property
     def gap(self) -> Array:
@@ -433,8 +436,7 @@ def start(
     tell_data(room, stated)
     what = matched_times(room, measured, data.reverberation_time, weights)
     heard = means(measurement_in_room_bands(measured, room.centre_frequencies))
-    exact = room.as_exact
-    return Loop(
+    loop = Loop(
         room=room,
         matched=what,
         measured=data_history(room, data),
@@ -446,5 +448,6 @@ def start(
         bent=data.bent,
         beside={p: mean for p, mean in heard.items() if p not in what.shares},
         low=low,
-        _problems=[preset(method, exact).build(exact, equation or Eyring())],
     )
+    loop._problem()  # warns of a room without air
+    return loop

@@ -80,8 +80,9 @@ def not_in_room(case: Case) -> list[str]:
         )
     names = ("surfaces", "dimensions")
     lost = [n for n in names if getattr(case.room, n) and not getattr(c.room, n)]
-    changed = _resized(case.room, c)
-    return out + [f"{listed([*lost, 'areas as stated'])}: {listed(changed)}"] * bool(changed)
+    if changed := _resized(case.room, c):
+        out.append(f"{listed([*lost, 'areas as stated'])}: {listed(changed)}")
+    return out
 
 
 def _resized(stated: Room, c: _Corrected) -> list[str]:
@@ -91,7 +92,8 @@ def _resized(stated: Room, c: _Corrected) -> list[str]:
     if room.volume != stated.volume:
         out = [f"the volume is {room.volume:.4g} m³ and was {stated.volume:.4g}"]
     for name, was, area in zip(stated.materials, stated.areas, c.stated.areas, strict=True):
-        out += [f'the area of "{name}" is {area:.4g} m² and was {was:.4g}'] * bool(area != was)
+        if area != was:
+            out.append(f'the area of "{name}" is {area:.4g} m² and was {was:.4g}')
     if c.shares:
         further = zip(room.materials[n:], room.areas[n:], strict=True)
         each = listed([f"{name} ({area:.1f} m²)" for name, area in further])

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from rtcal.acoustics.measurement import Measurement
-from rtcal.acoustics.repeats import Pair, beyond_chance, chance_of_equal, chance_of_near
+from rtcal.acoustics.repeats import Pair, beyond_chance, chances_at_pairs
 from rtcal.acoustics.room import Room
 from rtcal.calibration.problem_data import notes_of_bands
 from rtcal.support.text import as_sentence, first_of
@@ -34,8 +34,7 @@ def of_names(before: Measurement, after: Measurement) -> list[str]:
     if not (shared and same_bands):
         return []
     tables = [before.values[name] for name in shared]
-    near = np.hstack([chance_of_near(table[:-1], table[1:]) for table in tables])
-    chances = np.maximum(np.hstack([*map(chance_of_equal, tables)]), near)
+    chances = chances_at_pairs(tables)
     one, other = np.hstack(tables), np.hstack([after.values[name] for name in shared])
     rows = {row.tobytes(): i for i, row in enumerate(np.nan_to_num(one, nan=-np.inf))}
     exchanged = []
