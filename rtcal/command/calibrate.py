@@ -84,6 +84,7 @@ def calibrate(
     """
     from rtcal.acoustics.room import Room
     from rtcal.calibration import methods
+    from rtcal.io import geometry_files
     from rtcal.report import figures
 
     folder = output_folder("--out", out)
@@ -97,9 +98,12 @@ def calibrate(
             )
         _by_modes(room, measured, modes, equation, folder)
         return
+    stated = Room.from_file(room)
+    if not is_quiet() and (doubt := geometry_files.mesh_doubt(stated)):
+        warn(doubt)
     with without_air_warning():
         result = methods.calibrate(
-            Room.from_file(room),
+            stated,
             read_measured(measured),
             method=method,
             equation=equation,

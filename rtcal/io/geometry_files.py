@@ -10,10 +10,11 @@ from rtcal.acoustics.room import Room
 from rtcal.io import balloon, obj
 from rtcal.simulators.geometry import SHOEBOX_WALLS, Polyhedron
 from rtcal.simulators.path_tracing import PathTracing
+from rtcal.simulators.tracer import area_doubt, check_walls
 from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError
 
-__all__ = ["path_tracing", "read"]
+__all__ = ["mesh_doubt", "path_tracing", "read"]
 __dir__ = __all__.copy
 
 
@@ -41,6 +42,22 @@ def read(room: Room) -> Polyhedron:
         return Polyhedron.shoebox(room.dimensions, room.materials[0])
     walls = {s.name: s.material for s in room.surfaces if s.name in SHOEBOX_WALLS}
     return Polyhedron.shoebox(room.dimensions, walls)
+
+
+@checked
+def mesh_doubt(room: Room) -> str:
+    """Return in a sentence where a room's areas or volume are not those of its mesh; "" if they are.
+
+    A room that states no mesh has none to differ from. A mesh that cannot be read is a doubt, too.
+    """
+    if room.scene.mesh is None:
+        return ""
+    try:
+        geometry = read(room)
+        check_walls(geometry, room)
+    except DataError as error:
+        return f"the room's areas and volume are not compared with its mesh: {error}"
+    return area_doubt(geometry, room)
 
 
 @checked

@@ -1,0 +1,56 @@
+"""A room's areas and its mesh are two statements of one room: every entrance says where they differ."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+import rtcal as rt
+from rtcal.command.main import main
+from rtcal.datasets.examples import example
+from rtcal.io import geometry_files
+
+
+@pytest.fixture
+def files(tmp_path: Path) -> Path:
+    for name, content in example("where").files.items():
+        (tmp_path / name).write_bytes(content)
+    return tmp_path
+
+
+def larger_floor(files: Path) -> str:
+    """Give the floor 86 m² in the room's file, and return the file's path."""
+    path = files / "room.toml"
+    stated = path.read_text()
+    assert stated.count("area = 56.0") == 2
+    path.write_text(stated.replace("area = 56.0", "area = 86.0", 1))
+    return str(path)
+
+
+def calibrated(room: str, files: Path, capsys: pytest.CaptureFixture[str]) -> str:
+    with pytest.raises(SystemExit) as stop:
+        main(["calibrate", room, str(files / "pairs.csv")])
+    assert stop.value.code == 0
+    return capsys.readouterr().err
+
+
+def test_calibrate_says_where_an_area_is_not_the_meshs(
+    files: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert calibrated(str(files / "room.toml"), files, capsys) == ""
+    said = "parquet has 86 m², but 56 m² in the geometry"
+    room = larger_floor(files)
+    assert said in calibrated(room, files, capsys)
+    # A path tracing of the same file says the same.
+    tracer = geometry_files.path_tracing(rt.Room.from_file(room), n_paths=160)
+    assert said in tracer.notes[0]
+
+
+def test_a_mesh_that_cannot_be_read_is_said_and_stops_no_equation(
+    files: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (files / "room.obj").unlink()
+    said = calibrated(str(files / "room.toml"), files, capsys)
+    assert "not compared with its mesh" in said
+    assert "room.obj: No such file" in said
