@@ -5,6 +5,7 @@ from __future__ import annotations
 import gc
 import os
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -55,6 +56,11 @@ def kept(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def cr2() -> tuple[rt.Room, rt.Measurement]:
     """The shipped real room and its measurement."""
     return rt.datasets.bras_cr2()
+
+
+def also(*values: Any) -> list[Any]:
+    """Parameters of a test that `make test-all` adds, where `make test` has one of their kind."""
+    return [pytest.param(value, marks=pytest.mark.long) for value in values]
 
 
 def random_room(

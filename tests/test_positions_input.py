@@ -29,6 +29,7 @@ from rtcal.simulators import (
 )
 from rtcal.simulators.external import EquationSimulator
 from rtcal.support.errors import DataError, SimulatorError
+from tests.conftest import also
 
 HALL = halls.lecture_hall()
 ROOM = HALL.room
@@ -271,7 +272,7 @@ IN_BOX = {
     "simulator",
     [
         ImageSource(room=BOX, duration=1.0, **IN_BOX),
-        ScatteringDelayNetwork(room=BOX, sampling_rate=8000, **IN_BOX),
+        *also(ScatteringDelayNetwork(room=BOX, sampling_rate=8000, **IN_BOX)),
     ],
     ids=["image sources", "network"],
 )

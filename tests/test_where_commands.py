@@ -176,6 +176,7 @@ def test_a_search_that_was_interrupted_goes_on_from_its_control_runs(
     case = rt.finder.positions.PositionsCase(
         simulator=tracing(stated(), n_paths=320), measured=measured(False)
     )
+    tried = {"only": ("opening",), "cache": tmp_path}
     told: list[str] = []
 
     def stop(what: str, done: int, of: int) -> None:
@@ -185,16 +186,12 @@ def test_a_search_that_was_interrupted_goes_on_from_its_control_runs(
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        rt.finder.positions.find(case, cache=tmp_path, progress=stop)
+        rt.finder.positions.find(case, **tried, progress=stop)
     assert told.count("control runs") > 1
     again: list[str] = []
-    rt.finder.positions.find(
-        case, cache=tmp_path, progress=lambda what, done, of: again.append(what)
-    )
+    rt.finder.positions.find(case, **tried, progress=lambda what, done, of: again.append(what))
     assert again
     assert "control runs" not in again
     last: list[str] = []
-    rt.finder.positions.find(
-        case, cache=tmp_path, progress=lambda what, done, of: last.append(what)
-    )
+    rt.finder.positions.find(case, **tried, progress=lambda what, done, of: last.append(what))
     assert not last

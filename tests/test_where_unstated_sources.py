@@ -104,7 +104,7 @@ def test_lobes_that_are_not_certain_leave_the_level_and_its_surfaces(
         simulator=tracing(stated(), n_paths=800), measured=opened(True, "level")
     )
     monkeypatch.setattr(search, "gain", lambda *_: np.array([nats]))
-    finding = rt.finder.positions.find(case, cache=kept)
+    finding = rt.finder.positions.find(case, only=("opening", "curtain"), cache=kept)
     assert finding.detected
     assert ("level" in finding.parameters) == level
     assert bool(finding.case.simulator.unknown_sources) != level

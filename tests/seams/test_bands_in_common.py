@@ -45,11 +45,8 @@ def with_values(measured: rt.Measurement, bands: ArrayLike, columns: np.ndarray)
 
 
 @pytest.fixture(scope="module")
-def searched(
-    tmp_path_factory: pytest.TempPathFactory,
-) -> Callable[[str], positions.PositionsFinding]:
+def searched(kept: Path) -> Callable[[str], positions.PositionsFinding]:
     """Return the finding in the shipped room, whose file has other bands."""
-    kept = tmp_path_factory.mktemp("kept")
     room = rt.Room.from_file(str(examples.path("where_room/room.toml")))
     measured = rt.Measurement.from_file(str(examples.path("where_room/pairs.csv")))
     curtain = [e for e in library() if e.name == "curtain"]
@@ -66,19 +63,22 @@ def searched(
 
 
 @pytest.fixture(scope="module")
-def gaps(searched: Callable[[str], positions.PositionsFinding]) -> np.ndarray:
-    return positions.verify(searched("alike")).gaps
+def gaps(searched: Callable[[str], positions.PositionsFinding], kept: Path) -> np.ndarray:
+    return positions.verify(searched("alike"), cache=kept).gaps
 
 
 @pytest.mark.parametrize("bands", ["one more", "thirds", "one fewer"])
 def test_bands_in_common_are_compared(
-    bands: str, searched: Callable[[str], positions.PositionsFinding], gaps: np.ndarray
+    bands: str,
+    searched: Callable[[str], positions.PositionsFinding],
+    gaps: np.ndarray,
+    kept: Path,
 ) -> None:
     """Another shape than the model's ended it, after the search."""
     found = searched(bands)
     about = ("Left out", "T is converted")
     assert [note for note in found.notes if note.startswith(about)] == NOTES[bands]
-    made = positions.verify(found).gaps
+    made = positions.verify(found, cache=kept).gaps
     assert made.shape == gaps.shape
     if bands == "one fewer":
         assert np.isnan(made[..., 0]).all()
