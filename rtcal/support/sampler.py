@@ -9,6 +9,7 @@ is about isotropic, rotated at random for every sweep.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -16,7 +17,7 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from rtcal.support.errors import ModelError, SolverError
-from rtcal.support.types import Array
+from rtcal.support.types import Array, read_only
 
 Integers = NDArray[np.intp]
 
@@ -162,12 +163,13 @@ def samples_of_normal(
     # The symmetric root: it depends on the covariance alone, and not on the eigenvectors' signs, so
     # that another processor's rounding draws the same samples.
     root = (vector * np.sqrt(np.maximum(value, 0))) @ vector.T
-    drawn = _even_normal(_DRAWS * number, len(mean), seed)
+    even = _even_normal(_DRAWS * number, len(mean), seed)
     sigma = np.sqrt(np.maximum(np.diagonal(covariance), 0))
-    drawn = mean + np.where(sigma > _EXACT, drawn @ root, 0.0)
-    kept = ((drawn >= lower) & (drawn <= upper)).all(axis=1)
-    if kept.sum() >= number:
-        return np.asarray(drawn[kept][:number])
+    for some in (2 * number, len(even)):  # most often the first of them are enough
+        drawn = mean + np.where(sigma > _EXACT, even[:some] @ root, 0.0)
+        kept = ((drawn >= lower) & (drawn <= upper)).all(axis=1)
+        if kept.sum() >= number:
+            return np.asarray(drawn[kept][:number])
     scale = np.where(sigma > _EXACT, sigma, 0.0)
     free = np.flatnonzero(scale)
     inverse = np.linalg.inv(covariance[np.ix_(free, free)])
@@ -188,17 +190,18 @@ def samples_of_normal(
     return sample(density, number, seed).values
 
 
+@lru_cache(maxsize=24)  # a search for a design draws in the same bands a hundred times
 def _even_normal(number: int, size: int, seed: int) -> Array:
     """Return standard normal numbers (number, size) that fill space evenly (Sobol 1967, scrambled).
 
-    A mean of some thousand has a fraction of the noise that random numbers give it.
+    A mean of some thousand has a fraction of the noise that random numbers give it. Read-only.
     """
     from scipy.special import ndtri
     from scipy.stats import qmc
 
     bits = (number - 1).bit_length()
     even = qmc.Sobol(size, seed=np.random.default_rng(seed)).random_base2(bits)[:number]
-    return np.asarray(ndtri(np.clip(even, 1e-12, 1 - 1e-12)))
+    return read_only(ndtri(np.clip(even, 1e-12, 1 - 1e-12)))
 
 
 def _effective(values: Array) -> Array:
