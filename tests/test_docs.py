@@ -56,6 +56,8 @@ LONG = {
         "positions",
         "discrepancy",
         "closed_loop",
+        "modes",
+        "report",
         "where",
         "design",
         "discrepancy_study",

@@ -28,7 +28,7 @@ ENGINES = [
     ),
 ]
 EPS = np.finfo(float).eps
-COUNTS = [1500, pytest.param(5000, marks=pytest.mark.long)]
+COUNTS = [500, pytest.param(5000, marks=pytest.mark.long)]
 STATUS = {"below": exact.BELOW, "above": exact.ABOVE}
 
 

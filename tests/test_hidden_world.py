@@ -99,6 +99,7 @@ def test_level_is_the_diffuse_field_s_and_seeds_repeat() -> None:
     np.testing.assert_array_equal(*again)
 
 
+@pytest.mark.long
 def test_a_dead_room_behind_an_aperture_is_an_opening() -> None:
     hole = {"patch_wall": 1, "patch": np.array([2.0, 4.0, 2.0, 4.0])}
     size, dead = np.array([6.0, 6.0, 6.0]), np.ones((6, 2))

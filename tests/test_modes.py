@@ -275,6 +275,7 @@ def test_modes_that_contradict_are_marked():
     assert f"{modes.frequencies[place]:.1f} Hz contributes most" in marked[0].text
 
 
+@pytest.mark.long
 def test_misfit_is_chi_square():
     """Coefficients are drawn from the prior, decays from their uncertainty."""
     ps = []

@@ -96,6 +96,7 @@ def test_two_studies_in_one_folder_are_refused(folder: Path) -> None:
     run(folder)
 
 
+@pytest.mark.long
 def test_a_study_goes_on_after_a_fault_at_any_event(tmp_path: Path) -> None:
     run_killed("pieces", tmp_path)
 

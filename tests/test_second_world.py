@@ -69,6 +69,7 @@ def test_a_lambert_cube_decays_after_kuttruff() -> None:
     np.testing.assert_allclose(bare(0.3), expected(0.3), rtol=0.025)
 
 
+@pytest.mark.long
 def test_a_strip_absorbs_by_its_area() -> None:
     # Half of one wall of six: the mean rises by (0.9 - 0.1) / 12. Places of a strip differ by 10 %.
     rise = decay_rate(cube(0.1, (0.5, 0.9))) - bare(0.1)
@@ -84,6 +85,7 @@ def test_boxes_absorb_by_their_free_faces() -> None:
     np.testing.assert_allclose(black - hard, C * 8.0 / (4 * SIDE**3), rtol=0.15)
 
 
+@pytest.mark.long
 def test_an_aperture_into_a_dead_room_is_an_opening() -> None:
     walls = cube(0.1, (0.5, 1.0))
     dead = Walls(

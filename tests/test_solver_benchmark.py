@@ -151,6 +151,7 @@ def test_a_slow_solver_is_seen_in_the_mean(feasible: Case, test_set: Rooms) -> N
     assert float(render._mean([row, row, slow])) > 60
 
 
+@pytest.mark.long
 def test_the_truth_is_that_of_rational_arithmetic(cases: dict[str, Case]) -> None:
     """Two ways to it that share nothing: band by band, and from the matrices of all bands."""
     case = cases["random 6 x 8 no 0"]

@@ -49,6 +49,12 @@ def mesh_doubt(room: Room) -> str:
     """Return in a sentence where a room's areas or volume are not those of its mesh; "" if they are.
 
     A room that states no mesh has none to differ from. A mesh that cannot be read is a doubt, too.
+
+    Examples
+    --------
+    >>> import rtcal as rt
+    >>> mesh_doubt(rt.datasets.bras_cr2()[0])
+    ''
     """
     if room.scene.mesh is None:
         return ""
