@@ -21,7 +21,6 @@ from rtcal.command.console import (
     tell,
 )
 from rtcal.command.finder_options import (
-    ENGINES,
     Inputs,
     Search,
     add_to_folder,
@@ -112,7 +111,7 @@ def find(
     ]
     words = [
         *inputs.arguments(),
-        *search.arguments(inputs.at_positions),
+        *search.arguments(),
         *numbers_stated,
         "--out",
         str(out),
@@ -289,7 +288,7 @@ def plan(
 
     Example: rtcal plan case.toml
     """
-    search = Search(ENGINES, seed, (), (), {})
+    search = Search(seed)
     if inputs.at_positions:
         refuse(
             {"--relative-change": change, "--cost": costs or None},

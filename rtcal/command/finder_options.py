@@ -8,7 +8,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from functools import cached_property, wraps
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -100,10 +100,12 @@ def search_case(
     case = read_case(inputs, targets, quietly=False) if case is None else case
     options: dict[str, Any] = {"seed": search.seed, "without": search.without, "only": search.only}
     number = {} if number is None else number
-    of_means = {"prior": search.prior, "engines": search.engines, **number}
+    of_means = {"prior": search.prior, **number}
+    if search.engines:
+        of_means["engines"] = search.engines
     if inputs.at_positions:
         stated = {
-            "--engine": search.engines if search.engines_stated else None,
+            "--engine": search.engines or None,
             "--prior": search.prior or None,
             "--most": None if number.get("most") == 1 else number.get("most"),
             "--expected": number.get("expected"),
@@ -149,8 +151,6 @@ def refuse(stated: Mapping[str, object], why: str) -> None:
         if value is not None:
             raise DataError(f"{option}{why}")
 
-
-ENGINES = ("path tracing", "image sources")
 
 before_option = click.option(
     "--before",
@@ -234,18 +234,17 @@ def input_options(command: Any) -> Any:
 class Search:
     """Settings of the search beside the case, as `rtcal.find` does."""
 
-    engines: tuple[str, ...]
     seed: int
-    without: tuple[str, ...]
-    only: tuple[str, ...]
-    prior: Mapping[str, float]
-    engines_stated: bool = False
+    engines: tuple[str, ...] = ()
+    without: tuple[str, ...] = ()
+    only: tuple[str, ...] = ()
+    prior: Mapping[str, float] = field(default_factory=dict)
 
-    def arguments(self, at_positions: bool) -> list[str]:
+    def arguments(self) -> list[str]:
         """Return the options of a command that repeats the search."""
         out = ["--seed", str(self.seed)]
         for option, values in (
-            ("--engine", () if at_positions else self.engines),  # with a geometry there are none
+            ("--engine", self.engines),
             ("--without", self.without),
             ("--only", self.only),
             ("--prior", [f"{k}={v:g}" for k, v in self.prior.items()]),
@@ -283,8 +282,7 @@ def search_options(command: Any) -> Any:
         **others: Any,
     ) -> Any:
         odds = numbers("--prior", prior, "EFFECT=ODDS, such as opening=2")
-        search = Search(engines or ENGINES, seed, without, only, odds, bool(engines))
-        return command(search=search, **others)
+        return command(search=Search(seed, engines, without, only, odds), **others)
 
     return input_options(with_search)
 
@@ -410,7 +408,7 @@ def _refuse_options_of_one_state(inputs: Inputs, search: Search, *, traced: bool
         raise DataError(
             "--before needs a room and what was measured after: ROOM AFTER --before BEFORE"
         )
-    refused = {**inputs.stated, "--prior": search.prior, "--engine": search.engines_stated}
+    refused = {**inputs.stated, "--prior": search.prior, "--engine": search.engines}
     if traced and inputs.at_positions:
         refused.pop("--scattering", None)
     for option, value in refused.items():

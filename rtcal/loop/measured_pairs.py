@@ -143,7 +143,6 @@ def pairs_to_match(
             f"no pair is left: the measurement has {_names(measured.pairs)}, the simulator "
             f"{_names(pairs)}" + (f", and {_names(exclude)} is excluded" if exclude else "")
         )
-    notes += without_place(measured, pairs)
     if exclude:
         notes.append(left_out(exclude))
     wanted = room.centre_frequencies

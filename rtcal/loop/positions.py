@@ -44,6 +44,7 @@ from rtcal.loop.measured_pairs import (
     pairs_to_match,
     refuse_known,
     with_t30,
+    without_place,
 )
 from rtcal.loop.positions_result import GaussNewtonStep, PositionsResult
 from rtcal.loop.positions_steps import (
@@ -186,7 +187,7 @@ def calibrate_positions(
         notes = (T30_ALONE, *notes)
     first, not_heard = _first(simulator, room.alpha, match, measured, seed)
     data = pairs_to_match(room, measured, match, first, exclude)
-    notes = (*notes, *not_heard, *repeated)
+    notes = (*without_place(measured, first.pairs), *notes, *not_heard, *repeated)
     if stated := in_words(room):
         notes = (*notes, f"The room is uncertain, and that counts: {stated}.")
     _refuse_one_place(simulator, data.observations.pairs, position_uncertainty)

@@ -46,6 +46,7 @@ from rtcal.finder.effects import Effect, Parameters
 from rtcal.finder.effects.checks import AppliedEffect, beyond
 from rtcal.finder.means.engines import (
     ENGINES,
+    TRIED,
     ControlRooms,
     checked_controls,
     checked_engines,
@@ -302,7 +303,7 @@ FOLDER = ".rtcal_cache"
 def control_rooms(
     case: Case,
     seed: int = 0,
-    engines: Sequence[str] = ("path tracing", "image sources"),
+    engines: Sequence[str] = TRIED,
     progress: TaskProgress | None = None,
     cache: str | os.PathLike[str] | None = None,
 ) -> tuple[ControlRooms, ...]:

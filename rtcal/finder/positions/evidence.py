@@ -28,7 +28,6 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import logsumexp
 
 from rtcal.finder.effects.base import Parameters
 from rtcal.finder.prior import COEFFICIENTS, UNKNOWN
@@ -393,7 +392,7 @@ class Likelihood:
         log = -fit - (self.log_determinant + more) / 2
         weights = self.levels.log_weights[:, np.newaxis]
         by_level = log.reshape(*log.shape[:-1], len(weights), -1) + weights
-        return np.asarray(logsumexp(by_level, axis=-2))
+        return np.asarray(np.logaddexp.reduce(by_level, axis=-2))
 
 
 Likelihoods = tuple[Likelihood, list[Likelihood], list[Likelihood]]

@@ -58,7 +58,7 @@ from rtcal.finder.positions.problem import PositionsProblem, problem_of
 from rtcal.finder.positions.responses import PairShifts, parameters, responses_of
 from rtcal.finder.prior import COEFFICIENTS, NONE, UNKNOWN, left_out_of, probability_off
 from rtcal.loop.control_runs import ControlRuns, simulated_controls
-from rtcal.loop.measured_pairs import T30_ALONE, with_t30, without_place
+from rtcal.loop.measured_pairs import T30_ALONE, with_t30
 from rtcal.support import checks
 from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError
@@ -311,7 +311,6 @@ def _finding(
     sure = summary.surfaces[first] * summary.on_surfaces >= CLAIMED
     located = verdict in ("named", "family", "ambiguous") and sure and not reasons
     observations = numbers.data.observations
-    told = without_place(case.measured, case.simulator.pairs)  # by the headline
     return PositionsFinding(
         case=case,
         verdict=verdict,
@@ -332,7 +331,7 @@ def _finding(
             record_of_positions(case.room, observations.parameters),
             *_assumed(case),
             *case.notes,
-            *(note for note in numbers.data.notes if note not in told),
+            *numbers.data.notes,
         ),
         controls=numbers.controls,
         effects={effect.name: effect for effect in effects},
