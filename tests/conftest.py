@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gc
 import os
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -50,6 +51,16 @@ def kept(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = (own.parent if "PYTEST_XDIST_WORKER" in os.environ else own) / "kept"
     folder.mkdir(exist_ok=True)
     return folder
+
+
+@pytest.fixture(scope="module")
+def runs_kept(kept: Path) -> Iterator[None]:
+    """Let commands keep control rooms in `kept`, instead of beside each test's own files."""
+    from rtcal.finder.means import evidence
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(evidence, "FOLDER", str(kept))
+        yield
 
 
 @pytest.fixture

@@ -26,6 +26,7 @@ from rtcal.simulators.geometry import SHOEBOX_WALLS, Polyhedron
 from rtcal.simulators.shoebox import ImageSource
 from rtcal.support.errors import DataError
 
+pytestmark = pytest.mark.usefixtures("runs_kept")
 OPENING = AppliedEffect("opening", {"area": 40.0}, (20.0, 56.0))
 ABSORBERS = [
     OPENING,

@@ -39,6 +39,7 @@ from tests.hidden_world import populations
 from tests.hidden_world.generate import numbers, read
 from tests.typed import wrongly_typed
 
+pytestmark = pytest.mark.usefixtures("runs_kept")
 HERE = Path(__file__).parent / "hidden_world"
 STORED = HERE / "population_1_findings.jsonl.gz"
 
@@ -486,7 +487,9 @@ def all_data(_: Case, used: np.ndarray) -> dict[int, str]:
     return {int(used.sum()): "all data"}
 
 
-@pytest.mark.parametrize("kind", [pytest.param(0, marks=LONG), pytest.param(2, marks=LONG), 11])
+@pytest.mark.parametrize(
+    "kind", [pytest.param(0, marks=LONG), pytest.param(2, marks=LONG), pytest.param(11, marks=LONG)]
+)
 def test_stored_findings_are_found_again(kind: int) -> None:
     assert differences(min(i for i, row in stored().items() if row["kind"] == kind)) == []
 

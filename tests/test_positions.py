@@ -285,6 +285,7 @@ def test_each_mode_has_a_signature_of_its_own(case):
     assert names[0] & names[1] == {"simulator", "room", "measured", "exclude", "seed"}
 
 
+@pytest.mark.long
 def test_a_second_calibration_traces_no_control_run(case, result, tmp_path, monkeypatch):
     room, _, measured = case
     monkeypatch.setattr(control_runs, "RUNS", 4)

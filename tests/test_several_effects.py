@@ -147,6 +147,7 @@ def at_the_points(c: MeansProblem) -> MeansProblem:
     return replace(c, cells=np.zeros_like(c.cells))
 
 
+@pytest.mark.long
 def test_what_lies_between_the_points_of_a_grid_is_no_second_effect() -> None:
     """The record is 1.5 or 2.5 reverberation times long on the grid."""
     case = case_with(AppliedEffect("noise floor", {"level": -35.0, "record": 2.0}))
@@ -290,6 +291,7 @@ def test_a_shaded_direct_sound_is_no_second_effect() -> None:
     assert found.numbers[2] < 0.5
 
 
+@pytest.mark.long
 def test_likely_pairs_are_evaluated_deeply_enough(monkeypatch: pytest.MonkeyPatch) -> None:
     """As if all of their parameters were evaluated."""
     coupled = {"aperture": 10.0, "volume": 400.0, "alpha": 0.2}

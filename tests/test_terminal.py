@@ -15,6 +15,7 @@ from rtcal.command.main import cli, main
 from rtcal.datasets import halls
 from rtcal.io import mesh as meshes
 from rtcal.support import speed
+from tests.conftest import also
 
 pytest.importorskip("matplotlib", reason="needs the extra report")
 pytest.importorskip("jinja2", reason="needs the extra report")
@@ -157,7 +158,7 @@ def test_every_command_is_called() -> None:
     ] == []
 
 
-@pytest.mark.parametrize("columns", WIDTHS)
+@pytest.mark.parametrize("columns", [80, *also(60, 120)])
 def test_no_line_is_longer_than_the_terminal(
     projects: Path, computed: None, columns: int, monkeypatch, capsys, tmp_path
 ) -> None:

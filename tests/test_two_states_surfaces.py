@@ -176,6 +176,7 @@ def test_a_simulator_of_another_room_is_refused(
         rt.find(stated(), states[1], simulator({}), before=states[0])
 
 
+@pytest.mark.long
 def test_scattering_that_the_room_does_not_state_is_given_to_the_command(
     finding: StatesFinding, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -229,6 +229,7 @@ def test_a_level_between_positions_is_enough(kept: Path) -> None:
     assert "east" in finding.likely_surfaces
 
 
+@pytest.mark.long
 def test_a_receiver_that_stands_elsewhere_is_a_hint(kept: Path) -> None:
     """With three receivers the evidence stays below the threshold."""
     truth = tracing(stated(), receivers=RECEIVERS | {"R1": (2.2, 2.0, 1.2)}, n_paths=19200)
@@ -293,6 +294,7 @@ def test_the_user_says_where_on_which_surface(
         finding.apply(at=(3, 2, 1))
 
 
+@pytest.mark.long
 def test_the_gap_shrinks_at_pairs_that_were_not_fitted(
     finding: rt.finder.positions.PositionsFinding, kept: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -59,6 +59,7 @@ def test_the_families_of_the_means_are_multiplied_in(
     assert np.exp(after.none - before.none) == pytest.approx(LEAST_BY_MEANS**MEANS_POWER)
 
 
+@pytest.mark.long
 def test_a_finding_names_the_family_that_means_know_of(
     case: rt.finder.positions.PositionsCase, kept: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -74,6 +74,7 @@ def test_the_disagreement_is_the_programs(folder: Path) -> None:
     assert best.family.startswith("added absorption") or best.surface is None
 
 
+@pytest.mark.long
 def test_what_neither_has_is_left_out(folder: Path) -> None:
     """A program's blank cell made every probability NaN."""
     case = read(folder)

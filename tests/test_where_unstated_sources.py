@@ -112,6 +112,7 @@ def test_lobes_that_are_not_certain_leave_the_level_and_its_surfaces(
     assert any(words in note for note in finding.notes)
 
 
+@pytest.mark.long
 def test_lobes_are_tried_where_a_pair_seems_noisy(
     kept: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -54,6 +54,7 @@ def test_another_gain_in_one_state_is_said_first_and_the_level_left_out(
         assert got.surfaces == pytest.approx(wanted.surfaces, abs=1e-6)
 
 
+@pytest.mark.long
 def test_the_gain_of_one_source_leaves_out_its_level_alone(
     states: tuple[rt.Measurement, rt.Measurement],
 ) -> None:
@@ -65,6 +66,7 @@ def test_the_gain_of_one_source_leaves_out_its_level_alone(
     assert got.claimed_surfaces == ("east",)
 
 
+@pytest.mark.long
 def test_one_gain_in_both_states_changes_nothing(
     states: tuple[rt.Measurement, rt.Measurement],
 ) -> None:
