@@ -100,6 +100,7 @@ def test_the_posterior_is_that_of_all_unknowns_by_dense_algebra() -> None:
     assert abs(off) > 1e-3
 
 
+@pytest.mark.long
 def test_the_spread_of_a_drawn_firm_is_found() -> None:
     firm = study.Firm(7)
     archive = rt.learn([study.calibrated(room, t) for room, _, t in firm.rooms[:-1]])
@@ -113,6 +114,7 @@ def test_the_spread_of_a_drawn_firm_is_found() -> None:
     assert (archive.mean_sigma < archive.table_sigma).mean() > 0.9
 
 
+@pytest.mark.long
 def test_a_twenty_first_room_is_known_better_than_by_the_table() -> None:
     row = study.judge(3)
     assert row["archive"] < 0.8 * row["table"]

@@ -48,7 +48,7 @@ from rtcal.finder.means.likelihood import MeansProblem, alpha_covariance
 from rtcal.finder.model import DirectionalDecay, RoomState, predict, sensitivities
 from rtcal.finder.search import find
 from rtcal.support.errors import DataError
-from tests.conftest import candidates_of
+from tests.conftest import also, candidates_of
 
 F = 125.0 * 2.0 ** np.arange(7)
 AREAS = np.array([60.0, 60.0, 30.0, 50.0])
@@ -574,7 +574,7 @@ def absorbing_room(share: float, *, alike: bool, shape: bool) -> rt.finder.Means
     return find(case, controls=controls_of(case))
 
 
-@pytest.mark.parametrize("share", [0.25, 0.35])
+@pytest.mark.parametrize("share", [*also(0.25), 0.35])
 def test_much_absorption_is_claimed_after_a_doubt_about_what_is_stated(share: float) -> None:
     """An absorber on a quarter of all surfaces was a hint: T was less than half the model's."""
     finding = absorbing_room(share, alike=False, shape=False)
@@ -588,7 +588,7 @@ def test_much_absorption_is_claimed_after_a_doubt_about_what_is_stated(share: fl
 
 
 @pytest.mark.parametrize("shape", [False, True])
-@pytest.mark.parametrize("share", [0.25, 0.35])
+@pytest.mark.parametrize("share", [*also(0.25), 0.35])
 def test_the_same_large_factor_in_every_band_is_no_more_than_a_hint(
     share: float, *, shape: bool
 ) -> None:

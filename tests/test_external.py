@@ -306,6 +306,7 @@ def test_a_child_that_keeps_the_error_output_open_does_not_delay_the_result(cr2,
     os.kill(child, signal.SIGKILL)
 
 
+@pytest.mark.long
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="finds processes in /proc")
 def test_a_child_in_a_session_of_its_own_is_ended_too(cr2, tmp_path):
     room, _ = cr2

@@ -87,6 +87,7 @@ def test_a_curtain_absorbs_on_both_sides() -> None:
     assert one_side < rise < 2 * one_side
 
 
+@pytest.mark.long
 def test_a_block_of_audience_absorbs_by_top_and_sides() -> None:
     solid = cube()
     assert hidden.seat(np.random.default_rng(3), solid, 0, 9.0, 1)

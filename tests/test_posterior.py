@@ -11,7 +11,7 @@ from rtcal import terms
 from rtcal.calibration.configurations import Configurations
 from rtcal.calibration.posterior import distribution, sensitivity
 from rtcal.calibration.posterior.marginals import marginal_distributions
-from tests.conftest import random_room, true_times
+from tests.conftest import also, random_room, true_times
 from tests.quadrature import errors, random_band
 
 EYRING = rt.Eyring()
@@ -31,7 +31,7 @@ def room_with(mu: float, sigma: float, n: int = 4) -> rt.Room:
 
 
 @pytest.mark.parametrize("uncertainty", [0.0, 0.6])
-@pytest.mark.parametrize("target", [3.0, 6.0, 11.0, 20.0])
+@pytest.mark.parametrize("target", [3.0, *also(6.0, 11.0), 20.0])
 def test_marginals_of_two_against_quadrature(target: float, uncertainty: float) -> None:
     """Two coefficients, one of them cut by its bound; the target up to far in the tail."""
     mu, sigma, areas = np.array([0.05, 0.3]), np.array([0.05, 0.06]), np.array([20.0, 30.0])

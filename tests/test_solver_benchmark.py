@@ -217,6 +217,7 @@ def test_the_real_rooms_that_are_there(shared_data: Path) -> None:
     assert found["CR3 thirds lse"].alpha is not None
 
 
+@pytest.mark.long
 def test_a_tiny_run_resumes_and_renders(tmp_path: Path, cases: dict[str, Case]) -> None:
     known = routes.available()
     chosen = {n: known[n] for n in ("own:clarabel", "own:osqp", "rtcal:clarabel", "rtcal.exact")}

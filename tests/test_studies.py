@@ -219,6 +219,7 @@ def test_lse_scores_the_same_whatever_the_areas(areas: np.ndarray) -> None:
     assert row.score > 10 * row.standard_error
 
 
+@pytest.mark.long
 def test_simulated_scores_agree_with_the_analytic_and_their_standard_errors_hold() -> None:
     analytic = by_method(studies.analytic_scores(SHOEBOX, 0.1, 40_000, seed=8))
     scores = np.array(

@@ -12,7 +12,7 @@ from scipy import stats
 import rtcal as rt
 from rtcal.acoustics.quality import plausibility
 from rtcal.acoustics.trust import trust_marks
-from tests.conftest import random_room
+from tests.conftest import also, random_room
 
 ROOMS = 2000
 
@@ -40,7 +40,14 @@ def simulated(rng: np.random.Generator, stated: float, correlation: float, noise
     return found.z, found.p_value
 
 
-@pytest.mark.parametrize(("correlation", "noise"), [(0.0, 0.0), (0.8, 0.0), (0.8, 0.03)])
+@pytest.mark.parametrize(
+    ("correlation", "noise"),
+    [
+        pytest.param(0.0, 0.0, marks=pytest.mark.long),
+        pytest.param(0.8, 0.0, marks=pytest.mark.long),
+        (0.8, 0.03),
+    ],
+)
 def test_z_is_standard_normal_and_p_uniform_when_the_prior_is_true(correlation, noise) -> None:
     rng = np.random.default_rng(12)
     results = [simulated(rng, 1.0, correlation, noise) for _ in range(ROOMS)]
@@ -51,7 +58,7 @@ def test_z_is_standard_normal_and_p_uniform_when_the_prior_is_true(correlation, 
     assert stats.kstest(p, "uniform").pvalue > 0.01
 
 
-@pytest.mark.parametrize("correlation", [0.0, 0.8])
+@pytest.mark.parametrize("correlation", [*also(0.0), 0.8])
 def test_a_prior_stated_at_half_its_sigma_is_flagged(correlation: float) -> None:
     rng = np.random.default_rng(13)
     results = [simulated(rng, 0.5, correlation, 0.0) for _ in range(ROOMS)]

@@ -15,6 +15,7 @@ from rtcal.acoustics.states import Rooms
 from rtcal.finder.positions.problem import _prior
 from rtcal.finder.positions.responses import AIR
 from rtcal.prediction import Assumptions
+from tests.conftest import also
 
 SABINE = rt.Sabine()
 PAIRS = (("S", "R1"), ("S", "R2"))
@@ -150,7 +151,8 @@ def test_a_loop_gives_the_materials_coefficients_beside_the_simulators() -> None
 
 
 @pytest.mark.parametrize(
-    "stated", [{"volume_sigma": 0.1}, {"common_area_sigma": 0.1}, {"common_alpha_sigma": 0.1}]
+    "stated",
+    [{"volume_sigma": 0.1}, *also({"common_area_sigma": 0.1}, {"common_alpha_sigma": 0.1})],
 )
 def test_the_finder_doubts_an_uncertain_room_before_it_finds(
     stated: dict[str, float], kept: Path

@@ -17,7 +17,7 @@ from rtcal.loop import positions
 from rtcal.loop.measured_pairs import fingerprints, pairs_to_match
 from rtcal.simulators.observations import Observations
 from rtcal.support.errors import CopiedPairsWarning, DataError
-from tests.conftest import program_of
+from tests.conftest import also, program_of
 from tests.test_discrepancy import controls_of
 
 
@@ -345,7 +345,7 @@ def times_at(rng: np.random.Generator, spread: float, bands: int = 6) -> np.ndar
     return rng.uniform(0.5, 2, bands) * (1 + spread * rng.standard_normal((12, bands)))
 
 
-@pytest.mark.parametrize("bands", [3, 5, 8])
+@pytest.mark.parametrize("bands", [*also(3, 5), 8])
 def test_values_that_repeat_closely_are_no_copies(bands: int) -> None:
     """T that repeats to 0.3 % is often equal to three decimals, and 48 of 200 had a copied pair."""
     pairs, found = [("S1", f"R{i}") for i in range(12)], 0
