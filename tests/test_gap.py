@@ -409,9 +409,6 @@ def test_counts_are_what_was_asked_for() -> None:
     assert len(read(1, "case")) == len(kinds) == len(read(1, "truth"))
 
 
-LONG = pytest.mark.long
-
-
 def stored() -> dict[int, dict[str, Any]]:
     rows = [json.loads(x) for x in gzip.decompress(STORED.read_bytes()).splitlines()]
     return {row["index"]: row for row in rows}
@@ -487,9 +484,8 @@ def all_data(_: Case, used: np.ndarray) -> dict[int, str]:
     return {int(used.sum()): "all data"}
 
 
-@pytest.mark.parametrize(
-    "kind", [pytest.param(0, marks=LONG), pytest.param(2, marks=LONG), pytest.param(11, marks=LONG)]
-)
+@pytest.mark.long
+@pytest.mark.parametrize("kind", [0, 2, 11])
 def test_stored_findings_are_found_again(kind: int) -> None:
     assert differences(min(i for i, row in stored().items() if row["kind"] == kind)) == []
 

@@ -284,6 +284,7 @@ def leaky_box(hole):
     return leaky
 
 
+@pytest.mark.long
 def test_lost_paths_are_dropped_and_the_others_weigh_more():
     # 0.0004 m² of 142 m²: a path of 1 s has 120 reflections, and 0.03 % of the paths are lost.
     closed, leaky = (trace(g, SOURCE, RECEIVERS, 1.0, 1.0) for g in (BOX, leaky_box(0.02)))

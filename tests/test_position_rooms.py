@@ -14,7 +14,6 @@ pytest.importorskip("numba", reason="the position rooms are compiled (extra fast
 from rtcal.acoustics import decay
 from rtcal.acoustics.observables import observable
 from rtcal.simulators import PathTracing
-from tests.conftest import also
 from tests.imports import imported_by
 from tests.position_rooms import generate, load, parameters, rooms, shapes
 from tests.position_rooms.tracer import Scene, sees, trace
@@ -46,7 +45,8 @@ def test_the_truth_imports_nothing_of_the_package() -> None:
     assert all(n.startswith("tests.position_rooms") for n in names if n[:5] == "tests")
 
 
-@pytest.mark.parametrize("vectors", [True, *also(False)])
+@pytest.mark.long
+@pytest.mark.parametrize("vectors", [False, True])
 def test_a_diffuse_cube_decays_after_eyring(vectors: bool) -> None:
     # Lambert walls in a cube: path lengths scatter by gamma² = 0.4 (Kuttruff), which lengthens
     # Eyring's T by 1 / (1 - a gamma² / 2), 2 % and 8 %. The noise of T20 is below 1 %.

@@ -28,6 +28,7 @@ from rtcal.loop import control_runs
 from rtcal.simulators import PathTracing, Polyhedron
 from rtcal.simulators.geometry import SHOEBOX_WALLS
 from rtcal.support.errors import DataError, ModelError
+from tests.conftest import also
 
 pytest.importorskip("numba", reason="the paths are traced by compiled code (extra fast)")
 
@@ -169,7 +170,7 @@ def with_coefficient(value: float, n_paths: int = 4800) -> rt.finder.positions.P
     return rt.finder.positions.PositionsCase(simulator=tracer, measured=measured(False))
 
 
-@pytest.mark.parametrize("extreme", [0.0, 1.0])
+@pytest.mark.parametrize("extreme", [0.0, *also(1.0)])
 def test_a_coefficient_of_0_or_1_has_a_score(
     extreme: float, kept: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -256,6 +257,7 @@ def test_pairs_without_a_place_are_told_first_and_once(kept: Path) -> None:
     assert str(finding).count("no such pair") == 1
 
 
+@pytest.mark.long
 def test_t30_is_matched_where_t20_is_absent(kept: Path) -> None:
     """It was refused, as if nothing had been measured."""
     model = tracing(stated(), n_paths=800)

@@ -95,7 +95,13 @@ def test_an_index_that_is_off_is_not_claimed_of_the_room(
     assert (exact.score > 20) == (off != 0)
 
 
-@pytest.mark.parametrize(("nats", "level"), [(5.0, True), (20.0, False)])
+@pytest.mark.parametrize(
+    ("nats", "level"),
+    [
+        (20.0, False),
+        pytest.param(5.0, True, marks=pytest.mark.long),
+    ],
+)
 def test_lobes_that_are_not_certain_leave_the_level_and_its_surfaces(
     nats: float, level: bool, kept: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

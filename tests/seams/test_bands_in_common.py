@@ -67,7 +67,8 @@ def gaps(searched: Callable[[str], positions.PositionsFinding], kept: Path) -> n
     return positions.verify(searched("alike"), cache=kept).gaps
 
 
-@pytest.mark.parametrize("bands", ["one fewer", *also("one more", "thirds")])
+@pytest.mark.long
+@pytest.mark.parametrize("bands", ["one more", "thirds", "one fewer"])
 def test_bands_in_common_are_compared(
     bands: str,
     searched: Callable[[str], positions.PositionsFinding],
@@ -101,7 +102,7 @@ OTHERS = {
     "command",
     [
         ["predict", "--change", "variants.toml"],
-        ["design", "--treatments", "treatments.toml"],
+        *also(["design", "--treatments", "treatments.toml"]),
         ["loop start", "--state", "loop.json", "--out", "next.toml"],
     ],
     ids=lambda command: command[0],
