@@ -31,8 +31,8 @@ demo: $(DEMO_STAMP)  ## calibrate a real measured room; find what the model of a
 
 # Two processes. Each takes a half of the tests in their order, so that a module's fixtures are made
 # once, and what is left of the other's half when it is done. Bytecode is kept, for the commands that
-# tests run.
-PYTEST := PYTHONDONTWRITEBYTECODE= $(BIN)/python -m pytest -n 2 --dist worksteal
+# tests run. Linear algebra takes one thread in each: two would wait for the other process' two.
+PYTEST := PYTHONDONTWRITEBYTECODE= OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist worksteal
 
 test: $(STAMP)  ## the tests, within five minutes on two cores
 	$(PYTEST) -m "not study and not long"

@@ -16,6 +16,7 @@ from tests.imports import imported_by
 from tests.position_rooms import parameters, shapes
 from tests.position_rooms.tracer import Scene, trace
 
+pytestmark = pytest.mark.long  # they check the tests' own world
 C = 343.2
 SIDE = 6.0
 FOLDER = Path(__file__).parent / "geometric_world"

@@ -15,6 +15,7 @@ from tests.hidden_world import shipped
 from tests.hidden_world.tracer import World, trace
 from tests.imports import imported_by
 
+pytestmark = pytest.mark.long  # they check the tests' own world
 C = 343.2
 CUBE = World(
     size=np.array([6.0, 6.0, 6.0]),

@@ -221,6 +221,7 @@ def test_an_absorbing_ceiling_over_walls_that_scatter_little_lacks_nothing(kept:
     assert finding.verdict == "none"
 
 
+@pytest.mark.long
 def test_a_level_between_positions_is_enough(kept: Path) -> None:
     case = rt.finder.positions.PositionsCase(
         simulator=tracing(stated()), measured=measured(True, "level")

@@ -17,6 +17,7 @@ import rtcal as rt
 from rtcal.command.main import main
 from rtcal.finder.positions import PositionsFinding, PositionsVerification
 from rtcal.loop import control_runs
+from tests.conftest import also
 from tests.test_terminal import longest
 from tests.test_where import RECEIVERS, SOURCES, measured, stated, tracing
 from tests.test_where_page import PLACE, finding_of, verification_of
@@ -25,7 +26,6 @@ pytest.importorskip("matplotlib", reason="needs the extra report")
 pytest.importorskip("jinja2", reason="needs the extra report")
 pytest.importorskip("numba", reason="the paths are traced by compiled code (extra fast)")
 
-WIDTHS = (40, 60, 80, 120)
 FILES = ("room.toml", "pairs.csv")
 COMMANDS = [
     ("find",),
@@ -68,7 +68,7 @@ def found(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> PositionsFinding:
 
 
 @pytest.mark.usefixtures("found")
-@pytest.mark.parametrize("columns", WIDTHS)
+@pytest.mark.parametrize("columns", [40, *also(60, 80, 120)])
 def test_no_line_is_longer_than_the_terminal(
     columns: int, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -151,6 +151,7 @@ def test_a_candidate_without_a_size_has_none_in_words_and_in_json(
     assert "nan" not in str(finding)
 
 
+@pytest.mark.long
 def test_the_record_is_that_of_what_was_measured(
     case: rt.finder.positions.PositionsCase, kept: Path
 ) -> None:

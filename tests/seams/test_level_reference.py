@@ -11,7 +11,6 @@ import pytest
 import rtcal as rt
 from rtcal.loop import control_runs
 from rtcal.simulators import PathTracing
-from tests.conftest import also
 from tests.test_where import MATCH, measured, stated, tracing
 
 OFFSET = 100.0
@@ -42,7 +41,8 @@ def simulator() -> PathTracing:
     return tracing(stated(), n_paths=800)
 
 
-@pytest.mark.parametrize("hidden", [True, *also(False)])
+@pytest.mark.long
+@pytest.mark.parametrize("hidden", [True, False])
 def test_no_reference_changes_a_finding(hidden: bool, kept: Path) -> None:
     case = rt.finder.positions.PositionsCase(simulator=simulator(), measured=relative(hidden))
     found = rt.finder.positions.find(case, cache=kept)
