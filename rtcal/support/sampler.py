@@ -163,10 +163,10 @@ def samples_of_normal(
     # The symmetric root: it depends on the covariance alone, and not on the eigenvectors' signs, so
     # that another processor's rounding draws the same samples.
     root = (vector * np.sqrt(np.maximum(value, 0))) @ vector.T
-    even = _even_normal(_DRAWS * number, len(mean), seed)
     sigma = np.sqrt(np.maximum(np.diagonal(covariance), 0))
-    for some in (2 * number, len(even)):  # most often the first of them are enough
-        drawn = mean + np.where(sigma > _EXACT, even[:some] @ root, 0.0)
+    for multiple in (2, _DRAWS):  # most often the first are enough
+        even = _even_normal(multiple * number, len(mean), seed)
+        drawn = mean + np.where(sigma > _EXACT, even @ root, 0.0)
         kept = ((drawn >= lower) & (drawn <= upper)).all(axis=1)
         if kept.sum() >= number:
             return np.asarray(drawn[kept][:number])
