@@ -387,8 +387,7 @@ def _likely(
         near = plain - off**2 / 2 - np.log(spread * np.sqrt(2 * np.pi))
         return np.column_stack([near, np.full(len(near), stranger)])
 
-    # `scipy.special.logsumexp` takes ten times as long for as few modes, and this is a hundred thousand
-    # times.
+    # `scipy.special.logsumexp` takes four times as long for 20 modes: 0.14 ms against 0.04 ms.
     likely = [
         np.logaddexp.reduce(joint(s), axis=1).sum() - ((s - 1) / COMMON_ERROR) ** 2 / 2
         for s in tried

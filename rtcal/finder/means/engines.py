@@ -420,7 +420,7 @@ ENGINES: Mapping[str, Engine] = {
 }
 
 
-TRIED = ("path tracing", "image sources")
+DEFAULT_ENGINES = ("path tracing", "image sources")
 """Engines of the control rooms, unless others are stated."""
 
 

@@ -45,8 +45,8 @@ from rtcal.finder.case import Case
 from rtcal.finder.effects import Effect, Parameters
 from rtcal.finder.effects.checks import AppliedEffect, beyond
 from rtcal.finder.means.engines import (
+    DEFAULT_ENGINES,
     ENGINES,
-    TRIED,
     ControlRooms,
     checked_controls,
     checked_engines,
@@ -303,7 +303,7 @@ FOLDER = ".rtcal_cache"
 def control_rooms(
     case: Case,
     seed: int = 0,
-    engines: Sequence[str] = TRIED,
+    engines: Sequence[str] = DEFAULT_ENGINES,
     progress: TaskProgress | None = None,
     cache: str | os.PathLike[str] | None = None,
 ) -> tuple[ControlRooms, ...]:

@@ -15,7 +15,7 @@ from rtcal.finder.claim import by_family, credible_set, family_of, posterior
 from rtcal.finder.effects import Effect
 from rtcal.finder.effects.checks import AppliedEffect, checked_effects
 from rtcal.finder.finding import Candidate, Detection
-from rtcal.finder.means.engines import TRIED, ControlRooms, checked_controls
+from rtcal.finder.means.engines import DEFAULT_ENGINES, ControlRooms, checked_controls
 from rtcal.finder.means.evidence import (
     Threshold,
     bootstrap_threshold,
@@ -60,7 +60,7 @@ def find(
     without: Sequence[str] = (),
     only: Sequence[str] = (),
     prior: Mapping[str, float] | None = None,
-    engines: Sequence[str] = TRIED,
+    engines: Sequence[str] = DEFAULT_ENGINES,
     controls: Sequence[ControlRooms] | None = None,
     cache: str | os.PathLike[str] | None = None,
     progress: TaskProgress | None = None,
