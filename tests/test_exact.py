@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 import rtcal as rt
 from rtcal.calibration import exact
-from rtcal.calibration.exact import _excess
+from rtcal.calibration.exact import _engine, _excess
 from rtcal.support import speed
 from rtcal.support.errors import DataError, MissingDependencyError
 from tests import rational
@@ -62,6 +62,11 @@ def truth(count: int) -> tuple[list[Problem], list]:
     return found, [
         rational.solve(p.mu.tolist(), p.sigma.tolist(), p.areas.tolist(), p.target) for p in found
     ]
+
+
+def test_the_engine_that_is_asked_for_is_taken() -> None:
+    compiled = "numba" if speed.available() else "numpy"
+    assert (_engine("numpy"), _engine("auto")) == ("numpy", compiled)
 
 
 @pytest.mark.parametrize("count", COUNTS)

@@ -241,6 +241,7 @@ def test_statuses_of_a_band():
     for target in (2.0, 2.0 * (1 - 1e-10), 2.5):
         assert statuses(target=target, gap=-3.0) == "unreachable"
         assert statuses(target=target) == "not converging"
+        assert statuses(target=target, gap=0.5, goals=0.3) == "not converging"
     for target in (0.5 * (1 + 1e-6), 2.0 * (1 - 1e-6)):
         assert statuses(target=target) == statuses(target=target, gap=-3.0) == "not converging"
     assert statuses(blocked=True) == "unreachable"
