@@ -60,10 +60,14 @@ def mesh_doubt(room: Room) -> str:
         return ""
     try:
         geometry = read(room)
-        check_walls(geometry, room)
     except DataError as error:
         return f"the room's areas and volume are not compared with its mesh: {error}"
-    return area_doubt(geometry, room)
+    of_areas = area_doubt(geometry, room)
+    try:
+        check_walls(geometry, room)
+    except DataError as error:
+        return f"{error}. {of_areas}".removesuffix(". ")
+    return of_areas
 
 
 @checked

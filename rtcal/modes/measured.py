@@ -113,10 +113,9 @@ class MeasuredModes:
             put(name, values)
         if (np.diff(self.frequencies) <= 0).any():
             bad = int(np.argmax(np.diff(self.frequencies) <= 0)) + 1
-            raise DataError(
-                f"frequencies[{bad}] = {self.frequencies[bad]:g} Hz is not above the one before it; "
-                "each mode is given once, in rising order"
-            )
+            equal = self.frequencies[bad] == self.frequencies[bad - 1]
+            wrong = "is given twice" if equal else "is not above the one before it"
+            raise DataError(f"frequencies[{bad}] = {self.frequencies[bad]:g} Hz {wrong}")
         if self.frequencies[-1] > _LARGEST_FREQUENCY:
             raise DataError(
                 f"frequencies[{n - 1}] = {self.frequencies[-1]:g} Hz is above {_LARGEST_FREQUENCY:g} "
