@@ -70,8 +70,12 @@ def cr2() -> tuple[rt.Room, rt.Measurement]:
 
 
 def also(*values: Any) -> list[Any]:
-    """Parameters of a test that `make test-all` adds, where `make test` has one of their kind."""
-    return [pytest.param(value, marks=pytest.mark.long) for value in values]
+    """Parameters of a test that `make test-all` adds, where `make test` has one of their kind.
+
+    A tuple is one set of several parameters.
+    """
+    sets = (value if isinstance(value, tuple) else (value,) for value in values)
+    return [pytest.param(*each, marks=pytest.mark.long) for each in sets]
 
 
 def random_room(

@@ -58,7 +58,6 @@ def test_the_truth_imports_nothing_of_the_package() -> None:
     assert all(n.startswith(allowed) for n in names if n[:5] == "tests")
 
 
-@pytest.mark.long
 def test_a_patch_absorbs_by_its_area() -> None:
     # 18 m² of 216: the mean rises by 0.8 / 12. Where a patch hangs makes up to 10 %.
     solid = cube()
@@ -88,7 +87,6 @@ def test_a_curtain_absorbs_on_both_sides() -> None:
     assert one_side < rise < 2 * one_side
 
 
-@pytest.mark.long
 def test_a_block_of_audience_absorbs_by_top_and_sides() -> None:
     solid = cube()
     assert hidden.seat(np.random.default_rng(3), solid, 0, 9.0, 1)

@@ -55,7 +55,6 @@ def test_a_diffuse_cube_decays_after_eyring() -> None:
     np.testing.assert_allclose(t20(trace(CUBE, 20000, 1)), kuttruff, rtol=0.025)
 
 
-@pytest.mark.long
 def test_air_patch_and_objects_add_what_they_must() -> None:
     k = 24 * np.log(10) / C * 216.0
     bare = k / t20(trace(CUBE, 20000, 2))
@@ -83,7 +82,6 @@ def test_air_patch_and_objects_add_what_they_must() -> None:
     np.testing.assert_allclose((np.mean(patched, 0) - bare)[0], expected[0], rtol=0.1)
 
 
-@pytest.mark.long
 def test_level_is_the_diffuse_field_s_and_seeds_repeat() -> None:
     # Receivers all over the cube, for the mean over the volume: after the direct sound, the path
     # that is left is the sum of (1 - alpha)^k mean free paths 4V/S. Without reflections (alpha = 1)
@@ -100,7 +98,6 @@ def test_level_is_the_diffuse_field_s_and_seeds_repeat() -> None:
     np.testing.assert_array_equal(*again)
 
 
-@pytest.mark.long
 def test_a_dead_room_behind_an_aperture_is_an_opening() -> None:
     hole = {"patch_wall": 1, "patch": np.array([2.0, 4.0, 2.0, 4.0])}
     size, dead = np.array([6.0, 6.0, 6.0]), np.ones((6, 2))

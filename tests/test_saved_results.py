@@ -132,7 +132,7 @@ def test_positions_are_read_back(tmp_path: Path) -> None:
 
 def test_findings_are_read_back(tmp_path: Path, kept: Path) -> None:
     case, _ = rt.datasets.hidden_room()
-    finding = rt.find(case, only=("opening", "porous", "volume"), cache=kept)
+    finding = rt.find(case, cache=kept)
     again = back(finding, tmp_path / "finding")
     assert again.apply().to_json() == finding.apply().to_json()
     back(rt.finder.verify(finding), tmp_path / "verification")

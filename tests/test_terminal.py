@@ -159,7 +159,7 @@ def test_every_command_is_called() -> None:
     ] == []
 
 
-@pytest.mark.parametrize("columns", [60, *also(80, 120)])
+@pytest.mark.parametrize("columns", [WIDTHS[0], *also(*WIDTHS[1:])])
 def test_no_line_is_longer_than_the_terminal(
     projects: Path, computed: None, columns: int, monkeypatch, capsys, tmp_path
 ) -> None:

@@ -42,11 +42,7 @@ def simulated(rng: np.random.Generator, stated: float, correlation: float, noise
 
 @pytest.mark.parametrize(
     ("correlation", "noise"),
-    [
-        pytest.param(0.0, 0.0, marks=pytest.mark.long),
-        pytest.param(0.8, 0.0, marks=pytest.mark.long),
-        (0.8, 0.03),
-    ],
+    [*also((0.0, 0.0), (0.8, 0.0)), (0.8, 0.03)],
 )
 def test_z_is_standard_normal_and_p_uniform_when_the_prior_is_true(correlation, noise) -> None:
     rng = np.random.default_rng(12)

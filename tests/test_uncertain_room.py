@@ -31,6 +31,7 @@ from rtcal.prediction import (
 from rtcal.report import words
 from rtcal.report.page import calibration_page
 from rtcal.support.errors import DataError, ModelError
+from tests.conftest import also
 
 AREAS = np.array([35.0, 30.0, 21.0, 15.0])
 BANDS = (250, 500, 1000, 2000)
@@ -205,7 +206,7 @@ def test_intervals_hold_the_answer_and_stay_in_the_box() -> None:
 @pytest.mark.parametrize(
     ("case", "score", "coverage"),
     [
-        pytest.param("stated, sigma_R 0.05", (0.09, 0.16), (0.87, 0.93), marks=pytest.mark.long),
+        *also(("stated, sigma_R 0.05", (0.09, 0.16), (0.87, 0.93))),
         ("handbook off by 10 % together, stated", (0.15, 0.35), (0.86, 0.94)),
     ],
 )

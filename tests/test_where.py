@@ -261,12 +261,12 @@ def test_pairs_without_a_place_are_told_first_and_once(kept: Path) -> None:
 @pytest.mark.long
 def test_t30_is_matched_where_t20_is_absent(kept: Path) -> None:
     """It was refused, as if nothing had been measured."""
-    model = tracing(stated(), n_paths=800)
+    model = tracing(stated())
     every = heard(model, model.room.alpha, match=("t20", "t30"))
     alone = heard(model, model.room.alpha, match=("t30",))
     case = rt.finder.positions.PositionsCase(simulator=model, measured=alone)
     assert case.match == ("t30", *MATCH[1:])
-    finding = rt.finder.positions.find(case, only=("opening",), cache=kept)
+    finding = rt.finder.positions.find(case, cache=kept)
     assert finding.parameters == ("t30",)
     assert "T30 is matched in place of T20, which was not measured." in finding.notes
     both = rt.finder.positions.PositionsCase(simulator=model, measured=every)

@@ -13,6 +13,7 @@ from rtcal.finder.positions import search
 from rtcal.finder.positions.case import lobes
 from rtcal.finder.positions.problem import covariance_of_lobes
 from rtcal.simulators import PathTracing
+from tests.conftest import also
 from tests.test_where import MATCH, RECEIVERS, SOURCES, heard, stated, tracing
 from tests.test_where import measured as opened
 
@@ -97,10 +98,7 @@ def test_an_index_that_is_off_is_not_claimed_of_the_room(
 
 @pytest.mark.parametrize(
     ("nats", "level"),
-    [
-        (20.0, False),
-        pytest.param(5.0, True, marks=pytest.mark.long),
-    ],
+    [(20.0, False), *also((5.0, True))],
 )
 def test_lobes_that_are_not_certain_leave_the_level_and_its_surfaces(
     nats: float, level: bool, kept: Path, monkeypatch: pytest.MonkeyPatch
@@ -110,7 +108,7 @@ def test_lobes_that_are_not_certain_leave_the_level_and_its_surfaces(
         simulator=tracing(stated(), n_paths=800), measured=opened(True, "level")
     )
     monkeypatch.setattr(search, "gain", lambda *_: np.array([nats]))
-    finding = rt.finder.positions.find(case, only=("opening", "curtain"), cache=kept)
+    finding = rt.finder.positions.find(case, cache=kept)
     assert finding.detected
     assert ("level" in finding.parameters) == level
     assert bool(finding.case.simulator.unknown_sources) != level

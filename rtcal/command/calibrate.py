@@ -84,7 +84,6 @@ def calibrate(
     """
     from rtcal.acoustics.room import Room
     from rtcal.calibration import methods
-    from rtcal.io import geometry_files
     from rtcal.report import figures
 
     folder = output_folder("--out", out)
@@ -99,8 +98,11 @@ def calibrate(
         _by_modes(room, measured, modes, equation, folder)
         return
     stated = Room.from_file(room)
-    if not is_quiet() and (doubt := geometry_files.mesh_doubt(stated)):
-        warn(doubt)
+    if stated.scene.mesh is not None and not is_quiet():
+        from rtcal.io import geometry_files
+
+        if doubt := geometry_files.mesh_doubt(stated):
+            warn(doubt)
     with without_air_warning():
         result = methods.calibrate(
             stated,

@@ -10,7 +10,7 @@ from rtcal.acoustics.room import Room
 from rtcal.io import balloon, obj
 from rtcal.simulators.geometry import SHOEBOX_WALLS, Polyhedron
 from rtcal.simulators.path_tracing import PathTracing
-from rtcal.simulators.tracer import area_doubt, check_walls
+from rtcal.simulators.tracer import area_doubt, volume_doubt
 from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError
 
@@ -62,12 +62,7 @@ def mesh_doubt(room: Room) -> str:
         geometry = read(room)
     except DataError as error:
         return f"the room's areas and volume are not compared with its mesh: {error}"
-    of_areas = area_doubt(geometry, room)
-    try:
-        check_walls(geometry, room)
-    except DataError as error:
-        return f"{error}. {of_areas}".removesuffix(". ")
-    return of_areas
+    return ". ".join(filter(None, (volume_doubt(geometry, room), area_doubt(geometry, room))))
 
 
 @checked

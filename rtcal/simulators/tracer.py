@@ -292,11 +292,18 @@ def check_seconds(seconds: float) -> float:
 def check_walls(geometry: Polyhedron, room: Room) -> None:
     """Raise DataError for a wall material that the room lacks, or a volume off by `OFF_VOLUME`."""
     room.material_rows(geometry.materials)
-    if abs(room.volume / geometry.volume - 1) > OFF_VOLUME:
-        raise DataError(
-            f"room: volume = {room.volume:g} m³, but the geometry holds {geometry.volume:g} m³; they "
-            f"may differ by at most {100 * OFF_VOLUME:.0f} %"
-        )
+    if doubt := volume_doubt(geometry, room):
+        raise DataError(doubt)
+
+
+def volume_doubt(geometry: Polyhedron, room: Room) -> str:
+    """Return what is said of a volume that differs by more than `OFF_VOLUME`; "" of none."""
+    if abs(room.volume / geometry.volume - 1) <= OFF_VOLUME:
+        return ""
+    return (
+        f"room: volume = {room.volume:g} m³, but the geometry holds {geometry.volume:g} m³; they "
+        f"may differ by at most {100 * OFF_VOLUME:.0f} %"
+    )
 
 
 def area_doubt(geometry: Polyhedron, room: Room) -> str:

@@ -48,7 +48,7 @@ def test_another_gain_in_one_state_is_said_first_and_the_level_left_out(
     """With 37 dB more before, four walls were claimed."""
     before, after = states
     wanted = found(without_level(before), without_level(after))
-    for gain in (-3.0, 37.0):
+    for gain in (-3.0, 3.0, 37.0):
         got = found(with_gain(before, dict.fromkeys(PLACES, gain)), after)
         assert got.reasons[0].startswith("The level is off beside what T says of the change")
         assert got.surfaces == pytest.approx(wanted.surfaces, abs=1e-6)

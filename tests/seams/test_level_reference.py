@@ -42,7 +42,7 @@ def simulator() -> PathTracing:
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("hidden", [True, False])
+@pytest.mark.parametrize("hidden", [False, True])
 def test_no_reference_changes_a_finding(hidden: bool, kept: Path) -> None:
     case = rt.finder.positions.PositionsCase(simulator=simulator(), measured=relative(hidden))
     found = rt.finder.positions.find(case, cache=kept)

@@ -16,6 +16,7 @@ from rtcal.report import where_figures
 from tests.test_where import heard, stated, tracing
 
 pytest.importorskip("numba", reason="the paths are traced by compiled code (extra fast)")
+pytestmark = pytest.mark.long  # the search that they share takes 20 s
 
 FOAM = (0.6, 0.9, 0.95)
 """Alpha of the ceiling in truth."""
@@ -31,13 +32,13 @@ def case() -> PositionsCase:
     room = hard()
     alpha = room.alpha.copy()
     alpha[-1] = FOAM
-    measured = heard(tracing(room, scattering=0.5, n_paths=4800), alpha)
-    return PositionsCase(simulator=tracing(room, n_paths=320), measured=measured)
+    measured = heard(tracing(room, scattering=0.5, n_paths=9600), alpha)
+    return PositionsCase(simulator=tracing(room, n_paths=1600), measured=measured)
 
 
 @pytest.fixture(scope="module")
 def finding(kept: Path) -> PositionsFinding:
-    return find(case(), only=("porous", "curtain", "opening"), cache=kept)
+    return find(case(), cache=kept)
 
 
 def test_the_doubt_of_means_about_what_is_stated_leads(

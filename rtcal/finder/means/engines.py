@@ -420,10 +420,6 @@ ENGINES: Mapping[str, Engine] = {
 }
 
 
-DEFAULT_ENGINES = ("path tracing", "image sources")
-"""Engines of the control rooms, unless others are stated."""
-
-
 def checked_engines(engines: object) -> list[str]:
     """Return the names of at least two engines, each once; DataError otherwise."""
     names = list(dict.fromkeys(map(str, checks.listed("engines", engines))))

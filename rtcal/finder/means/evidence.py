@@ -45,7 +45,6 @@ from rtcal.finder.case import Case
 from rtcal.finder.effects import Effect, Parameters
 from rtcal.finder.effects.checks import AppliedEffect, beyond
 from rtcal.finder.means.engines import (
-    DEFAULT_ENGINES,
     ENGINES,
     ControlRooms,
     checked_controls,
@@ -294,6 +293,8 @@ class Threshold:
         return self.discrepancy.engines
 
 
+DEFAULT_ENGINES = ("path tracing", "image sources")
+"""Engines of the control rooms, unless others are stated."""
 FOLDER = ".rtcal_cache"
 """Name of the folder beside a case's file; `support.files` removes those named ``.rtcal-*``."""
 

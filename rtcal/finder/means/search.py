@@ -15,8 +15,9 @@ from rtcal.finder.claim import by_family, credible_set, family_of, posterior
 from rtcal.finder.effects import Effect
 from rtcal.finder.effects.checks import AppliedEffect, checked_effects
 from rtcal.finder.finding import Candidate, Detection
-from rtcal.finder.means.engines import DEFAULT_ENGINES, ControlRooms, checked_controls
+from rtcal.finder.means.engines import ControlRooms, checked_controls
 from rtcal.finder.means.evidence import (
+    DEFAULT_ENGINES,
     Threshold,
     bootstrap_threshold,
     control_rooms,
