@@ -13,10 +13,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.stats import beta
 
 from rtcal.finder import Case, MeansFinding, control_rooms, library
 from rtcal.finder.means.engines import ENGINES, ControlRooms
+from rtcal.finder.records import Share
 
 NOTHING = "none"
 UNKNOWN = "unknown"
@@ -135,9 +135,7 @@ class Judged:
 
 def interval(k: int, n: int) -> tuple[float, float]:
     """The 95 % interval of a share (Clopper and Pearson 1934)."""
-    low = 0.0 if k == 0 else float(beta.ppf(0.025, k, n - k + 1))
-    high = 1.0 if k == n else float(beta.ppf(0.975, k + 1, n - k))
-    return low, high
+    return Share(k, n).interval
 
 
 def rate(hits: Iterable[bool]) -> str:

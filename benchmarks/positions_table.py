@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.stats import beta
 
+from rtcal.finder.records import Share
 from tests.position_rooms.generate import HERE
 from tests.position_rooms.rooms import PRIORS
 
@@ -55,9 +55,7 @@ def bootstrap(
 
 def share(hits: int, n: int) -> tuple[float, float, float]:
     """Return a share with its 95 % interval (Clopper & Pearson 1934)."""
-    low = beta.ppf(0.025, hits, n - hits + 1) if hits else 0.0
-    high = beta.ppf(0.975, hits + 1, n - hits) if hits < n else 1.0
-    return hits / n, float(low), float(high)
+    return (hits / n, *Share(hits, n).interval)
 
 
 def median_ratio(a: np.ndarray, b: np.ndarray) -> tuple[float, float, float]:

@@ -1,4 +1,4 @@
-"""A finding's statement of its own reliability is what the study's page says."""
+"""A finding states claims made, claims right and the interval, as the benchmark counts them."""
 
 from __future__ import annotations
 
@@ -6,139 +6,91 @@ import re
 from pathlib import Path
 
 import pytest
+from scipy.stats import binom
 
 import rtcal as rt
-from rtcal.finder import claim
-from rtcal.finder.claim import (
-    HANDBOOK,
-    IN_SITU,
-    LATER,
-    RECORDS_OF_POSITIONS,
-    WITH_LEVEL,
-    WITHOUT_LEVEL,
-    Share,
-    TrackRecord,
-)
+from benchmarks import records as benchmark
+from rtcal.acoustics.observables import LEVEL
+from rtcal.finder import records
+from rtcal.finder.records import HANDBOOK, IN_SITU, Share, TrackRecord
 
-DOCS = Path(__file__).parents[1] / "docs"
-PAGE = (DOCS / "discrepancy_study.md").read_text(encoding="utf-8")
-WHERE = (DOCS / "where_study.md").read_text(encoding="utf-8")
+VERDICTS = ("none", "hint", "named", "family", "ambiguous", "unknown")
 
 
-def numbers(label: str) -> dict[str, tuple[int, int]]:
-    """Return a row of the table of both worlds, with the second number first, by kind of data."""
-    (row,) = re.findall(rf"^\| {label} \| (\d+); (\d+) \| (\d+); (\d+) \|$", PAGE, re.MULTILINE)
-    times, right_of_times, every, right = map(int, row)
-    return {claim.TIMES: (right_of_times, times), claim.ALL: (right, every)}
+def test_the_file_is_what_the_benchmark_writes() -> None:
+    assert benchmark.FILE.read_text(encoding="utf-8") == benchmark.text()
 
 
-@pytest.mark.parametrize(
-    ("label", "claimed"),
-    [
-        ("single names claimed; right", "named"),
-        ("families claimed; right", "family"),
-        ("sets of candidates; with the truth", "ambiguous"),
-    ],
-)
-def test_claims_and_right_ones_are_those_of_the_table(label: str, claimed: str) -> None:
-    stated = {data: record.right[claimed] for data, record in claim.RECORDS_OF_MEANS.items()}
-    assert stated == numbers(label)
+@pytest.mark.parametrize("counts", [(0, 7), (7, 7), (3, 18), (79, 80)])
+def test_the_interval_is_that_of_the_binomial_distribution(counts: tuple[int, int]) -> None:
+    """At either end as many claims, or fewer and more, have a probability of 2.5 %."""
+    share = Share(*counts)
+    low, high = share.interval
+    k, n = counts
+    assert low == 0 if k == 0 else binom.sf(k - 1, n, low) == pytest.approx(0.025)
+    assert high == 1 if k == n else binom.cdf(k, n, high) == pytest.approx(0.025)
 
 
-def test_what_is_missed_and_flagged_is_that_of_the_table() -> None:
-    for data, (missed, hidden) in numbers("something hidden; missed").items():
-        assert claim.RECORDS_OF_MEANS[data].detected == (hidden - missed, hidden)
-    for data, flagged in numbers("nothing hidden; flagged").items():
-        assert claim.RECORDS_OF_MEANS[data].flagged == flagged
+@pytest.mark.parametrize("data", [records.TIMES, records.ALL])
+@pytest.mark.parametrize("verdict", VERDICTS)
+def test_every_record_of_means_has_counts_and_an_interval(verdict: str, data: str) -> None:
+    said = records.record_of_means(verdict, data)
+    assert "not used to make the finder" in said
+    assert data in said
+    record = TrackRecord.from_dict(records.records()["means"][data])
+    if (right := record.right.get(verdict)) is not None:
+        assert re.search(
+            rf"\b{right.of} .* were claimed, and {right.count} .*\({right.in_words}\)", said
+        )
+    assert "95 % interval" in said
 
 
-def test_measured_cases_are_those_of_the_page() -> None:
-    measured = re.search(r"measured rooms: wrong claims \|[^|]+\|[^|]+\| (\d+) of (\d+)", PAGE)
-    assert measured is not None
-    assert tuple(int(n) for n in measured.groups()) == claim.MEASURED
+@pytest.mark.parametrize("verdict", ["named", "family"])
+def test_a_claim_in_measured_rooms_has_the_claims_made_as_its_denominator(verdict: str) -> None:
+    """46 cases are no 46 claims: no error in 7 claims leaves an error rate of up to 41 %."""
+    measured = records.records()["measured"]
+    assert measured["claims"] < measured["cases"]
+    wrong = Share(measured["wrong"], measured["claims"])
+    said = records.record_of_means(verdict, records.ALL)
+    assert (
+        f"{wrong.of} effects or families were claimed in {measured['cases']} cases, and none was wrong "
+        f"(error rate {wrong.in_words})"
+    ) in said
+    assert wrong.interval[1] > 0.3
 
 
-@pytest.mark.parametrize(
-    ("label", "kind"),
-    [
-        ("families claimed that were right, all 110 rooms", "families"),
-        ("sets claimed that were right, all 110 rooms", "sets of families"),
-    ],
-)
-def test_claims_beside_others_are_those_of_the_table(label: str, kind: str) -> None:
-    right, of = claim.SEVERAL[kind]
-    assert re.search(rf"^\| {label} \| \| {right / of:.2f} \[.*\] of {of} \|$", PAGE, re.MULTILINE)
-    assert f"{right} of {of} such {kind} were right" in claim.record_of_several([kind])
+@pytest.mark.parametrize("kind", ["families", "sets of families"])
+def test_claims_beside_others_have_counts_and_an_interval(kind: str) -> None:
+    right = Share(*records.records()["several"][kind])
+    said = records.record_of_several([kind])
+    assert (
+        f"{right.of} {kind} were claimed, and {right.count} were right ({right.in_words})" in said
+    )
 
 
-def test_every_verdict_says_how_often_it_was_right(kept: Path) -> None:
-    case, _ = rt.datasets.hidden_room()
-    finding = rt.find(case, cache=kept)
-    assert finding.track_record == claim.record_of_means(finding.verdict, claim.ALL)
-    assert finding.track_record in " ".join(str(finding).split())
-    for data in (claim.TIMES, claim.ALL):
-        for verdict in ("none", "hint", "named", "family", "ambiguous", "unknown"):
-            assert "not used to make the finder" in claim.record_of_means(verdict, data)
-
-
-def test_the_record_is_that_of_the_case_s_own_kind_of_data() -> None:
+def test_a_finding_prints_the_record_of_its_own_kind_of_data(kept: Path) -> None:
     case, _ = rt.datasets.hidden_room()
     first = case.configurations[0].name
-    assert claim.data_of(case) == claim.ALL
+    assert records.data_of(case) == records.ALL
     times = case.only("t20", "edt", "t30", configurations=[first])
-    assert claim.data_of(times) == claim.TIMES
-    assert claim.data_of(case.only("t20", "c80", configurations=[first])) == claim.ALL
+    assert records.data_of(times) == records.TIMES
+    assert records.data_of(case.only("t20", "c80", configurations=[first])) == records.ALL
+    finding = rt.find(case, cache=kept)
+    assert finding.track_record == records.record_of_means(finding.verdict, records.ALL)
+    assert finding.track_record in " ".join(str(finding).split())
 
 
-def counts(record: TrackRecord) -> dict[str, Share]:
-    """Return the counts of a search at every position by the labels of the study's table."""
-    return {
-        "nothing hidden, flagged": record.flagged,
-        "something hidden, detected": record.detected,
-        "absorbers detected, on the correct surface": record.right["surface"],
-    }
-
-
-@pytest.mark.parametrize(("data", "column"), [(WITHOUT_LEVEL, 3), (WITH_LEVEL, 4)])
-def test_what_a_finding_with_a_geometry_says_is_the_study_s(data: str, column: int) -> None:
-    for label, stated in counts(RECORDS_OF_POSITIONS[IN_SITU, data]).items():
-        (row,) = (line for line in WHERE.splitlines() if line.startswith(f"| {label} |"))
-        cell = row.split("|")[column].split()
-        judged = int(cell[-1])
-        assert (round(float(cell[0]) * judged), judged) == stated
-
-
-@pytest.mark.parametrize(("data", "which"), [(WITHOUT_LEVEL, "without"), (WITH_LEVEL, "level")])
-def test_what_it_says_of_a_later_version_is_what_was_judged(data: str, which: str) -> None:
-    pytest.importorskip("numba", reason="the geometric world is compiled (extra fast)")
-    from benchmarks import where, where_figures
-
-    judged = where_figures.Rows(where.kept(where.IN_SITU, "seventh")[0], 4, which)
-    detected = where_figures.flags(judged, where_figures.HIDDEN)
-    flagged = where_figures.flags(judged, (where.rooms.NOTHING,))
-    first = [
-        row["true_surface"] == next(iter(row["surfaces"]))
-        for _, row in judged.only(where_figures.ABSORBERS, True)
-    ]
-    assert LATER[data].detected == (sum(detected), len(detected))
-    assert LATER[data].flagged == (sum(flagged), len(flagged))
-    assert LATER[data].right == {"surface": (sum(first), len(first))}
-
-
-def test_what_it_says_of_a_handbook_s_coefficients_is_the_study_s() -> None:
-    without, with_level = (
-        RECORDS_OF_POSITIONS[HANDBOOK, data] for data in (WITHOUT_LEVEL, WITH_LEVEL)
-    )
-    right = without.right["surface"], with_level.right["surface"]
-    said = (
-        f"{without.detected[0]} and {with_level.detected[0]} of {without.detected[1]} detected, "
-        f"{with_level.flagged[0]} of {with_level.flagged[1]} flagged, {right[0][0]} of "
-        f"{right[0][1]} and {right[1][0]} of {right[1][1]} on the correct surface"
-    )
-    assert said in " ".join(WHERE.split())
-
-
-def test_a_room_is_compared_with_those_whose_sigma_is_like_its_own() -> None:
+@pytest.mark.parametrize("statement", [IN_SITU, HANDBOOK])
+@pytest.mark.parametrize("match", [("t20",), ("t20", LEVEL.key)])
+def test_a_search_at_positions_states_the_claims_of_rooms_like_its_own(
+    statement: str, match: tuple[str, ...]
+) -> None:
     room = rt.datasets.hidden_room()[0].room
-    assert claim.statement_of(room.replace(sigma=0.3 * room.alpha)) == HANDBOOK
-    assert claim.statement_of(room.replace(sigma=0.1 * room.alpha)) == IN_SITU
+    room = room.replace(sigma=(0.3 if statement == HANDBOOK else 0.1) * room.alpha)
+    assert records.statement_of(room) == statement
+    data = records.WITH_LEVEL if LEVEL.key in match else records.WITHOUT_LEVEL
+    record = TrackRecord.from_dict(records.records()["positions"][statement][data])
+    said = records.record_of_positions(room, match)
+    for share in (record.detected, record.flagged, *record.right.values()):
+        assert {f"{share.count}", f"{share.of}"} <= set(re.findall(r"\d+", said))
+        assert share.in_words in said

@@ -13,7 +13,6 @@ import numpy as np
 import pytest
 
 import rtcal as rt
-from rtcal.finder.claim import record_of_positions
 from rtcal.finder.effects import library
 from rtcal.finder.finding import Detection
 from rtcal.finder.positions.evidence import NOISE, POSITION, SpreadHypothesis
@@ -30,6 +29,7 @@ from rtcal.finder.positions.posterior import (
     scores,
     weights,
 )
+from rtcal.finder.records import record_of_positions
 from tests.test_where import MATCH, measured, stated, tracing
 
 pytest.importorskip("numba", reason="the paths are traced by compiled code (extra fast)")

@@ -10,20 +10,13 @@ import numpy as np
 
 from rtcal.acoustics import bands
 from rtcal.finder.case import Case
-from rtcal.finder.claim import (
-    SAID,
-    Names,
-    SetsFinding,
-    after_doubt,
-    data_of,
-    record_of_means,
-    record_of_several,
-)
+from rtcal.finder.claim import SAID, Names, SetsFinding, after_doubt
 from rtcal.finder.effects.checks import AppliedEffect
 from rtcal.finder.finding import NATS, Size
 from rtcal.finder.means.features import ModelDiscrepancy
 from rtcal.finder.means.verdict import Fit
 from rtcal.finder.prior import COEFFICIENTS, NONE, OffTogether, Prior
+from rtcal.finder.records import data_of, record_of_means, record_of_several
 from rtcal.support import text
 from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from rtcal.acoustics.observables import TARGET, observable
-from rtcal.finder.claim import CLAIMED, DISTINCT_NATS, claimed, record_of_positions
+from rtcal.finder.claim import CLAIMED, DISTINCT_NATS, claimed
 from rtcal.finder.effects import Effect, library
 from rtcal.finder.effects.checks import checked_effects
 from rtcal.finder.finding import Candidate, Detection
@@ -57,6 +57,7 @@ from rtcal.finder.positions.posterior import (
 from rtcal.finder.positions.problem import PositionsProblem, problem_of
 from rtcal.finder.positions.responses import PairShifts, parameters, responses_of
 from rtcal.finder.prior import COEFFICIENTS, NONE, UNKNOWN, left_out_of, probability_off
+from rtcal.finder.records import record_of_positions
 from rtcal.loop.control_runs import ControlRuns, simulated_controls
 from rtcal.loop.measured_pairs import T30_ALONE, with_t30
 from rtcal.support import checks

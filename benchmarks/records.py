@@ -1,0 +1,149 @@
+"""How often claims of the finder were right, as every finding prints it: rtcal/finder/records.json.
+
+    python -m benchmarks.records           # print the counts
+    python -m benchmarks.records write     # write the file
+
+Means over positions: the table "Both worlds together" and the tables of several effects of
+docs/discrepancy_study.md, whose rows are not stored (`benchmarks.second_world both`,
+`benchmarks.several_effects table`). Measured rooms: the judging cases of `benchmarks.real_rooms`.
+Positions: the stored rows of `benchmarks.where`. Every judged room of a statement counts once.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+import sys
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+from benchmarks import real_rooms, where
+from benchmarks.judging import FLAGS
+from benchmarks.real_cases import every_case
+from benchmarks.where_figures import (
+    ABSORBERS,
+    DATA,
+    HIDDEN,
+    Rows,
+    family_of,
+    is_first,
+    right_families,
+)
+from rtcal.finder import records
+from tests.geometric_world import rooms
+
+ROOT = Path(__file__).parents[1]
+STUDY = ROOT / "docs" / "discrepancy_study.md"
+FILE = ROOT / "rtcal" / "finder" / records.FILE
+OF_STATEMENT = {
+    records.IN_SITU: (where.IN_SITU, ("sixth", "seventh", "eighth", "ninth", "tenth")),
+    records.HANDBOOK: (where.HANDBOOK, ("first",)),
+}
+"""By the coefficients' source its name in the rows, and the stored rooms that count
+(`benchmarks.where_figures.ROOMS`). Each was judged by one finder, and no room is in two of them."""
+Counts = tuple[int, int]
+"""A number of rooms or claims, and of how many it is."""
+
+
+def of_means(page: str) -> dict[str, Any]:
+    """Return the counts of means over positions, by kind of data, from the study's table."""
+
+    def row(label: str) -> tuple[Counts, Counts]:
+        """Return both columns of a row, the second number first."""
+        found = re.search(rf"^\| {label} \| (\d+); (\d+) \| (\d+); (\d+) \|$", page, re.MULTILINE)
+        if found is None:
+            raise LookupError(f'{STUDY} has no row "{label}"')
+        of, count, of_all, count_all = map(int, found.groups())
+        return (count, of), (count_all, of_all)
+
+    claims = {
+        "named": row("single names claimed; right"),
+        "family": row("families claimed; right"),
+        "ambiguous": row("sets of candidates; with the truth"),
+    }
+    missed, flagged = row("something hidden; missed"), row("nothing hidden; flagged")
+    return {
+        data: {
+            "detected": (missed[i][1] - missed[i][0], missed[i][1]),
+            "flagged": flagged[i],
+            "right": {claimed: counts[i] for claimed, counts in claims.items()},
+        }
+        for i, data in enumerate((records.TIMES, records.ALL))
+    }
+
+
+def of_several(page: str) -> dict[str, Counts]:
+    """Return claims that were right, and claims, of a search for several effects."""
+    out = {}
+    for kind, label in (("families", "families claimed"), ("sets of families", "sets claimed")):
+        pattern = rf"^\| {label} that were right, all 110 rooms \| \| (\S+) \[.*\] of (\d+) \|$"
+        found = re.search(pattern, page, re.MULTILINE)
+        if found is None:
+            raise LookupError(f'{STUDY} has no row "{label}"')
+        out[kind] = (round(float(found[1]) * int(found[2])), int(found[2]))
+    return out
+
+
+def of_measured() -> dict[str, int]:
+    """Return the judging cases in measured rooms, the names and families claimed, and wrong ones."""
+    rows = real_rooms.rows_of(None)
+    judged = [c for c in every_case() if c.part == "judging" and c.name in rows]
+    claims = [c for c in judged if rows[c.name]["verdict"] in FLAGS[:2]]
+    wrong = sum(real_rooms.outcome(c, rows[c.name]) == "wrong" for c in claims)
+    return {"cases": len(judged), "claims": len(claims), "wrong": wrong}
+
+
+def counted(hits: Iterable[bool]) -> Counts:
+    table = list(hits)
+    return sum(table), len(table)
+
+
+def of_positions(statement: str, data: str) -> dict[str, Any]:
+    """Return the counts of a search at every position; ``data`` is a key of `DATA`."""
+    name, of = OF_STATEMENT[statement]
+    every = [
+        pair
+        for which in of
+        for pair in Rows(where.kept(name, which)[0], where.population_of(which), data).all
+    ]
+    flagged = [(t, r) for t, r in every if r["verdict"] in FLAGS]
+    claimed = [(t, r) for t, r in flagged if r["verdict"] in FLAGS[:2]]
+    return {
+        "detected": counted(r["verdict"] in FLAGS for t, r in every if t["kind"] in HIDDEN),
+        "flagged": counted(r["verdict"] in FLAGS for t, r in every if t["kind"] == rooms.NOTHING),
+        "right": {
+            "family": counted(family_of(r) in right_families(t["kind"]) for t, r in claimed),
+            "surface": counted(is_first(r) for t, r in flagged if t["kind"] in ABSORBERS),
+            "surface claimed": counted(
+                r["surface"] == r["true_surface"] for _, r in flagged if r["surface"] is not None
+            ),
+        },
+    }
+
+
+def counts() -> dict[str, Any]:
+    """Return the contents of the file."""
+    page = STUDY.read_text(encoding="utf-8")
+    words = dict(zip(DATA, (records.WITHOUT_LEVEL, records.WITH_LEVEL), strict=True))
+    return {
+        "means": of_means(page),
+        "several": of_several(page),
+        "measured": of_measured(),
+        "positions": {
+            statement: {words[data]: of_positions(statement, data) for data in DATA}
+            for statement in OF_STATEMENT
+        },
+    }
+
+
+def text() -> str:
+    """Return the file's text."""
+    return json.dumps(counts(), indent=1) + "\n"
+
+
+if __name__ == "__main__":
+    if sys.argv[1:] == ["write"]:
+        FILE.write_text(text(), encoding="utf-8")
+    else:
+        print(text(), end="")
