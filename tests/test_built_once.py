@@ -7,6 +7,7 @@ import threading
 import weakref
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from types import SimpleNamespace
 
 import clarabel
 import cvxpy as cp
@@ -15,11 +16,12 @@ import pytest
 
 import rtcal as rt
 from rtcal import terms
+from rtcal.acoustics import states
 from rtcal.calibration import convex_program, solvers
 from rtcal.finder import AppliedEffect, recalibrate, verify
 from rtcal.finder.effects.absorbers import Opening
 from rtcal.finder.search import find
-from rtcal.support.errors import SolverError
+from rtcal.support.errors import DataError, SolverError
 from tests.conftest import random_room, true_times
 from tests.test_discrepancy import controls_of, opened
 
@@ -249,3 +251,21 @@ def test_the_steps_of_a_recalibration_share_one_problem(compilations: list[objec
     applied = AppliedEffect("opening", {"area": 8.0})
     recalibrate(replace(opened(25.0), applied=(applied,)))
     assert len(compilations) == 1
+
+
+def test_a_single_room_is_not_compared_with_itself(monkeypatch: pytest.MonkeyPatch) -> None:
+    compared: list[object] = []
+
+    def counted(*arrays: object) -> bool:
+        compared.append(arrays)
+        return np.array_equal(*arrays)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(
+        states, "np", SimpleNamespace(array_equal=counted, flatnonzero=np.flatnonzero)
+    )
+    (room, t), (other, _) = cases(2)
+    rt.calibrate(room, t)
+    assert not compared
+    with pytest.raises(DataError, match="a shared material has one prior"):
+        rt.calibrate(rt.Configurations([room, other]), [t, t])
+    assert compared

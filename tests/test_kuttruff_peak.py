@@ -9,6 +9,7 @@ import pytest
 
 import rtcal as rt
 from rtcal import terms
+from rtcal.acoustics.room_errors import target_changes
 from rtcal.support.errors import InfeasibleError
 
 KUTTRUFF = rt.Kuttruff()
@@ -88,3 +89,46 @@ def test_equation_that_holds_everywhere_is_asked_as_it_is() -> None:
     given = room([1.0])
     result = rt.calibrate(given, [0.1])
     assert result.reverberation_time_before[0] == 0.0
+
+
+NEAR = (0.5, 0.1, 1e-2, 1e-3, 1e-5, 1e-9, 1e-13)
+UNCERTAIN = {
+    "climate": {"climate_sigma": (2, 10)},
+    "temperature": {"climate_sigma": (5, 0)},
+    "volume and areas": {"volume_sigma": 0.05, "area_sigma": 0.03, "common_area_sigma": 0.02},
+    "nothing": {},
+}
+
+
+@pytest.mark.parametrize("method", ["mle", "lse", "soft", "smooth", "robust"])
+@pytest.mark.parametrize("uncertain", UNCERTAIN)
+@pytest.mark.parametrize("below", NEAR)
+def test_near_the_peak_there_is_an_answer_for_every_method(
+    below: float, uncertain: str, method: str
+) -> None:
+    """The closer to the peak, the less T determines the absorption; the other band is as it was."""
+    given = room([0.6, 0.3], **UNCERTAIN[uncertain])
+    peak = KUTTRUFF.exponent_of_time(given, at_mean(given, PEAK))[0]
+    exponent = np.array([peak * (1 - below), 0.4])
+    t = KUTTRUFF._time(given, given.total_area * exponent)
+    result = rt.calibrate(given, t, method, KUTTRUFF)
+    assert np.isfinite(result.alpha).all()
+    assert np.isfinite(result.posterior_sigma).all()
+    assert str(result)
+    for solver in ("osqp", "qpsolvers:daqp"):
+        other = rt.calibrate(given, t, method, KUTTRUFF, solver=solver)
+        np.testing.assert_allclose(other.alpha, result.alpha, rtol=0, atol=1e-8)
+
+
+def test_an_uncertain_climate_is_linearised_as_the_volume_is() -> None:
+    """Half the difference between two climates, exactly where b is linear in them (Sabine)."""
+    given = room([0.3, 0.4], climate_sigma=(2, 0))
+    t = at_mean(given, 0.3)
+    warm, cold = (given.with_air(rt.Air(20 + d, 50)) for d in (2, -2))
+    sabine = target_changes(rt.Sabine(), given, t)[-2]
+    wanted = (rt.Sabine().target(cold, t) - rt.Sabine().target(warm, t)) / 2
+    np.testing.assert_allclose(sabine, wanted, rtol=1e-12)
+    small = room([0.3, 0.4], climate_sigma=(1e-3, 0))
+    warm, cold = (small.with_air(rt.Air(20 + d, 50)) for d in (1e-3, -1e-3))
+    wanted = (KUTTRUFF.target(cold, t) - KUTTRUFF.target(warm, t)) / 2
+    np.testing.assert_allclose(target_changes(KUTTRUFF, small, t)[-2], wanted, rtol=1e-6)

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,7 +13,7 @@ import rtcal as rt
 from rtcal import terms
 from rtcal.calibration.problem_data import times_in_room
 from rtcal.calibration.terms import BaseTerm
-from rtcal.support.errors import ModelError, SolverError, TermError
+from rtcal.support.errors import DataError, InfeasibleError, ModelError, SolverError, TermError
 
 PRIOR = terms.PriorDeviation()
 
@@ -176,3 +178,119 @@ def test_a_solver_that_fails_is_not_blamed_on_the_terms() -> None:
     problem = rt.Calibration(terms.HuberDeviation() + terms.SoftMatch(0.05)).build(ROOM)
     with pytest.raises(SolverError, match="its answer does not pass"):
         problem.solve(MEASURED, settings={"max_iter": 1})
+
+
+STOPPED: tuple[dict[str, Any], ...] = (
+    {"settings": {"max_iter": 1}},
+    {"settings": {"max_iter": 3}},
+    {"settings": {"tol_gap_abs": 1e-2, "tol_gap_rel": 1e-2, "tol_feas": 1e-2}},
+    {"solver": "osqp", "settings": {"max_iter": 5}},
+    {"solver": "osqp", "settings": {"eps_abs": 3e-2, "eps_rel": 3e-2, "polishing": False}},
+    {"solver": "scs", "settings": {"max_iters": 10}},
+    {"solver": "qpsolvers:osqp", "settings": {"eps_abs": 1e-2, "eps_rel": 1e-2}},
+    {"solver": "qpsolvers:daqp"},
+)
+"""Solvers that stop early, or are content with little."""
+
+
+@pytest.mark.parametrize("options", STOPPED, ids=str)
+@pytest.mark.parametrize("known", [(0, 0), (0, 1), (1, 1)])
+def test_a_right_prior_is_not_accused_for_a_coefficient_that_is_known(options, known) -> None:
+    """A correlated prior integrates out what is known exactly (sigma = 0), in both descriptions."""
+    sigma = np.array([[0.08, 0.12], [0.05, 0.06]])
+    sigma[known] = 0.0
+    room = rt.Room(
+        name="small",
+        volume=72,
+        materials=["plaster", "board"],
+        areas=[31, 75],
+        alpha=[[0.25, 0.35], [0.15, 0.1]],
+        sigma=sigma,
+        centre_frequencies=[250, 500],
+        air=rt.Air(),
+        band_correlation=0.6,
+        material_correlation={("plaster", "board"): 0.3},
+    )
+    for t in ([0.7, 0.55], [1.6, 1.1]):
+        _as_by_itself(room, t, "soft", options)
+
+
+def _as_by_itself(room: rt.Room, t: Any, method: str, options: dict[str, Any]) -> str:
+    """Calibrate, and return the outcome: the answer of the solver's own settings, or its message."""
+    try:
+        right = rt.calibrate(room, t, method)
+    except InfeasibleError:
+        right = None
+    except (ModelError, DataError):
+        return "refused"
+    try:
+        result = rt.calibrate(room, t, method, **options)
+    except InfeasibleError:
+        assert right is None
+        return "infeasible"
+    except TermError:
+        raise
+    except SolverError:
+        return "solver"
+    assert right is not None
+    np.testing.assert_allclose(result.alpha, right.alpha, rtol=0, atol=1e-7)
+    return "right"
+
+
+def _drawn_room(rng: np.random.Generator) -> rt.Room:
+    """A room of any kind: known, nearly known and unknown coefficients, with and without errors."""
+    n, k = int(rng.integers(1, 5)), int(rng.integers(1, 5))
+    alpha = rng.uniform(0.02, 0.7, (n, k))
+    sigma = alpha * 10 ** rng.uniform(-1.5, 0, (n, k))
+    sigma[rng.random((n, k)) < 0.1] *= 1e-3
+    sigma[rng.random((n, k)) < rng.choice([0, 0.3])] = 0.0
+    free = int(rng.integers(n))
+    sigma[free] = np.maximum(sigma[free], 0.02)
+    names = [f"material {i}" for i in range(n)]
+    stated: dict[str, Any] = {}
+    if rng.random() < 0.5:
+        stated["band_correlation"] = float(rng.choice([0.3, 0.9]))
+    if rng.random() < 0.3 and n > 1:
+        stated["material_correlation"] = {(names[0], names[1]): 0.5}
+    if rng.random() < 0.3:
+        stated["common_alpha_sigma"] = 0.2
+    if rng.random() < 0.4:
+        stated |= {"volume_sigma": 0.05, "area_sigma": 0.03, "climate_sigma": (2, 10)}
+    if rng.random() < 0.3:
+        stated["alpha_min"] = alpha * rng.uniform(0, 1, (n, k))
+    return rt.Room(
+        name="drawn",
+        volume=float(rng.uniform(40, 4000)),
+        materials=names,
+        areas=10 ** rng.uniform(0, 2.5, n),
+        alpha=alpha,
+        sigma=sigma,
+        centre_frequencies=[250, 500, 1000, 2000][:k],
+        air=rt.Air(),
+        **stated,
+    )
+
+
+def _swept(seeds: Sequence[int]) -> dict[str, int]:
+    """Calibrate drawn rooms by every method with a solver that stops early; return what came of it."""
+    outcomes: dict[str, int] = {}
+    for seed in seeds:
+        rng = np.random.default_rng(seed)
+        room = _drawn_room(rng)
+        t = rt.Eyring().reverberation_time(room) * np.exp(0.3 * rng.standard_normal(room.n_bands))
+        method = str(rng.choice(["mle", "lse", "soft", "smooth", "robust"]))
+        options = dict(STOPPED[int(rng.integers(len(STOPPED)))])
+        outcome = _as_by_itself(room, t, method, options)
+        outcomes[outcome] = outcomes.get(outcome, 0) + 1
+    return outcomes
+
+
+def test_no_right_term_is_accused_in_a_few_drawn_rooms() -> None:
+    assert _swept(range(60))["right"] > 20
+
+
+@pytest.mark.long
+def test_no_right_term_is_accused_whatever_solver_settings_or_method() -> None:
+    outcomes = _swept(range(1000, 3000))
+    assert outcomes["right"] > 1000, outcomes
+    assert outcomes["refused"] < 600, outcomes

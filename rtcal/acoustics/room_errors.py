@@ -205,7 +205,8 @@ def target_changes(equation: LinearEquation, room: Room, t: Array) -> Array:
         V db/dV = S a / E',  db/dS = b / S - a / E',  d(S'alpha)/dS_i = mu_i.
 
     In Sabine's equation E' = 1 and db/dS = 0, so that only the products of two errors are neglected:
-    (alpha - mu) times the error of an area. In Eyring's and Kuttruff's, b is linearised as well.
+    (alpha - mu) times the error of an area. In Eyring's and Kuttruff's, b is linearised as well: the
+    climate changes it by S / E' times its change of a.
     Bands without T, or whose T no absorption gives, have 0.
 
     Parameters
@@ -229,21 +230,24 @@ def target_changes(equation: LinearEquation, room: Room, t: Array) -> Array:
     [-0.05]
     """
     t = np.asarray(t, dtype=float)
-    b, total = equation.target(room, t), room.total_area
-    with np.errstate(invalid="ignore"):
-        mean = b / total
-        reach = equation.exponent(mean) / equation.slope(mean)
-    of_volume = -total * reach
+    total = room.total_area
+    asked = equation.exponent_of_time(room, t)
+    mean = equation.inverse(asked)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        of_exponent = 1 / equation.slope(mean)
+        reach = asked * of_exponent
+    of_climate_change = of_climate(room, lambda changed: equation.exponent_of_time(changed, t))
+    sizes = np.concatenate([[room.volume_sigma, room.common_area_sigma], room.area_sigma, [1, 1]])
     of_areas = room.areas[:, np.newaxis] * (room.alpha - (mean - reach))
-    changes = np.vstack(
+    by_size = np.vstack(
         [
-            room.volume_sigma * of_volume,
-            room.common_area_sigma * of_areas.sum(axis=0),
-            room.area_sigma[:, np.newaxis] * of_areas,
-            *of_climate(room, lambda changed: equation.target(changed, t)),
+            -total * reach,
+            of_areas.sum(axis=0),
+            of_areas,
+            *(total * of_exponent * change for change in of_climate_change),
         ]
     )
-    return np.where(np.isfinite(b), changes, 0.0)
+    return np.where(np.isfinite(mean), sizes[:, np.newaxis] * by_size, 0.0)
 
 
 def alike_alpha(room: Room) -> Array:

@@ -270,10 +270,10 @@ class Assembler:
             return np.concatenate([values.ravel(), more]) if more else values.ravel()
 
         times = np.array([d.reverberation_time for d in measured])
-        uncertainty = np.array([d.uncertainty for d in measured])
-        if np.isfinite(uncertainty).any():
-            pairs = zip(configurations.rooms, times, strict=True)
-            uncertainty *= np.abs([self.equation.target_sensitivity(r, t) for r, t in pairs])
+        pairs = zip(configurations.rooms, times, strict=True)
+        sensitivity = np.abs([self.equation.target_sensitivity(r, t) for r, t in pairs])
+        with np.errstate(invalid="ignore"):
+            uncertainty = np.array([d.uncertainty for d in measured]) * sensitivity
         held = (sigma == 0) | (lower == upper)
         data = ProblemData(
             layout=self.layout,
@@ -286,6 +286,7 @@ class Assembler:
             time=times,
             target=self.target(configurations.rooms, times),
             target_uncertainty=uncertainty,
+            target_sensitivity=sensitivity,
             largest_target=np.array(
                 [[self.equation.largest_mean * r.total_area] for r in configurations.rooms]
             ),

@@ -14,6 +14,7 @@ from typing import Any
 import cvxpy as cp
 import numpy as np
 import scipy.sparse as sp
+from numpy.typing import ArrayLike
 
 from rtcal.calibration.compiled_qp import Context
 from rtcal.calibration.layout import Integers
@@ -33,6 +34,10 @@ from rtcal.support.types import Array, read_only_view
 _AGREEMENT = 1e-4
 """Largest relative difference of two descriptions of one term: rounding and the finite differences
 stay below 1e-6, and a wrong term differs by a factor."""
+_ROUNDING = 1e-14
+"""Rounding error of a term's value or gradient, or of a row's sum, relative to its size."""
+_MINIMUM = 1e-6
+"""Error of the solver that minimises an expression over its helper variables, relative to its value."""
 _STEP = 1e-4
 """Step of the finite differences in units of the prior's sigma."""
 _POINTS = 4
@@ -79,9 +84,9 @@ def _check_value(
     data = model.data
     us = read_only_view(data.centre + data.scale * points)
     numpy_values = [weight * term.value(u, data) for u in us]
-    cvxpy_values = [_minimum(expression, context, x) for x in points]
+    cvxpy_values = [_minimum(expression, context, x, data.scale > 0) for x in points]
     numpy_changes, cvxpy_changes = np.diff(numpy_values), np.diff(cvxpy_values)
-    if _differ(numpy_changes, cvxpy_changes):
+    if _differ(numpy_changes, cvxpy_changes, _MINIMUM * np.max(np.abs(cvxpy_values))):
         raise TermError(
             f"{term!r}: its value and its cvxpy expression disagree. Between two points the value "
             f"times its weight changes by {numpy_changes[0]:.6g}, the expression by "
@@ -89,35 +94,45 @@ def _check_value(
         )
 
 
-def _minimum(expression: Any, context: Context, x: Array) -> float:
-    """The expression at x, minimised over its helper variables."""
-    if all(variable.id == context.x.id for variable in expression.variables()):
+def _minimum(expression: Any, context: Context, x: Array, moves: Flags) -> float:
+    """The expression at x, minimised over its helper variables.
+
+    Helper variables are those of its own, and the x of fixed unknowns, which move nothing: a prior
+    integrates them out, as they are free. NaN where cvxpy finds no minimum, which shows nothing.
+    """
+    if moves.all() and all(v.id == context.x.id for v in expression.variables()):
         context.x.save_value(x)
         return float(expression.value)
-    problem = cp.Problem(cp.Minimize(expression), [context.x == x])
-    return float(problem.solve(solver=cp.CLARABEL))
+    problem = cp.Problem(cp.Minimize(expression), [context.x[moves] == x[moves]])
+    try:
+        return float(problem.solve(solver=cp.CLARABEL))
+    except cp.SolverError:
+        return np.nan
 
 
 def _check_derivatives(term: ObjectiveTerm, model: NumpyModel, us: Array, scale: Array) -> None:
     """Compare the gradient with the value's differences, the curvature with the gradient's."""
     data = model.data
-    slopes, directional, bends, curved = [], [], [], []
+    slopes, directional, bends, curved, rounding = [], [], [], [], []
     for u, towards in zip(us, us[::-1], strict=True):
         direction = towards - u
         low, high = map(read_only_view, (u - _STEP * direction, u + _STEP * direction))
-        slopes.append((term.value(high, data) - term.value(low, data)) / (2 * _STEP))
+        values = term.value(high, data), term.value(low, data)
+        slopes.append((values[0] - values[1]) / (2 * _STEP))
         directional.append(float(term.gradient(u, data) @ direction))
-        gradients = term.gradient(high, data) - term.gradient(low, data)
-        bends.append(float(direction @ gradients) / (2 * _STEP))
+        gradients = term.gradient(high, data), term.gradient(low, data)
+        bends.append(float(direction @ (gradients[0] - gradients[1])) / (2 * _STEP))
+        sizes = max(map(abs, values)), float(np.abs(direction) @ np.abs(gradients).max(axis=0))
+        rounding.append(_ROUNDING / _STEP * np.array(sizes))
         curvature = Hessian.total([(1.0, term.curvature(u, data))], len(u)).whole()
         product = curvature * direction if np.ndim(curvature) == 1 else curvature @ direction
         curved.append(float(direction @ product))
-    for first, second, stated, derived in (
-        ("gradient", "value", directional, slopes),
-        ("curvature", "gradient", curved, bends),
+    for first, second, stated, derived, error in (
+        ("gradient", "value", directional, slopes, np.array(rounding)[:, 0]),
+        ("curvature", "gradient", curved, bends, np.array(rounding)[:, 1]),
     ):
         # A piecewise quadratic term may have a kink within the step at some of the points.
-        if all(_differ(np.array([a]), np.array([b])) for a, b in zip(stated, derived, strict=True)):
+        if all(map(_differ, stated, derived, error)):
             raise TermError(
                 f"{term!r}: its {first} and its {second} disagree. Along one direction the {first} "
                 f"gives {stated[0]:.6g}, differences of the {second} give {derived[0]:.6g}"
@@ -134,12 +149,16 @@ def _check_rows(
     data = model.data
     rows, row_scale = constraint.rows(data), constraint.row_scale(data)
     for x in np.concatenate([points, 30 * points]):  # far points violate inequalities too
-        values = rows.matrix @ (data.centre + data.scale * x)
+        u = data.centre + data.scale * x
+        values = rows.matrix @ u
+        limits = np.abs(np.where(np.isfinite(rows.lower), rows.lower, rows.upper))
+        row_magnitude = (abs(rows.matrix) @ np.abs(u) + np.nan_to_num(limits, posinf=0)) * row_scale
         outside = np.maximum(np.maximum(rows.lower - values, values - rows.upper), 0.0) * row_scale
         context.x.save_value(x)
         violations = np.sum([np.ravel(part.violation()) for part in parts], axis=0)
         for row in np.flatnonzero(row_scale > 0):
-            if _differ(outside[[row]], violations[[row]]):
+            size = float(row_magnitude[row])
+            if _differ(outside[row], violations[row], _ROUNDING * size):
                 raise TermError(
                     f"{constraint!r}: its rows and its cvxpy constraint disagree. At one point "
                     f'"{constraint.label(int(row), data.layout)}" is violated by '
@@ -147,9 +166,13 @@ def _check_rows(
                 )
 
 
-def _differ(first: Array, second: Array) -> bool:
+def _differ(first: ArrayLike, second: ArrayLike, rounding: float) -> bool:
+    """Whether two descriptions differ by more than rounding makes them; not where one is unknown."""
+    first, second = np.asarray(first), np.asarray(second)
     size = max(float(np.max(np.abs(first))), float(np.max(np.abs(second))))
-    return bool(np.max(np.abs(first - second)) > _AGREEMENT * size + np.finfo(float).tiny)
+    return bool(
+        np.max(np.abs(first - second)) > _AGREEMENT * size + rounding + np.finfo(float).tiny
+    )
 
 
 @dataclass(frozen=True)

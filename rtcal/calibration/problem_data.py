@@ -187,6 +187,8 @@ class ProblemData:
         Measured T in s, NaN where missing.
     target, target_uncertainty : array (n_configurations, n_bands)
         b and its standard uncertainty in m², NaN where missing.
+    target_sensitivity : array (n_configurations, n_bands)
+        |db/dT| in m²/s, infinite where T does not determine b (the peak of Kuttruff's equation).
     largest_target : array (n_configurations, 1)
         The largest b in m² that the equation can invert.
     target_of : function
@@ -214,6 +216,7 @@ class ProblemData:
     time: Array
     target: Array
     target_uncertainty: Array
+    target_sensitivity: Array
     largest_target: Array
     target_of: Callable[[Array], Array]
     weights: tuple[float, ...]

@@ -269,7 +269,10 @@ def _nearest(matrix: Array, diagonal: Array, residual: Array) -> tuple[Array, Ar
     """
     root = np.sqrt(diagonal)
     orthogonal, triangle = np.linalg.qr((matrix / root).T)
-    left, values, right = np.linalg.svd(triangle, full_matrices=False)
+    try:
+        left, values, right = np.linalg.svd(triangle, full_matrices=False)
+    except np.linalg.LinAlgError as error:
+        raise SolverError("the optimality conditions are singular") from error
     used = values > _DEPENDENT * values[0]
     inverse = np.divide(1.0, values, out=np.zeros_like(values), where=used)
     along = (inverse * (right @ residual).T).T

@@ -201,10 +201,14 @@ class LinearEquation(MeanEquation):
         b is below 0 where T is longer than the air alone allows, and NaN where T is NaN or where
         no mean absorption coefficient has the exponent that T asks for.
         """
+        return np.asarray(room.total_area * self.inverse(self.exponent_of_time(room, t)))
+
+    @checked
+    def exponent_of_time(self, room: Room, t: Array) -> Array:
+        """Return the absorption exponent (k V / T - 4 m V) / S that T in s asks for, (..., n_bands)."""
         with np.errstate(over="ignore"):
             total = self.room_constant(room) * room.volume / np.asarray(t, dtype=float)
-        exponent = (total - 4 * room.air_attenuation * room.volume) / room.total_area
-        return np.asarray(room.total_area * self.inverse(exponent))
+        return np.asarray((total - 4 * room.air_attenuation * room.volume) / room.total_area)
 
     @checked
     def target_sensitivity(self, room: Room, t: Array) -> Array:

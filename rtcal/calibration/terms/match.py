@@ -167,15 +167,18 @@ class SoftMatch(BaseTerm):
                 )
 
     def uncertainty(self, data: ProblemData) -> Array:
-        """Return u_b in m², (n_configurations, n_bands); DataError where it is unknown or 0."""
+        """Return u_b in m², (n_configurations, n_bands); DataError where it is none."""
         u = data.target_uncertainty
         unknown = data.matched & ~np.isfinite(u)
         if self.relative is not None and unknown.any():
-            step = 1e-4
-            slope = (
-                data.target_of(data.time * (1 + step)) - data.target_of(data.time * (1 - step))
-            ) / (2 * step)
-            u = np.where(unknown, np.abs(slope) * self.relative, u)
+            u = np.where(unknown, self.relative * data.time * data.target_sensitivity, u)
+        if (endless := data.matched & np.isinf(u)).any():
+            row = int(np.flatnonzero(endless.ravel())[0])
+            raise DataError(
+                f"T[{data.layout.band_label(row)}] = {data.time.ravel()[row]:.4g} s is the shortest "
+                "that the equation gives: there T does not determine the absorption. Take another "
+                "equation, or leave out the band"
+            )
         bad = data.matched & ~(u > 0)
         if bad.any():
             row = int(np.flatnonzero(bad.ravel())[0])
