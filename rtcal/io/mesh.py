@@ -24,6 +24,7 @@ from rtcal.acoustics.materials import text_name
 from rtcal.io import cad, obj
 from rtcal.io.mend import OFFSET, WELD, Faces, Mended, MeshError, closed, mended
 from rtcal.io.mend.faces import unit_notes
+from rtcal.io.mend.solids import room_between
 from rtcal.io.text import shown
 from rtcal.support import library
 from rtcal.support.arguments import checked
@@ -110,7 +111,10 @@ def room(
     done = closed(faces, weld=weld, offset=offset)
     if done is None:
         try:
+            between = room_between(faces, weld)
+            faces, solids = (faces, ()) if between is None else between
             done = mended(faces, weld=weld, offset=offset, largest_hole=largest_hole)
+            done = replace(done, defects=(*solids, *done.defects))
         except MeshError as error:
             _tell_unit(error, unit, os.fspath(path))
             raise

@@ -1,0 +1,159 @@
+"""The room between walls that are drawn as closed solids, as building models and CAD programs do.
+
+Each wall, slab and column is a closed solid of its own. The union of all solids has an outer surface
+and one around each cavity; the largest cavity is the room. Needs manifold3d (``rtcal[mesh]``).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
+from rtcal.io.mend.faces import MOST_PLACES, Defect, Faces, Mending, MeshError, Work
+from rtcal.io.mend.polygons import edges_of, sorted_edge
+from rtcal.io.mend.welding import welded
+from rtcal.simulators import facets
+from rtcal.simulators.geometry import Polyhedron
+from rtcal.support import library
+from rtcal.support.errors import DataError
+from rtcal.support.text import listed, rounded
+from rtcal.support.types import Array
+
+_THIN = 0.8
+"""Mean chord in m, 4 V / S, below which a solid is a wall or a slab: that of a wall is twice its
+thickness at most, that of a cube of 5 m³ is 1.1 m."""
+_LEAST_SHARE = 0.05
+"""Least volume of the room, as a share of that of the box around the solids."""
+
+
+def room_between(drawn: Faces, weld: float) -> tuple[Faces, tuple[Defect]] | None:
+    """Return the faces around the largest cavity between closed solids, and what was done.
+
+    None if the faces are not several closed solids, or if one is a room that may hold the others.
+
+    Raises
+    ------
+    MeshError
+        If all solids are thin and enclose no cavity: their faces bound material and not air.
+    MissingDependencyError
+        Without manifold3d.
+    """
+    mend = Mending(drawn, weld, 0.0, None)
+    try:
+        work = welded(mend)
+    except DataError:  # a corner that is not finite, or nothing but slivers: `mended` says so
+        return None
+    groups = _solids(work.faces)
+    if groups is None or len(groups) < 2:
+        return None
+    try:
+        solids = [_polyhedron(mend, work, group) for group in groups]
+    except DataError:  # a solid that reaches through itself
+        return None
+    thin = [4 * s.volume < _THIN * float(np.sum(s.face_areas)) for s in solids]
+    if not any(thin):
+        return None
+    cavities = _cavities(solids)
+    box = float(np.prod(np.ptp(mend.points, axis=0)))
+    if not cavities or cavities[0].volume < _LEAST_SHARE * box:
+        if not all(thin):
+            return None
+        raise MeshError(
+            f"{drawn.path}: the faces bound {len(solids)} solids, such as walls and slabs, and these "
+            "enclose no cavity: what is inside them is material and not air, so no room can be made. "
+            "In your program, close the openings and gaps between the solids, or draw the room's "
+            f"inner faces; --weld {rounded(10 * weld, 2)} closes gaps of that width in m"
+        )
+    room, *others = cavities
+    index = [groups[k][i] for k, i in room.faces]
+    materials, names = ([of[i] for i in index] for of in (work.materials, work.names))
+    done = f"closed solids: the room is the cavity of {rounded(room.volume, 4)} m³ between them"
+    if others:
+        sizes = listed([f"{rounded(c.volume, 3)} m³" for c in others])
+        done += f", the largest; {'another' if len(others) == 1 else 'others'} of {sizes} left out"
+    first = tuple(work.names[group[0]] for group in groups[:MOST_PLACES])
+    defect = Defect("solids", len(groups), 0.0, 0.0, 0.0, 0.0, first, done)
+    return Faces(drawn.path, room.triangles, materials, names, drawn.notes), (defect,)
+
+
+def _solids(faces: Sequence[Sequence[int]]) -> list[list[int]] | None:
+    """Return the faces of each solid: in the file's order, until each edge has two faces.
+
+    None if some edge has one face only in the end.
+    """
+    solids: list[list[int]] = []
+    solid: list[int] = []
+    open_edges: set[tuple[int, int]] = set()
+    for i, face in enumerate(faces):
+        solid.append(i)
+        open_edges.symmetric_difference_update(sorted_edge(*edge) for edge in edges_of(face))
+        if not open_edges:
+            solids.append(solid)
+            solid = []
+    return None if solid else solids
+
+
+def _polyhedron(mend: Mending, work: Work, group: Sequence[int]) -> Polyhedron:
+    """Return a solid; its faces have the order of the group."""
+    return Polyhedron.from_polygons(
+        [(str(i), work.materials[i], mend.points[work.faces[i]]) for i in group]
+    )
+
+
+@dataclass(frozen=True)
+class _Cavity:
+    """A cavity in the union of solids, and the free solids in it.
+
+    ``volume`` is in m³, without the free solids. ``triangles`` are arrays (3, 3) of corners in m, and
+    ``faces`` are the solid of each and the number of its face.
+    """
+
+    volume: float
+    triangles: list[Array]
+    faces: list[tuple[int, int]]
+
+
+def _cavities(solids: Sequence[Polyhedron]) -> list[_Cavity]:
+    """Return the cavities in the union of solids, the largest first."""
+    manifold = library(
+        "walls that are drawn as solids need manifold3d: pip install 'rtcal[mesh]'", "manifold3d"
+    )
+    # A solid's normals point out of it, as manifold3d asks.
+    offsets = np.cumsum([0, *(len(s.faces) for s in solids)])
+    made = []
+    for solid, first in zip(solids, offsets.tolist(), strict=False):
+        corners, index = np.unique(solid.triangles.reshape(-1, 3), axis=0, return_inverse=True)
+        triangles = index.reshape(-1, 3).astype(np.uint64)
+        of_face = (first + solid.triangle_faces).astype(np.uint64)
+        made.append(manifold.Manifold(manifold.Mesh64(corners, triangles, face_id=of_face)))
+    mesh = manifold.Manifold.batch_boolean(made, manifold.OpType.Add).to_mesh64()
+    points, triangles = np.asarray(mesh.vert_properties)[:, :3], np.asarray(mesh.tri_verts, int)
+    of_face = np.asarray(mesh.face_id, int)
+    pairs = np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]]]).T
+    links = coo_array((np.ones(pairs.shape[1]), tuple(pairs)), shape=2 * (len(points),))
+    n_surfaces, of_corner = connected_components(links, directed=False)
+    surfaces = [of_corner[triangles[:, 0]] == surface for surface in range(n_surfaces)]
+    volumes = [_signed_volume(points[triangles[part]]) for part in surfaces]
+    found = []
+    for part, volume in zip(surfaces, volumes, strict=True):
+        if volume >= 0:  # around a cavity the union's normals point inward
+            continue
+        walls, held = points[triangles[part]], part.copy()
+        for other, size in zip(surfaces, volumes, strict=True):
+            inner = points[triangles[other][0, :1]]
+            if size > 0 and abs(facets.winding_number(inner, walls)[0]) > 0.5:
+                held |= other
+                volume += size
+        owner = np.searchsorted(offsets, of_face[held], side="right") - 1
+        faces = zip(owner.tolist(), (of_face[held] - offsets[owner]).tolist(), strict=True)
+        found.append(_Cavity(-volume, list(points[triangles[held]]), list(faces)))
+    return sorted(found, key=lambda cavity: -cavity.volume)
+
+
+def _signed_volume(triangles: Array) -> float:
+    """Return the volume within triangles (n, 3, 3) in m³, below 0 if their normals point inward."""
+    return float(np.sum(triangles[:, 0] * np.cross(triangles[:, 1], triangles[:, 2]))) / 6
