@@ -15,7 +15,7 @@ import rtcal as rt
 from benchmarks import defective_meshes
 from rtcal.command.main import main
 from rtcal.io import geometry_files, mend, mesh
-from rtcal.io.mend.faces import unit_notes
+from rtcal.io.units import notes as unit_notes
 from rtcal.io.mend.polygons import volume_by_rays
 from rtcal.report import figures
 from rtcal.simulators.geometry import Polyhedron

@@ -25,17 +25,14 @@ from typing import Any
 import numpy as np
 
 from rtcal.acoustics.materials import text_name
+from rtcal.io import units
 from rtcal.io.mend import Faces
-from rtcal.io.mend.faces import unit_notes
 from rtcal.io.mend.polygons import axes_of, normal_of, polygon_of
 from rtcal.io.obj import MOST_DRAWN
 from rtcal.io.text import decode, lines, number, shown
 from rtcal.support import library
 from rtcal.support.errors import DataError
 from rtcal.support.types import Array
-
-_UNITS = {1: 0.0254, 2: 0.3048, 4: 0.001, 5: 0.01, 6: 1.0, 14: 0.1}
-"""Length in m of the header's $INSUNITS; others, and 0, are none."""
 
 Pair = tuple[int, str, int]
 """Group code, value, and line."""
@@ -46,7 +43,7 @@ def dxf_faces(content: bytes, path: str, unit: float | None) -> Faces:
     if content.startswith(b"AutoCAD Binary DXF"):
         raise DataError(f"{path}: binary DXF; save it as text (ASCII) DXF")
     pairs = list(_pairs(content, path))
-    stated = _unit(pairs, path)
+    stated = _unit(pairs, path, is_refused=unit is None)
     length = unit if unit is not None else stated if stated is not None else 1.0
     polygons: list[Array] = []
     layers: list[str] = []
@@ -80,10 +77,11 @@ def dxf_faces(content: bytes, path: str, unit: float | None) -> Faces:
             f"{path}: no 3D face{f' (but {left_out})' if left_out else ''}; in your program, convert "
             "solids and surfaces to meshes or 3D faces"
         )
-    notes = unit_notes(length, stated, unit)
+    notes = units.notes(length, stated, unit)
     notes += [f"no faces, left out: {left_out}"] if left_out else []
     names = [f"{layer} {i}" for i, layer in enumerate(layers, 1)]
-    return Faces(path, [p * length for p in polygons], layers, names, tuple(notes))
+    known = None if unit is None and stated is None else length
+    return Faces(path, [p * length for p in polygons], layers, names, tuple(notes), known)
 
 
 def _add(
@@ -108,10 +106,18 @@ def _pairs(content: bytes, path: str) -> Iterator[Pair]:
             raise DataError(f'{path}, line {n}: "{shown(code)}" is no group code of DXF') from error
 
 
-def _unit(pairs: Sequence[Pair], path: str) -> float | None:
+def _unit(pairs: Sequence[Pair], path: str, *, is_refused: bool) -> float | None:
+    """Return the length of the header's unit in m, None without one; DataError if it is not known."""
     for (code, value, _), (_, following, line) in pairwise(pairs):
         if code == 9 and value == "$INSUNITS":
-            return _UNITS.get(int(number(following, f"{path}, line {line}")))
+            place = f"{path}, line {line}"
+            stated = number(following, place)
+            if stated not in units.OF_DXF and is_refused:
+                raise DataError(
+                    f"{place}: $INSUNITS = {following} is no unit of DXF, which has 0 to "
+                    f"{max(units.OF_DXF)}; state its length in m, such as unit = 0.01"
+                )
+            return units.OF_DXF.get(int(stated))
     return None
 
 
@@ -268,7 +274,7 @@ def ifc_faces(path: str, unit: float | None, space: str | None) -> Faces:
         notes.append(f"{unknown} boundaries have a form that is not read")
     if not boundaries:
         notes.append("the model does not say what bounds it: faces are floor, ceiling and wall")
-    return Faces(path, polygons, materials, names, tuple(notes))
+    return Faces(path, polygons, materials, names, tuple(notes), length)
 
 
 def _title(space: Any) -> str:

@@ -21,15 +21,15 @@ from typing import Any
 import numpy as np
 
 from rtcal.acoustics.materials import text_name
-from rtcal.io import cad, obj
+from rtcal.io import cad, obj, units
 from rtcal.io.mend import OFFSET, WELD, Faces, Mended, MeshError, closed, mended
-from rtcal.io.mend.faces import unit_notes
 from rtcal.io.mend.solids import room_between
 from rtcal.io.text import shown
 from rtcal.support import library
 from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError, MissingDependencyError
 from rtcal.support.files import read_bytes
+from rtcal.support.text import listed
 from rtcal.support.types import Array
 
 __all__ = ["read", "room"]
@@ -48,9 +48,8 @@ _REFUSED = {
     ".fbx": "a format without a public description; export glTF (.glb)",
     ".geo": "CATT's list of materials goes before the mesh: rtcal import catt hall.geo --mesh hall.obj",
 }
-_LENGTHS = {"mm": 0.001, "millimeter": 0.001, "cm": 0.01, "inch": 0.0254, "feet": 0.3048, "m": 1.0}
-
-
+_ROOMS = 1.5, 1000.0
+"""Least and largest length in m of the longest side of the box around a room."""
 _LAYERS = re.compile(rb"element layer|property \w+ layer_id")
 """What a PLY of I-Simpa has in its header. trimesh leaves it out."""
 
@@ -108,36 +107,49 @@ def room(
     A mesh whose faces close as they are drawn is taken as it is.
     """
     faces = read(path, unit=unit, space=space)
-    done = closed(faces, weld=weld, offset=offset)
-    if done is None:
-        try:
+    try:
+        done = closed(faces, weld=weld, offset=offset)
+        if done is None:
             between = room_between(faces, weld)
             faces, solids = (faces, ()) if between is None else between
             done = mended(faces, weld=weld, offset=offset, largest_hole=largest_hole)
             done = replace(done, defects=(*solids, *done.defects))
-        except MeshError as error:
-            _tell_unit(error, unit, os.fspath(path))
-            raise
-    stated = 1.0 if unit is None else unit
-    obj.check_volume(done.volume, stated, os.fspath(path))
-    note = obj.volume_note(done.volume, stated, is_stated=unit is not None)
-    return replace(done, notes=(*done.notes, note)) if note else done
+    except MeshError as error:
+        _doubt_first(error, faces, os.fspath(path))
+        raise
+    taken = 1.0 if faces.unit is None else faces.unit
+    units.check_volume(done.volume, taken, os.fspath(path))
+    doubt = units.size_doubt(done.volume, done.size, taken, is_stated=faces.unit is not None)
+    box = "" if faces.unit is not None else units.box_note(done.size)
+    return replace(done, notes=(*filter(None, (doubt, box)), *done.notes))
 
 
-def _tell_unit(error: MeshError, unit: float | None, path: str) -> None:
-    """Say first of a refused mesh that its volume by rays is one in another unit, if it is."""
-    if error.unclosed is None:
-        return
-    stated = 1.0 if unit is None else unit
-    note = obj.volume_note(error.unclosed.volume, stated, is_stated=unit is not None)
-    if not note:
-        return
-    error.args = (f"{path}: by rays {note}. {str(error).removeprefix(f'{path}: ')}",)
-    error.unclosed = replace(error.unclosed, notes=(*error.unclosed.notes, f"by rays {note}"))
+def _doubt_first(error: MeshError, faces: Faces, path: str) -> None:
+    """Begin the message of a refused mesh with the doubt about its size, if there is one."""
+    taken = 1.0 if faces.unit is None else faces.unit
+    unclosed = error.unclosed
+    doubt = ""
+    if unclosed is None:
+        size = np.ptp(np.concatenate(list(faces.polygons)), axis=0)
+        if np.isfinite(size).all() and not _ROOMS[0] < size.max() < _ROOMS[1]:
+            doubt = f"as read with unit = {taken:g} it is {units.in_words(size)}"
+    else:
+        notes = unclosed.notes
+        if faces.unit is None:
+            notes = (units.box_note(unclosed.size), *notes)
+        said = units.size_doubt(
+            unclosed.volume, unclosed.size, taken, is_stated=faces.unit is not None
+        )
+        if said:
+            doubt = f"by rays {said}"
+            notes = (doubt, *notes)
+        error.unclosed = replace(unclosed, notes=notes)
+    if doubt:
+        error.args = (f"{path}: {doubt}. {str(error).removeprefix(f'{path}: ')}",)
 
 
 def _obj(content: bytes, path: str, unit: float | None) -> Faces:
-    return obj.faces(content, path, 1.0 if unit is None else unit, Path(path).stem)
+    return obj.faces(content, path, unit, Path(path).stem)
 
 
 def _by_trimesh(content: bytes, path: str, unit: float | None) -> Faces:
@@ -172,13 +184,17 @@ def _by_trimesh(content: bytes, path: str, unit: float | None) -> Faces:
             "the file's layers are not read, so all faces have one material; export OBJ, one material "
             "per layer"
         )
-    length = 1.0
     turned = ending in _Y_UP
+    in_file = 1.0 if turned else None  # glTF is in metres
     if ending == ".3mf":
-        length = _LENGTHS.get(str(stated), 0.001)
-    if unit is not None:
-        length = unit
-    notes += unit_notes(length, None, unit)
+        if unit is None and stated not in units.OF_3MF:
+            raise DataError(
+                f'{path}: unit "{shown(str(stated))}" is none of 3MF\'s, which are '
+                f"{listed([*units.OF_3MF])}; state its length in m, such as unit = 0.01"
+            )
+        in_file = units.OF_3MF.get(str(stated))
+    length = next((u for u in (unit, in_file) if u is not None), 1.0)
+    notes += units.notes(length, in_file, unit)
     notes += [_TURNED] * turned
     polygons: list[Array] = []
     materials: list[str] = []
@@ -200,7 +216,8 @@ def _by_trimesh(content: bytes, path: str, unit: float | None) -> Faces:
             names.append(part)
     if not polygons:
         raise DataError(f"{path}: there is no face; a room has at least 4")
-    return Faces(path, polygons, materials, names, tuple(notes))
+    known = None if unit is None and in_file is None else length
+    return Faces(path, polygons, materials, names, tuple(notes), known)
 
 
 def _z_up(points: Array) -> Array:
@@ -251,7 +268,8 @@ def _by_pycollada(content: bytes, path: str, unit: float | None) -> Faces:
     if len(drawn) > obj.MOST_DRAWN:
         raise DataError(f"{path}: {len(drawn)} faces; at most {obj.MOST_DRAWN}: simplify the model")
     length = unit if unit is not None else float(stated or 1.0)
-    notes = unit_notes(length, None if stated is None else float(stated), unit)
+    in_file = None if stated is None else float(stated)
+    notes = units.notes(length, in_file, unit)
     turned = up == "Y_UP"
     notes += [_TURNED] * turned
     polygons, materials, names = [], [], []
@@ -260,7 +278,8 @@ def _by_pycollada(content: bytes, path: str, unit: float | None) -> Faces:
         polygons.append(_z_up(points) if turned else points)
         materials.append(text_name(f"{path}: a material", material))
         names.append(text_name(f"{path}: a part", name) or "part")
-    return Faces(path, polygons, materials, names, tuple(notes))
+    known = None if unit is None and stated is None else length
+    return Faces(path, polygons, materials, names, tuple(notes), known)
 
 
 def _placed(node: Any, matrix: Array, name: str) -> Iterator[tuple[str, Any]]:

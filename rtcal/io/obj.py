@@ -24,11 +24,11 @@ import numpy as np
 from rtcal.acoustics.materials import text_name
 from rtcal.io.mend import Faces
 from rtcal.io.text import MAX_TEXT, decode, lines, number, shown
+from rtcal.io.units import check_volume
 from rtcal.simulators.geometry import Polyhedron
 from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError
 from rtcal.support.files import read_bytes
-from rtcal.support.text import rounded
 
 __all__ = ["MAX_FACES", "parse", "read", "text", "write"]
 __dir__ = __all__.copy
@@ -38,10 +38,6 @@ MAX_FACES = 1500
 
 MOST_DRAWN = 100_000
 """Largest number of faces of a mesh of any format that is mended; those in one plane are joined."""
-
-VOLUME_LIMITS = (1e-3, 2e7)
-"""Accepted volumes in m³, from a scale model of a litre. The largest building by volume, Boeing's in
-Everett, has 1.33e7 m³."""
 
 _IGNORED = {
     "vt",
@@ -106,17 +102,20 @@ def parse(content: bytes, path: str = "OBJ file", *, unit: float = 1.0) -> Polyh
     return room
 
 
-def faces(content: bytes, path: str, unit: float, otherwise: str) -> Faces:
+def faces(content: bytes, path: str, unit: float | None, otherwise: str) -> Faces:
     """Return the faces of a file as they are drawn, closed or not.
 
-    Those without usemtl are of the material ``otherwise``.
+    Those without usemtl are of the material ``otherwise``. Without a ``unit`` it is taken as 1 m.
     Raises DataError as `parse`, but for what `rtcal.io.mend` mends.
     """
-    vertices, polygons, materials, names, line = _drawn(content, path, unit, otherwise, MOST_DRAWN)
+    length = 1.0 if unit is None else unit
+    vertices, polygons, materials, names, line = _drawn(
+        content, path, length, otherwise, MOST_DRAWN
+    )
     if not polygons:
         raise DataError(f"{path}, line {line}: there is no face; a room has at least 4")
     points = np.array(vertices)
-    return Faces(path, [points[face] for face in polygons], materials, names)
+    return Faces(path, [points[face] for face in polygons], materials, names, unit=unit)
 
 
 def _drawn(
@@ -165,70 +164,6 @@ def _drawn(
         elif keyword and keyword not in _IGNORED:
             raise DataError(f'{place}: "{shown(keyword)}" is no keyword of an OBJ file')
     return vertices, faces, materials, names, line
-
-
-def check_volume(volume: float, unit: float, path: str) -> None:
-    """Raise DataError for a volume that no room has; the message has the volume in other units.
-
-    Examples
-    --------
-    >>> check_volume(60e9, 1.0, "room.obj")  # doctest: +ELLIPSIS
-    Traceback (most recent call last):
-    ...
-    rtcal.support.errors.DataError: room.obj: V = 6e+10 m³ is not from 0.001 to 2e+07 m³, as ...
-    """
-    low, high = VOLUME_LIMITS
-    if low <= volume <= high:
-        return
-    others = _in_other_units(volume, unit, VOLUME_LIMITS)
-    raise DataError(
-        f"{path}: V = {volume:.3g} m³ is not from {low:g} to {high:g} m³, as in any room"
-        + (f"; it is {' or '.join(others)}" if others else "")
-    )
-
-
-_USUAL = 2.0, 500_000.0
-"""Volume in m³ of rooms, but for a few: a cupboard and the largest church."""
-_LARGE = 30_000.0
-"""Volume in m³ of nearly all concert halls at most. One that is drawn in feet has 35 times its own."""
-
-
-def volume_note(volume: float, unit: float, *, is_stated: bool = False) -> str:
-    """Return a note on a volume that few rooms have, with that in other units; "" for others.
-
-    A volume that a few rooms have is no matter of doubt if the user has stated the unit.
-
-    Examples
-    --------
-    >>> volume_note(1.644e7, 1.0)
-    'V = 16440000 m³ is more than nearly any room has; it is 269 m³ in inches (unit = 0.0254)'
-    >>> volume_note(93150.0, 1.0)
-    'V = 93150 m³ is more than most halls have; it is 2640 m³ in feet (unit = 0.3048)'
-    """
-    few = volume < _USUAL[0] or volume > _USUAL[1]
-    others = _in_other_units(volume, unit, (20.0, 20_000.0))
-    if not few and (is_stated or volume <= _LARGE or not others):
-        return ""
-    said = (
-        "less than nearly any room has" if volume < _USUAL[0] else "more than nearly any room has"
-    )
-    if not few:
-        said = "more than most halls have"
-    return f"V = {rounded(volume, 4)} m³ is {said}" + (
-        f"; it is {' or '.join(others)}" if others else ""
-    )
-
-
-def _in_other_units(volume: float, unit: float, limits: tuple[float, float]) -> list[str]:
-    """Return the volume in each unit in which it lies within the limits."""
-    return [
-        f"{rounded(volume * (scale / unit) ** 3, 3)} m³ in {name} (unit = {scale:g})"
-        for name, scale in _UNITS.items()
-        if scale != unit and limits[0] <= volume * (scale / unit) ** 3 <= limits[1]
-    ]
-
-
-_UNITS = {"mm": 0.001, "cm": 0.01, "inches": 0.0254, "feet": 0.3048, "m": 1.0}
 
 
 @checked

@@ -311,6 +311,8 @@ class Faces:
     materials, names : sequence of str
     notes : sequence of str
         What the reader did: units, axes.
+    unit : float, optional
+        Length of the file's unit in m as the user, the file or its format states it.
     """
 
     path: str
@@ -318,6 +320,7 @@ class Faces:
     materials: Sequence[str]
     names: Sequence[str]
     notes: tuple[str, ...] = ()
+    unit: float | None = None
 
 
 @dataclass
@@ -367,14 +370,3 @@ def numbered(names: Sequence[str]) -> list[str]:
         taken.add(new)
         unique.append(new)
     return unique
-
-
-def unit_notes(length: float, in_file: float | None, stated: float | None) -> list[str]:
-    """Return what is told of the unit in m that was taken, and of one that the file contradicts.
-
-    >>> unit_notes(1.0, 0.0254, 1.0)
-    ['the file states a unit of 0.0254 m, and 1 m was stated and taken']
-    """
-    if stated is not None and in_file is not None and stated != in_file:
-        return [f"the file states a unit of {in_file:g} m, and {stated:g} m was stated and taken"]
-    return [f"the file's unit is {length:g} m"] if length != 1.0 else []

@@ -8,6 +8,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import reduce
+from operator import add
 
 import numpy as np
 from scipy.sparse import coo_array
@@ -77,7 +79,8 @@ def room_between(drawn: Faces, weld: float) -> tuple[Faces, tuple[Defect]] | Non
         done += f", the largest; {'another' if len(others) == 1 else 'others'} of {sizes} left out"
     first = tuple(work.names[group[0]] for group in groups[:MOST_PLACES])
     defect = Defect("solids", len(groups), 0.0, 0.0, 0.0, 0.0, first, done)
-    return Faces(drawn.path, room.triangles, materials, names, drawn.notes), (defect,)
+    faces = Faces(drawn.path, room.triangles, materials, names, drawn.notes, drawn.unit)
+    return faces, (defect,)
 
 
 def _solids(faces: Sequence[Sequence[int]]) -> list[list[int]] | None:
@@ -130,7 +133,7 @@ def _cavities(solids: Sequence[Polyhedron]) -> list[_Cavity]:
         triangles = index.reshape(-1, 3).astype(np.uint64)
         of_face = (first + solid.triangle_faces).astype(np.uint64)
         made.append(manifold.Manifold(manifold.Mesh64(corners, triangles, face_id=of_face)))
-    mesh = manifold.Manifold.batch_boolean(made, manifold.OpType.Add).to_mesh64()
+    mesh = reduce(add, made).to_mesh64()  # one by one: all at once leaves spikes at joints
     points, triangles = np.asarray(mesh.vert_properties)[:, :3], np.asarray(mesh.tri_verts, int)
     of_face = np.asarray(mesh.face_id, int)
     pairs = np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]]]).T

@@ -1,0 +1,166 @@
+"""Units of length in files of meshes, and doubts about the size of a room that a unit explains.
+
+Sources: 3MF Consortium, "3D Manufacturing Format, Core Specification" 1.3, ST_Unit; Autodesk, "DXF
+Reference" 2018, header variable $INSUNITS; US survey foot: 1200/3937 m (NIST Handbook 44, Appendix C).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from rtcal.support.errors import DataError
+from rtcal.support.text import rounded
+
+OF_3MF = {
+    "micron": 1e-6,
+    "millimeter": 0.001,
+    "centimeter": 0.01,
+    "inch": 0.0254,
+    "foot": 0.3048,
+    "meter": 1.0,
+}
+"""Lengths in m of 3MF's units by name; a model that names none is in millimeter."""
+
+_SURVEY_FOOT = 1200 / 3937
+OF_DXF: dict[int, float | None] = {
+    0: None,  # unitless
+    1: 0.0254,
+    2: 0.3048,
+    3: 1609.344,
+    4: 0.001,
+    5: 0.01,
+    6: 1.0,
+    7: 1000.0,
+    8: 2.54e-8,
+    9: 2.54e-5,
+    10: 0.9144,
+    11: 1e-10,
+    12: 1e-9,
+    13: 1e-6,
+    14: 0.1,
+    15: 10.0,
+    16: 100.0,
+    17: 1e9,
+    18: 149_597_870_700.0,
+    19: 9_460_730_472_580_800.0,
+    20: 3.0856775814913673e16,
+    21: _SURVEY_FOOT,
+    22: _SURVEY_FOOT / 12,
+    23: 3 * _SURVEY_FOOT,
+    24: 5280 * _SURVEY_FOOT,
+}
+"""Lengths in m of DXF's units by the number in $INSUNITS; None where there is none."""
+
+VOLUME_LIMITS = (1e-3, 2e7)
+"""Accepted volumes in m³, from a scale model of a litre. The largest building by volume, Boeing's in
+Everett, has 1.33e7 m³."""
+
+
+def notes(length: float, in_file: float | None, stated: float | None) -> list[str]:
+    """Return the notes on the unit in m that was taken, and on one that the file contradicts.
+
+    >>> notes(1.0, 0.0254, 1.0)
+    ['the file states a unit of 0.0254 m, and 1 m was stated and taken']
+    """
+    if stated is not None and in_file is not None and stated != in_file:
+        return [f"the file states a unit of {in_file:g} m, and {stated:g} m was stated and taken"]
+    return [f"the file's unit is {length:g} m"] if length != 1.0 else []
+
+
+def box_note(size: Sequence[float]) -> str:
+    """Return the note on a file that states no unit, with the box around its room in m, (3,).
+
+    >>> box_note([9.0, 7.0, 3.0])
+    'the file states no unit: with unit = 1 the room is 9 × 7 × 3 m'
+    """
+    return f"the file states no unit: with unit = 1 the room is {in_words(size)}"
+
+
+def in_words(size: Sequence[float]) -> str:
+    """Return the lengths of a box in m in words."""
+    return f"{' × '.join(rounded(x, 3) for x in size)} m"
+
+
+def check_volume(volume: float, unit: float, path: str) -> None:
+    """Raise DataError for a volume that no room has; the message has the volume in other units.
+
+    Examples
+    --------
+    >>> check_volume(60e9, 1.0, "room.obj")  # doctest: +ELLIPSIS
+    Traceback (most recent call last):
+    ...
+    rtcal.support.errors.DataError: room.obj: V = 6e+10 m³ is not from 0.001 to 2e+07 m³, as ...
+    """
+    low, high = VOLUME_LIMITS
+    if low <= volume <= high:
+        return
+    others = _in_other_units(volume, unit, VOLUME_LIMITS)
+    raise DataError(
+        f"{path}: V = {volume:.3g} m³ is not from {low:g} to {high:g} m³, as in any room"
+        + (f"; it is {' or '.join(others)}" if others else "")
+    )
+
+
+_USUAL = 5.0, 1_000_000.0
+"""Volume in m³ of rooms: a bathroom, and the largest hall."""
+_LOWEST = 1.5
+"""Least height of a room in m."""
+_LARGE = 30_000.0
+"""Volume in m³ of nearly all concert halls at most. One that is drawn in feet has 35 times its own."""
+
+
+def size_doubt(
+    volume: float, size: Sequence[float], unit: float, *, is_stated: bool = False
+) -> str:
+    """Return the doubt about a size that few rooms have, with that in other units; "" for others.
+
+    Parameters
+    ----------
+    volume : float
+        V in m³ with the unit that was taken.
+    size : sequence of float (3,)
+        Lengths along x, y and z in m of the box around the room; () if not known.
+    unit : float
+        Length in m of the unit that was taken.
+    is_stated : bool
+        Whether the user, the file or its format states that unit: a volume that a few rooms have is
+        then no matter of doubt.
+
+    Examples
+    --------
+    >>> size_doubt(1.644e7, (), 1.0)
+    'V = 16440000 m³ is more than nearly any room has; it is 269 m³ in inches (unit = 0.0254)'
+    >>> size_doubt(93150.0, (), 1.0)
+    'V = 93150 m³ is more than most halls have; it is 2640 m³ in feet (unit = 0.3048)'
+    >>> size_doubt(21.2, (8.4, 8.4, 0.3), 1.0)
+    'a height of 0.3 m is less than any room has: are these walls, or is the unit wrong?'
+    """
+    said = ""
+    if volume < _USUAL[0]:
+        said = "less than nearly any room has"
+    elif volume > _USUAL[1]:
+        said = "more than nearly any room has"
+    others = _in_other_units(volume, unit, (20.0, 20_000.0))
+    if not said and volume > _LARGE and others and not is_stated:
+        said = "more than most halls have"
+    if said:
+        other = f"; it is {' or '.join(others)}" if others else ""
+        return f"V = {rounded(volume, 4)} m³ is {said}{other}"
+    if size and size[2] < _LOWEST:
+        return (
+            f"a height of {rounded(size[2], 3)} m is less than any room has: are these walls, or is "
+            "the unit wrong?"
+        )
+    return ""
+
+
+def _in_other_units(volume: float, unit: float, limits: tuple[float, float]) -> list[str]:
+    """Return the volume in each unit in which it lies within the limits."""
+    return [
+        f"{rounded(volume * (scale / unit) ** 3, 3)} m³ in {name} (unit = {scale:g})"
+        for name, scale in _UNITS.items()
+        if scale != unit and limits[0] <= volume * (scale / unit) ** 3 <= limits[1]
+    ]
+
+
+_UNITS = {"mm": 0.001, "cm": 0.01, "inches": 0.0254, "feet": 0.3048, "m": 1.0}
