@@ -16,6 +16,7 @@ ISO 16739-1:2018, IfcRelSpaceBoundary, IfcConnectionSurfaceGeometry.
 
 from __future__ import annotations
 
+import os
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -25,15 +26,16 @@ from typing import Any
 import numpy as np
 
 from rtcal.acoustics.materials import text_name
-from rtcal.io import units
+from rtcal.io import budget, units
 from rtcal.io.mend import Faces
 from rtcal.io.mend.polygons import axes_of, normal_of, polygon_of
-from rtcal.io.obj import MOST_DRAWN
 from rtcal.io.text import decode, lines, number, shown
 from rtcal.support import library
 from rtcal.support.errors import DataError
 from rtcal.support.types import Array
 
+MAX_IFC = 2**25
+"""Largest size in bytes of a building model: ifcopenshell takes some eight times as much memory."""
 Pair = tuple[int, str, int]
 """Group code, value, and line."""
 
@@ -42,14 +44,13 @@ def dxf_faces(content: bytes, path: str, unit: float | None) -> Faces:
     """Return the faces of a DXF file; DataError names the line."""
     if content.startswith(b"AutoCAD Binary DXF"):
         raise DataError(f"{path}: binary DXF; save it as text (ASCII) DXF")
-    pairs = list(_pairs(content, path))
-    stated = _unit(pairs, path, is_refused=unit is None)
+    stated = _unit(_pairs(content, path), path, is_refused=unit is None)
     length = unit if unit is not None else stated if stated is not None else 1.0
     polygons: list[Array] = []
     layers: list[str] = []
     others: Counter[str] = Counter()
     mesh: list[list[Pair]] | None = None
-    for entity in _entities(pairs):
+    for entity in _entities(_pairs(content, path)):
         kind = entity[0][1]
         if kind == "3DFACE":
             codes = {code for code, _, _ in entity}
@@ -69,8 +70,8 @@ def dxf_faces(content: bytes, path: str, unit: float | None) -> Faces:
                 _add(polygons, layers, corners, entity, path)
         else:
             others[kind] += 1
-        if len(polygons) > MOST_DRAWN:
-            raise DataError(f"{path}, line {entity[0][2]}: more than {MOST_DRAWN} faces")
+        if len(polygons) > budget.MAX_FACES:
+            raise DataError(f"{path}, line {entity[0][2]}: more than {budget.MAX_FACES} faces")
     left_out = ", ".join(f"{n} {shown(kind)}" for kind, n in others.most_common(5))
     if not polygons:
         raise DataError(
@@ -98,19 +99,21 @@ def _add(
 
 def _pairs(content: bytes, path: str) -> Iterator[Pair]:
     """Yield the pairs of a group code and a value, each on two lines."""
-    rows = [(n, raw.strip()) for n, _, raw in lines(decode(content, path).characters)]
-    for (n, code), (_, value) in zip(rows[::2], rows[1::2], strict=False):
+    rows = ((n, raw.strip()) for n, _, raw in lines(decode(content, path).characters))
+    for (n, code), (_, value) in zip(rows, rows, strict=False):
         try:
             yield int(code), value, n
         except ValueError as error:
             raise DataError(f'{path}, line {n}: "{shown(code)}" is no group code of DXF') from error
 
 
-def _unit(pairs: Sequence[Pair], path: str, *, is_refused: bool) -> float | None:
+def _unit(pairs: Iterator[Pair], path: str, *, is_refused: bool) -> float | None:
     """Return the length of the header's unit in m, None without one; DataError if it is not known."""
     for (code, value, _), (_, following, line) in pairwise(pairs):
+        if code == 2 and value == "ENTITIES":
+            break
         if code == 9 and value == "$INSUNITS":
-            place = f"{path}, line {line}"
+            place = f"{path}, line {line + 1}"
             stated = number(following, place)
             if stated not in units.OF_DXF and is_refused:
                 raise DataError(
@@ -121,17 +124,17 @@ def _unit(pairs: Sequence[Pair], path: str, *, is_refused: bool) -> float | None
     return None
 
 
-def _entities(pairs: Sequence[Pair]) -> Iterator[list[Pair]]:
+def _entities(pairs: Iterator[Pair]) -> Iterator[list[Pair]]:
     """Yield the entities of the section ENTITIES, each as its pairs from the name on."""
     section, entity = "", list[Pair]()
-    for i, pair in enumerate(pairs):
+    for pair in pairs:
         code, value, _ = pair
         if code == 0:
             if entity and section == "ENTITIES":
                 yield entity
             entity = []
             if value == "SECTION":
-                section = pairs[i + 1][1] if i + 1 < len(pairs) else ""
+                section = next(pairs, (0, "", 0))[1]
             elif value in ("ENDSEC", "EOF"):
                 section = ""
             elif section == "ENTITIES":
@@ -246,6 +249,11 @@ def ifc_faces(path: str, unit: float | None, space: str | None) -> Faces:
     if unit is not None:
         raise DataError(f"{path}: a building model states its unit: leave --unit out")
     try:
+        size = os.stat(path).st_size
+    except OSError as error:
+        raise DataError(f"{path}: {error.strerror or error}") from error
+    budget.require(size, MAX_IFC, "bytes", path, "export one storey, or the room alone")
+    try:
         model = ifcopenshell.open(path)
         length = float(ifcopenshell.util.unit.calculate_unit_scale(model))
         spaces = {_title(s): s for s in model.by_type("IfcSpace")}
@@ -257,8 +265,8 @@ def ifc_faces(path: str, unit: float | None, space: str | None) -> Faces:
         boundaries, unknown = _boundaries(ifcopenshell, spaces[chosen], length)
     except (RuntimeError, ValueError, AttributeError, IndexError) as error:
         raise DataError(f'{path}: space "{shown(chosen)}" has no shape: {error}') from error
-    if len(triangles) > MOST_DRAWN:
-        raise DataError(f"{path}: {len(triangles)} triangles; at most {MOST_DRAWN}")
+    if len(triangles) > budget.MAX_FACES:
+        raise DataError(f"{path}: {len(triangles)} triangles; at most {budget.MAX_FACES}")
     polygons: list[Array] = []
     materials: list[str] = []
     for corners in triangles:

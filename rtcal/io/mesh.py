@@ -16,6 +16,7 @@ import os
 import re
 import struct
 import zipfile
+import zlib
 from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -190,8 +191,8 @@ def _by_trimesh(content: bytes, path: str, unit: float | None) -> Faces:
             f"{path}: cannot be read as {ending[1:]}: {error}. Export OBJ from your program, one "
             "material per layer"
         ) from error
-    if (count := sum(len(g.faces) for _, g, _ in parts)) > obj.MOST_DRAWN:
-        raise DataError(f"{path}: {count} triangles; at most {obj.MOST_DRAWN}: simplify the model")
+    count = sum(len(g.faces) for _, g, _ in parts)
+    budget.require(count, budget.MAX_FACES, "triangles", path, _SIMPLER)
     turned = ending in _Y_UP
     in_file = None
     if ending != ".stl":
@@ -279,7 +280,14 @@ def _head_of_3mf(content: bytes, path: str) -> tuple[str, list[str]]:
                         items.append(element.get("objectid", ""))
                     elif tag == "base":
                         notes = ["the file's materials are not read: its objects are the materials"]
-            except (ElementTree.ParseError, zipfile.BadZipFile, OSError, ValueError) as error:
+            except (
+                ElementTree.ParseError,
+                zipfile.BadZipFile,
+                zlib.error,
+                NotImplementedError,
+                OSError,
+                ValueError,
+            ) as error:
                 raise DataError(f"{path}: cannot be read as 3mf: {error}") from error
     total = budget.instances(faces, parts, items, path)
     budget.require(total, budget.MAX_FACES, "triangles", path, _SIMPLER)
@@ -459,8 +467,6 @@ def _by_pycollada(content: bytes, path: str, unit: float | None) -> Faces:
         raise DataError(f"{path}: cannot be read as COLLADA: {error}") from error
     if not drawn:
         raise DataError(f"{path}: there is no face; a room has at least 4")
-    if len(drawn) > obj.MOST_DRAWN:
-        raise DataError(f"{path}: {len(drawn)} faces; at most {obj.MOST_DRAWN}: simplify the model")
     length = unit if unit is not None else float(stated or 1.0)
     in_file = None if stated is None else float(stated)
     notes = units.notes(length, in_file, unit)

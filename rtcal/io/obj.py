@@ -22,6 +22,7 @@ from collections import Counter
 import numpy as np
 
 from rtcal.acoustics.materials import text_name
+from rtcal.io import budget
 from rtcal.io.mend import Faces
 from rtcal.io.text import MAX_TEXT, decode, lines, number, shown
 from rtcal.io.units import check_volume
@@ -35,9 +36,6 @@ __dir__ = __all__.copy
 
 MAX_FACES = 1500
 """A room for geometrical acoustics has tens to hundreds of faces; checking more takes too long."""
-
-MOST_DRAWN = 100_000
-"""Largest number of faces of a mesh of any format that is mended; those in one plane are joined."""
 
 _IGNORED = {
     "vt",
@@ -110,7 +108,7 @@ def faces(content: bytes, path: str, unit: float | None, otherwise: str) -> Face
     """
     length = 1.0 if unit is None else unit
     vertices, polygons, materials, names, line = _drawn(
-        content, path, length, otherwise, MOST_DRAWN
+        content, path, length, otherwise, budget.MAX_FACES
     )
     if not polygons:
         raise DataError(f"{path}, line {line}: there is no face; a room has at least 4")

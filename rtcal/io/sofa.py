@@ -21,6 +21,7 @@ import numpy as np
 
 from rtcal.acoustics.repeats import SAME_PLACE
 from rtcal.acoustics.scene import Scene
+from rtcal.io import budget
 from rtcal.io.wav import MAX_CHANNEL_SAMPLES
 from rtcal.support import library
 from rtcal.support.arguments import checked
@@ -35,6 +36,7 @@ GENERAL_CONVENTIONS = ("GeneralFIR", "GeneralFIR-E")
 DIRECTIVITY_CONVENTIONS = ("FreeFieldDirectivityTF", "GeneralTF")
 NEAR = 0.1
 """Distance in m within which a position of a file is one of the room."""
+_NEEDED = "SOFA files need sofar: pip install 'rtcal[sofa]'"
 _PARALLEL = 1e-3
 MAX_BYTES = 2**28
 MAX_RESPONSES = 2000
@@ -134,18 +136,32 @@ def read(path: str | os.PathLike[str]) -> Responses:
 
 def _opened(path: str | os.PathLike[str]) -> Any:
     """Return sofar's object of a file; raises as `read`."""
-    sofar = library("SOFA files need sofar: pip install 'rtcal[sofa]'", "sofar")
     size = Path(path).stat().st_size if Path(path).exists() else 0
     if not claims(path):
         raise DataError(f"{path}, byte 0: not a SOFA (HDF5) file")
     if size > MAX_BYTES:
         raise DataError(f"{path}: {size} bytes; at most {MAX_BYTES}")
+    _require_shapes(os.fspath(path))
+    sofar = library(_NEEDED, "sofar")
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of preliminary conventions, which are read as well
         try:
             return sofar.read_sofa(os.fspath(path), verify=False, verbose=False)
         except Exception as error:  # sofar and netCDF4 raise what they meet
             raise DataError(f"{path}: cannot be read as SOFA: {error}") from error
+
+
+def _require_shapes(path: str) -> None:
+    """Raise DataError if the arrays of a file have more values than the budget, by their shapes."""
+    netcdf = library(_NEEDED, "netCDF4")
+    try:
+        with netcdf.Dataset(path) as data:
+            total = sum(
+                float(np.prod([float(n) for n in v.shape])) for v in data.variables.values()
+            )
+    except Exception as error:  # netCDF4 raises what it meets
+        raise DataError(f"{path}: cannot be read as SOFA: {error}") from error
+    budget.require(total, budget.MAX_SAMPLES, "values", path, "export fewer responses to a file")
 
 
 def balloon(path: str | os.PathLike[str]) -> tuple[Array, Array, Array]:

@@ -13,11 +13,15 @@ from __future__ import annotations
 import datetime
 import io
 import os
+import re
 import warnings
 import zipfile
+import zlib
 from collections.abc import Iterable, Mapping, Sequence
+from functools import reduce
 from typing import Any
 
+from rtcal.io import budget
 from rtcal.io.table_layout import Row, Sheet
 from rtcal.io.text import shown
 from rtcal.support import library
@@ -27,8 +31,6 @@ from rtcal.support.files import write_bytes
 from rtcal.support.text import first_of
 
 ENDING = ".xlsx"
-MAX_UNPACKED = 2**26
-"""Largest size in bytes of a workbook's parts: a small file may unpack to gigabytes."""
 MAX_SHEETS = 200
 MAX_ROWS, MAX_COLUMNS = 20_000, 400
 _MOST_NAMED = 6
@@ -82,15 +84,39 @@ def sheets(content: bytes, path: str, where: Mapping[str, str]) -> list[Sheet]:
 
 
 def _check_size(content: bytes, path: str) -> None:
-    try:
-        with zipfile.ZipFile(io.BytesIO(content)) as archive:
-            parts = archive.infolist()
-    except (zipfile.BadZipFile, ValueError, NotImplementedError, OSError) as error:
-        raise DataError(f"{path}: not a workbook (xlsx): {error}") from error
-    if not any(part.filename == "xl/workbook.xml" for part in parts):
+    """Raise DataError for what is no workbook, or declares more than the budget."""
+    sizes = budget.members(content, path, "a workbook (xlsx)")
+    if "xl/workbook.xml" not in sizes:
         raise DataError(f"{path}: a zip file, but no workbook (xlsx); save it as xlsx")
-    if (size := sum(part.file_size for part in parts)) > MAX_UNPACKED:
-        raise DataError(f"{path}: {size} bytes when unpacked; at most {MAX_UNPACKED}")
+    cells = 0
+    with zipfile.ZipFile(io.BytesIO(content)) as archive:
+        for name in sizes:
+            if not name.lower().endswith(".xml"):
+                continue
+            try:
+                part = archive.read(name)
+            except (zipfile.BadZipFile, zlib.error, NotImplementedError, OSError) as error:
+                raise DataError(f"{path}: not a workbook (xlsx): {name}: {error}") from error
+            if "worksheets/" in name:
+                cells += len(_CELL.findall(part)) + sum(map(_area, _MERGED.findall(part)))
+            elif name.startswith("xl/styles"):
+                budget.require(part.count(b"<"), budget.MAX_CELLS, "parts of styles", path)
+    budget.require(
+        cells, budget.MAX_CELLS, "cells", path, "copy its table into a workbook of its own"
+    )
+
+
+_CELL = re.compile(rb"<(?:\w+:)?c[\s/>]")
+_MERGED = re.compile(rb"""<(?:\w+:)?mergeCell\s[^>]*?ref\s*=\s*["']([^"']*)""")
+_CORNER = re.compile(rb"\$?([A-Za-z]{1,3})\$?(\d{1,7})")
+
+
+def _area(merged: bytes) -> int:
+    """Return the number of cells of a range such as A1:C9."""
+    corners = _CORNER.findall(merged)[:2]
+    columns = [reduce(lambda n, c: 26 * n + c - 64, letters.upper(), 0) for letters, _ in corners]
+    rows = [int(digits) for _, digits in corners]
+    return (1 + abs(columns[0] - columns[-1])) * (1 + abs(rows[0] - rows[-1])) if corners else 0
 
 
 def _workbook(content: bytes, path: str, stored: bool) -> Any:
@@ -111,6 +137,7 @@ def _rows(values: Any, formulas: Any, hidden: tuple[set[int], set[int]], place: 
             f"{place}: {values.max_row} rows and {values.max_column} columns; at most {MAX_ROWS} "
             f"and {MAX_COLUMNS}"
         )
+    budget.require(values.max_row * values.max_column, budget.MAX_CELLS, "cells", place)
     filled = {
         (row, merged.min_col): (merged.min_row, merged.min_col)
         for merged in values.merged_cells.ranges

@@ -1,0 +1,125 @@
+"""Walls that are drawn as closed solids: the cavity between them is the room, or there is none."""
+
+from __future__ import annotations
+
+import itertools
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from rtcal.command.main import main
+from rtcal.io import mesh
+from rtcal.io.mend import MeshError
+
+Box = tuple[str, str, tuple[float, float, float], tuple[float, float, float]]
+SIDES = ((0, 2, 3, 1), (4, 5, 7, 6), (0, 1, 5, 4), (1, 3, 7, 5), (3, 2, 6, 7), (2, 0, 4, 6))
+L, W, H, D = 7.0, 5.0, 3.0, 0.25
+"""Length, width and height of the room, and the walls' thickness, in m."""
+FLOOR: Box = ("slab", "screed", (-D, -D, -D), (L + D, W + D, 0))
+ROOF: Box = ("roof", "concrete", (-D, -D, H), (L + D, W + D, H + D))
+BUTT: list[Box] = [
+    ("south", "brick", (-D, -D, 0), (L + D, 0, H)),
+    ("north", "brick", (-D, W, 0), (L + D, W + D, H)),
+    ("east", "brick", (L, 0, 0), (L + D, W, H)),
+    ("west", "brick", (-D, 0, 0), (0, W, H)),
+]
+OVERLAPPING: list[Box] = [
+    ("south", "brick", (-D, -D, 0), (L + D, 0, H)),
+    ("north", "brick", (-D, W, 0), (L + D, W + D, H)),
+    ("east", "brick", (L, -D, 0), (L + D, W + D, H)),
+    ("west", "brick", (-D, -D, 0), (0, W + D, H)),
+]
+THROUGH: list[Box] = [  # walls that reach through slab and roof
+    (name, material, (*low[:2], -D), (*high[:2], H + D))
+    for name, material, low, high in OVERLAPPING
+]
+
+
+def run(*arguments: str) -> int:
+    with pytest.raises(SystemExit) as end:
+        main(arguments)
+    assert isinstance(end.value.code, int)
+    return end.value.code
+
+
+def obj(path: Path, boxes: list[Box], *, triangles: bool = False, turned: bool = False) -> Path:
+    rows, n = [], 0
+    for name, material, low, high in boxes:
+        rows += [f"o {name}", f"usemtl {material}"]
+        for corner in itertools.product(*zip(low[::-1], high[::-1], strict=True)):
+            rows.append("v " + " ".join(f"{x:.6g}" for x in corner[::-1]))
+        for side in SIDES:
+            face = [1 + n + k for k in (side[::-1] if turned else side)]
+            parts = [face[:3], [face[0], *face[2:]]] if triangles else [face]
+            rows += ["f " + " ".join(map(str, part)) for part in parts]
+        n += 8
+    path.write_text("\n".join(rows) + "\n")
+    return path
+
+
+@pytest.mark.parametrize("walls", [BUTT, OVERLAPPING, THROUGH])
+@pytest.mark.parametrize("triangles", [False, True])
+@pytest.mark.parametrize("turned", [False, True])
+def test_the_cavity_between_solids_is_the_room(
+    walls: list[Box], triangles: bool, turned: bool, tmp_path: Path
+) -> None:
+    path = obj(tmp_path / "m.obj", [*walls, FLOOR, ROOF], triangles=triangles, turned=turned)
+    done = mesh.room(path)
+    assert done.volume == pytest.approx(L * W * H, rel=1e-4)
+    areas = {"brick": 2 * (L + W) * H, "screed": L * W, "concrete": L * W}
+    assert done.areas == pytest.approx(areas, rel=1e-3)
+    # Joining may leave spikes of millimetres at joints, which are mended.
+    assert done.defects[0].kind == "solids"
+    assert done.volume_uncertainty < 1e-3 * done.volume
+
+
+def test_the_order_of_the_solids_moves_nothing(tmp_path: Path) -> None:
+    for i, boxes in enumerate(
+        itertools.islice(itertools.permutations([*BUTT, FLOOR, ROOF]), 0, 720, 97)
+    ):
+        done = mesh.room(obj(tmp_path / f"m{i}.obj", list(boxes)))
+        assert done.volume == pytest.approx(L * W * H, rel=1e-4)
+        assert sum(done.areas.values()) == pytest.approx(2 * (L * W + L * H + W * H), rel=1e-3)
+
+
+def test_furniture_stands_in_the_cavity(tmp_path: Path) -> None:
+    desk: Box = ("desk", "wood", (2, 2, 0), (3, 3.5, 0.75))
+    lamp: Box = ("lamp", "steel", (2, 2, 2), (3, 3, 2.2))
+    done = mesh.room(obj(tmp_path / "m.obj", [*BUTT, desk, FLOOR, lamp, ROOF]))
+    assert done.volume == pytest.approx(L * W * H - 1.5 * 0.75 - 0.2, rel=1e-6)
+    assert done.areas["wood"] == pytest.approx(1.5 + 2 * 2.5 * 0.75, rel=1e-6)
+    assert done.areas["screed"] == pytest.approx(L * W - 1.5, rel=1e-6)
+    assert done.areas["steel"] == pytest.approx(2 * 1 + 4 * 0.2, rel=1e-6)
+
+
+def test_of_two_cavities_the_larger_is_taken_and_the_other_is_said(tmp_path: Path) -> None:
+    partition: Box = ("partition", "gypsum", (4.5, 0, 0), (4.6, W, H))
+    done = mesh.room(obj(tmp_path / "m.obj", [*BUTT, FLOOR, ROOF, partition]))
+    assert done.volume == pytest.approx(4.5 * W * H, rel=1e-6)
+    assert "another of 36 m³ left out" in str(done.defects[0])
+
+
+@pytest.mark.parametrize("missing", range(6))
+def test_solids_without_a_cavity_bound_material_and_no_option_makes_a_room(
+    missing: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    boxes = [*BUTT, FLOOR, ROOF]
+    del boxes[missing]
+    path = obj(tmp_path / "m.obj", boxes)
+    with pytest.raises(MeshError, match="material and not air"):
+        mesh.room(path)
+    for option in ([], ["--open"], ["--weld", "0.02"]):
+        assert run("import", "check", str(path), *option) == 2
+        assert "material and not air" in capsys.readouterr().err
+    out = tmp_path / "room.toml"
+    assert run("import", "catalogue", "--mesh", str(path), "--open", "--out", str(out)) == 2
+    assert not out.exists()
+
+
+def test_a_room_with_closed_objects_in_it_is_no_set_of_solids(tmp_path: Path) -> None:
+    room: Box = ("room", "plaster", (0, 0, 0), (L, W, H))
+    chest: Box = ("chest", "wood", (2, 2, 1), (3, 3, 1.3))
+    done = mesh.room(obj(tmp_path / "m.obj", [room, chest]))
+    assert done.volume == pytest.approx(L * W * H - 0.3, rel=1e-6)
+    assert np.isclose(done.areas["plaster"], 2 * (L * W + L * H + W * H))
