@@ -1,12 +1,215 @@
-"""Which way surfaces face, from what a room states of it."""
+"""The directions of a room's surfaces, and what a search says where nothing tells them."""
 
 from __future__ import annotations
 
+import json
+from dataclasses import replace
+from typing import Any
+
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 import rtcal as rt
-from rtcal.acoustics.directions import facing
+from rtcal.acoustics.directions import enough_known, facing, kind_of
+from rtcal.acoustics.materials import Surface
+from rtcal.finder import Case, Configuration, control_rooms
+from rtcal.report import gap_report
+from rtcal.simulators.geometry import Polyhedron
+from rtcal.simulators.path_tracing import PathTracing
+from rtcal.support.errors import DataError
+
+SIDES = (6.4, 8.2, 3.4)
+X, Y, Z = 8.2 * 3.4, 6.4 * 3.4, 6.4 * 8.2
+"""Area of one face of the box along each axis."""
+F = [250, 500, 1000, 2000]
+FLOOR, CEILING = [0.12, 0.35, 0.6, 0.7], [0.5, 0.6, 0.6, 0.5]
+WALLS = [0.03, 0.03, 0.03, 0.04]
+AXES = [[0, 0, 1], [0, 0, 1], [X / (X + Y), Y / (X + Y), 0]]
+
+
+def room(names: list[str] | None = None, **stated: Any) -> rt.Room:
+    """A room with an absorbing floor and ceiling and hard walls."""
+    alpha = np.array([FLOOR, CEILING, WALLS])
+    return rt.Room(
+        **{
+            "name": "office",
+            "volume": float(np.prod(SIDES)),
+            "materials": names or ["m1", "m2", "m3"],
+            "areas": [Z, Z, 2 * (X + Y)],
+            "alpha": alpha,
+            "sigma": 0.15 * alpha,
+            "centre_frequencies": F,
+            "air": rt.Air(20, 50),
+            **stated,
+        }
+    )
+
+
+def surfaces(names: list[str], axes: str = "") -> list[Surface]:
+    of_each = [("m1", Z), ("m2", Z), ("m3", 2 * X), ("m3", 2 * Y)]
+    return [
+        Surface(name, material, area, axis or None)
+        for name, (material, area), axis in zip(names, of_each, axes or [""] * 4, strict=True)
+    ]
+
+
+WAYS = {
+    "axes": room(surfaces=surfaces(["s1", "s2", "s3", "s4"], "zzxy")),
+    "dimensions alone": room(dimensions=SIDES),
+    "names of materials and dimensions": room(
+        ["carpet floor", "ceiling", "walls"], dimensions=SIDES
+    ),
+    "names of surfaces": room(surfaces=surfaces(["Boden", "Decke", "Wand Ost", "Wand Nord"])),
+    "names of floor and ceiling": room(["suelo", "techo acústico", "yeso"]),
+    "name of the floor, and walls": room(["plancher", "dalles", "murs"]),
+}
+
+
+@pytest.mark.parametrize("way", WAYS)
+def test_what_says_directions_says_the_same(way: str) -> None:
+    found = facing(WAYS[way])
+    assert enough_known(WAYS[way], found)
+    # Without dimensions half of the walls is taken to face along x.
+    assert np.allclose(found, AXES, atol=0.01 if "dimensions" in way or way == "axes" else 0.1)
+
+
+def test_a_mesh_says_them_even_where_it_is_turned() -> None:
+    walls = dict.fromkeys(("west", "east", "south", "north"), "m3")
+    box = Polyhedron.shoebox(SIDES, {**walls, "floor": "m1", "ceiling": "m2"})
+    assert np.allclose(facing(room(), box), AXES)
+    turn = Rotation.from_euler("z", 30, degrees=True)
+    turned = replace(box, vertices=turn.apply(np.array(box.vertices)))
+    assert np.allclose(facing(room(), turned)[:2], AXES[:2])
+
+
+@pytest.mark.parametrize(
+    ("areas", "known"),
+    [
+        ([Z, Z, 2 * (X + Y)], [True, True, True]),
+        ([Z, 12.0, Z + 2 * (X + Y) - 12.0], [True, False, False]),  # 12 m² anywhere
+        ([X, Y, 2 * Z + X + Y], [True, True, True]),
+        ([31.0, 47.0, 2 * (X + Y + Z) - 78.0], [False, False, False]),
+        ([Z, Z, 4 * (X + Y)], [False, False, False]),  # not those of the box
+    ],
+)
+def test_areas_are_matched_to_the_faces_of_the_box(areas: list[float], known: list[bool]) -> None:
+    stated = room(dimensions=SIDES, areas=areas)
+    assert np.isfinite(facing(stated)).all(axis=1).tolist() == known
+
+
+@pytest.mark.parametrize("order", [(0, 1, 2), (2, 0, 1), (1, 2, 0)])
+def test_the_order_of_materials_changes_no_direction(order: tuple[int, ...]) -> None:
+    rows = list(order)
+    for name, stated in WAYS.items():
+        if stated.surfaces:
+            continue
+        changed = stated.replace(
+            materials=[stated.materials[i] for i in rows],
+            areas=stated.areas[rows],
+            alpha=stated.alpha[rows],
+            sigma=stated.sigma[rows],
+        )
+        assert np.allclose(facing(changed), facing(stated)[rows]), name
+
+
+def test_objects_beside_the_box_need_no_direction() -> None:
+    """Chairs are no faces: their directions are not known, and the room's are."""
+    alpha = np.array([FLOOR, CEILING, WALLS, [0.2] * 4])
+    stated = room(
+        ["m1", "m2", "m3", "chairs"],
+        dimensions=SIDES,
+        areas=[Z, Z, 2 * (X + Y), 20.0],
+        alpha=alpha,
+        sigma=0.15 * alpha,
+    )
+    found = facing(stated)
+    assert np.isfinite(found).all(axis=1).tolist() == [True, True, True, False]
+    assert enough_known(stated, found)
+
+
+@pytest.mark.parametrize(
+    ("name", "kind"),
+    [
+        ("Floor 2", "floor"),
+        ("Holzfußboden", "floor"),
+        ("deckenplatten_hinten", "ceiling"),
+        ("pared norte", "wall"),
+        ("Leinwand", None),
+        ("solid wood", None),
+        ("wall, ground floor", None),
+        ("floor-to-ceiling curtain", None),
+        ("floor and ceiling", "floor and ceiling"),
+        ("", None),
+    ],
+)
+def test_names_that_say_floor_ceiling_or_wall(name: str, kind: str | None) -> None:
+    assert kind_of(name) == kind
+
+
+def measured() -> rt.Measurement:
+    """What path tracing with little scattering gives in the room."""
+    stated = room(scattering=np.full((3, 4), 0.1))
+    walls = dict.fromkeys(("west", "east", "south", "north"), "m3")
+    tracer = PathTracing(
+        room=stated,
+        geometry=Polyhedron.shoebox(SIDES, {**walls, "floor": "m1", "ceiling": "m2"}),
+        sources={"S1": (2.0, 2.5, 1.5)},
+        receivers={"R1": (4.6, 6.0, 1.2), "R2": (3.2, 5.4, 1.3), "R3": (5.0, 1.6, 1.4)},
+        n_paths=4000,
+    )
+    heard = tracer.simulate(stated.alpha, seed=1)
+    values = {p: heard.values[p].mean(axis=0, keepdims=True) for p in ("t20", "edt")}
+    return rt.Measurement(centre_frequencies=F, values=values, n_sources=1, n_receivers=3)
+
+
+@pytest.fixture(scope="module")
+def of_room() -> rt.Measurement:
+    return measured()
+
+
+def case_of(stated: rt.Room, of_room: rt.Measurement) -> Case:
+    return Case(room=stated, configurations=[Configuration(name="A", measured=of_room)])
+
+
+def test_a_search_finds_the_field_whatever_says_the_directions(of_room: rt.Measurement) -> None:
+    """Floor and ceiling absorb, walls do not, and the field is not diffuse: found, or not judged."""
+    cases = {way: case_of(stated, of_room) for way, stated in WAYS.items()}
+    controls = control_rooms(cases["axes"])
+    for way in ("axes", "dimensions alone", "names of surfaces"):
+        found = rt.find(cases[way], controls=controls)
+        assert found.family == "field", way
+        assert found.names[0] == "non-diffuse field", way
+        assert not found.not_judged
+    untold = case_of(room(), of_room)
+    assert not untold.directions_known
+    found = rt.find(untold, controls=control_rooms(untold))
+    reason = found.not_judged["non-diffuse field"]
+    assert "nothing says in which direction" in reason
+    assert "non-diffuse field" not in found.probabilities
+    assert found.to_dict()["not_judged"] == {"non-diffuse field": reason}
+    for text in (" ".join(str(found).split()), found._repr_html_()):
+        assert "Not judged: non-diffuse field, because nothing says" in text
+        assert "coupled room may stand for it" in text
+    assert any("Not judged" in said for said in gap_report.rests_on(found, None))
+
+
+def test_directions_survive_being_saved_and_changed(of_room: rt.Measurement) -> None:
+    for stated, known in ((WAYS["dimensions alone"], True), (room(), False)):
+        case = case_of(stated, of_room)
+        again = Case.from_dict(json.loads(case.to_json()))
+        for other in (again, replace(case, climate_uncertainty=(1.0, 5.0)), case.only("t20")):
+            assert other.directions_known is known
+            assert np.array_equal(other.facing, case.facing)
+    # A third of every material, as earlier versions saved a case without directions.
+    saved = case_of(room(), of_room).to_dict()
+    saved["room"]["facing"] = [[1 / 3] * 3] * 3
+    assert not Case.from_dict(saved).directions_known
+
+
+def test_an_effect_that_cannot_be_judged_cannot_be_the_only_one(of_room: rt.Measurement) -> None:
+    with pytest.raises(DataError, match="cannot be judged: nothing says in which direction"):
+        rt.find(case_of(room(), of_room), only=["non-diffuse field"], without=["unknown"])
 
 
 def a_room(names, areas, **more) -> rt.Room:
@@ -46,9 +249,9 @@ def test_a_box_says_the_same_by_mesh_by_axis_and_by_name() -> None:
 def test_what_nothing_says_is_unknown() -> None:
     room = a_room(["lino", "plaster"], [20, 74])
     assert np.isnan(facing(room)).all()
-    assert np.isnan(facing(room.replace(dimensions=(4, 5, 3)))).all()
+    assert np.isnan(facing(a_room(["lino", "plaster"], [17, 77], dimensions=(4, 5, 3)))).all()
     partly = [rt.Surface("a", "plaster", 30, "x"), rt.Surface("b", "plaster", 44)]
-    found = facing(room.replace(surfaces=[*partly, rt.Surface("floor", "lino", 20)]))
+    found = facing(room.replace(surfaces=[*partly, rt.Surface("c", "lino", 20, "z")]))
     assert found[0].tolist() == [0, 0, 1]
     assert np.isnan(found[1]).all()
     # "floor" must stand for itself: neither a material that names both, nor a part of a word.

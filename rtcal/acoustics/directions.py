@@ -3,19 +3,19 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from itertools import product
 from typing import Protocol
 
 import numpy as np
 
-from rtcal.acoustics.materials import AXES
+from rtcal.acoustics.materials import AXES, Surface
 from rtcal.acoustics.room import Room
+from rtcal.support.arguments import checked
 from rtcal.support.types import Array
 
-_LEVEL = re.compile(r"(?<![a-z])(floor|ceiling)", re.IGNORECASE)
-_WALL = re.compile(r"(?<![a-z])walls?(?![a-z])", re.IGNORECASE)
-_FILLED = 0.05
-"""Share of a box's floor and ceiling that may be missing where these are taken as all known."""
+__all__ = ["enough_known", "facing", "kind_of"]
+__dir__ = __all__.copy
 
 
 class Faces(Protocol):
@@ -37,13 +37,26 @@ class Faces(Protocol):
         ...
 
 
+UNKNOWN_SHARE = 0.2
+"""Share of the absorption area whose direction may be unknown: such objects as chairs and curtains."""
+_WHOLE = 0.9
+"""Share of a material's area whose direction must be known for the material's."""
+NOT_KNOWN = (
+    "nothing says in which direction the room's surfaces face: state axis for each [[surface]], "
+    "dimensions or a mesh, or name the surfaces floor, ceiling and walls"
+)
+"""Why an effect is not judged in a room whose directions are not known."""
+
+
+@checked
 def facing(room: Room, geometry: Faces | None = None) -> Array:
     """Return each material's shares of area across x, y and z, (n_materials, 3); NaN where unknown.
 
-    In this order: the faces of a geometry (an oblique one counts by the squares of its normal),
-    a surface's ``axis``, a name of a surface or of a material that says floor or ceiling. Where a name
-    says wall, x and y share it; in a box of stated dimensions they share it by the area that is left
-    there, and once floor and ceiling are covered whatever else there is stands across x and y.
+    In this order: the faces of a geometry (an oblique one counts by the squares of its normal), the
+    ``axis`` of a surface, a name of a surface or of a material that says floor, ceiling or wall
+    (English, German, French, Spanish, Italian, Portuguese), an area that is that of faces of the box of
+    the room's ``dimensions``, and what is left of that box, or of a room whose floor or ceiling is
+    named. Named walls without a box share x and y by halves.
 
     Parameters
     ----------
@@ -54,77 +67,249 @@ def facing(room: Room, geometry: Faces | None = None) -> Array:
 
     Examples
     --------
-    >>> room = Room(name="box", volume=60, materials=["floor", "ceiling", "paint", "desk"],
-    ...             areas=[20, 20, 54, 5], alpha=[[0.1]] * 4, sigma=[[0.02]] * 4,
-    ...             centre_frequencies=[1000])
-    >>> print(facing(room)[:3])
-    [[ 0.  0.  1.]
-     [ 0.  0.  1.]
+    >>> room = Room(name="box", volume=210, materials=["carpet", "plaster"], areas=[56, 168.5],
+    ...             alpha=[[0.4], [0.05]], sigma=[[0.1], [0.02]], centre_frequencies=[1000])
+    >>> print(facing(room))
+    [[nan nan nan]
      [nan nan nan]]
-    >>> print(facing(room.replace(dimensions=(4, 5, 3)))[2].round(2))
-    [0.56 0.44 0.  ]
+    >>> print(facing(room.replace(dimensions=(7, 8, 3.75))).round(2))
+    [[0.   0.   1.  ]
+     [0.36 0.31 0.33]]
     """
     if geometry is not None:
-        return _of_faces(room, geometry)
-    known, unknown = np.zeros((room.n_materials, 3)), np.zeros(room.n_materials)
-    walls = np.zeros(room.n_materials)
-    stands = {surface.material for surface in room.surfaces}
-    listed = [
-        *((s.name, s.material, s.area, s.axis) for s in room.surfaces),
-        *(
-            (m, m, float(area), None)
-            for m, area in zip(room.materials, room.areas, strict=True)
-            if m not in stands
-        ),
+        rows = {name: row for row, name in enumerate(room.materials)}
+        along = np.asarray(geometry.face_areas)[:, np.newaxis] * np.square(geometry.normals)
+        faces = zip(geometry.materials, along, strict=True)
+        return _by_material(room, [(rows[name], a) for name, a in faces if name in rows], least=0.0)
+    surfaces = list(room.surfaces)
+    stands = {surface.material for surface in surfaces}
+    surfaces += [
+        Surface(name, name, float(area))
+        for name, area in zip(room.materials, room.areas, strict=True)
+        if name not in stands
     ]
-    for name, material, area, axis in listed:
-        row = room.material_index(material)
-        if axis is not None:
-            known[row, AXES.index(axis)] += area
-            continue
-        says = [
-            kind
-            for kind, words in (("level", _LEVEL), ("wall", _WALL))
-            if words.search(name) or words.search(material)
-        ]
-        if says == ["level"]:
-            known[row, 2] += area
-        elif says == ["wall"]:
-            walls[row] += area
-        else:
-            unknown[row] += area
-    box = _box(room)
-    if box is None:
-        known[:, :2] += walls[:, np.newaxis] / 2
+    box = None if room.dimensions is None else _box(room.dimensions)
+    stated = _stated(surfaces, box)
+    if box is not None:
+        stated = _matched(surfaces, stated, box)
     else:
-        left = np.maximum(box - known.sum(axis=0), 0.0)
-        if left[2] <= _FILLED * box[2]:
-            # Floor and ceiling are known: what is left of the surfaces are walls.
-            walls, unknown = walls + unknown, np.zeros_like(unknown)
-        upright = left[:2] if left[:2].sum() > 0 else box[:2]
-        known[:, :2] += walls[:, np.newaxis] * upright / upright.sum()
-    total = known.sum(axis=1) + unknown
-    with np.errstate(invalid="ignore", divide="ignore"):
-        found = known / total[:, np.newaxis]
-    found[unknown > 0] = np.nan
-    return found
+        box = _box_of_floor(surfaces, stated)
+    if box is not None:
+        stated = _rest(surfaces, stated, box)
+    places = room.material_rows([s.material for s in surfaces]).tolist()
+    return _by_material(
+        room, [(row, a) for row, a in zip(places, stated, strict=True) if a is not None]
+    )
 
 
-def _of_faces(room: Room, geometry: Faces) -> Array:
+@checked
+def enough_known(room: Room, shares: Array) -> bool:
+    """Return whether the directions of most of the absorption are known; ``shares`` as of `facing`."""
+    unknown = np.isnan(shares).any(axis=1)
+    absorbed = (room.areas[:, np.newaxis] * room.alpha).sum(axis=1)
+    return bool((~unknown).any() and absorbed[unknown].sum() <= UNKNOWN_SHARE * absorbed.sum())
+
+
+def _by_material(room: Room, along: Iterable[tuple[int, Array]], least: float = _WHOLE) -> Array:
+    """Return shares from areas along x, y and z, each with the row of its material.
+
+    A material is known whose known surfaces have at least the share ``least`` of its area.
+    """
     sums = np.zeros((room.n_materials, 3))
-    rows = {name: row for row, name in enumerate(room.materials)}
-    for name, area, normal in zip(
-        geometry.materials, geometry.face_areas, geometry.normals, strict=True
-    ):
-        if name in rows:
-            sums[rows[name]] += area * np.asarray(normal) ** 2
-    total = sums.sum(axis=1, keepdims=True)
-    return np.where(total > 0, sums / np.where(total > 0, total, 1.0), np.nan)
+    for row, areas in along:
+        sums[row] += areas
+    total = sums.sum(axis=1)
+    known = (total > 0) & (total >= least * room.areas)
+    shares = np.full(sums.shape, np.nan)
+    shares[known] = sums[known] / total[known, np.newaxis]
+    return shares
 
 
-def _box(room: Room) -> Array | None:
-    """Return a box's areas across x, y and z in m², both walls of each; None without dimensions."""
-    if room.dimensions is None:
-        return None
-    x, y, z = room.dimensions
+_X, _Y, _Z = range(3)
+FLOOR, CEILING, WALL, LEVEL = "floor", "ceiling", "wall", "floor and ceiling"
+_WORDS = {
+    FLOOR: "floor floors flooring boden böden fussboden bodenbelag sol plancher suelo piso pavimento "
+    "chão soalho",
+    CEILING: "ceiling ceilings roof decke decken dach plafond toit techo cielorraso soffitto tetto "
+    "teto forro",
+    WALL: "wall walls wand wände waende mauer mauern mur murs pared paredes muro muri parete pareti "
+    "parede paredes",
+}
+_COMPOUNDS = {FLOOR: ("boden",), CEILING: ("decke", "decken"), WALL: ("wand", "wände")}
+"""Parts of German words: Akustikdecke, Deckenplatten, Rückwand."""
+_TO = frozenset(["to", "bis", "au", "à", "al", "ao"])
+"""What stands between floor and ceiling in the name of something that reaches from one to the other."""
+_NO_COMPOUNDS = ("leinwand", "vorwand", "gewand")
+
+
+@checked
+def kind_of(name: str) -> str | None:
+    """Return "floor", "ceiling", "wall" or "floor and ceiling" where a name says it, else None.
+
+    Examples
+    --------
+    >>> kind_of("Akustikdecke"), kind_of("rear wall, wood"), kind_of("floor-to-ceiling window")
+    ('ceiling', 'wall', None)
+    """
+    words = re.findall(r"[^\W\d_]+", name.lower().replace("ß", "ss"))
+    kinds = {
+        kind
+        for kind, listed in _WORDS.items()
+        for word in words
+        if word in listed.split() or (_compound(word, kind) and word not in _NO_COMPOUNDS)
+    }
+    if kinds == {FLOOR, CEILING} and not _TO.intersection(words):
+        return LEVEL
+    return kinds.pop() if len(kinds) == 1 else None
+
+
+def _compound(word: str, kind: str) -> bool:
+    return word.startswith(_COMPOUNDS[kind]) or word.endswith(_COMPOUNDS[kind])
+
+
+def _kind(surface: Surface) -> str | None:
+    return kind_of(surface.name) or kind_of(surface.material)
+
+
+def _box(dimensions: Sequence[float]) -> Array:
+    """Return the areas of both faces of a box along x, y and z."""
+    x, y, z = dimensions
     return 2 * np.array([y * z, x * z, x * y])
+
+
+def _stated(surfaces: Sequence[Surface], box: Array | None) -> list[Array | None]:
+    """Return the areas along x, y and z that axes and names state; None for other surfaces."""
+    walls = np.array([0.5, 0.5, 0.0])
+    if box is not None:
+        walls = np.array([box[_X], box[_Y], 0.0]) / (box[_X] + box[_Y])
+    out: list[Array | None] = []
+    for surface in surfaces:
+        kind = _kind(surface)
+        if surface.axis is not None:
+            out.append(surface.area * np.eye(3)[AXES.index(surface.axis)])
+        elif kind in (FLOOR, CEILING, LEVEL):
+            out.append(surface.area * np.eye(3)[_Z])
+        else:
+            out.append(surface.area * walls if kind == WALL else None)
+    return out
+
+
+def _box_of_floor(surfaces: Sequence[Surface], along: Sequence[Array | None]) -> Array | None:
+    """Return the areas of a box with the named floor or ceiling, as both; None without one.
+
+    The other surfaces are its walls, half of them along x.
+    """
+    sums = dict.fromkeys((FLOOR, CEILING), 0.0)
+    for surface in surfaces:
+        if (kind := _kind(surface)) in sums:
+            sums[str(kind)] += surface.area
+    level, total = max(sums.values()), sum(s.area for s in surfaces)
+    walls = total - 2 * level
+    return None if level == 0 or walls <= 0 else np.array([walls / 2, walls / 2, 2 * level])
+
+
+_NEAR = 0.02
+"""Share by which an area may differ from that of the faces that it is."""
+_LARGEST_SEARCH = 8
+"""Surfaces whose areas are matched at once."""
+
+
+def _matched(
+    surfaces: Sequence[Surface], along: Sequence[Array | None], box: Array
+) -> list[Array | None]:
+    """Return the areas along the axes, also of surfaces with the area of faces of the box.
+
+    All six faces are surfaces, or what is left of them is what is left of the surfaces. Of several
+    ways, those count that leave the least area, and only where they agree.
+    """
+    out = list(along)
+    places = [i for i, of_surface in enumerate(along) if of_surface is None]
+    if not 0 < len(places) <= _LARGEST_SEARCH:
+        return out
+    stated = np.sum([a for a in along if a is not None], axis=0) if len(places) < len(out) else 0.0
+    face = box / 2
+    left = np.asarray(np.round(np.clip((box - stated) / face, 0, 2), 2), dtype=float)
+    areas = np.array([surfaces[i].area for i in places])
+    ways = list(_ways(areas, face, left))
+    if not ways:
+        return out
+    least = min(rest for rest, _ in ways)
+    best = np.array([counts for rest, counts in ways if rest <= least + _NEAR * box.sum()])
+    for column, place in enumerate(places):
+        of_place = best[:, column] * face
+        total = of_place.sum(axis=1)
+        if (total > 0).all():
+            shares = of_place / total[:, np.newaxis]
+            if np.ptp(shares, axis=0).max() < _AGREE:
+                out[place] = areas[column] * shares.mean(axis=0)
+    return out
+
+
+_AGREE = 0.05
+
+
+def _ways(areas: Array, face: Array, left: Array) -> Iterator[tuple[float, Array]]:
+    """Yield ways in which areas are those of faces of a box: the area that is left, and the counts.
+
+    The counts (n_surfaces, 3) are numbers of faces along each axis, 0 of a surface that is no faces.
+    """
+    every = np.array(list(product(range(3), repeat=3)))[1:]
+    combinations = every[[_usual(*counts) for counts in every.tolist()]]
+
+    def further(place: int, left: Array, counts: list[Array]) -> Iterator[list[Array]]:
+        if place == len(areas):
+            yield counts
+            return
+        yield from further(place + 1, left, [*counts, np.zeros(3)])
+        for of_faces in combinations:
+            fits = (of_faces <= left + _NEAR).all()
+            if fits and abs(areas[place] / (of_faces @ face) - 1) <= _NEAR:
+                yield from further(place + 1, left - of_faces, [*counts, of_faces])
+
+    for counts in further(0, left, []):
+        table = np.array(counts)
+        remaining = float(np.maximum(left - table.sum(axis=0), 0) @ face)
+        rest = float(areas[(table == 0).all(axis=1)].sum())
+        if remaining <= _NEAR * face.sum() or abs(rest / remaining - 1) <= _OF_REST:
+            yield rest, table
+
+
+def _usual(x: int, y: int, z: int) -> bool:
+    """Return whether one material is usually on so many faces.
+
+    These are floor and ceiling, or walls but for a corner of two; floor or ceiling with all walls.
+    """
+    return x + y == 0 or x + y == 4 or (z == 0 and (x, y) != (1, 1))
+
+
+_OF_REST = 0.1
+"""Share by which the surfaces that are left may differ from the faces that are left."""
+_ONE_KIND = 0.05
+"""Share of another direction in what is left, up to which it is of one kind."""
+
+
+def _rest(
+    surfaces: Sequence[Surface], along: Sequence[Array | None], box: Array
+) -> list[Array | None]:
+    """Return the areas along the axes, also of the surfaces that are what is left of a box.
+
+    Where walls and floor or ceiling are left, several materials may be on either.
+    """
+    places = [i for i, of_surface in enumerate(along) if of_surface is None]
+    known = [a for a in along if a is not None]
+    left = np.maximum(box - np.sum(known, axis=0), 0.0) if known else box
+    rest = sum(surfaces[i].area for i in places)
+    if not places or left.sum() == 0 or abs(rest / left.sum() - 1) > _OF_REST:
+        return list(along)
+    of_walls = (left[_X] + left[_Y]) / left.sum()
+    one_kind = min(of_walls, 1 - of_walls) <= _ONE_KIND
+    if not one_kind and len({surfaces[i].material for i in places}) > 1:
+        return list(along)
+    shares = left / left.sum()
+    if one_kind:
+        shares = np.where(np.eye(3)[_Z] > 0, of_walls <= 0.5, (of_walls > 0.5) * shares)
+        shares = shares / shares.sum()
+    return [
+        surfaces[i].area * shares if of_surface is None else of_surface
+        for i, of_surface in enumerate(along)
+    ]

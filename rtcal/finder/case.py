@@ -37,8 +37,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rtcal.acoustics import bands
+from rtcal.acoustics.directions import enough_known, facing
 from rtcal.acoustics.equations import mean_equation
 from rtcal.acoustics.materials import text_name
 from rtcal.acoustics.measurement import Measurement
@@ -51,18 +53,19 @@ from rtcal.finder.configuration import (
     Configuration,
     check_configuration,
     check_room,
+    checked_facing,
     checked_uncertainty,
     in_room_bands,
-    shares,
 )
 from rtcal.finder.effects.checks import AppliedEffect, check_parameters
+from rtcal.io import geometry_files
 from rtcal.support import checks
 from rtcal.support.arguments import checked
 from rtcal.support.checks import Entries, json_object, toml_table
 from rtcal.support.errors import DataError
 from rtcal.support.files import read_text, write_text
 from rtcal.support.text import shortened
-from rtcal.support.types import Array
+from rtcal.support.types import Array, read_only
 
 CLIMATE_UNCERTAINTY = (2.0, 10.0)
 """Standard uncertainty of a stated climate: 2 K and 10 % of relative humidity. That is what a
@@ -84,8 +87,9 @@ class Case:
         The equation with which the user's model calculates T: the key of a `MeanEquation`, such as
         "eyring", "sabine", "kuttruff" or "millington".
     facing : array (n_materials, 3), optional
-        Share of each material's area whose normal is along x, y and z. By default it follows from the
-        axes of the room's surfaces; without stated axes each share is a third.
+        Share of each material's area whose normal is along x, y and z. By default it follows from what
+        the room states (`rtcal.acoustics.directions.facing`); a material of which nothing says it
+        has a third each.
     applied : sequence of AppliedEffect
         Effects that `MeansFinding.apply` has added.
     climate_uncertainty : (float, float)
@@ -117,7 +121,10 @@ class Case:
         names = [c.name for c in self.configurations]
         if len(set(names)) < len(names):
             raise DataError(f"configurations = {names}: each has a name of its own")
-        object.__setattr__(self, "facing", shares(self.room, self.facing))
+        stated = None if self.facing is None else checked_facing(self.room, self.facing)
+        if stated is None or _evenly(stated).all():
+            stated = read_only(spread_where_unknown(_facing(self.room)))
+        object.__setattr__(self, "facing", stated)
         climate = checks.array("climate_uncertainty", self.climate_uncertainty)
         if climate.shape != (2,) or not (np.isfinite(climate) & (climate >= 0)).all():
             raise DataError(
@@ -141,6 +148,16 @@ class Case:
             f"configurations: {shortened(names)}>"
         )
 
+    @property
+    def directions_known(self) -> bool:
+        """Whether the directions of most of the room's absorption are known.
+
+        Without them an effect that needs them is not judged (`Effect.needs_directions`).
+        """
+        evenly = _evenly(self.facing)
+        found = np.where(evenly[:, np.newaxis], np.nan, self.facing)
+        return enough_known(self.room, _facing(self.room) if evenly.all() else found)
+
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> Case:
         """Return the case of nested plain values, as `to_dict` gives them.
@@ -155,13 +172,13 @@ class Case:
         optional = ("equation", "uncertainty", "present", "climate_uncertainty")
         case = Entries("", data, ("room", "configurations"), optional)
         room_data = case.mapping("room")
-        facing = room_data.pop("facing", None)
+        stated_facing = room_data.pop("facing", None)
         room = Room.from_dict(room_data)
         stated = checked_uncertainty(case.mapping("uncertainty", {}))
         return cls(
             room=room,
             equation=case.text("equation", "eyring"),
-            facing=facing,
+            facing=stated_facing,
             configurations=[
                 Configuration.from_dict(
                     checks.mapped(f"configurations[{i}]", each), room.centre_frequencies
@@ -251,6 +268,27 @@ class Case:
             }
             kept.append(replace(c, measured=replace(c.measured, **tables)))
         return replace(self, configurations=kept)
+
+
+def _facing(room: Room) -> Array:
+    """Return `facing` of a room, by its mesh where nothing else says the directions."""
+    found = facing(room)
+    if room.scene.mesh is None or np.isfinite(found).all():
+        return found
+    try:
+        return facing(room, geometry_files.read(room))
+    except DataError:  # a search by means reads no mesh where it need not
+        return found
+
+
+def _evenly(shares: Array) -> NDArray[np.bool_]:
+    """Return which materials have a third along each axis, as those of unknown directions."""
+    return np.asarray(np.isclose(shares, 1 / 3).all(axis=1))
+
+
+def spread_where_unknown(shares: Array) -> Array:
+    """Return shares as of `facing`, a third each where they are not known."""
+    return np.where(np.isnan(shares), 1 / 3, shares)
 
 
 def _same_values(one: Measurement, other: Measurement) -> bool:

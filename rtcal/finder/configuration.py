@@ -17,7 +17,7 @@ from rtcal.acoustics.air import Air
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.measurement_files import OPTIONAL
 from rtcal.acoustics.observables import observable
-from rtcal.acoustics.room import AXES, Room, text_name
+from rtcal.acoustics.room import Room, text_name
 from rtcal.support import checks
 from rtcal.support.arguments import checked
 from rtcal.support.checks import Entries
@@ -287,17 +287,9 @@ def check_room(room: Room) -> None:
             )
 
 
-def shares(room: Room, facing: Any) -> Array:
-    """Return each material's shares of area along x, y and z, (n_materials, 3)."""
+def checked_facing(room: Room, facing: Any) -> Array:
+    """Return each material's stated shares of area along x, y and z, (n_materials, 3)."""
     n = room.n_materials
-    if facing is None:
-        sums = np.zeros((n, 3))
-        for surface in room.surfaces:
-            if surface.axis is not None:
-                row = room.material_index(surface.material)
-                sums[row, AXES.index(surface.axis)] += surface.area
-        sums[sums.sum(1) == 0] = 1.0
-        facing = sums
     array = checks.array("facing", facing)
     if array.shape != (n, 3):
         raise DataError(f"facing has shape {array.shape}; it is (n_materials, 3) = ({n}, 3)")

@@ -112,6 +112,7 @@ def rests_on(finding: MeansFinding, verification: MeansVerification | None) -> l
             f"{listed(finding.engines)}."
         )
     sentences += [as_sentence(reason) for reason in finding.reasons]
+    sentences += finding.not_judged_in_words
     if verification is not None:
         sentences.append(_proof(verification))
     sentences += map(as_sentence, finding.sets_in_words)

@@ -74,6 +74,9 @@ class Effect(ABC):
         is sought on each of them; an effect without any is sought by means over positions alone.
     shares : sequence of float
         Shares of a surface that are tried, of an effect that takes absorption away from it.
+    needs_directions : bool
+        Whether it acts by the directions in which surfaces face. In a room of which nothing says them
+        it is not judged.
     not_in_simulator : str or None
         Why a simulator of a room cannot have the effect; None where it can, or has it already. Asked
         only of effects that no material can represent.
@@ -96,6 +99,7 @@ class Effect(ABC):
     stands_on: ClassVar[Sequence[str]] = ()
     shares: ClassVar[Sequence[float]] = ()
     spectrum_error: ClassVar[tuple[float, float, float]] = (0.106, 0.0, 0.0)
+    needs_directions: ClassVar[bool] = False
     not_in_simulator: ClassVar[str | None] = (
         "it bends the decay, which no material of a simulator does; without make the case's own "
         "model is the simulator"

@@ -10,6 +10,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
+from rtcal.acoustics.directions import NOT_KNOWN
 from rtcal.acoustics.equations import mean_equation
 from rtcal.acoustics.priors import NORMAL_90
 from rtcal.acoustics.room import Room
@@ -133,6 +134,20 @@ def _check(place: str, effect: Any) -> None:
     for share in checks.listed(f"{where}: shares", getattr(effect, "shares", None)):
         if not 0 < checks.number(f"{where}: shares", share) <= 1:
             raise DataError(f"{where}: shares has {share:g}, which is not above 0 and at most 1")
+
+
+def judged_effects(
+    effects: Sequence[Effect], directions_known: bool
+) -> tuple[tuple[Effect, ...], dict[str, str]]:
+    """Return the effects that can be judged, and by name why others cannot.
+
+    Raises DataError where none is left.
+    """
+    lacking = {e.name: NOT_KNOWN for e in effects if e.needs_directions and not directions_known}
+    tried = tuple(e for e in effects if e.name not in lacking)
+    if not tried:
+        raise DataError(f"{', '.join(lacking)} cannot be judged: {NOT_KNOWN}")
+    return tried, lacking
 
 
 def checked_grid(

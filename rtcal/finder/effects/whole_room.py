@@ -348,6 +348,7 @@ class NonDiffuse(Effect):
     unit: ClassVar[str] = "as scattering coefficient"
     neutral: ClassVar[float] = 1.0
     size_error: ClassVar[float] = 0.5
+    needs_directions: ClassVar[bool] = True
     # A simulator with geometry has such a field by itself.
     not_in_simulator: ClassVar[str | None] = None
 

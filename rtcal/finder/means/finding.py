@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar
 
 import numpy as np
@@ -11,7 +11,7 @@ import numpy as np
 from rtcal.acoustics import bands
 from rtcal.finder.case import Case
 from rtcal.finder.claim import SAID, Names, SetsFinding, after_doubt
-from rtcal.finder.effects.checks import AppliedEffect
+from rtcal.finder.effects.checks import AppliedEffect, checked_effects
 from rtcal.finder.finding import NATS, Size
 from rtcal.finder.means.features import ModelDiscrepancy
 from rtcal.finder.means.verdict import Fit
@@ -65,6 +65,9 @@ class MeansFinding(SetsFinding):
         ``mistake`` is that T is twice or half the model's; "" where it is not.
     discrepancy : ModelDiscrepancy
         Bias and covariance of the model's error.
+    not_judged : mapping of str to str
+        Effects that were not tried, since the room does not state what they act by: each with the
+        reason.
     """
 
     record_kind: ClassVar[str] = "finding 2"
@@ -81,6 +84,7 @@ class MeansFinding(SetsFinding):
     discrepancy: ModelDiscrepancy
     leads: bool = False
     mistake: str = ""
+    not_judged: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def engines(self) -> tuple[str, ...]:
@@ -246,6 +250,7 @@ class MeansFinding(SetsFinding):
             "size": size and size.to_dict(),
             "runner_up": self.runner_up,
             "advice": self.advice,
+            "not_judged": dict(self.not_judged),
             "residuals": [
                 {
                     "configuration": c.name,
@@ -282,6 +287,7 @@ class MeansFinding(SetsFinding):
             [
                 *self.in_words,
                 *self.sets_in_words,
+                *self.not_judged_in_words,
                 self.track_record,
                 f"Next: {self.advice}",
                 *self.notes,
@@ -293,7 +299,7 @@ class MeansFinding(SetsFinding):
         lines = text.wrapped(self.headline)
         sets = ", ".join(f"{names} {100 * p:.0f} %" for names, p in self.likely_sets.items())
         said = [*self.in_words, *self.sets_in_words, f"sets: {sets}" if sets else ""]
-        said += [self.evidence_in_words, self.track_record]
+        said += [*self.not_judged_in_words, self.evidence_in_words, self.track_record]
         for sentence in filter(None, said):
             lines += text.wrapped(sentence, indent="  ")
         header = ("", bands.labels(self.case.room.centre_frequencies))
@@ -405,6 +411,20 @@ class MeansFinding(SetsFinding):
         """The candidates' sizes, the coefficients, and the reasons that the sentence leaves out."""
         said = [*map(self.size_of, self.names), self.coefficients_in_words]
         return [*filter(None, said), *self.reasons[self.verdict == "hint" or self.leads :]]
+
+    @property
+    def not_judged_in_words(self) -> list[str]:
+        """The effects that were not tried, why, and which others may stand for them."""
+        library = {effect.name: effect for effect in checked_effects(None)}
+        said = []
+        for name, reason in self.not_judged.items():
+            of_family = library[name].family if name in library else None
+            alike = [k for k, e in self.effects.items() if e.family == of_family]
+            stands = (
+                f" If it is there, {listed(alike, last='or')} may stand for it." if alike else ""
+            )
+            said.append(f"Not judged: {name}, because {reason}.{stands}")
+        return said
 
     @property
     def coefficients_in_words(self) -> str:

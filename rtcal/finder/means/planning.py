@@ -13,7 +13,7 @@ from rtcal.finder.case import Case
 from rtcal.finder.claim import DISTINCT_NATS
 from rtcal.finder.configuration import Configuration
 from rtcal.finder.effects import Effect
-from rtcal.finder.effects.checks import AppliedEffect, checked_effects
+from rtcal.finder.effects.checks import AppliedEffect, checked_effects, judged_effects
 from rtcal.finder.means.features import (
     ModelDiscrepancy,
     ObservedFeatures,
@@ -253,7 +253,8 @@ def plan(
     case : Case
         Of its measurements, only the parameters and their uncertainties are used.
     effects : sequence of Effect, optional
-        By default the whole library.
+        By default the whole library. Without known directions, those that need them are left out
+        (`Effect.needs_directions`).
     change : float
         Relative change of T20 in the band that the effect changes most, above 0 and at most 1. Each
         effect has the size that comes nearest to it.
@@ -288,7 +289,7 @@ def plan(
     if finding is not None and finding.case is not case:
         raise DataError("finding is of another case: state the case that it was found in")
     observed, _ = observe(case)
-    tried = checked_effects(effects)
+    tried, _ = judged_effects(checked_effects(effects), case.directions_known)
     predicted = predict_hypotheses(case, tried)
     if discrepancy is None and finding is not None:
         discrepancy = finding.discrepancy

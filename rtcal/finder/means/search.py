@@ -13,7 +13,7 @@ from rtcal.acoustics.observables import parameter_label
 from rtcal.finder.case import Case
 from rtcal.finder.claim import by_family, credible_set, family_of, posterior
 from rtcal.finder.effects import Effect
-from rtcal.finder.effects.checks import AppliedEffect, checked_effects
+from rtcal.finder.effects.checks import AppliedEffect, checked_effects, judged_effects
 from rtcal.finder.finding import Candidate, Detection
 from rtcal.finder.means.engines import ControlRooms, checked_controls
 from rtcal.finder.means.evidence import (
@@ -120,11 +120,13 @@ def find(
     checks.whole("seed", seed, 0)
     every = checked_effects(effects)
     effects, left_out = chosen_effects(every, without, only)
+    odds = checked_odds(effects, prior)
+    effects, not_judged = judged_effects(effects, case.directions_known)
     number = _checked_number(most, expected, effects, prior)
     observed, notes = observe(case)
     if len(without) or len(only) or prior:
         notes = [*notes, CHOSEN]
-    before = prior_of(case.room, effects, checked_odds(effects, prior), left_out)
+    before = prior_of(case.room, effects, odds, left_out)
     predicted = predict_hypotheses(case, effects)
     if not isinstance(threshold, Threshold):
         if controls is None:
@@ -142,7 +144,8 @@ def find(
     else:
         bootstrapped, limits = threshold, threshold.values
     problem = MeansProblem(case, observed, predicted, bootstrapped.discrepancy)
-    return _conclude(problem, limits, before, notes, most, number)
+    found = _conclude(problem, limits, before, notes, most, number)
+    return replace(found, not_judged=not_judged) if not_judged else found
 
 
 LEAST_EXPECTED, MOST_EXPECTED = 0.01, 10.0

@@ -20,10 +20,11 @@ from functools import cached_property, partial
 import numpy as np
 from scipy.special import logsumexp
 
+from rtcal.acoustics.directions import facing
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.observables import observable
 from rtcal.acoustics.priors import NORMAL_90
-from rtcal.finder.case import Case
+from rtcal.finder.case import Case, spread_where_unknown
 from rtcal.finder.claim import most_probable_first, with_added
 from rtcal.finder.configuration import PARAMETERS, Configuration
 from rtcal.finder.effects import Effect
@@ -294,18 +295,8 @@ def of_means(case: PositionsCase) -> Case:
         configurations=[
             Configuration(name="measured", measured=kept, distances=np.array(distances))
         ],
-        facing=_facing(case),
+        facing=spread_where_unknown(facing(case.room, case.geometry)),
     )
-
-
-def _facing(case: PositionsCase) -> Array:
-    """Return the share of each material's area whose normal is along x, y and z."""
-    geometry = case.geometry
-    rows = case.room.material_rows(geometry.materials)
-    along = geometry.face_areas[:, np.newaxis] * geometry.normals**2
-    facing = np.array([along[rows == row].sum(axis=0) for row in range(case.room.n_materials)])
-    total = facing.sum(axis=1, keepdims=True)
-    return np.where(total > 0, facing / np.where(total > 0, total, 1.0), 1 / 3)
 
 
 _SPACING = 0.1
