@@ -45,7 +45,7 @@ _TABLES = (".csv", ".xlsx")
 PROGRAMS = ("catt", "odeon", "pyroomacoustics", "bras")
 
 
-@click.command(short_help="Impulse responses (WAV, SOFA) to T20, EDT, C80, STI and others.")
+@click.command(short_help="Impulse responses (sound files, SOFA) to T20, EDT, C80, STI and others.")
 @click.argument("responses", type=click.Path(), nargs=-1, required=True)
 @bands_option
 @click.option(
@@ -84,7 +84,7 @@ def measure(
     positions: str | None,
     out: str | None,
 ) -> None:
-    """Measure T20, T30, EDT, C50, C80, D50, STI and Ts of RESPONSES (WAV, SOFA).
+    """Measure T20, T30, EDT, C50, C80, D50, STI and Ts of RESPONSES (WAV, FLAC, AIFF, SOFA, ...).
 
     Says why values are missing.
 

@@ -4,16 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from enum import Enum
 
 import numpy as np
 
 from rtcal.acoustics import bands
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.observables import (
-    OBSERVABLES,
     REVERBERATION,
-    TARGET,
-    DecaySlope,
     observable,
     parameter_label,
 )
@@ -22,9 +20,6 @@ from rtcal.support.types import Array
 
 MOST_NAMED = 4
 """Largest number of pairs or files that a sentence names."""
-_LATE = 2.8
-"""Largest T that the energy's centre of gravity tells of a decay, over its slope's; an exponential one
-has 1."""
 _FAR = 3.0
 """Ratio of a time to the median over the pairs above which it is told as a likely typing error."""
 
@@ -48,6 +43,46 @@ def with_uncertainty(measurement: Measurement) -> Measurement:
     return replace(measurement, uncertainty=own, common_uncertainty=common)
 
 
+class Floor(Enum):
+    """What ends the range of levels of a decay: the reason for a missing value, and its sentence.
+
+    The reason is of one value, or of all where the sentence has no place for the range in dB.
+    """
+
+    NOISE = "between sound and noise (ISO 3382)", "It is {} dB."
+    CUT = (
+        "between the sound and the end of the response, which is cut off before the noise",
+        "It is {} dB at the end of the response, which is cut off before the noise.",
+    )
+    END = (
+        "between the sound and the end of the response, be it noise or a cut decay",
+        "It is {} dB at the end of the response, be it noise or a cut decay.",
+    )
+    FLAT = (
+        "no decay of 10 dB stands out of the end of the response, be it noise or a cut decay",
+        "No decay of 10 dB stands out of the end of the response, be it noise or a cut decay.",
+    )
+    SHORT = (
+        "no decay: the response is silent or shorter than 50 ms",
+        "The response is silent or shorter than 50 ms.",
+    )
+    LATE = (
+        "no decay: the energy arrives late, as in a recording of a sweep, of interrupted noise or of "
+        "two sounds",
+        "The energy arrives late: it is no decay.",
+    )
+
+    @property
+    def reason(self) -> str:
+        """The reason for one missing value, after what the parameter needs."""
+        return self.value[0]
+
+    @property
+    def sentence(self) -> str:
+        """A sentence on some responses, with a place for their range in dB."""
+        return self.value[1]
+
+
 @dataclass(frozen=True, kw_only=True)
 class Analysis:
     """The parameters of impulse responses, the reasons for missing values, and notes.
@@ -57,6 +92,8 @@ class Analysis:
     measurement : Measurement
     impulse_to_noise_ratio : array (n_pairs, n_bands)
         dB; of repeats, the least.
+    floors : tuple of tuples of Floor, (n_pairs, n_bands)
+        What ends each decay's range.
     minimum_range : mapping of str to float
         Impulse-to-noise ratio in dB that each parameter needed.
     missing : tuple of str
@@ -67,6 +104,7 @@ class Analysis:
 
     measurement: Measurement
     impulse_to_noise_ratio: Array
+    floors: tuple[tuple[Floor, ...], ...]
     minimum_range: Mapping[str, float]
     missing: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
@@ -106,7 +144,8 @@ class Analysis:
                 ", ".join(names) + (f" in {self._pairs(rows)}" if n > 1 else "")
                 for rows, names in sorted(lacking.items(), key=lambda item: -len(item[0]))
             )
-            sentences.append(f"{bands.label(frequency)}: no {where}. {self._noise(k)}")
+            some = sorted({i for rows in lacking for i in rows})
+            sentences.append(f"{bands.label(frequency)}: no {where}. {self._range(k, some)}")
         return sentences
 
     def _pairs(self, rows: Sequence[int]) -> str:
@@ -117,15 +156,17 @@ class Analysis:
         named = [" to ".join(self.measurement.pairs[i]) for i in rows]
         return f"{len(rows)} of {n} pairs ({text.first_of(named, MOST_NAMED)})"
 
-    def _noise(self, band: int) -> str:
-        """Return the range of the impulse-to-noise ratio over the pairs of a band."""
-        ratios = self.impulse_to_noise_ratio[:, band]
-        heard = ratios[np.isfinite(ratios)]
-        silent = np.flatnonzero(np.isneginf(ratios)).tolist()
-        parts = [f"It is {spread(heard, '.1f')} dB."] if heard.size else []
-        if silent:
-            pairs = "" if len(ratios) == 1 else f" in {self._pairs(silent)}"
-            parts.append(f"No decay stands out of the noise{pairs}.")
+    def _range(self, band: int, rows: Sequence[int]) -> str:
+        """Return the range of levels of a band at some pairs, and what ends it."""
+        of_floor: dict[Floor, list[int]] = {}
+        for i in rows:
+            of_floor.setdefault(self.floors[i][band], []).append(i)
+        parts = []
+        for floor, some in of_floor.items():
+            ratios = self.impulse_to_noise_ratio[some, band]
+            sentence = floor.sentence.format(spread(ratios, ".1f"))
+            where = "" if len(of_floor) == 1 else f"In {self._pairs(some)}: "
+            parts.append(where + sentence)
         return " ".join(parts)
 
 
@@ -163,26 +204,6 @@ def spread(values: Sequence[float] | Array, form: str) -> str:
     """
     ends = dict.fromkeys(format(v, form) for v in (np.min(values), np.max(values)))
     return " to ".join(ends)
-
-
-def late_energy(values: Mapping[str, Array], files: Sequence[str]) -> list[str]:
-    """Return a note on the files of which most bands have too large a Ts for a decay.
-
-    ``values`` are those of all parameters, (n_files, n_bands).
-    """
-    t = values[TARGET.key]
-    centres = [
-        o for o in OBSERVABLES.values() if o.unit == TARGET.unit and not isinstance(o, DecaySlope)
-    ]
-    told = [o.decay_time(values[o.key]) > _LATE * t for o in centres if o.key in values]
-    late = np.mean(told, axis=(0, 2)) > 0.5
-    if not late.any():
-        return []
-    named = [file for file, is_late in zip(files, late, strict=True) if is_late]
-    return [
-        f"no decay: {text.first_of(named, MOST_NAMED)}. The energy arrives late (Ts above T20/5; that "
-        "of a decay is T20/14). Look whether it is the recording of a sweep"
-    ]
 
 
 def unusual(measurement: Measurement) -> tuple[str, ...]:

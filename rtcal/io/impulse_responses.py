@@ -1,15 +1,23 @@
-"""Impulse responses (WAV, SOFA, or pyfar ``Signal``) to decay times, C50, C80, D50, STI and Ts.
+"""Impulse responses (sound files, SOFA, or pyfar ``Signal``) to decay times, C50, C80, D50, STI and Ts.
 
 Each band is filtered backwards in time (Jacobsen & Rindel 1987), so that the filter's ringing precedes
-the sound. A decay then keeps its slope for B T above 4; the forward filter needs 16. The noise is
-subtracted. The decay curve ends at the noise by the method of Lundeby et al. (1995). The energy beyond
-is added (Guski & Vorlaender 2014), and the curve is divided by its start. A parameter is returned only
-if the impulse-to-noise ratio
+the sound. A decay then keeps its slope for B T above 4; the forward filter needs 16. The decay curve is
+the energy integrated from the end. What ends it is one of four (`Floor`):
 
-    INR = 10 lg(E 6 ln(10) / (EDT N)) dB,   E the energy, N the noise's energy per second,
+- The last tenth is so low that it matters to no parameter: the curve is integrated as it is.
+- It is noise, or the decay itself where the response was cut. The decay's line by the method of
+  Lundeby et al. (1995) tells which: noise is the part of the last tenth that the line leaves. It is
+  subtracted, the curve ends at the noise, and the line's energy beyond is added (Guski & Vorlaender
+  2014).
+- No line is found: the curve is integrated as it is, for the parameters that the last tenth leaves.
 
-is as large as ISO 3382 requires: the noise is 10 dB below the evaluation range. No other module
-imports pyfar, pyrato and soundfile (``rtcal[measurement]``).
+A parameter is returned only if the range of levels below the sound is as large as ISO 3382 requires:
+the end is 10 dB below the evaluation range. The range is
+
+    INR = 10 lg(E 6 ln(10) / (EDT N)) dB,   E the energy, N the energy per second at the end.
+
+A file whose energy arrives late, such as the recording of a sweep or of interrupted noise, has no
+parameter at all. No other module imports pyfar and pyrato (``rtcal[measurement]``).
 
 References: ISO 3382-1:2009; ISO 3382-2:2008, 5.3.3; Jacobsen and Rindel, J. Sound Vib. 117 (1987);
 Lundeby, Vigran, Bietz, Vorlaender, Acustica 81 (1995); Guski and Vorlaender, Acta Acust. united Ac.
@@ -22,6 +30,8 @@ import os
 import re
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -29,13 +39,20 @@ import numpy as np
 
 from rtcal.acoustics import bands as _bands
 from rtcal.acoustics import decay
-from rtcal.acoustics.decay import bent_decays
+from rtcal.acoustics.decay import MARGIN_DB, bent_decays
 from rtcal.acoustics.materials import text_name
 from rtcal.acoustics.measurement import Measurement
-from rtcal.acoustics.observables import EARLY, OBSERVABLES, DecaySlope, of_kind, parameter_label
+from rtcal.acoustics.observables import (
+    EARLY,
+    OBSERVABLES,
+    TARGET,
+    DecaySlope,
+    of_kind,
+    parameter_label,
+)
 from rtcal.acoustics.repeats import copies, groups, in_words, names_of_repeats, places_of
-from rtcal.io import sofa, wav
-from rtcal.io.analysis import MOST_NAMED, Analysis, late_energy, spread
+from rtcal.io import sofa, sound
+from rtcal.io.analysis import MOST_NAMED, Analysis, Floor, spread
 from rtcal.support import checks, library
 from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError
@@ -67,7 +84,7 @@ def read(
     repeats: bool = False,
     progress: Callable[[], None] | None = None,
 ) -> Analysis:
-    """Read one or more WAV (PCM or float, 18 s at 48 kHz at most) or SOFA files and analyse them.
+    """Read one or more sound files (WAV, FLAC and what else soundfile reads) or SOFA and analyse them.
 
     A name like ``LS1_MP3`` or ``S1-R2`` in the file's name is its source and receiver; else the
     source is ``S1`` and the receiver the file's name. ``S1-R2#2`` is a repeat of ``S1-R2``: repeats are
@@ -95,66 +112,77 @@ def read(
     paths = [path] if isinstance(path, (str, os.PathLike)) else list(path)
     if not paths:
         raise DataError("no file of an impulse response is given")
-    signals: dict[tuple[str, str], Any] = {}
-    places: dict[tuple[str, str], str] = {}
+    responses: dict[tuple[str, str], _Response] = {}
+    doubts = list[str]()
     for file in paths:
-        several = channels == "receivers" or sofa.claims(file)
-        for source, receiver, signal in _sounds(os.fspath(file)):
+        of_sofa = sofa.claims(file)
+        opened = None if of_sofa else sound.opened(file)
+        doubts += () if opened is None else opened.doubts
+        for source, receiver, every in _of_sofa(file) if opened is None else _of_sound(opened):
             text_name(f"{file}: a position", source + receiver)
-            for name, channel in _channels(signal, receiver, channels, os.fspath(file)):
-                if (source, name) in signals and not repeats:
+            for name, response in _chosen(every, receiver, channels, os.fspath(file)):
+                if (source, name) in responses and not repeats:
                     raise DataError(
                         f"{file}: source {source}, receiver {name} is given twice; if it is a repeat, "
                         f"name it {source}-{name}#2, or state repeats=True"
                     )
                 names = names_of_repeats(name)
-                name = next(n for n in names if (source, n) not in signals)
-                signals[source, name] = channel
-                places[source, name] = os.fspath(file) + (f", {source}, {name}" if several else "")
-    return _analysis(signals, places, bands, _ranges(minimum_range), progress)
+                name = next(n for n in names if (source, n) not in responses)
+                several = channels == "receivers" or of_sofa
+                place = os.fspath(file) + (f", {source}, {name}" if several else "")
+                responses[source, name] = _Response(place, response.load, response.sampling_rate)
+    return _analysis(responses, bands, _ranges(minimum_range), progress, doubts)
 
 
-def _sounds(file: str) -> Iterator[tuple[str, str, Any]]:
-    """Yield source, receiver and pyfar Signal of each response in a WAV or SOFA file."""
-    if not sofa.claims(file):
-        stem = Path(file).stem
-        match = _NAMES.search(stem)
-        source, receiver = match.groups() if match else ("S1", stem)
-        yield source, receiver, _sound(file)
-        return
-    pyfar, _ = _libraries()
-    responses = sofa.read(file)
-    for (source, receiver), samples in zip(responses.pairs, responses.samples, strict=True):
-        yield source, receiver, pyfar.Signal(samples, responses.sampling_rate)
+@dataclass(frozen=True)
+class _Response:
+    """A response that is loaded where it is needed, so that one at a time is in memory.
+
+    Parameters
+    ----------
+    place : str
+        Name in messages.
+    load : callable
+        Returns the samples, (n_samples,).
+    sampling_rate : float
+        Hz.
+    """
+
+    place: str
+    load: Callable[[], Array]
+    sampling_rate: float
 
 
-def _sound(file: str) -> Any:
-    """Return the pyfar Signal of a file; DataError if it is no WAV or a sample is not finite."""
-    wav.check_header(file)
-    pyfar, _ = _libraries()
-    try:
-        import soundfile  # pyfar reads with it, and does not say which sample is not finite
-
-        samples, rate = soundfile.read(file, always_2d=True)
-    except (OSError, RuntimeError, ValueError, TypeError) as error:
-        raise DataError(f"{file}: cannot be read as WAV: {error}") from error
-    for channel in samples.T:
-        wav.check_finite(file, channel)
-    return pyfar.Signal(samples.T, rate)
+def _of_sound(file: sound.SoundFile) -> Iterator[tuple[str, str, list[_Response]]]:
+    """Yield source, receiver and channels of a sound file, named by its name."""
+    stem = Path(file.path).stem
+    match = _NAMES.search(stem)
+    source, receiver = match.groups() if match else ("S1", stem)
+    loads = [partial(file.samples, i) for i in range(file.n_channels)]
+    yield source, receiver, [_Response(file.path, load, file.sampling_rate) for load in loads]
 
 
-def _channels(
-    signal: Any, receiver: str, channels: int | str | None, place: str
-) -> list[tuple[str, Any]]:
-    """Return the receivers' names and signals that a file holds."""
-    n_channels = signal.time.shape[0]
+def _of_sofa(path: str | os.PathLike[str]) -> Iterator[tuple[str, str, list[_Response]]]:
+    """Yield source, receiver and channels of each measurement in a SOFA file."""
+    file = sofa.read(path)
+    for (source, receiver), samples in zip(file.pairs, file.samples, strict=True):
+        loads = [partial(np.asarray, channel, dtype=float) for channel in samples]
+        place = os.fspath(path)
+        yield source, receiver, [_Response(place, load, file.sampling_rate) for load in loads]
+
+
+def _chosen(
+    every: Sequence[_Response], receiver: str, channels: int | str | None, place: str
+) -> list[tuple[str, _Response]]:
+    """Return the receivers' names and responses of those channels of a measurement that are read."""
+    n_channels = len(every)
     if channels == "receivers" and n_channels > 1:
-        place, mark, repeat = receiver.partition("#")
-        return [(f"{place}-{i + 1}{mark}{repeat}", signal[i]) for i in range(n_channels)]
+        name, mark, repeat = receiver.partition("#")
+        return [(f"{name}-{i + 1}{mark}{repeat}", response) for i, response in enumerate(every)]
     if isinstance(channels, str) and channels != "receivers":
         raise DataError(f'channels = "{channels}" is neither a number nor "receivers"')
     if n_channels == 1:
-        return [(receiver, signal)]  # no copy
+        return [(receiver, every[0])]
     if channels is None:
         raise DataError(
             f"{place}: {n_channels} channels; state which one to read (channels=1), or that each "
@@ -163,7 +191,7 @@ def _channels(
     number = checks.whole("channels", channels, 1)
     if number > n_channels:
         raise DataError(f"{place}: {n_channels} channels; there is no channel {number}")
-    return [(receiver, signal[number - 1])]
+    return [(receiver, every[number - 1])]
 
 
 @checked
@@ -203,79 +231,98 @@ def analyse(
     for pair, signal in signals.items():
         if not hasattr(signal, "sampling_rate"):
             raise DataError(f"signals: {checks.shown(signal)} of {pair} is no pyfar.Signal")
-    places = {pair: f"impulse response {'/'.join(pair)}" for pair in signals}
-    return _analysis(signals, places, bands, needed, progress)
+        shape = np.shape(signal.time)
+        if len(shape) != 2 or shape[0] != 1:
+            raise DataError(f"signals: {pair} has shape {shape}; one channel is needed")
+    responses = {
+        pair: _Response(
+            f"impulse response {'/'.join(pair)}",
+            partial(np.asarray, signal.time[0], dtype=float),
+            float(signal.sampling_rate),
+        )
+        for pair, signal in signals.items()
+    }
+    return _analysis(responses, bands, needed, progress)
 
 
 def _analysis(
-    signals: Mapping[tuple[str, str], Any],
-    places: Mapping[tuple[str, str], str],
+    responses: Mapping[tuple[str, str], _Response],
     bands: str | Sequence[float],
     needed: dict[str, float],
     progress: Callable[[], None] | None,
+    doubts: Sequence[str] = (),
 ) -> Analysis:
-    """Return the parameters of responses; ``places`` are their names in messages."""
-    wav.check_usable((places[pair], signal) for pair, signal in signals.items())
-    rate = min(float(s.sampling_rate) for s in signals.values())
-    centres, fractions = _centres(bands, rate)
-    values = {p: np.full((len(signals), len(centres)), np.nan) for p in MINIMUM_RANGE}
-    ratios = np.full((len(signals), len(centres)), np.nan)
-    missing, clipped = list[str](), list[str]()
+    """Return the parameters of responses; ``doubts`` are notes on their files."""
+    _libraries()
+    sound.check_usable((response.place, response.load()) for response in responses.values())
+    centres, fractions = _centres(bands, min(r.sampling_rate for r in responses.values()))
+    shape = len(responses), len(centres)
+    values = {p: np.full(shape, np.nan) for p in MINIMUM_RANGE}
+    ratios = np.full(shape, np.nan)
+    floors = np.full(shape, Floor.NOISE, dtype=object)
+    missing, clipped, late, bare = list[str](), list[str](), list[str](), list[str]()
     silences: dict[tuple[str, str], float] = {}
     short: dict[float, list[float]] = {}
-    for i, (pair, signal) in enumerate(signals.items()):
-        samples = wav.prepared(signal)
+    for i, (pair, response) in enumerate(responses.items()):
+        rate = response.sampling_rate
+        samples = sound.prepared(response.load(), rate)
         onset = samples.onset
-        if samples.silence >= wav.LEAST_SILENCE:
+        if samples.silence >= sound.LEAST_SILENCE:
             silences[pair] = samples.silence
         if samples.clipped:
-            clipped.append(f"{places[pair]} ({samples.clipped} samples)")
-        for k, centre in enumerate(centres):
-            bandwidth = centre * (2 ** (0.5 / fractions) - 2 ** (-0.5 / fractions))
-            energy = _filtered(samples.time, float(signal.sampling_rate), float(centre), fractions)
-            lead = min(onset, int(4 / bandwidth * signal.sampling_rate))
-            parameters, ratios[i, k], reasons = of_energy(
-                energy[onset:],
-                signal.sampling_rate,
-                minimum_range=needed,
-                centre_frequency=centre,
-                early=float(energy[onset - lead : onset].sum()),
-                early_samples=lead,
-            )
+            clipped.append(f"{response.place} ({samples.clipped} samples)")
+        found = list[_Parameters]()
+        for centre in centres:
+            bandwidth = _bandwidth(centre, fractions)
+            energy = _filtered(samples.time, rate, float(centre), fractions)
+            lead = min(onset, int(4 / bandwidth * rate))
+            before = float(energy[onset - lead : onset].sum())
+            # At the end, where it starts, the filter has not risen yet.
+            energy = energy[: max(len(energy) - int(rate / bandwidth), onset)]
+            found.append(_parameters(energy[onset:], rate, needed, centre, bandwidth, before, lead))
+        told = [of_band for of_band in found if of_band.values]
+        if 2 * sum(of_band.late for of_band in told) > len(told):
+            late.append(response.place)
+            found = [_Parameters(ratio=f.ratio, floor=Floor.LATE) for f in found]
+        elif 2 * len(told) < len(found):
+            bare.append(f"{response.place} ({len(found) - len(told)} of {len(found)} bands)")
+        for k, (centre, of_band) in enumerate(zip(centres, found, strict=True)):
             place = f"{', '.join(pair)}, {_bands.label(centre)}"
-            missing += [f"{place}: {reason}" for reason in reasons]
-            for parameter, value in parameters.items():
+            missing += [f"{place}: {reason}" for reason in of_band.reasons(needed)]
+            for parameter, value in of_band.values.items():
                 values[parameter][i, k] = value
-            t = next((parameters[p] for p in of_kind(DecaySlope) if p in parameters), np.inf)
-            if bandwidth * t < LEAST_BT:
-                short.setdefault(centre, []).append(bandwidth * t)
+            ratios[i, k], floors[i, k] = of_band.ratio, of_band.floor
+            slopes = of_kind(DecaySlope)
+            t = next((of_band.values[p] for p in slopes if p in of_band.values), np.inf)
+            if (product := _bandwidth(centre, fractions) * t) < LEAST_BT:
+                short.setdefault(centre, []).append(product)
         if progress is not None:
             progress()
-    measurement = Measurement(centre_frequencies=centres, pairs=tuple(signals), values=values)
-    placed = places_of([*signals])
-    of_place = groups(placed).values()
-    notes = in_words(placed) + copies([*signals], values.values())
-    silent = np.isneginf(ratios).sum(axis=1)
-    if lacking := np.flatnonzero(2 * silent > len(centres)).tolist():
-        names = [*places.values()]
-        of_file = [f"{names[i]} ({silent[i]} of {len(centres)} bands)" for i in lacking]
+    measurement = Measurement(centre_frequencies=centres, pairs=tuple(responses), values=values)
+    placed = places_of([*responses])
+    notes = in_words(placed) + copies([*responses], values.values()) + [*doubts]
+    if bare:
         notes.append(
-            f"no decay stands out of the noise: {first_of(of_file, MOST_NAMED)}. Look whether it is an "
-            "impulse response, and not noise or a recording of the excitation"
+            f"hardly a decay: {first_of(bare, MOST_NAMED)} without any parameter. Look whether it is "
+            "an impulse response, and not noise or a recording of the excitation"
         )
-    notes += late_energy(values, [*places.values()])
+    if late:
+        notes.append(
+            f"{Floor.LATE.reason}: {first_of(late, MOST_NAMED)}. Nothing of it is evaluated; an "
+            "impulse response is needed"
+        )
     if clipped:
         notes.append(
             f"clipped: {first_of(clipped, MOST_NAMED)}. Their largest value occurs "
-            f"{wav.LEAST_CLIPPED} times or more, that of a decay once. All their values are in doubt, "
-            "and no table says so: measure again at a lower level, or without these files"
+            f"{sound.LEAST_CLIPPED} times or more, that of a decay once. All their values are in "
+            "doubt, and no table says so: measure again at a lower level, or without these files"
         )
     if silences:
         seconds = spread([*silences.values()], ".2f")
         named = first_of([" to ".join(pair) for pair in silences], MOST_NAMED)
         notes.append(f"{named}: the last {seconds} s are digital silence, left out")
     for centre, products in short.items():
-        count = "" if len(signals) == 1 else f" in {len(products)} of {len(signals)} pairs"
+        count = "" if len(responses) == 1 else f" in {len(products)} of {len(responses)} pairs"
         notes.append(
             f"{_bands.label(centre)}: B T = {spread(products, '.1f')}{count} is below {LEAST_BT:g}: "
             "the measured decay contains that of the band filter"
@@ -284,13 +331,21 @@ def _analysis(
         f"{_bands.label(band.frequency)}: {band.text}; one T does not describe it"
         for band in bent_decays(measurement)
     ]
+    # Of repeats, the one that reaches least deep.
+    least = [np.array(rows)[np.argmin(ratios[rows], axis=0)] for rows in groups(placed).values()]
+    bands_of = np.arange(len(centres))
     return Analysis(
         measurement=measurement,
-        impulse_to_noise_ratio=np.array([ratios[rows].min(axis=0) for rows in of_place]),
+        impulse_to_noise_ratio=np.array([ratios[rows, bands_of] for rows in least]),
+        floors=tuple(tuple(floors[rows, bands_of]) for rows in least),
         minimum_range=needed,
         missing=tuple(missing),
         notes=tuple(notes),
     )
+
+
+def _bandwidth(centre: float, fractions: int) -> float:
+    return centre * (2 ** (0.5 / fractions) - 2 ** (-0.5 / fractions))
 
 
 @checked
@@ -310,73 +365,225 @@ def of_energy(
     """
     needed = _ranges(minimum_range)
     checks.positive("sampling_rate", sampling_rate, "Hz")
+    bandwidth = sampling_rate / 2 if centre_frequency is None else _bandwidth(centre_frequency, 1)
+    of_band = _parameters(
+        energy, sampling_rate, needed, centre_frequency, bandwidth, early, early_samples
+    )
+    return of_band.values, of_band.ratio, of_band.reasons(needed)
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Parameters:
+    """The parameters of one response in one band.
+
+    Parameters
+    ----------
+    ratio : float
+        Impulse-to-noise ratio in dB; -inf without a decay of 10 dB.
+    floor : Floor
+        What ends the range of levels.
+    values : mapping of str to float
+        Those that the range suffices for.
+    late : bool
+        Whether the energy arrives later than that of a decay.
+    """
+
+    ratio: float
+    floor: Floor
+    values: dict[str, float] = field(default_factory=dict)
+    late: bool = False
+
+    def reasons(self, needed: Mapping[str, float]) -> tuple[str, ...]:
+        """Return the reason for each missing value; one for all where no parameter is there."""
+        if not np.isfinite(self.ratio) or self.floor is Floor.LATE:
+            return (self.floor.reason,)
+        return tuple(
+            f"{parameter_label(p)} needs {needed[p]:g} dB {self.floor.reason}; there are "
+            f"{self.ratio:.1f} dB"
+            for p in MINIMUM_RANGE
+            if p not in self.values
+        )
+
+
+def _parameters(
+    energy: Array,
+    rate: float,
+    needed: Mapping[str, float],
+    centre: float | None,
+    bandwidth: float,
+    early: float,
+    early_samples: int,
+) -> _Parameters:
+    """Return the parameters of one squared response; see `of_energy`."""
     total = float(np.sum(energy))
-    if not (np.isfinite(total) and total > 0 and len(energy) >= sampling_rate / 20):
-        return {}, -np.inf, ("no decay: the response is silent or shorter than 50 ms",)
+    if not (np.isfinite(total) and total > 0 and len(energy) >= rate / 20):
+        return _Parameters(ratio=-np.inf, floor=Floor.SHORT)
     energy = np.asarray(energy, dtype=float) / energy.max()
     early = early * float(np.sum(energy)) / total
-    curve, noise = _curve_and_noise(energy, sampling_rate, centre_frequency)
-    if len(curve) < 10 or not noise >= 0:
-        return {}, -np.inf, ("no decay stands out of the noise",)
+    decayed = _decay_curve(energy, rate, centre, max(needed.values()))
+    curve = decayed.curve
     level = 10 * np.log10(curve / curve[0])
     # Levels below every evaluation range are left out, which saves memory in the regressions.
     slopes = of_kind(DecaySlope)
     lowest = min(o.lower for o in slopes.values())
     in_range = level[: int(np.max(np.flatnonzero(level >= lowest))) + 1]
-    times = {
-        p: float(o.of_curve(in_range, 1 / sampling_rate))
-        for p, o in slopes.items()
-        if level[-1] <= o.lower
-    }
-    times = {p: t for p, t in times.items() if np.isfinite(t)}
-    if EARLY.key not in times:
-        reason = f"no decay of 10 dB stands out of the noise ({-level[-1]:.0f} dB do)"
-        return {}, -np.inf, (reason,)
-    density = curve[0] * 6 * np.log(10) / (times[EARLY.key] * sampling_rate)
-    inr = float(10 * np.log10(density / noise)) if noise > 0 else np.inf
-    curve[0] += max(early - noise * early_samples, 0.0)
-    parameters = {**_energy_ratios(curve, sampling_rate), **times}
-    reasons = [
-        f"{parameter_label(p)} needs {needed[p]:g} dB between sound and noise (ISO 3382); there are "
-        f"{inr:.1f} dB"
-        for p in MINIMUM_RANGE
-        if inr < needed[p]
-    ] + [
-        f"{parameter_label(p)}: the decay curve ends at {level[-1]:.1f} dB"
-        for p in MINIMUM_RANGE
-        if inr >= needed[p] and p not in parameters
-    ]
-    return {p: v for p, v in parameters.items() if inr >= needed[p]}, inr, tuple(reasons)
+    times = {p: float(o.of_curve(in_range, 1 / rate)) for p, o in slopes.items()}
+    times = {p: t for p, t in times.items() if np.isfinite(t) and level[-1] <= slopes[p].lower}
+    if EARLY.key not in times or decayed.reach < -EARLY.lower:
+        return _Parameters(ratio=-np.inf, floor=Floor.FLAT)
+    density = curve[0] * 6 * np.log(10) / (times[EARLY.key] * rate)
+    ratio = float(10 * np.log10(density / decayed.noise)) if decayed.noise > 0 else np.inf
+    curve[0] += max(early - decayed.subtracted * early_samples, 0.0)
+    reach = min(ratio, decayed.reach)
+    values = {**_energy_ratios(curve, rate), **times}
+    return _Parameters(
+        ratio=ratio if reach >= max(needed.values()) else reach,
+        floor=decayed.floor,
+        values={p: v for p, v in values.items() if reach >= needed[p]},
+        late=_is_late(in_range, rate, values["ts"], times),
+    )
 
 
-def _curve_and_noise(
-    energy: Array, sampling_rate: float, centre_frequency: float | None
-) -> tuple[Array, float]:
-    """Return the decay curve without noise, and the noise's energy per sample.
+_LATEST = 2.5
+"""Largest T that the energy's centre of gravity amounts to, over the decay's; an exponential has 1."""
+_STEADIEST = 2.2
+"""Least time of 90 % of the energy over that of the half; an exponential has 3.3, steady noise 1.8."""
 
-    All values of the curve are positive. It is empty if no decay is above the noise.
+
+def _is_late(level: Array, rate: float, ts: float, times: Mapping[str, float]) -> bool:
+    """Return whether the energy arrives later than in a decay, judged by a decay curve in dB.
+
+    Both its centre of gravity and the rise of its energy must be late: one strong reflection in a dry
+    room makes one of them so.
+    """
+    half, most = (int(np.argmax(level <= -10 * np.log10(x))) / rate for x in (2.0, 10.0))
+    t = times.get(TARGET.key)
+    if t is None:  # the last 5 dB of EDT's range
+        t = 12 * (most - int(np.argmax(level <= -5.0)) / rate)
+    return most < _STEADIEST * half and ts * 6 * np.log(10) > _LATEST * t
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Decay:
+    """A decay curve, and what ends it.
+
+    Parameters
+    ----------
+    curve : array (n,)
+        Energy that is left at each sample, above 0.
+    noise : float
+        Energy per sample at the end, of noise and decay.
+    subtracted : float
+        Noise in it that was subtracted, per sample.
+    floor : Floor
+    reach : float
+        Range in dB that is not spoilt by noise which was not subtracted.
+    """
+
+    curve: Array
+    noise: float
+    subtracted: float = 0.0
+    floor: Floor
+    reach: float = np.inf
+
+
+def _decay_curve(energy: Array, rate: float, centre: float | None, enough: float) -> _Decay:
+    """Return the decay curve of one squared response, (n_samples,), for ranges up to ``enough`` dB."""
+    energy = energy[: _cut(energy, rate, centre)]
+    n, total = len(energy), energy.sum()
+    end = energy[n * 9 // 10 :].mean()
+    with np.errstate(divide="ignore"):
+        # An error that is `MARGIN_DB` below the range is too small for any parameter.
+        reach = float(10 * np.log10(total / (end * n))) + _RANGE_TO_NOISE - MARGIN_DB
+    as_it_is = _Decay(curve=_integrated(energy), noise=float(end), floor=Floor.END, reach=reach)
+    line = None if reach >= enough else _line(energy, rate, centre)
+    if line is None:
+        return as_it_is
+    crossing, t, floor = (
+        line  # in samples; the line has the energy `floor` where it crosses the noise
+    )
+    slope = 6 * np.log(10) / t
+    first = int(np.clip(crossing + t / 6, 0, n * 9 // 10))
+    at_first, at_end = floor * np.exp(-slope * (np.array([first, n]) - crossing))
+    own = (at_first - at_end) / slope / (n - first)  # of the decay, in the mean from `first` on
+    noise = max(float(energy[first:].mean()) - own, 0.0)
+    stop, left = n, at_end
+    if noise > at_end:
+        stop = int(crossing - t / 6 * np.log10(noise / floor))
+        left = noise
+    if not 10 <= stop <= n:
+        return as_it_is
+    curve = _integrated(energy[:stop] - noise) + left / slope
+    ends = np.flatnonzero(~(curve > 0))
+    return _Decay(
+        curve=curve[: ends[0]] if ends.size else curve,
+        noise=noise + at_end,
+        subtracted=noise,
+        floor=Floor.NOISE if noise > at_end else Floor.CUT,
+    )
+
+
+_RANGE_TO_NOISE = 10.0  # dB, from the end of a range to the noise (ISO 3382-1:2009, 5.3)
+_CLIFF = 20.0
+"""Level in dB by which a decay that is cut falls at once, in the two blocks around the cut."""
+
+
+def _cut(energy: Array, rate: float, centre: float | None) -> int:
+    """Return the number of samples before a response is cut and only silence follows, or all.
+
+    The sound falls by `_CLIFF` and three times its own decay in two blocks, and does not rise again.
+    Digital silence is left out before; but one that carries the noise of a converter is none.
+    """
+    block = max(int(_window(centre) * rate), 1)
+    n = len(energy) // block
+    if n < 4:
+        return len(energy)
+    means = energy[: n * block].reshape(n, block).mean(axis=1)
+    after = np.maximum.accumulate(means[::-1])[::-1]
+    before, later = means[1:-2], after[3:]  # two blocks apart
+    with np.errstate(divide="ignore", invalid="ignore"):
+        drop = 10 * np.log10(before / later)
+        own = 10 * np.log10(means.max() / before) / np.arange(1, n - 2)
+    found = np.flatnonzero((before > 0) & (drop > _CLIFF + 6 * own))
+    if not found.size:
+        return len(energy)
+    first = int(found[0])
+    level = before[first] * np.sqrt(max(later[first] / before[first], 1e-6))
+    loud = np.flatnonzero(energy[: (first + 4) * block] > level)
+    return int(loud[-1]) + 1
+
+
+def _window(centre: float | None) -> float:
+    """Return the length in s over which Lundeby's method smooths, shorter in high bands."""
+    return 0.03 if centre is None else 0.8 / centre + 0.01
+
+
+def _integrated(energy: Array) -> Array:
+    """Return the energy from each sample on, (n_samples,), without the zeros at its end."""
+    left = np.cumsum(energy[::-1])[::-1]
+    return left[: int(np.max(np.flatnonzero(left)) + 1)]
+
+
+def _line(energy: Array, rate: float, centre: float | None) -> tuple[float, float, float] | None:
+    """Return the line of a late decay by Lundeby's method; None where it finds none.
+
+    Where it crosses the noise and its T, both in samples, and the noise, energy per sample.
     """
     pyfar, pyrato = _libraries()
-    options = {
-        "smoothing_parameter": centre_frequency or "broadband",
-        "is_energy": True,
-        "time_shift": False,
-    }
     with warnings.catch_warnings(), np.errstate(all="ignore"):
-        warnings.simplefilter("ignore")  # a failure shows in the curve, and the caller reports it
-        signal = pyfar.Signal(energy, sampling_rate)
+        warnings.simplefilter("ignore")
         try:
-            _, _, noise = pyrato.edc.intersection_time_lundeby(
-                signal, failure_policy="error", **options
-            )
-            corrected = pyrato.edc.energy_decay_curve_chu_lundeby(
-                signal, normalize=False, **options
+            found = pyrato.edc.intersection_time_lundeby(
+                pyfar.Signal(energy, rate),
+                smoothing_parameter=centre or "broadband",
+                is_energy=True,
+                failure_policy="error",
             )
         except (ArithmeticError, ValueError, IndexError, TypeError):
-            return np.empty(0), np.nan
-    curve = np.ravel(corrected.time)
-    ends = np.flatnonzero(~(curve > 0))
-    return curve[: ends[0]] if ends.size else curve.copy(), float(np.ravel(noise)[0])
+            return None
+    crossing, t, noise = (float(np.ravel(x)[0]) for x in found)
+    usable = np.isfinite([crossing, t, noise]).all() and t > 0 and noise > 0
+    return (crossing * rate, t * rate, noise) if usable else None
 
 
 def _energy_ratios(curve: Array, rate: float) -> dict[str, float]:

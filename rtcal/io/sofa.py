@@ -22,7 +22,7 @@ import numpy as np
 from rtcal.acoustics.repeats import SAME_PLACE
 from rtcal.acoustics.scene import Scene
 from rtcal.io import budget
-from rtcal.io.wav import MAX_CHANNEL_SAMPLES
+from rtcal.io.sound import MAX_CHANNEL_SAMPLES
 from rtcal.support import library
 from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError

@@ -37,7 +37,7 @@ from rtcal.calibration.problem_data import MeasuredTimes, no_times, times_in_roo
 from rtcal.calibration.result import CalibrationResult
 from rtcal.calibration.terms import LinearObservations, Observed, as_objective
 from rtcal.io.sofa import Responses
-from rtcal.io.wav import clipped_samples
+from rtcal.io.sound import clipped_samples
 from rtcal.modes.fit import AMPLITUDE, FARTHEST, Point, Spectra, fitted
 from rtcal.modes.measured import DECAY_ERROR, Matches, MeasuredModes, match
 from rtcal.modes.model import ABOVE, RoomPoles
