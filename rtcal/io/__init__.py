@@ -3,7 +3,7 @@
 `catt`, `odeon`, `pyroomacoustics` and `bras` hold material lists, `library` product data, `mesh` a
 room's mesh as it comes, `obj` one that closes, `tables` measured values, `sofa` responses with their
 positions, `balloon` what a loudspeaker radiates. `geometry_files` makes a path tracing of a room that
-states its scene. `impulse_responses` turns WAV and SOFA files into a `Measurement` and needs
+states its scene. `impulse_responses` turns sound and SOFA files into a `Measurement` and needs
 ``rtcal[measurement]``. Each module is imported at its first use.
 """
 

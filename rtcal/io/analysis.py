@@ -44,7 +44,7 @@ def with_uncertainty(measurement: Measurement) -> Measurement:
 
 
 class Floor(Enum):
-    """What ends the range of levels of a decay: the reason for a missing value, and its sentence.
+    """Ends of the range of levels of a decay: the reason for a missing value, and its sentence.
 
     The reason is of one value, or of all where the sentence has no place for the range in dB.
     """

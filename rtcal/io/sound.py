@@ -33,7 +33,7 @@ _SLACK = 64  # bytes by which programs miscount the length in a header
 
 @dataclass(frozen=True)
 class SoundFile:
-    """What a sound file declares.
+    """Declarations of a sound file.
 
     Parameters
     ----------
