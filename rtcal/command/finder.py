@@ -13,6 +13,8 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from rtcal.command.console import (
+    as_options,
+    errors_name_options,
     heading_options,
     numbers,
     output_folder,
@@ -159,7 +161,10 @@ def verify(
         return
     refuse({"--finding": finding}, " needs --before")
     found = search_case(inputs, search)
-    if (nothing := found.reason_for_none) is not None:
+    nothing = found.reason_for_none
+    if nothing is None and not found.can_be_verified and found.undecided:
+        nothing = f"Not verified: {as_options(found.undecided, ['effect'])}"
+    if nothing is not None:
         record = {"verdict": None, "sentence": nothing, "finding": found.to_dict()}
         tell(nothing, record)
         return
@@ -188,6 +193,11 @@ def verify(
 @click.option(
     "--at", metavar="X,Y,Z", help="With a geometry: middle of the patch in m, on its surface."
 )
+@click.option(
+    "--effect",
+    metavar="NAME",
+    help="The candidate to add; needed where none has a probability of 0.3.",
+)
 @before_option
 @number_options
 def apply(
@@ -196,17 +206,20 @@ def apply(
     number: Mapping[str, Any],
     out: str,
     room: str | None,
+    effect: str | None,
     form: str | None,
     at: str | None,
     before: str | None,
 ) -> None:
     """Add the named effect to the model, and print the calibration with it.
 
-    If the finding is ambiguous, the best candidate is added, and the others are printed. If there is
-    nothing to add, nothing is written and the exit code is 6. With --most 3, the most probable set is
-    added.
+    If the finding is ambiguous, the best candidate is added if its probability is at least 0.3, and the
+    others are printed; else --effect must name one. If there is nothing to add, nothing is written and
+    the exit code is 6. With --most 3, the most probable set is added.
 
-    The written case can be used like any other. Neither it nor the room is calibrated.
+    The written case can be used like any other. Neither it nor the room is calibrated. Areas and volume
+    stay as stated: absorbers stand free in the room. A volume is changed only where its error is
+    claimed, at 0.9.
 
     With a geometry, a folder gets room, mesh, and lists of materials for CATT and ODEON. The
     patch stands in the middle of its surface unless --at says where.
@@ -218,7 +231,7 @@ def apply(
     Example: rtcal apply case.toml \\
         --out corrected.json --room corrected.toml
     """  # noqa: D301 (click's mark for lines that are not to be wrapped)
-    stated = {"--room": room, "--form": form, "--at": at}
+    stated = {"--room": room, "--form": form, "--at": at, "--effect": effect}
     if before is not None:
         refuse(stated | _more_than_one(number), OF_ONE_STATE)
         if not apply_change(inputs, search, before, Path(out)):
@@ -231,7 +244,9 @@ def apply(
         case = read_case(inputs, [out] if room is None else [out, room])
         of_patch = {k: stated[k] for k in ("--form", "--at")}
         refuse(of_patch, ": a case without a geometry has no surface")
-        correction = correct(search_case(inputs, search, (), number, case), out, room)
+        found = search_case(inputs, search, (), number, case)
+        with errors_name_options("effect"):
+            correction = correct(found, out, room, effect)
         write_all(correction.files)
         tell(str(correction), correction.to_dict())
         added = bool(correction.files)
@@ -239,6 +254,7 @@ def apply(
         from rtcal.finder.positions.corrected import FILES
 
         refuse({"--room": room}, ": with a geometry the room is written into the folder of --out")
+        refuse({"--effect": effect}, ": with a geometry --at says on which surface it is to stand")
         if os.path.isfile(out):
             raise DataError(f"--out {out} is a file; with a geometry it is a folder")
         place = _place(at)

@@ -164,6 +164,9 @@ class Candidate:
 _CONVERTED = ("size", "low", "high", "spectrum", "parameters", "parts")
 
 
+LEAST_ADDED = 0.3
+"""Probability below which ``apply`` adds an effect only where it is stated by its name. Of first
+candidates with less 9 of 41 were right."""
 _NOTHING = 0.1
 """Probability that nothing is other than stated, from which a verdict says it first."""
 NATS = "2.3 nats are odds of ten to one"
@@ -398,6 +401,11 @@ class Finding(Result):
     @abstractmethod
     def reason_for_none(self) -> str | None:
         """Why there is nothing to add, in words; None where there is something."""
+
+    @property
+    def undecided(self) -> str:
+        """Why ``apply`` must be told what it is to add, in words; "" where it need not be."""
+        return ""
 
     @property
     @abstractmethod

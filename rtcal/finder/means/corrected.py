@@ -1,15 +1,15 @@
 """The corrected room as a `Room` and as a `Simulator`, for use in other packages.
 
-Volume, areas, coefficients and air are those of the case's state with its effects. Absorption that
-belongs to no stated material becomes a further material, which replaces every wall in proportion to
-its area. Its area equals its largest absorption area over the bands, with its size at the upper end of
-the 90 % interval. So a calibration can increase the absorber as well as decrease it. A `Room` cannot
+Volume and areas stay as stated, unless an effect is about that very number. Absorption that belongs to
+no stated material becomes a further material, which stands free: means over positions do not tell which
+wall it hides. Its area is such that alpha = 1 in its most absorbing band is the upper end of the size's
+90 % interval, so that a calibration can increase the absorber as well as decrease it. A `Room` cannot
 represent the decay's shape or noise (`not_in_room`); the `Simulator` does.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, fields, replace
 
 import numpy as np
@@ -18,7 +18,7 @@ from rtcal.acoustics import bands
 from rtcal.acoustics.air import Air
 from rtcal.acoustics.changes import Further, new_name, with_materials
 from rtcal.acoustics.equations import mean_equation
-from rtcal.acoustics.materials import Material
+from rtcal.acoustics.materials import Material, Surface
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.priors import NORMAL_90
 from rtcal.acoustics.room import Room
@@ -36,14 +36,12 @@ from rtcal.support.text import listed
 from rtcal.support.types import Array
 
 _LARGEST_SHARE = 0.5
-"""Share of the wall area up to which an absorber is enlarged for its size's interval.
-
-Half of every wall remains. T of the corrected room does not depend on the share w, since the
-absorber's coefficient is wall + (both - wall) / w. The limit only bounds how far a calibration can
-enlarge the absorber."""
-_LARGER = ", larger than found, so that a calibration can make it absorb more"
+"""Share of the wall area up to which an absorber is enlarged for its size's interval. The limit only
+bounds how far a calibration can enlarge the absorber."""
+_MOST = 10.0
+"""Area of an absorber over that of the walls beyond which no such absorber is made."""
 _NO_ABSORPTION = 1e-12
-"""Change of the mean over the walls under which an effect absorbs nothing."""
+"""Change of the absorption over the wall area under which an effect absorbs nothing."""
 _OFF_GEOMETRY = 0.01
 """Share by which a geometry may differ from an area or a volume that the finding has changed."""
 _HELD = ("volume", "areas", "alpha", "air", "speed_of_sound", "covering", "objects", "equation")
@@ -57,9 +55,9 @@ def corrected_room(case: Case) -> Room:
     By the model's equation it has the absorption area and T of the case's model, without what
     `not_in_room` lists. (A calibration of Millington's model uses Eyring's equation.) A change of a
     stated material, such as a cover, is in its row, and its source says so. Absorbers are materials
-    after the stated ones, with the walls' mean scattering. Their sigma, and that of a changed material,
-    contains the interval of the effect's size. An absorber's area is larger than the effect's, so that
-    alpha = 1 is the upper end of the interval.
+    after the stated ones, which stand free and have the walls' mean scattering. Their sigma, and that
+    of a changed material, contains the interval of the effect's size. An absorber's area is larger than
+    the effect's, so that alpha = 1 is the upper end of the interval.
 
     Raises DataError for coefficients below 0 or above 1.
     """
@@ -80,25 +78,19 @@ def not_in_room(case: Case) -> list[str]:
         )
     names = ("surfaces", "dimensions")
     lost = [n for n in names if getattr(case.room, n) and not getattr(c.room, n)]
-    if changed := _resized(case.room, c):
+    if changed := _resized(case.room, c.room):
         out.append(f"{listed([*lost, 'areas as stated'])}: {listed(changed)}")
     return out
 
 
-def _resized(stated: Room, c: _Corrected) -> list[str]:
-    """Return in words which areas, and whether the volume, are other than stated, and why."""
-    room, n = c.room, stated.n_materials
+def _resized(stated: Room, room: Room) -> list[str]:
+    """Return in words whether the volume, and which areas, are other than stated."""
     out = []
     if room.volume != stated.volume:
         out = [f"the volume is {room.volume:.4g} m³ and was {stated.volume:.4g}"]
-    for name, was, area in zip(stated.materials, stated.areas, c.stated.areas, strict=True):
+    for name, was, area in zip(stated.materials, stated.areas, room.areas, strict=False):
         if area != was:
             out.append(f'the area of "{name}" is {area:.4g} m² and was {was:.4g}')
-    if c.shares:
-        further = zip(room.materials[n:], room.areas[n:], strict=True)
-        each = listed([f"{name} ({area:.1f} m²)" for name, area in further])
-        factor = room.areas[0] / c.stated.areas[0]
-        out.append(f"each area is {factor:.3g} times as large, and the rest became {each}{_LARGER}")
     return out
 
 
@@ -113,8 +105,8 @@ def simulator(case: Case, make: Callable[[Room], Simulator] | None = None) -> Si
     make : function, optional
         Builds a simulator for a room of the stated materials, with the air, volume and areas of the
         finding: ``lambda room: PathTracing(room=room, geometry=..., ...)``. Absorbers are spread over
-        all its walls: alpha = (1 - w) alpha_wall + w alpha_absorber, w their share of the area. By
-        default the simulator is the case's model: equation, decay and noise.
+        all its walls, each of which absorbs the same share of what it reflected. By default the
+        simulator is the case's model: equation, decay and noise.
 
     Raises
     ------
@@ -128,8 +120,9 @@ def simulator(case: Case, make: Callable[[Room], Simulator] | None = None) -> Si
         raise DataError(f"make = {make!r} is not a function of a room")
     c = _corrected(case)
     for p in case.applied:
-        if p.name in c.absent and p.effect.not_in_simulator is not None:
-            why = c.absent[p.name]
+        why = c.absent.get(p.name, "")
+        why = next((cause for cause in (_DECAY, _NO_AIR, _TOO_MUCH) if cause in why), "")
+        if why and p.effect.not_in_simulator is not None:
             raise DataError(f"{p.name}: {p.effect.not_in_simulator if why == _DECAY else why}")
     return SpreadAbsorbers(case, make(c.stated))
 
@@ -212,9 +205,16 @@ class SpreadAbsorbers(RoomSimulator):
     def simulate(self, alpha: Array, *, seed: int = 0) -> Measurement:
         """Simulate alpha (n_materials, n_bands)."""
         alpha = check_alpha(self, alpha)
-        n = len(self.inner.materials)
-        share = self.room.areas[n:] / self.room.total_area
-        return run(self.inner, (1 - share.sum()) * alpha[:n] + share @ alpha[n:], seed=seed)
+        s = _corrected(self.case).state(alpha)
+        linear = mean_equation(s.equation).linear()
+        bare = replace(s, covering=0.0, objects=0.0)
+        whole, walls = (
+            linear.inverse((at.surface_absorption + at.objects) / at.total_area) for at in (s, bare)
+        )
+        whole = np.where(np.isfinite(whole), np.minimum(whole, 1.0), 1.0)
+        more = (whole - walls) / (1 - walls)
+        spread = np.where(more > 0, s.alpha + more * (1 - s.alpha), s.alpha * whole / walls)
+        return run(self.inner, np.clip(spread, 0.0, 1.0), seed=seed)
 
 
 def _check_geometry(before: Room, after: Room, geometry: Polyhedron) -> None:
@@ -242,25 +242,27 @@ def _base(case: Case) -> Configuration:
 
 _DECAY = "a room has surfaces and air only"
 _NO_AIR = "its air is not that of a climate (ISO 9613-1)"
-_TOO_MUCH = "no coefficients from 0 to 1 absorb so much, or so little, on these surfaces"
+_TOO_MUCH = "no area of a further material absorbs so much"
+_HIDES = "it hides wall that absorbs more than it does, which the stated areas keep,"
+_LARGER = ", so that a calibration can make it absorb more"
+_TAKES = "it takes absorption away, and no stated surface is known that loses it"
 
 
 @dataclass(frozen=True, eq=False)
 class _Corrected:
     """A corrected room, and what links it to the case's state.
 
-    ``stated`` has the stated materials alone. ``whole`` is the state with all effects, ``kept`` the
-    same without the absorption that has become the room's absorbers. ``shares`` are the absorbers'
-    shares of the area, each of what stood before it. The first ``n_coverings`` replace wall, the others
-    are objects. ``absent`` says why a room cannot represent an effect.
+    ``stated`` has the stated materials alone. ``whole`` is the state with all effects. ``absorbers``
+    are the area in m² of each further material, and whether the effect covers wall in the model.
+    ``left`` (2, n_bands) is what the state's covering and objects have beside these materials.
+    ``absent`` says why a room cannot represent an effect.
     """
 
     room: Room
     stated: Room
     whole: RoomState
-    kept: RoomState
-    shares: tuple[float, ...]
-    n_coverings: int
+    absorbers: tuple[tuple[float, bool], ...]
+    left: Array
     absent: dict[str, str]
 
     def state(self, alpha: Array) -> RoomState:
@@ -269,19 +271,36 @@ class _Corrected:
         Coverings and objects stay what they are, so that a decay's shape is the same, too.
         """
         n = self.stated.n_materials
-        equation, area = mean_equation(self.whole.equation), self.whole.total_area
-        s = replace(self.kept, alpha=alpha[:n], covering=0.0, objects=0.0)
-        mean = mean_contributions(equation, [s])[0]
-        covering, objects = self.kept.covering, self.kept.objects
-        for i, (w, row) in enumerate(zip(self.shares, alpha[n:], strict=True)):
-            patch = equation.contribution(np.minimum(row, equation.largest_alpha))
-            after = np.minimum((1 - w) * mean + w * patch, highest(equation))
-            if i < self.n_coverings:
-                covering = covering + area * (after - mean)
-            else:
-                objects = objects + area * (equation.exponent(after) - equation.exponent(mean))
-            mean = after
-        return replace(s, covering=covering, objects=objects)
+        bare = replace(self.whole, alpha=alpha[:n], covering=0.0, objects=0.0)
+        covering, objects = _added_by(bare, self.absorbers, alpha[n:]) + self.left
+        return replace(bare, covering=covering, objects=objects)
+
+
+def _added_by(bare: RoomState, absorbers: Sequence[tuple[float, bool]], alpha: Array) -> Array:
+    """Return a state's covering and objects, (2, n_bands), that absorb what absorbers standing free do.
+
+    ``alpha`` are the absorbers' rows.
+    """
+    equation, walls = mean_equation(bare.equation), bare.total_area
+    mean = mean_contributions(equation, [bare])[0]
+    area, contribution = walls, walls * mean
+    covered = before = walls * equation.exponent(mean)
+    objects = np.zeros_like(mean)
+    for (further, covers), row in zip(absorbers, alpha, strict=True):
+        area = area + further
+        h = equation.contribution(np.minimum(row, equation.largest_alpha))
+        contribution = contribution + further * h
+        after = area * equation.exponent(np.minimum(contribution / area, highest(equation)))
+        if covers:
+            covered = covered + after - before
+        else:
+            objects = objects + after - before
+        before = after
+    with_cover = equation.inverse(covered / walls)
+    with_cover = np.where(with_cover <= highest(equation), with_cover, mean)
+    # Where no mean over the walls absorbs as much, it stands free in the state, too.
+    objects = objects + covered - walls * equation.exponent(with_cover)
+    return np.array([walls * (with_cover - mean), objects])
 
 
 def _corrected(case: Case) -> _Corrected:
@@ -289,17 +308,17 @@ def _corrected(case: Case) -> _Corrected:
     base, room, air = _base(case), case.room, case.room.air
     first = before = state(replace(case, applied=()), base)
     absent, last_air = dict[str, str](), "air"
-    gains: dict[str, list[tuple[AppliedEffect, Array]]] = {"covering": [], "objects": []}
+    gains: list[tuple[AppliedEffect, Array]] = []
     sources = dict(room.sources)
     for p in case.applied:
         after = with_applied(before, [p], base)
         for row in np.flatnonzero((after.alpha != before.alpha).any(axis=1)).tolist():
             name = room.materials[row]
             sources[name] = "; ".join(filter(None, [sources.get(name, ""), _changed_by(p)]))
-        for name, each in gains.items():
-            gain = getattr(after, name) - getattr(before, name) + np.zeros(room.n_bands)
-            if gain.any():
-                each.append((p, gain))
+        pairs = [(getattr(after, k), getattr(before, k)) for k in ("covering", "objects")]
+        gain = np.array([one - other + np.zeros(room.n_bands) for one, other in pairs])
+        if gain.any():
+            gains.append((p, gain))
         if any(
             not np.array_equal(getattr(after, f.name), getattr(before, f.name))
             for f in fields(RoomState)
@@ -331,57 +350,102 @@ def _corrected(case: Case) -> _Corrected:
 def _with_absorbers(
     stated: Room,
     whole: RoomState,
-    gains: dict[str, list[tuple[AppliedEffect, Array]]],
+    gains: Sequence[tuple[AppliedEffect, Array]],
     absent: dict[str, str],
 ) -> _Corrected:
-    """Return the room with a material for each effect's coverings, then for each one's objects."""
-    equation = mean_equation(whole.equation)
-    at = kept = replace(whole, covering=0.0, objects=0.0)
-    wall = _absorption(at)
-    top = float(equation.contribution(np.array(min(1.0, equation.largest_alpha))))
-    areas, names, shares = stated.areas, list(stated.materials), list[float]()
-    materials: list[Material] = []
+    """Return the room with a material for each effect that adds absorption.
+
+    ``gains`` (2, n_bands) are what each effect changes of the state's covering and objects.
+    """
+    equation, walls = mean_equation(whole.equation), whole.total_area
+    at = bare = replace(whole, covering=0.0, objects=0.0)
     scattering = None
     if stated.scattering is not None:
         scattering = (stated.areas @ stated.scattering / stated.total_area).tolist()
-    n_coverings = 0
-    for kind, every in gains.items():
-        for p, gain in every:
-            after = replace(at, **{kind: getattr(at, kind) + gain})
-            both = _absorption(after)
-            if np.allclose(wall, both, rtol=0, atol=_NO_ABSORPTION):
-                kept = replace(kept, **{kind: getattr(kept, kind) + gain})
-                continue
-            with np.errstate(divide="ignore", invalid="ignore"):
-                least = [(both - wall) / (top - wall), (wall - both) / wall]
-                w = float(np.max(np.where(both == wall, 0.0, least)))
-            if not w < 1:  # also where the equation has no mean of such an exponent
-                absent[p.name] = _TOO_MUCH
-                kept = replace(kept, **{kind: getattr(kept, kind) + gain})
-                continue
-            w = max(w, min(w * (1 + NORMAL_90 * _spread(p)), _LARGEST_SHARE))
-            absorber = np.clip(wall + (both - wall) / w, 0, top)
-            areas = np.append((1 - w) * areas, w * stated.total_area)
-            shares.append(w)
-            names.append(new_name(names, p.name))
-            source = ""
-            if p.size_interval is not None:
-                source = f"rtcal find: {_size(p)}{_LARGER}"
-            alpha = equation.coefficient(absorber)
-            mean_wall = stated.absorption_area / stated.total_area
-            sigma = np.minimum(np.abs(alpha - mean_wall) * _spread(p), 1.0)
-            materials.append(
-                Material(names[-1], alpha.tolist(), sigma.tolist(), 0.0, scattering, source)
+    names, further, absorbers = list(stated.materials), list[Further](), list[tuple[float, bool]]()
+    area, contribution = walls, walls * mean_contributions(equation, [bare])[0]
+    absorbed = bare.surface_absorption
+    for p, (covering, objects) in gains:
+        before, at = at, replace(at, covering=at.covering + covering, objects=at.objects + objects)
+        gain = (
+            at.surface_absorption + at.objects - before.surface_absorption - before.objects
+        ) / walls
+        if (gain <= _NO_ABSORPTION).all():
+            if (gain < -_NO_ABSORPTION).any():
+                absent[p.name] = "; ".join(filter(None, [_TAKES, absent.get(p.name)]))
+            continue
+
+        def standing(
+            size: float,
+            wanted: Array = absorbed + walls * gain,
+            area: float = area,
+            other: Array = contribution,
+        ) -> Array:
+            """Return h of an absorber of this area with which the room absorbs what is wanted."""
+            mean = equation.inverse(wanted / (area + size))
+            return np.asarray(((area + size) * mean - other) / size)
+
+        top = float(equation.contribution(np.array(min(1.0, equation.largest_alpha))))
+        least = _smallest(standing, top, walls)
+        if least is None:
+            absent[p.name] = "; ".join(filter(None, [_TOO_MUCH, absent.get(p.name)]))
+            continue
+        larger = _smallest(standing, top / (1 + NORMAL_90 * _spread(p)), walls) or least
+        size = max(least, min(larger, _LARGEST_SHARE * walls))
+        h = standing(size)
+        if (h < 0).any():
+            places = listed(bands.labels(stated.centre_frequencies[h < 0]))
+            hides = f"{_HIDES} at {places}"
+            absent[p.name] = "; ".join(filter(None, [hides, absent.get(p.name)]))
+        h = np.clip(h, 0, top)
+        alpha = equation.coefficient(h)
+        names.append(new_name(names, p.name))
+        further.append(
+            Further(
+                Material(
+                    names[-1],
+                    alpha.tolist(),
+                    np.minimum(alpha * _spread(p), 1.0).tolist(),
+                    0.0,
+                    scattering,
+                    f"rtcal find: {_size(p)}. It stands free with {size:.3g} m²{_LARGER}",
+                ),
+                size,
             )
-            at, wall = after, both
-        if kind == "covering":
-            n_coverings = len(shares)
+        )
+        absorbers.append((size, bool(covering.any())))
+        area, contribution = area + size, contribution + size * h
+        absorbed = area * equation.exponent(np.minimum(contribution / area, highest(equation)))
     room = stated
-    if shares:
-        n = stated.n_materials
-        further = [Further(m, area) for m, area in zip(materials, areas[n:], strict=True)]
-        room = with_materials(stated, further, areas=areas[:n], surfaces=(), dimensions=None)
-    return _Corrected(room, stated, whole, kept, tuple(shares), n_coverings, absent)
+    if further:
+        surfaces = stated.surfaces and (
+            *stated.surfaces,
+            *(
+                Surface(name=f.material.name, material=f.material.name, area=f.area)
+                for f in further
+            ),
+        )
+        room = with_materials(stated, further, surfaces=surfaces)
+    made = tuple(absorbers)
+    both = np.array([whole.covering + 0 * absorbed, whole.objects + 0 * absorbed])
+    left = both - _added_by(bare, made, room.alpha[stated.n_materials :])
+    return _Corrected(room, stated, whole, made, left, absent)
+
+
+def _smallest(standing: Callable[[float], Array], top: float, walls: float) -> float | None:
+    """Return the smallest area in m² at which no band of an absorber exceeds ``top``; None if none."""
+
+    def fits(size: float) -> bool:
+        return bool((standing(size) <= top).all())  # NaN, where no mean absorbs as much, does not
+
+    high = _MOST * walls
+    if not fits(high):
+        return None
+    low = 1e-9 * walls
+    while high / low > 1 + 1e-13:
+        middle = float(np.sqrt(low * high))
+        low, high = (low, middle) if fits(middle) else (middle, high)
+    return high
 
 
 def _changed_by(p: AppliedEffect) -> str:
@@ -425,12 +489,6 @@ def _sized(case: Case, i: int, size: float) -> list[AppliedEffect]:
 def _spread(p: AppliedEffect) -> float:
     """The relative standard deviation of an absorber's size."""
     return p.size_sigma / max(abs(p.size), 1e-9)
-
-
-def _absorption(s: RoomState) -> Array:
-    """The equation's mean over walls, coverings and objects, without the air."""
-    exponent = (s.surface_absorption + s.objects) / s.total_area
-    return mean_equation(s.equation).inverse(exponent)
 
 
 _STEP = 1e-4

@@ -10,12 +10,13 @@ import numpy as np
 
 from rtcal.acoustics import bands
 from rtcal.finder.case import Case
-from rtcal.finder.claim import SAID, Names, SetsFinding, after_doubt
+from rtcal.finder.claim import CLAIMED, SAID, Names, SetsFinding, after_doubt
 from rtcal.finder.effects.checks import AppliedEffect, checked_effects
-from rtcal.finder.finding import NATS, Size
+from rtcal.finder.effects.whole_room import WrongVolume
+from rtcal.finder.finding import LEAST_ADDED, NATS, Size
 from rtcal.finder.means.features import ModelDiscrepancy
 from rtcal.finder.means.verdict import Fit
-from rtcal.finder.prior import COEFFICIENTS, NONE, OffTogether, Prior
+from rtcal.finder.prior import COEFFICIENTS, NONE, UNKNOWN, OffTogether, Prior
 from rtcal.finder.records import data_of, record_of_means, record_of_several
 from rtcal.support import text
 from rtcal.support.arguments import checked
@@ -138,31 +139,98 @@ class MeansFinding(SetsFinding):
 
     @property
     def can_be_verified(self) -> bool:
-        """Whether `rtcal.finder.verify` can compare the gap with and without it: one effect."""
-        return self.can_be_added and len(self.members) == 1
+        """Whether `rtcal.finder.verify` can compare the gap: for one effect that is probable."""
+        return self.can_be_added and len(self.members) == 1 and self._least >= LEAST_ADDED
+
+    @property
+    def _least(self) -> float:
+        """The smallest probability of the members, that each is there at all."""
+        return min((self.probabilities[n] for n in self.members), default=0.0)
+
+    @property
+    def undecided(self) -> str:
+        """Why `apply` must be told which effect it is to add, in words; "" where it need not be."""
+        if not self.can_be_added:
+            return ""
+        if self._least < LEAST_ADDED:
+            return (
+                f"No effect is stated, and the most probable has less than {100 * LEAST_ADDED:.0f} %. "
+                f"Candidates: {self._listed_candidates}. State one: effect = NAME."
+            )
+        return self._volume_in_words(self.members)
+
+    @property
+    def _listed_candidates(self) -> str:
+        return listed([f"{n} ({self.percent(n)})" for n in self.names if n != UNKNOWN], last="or")
+
+    def _volume_in_words(self, members: Names) -> str:
+        """Why a volume among the members is not changed, in words; "" where it is, or none is there."""
+        name = WrongVolume.name
+        if name not in members or name in self.named:
+            return ""
+        others = [n for n in self.names if n not in (name, UNKNOWN)]
+        instead = f", or state another effect: {listed(others, last='or')}" if others else ""
+        return (
+            f"effect = {name} has {self.percent(name)}, and a stated volume is changed only where its "
+            f"error is claimed, from {100 * CLAIMED:.0f} %. Measure the volume and state it in the "
+            f"room's file{instead}."
+        )
 
     @checked
-    def apply(self, case: Case | None = None) -> Case:
-        """Return the case with the most probable set of effects in its model.
+    def apply(self, case: Case | None = None, *, effect: str | None = None) -> Case:
+        """Return the case with the most probable effects in its model, or with one that is named.
 
-        An ambiguous finding, and a family, add their best candidate. Each effect has its size with the
-        others in the model. Where the coefficients are off together, the room's alpha is moved and its
-        sigma widened. An effect that the case has already is left as it is.
+        An ambiguous finding, and a family, add their best candidate if it has a probability of 0.3 or
+        more. Each effect has its size with the others in the model. Where the coefficients are off
+        together, the room's alpha is moved and its sigma widened. An effect that the case has already
+        is left as it is.
+
+        Parameters
+        ----------
+        case : Case, optional
+            To which it is added; by default the finding's own.
+        effect : str, optional
+            The candidate to add instead of the most probable one.
 
         Raises
         ------
         DataError
-            If the verdict names no effect ("none", "hint", "unknown").
+            If the verdict names no effect ("none", "hint", "unknown"); if ``effect`` is no candidate;
+            if it is not stated and the most probable one has less than 0.3; for a volume that is not
+            claimed.
         """
-        case = self.case if case is None else case
+        return self.with_effects(case, self.chosen(effect))
+
+    def chosen(self, effect: str | None = None) -> Names:
+        """Return the effects that `apply` adds; DataError as it does."""
         if not self.can_be_added:
             raise DataError(f'the verdict is "{self.verdict}"; there is no effect to add')
+        if effect is None:
+            if why := self.undecided:
+                raise DataError(why)
+            return self.members
+        if effect not in self.fits:
+            raise DataError(
+                f'effect = "{effect}" is no candidate. Candidates: {self._listed_candidates}'
+            )
+        if why := self._volume_in_words((effect,)):
+            raise DataError(why)
+        return (effect,)
+
+    def with_effects(self, case: Case | None = None, members: Names | None = None) -> Case:
+        """Return the case with effects in its model; by default those of the most probable set.
+
+        It is what a verification compares with the case, however probable the effects are.
+        """
+        case = self.case if case is None else case
+        members = self.members if members is None else members
         present = {a.name for a in case.applied}
-        if present.issuperset(self.members):
+        if present.issuperset(members):
             return case
-        if self.coefficients is not None:
-            case = self.coefficients.apply(case)
-        missing = [n for n in self.members if n in self.effects and n not in present]
+        off = self.fits[members[-1]].coefficients
+        if off is not None:
+            case = off.apply(case)
+        missing = [n for n in members if n in self.effects and n not in present]
         added = [self.fits[name].applied(self.effects[name]) for name in missing]
         return replace(case, applied=(*case.applied, *added)) if added else case
 
@@ -210,9 +278,13 @@ class MeansFinding(SetsFinding):
             "(verdict unknown).",
         }.get(self.verdict)
 
-    @property
-    def added(self) -> str:
+    def added(self, members: Names) -> str:
         """The effects that `apply` adds, and those that explain the data nearly as well, in words."""
+        if members != self.members:
+            (name,) = members
+            others = [f"{n} ({self.percent(n)})" for n in self.names if n != name]
+            beside = f" Candidates beside it: {listed(others)}." if others else ""
+            return f"Added, as stated: {self.title_of(name)} ({self.percent(name)}).{beside}"
         if len(self.members) > 1:
             titles = [f"{self.title_of(n)} ({self.percent(n)})" for n in self.members]
             share = 100 * self.sets[self.members]
@@ -234,6 +306,7 @@ class MeansFinding(SetsFinding):
             "named_families": list(self.named_families),
             "named_set": list(self.named_set),
             "members": list(self.members),
+            "undecided": self.undecided or None,
             "amount": self.amount or None,
             "candidates": list(self.names),
             "numbers": list(self.numbers),

@@ -421,5 +421,5 @@ def verify(finding: MeansFinding, case: Case | None = None) -> MeansVerification
             "with most = 1"
         )
     case = finding.case if case is None else case
-    before, after = plain(case), recalibrate(finding.apply(case), finding.discrepancy)
+    before, after = plain(case), recalibrate(finding.with_effects(case), finding.discrepancy)
     return MeansVerification.of(finding, case, before, after)

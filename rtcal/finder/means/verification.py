@@ -409,7 +409,7 @@ class MeansVerification(Verification):
 def residual_map(verification: MeansVerification) -> Array:
     """Return corrected model less measured over its standard deviation, as `MeansFinding.residuals`."""
     finding = verification.finding
-    case = finding.apply()
+    case = finding.with_effects()
     observed, _ = observe(case)
     predicted = replace(
         predict_hypotheses(case, []), features=verification.corrected.features[None]

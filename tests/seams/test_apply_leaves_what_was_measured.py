@@ -1,0 +1,155 @@
+"""Law: what is added leaves the stated areas and volume alone.
+
+"Each area is 0.693 times as large, and the rest became furniture" turned 70 m² of wall into 48.5. An
+area or a volume may differ only by an effect that is about that very number; and where absorption is
+added, the room absorbs more, in no band less.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import rtcal as rt
+from rtcal.finder import AppliedEffect, Case, corrected_room
+from rtcal.finder.effects import Effect, library
+from rtcal.finder.effects.checks import checked_grid
+from rtcal.finder.means.corrected import not_in_room
+from rtcal.finder.means.features import state
+from rtcal.finder.means.finding import MeansFinding
+from rtcal.report import finding_pages, gap_report
+from rtcal.support.errors import DataError
+
+ABOUT = {"area", "volume"}
+"""Effects that are about a stated number itself."""
+
+
+@pytest.fixture(scope="module")
+def case() -> Case:
+    return rt.datasets.hidden_room()[0]
+
+
+@pytest.fixture(scope="module")
+def finding(kept: Path, case: Case) -> MeansFinding:
+    return rt.find(case, cache=kept)
+
+
+def at(case: Case, effect: Effect, place: float) -> AppliedEffect:
+    """Return an effect at this place of its grid, with an interval where it has a size."""
+    grid = checked_grid(effect, state(case, case.configurations[0]), case.room)
+    p = AppliedEffect.of(effect, grid[round(place * (len(grid) - 1))])
+    if not np.isfinite(effect.neutral) or effect.size in effect.discrete:
+        return p
+    low, high = sorted((0.6 * p.size, p.size))
+    return replace(p, size_interval=(low, high))
+
+
+@pytest.mark.parametrize("equation", ["eyring", "sabine", "kuttruff", "millington"])
+@pytest.mark.parametrize("effect", library(), ids=lambda e: str(e.name))
+def test_stated_areas_and_volume_stay(case: Case, effect: Effect, equation: str) -> None:
+    stated = case.room
+    for place in (0.0, 0.3, 0.7, 1.0):
+        with_it = replace(case, equation=equation, applied=[at(case, effect, place)])
+        room = corrected_room(with_it)
+        n = stated.n_materials
+        assert room.materials[:n] == stated.materials
+        assert effect.name in ABOUT or room.volume == stated.volume
+        assert effect.name in ABOUT or np.array_equal(room.areas[:n], stated.areas)
+        if effect.name == "area":
+            assert np.sum(room.areas[:n] != stated.areas) == 1
+        if effect.family.startswith("added absorption"):
+            gain = room.absorption_area - stated.absorption_area
+            assert (gain >= 0).all()
+            # A panel that absorbs less than the wall it hides, in every band, is no material.
+            hides = any("takes absorption away" in line for line in not_in_room(with_it))
+            assert gain.max() > 0 or hides
+        if effect.name not in ABOUT:
+            assert room.dimensions == stated.dimensions
+            assert [s for s in room.surfaces if s.material in stated.materials] == list(
+                stated.surfaces
+            )
+
+
+def test_the_order_of_two_absorbers_leaves_the_total(case: Case) -> None:
+    two = [
+        AppliedEffect("furniture", {"absorption_area": 12.0}),
+        AppliedEffect("opening", {"area": 6.0}),
+    ]
+    one, other = (corrected_room(replace(case, applied=each)) for each in (two, two[::-1]))
+    assert sorted(one.materials) == sorted(other.materials)
+    np.testing.assert_allclose(
+        rt.Eyring().reverberation_time(one), rt.Eyring().reverberation_time(other), rtol=1e-9
+    )
+
+
+def with_odds(finding: MeansFinding, verdict: str, **probabilities: float) -> MeansFinding:
+    """Return the finding with other probabilities of its best candidates, not claimed by name."""
+    best, *others = finding.candidates
+    changed = [
+        replace(c, probability=p)
+        for c, p in zip((best, *others), probabilities.values(), strict=False)
+    ]
+    table = dict(zip([c.effect for c in changed], probabilities.values(), strict=True))
+    return replace(
+        finding,
+        verdict=verdict,
+        named=(),
+        candidates=tuple(changed),
+        probabilities={**finding.probabilities, **table},
+    )
+
+
+def test_an_improbable_candidate_is_added_only_by_its_name(finding: MeansFinding) -> None:
+    """Of first candidates with less than 0.3 nine of 41 were right."""
+    unsure = with_odds(finding, "ambiguous", first=0.29, second=0.2)
+    names = [c.effect for c in unsure.candidates]
+    assert unsure.can_be_added
+    with pytest.raises(DataError, match="No effect is stated") as refused:
+        unsure.apply()
+    assert all(f"{n} ({unsure.percent(n)})" in str(refused.value) for n in names)
+    assert not unsure.can_be_verified
+    assert [p.name for p in unsure.apply(effect=names[0]).applied] == names[:1]
+    with pytest.raises(DataError, match='effect = "organ" is no candidate'):
+        unsure.apply(effect="organ")
+    sure = with_odds(finding, "ambiguous", first=0.3, second=0.2)
+    assert [p.name for p in sure.apply().applied] == [sure.best_effect]
+
+
+def test_no_page_advises_an_improbable_candidate(finding: MeansFinding, tmp_path: Path) -> None:
+    unsure = with_odds(finding, "ambiguous", first=0.29, second=0.2)
+    page = gap_report.summary(unsure, None)
+    assert page["corrected"] is None
+    assert page["unknowable"] == ""
+    said = " ".join(page["to_do"])
+    assert "Put none of the effects into the model" in said
+    assert "Use the corrected" not in said
+    with pytest.raises(DataError, match="No effect is stated"):
+        finding_pages.correct(unsure, str(tmp_path / "case.json"))
+
+
+def test_a_volume_is_changed_only_where_its_error_is_claimed(case: Case, kept: Path) -> None:
+    hidden: Any = AppliedEffect("volume", {"ratio": 1.3})
+    found = rt.find(case, only=["volume", "opening"], cache=kept)
+    fit = next(iter(found.fits.values()))
+    candidate = replace(found.candidates[0], effect="volume", probability=0.6)
+    guess = replace(
+        found,
+        verdict="ambiguous",
+        named=(),
+        members=("volume",),
+        candidates=(candidate,),
+        fits={"volume": replace(fit, name="volume", parameters=hidden.parameters, size=None)},
+        probabilities={"volume": 0.6, "none": 0.4},
+    )
+    for stated in (None, "volume"):
+        with pytest.raises(
+            DataError, match="a stated volume is changed only where its error is claimed"
+        ):
+            guess.apply(effect=stated)
+    assert gap_report.summary(guess, None)["corrected"] is None
+    claimed = replace(guess, verdict="named", named=("volume",), probabilities={"volume": 0.95})
+    assert corrected_room(claimed.apply()).volume == pytest.approx(1.3 * case.room.volume)
