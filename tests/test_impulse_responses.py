@@ -10,11 +10,12 @@ import numpy as np
 import pytest
 from scipy.io import wavfile
 
+from rtcal.io import budget
 from rtcal.io import impulse_responses as ir
-from rtcal.io import sound
 from rtcal.io.sound import clipped_samples
 from rtcal.support.errors import DataError
 from tests.fuzz import wav
+from tests.test_io_commands import run
 
 pyfar = pytest.importorskip("pyfar")
 pytest.importorskip("pyrato")
@@ -386,11 +387,11 @@ def test_long_recordings_are_read(tmp_path: Path, rate: int, seconds: int) -> No
 
 def test_a_file_beyond_the_budget_is_refused_before_it_is_loaded(tmp_path: Path) -> None:
     path = tmp_path / "S1-R1.flac"
-    soundfile.write(path, np.zeros(sound.MAX_CHANNEL_SAMPLES + 1), 48000)
+    soundfile.write(path, np.zeros(budget.MAX_CHANNEL_SAMPLES + 1), 48000)
     tracemalloc.start()
     try:
         with pytest.raises(
-            DataError, match="175 s; at most 8388608 are read, 175 s at 48000 Hz: keep"
+            DataError, match="at most 8388608 are read: that is 175 s at 48000 Hz; keep"
         ):
             ir.read(path)
         assert tracemalloc.get_traced_memory()[1] < 2**22
@@ -502,6 +503,26 @@ def test_files(tmp_path: Path) -> None:
         ir.read([paths[1], paths[1]])
 
 
+def test_repeats_are_averaged_or_refused(tmp_path: Path, capsys) -> None:
+    """--repeats for sweep1.wav and sweep2.wav was taken, and both stayed positions of their own."""
+    rng = np.random.default_rng(27)
+    sweeps = [0.5 * h / np.abs(h).max() for h in (response(0.5, rng) for _ in range(3))]
+    for name, h in zip(("S1-R1", "S1-R1#2", "S1-R2"), sweeps, strict=True):
+        (tmp_path / f"{name}.wav").write_bytes(wav(h, 16000))
+    files = sorted(tmp_path.iterdir())
+    named = ir.read(files, bands=[1000], repeats=True).measurement
+    assert len(named.pairs) == 2
+    (tmp_path / "take2").mkdir()
+    (tmp_path / "take2" / "S1-R1.wav").write_bytes(wav(sweeps[1], 16000))
+    both = [tmp_path / "S1-R1.wav", tmp_path / "take2" / "S1-R1.wav"]
+    assert len(ir.read(both, bands=[1000], repeats=True).measurement.pairs) == 1
+    apart = [tmp_path / "S1-R1.wav", tmp_path / "S1-R2.wav"]
+    with pytest.raises(DataError, match="repeats=True changes nothing, since every source"):
+        ir.read(apart, bands=[1000], repeats=True)
+    assert run("measure", *apart, "--repeats") == 2
+    assert "--repeats changes nothing" in " ".join(capsys.readouterr().err.split())
+
+
 def test_channels_are_no_receivers_unless_stated(tmp_path: Path) -> None:
     pressure = response(0.5, np.random.default_rng(7))
     both = np.stack([pressure, 0.3 * pressure[::-1]], axis=1) / np.abs(pressure).max()
@@ -559,7 +580,7 @@ def test_bad_input(tmp_path: Path) -> None:
         (wav(np.zeros(8000)), r"a\.wav: silent, every sample is 0; leave it out"),
         (
             wav(np.ones(2**23 + 1)),
-            "8388609 samples in each channel, 1049 s; at most 8388608 are read",
+            "declares 8388609 samples in each channel; at most 8388608 are read: that is 1049 s",
         ),
     ):
         path.write_bytes(content)

@@ -37,6 +37,15 @@ _ALL_BY_CHANCE = 0.05
 again more often than all of them are measured alike."""
 
 
+def require_repeats(placed: Sequence[Pair], place: str) -> None:
+    """Raise DataError for stated repeats where every place, (n_pairs,), is there once."""
+    if len({*placed}) == len(placed):
+        raise DataError(
+            f"{place}: repeats=True changes nothing, since every source and receiver is there once; "
+            "leave it out, or name a repeat after its place: S1-R1#2 repeats S1-R1"
+        )
+
+
 def fingerprint(kind: str, values: Mapping[str, float]) -> str:
     """Return the name of data as a room's record keeps it: the values themselves, NaN left out.
 

@@ -50,7 +50,14 @@ from rtcal.acoustics.observables import (
     of_kind,
     parameter_label,
 )
-from rtcal.acoustics.repeats import copies, groups, in_words, names_of_repeats, places_of
+from rtcal.acoustics.repeats import (
+    copies,
+    groups,
+    in_words,
+    names_of_repeats,
+    places_of,
+    require_repeats,
+)
 from rtcal.io import sofa, sound
 from rtcal.io.analysis import MOST_NAMED, Analysis, Floor, spread
 from rtcal.support import checks, library
@@ -101,7 +108,8 @@ def read(
         channel is one receiver. For a figure-of-eight or Ambisonics microphone, state the channel of
         the pressure.
     repeats : bool
-        Whether several files of one source and receiver are repeats. Else they are refused.
+        Whether several files of one source and receiver are repeats. Else they are refused, and so is
+        this option where no source and receiver is there twice.
 
     Raises
     ------
@@ -131,6 +139,8 @@ def read(
                 several = channels == "receivers" or of_sofa
                 place = os.fspath(file) + (f", {source}, {name}" if several else "")
                 responses[source, name] = _Response(place, response.load, response.sampling_rate)
+    if repeats:
+        require_repeats(places_of([*responses]), os.fspath(paths[0]))
     return _analysis(responses, bands, _ranges(minimum_range), progress, doubts)
 
 

@@ -22,7 +22,6 @@ import numpy as np
 from rtcal.acoustics.repeats import SAME_PLACE
 from rtcal.acoustics.scene import Scene
 from rtcal.io import budget
-from rtcal.io.sound import MAX_CHANNEL_SAMPLES
 from rtcal.support import library
 from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError
@@ -238,8 +237,7 @@ def _responses(sofa: Any, path: str) -> Responses:
     if samples.ndim != 3:
         raise DataError(f"{path}: Data.IR has shape {samples.shape}; three axes are needed")
     n, _, length = samples.shape
-    if length > MAX_CHANNEL_SAMPLES:
-        raise DataError(f"{path}: {length} samples; at most {MAX_CHANNEL_SAMPLES}")
+    budget.require(length, budget.MAX_CHANNEL_SAMPLES, "samples of a response", path)
     if n > MAX_RESPONSES:
         raise DataError(f"{path}: {n} measurements; at most {MAX_RESPONSES}")
     rates = np.unique(_numbers(sofa, "Data_SamplingRate", path))

@@ -2,7 +2,7 @@
 
 Any container and coding that soundfile reads is read, such as WAV, RF64, W64, AIFF, CAF and FLAC. What
 the file declares is checked before a sample is loaded, and one channel is loaded at a time, so that a
-file needs no more memory than `MAX_CHANNEL_SAMPLES` do.
+file needs no more memory than `budget.MAX_CHANNEL_SAMPLES` do.
 """
 
 from __future__ import annotations
@@ -17,12 +17,10 @@ from typing import Any
 
 import numpy as np
 
+from rtcal.io import budget
 from rtcal.support import library
 from rtcal.support.errors import DataError
 from rtcal.support.types import Array
-
-MAX_CHANNEL_SAMPLES = 2**23
-"""Largest number of samples of a channel: 174 s at 48 kHz, 64 MB in memory."""
 
 _RATES = 2000, 400_000  # Hz
 _BLOCK = 2**16
@@ -93,7 +91,7 @@ def opened(path: str | os.PathLike[str]) -> SoundFile:
     Raises
     ------
     DataError
-        For a file that soundfile cannot read, has no samples or more than `MAX_CHANNEL_SAMPLES` of a
+        For a file that soundfile cannot read, has no samples or more than the budget of a
         channel, or has a sampling rate that is none of 2 to 400 kHz.
     MissingDependencyError
         If soundfile is not installed.
@@ -106,11 +104,9 @@ def opened(path: str | os.PathLike[str]) -> SoundFile:
         raise DataError(f"{place}: no samples in it")
     if not _RATES[0] <= rate <= _RATES[1]:
         raise DataError(f"{place}: a sampling rate of {rate} Hz; 2 kHz to 400 kHz are read")
-    if n > MAX_CHANNEL_SAMPLES:
-        raise DataError(
-            f"{place}: {n} samples in each channel, {n / rate:.0f} s; at most {MAX_CHANNEL_SAMPLES} "
-            f"are read, {MAX_CHANNEL_SAMPLES / rate:.0f} s at {rate} Hz: keep the part with the decay"
-        )
+    most = budget.MAX_CHANNEL_SAMPLES
+    remedy = f"that is {most / rate:.0f} s at {rate} Hz; keep the part with the decay"
+    budget.require(n, most, "samples in each channel", place, remedy)
     doubts = []
     if _LOSSY.search(coding):
         doubts.append(
@@ -168,8 +164,7 @@ def check_usable(responses: Iterable[tuple[str, Array]]) -> None:
     """Raise DataError for responses (n_samples,), with their names, that are silent or broken."""
     silent = []
     for place, time in responses:
-        if len(time) > MAX_CHANNEL_SAMPLES:
-            raise DataError(f"{place}: {len(time)} samples; at most {MAX_CHANNEL_SAMPLES}")
+        budget.require(len(time), budget.MAX_CHANNEL_SAMPLES, "samples", place)
         check_finite(place, time)
         if not np.any(time):
             silent.append(place)

@@ -19,6 +19,7 @@ from rtcal.io.table_words import (
     MEASURED,
     OPEN_DECAY_TIMES,
     REMARKS,
+    UNCALIBRATED,
     UNUSED_PARAMETERS,
     WHOLE_RANGES,
     parameters,
@@ -64,6 +65,7 @@ _REPEAT = re.compile(
     r"(.*?\d)(?:\s*\((\d+)\)|_(\d+)|[\s_]+(?:sweep|take|run|rep|repeat|messung|wdh)[\s_.-]*(\d+))",
     re.I | re.ASCII,
 )
+_CHANNEL = re.compile(r"(?<![A-Za-z])(?:ch|channel)[\s._]*(\d+)(?!\w)", re.I | re.ASCII)
 _BRACKETS = re.compile(r"([^\[\](]*(?:\(\d+\))?)\s*[\[(]\s*([^\])]*?)\s*[\])]")
 _UNIT_WITHIN = re.compile(r"([^\[\](]*\S)\s*[\[(]\s*(%|percent|m?s|sec|db)\s*[\])]\s*(\S.*)", re.I)
 _SUFFIX = re.compile(r"(.*?\S)(?:\s*/\s*|\s+in\s+|\s+|_)(%|percent|k?hz|m?s|sec|db)", re.I)
@@ -214,6 +216,18 @@ def position_in(text: str) -> tuple[str, str] | None:
     return (both[1], both[2]) if both else None
 
 
+def channel_in(text: str) -> str | None:
+    """Return the channel's number in a title or a position's name; None without one.
+
+    Examples
+    --------
+    >>> channel_in("S1_R1 Ch 2"), channel_in("Channel 1 Parameters"), channel_in("Church 2")
+    ('2', '1', None)
+    """
+    match = _CHANNEL.search(text) if len(text) <= MAX_HEADER else None
+    return match[1] if match else None
+
+
 def parameter_of(text: str, place: str, decay_time: str | None) -> str | None:
     """Return the parameter of a spelling, None for an unknown one; DataError for "RT60"."""
     if (word := _parameter_word(text)) in (known := parameters()):
@@ -243,6 +257,8 @@ def is_unused(text: str) -> bool:
     """
     name = name_and_unit(text)[0]
     both = _BOTH.fullmatch(name)
+    if name.partition(" ")[0] == UNCALIBRATED:
+        return True
     if plain(name) in UNUSED_PARAMETERS or _CORRELATION.fullmatch(text.strip()):
         return True
     return bool(both and plain(both[1]) in UNUSED_PARAMETERS)

@@ -17,12 +17,12 @@ from rtcal.io.table_columns import (
     position_of,
     repeat_of,
 )
-from rtcal.io.table_words import STATISTICS, WHOLE_RANGES, plain
+from rtcal.io.table_words import STATISTICS, WHOLE_RANGES, is_missing, plain
 from rtcal.io.text import shown
 from rtcal.support.errors import DataError
 from rtcal.support.text import first_of
 
-MAX_COLUMNS = 200
+MAX_COLUMNS = 1000
 MAX_LINES_BEFORE_HEADER = 40
 
 _KNOWN_START = re.compile(r"[A-Za-z]")
@@ -95,7 +95,9 @@ class Sheet:
 def layout_of(
     sheet: Sheet, *, decay_time: str | None, extra_columns: Collection[str] = ()
 ) -> list[TableLayout]:
-    """Return the tables of a sheet: one, or several below each other if each names its parameter.
+    """Return the tables of a sheet: one, or several below each other.
+
+    They are several if each names its parameter in its header's corner, or if the header is repeated.
 
     Parameters
     ----------
@@ -112,7 +114,7 @@ def layout_of(
     """
     headers = Headers(sheet.place, decay_time, extra_columns)
     rows = list(sheet.rows)
-    starts = headers.corners(rows)
+    starts = headers.corners(rows) or headers.repeated(rows)
     blocks = [rows[a:b] for a, b in pairwise([0, *starts[1:], len(rows)])]
     layouts = [headers.layout(block, [sheet.note]) for block in blocks]
     return [replace(layouts[0], notes=(*layouts[0].notes, *sheet.notes)), *layouts[1:]]
@@ -189,6 +191,17 @@ class Headers:
             for i, (_, cells) in enumerate(rows)
             if cells[0] and _KNOWN_START.match(cells[0]) and self.is_corner(cells)
         ]
+
+    def repeated(self, rows: list[Row]) -> list[int]:
+        """Return the rows at which tables with one header begin, with the titles above each."""
+        header = rows[self.header(rows)][1]
+        starts = []
+        for i, (_, cells) in enumerate(rows):
+            if cells == header:
+                while i and sum(map(bool, rows[i - 1][1])) == 1:
+                    i -= 1
+                starts.append(i)
+        return starts
 
     def is_corner(self, cells: list[str]) -> bool:
         """Return whether a row is a header whose first cell names the parameter."""
@@ -329,9 +342,11 @@ class Headers:
         first = [r[0] for _, r in body if r and r[0]]
         if columns and columns[0].kind == "first":
             columns[0] = self.unnamed(columns[1:], first)
-        names_across = columns and columns[0].kind == "band" and any(c.has_band for c in columns)
-        if names_across and any(map(self.is_parameter, first)):
-            columns[0] = replace(columns[0], kind="parameter")  # "Band (Hz)" is said of the header
+        across = [i for i, c in enumerate(columns) if c.kind == "band"]
+        if across and any(c.has_band for c in columns):
+            names = [r[across[0]] for _, r in body if len(r) > across[0] and r[across[0]]]
+            if any(map(self.is_parameter, names)):  # "Band (Hz)" is said of the header
+                columns[across[0]] = replace(columns[across[0]], kind="parameter")
         if _has_corner(columns):
             columns = _without_corner(columns)
         placed = {"source", "receiver"} & {c.kind for c in columns}
@@ -404,7 +419,7 @@ def _text_below(columns: list[Column], body: list[Row]) -> list[Row]:
     """
     if columns[0].kind != "band":
         end = len(body)
-        while end and len(columns) > 2 and _is_remark(body[end - 1][1]):
+        while end and len(columns) > 2 and _is_remark(body[end - 1][1], len(columns)):
             end -= 1
         return body[end:]
     bands = [
@@ -414,10 +429,16 @@ def _text_below(columns: list[Column], body: list[Row]) -> list[Row]:
     return below if below and _KNOWN_START.match(below[0][1][0]) else []
 
 
-def _is_remark(cells: list[str]) -> bool:
-    """Return whether a row is a text alone."""
+def _is_remark(cells: list[str], width: int) -> bool:
+    """Return whether a row is a text alone, which a separator in it may divide into few cells."""
     only = [cell for cell in cells if cell]
-    return len(only) == 1 and only[0] == cells[0] and " " in only[0] and not position_of(only[0])
+    whole = len(only) == 1 or (len(cells) < width and not any(map(_is_entry, only)))
+    return whole and only[0] == cells[0] and " " in only[0] and not position_of(only[0])
+
+
+def _is_entry(cell: str) -> bool:
+    """Return whether a cell is a number or says that there is none."""
+    return is_missing(cell) or bool(_BARE_NUMBER.fullmatch(cell.lstrip("+-")))
 
 
 def _has_corner(columns: list[Column]) -> bool:

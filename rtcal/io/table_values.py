@@ -11,6 +11,7 @@ from rtcal.acoustics.observables import OBSERVABLES, SUMMARY, parameter_label
 from rtcal.acoustics.repeats import names_of_repeats
 from rtcal.io.table_columns import (
     Column,
+    channel_in,
     frequency_of,
     is_unused,
     name_and_unit,
@@ -69,6 +70,8 @@ class Reader:
         The stated numbers of sources and receivers of means.
     repeats : bool
         Whether several values of one place are repeats.
+    channels : bool
+        Whether titles or positions name several channels, each a receiver.
     """
 
     def __init__(
@@ -81,8 +84,11 @@ class Reader:
         position: tuple[str, str],
         counts: Mapping[str, float],
         repeats: bool,
+        channels: bool = False,
     ) -> None:
         self.path, self.layout, self.counts, self.repeats = path, layout, counts, repeats
+        self.channels = channels
+        self.channel = next(filter(None, map(channel_in, reversed(layout.titles))), None)
         self.decay_time, self.parameter = decay_time, parameter
         self.header_place = f"{path}, line {layout.header_line}"
         self.notes = list(layout.notes)
@@ -315,9 +321,15 @@ class Reader:
     def _pair_of(self, entries: Mapping[str, str]) -> tuple[str, str]:
         """Return the source and the receiver of a row."""
         source, receiver = entries.get("source"), entries.get("receiver")
+        channel = self.channel
         if self.example_of_both and receiver:
+            channel = channel_in(receiver) or channel
             source, receiver = position_of(receiver) or position_in(receiver) or (source, receiver)
-        return source or self.pair[0], receiver or self.pair[1]
+        receiver = receiver or self.pair[1]
+        if self.channels and channel and not self.repeats:
+            place, mark, repeat = receiver.partition("#")
+            receiver = f"{place}-{channel}{mark}{repeat}"
+        return source or self.pair[0], receiver
 
     def _likely_parameter(self) -> str:
         """Return the option for a table whose title has other words beside its parameter."""
@@ -415,6 +427,11 @@ class Reader:
             )
         if (SUMMARY, SUMMARY) in pairs:
             return report
+        if self.channels and not self.repeats:
+            report.append(
+                "several channels: each is a receiver, named after it; if they are repeats of one "
+                "place, state repeats=True"
+            )
         if not self.has_positions:
             report.append(
                 "no positions: taken as source S1 and receiver R1; if the values are means, state "

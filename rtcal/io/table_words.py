@@ -56,13 +56,16 @@ UNUSED_PARAMETERS = frozenset(
         "c20 c7 c30 ct edtt tt lf lfc lfcearly lj lg glg stearly stlate st1 st2 sttotal "
         "spl lf80 lfc80 lg80 iacc iacce iaccearly iaccl iacclate tiacc wiacc inr snr itdg "
         "r r2 correlation correltn curvature nonlinearity xi leq lmax lbk "
-        "lsg lno stg tus pks mscn imp "
+        "lsg lno stg tus pks mscn imp signal noise tuser peakiness millisecs impulsivs "
         "btt20 bkt20 nlt20 cut20 sdt20 btt30 bkt30 nlt30 cut30 sdt30"
     )
 )
 """Parameters and signs of quality that exports have beside those that are read. T10 is one of them: the
 slope from -5 to -15 dB is no EDT, and programs write both. StG is AcouPar's strength:
-its file does not say whether the level was calibrated."""
+its file does not say whether the level was calibrated. Nor does Aurora's, `UNCALIBRATED`."""
+
+UNCALIBRATED = "strenGth"
+"""Aurora's spelling of its strength."""
 
 REMARKS = frozenset(
     _words(
@@ -102,7 +105,7 @@ COLUMNS = {
             "octavebandcenterfrequency mittenfrequenz centrefrequency centerfrequency "
             "centrefrequencies centerfrequencies bandcentre bandcenter hz "
             "frecuencia frecuencias fréquence fréquences frequence frequenza frequenze "
-            "frequência frequencia banda bandas bande"
+            "frequência frequencia banda bandas bande frqband"
         ),
         "band",
     ),

@@ -27,14 +27,17 @@ from typing import Any
 from rtcal.acoustics import bands, measurement_files
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.observables import OBSERVABLES, TARGET, parameter_label
-from rtcal.acoustics.repeats import in_words, places_of
+from rtcal.acoustics.repeats import in_words, places_of, require_repeats
 from rtcal.io import text_tables, workbook
 from rtcal.io.analysis import means, unusual
 from rtcal.io.table_columns import (
     DECAY_TIMES_OF_RT60,
     Column,
+    channel_in,
     column_of,
+    is_unused,
     leaves_decay_time_open,
+    position_in,
     position_of,
     with_repeats,
 )
@@ -108,7 +111,7 @@ def read(
         Numbers of sources and receivers, if the values are means over several pairs.
     repeats : bool
         Whether several values of one pair, parameter and band are repeats, and averaged. Else they are
-        refused, unless their names are ``R1``, ``R1#2`` and so on.
+        refused, unless their names are ``R1``, ``R1#2`` and so on. Refused where nothing is repeated.
     sheets : collection of str, optional
         Sheets of a workbook to read; by default all that have a header.
 
@@ -178,15 +181,18 @@ def parse(
         notes += left_out
         found += _layouts(chosen, decay_time, columns)
     _check_options(found, parameter=parameter, decay_time=decay_time, ignore=ignore)
+    of_titles = [t for _, layout in found for t in layout.titles]
+    of_names = [n for _, layout in found for n in layout.cells("receiver") if position_in(n)]
     readers = [
         Reader(
             sheet.place,
             layout,
             decay_time=decay_time,
-            parameter=_parameter(sheet, layout, parameter, decay_time),
+            parameter=_parameter(sheet, layout, parameter, decay_time, where),
             position=_position(sheet),
             counts=stated,
             repeats=repeats,
+            channels=len({*filter(None, map(channel_in, of_titles + of_names))}) > 1,
         )
         for sheet, layout in found
     ]
@@ -195,7 +201,7 @@ def parse(
             reader.beside = [
                 other for (s, _), other in zip(found[:i], readers, strict=False) if _alike(s, sheet)
             ]
-    return _table(readers, where, notes)
+    return _table(readers, where, notes, repeats)
 
 
 @checked
@@ -347,32 +353,86 @@ def _named(text: str, decay_time: str) -> Column | None:
 
 
 def _parameter(
-    sheet: Sheet, layout: TableLayout, stated: str | None, decay_time: str | None
+    sheet: Sheet,
+    layout: TableLayout,
+    stated: str | None,
+    decay_time: str | None,
+    where: Mapping[str, str],
 ) -> Column | None:
-    """Return the parameter of a table's values that name none: as stated, of its sheet or title."""
+    """Return the parameter of a table's values that name none.
+
+    It is stated, or named by the sheet, by a title or by the rows that ``where`` selects; DataError
+    where two of them contradict each other.
+    """
+    rows = _named_by_rows(sheet, layout, decay_time, where)
     if _names_parameters(layout):
+        for row, selection in rows:
+            other = next(
+                (c for c in layout.columns if c.parameter not in ("", row.parameter)), None
+            )
+            if other is not None:
+                raise DataError(
+                    f"{sheet.place}: {selection} selects rows of {parameter_label(row.parameter)}, and "
+                    f'the column "{shown(other.header)}" is {parameter_label(other.parameter)}'
+                )
         return None
     texts = [t for t in (sheet.name, *layout.titles) if _named(t, decay_time or TARGET.key)]
     if stated is None and decay_time is None:
         for text in filter(_leaves_open, texts):
             column_of(text, sheet.place, None)  # says which decay time is to be stated
-    named = [_named(text, decay_time or TARGET.key) for text in texts]
-    own = {c.parameter for c in named if c is not None}
+    named = [*rows]
+    for text in texts:
+        column = _named(text, decay_time or TARGET.key)
+        if column is not None:
+            named.append((column, f'the table\'s name "{shown(text)}"'))
     if stated is not None:
-        if own and own != {stated}:
+        for column, origin in named:
+            if column.parameter != stated:
+                raise DataError(
+                    f'{sheet.place}: parameter="{stated}" is stated, and {origin} says '
+                    f"{parameter_label(column.parameter)}; state only what is so"
+                )
+        return Column("data", stated, stated, unit=rows[0][0].unit if rows else "")
+    own = {column.parameter for column, _ in named}
+    return named[0][0] if len(own) == 1 else None
+
+
+def _named_by_rows(
+    sheet: Sheet, layout: TableLayout, decay_time: str | None, where: Mapping[str, str]
+) -> list[tuple[Column, str]]:
+    """Return the parameters that the entries of ``where`` are, and how each was stated.
+
+    An entry is one only if its column has several parameters, or nothing else: a room may be called
+    D50. Raises DataError for an entry that is a parameter without use.
+    """
+    found = []
+    for header, entry in where.items():
+        at = next((i for i, c in enumerate(layout.columns) if c.header == header), None)
+        if at is None:
+            continue
+        entries = dict.fromkeys(cells[at] for _, cells in layout.rows)
+        names = [e for e in entries if is_unused(e) or _named(e, decay_time or TARGET.key)]
+        if not names or (len(names) < 2 and len(names) < len(entries)) or entry not in names:
+            continue
+        selection = f'where={{"{shown(header)}": "{shown(entry)}"}}'
+        if is_unused(entry):
             raise DataError(
-                f'{sheet.place}: parameter="{stated}" is stated, and the table is called '
-                f'"{shown(texts[0])}"'
+                f"{sheet.place}: {selection} selects rows of a parameter that rtcal has no use for; "
+                f"select one of {', '.join(f'{shown(n)!r}' for n in names if not is_unused(n))}"
             )
-        return Column("data", stated, stated)
-    return named[0] if len(own) == 1 else None
+        column = column_of(entry, f"{sheet.place}: {selection}", decay_time)
+        if column is not None:
+            found.append((column, selection))
+    return found
 
 
 def _position(sheet: Sheet) -> tuple[str, str]:
     return sheet.position if any(sheet.position) else position_of(sheet.name) or ("", "")
 
 
-def _table(readers: Sequence[Reader], where: Mapping[str, str], notes: list[str]) -> Table:
+def _table(
+    readers: Sequence[Reader], where: Mapping[str, str], notes: list[str], repeats: bool
+) -> Table:
     """Return the measurement of all tables' values, and the reports of how they were read."""
     single: Values = {}
     of_several: Values = {}
@@ -383,6 +443,9 @@ def _table(readers: Sequence[Reader], where: Mapping[str, str], notes: list[str]
     if not values:
         raise DataError(f"{places}: no row with a value below the header")
     pairs = list(dict.fromkeys(key[:2] for key in values))
+    placed = places_of(pairs)
+    if repeats:
+        require_repeats(placed, places)
     report: list[str] = []
     for reader in readers:
         if len(readers) > 1:
@@ -393,7 +456,7 @@ def _table(readers: Sequence[Reader], where: Mapping[str, str], notes: list[str]
     # What stands after the first line of a single table's report is about the columns.
     report[1:1] = notes if len(readers) == 1 else []
     report += [] if len(readers) == 1 else notes
-    report += in_words(places_of(pairs))
+    report += in_words(placed)
     return Table(_measurement(values, places), tuple(report))
 
 

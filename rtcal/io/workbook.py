@@ -95,8 +95,17 @@ def _check_size(content: bytes, path: str) -> None:
                 continue
             try:
                 part = archive.read(name)
-            except (zipfile.BadZipFile, zlib.error, NotImplementedError, OSError) as error:
-                raise DataError(f"{path}: not a workbook (xlsx): {name}: {error}") from error
+            except (
+                zipfile.BadZipFile,
+                zlib.error,
+                RuntimeError,
+                ValueError,
+                OSError,
+                EOFError,
+            ) as error:
+                raise DataError(
+                    f"{path}: not a workbook (xlsx): its part {name} is damaged"
+                ) from error
             if "worksheets/" in name:
                 cells += len(_CELL.findall(part)) + sum(map(_area, _MERGED.findall(part)))
             elif name.startswith("xl/styles"):
