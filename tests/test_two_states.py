@@ -47,8 +47,8 @@ def test_what_was_added_is_removed_in_the_other_order(panels: StatesFinding) -> 
     assert back.family.startswith("removed absorption")
     assert "less absorption" in back.headline
     assert "-" not in back.what
-    np.testing.assert_allclose(back.size.mean, -panels.size.mean, rtol=0.05)
-    np.testing.assert_allclose(back.score, panels.score, rtol=0.05)
+    np.testing.assert_allclose(back.size.mean, -panels.size.mean, rtol=1e-9)
+    np.testing.assert_allclose(back.score, panels.score, rtol=1e-9)
 
 
 @pytest.mark.parametrize("noisy", [pytest.param(0, marks=pytest.mark.long), 1])
@@ -72,9 +72,9 @@ def test_the_stated_coefficients_do_not_count(panels: StatesFinding) -> None:
 
 
 def test_a_drier_room_is_told_from_absorption_or_not_told_apart() -> None:
-    dry = times(air=rt.Air(20, 20))
+    dry = times(air=rt.Air(20, 30))
     finding = rt.find(room(), measured(dry, 4, pairs=30), before=measured(times(), 3, pairs=30))
-    assert "air" in {c.effect for c in finding.candidates}
+    assert finding.candidates[0].effect == "air"
     assert finding.change[0, :3].max() < 1.5
 
 
@@ -210,17 +210,18 @@ def test_the_changed_room_has_t_of_the_second_state(panels: StatesFinding) -> No
     result = rt.calibrate(changed.room, panels.case.after, method="soft")
     assert np.abs(result.shift_in_sigmas).max() < 1
     back = rt.find(panels.case.room, panels.case.before, before=panels.case.after).apply()
+    # The same change in m² off the larger area of the second state: its noise counts, too.
     np.testing.assert_allclose(
-        rt.Eyring().reverberation_time(back.room), panels.case.differences.before, rtol=0.08
+        rt.Eyring().reverberation_time(back.room), panels.case.differences.before, rtol=0.1
     )
 
 
-def test_one_file_given_twice_is_refused(panels: StatesFinding) -> None:
+def test_one_file_given_twice_is_no_change_and_is_said_first(panels: StatesFinding) -> None:
     case = panels.case
-    with pytest.raises(
-        rt.errors.DataError, match=r"same values at every pair: are they one file\?"
-    ):
-        rt.find(case.room, case.before, before=case.before)
+    same = rt.find(case.room, case.before, before=case.before)
+    assert same.verdict == "none"
+    said = "Before and after have the same T at every pair: are they one file?"
+    assert same.headline.startswith(said)
 
 
 @pytest.mark.parametrize(("decimals", "then"), [(2, 2), (4, 4), (3, 2), (2, 3)])

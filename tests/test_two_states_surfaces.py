@@ -98,6 +98,7 @@ def test_in_the_other_order_it_is_the_same_wall(
     assert back.family is not None
     assert back.family.startswith("removed")
     assert back.claimed_surfaces == ("east",)
+    assert dict(back.surfaces) == pytest.approx(dict(finding.surfaces), rel=1e-9)
 
 
 def test_without_the_directivity_something_changed_but_no_surface_is_told(

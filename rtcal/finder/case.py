@@ -72,6 +72,17 @@ CLIMATE_UNCERTAINTY = (2.0, 10.0)
 thermometer and a hygrometer on a wall leave open in a room. A judgement, without a study."""
 
 
+def checked_climate_uncertainty(value: object) -> tuple[float, float]:
+    """Return standard uncertainties in K and % of humidity; DataError unless they are 0 or more."""
+    climate = checks.array("climate_uncertainty", value)
+    if climate.shape != (2,) or not (np.isfinite(climate) & (climate >= 0)).all():
+        raise DataError(
+            f"climate_uncertainty = {value!r} is not two numbers of 0 or more: K, and % of humidity"
+        )
+    kelvin, percent = climate.tolist()
+    return kelvin, percent
+
+
 @checked
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Case:
@@ -125,13 +136,8 @@ class Case:
         if stated is None or _evenly(stated).all():
             stated = read_only(spread_where_unknown(_facing(self.room)))
         object.__setattr__(self, "facing", stated)
-        climate = checks.array("climate_uncertainty", self.climate_uncertainty)
-        if climate.shape != (2,) or not (np.isfinite(climate) & (climate >= 0)).all():
-            raise DataError(
-                f"climate_uncertainty = {self.climate_uncertainty!r} is not two numbers of 0 or more: "
-                "K, and % of humidity"
-            )
-        object.__setattr__(self, "climate_uncertainty", tuple(climate.tolist()))
+        climate = checked_climate_uncertainty(self.climate_uncertainty)
+        object.__setattr__(self, "climate_uncertainty", climate)
         check_room(self.room)
         for added in self.applied:
             check_parameters(added.effect, added.parameters, self.room, added.size_interval)

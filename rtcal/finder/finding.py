@@ -70,7 +70,8 @@ class Size:
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain values for JSON."""
-        return {**vars(self), "end": self.end or None}
+        ends = {name: json_numbers(getattr(self, name)) for name in ("mean", "low", "high")}
+        return {**vars(self), **ends, "end": self.end or None}
 
 
 Point = tuple[float, float, float]

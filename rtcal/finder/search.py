@@ -12,13 +12,11 @@ from rtcal.finder import positions, states
 from rtcal.finder.case import Case
 from rtcal.finder.configuration import Configuration
 from rtcal.finder.effects import Effect
-from rtcal.finder.effects.checks import checked_effects
 from rtcal.finder.means.engines import ControlRooms
 from rtcal.finder.means.finding import MeansFinding
 from rtcal.finder.means.recalibration import verify as verify_by_means
 from rtcal.finder.means.search import find as find_by_means
 from rtcal.finder.means.verification import MeansVerification
-from rtcal.finder.prior import chosen_effects
 from rtcal.io import geometry_files
 from rtcal.loop.control_runs import ControlRuns
 from rtcal.simulators.path_tracing import PathTracing
@@ -111,7 +109,8 @@ def find(
         Of the room; by default the one that the room's scene states, if it states one.
     before : Measurement, optional
         Of the same positions, before something was changed: then what changed is found, instead of what
-        the model lacks (`rtcal.finder.states`). The room's coefficients do not count.
+        the model lacks (`rtcal.finder.states`). The room's coefficients do not count. Neither
+        ``controls``, ``cache`` nor ``progress`` belongs to such a search.
     effects : sequence of Effect, optional
         The effects to try; the whole library if not given.
     seed : int
@@ -156,11 +155,11 @@ def find(
             raise DataError("measured, before and simulator belong to a room; a case holds its own")
         case = room
     if isinstance(case, states.StatesCase):
-        for name, value in {"controls": controls, **of_means}.items():
+        refused = {"controls": controls, "cache": cache, "progress": progress, **of_means}
+        for name, value in refused.items():
             if value is not None:
                 raise DataError(f"{name} is not of a search for what changed between two states")
-        tried = chosen_effects(checked_effects(effects), without, only)[0]
-        return states.find(case, effects=tried, seed=seed)
+        return states.find(case, effects=effects, seed=seed, only=only, without=without)
     common: Mapping[str, Any] = {
         "effects": effects,
         "seed": seed,

@@ -18,7 +18,7 @@ from rtcal.finder.means.recalibration import recalibrate
 from rtcal.finder.means.verification import table
 from rtcal.finder.positions.finding import Place, PositionsFinding, strongest
 from rtcal.finder.positions.verification import MODELS, TITLES, PositionsVerification
-from rtcal.finder.states.finding import StatesFinding
+from rtcal.finder.states.finding import StatesFinding, decimals
 from rtcal.finder.states.search import verify
 from rtcal.report import document, room_view, where_figures
 from rtcal.report.document import Heading, blocks, render, source
@@ -172,6 +172,12 @@ def states_page(finding: StatesFinding, heading: Heading, step: Callable[[], Non
     measured = found.measured
     frequencies = found.centre_frequencies[measured]
     mean, low, high = finding.change[:, measured]
+    tried, digits = bool(np.isfinite(finding.size.mean)), decimals(finding.change)
+    of_change = [
+        ("change / m²", mean, digits, True),
+        ("90 % interval: from / m²", low, digits, True),
+        ("to / m²", high, digits, True),
+    ]
     name = finding.case.room.name
     return render(
         "states.html",
@@ -193,9 +199,7 @@ def states_page(finding: StatesFinding, heading: Heading, step: Callable[[], Non
                 ("T before / s", found.before[measured], 2, False),
                 ("T after / s", found.after[measured], 2, False),
                 ("absorption area before / m²", finding.area[measured], 1, False),
-                ("change / m²", mean, 1, True),
-                ("90 % interval: from / m²", low, 1, True),
-                ("to / m²", high, 1, True),
+                *(of_change if tried else ()),
             ],
             "blocks": blocks(len(frequencies)),
             "labels": bands.labels(frequencies),

@@ -41,6 +41,7 @@ MAX_BYTES = 2**28
 _OBJECT = "object"
 _GONE = {
     "finding 1": "rtcal.find",
+    "finding of two states 1": "rtcal.find with before",
     "several effects 1": "rtcal.find with most = 3",
     "verification 1": "rtcal.find and rtcal.finder.verify",
     "where 1": "rtcal.find",

@@ -28,6 +28,7 @@ from rtcal.acoustics.priors import NORMAL_90
 from rtcal.acoustics.room import Room
 from rtcal.acoustics.scene import Scene
 from rtcal.calibration.methods import calibrate
+from rtcal.finder.case import CLIMATE_UNCERTAINTY, checked_climate_uncertainty
 from rtcal.finder.positions import surfaces as of_room
 from rtcal.finder.states import told
 from rtcal.finder.states.copies import without_copies
@@ -94,7 +95,7 @@ class Differences:
         Raises
         ------
         DataError
-            If the states have no pair in common, or no T20 or T30 in any band; for one file twice.
+            If the states have no pair in common, or no T20 or T30 in any band.
         """
         of_bands = told.of_bands(room, before, after)
         before, after, notes = without_copies(before, after)
@@ -135,7 +136,9 @@ class Differences:
             for k in np.flatnonzero(some).tolist():
                 names[k] = o.key
                 times[:, k] = means[0][k], means[1][k]
-                change[:, k] = np.where(both[:, k], np.log(values[1] / values[0])[:, k], np.nan)
+                # Of states that are exchanged it is the same to the last digit, of the other sign.
+                of_log = np.log(values[1][:, k]) - np.log(values[0][:, k])
+                change[:, k] = np.where(both[:, k], of_log, np.nan)
                 variance[:, k] = np.where(both[:, k], relative[:, k], np.nan)
         if not np.isfinite(change).any():
             labels = " or ".join(parameter_label(o.key) for o in REVERBERATION)
@@ -155,6 +158,16 @@ class Differences:
     def of_means(self) -> bool:
         """Whether they are of means over positions."""
         return self.pairs == ((SUMMARY, SUMMARY),)
+
+    @property
+    def same(self) -> bool:
+        """Whether T of every pair is the same in both states, as of one file given twice."""
+        return not np.nan_to_num(self.change).any()
+
+    @property
+    def falls(self) -> bool:
+        """Whether T is shorter after than before, in the mean of ln T as far as each is known."""
+        return bool(np.nansum(self.change / self.variance) <= 0)
 
     @property
     def measured(self) -> NDArray[np.bool_]:
@@ -180,7 +193,10 @@ class StatesCase:
         Of the same room, with every source's directivity: then surfaces are told apart.
     match : sequence of str
         Parameters that tell surfaces apart, where both states have them. Of the level, both states have
-        one reference.
+        one reference. Without a simulator T alone is compared.
+    climate_uncertainty : (float, float)
+        Standard uncertainties of a stated climate in K and in percent of relative humidity, in each of
+        the two states. A room whose air is not stated may have any indoor climate in either.
 
     Attributes
     ----------
@@ -191,7 +207,8 @@ class StatesCase:
     ------
     DataError
         If no pair, or no T20 or T30 in a band of the room, is in both; if the simulator is of another
-        room, or lacks a measured pair.
+        room, or lacks a measured pair; for a ``match`` without a simulator, and an uncertainty of a
+        climate that is not stated, which would have no effect.
 
     Examples
     --------
@@ -211,6 +228,7 @@ class StatesCase:
     equation: LinearEquation = field(default_factory=Eyring)
     simulator: PathTracing | None = None
     match: Sequence[str] = MATCH
+    climate_uncertainty: tuple[float, float] = CLIMATE_UNCERTAINTY
     differences: Differences = field(init=False, metadata=NOT_SAVED)
 
     def __post_init__(self) -> None:
@@ -219,6 +237,14 @@ class StatesCase:
         checks.instance("after", self.after, Measurement).refuse_large_uncertainty()
         checks.instance("equation", self.equation, LinearEquation)
         object.__setattr__(self, "match", observations.checked_parameters(self.match))
+        if self.simulator is None and self.match != observations.checked_parameters(MATCH):
+            raise DataError("match needs a simulator: without one T alone is compared")
+        uncertain = checked_climate_uncertainty(self.climate_uncertainty)
+        object.__setattr__(self, "climate_uncertainty", uncertain)
+        if self.room.air is None and uncertain != CLIMATE_UNCERTAINTY:
+            raise DataError(
+                "climate_uncertainty is that of a stated climate, and the room states no air"
+            )
         object.__setattr__(self, "differences", Differences.of(self.room, self.before, self.after))
         if self.simulator is not None:
             checks.instance("simulator", self.simulator, PathTracing)

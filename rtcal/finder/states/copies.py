@@ -10,7 +10,6 @@ from rtcal.acoustics import bands
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.observables import observable, parameter_label
 from rtcal.acoustics.repeats import CHANCE, beyond_chance, chance_of_near, equal_rounded
-from rtcal.support.errors import DataError
 from rtcal.support.text import first_of
 
 _PRECISE = 0.1
@@ -25,12 +24,8 @@ def without_copies(
     A pair is left out if all values that both have are equal, and hardly by chance: alone, or together
     with the other pairs that are. Values are compared as the coarser is rounded. Of the other pairs,
     equal times are left out if they are stated precisely, and more are equal than chance allows.
-    Measurements in different bands have no copies.
-
-    Raises
-    ------
-    DataError
-        If nothing but copies is in both.
+    Measurements in different bands have no copies. Where nothing but copies is in both, all are kept:
+    nothing changed (`Differences.same`).
     """
     pairs = [pair for pair in before.pairs if pair in after.pairs]
     shared = [p for p in before.values if p in after.values]
@@ -55,7 +50,7 @@ def without_copies(
     copied = whole & (together | (of_pair < CHANCE / len(pairs)))
     names = [pair for pair, is_copy in zip(pairs, copied, strict=True) if is_copy]
     if len(names) == len(pairs):
-        raise DataError("before and after have the same values at every pair: are they one file?")
+        return before, after, []
     notes = []
     if names:
         notes.append(

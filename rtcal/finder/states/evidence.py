@@ -1,10 +1,11 @@
 """The kinds of change between two states, and how well each explains their differences.
 
-Absorption was added or removed, or the air is another.
+Absorption was added or removed, the climate of the air is another, or both.
 
 ln T of a pair shifts by m + e. m is the shift of all pairs: the predicted one, with the errors of the
-spectrum and of the equation, and what a remeasurement adds by itself. e is what the pair has alone:
-noise of both states, and a share of the shift. The noise of each pair has a scale of its own, so that e
+spectrum and of the equation, what a remeasurement adds by itself, and what another climate adds, which
+is as uncertain as both climates (`climate_covariance`). e is what the pair has alone: noise of both
+states, and a share of the shift. The noise of each pair has a scale of its own, so that e
 follows a multivariate t distribution over the pair's bands; all pairs together have a further one. The
 integral over m is Laplace's at the mode that Gauss-Newton steps find.
 
@@ -14,17 +15,18 @@ coefficients, as means have it. So neither likelihood of theirs serves.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import gammaln, logsumexp
+from scipy.special import chdtrc, gammaln, logsumexp
 
 from rtcal.acoustics.air import Air
 from rtcal.acoustics.bands import is_middle
 from rtcal.acoustics.equations import LinearEquation
 from rtcal.acoustics.room import Room
+from rtcal.finder.case import CLIMATE_UNCERTAINTY
 from rtcal.finder.effects import Effect
 from rtcal.finder.model import RoomState
 from rtcal.finder.prior import UNKNOWN, UNKNOWN_ODDS
@@ -37,11 +39,12 @@ WALK = 0.5
 LEAST, MOST = 0.02, 6.0
 """Sizes that are tried, over the absorption area before at 500 to 2000 Hz."""
 SIZES = 25
-_HUMIDITIES = (20.0, 30.0, 40.0, 50.0, 60.0, 70.0)
-_WARMER = (-4.0, 0.0, 4.0)
+INDOORS = (15.0, 30.0), (20.0, 70.0)
+"""Temperatures in °C and relative humidities in % of rooms whose climate is not stated."""
 AIR_ODDS = 0.5
 """Prior odds that the climate changed and nothing else, against an effect of odds 1 on either side."""
-_AIR_ERROR = 0.03
+ANOTHER_CLIMATE = 0.5
+"""Prior probability that the climate changed as well, where absorption was added or removed."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,13 +72,27 @@ class Shape:
     covariance: Array
 
 
-def shapes(room: Room, effects: Sequence[Effect]) -> list[Shape]:
-    """Return the spectra of all effects that add absorption, and one that no effect has."""
+def adding(effects: Sequence[Effect]) -> list[Effect]:
+    """Return the effects that add absorption, whose spectra are tried, in the order of their names."""
+    some = [effect for effect in effects if effect.family.startswith(f"{_FAMILY}, ")]
+    return sorted(some, key=lambda effect: effect.name)
+
+
+def tried(effects: Sequence[Effect]) -> tuple[str, ...]:
+    """Return the names of what is tried between two states with a library of effects."""
+    return (*(effect.name for effect in adding(effects)), AIR, UNKNOWN)
+
+
+def shapes(room: Room, effects: Sequence[Effect], without: Collection[str] = ()) -> list[Shape]:
+    """Return the spectra of all effects that add absorption, and one that no effect has.
+
+    Those of names ``without`` are left out.
+    """
     frequencies = room.centre_frequencies
     base = RoomState.of_room(room, np.zeros(len(room.areas)))
     out = []
-    for effect in effects:
-        if not effect.family.startswith(f"{_FAMILY}, "):
+    for effect in adding(effects):
+        if effect.name in without:
             continue
         spectra = [alpha for _, alpha in effect.on_surface(frequencies)] or [
             _of_objects(effect, base)
@@ -91,8 +108,9 @@ def shapes(room: Room, effects: Sequence[Effect]) -> list[Shape]:
                     error,
                 )
             )
-    free = WALK**2 * _walk(np.log2(frequencies / 1000))
-    out.append(Shape(UNKNOWN, "", UNKNOWN_ODDS, np.ones(len(frequencies)), free))
+    if UNKNOWN not in without:
+        free = WALK**2 * _walk(np.log2(frequencies / 1000))
+        out.append(Shape(UNKNOWN, "", UNKNOWN_ODDS, np.ones(len(frequencies)), free))
     return out
 
 
@@ -116,7 +134,7 @@ def _walk(octaves: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Grid:
-    """Every hypothesis: a spectrum with a size, added or removed; or another climate.
+    """Every hypothesis: a spectrum with a size, added or removed, with another climate or without.
 
     Attributes
     ----------
@@ -124,11 +142,12 @@ class Grid:
     log_weight : array (n,)
         Log prior probabilities, given that something changed; they sum to 1.
     size : array (n, n_bands)
-        Absorption area in m² before saturation, above 0 where added and below 0 where removed. Of the
-        climate, what the air absorbs more.
+        Absorption area in m² before saturation, above 0 where added and below 0 where removed; 0 where
+        the climate changed and nothing else.
     covariance : array (n, n_bands, n_bands)
         Of the error of ln |size|.
     of_air : array (n,) of bool
+        Where the climate of the air is another.
     """
 
     names: tuple[str, ...]
@@ -138,8 +157,19 @@ class Grid:
     covariance: Array
     of_air: NDArray[np.bool_]
 
+    @property
+    def of_surfaces(self) -> NDArray[np.bool_]:
+        """Where absorption was added or removed, (n,)."""
+        return np.asarray(self.size.any(axis=1))
 
-def grid(room: Room, before: Array, bands: NDArray[np.bool_], effects: Sequence[Effect]) -> Grid:
+
+def grid(
+    room: Room,
+    before: Array,
+    bands: NDArray[np.bool_],
+    effects: Sequence[Effect],
+    without: Collection[str] = (),
+) -> Grid:
     """Return every hypothesis of a room with this absorption area before, in these bands.
 
     Parameters
@@ -149,31 +179,36 @@ def grid(room: Room, before: Array, bands: NDArray[np.bool_], effects: Sequence[
         The surfaces' absorption area in m²; NaN where unknown.
     bands : array (n_bands,) of bool
         Bands to take.
+    effects : sequence of Effect
+    without : collection of str
+        Names of `tried` that are left out.
     """
     middle = bands & is_middle(room.centre_frequencies)
     area = float(before[middle if middle.any() else bands].mean())
-    names, families, weights, sizes, covariances, of_air = [], [], [], [], [], []
     levels = area * np.geomspace(LEAST, MOST, SIZES)
-    of_room = shapes(room, effects)
-    odds = sum(shape.weight for shape in of_room)
     n = int(bands.sum())
+    names, families, weights, sizes, covariances, of_air = [], [], [], [], [], []
+    climates = (
+        {False: 1.0} if AIR in without else {False: 1 - ANOTHER_CLIMATE, True: ANOTHER_CLIMATE}
+    )
     for side, sign in ((ADDED, 1.0), (REMOVED, -1.0)):
-        for shape in of_room:
-            spectrum = shape.spectrum[bands]
+        for shape in shapes(room, effects, without):
+            spectrum = shape.spectrum[bands] / shape.spectrum[bands].mean()
+            covariance = shape.covariance[np.ix_(bands, bands)]
             for level in levels:
-                names.append(f"{side} {shape.name}")
-                families.append(", ".join(filter(None, [f"{side} absorption", shape.family])))
-                weights.append(shape.weight / len(levels))
-                sizes.append(sign * level * spectrum / spectrum.mean())
-                covariances.append(shape.covariance[np.ix_(bands, bands)])
-                of_air.append(False)
-    climates = [4 * room.volume * m[bands] for m in _other_air(room)]
-    for more in climates:
+                for another, probability in climates.items():
+                    names.append(f"{side} {shape.name}")
+                    families.append(", ".join(filter(None, [f"{side} absorption", shape.family])))
+                    weights.append(probability * shape.weight / len(levels))
+                    sizes.append(sign * level * spectrum)
+                    covariances.append(covariance)
+                    of_air.append(another)
+    if AIR not in without:
         names.append(AIR)
         families.append("climate")
-        weights.append(2 * odds * AIR_ODDS / odds / len(climates))
-        sizes.append(more)
-        covariances.append(_AIR_ERROR**2 * np.eye(n))
+        weights.append(2 * AIR_ODDS)
+        sizes.append(np.zeros(n))
+        covariances.append(np.eye(n))
         of_air.append(True)
     weight = np.array(weights)
     return Grid(
@@ -186,17 +221,38 @@ def grid(room: Room, before: Array, bands: NDArray[np.bool_], effects: Sequence[
     )
 
 
-def _other_air(room: Room) -> Iterator[Array]:
-    """Yield by how much the attenuation of other climates differs in 1/m, (n_bands,)."""
-    stated = room.air or Air()
-    frequencies = room.centre_frequencies
-    here = stated.attenuation(frequencies)
-    for warmer in _WARMER:
-        for humidity in _HUMIDITIES:
-            temperature = float(np.clip(stated.temperature + warmer, -20, 50))
-            other = Air(temperature, humidity, stated.pressure)
-            if other != stated:
-                yield other.attenuation(frequencies) - here
+def climate_covariance(room: Room, uncertainty: tuple[float, float] = CLIMATE_UNCERTAINTY) -> Array:
+    """Return the covariance in m⁴ of the difference of the air's 4 m V, (n_bands, n_bands).
+
+    Both climates are independent of each other: normal about the stated one, with ``uncertainty`` in K
+    and in percent of relative humidity; any indoor one (`INDOORS`) where none is stated. So the
+    covariance is twice that of one state, by quadrature over the climates.
+    """
+    if room.air is None:
+        nodes, weights = np.polynomial.legendre.leggauss(_NODES)
+        (low, high), (dry, damp) = INDOORS
+        temperatures = (low + high) / 2 + (high - low) / 2 * nodes
+        humidities = (dry + damp) / 2 + (damp - dry) / 2 * nodes
+    else:
+        nodes, weights = np.polynomial.hermite_e.hermegauss(_NODES)
+        kelvin, percent = uncertainty
+        temperatures = np.clip(room.air.temperature + kelvin * nodes, -20.0, 50.0)
+        humidities = np.clip(room.air.humidity + percent * nodes, 1.0, 100.0)
+    pressure = (room.air or Air()).pressure
+    of_climate = np.array(
+        [
+            4 * room.volume * Air(float(t), float(h), pressure).attenuation(room.centre_frequencies)
+            for t in temperatures
+            for h in humidities
+        ]
+    )
+    weight = np.outer(weights, weights).ravel() / weights.sum() ** 2
+    off = of_climate - weight @ of_climate
+    return np.asarray(2 * (off * weight[:, np.newaxis]).T @ off)
+
+
+_NODES = 4
+"""Nodes of a quadrature over temperatures, and over humidities."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -212,23 +268,36 @@ class Baseline:
         The surfaces' absorption area b in m², by the equation from T before.
     air : array (n_bands,)
         4 m V in m².
+    climate : array (n_bands, n_bands)
+        Covariance of ln T by another climate, at the mean of ln T of both states.
     """
 
     equation: LinearEquation
     total_area: float
     area: Array
     air: Array
+    climate: Array
 
     @classmethod
     def of(
-        cls, room: Room, equation: LinearEquation, times: Array, bands: NDArray[np.bool_]
+        cls,
+        room: Room,
+        equation: LinearEquation,
+        times: tuple[Array, Array],
+        bands: NDArray[np.bool_],
+        uncertainty: tuple[float, float] = CLIMATE_UNCERTAINTY,
     ) -> Baseline:
-        """Return the baseline of a room with T ``times`` in s, (n_bands,), in some of its bands.
+        """Return the baseline of a room with T before and after in s, (n_bands,), in some of its bands.
 
-        Raises InfeasibleError where no coefficients give T.
+        ``uncertainty`` is that of a stated climate, as of `climate_covariance`. Raises InfeasibleError
+        where no coefficients give T before.
         """
-        area = equation.absorption_area(room, np.where(bands, times, np.nan))[bands]
-        return cls(equation, room.total_area, area, 4 * room.air_attenuation[bands] * room.volume)
+        area = equation.absorption_area(room, np.where(bands, times[0], np.nan))[bands]
+        air = 4 * room.air_attenuation[bands] * room.volume
+        base = cls(equation, room.total_area, area, air, np.zeros((len(area), len(area))))
+        whole = base.whole(area) * np.sqrt(times[0][bands] / times[1][bands])
+        of_air = climate_covariance(room, uncertainty)[np.ix_(bands, bands)]
+        return replace(base, climate=of_air / np.outer(whole, whole))
 
     def after(self, size: Array) -> Array:
         """Return the surfaces' absorption area after a change in m², (..., n_bands).
@@ -237,24 +306,18 @@ class Baseline:
         size below 0, leaves b exp(size / b). To first order both are b + size.
         """
         left = self._left(size)
-        return np.asarray(self.area + np.sign(size) * left * -np.expm1(-np.abs(size) / left))
+        covered = -np.expm1(-np.minimum(np.abs(size) / left, _MOST_COVERED))
+        return np.asarray(self.area + np.sign(size) * left * covered)
 
-    def shift(self, size: Array, of_air: NDArray[np.bool_]) -> tuple[Array, Array]:
+    def shift(self, size: Array) -> tuple[Array, Array]:
         """Return the shift of ln T and its derivative by ln |size|, both (..., n_bands).
 
-        Parameters
-        ----------
-        size : array (..., n_bands)
-            Absorption area in m², before it saturates: of surfaces, or of the air.
-        of_air : array (..., 1) of bool
-            Of which it is.
+        ``size`` (..., n_bands) is an absorption area in m², before it saturates.
         """
-        mean = self.after(np.where(of_air, 0.0, size)) / self.total_area
-        whole = self.whole(mean * self.total_area) + np.where(of_air, size, 0.0)
-        before = self.whole(self.area)
+        mean = self.after(size) / self.total_area
+        whole, before = self.whole(mean * self.total_area), self.whole(self.area)
         by_area = size * np.exp(-np.abs(size) / self._left(size)) * self.equation.slope(mean)
-        slope = -np.where(of_air, size, by_area) / whole
-        return np.asarray(-np.log(whole / before)), np.asarray(slope)
+        return np.asarray(-np.log(whole / before)), np.asarray(-by_area / whole)
 
     def whole(self, area: Array) -> Array:
         """Return S a + 4 m V in m², of the surfaces' absorption area in m²."""
@@ -265,6 +328,10 @@ class Baseline:
         """The area to cover, or to remove, in m²."""
         left = np.where(size > 0, self.total_area - self.area, self.area)
         return np.maximum(left, 1e-6 * self.total_area)
+
+
+_MOST_COVERED = 30.0
+"""Largest size over the area that is left to cover or to remove: all but e^-30 of it is."""
 
 
 @dataclass(frozen=True)
@@ -318,11 +385,14 @@ class Fits:
     mean : array (n, n_scales, n_bands)
         Of ln |size| less that of the grid.
     covariance : array (n, n_scales, n_bands, n_bands)
+    shift : array (n, n_scales, n_bands)
+        Mean of the shift of ln T by what changed: that of the size, and that of the climate.
     """
 
     log_evidence: Array
     mean: Array
     covariance: Array
+    shift: Array
 
 
 def none(change: Array, variance: Array, errors: Errors) -> float:
@@ -333,10 +403,33 @@ def none(change: Array, variance: Array, errors: Errors) -> float:
     n = change.shape[1]
     zero, noise = np.zeros((1, n)), np.zeros((1, n, n)) + errors.remeasured**2 * np.eye(n)
     by_scale = [
-        _settled(change, scale**2 * variance[np.newaxis], zero, noise, errors)
+        _settled(change, scale**2 * variance[np.newaxis], zero, noise, errors)[0]
         for scale in errors.scales
     ]
     return float(logsumexp(np.array(by_scale) + np.log(errors.weights)))
+
+
+def chance_of_climate(change: Array, variance: Array, baseline: Baseline, errors: Errors) -> float:
+    """Return the p-value of the pairs' mean shift if the climate alone is another, by chi-square.
+
+    The covariance is that of the climate, of a remeasurement, and of the pairs' noise with the scale
+    and the pairs' weights that make the data most probable; one degree of freedom per band.
+    """
+    n = change.shape[1]
+    prior = (baseline.climate + errors.remeasured**2 * np.eye(n))[np.newaxis]
+    found = []
+    for scale, weight in zip(errors.scales, errors.weights, strict=True):
+        spread = scale**2 * variance[np.newaxis]
+        evidence, of_pairs = _settled(change, spread, np.zeros((1, n)), prior, errors)
+        found.append(
+            (evidence + np.log(weight), np.minimum(of_pairs, 1.0)[:, np.newaxis] / spread[0])
+        )
+    _, inverse = max(found, key=lambda each: each[0])
+    inverse = np.where(np.isfinite(change), inverse, 0.0)
+    precision = inverse.sum(axis=0)
+    mean = np.nansum(inverse * change, axis=0) / precision
+    square = mean @ np.linalg.solve(prior[0] + np.diag(1 / precision), mean)
+    return float(chdtrc(n, square))
 
 
 def fits(change: Array, variance: Array, baseline: Baseline, grid: Grid, errors: Errors) -> Fits:
@@ -344,12 +437,13 @@ def fits(change: Array, variance: Array, baseline: Baseline, grid: Grid, errors:
     n, k = grid.size.shape
     evidence = np.full((n, len(errors.scales)), -np.inf)
     mean, covariance = np.zeros((*evidence.shape, k)), np.zeros((*evidence.shape, k, k))
+    shift = np.zeros_like(mean)
 
     def evaluate(rows: Rows, j: int, steps: int) -> None:
         for some in np.array_split(rows, -(-len(rows) * len(change) // _MOST_AT_ONCE)):
             found = _fitted(change, variance, baseline, grid, some, errors, errors.scales[j], steps)
             evidence[some, j] = found[0] + np.log(errors.weights[j])
-            mean[some, j], covariance[some, j] = found[1], found[2]
+            mean[some, j], covariance[some, j], shift[some, j] = found[1:]
 
     usual = int(np.argmax(errors.weights))
     evaluate(np.arange(n), usual, _FIRST)
@@ -357,7 +451,7 @@ def fits(change: Array, variance: Array, baseline: Baseline, grid: Grid, errors:
     evidence[:, usual] = np.where(np.isin(np.arange(n), likely), evidence[:, usual], -np.inf)
     for j in range(len(errors.scales)):
         evaluate(likely, j, _STEPS)
-    return Fits(evidence, mean, covariance)
+    return Fits(evidence, mean, covariance, shift)
 
 
 def _fitted(
@@ -369,18 +463,19 @@ def _fitted(
     errors: Errors,
     scale: float,
     steps: int,
-) -> tuple[Array, Array, Array]:
-    """Return log evidence, and mean and covariance of the error of ln size, of some hypotheses."""
-    size, prior, of_air = grid.size[rows], grid.covariance[rows], grid.of_air[rows, np.newaxis]
-    stated, _ = baseline.shift(size, of_air)
+) -> tuple[Array, Array, Array, Array]:
+    """Return the `Fits` of some hypotheses with one scale, without the scale's prior probability."""
+    size, prior = grid.size[rows], grid.covariance[rows]
+    of_air = grid.of_air[rows, np.newaxis, np.newaxis] * baseline.climate
+    stated, _ = baseline.shift(size)
     spread = scale**2 * variance + ((errors.pair * stated) ** 2)[:, np.newaxis]
     other = errors.remeasured**2 + (errors.common * stated) ** 2
     z, weight = np.zeros_like(size), np.ones((len(size), len(change)))
     for _ in range(steps):
-        shift, slope = baseline.shift(size * np.exp(z), of_air)
+        shift, slope = baseline.shift(size * np.exp(z))
         centre = shift - slope * z
         of_shift = slope[:, :, None] * prior * slope[:, None, :]
-        whole = of_shift + other[:, :, None] * np.eye(size.shape[1])
+        whole = of_shift + of_air + other[:, :, None] * np.eye(size.shape[1])
         log_evidence, mode, precision, weight = _integrated(
             change, spread, centre, whole, errors, weight
         )
@@ -393,7 +488,8 @@ def _fitted(
     # Var z = prior - gain (whole - var m) gain', with var m of the posterior.
     of_mode = np.linalg.inv(precision)
     covariance = prior - gain @ (whole - of_mode) @ gain.swapaxes(1, 2)
-    return log_evidence, z, covariance
+    by_air = of_air @ np.linalg.solve(whole, (mode - centre)[:, :, np.newaxis])
+    return log_evidence, z, covariance, baseline.shift(size * np.exp(z))[0] + by_air[:, :, 0]
 
 
 def _integrated(
@@ -436,10 +532,12 @@ def _integrated(
     return likelihood - (of_mode + determinants) / 2, mode, precision, weight
 
 
-def _settled(change: Array, spread: Array, centre: Array, prior: Array, errors: Errors) -> float:
-    """Return the log evidence of one shift whose error is normal."""
+def _settled(
+    change: Array, spread: Array, centre: Array, prior: Array, errors: Errors
+) -> tuple[float, Array]:
+    """Return the log evidence of one shift whose error is normal, and the pairs' weights."""
     weight = np.ones((1, len(change)))
     for _ in range(_STEPS):
         found = _integrated(change, spread, centre, prior, errors, weight)
         weight = found[3]
-    return float(found[0][0])
+    return float(found[0][0]), weight[0]

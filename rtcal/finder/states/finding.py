@@ -29,12 +29,45 @@ from rtcal.support.text import as_sentence, listed
 from rtcal.support.types import Array
 
 
+def decimals(change: Array) -> int:
+    """Return the decimals with which changes (3, n_bands) are printed: the interval shows its width.
+
+    Examples
+    --------
+    >>> decimals(np.array([[10.0], [8.0], [13.0]])), decimals(np.array([[0.04], [-0.01], [0.09]]))
+    (1, 2)
+    """
+    width = change[2] - change[1]
+    known = width[np.isfinite(width) & (width > 0)]
+    if not len(known):
+        return 1
+    return int(np.clip(np.ceil(-np.log10(known.min() / 2)), 1, 6))
+
+
+def interval(change: Array, digits: int) -> str:
+    """Return a change (3,) in m² with its 90 % interval; that nothing was tried, where it is NaN.
+
+    Examples
+    --------
+    >>> interval(np.array([10.0, 8.0, 13.0]), 1)
+    '+10.0 (+8.0 to +13.0)'
+    """
+    if not np.isfinite(change).all():
+        return "not tried"
+    mean, low, high = (f"{value:+.{digits}f}" for value in change)
+    return f"{mean} ({low} to {high})"
+
+
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class StatesFinding(Finding):
     """The change between two states of a room; attributes beside those of `Finding`.
 
     The verdict is "family" where something changed and what, such as "added absorption, rising", has a
-    probability of at least 0.9; "named" where that is the climate; "ambiguous" where it is not told.
+    probability of at least 0.9; "named" where that is the climate alone, which then explains T by
+    chi-square; "ambiguous" where it is not told.
+
+    Two states that are exchanged have the same finding, but for "added" and "removed", which are
+    exchanged, and all changes, which have the other sign.
 
     The score is the log evidence that something changed over that nothing did. Where nothing changed,
     and the noise is as assumed, it exceeds the threshold ln 20 in at most one of twenty cases, whatever
@@ -49,7 +82,10 @@ class StatesFinding(Finding):
     area : array (n_bands,)
         The surfaces' absorption area before in m², by the equation; NaN where T is missing.
     change : array (3, n_bands)
-        Its change in m², if something changed: mean and both ends of the 90 % interval.
+        Its change in m², if absorption was added or removed: mean and both ends of the 90 % interval.
+        NaN where that was not tried.
+    shift : array (n_bands,)
+        Mean of ln(T after / T before) if something changed, by absorption and by climate.
     size : Size
         The change as mean over the bands of ``middle``, in m².
     middle : tuple of float
@@ -58,17 +94,24 @@ class StatesFinding(Finding):
         Probability of each surface that something changed on it; empty where none is told.
     sets : mapping of (names of surfaces) to float
         Sets of surfaces that changed together, the most probable first.
+    climate : float
+        Probability that the climate of the air is another as well, if absorption was added or removed.
+    left_out : tuple of str
+        What was not tried.
     """
 
-    record_kind: ClassVar[str] = "finding of two states 1"
+    record_kind: ClassVar[str] = "finding of two states 2"
 
     case: StatesCase
     area: Array
     change: Array
+    shift: Array
     size: Size
     middle: tuple[float, ...]
     surfaces: Mapping[str, float]
     sets: Mapping[Names, float]
+    climate: float
+    left_out: tuple[str, ...]
 
     @property
     def can_be_added(self) -> bool:
@@ -130,6 +173,8 @@ class StatesFinding(Finding):
             return "nothing"
         if self.family == "climate":
             return "another climate of the air, and nothing else"
+        if not np.isfinite(self.size.mean):  # nothing but the climate was tried
+            return "another climate of the air"
         low, high = sorted((abs(self.size.low), abs(self.size.high)))
         size = amount(abs(self.size.mean), "m²", (low, high))
         at = bands.label(self.middle[0])
@@ -164,6 +209,13 @@ class StatesFinding(Finding):
         return " ".join([*self.reasons, said])
 
     @property
+    def climate_in_words(self) -> str:
+        """How probable it is that the climate changed beside the surfaces; "" where it hardly did."""
+        if self.verdict == NONE or self.family == "climate" or self.climate < 0.5:
+            return ""
+        return f"Another climate of the air explains a part of it ({100 * self.climate:.0f} %)."
+
+    @property
     def not_told_apart(self) -> str:
         """The kinds of change that explain the data about as well, in a sentence; "" without two."""
         some = [f"{c.effect} ({100 * c.probability:.0f} %)" for c in self.candidates]
@@ -191,14 +243,14 @@ class StatesFinding(Finding):
             f"Evidence that something changed: {self.score:+.1f} nats; threshold "
             f"{self.threshold:.1f} nats."
         )
-        said = (self.not_told_apart, self.not_told_where, score, *self.notes)
+        said = (self.not_told_apart, self.climate_in_words, self.not_told_where, score, *self.notes)
         return tuple(filter(None, said))
 
     def _rows(self) -> list[tuple[str, list[str]]]:
         found = self.case.differences
         rows = []
+        digits = decimals(self.change)
         for k in np.flatnonzero(found.measured).tolist():
-            mean, low, high = self.change[:, k]
             rows.append(
                 (
                     bands.label(found.centre_frequencies[k]),
@@ -206,7 +258,7 @@ class StatesFinding(Finding):
                         f"{found.before[k]:.2f}",
                         f"{found.after[k]:.2f}",
                         f"{self.area[k]:.1f}",
-                        f"{mean:+.1f} ({low:+.1f} to {high:+.1f})",
+                        interval(self.change[:, k], digits),
                     ],
                 )
             )

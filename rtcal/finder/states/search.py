@@ -1,7 +1,13 @@
-"""The search for what changed between two states, and whether it predicts T at pairs not fitted."""
+"""The search for what changed between two states, and whether it predicts T at pairs not fitted.
+
+Two states that are exchanged have the same answer, with "added" and "removed" exchanged and all changes
+of the other sign. So the state of the longer T is the first in every search, and the answer is turned
+round where it was measured second (`_turned`).
+"""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
@@ -11,12 +17,12 @@ from scipy.special import logsumexp
 
 from rtcal.acoustics import bands
 from rtcal.acoustics.measurement import Measurement
-from rtcal.acoustics.observables import TARGET
+from rtcal.acoustics.observables import MATCH, TARGET
 from rtcal.finder.claim import SAID, claimed, most_probable_first
 from rtcal.finder.effects import Effect
 from rtcal.finder.effects.checks import checked_effects
 from rtcal.finder.finding import Candidate, Detection, Size, check_pairs
-from rtcal.finder.prior import NO_EFFECT, NONE
+from rtcal.finder.prior import NO_EFFECT, NONE, UNKNOWN, left_out_of
 from rtcal.finder.states import evidence
 from rtcal.finder.states.case import StatesCase
 from rtcal.finder.states.evidence import ADDED, AIR, REMOVED, Baseline, Errors, Fits, Grid, grid
@@ -42,6 +48,8 @@ def find(
     effects: Sequence[Effect] | None = None,
     errors: Errors | None = None,
     seed: int = 0,
+    only: Sequence[str] = (),
+    without: Sequence[str] = (),
 ) -> StatesFinding:
     """Find what changed between two states of a room, from T20 (or T30) alone.
 
@@ -55,6 +63,14 @@ def find(
         What is assumed of noise and prediction.
     seed : int
         Of the samples from which the intervals come.
+    only, without : sequence of str
+        Names of what is tried alone, or not at all: effects that add absorption, "air" for the climate,
+        and "unknown" for a spectrum that no effect has, which stays beside ``only``.
+
+    Raises
+    ------
+    DataError
+        For a name that is not tried between two states, and where none of the effects adds absorption.
 
     Examples
     --------
@@ -74,56 +90,88 @@ def find(
     checks.instance("case", case, StatesCase)
     checks.whole("seed", seed, 0)
     assumed = Errors() if errors is None else checks.instance("errors", errors, Errors)
+    of_library = checked_effects(effects)
+    if not evidence.adding(of_library):
+        raise DataError(
+            "none of the effects adds absorption, which is what may change between two states"
+        )
+    left_out = left_out_of(only, without, evidence.tried(of_library), [UNKNOWN])
     found, room = case.differences, case.room
     if found.of_means:
         assumed = replace(assumed, degrees=assumed.of_means)
-    measured = found.measured
-    change, variance = found.change[:, measured], found.variance[:, measured]
-    baseline = Baseline.of(room, case.equation, found.before, measured)
+    measured, frequencies = found.measured, room.centre_frequencies[found.measured]
+    variance = found.variance[:, measured]
+    sign, times = (1.0, (found.before, found.after))
+    if not found.falls:
+        sign, times = -1.0, times[::-1]
+    change = sign * found.change[:, measured]
+    of_air = case.climate_uncertainty
+    baseline = Baseline.of(room, case.equation, times, measured, of_air)
     area = np.full(room.n_bands, np.nan)
     area[measured] = baseline.area
-    of_library = checked_effects(effects)
-    tried = grid(room, area, measured, of_library)
+    tried = grid(room, area, measured, of_library, left_out)
+    if not found.falls:
+        tried = _turned(tried)
+        area[measured] = Baseline.of(room, case.equation, times[::-1], measured, of_air).area
     nothing = evidence.none(change, variance, assumed)
     fits = evidence.fits(change, variance, baseline, tried, assumed)
-    by_hypothesis = logsumexp(fits.log_evidence, axis=1) + tried.log_weight
-    score = float(logsumexp(by_hypothesis)) - nothing
+    by_scale = fits.log_evidence + tried.log_weight[:, np.newaxis]
+    something = float(logsumexp(by_scale))
+    score = something - nothing
     # log(1 + odds) without overflow, of odds that may be e^700.
     odds = score + float(np.log1p(-NO_EFFECT) - np.log(NO_EFFECT))
     none = float(np.exp(-np.logaddexp(0.0, odds)))
-    given = np.exp(by_hypothesis - logsumexp(by_hypothesis))
+    chances = np.exp(by_scale - something)
+    given = chances.sum(axis=1)
     probabilities = _summed(tried.names, given, none)
     families = _with_sums(_summed(tried.families, given, none))
     detection = Detection(score, THRESHOLD)
     by_family_alone = [name for name in probabilities if name != AIR]
     verdict, family = claimed(detection.verdict, probabilities, families, by_family_alone)
-    samples, drawn = _samples(fits, tried, baseline, given, seed)
-    changes = np.full((3, room.n_bands), np.nan)
-    changes[0, measured] = samples.mean(axis=0)
-    changes[1:, measured] = np.quantile(samples, _INTERVAL, axis=0)
-    frequencies = room.centre_frequencies[measured]
+    reasons = (_ONE_FILE,) if found.same else ()
+    if verdict == "named":  # the climate alone
+        chance = evidence.chance_of_climate(change, variance, baseline, assumed)
+        if chance < _LEAST_CHANCE:
+            verdict, family, reasons = "ambiguous", None, (_unlike_air(chance),)
+    of_surfaces = given * tried.of_surfaces
+    changes, middle, names = np.full((3, room.n_bands), np.nan), np.zeros(0), np.zeros(0, dtype=str)
     inside = bands.is_middle(frequencies)
     inside = inside if inside.any() else np.ones_like(inside)
-    middle = samples[:, inside].mean(axis=1)
-    names = np.array(tried.names)[drawn]
+    if of_surfaces.any():
+        samples, drawn = _samples(fits, tried, baseline, of_surfaces, seed)
+        samples, names = sign * samples, np.array(tried.names)[drawn]
+        changes[0, measured] = samples.mean(axis=0)
+        changes[1:, measured] = np.quantile(samples, _INTERVAL, axis=0)
+        middle = samples[:, inside].mean(axis=1)
     candidates = [
         _candidate(name, tried, p, middle[names == name])
         for name, p in probabilities.items()
-        if name != NONE and p >= SAID and (names == name).any()
+        if name != NONE and p >= SAID and (name == AIR or (names == name).any())
     ]
     if not candidates:  # nothing changed
         best = max((n for n in probabilities if n != NONE), key=lambda n: probabilities[n])
         candidates = [_candidate(best, tried, probabilities[best], middle)]
+    shift = np.full(room.n_bands, np.nan)
+    shift[measured] = sign * np.einsum("ns,nsk->k", chances, fits.shift)
     located: Located | None = None
     why = _OF_MEANS if case.simulator is None else ""
-    added = families.get(f"{ADDED} absorption", 0.0) > families.get(f"{REMOVED} absorption", 0.0)
     if family is not None and "absorption" in family:
-        located, why = _located(case, change, variance, added, assumed, seed)
+        added = families.get(f"{ADDED} absorption", 0.0) > families.get(
+            f"{REMOVED} absorption", 0.0
+        )
+        climate = None
+        if AIR not in left_out:
+            of_two = np.diag(evidence.climate_covariance(room, of_air))
+            climate = np.sqrt(of_two) / (4 * room.volume)
+        located, why = _located(case, change, variance, added, assumed, seed, climate)
     gains: Mapping[str, float] = {}
     if located is not None:
         gains = {s: gain if added else -gain for s, gain in located.gains.items()}
     elif case.simulator is not None and not case.sources_unstated:
-        gains = other_gains(case.simulator, *found.states, case.match, seed)
+        in_order = found.states if found.falls else found.states[::-1]
+        gains = other_gains(case.simulator, *in_order, case.match, seed)
+        gains = {s: sign * gain for s, gain in gains.items()}
+    with_air = float((of_surfaces * tried.of_air).sum() / of_surfaces.sum()) if len(middle) else 0.0
     return StatesFinding(
         case=case,
         verdict=verdict,
@@ -135,12 +183,42 @@ def find(
         candidates=tuple(candidates),
         area=area,
         change=changes,
+        shift=shift,
         size=_size(middle),
         middle=tuple(frequencies[inside].tolist()),
         surfaces={} if located is None else located.surfaces,
         sets={} if located is None else located.sets,
-        reasons=_of_gains(gains),
+        climate=with_air,
+        left_out=left_out,
+        reasons=(*_of_gains(gains), *reasons),
         notes=(*found.notes, *filter(None, [why])),
+    )
+
+
+_ONE_FILE = "Before and after have the same T at every pair: are they one file?"
+_LEAST_CHANCE = 0.05
+"""Least p-value of what is named: of true changes of the climate one in twenty is not."""
+
+
+def _unlike_air(chance: float) -> str:
+    return (
+        "Another climate of the air is the most probable single change, but alone it does not explain "
+        f"T (p = {chance:.2g} by chi-square over the bands)."
+    )
+
+
+def _turned(tried: Grid) -> Grid:
+    """Return the hypotheses with "added" and "removed" exchanged in their names alone."""
+    other = {ADDED: REMOVED, REMOVED: ADDED}
+
+    def turned(name: str) -> str:
+        side, _, rest = name.partition(" ")
+        return f"{other[side]} {rest}" if side in other else name
+
+    return replace(
+        tried,
+        names=tuple(map(turned, tried.names)),
+        families=tuple(map(turned, tried.families)),
     )
 
 
@@ -159,7 +237,13 @@ def _of_gains(gains: Mapping[str, float]) -> tuple[str, ...]:
 
 
 def _located(
-    case: StatesCase, change: Array, variance: Array, added: bool, errors: Errors, seed: int
+    case: StatesCase,
+    change: Array,
+    variance: Array,
+    added: bool,
+    errors: Errors,
+    seed: int,
+    climate: Array | None,
 ) -> tuple[Located | None, str]:
     """Return on which surfaces something changed; or None, and why no surface is told."""
     if case.simulator is None:
@@ -177,7 +261,9 @@ def _located(
     squares = np.nansum((change - mean) ** 2 / variance, axis=1)
     count = np.isfinite(change).sum(axis=1)
     weights = np.minimum(1.0, (errors.degrees + count) / (errors.degrees + squares))
-    located = locate(case.simulator, less, more_absorbing, match, weights, seed=seed)
+    located = locate(
+        case.simulator, less, more_absorbing, match, weights, seed=seed, climate=climate
+    )
     return located, ""
 
 
@@ -211,17 +297,19 @@ def _samples(
     value, vector = np.linalg.eigh(fits.covariance[rows, scale])
     normal = rng.standard_normal(value.shape) * np.sqrt(np.maximum(value, 0.0))
     z = fits.mean[rows, scale] + np.einsum("nkl,nl->nk", vector, normal)
-    size = np.where(tried.of_air[rows, np.newaxis], 0.0, tried.size[rows] * np.exp(z))
-    return baseline.after(size) - baseline.area, rows
+    return baseline.after(tried.size[rows] * np.exp(z)) - baseline.area, rows
 
 
 def _size(samples: Array) -> Size:
+    """Return the size of samples in m²; NaN of none, where no surface is taken to have changed."""
+    if not len(samples):
+        return Size(math.nan, math.nan, math.nan, "m²")
     low, high = np.quantile(samples, _INTERVAL)
     return Size(float(samples.mean()), float(low), float(high), "m²")
 
 
 def _candidate(name: str, tried: Grid, probability: float, samples: Array) -> Candidate:
-    size = _size(samples)
+    size = _size(samples if name != AIR else samples[:0])
     return Candidate(
         effect=name,
         family=tried.families[tried.names.index(name)],
@@ -284,16 +372,18 @@ def verify(
         lacking = "before" if before is None else "after"
         raise DataError(f"{lacking} is missing: the change is verified in both states")
     if before is not None and after is not None:
+        if seed:
+            raise DataError("seed is of halves of the pairs: what was found predicts further pairs")
         case = _at_new_pairs(finding, before, after)
         found = case.differences
-        gaps = _gaps(found.change, _shift(finding))
+        gaps = _gaps(found.change, finding.shift)
         return StatesVerification(finding=finding, gaps=gaps, case=case)
     check_pairs(found.pairs)
     predicted = np.full(found.change.shape, np.nan)
     for half in range(2):
         fitted = [i for i in range(len(found.pairs)) if i % 2 == half]
         held_out = [i for i in range(len(found.pairs)) if i % 2 != half]
-        predicted[held_out] = _predicted(case, [found.pairs[i] for i in fitted], seed)
+        predicted[held_out] = _predicted(finding, [found.pairs[i] for i in fitted], seed)
     gaps = _gaps(found.change, predicted)
     return StatesVerification(finding=finding, gaps=gaps)
 
@@ -316,29 +406,20 @@ def _at_new_pairs(finding: StatesFinding, before: Measurement, after: Measuremen
             f"{_LEAST_NEW} are needed"
         )
     case = finding.case
-    return StatesCase(
-        room=case.room, before=before.select(new), after=after.select(new), equation=case.equation
+    return replace(
+        case, before=before.select(new), after=after.select(new), simulator=None, match=MATCH
     )
 
 
-def _predicted(case: StatesCase, pairs: list[tuple[str, str]], seed: int) -> Array:
+def _predicted(finding: StatesFinding, pairs: list[tuple[str, str]], seed: int) -> Array:
     """Return the shift of ln T that these pairs alone tell, (n_bands,); NaN where they have no T."""
-    of_half = StatesCase(
-        room=case.room,
+    case = finding.case
+    of_half = replace(
+        case,
         before=case.before.select(pairs),
         after=case.after.select(pairs),
-        equation=case.equation,
+        simulator=None,
+        match=MATCH,
     )
-    return _shift(find(of_half, seed=seed))
-
-
-def _shift(finding: StatesFinding) -> Array:
-    """Return the shift of ln T that a finding states, (n_bands,); NaN where it has no T."""
-    case = finding.case
-    found, measured = case.differences, case.differences.measured
-    baseline = Baseline.of(case.room, case.equation, found.before, measured)
-    shift = np.full(len(measured), np.nan)
-    shift[measured] = np.log(
-        baseline.whole(baseline.area) / baseline.whole(baseline.area + finding.change[0, measured])
-    )
-    return shift
+    effects = tuple(finding.effects.values())
+    return find(of_half, effects=effects, seed=seed, without=finding.left_out).shift

@@ -4,6 +4,9 @@ The coefficients are scaled to T before. Then sets of surfaces absorb more, each
 way to alpha = 1 that goes through the bands as a random walk, and the same paths are weighed with them.
 In the difference of two weighings the simulator's error and the coefficients' cancel to first order.
 
+Each set is weighed with the same climate in both states and with another one, whose error is taken as
+independent from band to band.
+
 T and an absolute level are tied. A source whose level shifts otherwise than T says has another gain in
 the two states, and its level is left out.
 """
@@ -27,6 +30,7 @@ from rtcal.finder.positions import surfaces as of_room
 from rtcal.finder.positions.surfaces import Faces
 from rtcal.finder.positions.weighing import Weighing
 from rtcal.finder.prior import log_mixture
+from rtcal.finder.states.evidence import ANOTHER_CLIMATE
 from rtcal.simulators import observations
 from rtcal.simulators.observations import Observations
 from rtcal.simulators.path_tracing import PathTracing
@@ -96,6 +100,7 @@ def locate(
     weights: Array,
     surfaces: Mapping[str, Faces] | None = None,
     seed: int = 0,
+    climate: Array | None = None,
 ) -> Located:
     """Return the probability of each surface that it absorbs more after than before.
 
@@ -109,6 +114,9 @@ def locate(
         Parameters that are compared.
     weights : array (n_pairs,)
         Precision of each pair's noise over the expected one.
+    climate : array (n_bands,), optional
+        Standard deviation in 1/m by which the air's attenuation differs in two states, if it does; None
+        where another climate is not tried.
     """
     faces = of_room.of_geometry(simulator.geometry) if surfaces is None else surfaces
     pairs = before.pairs
@@ -143,15 +151,27 @@ def locate(
     shifts = np.where(np.isfinite(shifts), shifts, 0.0)
     frequencies = simulator.centre_frequencies
 
-    def evidence_of(sources: Sequence[str]) -> Array:
-        common = _common_errors(pairs, match, sources)
+    by_air = None
+    if climate is not None:
+        attenuation = simulator.room.air_attenuation + climate
+        in_it = _heard(weighing.energy(weighing.alpha, attenuation)[0], simulator, match)
+        by_air = np.nan_to_num(np.moveaxis((in_it - base)[:, rows], 0, -1))
+
+    def evidence_of(sources: Sequence[str], of_climate: Array | None) -> Array:
+        common = _common_errors(pairs, match, sources, of_climate, len(frequencies))
         numbers = noise, match, frequencies, common
         return np.array([_evidence(change, of_set, *numbers) for of_set in shifts])
 
-    evidence = evidence_of(())
-    if LEVEL.key in match:
-        regained = evidence_of([*dict.fromkeys(source for source, _ in pairs)])
-        evidence = log_mixture(evidence, regained, ANOTHER_GAIN)
+    def in_climate(of_climate: Array | None) -> Array:
+        as_calibrated = evidence_of((), of_climate)
+        if LEVEL.key not in match:
+            return as_calibrated
+        every = [*dict.fromkeys(source for source, _ in pairs)]
+        return log_mixture(as_calibrated, evidence_of(every, of_climate), ANOTHER_GAIN)
+
+    evidence = in_climate(None)
+    if by_air is not None:
+        evidence = log_mixture(evidence, in_climate(by_air), ANOTHER_CLIMATE)
     log_p = evidence - logsumexp(evidence)
     order = np.argsort(-log_p)
     sets = {tried[i]: float(np.exp(log_p[i])) for i in order}
@@ -261,15 +281,21 @@ def _noise(energy: Array, simulator: PathTracing, match: Sequence[str]) -> Array
 
 
 def _common_errors(
-    pairs: Sequence[tuple[str, str]], match: Sequence[str], sources: Sequence[str]
+    pairs: Sequence[tuple[str, str]],
+    match: Sequence[str],
+    sources: Sequence[str],
+    climate: Array | None,
+    n_bands: int,
 ) -> tuple[Array, Array]:
     """Return what several pairs err by together, and its variance where nothing changes.
 
-    All pairs share an error of each parameter, and those of each of ``sources`` a gain of the level.
+    All pairs share an error of each parameter, those of each of ``sources`` a gain of the level, and
+    all another climate, whose standard deviation shifts them by ``climate`` (n_pairs, n_bands,
+    n_parameters).
 
     Returns
     -------
-    columns : array (n_pairs, n_parameters, n_errors)
+    columns : array (n_pairs, n_bands, n_parameters, n_errors)
     variance : array (n_errors,)
     """
     again = np.array([OBSERVABLES[name].remeasured for name in match])
@@ -279,7 +305,10 @@ def _common_errors(
         if source in sources:
             gain[r, list(match).index(LEVEL.key), sources.index(source)] = 1.0
     variance = np.concatenate([again**2, np.full(len(sources), GAIN**2)])
-    return np.concatenate([shared, gain], axis=2), variance
+    columns = np.repeat(np.concatenate([shared, gain], axis=2)[:, np.newaxis], n_bands, axis=1)
+    if climate is None:
+        return columns, variance
+    return np.concatenate([columns, climate[..., np.newaxis]], axis=3), np.append(variance, 1.0)
 
 
 def _evidence(
@@ -316,8 +345,8 @@ def _evidence(
     columns, least = common
     variance = np.broadcast_to(least, (*mean.shape[:2], len(least))).copy()
     variance[..., : len(match)] += (COMMON * mean) ** 2
-    b = np.einsum("rpc,jrkp->jkc", columns, pulled)
-    held = np.einsum("rpc,jrkpq,rqd->jkcd", columns, inverse, columns, optimize=True)
+    b = np.einsum("rkpc,jrkp->jkc", columns, pulled)
+    held = np.einsum("rkpc,jrkpq,rkqd->jkcd", columns, inverse, columns, optimize=True)
     held = held + np.eye(len(least)) / variance[..., None]
     squares = np.einsum("jrkp,jrkp->jk", off, pulled)
     squares = squares - np.einsum("jkp,jkp->jk", b, np.linalg.solve(held, b[..., None])[..., 0])

@@ -1,0 +1,257 @@
+"""Laws of two states: exchanged, the same twice, twice as much, the climate alone, idle options."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import rtcal as rt
+from benchmarks import real_data, two_states
+from rtcal.finder.states import StatesCase, StatesFinding
+from rtcal.report.document import Heading
+from rtcal.report.finding_pages import states_page
+from tests.two_states import ALPHA, AREAS, BANDS, measured, room, times
+
+Two = tuple[rt.Room, rt.Measurement, rt.Measurement]
+
+
+def drawn(seed: int) -> Two:
+    """Return a room of its own size and coefficients, measured before and after a random change.
+
+    Some materials absorb more and others less, the climate is another, and each pair has its noise.
+    """
+    rng = np.random.default_rng(seed)
+    volume, areas = float(rng.uniform(60, 900)), AREAS * rng.uniform(0.7, 2.0)
+    one = np.clip(ALPHA * np.exp(0.4 * rng.standard_normal(ALPHA.shape)), 0.01, 0.6)
+    other = np.clip(one * np.exp(0.25 * rng.standard_normal((3, 1))), 0.01, 0.9)
+    airs = [rt.Air(20 + 2 * rng.standard_normal(), 50 + 10 * rng.standard_normal()) for _ in "ab"]
+    pairs = int(rng.integers(2, 9))
+
+    def t(alpha: np.ndarray, air: rt.Air) -> np.ndarray:
+        absorbed = areas @ -np.log(1 - alpha) + 4 * air.attenuation(BANDS) * volume
+        return np.asarray(24 * np.log(10) / 343.2 * volume / absorbed)
+
+    states = [
+        measured(t(alpha, air), 1000 * seed + j, pairs=pairs, uneven=0.02)
+        for j, (alpha, air) in enumerate(zip((one, other), airs, strict=True))
+    ]
+    if seed % 3 == 0:  # means over positions
+        states = [
+            rt.Measurement(
+                centre_frequencies=BANDS,
+                values={"t20": m.values["t20"].mean(axis=0, keepdims=True)},
+                uncertainty={"t20": 0.02 * m.values["t20"].mean(axis=0, keepdims=True)},
+            )
+            for m in states
+        ]
+    stated = room().replace(volume=volume, areas=areas, air=rt.Air() if seed % 2 else None)
+    return stated, states[0], states[1]
+
+
+def exchanged(table: Mapping[str, float]) -> dict[str, float]:
+    """Return a table with "added" in the place of "removed", and the other way round."""
+    other = {"added": "removed", "removed": "added"}
+    return {" ".join(other.get(word, word) for word in k.split(" ")): v for k, v in table.items()}
+
+
+def assert_mirrored(there: StatesFinding, back: StatesFinding) -> None:
+    """Assert that two findings are of the same states in the two orders."""
+    assert back.verdict == there.verdict
+    assert back.score == pytest.approx(there.score, rel=1e-9)
+    for name in ("probabilities", "families"):
+        assert getattr(back, name) == pytest.approx(exchanged(getattr(there, name)), abs=1e-12)
+    assert (there.family is None) == (back.family is None)
+    if there.family is not None:
+        assert exchanged({str(there.family): 0.0}) == {str(back.family): 0.0}
+    np.testing.assert_allclose(back.change[[0, 2, 1]], -there.change, rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(back.shift, -there.shift, rtol=1e-9, atol=1e-12)
+    sizes = [
+        (back.size.mean, back.size.high, back.size.low),
+        (there.size.mean, there.size.low, there.size.high),
+    ]
+    np.testing.assert_allclose(sizes[0], -np.array(sizes[1]), rtol=1e-9, atol=1e-12)
+    assert back.climate == pytest.approx(there.climate, abs=1e-12)
+
+
+def both_ways(two: Two) -> tuple[StatesFinding, StatesFinding]:
+    stated, before, after = two
+    return rt.find(stated, after, before=before), rt.find(stated, before, before=after)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_exchanged_states_mirror_the_answer(seed: int) -> None:
+    """Sizes were negated to 5 %, and a climate was claimed in one order of two states alone."""
+    there, back = both_ways(drawn(seed))
+    assert_mirrored(there, back)
+    if there.can_be_verified:
+        one, other = rt.finder.verify(there), rt.finder.verify(back)
+        assert one.verdict == other.verdict
+        np.testing.assert_allclose(other.gaps, -one.gaps, rtol=1e-6, atol=1e-9)
+
+
+@pytest.fixture
+def real(shared_data: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(real_data, "DATA", shared_data)
+
+
+@pytest.mark.usefixtures("real")
+def test_exchanged_real_states_mirror_the_answer_and_no_turned_panel_is_a_climate() -> None:
+    laboratory = two_states.box("laboratory", two_states.LABORATORY, two_states.OCTAVES)
+    panels = two_states.dechorate()
+    small = two_states.box(
+        "dEchorate", (5.705, 5.965, 2.355), panels[two_states.STEPS[0]].centre_frequencies
+    )
+    changes = [
+        *(
+            (laboratory, *(two_states.laboratory(s, False) for s in of))
+            for of in (["000", "050"], ["R", "100"])
+        ),
+        *(
+            (small, panels[a], panels[b])
+            for a, b in zip(two_states.STEPS, two_states.STEPS[1:], strict=False)
+        ),
+        (two_states.studio(), two_states.ptb("open"), two_states.ptb("closed")),
+    ]
+    for two in changes:
+        there, back = both_ways(two)
+        assert_mirrored(there, back)
+        assert there.family is not None
+        assert "absorption" in there.family
+
+
+def test_the_same_state_twice_is_no_change() -> None:
+    """Of one file given twice, of one to fewer digits, and of one that was measured again."""
+    once = measured(times(), 1)
+    rounded = replace(once, values={"t20": once.values["t20"].round(2)})
+    rng = np.random.default_rng(3)
+    again = replace(
+        once, values={"t20": once.values["t20"] * (1 + 0.003 * rng.standard_normal((6, 6)))}
+    )
+    for other in (once, rounded, again):
+        for finding in (rt.find(room(), other, before=once), rt.find(room(), once, before=other)):
+            assert finding.verdict == "none"
+            assert finding.family is None
+            assert finding.probabilities["none"] > 0.9
+            assert not finding.can_be_added
+
+
+def test_twice_the_change_is_a_larger_one() -> None:
+    sizes = [
+        rt.find(room(), measured(times(n), 6), before=measured(times(), 5)).size.mean
+        for n in (3, 6, 12, 24)
+    ]
+    assert sizes == sorted(sizes)
+    ratios = np.divide(sizes[1:], sizes[:-1])
+    assert ((ratios > 1.5) & (ratios < 2.5)).all()
+
+
+def test_the_order_of_pairs_and_of_effects_changes_nothing() -> None:
+    before, after = measured(times(), 1), measured(times(8), 2)
+    there = rt.find(room(), after, before=before)
+    order = list(before.pairs)[::-1]
+    other = rt.find(room(), after.select(order), before=before)
+    assert other.probabilities == pytest.approx(dict(there.probabilities), abs=1e-9)
+    np.testing.assert_allclose(other.change, there.change, rtol=1e-6)
+    effects = list(reversed(rt.finder.library()))
+    turned = rt.find(room(), after, before=before, effects=effects)
+    assert turned.probabilities == pytest.approx(dict(there.probabilities), abs=1e-9)
+    np.testing.assert_allclose(turned.change, there.change, rtol=1e-6)
+
+
+def in_climates(seed: int, panels: float) -> StatesFinding:
+    """Return the finding of panels that were added, each state in a climate as it is stated."""
+    rng = np.random.default_rng(seed)
+    two = [
+        measured(times(area, rt.Air(20 + 2 * rng.standard_normal(), 50 + 10 * rng.standard_normal())),
+                 100 * seed + j, pairs=30)
+        for j, area in enumerate((0.0, panels))
+    ]  # fmt: skip
+    return rt.find(room(), two[1], before=two[0])
+
+
+def test_panels_that_change_t_by_a_twentieth_are_no_climate() -> None:
+    """ "another climate of the air, and nothing else", 0.96 and 0.997, where panels were turned."""
+    assert np.log(times() / times(0.9))[2:4].mean() == pytest.approx(0.05, abs=0.01)
+    for seed in range(4):
+        finding = in_climates(seed, 0.9)
+        assert finding.family is not None
+        assert finding.family.startswith("added absorption")
+        assert finding.probabilities["air"] < 0.01
+
+
+def test_a_climate_that_is_named_explains_t_and_leaves_no_interval_of_nothing() -> None:
+    claims = []
+    for seed in range(6):
+        finding = in_climates(seed, 0.0)
+        claims += [] if finding.family is None else [finding.family]
+        assert "+0.0 (+0.0 to +0.0)" not in str(finding)
+        assert np.isfinite(finding.change).all()
+        assert (finding.change[1] < finding.change[2]).all()
+    assert len(claims) >= 3
+    assert set(claims) == {"climate"}
+
+
+def test_a_climate_that_does_not_explain_t_is_not_named() -> None:
+    """No surface is tried, so that the climate is the only one to explain panels."""
+    before, after = measured(times(), 1, pairs=30), measured(times(6), 2, pairs=30)
+    alone = rt.find(room(), after, before=before, only=["air"], without=["unknown"])
+    assert set(alone.probabilities) == {"none", "air"}
+    assert alone.verdict == "ambiguous"
+    assert alone.family is None
+    assert "does not explain T" in alone.headline
+    assert "not tried" in str(alone)
+    assert "nan" not in str(alone)
+
+
+def test_a_climate_is_as_well_known_as_it_is_stated() -> None:
+    two = [measured(times(air=rt.Air(20, h)), j, pairs=30) for j, h in enumerate((50, 35), 3)]
+    by_uncertainty = [
+        rt.find(
+            StatesCase(room=room(), before=two[0], after=two[1], climate_uncertainty=uncertainty)
+        ).probabilities["air"]
+        for uncertainty in ((0.1, 0.5), (2.0, 10.0))
+    ]
+    assert by_uncertainty[0] < 0.1
+    assert by_uncertainty[1] > 0.9
+
+
+def test_an_option_without_effect_is_refused() -> None:
+    stated, before, after = drawn(1)
+    two = {"room": stated, "before": before, "after": after}
+    dry = rt.find(stated, after, before=before, without=["air"])
+    assert "air" not in dry.probabilities
+    assert dry.climate == 0
+    for options in ({"without": ["volume"]}, {"without": ["coefficients"]}, {"only": ["formula"]}):
+        with pytest.raises(rt.errors.DataError, match=r"which is not one of .*air"):
+            rt.find(stated, after, before=before, **options)
+    for name, value in {"cache": "folder", "progress": print, "prior": {}, "most": 2}.items():
+        with pytest.raises(
+            rt.errors.DataError, match=f"{name} is not of a search for what changed"
+        ):
+            rt.find(stated, after, before=before, **{name: value})
+    volume = [e for e in rt.finder.library() if e.name == "volume"]
+    with pytest.raises(rt.errors.DataError, match="none of the effects adds absorption"):
+        rt.find(stated, after, before=before, effects=volume)
+    with pytest.raises(rt.errors.DataError, match="match needs a simulator"):
+        StatesCase(**two, match=["t20", "c80"])
+    with pytest.raises(rt.errors.DataError, match="states no air"):
+        StatesCase(**{**two, "room": stated.replace(air=None)}, climate_uncertainty=(1, 5))
+
+
+def test_a_climate_alone_has_numbers_and_a_page_without_nan(tmp_path: Path) -> None:
+    pytest.importorskip("jinja2")
+    pytest.importorskip("matplotlib")
+    two = [measured(times(air=rt.Air(20, h)), j, pairs=30) for j, h in enumerate((50, 35), 3)]
+    found = rt.find(room(), two[1], before=two[0], only=["air"], without=["unknown"])
+    assert found.family == "climate"
+    assert rt.finder.verify(found).verdict == "supported"
+    json.dumps(found.to_dict(), allow_nan=False)
+    assert str(rt.load(found.save(tmp_path))) == str(found)
+    page = states_page(found, Heading(), lambda: None)
+    assert "another climate of the air, and nothing else" in page
+    assert "nan" not in page.split("<img")[0].lower()
