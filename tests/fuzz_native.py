@@ -128,7 +128,7 @@ def read_objects(path: str) -> Any:
 
 def result_holds(result: Any) -> None:
     """The page can say it."""
-    assert words.summary(result, words.verdict(result))
+    assert words.summary(result, result.verdict)
     assert words.assumed(result)
     words.command(result)
     words.large_shifts(result)

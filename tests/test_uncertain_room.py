@@ -448,7 +448,7 @@ def test_a_gap_that_the_volume_takes_up_leads_the_page_and_the_text(tmp_path: Pa
     room, t = volume_is_wrong(volume_sigma=0.12)
     result = rt.calibrate(room, t, equation=SABINE)
     assert np.abs(result.gap_after).min() > 0.5
-    said = words.lead(result, words.verdict(result))
+    said = words.lead(result, result.verdict)
     lead = said["headline"]
     assert lead.startswith(
         "The calibrated room does not have the measured reverberation time in 4 of"
@@ -467,7 +467,7 @@ def test_a_gap_that_the_volume_takes_up_leads_the_page_and_the_text(tmp_path: Pa
     )
     assert "The room as exported does not have the measured T (250 Hz " in str(exported)
     met = rt.calibrate(*volume_is_wrong(), equation=SABINE)
-    headline = words.lead(met, words.verdict(met))["headline"]
+    headline = words.lead(met, met.verdict)["headline"]
     assert headline.startswith("The model has the measured reverberation time")
     exported = catt.write(met.room, tmp_path / "met.geo", equation=SABINE, missing_bands="nearest")
     assert "as exported does not have" not in str(exported)

@@ -171,11 +171,12 @@ def test_q_too_small_is_said() -> None:
     ]
     exact = rt.calibrate(room(), rt.Eyring().reverberation_time(room()))
     assert exact.plausibility.agreement == "too good"
-    assert "too good to be true" in unwrapped(exact)
+    assert "Too good to be true" in unwrapped(exact)
+    assert exact.verdict.level == "open"
     stated = room()
     spread = np.sqrt(stated.areas**2 @ stated.sigma**2)
     usual = rt.Eyring().time(stated, stated.absorption_area + 0.8 * spread)
-    assert "the measurement agrees with what was stated" in unwrapped(rt.calibrate(stated, usual))
+    assert "The measurement agrees with what was stated" in unwrapped(rt.calibrate(stated, usual))
 
 
 def test_agreement_in_spite_of_a_large_gap_is_said_to_confirm_nothing() -> None:
@@ -183,6 +184,7 @@ def test_agreement_in_spite_of_a_large_gap_is_said_to_confirm_nothing() -> None:
     usual, long = (f * rt.Eyring().reverberation_time(vague) for f in (1.08, 1.25))
     reservation = "allows even the gap of 4.0 JND before, so this does not confirm the model."
     assert reservation in unwrapped(rt.calibrate(vague, long))
+    assert "agrees" not in unwrapped(rt.calibrate(vague, long))
     assert "does not confirm the model" not in unwrapped(rt.calibrate(vague, usual))
 
 

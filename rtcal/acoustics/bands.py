@@ -127,6 +127,20 @@ def third_octaves(lowest: float = 100, highest: float = 5000) -> tuple[float, ..
     return tuple(f for f in THIRD_OCTAVES if lowest <= f <= highest)
 
 
+def hertz(frequencies: Sequence[float]) -> str:
+    """Return bands for a sentence, "" of none.
+
+    Examples
+    --------
+    >>> hertz([125, 250, 500])
+    '125, 250 and 500 Hz'
+    """
+    if not len(frequencies):
+        return ""
+    texts = [f"{f:g}" for f in frequencies]
+    return (", ".join(texts[:-1]) + " and " if len(texts) > 1 else "") + texts[-1] + " Hz"
+
+
 @checked
 def label(frequency: float) -> str:
     """Return the band's name in tables and messages.

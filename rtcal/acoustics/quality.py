@@ -4,15 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from rtcal.acoustics import bands
 from rtcal.acoustics.observables import TARGET, observable
 from rtcal.support import checks
 from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError
+from rtcal.support.text import as_sentence
 from rtcal.support.types import Array
 
 __all__ = ["Plausibility", "agreement", "gap_jnd", "plausibility"]
@@ -48,6 +50,8 @@ MET = 0.5
 """Gap in JND below which the words count the measured T as met: half of what can be heard."""
 P_CONTRADICTION = 0.05
 """Below this p-value, prior and measurement contradict each other: the usual level of 5 %."""
+LARGE_Z = 2.0
+"""z of a band that contradicts what was stated of the materials."""
 P_TOO_GOOD = 0.99
 """Above this p-value, prior and measurement agree too well to be true.
 
@@ -120,16 +124,16 @@ def together_in_words(p_value: float, p_together: float | None) -> str:
     Examples
     --------
     >>> print(together_in_words(1.7e-5, 0.011))
-    With errors that coefficients have in common p = 0.011. find assumes these too, and adds \
-those of the model and between measuring teams.
+    If all handbook values may be off by a common factor, p = 0.011. `rtcal find` also allows for \
+errors of the equation and of the measurement.
     >>> together_in_words(0.001, None)
     ''
     """
     if p_together is None or p_together < 2 * p_value:
         return ""
     return (
-        f"With errors that coefficients have in common p = {p_together:.2g}. find assumes these "
-        "too, and adds those of the model and between measuring teams."
+        f"If all handbook values may be off by a common factor, p = {p_together:.2g}. `rtcal find` "
+        "also allows for errors of the equation and of the measurement."
     )
 
 
@@ -218,6 +222,165 @@ def _chi_square(difference: Array, covariance: Array) -> float:
     spread = np.sqrt(np.diag(covariance))
     z = difference / spread
     return float(z @ np.linalg.solve(covariance / np.outer(spread, spread), z)) if len(z) else 0.0
+
+
+class Verdict(NamedTuple):
+    """What a calibration shows of model and measurement; every sentence about it follows from this.
+
+    ``level`` is "agrees", "open" or "contradicts", ``heading`` a sentence without its point, and
+    ``text`` the evidence.
+    """
+
+    level: Literal["agrees", "open", "contradicts"]
+    heading: str
+    text: str
+
+
+_AGAINST = "The measurement contradicts what was stated of the materials"
+_OF_ROOM = (
+    "surface_missing",
+    "surface_beyond_sense",
+    "dimensions",
+    "wide_sigma",
+    "equations_differ",
+)
+"""Marks of the whole room that leave open whether model and measurement agree."""
+
+
+def verdict(record: Mapping[str, Any]) -> Verdict:
+    """Return what a calibration shows: the one statement that text, page and JSON share.
+
+    In this order: a likely typing error; a calibration that does not ask for T; a gap that remains;
+    what p and z say of the materials, which a reservation about the whole room or about every band
+    leaves open.
+
+    Parameters
+    ----------
+    record : mapping
+        As `rtcal.calibration.CalibrationResult.to_dict` returns it.
+    """
+    marks = record["trust_marks"]
+    if typed := [
+        f"at {mark['frequency']:g} Hz: {mark['text']}"
+        for mark in marks
+        if mark["kind"] == "typing_error"
+    ]:
+        more = f" Another {len(typed) - 1} such values are listed below." if typed[1:] else ""
+        return Verdict(
+            "contradicts",
+            f"Likely a typing error {typed[0]}",
+            "Check this value before anything else, and calibrate again. Every coefficient of its band "
+            f"is computed with it.{more}",
+        )
+    after = np.abs(numbers(record["gap_after_jnd"]))
+    compared = np.isfinite(after)
+    if not record["matches_measured_time"]:
+        off = f", and T is off by up to {after[compared].max():.1f} JND" if compared.any() else ""
+        return Verdict(
+            "open",
+            "Nothing in this calibration asks for the measured T",
+            f"The coefficients follow the other terms alone{off}. Add terms.ExactMatch(), "
+            "MatchWithin() or SoftMatch().",
+        )
+    of_materials = _of_materials(record)
+    if left := remaining_gap(record):
+        fact, _, cause = left.partition(". ")
+        if of_materials.level == "contradicts":
+            return Verdict(
+                "contradicts", fact, f"{cause} {of_materials.heading}. {of_materials.text}"
+            )
+        return Verdict("open", fact, f"{cause} {_not_contradicted(record)}")
+    f = np.asarray(record["centre_frequencies"])[compared]
+    marked = {mark["frequency"] for mark in marks}
+    reserved = any(mark["kind"] in _OF_ROOM for mark in marks) or marked >= set(f.tolist())
+    if of_materials.level == "agrees" and reserved:
+        return Verdict("open", f"{of_materials.heading}, with reservations", of_materials.text)
+    return of_materials
+
+
+def _evidence(record: Mapping[str, Any]) -> tuple[str, str]:
+    """Return Q and p in words, and the bands whose z is large."""
+    plausibility = record["plausibility"]
+    q = f"Q = {plausibility['q']:.1f}, {plausibility['degrees_of_freedom']} degrees of freedom"
+    if plausibility["p_value"] is not None:
+        q += f", p = {plausibility['p_value']:.2g}"
+    z = numbers(plausibility["z"])
+    far = bands.hertz(np.asarray(record["centre_frequencies"])[np.abs(z) > LARGE_Z])
+    where = f"at {far} the" if far else "in no band does the"
+    asks = "asks" if far else "ask"
+    return q, (
+        f"{where} measurement {asks} for an absorption more than two standard deviations from the "
+        "stated one"
+    )
+
+
+def _not_contradicted(record: Mapping[str, Any]) -> str:
+    """Return that p and z contradict nothing, of a room that lacks the measured T all the same."""
+    p, p_together = (record["plausibility"][key] for key in ("p_value", "p_together"))
+    q, asks = _evidence(record)
+    if p is not None and p < P_CONTRADICTION:
+        return (
+            f"What was stated is contradicted unless all coefficients err the same way ({q}); {asks}. "
+            f"{together_in_words(p, p_together)}"
+        ).rstrip()
+    return f"What was stated is not contradicted ({q}); {asks}."
+
+
+def _of_materials(record: Mapping[str, Any]) -> Verdict:
+    """Return what p and z say of the materials, where the calibrated room has the measured T."""
+    plausibility = record["plausibility"]
+    p, p_together = plausibility["p_value"], plausibility["p_together"]
+    far = bool((np.abs(numbers(plausibility["z"])) > LARGE_Z).any())
+    q, asks = _evidence(record)
+    if not plausibility["degrees_of_freedom"]:
+        return Verdict("open", "No T was measured in a band of the model", "There is no verdict.")
+    if p is None:
+        return Verdict(
+            "contradicts" if far else "open",
+            _AGAINST if far else "No overall verdict",
+            f"{as_sentence(asks)} There is no p-value for all bands together, because a coefficient "
+            f"stands at a bound ({q}).",
+        )
+    together = together_in_words(p, p_together)
+    agreed = agreement(p, p_together)
+    if agreed == "too good":
+        return Verdict(
+            "open",
+            "Too good to be true: the measurement is nearer to what was stated than its uncertainty",
+            "Over all bands the coefficients moved less than their stated uncertainty makes likely "
+            f"({q}); {asks}. Either a sigma or the uncertainty of T is stated too large, or T was "
+            "calculated from these coefficients.",
+        )
+    further = f"The coefficients had to move further than their stated uncertainty explains ({q})"
+    if agreed == "contradicts":
+        return Verdict(
+            "contradicts",
+            _AGAINST,
+            f"{further}; {asks}. Something is missing from the model, or is stated wrongly, or is less "
+            f"certain than stated. {together}".rstrip(),
+        )
+    if p < P_CONTRADICTION:
+        return Verdict(
+            "open",
+            "The measurement agrees with what was stated only if all coefficients err the same way",
+            f"{further}; {asks}. {together}".rstrip(),
+        )
+    within = (
+        f"The coefficients moved no further than their stated uncertainty explains ({q}); {asks}."
+    )
+    weak = weak_agreement(numbers(record["gap_before_jnd"]))
+    if weak:
+        return Verdict(
+            "open",
+            "The measurement does not contradict what was stated of the materials",
+            f"{within} {weak}",
+        )
+    return Verdict(
+        "open" if far else "agrees",
+        "The measurement agrees with what was stated of the materials"
+        + (", with exceptions" if far else ""),
+        within,
+    )
 
 
 def numbers(values: Sequence[float | None] | Array) -> Array:

@@ -12,7 +12,9 @@ from numpy.typing import NDArray
 from rtcal.acoustics.bands import mid_frequency_time, schroeder_frequency
 from rtcal.acoustics.decay import BentDecay
 from rtcal.acoustics.observables import TARGET
+from rtcal.acoustics.quality import LARGE_Z
 from rtcal.acoustics.room import Room
+from rtcal.acoustics.typing_errors import TypingError, in_room
 from rtcal.support.arguments import checked
 from rtcal.support.types import Array
 
@@ -77,6 +79,11 @@ class TrustMark:
 
 
 _ADVICE: dict[str, tuple[str, str]] = {
+    "typing_error": (
+        "t",
+        "likely a typing error: check this value before anything else, and calibrate again. What "
+        "follows is computed with it",
+    ),
     "unreachable": (
         "n",
         "its coefficients are the ends of their bounds, which says nothing of the materials: check T, "
@@ -158,8 +165,6 @@ _ADVICE: dict[str, tuple[str, str]] = {
 }
 
 _AIR_SHARE = 0.5
-_LARGE_Z = 2.0
-"""z of a band that contradicts what was stated of the materials."""
 _ODD_UNCERTAINTY = 0.3
 """Of T, relative. Single decays of 0.3 s at 63 Hz, the least certain, scatter by 0.24."""
 OFF_VOLUME = 0.1
@@ -173,6 +178,13 @@ def bent_marks(bent: Sequence[BentDecay]) -> tuple[TrustMark, ...]:
     """Return the trust marks of bands whose decay is bent."""
     letter, advice = _ADVICE["bent"]
     return tuple(TrustMark("bent", letter, band.frequency, band.text, advice) for band in bent)
+
+
+@checked
+def typing_marks(mistyped: Sequence[TypingError]) -> tuple[TrustMark, ...]:
+    """Return the trust marks of values that are likely typing errors."""
+    letter, advice = _ADVICE["typing_error"]
+    return tuple(TrustMark("typing_error", letter, e.frequency, e.text, advice) for e in mistyped)
 
 
 def uncarried_mark(frequency: float, low: float, high: float) -> TrustMark:
@@ -215,8 +227,9 @@ def trust_marks(
     z: Array,
     unreachable: Sequence[float] = (),
     bent: Sequence[BentDecay] = (),
+    mistyped: Sequence[TypingError] = (),
 ) -> tuple[TrustMark, ...]:
-    """Return every reason to doubt single bands or the room.
+    """Return every reason to doubt single bands or the room, likely typing errors first.
 
     Parameters
     ----------
@@ -233,8 +246,10 @@ def trust_marks(
         Centre frequencies in Hz of bands that were moved to the nearest end.
     bent : sequence of BentDecay
         Bands whose measured decay is not straight.
+    mistyped : sequence of TypingError
+        Measured values that are likely typing errors; those of the room are found here.
     """
-    marks: list[TrustMark] = []
+    marks = [*typing_marks([*mistyped, *in_room(room)])]
 
     def mark(kind: str, frequency: float | None, text: str, advised: str = "") -> None:
         letter, advice = _ADVICE[advised or kind]
@@ -277,7 +292,7 @@ def trust_marks(
         if uncertainty[k] > _ODD_UNCERTAINTY * measured[k]:
             over = f"{100 * _ODD_UNCERTAINTY:.0f} %"
             mark("uncertain", f, f"T is uncertain by over {over}: is it stated in percent, not s?")
-        elif uncertainty[k] > TARGET.jnd_of(measured[k]) and not abs(z[k]) > _LARGE_Z:
+        elif uncertainty[k] > TARGET.jnd_of(measured[k]) and not abs(z[k]) > LARGE_Z:
             mark("uncertain", f, "T is uncertain by more than one JND")
         # A single coefficient at 1 says nothing of the others, which may still give the T.
         spent = bool((active[:, k] > 0)[room.sigma[:, k] > 0].all())
@@ -285,7 +300,7 @@ def trust_marks(
         for i in np.flatnonzero(active[:, k]).tolist():
             side, advised = ("lower", "") if active[i, k] < 0 else ("upper", upper)
             mark("at_bound", f, f"{room.materials[i]} stands at its {side} bound", advised)
-        if abs(z[k]) > _LARGE_Z:
+        if abs(z[k]) > LARGE_Z:
             side = "more" if z[k] > 0 else "less"
             mark("implausible", f, f"T asks for {side} absorption than was stated, |z| over 2")
     return tuple(marks)

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Unpack, overload
 
+from rtcal.acoustics import typing_errors
 from rtcal.acoustics.equations import Equation, Eyring, LinearEquation
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.repeats import refuse_repeated_data
@@ -39,7 +40,7 @@ from rtcal.calibration.terms import (
 )
 from rtcal.support import checks
 from rtcal.support.arguments import checked
-from rtcal.support.errors import DataError, MissingAirWarning, ModelError
+from rtcal.support.errors import DataError, InfeasibleError, MissingAirWarning, ModelError
 from rtcal.support.types import Array
 
 Constraint = RowConstraint | BoundConstraint | SharedMaterials
@@ -318,12 +319,15 @@ class JointProblem:
         for room, of_room in zip(used.rooms, times, strict=True):
             refuse_repeated_data(room, of_room.fingerprint)
         assembler = self._assembler
-        solution = self._program.solve(
-            assembler.problem_data(used, times, weights, observed),
-            used.rooms,
-            assembler.equation,
-            chosen,
-        )
+        data = assembler.problem_data(used, times, weights, observed)
+        try:
+            solution = self._program.solve(data, used.rooms, assembler.equation, chosen)
+        except InfeasibleError as error:
+            mistyped = [e for of_room in times for e in of_room.mistyped]
+            mistyped += [e for room in used.rooms for e in typing_errors.in_room(room)]
+            if mistyped:
+                error.args = (f"{mistyped[0].sentence}. {error}",)
+            raise
         return JointResult(
             configurations=used,
             solution=solution,

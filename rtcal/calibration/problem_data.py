@@ -12,11 +12,12 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from rtcal.acoustics import band_conversion, bands, repeats
+from rtcal.acoustics import band_conversion, bands, repeats, typing_errors
 from rtcal.acoustics.decay import BentDecay, bent_decays
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.observables import REVERBERATION, TARGET, parameter_label
 from rtcal.acoustics.room import Room
+from rtcal.acoustics.typing_errors import TypingError
 from rtcal.calibration.layout import Layout, Whitened
 from rtcal.support import checks
 from rtcal.support.errors import CopiedPairsWarning, DataError, OtherBandsWarning
@@ -36,7 +37,8 @@ class MeasuredTimes:
     ``parameter`` is ``"t20"``, ``"t30"`` or ``""`` per band. ``ignored`` are the measured bands in Hz
     that the room lacks. ``fingerprint`` identifies the data. ``caution`` is a sentence if T was
     converted from bands of another width, or if T30 is a copy of T20 or a pair one of another, else
-    empty. ``bent`` are the bands whose decay is not straight.
+    empty. ``bent`` are the bands whose decay is not straight. ``mistyped`` are values that are likely
+    typing errors, with the room's nearest band.
     """
 
     reverberation_time: Array
@@ -46,6 +48,7 @@ class MeasuredTimes:
     fingerprint: str
     caution: str
     bent: tuple[BentDecay, ...] = ()
+    mistyped: tuple[TypingError, ...] = ()
 
     def __repr__(self) -> str:
         n, data = np.count_nonzero(np.isfinite(self.reverberation_time)), self.fingerprint
@@ -82,6 +85,7 @@ def times_in_room(room: Room, measured: Measurement | Sequence[float] | Array) -
             fingerprint=" ".join([repeats.of_times(room, mean), *_at_pairs(in_room)]),
             caution=". ".join(filter(None, cautions)),
             bent=bent_decays(in_room),
+            mistyped=_mistyped(room, measured, mean, decay.parameter),
         )
     try:
         times = checks.array("measured", measured).copy()
@@ -102,6 +106,28 @@ def times_in_room(room: Room, measured: Measurement | Sequence[float] | Array) -
         (),
         repeats.of_times(room, times),
         "",
+        mistyped=tuple(typing_errors.of_row(room.centre_frequencies, times, "T", " s")),
+    )
+
+
+def _mistyped(
+    room: Room, measured: Measurement, mean: Array, parameter: Sequence[str]
+) -> tuple[TypingError, ...]:
+    """Return the likely typing errors in T: of single values, or else of their mean."""
+    matched = {p for p in parameter if p}
+    values = {p: v for p, v in measured.values.items() if p in matched}
+    places = np.log(room.centre_frequencies)
+    found = [
+        replace(error, frequency=float(room.centre_frequencies[k]))
+        for error in typing_errors.in_measurement(
+            Measurement(
+                centre_frequencies=measured.centre_frequencies, values=values, pairs=measured.pairs
+            )
+        )
+        for k in [int(np.argmin(np.abs(places - np.log(error.frequency))))]
+    ]
+    return tuple(found) or tuple(
+        typing_errors.of_row(room.centre_frequencies, mean, "the mean T", " s")
     )
 
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from rtcal.acoustics import room_errors
 from rtcal.acoustics.changes import Change
 from rtcal.acoustics.equations import LinearEquation
-from rtcal.acoustics.quality import Plausibility, gap_jnd, plausibility
+from rtcal.acoustics.quality import Plausibility, Verdict, gap_jnd, plausibility, verdict
 from rtcal.acoustics.room import CalibrationRecord, Room
 from rtcal.acoustics.room_errors import Assumptions, of_absorption
 from rtcal.acoustics.states import State
@@ -225,6 +225,7 @@ class CalibrationResult(Result):
             self.plausibility.z,
             [u.frequency for u in self.unreachable],
             self.measured_data.bent,
+            self.measured_data.mistyped,
         )
 
     @cached_property
@@ -315,7 +316,7 @@ class CalibrationResult(Result):
         suffices to repeat the calibration.
         """
         room, model = self.prior, self.joint.solution.model
-        return {
+        record = {
             "rtcal": table.KIND,
             "versions": dict(self.joint.versions),
             "room": room.name,
@@ -372,6 +373,12 @@ class CalibrationResult(Result):
             "solver": table.solver(self.solver, self.raw, self.polished),
             "inputs": table.inputs(room, self.measured_data),
         }
+        return {**record, "verdict": verdict(record)._asdict()}
+
+    @cached_property
+    def verdict(self) -> Verdict:
+        """What the calibration shows of model and measurement: see `rtcal.acoustics.quality`."""
+        return Verdict(**self.to_dict()["verdict"])
 
     def __repr__(self) -> str:
         gaps = [np.nanmax(np.abs(gap)) for gap in (self.gap_before, self.gap_after)]

@@ -16,14 +16,7 @@ from rtcal.acoustics import bands
 from rtcal.acoustics.equations import LinearEquation
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.observables import TARGET, parameter_label
-from rtcal.acoustics.quality import (
-    P_CONTRADICTION,
-    agreement,
-    numbers,
-    remaining_gap,
-    together_in_words,
-    weak_agreement,
-)
+from rtcal.acoustics.quality import numbers, verdict
 from rtcal.acoustics.room import Room
 from rtcal.acoustics.trust import TrustMark, explained, letters
 from rtcal.calibration.certificate import Certificate
@@ -170,7 +163,7 @@ _BOUNDS = {"lower": "*", "upper": "*", "": " "}
 
 
 def text_table(record: Mapping[str, Any]) -> str:
-    """Return the text that ``print(result)`` shows: bands, materials, plausibility, certificate.
+    """Return the text that ``print(result)`` shows: verdict, cautions, bands, materials, certificate.
 
     Parameters
     ----------
@@ -180,11 +173,12 @@ def text_table(record: Mapping[str, Any]) -> str:
     header = ("", _band_labels(record))
     return "\n".join(
         [
+            *(line for sentence in _header(record) for line in text.wrapped(sentence)),
+            "",
             *(
                 line
-                for sentence in (*_header(record), remaining_gap(record))
-                if sentence
-                for line in text.wrapped(sentence)
+                for sentence, indent in _notes(record)
+                for line in text.wrapped(sentence, indent)
             ),
             "",
             *text.table(_band_rows(record), header=header),
@@ -199,11 +193,7 @@ def text_table(record: Mapping[str, Any]) -> str:
             *text.wrapped(_SHIFT),
             *text.table(_shift_rows(record), header=header),
             "",
-            *(
-                line
-                for sentence, indent in _notes(record)
-                for line in text.wrapped(sentence, indent)
-            ),
+            *text.wrapped(_certificate(record)),
         ]
     )
 
@@ -231,7 +221,7 @@ def html_table(record: Mapping[str, Any]) -> str:
         f"{title}; {settings}. alpha after (shift in sigmas of the prior; * at a bound)",
         ["", *_band_labels(record)],
         rows,
-        [_SIGNS, *(sentence for sentence, _ in _notes(record))],
+        [*(sentence for sentence, _ in _notes(record)), _SIGNS, _certificate(record)],
     )
 
 
@@ -264,8 +254,8 @@ def _band_rows(record: Mapping[str, Any]) -> list[text.Row]:
     quantities = [
         ("measured T / s", record["measured"]["reverberation_time"], ".3f"),
         ("  its uncertainty / s", record["measured"]["uncertainty"], ".3f"),
-        ("T before / s", record["reverberation_time_before"], ".3f"),
-        ("T after / s", record["reverberation_time_after"], ".3f"),
+        ("T before, model / s", record["reverberation_time_before"], ".3f"),
+        ("T after, model / s", record["reverberation_time_after"], ".3f"),
         ("gap before / JND", record["gap_before_jnd"], "+.1f"),
         ("gap after / JND", record["gap_after_jnd"], "+.1f"),
         ("z", record["plausibility"]["z"], "+.1f"),
@@ -275,7 +265,7 @@ def _band_rows(record: Mapping[str, Any]) -> list[text.Row]:
     return [
         *([("matched", parameters)] if len(_parameters(record)) > 1 else []),
         *((label, text.numbers(numbers(values), form)) for label, values, form in quantities),
-        ("do not trust, see below", trust),
+        ("do not trust, see above", trust),
     ]
 
 
@@ -321,17 +311,13 @@ def _trust_marks(record: Mapping[str, Any]) -> list[TrustMark]:
 
 
 def _notes(record: Mapping[str, Any]) -> list[tuple[str, str]]:
-    """The sentences below the tables with their indents."""
-    measured = record["measured"]
-    notes = [(_plausibility(record), "")]
-    if not record["matches_measured_time"]:
-        notes.append(
-            (
-                "Nothing in this calibration asks for the measured T: the coefficients follow the "
-                "other terms alone. Add terms.ExactMatch(), MatchWithin() or SoftMatch().",
-                "",
-            )
-        )
+    """The verdict and the cautions, each sentence with its indent."""
+    measured, of_all = record["measured"], verdict(record)
+    notes = [(f"{of_all.heading}. {of_all.text}", "")]
+    if marks := _trust_marks(record):
+        notes.append(("Cautions:", ""))
+        for sentence in explained(marks):
+            notes.append((sentence.lstrip(), " " * (2 + len(sentence) - len(sentence.lstrip()))))
     stated = record.get("room_uncertainty")
     if record["room_taken_as_exact"]:
         said = (
@@ -362,24 +348,21 @@ def _notes(record: Mapping[str, Any]) -> list[tuple[str, str]]:
                 "  ",
             )
         )
-    if marks := _trust_marks(record):
-        notes.append(("Where not to believe it, and what to do:", ""))
-        for sentence in explained(marks):
-            notes.append((sentence.lstrip(), " " * (2 + len(sentence) - len(sentence.lstrip()))))
+    return notes
+
+
+def _certificate(record: Mapping[str, Any]) -> str:
+    """Return how exactly the problem was solved."""
     worst = {
         key: np.max(numbers(record["certificate"][key]))
         for key in ("primal_residual", "dual_residual", "duality_gap")
     }
     bound = np.max([numbers(material["error_bound"]) for material in record["materials"]])
-    notes.append(
-        (
-            "Certificate, of the computation alone: primal residual "
-            f"{worst['primal_residual']:.1e}, dual residual {worst['dual_residual']:.1e}, duality gap "
-            f"{worst['duality_gap']:.1e}; alpha within {bound:.1e} of the optimum.",
-            "",
-        )
+    return (
+        f"Certificate, of the computation alone: primal residual {worst['primal_residual']:.1e}, dual "
+        f"residual {worst['dual_residual']:.1e}, duality gap {worst['duality_gap']:.1e}; alpha within "
+        f"{bound:.1e} of the optimum."
     )
-    return notes
 
 
 def _bands_beyond_equation(record: Mapping[str, Any]) -> list[str]:
@@ -392,48 +375,3 @@ def _bands_beyond_equation(record: Mapping[str, Any]) -> list[str]:
         )
         if t is None and column.any()
     ]
-
-
-def _plausibility(record: Mapping[str, Any]) -> str:
-    plausibility = record["plausibility"]
-    p_value = plausibility["p_value"]
-    start = (
-        f"Plausibility: Q = {plausibility['q']:.1f} with {plausibility['degrees_of_freedom']} "
-        "degrees of freedom"
-    )
-    if p_value is None:
-        return f"{start}; no p-value, because a bound is active."
-    p_together = plausibility["p_together"]
-    agrees, together = (
-        agreement(p_value, p_together),
-        together_in_words(p_value, p_together),
-    )
-    if agrees == "too good":
-        return (
-            f"{start}, p = {p_value:.2g}: too good to be true. The coefficients moved less than their "
-            "stated uncertainty makes likely. Either a sigma or the uncertainty of T is stated too "
-            "large, or T was calculated from these coefficients."
-        )
-    if agrees == "contradicts":
-        return (
-            f"{start}, p = {p_value:.2g}: the measurement contradicts what was stated of the "
-            f"materials. {together} {_calibrated_gap(record)}".replace("  ", " ")
-        )
-    if p_value < P_CONTRADICTION:
-        return (
-            f"{start}, p = {p_value:.2g}: the measurement agrees with what was stated only if "
-            f"all coefficients err the same way. {together}"
-        )
-    weak = weak_agreement(numbers(record["gap_before_jnd"]))
-    return (
-        f"{start}, p = {p_value:.2g}: the measurement agrees with what was stated. {weak}".rstrip()
-    )
-
-
-def _calibrated_gap(record: Mapping[str, Any]) -> str:
-    """Return a note on the calibrated T where the measurement contradicts the materials."""
-    gap = np.abs(numbers(record["gap_after_jnd"]))
-    worst = float(np.max(gap, where=np.isfinite(gap), initial=0.0))
-    if worst < 0.05:
-        return "The calibrated T agrees with it all the same, which proves nothing."
-    return f"The calibrated T still differs by up to {worst:.1f} JND."

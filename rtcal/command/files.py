@@ -29,6 +29,7 @@ from rtcal.command.console import (
     said,
     tell,
     texts,
+    warn,
     written,
 )
 from rtcal.io.table_columns import DECAY_TIMES_OF_RT60
@@ -90,6 +91,7 @@ def measure(
 
     Example: rtcal measure *.wav --out t.csv
     """
+    from rtcal.acoustics.typing_errors import in_measurement
     from rtcal.io import impulse_responses
     from rtcal.io.analysis import with_uncertainty
     from rtcal.support.speed import bar
@@ -121,11 +123,18 @@ def measure(
         click.echo("rtcal: no parameter could be determined; the reasons are listed", err=True)
     if positions is not None and scene is not None:
         write_text(positions, scene)
+    odd = [
+        f"{error.frequency:g} Hz: {error.text}: hardly the decay of a room. Check this response before "
+        "anything else"
+        for error in in_measurement(analysis.measurement)
+    ]
+    for sentence in () if is_quiet() else odd:
+        warn(sentence)
     notes = {
         "impulse_to_noise_ratio_db": analysis.impulse_to_noise_ratio,
         "minimum_range_db": analysis.minimum_range,
         "missing": analysis.missing,
-        "notes": analysis.notes,
+        "notes": (*odd, *analysis.notes),
     }
     _write_and_tell(analysis, notes, out)
 

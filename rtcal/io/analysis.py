@@ -15,6 +15,7 @@ from rtcal.acoustics.observables import (
     observable,
     parameter_label,
 )
+from rtcal.acoustics.typing_errors import in_measurement
 from rtcal.support import text
 from rtcal.support.types import Array
 
@@ -207,11 +208,12 @@ def spread(values: Sequence[float] | Array, form: str) -> str:
 
 
 def unusual(measurement: Measurement) -> tuple[str, ...]:
-    """Return a note on each parameter with values that hardly any room, or no other pair, has.
+    """Return notes on likely typing errors, and on values that hardly any room, or no other pair, has.
 
     And one on pairs that have the values of another.
     """
-    notes = measurement.copies
+    notes = [error.sentence for error in in_measurement(measurement)]
+    notes += measurement.copies
     for parameter, table in measurement.values.items():
         kind = observable(parameter)
         least, most = kind.usual

@@ -71,8 +71,8 @@ class Table:
     columns: tuple[str, ...]
 
     def __str__(self) -> str:
-        """Return how each column was read, what is in doubt, and the means of what was read."""
-        return "\n".join([*self.columns, *self.doubts, "", *means(self.measurement)])
+        """Return what is in doubt, how each column was read, and the means of what was read."""
+        return "\n".join([*self.doubts, *self.columns, "", *means(self.measurement)])
 
     @property
     def doubts(self) -> tuple[str, ...]:

@@ -24,7 +24,8 @@ from rtcal.acoustics.observables import TARGET
 from rtcal.acoustics.quality import gap_jnd
 from rtcal.acoustics.repeats import refuse_repeated_data
 from rtcal.acoustics.room import Room
-from rtcal.acoustics.trust import TrustMark, bent_marks
+from rtcal.acoustics.trust import TrustMark, bent_marks, typing_marks
+from rtcal.acoustics.typing_errors import in_room, of_row
 from rtcal.calibration.methods import preset
 from rtcal.calibration.problem import CalibrationProblem
 from rtcal.calibration.problem_data import data_history, tell_data, times_in_room
@@ -209,13 +210,20 @@ class Loop(Result):
 
     @property
     def trust_marks(self) -> tuple[TrustMark, ...]:
-        """Bands of the `outcome` whose coefficients are at a bound, or contradict the prior (z over 2).
+        """Likely typing errors, and bands of the `outcome` at a bound or against the prior (z over 2).
 
         Also bands whose measured decay is bent, and those of `low` that no modes carry.
         A simulator can be brought to almost any T: a small gap confirms nothing.
         """
         marks = [m for m in self.outcome.trust_marks if m.kind in ("at_bound", "implausible")]
-        return (*marks, *bent_marks(self.bent), *(self.low.trust_marks if self.low else ()))
+        label = self.matched.label.removeprefix("the ")
+        mistyped = of_row(self.room.centre_frequencies, self.wanted, label, " s")
+        return (
+            *typing_marks([*mistyped, *in_room(self.room)]),
+            *marks,
+            *bent_marks(self.bent),
+            *(self.low.trust_marks if self.low else ()),
+        )
 
     @property
     def goal(self) -> Array:

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from rtcal.acoustics import bands, room_files
+from rtcal.acoustics.quality import Verdict
 from rtcal.acoustics.trust import letters
 from rtcal.calibration import table
 from rtcal.calibration.result import CalibrationResult
@@ -64,7 +65,7 @@ def calibration_page(
     DataError
         If the page would be larger than 2 MB.
     """
-    values = _calibration(result, progress or (lambda: None))
+    values = _calibration(result, progress or (lambda: None), result.verdict)
     return render("calibration.html", values, _heading(heading, result))
 
 
@@ -101,21 +102,34 @@ def finding_page(
         for name, (figure, caption) in pictures.items()
     }
     values = {
-        **_calibration(result, lambda: None),
+        **_calibration(result, lambda: None, _beside(result.verdict, finding["level"])),
         "finding": {**finding, "figures": dict.fromkeys(FINDING_FIGURES) | drawn},
     }
     return render("finding.html", values, _heading(heading, result))
+
+
+def _beside(plain: Verdict, of_finding: str) -> Verdict:
+    """Return the plain calibration's verdict on the page of a finding that says more than it."""
+    if plain.level != "agrees" or of_finding == "agrees":
+        return plain
+    return Verdict(
+        "open",
+        "By T alone, nothing contradicts what was stated of the materials",
+        f"{plain.text} The finding above rests on more than this, and comes first.",
+    )
 
 
 def _heading(heading: Heading | None, calibration: CalibrationResult) -> Heading:
     return (heading or Heading()).completed(calibration.prior.name, calibration.prior.author)
 
 
-def _calibration(calibration: CalibrationResult, step: Callable[[], None]) -> dict[str, Any]:
+def _calibration(
+    calibration: CalibrationResult, step: Callable[[], None], agreed: Verdict
+) -> dict[str, Any]:
     """Return what the template of a calibration shows."""
     clean, marked = words.usable(calibration)
     shifts, shift_count = words.large_shifts(calibration)
-    certified, agreed = calibration.certificate, words.verdict(calibration)
+    certified = calibration.certificate
     certificate = {
         "primal": _worst(certified.primal_residual),
         "dual": _worst(certified.dual_residual),
@@ -212,8 +226,8 @@ def _band_rows(calibration: CalibrationResult) -> list[tuple[str, Any, int, bool
     return [
         ("measured T / s", calibration.measured, 3, False),
         ("its uncertainty / s", calibration.measured_uncertainty, 3, False),
-        ("T before / s", calibration.reverberation_time_before, 3, False),
-        ("T after / s", calibration.reverberation_time_after, 3, False),
+        ("T before, model / s", calibration.reverberation_time_before, 3, False),
+        ("T after, model / s", calibration.reverberation_time_after, 3, False),
         ("gap before / JND", calibration.gap_before, 1, True),
         ("gap after / JND", calibration.gap_after, 1, True),
         ("z", calibration.plausibility.z, 1, True),

@@ -9,20 +9,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from rtcal.acoustics import bands, room_errors
+from rtcal.acoustics.bands import hertz as hertz
 from rtcal.acoustics.equations import EQUATIONS
 from rtcal.acoustics.observables import parameter_label
-from rtcal.acoustics.quality import (
-    MET,
-    P_CONTRADICTION,
-    remaining_gap,
-    together_in_words,
-    weak_agreement,
-)
+from rtcal.acoustics.quality import MET, Verdict, remaining_gap
 from rtcal.acoustics.trust import TrustMark
 from rtcal.calibration.methods import METHODS
 from rtcal.calibration.result import CalibrationResult
 from rtcal.calibration.table import equation_parameters
-from rtcal.support.text import as_sentence
 
 LARGE_SHIFT = 2.0
 """Shift in standard deviations of the prior above which T contradicts a material's stated alpha."""
@@ -39,11 +33,6 @@ _GAP_REMAINS = (
     "A simulation with these coefficients keeps the gap that remains. What takes it up is checked "
     "first, corrected in the room's file, and the calibration repeated."
 )
-
-_AGAINST = "The measurement contradicts what was stated of the materials"
-
-Verdict = tuple[str, str, str]
-"""The agreement of measurement and prior: a word, a heading and a sentence."""
 
 _METHODS = {
     "mle": "mle: the likeliest coefficients that give the measured reverberation time exactly; "
@@ -84,18 +73,6 @@ class Shift:
     sigmas: float
 
 
-def hertz(frequencies: Sequence[float]) -> str:
-    """Return a list of bands for a sentence.
-
-    Examples
-    --------
-    >>> hertz([125, 250, 500])
-    '125, 250 and 500 Hz'
-    """
-    texts = [f"{f:g}" for f in frequencies]
-    return (", ".join(texts[:-1]) + " and " if len(texts) > 1 else "") + texts[-1] + " Hz"
-
-
 def compared(calibration: CalibrationResult) -> str:
     """Return the bands in which model and measurement were compared."""
     has_gap = np.isfinite(calibration.gap_before)
@@ -105,24 +82,26 @@ def compared(calibration: CalibrationResult) -> str:
 def lead(calibration: CalibrationResult, agreed: Verdict) -> dict[str, str]:
     """Return what a reader who is no acoustician reads first.
 
-    "headline" is the result as one sentence. "level" is the kind of the box around it: "agrees", "open"
-    or "contradicts"; a model that lacks the measured T does not agree, whatever its materials do.
+    "headline" is the result as one sentence. "level" is that of the verdict ``agreed``.
     "proves_nothing" is what the agreement, or what is left of the gap, says of the model.
     """
-    of_materials = agreed[0]
-    if left := remaining_gap(calibration.to_dict()):
-        level = "open" if of_materials == "agrees" else of_materials
-        return {"headline": left, "level": level, "proves_nothing": _GAP_REMAINS}
+    level, heading, _ = agreed
     gap = np.abs(calibration.gap_after[np.isfinite(calibration.gap_after)])
     met, count = int(np.sum(gap < MET)), len(gap)
-    bands = "" if met == count else f" in {met} of {count} bands"
-    said = f"The model has the measured reverberation time{bands}, " + {
-        "agrees": "with its materials within what was stated of them.",
-        "contradicts": "but not with its materials as they were stated.",
-    }.get(of_materials, "and it is open whether its materials are as stated.")
+    proves = PROVES_NOTHING
+    typed = any(mark.kind == "typing_error" for mark in calibration.trust_marks)
     if not count:
         said = "Model and measurement could be compared in no band."
-    return {"headline": said, "level": of_materials, "proves_nothing": PROVES_NOTHING}
+    elif not typed and (left := remaining_gap(calibration.to_dict())):
+        said, proves = left, _GAP_REMAINS
+    elif typed or met < count:
+        said, proves = f"{heading}.", PROVES_NOTHING if met == count else _GAP_REMAINS
+    else:
+        said = "The model has the measured reverberation time, " + {
+            "agrees": "with its materials within what was stated of them.",
+            "contradicts": "but not with its materials as they were stated.",
+        }.get(level, "and it is open whether its materials are as stated.")
+    return {"headline": said, "level": level, "proves_nothing": proves}
 
 
 def summary(calibration: CalibrationResult, agreed: Verdict) -> list[str]:
@@ -172,79 +151,8 @@ def _after(calibration: CalibrationResult) -> str:
     if met == count:
         within = f", to within {gap.max():.1f} JND" if gap.max() >= _PRINTED else ""
         return text + f"all {count} bands{within}."
-    return text + f"{met} of {count} bands; the largest gap that remains is {gap.max():.1f} JND."
-
-
-def verdict(calibration: CalibrationResult) -> Verdict:
-    """Return the agreement of measurement and prior: a word, a heading and a sentence.
-
-    The word is "agrees", "contradicts" or "open".
-    """
-    plausibility = calibration.plausibility
-    numbers = f"Q = {plausibility.q:.1f}, {plausibility.degrees_of_freedom} degrees of freedom"
-    p = plausibility.p_value
-    far = [
-        float(f)
-        for f, z in zip(
-            calibration.prior.centre_frequencies, calibration.plausibility.z, strict=True
-        )
-        if abs(z) > 2
-    ]
-    asks = (
-        f"at {hertz(far)} the measurement asks for an absorption more than two standard deviations "
-        "from the stated one"
-        if far
-        else "no band asks for an absorption more than two standard deviations from the stated one"
-    )
-    if p is None:
-        level, heading = ("contradicts", _AGAINST) if far else ("open", "No overall verdict")
-        return (
-            level,
-            heading,
-            (
-                f"{as_sentence(asks)} There is no p-value for all bands together, because a "
-                f"coefficient stands at a bound ({numbers})."
-            ),
-        )
-    p_together = plausibility.p_together
-    if plausibility.agreement == "too good":
-        return (
-            "agrees",
-            "It agrees too well to be true",
-            (
-                "Over all bands the coefficients moved less than their stated uncertainty makes "
-                f"likely ({numbers}, p = {p:.2g}); {asks}. A sigma or the uncertainty of T is stated "
-                "too large, or T was calculated from these coefficients."
-            ),
-        )
-    if plausibility.agreement == "contradicts":
-        return (
-            "contradicts",
-            _AGAINST,
-            (
-                "The coefficients had to move further than their stated uncertainty explains "
-                f"({numbers}, p = {p:.2g}); {asks}. Something is missing from the model, or is stated "
-                f"wrongly, or is less certain than stated. {together_in_words(p, p_together)}".rstrip()
-            ),
-        )
-    if p < P_CONTRADICTION:
-        return (
-            "open",
-            "The measurement agrees with what was stated only if all coefficients err the same way",
-            (
-                "The coefficients had to move further than their own stated uncertainty explains "
-                f"({numbers}, p = {p:.2g}); {asks}. {together_in_words(p, p_together)}".rstrip()
-            ),
-        )
-    return (
-        "open" if far else "agrees",
-        "The measurement agrees with what was stated of the materials"
-        + (", with exceptions" if far else ""),
-        (
-            "Over all bands the coefficients moved no further than their stated uncertainty explains "
-            f"({numbers}, p = {p:.2g}); {asks}. {weak_agreement(calibration.gap_before)}"
-        ).rstrip(),
-    )
+    some = f"{met} of {count} bands" if met else "no band"
+    return text + f"{some}; the largest gap that remains is {gap.max():.1f} JND."
 
 
 def usable(calibration: CalibrationResult) -> tuple[list[float], list[float]]:

@@ -118,11 +118,11 @@ def test_a_composed_calibration_does_not_claim_a_command() -> None:
 
 def test_verdicts() -> None:
     room = evil_room()
-    near = rt.Eyring().reverberation_time(room)
-    assert words.verdict(rt.calibrate(room, near))[0] == "agrees"
-    assert words.verdict(rt.calibrate(room, 0.6 * near))[0] == "contradicts"
+    near = 1.05 * rt.Eyring().reverberation_time(room)
+    assert rt.calibrate(room, near).verdict.level == "agrees"
+    assert rt.calibrate(room, 0.6 * near).verdict.level == "contradicts"
     alike = rt.calibrate(room, near)
-    assert "within what was stated" in words.lead(alike, words.verdict(alike))["headline"]
+    assert "within what was stated" in words.lead(alike, alike.verdict)["headline"]
     assert words.large_shifts(rt.calibrate(room, near)) == ([], 0)
     shifts, count = words.large_shifts(rt.calibrate(room, 0.6 * near))
     assert count == len(shifts) > 1
@@ -136,9 +136,9 @@ def test_a_gap_that_nobody_hears_is_met_and_printed() -> None:
     assert 0.05 < gap < 0.5
     n = int(np.isfinite(result.gap_after).sum())
     assert f"in all {n} bands, to within {gap:.1f} JND." in " ".join(
-        words.summary(result, words.verdict(result))
+        words.summary(result, result.verdict)
     )
-    assert "bands" not in words.lead(result, words.verdict(result))["headline"]
+    assert "bands" not in words.lead(result, result.verdict)["headline"]
     assert not any("gap remains" in sentence for sentence in words.not_met(result))
 
 

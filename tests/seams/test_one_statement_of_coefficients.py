@@ -10,7 +10,6 @@ import rtcal as rt
 from rtcal.acoustics.quality import agreement
 from rtcal.finder import Case, Configuration
 from rtcal.finder.prior import directions
-from rtcal.report.words import verdict
 
 
 def test_the_p_value_beside_the_first_has_the_errors_that_gap_find_assumes() -> None:
@@ -28,8 +27,8 @@ def test_the_p_value_beside_the_first_has_the_errors_that_gap_find_assumes() -> 
     found = result.plausibility
     assert found.p_together == pytest.approx(stats.chi2.sf(q, room.n_bands), rel=1e-9)
     assert found.p_together > 100 * found.p_value
-    assert "With errors that coefficients have in common p = 0.01" in " ".join(str(result).split())
-    assert "find" in verdict(result)[2]
+    assert "by a common factor, p = 0.01" in " ".join(str(result).split())
+    assert "rtcal find" in result.verdict.text
 
 
 def test_what_errors_in_common_explain_is_no_contradiction() -> None:
