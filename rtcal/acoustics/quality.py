@@ -305,7 +305,9 @@ def _evidence(record: Mapping[str, Any]) -> tuple[str, str]:
     if plausibility["p_value"] is not None:
         q += f", p = {plausibility['p_value']:.2g}"
     z = numbers(plausibility["z"])
-    far = bands.hertz(np.asarray(record["centre_frequencies"])[np.abs(z) > LARGE_Z])
+    far = bands.hertz(
+        [f for f, of in zip(record["centre_frequencies"], z, strict=True) if abs(of) > LARGE_Z]
+    )
     where = f"at {far} the" if far else "in no band does the"
     asks = "asks" if far else "ask"
     return q, (

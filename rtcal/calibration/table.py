@@ -254,8 +254,8 @@ def _band_rows(record: Mapping[str, Any]) -> list[text.Row]:
     quantities = [
         ("measured T / s", record["measured"]["reverberation_time"], ".3f"),
         ("  its uncertainty / s", record["measured"]["uncertainty"], ".3f"),
-        ("T before, model / s", record["reverberation_time_before"], ".3f"),
-        ("T after, model / s", record["reverberation_time_after"], ".3f"),
+        ("T before (model) / s", record["reverberation_time_before"], ".3f"),
+        ("T after (model) / s", record["reverberation_time_after"], ".3f"),
         ("gap before / JND", record["gap_before_jnd"], "+.1f"),
         ("gap after / JND", record["gap_after_jnd"], "+.1f"),
         ("z", record["plausibility"]["z"], "+.1f"),

@@ -298,7 +298,7 @@ def learn(
     said, record = str(library), library.to_dict()
     files: dict[Path, bytes] = {}
     if target is not None:
-        files = {target / NUMBERS: library.to_json().encode()}
+        files = {target / NUMBERS: library.to_json(target).encode()}
         if new is not None:
             applied, left = library.apply(new, of_room), library.left_as_stated(new, of_room)
             record["left_as_stated"] = list(left)

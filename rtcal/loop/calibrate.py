@@ -355,7 +355,7 @@ def write(loop: Loop, state: str, out: str) -> None:
         note = f"# Calibrated for the program simulated: the end {of}, after {n} runs.\n"
     note += f"# Coefficients {digest}.\n"
     content = note + room.to_text(Path(out).parent)
-    write_all({out: content.encode(), state: loop.to_json().encode()})
+    write_all({out: content.encode(), state: loop.to_json(Path(state).parent).encode()})
 
 
 def conclusion(loop: Loop, out: str) -> str:

@@ -188,7 +188,7 @@ def reverberation_time(result: CalibrationResult) -> Any:
         color=ORANGE,
         marker="s",
         linestyle="--",
-        label="before calibration",
+        label="model before calibration",
     )
     axes.plot(
         f,
@@ -197,7 +197,7 @@ def reverberation_time(result: CalibrationResult) -> Any:
         marker="o",
         markersize=10,
         markerfacecolor="none",
-        label="after calibration",
+        label="model after calibration",
     )
     band_axis(axes, f, [letters(result.trust_marks, v) for v in f])
     marks = [f"{m.letter} {m.title}".strip() for m in result.trust_marks]
@@ -226,7 +226,7 @@ def gap(result: CalibrationResult) -> Any:
         facecolor="#F5C9A6",
         edgecolor=ORANGE,
         hatch="//",
-        label="before calibration",
+        label="model before calibration",
     )
     axes.plot(
         at,
@@ -235,7 +235,7 @@ def gap(result: CalibrationResult) -> Any:
         marker="o",
         linestyle="none",
         markersize=8,
-        label="after calibration",
+        label="model after calibration",
     )
     many = len(at) > _MANY_BANDS
     axes.set_xticks(
@@ -297,7 +297,7 @@ def write_with_figures(
     """Write room, numbers and the figures that ``draw`` makes by file name; see `write_folder`."""
     contents = {
         folder / ROOM: result.room.to_text(folder).encode(),
-        folder / NUMBERS: result.to_json().encode(),
+        folder / NUMBERS: result.to_json(folder).encode(),
     }
     try:
         pictures = {name: rendered(figure(), "png") for name, figure in draw.items()}

@@ -60,7 +60,7 @@ def write_where(
     figures = drawn(finding, verification, place)
     saved = finding if verification is None else verification
     text = where_page(finding, verification, figures, heading or Heading(), command, place)
-    contents = {folder / PAGE: text.encode(), folder / NUMBERS: saved.to_json().encode()}
+    contents = {folder / PAGE: text.encode(), folder / NUMBERS: saved.to_json(folder).encode()}
     contents |= {folder / name: rendered(figure, "png") for name, figure in figures.items()}
     make_folder(folder)
     write_all(contents)

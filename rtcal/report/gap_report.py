@@ -272,7 +272,7 @@ def write(
     drawn = figures(finding, verified)
     text = page(finding, verified, drawn, reproduction, heading)
     contents = {
-        folder / NUMBERS: saved.to_json().encode(),
+        folder / NUMBERS: saved.to_json(folder).encode(),
         folder / "report.html": text.encode(),
         **{folder / f"{name}.png": rendered(figure, "png") for name, (figure, _) in drawn.items()},
     }

@@ -226,8 +226,8 @@ def _band_rows(calibration: CalibrationResult) -> list[tuple[str, Any, int, bool
     return [
         ("measured T / s", calibration.measured, 3, False),
         ("its uncertainty / s", calibration.measured_uncertainty, 3, False),
-        ("T before, model / s", calibration.reverberation_time_before, 3, False),
-        ("T after, model / s", calibration.reverberation_time_after, 3, False),
+        ("T before calibration (model) / s", calibration.reverberation_time_before, 3, False),
+        ("T after calibration (model) / s", calibration.reverberation_time_after, 3, False),
         ("gap before / JND", calibration.gap_before, 1, True),
         ("gap after / JND", calibration.gap_after, 1, True),
         ("z", calibration.plausibility.z, 1, True),

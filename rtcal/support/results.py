@@ -64,23 +64,26 @@ class Result(ABC):
     def to_dict(self) -> dict[str, Any]:
         """Return what the result says as plain numbers, lists and text."""
 
-    def to_json(self) -> str:
+    def to_json(self, folder: str | os.PathLike[str] | None = None) -> str:
         """Return the text of its file: the numbers of `to_dict`, and the object itself.
+
+        Files that it names, such as a room's mesh, are named as seen from ``folder``, in which the text
+        is written; without one, by their whole path.
 
         A result that holds an object of the user's own class, such as a simulator, has its numbers
         alone, and the reason.
         """
         try:
-            return self._sealed()
+            return self._sealed(folder)
         except CannotBeSavedError as error:
             return _text(self._numbers(), {"not_saved": str(error)})
 
     def _numbers(self) -> str:
         return json_text({"rtcal": self.record_kind, **self.to_dict()})
 
-    def _sealed(self) -> str:
+    def _sealed(self, folder: str | os.PathLike[str] | None) -> str:
         """Return the text of the file with the object, its version and the checksum of all."""
-        encoded, numbers = encode(self), self._numbers()
+        encoded, numbers = encode(self, folder), self._numbers()
         digest = _digest(json.loads(numbers), encoded)
         return _text(numbers, {"version": __version__, "sha256": digest, **encoded})
 
@@ -102,7 +105,7 @@ class Result(ABC):
         place = Path(path)
         if place.suffix != ".json" or place.is_dir():
             place /= NUMBERS
-        content = self._sealed().encode()
+        content = self._sealed(place.parent).encode()
         make_folder(place.parent)
         write_all({place: content})
         return place
@@ -147,15 +150,15 @@ def load(path: str | os.PathLike[str]) -> Any:
     if place.suffix in _READERS:
         raise DataError(f"{place}: no saved result but {_READERS[place.suffix]}")
     try:
-        return loaded(json_object(read_text(place, MAX_BYTES)))
+        return loaded(json_object(read_text(place, MAX_BYTES)), place.parent)
     except DataError as error:
         if str(error).startswith(str(place)):
             raise
         raise DataError(f"{place}: {error}") from error
 
 
-def loaded(record: Mapping[str, Any]) -> Any:
-    """Return the result of a file's content; DataError as `load`, without the file's name."""
+def loaded(record: Mapping[str, Any], folder: str | os.PathLike[str] = "") -> Any:
+    """Return the result of a file's content, in ``folder``; DataError as `load`, without its name."""
     if not isinstance(record.get("rtcal"), str) or _OBJECT not in record:
         if "configurations" in record:
             raise DataError("no saved result but a case: rtcal.finder.Case.from_file reads it")
@@ -178,7 +181,7 @@ def loaded(record: Mapping[str, Any]) -> Any:
             "it was changed after it was written: change the inputs, and calculate again"
         )
     try:
-        result = decode(content)
+        result = decode(content, folder)
     except DataError as error:
         if inside.text("version") != __version__:
             raise DataError(
@@ -214,8 +217,10 @@ class CannotBeSavedError(DataError):
     """An object that no file can hold, such as an effect or a simulator of the user's own class."""
 
 
-def encode(value: Any) -> dict[str, Any]:
+def encode(value: Any, folder: str | os.PathLike[str] | None = None) -> dict[str, Any]:
     """Return a value as plain values for JSON, as `decode` reads them.
+
+    Files are named as seen from ``folder``; without one, by their whole path.
 
     Raises
     ------
@@ -228,15 +233,17 @@ def encode(value: Any) -> dict[str, Any]:
     >>> decode(encode((Air(20.0, 50.0), np.array([0.1, np.nan]))))
     (Air(temperature=20.0, humidity=50.0, pressure=101.325), array([0.1, nan]))
     """
-    writer = _Writer()
+    writer = _Writer(folder)
     whole = writer.plain(value)
     return {"objects": writer.objects, "arrays": writer.arrays, "value": whole}
 
 
-def decode(record: Mapping[str, Any]) -> Any:
-    """Return the value that `encode` wrote; DataError for anything else."""
+def decode(record: Mapping[str, Any], folder: str | os.PathLike[str] = "") -> Any:
+    """Return the value that `encode` wrote for a file in ``folder``; DataError for anything else."""
     file = Entries("", record, ("objects", "arrays", "value"))
-    reader = _Reader([_array(f"arrays[{i}]", a) for i, a in enumerate(file.listed("arrays"))])
+    reader = _Reader(
+        [_array(f"arrays[{i}]", a) for i, a in enumerate(file.listed("arrays"))], folder
+    )
     for i, entry in enumerate(file.listed("objects")):
         reader.objects.append(reader.made(f"objects[{i}]", entry))
     return reader.value("value", record.get("value"))
@@ -245,7 +252,8 @@ def decode(record: Mapping[str, Any]) -> Any:
 class _Writer:
     """The text written so far: each object and each array once."""
 
-    def __init__(self) -> None:
+    def __init__(self, folder: str | os.PathLike[str] | None) -> None:
+        self.folder = folder
         self.objects: list[dict[str, Any]] = []
         self.arrays: list[dict[str, Any]] = []
         self._places: dict[int, dict[str, int]] = {}
@@ -292,6 +300,9 @@ class _Writer:
             raise CannotBeSavedError(
                 f"{checks.shown(value)} cannot be saved: {name} is no dataclass of rtcal's kinds"
             )
+        if hasattr(value, "seen_from"):  # a scene, which names files
+            whole = value.within(os.getcwd())
+            value = whole if self.folder is None else whole.seen_from(self.folder)
         stated = {n: self.plain(getattr(value, n)) for n in _fields(kind)}
         return {"class": name, "fields": stated}
 
@@ -299,8 +310,8 @@ class _Writer:
 class _Reader:
     """The arrays of a file, and the objects that were made of it so far."""
 
-    def __init__(self, arrays: list[np.ndarray[Any, Any]]) -> None:
-        self.arrays = arrays
+    def __init__(self, arrays: list[np.ndarray[Any, Any]], folder: str | os.PathLike[str]) -> None:
+        self.arrays, self.folder = arrays, folder
         self.objects: list[Any] = []
 
     def made(self, place: str, entry: Any) -> Any:
@@ -318,7 +329,8 @@ class _Reader:
                 "another version: calculate the result again"
             )
         try:
-            return kind(**{n: self.value(f"{place}.{n}", v) for n, v in stated.items()})
+            value = kind(**{n: self.value(f"{place}.{n}", v) for n, v in stated.items()})
+            return value.within(self.folder) if hasattr(value, "seen_from") else value
         except (TypeError, ValueError, AttributeError, LookupError, ArithmeticError) as error:
             if isinstance(error, DataError):
                 raise DataError(f"{place}: {error}") from error

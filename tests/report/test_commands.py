@@ -13,6 +13,7 @@ from rtcal.calibration.methods import METHODS
 from rtcal.command import console
 from rtcal.command.finder import NOTHING_TO_ADD
 from rtcal.command.main import EXIT_CODES, cli
+from rtcal.datasets.examples import example
 from rtcal.report import (
     document,
     figures,
@@ -20,6 +21,7 @@ from rtcal.report import (
 )
 from rtcal.support.errors import MissingDependencyError
 from tests.report.pages import no_figures, run
+from tests.report.rooms import MEASURED
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -173,3 +175,33 @@ def test_the_commands_offer_every_method_of_one_configuration() -> None:
         (method,) = (p for p in command.params if p.name == "method")
         assert isinstance(method.type, click.Choice)
         assert set(method.type.choices) == set(METHODS) - {"joint"}
+
+
+def test_report_finds_the_mesh_from_any_folder(tmp_path: Path, monkeypatch, capsys) -> None:
+    """The file that names a mesh names it as seen from its own folder, wherever the command runs."""
+    project = tmp_path / "project"
+    (project / "model").mkdir(parents=True)
+    for name, content in example("where").files.items():
+        (project / "model" / name).write_bytes(content)
+    monkeypatch.chdir(project)
+    rt.Measurement.from_values(
+        rt.Room.from_file("model/room.toml").centre_frequencies, t20=MEASURED
+    ).save("t.csv")
+    monkeypatch.setattr(page, "_figures", no_figures)
+    assert run("calibrate", "model/room.toml", "t.csv", "--out", "made/here") == 0
+    (tmp_path / "elsewhere").mkdir()
+    moved = tmp_path / "moved"
+    for folder, made in ((project, "made/here"), (tmp_path / "elsewhere", project / "made/here")):
+        monkeypatch.chdir(folder)
+        assert run("report", made, "--out", tmp_path / f"{folder.name}.html") == 0
+    project.rename(moved)
+    monkeypatch.chdir(moved / "made" / "here")
+    assert run("report", ".", "--out", tmp_path / "moved.html") == 0
+    capsys.readouterr()
+    for name in ("project", "elsewhere", "moved"):
+        text = (tmp_path / f"{name}.html").read_text(encoding="utf-8")
+        assert "The room is not drawn" not in text
+        assert 'id="room"' in text
+    assert rt.Room.from_file("room.toml").scene.mesh.endswith("model/room.obj")
+    again = rt.load(".")
+    assert Path(again.prior.scene.mesh).resolve() == moved / "model" / "room.obj"
