@@ -224,8 +224,8 @@ def _chi_square(difference: Array, covariance: Array) -> float:
     return float(z @ np.linalg.solve(covariance / np.outer(spread, spread), z)) if len(z) else 0.0
 
 
-class Verdict(NamedTuple):
-    """What a calibration shows of model and measurement; every sentence about it follows from this.
+class CalibrationVerdict(NamedTuple):
+    """The statement of a calibration on model and measurement, which all sentences follow.
 
     ``level`` is "agrees", "open" or "contradicts", ``heading`` a sentence without its point, and
     ``text`` the evidence.
@@ -247,7 +247,7 @@ _OF_ROOM = (
 """Marks of the whole room that leave open whether model and measurement agree."""
 
 
-def verdict(record: Mapping[str, Any]) -> Verdict:
+def verdict(record: Mapping[str, Any]) -> CalibrationVerdict:
     """Return what a calibration shows: the one statement that text, page and JSON share.
 
     In this order: a likely typing error; a calibration that does not ask for T; a gap that remains;
@@ -266,7 +266,7 @@ def verdict(record: Mapping[str, Any]) -> Verdict:
         if mark["kind"] == "typing_error"
     ]:
         more = f" Another {len(typed) - 1} such values are listed below." if typed[1:] else ""
-        return Verdict(
+        return CalibrationVerdict(
             "contradicts",
             f"Likely a typing error {typed[0]}",
             "Check this value before anything else, and calibrate again. Every coefficient of its band "
@@ -276,7 +276,7 @@ def verdict(record: Mapping[str, Any]) -> Verdict:
     compared = np.isfinite(after)
     if not record["matches_measured_time"]:
         off = f", and T is off by up to {after[compared].max():.1f} JND" if compared.any() else ""
-        return Verdict(
+        return CalibrationVerdict(
             "open",
             "Nothing in this calibration asks for the measured T",
             f"The coefficients follow the other terms alone{off}. Add terms.ExactMatch(), "
@@ -286,15 +286,17 @@ def verdict(record: Mapping[str, Any]) -> Verdict:
     if left := remaining_gap(record):
         fact, _, cause = left.partition(". ")
         if of_materials.level == "contradicts":
-            return Verdict(
+            return CalibrationVerdict(
                 "contradicts", fact, f"{cause} {of_materials.heading}. {of_materials.text}"
             )
-        return Verdict("open", fact, f"{cause} {_not_contradicted(record)}")
+        return CalibrationVerdict("open", fact, f"{cause} {_not_contradicted(record)}")
     f = np.asarray(record["centre_frequencies"])[compared]
     marked = {mark["frequency"] for mark in marks}
     reserved = any(mark["kind"] in _OF_ROOM for mark in marks) or marked >= set(f.tolist())
     if of_materials.level == "agrees" and reserved:
-        return Verdict("open", f"{of_materials.heading}, with reservations", of_materials.text)
+        return CalibrationVerdict(
+            "open", f"{of_materials.heading}, with reservations", of_materials.text
+        )
     return of_materials
 
 
@@ -328,16 +330,18 @@ def _not_contradicted(record: Mapping[str, Any]) -> str:
     return f"What was stated is not contradicted ({q}); {asks}."
 
 
-def _of_materials(record: Mapping[str, Any]) -> Verdict:
+def _of_materials(record: Mapping[str, Any]) -> CalibrationVerdict:
     """Return what p and z say of the materials, where the calibrated room has the measured T."""
     plausibility = record["plausibility"]
     p, p_together = plausibility["p_value"], plausibility["p_together"]
     far = bool((np.abs(numbers(plausibility["z"])) > LARGE_Z).any())
     q, asks = _evidence(record)
     if not plausibility["degrees_of_freedom"]:
-        return Verdict("open", "No T was measured in a band of the model", "There is no verdict.")
+        return CalibrationVerdict(
+            "open", "No T was measured in a band of the model", "There is no verdict."
+        )
     if p is None:
-        return Verdict(
+        return CalibrationVerdict(
             "contradicts" if far else "open",
             _AGAINST if far else "No overall verdict",
             f"{as_sentence(asks)} There is no p-value for all bands together, because a coefficient "
@@ -346,7 +350,7 @@ def _of_materials(record: Mapping[str, Any]) -> Verdict:
     together = together_in_words(p, p_together)
     agreed = agreement(p, p_together)
     if agreed == "too good":
-        return Verdict(
+        return CalibrationVerdict(
             "open",
             "Too good to be true: the measurement is nearer to what was stated than its uncertainty",
             "Over all bands the coefficients moved less than their stated uncertainty makes likely "
@@ -355,14 +359,14 @@ def _of_materials(record: Mapping[str, Any]) -> Verdict:
         )
     further = f"The coefficients had to move further than their stated uncertainty explains ({q})"
     if agreed == "contradicts":
-        return Verdict(
+        return CalibrationVerdict(
             "contradicts",
             _AGAINST,
             f"{further}; {asks}. Something is missing from the model, or is stated wrongly, or is less "
             f"certain than stated. {together}".rstrip(),
         )
     if p < P_CONTRADICTION:
-        return Verdict(
+        return CalibrationVerdict(
             "open",
             "The measurement agrees with what was stated only if all coefficients err the same way",
             f"{further}; {asks}. {together}".rstrip(),
@@ -372,12 +376,12 @@ def _of_materials(record: Mapping[str, Any]) -> Verdict:
     )
     weak = weak_agreement(numbers(record["gap_before_jnd"]))
     if weak:
-        return Verdict(
+        return CalibrationVerdict(
             "open",
             "The measurement does not contradict what was stated of the materials",
             f"{within} {weak}",
         )
-    return Verdict(
+    return CalibrationVerdict(
         "open" if far else "agrees",
         "The measurement agrees with what was stated of the materials"
         + (", with exceptions" if far else ""),

@@ -181,10 +181,11 @@ def bent_marks(bent: Sequence[BentDecay]) -> tuple[TrustMark, ...]:
 
 
 @checked
-def typing_marks(mistyped: Sequence[TypingError]) -> tuple[TrustMark, ...]:
-    """Return the trust marks of values that are likely typing errors."""
+def typing_marks(room: Room, measured: Sequence[TypingError]) -> tuple[TrustMark, ...]:
+    """Return the trust marks of likely typing errors, measured and in the room."""
     letter, advice = _ADVICE["typing_error"]
-    return tuple(TrustMark("typing_error", letter, e.frequency, e.text, advice) for e in mistyped)
+    errors = (*measured, *in_room(room))
+    return tuple(TrustMark("typing_error", letter, e.frequency, e.text, advice) for e in errors)
 
 
 def uncarried_mark(frequency: float, low: float, high: float) -> TrustMark:
@@ -227,9 +228,8 @@ def trust_marks(
     z: Array,
     unreachable: Sequence[float] = (),
     bent: Sequence[BentDecay] = (),
-    mistyped: Sequence[TypingError] = (),
 ) -> tuple[TrustMark, ...]:
-    """Return every reason to doubt single bands or the room, likely typing errors first.
+    """Return every reason to doubt single bands or the room.
 
     Parameters
     ----------
@@ -246,10 +246,8 @@ def trust_marks(
         Centre frequencies in Hz of bands that were moved to the nearest end.
     bent : sequence of BentDecay
         Bands whose measured decay is not straight.
-    mistyped : sequence of TypingError
-        Measured values that are likely typing errors; those of the room are found here.
     """
-    marks = [*typing_marks([*mistyped, *in_room(room)])]
+    marks: list[TrustMark] = []
 
     def mark(kind: str, frequency: float | None, text: str, advised: str = "") -> None:
         letter, advice = _ADVICE[advised or kind]

@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 from rtcal.acoustics import room_errors
 from rtcal.acoustics.changes import Change
 from rtcal.acoustics.equations import LinearEquation
-from rtcal.acoustics.quality import Plausibility, Verdict, gap_jnd, plausibility, verdict
+from rtcal.acoustics.quality import CalibrationVerdict, Plausibility, gap_jnd, plausibility, verdict
 from rtcal.acoustics.room import CalibrationRecord, Room
 from rtcal.acoustics.room_errors import Assumptions, of_absorption
 from rtcal.acoustics.states import State
-from rtcal.acoustics.trust import TrustMark, trust_marks
+from rtcal.acoustics.trust import TrustMark, trust_marks, typing_marks
 from rtcal.calibration import table
 from rtcal.calibration.certificate import Certificate
 from rtcal.calibration.convex_program import RawSolution
@@ -215,17 +215,19 @@ class CalibrationResult(Result):
 
     @cached_property
     def trust_marks(self) -> tuple[TrustMark, ...]:
-        """Reasons to doubt single bands or the whole room, with advice."""
-        return trust_marks(
-            self.prior,
-            self.measured,
-            self.measured_uncertainty,
-            self.air_share,
-            self.active,
-            self.plausibility.z,
-            [u.frequency for u in self.unreachable],
-            self.measured_data.bent,
-            self.measured_data.mistyped,
+        """Reasons to doubt single bands or the whole room, with advice; likely typing errors first."""
+        return (
+            *typing_marks(self.prior, self.measured_data.mistyped),
+            *trust_marks(
+                self.prior,
+                self.measured,
+                self.measured_uncertainty,
+                self.air_share,
+                self.active,
+                self.plausibility.z,
+                [u.frequency for u in self.unreachable],
+                self.measured_data.bent,
+            ),
         )
 
     @cached_property
@@ -376,9 +378,9 @@ class CalibrationResult(Result):
         return {**record, "verdict": verdict(record)._asdict()}
 
     @cached_property
-    def verdict(self) -> Verdict:
+    def verdict(self) -> CalibrationVerdict:
         """What the calibration shows of model and measurement: see `rtcal.acoustics.quality`."""
-        return Verdict(**self.to_dict()["verdict"])
+        return CalibrationVerdict(**self.to_dict()["verdict"])
 
     def __repr__(self) -> str:
         gaps = [np.nanmax(np.abs(gap)) for gap in (self.gap_before, self.gap_after)]

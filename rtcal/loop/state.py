@@ -25,7 +25,7 @@ from rtcal.acoustics.quality import gap_jnd
 from rtcal.acoustics.repeats import refuse_repeated_data
 from rtcal.acoustics.room import Room
 from rtcal.acoustics.trust import TrustMark, bent_marks, typing_marks
-from rtcal.acoustics.typing_errors import in_room, of_row
+from rtcal.acoustics.typing_errors import of_row
 from rtcal.calibration.methods import preset
 from rtcal.calibration.problem import CalibrationProblem
 from rtcal.calibration.problem_data import data_history, tell_data, times_in_room
@@ -219,7 +219,7 @@ class Loop(Result):
         label = self.matched.label.removeprefix("the ")
         mistyped = of_row(self.room.centre_frequencies, self.wanted, label, " s")
         return (
-            *typing_marks([*mistyped, *in_room(self.room)]),
+            *typing_marks(self.room, mistyped),
             *marks,
             *bent_marks(self.bent),
             *(self.low.trust_marks if self.low else ()),

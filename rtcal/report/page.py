@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from rtcal.acoustics import bands, room_files
-from rtcal.acoustics.quality import Verdict
+from rtcal.acoustics.quality import CalibrationVerdict
 from rtcal.acoustics.trust import letters
 from rtcal.calibration import table
 from rtcal.calibration.result import CalibrationResult
@@ -108,11 +108,11 @@ def finding_page(
     return render("finding.html", values, _heading(heading, result))
 
 
-def _beside(plain: Verdict, of_finding: str) -> Verdict:
+def _beside(plain: CalibrationVerdict, of_finding: str) -> CalibrationVerdict:
     """Return the plain calibration's verdict on the page of a finding that says more than it."""
     if plain.level != "agrees" or of_finding == "agrees":
         return plain
-    return Verdict(
+    return CalibrationVerdict(
         "open",
         "By T alone, nothing contradicts what was stated of the materials",
         f"{plain.text} The finding above rests on more than this, and comes first.",
@@ -124,7 +124,7 @@ def _heading(heading: Heading | None, calibration: CalibrationResult) -> Heading
 
 
 def _calibration(
-    calibration: CalibrationResult, step: Callable[[], None], agreed: Verdict
+    calibration: CalibrationResult, step: Callable[[], None], agreed: CalibrationVerdict
 ) -> dict[str, Any]:
     """Return what the template of a calibration shows."""
     clean, marked = words.usable(calibration)

@@ -12,7 +12,7 @@ from rtcal.acoustics import bands, room_errors
 from rtcal.acoustics.bands import hertz as hertz
 from rtcal.acoustics.equations import EQUATIONS
 from rtcal.acoustics.observables import parameter_label
-from rtcal.acoustics.quality import MET, Verdict, remaining_gap
+from rtcal.acoustics.quality import MET, CalibrationVerdict, remaining_gap
 from rtcal.acoustics.trust import TrustMark
 from rtcal.calibration.methods import METHODS
 from rtcal.calibration.result import CalibrationResult
@@ -79,7 +79,7 @@ def compared(calibration: CalibrationResult) -> str:
     return bands.span(calibration.prior.centre_frequencies[has_gap]) if has_gap.any() else "no band"
 
 
-def lead(calibration: CalibrationResult, agreed: Verdict) -> dict[str, str]:
+def lead(calibration: CalibrationResult, agreed: CalibrationVerdict) -> dict[str, str]:
     """Return what a reader who is no acoustician reads first.
 
     "headline" is the result as one sentence. "level" is that of the verdict ``agreed``.
@@ -104,7 +104,7 @@ def lead(calibration: CalibrationResult, agreed: Verdict) -> dict[str, str]:
     return {"headline": said, "level": level, "proves_nothing": proves}
 
 
-def summary(calibration: CalibrationResult, agreed: Verdict) -> list[str]:
+def summary(calibration: CalibrationResult, agreed: CalibrationVerdict) -> list[str]:
     """Return the calibration in three sentences: before, after, and whether to believe it."""
     f, has_gap = calibration.prior.centre_frequencies, np.isfinite(calibration.gap_before)
     if not has_gap.any():
@@ -124,7 +124,7 @@ def summary(calibration: CalibrationResult, agreed: Verdict) -> list[str]:
     ]
 
 
-def _believable(calibration: CalibrationResult, agreed: Verdict) -> str:
+def _believable(calibration: CalibrationResult, agreed: CalibrationVerdict) -> str:
     """Return whether measurement and prior agree, and the bands that carry a reservation."""
     level, heading, _ = agreed
     clean, marked = usable(calibration)

@@ -39,10 +39,10 @@ def test_gap_and_reverberation_time(result) -> None:
     bars = figures.gap(result).axes[0].containers[0]
     assert [b.get_height() for b in bars] == pytest.approx(result.gap_before.tolist())
     axes = figures.reverberation_time(result).axes[0]
-    assert line(axes, "before calibration").get_ydata() == pytest.approx(
+    assert line(axes, "model before calibration").get_ydata() == pytest.approx(
         result.reverberation_time_before
     )
-    assert line(axes, "after calibration").get_ydata() == pytest.approx(result.measured)
+    assert line(axes, "model after calibration").get_ydata() == pytest.approx(result.measured)
 
 
 def test_coefficients_and_their_intervals(result) -> None:
