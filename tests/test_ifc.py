@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from rtcal.io import mesh
@@ -113,6 +114,94 @@ def test_of_several_spaces_one_is_named(tmp_path, capsys) -> None:
     assert set(mesh.room(path, space="Hall").geometry.areas) == {"wall", "floor", "ceiling"}
     assert run("import", "check", path, "--space", "Study") == 0
     assert "brick" in capsys.readouterr().out
+
+
+def outlined(folder: Path, corners: list[tuple[float, float]], listed: bool = False) -> Path:
+    """The model with an outline of its space, in mm, as points or as one list of them."""
+    lines = [f"#{200 + i}=IFCCARTESIANPOINT(({x!r},{y!r}));" for i, (x, y) in enumerate(corners)]
+    lines.append(f"#300=IFCPOLYLINE(({','.join(f'#{200 + i}' for i in range(len(corners)))}));")
+    if listed:
+        points = ",".join(f"({x!r},{y!r})" for x, y in corners)
+        lines = [
+            f"#299=IFCCARTESIANPOINTLIST2D(({points}));",
+            "#300=IFCINDEXEDPOLYCURVE(#299,$,.F.);",
+        ]
+    lines.append("#301=IFCARBITRARYCLOSEDPROFILEDEF(.AREA.,$,#300);")
+    text = MODEL % {"name": "Study", "more": "\n".join(lines)}
+    folder.mkdir(exist_ok=True)
+    path = folder / "outlined.ifc"
+    text = text.replace("IFCEXTRUDEDAREASOLID(#15,", "IFCEXTRUDEDAREASOLID(#301,")
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+SQUARE = [(0.0, 0.0), (4000.0, 0.0), (4000.0, 5000.0), (0.0, 5000.0)]
+
+
+@pytest.mark.parametrize("listed", [False, True])
+@pytest.mark.parametrize("gap", [0.0, 1e-4, 0.03, 0.4, 2.5, 9.0])
+@pytest.mark.parametrize("first", [0, 1, 2, 3])
+def test_an_outline_that_is_nearly_closed_is_closed(
+    tmp_path, gap: float, first: int, listed: bool
+) -> None:
+    """Ends 0.4 mm apart were the library's "Failed to process shape"."""
+    ring = SQUARE[first:] + SQUARE[:first]
+    (x, y), (xn, yn) = ring[0], ring[-1]
+    along = np.array([xn - x, yn - y]) / np.hypot(xn - x, yn - y)
+    end = (float(x + gap * along[0]), float(y + gap * along[1]))
+    done = mesh.room(outlined(tmp_path, [*ring, end], listed))
+    assert done.volume == pytest.approx(60, rel=1e-9)
+    (note,) = [n for n in done.notes if "outline" in n] or [""]
+    assert note == (f"its outline was open by {gap:.2g} mm and is closed (--weld)" if gap else "")
+
+
+def test_an_outline_without_its_last_point_is_closed(tmp_path) -> None:
+    done = mesh.room(outlined(tmp_path, SQUARE))
+    assert done.volume == pytest.approx(60)
+    assert not any("outline" in n for n in done.notes)
+
+
+@pytest.mark.parametrize(
+    ("corners", "rule"),
+    [
+        (
+            [SQUARE[0], SQUARE[2], SQUARE[1], SQUARE[3], SQUARE[0]],
+            "crosses itself at x = 2 m and y = 2.5 m",
+        ),
+        ([SQUARE[0], SQUARE[1], SQUARE[0]], "its outline has 2 corners; three are needed"),
+    ],
+)
+def test_an_outline_that_bounds_no_floor_is_refused_in_own_words(
+    tmp_path, capsys, corners: list[tuple[float, float]], rule: str
+) -> None:
+    """Of a crossed outline one part was the room: 22.5 m³ in silence."""
+    path = outlined(tmp_path, corners)
+    with pytest.raises(DataError, match=f'space "1 Study": .*{rule}'):
+        mesh.room(path)
+    assert run("import", "check", path) == 2
+    said = capsys.readouterr().err
+    assert "IfcSpace" not in said
+    assert "Product" not in said
+
+
+def test_a_wider_gap_is_named_with_the_tolerance_that_closes_it(tmp_path, capsys) -> None:
+    """A corner was cut off in silence."""
+    path = outlined(tmp_path, [*SQUARE, (15.0, 15.0)])
+    assert run("import", "check", path) == 0
+    said = " ".join(capsys.readouterr().out.split())
+    assert "its outline, which is open by 21.2 mm (--weld 0.023 makes its ends one point)" in said
+    done = mesh.room(path, weld=0.023)
+    assert done.volume == pytest.approx(60)
+    assert "its outline was open by 21 mm and is closed (--weld)" in done.notes
+
+
+def test_what_has_no_shape_is_said_in_own_words(tmp_path) -> None:
+    path = written(tmp_path)
+    text = path.read_text(encoding="utf-8").replace("#12,#18,'Study'", "#12,$,'Study'")
+    path.write_text(text, encoding="utf-8")
+    with pytest.raises(DataError, match='space "1 Study" has no shape that can be read') as refused:
+        mesh.room(path)
+    assert "IfcSpace" not in str(refused.value)
 
 
 def test_what_is_no_model_of_a_room_is_refused(tmp_path) -> None:

@@ -456,6 +456,19 @@ def test_what_is_no_impulse_response_is_not_evaluated(kind: str, noise: int, t: 
     assert len(analysis.notes) == 1
 
 
+def test_no_table_is_written_of_what_is_no_decay(tmp_path: Path, capsys) -> None:
+    """A carpet's alpha went from 0.5 to 0.09, to T that interrupted noise had."""
+    recorded = no_impulse_response("interrupted noise", 0.8, np.random.default_rng(28))
+    path, out = tmp_path / "S1-R1.wav", tmp_path / "t.csv"
+    soundfile.write(path, 0.9 * recorded / np.abs(recorded).max(), 16000)
+    assert run("measure", path, "--out", out) == 2
+    assert not out.exists()
+    assert (
+        "the energy arrives late, as in a recording of a sweep, of interrupted noise"
+        in " ".join(capsys.readouterr().err.split())
+    )
+
+
 @pytest.mark.parametrize("t", [0.3, 1.2])
 @pytest.mark.parametrize("kind", ["direct sound", "late reflection", "slow rise", "nothing"])
 def test_an_unusual_impulse_response_is_evaluated(kind: str, t: float) -> None:

@@ -436,3 +436,58 @@ def test_refused_writes_leave_the_file(tmp_path: Path) -> None:
         with pytest.raises(DataError, match="which the room lacks"):
             module.write(low, tmp_path / "new")
     assert sorted(p.name for p in tmp_path.iterdir()) == ["hall.geo"]
+
+
+PANEL = {
+    "catt": (b"ABS PANEL = <%s 60 50 40 30 20>\r\n", 100.0),
+    "odeon": (b"7 panel\n0.1 %s 0.6 0.5 0.4 0.3 0.2 0.2\n", 1.0),
+    "pyroomacoustics": (
+        b'{"panel": {"description": "", "coeffs": [%s, 0.5], "center_freqs": [500, 1000]}}',
+        1.0,
+    ),
+    "bras": (b"125,250,500\n0.3,%s,0.5\n", 1.0),
+}
+ROOM = b"""name = "office"
+volume = 90
+centre_frequencies = [500, 1000]
+[[material]]
+name = "panel"
+area = 100
+alpha = [%s, 0.9]
+sigma = 0.1
+"""
+
+
+@pytest.mark.parametrize("alpha", [1.01, 1.2, 1.5, 1.9, 2.5, 40.0])
+@pytest.mark.parametrize("name", [*PANEL, "room", "python"])
+def test_a_laboratorys_alpha_above_one_is_refused_with_what_takes_it(
+    name: str, alpha: float, tmp_path: Path
+) -> None:
+    """The message was "1.05 is not in [0, 1]" alone."""
+    path = tmp_path / ("room.toml" if name == "room" else "list.csv")
+    content, unit = PANEL.get(name, (ROOM, 1.0))
+    path.write_bytes(content % f"{unit * alpha:g}".encode())
+    with pytest.raises(DataError) as refused:
+        if name == "python":
+            rt.Room(
+                name="office",
+                volume=90,
+                centre_frequencies=[500],
+                materials=["panel"],
+                areas=[100.0],
+                alpha=[[alpha]],
+                sigma=[[0.1]],
+            )
+        elif name == "room":
+            rt.Room.from_file(path)
+        else:
+            FORMATS[name].read(path)
+    said = str(refused.value)
+    assert f"{unit * alpha:g} is not in [0, {unit:g}]" in said
+    is_of_a_laboratory = alpha <= 2
+    assert ('above_one = "clip"' in said) == is_of_a_laboratory
+    assert ("rtcal import library" in said) == is_of_a_laboratory
+    assert (f"in this list write {unit:g}" in said) == (is_of_a_laboratory and name in PANEL)
+    if name == "room" and is_of_a_laboratory:  # what it says is so
+        path.write_bytes(b'above_one = "clip"\n' + path.read_bytes())
+        assert rt.Room.from_file(path).alpha[0, 0] == 1

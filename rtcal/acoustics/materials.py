@@ -364,10 +364,30 @@ def checked_coefficients(name: str, stated: object, shape: tuple[int, int], plac
         rule = "in [0, 1]"
         if name == "sigma" and not array[i, k] > 0:
             rule = "a finite value of 0 or more"
-        elif 1.5 < array[i, k] <= 100:
+        elif LARGEST_LABORATORY_ALPHA < array[i, k] <= 100 or (
+            name != "alpha" and array[i, k] > 1.5
+        ):
             rule += ": is it in percent?"
+        elif name == "alpha":
+            rule += above_one_hint(array[i, k])
         raise DataError(f"{place(name, i, k)} = {array[i, k]:g} is not {rule}")
     return read_only(array)
+
+
+def above_one_hint(alpha: float) -> str:
+    """Return what can be done about a coefficient above 1 that a laboratory may report; else "".
+
+    Examples
+    --------
+    >>> above_one_hint(0.7), above_one_hint(-1.0)
+    ('', '')
+    """
+    if not 1 < alpha <= LARGEST_LABORATORY_ALPHA:
+        return ""
+    return (
+        ". Laboratories report such values (ISO 354, edge effect): a room that states above_one = "
+        '"clip" takes them as 1 and says so, as `rtcal import library` does with product data'
+    )
 
 
 def check_minimum(alpha: Array, alpha_min: Array, place: Place) -> None:

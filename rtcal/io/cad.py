@@ -17,6 +17,7 @@ ISO 16739-1:2018, IfcRelSpaceBoundary, IfcConnectionSurfaceGeometry.
 from __future__ import annotations
 
 import os
+import re
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -28,7 +29,7 @@ import numpy as np
 from rtcal.acoustics.materials import text_name
 from rtcal.io import budget, units
 from rtcal.io.mend import Faces
-from rtcal.io.mend.polygons import axes_of, normal_of, polygon_of
+from rtcal.io.mend.polygons import axes_of, normal_of, polygon_of, shapely
 from rtcal.io.text import decode, lines, number, shown
 from rtcal.support import library
 from rtcal.support.errors import DataError
@@ -36,6 +37,10 @@ from rtcal.support.types import Array
 
 MAX_IFC = 2**25
 """Largest size in bytes of a building model: ifcopenshell takes some eight times as much memory."""
+_SAME = 1e-9  # m, of one point
+_LARGEST_GAP = 0.1  # m, of an outline's ends; one that leaves out its last edge is longer
+_CROSSED = 1e-3  # share of an outline's area by which its parts must differ in their turning
+_POINT = re.compile(r"-?\d[\d.e+-]*")
 Pair = tuple[int, str, int]
 """Group code, value, and line."""
 
@@ -229,14 +234,15 @@ class _Boundary:
     is_covering: bool
 
 
-def ifc_faces(path: str, unit: float | None, space: str | None) -> Faces:
+def ifc_faces(path: str, unit: float | None, space: str | None, weld: float) -> Faces:
     """Return the faces of one space of a building model, with the materials that bound it.
 
-    ``space`` is its name, long name or both; it may be left out where there is one space.
+    ``space`` is its name, long name or both; it may be left out where there is one space. An outline
+    whose ends are within ``weld`` (m) of each other is closed, and a note says so.
 
-    Raises DataError for a file that cannot be read, a model without spaces, and a space that is not
-    named or not known: the message lists those of the model. MissingDependencyError without
-    ifcopenshell.
+    Raises DataError for a file that cannot be read, a model without spaces, an outline that crosses
+    itself, and a space that is not named or not known: the message lists those of the model.
+    MissingDependencyError without ifcopenshell.
     """
     ifcopenshell = library(
         "IFC needs ifcopenshell: pip install 'rtcal[ifc]'; or export glTF of the room",
@@ -258,13 +264,24 @@ def ifc_faces(path: str, unit: float | None, space: str | None) -> Faces:
         length = float(ifcopenshell.util.unit.calculate_unit_scale(model))
         spaces = {_title(s): s for s in model.by_type("IfcSpace")}
     except Exception as error:  # ifcopenshell raises what its parser raises
-        raise DataError(f"{path}: cannot be read as IFC: {error}") from error
+        raise DataError(
+            f"{path}: cannot be read as IFC: it is damaged, or no IFC 2x3 or 4. Export the model "
+            "again, or glTF of the room"
+        ) from error
     chosen = _chosen(path, spaces, space)
+    place = f'{path}: space "{shown(chosen)}"'
+    gap, open_by = _close_outlines(spaces[chosen], length, weld, place)
     try:
         triangles = _triangles(ifcopenshell, spaces[chosen])
         boundaries, unknown = _boundaries(ifcopenshell, spaces[chosen], length)
     except (RuntimeError, ValueError, AttributeError, IndexError) as error:
-        raise DataError(f'{path}: space "{shown(chosen)}" has no shape: {error}') from error
+        why = "it has none, or its solid is not closed"
+        if open_by:
+            why = f"its outline is {_open(open_by)}"
+        raise DataError(
+            f"{place} has no shape that can be read: {why}. Draw it again in your program, or export "
+            "glTF of the room"
+        ) from error
     if len(triangles) > budget.MAX_FACES:
         raise DataError(f"{path}: {len(triangles)} triangles; at most {budget.MAX_FACES}")
     polygons: list[Array] = []
@@ -278,6 +295,10 @@ def ifc_faces(path: str, unit: float | None, space: str | None) -> Faces:
         materials.append(filling.material)
         names.append(filling.material)
     notes = [f'space "{shown(chosen)}" of {len(spaces)}']
+    if gap:
+        notes.append(f"its outline was open by {1000 * gap:.2g} mm and is closed (--weld)")
+    if open_by:
+        notes.append(f"an edge closes its outline, which is {_open(open_by)}")
     if unknown:
         notes.append(f"{unknown} boundaries have a form that is not read")
     if not boundaries:
@@ -305,6 +326,76 @@ def _chosen(path: str, spaces: dict[str, Any], wanted: str | None) -> str:
         many = "is no space" if not found else f"are {len(found)} spaces"
         raise DataError(f'{path}: --space "{shown(wanted)}" {many} of the model; it has {listed}')
     return found[0]
+
+
+def _close_outlines(space: Any, length: float, weld: float, place: str) -> tuple[float, float]:
+    """Close the outlines of a space whose ends are nearly one point.
+
+    Returned are the largest gaps in m: of those that were closed, and of wider ones (`_LARGEST_GAP`).
+    ``length`` is the model's unit in m. Raises DataError for an outline that crosses itself, since the
+    library keeps one part of it, or has fewer than three corners.
+    """
+    closed = wider = 0.0
+    for profile in space.file.traverse(space):
+        if not profile.is_a("IfcArbitraryClosedProfileDef"):
+            continue
+        for curve in (profile.OuterCurve, *(getattr(profile, "InnerCurves", None) or ())):
+            points = _corners(curve)
+            if points is None:
+                continue
+            gap = float(np.linalg.norm(points[-1] - points[0])) * length
+            ends_meet = gap <= max(weld, _SAME)
+            ring = points[:-1] if ends_meet else points
+            if len(ring) < 3:
+                raise DataError(f"{place}: its outline has {len(ring)} corners; three are needed")
+            _refuse_crossing(ring * length, place)
+            if not ends_meet:
+                wider = max(wider, gap if gap <= _LARGEST_GAP else 0.0)
+            elif gap > _SAME:
+                closed = max(closed, gap)
+                _join_ends(curve)
+    return closed, wider
+
+
+def _open(gap: float) -> str:
+    return f"open by {1000 * gap:.3g} mm (--weld {1.1 * gap:.2g} makes its ends one point)"
+
+
+def _refuse_crossing(ring: Array, place: str) -> None:
+    """Raise DataError for an outline (n, 2) in m that crosses itself, not for one that touches."""
+    outline = shapely().Polygon(ring)
+    x, y = ring.T
+    turned = (
+        abs(float(x @ np.roll(y, -1) - y @ np.roll(x, -1))) / 2
+    )  # parts that turn back count less
+    covered = float(shapely().make_valid(outline).area)
+    if abs(turned - covered) > _CROSSED * covered:
+        at = _POINT.findall(shapely().is_valid_reason(outline))[:2]
+        where = " and ".join(
+            f"{name} = {float(c):.3g} m" for name, c in zip("xy", at, strict=False)
+        )
+        raise DataError(
+            f"{place}: its outline crosses itself{' at ' * bool(where)}{where}; draw it again in your "
+            "program"
+        )
+
+
+def _corners(curve: Any) -> Array | None:
+    """Return the corners of an outline in the plane, (n, 2), in the model's unit; None for arcs."""
+    if curve.is_a("IfcPolyline"):
+        return np.array([point.Coordinates[:2] for point in curve.Points], dtype=float)
+    if curve.is_a("IfcIndexedPolyCurve") and not curve.Segments:
+        return np.array(curve.Points.CoordList, dtype=float)[:, :2]
+    return None
+
+
+def _join_ends(curve: Any) -> None:
+    """Make the last point of an outline its first."""
+    if curve.is_a("IfcPolyline"):
+        curve.Points = (*curve.Points[:-1], curve.Points[0])
+    else:
+        listed = curve.Points.CoordList
+        curve.Points.CoordList = (*listed[:-1], listed[0])
 
 
 def _triangles(ifcopenshell: Any, space: Any) -> Array:

@@ -13,7 +13,7 @@ import numpy as np
 
 from rtcal.acoustics import band_conversion, bands, priors
 from rtcal.acoustics.air import Air
-from rtcal.acoustics.materials import text_name
+from rtcal.acoustics.materials import above_one_hint, text_name
 from rtcal.acoustics.room import Material, Room, Surface
 from rtcal.io.text import Text
 from rtcal.support.errors import DataError
@@ -427,4 +427,6 @@ def check_coefficients(
     """Raise DataError unless every number is from 0 to 1 (0 to 100 in percent)."""
     for value in values:
         if not 0 <= coefficient(value, unit) <= 1:
-            raise DataError(f"{place}: {name} {value:g} is not in [0, {1 / unit:g}]")
+            hint = above_one_hint(coefficient(value, unit)) if name == "alpha" else ""
+            instead = f"; in this list write {1 / unit:g}" if hint else ""
+            raise DataError(f"{place}: {name} {value:g} is not in [0, {1 / unit:g}]{hint}{instead}")

@@ -62,7 +62,11 @@ _ROOMS = 1.5, 1000.0
 
 @checked
 def read(
-    path: str | os.PathLike[str], *, unit: float | None = None, space: str | None = None
+    path: str | os.PathLike[str],
+    *,
+    unit: float | None = None,
+    space: str | None = None,
+    weld: float = WELD,
 ) -> Faces:
     """Return the faces of a mesh.
 
@@ -73,6 +77,8 @@ def read(
         Length of the file's unit in m; by default what the file states, else 1.
     space : str, optional
         Name of the space of a building model (IFC) that has several.
+    weld : float
+        Largest gap in m between the ends of an outline in a building model that is closed.
 
     Raises
     ------
@@ -85,7 +91,7 @@ def read(
         raise DataError(f"unit = {unit:g} m is not finite and above 0")
     ending = Path(path).suffix.lower()
     if ending == IFC:
-        return cad.ifc_faces(os.fspath(path), unit, space)
+        return cad.ifc_faces(os.fspath(path), unit, space, weld)
     if space is not None:
         raise DataError(f"{path}: only a building model (IFC) has spaces: leave --space out")
     if ending in _REFUSED:
@@ -112,7 +118,7 @@ def room(
 
     A mesh whose faces close as they are drawn is taken as it is.
     """
-    faces = read(path, unit=unit, space=space)
+    faces = read(path, unit=unit, space=space, weld=weld)
     try:
         done = closed(faces, weld=weld, offset=offset)
         if done is None:

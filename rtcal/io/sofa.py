@@ -40,6 +40,7 @@ _PARALLEL = 1e-3
 MAX_BYTES = 2**28
 MAX_RESPONSES = 2000
 
+_DAMAGED = "cannot be read as SOFA: it is damaged, or not as AES69 has it"
 _HDF5 = b"\x89HDF\r\n\x1a\n"
 Point = tuple[float, float, float]
 
@@ -147,7 +148,7 @@ def _opened(path: str | os.PathLike[str]) -> Any:
         try:
             return sofar.read_sofa(os.fspath(path), verify=False, verbose=False)
         except Exception as error:  # sofar and netCDF4 raise what they meet
-            raise DataError(f"{path}: cannot be read as SOFA: {error}") from error
+            raise DataError(f"{path}: {_DAMAGED}") from error
 
 
 def _require_shapes(path: str) -> None:
@@ -159,7 +160,7 @@ def _require_shapes(path: str) -> None:
                 float(np.prod([float(n) for n in v.shape])) for v in data.variables.values()
             )
     except Exception as error:  # netCDF4 raises what it meets
-        raise DataError(f"{path}: cannot be read as SOFA: {error}") from error
+        raise DataError(f"{path}: {_DAMAGED}") from error
     budget.require(total, budget.MAX_SAMPLES, "values", path, "export fewer responses to a file")
 
 

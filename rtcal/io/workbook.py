@@ -136,7 +136,9 @@ def _workbook(content: bytes, path: str, stored: bool) -> Any:
             warnings.simplefilter("ignore")  # on charts and rules of cells, which are not read
             return openpyxl.load_workbook(io.BytesIO(content), data_only=stored)
     except Exception as error:  # openpyxl raises what its parsers raise
-        raise DataError(f"{path}: cannot be read as a workbook (xlsx): {error}") from error
+        raise DataError(
+            f"{path}: cannot be read as a workbook (xlsx): it is damaged. Save it as xlsx again"
+        ) from error
 
 
 def _rows(values: Any, formulas: Any, hidden: tuple[set[int], set[int]], place: str) -> list[Row]:
