@@ -389,13 +389,20 @@ def read_treatments(
 
 
 def check_treatments(treatments: Sequence[Treatment], room: Room) -> tuple[Treatment, ...]:
-    """Return the treatments; DataError if there are none, two of a name, or one that does not fit."""
-    listed = tuple(treatments)
+    """Return the treatments, each once.
+
+    Raises DataError if there are none, two of a name that differ, or one that does not fit the room.
+    """
+    listed: tuple[Treatment, ...] = ()
+    for treatment in treatments:
+        if not isinstance(treatment, Treatment):
+            raise DataError(f"treatment = {checks.shown(treatment)} is not a rtcal Treatment")
+        same = next((t for t in listed if t.name == treatment.name), None)
+        if same is not None and _stated(same) != _stated(treatment):
+            raise DataError(f'treatments has two that are named "{same.name}", and they differ')
+        listed = listed if same is not None else (*listed, treatment)
     if not listed:
         raise DataError("treatments is empty; there is at least one")
-    names = [t.name for t in listed]
-    if repeated := sorted({n for n in names if names.count(n) > 1}):
-        raise DataError(f'treatments has "{repeated[0]}" twice')
     for treatment in listed:
         if treatment.covers is not None:
             has = float(room.areas[room.material_index(treatment.covers)])
@@ -410,3 +417,12 @@ def check_treatments(treatments: Sequence[Treatment], room: Room) -> tuple[Treat
                 f"{most:g} m², {MOST_ADDED:g} times the room's surface"
             )
     return listed
+
+
+def _stated(treatment: Treatment) -> tuple[Any, ...]:
+    """Return what a treatment states, in a form that compares."""
+    material = treatment.material
+    if isinstance(material, Material):
+        numbers = (material.alpha, material.sigma, material.alpha_min)
+        material = (material.name, *(np.asarray(n, dtype=float).tolist() for n in numbers))
+    return material, treatment.largest, treatment.cost, treatment.covers, treatment.unit

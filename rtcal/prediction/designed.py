@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, ClassVar, Protocol, runtime_checkable
 
 import numpy as np
-from scipy.special import ndtr, ndtri
 
 from rtcal.acoustics import bands
 from rtcal.acoustics.change_files import LEAST, Treatment, check_treatments
@@ -19,7 +18,7 @@ from rtcal.acoustics.states import State
 from rtcal.acoustics.targets import Target
 from rtcal.prediction import words
 from rtcal.prediction.design_model import DesignModel
-from rtcal.prediction.predicted import JND, Prediction
+from rtcal.prediction.predicted import Prediction
 from rtcal.support import checks, text
 from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError, InfeasibleError
@@ -31,18 +30,8 @@ from rtcal.support.types import Array
 FRONTIER = (0.8, 0.85, 0.9, 0.95)
 """Probabilities of `Design.frontier`."""
 _BEST = 0.99
-_PASSES = 6
-_LACK = 0.001
-"""Probability that a band may lack of the promised one."""
-_SETTLED = 3e-4
-"""Largest change of what is asked of the program in the last pass."""
-_FAR = 1.05
-"""Cost of the program's answer, over that of a design, from which it is not looked at further."""
 _HARDLY = 0.01
 """Probability below which a range is almost surely missed."""
-_TRIES = 8
-_WIDEST = 20.0
-"""Most JND by which a range is widened in search of a feasible one."""
 
 
 @runtime_checkable
@@ -101,9 +90,14 @@ class Design(Result):
         """T of the treated room."""
         return self.model.prediction(self.areas)
 
+    @property
+    def change_percent(self) -> Array:
+        """What the treatments change T by, in percent of T before, (n_bands,)."""
+        return 100 * (self.prediction.mean / self.prediction.time_before - 1)
+
     @cached_property
     def probability(self) -> Array:
-        """Probability that T is in its range, (n_bands,), from the whole posterior."""
+        """Probability that T is in its range, (n_bands,); `prediction` states the same."""
         return self.prediction.probability(self.model.target.low, self.model.target.high)
 
     @cached_property
@@ -147,6 +141,7 @@ class Design(Result):
             "probability": json_numbers(self.probability),
             "probability_together": self.probability_together,
             "frontier": {f"{p:g}": None if np.isinf(c) else c for p, c in self.frontier.items()},
+            "change_percent": json_numbers(self.change_percent),
             "prediction": self.prediction.to_dict(),
         }
 
@@ -173,6 +168,7 @@ def text_of(record: dict[str, Any]) -> str:
         ("       to / s", record["target"]["high"], ".2f"),
         ("T before / s", record["prediction"]["reverberation_time_before"], ".2f"),
         ("T after / s", record["prediction"]["reverberation_time"], ".2f"),
+        ("change / %", record["change_percent"], "+.0f"),
         ("90 %: from / s", low, ".2f"),
         ("      to / s", high, ".2f"),
         ("probability", record["probability"], ".2f"),
@@ -181,6 +177,10 @@ def text_of(record: dict[str, Any]) -> str:
         (name, [text.number(np.nan if v is None else v, form) for v in values])
         for name, values, form in rows
     ]
+    nothing = text.wrapped(
+        "Nothing is needed: T is in its range in every band with the probability asked for."
+    )
+    nothing = nothing if not any(t["area"] for t in record["treatments"]) else []
     frontier = ", ".join(
         f"{p}: {'not to be had' if cost is None else f'{cost:.0f}'}"
         for p, cost in record["frontier"].items()
@@ -188,6 +188,7 @@ def text_of(record: dict[str, Any]) -> str:
     return "\n".join(
         [
             *text.wrapped(f"{record['room']}: {record['target']['source']}"),
+            *nothing,
             "",
             *text.table(put, header=("", ["m²", "panels", "cost"])),
             "",
@@ -214,14 +215,16 @@ def design(
 ) -> Design:
     """Return the cheapest treatments with which T is in its range, in each band with a probability.
 
-    A second-order cone program: the allowed standard deviation of the absorption is a concave function
-    of its mean, and its chords are linear (Clarabel, by cvxpy).
+    The probabilities are those that `rtcal.prediction.predict` states for the same changes. Panels are
+    whole. Where nothing is needed, nothing is placed. Of designs of one cost the one of less area is
+    returned. See `rtcal.prediction.search` for the method.
 
     Parameters
     ----------
     result : CalibrationResult
         Its measured states are taken jointly.
     treatments : sequence of Treatment
+        Their order changes nothing; one that is listed twice counts once.
     target : Target
         A stated range, or `din_18041` or `ansi_s12_60`.
     probability : float
@@ -253,8 +256,8 @@ def design(
     """
     if not LEAST <= checks.number("probability", probability) <= _BEST:
         raise DataError(
-            f"probability = {probability:g} is not from {LEAST:g} to {_BEST:g}: below, the program "
-            "finds no sure optimum"
+            f"probability = {probability:g} is not from {LEAST:g} to {_BEST:g}: below, "
+            "which design is the cheapest is not sure"
         )
     if not isinstance(result, Measured):
         raise DataError(f"result = {checks.shown(result)} is not a calibration's result, or Known")
@@ -276,87 +279,37 @@ def design(
 
 
 def _cheapest(model: DesignModel, probability: float) -> Design | None:
-    """Return the cheapest design that keeps the probability with the whole posterior; None if none.
-
-    A surface that may be covered is less sure, also where little of it is: so fewer treatments may do
-    with less. What an answer does not use is left out, and then one treatment after the other.
-    """
-    names = tuple(t.name for t in model.treatments)
-    best, waiting, seen = None, [names], set()
-    while waiting:
-        used = waiting.pop()
-        if not used or used in seen:
-            continue
-        seen.add(used)
-        areas = _settled(model.of(used), probability, np.inf if best is None else best.cost)
-        if areas is not None:
-            put = dict(zip(used, areas.tolist(), strict=True))
-            every = np.array([put.get(name, 0.0) for name in names])
-            best = Design(model=model, promised=probability, areas=every)
-            used = tuple(name for name in used if put[name] > 0)
-            waiting.append(used)
-        if areas is not None or (best is None and used == names):
-            waiting += [tuple(n for n in used if n != name) for name in used]
-    return best
-
-
-def _settled(model: DesignModel, probability: float, dearest: float) -> Array | None:
-    """Return the cheapest areas below a cost that keep the probability with the whole posterior.
-
-    The program takes A as normal. Each pass asks of it what its last answer had of its own where the
-    whole posterior had the promised probability, more or less.
-    """
-    bounded, best, x = model.target.bounded, None, None
-    asked = np.full(model.before.n_bands, probability)
-    for _ in range(_PASSES):
-        found = model.cheapest(asked, start=x)
-        # Where there is none, the normal A may be what forbids it.
-        x = model.most_probable(asked)[0] if found is None else found
-        cost = float(model.prices @ x)
-        if found is not None and cost > _FAR * dearest:
-            break
-        exact = model.prediction(x).probability(model.target.low, model.target.high)
-        if (probability - exact)[bounded].max() <= _LACK and cost < dearest:
-            best, dearest = x, cost
-        before = asked
-        asked = np.where(
-            bounded,
-            ndtr(ndtri(probability) + _normal(model.probability(x)) - _normal(exact)),
-            asked,
-        )
-        if np.abs(asked - before).max() <= _SETTLED:
-            break
-    return best
-
-
-def _normal(probability: Array) -> Array:
-    return np.asarray(ndtri(np.clip(probability, 1e-6, 1 - 1e-6)))
+    """Return the cheapest design; None if there is none."""
+    areas = model.cheapest(probability)
+    return None if areas is None else Design(model=model, promised=probability, areas=areas)
 
 
 def can_be_had(model: DesignModel, probability: float) -> list[str]:
     """Return what can be had where the design is infeasible, in sentences.
 
-    What the equation's error alone allows, the best probability that all bands can have, the least
-    widening of the range, and what would narrow the interval.
+    The best probability of each band and of all, the least widening of the range, what parts of panels
+    would allow, and what would narrow the interval.
     """
-    frequencies, bounded = model.before.centre_frequencies, model.target.bounded
-    x = np.zeros(len(model.treatments))
-    alone = model.ranges(x).best()[1]
+    labels, target = bands.labels(model.before.centre_frequencies), model.target
     said = [f"No areas of these treatments are in range with probability {probability:g}."]
-    labels = bands.labels(frequencies)
-    if (short := bounded & (alone < probability)).any():
-        listed = ", ".join(f"{labels[k]} {alone[k]:.2f}" for k in np.flatnonzero(short))
-        said.append(f"The equation's error alone allows: {listed}.")
+    if any(t.unit is not None for t in model.treatments):
+        free = replace(model, treatments=tuple(replace(t, unit=None) for t in model.treatments))
+        if (found := _cheapest(free, probability)) is not None:
+            areas = ", ".join(
+                f"{area:.1f} m² of {t.name}"
+                for t, area in zip(free.treatments, found.areas.tolist(), strict=True)
+            )
+            return [
+                f"No whole panels are in range with probability {probability:g}.",
+                f"Panels that may be cut would be, at a cost of {found.cost:.0f}: {areas}.",
+            ]
     each = []
-    for k in np.flatnonzero(bounded):
+    for k in np.flatnonzero(target.bounded):
         here = np.arange(len(labels)) == k
-        alone_in = Target(
-            np.where(here, model.target.low, np.nan), np.where(here, model.target.high, np.nan)
-        )
-        each.append((labels[k], _best(model, probability, alone_in)[0]))
-    listed = ", ".join(f"{label} {p:.2f}" for label, p in each)
-    said.append(f"Best probability of each band alone: {listed}.")
-    best, at = _best(model, probability, model.target)
+        alone = Target(np.where(here, target.low, np.nan), np.where(here, target.high, np.nan))
+        each.append(f"{labels[k]} {model.most_probable(alone)[1]:.2f}")
+    said.append(f"Best probability of each band alone: {', '.join(each)}.")
+    at, best = model.most_probable()
     if best < _HARDLY:
         said.append("With the best areas found, some band stays almost surely out of its range.")
     else:
@@ -364,35 +317,11 @@ def can_be_had(model: DesignModel, probability: float) -> list[str]:
             "With the best areas found, every band is in its range with a probability of "
             f"{best:.2f} or more, at a cost of {model.prices @ at:.0f}."
         )
-    widening = _widening(model, probability)
-    if widening is None:
-        said.append(f"A range wider by {_WIDEST:g} JND at both ends is not met either.")
+    wider = model.widening(probability)
+    if wider is None:
+        said.append("No range about this one is met.")
     else:
-        said.append(f"A range wider by {widening:.1f} JND at both ends is met.")
+        said.append(f"A range wider by {100 * (wider - 1):.0f} % at both ends is met.")
     parts = model.prediction(at).parts
     said.append(f"To narrow the interval, {words.advice(next(iter(parts)), len(model.states))}.")
     return said
-
-
-def _best(model: DesignModel, probability: float, target: Target) -> tuple[float, Array]:
-    """Return the largest probability that every band has, of the whole posterior, and the areas."""
-    best, at = -1.0, np.zeros(0)
-    asked: float | Array = probability
-    for _ in range(2):
-        x = model.most_probable(asked, target)[0]
-        exact = model.prediction(x).probability(target.low, target.high)
-        least = float(exact[target.bounded].min())
-        best, at = (least, x) if least > best else (best, at)
-        asked = ndtr(ndtri(probability) + _normal(model.probability(x, target)) - _normal(exact))
-    return best, at
-
-
-def _widening(model: DesignModel, probability: float) -> float | None:
-    """Return by how many JND both ends must move for a design to exist, to 0.2; None above 20."""
-    low, high = 0.0, 2 * _WIDEST
-    for _ in range(_TRIES):
-        middle = (low + high) / 2
-        wider = model.target.widened(float(np.exp(JND * middle)))
-        met = _best(model, probability, wider)[0] >= probability
-        low, high = (low, middle) if met else (middle, high)
-    return None if high > _WIDEST else high
