@@ -2,9 +2,6 @@
 
     python -m benchmarks.prediction toggles            # real rooms in several states
     python -m benchmarks.prediction worlds --rooms 200 # another tracer's rooms, one change each
-    python -m benchmarks.prediction designs --rooms 200
-    python -m benchmarks.prediction one-sided --rooms 60 # rt.design: a largest T alone
-    python -m benchmarks.prediction resolve            # processor time of a re-solve
 
 The measured rooms are not shipped: `benchmarks.real_data` says where they are looked for. The rule
 stands in the study and was written first.
@@ -348,210 +345,15 @@ def told(rows: Sequence[Score]) -> None:
     print(f"coverage {s.covered:.3f}, median half width {width:.1f} JND", flush=True)
 
 
-# Designs ------------------------------------------------------------------------------------------
-
-
-def random_design(index: int) -> tuple[DesignModel, float]:
-    """A random room with two treatments and a range of T that some areas reach."""
-    rng = np.random.default_rng([41, index])
-    volume = float(np.exp(rng.uniform(np.log(80), np.log(2000))))
-    side = volume ** (1 / 3) * np.array([1.5, 1.15, 0.58])
-    x, y, z = side
-    areas = np.array([x * y, x * y, 1.4 * (x + y) * z, 0.6 * (x + y) * z])
-    f = np.array([125.0, 250.0, 500.0, 1000.0, 2000.0, 4000.0])
-    level = np.exp(rng.uniform(np.log(0.03), np.log(0.2), (4, 1)))
-    alpha = np.clip(level * np.exp(rng.uniform(-0.2, 0.3, (4, 1)) * np.log2(f / 1000)), 0.02, 0.5)
-    room = rt.Room(
-        name=f"room {index}",
-        volume=volume,
-        materials=["floor", "ceiling", "walls", "windows"],
-        areas=areas,
-        alpha=alpha,
-        sigma=np.maximum(0.2 * alpha, 0.01),
-        air=rt.Air(20, 50),
-        centre_frequencies=f,
-    )
-    t = rt.Eyring().reverberation_time(room) * np.exp(0.1 * rng.standard_normal())
-    state = State(room, t, 0.03 * t)
-    broad = rt.Material("broad", rng.uniform(0.3, 0.9, 6), [0.1] * 6)
-    bass = rt.Material("bass", rng.uniform(0.3, 0.7, 6) * np.linspace(1.2, 0.3, 6), [0.1] * 6)
-    treatments = (
-        Treatment("broad", broad, float(0.9 * areas[1]), cost=90, covers="ceiling"),
-        Treatment("bass", bass, float(0.6 * areas[2]), rng.uniform(40, 150), covers="walls"),
-    )
-    assumed = Assumptions(common=0.1, own=0.04, changed=0.05)
-    nothing = Target(np.full(6, np.nan), t)
-    model = DesignModel((state,), room, treatments, nothing, rt.Eyring(), assumed)
-    some = np.array([tr.largest for tr in treatments]) * rng.uniform(0.2, 0.8, 2)
-    middle = np.exp(model.prediction(some).linear_mean)
-    wide = rng.uniform(0.15, 0.35)
-    target = Target(middle / (1 + wide), middle * (1 + wide))
-    return replace(model, target=target), float(rng.uniform(0.8, 0.95))
-
-
-def witness(model: DesignModel, grid: Array, nodes: int = 200) -> Array:
-    """Probabilities by a formula of its own, (n_points, n_bands): sums over the independent error.
-
-    For each value of that error the range of T is one of A, whose probability is normal.
-    """
-    mean, root, beta, offset, tau = model._known
-    w = model.areas + grid @ model.steps.T
-    room, equation = model.before, rt.Eyring()
-    whole = room.total_area
-    m = w @ mean.T
-    share = np.clip(m / whole, 1e-6, 0.999)
-    log = -np.log1p(-share)
-    q = (whole * log + 4 * room.air_attenuation * room.volume) * (1 - share)
-    sigma = np.sqrt(
-        sum(
-            np.einsum("kj,pkj->pk", root[:, i], w[:, None] - q[:, :, None] * beta) ** 2
-            for i in range(root.shape[1])
-        )
-    )
-    out = np.zeros_like(m)
-    for node in (np.arange(nodes) + 0.5) / nodes:
-        error = offset + tau * ndtri(node)
-        ends = []
-        for t in (model.target.low, model.target.high):
-            area = equation.target(room, t * np.exp(-error))
-            ends.append(np.where(np.isnan(area), whole, area))
-        out += (ndtr((ends[0] - m) / sigma) - ndtr((ends[1] - m) / sigma)) / nodes
-    return out
-
-
-def designs(rooms: int) -> None:
-    rows, falsely, neither = [], 0, 0
-    for index in range(rooms):
-        model, p = random_design(index)
-        x = model.cheapest(p)
-        cost = np.array([t.cost for t in model.treatments])
-        largest = np.array([t.largest for t in model.treatments])
-        shares = np.array(list(itertools.product(np.linspace(0, 1, 61), repeat=2)))
-        best = cheapest_of(model, p, shares * largest, cost)
-        if best is not None:
-            fine = best / largest + (shares - 0.5) / 30
-            best = cheapest_of(model, p, np.clip(fine, 0, 1) * largest, cost)
-        if x is None or best is None:
-            falsely += x is None and best is not None
-            neither += x is None and best is None
-        else:
-            exact = witness(model, x[np.newaxis])[0]
-            rows.append((float(exact.min() - p), float(cost @ x / (cost @ best))))
-        if (index + 1) % 40 == 0 or index + 1 == rooms:
-            tell_designs(index + 1, rows, neither, falsely)
-
-
-def tell_designs(
-    rooms: int, rows: Sequence[tuple[float, float]], neither: int, falsely: int
-) -> None:
-    less, ratio = np.array(rows).T
-    print(
-        f"{rooms} rooms: {len(rows)} feasible in both, {neither} in neither, {falsely} falsely none"
-    )
-    print(
-        f"exact less promised: {less.min():+.4f} to {less.max():+.4f}, median {np.median(less):+.4f}"
-    )
-    middle = np.median(ratio)
-    print(f"cost / grid's: {ratio.min():.4f} to {ratio.max():.4f}, median {middle:.4f}", flush=True)
-
-
-def cheapest_of(model: DesignModel, p: float, grid: Array, cost: Array) -> Array | None:
-    """Return the cheapest areas of a grid that keep the probability; None if none do."""
-    grid = grid[(witness(model, grid, 20) >= p - 0.05).all(axis=1)]
-    grid = grid[np.argsort(grid @ cost)]
-    for first in range(0, len(grid), 64):
-        some = grid[first : first + 64]
-        good = (witness(model, some) >= p).all(axis=1)
-        if good.any():
-            return np.asarray(some[np.argmax(good)])
-    return None
-
-
-def one_sided(rooms: int) -> None:
-    """Print what `rt.design` gives for a largest T alone, beside a treatment that nobody would use."""
-    rows, falsely, neither, broken = [], 0, 0, 0
-    for index in range(1000, 1000 + rooms):
-        model, p = random_design(index)
-        target = Target(np.full(6, np.nan), model.target.high)
-        dear = Treatment("dear", model.treatments[1].material, 5.0, 1e5, covers="floor")
-        known = Known(model.states, model.before)
-        try:
-            every = (*model.treatments, dear)
-            found = rt.design(known, every, target, p, assumptions=model.assumptions)
-        except rt.errors.InfeasibleError:
-            found = None
-        best = cheapest_exactly(replace(model, target=target), p)
-        if found is None or best is None:
-            falsely += found is None and best is not None
-            neither += found is None and best is None
-            broken += found is not None and found.probability.min() < p - 0.002
-        else:
-            rows.append((float(found.probability.min() - p), found.cost / best))
-    tell_designs(rooms, rows, neither, falsely)
-    print(
-        f"found where the grid has none: {rooms - len(rows) - neither - falsely}, {broken} broken"
-    )
-
-
-def cheapest_exactly(model: DesignModel, p: float) -> float | None:
-    """Return the least cost of a grid, and of a finer one about it, by the whole posterior."""
-    largest, best = np.array([t.largest for t in model.treatments]), None
-    shares = np.array(list(itertools.product(np.linspace(0, 1, 41), repeat=2)))
-    for grid in (shares, (shares - 0.5) / 20):
-        points = (grid if best is None else np.clip(best + grid, 0, 1)) * largest
-        points = points[(witness(model, points, 20) >= p - 0.05).all(axis=1)]
-        points = points[np.argsort(points @ model.prices)]
-        ends = model.target.low, model.target.high
-        good = (x for x in points if (model.prediction(x).probability(*ends) >= p).all())
-        if (x := next(good, None)) is None:
-            break
-        best = x / largest
-    return None if best is None else float(model.prices @ (best * largest))
-
-
-def resolve() -> None:
-    model, p = random_design(1)
-    x = model.cheapest(p)
-    if x is None:
-        raise SystemExit("room 1 has no design")
-    numbers = model.numbers(p, x, model.area(x)[0])
-    if numbers is None:
-        raise SystemExit("room 1 has no chords")
-    seconds = {"program": median_time(lambda: model._solve(numbers))}
-    seconds["whole design, envelopes kept"] = median_time(lambda: model.cheapest(p))
-    known = Known(model.states, model.before)
-    seconds["whole design, anew"] = median_time(
-        lambda: rt.design(known, model.treatments, model.target, p, assumptions=model.assumptions),
-        3,
-    )
-    for name, each in seconds.items():
-        print(f"{name}: {1000 * each:.1f} ms of processor time")
-
-
-def median_time(call: Callable[[], object], repeats: int = 31) -> float:
-    times = []
-    for _ in range(repeats):
-        start = time.process_time()
-        call()
-        times.append(time.process_time() - start)
-    return float(np.median(times))
-
-
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("part", choices=("toggles", "worlds", "designs", "one-sided", "resolve"))
+    parser.add_argument("part", choices=("toggles", "worlds"))
     parser.add_argument("--rooms", type=int, default=200)
     stated = parser.parse_args()
     if stated.part == "toggles":
         toggles()
-    elif stated.part == "worlds":
-        worlds(stated.rooms)
-    elif stated.part == "designs":
-        designs(stated.rooms)
-    elif stated.part == "one-sided":
-        one_sided(stated.rooms)
     else:
-        resolve()
+        worlds(stated.rooms)
 
 
 if __name__ == "__main__":

@@ -241,7 +241,7 @@ def design(
 ) -> None:
     """Find the cheapest treatments of ROOM (TOML), MEASURED (CSV) as it is.
 
-    JND here is ln(T ratio) / ln 1.05.
+    Panels with a unit are whole. The printed probabilities are those of `rtcal predict`.
 
     Example: rtcal design room.toml t20.csv --treatments treatments.toml
     """
