@@ -111,7 +111,9 @@ def a_shop(one_sided: bool) -> tuple[Known, tuple[Treatment, ...], Target]:
     every = (
         Treatment("tiles", PANEL, 14, cost=66, covers="brick", unit=1.9),
         Treatment("screens", BASS, 8, cost=95),
-        Treatment("slats", rt.Material("slats", [0.3, 0.3, 0.25], [0.05] * 3), 10, 41, "boards", 2.3),
+        Treatment(
+            "slats", rt.Material("slats", [0.3, 0.3, 0.25], [0.05] * 3), 10, 41, "boards", 2.3
+        ),
     )
     low = [np.nan] * 3 if one_sided else [0.2] * 3
     return Known((State(room, t, 0.02 * t),), room, rt.Sabine()), every, Target(low, [0.42] * 3)
@@ -149,7 +151,9 @@ def test_doubled_costs_double_the_cost_and_move_no_area() -> None:
 def test_a_treatment_that_is_listed_twice_counts_once() -> None:
     shop, every, target = a_shop(one_sided=True)
     first = design(shop, every, target, 0.85)
-    same = replace(every[1], material=rt.Material("bass", np.array(BASS.alpha), np.array(BASS.sigma)))
+    same = replace(
+        every[1], material=rt.Material("bass", np.array(BASS.alpha), np.array(BASS.sigma))
+    )
     twice = design(shop, [*every, same], target, 0.85)
     assert twice.areas == pytest.approx(first.areas, abs=1e-9)
     other_name = design(shop, [*every, replace(every[1], name="more screens")], target, 0.85)
@@ -172,7 +176,9 @@ def test_the_probability_is_that_of_the_prediction_of_the_same_changes() -> None
     put = [t.change(a) for t, a in zip(every, found.areas, strict=True) if a > 0]
     for changes in (put, put[::-1]):
         made = predict(shop.states, changes, equation=rt.Sabine())
-        assert made.probability(target.low, target.high) == pytest.approx(found.probability, abs=1e-9)
+        assert made.probability(target.low, target.high) == pytest.approx(
+            found.probability, abs=1e-9
+        )
 
 
 def test_free_standing_treatments_add_surface() -> None:

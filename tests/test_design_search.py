@@ -55,7 +55,10 @@ def exhaustive(choice: Choice, below: float = np.inf) -> Array | None:
         each.append(np.linspace(0, largest, N_FINE + 1) if np.isnan(unit) else steps)
     if sum(np.isnan(choice.unit)) > 1:
         fine = int(N_FINE ** (1 / sum(np.isnan(choice.unit)))) + 1
-        each = [e if np.isfinite(u) else np.linspace(0, e[-1], fine) for e, u in zip(each, choice.unit, strict=True)]
+        each = [
+            e if np.isfinite(u) else np.linspace(0, e[-1], fine)
+            for e, u in zip(each, choice.unit, strict=True)
+        ]
     points = np.array(list(itertools.product(*each)))
     points = points[(points @ choice.covers.T <= choice.surfaces * (1 + 1e-9)).all(axis=1)]
     points = points[points @ choice.cost < below]

@@ -89,7 +89,9 @@ class DesignModel:
 
         def of(x: Array) -> Array:
             found = self.probability(x, target)[bounded]
-            _, mean, sigma = (each if i == 0 else each[bounded] for i, each in enumerate(self._known(x)))
+            _, mean, sigma = (
+                each if i == 0 else each[bounded] for i, each in enumerate(self._known(x))
+            )
             # Further off than samples reach, ln T is taken as normal: the search must see a slope.
             ends = np.fmin(high - mean, mean - low) / np.maximum(sigma, 1e-9)
             sampled = ndtri(np.clip(found, _LEAST, _MOST))

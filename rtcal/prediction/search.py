@@ -43,10 +43,12 @@ area is taken."""
 _ROUNDING = 1e-6
 _CUTS = 1e-3
 """Least sine of the angle between a plane and the line that it crosses."""
+_HALVINGS, _TOUCHES = 60, 1e-4
+"""Most steps to the edge of the areas that keep the margins, and the margin that counts as on it."""
 _SPARE = 0.005
 """Least margin of an answer, some of whose areas are above their least, that is searched once more."""
-_LOOKS = 64
-"""Number of cheaper areas that are looked at for one that a plane cuts off."""
+_POINTS, _LOOKS = 512, 16
+"""Of so many cheaper areas, so many of those that a plane cuts off, the nearest to it, are looked at."""
 _SPARED = 2e-3
 """Share of the cost that must be spared for a further part to be searched."""
 _SMALLEST = 1 / 32
@@ -180,7 +182,11 @@ class Choice:
         return None if best is None else best * self.size
 
     def _in_part(
-        self, box: tuple[Array, Array], inside: Array, planes: list[tuple[Array, float]], most: float
+        self,
+        box: tuple[Array, Array],
+        inside: Array,
+        planes: list[tuple[Array, float]],
+        most: float,
     ) -> Array | None:
         """Return the cheapest unknowns of a part; None if none keep the margins at less than ``most``."""
         for whole in (False, True) if self.whole.any() else (False,):
@@ -235,12 +241,9 @@ class Choice:
         """Return the plane that touches a margin where the line from inside to outside leaves it."""
         from scipy.optimize import brentq
 
-        def least(t: float) -> float:
-            return float(self.at(inside + t * (outside - inside)).min())
-
-        t = 0.0 if least(0.0) <= 0 else brentq(least, 0.0, 1.0, xtol=1e-9)
-        v = inside + t * (outside - inside)
-        gradient = self._gradient(v, int(np.argmin(self.at(v))))
+        v, at = self._edge(inside, outside)
+        k = int(np.argmin(at))
+        gradient = self._gradient(v, k, float(at[k]))
         length = float(np.linalg.norm(gradient))
         if not gradient @ (outside - v) < -_CUTS * length * float(np.linalg.norm(outside - v)):
             # The margin has an edge here: the plane across the line cuts off what is outside.
@@ -248,13 +251,35 @@ class Choice:
             length = float(np.linalg.norm(gradient))
         return gradient / length, float(gradient @ v) / length
 
-    def _gradient(self, v: Array, k: int) -> Array:
-        """Return the derivatives of a margin by the unknowns, (n_treatments,)."""
+    def _edge(self, inside: Array, outside: Array) -> tuple[Array, Array]:
+        """Return where a line leaves the areas that keep the margins, and the margins there.
+
+        Regula falsi, with the value of an end that stays halved (Illinois). The end of the line that is
+        returned keeps the margins.
+        """
+        near, far, at = inside, outside, self.at(inside)
+        ends = [max(float(at.min()), 0.0), float(self.at(outside).min())]
+        last = 2
+        for _ in range(_HALVINGS):
+            if float(at.min()) <= _TOUCHES:
+                break
+            share = ends[0] / (ends[0] - ends[1])
+            v = near + float(np.clip(share, 0.01, 0.99)) * (far - near)
+            here = self.at(v)
+            side = int(here.min() < 0)
+            ends[side] = float(here.min())
+            if side == last:
+                ends[1 - side] /= 2
+            near, far, at = (near, v, at) if side else (v, far, here)
+            last = side
+        return near, at
+
+    def _gradient(self, v: Array, k: int, here: float) -> Array:
+        """Return the derivatives of a margin by the unknowns, (n_treatments,), where it is ``here``."""
         out = np.empty(len(v))
         for j, step in enumerate(_STEP * self.most):
-            ends = np.clip([v[j] - step, v[j] + step], 0, self.most[j])
-            below, above = (self.at(np.where(np.arange(len(v)) == j, end, v))[k] for end in ends)
-            out[j] = (above - below) / (ends[1] - ends[0])
+            step = step if v[j] + step <= self.most[j] else -step
+            out[j] = (self.at(np.where(np.arange(len(v)) == j, v[j] + step, v))[k] - here) / step
         return out
 
     def _cuts_off(
@@ -264,16 +289,23 @@ class Choice:
         low, high = box
         if not planes or np.max((high - low) / self.most) < _SMALLEST:
             return False
-        for share in _even(_LOOKS, len(low)):
-            v = low + share * (high - low)
-            spent, least = self.price(v), self.price(low)
-            if spent >= most:  # towards the cheapest corner until it costs less
-                v = low + (v - low) * share[0] * (most - least) / (spent - least)
-            missed = min(float(gradient @ v) - level for gradient, level in planes)
-            if missed < -1e-3 and float(np.max(self._rows @ v, initial=0.0)) <= 1:
-                if float(self.at(v).min()) >= 0:
-                    return True
-        return False
+        normals, levels = (
+            np.array([normal for normal, _ in planes]),
+            np.array([h for _, h in planes]),
+        )
+        share = _even(_POINTS, len(low))
+        v = low + share * (high - low)
+        price = self.cost * self.size
+        spent, least = v @ price, float(low @ price)
+        # What costs too much is moved towards the cheapest corner, to different distances.
+        kept = np.where(
+            spent >= most, share[:, 0] * (most - least) / np.maximum(spent - least, 1e-300), 1
+        )
+        v = low + kept[:, np.newaxis] * (v - low)
+        missed = np.min(v @ normals.T - levels, axis=1)
+        possible = np.flatnonzero((missed < -_CUTS) & (v @ self._rows.T <= 1).all(axis=1))
+        nearest = possible[np.argsort(-missed[possible])][:_LOOKS]
+        return any(float(self.at(v[i]).min()) >= 0 for i in nearest)
 
     def _halves(self, box: tuple[Array, Array]) -> list[tuple[Array, Array]]:
         """Return the two halves of a part, along its longest side; panels of both are whole."""
