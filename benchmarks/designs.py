@@ -15,12 +15,13 @@ import argparse
 import itertools
 import time
 from collections.abc import Iterator
-from dataclasses import replace
 
 import numpy as np
 
 import rtcal as rt
-from rtcal.prediction import Design, Target, Treatment
+from rtcal.prediction import Target, Treatment
+from rtcal.prediction.design_model import DesignModel
+from rtcal.prediction.designed import design_model
 from rtcal.support.types import Array
 
 BANDS = np.array([125.0, 250.0, 500.0, 1000.0, 2000.0, 4000.0])
@@ -59,7 +60,11 @@ def problem(
     )
     equation = (rt.Eyring(), rt.Sabine())[index % 2]
     t = equation.reverberation_time(room) * np.exp(0.1 * rng.standard_normal())
-    measured = rt.Measurement.from_values(BANDS, t20=t, uncertainty={"t20": 0.03 * t})
+    measured = rt.Measurement(
+        centre_frequencies=BANDS,
+        values={"t20": t[np.newaxis]},
+        uncertainty={"t20": 0.03 * t[np.newaxis]},
+    )
     result = rt.calibrate(room, measured, equation=equation, unreachable="nearest")
     treatments = tuple(_treatments(rng, areas))
     some = np.array([each.largest for each in treatments]) * rng.uniform(0.2, 0.7, len(treatments))
@@ -85,39 +90,40 @@ def _treatments(rng: np.random.Generator, areas: dict[str, float]) -> Iterator[T
         yield Treatment(material.name, material, largest, cost, place or None, unit)
 
 
-def exhaustive(found: Design, share: float = 1.0) -> tuple[float, Array | None]:
-    """Return the least cost, and its areas, of what keeps the promise at less than a share of a design's.
+def exhaustive(
+    model: DesignModel, promised: float, below: float = np.inf
+) -> tuple[float, Array | None]:
+    """Return the least cost below a given one that keeps the promise, and its areas; None if none do.
 
-    Every number of whole panels; of any area, what the cost leaves and shares of that.
+    Every number of whole panels is tried; of a treatment of any area, what the cost leaves for it, and
+    shares of that.
     """
-    model, cheapest, best = found.model, share * found.cost, None
-    bounded = model.target.bounded
+    best, bounded = None, model.target.bounded
     panels = [
         np.array([np.nan]) if t.unit is None else np.arange(t.largest // t.unit + 1) * t.unit
         for t in model.treatments
     ]
     for counted in itertools.product(*panels):
-        for x in _filled(found, np.array(counted), cheapest):
+        for x in _filled(model, np.array(counted), below):
             cost = float(model.prices @ x)
-            if cost < cheapest and (model.probability(x)[bounded] >= found.promised).all():
-                cheapest, best = cost, x
-    return cheapest, best
+            if cost < below and (model.probability(x)[bounded] >= promised).all():
+                below, best = cost, x
+    return below, best
 
 
-def _filled(found: Design, x: Array, most: float) -> Iterator[Array]:
+def _filled(model: DesignModel, x: Array, most: float) -> Iterator[Array]:
     """Yield areas whose free ones, NaN in ``x``, are shares of what a cost leaves for them."""
-    prices, treatments = found.model.prices, found.model.treatments
-    left = most * (1 - 1e-9) - float(prices @ np.nan_to_num(x))
-    if left < 0:
+    left = most - float(model.prices @ np.nan_to_num(x))
+    if left <= 0:
         return
     free = np.flatnonzero(np.isnan(x))
     if not len(free):
         yield x
         return
     j = int(free[0])
-    largest = min(treatments[j].largest, left / prices[j])
+    largest = min(model.treatments[j].largest, left * (1 - 1e-9) / model.prices[j])
     for area in (_SHARES * largest).tolist():
-        yield from _filled(found, np.where(np.arange(len(x)) == j, area, x), most)
+        yield from _filled(model, np.where(np.arange(len(x)) == j, area, x), most)
 
 
 def judged(rooms: int, stream: int) -> None:
@@ -129,7 +135,8 @@ def judged(rooms: int, stream: int) -> None:
             found = rt.design(result, treatments, target, p)
         except rt.errors.InfeasibleError:
             none += 1
-            falsely += _any(result, treatments, target, p)
+            model = design_model(result, treatments, target)
+            falsely += exhaustive(model, p)[1] is not None
             continue
         turned = rt.design(result, treatments[::-1], target, p)
         if not np.allclose(turned.areas[::-1], found.areas, atol=1e-9):
@@ -137,7 +144,8 @@ def judged(rooms: int, stream: int) -> None:
         for t, area in zip(treatments, found.areas.tolist(), strict=True):
             parts += t.unit is not None and abs(area / t.unit - round(area / t.unit)) > 1e-9
         lacking.append(float((found.probability - p)[target.bounded].min()))
-        ratios.append(found.cost / exhaustive(found)[0] if found.cost else 1.0)
+        best = exhaustive(found.model, p, found.cost)[0]
+        ratios.append(found.cost / best if found.cost else 1.0)
         print(
             f"room {index}: {found.cost:.0f}, over exhaustive search {ratios[-1]:.4f}", flush=True
         )
@@ -146,18 +154,6 @@ def judged(rooms: int, stream: int) -> None:
     print(
         f"cost over that of exhaustive search: {np.median(ratios):.4f}, at most {max(ratios):.4f}"
     )
-
-
-def _any(
-    result: rt.CalibrationResult, treatments: tuple[Treatment, ...], target: Target, p: float
-) -> bool:
-    """Return whether exhaustive search finds areas where a design was refused."""
-    whole = tuple(replace(t, cost=max(t.cost, 1.0)) for t in treatments)
-    easy = rt.design(result, whole, Target(np.full(6, np.nan), np.full(6, 99.0)), 0.8)
-    everything = float(easy.model.prices @ [t.largest for t in whole])
-    model = replace(easy.model, target=target)
-    refused = replace(easy, model=model, promised=p, areas=everything / easy.model.prices[:1])
-    return exhaustive(refused)[1] is not None
 
 
 def times() -> None:

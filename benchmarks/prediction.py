@@ -11,12 +11,10 @@ from __future__ import annotations
 
 import argparse
 import itertools
-import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.special import ndtr, ndtri
 
 import rtcal as rt
 from benchmarks.real_data import (
@@ -28,8 +26,7 @@ from benchmarks.real_data import (
     ptb_room,
 )
 from rtcal.calibration.problem_data import times_in_room
-from rtcal.prediction import Assumptions, Known, State, Target, Treatment, predict
-from rtcal.prediction.design_model import DesignModel
+from rtcal.prediction import Assumptions, State, predict
 from rtcal.prediction.predicted import JND, Prediction
 from rtcal.support.types import Array
 from tests.hidden_world import populations

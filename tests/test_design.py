@@ -15,7 +15,6 @@ import pytest
 
 import rtcal as rt
 from rtcal.prediction import (
-    Assumptions,
     Known,
     State,
     Target,

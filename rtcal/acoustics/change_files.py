@@ -266,7 +266,7 @@ def _change(place: str, table: Any, room: Room, new: Mapping[str, Material]) -> 
 
 
 LEAST = 0.8
-"""Least probability that a design takes: below it the areas that keep it may be far from a convex set."""
+"""Least probability that a design takes: below it the areas that keep it may be no convex set."""
 
 MOST_COST = 1e9
 """Largest cost per m²: larger numbers are slips, and leave no digits to the others."""

@@ -69,7 +69,7 @@ class DesignModel:
         return {}
 
     def _known(self, x: Array) -> tuple[Prediction, Array, Array]:
-        """Return the prediction for areas in m², and mean and sd of ln T; kept for the next question."""
+        """Return the prediction for areas in m², and mean and sd of ln T; kept for later."""
         key = x.tobytes()
         if key not in self._predicted:
             made = self.prediction(x)
@@ -149,7 +149,7 @@ class DesignModel:
         return x, float(self.probability(x, target)[target.bounded].min())
 
     def widening(self, probability: float) -> float | None:
-        """Return the least factor by which both ends must move for a design to exist; None if 100 is not it.
+        """Return the factor by which both ends must move for a design to exist; None if 100 will not do.
 
         Panels need not be whole.
         """

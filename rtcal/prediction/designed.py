@@ -259,12 +259,26 @@ def design(
             f"probability = {probability:g} is not from {LEAST:g} to {_BEST:g}: below, "
             "which design is the cheapest is not sure"
         )
+    model = design_model(result, treatments, target, assumptions)
+    found = _cheapest(model, probability)
+    if found is None:
+        raise InfeasibleError(" ".join(can_be_had(model, probability)))
+    return found
+
+
+def design_model(
+    result: Measured,
+    treatments: Sequence[Treatment],
+    target: Target,
+    assumptions: Assumptions | None = None,
+) -> DesignModel:
+    """Return what may be placed in a room, and what is known of it; raises DataError as `design`."""
     if not isinstance(result, Measured):
         raise DataError(f"result = {checks.shown(result)} is not a calibration's result, or Known")
     room = result.prior
     if target.low.shape != (room.n_bands,):
         raise DataError(f"target has {len(target.low)} bands; the room has {room.n_bands}")
-    model = DesignModel(
+    return DesignModel(
         tuple(result.states),
         room,
         check_treatments(treatments, room),
@@ -272,10 +286,6 @@ def design(
         result.equation,
         assumptions or Assumptions(),
     )
-    found = _cheapest(model, probability)
-    if found is None:
-        raise InfeasibleError(" ".join(can_be_had(model, probability)))
-    return found
 
 
 def _cheapest(model: DesignModel, probability: float) -> Design | None:

@@ -1,4 +1,4 @@
-"""The cheapest amounts that keep every margin: supporting planes, and a linear program over whole panels.
+"""The cheapest amounts that keep every margin: supporting planes, and whole panels.
 
     minimise c'x  subject to  0 <= x <= largest,  G x <= h,  z_k(x) >= 0 in every band k,
     and x_j a whole number of panels where a treatment has panels.
@@ -38,8 +38,8 @@ _STEP = 1e-4
 _WELL = 0.1
 """Margin from which an inner point is not improved."""
 _LEAST_AREA = 1e-6
-"""What a square metre adds to its cost, in shares of the dearest: of designs of one cost the one with less
-area is taken."""
+"""What a square metre adds to its cost, in shares of the dearest: of designs of one cost the one with
+less area is taken."""
 _ROUNDING = 1e-6
 _CUTS = 1e-3
 """Least sine of the angle between a plane and the line that it crosses."""
@@ -48,7 +48,7 @@ _HALVINGS, _TOUCHES = 60, 1e-4
 _SPARE = 0.005
 """Least margin of an answer, some of whose areas are above their least, that is searched once more."""
 _POINTS, _LOOKS = 512, 16
-"""Of so many cheaper areas, so many of those that a plane cuts off, the nearest to it, are looked at."""
+"""Of so many cheaper areas, so many of those that a plane cuts off, the nearest, are looked at."""
 _SPARED = 2e-3
 """Share of the cost that must be spared for a further part to be searched."""
 _SMALLEST = 1 / 32
@@ -188,7 +188,7 @@ class Choice:
         planes: list[tuple[Array, float]],
         most: float,
     ) -> Array | None:
-        """Return the cheapest unknowns of a part; None if none keep the margins at less than ``most``."""
+        """Return the cheapest unknowns of a part; None if none do at less than ``most``."""
         for whole in (False, True) if self.whole.any() else (False,):
             while True:
                 v = self._relaxed(box, planes, whole)
@@ -239,8 +239,6 @@ class Choice:
 
     def _touching(self, inside: Array, outside: Array) -> tuple[Array, float]:
         """Return the plane that touches a margin where the line from inside to outside leaves it."""
-        from scipy.optimize import brentq
-
         v, at = self._edge(inside, outside)
         k = int(np.argmin(at))
         gradient = self._gradient(v, k, float(at[k]))
