@@ -149,7 +149,7 @@ class DesignModel:
         return x, float(self.probability(x, target)[target.bounded].min())
 
     def widening(self, probability: float) -> float | None:
-        """Return the factor by which both ends must move for a design to exist; None if 100 will not do.
+        """Return the factor by which both ends must move for a design to exist; None above 100.
 
         Panels need not be whole.
         """

@@ -31,8 +31,10 @@ Margins = Callable[[Array], Array]
 
 KEPT = -2e-4
 """Margin in standard deviations that counts as kept: 0.00004 of a probability."""
-_PLANES = 200
+_PLANES = 60
 """Most planes of one part; two treatments need about five."""
+_PARTS = 24
+"""Most parts that are searched."""
 _STEP = 1e-4
 """Step of the derivatives, in shares of a treatment's largest area."""
 _WELL = 0.1
@@ -161,7 +163,9 @@ class Choice:
         """Return the cheapest areas in m², (n_treatments,), that keep all margins; None if none do."""
         best: Array | None = None
         waiting, unfinished = [self.everything], False
-        while waiting:
+        for _ in range(_PARTS):
+            if not waiting:
+                break
             box = waiting.pop()
             most = np.inf if best is None else (1 - _SPARED) * self.price(best)
             if self.price(box[0]) >= most:
