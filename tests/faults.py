@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import errno
 import os
-import shutil
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -16,29 +15,20 @@ from typing import Any
 import pytest
 
 from rtcal.support import files
+from rtcal.support.errors import DataError
 
-EVENTS = (
-    "open",
-    "write",
-    "fsync",
-    "replace",
-    "unlink",
-    "mkdir",
-    "chmod",
-    "close",
-    "rmtree",
-)
+EVENTS = ("open", "write", "fsync", "replace", "chmod", "close")
 KILLED = 77
 
 
 class FaultyOs:
-    """The modules ``os`` and ``shutil``; the nth event fails, and ``count`` events there were."""
+    """The module ``os``; the nth event fails, and ``count`` events there were."""
 
     def __init__(self, nth: int | None, fault: Callable[[str], None]) -> None:
         self.count, self.nth, self.fault = 0, nth, fault
 
     def __getattr__(self, name: str) -> Any:
-        real = getattr(os if hasattr(os, name) else shutil, name)
+        real = getattr(os, name)
         if name not in EVENTS:
             return real
 
@@ -47,8 +37,6 @@ class FaultyOs:
             if self.count == self.nth:
                 if name == "write":  # half of it arrives
                     real(arguments[0], bytes(arguments[1])[: len(arguments[1]) // 2])
-                if name == "rmtree":  # one of its files is gone
-                    os.unlink(next(p for p in sorted(arguments[0].iterdir()) if p.is_file()))
                 if name == "close":  # Linux closes also where it says that it failed
                     real(*arguments)
                 self.fault(name)
@@ -75,7 +63,6 @@ def faulty(nth: int | None, fault: Callable[[str], None] = full) -> Iterator[Fau
     with pytest.MonkeyPatch.context() as patch:
         layer = FaultyOs(nth, fault)
         patch.setattr(files, "os", layer)
-        patch.setattr(files, "shutil", layer)
         yield layer
 
 
@@ -92,14 +79,21 @@ def killed(act: Callable[[], object], nth: int) -> bool:
 
 
 def snapshot(folder: Path) -> dict[str, bytes]:
-    """Every file below a folder, the hidden ones of an interrupted write left out."""
+    """Every file below a folder, without records and temporary files."""
     return {
         str(path.relative_to(folder)): path.read_bytes()
         for path in sorted(folder.rglob("*"))
-        if path.is_file() and files.PREFIX not in str(path)
+        if path.is_file() and path.name != files.RECORD and not path.name.endswith(files.NEW)
     }
 
 
-def left_over(folder: Path) -> list[str]:
-    """Hidden folders of interrupted writes."""
-    return [str(path) for path in folder.rglob(f"{files.PREFIX}*")]
+def refused(folder: Path) -> str:
+    """Return the message of a reader that refuses a file below a folder as written in part, or ""."""
+    for name in snapshot(folder):
+        try:
+            files.read_bytes(folder / name, 2**28)
+        except DataError as error:
+            if "was not written whole" not in str(error):
+                raise
+            return str(error)
+    return ""

@@ -137,7 +137,7 @@ READERS: dict[str, Reader] = {
         native.read_kept_array, ".array", native.KEPT_ARRAY, native.kept_array_holds
     ),
     "study": Reader(native.read_study, ".json", native.STUDY),
-    "journal": Reader(native.read_journal, ".json", native.JOURNAL),
+    "record": Reader(native.read_record, ".json", native.RECORD),
 }
 
 LINES = ("bras", "catt", "odeon", "pyroomacoustics", "sigma", "tables")

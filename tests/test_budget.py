@@ -1,4 +1,4 @@
-"""What a file declares beyond the budget is refused before it is loaded: in 2 s, within 300 MB."""
+"""Files that declare more than the budget are refused before they are loaded, in 2 s and 300 MB."""
 
 from __future__ import annotations
 

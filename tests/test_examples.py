@@ -93,7 +93,9 @@ def test_nothing_is_written_over(
     (tmp_path / "t.csv").write_text("mine")
     assert run("example", "room", "--out", str(tmp_path)) == 2
     assert "t.csv exists" in capsys.readouterr().err
-    assert [path.name for path in tmp_path.iterdir()] == ["t.csv"]
+    assert [
+        path.name for path in tmp_path.iterdir() if not path.name.startswith(".rtcal_files")
+    ] == ["t.csv"]
     assert (tmp_path / "t.csv").read_text() == "mine"
 
 

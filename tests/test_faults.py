@@ -1,4 +1,4 @@
-"""After a fault at any event, files are old or new as a whole, and the next command goes on."""
+"""Each file is old or new; a set written in part is refused by name; own files alone are replaced."""
 
 from __future__ import annotations
 
@@ -9,60 +9,150 @@ from pathlib import Path
 
 import pytest
 
+from rtcal.support import files
 from rtcal.support.errors import DataError
-from rtcal.support.files import read_text, recover, write_all, write_text
+from rtcal.support.files import read_text, write_all, write_text
 from tests import faults
-from tests.killed_writes import AFTER, BEFORE, events, remove_new, run_killed, set_of
+
+OLD, NEW = b"old " * 3000, b"new " * 4000
+NAMES = ("a/one", "a/two", "b/three", "b/four")
+BEFORE = dict.fromkeys(NAMES[::2], OLD)
+AFTER = dict.fromkeys(NAMES, NEW)
 
 
-@pytest.mark.parametrize("fault", [faults.full, faults.interrupt])
-def test_a_fault_at_any_event_leaves_a_set_old_or_new(
+def set_of(folder: Path) -> dict[Path, bytes]:
+    """Two files that are there and two that are not, in two folders."""
+    for name in NAMES:
+        (folder / name).parent.mkdir(exist_ok=True)
+        (folder / name).unlink(missing_ok=True)
+    for name, content in BEFORE.items():
+        (folder / name).write_bytes(content)
+    return {folder / name: NEW for name in NAMES}
+
+
+def events(folder: Path) -> int:
+    contents = set_of(folder)
+    with faults.faulty(None) as layer:
+        write_all(contents)
+    assert faults.snapshot(folder) == AFTER
+    return layer.count
+
+
+def require_whole_or_refused(folder: Path) -> bool:
+    """Return whether the set is refused; each file is old or new in any case."""
+    now = faults.snapshot(folder)
+    assert all(now[name] in (BEFORE.get(name), AFTER[name]) for name in now)
+    if said := faults.refused(folder):
+        assert "is new, since `the call that wrote it` was interrupted" in said
+        return True
+    assert now in (BEFORE, AFTER)
+    return False
+
+
+@pytest.mark.parametrize("fault", [faults.full, faults.interrupt, faults.kill])
+def test_a_set_is_old_new_or_refused_after_a_fault_at_any_event(
     fault: Callable[[str], None], tmp_path: Path
 ) -> None:
-    for nth in range(1, events(tmp_path) + 1):
+    total, refusals = events(tmp_path), 0
+    for nth in range(1, total + 1):
         contents = set_of(tmp_path)
-        failed = False
-        with faults.faulty(nth, fault):
-            try:
-                write_all(contents)
-            except (DataError, KeyboardInterrupt):
-                failed = True
-        recover([tmp_path / "a", tmp_path / "b"])
-        now = faults.snapshot(tmp_path)
-        assert now in (BEFORE, AFTER), nth
-        assert failed or now == AFTER, nth
-        assert faults.left_over(tmp_path) == []
-        remove_new(tmp_path)
+        if fault is faults.kill:
+            assert faults.killed(lambda c=contents: write_all(c), nth)
+        else:
+            with faults.faulty(nth, fault):
+                try:
+                    write_all(contents)
+                except (DataError, KeyboardInterrupt):
+                    pass
+                else:
+                    pytest.fail(f"event {nth} of {total} went unnoticed")
+        refusals += require_whole_or_refused(tmp_path)
+        write_all(contents)
+        assert faults.snapshot(tmp_path) == AFTER
+        assert not faults.refused(tmp_path)
+    assert total > 40
+    assert 1 <= refusals < total / 3
 
 
-@pytest.mark.parametrize("law", ["old_or_new", "recovery", "reader"])
-def test_a_kill_at_any_event_leaves_a_set_old_or_new(law: str, tmp_path: Path) -> None:
-    """Whoever comes next, by either folder, sees the whole. Recovery may be killed, too."""
-    run_killed(law, tmp_path)
-
-
-def test_a_hidden_folder_that_rtcal_did_not_write_touches_nothing(tmp_path: Path) -> None:
-    precious, here = tmp_path / "precious", tmp_path / "here"
-    precious.mkdir()
-    (precious / "file").write_text("kept")
-    made = here / ".rtcal-0"
-    made.mkdir(parents=True)
-    (made / "0.new").write_text("gone")
-    (made / "folders").write_text('[".rtcal-0", "../precious"]')
-    (made / "journal").write_text('[[".rtcal-0/0.new", "../precious/file"]]')
-    (here / "text").write_text("x")
-    with pytest.raises(DataError, match="names files elsewhere"):
-        read_text(here / "text", 100)
-    assert (precious / "file").read_text() == "kept"
-
-
-def test_a_failure_names_the_file_or_the_folder_of_a_set(tmp_path: Path) -> None:
-    one, two = tmp_path / "one", tmp_path / "two"
-    for contents, place in (({one: b"x"}, one), ({one: b"x", two: b"y"}, tmp_path)):
-        with faults.faulty(2), pytest.raises(DataError) as caught:
+def test_a_full_disk_changes_no_file(tmp_path: Path) -> None:
+    contents = set_of(tmp_path)
+    for nth in (1, 2, 9):
+        with faults.faulty(nth), pytest.raises(DataError, match="No space left on device"):
             write_all(contents)
-        assert str(caught.value).startswith(f"{place}: cannot be written: No space left on device")
-    assert list(tmp_path.iterdir()) == []
+        assert faults.snapshot(tmp_path) == BEFORE
+        assert not [*tmp_path.rglob(f"*{files.NEW}")]
+
+
+def test_files_of_the_user_in_hidden_folders_are_left_alone(tmp_path: Path) -> None:
+    notes = tmp_path / ".rtcal-notes" / "mine.txt"
+    notes.parent.mkdir()
+    notes.write_text("kept")
+    write_text(tmp_path / "one", "x")
+    assert read_text(tmp_path / "one", 100) == "x"
+    assert notes.read_text() == "kept"
+
+
+def test_a_record_that_is_no_record_stops_nothing(tmp_path: Path) -> None:
+    for content in (b"", b"{", b"[1]", b'{"sets": [{"command": 1}]}', b'{"sets": 7}'):
+        (tmp_path / files.RECORD).write_bytes(content)
+        write_text(tmp_path / "one", "x")
+        assert read_text(tmp_path / "one", 100) == "x"
+
+
+def test_a_command_replaces_its_own_files_alone(tmp_path: Path) -> None:
+    """A file is known by its content: one that was changed is the user's."""
+    own, foreign = tmp_path / "own", tmp_path / "foreign"
+    foreign.write_text("mine")
+    write_text(own, "first")
+    with files.one_set("rtcal x"):
+        write_text(own, "second")
+        with pytest.raises(DataError, match="rtcal did not write it"):
+            write_text(foreign, "theirs")
+        with pytest.raises(DataError, match="rtcal did not write it"):
+            files.spare([foreign], [])
+    assert (own.read_text(), foreign.read_text()) == ("second", "mine")
+    own.write_text("changed")
+    with files.one_set("rtcal x"), pytest.raises(DataError, match="was changed since"):
+        write_text(own, "third")
+    with files.one_set("rtcal x"):
+        files.may_replace()
+        write_text(own, "third")
+        write_text(foreign, "theirs")
+    assert (own.read_text(), foreign.read_text()) == ("third", "theirs")
+
+
+def test_what_a_command_writes_is_one_set(tmp_path: Path) -> None:
+    one, two = tmp_path / "one", tmp_path / "two"
+    with files.one_set("rtcal x"):
+        write_text(one, "1")
+        write_text(two, "2")
+        assert not one.exists()
+        assert files.commit() == [str(one), str(two)]
+        assert two.exists()
+    with pytest.raises(ZeroDivisionError), files.one_set("rtcal x"):
+        write_text(one, "new")
+        raise ZeroDivisionError
+    assert one.read_text() == "1"
+
+
+def test_a_torn_set_names_the_command_that_makes_it_anew(tmp_path: Path) -> None:
+    one, two = tmp_path / "one", tmp_path / "two"
+
+    def write() -> None:
+        with files.one_set("rtcal make one"):
+            files.may_replace()
+            write_text(one, "1")
+            write_text(two, "2")
+
+    with faults.faulty(None) as layer:
+        write()
+    said = set()
+    for nth in range(1, layer.count + 1):
+        one.write_text("old")
+        two.write_text("old")
+        faults.killed(write, nth)
+        said.add(faults.refused(tmp_path))
+    assert any("`rtcal make one` was interrupted. Repeat that command" in text for text in said)
 
 
 def test_no_files_are_no_error(tmp_path: Path) -> None:

@@ -135,15 +135,15 @@ WRITTEN = """
 import os, signal
 from rtcal.support import files
 
-finish = files._finish
+write = files._write_set
 
-def finished(folders):
-    finish(folders)
+def written(contents, command):
+    write(contents, command)
     os.kill(os.getpid(), signal.SIGINT)
 
-files._finish = finished
+files._write_set = written
 """
-"""An interrupt at the end of a write, which holds it back until the files are in place."""
+"""An interrupt at the end of a write."""
 
 
 @pytest.mark.parametrize(

@@ -1,9 +1,6 @@
 """`rtcal loop start` and `next`: a program run by hand, between runs of the command."""
 
 import json
-import os
-import signal
-import time
 import warnings
 
 import numpy as np
@@ -12,7 +9,6 @@ from click.testing import CliRunner
 
 import rtcal as rt
 from rtcal.command.main import cli, main
-from rtcal.support.files import locked
 
 
 def unwrapped(output: str) -> str:
@@ -341,30 +337,6 @@ def test_t_of_other_coefficients_is_refused(cr2, tmp_path):
     done = runner.invoke(cli, [*command, table, *files])
     assert "it is of the coefficients" in str(done.exception)
     (tmp_path / "s.csv").write_text(f"{line}\n{content}")
-    assert runner.invoke(cli, [*command, table, *files]).exit_code == 0
-
-
-def test_two_commands_at_once_do_not_lose_a_step(cr2, tmp_path, monkeypatch):
-    room, measured = cr2
-    _, runner, command, files = begun(room, measured, tmp_path)
-    table = simulate(tmp_path)
-    monkeypatch.setattr("rtcal.support.files.LONGEST_WAIT", 0.1)
-    child = os.fork()
-    if child == 0:  # another command is at work
-        with locked(tmp_path):
-            time.sleep(30)
-        os._exit(0)
-    try:
-        for _ in range(100):
-            done = runner.invoke(cli, ["loop", "back", *command[2:], *files])
-            if "another process is writing here" in str(done.exception):
-                break
-            time.sleep(0.02)
-        done = runner.invoke(cli, [*command, table, *files])
-        assert "another process is writing here" in str(done.exception)
-    finally:
-        os.kill(child, signal.SIGKILL)
-        os.waitpid(child, 0)
     assert runner.invoke(cli, [*command, table, *files]).exit_code == 0
 
 

@@ -1,4 +1,4 @@
-"""A study's folder: a piece of another is computed again, and no other study works there."""
+"""A study's folder: a piece that is damaged, or of another study, is computed again."""
 
 from __future__ import annotations
 
@@ -9,16 +9,23 @@ import shutil
 import tracemalloc
 import zlib
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from rtcal import studies
 from rtcal.studies.runner import _open
 from rtcal.support import files
 from rtcal.support.errors import DataError
-from tests.killed_writes import run_killed
-from tests.killed_writes import run_study as run
+from tests import faults
+
+
+def run(folder: Path | None, seed: int = 3) -> list[object]:
+    areas = [35, 35, 21, 21, 15, 15]
+    table: list[object] = studies.run(areas, 0.05, 250, 20, seed, folder=folder).scores().tolist()
+    return table
 
 
 @pytest.fixture
@@ -81,24 +88,25 @@ def test_a_piece_that_is_another_is_computed_again(
 
 
 def test_a_pipe_in_place_of_a_piece_does_not_hang(folder: Path) -> None:
-    (folder / "piece-00000001.sums").unlink()
-    os.mkfifo(folder / "piece-00000001.sums")
-    with pytest.raises(DataError, match="not a regular file"):
-        run(folder)
-
-
-def test_two_studies_in_one_folder_are_refused(folder: Path) -> None:
-    with (
-        files.held(folder / "study.json"),
-        pytest.raises(DataError, match="is in use: another process works"),
-    ):
-        run(folder)
-    run(folder)
+    piece = folder / "piece-00000001.sums"
+    piece.unlink()
+    os.mkfifo(piece)
+    assert run(folder) == run(None)
+    assert piece.is_file()
 
 
 @pytest.mark.long
 def test_a_study_goes_on_after_a_fault_at_any_event(tmp_path: Path) -> None:
-    run_killed("pieces", tmp_path)
+    whole = run(None)
+    with faults.faulty(None) as layer:
+        run(tmp_path / "counted")
+    assert layer.count > 10
+    for nth in range(1, layer.count + 1, 3):
+        place = tmp_path / f"fault {nth}"
+        with faults.faulty(nth), suppress(DataError):
+            assert run(place) == whole
+        faults.killed(lambda p=place: run(p), nth)
+        assert run(place) == whole
 
 
 def test_a_kept_array_that_is_damaged_or_another_counts_as_missing(tmp_path: Path) -> None:

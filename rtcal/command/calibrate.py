@@ -22,7 +22,6 @@ from rtcal.command.console import (
     modes_option,
     numbers,
     output_folder,
-    output_options,
     pairs,
     paths_option,
     read_measured,
@@ -34,6 +33,7 @@ from rtcal.command.console import (
     told_by_modes,
     warn,
     without_air_warning,
+    writing_options,
 )
 from rtcal.support import text
 from rtcal.support.errors import DataError
@@ -65,7 +65,7 @@ from rtcal.support.files import make_folder, spare, write_all
     help="Folder for the calibrated room (room.toml), all numbers (result.json) and T(f) "
     "(reverberation_time.png, not with --modes). Nothing is written without it.",
 )
-@output_options
+@writing_options
 def calibrate(
     room: str,
     measured: str,
@@ -161,7 +161,7 @@ and it matters. In one simulated room, 4,000 paths, starts of 0.05, 0.1 and 0.2 
     help="Folder for the calibrated room (room.toml), all numbers (result.json), a plan (plan.png) and "
     "the coefficients' shifts (shifts.png). Nothing is written without it.",
 )
-@output_options
+@writing_options
 def fit(
     room: str,
     measured: str,
@@ -260,7 +260,7 @@ LIBRARY_ROOM = "room.toml"
     type=click.Path(file_okay=False),
     help="Folder for the archive (result.json), and with --apply for the room (room.toml).",
 )
-@output_options
+@writing_options
 def learn(
     folder: str,
     entries: tuple[str, ...],
@@ -362,7 +362,7 @@ def learn(
     type=click.Path(file_okay=False),
     help="Folder for the tables (CSV) and figures (PNG).",
 )
-@output_options
+@writing_options
 def study(
     rooms: tuple[str, ...],
     sigma_r: tuple[float, ...],

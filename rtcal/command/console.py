@@ -18,6 +18,7 @@ import click
 
 from rtcal.acoustics.equations import EQUATIONS, LinearEquation, equation_keys
 from rtcal.acoustics.observables import MATCH, OBSERVABLES
+from rtcal.support import files
 from rtcal.support.errors import DataError
 from rtcal.support.files import json_text
 from rtcal.support.text import fitted, printable, width
@@ -225,6 +226,27 @@ def output_options(command: Callable[..., None]) -> Callable[..., None]:
     return _json_option(_quiet_option(command))
 
 
+def _force(context: click.Context, parameter: click.Parameter, value: bool) -> None:
+    """Let the command replace files that rtcal did not write."""
+    if value:
+        files.may_replace()
+
+
+force_option = click.option(
+    "--force",
+    is_flag=True,
+    expose_value=False,
+    is_eager=True,
+    callback=_force,
+    help="Replace files of these names that rtcal did not write, or that were changed since.",
+)
+
+
+def writing_options(command: Callable[..., None]) -> Callable[..., None]:
+    """Add --json, --quiet and --force to a command that writes files."""
+    return output_options(force_option(command))
+
+
 method_option = click.option(
     "--method",
     type=click.Choice(("mle", "lse", "soft", "smooth", "robust")),
@@ -335,19 +357,22 @@ class CannotPrint(click.ClickException):
     exit_code = 5
 
 
-def tell(text: str, record: Mapping[str, Any], files: Sequence[object] = ()) -> None:
-    """Print a text and the files written, or with ``--json`` a record; else nothing with ``--quiet``.
+def tell(text: str, record: Mapping[str, Any], listed: Sequence[object] = ()) -> None:
+    """Write the command's files, and print a text and which they are, or with ``--json`` a record.
 
-    Commands write their files before they print, since a reader may close the output (``| head``).
-    Raises CannotPrint where the output is closed or full.
+    With ``--quiet`` it prints nothing. Files are written first, since a reader may close the output
+    (``| head``). ``listed`` are files that are written already. Raises CannotPrint where the output is
+    closed or full.
     """
+    made = list(dict.fromkeys([*map(str, listed), *files.commit()]))
     as_json = _flag("as_json")
     if is_quiet() and not as_json:
         return
     if sys.stdout is None:
         raise CannotPrint("cannot print: the standard output is closed")
-    if files:
-        text += "\n" + written(files)
+    if made:
+        text = "\n".join(filter(None, [text, written(made)]))
+        record = {**record, "written": made}
     with printing():
         click.echo(_json_text(record) if as_json else printable(fitted(text)))
 
@@ -360,6 +385,8 @@ def printing() -> Iterator[None]:
         if sys.stdout is not None:
             sys.stdout.flush()
     except OSError as error:
+        if error.filename is not None:  # of a file, and not of the output
+            raise
         if sys.stdout is sys.__stdout__:
             # Python flushes again at its end, where the error could not be caught.
             os.dup2(os.open(os.devnull, os.O_WRONLY), _STANDARD_OUTPUT)

@@ -24,15 +24,16 @@ from rtcal.command.console import (
     is_quiet,
     numbers,
     output_folder,
-    output_options,
     repeats_option,
     said,
     tell,
     texts,
     warn,
+    writing_options,
     written,
 )
 from rtcal.io.table_columns import DECAY_TIMES_OF_RT60
+from rtcal.support import files
 from rtcal.support.errors import DataError
 from rtcal.support.files import spare, write_text
 
@@ -74,7 +75,7 @@ PROGRAMS = ("catt", "odeon", "pyroomacoustics", "bras")
     help="File (TOML) to write: [sources] and [receivers] of one SOFA file, for the room's file.",
 )
 @click.option("--out", type=click.Path(dir_okay=False), help="Measurement (CSV, xlsx) to write.")
-@output_options
+@writing_options
 def measure(
     responses: tuple[str, ...],
     bands: str | list[float] | None,
@@ -171,7 +172,7 @@ def _positions_text(responses: tuple[str, ...]) -> str:
     "--sheets", multiple=True, metavar="SHEET", help="Read only this sheet of a workbook."
 )
 @click.option("--out", type=click.Path(dir_okay=False), help="Measurement (CSV, xlsx) to write.")
-@output_options
+@writing_options
 def table(
     paths: tuple[str, ...],
     decay_time: str | None,
@@ -253,7 +254,7 @@ def _write_and_tell(
     show_default=True,
     help="If the room lacks a band of a new list (CATT, ODEON): refuse, or use the nearest band.",
 )
-@output_options
+@writing_options
 def export(
     program: str,
     room: str,
@@ -283,6 +284,8 @@ def export(
             f"--missing-bands: a list of {program} has the room's bands, whatever they are"
         )
     options["entries"] = texts("--as", entries, "MATERIAL=ENTRY")
+    if template is None:
+        files.may_replace(materials)  # its numbers are what is asked to be changed
     with errors_name_options("missing_bands", "decimals"):
         done = module.write(Room.from_file(room), materials, **options)
     record = {
@@ -326,7 +329,7 @@ _LIST = "\b\n" + "\n".join(f"    {name:16s}{text}" for name, text in _PURPOSES.i
 )
 @click.argument("name", type=click.Choice(tuple(_PURPOSES)))
 @click.option("--out", type=click.Path(file_okay=False), help="Folder to write; NAME if not given.")
-@output_options
+@writing_options
 def example(
     name: str,
     out: str | None,
@@ -344,6 +347,7 @@ def example(
         raise DataError(f"{present[0]} exists; an example writes over no file: give another --out")
     make_folder(folder)
     write_all(targets)
+    files.commit()
     commands = [f"cd {shlex.quote(str(folder))}", *project.commands]
     lines = [written(list(targets)), "", "Next:"]
     lines += [line for command in commands for line in shell(command, "  ")]
@@ -365,7 +369,7 @@ _FIGURES = 5
     "workbook of all its tables.",
 )
 @heading_options
-@output_options
+@writing_options
 def report(
     result: str,
     out: str | None,
@@ -397,10 +401,13 @@ def report(
     fit_ending("--out", out, ".html", ".htm", workbook.ENDING)
     if target.suffix.lower() == workbook.ENDING:
         pages.write_workbook(result, target)
-        done = {"written": str(target), "bytes": target.stat().st_size}
-        tell(f"Written: {target}", done)
+        tell("", {}, [target])
         return
     with bar(_FIGURES, "figure", bar_wanted(), said()) as shown:
         text = pages.page_of(result, heading=heading, progress=lambda: shown.update(1))
     document.write(target, text)
-    tell(f"Written: {target}", {"written": str(target), "bytes": len(text.encode())})
+    tell(
+        "",
+        {"bytes": len(text.encode())},
+        [target],
+    )

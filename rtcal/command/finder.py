@@ -15,6 +15,7 @@ import click
 from rtcal.command.console import (
     as_options,
     errors_name_options,
+    force_option,
     heading_options,
     numbers,
     output_folder,
@@ -57,6 +58,7 @@ PROPOSED = 3
 
 @click.command(short_help="Find what a model misses.")
 @search_options
+@force_option
 @number_options
 @click.option(
     "--out",
@@ -199,6 +201,7 @@ def verify(
     help="The candidate to add; needed where none has a probability of 0.3.",
 )
 @before_option
+@force_option
 @number_options
 def apply(
     inputs: Inputs,

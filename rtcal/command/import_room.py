@@ -13,10 +13,10 @@ from rtcal.command.console import (
     bands_option,
     entries_option,
     fit_ending,
-    output_options,
     scattering_option,
     tell,
     texts,
+    writing_options,
 )
 from rtcal.command.files import PROGRAMS
 from rtcal.command.import_mesh import (
@@ -121,7 +121,7 @@ if TYPE_CHECKING:
 )
 @scattering_option
 @click.option("--out", type=click.Path(dir_okay=False), help="Room (TOML) to write.")
-@output_options
+@writing_options
 def import_room(
     program: str,
     materials: str | None,

@@ -2,12 +2,6 @@
 
 from __future__ import annotations
 
-import functools
-from collections.abc import Callable
-from contextlib import nullcontext
-from pathlib import Path
-from typing import Any
-
 import click
 
 from rtcal.acoustics.equations import LinearEquation
@@ -18,12 +12,12 @@ from rtcal.command.console import (
     method_option,
     modes_option,
     numbers,
-    output_options,
     read_measured,
     tell,
     told_by_modes,
+    writing_options,
 )
-from rtcal.support.files import locked, spare
+from rtcal.support.files import spare
 
 _state_option = click.option(
     "--state",
@@ -37,18 +31,6 @@ _out_option = click.option(
     required=True,
     help="Room to simulate next (TOML) to write.",
 )
-
-
-def _holding_state(command: Callable[..., None]) -> Callable[..., None]:
-    """Lock the state's folder from reading to writing: two commands at once would lose a step."""
-
-    @functools.wraps(command)
-    def held(*, state: str, **arguments: Any) -> None:
-        folder = Path(state).resolve().parent
-        with locked(folder) if folder.is_dir() else nullcontext():
-            command(state=state, **arguments)
-
-    return held
 
 
 @click.group(short_help="The closed loop with a program that is run by hand.")
@@ -79,8 +61,7 @@ def loop() -> None:
 )
 @decimals_option
 @modes_option
-@output_options
-@_holding_state
+@writing_options
 def start(
     room: str,
     measured: str,
@@ -160,8 +141,7 @@ def _next_step(out: str) -> str:
     is_flag=True,
     help="Accept a table equal to the last step's, or to the measurement.",
 )
-@output_options
-@_holding_state
+@writing_options
 def next_(
     room: str,
     simulated: str,
@@ -233,8 +213,7 @@ def next_(
 @click.argument("room", type=click.Path())
 @_state_option
 @_out_option
-@output_options
-@_holding_state
+@writing_options
 def back(
     room: str,
     state: str,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import os
+import shlex
 import sys
 import warnings
 from collections.abc import Sequence
@@ -17,8 +18,9 @@ from rtcal.command.finder import NOTHING_TO_ADD, apply, find, plan, verify
 from rtcal.command.import_room import import_room
 from rtcal.command.loop import loop
 from rtcal.command.predict import design, predict
-from rtcal.support import __version__
+from rtcal.support import __version__, files
 from rtcal.support.errors import MissingDependencyError, RtcalError, SolverError
+from rtcal.support.text import shortened
 
 EXIT_CODES = {
     0: "done",
@@ -100,8 +102,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 def _run(arguments: Sequence[str] | None) -> int:
     """Run the command, print what is wrong, and return the exit code."""
+    stated = sys.argv[1:] if arguments is None else arguments
     try:
-        with printing():
+        with printing(), files.one_set(shlex.join(["rtcal", *map(str, stated)])):
             code = cli.main(args=arguments, prog_name="rtcal", standalone_mode=False)
     except click.exceptions.Abort:
         return 130
@@ -118,6 +121,9 @@ def _run(arguments: Sequence[str] | None) -> int:
         if isinstance(error, SolverError):
             return 3
         return 4 if isinstance(error, MissingDependencyError) else 2
+    except OSError as error:  # of a path that the system refuses, such as a name of 300 characters
+        warn(f"{shortened(str(error.filename), 200)}: {error.strerror or error}")
+        return 2
     return code if isinstance(code, int) else 0
 
 

@@ -14,12 +14,12 @@ from rtcal.command.console import (
     bar_wanted,
     equation_option,
     output_folder,
-    output_options,
     paths_option,
     read_measured,
     said,
     tell,
     without_air_warning,
+    writing_options,
 )
 from rtcal.support.errors import DataError
 from rtcal.support.files import read_text
@@ -39,7 +39,7 @@ MAX_BYTES = 2**18
 def what_is_known(command: Callable[..., None]) -> Callable[..., None]:
     """Add the options of measured states, the equation and what is done with the result."""
     for option in (
-        output_options,
+        writing_options,
         click.option(
             "--out",
             type=click.Path(file_okay=False),

@@ -32,7 +32,7 @@ from rtcal.support import checks, files
 from rtcal.support.arguments import checked
 from rtcal.support.checks import json_object
 from rtcal.support.errors import DataError
-from rtcal.support.files import make_folder, read_text, write_bytes, write_text
+from rtcal.support.files import make_folder, read_text, write_bytes
 from rtcal.support.speed import bar as progress_bar
 from rtcal.support.speed import thread_pool
 from rtcal.support.types import Array
@@ -222,7 +222,7 @@ def run_pieces(
     Raises
     ------
     DataError
-        If the folder cannot be written, is damaged, holds another study or one that is running, or
+        If the folder cannot be written, is damaged, holds another study, or
         if ``workers``, ``executor`` or ``folder`` is of the wrong kind.
     MissingDependencyError
         With ``progress`` where tqdm is not installed.
@@ -238,7 +238,6 @@ def run_pieces(
         store = None
         if folder is not None:
             store = _open(checks.path("folder", folder), identity)
-            stack.enter_context(files.held(store.record))
         pool = stack.enter_context(
             thread_pool(workers) if executor is None else nullcontext(executor)
         )
@@ -286,7 +285,7 @@ class _Store:
 
     def write(self, number: int, piece: ScoreMoments) -> None:
         packed = zlib.compress(piece.to_bytes())
-        write_bytes(self._file(number), self._head(number, packed) + packed)
+        files.replace_file(self._file(number), self._head(number, packed) + packed)
 
     def read(self, number: int) -> ScoreMoments | None:
         """Return a finished piece; None if it is missing, damaged or from another study."""
@@ -315,9 +314,8 @@ def _open(folder: Path, identity: dict[str, Any]) -> _Store:
     make_folder(folder)
     text = json.dumps(identity, sort_keys=True, indent=1) + "\n"
     store = _Store(folder, hashlib.sha256(text.encode()).hexdigest()[:16])
-    files.recover([folder])
     if not store.record.exists():
-        write_text(store.record, text)
+        files.replace_file(store.record, text.encode())
         return store
     try:
         stored = json_object(read_text(store.record, MAX_RECORD))

@@ -1,10 +1,13 @@
-"""Files: text is read as UTF-8; several are written as one, all new, or all as they were.
+"""Files: text is read as UTF-8; each file is written whole; a set of files is whole, or refused.
 
-The new files are staged in a hidden folder ``.rtcal-*`` beside their targets. Then a journal is
-written, which commits them, and they are moved into place. After an error, a kill or a power cut, the
-next command that reads or writes in the folder goes on from there: with a journal it moves in what is
-left, and without one it deletes what was staged. Writers lock their folders, so an unlocked
-``.rtcal-*`` belongs to no running command.
+A file is replaced by a temporary one beside it that was written through to the disk, so that at any
+moment it is the old one or the new one. What one command, or one call, writes is a set: a record in
+each folder, ``.rtcal_files.json``, names the files of the last sets with their digests. It is written
+before the first file of a set is replaced and once more after the last. If a command is killed in
+between, readers refuse every file of that set by name, and say which command makes the set anew.
+
+Commands replace no file that rtcal did not write, or that was changed since, unless they are told to
+(``--force``): the record says which are rtcal's own.
 """
 
 from __future__ import annotations
@@ -13,16 +16,11 @@ import hashlib
 import io
 import json
 import os
-import shutil
-import signal
 import stat
-import threading
-import time
-import uuid
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field
 from pathlib import Path
-from types import FrameType
 from typing import Any
 
 import numpy as np
@@ -31,87 +29,61 @@ from numpy.typing import ArrayLike
 from rtcal.support.errors import DataError
 from rtcal.support.types import Array
 
-try:
-    import fcntl
-except (
-    ImportError
-):  # Windows has no flock: there two commands must not write the same folder at once
-    fcntl = None  # type: ignore[assignment]
-
-PREFIX = ".rtcal-"
-LONGEST_WAIT = 10.0
-"""Longest wait in s for another command that writes into the same folder."""
-_PAUSE = 0.02
-_FOLDERS, _JOURNAL = "folders", "journal"
+RECORD = ".rtcal_files.json"
+"""The record of a folder's sets; without it files are read as they are, and replaced with --force."""
+NEW = ".rtcal-new"
+"""Ending of a file while it is written."""
+_MOST_RECORD = 2**22
+_CALL = "the call that wrote it"
 
 begun: list[Path] = []
 """Files that this process has written, or begun to write: without any, nothing was written."""
-_thread_lock = threading.RLock()
-_locked: set[Path] = set()  # folders that this process has locked
+
+
+@dataclass
+class _Set:
+    """Files of the running command, until they are written as one set."""
+
+    command: str
+    replaced: set[Path] | None = field(default_factory=set)
+    """Files of the user's that it may replace; None for every one (``--force``)."""
+    contents: dict[Path, bytes] = field(default_factory=dict)
+    stated: dict[Path, str] = field(default_factory=dict)
+    """The files' paths as they were stated."""
+
+
+_current: _Set | None = None
 
 
 @contextmanager
-def _undisturbed() -> Iterator[None]:
-    """Hold Ctrl-C back until the files are in place and nothing is left beside them.
-
-    Signals reach the main thread only, so that other threads need no protection.
-    """
-    handler = signal.getsignal(signal.SIGINT)
-    if threading.current_thread() is not threading.main_thread() or not callable(handler):
+def one_set(command: str) -> Iterator[None]:
+    """Let all that is written in the block be one set, which `commit` writes, of this command."""
+    global _current
+    outer, _current = _current, _Set(command)
+    try:
         yield
+        commit()
+    finally:
+        _current = outer
+
+
+def may_replace(path: str | os.PathLike[str] | None = None) -> None:
+    """Let the running command replace a file that rtcal did not write; without a path, every one."""
+    if _current is None or _current.replaced is None:
         return
-    came: list[tuple[int, FrameType | None]] = []
-    signal.signal(signal.SIGINT, lambda *signalled: came.append(signalled))
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGINT, handler)
-        if came:
-            handler(*came[0])
+    if path is None:
+        _current.replaced = None
+    else:
+        _current.replaced.add(Path(os.path.realpath(path)))
 
 
-@contextmanager
-def locked(*folders: Path) -> Iterator[None]:
-    """Lock folders for this process; wait while another process has locked one of them.
-
-    Raises DataError after `LONGEST_WAIT`, or if a folder cannot be opened.
-    """
-    with _thread_lock, ExitStack() as stack:
-        for folder in sorted({Path(os.path.realpath(folder)) for folder in folders} - _locked):
-            busy = f"{folder}: another process is writing here"
-            stack.enter_context(_lock(folder, LONGEST_WAIT, busy))
-            stack.callback(_locked.discard, folder)
-            _locked.add(folder)
-        yield
-
-
-def held(file: Path) -> AbstractContextManager[None]:
-    """Lock a file while a command works on it; DataError if another process has locked it."""
-    return _lock(file, 0, f"{file.parent} is in use: another process works on {file.name}")
-
-
-@contextmanager
-def _lock(path: Path, wait: float, busy: str) -> Iterator[None]:
-    try:
-        handle = os.open(path, os.O_RDONLY)
-    except OSError as error:
-        raise DataError(f"{path}: cannot be written: {error.strerror or error}") from error
-    try:
-        for left in range(int(wait / _PAUSE), -1, -1):
-            try:
-                if fcntl is not None:
-                    fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-                break
-            except BlockingIOError as error:
-                if not left:
-                    raise DataError(busy) from error
-                time.sleep(_PAUSE)
-            except OSError:
-                break  # a file system without locks
-        yield
-    finally:
-        with suppress(OSError):  # nothing was written to it: there is nothing to lose
-            os.close(handle)
+def commit() -> list[str]:
+    """Write what the running command has to write, as one set; return the paths of its files."""
+    if _current is None or not _current.contents:
+        return []
+    contents, _current.contents = _current.contents, {}
+    _write_set(contents, _current.command)
+    return [_current.stated[path] for path in contents]
 
 
 def target(path: Path) -> Path:
@@ -130,111 +102,148 @@ def target(path: Path) -> Path:
     return file
 
 
-def write_set(targets: Mapping[Path, bytes]) -> None:
-    """Write all files or none. Raises OSError if that fails.
-
-    The paths are as `target` returns them, in existing folders. Existing files keep their mode.
-    """
-    parents = list(dict.fromkeys(path.parent for path in targets))
-    with locked(*parents), _undisturbed():
-        begun.extend(targets)
-        for parent in parents:
-            _go_on(parent)
-        name = f"{PREFIX}{uuid.uuid4().hex[:12]}"
-        folders = [parent / name for parent in parents]
-        try:
-            _stage(targets, folders)
-            _finish(folders)
-        except BaseException:
-            if not (folders[0] / _JOURNAL).exists():  # else the next command goes on
-                with suppress(OSError):
-                    _remove(folders)
-            raise
+def digest(content: bytes) -> str:
+    """Return the digest by which a record knows a file."""
+    return hashlib.sha256(content).hexdigest()
 
 
-def recover(folders: Iterable[Path]) -> None:
-    """Go on with an interrupted write in these folders; DataError if that fails."""
-    for folder in {Path(os.path.realpath(folder)) for folder in folders}:
-        if _interrupted(folder):
-            with locked(folder):
-                _go_on(folder)
-
-
-def _go_on(folder: Path) -> None:
-    """Finish what was committed in a locked folder, and delete what was not."""
-    for left in _interrupted(folder):
-        try:
-            _finish(_folders(left))
-        except (OSError, ValueError, TypeError) as error:
-            reason = getattr(error, "strerror", None) or error
-            raise DataError(
-                f"{folder}: a write was interrupted, and cannot be finished: {reason} ({left.name})"
-            ) from error
-
-
-def _interrupted(folder: Path) -> list[Path]:
+def _digest_of(path: Path) -> str | None:
+    """Return the digest of a file on the disk; None if there is none, or it cannot be read."""
     try:
-        with os.scandir(folder) as entries:
-            return [
-                Path(e.path)
-                for e in entries
-                if e.name.startswith(PREFIX) and e.is_dir(follow_symlinks=False)
-            ]
+        with open(path, "rb") as stream:
+            return hashlib.file_digest(stream, "sha256").hexdigest()
     except OSError:
-        return []
+        return None
 
 
-def _folders(left: Path) -> list[Path]:
-    """Return the hidden folders of an interrupted write, starting with that of the journal."""
+def _write_set(contents: Mapping[Path, bytes], command: str) -> None:
+    """Write files of existing folders, each whole; raises DataError, naming what cannot be written.
+
+    All temporary files are written first: where a disk is full, every file is as it was.
+    """
+    place: Any = ""
+    folders = list(dict.fromkeys(path.parent for path in contents))
+    news = {path: path.with_name(f".{path.name}{NEW}") for path in contents}
+    sets = {
+        folder: {
+            "command": command,
+            "whole": False,
+            "files": {
+                os.path.relpath(path, folder): [digest(content), _digest_of(path)]
+                for path, content in contents.items()
+            },
+        }
+        for folder in folders
+    }
+    begun.extend(contents)
     try:
-        names = json.loads((left / _FOLDERS).read_bytes())
-        folders = [Path(os.path.normpath(left.parent / name)) for name in names]
-    except (OSError, ValueError, TypeError):
-        return [left]  # killed before it was written: nothing was committed yet
-    whole = left in folders and all(f.name == left.name and f.is_dir() for f in folders)
-    return folders if whole else [left]
-
-
-def _stage(targets: Mapping[Path, bytes], folders: list[Path]) -> None:
-    """Write the new files into hidden folders, and then the journal."""
-    journal = []
-    for folder in folders:
-        os.mkdir(folder, 0o700)
-        names = [os.path.relpath(f, folder.parent) for f in folders]
-        _write_file(folder / _FOLDERS, json.dumps(names).encode())
-    for i, (place, content) in enumerate(targets.items()):
-        new = place.parent / folders[0].name / f"{i}.new"
-        _write_file(new, content, place)
-        journal.append([os.path.relpath(path, folders[0].parent) for path in (new, place)])
-    for folder in folders:
-        _sync_folder(folder)
-        _sync_folder(folder.parent)
-    draft = folders[0] / f"{_JOURNAL}.new"
-    _write_file(draft, json.dumps(journal).encode())
-    os.replace(draft, folders[0] / _JOURNAL)
-    _sync_folder(folders[0])
-
-
-def _finish(folders: list[Path]) -> None:
-    """Move the staged files into place if the journal exists, and remove the hidden folders."""
-    journal = folders[0] / _JOURNAL
-    if journal.exists():
-        for names in json.loads(journal.read_bytes()):
-            new, place = (Path(os.path.normpath(folders[0].parent / name)) for name in names)
-            if new.parent not in folders or place.parent != new.parent.parent:
-                raise ValueError("the journal names files elsewhere")  # rtcal did not write it
-            with suppress(FileNotFoundError):  # moved before the interruption
-                os.replace(new, place)
+        try:
+            for path, content in contents.items():
+                place = path
+                _write_file(news[path], content, path)
+            for folder in folders:
+                place = folder
+                _put(folder, sets[folder])
+        except BaseException:  # nothing is replaced yet
+            for new in (*news.values(), *(folder / f"{RECORD}{NEW}" for folder in folders)):
+                with suppress(OSError):
+                    new.unlink(missing_ok=True)
+            raise
+        for path, new in news.items():
+            place = path
+            os.replace(new, path)
         for folder in folders:
-            _sync_folder(folder.parent)
-        os.unlink(journal)
-    with suppress(OSError):  # the files are in place; the next command tidies up
-        _remove(folders)
+            place = folder
+            _sync_folder(folder)
+            _put(folder, {**sets[folder], "whole": True})
+    except OSError as error:
+        raise DataError(f"{place}: cannot be written: {error.strerror or error}") from error
+
+
+def _put(folder: Path, written: Mapping[str, Any]) -> None:
+    """Add a set to a folder's record, in place of what it says of the set's files."""
+    others = []
+    for known in _sets(folder):
+        kept = {n: d for n, d in known["files"].items() if n not in written["files"]}
+        if kept:
+            others.append({**known, "files": kept})
+    record = {"rtcal": "files 1", "sets": [*others, written]}
+    place, new = folder / RECORD, folder / f"{RECORD}{NEW}"
+    _write_file(new, json.dumps(record, indent=1).encode())
+    os.replace(new, place)
+    _sync_folder(folder)
+
+
+def _sets(folder: Path) -> list[dict[str, Any]]:
+    """Return the sets of a folder's record; none if there is no record that can be read."""
+    try:
+        with open(folder / RECORD, "rb") as stream:
+            record = json.loads(stream.read(_MOST_RECORD))
+        found = [
+            {
+                "command": str(one["command"]),
+                "whole": bool(one["whole"]),
+                "files": dict(one["files"]),
+            }
+            for one in record["sets"]
+        ]
+    except (OSError, ValueError, TypeError, KeyError, RecursionError):
+        return []
+    whole = all(isinstance(d, list) and len(d) == 2 for one in found for d in one["files"].values())
+    return found if whole else []
+
+
+def _require_whole(path: Path) -> None:
+    """Raise DataError if a file is of a set that was written in part, with how to make it anew."""
+    folder = path.parent
+    for written in _sets(folder):
+        if written["whole"] or path.name not in written["files"]:
+            continue
+        now = {name: _digest_of(folder / name) for name in written["files"]}
+        states = [[d[i] for d in written["files"].values()] for i in (0, 1)]
+        if list(now.values()) in states:
+            return
+        repeated = _current is not None and _current.command == written["command"]
+        if repeated and now[path.name] == written["files"][path.name][1]:
+            return  # an old file, from which the command makes the set anew
+        new = [name for name, d in written["files"].items() if now[name] == d[0]]
+        raise DataError(
+            f"{path}: was not written whole: {_quoted(new) or 'none'} of {_quoted(written['files'])} "
+            f"is new, since `{written['command']}` was interrupted. Repeat that command"
+        )
+
+
+def _quoted(names: Any) -> str:
+    return ", ".join(str(name) for name in names)
+
+
+def is_own(path: Path) -> bool:
+    """Return whether rtcal wrote a file, and it is as it was written."""
+    now = _digest_of(path)
+    known = (one["files"].get(path.name, ()) for one in _sets(path.parent))
+    return now is not None and any(now in digests for digests in known)
+
+
+def refuse_foreign(path: str | os.PathLike[str]) -> None:
+    """Raise DataError if the running command would replace a file that is not rtcal's own."""
+    if _current is None or _current.replaced is None:
+        return
+    known = _current.replaced | _current.contents.keys()
+    try:
+        file = target(Path(path))
+        foreign = file.exists() and file not in known and not is_own(file)
+    except OSError:
+        return  # where it is written, the reason is said
+    if foreign:
+        raise DataError(
+            f"{path}: exists, and rtcal did not write it, or it was changed since. Choose another "
+            "name, or state --force to replace it"
+        )
 
 
 def _write_file(path: Path, content: bytes, like: Path | None = None) -> None:
-    """Write a new file through to the disk, with the mode of the file that it replaces."""
-    handle = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666)
+    """Write a file through to the disk, with the mode of the file that it replaces."""
+    handle = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o666)
     try:
         view = memoryview(content)
         while view:
@@ -258,10 +267,17 @@ def _sync_folder(folder: Path) -> None:
         os.close(handle)
 
 
-def _remove(folders: Iterable[Path]) -> None:
-    for folder in [*folders][::-1]:  # that with the journal last: the others lead to it
-        if folder.is_dir():
-            shutil.rmtree(folder)
+def replace_file(path: Path, content: bytes) -> None:
+    """Write a file whole at once, without a record: a piece of a study, or what a cache keeps.
+
+    Raises DataError if it cannot be written.
+    """
+    new = path.with_name(f".{path.name}.{os.getpid()}{NEW}")
+    try:
+        _write_file(new, content)
+        os.replace(new, path)
+    except OSError as error:
+        raise DataError(f"{path}: cannot be written: {error.strerror or error}") from error
 
 
 MAX_BYTES = 2**28
@@ -289,7 +305,7 @@ def write(path: Path, array: Array) -> None:
     np.save(content, array, allow_pickle=False)
     with suppress(DataError):
         make_folder(path.parent)
-        write_bytes(path, _head(path, content.getvalue()) + content.getvalue())
+        replace_file(path, _head(path, content.getvalue()) + content.getvalue())
 
 
 def _head(path: Path, content: bytes) -> bytes:
@@ -301,14 +317,18 @@ def _head(path: Path, content: bytes) -> bytes:
 def read_bytes(path: str | os.PathLike[str], limit: int) -> bytes:
     """Return a file's bytes; DataError if it is missing, no regular file, or above ``limit``.
 
-    It first restores the old files if a write in the folder was interrupted.
+    Also if it is of a set that was written in part.
     """
     try:
         if Path(path).exists() and not Path(path).is_file():
             raise DataError(f"{path}: not a file")
-        recover([Path(path).parent])
-        with open(path, "rb") as stream:
-            content = stream.read(limit + 1)
+        file = Path(os.path.realpath(path))
+        if _current is not None and file in _current.contents:
+            content = _current.contents[file]
+        else:
+            _require_whole(file)
+            with open(path, "rb") as stream:
+                content = stream.read(limit + 1)
     except DataError:
         raise
     except OSError as error:
@@ -332,13 +352,17 @@ def read_text(path: str | os.PathLike[str], limit: int) -> str:
 def spare(
     written: Sequence[str | os.PathLike[str]], read: Sequence[str | os.PathLike[str]]
 ) -> None:
-    """Raise DataError if a path to be written is also read, or is to be written twice."""
+    """Raise DataError if a path to be written is also read, or is to be written twice.
+
+    Also if a command would replace a file that is not rtcal's own.
+    """
     taken = {Path(path).resolve(): path for path in read}
     for path in written:
         place = Path(path).resolve()
         if place in taken:
             raise DataError(f"{path}: would be written over {taken[place]}; choose another name")
         taken[place] = path
+        refuse_foreign(path)
 
 
 def write_text(path: str | os.PathLike[str], text: str) -> None:
@@ -352,27 +376,33 @@ def write_bytes(path: str | os.PathLike[str], content: bytes) -> None:
 
 
 def write_all(contents: Mapping[Any, bytes]) -> None:
-    """Write several files as one: all of them new, or all as they were.
+    """Write several files as one set: each whole, or all as they were if one cannot be written.
 
-    That also holds if the process is killed or the disk is full: the next command that reads or
-    writes in the folder restores the old files. Links are followed, and existing files keep their
-    mode. The keys are paths. Raises DataError, naming the file, if a place cannot be written.
+    In a command they are written at its end, with all else that it writes. If the process is killed
+    while they are written, readers refuse them until they are written anew. Links are followed, and
+    existing files keep their mode. The keys are paths. Raises DataError, naming the file, if a place
+    cannot be written.
     """
     path: Any = ""
     try:
-        targets = {}
+        targets, stated = {}, {}
         for path, content in contents.items():
-            targets[target(Path(path))] = content
-        if len(targets) > 1:
-            path = os.path.commonpath([target.parent for target in targets])
-        if targets:
-            write_set(targets)
+            file = target(Path(path))
+            targets[file], stated[file] = content, os.fspath(path)
+            if not file.parent.is_dir():
+                raise FileNotFoundError(None, "No such file or directory")
+            refuse_foreign(path)
     except OSError as error:
         raise DataError(f"{path}: cannot be written: {error.strerror or error}") from error
     except (ValueError, TypeError) as error:
         if isinstance(error, DataError):
             raise
         raise DataError(f"{path!r} is not a path: {error}") from error
+    if _current is not None:
+        _current.contents.update(targets)
+        _current.stated.update(stated)
+    elif targets:
+        _write_set(targets, _CALL)
 
 
 def make_folder(path: str | os.PathLike[str]) -> None:

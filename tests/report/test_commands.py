@@ -36,9 +36,9 @@ def test_report_command(result, evil, tmp_path, capsys, monkeypatch) -> None:
     text = (folder / "report.html").read_text(encoding="utf-8")
     assert run("report", folder / "result.json", "--out", folder / "b.html", "--json") == 0
     said = json.loads(capsys.readouterr().out)
-    assert said == {"written": str(folder / "b.html"), "bytes": len(text.encode())}
+    assert said == {"written": [str(folder / "b.html")], "bytes": len(text.encode())}
     assert (folder / "b.html").read_text(encoding="utf-8") == text
-    kept = sorted(p.name for p in folder.iterdir())
+    kept = sorted(p.name for p in folder.iterdir() if not p.name.startswith(".rtcal_files"))
     for out, said in (
         (folder / "no" / "p.html", "No such file"),
         (folder, "is a directory"),
@@ -54,11 +54,11 @@ def test_report_command(result, evil, tmp_path, capsys, monkeypatch) -> None:
             assert run("report", source, "--out", folder / ".." / folder.name / name) == 2
             assert f"would be written over {folder / name}" in capsys.readouterr().err
         assert (folder / name).read_bytes() == before
-    kept = sorted(p.name for p in folder.iterdir())
+    kept = sorted(p.name for p in folder.iterdir() if not p.name.startswith(".rtcal_files"))
     (folder / "result.json").write_text("{}")
     assert run("report", folder) == 2
     assert (folder / "report.html").read_text(encoding="utf-8") == text
-    assert sorted(p.name for p in folder.iterdir()) == kept
+    assert sorted(p.name for p in folder.iterdir() if not p.name.startswith(".rtcal_files")) == kept
     monkeypatch.setitem(__import__("sys").modules, "jinja2", None)
     document._environment.cache_clear()
     with pytest.raises(MissingDependencyError, match=r"rtcal\[report\]"):

@@ -296,7 +296,7 @@ class Threshold:
 DEFAULT_ENGINES = ("path tracing", "image sources")
 """Engines of the control rooms, unless others are stated."""
 FOLDER = ".rtcal_cache"
-"""Name of the folder beside a case's file; `support.files` removes those named ``.rtcal-*``."""
+"""Name of the folder beside a case's file."""
 
 
 @single_threaded_blas()
