@@ -124,7 +124,7 @@ def _write_set(contents: Mapping[Path, bytes], command: str) -> None:
     place: Any = ""
     folders = list(dict.fromkeys(path.parent for path in contents))
     news = {path: path.with_name(f".{path.name}{NEW}") for path in contents}
-    sets = {
+    sets: dict[Path, dict[str, Any]] = {
         folder: {
             "command": command,
             "whole": False,
@@ -179,7 +179,7 @@ def _sets(folder: Path) -> list[dict[str, Any]]:
     try:
         with open(folder / RECORD, "rb") as stream:
             record = json.loads(stream.read(_MOST_RECORD))
-        found = [
+        found: list[dict[str, Any]] = [
             {
                 "command": str(one["command"]),
                 "whole": bool(one["whole"]),
