@@ -67,6 +67,17 @@ def one_set(command: str) -> Iterator[None]:
         _current = outer
 
 
+@contextmanager
+def at_once() -> Iterator[None]:
+    """Write what is written in the block at once, apart from the running command's set."""
+    global _current
+    outer, _current = _current, None
+    try:
+        yield
+    finally:
+        _current = outer
+
+
 def may_replace(path: str | os.PathLike[str] | None = None) -> None:
     """Let the running command replace a file that rtcal did not write; without a path, every one."""
     if _current is None or _current.replaced is None:

@@ -28,7 +28,7 @@ from rtcal.io import catt, obj, odeon
 from rtcal.io.material_export import ExportReport
 from rtcal.simulators.geometry import Polyhedron
 from rtcal.simulators.path_tracing import PathTracing
-from rtcal.support import checks
+from rtcal.support import checks, files
 from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError
 from rtcal.support.files import make_folder, write_all
@@ -185,7 +185,7 @@ class Corrected:
         """The lists of materials for CATT and ODEON, and their reports, by file name."""
         stated = self._with_scene(Path(MESH))
         # Their writers fill in a list that exists; these are new ones.
-        with tempfile.TemporaryDirectory(prefix="rtcal-") as empty:
+        with files.at_once(), tempfile.TemporaryDirectory(prefix="rtcal-") as empty:
             reports = {
                 CATT: catt.write(stated, Path(empty, CATT), missing_bands="nearest"),
                 ODEON: odeon.write(stated, Path(empty, ODEON), missing_bands="nearest"),
