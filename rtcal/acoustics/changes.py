@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from rtcal.acoustics.air import Air
+from rtcal.acoustics.directions import facing
 from rtcal.acoustics.materials import Material
 from rtcal.acoustics.room import Room
 from rtcal.acoustics.scene import Scene
@@ -263,15 +264,101 @@ def changed(room: Room, changes: Change | Sequence[Change]) -> Room:
     (('panel', 'opening'), 0.0)
     """
     listed = (changes,) if isinstance(changes, Change) else tuple(changes)
-    after = room.replace(surfaces=(), scene=Scene(), dimensions=None, calibration=None)
+    after = _bare(room)
     for change in listed:
-        if not isinstance(change, Change):
-            raise DataError(f"change = {checks.shown(change)} is not a rtcal Change")
-        try:
-            after = change.apply(after)
-        except DataError as error:
-            raise DataError(f"{change}: {error}") from error
+        after = _applied(change, after)
     return after
+
+
+DIRECTIONS = ("x", "y", "z", "free", "unknown")
+FREE, UNKNOWN = 3, 4
+"""What stands free faces every way; of the rest it is not known which way."""
+
+
+@dataclass(frozen=True, eq=False)
+class Placed:
+    """A room, and which way its materials face: areas in m², (n_materials, 5), by `DIRECTIONS`."""
+
+    room: Room
+    areas: Array
+
+
+def placed(before: Room, changes: Sequence[Change] | Room, like: Placed | None = None) -> Placed:
+    """Return the room after changes, and which way its materials then face.
+
+    What covers a surface faces as the surface does; where a part of a material is covered that faces
+    several ways, each way as much of it.
+
+    Parameters
+    ----------
+    before : Room
+        `rtcal.acoustics.directions.facing` says which way its materials face.
+    changes : sequence of Change, or Room
+        A Room is the changed room itself.
+    like : Placed, optional
+        A state whose materials face as they do there, where the room itself does not say.
+
+    Raises DataError as `changed`.
+
+    Examples
+    --------
+    >>> room = Room(name="box", volume=60, materials=["wall", "ceiling"], areas=[74, 20],
+    ...             alpha=[[0.1], [0.3]], sigma=[[0.02], [0.1]], centre_frequencies=[1000])
+    >>> placed(room, [Cover("ceiling", "wall", 5)]).areas.tolist()
+    [[37.0, 37.0, 5.0, 0.0, 0.0], [0.0, 0.0, 15.0, 0.0, 0.0]]
+    """
+    shares = facing(before)
+    towards = np.zeros((before.n_materials, len(DIRECTIONS)))
+    known = ~np.isnan(shares).any(axis=1)
+    towards[known, :3] = shares[known]
+    towards[~known, UNKNOWN] = 1.0
+    if like is not None:
+        for row in np.flatnonzero(~known):
+            if (name := before.materials[row]) in like.room.materials:
+                own = like.areas[like.room.materials.index(name)]
+                towards[row] = own / own.sum()
+    start = Placed(before, towards * before.areas[:, np.newaxis])
+    if isinstance(changes, Room):
+        return placed(changes, (), start)
+    faces = dict(zip(before.materials, start.areas, strict=True))
+    room = _bare(before)
+    for change in changes:
+        after = _applied(change, room)
+        single = change.cover(room) if isinstance(change, Open) else change
+        if isinstance(single, Cover):
+            row = room.material_index(single.surface)
+            moved = faces[single.surface] * (
+                _taken(room, single.surface, single.area) / room.areas[row]
+            )
+            faces[single.surface] = faces[single.surface] - moved
+            by = _name(single.by)
+            faces[by] = faces.get(by, 0.0) + moved
+        elif isinstance(single, Add):
+            by = _name(single.material)
+            free = np.zeros(len(DIRECTIONS))
+            free[FREE] = single.area
+            faces[by] = faces.get(by, 0.0) + free
+        elif isinstance(single, Remove):
+            row = room.material_index(single.material)
+            left = 1 - _taken(room, single.material, single.area) / room.areas[row]
+            faces[single.material] = faces[single.material] * left
+        room = after
+    rows = np.array([faces[name] for name in room.materials])
+    # The room's own areas, to the last digit.
+    return Placed(room, rows * (room.areas / rows.sum(axis=1))[:, np.newaxis])
+
+
+def _bare(room: Room) -> Room:
+    return room.replace(surfaces=(), scene=Scene(), dimensions=None, calibration=None)
+
+
+def _applied(change: Change, room: Room) -> Room:
+    if not isinstance(change, Change):
+        raise DataError(f"change = {checks.shown(change)} is not a rtcal Change")
+    try:
+        return change.apply(room)
+    except DataError as error:
+        raise DataError(f"{change}: {error}") from error
 
 
 def _name(material: Material | str) -> str:

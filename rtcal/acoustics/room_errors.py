@@ -42,10 +42,22 @@ class Assumptions:
     common : float
         Error of ln T that the equation makes in all states of a room alike. It also stands for
         handbook coefficients that are wrong together: T alone cannot tell the two apart.
+    factor : float
+        Standard deviation of ln of what the equation errs by of each material's absorption, the same in
+        all states of the room.
+    least : float
+        The same, as an absorption coefficient: of a small one the equation errs by more of it.
+    evenness, evenness_sigma : float
+        Mean and standard deviation of u, cut to 0 to 2: how far the field is from a diffuse one where
+        the walls of one axis absorb more than the others. 0 is the equation itself, 1 Arau-Puchades',
+        2 Fitzroy's.
+    one_surface : float
+        Probability that an exchange of absorption lies on the walls of one axis, where the room does
+        not say where.
     own : float
-        Error of ln T that the equation makes in each state on its own.
+        Relative error of a change of ln T between two measured states that no factor explains.
     changed : float
-        Least sigma of alpha of a material whose area changes. A coefficient with sigma 0 is exact and
+        Least sigma of alpha of a new material at positions. A coefficient with sigma 0 is exact and
         stays so.
     time : float
         Relative uncertainty of a measured T that states none: one just noticeable difference.
@@ -60,14 +72,19 @@ class Assumptions:
 
     Examples
     --------
-    >>> Assumptions(volume=0.01).own
-    0.06
+    >>> Assumptions(volume=0.01).common
+    0.2
     """
 
     volume: float = 0.03
     areas: float = 0.03
     common: float = 0.2
-    own: float = 0.06
+    factor: float = 0.15
+    least: float = 0.06
+    evenness: float = 0.6
+    evenness_sigma: float = 0.8
+    one_surface: float = 0.5
+    own: float = 0.1
     changed: float = 0.1
     time: float = 0.05
     band_correlation: float = 0.7

@@ -8,14 +8,23 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import ndtr
 
+from rtcal.acoustics.changed_time import (
+    NORMAL,
+    KnownRoom,
+    MeasuredState,
+    correlation_of,
+    normal_quantiles,
+)
 from rtcal.acoustics.equations import LinearEquation
 from rtcal.acoustics.states import State
 from rtcal.calibration import table
 from rtcal.calibration.certificate import Certificate
 from rtcal.calibration.configurations import Configurations
 from rtcal.calibration.convex_program import Solution
-from rtcal.calibration.posterior import Optimality
+from rtcal.calibration.feasibility import where_valid
+from rtcal.calibration.posterior import Optimality, exact_posterior
 from rtcal.calibration.posterior.density import CoupledBands, IndependentBands
 from rtcal.calibration.problem_data import MeasuredTimes, ProblemData
 from rtcal.calibration.terms import (
@@ -27,13 +36,19 @@ from rtcal.calibration.terms import (
 )
 from rtcal.calibration.uncertainty import (
     density,
+    estimate_covariance,
     estimate_sigma,
     gaussian_interval,
     innovation,
     optimality,
+    unbounded,
 )
 from rtcal.support.errors import ModelError
 from rtcal.support.types import Array
+
+
+_SAME_TIME = 1e-6
+"""Relative difference of T below which the calibrated T is the measured one."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -189,6 +204,77 @@ class JointSolution:
         terms = self.solution.model.objective.terms
         tables = any(isinstance(t, PriorDeviation) and t.common for t in terms)
         return tables or self.matches_uncertain_room
+
+    def known_room(self, configuration: int) -> KnownRoom:
+        """Return what is known of a configuration before it is changed, for `rtcal.prediction`.
+
+        Raises ModelError if the calibration has further unknowns or observations, which a prediction
+        does not know of, or if its equation gives no T for the calibrated room.
+        """
+        terms = self.solution.model.objective.terms
+        if self.effects or any(isinstance(t, LinearObservations) for t in terms):
+            raise ModelError(
+                "a prediction knows of T alone: calibrate without effects and other observations, such "
+                "as the corrected room of `rtcal apply`"
+            )
+        rooms = self.configurations.rooms
+        room = rooms[configuration]
+        rows = [self.materials.index(m) for m in room.materials]
+        time = where_valid(self.equation.time, room, room.areas @ self.alpha[rows])
+        if not np.isfinite(time).all():
+            raise ModelError(f"{self.equation.name}'s equation gives no T for the calibrated room")
+        states = [
+            MeasuredState(name, other, m.reverberation_time, m.uncertainty / m.reverberation_time)
+            for name, other, m in zip(
+                self.configurations.names, rooms, self.measured_times, strict=True
+            )
+        ]
+        own = states.pop(configuration)
+        with np.errstate(invalid="ignore"):
+            same = np.abs(time / own.time - 1) < _SAME_TIME
+        measured = np.isfinite(own.time) & self.asks_for_measured_time
+        quantiles, correlation = self._distribution
+        return KnownRoom(
+            room=room,
+            equation=self.equation,
+            materials=self.materials,
+            alpha=self.alpha,
+            quantiles=quantiles,
+            correlation=correlation,
+            time=time,
+            measured=measured,
+            exact=bool(same[measured].all()),
+            log_uncertainty=own.log_uncertainty,
+            others=tuple(states),
+        )
+
+    @cached_property
+    def _distribution(self) -> tuple[Array, Array]:
+        """Quantiles of the coefficients at `changed_time.NORMAL`, and their correlation per band.
+
+        The posterior's where it is exact; else that of the linear estimate's error, cut at the bounds,
+        which every method has.
+        """
+        try:
+            density = self.density()
+        except ModelError:  # lse, robust
+            density = None
+        if isinstance(density, IndependentBands):
+            found = exact_posterior(density)
+            levels = ndtr(NORMAL)
+            quantiles = np.empty((*found.mean.shape, len(levels)))
+            for place in np.ndindex(*found.mean.shape):
+                quantiles[place] = np.interp(levels, found.cumulative[place], found.points[place])
+            return quantiles, found.correlation
+        solution, layout = self.solution, self.solution.model.data.layout
+        covariance = estimate_covariance(
+            solution, self.configurations, self.equation, self.measured_times, self.assemble
+        )
+        centre = layout.expand(unbounded(solution, self._estimate_sigma))
+        lower = layout.expand(solution.model.lower)
+        sigma, correlation = correlation_of(covariance)
+        quantiles = normal_quantiles(centre, sigma, lower)
+        return np.where(sigma[:, :, np.newaxis] > 0, quantiles, self.alpha[:, :, np.newaxis]), correlation
 
     @property
     def posterior_sigma(self) -> Array:

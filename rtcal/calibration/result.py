@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtcal.acoustics import room_errors
+from rtcal.acoustics.changed_time import KnownRoom
 from rtcal.acoustics.changes import Change
 from rtcal.acoustics.equations import LinearEquation
 from rtcal.acoustics.quality import CalibrationVerdict, Plausibility, gap_jnd, plausibility, verdict
@@ -285,6 +286,11 @@ class CalibrationResult(Result):
     def optimality(self) -> Optimality:
         """Return the optimality conditions at the answer, for `rtcal.posterior.sensitivity`."""
         return self.joint.optimality()
+
+    @cached_property
+    def known(self) -> KnownRoom:
+        """What a prediction takes of this calibration; ModelError as `JointSolution.known_room`."""
+        return self.joint.known_room(self.configuration)
 
     def predict(
         self,

@@ -149,14 +149,49 @@ def estimate_sigma(
     """
     if any(isinstance(t, LinearObservations) for t in solution.model.objective.terms):
         return _gaussian_sigma(solution.model, solution.unknowns)
+    gain = _gain(solution, configurations, equation, measured_times, assemble)
+    return linear_estimate_sigma(gain, *_covariances(solution, configurations))
+
+
+def estimate_covariance(
+    solution: Solution,
+    configurations: Configurations,
+    equation: LinearEquation,
+    measured_times: Sequence[MeasuredTimes],
+    assemble: Assemble,
+) -> Array:
+    """Return the covariance of the error of `estimate_sigma`, (n_bands, n_materials, n_materials)."""
+    layout = solution.model.data.layout
+    gain = _gain(solution, configurations, equation, measured_times, assemble)
+    sigma, shift, prior = _room_prior(solution, configurations)
+    _, cross, innovation = _covariances(solution, configurations)
+    n = layout.n_alpha
+    known = np.diag(sigma[:n])
+    whole = sigma[:n, np.newaxis] * prior.correlate(np.pad(known, ((0, len(sigma) - n), (0, 0))), layout)[:n]
+    whole = whole + np.outer(shift[:n], shift[:n])
+    change = gain[:n] @ cross[:n].T
+    whole = whole - change - change.T + gain[:n] @ innovation @ gain[:n].T
+    rows = np.array(layout.rows) * layout.n_bands
+    return np.array(
+        [whole[np.ix_(rows + k, rows + k)] for k in range(layout.n_bands)]
+    )
+
+
+def _gain(
+    solution: Solution,
+    configurations: Configurations,
+    equation: LinearEquation,
+    measured_times: Sequence[MeasuredTimes],
+    assemble: Assemble,
+) -> Array:
+    """Return d u / d b in 1/m², (size, n_matches), without bounds."""
     slopes = [
         equation.target_sensitivity(room, measured.reverberation_time)
         for room, measured in zip(configurations.rooms, measured_times, strict=True)
     ]
     by_time = optimality(solution, measured_times, assemble, bounds=False).derivative()
     by_target = np.nan_to_num(np.ravel(slopes))
-    gain = by_time / np.where(by_target != 0, by_target, 1.0)
-    return linear_estimate_sigma(gain, *_covariances(solution, configurations))
+    return np.asarray(by_time / np.where(by_target != 0, by_target, 1.0))
 
 
 def _gaussian_sigma(model: NumpyModel, u: Array) -> Array:
@@ -180,18 +215,25 @@ def _gaussian_sigma(model: NumpyModel, u: Array) -> Array:
 def gaussian_interval(solution: Solution, sigma: Array, mass: float) -> tuple[Array, Array]:
     """Return the ends of the unknowns' intervals, (size,) each, of a normal density within the box.
 
-    ``sigma`` (size,) is the standard deviation without the box. An unknown that a bound holds back by
-    its multiplier m would have its mean m sigma² beyond it. Each interval holds the answer.
+    ``sigma`` (size,) is the standard deviation without the box. Each interval holds the answer.
     """
     u, model = solution.unknowns, solution.model
-    held = solution.multipliers.upper - solution.multipliers.lower
     free = sigma > 0
     spread = np.where(free, sigma, 1.0)
-    mean = u + held * spread**2
+    mean = unbounded(solution, spread)
     low, high = (model.lower - mean) / spread, (model.upper - mean) / spread
     ends = [truncnorm.ppf(share, low, high) for share in ((1 - mass) / 2, (1 + mass) / 2)]
     lower, upper = (np.where(free, mean + spread * end, u) for end in ends)
     return np.minimum(lower, u), np.maximum(upper, u)
+
+
+def unbounded(solution: Solution, sigma: Array) -> Array:
+    """Return where the unknowns would be without the box, (size,): m sigma² beyond a bound.
+
+    m is the bound's multiplier, ``sigma`` (size,) the standard deviation without the box.
+    """
+    held = solution.multipliers.upper - solution.multipliers.lower
+    return np.asarray(solution.unknowns + held * sigma**2)
 
 
 def _row_noise(model: NumpyModel) -> Array:
@@ -332,8 +374,10 @@ def _with_times(
     return NumpyModel(data, model.objective, model.row_constraints)
 
 
-def _covariances(solution: Solution, configurations: Configurations) -> tuple[Array, Array, Array]:
-    """The prior's sigma over the unknowns (size,), K S (size, n_rows), and S'KS + U."""
+def _room_prior(
+    solution: Solution, configurations: Configurations
+) -> tuple[Array, Array, PriorDeviation]:
+    """The prior's sigma over the unknowns, what all have in common (size,), and their correlation."""
     data = solution.model.data
     layout, room = data.layout, configurations.union
     sigma = np.concatenate([room.sigma[layout.first].ravel(), data.further(data.sigma)])
@@ -343,9 +387,16 @@ def _covariances(solution: Solution, configurations: Configurations) -> tuple[Ar
         prior = PriorDeviation(
             band_correlation=room.band_correlation, material_correlation=room.material_correlation
         )
+    return sigma, np.where(sigma > 0, data.common_shift, 0.0), prior
+
+
+def _covariances(solution: Solution, configurations: Configurations) -> tuple[Array, Array, Array]:
+    """The prior's sigma over the unknowns (size,), K S (size, n_rows), and S'KS + U."""
+    data = solution.model.data
+    layout = data.layout
+    sigma, shift, prior = _room_prior(solution, configurations)
     match = match_matrix(data)
     cross = sigma[:, np.newaxis] * prior.correlate(sigma[:, np.newaxis] * match.T.toarray(), layout)
-    shift = np.where(sigma > 0, data.common_shift, 0.0)
     cross = cross + np.outer(shift, match @ shift)
     total = np.hypot(sigma, shift)
     return total, cross, np.asarray(match @ cross + data.target_covariance)

@@ -1,0 +1,614 @@
+"""T of a changed room over T before: a function of the two states, with what is not known of it.
+
+T of a state follows from the areas S of its materials, by direction, and from unknowns that all states of
+a room share. So nothing changed gives exactly the T before, two changes one after the other give what
+both give at once, and a change that is undone gives the T before again, whatever the unknowns are:
+
+    ln T = ln T_equation(S, a) + u (ln T_Arau-Puchades(S, a) - ln T_Eyring(S, a)),   a = alpha f.
+
+- alpha has the distribution that a calibration left. A new material's is the stated one.
+- f is what the equation errs by of each material's absorption: it depends on where a material lies, on
+  edges, and on how the sound field reaches it. ln f is normal, one number for a material in all states.
+  What two states have in common cancels, so the error grows with the absorption that is exchanged.
+- u is how far the field is from a diffuse one where the walls of one axis absorb more than the others: 0
+  in a diffuse field, 1 in that of Arau-Puchades; between 1 and 2 Fitzroy's T takes its place. One number
+  for a room.
+
+T falls with every a for every u from 0 to 2. The unknowns are drawn: each material has draws of its own,
+from its name, so that the order of materials moves nothing.
+
+References
+----------
+H. Arau-Puchades, Acustica 65, 163-180 (1988); D. Fitzroy, J. Acoust. Soc. Am. 31, 893-897 (1959).
+"""
+
+from __future__ import annotations
+
+import functools
+import hashlib
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import ndtr, ndtri
+
+from rtcal.acoustics.changes import DIRECTIONS, FREE, UNKNOWN, Placed, placed
+from rtcal.acoustics.equations import LinearEquation
+from rtcal.acoustics.room import Room
+from rtcal.acoustics.room_errors import (
+    Assumptions,
+    alpha_covariance,
+    between_materials,
+    of_climate,
+)
+from rtcal.support.errors import DataError, ModelError
+from rtcal.support.sampler import truncated_normal
+from rtcal.support.types import Array
+
+Flags = NDArray[np.bool_]
+
+DRAWS = 8192
+"""Number of draws of every unknown."""
+NORMAL = np.linspace(-5.0, 5.0, 201)
+"""Standard normal values at which the coefficients' quantiles are tabulated."""
+_GIVEN = 1e-4
+"""Standard deviation of ln of the T before, which is given: an exact one would divide by 0."""
+_KERNEL = 0.1
+"""Width of the kernel of a probability, in standard deviations of the draws: P is smooth in the areas."""
+_LARGEST = 0.999
+"""Largest mean absorption coefficient of a draw, in shares of what the equation holds for."""
+_LEVELS = (np.arange(DRAWS) + 0.5) / DRAWS
+_LEAST = 1e-9
+"""Least absorption coefficient of a draw: its logarithm is taken."""
+_MOST_OF_AXIS = 0.6
+"""Largest share of a room's surface that one axis is taken to have where directions are not known."""
+
+
+@dataclass(frozen=True)
+class Varies:
+    """Which unknowns vary: alpha of these materials (all if None), the equation's error, sizes."""
+
+    materials: frozenset[str] | None = None
+    equation: bool = True
+    sizes: bool = True
+
+    def alpha(self, material: str) -> bool:
+        """Return whether a material's alpha varies."""
+        return self.materials is None or material in self.materials
+
+
+@dataclass(frozen=True, eq=False)
+class MeasuredState:
+    """Another state of the room, in which T was measured: (n_bands,) each, NaN where it is missing."""
+
+    name: str
+    room: Room
+    time: Array
+    log_uncertainty: Array
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class KnownRoom:
+    """What is known of a room before it is changed; a calibration gives it.
+
+    Attributes
+    ----------
+    room : Room
+        With the stated coefficients.
+    equation : LinearEquation
+    materials : tuple of str (n_materials,)
+        Those of the room, and of other measured states.
+    alpha : array (n_materials, n_bands)
+        The calibrated coefficients.
+    quantiles : array (n_materials, n_bands, n_levels)
+        Of each coefficient, at the probabilities of the normal values `NORMAL`.
+    correlation : array (n_bands, n_materials, n_materials)
+        Of the coefficients.
+    time : array (n_bands,)
+        T before in s.
+    measured : array (n_bands,) of bool
+        Where it is, or was calibrated to, a measured T.
+    exact : bool
+        Whether T before is the measured one there, and not the model's.
+    log_uncertainty : array (n_bands,)
+        Standard uncertainty of ln of the measured T; NaN where none is stated, or T is missing.
+    others : tuple of MeasuredState
+        Further measured states.
+    """
+
+    room: Room
+    equation: LinearEquation
+    materials: tuple[str, ...]
+    alpha: Array
+    quantiles: Array
+    correlation: Array
+    time: Array
+    measured: Flags
+    exact: bool
+    log_uncertainty: Array
+    others: tuple[MeasuredState, ...] = ()
+
+    @classmethod
+    def stated(cls, room: Room, equation: LinearEquation) -> KnownRoom:
+        """Return what the stated coefficients say of a room in which nothing was measured."""
+        between = between_materials(room.materials, [room])
+        covariance = alpha_covariance(room.alpha.T, room.sigma.T, between, room.common_alpha_sigma)
+        sigma, correlation = correlation_of(covariance)
+        return cls(
+            room=room,
+            equation=equation,
+            materials=room.materials,
+            alpha=room.alpha,
+            quantiles=normal_quantiles(room.alpha, sigma, least_alpha(room)),
+            correlation=correlation,
+            time=equation.time(room, room.absorption_area),
+            measured=np.zeros(room.n_bands, dtype=bool),
+            exact=False,
+            log_uncertainty=np.full(room.n_bands, np.nan),
+        )
+
+
+def least_alpha(room: Room) -> Array:
+    """Return the lower bounds of alpha, (n_materials, n_bands)."""
+    return np.zeros_like(room.alpha) if room.alpha_min is None else room.alpha_min
+
+
+def correlation_of(covariance: Array) -> tuple[Array, Array]:
+    """Return sigma (n, n_bands) and the correlation (n_bands, n, n) of a covariance of that shape."""
+    sigma = np.sqrt(np.maximum(np.diagonal(covariance, axis1=1, axis2=2), 0.0))
+    scale = np.where(sigma > 0, sigma, 1.0)
+    correlation = covariance / (scale[:, :, np.newaxis] * scale[:, np.newaxis, :])
+    own = np.arange(correlation.shape[1])
+    correlation[:, own, own] = 1.0
+    return sigma.T, correlation
+
+
+def normal_quantiles(centre: Array, sigma: Array, lower: Array) -> Array:
+    """Return the quantiles at `NORMAL` of normal densities cut to ``lower`` to 1, (..., n_levels)."""
+    scale = np.where(sigma > 0, sigma, 1.0)[..., np.newaxis]
+    middle = centre[..., np.newaxis]
+    low, high = (lower[..., np.newaxis] - middle) / scale, (1 - middle) / scale
+    shape = (*centre.shape, len(NORMAL))
+    ends = (np.broadcast_to(end, shape) for end in (low, high))
+    cut = middle + scale * truncated_normal(*ends, np.broadcast_to(ndtr(NORMAL), shape))
+    return np.asarray(np.where(sigma[..., np.newaxis] > 0, cut, middle))
+
+
+@functools.lru_cache(4096)
+def normal_of(label: str) -> Array:
+    """Return draws of a standard normal variable, (DRAWS,), that belong to a label.
+
+    They are the quantiles of equal shares of the probability, in an order that the label gives.
+    """
+    seed = int.from_bytes(hashlib.sha256(label.encode()).digest()[:8], "big")
+    drawn: Array = ndtri(np.random.default_rng(seed).permutation(_LEVELS))
+    drawn.setflags(write=False)
+    return drawn
+
+
+@dataclass(frozen=True, eq=False)
+class Unknowns:
+    """Draws of what all states share.
+
+    ``absorption`` (n_bands, n_materials, DRAWS) is a = alpha f, ``evenness`` (n_bands, DRAWS) is u. The
+    others, (DRAWS,), are ``air``, a normal variable for ln m, ``volume``, one for the volume that is
+    added, and ``alone``, whether an exchange of unknown place lies on the walls of one axis.
+    """
+
+    absorption: Array
+    evenness: Array
+    air: Array
+    volume: Array
+    alone: Flags
+
+
+@dataclass(frozen=True, eq=False)
+class New:
+    """Materials that a state has beside those that are known, (n_new, n_bands) of each array."""
+
+    names: tuple[str, ...]
+    alpha: Array
+    sigma: Array
+    lower: Array
+    area_sigma: Array
+
+
+@dataclass(frozen=True, eq=False)
+class TimeChange:
+    """T of a state of a room over T before, in draws of what is not known.
+
+    Attributes
+    ----------
+    known : KnownRoom
+    after : Placed
+        The changed room; `rtcal.acoustics.changes.placed` makes it.
+    assumptions : Assumptions
+
+    Raises
+    ------
+    DataError
+        If the rooms differ in bands, or in the stated alpha or sigma of a material.
+    ModelError
+        If the equation gives no T before, or after.
+    """
+
+    known: KnownRoom
+    after: Placed
+    assumptions: Assumptions
+
+    def __post_init__(self) -> None:
+        others = [state.room for state in self.known.others]
+        rooms = [self.known.room, *others, self.after.room]
+        refuse_other_priors(rooms, [f'room "{room.name}"' for room in rooms])
+        for room in (rooms[0], self.after.room):
+            mean = room.absorption_area / room.total_area
+            with np.errstate(divide="ignore"):
+                time = self.known.equation.time(room, room.absorption_area)
+            if not (np.isfinite(time) & (time > 0)).all():
+                raise ModelError(
+                    f'room "{room.name}": {self.known.equation.name}\'s equation gives no T where the '
+                    f"mean alpha is {np.min(mean):.3g} to {np.max(mean):.3g}"
+                )
+
+    @cached_property
+    def new(self) -> New:
+        """The materials that come in."""
+        room, known = self.after.room, self.known.materials
+        rows = [i for i, name in enumerate(room.materials) if name not in known]
+        return New(
+            names=tuple(room.materials[i] for i in rows),
+            alpha=room.alpha[rows],
+            sigma=room.sigma[rows],
+            lower=least_alpha(room)[rows],
+            area_sigma=room.area_sigma[rows],
+        )
+
+    @property
+    def materials(self) -> tuple[str, ...]:
+        """Every material: those that are known, and then the new ones."""
+        return (*self.known.materials, *self.new.names)
+
+    @cached_property
+    def states(self) -> _States:
+        """The state before and the one after."""
+        return _States(self.known, (_before(self.known), self.after), self.materials)
+
+    @property
+    def is_placed(self) -> bool:
+        """Whether the directions of all that is exchanged are known."""
+        return self.states.is_placed
+
+    @property
+    def changing(self) -> Flags:
+        """Which materials have another area in the two states, (n_materials,) of bool."""
+        return self.states.changing
+
+    def log_ratio(self, varies: Varies | None = None) -> Array:
+        """Return draws of ln (T after / T before), (n_bands, DRAWS).
+
+        What is only added absorbs at least nothing, what is only removed did so: Eyring's T is longer with
+        a hard piece that stands free, and that is not taken.
+
+        With ``varies`` the other unknowns keep their medians, and further measured states do not count.
+        """
+        unknowns = _drawn(self.known, self.new, self.assumptions, varies)
+        return self.states.log_ratio(1, unknowns, self.assumptions)
+
+    def log_before(self) -> Array:
+        """Return draws of ln (T before / its mean), (n_bands, DRAWS), where nothing was measured.
+
+        What stands in `KnownRoom.time` is then that of the stated coefficients; 0 where T was measured.
+        """
+        assumed, known = self.assumptions, self.known
+        drawn = self.states.log_time(0, _drawn(known, self.new, assumed), assumed)
+        size = max(known.room.volume_sigma, 0.0) or assumed.volume
+        common = np.hypot(assumed.common, size) * normal_of("equation")
+        level = drawn - np.log(known.time)[:, np.newaxis] + common
+        return np.where(known.measured[:, np.newaxis], 0.0, level)
+
+
+def _drawn(
+    known: KnownRoom, new: New, assumptions: Assumptions, varies: Varies | None = None
+) -> Unknowns:
+    """Return draws of all unknowns: those that the measured states have told, and new materials."""
+    drawn = _told(known, assumptions, varies)
+    quantiles = normal_quantiles(new.alpha, new.sigma, new.lower)
+    sure = np.array([varies is None or varies.alpha(name) for name in new.names], dtype=bool)
+    rows = np.array([normal_of(f"alpha of {name}") for name in new.names]).reshape(-1, DRAWS)
+    absorption = _absorption(rows[:, np.newaxis], quantiles, new.alpha, sure)
+    if varies is None or varies.equation:
+        of_area = new.area_sigma if _states_areas(known, new) else assumptions.areas
+        absorption *= _factors(new.names, new.alpha, of_area, assumptions)
+    every = np.concatenate([drawn.absorption, absorption.swapaxes(0, 1)], axis=1)
+    return replace(drawn, absorption=np.maximum(every, _LEAST))
+
+
+@functools.lru_cache(32)
+def _told(known: KnownRoom, assumptions: Assumptions, varies: Varies | None) -> Unknowns:
+    """Return draws of what is known, moved by the measured states: T before, and others.
+
+    ln a and u move, by a linear update of each draw. T before is given. The error of another state grows
+    with its distance from that before. What does not vary keeps its median.
+    """
+    drawn = _independent(known, assumptions, varies)
+    before = _before(known)
+    others = [placed(state.room, (), before) for state in known.others]
+    pairs = [_States(known, (before, other), known.materials) for other in (before, *others)]
+    with_others = varies is None
+    heard = [pairs[0].log_time(0, drawn, assumptions)]
+    if with_others:
+        heard += [pair.log_ratio(1, drawn, assumptions) for pair in pairs[1:]]
+    moved = np.concatenate([np.log(drawn.absorption), drawn.evenness[:, np.newaxis]], axis=1)
+    u0 = np.nan_to_num(known.log_uncertainty, nan=assumptions.time)
+    for k in range(len(moved)):
+        aims, own, noise = [np.log(known.time[k])], [_GIVEN], [np.zeros(DRAWS)]
+        rows = [0] if known.measured[k] else []
+        for i, state in enumerate(known.others if with_others else ()):
+            change = float(np.log(state.time[k] / known.time[k]))
+            u = np.nan_to_num(state.log_uncertainty[k], nan=assumptions.time)
+            own.append(float(np.hypot(u, assumptions.own * change)))
+            aims.append(change)
+            noise.append(own[-1] * normal_of(f"T of {state.name}") + u0[k] * normal_of("T before"))
+            if np.isfinite(change):
+                rows.append(i + 1)
+        if not rows:
+            continue
+        h, x = np.array([heard[i][k] for i in rows]), moved[k]
+        off, x_off = h - h.mean(axis=1, keepdims=True), x - x.mean(axis=1, keepdims=True)
+        ratio = np.array([float(i > 0) for i in rows])
+        spread = off @ off.T / DRAWS + np.diag(np.array(own)[rows] ** 2)
+        spread += u0[k] ** 2 * np.outer(ratio, ratio)
+        gain = np.linalg.solve(spread, off @ x_off.T / DRAWS).T
+        aim = np.array(aims)[rows, np.newaxis] + np.array(noise)[rows]
+        moved[k] += gain @ (aim - h)
+    return replace(
+        drawn, absorption=np.exp(moved[:, :-1]), evenness=np.clip(moved[:, -1], 0.0, 2.0)
+    )
+
+
+def _independent(known: KnownRoom, assumptions: Assumptions, varies: Varies | None) -> Unknowns:
+    """Return draws of what is known before the measured states are taken into account."""
+    varies = Varies() if varies is None else varies
+    own = np.array([normal_of(f"alpha of {name}") for name in known.materials])
+    value, vector = np.linalg.eigh(known.correlation)
+    root = (vector * np.sqrt(np.maximum(value, 0))[:, np.newaxis]) @ vector.swapaxes(1, 2)
+    sure = np.array([varies.alpha(name) for name in known.materials], dtype=bool)
+    normal = (root @ own).swapaxes(0, 1)
+    absorption = _absorption(normal, known.quantiles, known.alpha, sure)
+    nothing = np.zeros(DRAWS)
+    if varies.equation:
+        absorption *= _factors(known.materials, known.alpha, _area_sigma(known, assumptions), assumptions)
+    even = normal_of("evenness") if varies.equation else nothing
+    return Unknowns(
+        absorption=np.maximum(absorption.swapaxes(0, 1), _LEAST),
+        evenness=np.tile(_evenness(even, assumptions), (known.room.n_bands, 1)),
+        air=normal_of("air") if varies.sizes else nothing,
+        volume=normal_of("volume") if varies.sizes else nothing,
+        alone=normal_of("place") > ndtri(1 - assumptions.one_surface),
+    )
+
+
+def _absorption(normal: Array, quantiles: Array, alpha: Array, varies: Flags) -> Array:
+    """Return draws of alpha, (n, n_bands, DRAWS), of normal ones (n, n_bands or 1, DRAWS)."""
+    out = np.repeat(alpha[:, :, np.newaxis], DRAWS, axis=2)
+    for i, k in np.ndindex(*alpha.shape):
+        table = quantiles[i, k]
+        if varies[i] and table[-1] > table[0]:
+            out[i, k] = np.interp(normal[i, min(k, normal.shape[1] - 1)], NORMAL, table)
+    return out
+
+
+def _factors(
+    names: Sequence[str], alpha: Array, of_area: float | Array, assumptions: Assumptions
+) -> Array:
+    """Return draws of f, (n, n_bands, DRAWS): the equation's error, and that of the area."""
+    rows = np.array([normal_of(f"factor of {name}") for name in names]).reshape(-1, 1, DRAWS)
+    least = assumptions.least / np.maximum(alpha, assumptions.least)
+    sigma = np.sqrt(
+        assumptions.factor**2 + least**2 + np.reshape(of_area * np.ones(len(names)), (-1, 1)) ** 2
+    )
+    return np.asarray(np.exp(sigma[:, :, np.newaxis] * rows))
+
+
+def _states_areas(known: KnownRoom, new: New | None = None) -> bool:
+    rooms = [known.room, *(state.room for state in known.others)]
+    of_new = new is not None and bool(new.area_sigma.any())
+    return of_new or any(room.area_sigma.any() for room in rooms)
+
+
+def _area_sigma(known: KnownRoom, assumptions: Assumptions) -> Array:
+    """Return the relative error of each known material's area, (n_materials,): as stated, or assumed."""
+    if not _states_areas(known):
+        return np.full(len(known.materials), assumptions.areas)
+    of_area = np.zeros(len(known.materials))
+    for room in (known.room, *(state.room for state in known.others)):
+        rows = [known.materials.index(m) for m in room.materials]
+        of_area[rows] = np.maximum(of_area[rows], room.area_sigma)
+    return of_area
+
+
+def _evenness(normal: Array, assumptions: Assumptions) -> Array:
+    """Return u of a normal variable: a normal density cut to 0 to 2."""
+    mean, sigma = assumptions.evenness, assumptions.evenness_sigma
+    ends = (np.full(normal.shape, (end - mean) / sigma) for end in (0.0, 2.0))
+    return np.asarray(mean + sigma * truncated_normal(*ends, ndtr(normal)))
+
+
+@functools.lru_cache(16)
+def _before(known: KnownRoom) -> Placed:
+    return placed(known.room, ())
+
+
+@dataclass(frozen=True, eq=False)
+class _States:
+    """The state before and another one, on common materials."""
+
+    known: KnownRoom
+    both: tuple[Placed, Placed]
+    materials: tuple[str, ...]
+
+    @cached_property
+    def areas(self) -> Array:
+        """Areas of each state in m² by material and direction, (2, n_materials, 5).
+
+        Directions are those of `Placed`.
+        """
+        out = np.zeros((2, len(self.materials), len(DIRECTIONS)))
+        for rows, state in zip(out, self.both, strict=True):
+            rows[[self.materials.index(m) for m in state.room.materials]] = state.areas
+        return out
+
+    @cached_property
+    def exchanged(self) -> Array:
+        """Area in m² of each material that the other state lacks, (2, n_materials)."""
+        whole = self.areas.sum(axis=2)
+        return np.asarray(whole - whole.min(axis=0))
+
+    @property
+    def changing(self) -> Flags:
+        return np.asarray(self.exchanged.max(axis=0) > 0)
+
+    @property
+    def is_placed(self) -> bool:
+        unknown = self.areas[:, :, UNKNOWN].max(axis=0)
+        return not (unknown[self.changing] > 0).any()
+
+    def log_ratio(self, state: int, unknowns: Unknowns, assumed: Assumptions) -> Array:
+        """Return draws of ln (T of the other state / T before), (n_bands, DRAWS)."""
+        first, other = self.both[0].room, self.both[state].room
+        ratio = self.log_time(state, unknowns, assumed) - self.log_time(0, unknowns, assumed)
+        if first.volume == other.volume and first.air == other.air:
+            whole = self.areas.sum(axis=2)
+            if (whole[state] >= whole[0]).all():
+                ratio = np.minimum(ratio, 0.0)
+            if (whole[state] <= whole[0]).all():
+                ratio = np.maximum(ratio, 0.0)
+        return np.asarray(ratio)
+
+    def log_time(self, state: int, unknowns: Unknowns, assumed: Assumptions) -> Array:
+        """Return draws of ln T of a state, (n_bands, DRAWS)."""
+        room, equation, first = self.both[state].room, self.known.equation, self.both[0].room
+        areas = self.areas[state].sum(axis=1)
+        total = areas.sum()
+        grown = np.exp(assumed.volume * unknowns.volume)
+        volume = first.volume + (room.volume - first.volume) * grown
+        error = np.exp(self._air_sigma[:, np.newaxis] * unknowns.air)
+        air = 4 * room.air_attenuation[:, np.newaxis] * error * volume
+        mean = np.einsum("n,knd->kd", areas, unknowns.absorption) / total
+        most = _LARGEST * min(equation.largest_mean, 1.0)
+        exponent = equation.exponent(np.minimum(mean, most).T).T
+        log_time = np.log(equation.room_constant(room) * volume / (total * exponent + air))
+        return np.asarray(log_time + self._uneven(state, unknowns, air))
+
+    @cached_property
+    def _air_sigma(self) -> Array:
+        """Relative error of the air's attenuation by the stated climate's, (n_bands,)."""
+        found = np.zeros(self.known.room.n_bands)
+        for state in self.both:
+            of_m = np.linalg.norm(
+                of_climate(state.room, lambda changed: changed.air_attenuation), axis=0
+            )
+            m = state.room.air_attenuation
+            np.maximum(found, of_m / np.where(of_m > 0, m, 1.0), out=found)
+        return found
+
+    def _uneven(self, state: int, unknowns: Unknowns, air: Array) -> Array:
+        """Return what uneven absorption adds to ln T of a state, (n_bands, DRAWS)."""
+        areas, absorbed = self._by_axis(state, unknowns.absorption)
+        found = _added(areas, absorbed, air, unknowns.evenness)
+        if self.is_placed or not unknowns.alone.any():
+            return found
+        areas, absorbed = self._on_one_axis(state, unknowns.absorption)
+        return np.where(unknowns.alone, _added(areas, absorbed, air, unknowns.evenness), found)
+
+    def _by_axis(self, state: int, absorption: Array) -> tuple[Array, Array]:
+        """Return areas (n_axes,) and absorption (n_bands, n_axes, DRAWS) of the axes in m².
+
+        What stands free absorbs as if it were spread over all walls. What has no known direction is
+        spread where a cube would have its area.
+        """
+        areas = self.areas[state]
+        axes = areas[:, :3].sum(axis=0)
+        lacking = np.maximum(areas.sum() / 3 - axes, 1e-9)
+        axes = axes + areas[:, UNKNOWN].sum() * lacking / lacking.sum()
+        spread = areas[:, :3] + np.outer(areas[:, UNKNOWN], lacking / lacking.sum())
+        spread = spread + np.outer(areas[:, FREE], axes / axes.sum())
+        return spread.sum(axis=0), np.einsum("na,knd->kad", spread, absorption)
+
+    def _on_one_axis(self, state: int, absorption: Array) -> tuple[Array, Array]:
+        """Return the same of two axes, the first with all that is exchanged and has no direction."""
+        areas = self.areas[state].sum(axis=1)
+        whole = self.areas.sum(axis=2)
+        share = self.areas[:, :, UNKNOWN].max(axis=0) / whole.max(axis=0)
+        exchanged = self.exchanged * share
+        total, most = areas.sum(), exchanged.sum(axis=1).max()
+        first = min(max(2 * most, total / 3), max(_MOST_OF_AXIS * total, most))
+        here = exchanged[state]
+        rest = areas - here
+        left = (first - here.sum()) / rest.sum() if rest.sum() > 0 else 0.0
+        spread = np.stack([here + left * rest, (1 - left) * rest], axis=1)
+        return spread.sum(axis=0), np.einsum("na,knd->kad", spread, absorption)
+
+
+def _added(areas: Array, absorbed: Array, air: Array, u: Array) -> Array:
+    """Return what uneven absorption adds to ln T: u of the way to Arau-Puchades, and on to Fitzroy.
+
+    Parameters
+    ----------
+    areas : array (n_axes,)
+    absorbed : array (n_bands, n_axes, DRAWS)
+        Absorption area of the walls of each axis.
+    air, u : array (n_bands, DRAWS)
+    """
+    total = areas.sum()
+    share = areas / total
+
+    def whole(mean: Array, air: Array) -> Array:
+        return np.asarray(-total * np.log1p(-np.minimum(mean, _LARGEST)) + air)
+
+    axes = whole(absorbed / np.maximum(areas, 1e-9)[:, np.newaxis], air[:, np.newaxis])
+    eyring = np.log(whole(absorbed.sum(axis=1) / total, air))
+    arau = eyring - np.einsum("a,kad->kd", share, np.log(axes))
+    fitzroy = np.log(np.einsum("a,kad->kd", share, 1 / axes)) + eyring
+    return np.asarray(np.minimum(u, 1.0) * arau + np.maximum(u - 1.0, 0.0) * (fitzroy - arau))
+
+
+def probability_within(samples: Array, low: Array, high: Array) -> Array:
+    """Return the probability that draws are from ``low`` to ``high``, (n_bands,) each.
+
+    Parameters
+    ----------
+    samples : array (n_bands, n_draws)
+    low, high : array (n_bands,)
+        NaN leaves an end open.
+
+    A normal kernel of a tenth of the draws' standard deviation makes the probability smooth in what the
+    draws depend on. It widens them by 0.5 %.
+    """
+    width = np.maximum(_KERNEL * samples.std(axis=1, keepdims=True), 1e-12)
+    below = ndtr((np.where(np.isnan(high), np.inf, high)[:, np.newaxis] - samples) / width)
+    under = ndtr((np.where(np.isnan(low), -np.inf, low)[:, np.newaxis] - samples) / width)
+    return np.asarray((below - under).mean(axis=1))
+
+
+def refuse_other_priors(rooms: Sequence[Room], places: Sequence[str]) -> None:
+    """Raise DataError if states of one room differ in bands, or in a material's alpha or sigma.
+
+    ``places`` name the rooms in messages: ``room "box"``.
+    """
+    for place, room in zip(places, rooms, strict=True):
+        if not np.array_equal(room.centre_frequencies, rooms[0].centre_frequencies):
+            raise DataError(f"{place} has other bands than {places[0]}")
+        for i, material in enumerate(room.materials):
+            owner = next(n for n, r in enumerate(rooms) if material in r.materials)
+            j = rooms[owner].materials.index(material)
+            for name in ("alpha", "sigma"):
+                values, first = getattr(room, name)[i], getattr(rooms[owner], name)[j]
+                if not np.array_equal(values, first):
+                    k = int(np.flatnonzero(values != first)[0])
+                    raise DataError(
+                        f"{place}: {room.place(name, i, k)} = {values[k]:g}, but {places[owner]} says "
+                        f"{first[k]:g}; a shared material has one prior"
+                    )
