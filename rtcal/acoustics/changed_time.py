@@ -4,7 +4,7 @@ T of a state follows from the areas S of its materials, by direction, and from u
 a room share. So nothing changed gives exactly the T before, two changes one after the other give what
 both give at once, and a change that is undone gives the T before again, whatever the unknowns are:
 
-    ln T = ln T_equation(S, a) + u (ln T_Arau-Puchades(S, a) - ln T_Eyring(S, a)),   a = alpha f.
+    ln T = ln T_equation(S, a) + u (ln T_Arau-Puchades(S, a) - ln T_equation(S, a)),   a = alpha f.
 
 - alpha has the distribution that a calibration left. A new material's is the stated one.
 - f is what the equation errs by of each material's absorption: it depends on where a material lies, on
@@ -53,30 +53,20 @@ DRAWS = 8192
 """Number of draws of every unknown."""
 NORMAL = np.linspace(-5.0, 5.0, 201)
 """Standard normal values at which the coefficients' quantiles are tabulated."""
-_GIVEN = 1e-4
-"""Standard deviation of ln of the T before, which is given: an exact one would divide by 0."""
+_LEAST_UNCERTAINTY = 0.02
+"""Least standard uncertainty of ln T before as a weight of the draws: enough of them must be left."""
 _KERNEL = 0.1
 """Width of the kernel of a probability, in standard deviations of the draws: P is smooth in the areas."""
 _LARGEST = 0.999
 """Largest mean absorption coefficient of a draw, in shares of what the equation holds for."""
-_LEVELS = (np.arange(DRAWS) + 0.5) / DRAWS
+_FIRST = 4
+"""Draws before T before is taken into account, over those after it."""
 _LEAST = 1e-9
 """Least absorption coefficient of a draw: its logarithm is taken."""
+_EVEN = 0.01
+"""Relative difference of T below which the equations for uneven absorption say the same."""
 _MOST_OF_AXIS = 0.6
 """Largest share of a room's surface that one axis is taken to have where directions are not known."""
-
-
-@dataclass(frozen=True)
-class Varies:
-    """Which unknowns vary: alpha of these materials (all if None), the equation's error, sizes."""
-
-    materials: frozenset[str] | None = None
-    equation: bool = True
-    sizes: bool = True
-
-    def alpha(self, material: str) -> bool:
-        """Return whether a material's alpha varies."""
-        return self.materials is None or material in self.materials
 
 
 @dataclass(frozen=True, eq=False)
@@ -176,32 +166,39 @@ def normal_quantiles(centre: Array, sigma: Array, lower: Array) -> Array:
     return np.asarray(np.where(sigma[..., np.newaxis] > 0, cut, middle))
 
 
-@functools.lru_cache(4096)
-def normal_of(label: str) -> Array:
-    """Return draws of a standard normal variable, (DRAWS,), that belong to a label.
+@functools.lru_cache(1024)
+def normal_of(label: str, number: int) -> Array:
+    """Return draws of a standard normal variable, (number,), that belong to a label.
 
     They are the quantiles of equal shares of the probability, in an order that the label gives.
     """
     seed = int.from_bytes(hashlib.sha256(label.encode()).digest()[:8], "big")
-    drawn: Array = ndtri(np.random.default_rng(seed).permutation(_LEVELS))
+    levels = (np.arange(number) + 0.5) / number
+    drawn: Array = ndtri(np.random.default_rng(seed).permutation(levels))
     drawn.setflags(write=False)
     return drawn
 
 
 @dataclass(frozen=True, eq=False)
 class Unknowns:
-    """Draws of what all states share.
+    """Draws of what all states share, (n_bands, n_materials, n_draws) or (n_bands, n_draws) each.
 
-    ``absorption`` (n_bands, n_materials, DRAWS) is a = alpha f, ``evenness`` (n_bands, DRAWS) is u. The
-    others, (DRAWS,), are ``air``, a normal variable for ln m, ``volume``, one for the volume that is
-    added, and ``alone``, whether an exchange of unknown place lies on the walls of one axis.
+    ``alpha``, and ``factor``, which is ln f; ``evenness`` is u. ``air`` and ``volume`` are normal
+    variables, for ln m and for the volume that is added. ``alone`` says whether an exchange of unknown
+    place lies on the walls of one axis.
     """
 
-    absorption: Array
+    alpha: Array
+    factor: Array
     evenness: Array
     air: Array
     volume: Array
     alone: Flags
+
+    @cached_property
+    def absorption(self) -> Array:
+        """The coefficients a = alpha f."""
+        return np.maximum(self.alpha * np.exp(self.factor), _LEAST)
 
 
 @dataclass(frozen=True, eq=False)
@@ -285,131 +282,182 @@ class TimeChange:
         """Which materials have another area in the two states, (n_materials,) of bool."""
         return self.states.changing
 
-    def log_ratio(self, varies: Varies | None = None) -> Array:
+    def log_ratio(self) -> Array:
         """Return draws of ln (T after / T before), (n_bands, DRAWS).
 
         What is only added absorbs at least nothing, what is only removed did so: Eyring's T is longer with
         a hard piece that stands free, and that is not taken.
-
-        With ``varies`` the other unknowns keep their medians, and further measured states do not count.
         """
-        unknowns = _drawn(self.known, self.new, self.assumptions, varies)
-        return self.states.log_ratio(1, unknowns, self.assumptions)
+        return self.states.log_ratio(1, self.unknowns, self.assumptions)
+
+    @property
+    def unknowns(self) -> Unknowns:
+        """The draws of all unknowns, given the measured T."""
+        return _drawn(self.known, self.new, self.assumptions)
+
+    def by_equation(self) -> dict[str, Array]:
+        """Return T after in s by the equations alone, at the calibrated coefficients, (n_bands,) each.
+
+        T before times the ratio of each. Arau-Puchades' and Fitzroy's stand there where the absorption is
+        uneven, before or after.
+        """
+        alpha = np.vstack([self.known.alpha, self.new.alpha]).T[:, :, np.newaxis]
+        nothing = np.zeros((len(alpha), 1))
+        found: dict[str, Array] = {}
+        for u, name in enumerate((self.known.equation.name, "Arau-Puchades", "Fitzroy")):
+            at = Unknowns(alpha, 0 * alpha, nothing + u, nothing, nothing, nothing > 0)
+            log_ratio = self.states.log_ratio(1, at, self.assumptions)[:, 0]
+            found[name] = self.known.time * np.exp(log_ratio)
+        own, *uneven = found.values()
+        if all(np.abs(t / own - 1).max() < _EVEN for t in uneven):
+            return {self.known.equation.name: own}
+        return found
 
     def log_before(self) -> Array:
-        """Return draws of ln (T before / its mean), (n_bands, DRAWS), where nothing was measured.
+        """Return draws of ln (T before / what is stated of it), (n_bands, DRAWS): 0 where T was measured.
 
-        What stands in `KnownRoom.time` is then that of the stated coefficients; 0 where T was measured.
+        Elsewhere T before is the equation's, and every unknown counts: the volume and the areas together,
+        and the equation's error of ln T in all states alike.
         """
-        assumed, known = self.assumptions, self.known
-        drawn = self.states.log_time(0, _drawn(known, self.new, assumed), assumed)
-        size = max(known.room.volume_sigma, 0.0) or assumed.volume
-        common = np.hypot(assumed.common, size) * normal_of("equation")
-        level = drawn - np.log(known.time)[:, np.newaxis] + common
+        assumed, known, room = self.assumptions, self.known, self.known.room
+        drawn = self.states.log_time(0, self.unknowns, assumed)
+        sizes = (room.volume_sigma or assumed.volume) * normal_of(
+            "volume before", DRAWS
+        ) - room.common_area_sigma * normal_of("areas before", DRAWS)
+        of_walls = 1 - known.equation.air_share(room, room.absorption_area)
+        common = assumed.common * normal_of("equation", DRAWS)
+        level = drawn - np.log(known.time)[:, np.newaxis] + of_walls[:, np.newaxis] * sizes + common
         return np.where(known.measured[:, np.newaxis], 0.0, level)
 
 
-def _drawn(
-    known: KnownRoom, new: New, assumptions: Assumptions, varies: Varies | None = None
-) -> Unknowns:
-    """Return draws of all unknowns: those that the measured states have told, and new materials."""
-    drawn = _told(known, assumptions, varies)
-    quantiles = normal_quantiles(new.alpha, new.sigma, new.lower)
-    sure = np.array([varies is None or varies.alpha(name) for name in new.names], dtype=bool)
-    rows = np.array([normal_of(f"alpha of {name}") for name in new.names]).reshape(-1, DRAWS)
-    absorption = _absorption(rows[:, np.newaxis], quantiles, new.alpha, sure)
-    if varies is None or varies.equation:
-        of_area = new.area_sigma if _states_areas(known, new) else assumptions.areas
-        absorption *= _factors(new.names, new.alpha, of_area, assumptions)
-    every = np.concatenate([drawn.absorption, absorption.swapaxes(0, 1)], axis=1)
-    return replace(drawn, absorption=np.maximum(every, _LEAST))
-
-
 @functools.lru_cache(32)
-def _told(known: KnownRoom, assumptions: Assumptions, varies: Varies | None) -> Unknowns:
-    """Return draws of what is known, moved by the measured states: T before, and others.
-
-    ln a and u move, by a linear update of each draw. T before is given. The error of another state grows
-    with its distance from that before. What does not vary keeps its median.
-    """
-    drawn = _independent(known, assumptions, varies)
-    before = _before(known)
-    others = [placed(state.room, (), before) for state in known.others]
-    pairs = [_States(known, (before, other), known.materials) for other in (before, *others)]
-    with_others = varies is None
-    heard = [pairs[0].log_time(0, drawn, assumptions)]
-    if with_others:
-        heard += [pair.log_ratio(1, drawn, assumptions) for pair in pairs[1:]]
-    moved = np.concatenate([np.log(drawn.absorption), drawn.evenness[:, np.newaxis]], axis=1)
-    u0 = np.nan_to_num(known.log_uncertainty, nan=assumptions.time)
-    for k in range(len(moved)):
-        aims, own, noise = [np.log(known.time[k])], [_GIVEN], [np.zeros(DRAWS)]
-        rows = [0] if known.measured[k] else []
-        for i, state in enumerate(known.others if with_others else ()):
-            change = float(np.log(state.time[k] / known.time[k]))
-            u = np.nan_to_num(state.log_uncertainty[k], nan=assumptions.time)
-            own.append(float(np.hypot(u, assumptions.own * change)))
-            aims.append(change)
-            noise.append(own[-1] * normal_of(f"T of {state.name}") + u0[k] * normal_of("T before"))
-            if np.isfinite(change):
-                rows.append(i + 1)
-        if not rows:
-            continue
-        h, x = np.array([heard[i][k] for i in rows]), moved[k]
-        off, x_off = h - h.mean(axis=1, keepdims=True), x - x.mean(axis=1, keepdims=True)
-        ratio = np.array([float(i > 0) for i in rows])
-        spread = off @ off.T / DRAWS + np.diag(np.array(own)[rows] ** 2)
-        spread += u0[k] ** 2 * np.outer(ratio, ratio)
-        gain = np.linalg.solve(spread, off @ x_off.T / DRAWS).T
-        aim = np.array(aims)[rows, np.newaxis] + np.array(noise)[rows]
-        moved[k] += gain @ (aim - h)
-    return replace(
-        drawn, absorption=np.exp(moved[:, :-1]), evenness=np.clip(moved[:, -1], 0.0, 2.0)
-    )
+def _drawn_before(known: KnownRoom, assumptions: Assumptions) -> Unknowns:
+    drawn = _given(known, assumptions, _independent(known, assumptions))
+    return _given_others(known, assumptions, drawn) if known.others else drawn
 
 
-def _independent(known: KnownRoom, assumptions: Assumptions, varies: Varies | None) -> Unknowns:
-    """Return draws of what is known before the measured states are taken into account."""
-    varies = Varies() if varies is None else varies
-    own = np.array([normal_of(f"alpha of {name}") for name in known.materials])
+def _drawn(known: KnownRoom, new: New, assumptions: Assumptions) -> Unknowns:
+    """Return draws of all unknowns: what the measured T have told, and new materials."""
+    before = _drawn_before(known, assumptions)
+    alpha, factor = before.alpha, before.factor
+    for i, name in enumerate(new.names):
+        rows = slice(i, i + 1)
+        of_area = new.area_sigma[i] if _states_areas(known, new) else assumptions.areas
+        table = normal_quantiles(new.alpha[rows], new.sigma[rows], new.lower[rows])
+        drawn = normal_of(f"alpha of {name}", DRAWS)
+        own = _alpha(drawn[np.newaxis, np.newaxis], table)
+        alpha = np.concatenate([alpha, own.swapaxes(0, 1)], axis=1)
+        sigma = _factor_sigma(new.alpha[rows], np.array([of_area]), assumptions)
+        own = sigma[:, :, np.newaxis] * normal_of(f"factor of {name}", DRAWS)
+        factor = np.concatenate([factor, own.swapaxes(0, 1)], axis=1)
+    return replace(before, alpha=alpha, factor=factor)
+
+
+def _independent(known: KnownRoom, assumptions: Assumptions) -> Unknowns:
+    """Return draws of what is known, before T is taken into account but by the calibration."""
+    number, names, n_bands = _FIRST * DRAWS, known.materials, known.room.n_bands
+
+    def every(label: str) -> Array:
+        return np.broadcast_to(normal_of(label, number), (n_bands, number))
+
+    own = np.array([normal_of(f"alpha of {name}", number) for name in names])
     value, vector = np.linalg.eigh(known.correlation)
     root = (vector * np.sqrt(np.maximum(value, 0))[:, np.newaxis]) @ vector.swapaxes(1, 2)
-    sure = np.array([varies.alpha(name) for name in known.materials], dtype=bool)
-    normal = (root @ own).swapaxes(0, 1)
-    absorption = _absorption(normal, known.quantiles, known.alpha, sure)
-    nothing = np.zeros(DRAWS)
-    if varies.equation:
-        absorption *= _factors(known.materials, known.alpha, _area_sigma(known, assumptions), assumptions)
-    even = normal_of("evenness") if varies.equation else nothing
+    sigma = _factor_sigma(known.alpha, _area_sigma(known, assumptions), assumptions).T
+    factors = np.array([normal_of(f"factor of {name}", number) for name in names])
     return Unknowns(
-        absorption=np.maximum(absorption.swapaxes(0, 1), _LEAST),
-        evenness=np.tile(_evenness(even, assumptions), (known.room.n_bands, 1)),
-        air=normal_of("air") if varies.sizes else nothing,
-        volume=normal_of("volume") if varies.sizes else nothing,
-        alone=normal_of("place") > ndtri(1 - assumptions.one_surface),
+        alpha=_alpha((root @ own).swapaxes(0, 1), known.quantiles).swapaxes(0, 1),
+        factor=sigma[:, :, np.newaxis] * factors,
+        evenness=_evenness(every("evenness"), assumptions),
+        air=every("air"),
+        volume=every("volume"),
+        alone=every("place") > ndtri(1 - assumptions.one_surface),
     )
 
 
-def _absorption(normal: Array, quantiles: Array, alpha: Array, varies: Flags) -> Array:
-    """Return draws of alpha, (n, n_bands, DRAWS), of normal ones (n, n_bands or 1, DRAWS)."""
-    out = np.repeat(alpha[:, :, np.newaxis], DRAWS, axis=2)
-    for i, k in np.ndindex(*alpha.shape):
-        table = quantiles[i, k]
-        if varies[i] and table[-1] > table[0]:
-            out[i, k] = np.interp(normal[i, min(k, normal.shape[1] - 1)], NORMAL, table)
+def _given(known: KnownRoom, assumptions: Assumptions, drawn: Unknowns) -> Unknowns:
+    """Return as many draws as are kept, drawn by the likelihood of T before: systematic resampling.
+
+    ln T before is normal about that of the draw, with the uncertainty of the measured T. In a band
+    without a measured T every draw is as likely.
+    """
+    before = _before(known)
+    log_time = _States(known, (before, before), known.materials).log_time(0, drawn, assumptions)
+    u = np.nan_to_num(known.log_uncertainty, nan=assumptions.time)
+    off = (log_time - np.log(known.time)[:, np.newaxis]) / np.maximum(u, _LEAST_UNCERTAINTY)[
+        :, np.newaxis
+    ]
+    off = np.where(known.measured[:, np.newaxis], off, 0.0)
+    weight = np.exp(-(off**2 - (off**2).min(axis=1, keepdims=True)) / 2)
+    levels = (np.arange(DRAWS) + 0.5) / DRAWS
+    kept = np.array(
+        [np.minimum(np.searchsorted(np.cumsum(w) / w.sum(), levels), len(w) - 1) for w in weight]
+    )
+
+    def at(values: Array) -> Array:
+        return np.take_along_axis(values, kept, axis=1)
+
+    each = kept[:, np.newaxis]
+    return Unknowns(
+        alpha=np.take_along_axis(drawn.alpha, each, axis=2),
+        factor=np.take_along_axis(drawn.factor, each, axis=2),
+        evenness=at(drawn.evenness),
+        air=at(drawn.air),
+        volume=at(drawn.volume),
+        alone=at(drawn.alone),
+    )
+
+
+def _given_others(known: KnownRoom, assumptions: Assumptions, drawn: Unknowns) -> Unknowns:
+    """Return draws moved by T of further measured states, by a linear update of each draw.
+
+    ln f and u move. A state's own error grows with its distance from that before.
+
+    References
+    ----------
+    G. Evensen, Ocean Dynamics 53, 343-367 (2003).
+    """
+    before = _before(known)
+    heard = np.array(
+        [
+            _States(known, (before, placed(state.room, (), before)), known.materials).log_ratio(
+                1, drawn, assumptions
+            )
+            for state in known.others
+        ]
+    )
+    moved = np.concatenate([drawn.factor, drawn.evenness[:, np.newaxis]], axis=1)
+    u0 = np.nan_to_num(known.log_uncertainty, nan=assumptions.time)
+    errors = np.array([normal_of(f"T of {state.name}", DRAWS) for state in known.others])
+    for k in range(len(moved)):
+        change = np.array([np.log(state.time[k] / known.time[k]) for state in known.others])
+        used = np.isfinite(change)
+        if not used.any():
+            continue
+        u = np.array([state.log_uncertainty[k] for state in known.others])
+        own = np.hypot(np.nan_to_num(u, nan=assumptions.time), assumptions.own * change)[used]
+        noise = own[:, np.newaxis] * errors[used] + u0[k] * normal_of("T before", DRAWS)
+        h, x = heard[used, k], moved[k]
+        off, x_off = h - h.mean(axis=1, keepdims=True), x - x.mean(axis=1, keepdims=True)
+        spread = off @ off.T / DRAWS + np.diag(own**2) + u0[k] ** 2
+        gain = np.linalg.solve(spread, off @ x_off.T / DRAWS).T
+        moved[k] += gain @ (change[used, np.newaxis] + noise - h)
+    return replace(drawn, factor=moved[:, :-1], evenness=np.clip(moved[:, -1], 0.0, 2.0))
+
+
+def _alpha(normal: Array, quantiles: Array) -> Array:
+    """Return draws of alpha, (n, n_bands, n_draws), of normal ones (n, n_bands or 1, n_draws)."""
+    n, n_bands = quantiles.shape[:2]
+    out = np.empty((n, n_bands, normal.shape[2]))
+    for i, k in np.ndindex(n, n_bands):
+        out[i, k] = np.interp(normal[i, min(k, normal.shape[1] - 1)], NORMAL, quantiles[i, k])
     return out
 
 
-def _factors(
-    names: Sequence[str], alpha: Array, of_area: float | Array, assumptions: Assumptions
-) -> Array:
-    """Return draws of f, (n, n_bands, DRAWS): the equation's error, and that of the area."""
-    rows = np.array([normal_of(f"factor of {name}") for name in names]).reshape(-1, 1, DRAWS)
-    least = assumptions.least / np.maximum(alpha, assumptions.least)
-    sigma = np.sqrt(
-        assumptions.factor**2 + least**2 + np.reshape(of_area * np.ones(len(names)), (-1, 1)) ** 2
-    )
-    return np.asarray(np.exp(sigma[:, :, np.newaxis] * rows))
+def _factor_sigma(alpha: Array, of_area: Array, assumptions: Assumptions) -> Array:
+    """Return the standard deviation of ln f, (n, n_bands): the equation's, and that of the area (n,)."""
+    least = assumptions.least / np.maximum(alpha, max(assumptions.least, _LEAST))
+    return np.sqrt(assumptions.factor**2 + least**2 + of_area[:, np.newaxis] ** 2)
 
 
 def _states_areas(known: KnownRoom, new: New | None = None) -> bool:
@@ -431,7 +479,7 @@ def _area_sigma(known: KnownRoom, assumptions: Assumptions) -> Array:
 
 def _evenness(normal: Array, assumptions: Assumptions) -> Array:
     """Return u of a normal variable: a normal density cut to 0 to 2."""
-    mean, sigma = assumptions.evenness, assumptions.evenness_sigma
+    mean, sigma = assumptions.evenness, max(assumptions.evenness_sigma, 1e-9)
     ends = (np.full(normal.shape, (end - mean) / sigma) for end in (0.0, 2.0))
     return np.asarray(mean + sigma * truncated_normal(*ends, ndtr(normal)))
 
@@ -488,18 +536,18 @@ class _States:
         return np.asarray(ratio)
 
     def log_time(self, state: int, unknowns: Unknowns, assumed: Assumptions) -> Array:
-        """Return draws of ln T of a state, (n_bands, DRAWS)."""
+        """Return draws of ln T of a state, (n_bands, n_draws)."""
         room, equation, first = self.both[state].room, self.known.equation, self.both[0].room
         areas = self.areas[state].sum(axis=1)
         total = areas.sum()
-        grown = np.exp(assumed.volume * unknowns.volume)
+        size = max(first.volume_sigma, room.volume_sigma) or assumed.volume
+        grown = np.exp(size * unknowns.volume)
         volume = first.volume + (room.volume - first.volume) * grown
         error = np.exp(self._air_sigma[:, np.newaxis] * unknowns.air)
         air = 4 * room.air_attenuation[:, np.newaxis] * error * volume
         mean = np.einsum("n,knd->kd", areas, unknowns.absorption) / total
-        most = _LARGEST * min(equation.largest_mean, 1.0)
-        exponent = equation.exponent(np.minimum(mean, most).T).T
-        log_time = np.log(equation.room_constant(room) * volume / (total * exponent + air))
+        walls = total * self._exponent(mean)
+        log_time = np.log(equation.room_constant(room) * volume / (walls + air))
         return np.asarray(log_time + self._uneven(state, unknowns, air))
 
     @cached_property
@@ -517,11 +565,39 @@ class _States:
     def _uneven(self, state: int, unknowns: Unknowns, air: Array) -> Array:
         """Return what uneven absorption adds to ln T of a state, (n_bands, DRAWS)."""
         areas, absorbed = self._by_axis(state, unknowns.absorption)
-        found = _added(areas, absorbed, air, unknowns.evenness)
+        found = self._added(areas, absorbed, air, unknowns.evenness)
         if self.is_placed or not unknowns.alone.any():
             return found
         areas, absorbed = self._on_one_axis(state, unknowns.absorption)
-        return np.where(unknowns.alone, _added(areas, absorbed, air, unknowns.evenness), found)
+        alone = self._added(areas, absorbed, air, unknowns.evenness)
+        return np.where(unknowns.alone, alone, found)
+
+    def _exponent(self, mean: Array) -> Array:
+        """Return the equation's exponent of mean coefficients, at most what it holds for."""
+        most = _LARGEST * min(self.known.equation.largest_mean, 1.0)
+        return self.known.equation.exponent(np.minimum(mean, most))
+
+    def _added(self, areas: Array, absorbed: Array, air: Array, u: Array) -> Array:
+        """Return what uneven absorption adds to ln T: u of the way to Arau-Puchades, and on to Fitzroy.
+
+        Each axis has the T of the calibration's equation; with Eyring's they are those of `ArauPuchades`
+        and `Fitzroy`.
+
+        Parameters
+        ----------
+        areas : array (n_axes,)
+        absorbed : array (n_bands, n_axes, n_draws)
+            Absorption area of the walls of each axis.
+        air, u : array (n_bands, n_draws)
+        """
+        total = areas.sum()
+        share = areas / total
+        by_axis = total * self._exponent(absorbed / np.maximum(areas, 1e-9)[:, np.newaxis])
+        axes = by_axis + air[:, np.newaxis]
+        even = np.log(total * self._exponent(absorbed.sum(axis=1) / total) + air)
+        arau = even - np.einsum("a,kad->kd", share, np.log(axes))
+        fitzroy = even + np.log(np.einsum("a,kad->kd", share, 1 / axes))
+        return np.asarray(np.minimum(u, 1.0) * arau + np.maximum(u - 1.0, 0.0) * (fitzroy - arau))
 
     def _by_axis(self, state: int, absorption: Array) -> tuple[Array, Array]:
         """Return areas (n_axes,) and absorption (n_bands, n_axes, DRAWS) of the axes in m².
@@ -550,29 +626,6 @@ class _States:
         left = (first - here.sum()) / rest.sum() if rest.sum() > 0 else 0.0
         spread = np.stack([here + left * rest, (1 - left) * rest], axis=1)
         return spread.sum(axis=0), np.einsum("na,knd->kad", spread, absorption)
-
-
-def _added(areas: Array, absorbed: Array, air: Array, u: Array) -> Array:
-    """Return what uneven absorption adds to ln T: u of the way to Arau-Puchades, and on to Fitzroy.
-
-    Parameters
-    ----------
-    areas : array (n_axes,)
-    absorbed : array (n_bands, n_axes, DRAWS)
-        Absorption area of the walls of each axis.
-    air, u : array (n_bands, DRAWS)
-    """
-    total = areas.sum()
-    share = areas / total
-
-    def whole(mean: Array, air: Array) -> Array:
-        return np.asarray(-total * np.log1p(-np.minimum(mean, _LARGEST)) + air)
-
-    axes = whole(absorbed / np.maximum(areas, 1e-9)[:, np.newaxis], air[:, np.newaxis])
-    eyring = np.log(whole(absorbed.sum(axis=1) / total, air))
-    arau = eyring - np.einsum("a,kad->kd", share, np.log(axes))
-    fitzroy = np.log(np.einsum("a,kad->kd", share, 1 / axes)) + eyring
-    return np.asarray(np.minimum(u, 1.0) * arau + np.maximum(u - 1.0, 0.0) * (fitzroy - arau))
 
 
 def probability_within(samples: Array, low: Array, high: Array) -> Array:

@@ -83,7 +83,7 @@ class Assumptions:
     least: float = 0.06
     evenness: float = 0.6
     evenness_sigma: float = 0.8
-    one_surface: float = 0.5
+    one_surface: float = 0.65
     own: float = 0.1
     changed: float = 0.1
     time: float = 0.05

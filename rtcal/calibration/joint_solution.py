@@ -46,7 +46,6 @@ from rtcal.calibration.uncertainty import (
 from rtcal.support.errors import ModelError
 from rtcal.support.types import Array
 
-
 _SAME_TIME = 1e-6
 """Relative difference of T below which the calibrated T is the measured one."""
 
@@ -274,7 +273,9 @@ class JointSolution:
         lower = layout.expand(solution.model.lower)
         sigma, correlation = correlation_of(covariance)
         quantiles = normal_quantiles(centre, sigma, lower)
-        return np.where(sigma[:, :, np.newaxis] > 0, quantiles, self.alpha[:, :, np.newaxis]), correlation
+        return np.where(
+            sigma[:, :, np.newaxis] > 0, quantiles, self.alpha[:, :, np.newaxis]
+        ), correlation
 
     @property
     def posterior_sigma(self) -> Array:

@@ -299,23 +299,13 @@ class CalibrationResult(Result):
         name: str = "",
         assumptions: Assumptions | None = None,
     ) -> Prediction:
-        """Predict T after a change of this room, from all measured configurations.
+        """Predict T after a change of this room: T of the calibrated room times what the change does.
 
-        It weighs the stated coefficients with their sigma, the measured T, volume and areas, and the
-        error of the equation: see `rtcal.prediction.predict`. Which method calibrated does not matter.
+        See `rtcal.prediction.predict`. Of several configurations all measured T count.
 
-        What the room states of its volume and areas takes the place of the usual assumptions.
-
-        Raises ModelError as `JointSolution.states`, and as `rtcal.prediction.predict`.
+        Raises ModelError as `JointSolution.known_room`, and as `rtcal.prediction.predict`.
         """
-        return predict(
-            self.states,
-            changes,
-            before=self.prior,
-            equation=self.equation,
-            assumptions=assumptions,
-            name=name,
-        )
+        return predict(self, changes, assumptions=assumptions, name=name)
 
     def to_dict(self) -> dict[str, Any]:
         """Return everything as plain numbers, lists and text; None where a value is missing.

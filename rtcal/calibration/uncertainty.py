@@ -167,14 +167,15 @@ def estimate_covariance(
     _, cross, innovation = _covariances(solution, configurations)
     n = layout.n_alpha
     known = np.diag(sigma[:n])
-    whole = sigma[:n, np.newaxis] * prior.correlate(np.pad(known, ((0, len(sigma) - n), (0, 0))), layout)[:n]
+    whole = (
+        sigma[:n, np.newaxis]
+        * prior.correlate(np.pad(known, ((0, len(sigma) - n), (0, 0))), layout)[:n]
+    )
     whole = whole + np.outer(shift[:n], shift[:n])
     change = gain[:n] @ cross[:n].T
     whole = whole - change - change.T + gain[:n] @ innovation @ gain[:n].T
     rows = np.array(layout.rows) * layout.n_bands
-    return np.array(
-        [whole[np.ix_(rows + k, rows + k)] for k in range(layout.n_bands)]
-    )
+    return np.array([whole[np.ix_(rows + k, rows + k)] for k in range(layout.n_bands)])
 
 
 def _gain(

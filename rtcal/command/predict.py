@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -27,7 +27,7 @@ from rtcal.support.files import read_text
 if TYPE_CHECKING:
     from rtcal.acoustics.measurement import Measurement
     from rtcal.acoustics.room import Room
-    from rtcal.acoustics.states import State
+    from rtcal.calibration.result import CalibrationResult
     from rtcal.loop.positions_result import PositionsResult
     from rtcal.support.results import Result
 
@@ -103,7 +103,8 @@ def predict(
 ) -> None:
     """Predict T of ROOM (TOML), MEASURED (CSV) as it is, after the changes of a file.
 
-    Without MEASURED the stated coefficients alone predict. JND here is ln(T ratio) / ln 1.05.
+    The change is predicted: T before is given, that of the calibrated room, and nothing changed is T
+    before exactly. One JND is 5 % of T. Without MEASURED the stated coefficients alone predict.
 
     Where ROOM states its mesh, sources and receivers, and MEASURED has their pairs, ROOM is calibrated
     to every position as by `rtcal fit`, and every position is predicted: T20, EDT, C80, Ts, level, D50,
@@ -130,9 +131,11 @@ def predict(
     if measured is not None and not means:
         known = heard_at_positions(before, measured)
     if known is None or means:
-        before, states = measured_states(room, measured, also)
-        found = compare(states, variants, before=before, equation=equation, target=target)
-        told(found, out)
+        if measured is None and not also:
+            told(compare(before, variants, equation=equation, target=target), out)
+            return
+        result = calibrated(room, measured, also, equation)
+        told(compare(result, variants, target=target), out)
         return
     if also or target is not None:
         stated = "--also" if also else f"{change}: a target"
@@ -196,27 +199,35 @@ def calibrated_to_positions(
         )
 
 
-def measured_states(
-    room: str, measured: str | None, also: tuple[tuple[str, str], ...]
-) -> tuple[Room, tuple[State, ...]]:
-    """Return the room, and its measured states: none, one or several."""
-    from rtcal.acoustics.repeats import refuse_repeated_data
+def calibrated(
+    room: str, measured: str | None, also: tuple[tuple[str, str], ...], equation: LinearEquation
+) -> CalibrationResult:
+    """Return the calibration of a room to its measured T, and to that of further states."""
     from rtcal.acoustics.room import Room
-    from rtcal.acoustics.states import State
-    from rtcal.calibration.problem_data import tell_data, times_in_room
-
-    def state(stated: Room, path: str) -> State:
-        heard = read_measured(path, quietly=True)
-        times = times_in_room(stated, heard)
-        tell_data(stated, heard)
-        refuse_repeated_data(stated, times.fingerprint)  # a state does not know its pairs
-        return State(stated, times.reverberation_time, times.uncertainty)
+    from rtcal.calibration.configurations import Configurations
+    from rtcal.calibration.methods import calibrate
 
     if Path(room).is_dir():
         raise DataError(f"{room} is a folder; give the room (TOML) that was calibrated and its T")
+    if measured is None:
+        raise DataError("--also takes MEASURED, too: T of the room before the change")
     before = Room.from_file(room)
-    states = [] if measured is None else [state(before, measured)]
-    return before, (*states, *(state(Room.from_file(r), m) for r, m in also))
+    heard = read_measured(measured, quietly=True)
+    if not also:
+        with without_air_warning():
+            return calibrate(before, heard, equation=equation)
+    rooms = [before, *(Room.from_file(path) for path, _ in also)]
+    names = [new_name_of(i, each.name, rooms) for i, each in enumerate(rooms)]
+    times = [heard, *(read_measured(path, quietly=True) for _, path in also)]
+    with without_air_warning():
+        joint = calibrate(Configurations(rooms, names), times, method="joint", equation=equation)
+    return joint.results[0]
+
+
+def new_name_of(number: int, name: str, rooms: Sequence[Room]) -> str:
+    """Return a state's name: the room's, with a number where several rooms have it."""
+    same = sum(room.name == name for room in rooms) > 1
+    return f"{name} ({number + 1})" if same else name
 
 
 @click.command(short_help="Find the cheapest treatments with which T meets a target.")
@@ -247,16 +258,15 @@ def design(
     """
     from rtcal.acoustics.change_files import read_treatments
     from rtcal.datasets import catalogue
-    from rtcal.prediction.designed import Known
     from rtcal.prediction.designed import design as cheapest
 
     output_folder("--out", out)
-    before, states = measured_states(room, measured, also)
+    result = calibrated(room, measured, also, equation)
     stated, target, in_file = read_changes(
-        treatments, lambda text: read_treatments(text, before, catalogue.material)
+        treatments, lambda text: read_treatments(text, result.prior, catalogue.material)
     )
     found = cheapest(
-        Known(states, before, equation),
+        result,
         stated,
         target,
         in_file if probability is None else probability,

@@ -22,10 +22,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtcal.acoustics.changes import Change, Climate, Cover, Open, changed
-from rtcal.acoustics.equations import Eyring
 from rtcal.acoustics.room import Room
 from rtcal.acoustics.room_errors import Assumptions
-from rtcal.acoustics.states import Rooms
 from rtcal.simulators import facets
 from rtcal.simulators.base import Simulator
 from rtcal.simulators.facets import WELD
@@ -39,6 +37,8 @@ _FLAT = 0.05
 """Extent of a surface along an axis, over its largest, below which it has no ends along it."""
 _TILT = (0.1, 0.03)
 """By how much the axes of a surface of several planes are tilted towards each other."""
+_LEAST_AREA = 1e-5
+"""Least relative error of a covered area."""
 _HALVINGS = 40
 """Of the interval that holds the edge of a cover: to the last digit."""
 
@@ -211,13 +211,14 @@ class ChangedRoom:
         return changed(self.before, self.changes)
 
     @cached_property
-    def _rooms(self) -> Rooms:
-        return Rooms([self.before, self.after], Eyring(), self.assumptions)
+    def _new(self) -> list[int]:
+        """Rows of the new materials in the changed room."""
+        return [i for i, m in enumerate(self.after.materials) if m not in self.before.materials]
 
     @property
     def materials(self) -> tuple[str, ...]:
         """The room's materials, and then the new ones."""
-        return self._rooms.materials
+        return (*self.before.materials, *(self.after.materials[i] for i in self._new))
 
     @cached_property
     def _mixed(self) -> tuple[Array, tuple[Move, ...]]:
@@ -251,7 +252,7 @@ class ChangedRoom:
 
     def all_alpha(self, alpha: Array) -> Array:
         """Return coefficients of all materials for those of the room's, (n_materials, n_bands)."""
-        return np.vstack([alpha, self._rooms.stacked("alpha")[len(alpha) :]])
+        return np.vstack([alpha, self.after.alpha[self._new]])
 
     def by_areas(self, alpha: Array) -> Array:
         """Return d(alpha of the walls) / d ln(each partly covered area), (n_covers, n_before, n_bands).
@@ -264,12 +265,17 @@ class ChangedRoom:
     @property
     def cover_sigma(self) -> Array:
         """Relative error of each partial cover's area, (n_covers,): that of the surface below it."""
-        return self._rooms.area_sigma[[old for old, *_ in self.moves]]
+        if self.before.area_sigma.any() or self.before.common_area_sigma:
+            stated = [*self.before.area_sigma, *self.after.area_sigma[self._new]]
+        else:
+            stated = [self.assumptions.areas] * len(self.materials)
+        return np.maximum(stated, _LEAST_AREA)[[old for old, *_ in self.moves]]
 
     @property
     def new_sigma(self) -> Array:
         """Sigma of the new materials, (n_new, n_bands), at least the assumed one but where it is 0."""
-        return self._rooms.sigma[self.before.n_materials :]
+        stated = self.after.sigma[self._new]
+        return np.where(stated > 0, np.maximum(stated, self.assumptions.changed), stated)
 
     def simulator(self, simulator: Simulator) -> Simulator:
         """Return the simulator with the air after the change."""

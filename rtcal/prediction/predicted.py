@@ -1,42 +1,69 @@
 """T after a change, and several variants side by side.
 
-Of each: mean, 90 % interval, what the interval is made of, and how probable a range is.
+The predicted thing is the change: T before is given, and the interval is that of T after. Of each: mean,
+90 % interval, what the interval is made of, and how probable a range is.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from functools import cached_property
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Protocol, runtime_checkable
 
 import numpy as np
-from numpy.typing import NDArray
-from scipy.special import ndtr, ndtri
+from scipy.special import ndtri
 
 from rtcal.acoustics import bands
 from rtcal.acoustics.change_files import Variant, refuse_repeated_names
-from rtcal.acoustics.changes import Change, changed
+from rtcal.acoustics.changed_time import KnownRoom, TimeChange, probability_within
+from rtcal.acoustics.changes import Change, Placed, placed
 from rtcal.acoustics.equations import Eyring, LinearEquation
 from rtcal.acoustics.room import Room
 from rtcal.acoustics.room_errors import Assumptions
-from rtcal.acoustics.states import Estimate, Rooms, State, estimated_change, near_bounds, samples
 from rtcal.acoustics.targets import Target
 from rtcal.prediction import words
-from rtcal.support import checks, text
+from rtcal.prediction.words import JND
+from rtcal.support import checks, sampler, text
 from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError
 from rtcal.support.files import json_numbers
 from rtcal.support.results import Result
-from rtcal.support.sampler import probability_within
 from rtcal.support.text import shortened
 from rtcal.support.types import Array
 
-JND = float(np.log(1.05))
-"""One just noticeable difference of T, in ln T."""
 LEVEL = 0.9
-SAMPLES = 4000
-"""Number of samples of a band whose bounds matter."""
+_SURE = 1e-12
+"""Standard deviation of ln T from which on T is not known exactly."""
+
+
+@runtime_checkable
+class Calibrated(Protocol):
+    """A result that says what is known of its room, such as a `CalibrationResult`."""
+
+    @property
+    def known(self) -> KnownRoom:
+        """What is known of the room before it is changed."""
+
+
+def known_room(
+    known: Calibrated | KnownRoom | Room, equation: LinearEquation | None = None
+) -> KnownRoom:
+    """Return what is known of a room: by a calibration, or of one in which nothing was measured.
+
+    ``equation`` is that of a Room, `rtcal.Eyring` if not given. DataError for anything else.
+    """
+    if isinstance(known, Room):
+        return KnownRoom.stated(known, equation or Eyring())
+    if equation is not None:
+        raise DataError("equation is that of the calibration; give one for a Room alone")
+    if isinstance(known, KnownRoom):
+        return known
+    if not isinstance(known, Calibrated):
+        raise DataError(
+            f"known = {checks.shown(known)} is neither a calibration's result nor a Room"
+        )
+    return known.known
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -46,81 +73,88 @@ class Prediction(Result):
     Attributes
     ----------
     name : str
-    states : tuple of State
-        What was measured.
-    before, after : Room
-        With the prior's coefficients.
+    known : KnownRoom
+        What is known of the room before the change.
+    state : Placed
+        The changed room, and which way its materials face.
     changes : tuple of Change
         What leads from one to the other; empty if the changed room itself was given.
-    equation : LinearEquation
     assumptions : Assumptions
     """
 
-    record_kind: ClassVar[str] = "prediction 1"
+    record_kind: ClassVar[str] = "prediction 2"
 
     name: str
-    states: tuple[State, ...]
-    before: Room
-    after: Room
+    known: KnownRoom
+    state: Placed
     changes: tuple[Change, ...]
-    equation: LinearEquation
     assumptions: Assumptions
 
-    @cached_property
-    def rooms(self) -> Rooms:
-        """The measured states, the room before and the room after, on common unknowns."""
-        every = [*(state.room for state in self.states), self.before, self.after]
-        return Rooms(every, self.equation, self.assumptions)
+    @property
+    def before(self) -> Room:
+        """The room before, with the stated coefficients."""
+        return self.known.room
+
+    @property
+    def after(self) -> Room:
+        """The changed room, with the stated coefficients."""
+        return self.state.room
+
+    @property
+    def equation(self) -> LinearEquation:
+        """The equation of the calibration."""
+        return self.known.equation
 
     @cached_property
-    def estimate(self) -> Estimate:
-        """The posterior of the unknowns."""
-        return estimated_change(self.rooms, self.states)
+    def model(self) -> TimeChange:
+        """T after over T before, in draws of what is not known."""
+        return TimeChange(self.known, self.state, self.assumptions)
 
     @cached_property
-    def _linear(self) -> tuple[Array, Array]:
-        """ln T after the change at the mode, (n_bands,), and its gradient (n_bands, size)."""
-        return self.rooms.log_time(len(self.rooms.rooms) - 1, self.estimate.mode)
+    def samples(self) -> Array:
+        """Draws of ln T after, T in s, (n_bands, n_draws).
 
-    @cached_property
-    def linear_mean(self) -> Array:
-        """ln T of the most probable unknowns, T in s, (n_bands,)."""
-        return self._linear[0]
-
-    @cached_property
-    def linear_sigma(self) -> Array:
-        """Standard deviation of ln T of the linear estimate, (n_bands,)."""
-        gradient = self._linear[1]
-        variance = np.einsum("ks,kst,kt->k", gradient, self.estimate.covariance, gradient)
-        return np.asarray(np.sqrt(np.maximum(variance, 0) + self.assumptions.own**2))
-
-    @cached_property
-    def sampled(self) -> NDArray[np.bool_]:
-        """Which bands are sampled, (n_bands,) of bool: a coefficient that matters is near a bound.
-
-        Elsewhere ln T is normal.
+        T before is given where it was measured. Elsewhere it is the model's, and its error counts.
         """
-        n = len(self.rooms.materials)
-        return near_bounds(self.rooms, self.estimate, self._linear[1][:, :n], self.linear_sigma)
+        ratio = self.model.log_ratio()
+        given = np.log(self.time_before)[:, np.newaxis] + ratio
+        if self.known.measured.all():
+            return given
+        return np.asarray(given + self.model.log_before())
+
+    @property
+    def time_before(self) -> Array:
+        """T before in s, (n_bands,): of the calibrated room, which an exact match has as measured."""
+        return self.known.time
+
+    @property
+    def before_is(self) -> str:
+        """What T before is: "measured", "calibrated model" or "stated coefficients"."""
+        if not self.known.measured.any():
+            return words.STATED
+        return words.MEASURED if self.known.exact else words.MODEL
 
     @cached_property
-    def _draws(self) -> dict[int, Array]:
-        """Samples of ln T without the equation's own error, by the index of a sampled band."""
-        last, n_bands = len(self.rooms.rooms) - 1, self.after.n_bands
-        drawn = {}
-        for k in np.flatnonzero(self.sampled).tolist():
-            unknowns = samples(self.rooms, self.estimate, k, SAMPLES)
-            every = np.repeat(unknowns[:, np.newaxis], n_bands, axis=1)
-            drawn[k] = self.rooms.log_time(last, every)[0][:, k]
-        return drawn
+    def uncertainty_before(self) -> Array:
+        """Standard uncertainty of T before in s, (n_bands,): of the measurement, NaN where none is stated.
+
+        It is no part of the interval. Where nothing was measured it is the model's, and is part of it.
+        """
+        measured = self.known.log_uncertainty
+        if self.known.measured.all():
+            return measured * self.time_before
+        of_model = self.model.log_before().std(axis=1)
+        return np.where(self.known.measured, measured, of_model) * self.time_before
 
     @cached_property
     def log_mean(self) -> Array:
         """Mean of ln T, T in s, (n_bands,)."""
-        mean = self.linear_mean.copy()
-        for k, draws in self._draws.items():
-            mean[k] = draws.mean()
-        return mean
+        return np.asarray(self.samples.mean(axis=1))
+
+    @cached_property
+    def log_sigma(self) -> Array:
+        """Standard deviation of ln T, (n_bands,)."""
+        return np.asarray(self.samples.std(axis=1))
 
     @property
     def mean(self) -> Array:
@@ -129,105 +163,115 @@ class Prediction(Result):
 
     @cached_property
     def interval(self) -> tuple[Array, Array]:
-        """Ends of the 90 % interval of T in s, each (n_bands,), for a measurement without error."""
+        """Ends of the 90 % interval of T in s, each (n_bands,), for the T before that is given."""
         return self.quantile((1 - LEVEL) / 2), self.quantile((1 + LEVEL) / 2)
 
     def quantile(self, probability: float) -> Array:
         """Return the quantile of T in s, (n_bands,); DataError unless it is between 0 and 1."""
         if not 0 < checks.number("probability", probability) < 1:
             raise DataError(f"probability = {probability:g} is not between 0 and 1")
-        out = self.linear_mean + ndtri(probability) * self.linear_sigma
-        for k, draws in self._draws.items():
-            # The own error's normal density is added as its quantiles, one to each sample.
-            own = ndtri((np.random.default_rng(k).permutation(len(draws)) + 0.5) / len(draws))
-            out[k] = np.quantile(draws + self.assumptions.own * own, probability)
-        return np.asarray(np.exp(out))
+        return np.exp(np.quantile(self.samples, probability, axis=1))
 
     @property
     def half_width(self) -> Array:
-        """Half of the 90 % interval in JND, ln(T ratio) / ln 1.05, (n_bands,)."""
+        """Half of the 90 % interval in JND, of 5 % of T after, (n_bands,)."""
         low, high = self.interval
-        return np.asarray(np.log(high / low) / 2 / JND)
-
-    @cached_property
-    def time_before(self) -> Array:
-        """T before the change in s, (n_bands,): measured, or the model's where it was not."""
-        model = np.exp(self.rooms.log_time(len(self.rooms.rooms) - 2, self.estimate.mode)[0])
-        for state in self.states:
-            if state.room is self.before:
-                measured = state.reverberation_time
-                return np.where(np.isfinite(measured), measured, model)
-        return model
+        return np.asarray((high - low) / (2 * JND * self.mean))
 
     @property
     def change(self) -> Array:
-        """Effect of the change on T in JND, ln(T ratio) / ln 1.05, (n_bands,)."""
-        return np.asarray((self.log_mean - np.log(self.time_before)) / JND)
+        """T after less T before in JND, of 5 % of T before, (n_bands,)."""
+        return np.asarray((self.mean / self.time_before - 1) / JND)
 
     @cached_property
     def parts(self) -> dict[str, Array]:
         """Shares of the variance of ln T by what they come from, each (n_bands,), the largest first.
 
-        They are those of the linear estimate and add up to 1. A material whose area changes stands
-        alone; the other coefficients stand together.
+        They add up to 1, or are 0 where nothing changes. ln T is linear in the unknowns for it. A
+        material whose area changes stands alone; the other coefficients stand together.
         """
-        rooms, found, gradient = self.rooms, self.estimate, self._linear[1]
-        n, own = len(rooms.materials), self.assumptions.own
-        by_measured = np.einsum("ks,ksc->kc", gradient, found.gain)
-        left = gradient - np.einsum("kc,kcs->ks", by_measured, found.gradient)
-        by_unknown = left * np.einsum("kst,kt->ks", rooms.prior[1], left)
-        parts = {
-            words.ALPHA.format(m): by_unknown[:, i]
-            for i, m in enumerate(rooms.materials)
-            if rooms.changing[i]
+        model, unknowns = self.model, self.model.unknowns
+        n_bands = self.after.n_bands
+        columns: dict[str, list[Array]] = {}
+        for i, material in enumerate(model.materials):
+            part = words.ALPHA.format(material) if model.changing[i] else words.STAYS
+            columns.setdefault(part, []).append(np.log(np.maximum(unknowns.alpha[:, i], 1e-6)))
+            columns.setdefault(words.EQUATION, []).append(unknowns.factor[:, i])
+        columns[words.EQUATION] += [unknowns.evenness, unknowns.alone.astype(float)]
+        columns[words.SIZES] = [unknowns.air, unknowns.volume]
+        if not self.known.measured.all():
+            columns[words.BEFORE] = [self.model.log_before()]
+        shares = {part: np.zeros(n_bands) for part in columns}
+        for k in np.flatnonzero(self.log_sigma > _SURE).tolist():
+            y = self.samples[k] - self.log_mean[k]
+            x = np.array([column[k] for group in columns.values() for column in group])
+            x = x - x.mean(axis=1, keepdims=True)
+            weights = np.linalg.lstsq(x @ x.T, x @ y, rcond=1e-10)[0]
+            own, first = {}, 0
+            for part, group in columns.items():
+                rows = slice(first, first + len(group))
+                own[part] = max(float((weights[rows] @ x[rows]) @ y), 0.0)
+                first += len(group)
+            total = sum(own.values())
+            for part, share in own.items():
+                shares[part][k] = share / total if total > 0 else 0.0
+        used = {part: share for part, share in shares.items() if share.any()} or {
+            words.EQUATION: np.zeros(n_bands)
         }
-        stays = by_unknown[:, :n][:, ~rooms.changing]
-        known = (found.gradient != 0).any(axis=2)
-        parts[words.STAYS] = stays.sum(axis=1)
-        parts[words.EQUATION] = by_unknown[:, -1] + own**2 * (
-            1 + (by_measured**2 * known).sum(axis=1)
-        )
-        parts[words.SIZES] = by_unknown[:, n:-1].sum(axis=1)
-        parts[words.MEASUREMENT] = (by_measured**2 * found.noise).sum(axis=1)
-        shares = {name: share / self.linear_sigma**2 for name, share in parts.items()}
-        return dict(sorted(shares.items(), key=lambda each: -float(each[1].mean())))
+        return dict(sorted(used.items(), key=lambda each: -float(each[1].mean())))
+
+    @cached_property
+    def by_equation(self) -> dict[str, Array]:
+        """T after in s by the equations alone, at the calibrated coefficients, (n_bands,) each.
+
+        Fitzroy's and Arau-Puchades' stand beside the calibration's own where the absorption is uneven.
+        """
+        return self.model.by_equation()
 
     @cached_property
     def uncalibrated(self) -> Prediction:
         """The same prediction from the stated coefficients alone, without any measurement."""
-        return replace(self, states=())
+        return Prediction(
+            name=self.name,
+            known=KnownRoom.stated(self.before, self.equation),
+            state=self.state,
+            changes=self.changes,
+            assumptions=self.assumptions,
+        )
 
     def probability(self, low: Array, high: Array) -> Array:
         """Return the probability that T is from ``low`` to ``high`` in s, (n_bands,).
 
-        NaN at an end leaves it open. DataError for another shape, and as `Target`.
+        T before is given. NaN at an end leaves it open. DataError for another shape, and as `Target`.
         """
-        below, above = self._levels(low, high)
-        return np.asarray(above - below)
+        return probability_within(self.samples, *self._logs(low, high))
 
     def probability_together(self, low: Array, high: Array) -> float:
         """Return the probability that T is within the range in all bands at once.
 
         Errors of neighbouring bands correlate: see `Assumptions.band_correlation`.
         """
-        below, above = (ndtri(level) for level in self._levels(low, high))
+        least, most = self._logs(low, high)
+        open_ended = np.full_like(least, np.nan)
+        below = 1 - probability_within(self.samples, least, open_ended)
+        above = probability_within(self.samples, open_ended, most)
         errors = bands.correlation(self.after.centre_frequencies, self.assumptions.band_correlation)
-        return probability_within(below, above, errors)
+        return sampler.probability_within(ndtri(below), ndtri(above), errors)
 
-    def _levels(self, low: Array, high: Array) -> tuple[Array, Array]:
-        """Probabilities of a T below each end, (n_bands,) each."""
+    def _logs(self, low: Array, high: Array) -> tuple[Array, Array]:
+        """Return the logarithms of a range's ends, (n_bands,) each."""
         every = np.ones(self.after.n_bands)
         for name, ends in (("low", low), ("high", high)):
             if np.shape(ends) not in ((), every.shape):
                 raise DataError(f"{name} has shape {np.shape(ends)}; it is {every.shape}")
         target = Target(every * low, every * high)
         with np.errstate(divide="ignore"):
-            logs = np.log([np.nan_to_num(target.low), np.nan_to_num(target.high, nan=np.inf)])
-        levels = ndtr((logs - self.linear_mean) / self.linear_sigma)
-        for k, draws in self._draws.items():
-            own = max(self.assumptions.own, 1e-12)
-            levels[:, k] = ndtr((logs[:, k, np.newaxis] - draws) / own).mean(axis=1)
-        return levels[0], levels[1]
+            return np.log(target.low), np.log(target.high)
+
+    @property
+    def sentences(self) -> list[str]:
+        """What the interval rests on, and what to measure next."""
+        return words.sentences(self)
 
     def to_dict(self) -> dict[str, Any]:
         """Return everything as plain numbers, lists and text."""
@@ -236,34 +280,35 @@ class Prediction(Result):
             "room": self.before.name,
             "name": self.name,
             "changes": [str(change) for change in self.changes],
-            "measured_states": len(self.states),
+            "measured_states": int(self.known.measured.any()) + len(self.known.others),
             "equation": self.equation.name,
             "assumptions": asdict(self.assumptions),
             "centre_frequencies": json_numbers(self.after.centre_frequencies),
+            "before_is": self.before_is,
             "reverberation_time_before": json_numbers(self.time_before),
+            "uncertainty_before": json_numbers(self.uncertainty_before),
             "reverberation_time": json_numbers(self.mean),
             "interval_90": [json_numbers(low), json_numbers(high)],
+            "change_seconds": json_numbers(self.mean - self.time_before),
+            "change_percent": json_numbers(100 * (self.mean / self.time_before - 1)),
             "change_jnd": json_numbers(self.change),
+            "half_width_percent": json_numbers(100 * JND * self.half_width),
             "half_width_jnd": json_numbers(self.half_width),
+            "directions_known": self.model.is_placed,
+            "by_equation": {name: json_numbers(t) for name, t in self.by_equation.items()},
             "uncalibrated": {
                 "reverberation_time": json_numbers(self.uncalibrated.mean),
                 "half_width_jnd": json_numbers(self.uncalibrated.half_width),
             },
-            "sampled": self.sampled.tolist(),
             "parts": {name: json_numbers(share) for name, share in self.parts.items()},
-            "sentences": words.sentences(
-                self.parts,
-                self.half_width,
-                self.uncalibrated.half_width if self.states else None,
-                len(self.states),
-            ),
+            "sentences": self.sentences,
         }
 
     def __repr__(self) -> str:
         return (
             f'<Prediction "{shortened(self.name)}" of "{shortened(self.before.name)}": '
-            f"{bands.span(self.after.centre_frequencies)}, T {self.change.mean():+.1f} JND, "
-            f"± {np.median(self.half_width):.1f} JND>"
+            f"{bands.span(self.after.centre_frequencies)}, T {100 * JND * self.change.mean():+.0f} %, "
+            f"± {100 * JND * np.median(self.half_width):.0f} %>"
         )
 
     def __str__(self) -> str:
@@ -272,26 +317,24 @@ class Prediction(Result):
 
 @checked
 def predict(
-    states: Sequence[State],
+    known: Calibrated | KnownRoom | Room,
     changes: Change | Sequence[Change] | Room,
     *,
-    before: Room | None = None,
     equation: LinearEquation | None = None,
     assumptions: Assumptions | None = None,
     name: str = "",
 ) -> Prediction:
-    """Predict T after a change from the measured states of a room, which are taken jointly.
+    """Predict T after a change of a room.
 
     Parameters
     ----------
-    states : sequence of State
-        May be empty if ``before`` is given: the stated coefficients alone then predict.
+    known : CalibrationResult or Room
+        With a Room nothing was measured: its stated coefficients alone predict. Several measured states
+        are a calibration of `rtcal.Configurations`.
     changes : Change, sequence of Change, or Room
         A Room is the changed room itself.
-    before : Room, optional
-        The room that is changed; that of the first state if not given.
     equation : LinearEquation, optional
-        `rtcal.Eyring` if not given.
+        Of a Room; `rtcal.Eyring` if not given. A calibration has its own.
     assumptions : Assumptions, optional
         By default the usual ones.
     name : str
@@ -300,7 +343,7 @@ def predict(
     Raises
     ------
     DataError
-        If a change does not fit the room, the rooms do not fit each other, or no room is given.
+        If a change does not fit the room, or the rooms do not fit each other.
     ModelError
         If the equation gives no T for the changed room.
 
@@ -310,31 +353,28 @@ def predict(
     >>> room, measured = rt.datasets.bras_cr2()
     >>> result = rt.calibrate(room, measured)
     >>> panel = rt.Material("panel", [0.2, 0.6, 0.9, 0.9, 0.9, 0.9], [0.1] * 6)
-    >>> after = result.predict(rt.prediction.Cover("ceiling", panel, 20))
+    >>> after = predict(result, rt.prediction.Cover("ceiling", panel, 20))
     >>> low, high = after.interval
-    >>> print(after.mean.round(1), bool((low < after.mean).all() and (after.mean < high).all()))
-    [1.3 1.  0.8 0.8 0.8 0.8] True
+    >>> print(bool((low < after.mean).all() and (after.mean < high).all()))
+    True
+    >>> print(predict(result, []).half_width)
+    [0. 0. 0. 0. 0. 0.]
     """
-    listed = tuple(states)
-    if before is None and not listed:
-        raise DataError("states is empty, and no room before the change is given")
-    before = listed[0].room if before is None else before
+    room_known = known_room(known, equation)
     made: tuple[Change, ...] = ()
     if isinstance(changes, Room):
-        after, default = changes, changes.name
+        default = changes.name
     else:
         made = (changes,) if isinstance(changes, Change) else tuple(changes)
-        after, default = changed(before, made), "; ".join(map(str, made)) or "no change"
+        default = "; ".join(map(str, made)) or "no change"
     prediction = Prediction(
         name=name or default,
-        states=listed,
-        before=before,
-        after=after,
+        known=room_known,
+        state=placed(room_known.room, changes if isinstance(changes, Room) else made),
         changes=made,
-        equation=equation or Eyring(),
         assumptions=assumptions or Assumptions(),
     )
-    _ = prediction.linear_mean  # raises where the equation gives no T
+    _ = prediction.model  # raises where the equation gives no T
     return prediction
 
 
@@ -352,7 +392,7 @@ class Predictions(Result):
         The range of T that they are compared with.
     """
 
-    record_kind: ClassVar[str] = "predictions 1"
+    record_kind: ClassVar[str] = "predictions 2"
 
     predictions: tuple[Prediction, ...]
     costs: tuple[float | None, ...]
@@ -413,10 +453,9 @@ class Predictions(Result):
 
 @checked
 def compare(
-    states: Sequence[State],
+    known: Calibrated | KnownRoom | Room,
     variants: Sequence[Variant],
     *,
-    before: Room | None = None,
     equation: LinearEquation | None = None,
     assumptions: Assumptions | None = None,
     target: Target | None = None,
@@ -429,15 +468,16 @@ def compare(
     Examples
     --------
     >>> import rtcal as rt
-    >>> from rtcal.prediction import Open, State, Variant
-    >>> room, measured = rt.datasets.bras_cr2()
-    >>> state = State(room, measured.mean("t30"))
-    >>> compare([state], [Variant("window open", (Open("windows", 2.0),))])
+    >>> from rtcal.prediction import Open, Variant
+    >>> result = rt.calibrate(*rt.datasets.bras_cr2())
+    >>> compare(result, [Variant("window open", (Open("windows", 2.0),))])
     <Predictions: window open>
     """
     refuse_repeated_names(variants)
-    given: dict[str, Any] = {"before": before, "equation": equation, "assumptions": assumptions}
-    made = tuple(predict(states, v.changes, name=v.name, **given) for v in variants)
+    room_known = known_room(known, equation)
+    made = tuple(
+        predict(room_known, v.changes, assumptions=assumptions, name=v.name) for v in variants
+    )
     n_bands = made[0].after.n_bands if made else 0
     if target is not None and target.low.shape != (n_bands,):
         raise DataError(f"target has {len(target.low)} bands; the room has {n_bands}")

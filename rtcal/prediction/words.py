@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
@@ -11,11 +11,19 @@ from rtcal.acoustics import bands
 from rtcal.support import text
 from rtcal.support.types import Array
 
+if TYPE_CHECKING:
+    from rtcal.acoustics.changed_time import KnownRoom, TimeChange
+
+JND = 0.05
+"""One just noticeable difference of T, as a share of it."""
 ALPHA = 'alpha of "{}"'
 STAYS = "alpha of what stays"
 EQUATION = "the equation"
 SIZES = "volume, areas and climate"
 MEASUREMENT = "the measured T"
+BEFORE = "T before, which was not measured"
+MEASURED, MODEL, STATED = "measured", "calibrated model", "stated coefficients"
+"""What T before is."""
 ALIKE, CHANGED_ALONE = (
     "the simulator, alike in both states",
     "the simulator, in the changed room alone",
@@ -24,7 +32,9 @@ COVERS, PLACES = "the covered areas", "where the cover lies"
 
 _ADVICE = {
     STAYS: "measure T in a second state of the room: it tells what stays from what changes",
-    EQUATION: "measure T in a second state of the room: its error shows only between two states",
+    EQUATION: "measure T in a second state of the room, or take a simulator: the equation's error shows "
+    "between two states",
+    BEFORE: "measure T in the room as it is",
     SIZES: "survey the volume and the areas, and measure the climate if it is uncertain",
     MEASUREMENT: "measure T at more positions",
     ALIKE: "measure at more positions",
@@ -47,32 +57,66 @@ def advice(part: str, n_states: int) -> str:
     return _ADVICE.get(part, f"measure {part}, or T with the first square metres of the change")
 
 
-def sentences(
-    parts: Mapping[str, Array], half_width: Array, without: Array | None, n_states: int
-) -> list[str]:
-    """Return what the interval rests on, whether calibrating narrowed it, and what to measure next.
+class Predicted(Protocol):
+    """What the sentences on a prediction take of it."""
 
-    Parameters
-    ----------
-    parts : mapping of str to array (n_bands,)
-        Shares of the variance, the largest first.
-    half_width, without : array (n_bands,)
-        Of the interval in JND, with the measured states and without; None if nothing was measured.
-    n_states : int
-    """
-    largest, share = next((name, float(part.mean())) for name, part in parts.items())
-    new = sum(float(v.mean()) for name, v in parts.items() if name not in (*_ADVICE,))
+    @property
+    def parts(self) -> Mapping[str, Array]: ...
+    @property
+    def half_width(self) -> Array: ...
+    @property
+    def by_equation(self) -> Mapping[str, Array]: ...
+    @property
+    def known(self) -> KnownRoom: ...
+    @property
+    def model(self) -> TimeChange: ...
+    @property
+    def uncalibrated(self) -> Predicted: ...
+
+
+def sentences(made: Predicted) -> list[str]:
+    """Return what the interval rests on, what it leaves out, and what to measure next."""
+    known = made.known
+    n_states = int(known.measured.any()) + len(known.others)
+    if not made.half_width.any():
+        return ["Nothing changes: T stays as it was before, whatever is not known of the room."]
     said = []
-    if without is None:
+    if not known.measured.any():
         said.append("Nothing was measured: the interval is that of the stated coefficients.")
     else:
-        told = "it tells of what stays; alpha of what changes is"
-        if new > _MOST:
-            told = "alpha of what changes itself, which the calibration does not know, is"
         said.append(
-            f"Calibrating changed the interval from ± {np.median(without):.1f} to "
-            f"± {np.median(half_width):.1f} JND: {told} {100 * new:.0f} % of its variance."
+            "T before is given. Its own uncertainty is stated apart and is no part of the interval."
         )
+        if not known.measured.all():
+            lacking = bands.labels(known.room.centre_frequencies[~known.measured])
+            said.append(
+                f"At {', '.join(lacking)} T before was not measured: it is the model's, and its error is "
+                "part of the interval."
+            )
+    if not made.model.is_placed:
+        said.append(
+            "The room does not say which way what is exchanged faces. The interval allows for all of it on "
+            "one pair of walls, where T falls less. To narrow it, state `axis` of the surfaces, or "
+            "`dimensions`, or name them floor, ceiling and wall."
+        )
+    elif len(made.by_equation) > 1:
+        low, high = list(made.by_equation.values())[:2]
+        k = int(np.argmax(np.abs(high / low - 1)))
+        label = bands.labels(known.room.centre_frequencies)[k]
+        own = next(iter(made.by_equation))
+        said.append(
+            f"The absorption is uneven: at {label} T after is {low[k]:.2f} s by {own}'s equation, "
+            f"{high[k]:.2f} s by Arau-Puchades'. The prediction lies between them and beyond, by how "
+            "scattering the room is."
+        )
+    if known.measured.any():
+        before, after = (
+            50 * JND * 2 * np.median(each.half_width) for each in (made.uncalibrated, made)
+        )
+        said.append(
+            f"Calibrating changed the interval from ± {before:.0f} to ± {after:.0f} % of T."
+        )
+    largest, share = next((name, float(part.mean())) for name, part in made.parts.items())
     said.append(
         f"Largest part: {largest} ({100 * share:.0f} % of the variance). To narrow it, "
         f"{advice(largest, n_states)}."
@@ -91,16 +135,25 @@ def made_of(interval: str, parts: Mapping[str, Iterable[float]], labels: list[st
     ]
 
 
+def _known(values: Iterable[float | None]) -> list[float]:
+    """Return values of a record, NaN where one is missing."""
+    return [float("nan") if value is None else value for value in values]
+
+
 def text_of(record: Mapping[str, Any]) -> str:
     """Return the text that ``print(prediction)`` shows, from `Prediction.to_dict`."""
     labels = bands.labels(record["centre_frequencies"])
     low, high = record["interval_90"]
     rows = [
-        ("T before / s", record["reverberation_time_before"], ".2f"),
+        (f"T before ({record['before_is']}) / s", record["reverberation_time_before"], ".2f"),
+        ("    ± / s", record["uncertainty_before"], ".2f"),
         ("T after / s", record["reverberation_time"], ".2f"),
         ("90 %: from / s", low, ".2f"),
         ("      to / s", high, ".2f"),
+        ("change / s", record["change_seconds"], "+.2f"),
+        ("change / %", record["change_percent"], "+.1f"),
         ("change / JND", record["change_jnd"], "+.1f"),
+        ("half width / %", record["half_width_percent"], ".1f"),
         ("half width / JND", record["half_width_jnd"], ".1f"),
     ]
     return "\n".join(
@@ -108,7 +161,7 @@ def text_of(record: Mapping[str, Any]) -> str:
             *text.wrapped(f"{record['room']}: {record['name']}"),
             "",
             *text.table(
-                [(name, text.numbers(values, form)) for name, values, form in rows],
+                [(name, text.numbers(_known(values), form)) for name, values, form in rows],
                 header=("", labels),
             ),
             "",

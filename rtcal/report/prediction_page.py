@@ -117,9 +117,14 @@ def frontier(costs: Mapping[float, float], promised: float, cost: float) -> Any:
 _ASSUMED = {
     "volume": "relative error of the volume",
     "areas": "relative error of each area",
-    "common": "error of ln T that the equation makes in all states alike",
-    "own": "error of ln T that the equation makes in each state on its own",
-    "changed": "least sigma of a material whose area changes",
+    "common": "error of ln T before, where it was not measured",
+    "factor": "standard deviation of ln of what the equation errs by of each material's absorption",
+    "least": "the same, as an absorption coefficient",
+    "evenness": "mean of u, the way from the equation (0) to Arau-Puchades' (1) and Fitzroy's (2)",
+    "evenness_sigma": "standard deviation of u",
+    "one_surface": "probability that what is exchanged lies on one pair of walls, where nothing says where",
+    "own": "relative error of a change between two measured states that no factor explains",
+    "changed": "least sigma of a new material, at positions",
     "time": "relative uncertainty of a measured T that states none",
     "band_correlation": "correlation of the errors an octave apart",
 }
@@ -166,7 +171,7 @@ def page(
             "assumed": [f"{_ASSUMED[n]}: {v:g}" for n, v in asdict(first.assumptions).items()],
             "basis": "",
             "equation": first.equation.name,
-            "n_states": len(first.states),
+            "n_states": int(first.known.measured.any()) + len(first.known.others),
             "blocks": blocks(len(frequencies)),
             "labels": bands.labels(frequencies),
         },
@@ -279,11 +284,15 @@ def _variant(
 ) -> dict[str, Any]:
     low, high = variant.interval
     rows = [
-        ("T before / s", variant.time_before, 2, False),
+        (f"T before ({variant.before_is}) / s", variant.time_before, 2, False),
+        ("its standard uncertainty / s", variant.uncertainty_before, 2, False),
         ("T after / s", variant.mean, 2, False),
         ("90 % interval: from / s", low, 2, False),
         ("to / s", high, 2, False),
+        ("change / s", variant.mean - variant.time_before, 2, True),
+        ("change / %", 100 * (variant.mean / variant.time_before - 1), 1, True),
         ("change / JND", variant.change, 1, True),
+        ("half width / %", 5 * variant.half_width, 1, False),
         ("half width / JND", variant.half_width, 1, False),
     ]
     if target is not None:
