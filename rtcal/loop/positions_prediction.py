@@ -139,7 +139,7 @@ class PositionsPrediction(Result):
     ...     low=t - 0.08, high=t + 0.08, sampled=t > 1,
     ...     shares={"alpha of what stays": np.ones((1, 1))})
     >>> found.mean("t20"), found.change("t20")[-1].round(2)
-    (array([0.5]), array([-2.05]))
+    (array([0.5]), array([-1.9]))
     """
 
     record_kind: ClassVar[str] = "prediction at positions 1"
@@ -177,22 +177,28 @@ class PositionsPrediction(Result):
         row, of = self._row(parameter), observable(parameter)
         return of.natural(self.low[row]), of.natural(self.high[row])
 
+    def before_change(self, parameter: str) -> Array:
+        """Return each pair's value before the change in its unit and then the mean."""
+        row = self._row(parameter)
+        return np.asarray(observable(parameter).natural(self.heard_before[row]))
+
     def change(self, parameter: str) -> Array:
-        """Return the effect on each pair and on the mean in JND, (n_pairs + 1, n_bands)."""
-        return self._in_jnd(parameter, self.middle - self.heard_before)
+        """Return the effect on each pair and on the mean in JND, (n_pairs + 1, n_bands).
+
+        One JND is that of the value before: 5 % of a time.
+        """
+        before = self.before_change(parameter)
+        return (self.at_pairs(parameter) - before) / observable(parameter).jnd_of(before)
 
     def half_width(self, parameter: str) -> Array:
-        """Return half of the 90 % interval in JND, (n_pairs + 1, n_bands)."""
-        return self._in_jnd(parameter, (self.high - self.low) / 2)
+        """Return half of the 90 % interval in JND of the value after, (n_pairs + 1, n_bands)."""
+        return self._half_in_jnd(parameter, self.low, self.high)
 
-    def _in_jnd(self, parameter: str, observed: Array) -> Array:
-        of, row, values = (
-            observable(parameter),
-            observed[self._row(parameter)],
-            self.at_pairs(parameter),
-        )
-        one = np.asarray(of.jnd_of(values))
-        return np.asarray(row / (np.log1p(one / values) if of.logarithmic else one))
+    def _half_in_jnd(self, parameter: str, low: Array, high: Array) -> Array:
+        """Return half of the distance of values as observed, in JND of the value after."""
+        of, row = observable(parameter), self._row(parameter)
+        one = np.asarray(of.jnd_of(self.at_pairs(parameter)))
+        return np.asarray((of.natural(high[row]) - of.natural(low[row])) / (2 * one))
 
     def _row(self, parameter: str) -> int:
         if parameter not in self.parameters:
@@ -209,8 +215,12 @@ class PositionsPrediction(Result):
     def sentences(self) -> list[str]:
         """The parts of the first parameter's interval, and what to measure next."""
         first = self.parameters[0]
-        without = self._in_jnd(first, Z * self.uncalibrated_sigma)[-1]
-        return words.sentences(self.parts(first), self.half_width(first)[-1], without, 1)
+        middle, half = self.middle, Z * self.uncalibrated_sigma
+        without = self._half_in_jnd(first, middle - half, middle + half)[-1]
+        return [
+            words.gained(without, self.half_width(first)[-1]),
+            words.to_narrow(self.parts(first), 1),
+        ]
 
     def to_dict(self) -> dict[str, Any]:
         """Return everything as plain numbers, lists and text."""

@@ -23,7 +23,6 @@ from rtcal.acoustics.room import Room
 from rtcal.acoustics.room_errors import Assumptions
 from rtcal.acoustics.targets import Target
 from rtcal.prediction import words
-from rtcal.prediction.words import JND
 from rtcal.support import checks, sampler, text
 from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError
@@ -32,6 +31,8 @@ from rtcal.support.results import Result
 from rtcal.support.text import shortened
 from rtcal.support.types import Array
 
+JND = 0.05
+"""One just noticeable difference of T, as a share of it."""
 LEVEL = 0.9
 _SURE = 1e-12
 """Standard deviation of ln T from which on T is not known exactly."""

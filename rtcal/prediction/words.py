@@ -14,8 +14,6 @@ from rtcal.support.types import Array
 if TYPE_CHECKING:
     from rtcal.acoustics.changed_time import KnownRoom, TimeChange
 
-JND = 0.05
-"""One just noticeable difference of T, as a share of it."""
 ALPHA = 'alpha of "{}"'
 STAYS = "alpha of what stays"
 EQUATION = "the equation"
@@ -110,18 +108,26 @@ def sentences(made: Predicted) -> list[str]:
             "scattering the room is."
         )
     if known.measured.any():
-        before, after = (
-            50 * JND * 2 * np.median(each.half_width) for each in (made.uncalibrated, made)
-        )
-        said.append(
-            f"Calibrating changed the interval from ± {before:.0f} to ± {after:.0f} % of T."
-        )
-    largest, share = next((name, float(part.mean())) for name, part in made.parts.items())
-    said.append(
+        said.append(gained(made.uncalibrated.half_width, made.half_width))
+    said.append(to_narrow(made.parts, n_states))
+    return said
+
+
+def to_narrow(parts: Mapping[str, Array], n_states: int) -> str:
+    """Return the largest part of an interval, shares (n_bands,) of its variance, and what narrows it."""
+    largest, share = next((name, float(part.mean())) for name, part in parts.items())
+    return (
         f"Largest part: {largest} ({100 * share:.0f} % of the variance). To narrow it, "
         f"{advice(largest, n_states)}."
     )
-    return said
+
+
+def gained(without: Array, half_width: Array) -> str:
+    """Return by how much calibrating narrowed an interval; half widths in JND, (n_bands,) each."""
+    return (
+        f"Calibrating changed the interval from ± {np.median(without):.1f} to "
+        f"± {np.median(half_width):.1f} JND."
+    )
 
 
 def made_of(interval: str, parts: Mapping[str, Iterable[float]], labels: list[str]) -> list[str]:
