@@ -15,8 +15,6 @@ import pytest
 
 import rtcal as rt
 from rtcal.prediction import (
-    Known,
-    State,
     Target,
     Treatment,
     ansi_s12_60,
@@ -47,10 +45,9 @@ def a_room() -> rt.Room:
     )
 
 
-def known(room: rt.Room | None = None) -> Known:
+def known(room: rt.Room | None = None) -> rt.CalibrationResult:
     room = room or a_room()
-    t = 0.95 * rt.Eyring().reverberation_time(room)
-    return Known((State(room, t, 0.03 * t),), room)
+    return rt.calibrate(room, 0.95 * rt.Eyring().reverberation_time(room))
 
 
 TREATMENTS = (
@@ -92,7 +89,7 @@ def test_whole_panels_are_whole_and_cost_least() -> None:
     assert cheaper(found, [np.arange(23) * 2.5, np.arange(11) * 4.0], 1 - 1e-9) is None
 
 
-def a_shop(one_sided: bool) -> tuple[Known, tuple[Treatment, ...], Target]:
+def a_shop(one_sided: bool) -> tuple[rt.CalibrationResult, tuple[Treatment, ...], Target]:
     """A small room with panels on two surfaces and free pieces; Sabine's equation."""
     room = rt.Room(
         name="shop",
@@ -115,7 +112,8 @@ def a_shop(one_sided: bool) -> tuple[Known, tuple[Treatment, ...], Target]:
         ),
     )
     low = [np.nan] * 3 if one_sided else [0.2] * 3
-    return Known((State(room, t, 0.02 * t),), room, rt.Sabine()), every, Target(low, [0.42] * 3)
+    result = rt.calibrate(room, t, equation=rt.Sabine())
+    return result, every, Target(low, [0.42] * 3)
 
 
 @pytest.mark.parametrize("one_sided", [False, True])
@@ -174,7 +172,7 @@ def test_the_probability_is_that_of_the_prediction_of_the_same_changes() -> None
     found = design(shop, every, target, 0.85)
     put = [t.change(a) for t, a in zip(every, found.areas, strict=True) if a > 0]
     for changes in (put,):
-        made = predict(shop.states, changes, equation=rt.Sabine())
+        made = predict(shop, changes)
         assert made.probability(target.low, target.high) == pytest.approx(
             found.probability, abs=1e-9
         )
@@ -214,7 +212,9 @@ def test_a_measured_second_state_makes_the_design_cheaper() -> None:
     one = known(room)
     some = changed(room, TREATMENTS[0].change(20.0))
     t = 0.95 * rt.Eyring().reverberation_time(some)
-    two = Known((*one.states, State(some, t, 0.03 * t)), room)
+    two = rt.calibrate(
+        rt.Configurations([room, some], ["bare", "treated"]), [one.measured, t], method="joint"
+    ).results[0]
     target = Target([0.4] * 3, [0.78] * 3)
     dear, cheap = (design(k, TREATMENTS, target, 0.85) for k in (one, two))
     assert cheap.cost < 0.98 * dear.cost
@@ -348,7 +348,7 @@ def test_a_room_that_was_calibrated_on_the_data_is_not_designed_with_them() -> N
     t = 1.1 * rt.Eyring().reverberation_time(room)
     calibrated = rt.calibrate(room, t).room
     with pytest.raises(DataError, match='"classroom" was already calibrated on these data'):
-        design(Known((State(calibrated, t),), calibrated), TREATMENTS, TARGET)
+        design(rt.calibrate(calibrated, t), TREATMENTS, TARGET)
 
 
 def a_seminar_room() -> tuple[rt.CalibrationResult, Treatment, Target]:

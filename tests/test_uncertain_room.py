@@ -19,14 +19,11 @@ from rtcal.io import catt
 from rtcal.prediction import (
     Add,
     Cover,
-    Known,
     Open,
     Remove,
-    State,
     Target,
     Treatment,
     changed,
-    predict,
 )
 from rtcal.report import words
 from rtcal.report.page import calibration_page
@@ -412,9 +409,9 @@ def test_an_uncertain_room_is_predicted_and_designed_with() -> None:
     t = times(room, 1)
     panel = rt.Material("panel", [0.5] * 4, [0.1] * 4)
     for change in (Cover("wall", panel, 5), Add(panel, 5), Open("wall", 1)):
-        assert np.isfinite(predict([State(room, t)], change).mean).all()
+        assert np.isfinite(rt.calibrate(room, t, "soft").predict(change).mean).all()
     free = Treatment("panels", panel, 20, cost=1)
-    found = rt.design(Known((State(room, t),), room), [free], Target(t / 9, t * 3))
+    found = rt.design(rt.calibrate(room, t, "soft"), [free], Target(t / 9, t * 3))
     assert found.cost == pytest.approx(0, abs=1e-3)
 
 

@@ -120,6 +120,11 @@ class KnownRoom:
     log_uncertainty: Array
     others: tuple[MeasuredState, ...] = ()
 
+    @property
+    def n_measured(self) -> int:
+        """Number of states in which T was measured."""
+        return int(self.measured.any()) + len(self.others)
+
     @classmethod
     def stated(cls, room: Room, equation: LinearEquation) -> KnownRoom:
         """Return what the stated coefficients say of a room in which nothing was measured."""

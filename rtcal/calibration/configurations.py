@@ -12,10 +12,10 @@ from functools import cached_property, partial
 import numpy as np
 
 from rtcal.acoustics import bands
+from rtcal.acoustics.changed_time import refuse_other_priors
 from rtcal.acoustics.equations import LinearEquation
 from rtcal.acoustics.room import Room
 from rtcal.acoustics.room_errors import target_changes
-from rtcal.acoustics.states import refuse_other_priors
 from rtcal.calibration.layout import Layout, Observed, Whitened
 from rtcal.calibration.problem_data import MeasuredTimes, ProblemData
 from rtcal.calibration.terms import (

@@ -18,7 +18,6 @@ from rtcal.acoustics.changed_time import (
     normal_quantiles,
 )
 from rtcal.acoustics.equations import LinearEquation
-from rtcal.acoustics.states import State
 from rtcal.calibration import table
 from rtcal.calibration.certificate import Certificate
 from rtcal.calibration.configurations import Configurations
@@ -114,24 +113,6 @@ class JointSolution:
         data = self.solution.model.data
         sizes = data.further(self.solution.unknowns)
         return dict(zip(data.layout.further, sizes.tolist(), strict=True))
-
-    @property
-    def states(self) -> tuple[State, ...]:
-        """The measured configurations, for `rtcal.prediction`.
-
-        Raises ModelError if the calibration has further unknowns or observations, which a prediction
-        does not know of.
-        """
-        terms = self.solution.model.objective.terms
-        if self.effects or any(isinstance(t, LinearObservations) for t in terms):
-            raise ModelError(
-                "a prediction knows of T alone: calibrate without effects and other observations, such "
-                "as the corrected room of `rtcal apply`"
-            )
-        return tuple(
-            State(room, times.reverberation_time, times.uncertainty)
-            for room, times in zip(self.configurations.rooms, self.measured_times, strict=True)
-        )
 
     def density(self) -> IndependentBands | CoupledBands:
         """Return the density of the unknowns, for `rtcal.posterior.distribution`.

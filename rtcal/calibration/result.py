@@ -17,7 +17,6 @@ from rtcal.acoustics.equations import LinearEquation
 from rtcal.acoustics.quality import CalibrationVerdict, Plausibility, gap_jnd, plausibility, verdict
 from rtcal.acoustics.room import CalibrationRecord, Room
 from rtcal.acoustics.room_errors import Assumptions, of_absorption
-from rtcal.acoustics.states import State
 from rtcal.acoustics.trust import TrustMark, trust_marks, typing_marks
 from rtcal.calibration import table
 from rtcal.calibration.certificate import Certificate
@@ -53,11 +52,6 @@ class CalibrationResult(Result):
     def prior(self) -> Room:
         """The room before the calibration."""
         return self.joint.configurations.rooms[self.configuration]
-
-    @property
-    def states(self) -> tuple[State, ...]:
-        """All measured configurations, for `rtcal.design`; ModelError as `JointSolution.states`."""
-        return self.joint.states
 
     @property
     def equation(self) -> LinearEquation:

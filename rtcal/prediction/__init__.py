@@ -9,6 +9,7 @@ if TYPE_CHECKING:
     from rtcal.acoustics.change_files import Variant as Variant
     from rtcal.acoustics.change_files import read_treatments as read_treatments
     from rtcal.acoustics.change_files import read_variants as read_variants
+    from rtcal.acoustics.changed_time import KnownRoom as KnownRoom
     from rtcal.acoustics.changes import Add as Add
     from rtcal.acoustics.changes import Climate as Climate
     from rtcal.acoustics.changes import Cover as Cover
@@ -17,12 +18,10 @@ if TYPE_CHECKING:
     from rtcal.acoustics.changes import Remove as Remove
     from rtcal.acoustics.changes import changed as changed
     from rtcal.acoustics.room_errors import Assumptions as Assumptions
-    from rtcal.acoustics.states import State as State
     from rtcal.acoustics.targets import Target as Target
     from rtcal.acoustics.targets import ansi_s12_60 as ansi_s12_60
     from rtcal.acoustics.targets import din_18041 as din_18041
     from rtcal.prediction.designed import Design as Design
-    from rtcal.prediction.designed import Known as Known
     from rtcal.prediction.predicted import Prediction as Prediction
     from rtcal.prediction.predicted import Predictions as Predictions
     from rtcal.prediction.predicted import compare as compare

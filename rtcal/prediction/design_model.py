@@ -9,10 +9,9 @@ import numpy as np
 from scipy.special import ndtri
 
 from rtcal.acoustics.change_files import LEAST, Treatment
-from rtcal.acoustics.equations import LinearEquation
+from rtcal.acoustics.changed_time import KnownRoom
 from rtcal.acoustics.room import Room
 from rtcal.acoustics.room_errors import Assumptions
-from rtcal.acoustics.states import State
 from rtcal.acoustics.targets import Target
 from rtcal.prediction.predicted import Prediction, predict
 from rtcal.prediction.search import Choice, Margins
@@ -32,12 +31,15 @@ _FAR = 50.0
 class DesignModel:
     """The treatments that a room allows, and what is known of it."""
 
-    states: tuple[State, ...]
-    before: Room
+    known: KnownRoom
     treatments: tuple[Treatment, ...]
     target: Target
-    equation: LinearEquation
     assumptions: Assumptions
+
+    @property
+    def before(self) -> Room:
+        """The room before, with the stated coefficients."""
+        return self.known.room
 
     @cached_property
     def prices(self) -> Array:
@@ -56,10 +58,8 @@ class DesignModel:
         """Return T of the room with areas of the treatments in m²."""
         put = [(self.treatments[j], float(x[j])) for j in self._order]
         return predict(
-            self.states,
+            self.known,
             [t.change(area) for t, area in put if area > _NONE * t.largest],
-            before=self.before,
-            equation=self.equation,
             assumptions=self.assumptions,
             name="design",
         )
@@ -73,7 +73,7 @@ class DesignModel:
         key = x.tobytes()
         if key not in self._predicted:
             made = self.prediction(x)
-            self._predicted[key] = made, made.linear_mean, made.linear_sigma
+            self._predicted[key] = made, made.log_mean, made.log_sigma
         return self._predicted[key]
 
     def probability(self, x: Array, target: Target | None = None) -> Array:

@@ -3,22 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, ClassVar, Protocol, runtime_checkable
+from typing import Any, ClassVar
 
 import numpy as np
 
 from rtcal.acoustics import bands
 from rtcal.acoustics.change_files import LEAST, Treatment, check_treatments
-from rtcal.acoustics.equations import Eyring, LinearEquation
+from rtcal.acoustics.changed_time import KnownRoom
 from rtcal.acoustics.room import Room
 from rtcal.acoustics.room_errors import Assumptions
-from rtcal.acoustics.states import State
 from rtcal.acoustics.targets import Target
 from rtcal.prediction import words
 from rtcal.prediction.design_model import DesignModel
-from rtcal.prediction.predicted import Prediction
+from rtcal.prediction.predicted import Calibrated, Prediction, known_room
 from rtcal.support import checks, text
 from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError, InfeasibleError
@@ -32,32 +31,6 @@ FRONTIER = (0.8, 0.85, 0.9, 0.95)
 _BEST = 0.99
 _HARDLY = 0.01
 """Probability below which a range is almost surely missed."""
-
-
-@runtime_checkable
-class Measured(Protocol):
-    """A result whose states and room a design takes, such as a `CalibrationResult`."""
-
-    @property
-    def states(self) -> tuple[State, ...]:
-        """The measured states."""
-
-    @property
-    def prior(self) -> Room:
-        """The room before the calibration."""
-
-    @property
-    def equation(self) -> LinearEquation:
-        """The equation that turned T into absorption."""
-
-
-@dataclass(frozen=True)
-class Known:
-    """Measured states of a room without a calibration, for `design`."""
-
-    states: tuple[State, ...]
-    prior: Room
-    equation: LinearEquation = field(default_factory=Eyring)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -206,7 +179,7 @@ def text_of(record: dict[str, Any]) -> str:
 
 @checked
 def design(
-    result: Measured,
+    result: Calibrated | KnownRoom | Room,
     treatments: Sequence[Treatment],
     target: Target,
     probability: float = LEAST,
@@ -222,7 +195,7 @@ def design(
     Parameters
     ----------
     result : CalibrationResult
-        Its measured states are taken jointly.
+        Of several configurations every measured T counts. A Room has its stated coefficients alone.
     treatments : sequence of Treatment
         Their order changes nothing; one that is listed twice counts once.
     target : Target
@@ -267,23 +240,20 @@ def design(
 
 
 def design_model(
-    result: Measured,
+    result: Calibrated | KnownRoom | Room,
     treatments: Sequence[Treatment],
     target: Target,
     assumptions: Assumptions | None = None,
 ) -> DesignModel:
     """Return what may be placed in a room, and what is known of it; raises DataError as `design`."""
-    if not isinstance(result, Measured):
-        raise DataError(f"result = {checks.shown(result)} is not a calibration's result, or Known")
-    room = result.prior
+    known = known_room(result)
+    room = known.room
     if target.low.shape != (room.n_bands,):
         raise DataError(f"target has {len(target.low)} bands; the room has {room.n_bands}")
     return DesignModel(
-        tuple(result.states),
-        room,
+        known,
         check_treatments(treatments, room),
         target,
-        result.equation,
         assumptions or Assumptions(),
     )
 
@@ -333,5 +303,7 @@ def can_be_had(model: DesignModel, probability: float) -> list[str]:
     else:
         said.append(f"A range wider by {100 * (wider - 1):.0f} % at both ends is met.")
     parts = model.prediction(at).parts
-    said.append(f"To narrow the interval, {words.advice(next(iter(parts)), len(model.states))}.")
+    said.append(
+        f"To narrow the interval, {words.advice(next(iter(parts)), model.known.n_measured)}."
+    )
     return said

@@ -281,7 +281,7 @@ class Prediction(Result):
             "room": self.before.name,
             "name": self.name,
             "changes": [str(change) for change in self.changes],
-            "measured_states": int(self.known.measured.any()) + len(self.known.others),
+            "measured_states": self.known.n_measured,
             "equation": self.equation.name,
             "assumptions": asdict(self.assumptions),
             "centre_frequencies": json_numbers(self.after.centre_frequencies),

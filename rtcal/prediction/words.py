@@ -75,7 +75,7 @@ class Predicted(Protocol):
 def sentences(made: Predicted) -> list[str]:
     """Return what the interval rests on, what it leaves out, and what to measure next."""
     known = made.known
-    n_states = int(known.measured.any()) + len(known.others)
+    n_states = known.n_measured
     if not made.half_width.any():
         return ["Nothing changes: T stays as it was before, whatever is not known of the room."]
     said = []

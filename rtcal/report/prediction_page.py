@@ -171,7 +171,7 @@ def page(
             "assumed": [f"{_ASSUMED[n]}: {v:g}" for n, v in asdict(first.assumptions).items()],
             "basis": "",
             "equation": first.equation.name,
-            "n_states": int(first.known.measured.any()) + len(first.known.others),
+            "n_states": first.known.n_measured,
             "blocks": blocks(len(frequencies)),
             "labels": bands.labels(frequencies),
         },

@@ -30,7 +30,7 @@ def folder(result, tmp_path_factory) -> Path:
         Variant("window open", (Open("windows", 2.0),)),
         Variant(EVIL, (Open("windows", 4.0),)),
     ]
-    compare(result.states, variants).save(path)
+    compare(result, variants).save(path)
     return path
 
 
@@ -70,7 +70,7 @@ def test_variants_have_cost_and_probability_of_a_target(result, tmp_path: Path) 
         Variant("four", (Open("windows", 4.0),)),
     ]
     target = Target([0.5] * 6, [1.1] * 6)
-    found = compare(result.states, variants, target=target)
+    found = compare(result, variants, target=target)
     found.save(tmp_path)
     html = re.sub(' data-of="[^"]*"', "", pages.page_of(tmp_path))
     for prediction in found.predictions:
