@@ -16,7 +16,7 @@ import pytest
 
 import rtcal as rt
 from rtcal import terms
-from rtcal.acoustics import states
+from rtcal.acoustics import changed_time
 from rtcal.calibration import convex_program, solvers
 from rtcal.finder import AppliedEffect, recalibrate, verify
 from rtcal.finder.effects.absorbers import Opening
@@ -261,7 +261,7 @@ def test_a_single_room_is_not_compared_with_itself(monkeypatch: pytest.MonkeyPat
         return np.array_equal(*arrays)  # type: ignore[arg-type]
 
     monkeypatch.setattr(
-        states, "np", SimpleNamespace(array_equal=counted, flatnonzero=np.flatnonzero)
+        changed_time, "np", SimpleNamespace(array_equal=counted, flatnonzero=np.flatnonzero)
     )
     (room, t), (other, _) = cases(2)
     rt.calibrate(room, t)

@@ -171,7 +171,7 @@ def test_the_probability_is_that_of_the_prediction_of_the_same_changes() -> None
     shop, every, target = a_shop(one_sided=False)
     found = design(shop, every, target, 0.85)
     put = [t.change(a) for t, a in zip(every, found.areas, strict=True) if a > 0]
-    for changes in (put,):
+    for changes in (put, put[::-1]):
         made = predict(shop, changes)
         assert made.probability(target.low, target.high) == pytest.approx(
             found.probability, abs=1e-9
@@ -202,7 +202,7 @@ def test_two_treatments_share_the_surface_they_cover() -> None:
         Treatment("cheap", PANEL, 50, cost=10, covers="ceiling"),
         Treatment("good", BASS, 50, cost=20, covers="ceiling"),
     )
-    found = design(known(), both, Target([0.3] * 3, [0.95] * 3))
+    found = design(known(), both, Target([0.25] * 3, [1.1] * 3))
     assert found.areas.sum() <= 60 * (1 + 1e-6)
     changed(a_room(), [t.change(a) for t, a in zip(both, found.areas, strict=True) if a > 0])
 
@@ -215,7 +215,7 @@ def test_a_measured_second_state_makes_the_design_cheaper() -> None:
     two = rt.calibrate(
         rt.Configurations([room, some], ["bare", "treated"]), [one.measured, t], method="joint"
     ).results[0]
-    target = Target([0.4] * 3, [0.78] * 3)
+    target = Target([0.35] * 3, [0.85] * 3)
     dear, cheap = (design(k, TREATMENTS, target, 0.85) for k in (one, two))
     assert cheap.cost < 0.98 * dear.cost
 
@@ -359,7 +359,7 @@ def a_seminar_room() -> tuple[rt.CalibrationResult, Treatment, Target]:
     return result, Treatment("a", panel, 40, 90, covers="ceiling"), target
 
 
-@pytest.mark.parametrize("p", [0.8, 0.9])
+@pytest.mark.parametrize("p", [0.8, 0.86])
 def test_a_largest_t_alone_is_met_at_the_least_area_that_keeps_the_promise(p: float) -> None:
     result, panel, target = a_seminar_room()
     found = rt.design(result, [panel], target, p)
@@ -382,7 +382,7 @@ def test_what_all_areas_reach_is_found() -> None:
     result, panel, target = a_seminar_room()
     traps = rt.Material("traps", [0.6, 0.5, 0.3, 0.2, 0.2, 0.2], [0.1] * 6)
     both = [panel, Treatment("traps", traps, 20, 120, covers="concrete")]
-    strict = Target(target.low, [0.85, 0.75, 0.7, 0.7, 0.7, 0.7])
+    strict = Target(target.low, [1.1, 1.0, 1.0, 1.0, 0.95, 0.9])
     model = rt.design(result, both, strict).model
     every = model.prediction(np.array([40.0, 20.0])).probability(strict.low, strict.high)
     assert every.min() > 0.95

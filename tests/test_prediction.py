@@ -153,7 +153,7 @@ def test_taking_absorption_out_shortens_t_in_no_draw(result) -> None:
 def test_two_changes_one_after_the_other_are_both_at_once(named: bool) -> None:
     for seed in range(3):
         found = calibrated(seed, named=named)
-        first, second, third = found.prior.materials
+        first, _, third = found.prior.materials
         one, two = (
             Cover(first, PANEL, 4),
             Cover(third, rt.Material("felt", [0.3] * 3, [0.1] * 3), 6),

@@ -1,21 +1,21 @@
 """T of a changed room over T before: a function of the two states, with what is not known of it.
 
-T of a state follows from the areas S of its materials, by direction, and from unknowns that all states of
-a room share. So nothing changed gives exactly the T before, two changes one after the other give what
-both give at once, and a change that is undone gives the T before again, whatever the unknowns are:
+T of a state follows from the areas S of its materials, by direction, and from unknowns that all states
+of a room share. So nothing changed gives exactly the T before, two changes one after the other give
+what both give at once, and a change that is undone gives the T before, whatever the unknowns are:
 
     ln T = ln T_equation(S, a) + u (ln T_Arau-Puchades(S, a) - ln T_equation(S, a)),   a = alpha f.
 
 - alpha has the distribution that a calibration left. A new material's is the stated one.
 - f is what the equation errs by of each material's absorption: it depends on where a material lies, on
-  edges, and on how the sound field reaches it. ln f is normal, one number for a material in all states.
-  What two states have in common cancels, so the error grows with the absorption that is exchanged.
-- u is how far the field is from a diffuse one where the walls of one axis absorb more than the others: 0
-  in a diffuse field, 1 in that of Arau-Puchades; between 1 and 2 Fitzroy's T takes its place. One number
-  for a room.
+  edges, and on how the sound field reaches it. ln f is normal, one number for a material in all
+  states. What two states have in common cancels: the error grows with the absorption exchanged.
+- u is how far the field is from a diffuse one where the walls of one axis absorb more than the others:
+  0 in a diffuse field, 1 in that of Arau-Puchades; between 1 and 2 Fitzroy's T takes its place. One
+  number for a room.
 
-T falls with every a for every u from 0 to 2. The unknowns are drawn: each material has draws of its own,
-from its name, so that the order of materials moves nothing.
+T falls with every a for every u from 0 to 2. The unknowns are drawn, and T before says how likely each
+draw is. A material's draws belong to its name, so that the order of materials moves nothing.
 
 References
 ----------
@@ -56,7 +56,7 @@ NORMAL = np.linspace(-5.0, 5.0, 201)
 _LEAST_UNCERTAINTY = 0.02
 """Least standard uncertainty of ln T before as a weight of the draws: enough of them must be left."""
 _KERNEL = 0.1
-"""Width of the kernel of a probability, in standard deviations of the draws: P is smooth in the areas."""
+"""Width of the kernel of a probability, in standard deviations of the draws."""
 _LARGEST = 0.999
 """Largest mean absorption coefficient of a draw, in shares of what the equation holds for."""
 _FIRST = 4
@@ -134,7 +134,7 @@ class KnownRoom:
         return cls(
             room=room,
             equation=equation,
-            materials=room.materials,
+            materials=tuple(room.materials),
             alpha=room.alpha,
             quantiles=normal_quantiles(room.alpha, sigma, least_alpha(room)),
             correlation=correlation,
@@ -166,8 +166,8 @@ def normal_quantiles(centre: Array, sigma: Array, lower: Array) -> Array:
     middle = centre[..., np.newaxis]
     low, high = (lower[..., np.newaxis] - middle) / scale, (1 - middle) / scale
     shape = (*centre.shape, len(NORMAL))
-    ends = (np.broadcast_to(end, shape) for end in (low, high))
-    cut = middle + scale * truncated_normal(*ends, np.broadcast_to(ndtr(NORMAL), shape))
+    least, most, levels = (np.broadcast_to(each, shape) for each in (low, high, ndtr(NORMAL)))
+    cut = middle + scale * truncated_normal(least, most, levels)
     return np.asarray(np.where(sigma[..., np.newaxis] > 0, cut, middle))
 
 
@@ -290,8 +290,8 @@ class TimeChange:
     def log_ratio(self) -> Array:
         """Return draws of ln (T after / T before), (n_bands, DRAWS).
 
-        What is only added absorbs at least nothing, what is only removed did so: Eyring's T is longer with
-        a hard piece that stands free, and that is not taken.
+        What is only added absorbs at least nothing, and what is only removed did so: a longer T that an
+        equation has with a hard piece that stands free is not taken.
         """
         return self.states.log_ratio(1, self.unknowns, self.assumptions)
 
@@ -303,8 +303,8 @@ class TimeChange:
     def by_equation(self) -> dict[str, Array]:
         """Return T after in s by the equations alone, at the calibrated coefficients, (n_bands,) each.
 
-        T before times the ratio of each. Arau-Puchades' and Fitzroy's stand there where the absorption is
-        uneven, before or after.
+        T before times the ratio of each. Arau-Puchades' and Fitzroy's stand there where the absorption
+        is uneven, before or after.
         """
         alpha = np.vstack([self.known.alpha, self.new.alpha]).T[:, :, np.newaxis]
         nothing = np.zeros((len(alpha), 1))
@@ -319,10 +319,10 @@ class TimeChange:
         return found
 
     def log_before(self) -> Array:
-        """Return draws of ln (T before / what is stated of it), (n_bands, DRAWS): 0 where T was measured.
+        """Return draws of ln (T before / `KnownRoom.time`), (n_bands, DRAWS): 0 where T was measured.
 
-        Elsewhere T before is the equation's, and every unknown counts: the volume and the areas together,
-        and the equation's error of ln T in all states alike.
+        Elsewhere T before is the equation's, and every unknown counts: the volume and the areas
+        together, and the equation's error of ln T in all states alike.
         """
         assumed, known, room = self.assumptions, self.known, self.known.room
         drawn = self.states.log_time(0, self.unknowns, assumed)
@@ -344,18 +344,44 @@ def _drawn_before(known: KnownRoom, assumptions: Assumptions) -> Unknowns:
 def _drawn(known: KnownRoom, new: New, assumptions: Assumptions) -> Unknowns:
     """Return draws of all unknowns: what the measured T have told, and new materials."""
     before = _drawn_before(known, assumptions)
-    alpha, factor = before.alpha, before.factor
-    for i, name in enumerate(new.names):
-        rows = slice(i, i + 1)
-        of_area = new.area_sigma[i] if _states_areas(known, new) else assumptions.areas
-        table = normal_quantiles(new.alpha[rows], new.sigma[rows], new.lower[rows])
-        drawn = normal_of(f"alpha of {name}", DRAWS)
-        own = _alpha(drawn[np.newaxis, np.newaxis], table)
-        alpha = np.concatenate([alpha, own.swapaxes(0, 1)], axis=1)
-        sigma = _factor_sigma(new.alpha[rows], np.array([of_area]), assumptions)
-        own = sigma[:, :, np.newaxis] * normal_of(f"factor of {name}", DRAWS)
-        factor = np.concatenate([factor, own.swapaxes(0, 1)], axis=1)
-    return replace(before, alpha=alpha, factor=factor)
+    if not new.names:
+        return before
+    stated = _states_areas(known, new)
+    each = [
+        _new_material(
+            name,
+            tuple(
+                zip(*(row[i].tolist() for row in (new.alpha, new.sigma, new.lower)), strict=True)
+            ),
+            float(new.area_sigma[i]) if stated else assumptions.areas,
+            assumptions,
+        )
+        for i, name in enumerate(new.names)
+    ]
+    return replace(
+        before,
+        alpha=np.concatenate([before.alpha, *(alpha for alpha, _ in each)], axis=1),
+        factor=np.concatenate([before.factor, *(factor for _, factor in each)], axis=1),
+    )
+
+
+@functools.lru_cache(64)
+def _new_material(
+    name: str,
+    stated: tuple[tuple[float, float, float], ...],
+    of_area: float,
+    assumptions: Assumptions,
+) -> tuple[Array, Array]:
+    """Return draws of a new material's alpha and ln f, (n_bands, 1, DRAWS) each.
+
+    ``stated`` are its alpha, sigma and lower bound by band.
+    """
+    alpha, sigma, lower = np.array(stated).T[:, np.newaxis]
+    normal = normal_of(f"alpha of {name}", DRAWS)
+    own = _alpha(normal[np.newaxis, np.newaxis], normal_quantiles(alpha, sigma, lower))
+    spread = _factor_sigma(alpha, np.array([of_area]), assumptions)
+    factor = spread[:, :, np.newaxis] * normal_of(f"factor of {name}", DRAWS)
+    return own.swapaxes(0, 1), factor.swapaxes(0, 1)
 
 
 def _independent(known: KnownRoom, assumptions: Assumptions) -> Unknowns:
@@ -409,7 +435,7 @@ def _given(known: KnownRoom, assumptions: Assumptions, drawn: Unknowns) -> Unkno
         evenness=at(drawn.evenness),
         air=at(drawn.air),
         volume=at(drawn.volume),
-        alone=at(drawn.alone),
+        alone=np.take_along_axis(drawn.alone, kept, axis=1),
     )
 
 
@@ -460,7 +486,7 @@ def _alpha(normal: Array, quantiles: Array) -> Array:
 
 
 def _factor_sigma(alpha: Array, of_area: Array, assumptions: Assumptions) -> Array:
-    """Return the standard deviation of ln f, (n, n_bands): the equation's, and that of the area (n,)."""
+    """Return the standard deviation of ln f, (n, n_bands): the equation's, and the area's (n,)."""
     least = assumptions.least / np.maximum(alpha, max(assumptions.least, _LEAST))
     return np.sqrt(assumptions.factor**2 + least**2 + of_area[:, np.newaxis] ** 2)
 
@@ -472,7 +498,7 @@ def _states_areas(known: KnownRoom, new: New | None = None) -> bool:
 
 
 def _area_sigma(known: KnownRoom, assumptions: Assumptions) -> Array:
-    """Return the relative error of each known material's area, (n_materials,): as stated, or assumed."""
+    """Return the relative error of each known material's area, (n_materials,): stated or assumed."""
     if not _states_areas(known):
         return np.full(len(known.materials), assumptions.areas)
     of_area = np.zeros(len(known.materials))
@@ -485,8 +511,8 @@ def _area_sigma(known: KnownRoom, assumptions: Assumptions) -> Array:
 def _evenness(normal: Array, assumptions: Assumptions) -> Array:
     """Return u of a normal variable: a normal density cut to 0 to 2."""
     mean, sigma = assumptions.evenness, max(assumptions.evenness_sigma, 1e-9)
-    ends = (np.full(normal.shape, (end - mean) / sigma) for end in (0.0, 2.0))
-    return np.asarray(mean + sigma * truncated_normal(*ends, ndtr(normal)))
+    low, high = (np.full(normal.shape, (end - mean) / sigma) for end in (0.0, 2.0))
+    return np.asarray(mean + sigma * truncated_normal(low, high, ndtr(normal)))
 
 
 @functools.lru_cache(16)
@@ -583,10 +609,10 @@ class _States:
         return self.known.equation.exponent(np.minimum(mean, most))
 
     def _added(self, areas: Array, absorbed: Array, air: Array, u: Array) -> Array:
-        """Return what uneven absorption adds to ln T: u of the way to Arau-Puchades, and on to Fitzroy.
+        """Return what uneven absorption adds to ln T: u of the way to Arau-Puchades, on to Fitzroy.
 
-        Each axis has the T of the calibration's equation; with Eyring's they are those of `ArauPuchades`
-        and `Fitzroy`.
+        Each axis has the T of the calibration's equation; with Eyring's they are those of
+        `ArauPuchades` and `Fitzroy`.
 
         Parameters
         ----------
@@ -656,7 +682,7 @@ def refuse_other_priors(rooms: Sequence[Room], places: Sequence[str]) -> None:
 
     ``places`` name the rooms in messages: ``room "box"``.
     """
-    for place, room in zip(places, rooms, strict=True):
+    for place, room in list(zip(places, rooms, strict=True))[1:]:  # the first is that compared with
         if not np.array_equal(room.centre_frequencies, rooms[0].centre_frequencies):
             raise DataError(f"{place} has other bands than {places[0]}")
         for i, material in enumerate(room.materials):

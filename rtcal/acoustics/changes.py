@@ -313,7 +313,7 @@ def placed(before: Room, changes: Sequence[Change] | Room, like: Placed | None =
     towards[known, :3] = shares[known]
     towards[~known, UNKNOWN] = 1.0
     if like is not None:
-        for row in np.flatnonzero(~known):
+        for row in np.flatnonzero(~known).tolist():
             if (name := before.materials[row]) in like.room.materials:
                 own = like.areas[like.room.materials.index(name)]
                 towards[row] = own / own.sum()

@@ -166,11 +166,8 @@ def estimate_covariance(
     sigma, shift, prior = _room_prior(solution, configurations)
     _, cross, innovation = _covariances(solution, configurations)
     n = layout.n_alpha
-    known = np.diag(sigma[:n])
-    whole = (
-        sigma[:n, np.newaxis]
-        * prior.correlate(np.pad(known, ((0, len(sigma) - n), (0, 0))), layout)[:n]
-    )
+    columns = np.eye(len(sigma), n) * sigma[:n]
+    whole = sigma[:n, np.newaxis] * prior.correlate(columns, layout)[:n]
     whole = whole + np.outer(shift[:n], shift[:n])
     change = gain[:n] @ cross[:n].T
     whole = whole - change - change.T + gain[:n] @ innovation @ gain[:n].T

@@ -56,6 +56,10 @@ class DesignModel:
 
     def prediction(self, x: Array) -> Prediction:
         """Return T of the room with areas of the treatments in m²."""
+        # The search keeps a surface's area to its own tolerance only.
+        covers, surfaces = self.covering
+        over = np.maximum(covers @ x / surfaces, 1.0)
+        x = x / np.max(np.where(covers > 0, over[:, np.newaxis], 1.0), axis=0, initial=1.0)
         put = [(self.treatments[j], float(x[j])) for j in self._order]
         return predict(
             self.known,

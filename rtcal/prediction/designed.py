@@ -179,7 +179,7 @@ def text_of(record: dict[str, Any]) -> str:
 
 @checked
 def design(
-    result: Calibrated | KnownRoom | Room,
+    result: Calibrated | KnownRoom,
     treatments: Sequence[Treatment],
     target: Target,
     probability: float = LEAST,
@@ -195,7 +195,7 @@ def design(
     Parameters
     ----------
     result : CalibrationResult
-        Of several configurations every measured T counts. A Room has its stated coefficients alone.
+        Of several configurations every measured T counts.
     treatments : sequence of Treatment
         Their order changes nothing; one that is listed twice counts once.
     target : Target
@@ -240,12 +240,14 @@ def design(
 
 
 def design_model(
-    result: Calibrated | KnownRoom | Room,
+    result: Calibrated | KnownRoom,
     treatments: Sequence[Treatment],
     target: Target,
     assumptions: Assumptions | None = None,
 ) -> DesignModel:
     """Return what may be placed in a room, and what is known of it; raises DataError as `design`."""
+    if isinstance(result, Room):
+        raise DataError("result is a Room; it is not a calibration's result: calibrate it first")
     known = known_room(result)
     room = known.room
     if target.low.shape != (room.n_bands,):

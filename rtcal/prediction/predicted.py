@@ -1,7 +1,7 @@
 """T after a change, and several variants side by side.
 
-The predicted thing is the change: T before is given, and the interval is that of T after. Of each: mean,
-90 % interval, what the interval is made of, and how probable a range is.
+The predicted thing is the change: T before is given, and the interval is that of T after. Of each:
+mean, 90 % interval, what the interval is made of, and how probable a range is.
 """
 
 from __future__ import annotations
@@ -137,9 +137,10 @@ class Prediction(Result):
 
     @cached_property
     def uncertainty_before(self) -> Array:
-        """Standard uncertainty of T before in s, (n_bands,): of the measurement, NaN where none is stated.
+        """Standard uncertainty of T before in s, (n_bands,); NaN where the measurement states none.
 
-        It is no part of the interval. Where nothing was measured it is the model's, and is part of it.
+        That of a measured T is no part of the interval. Where T was not measured it is the model's, and
+        part of the interval.
         """
         measured = self.known.log_uncertainty
         if self.known.measured.all():

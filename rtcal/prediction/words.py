@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -12,7 +12,7 @@ from rtcal.support import text
 from rtcal.support.types import Array
 
 if TYPE_CHECKING:
-    from rtcal.acoustics.changed_time import KnownRoom, TimeChange
+    from rtcal.prediction.predicted import Prediction
 
 ALPHA = 'alpha of "{}"'
 STAYS = "alpha of what stays"
@@ -30,8 +30,8 @@ COVERS, PLACES = "the covered areas", "where the cover lies"
 
 _ADVICE = {
     STAYS: "measure T in a second state of the room: it tells what stays from what changes",
-    EQUATION: "measure T in a second state of the room, or take a simulator: the equation's error shows "
-    "between two states",
+    EQUATION: "measure T in a second state of the room, or take a simulator: the equation's error "
+    "shows between two states",
     BEFORE: "measure T in the room as it is",
     SIZES: "survey the volume and the areas, and measure the climate if it is uncertain",
     MEASUREMENT: "measure T at more positions",
@@ -55,24 +55,7 @@ def advice(part: str, n_states: int) -> str:
     return _ADVICE.get(part, f"measure {part}, or T with the first square metres of the change")
 
 
-class Predicted(Protocol):
-    """What the sentences on a prediction take of it."""
-
-    @property
-    def parts(self) -> Mapping[str, Array]: ...
-    @property
-    def half_width(self) -> Array: ...
-    @property
-    def by_equation(self) -> Mapping[str, Array]: ...
-    @property
-    def known(self) -> KnownRoom: ...
-    @property
-    def model(self) -> TimeChange: ...
-    @property
-    def uncalibrated(self) -> Predicted: ...
-
-
-def sentences(made: Predicted) -> list[str]:
+def sentences(made: Prediction) -> list[str]:
     """Return what the interval rests on, what it leaves out, and what to measure next."""
     known = made.known
     n_states = known.n_measured
@@ -88,14 +71,14 @@ def sentences(made: Predicted) -> list[str]:
         if not known.measured.all():
             lacking = bands.labels(known.room.centre_frequencies[~known.measured])
             said.append(
-                f"At {', '.join(lacking)} T before was not measured: it is the model's, and its error is "
-                "part of the interval."
+                f"At {', '.join(lacking)} T before was not measured: it is the model's, and its error "
+                "is part of the interval."
             )
     if not made.model.is_placed:
         said.append(
-            "The room does not say which way what is exchanged faces. The interval allows for all of it on "
-            "one pair of walls, where T falls less. To narrow it, state `axis` of the surfaces, or "
-            "`dimensions`, or name them floor, ceiling and wall."
+            "The room does not say which way what is exchanged faces. The interval allows for all of "
+            "it on one pair of walls, where T falls less. To narrow it, state `axis` of the surfaces, "
+            "or `dimensions`, or name them floor, ceiling and wall."
         )
     elif len(made.by_equation) > 1:
         low, high = list(made.by_equation.values())[:2]
@@ -114,7 +97,7 @@ def sentences(made: Predicted) -> list[str]:
 
 
 def to_narrow(parts: Mapping[str, Array], n_states: int) -> str:
-    """Return the largest part of an interval, shares (n_bands,) of its variance, and what narrows it."""
+    """Return the largest of an interval's parts, (n_bands,) each, and what narrows it."""
     largest, share = next((name, float(part.mean())) for name, part in parts.items())
     return (
         f"Largest part: {largest} ({100 * share:.0f} % of the variance). To narrow it, "

@@ -122,7 +122,7 @@ _ASSUMED = {
     "least": "the same, as an absorption coefficient",
     "evenness": "mean of u, the way from the equation (0) to Arau-Puchades' (1) and Fitzroy's (2)",
     "evenness_sigma": "standard deviation of u",
-    "one_surface": "probability that what is exchanged lies on one pair of walls, where nothing says where",
+    "one_surface": "probability that all that is exchanged faces one axis, where nothing says which",
     "own": "relative error of a change between two measured states that no factor explains",
     "changed": "least sigma of a new material, at positions",
     "time": "relative uncertainty of a measured T that states none",

@@ -49,7 +49,7 @@ def designed(result, tmp_path_factory) -> tuple[Design, Path, str]:
     """A design whose page compares it with designs of other probabilities."""
     panel = rt.Material("panel", [0.5, 0.6, 0.9, 0.9, 0.9, 0.9], [0.1] * 6)
     treatment = Treatment("panels", panel, 45, cost=90, covers="ceiling", unit=1.44)
-    found = rt.design(result, [treatment], Target([np.nan] * 6, [0.95] * 6), 0.85)
+    found = rt.design(result, [treatment], Target([np.nan] * 6, [1.15] * 6), 0.85)
     path = tmp_path_factory.mktemp("designed")
     found.save(path)
     return found, path, pages.page_of(path)

@@ -197,9 +197,8 @@ def variance_before(room: rt.Room) -> np.ndarray:
 
 def test_a_prediction_counts_that_the_tables_are_off_together() -> None:
     """Its T has the variance of the coefficients, those off together included."""
-    exact, uncertain = (
-        room_of(common_alpha_sigma=t).replace(sigma=np.full((3, 2), 1e-3)) for t in (0, 0.03)
-    )
+    sigma = np.full((3, 2), 1e-3)
+    exact, uncertain = (room_of(common_alpha_sigma=t).replace(sigma=sigma) for t in (0, 0.03))
     together = 0.03 * derivatives(exact) @ exact.alpha.ravel()
     found = variance_before(uncertain) - variance_before(exact)
     np.testing.assert_allclose(found, together**2, rtol=0.05)
