@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from rtcal.acoustics import bands
 from rtcal.support import text
 from rtcal.support.types import Array
-
-if TYPE_CHECKING:
-    from rtcal.prediction.predicted import Prediction
 
 ALPHA = 'alpha of "{}"'
 STAYS = "alpha of what stays"
@@ -53,47 +50,6 @@ def advice(part: str, n_states: int) -> str:
             "use a simulator: several states are measured, and what is left is the equation's own"
         )
     return _ADVICE.get(part, f"measure {part}, or T with the first square metres of the change")
-
-
-def sentences(made: Prediction) -> list[str]:
-    """Return what the interval rests on, what it leaves out, and what to measure next."""
-    known = made.known
-    n_states = known.n_measured
-    if not made.half_width.any():
-        return ["Nothing changes: T stays as it was before, whatever is not known of the room."]
-    said = []
-    if not known.measured.any():
-        said.append("Nothing was measured: the interval is that of the stated coefficients.")
-    else:
-        said.append(
-            "T before is given. Its own uncertainty is stated apart and is no part of the interval."
-        )
-        if not known.measured.all():
-            lacking = bands.labels(known.room.centre_frequencies[~known.measured])
-            said.append(
-                f"At {', '.join(lacking)} T before was not measured: it is the model's, and its error "
-                "is part of the interval."
-            )
-    if not made.model.is_placed:
-        said.append(
-            "The room does not say which way what is exchanged faces. The interval allows for all of "
-            "it on one pair of walls, where T falls less. To narrow it, state `axis` of the surfaces, "
-            "or `dimensions`, or name them floor, ceiling and wall."
-        )
-    elif len(made.by_equation) > 1:
-        low, high = list(made.by_equation.values())[:2]
-        k = int(np.argmax(np.abs(high / low - 1)))
-        label = bands.labels(known.room.centre_frequencies)[k]
-        own = next(iter(made.by_equation))
-        said.append(
-            f"The absorption is uneven: at {label} T after is {low[k]:.2f} s by {own}'s equation, "
-            f"{high[k]:.2f} s by Arau-Puchades'. The prediction lies between them and beyond, by how "
-            "scattering the room is."
-        )
-    if known.measured.any():
-        said.append(gained(made.uncalibrated.half_width, made.half_width))
-    said.append(to_narrow(made.parts, n_states))
-    return said
 
 
 def to_narrow(parts: Mapping[str, Array], n_states: int) -> str:
