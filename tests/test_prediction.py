@@ -298,7 +298,7 @@ def test_an_acoustic_ceiling_is_within_the_interval(scattering: float, named: bo
         assert "by Arau-Puchades'" in text
         assert (made.by_equation["Arau-Puchades"] > 1.2 * made.by_equation["Eyring"]).all()
     else:
-        assert "does not say which way what is exchanged faces" in text
+        assert "does not say which way the surfaces face that change" in text
     assert made.model.is_placed == named
 
 

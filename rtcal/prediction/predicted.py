@@ -274,41 +274,21 @@ class Prediction(Result):
     def sentences(self) -> list[str]:
         """What the interval rests on, what it leaves out, and what to measure next."""
         known = self.known
-        n_states = known.n_measured
         if not self.half_width.any():
-            return ["Nothing changes: T stays as it was before, whatever is not known of the room."]
-        said = []
-        if not known.measured.any():
-            said.append("Nothing was measured: the interval is that of the stated coefficients.")
-        else:
-            said.append(
-                "T before is given. Its own uncertainty is stated apart and is no part of the interval."
-            )
-            if not known.measured.all():
-                lacking = bands.labels(known.room.centre_frequencies[~known.measured])
-                said.append(
-                    f"At {', '.join(lacking)} T before was not measured: it is the model's, and its error "
-                    "is part of the interval."
-                )
+            return [words.NOTHING_CHANGES]
+        labels = bands.labels(known.room.centre_frequencies)
+        said = [words.GIVEN if known.measured.any() else words.NOTHING_MEASURED]
+        if known.measured.any() and not known.measured.all():
+            said.append(words.not_measured([labels[k] for k in np.flatnonzero(~known.measured)]))
         if not self.model.is_placed:
-            said.append(
-                "The room does not say which way what is exchanged faces. The interval allows for all of "
-                "it on one pair of walls, where T falls less. To narrow it, state `axis` of the surfaces, "
-                "or `dimensions`, or name them floor, ceiling and wall."
-            )
+            said.append(words.UNPLACED)
         elif len(self.by_equation) > 1:
-            low, high = list(self.by_equation.values())[:2]
+            own, (low, high, _) = next(iter(self.by_equation)), self.by_equation.values()
             k = int(np.argmax(np.abs(high / low - 1)))
-            label = bands.labels(known.room.centre_frequencies)[k]
-            own = next(iter(self.by_equation))
-            said.append(
-                f"The absorption is uneven: at {label} T after is {low[k]:.2f} s by {own}'s equation, "
-                f"{high[k]:.2f} s by Arau-Puchades'. The prediction lies between them and beyond, by how "
-                "scattering the room is."
-            )
+            said.append(words.uneven(labels[k], own, float(low[k]), float(high[k])))
         if known.measured.any():
             said.append(words.gained(self.uncalibrated.half_width, self.half_width))
-        said.append(words.to_narrow(self.parts, n_states))
+        said.append(words.to_narrow(self.parts, known.n_measured))
         return said
 
     def to_dict(self) -> dict[str, Any]:

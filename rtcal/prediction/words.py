@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -50,6 +50,33 @@ def advice(part: str, n_states: int) -> str:
             "use a simulator: several states are measured, and what is left is the equation's own"
         )
     return _ADVICE.get(part, f"measure {part}, or T with the first square metres of the change")
+
+
+NOTHING_CHANGES = "Nothing changes: T stays as it was before, whatever is not known of the room."
+NOTHING_MEASURED = "Nothing was measured: the interval is that of the stated coefficients."
+GIVEN = "T before is given: its own uncertainty is stated apart and is no part of the interval."
+UNPLACED = (
+    "The room does not say which way the surfaces face that change. The interval allows for all of them "
+    "on one pair of walls, where T falls less. To narrow it, state the axis of each surface, or the "
+    "dimensions, or name the surfaces floor, ceiling and wall."
+)
+
+
+def not_measured(labels: Sequence[str]) -> str:
+    """Return that T before was not measured in some bands."""
+    return (
+        f"At {', '.join(labels)} T before was not measured: it is the model's, and its error is part of "
+        "the interval."
+    )
+
+
+def uneven(label: str, own: str, low: float, high: float) -> str:
+    """Return what two equations have for T after in s, where the absorption is uneven."""
+    return (
+        f"The absorption is uneven: at {label} T after is {low:.2f} s by {own}'s equation and "
+        f"{high:.2f} s by Arau-Puchades'. The less the surfaces scatter, the longer is T, and the "
+        "interval allows for both."
+    )
 
 
 def to_narrow(parts: Mapping[str, Array], n_states: int) -> str:
