@@ -56,17 +56,17 @@ NOTHING_CHANGES = "Nothing changes: T stays as it was before, whatever is not kn
 NOTHING_MEASURED = "Nothing was measured: the interval is that of the stated coefficients."
 GIVEN = "T before is given: its own uncertainty is stated apart and is no part of the interval."
 UNPLACED = (
-    "The room does not say which way the surfaces face that change. The interval allows for all of them "
-    "on one pair of walls, where T falls less. To narrow it, state the axis of each surface, or the "
-    "dimensions, or name the surfaces floor, ceiling and wall."
+    "The room does not say which way the surfaces face that change. The interval allows for all of "
+    "them on one pair of walls, where T falls less. To narrow it, state the axis of each "
+    "surface, or the dimensions, or name the surfaces floor, ceiling and wall."
 )
 
 
 def not_measured(labels: Sequence[str]) -> str:
     """Return that T before was not measured in some bands."""
     return (
-        f"At {', '.join(labels)} T before was not measured: it is the model's, and its error is part of "
-        "the interval."
+        f"At {', '.join(labels)} T before was not measured: it is the model's, and its error is part "
+        "of the interval."
     )
 
 
