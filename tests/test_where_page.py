@@ -84,7 +84,9 @@ def verification_of(
     )
 
 
-PAIRS = SimpleNamespace(pairs=[("S", f"R{i}") for i in range(6)], parameters=("t20", "edt"))
+PAIRS = SimpleNamespace(
+    pairs=[("S", f"R{i}") for i in range(6)], parameters=("t20", "edt"), likeliest=None
+)
 
 
 @pytest.mark.parametrize(

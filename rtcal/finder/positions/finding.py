@@ -14,7 +14,7 @@ from rtcal.finder.effects.whole_room import CoupledRoom
 from rtcal.finder.finding import LEAST_PAIRS, Candidate, Detection, Finding
 from rtcal.finder.positions.case import PositionsCase
 from rtcal.finder.positions.weighing import Weighing
-from rtcal.finder.prior import NONE
+from rtcal.finder.prior import NONE, UNKNOWN
 from rtcal.loop.control_runs import ControlRuns
 from rtcal.loop.measured_pairs import without_place
 from rtcal.support import checks, text
@@ -26,6 +26,15 @@ from rtcal.support.types import Array
 
 if TYPE_CHECKING:
     from rtcal.finder.positions.corrected import Corrected
+
+MOST = 0.5
+"""Probability, or share of one, from which something holds most."""
+
+
+def kind(candidate: Candidate) -> str:
+    """Return the family of a candidate, all of added absorption as one."""
+    return candidate.family.split(",")[0]
+
 
 _LEAST = 1e-3
 """Probability below which nothing is added to a surface, even where the user names it."""
@@ -60,6 +69,8 @@ class PositionsFinding(Finding):
         What of the library was not tried.
     mistake : str
         The doubt of means over positions that T is twice or half the model's; "" without it.
+    unexplained : float
+        Probability that something is other than stated that no effect explains, alone or beside one.
     """
 
     record_kind: ClassVar[str] = "finding at positions 1"
@@ -75,6 +86,7 @@ class PositionsFinding(Finding):
     controls: ControlRuns
     left_out: tuple[str, ...] = ()
     mistake: str = ""
+    unexplained: float = 0.0
 
     @property
     def located(self) -> Candidate | None:
@@ -99,9 +111,25 @@ class PositionsFinding(Finding):
         return tuple(out)
 
     @property
+    def likeliest(self) -> Candidate | None:
+        """The most probable candidate of the library, which `apply` adds; None without one.
+
+        Where the verdict is "unknown", the candidate's surface or its family must hold at least half of
+        the rest.
+        """
+        known = [c for c in self.candidates if c.effect != UNKNOWN] if self.best else []
+        if not known or self.verdict != "unknown":
+            return next(iter(known), None)
+        first, rest = known[0], sum(c.probability for c in known)
+        of_surface = sum(c.probability for c in known if c.surface == first.surface)
+        of_family = sum(c.probability for c in known if kind(c) == kind(first))
+        most = max(of_family, of_surface if first.surface is not None else 0.0)
+        return first if most >= MOST * rest > 0 else None
+
+    @property
     def can_be_added(self) -> bool:
         """Whether `apply` has something to add: detected, on a surface, and no second room."""
-        best = self.best
+        best = self.likeliest
         return self.detected and best is not None and best.can_be_added
 
     @property
@@ -112,7 +140,7 @@ class PositionsFinding(Finding):
     @property
     def reason_for_none(self) -> str | None:
         """Why there is nothing to add, in words; None where there is something."""
-        best = self.best
+        best = self.likeliest
         if self.can_be_added:
             return None
         if self.detected and best is not None and best.effect == CoupledRoom.name:
@@ -142,9 +170,11 @@ class PositionsFinding(Finding):
         """
         from rtcal.finder.positions.corrected import corrected_geometry
 
-        if (nothing := self.reason_for_none) is not None:
-            raise DataError(nothing)
-        best = self.candidates[0] if at is None else self._candidate_at(at)
+        nothing, best = self.reason_for_none, self.likeliest
+        if nothing is not None or best is None:
+            raise DataError(nothing or self.headline)
+        if at is not None:
+            best = self._candidate_at(at)
         every = {c.title: c.probability for c in self.candidates}
         rivals = [
             name for name in credible_set(every) if name != best.title and every[name] >= SAID
@@ -190,11 +220,35 @@ class PositionsFinding(Finding):
             said = f"hint{self.or_nothing}: {first}{best.title}, but not claimed."
             return f"{said} {' '.join(self.reasons[:1])}".rstrip()
         what = {
-            "unknown": "Something is other than stated that no effect of the library explains.",
+            "unknown": "Something is other than stated that no effect of the library explains."
+            f"{self._of_the_rest}",
             "named": f"Other than stated: {self.effect}.",
             "family": f"Other than stated: {self.family}.",
         }.get(self.verdict, f"Other than stated: {listed(self._names(), last='or')}.")
-        return f"{self.verdict}{self.or_nothing}: {first}{what} {self.place_in_words}".rstrip()
+        said = f"{self.verdict}{self.or_nothing}: {first}{what} {self.place_in_words}".rstrip()
+        return f"{said}{self.rest_in_words}"
+
+    @property
+    def _of_the_rest(self) -> str:
+        """What of the library explains most where no effect explains all, after a blank; "" of none."""
+        likely = self.likeliest
+        if likely is None:
+            return ""
+        known = [c for c in self.candidates if c.effect != UNKNOWN]
+        share = sum(c.probability for c in known if kind(c) == kind(likely)) / sum(
+            c.probability for c in known
+        )
+        return f" Of the library, {kind(likely)} explains most ({100 * share:.0f} % of the rest)."
+
+    @property
+    def rest_in_words(self) -> str:
+        """That what is found does not explain everything, after a blank; "" where it may."""
+        if self.verdict == "unknown" or self.unexplained < MOST:
+            return ""
+        return (
+            " This does not explain everything that was measured "
+            f"({100 * self.unexplained:.0f} %): something else is other than stated, too."
+        )
 
     @property
     def detection_in_words(self) -> str:
@@ -204,7 +258,7 @@ class PositionsFinding(Finding):
     @property
     def place_in_words(self) -> str:
         """The place, as far as the positions tell."""
-        best = self.best
+        best = self.likeliest
         if best is None or best.surface is None:
             return "" if best is None or not best.place else f"Most probably {best.place}."
         if self.surface is not None:
@@ -247,6 +301,7 @@ class PositionsFinding(Finding):
             "effect": self.effect,
             "surface": self.surface,
             "mistake": self.mistake or None,
+            "unexplained": self.unexplained,
             "surfaces": dict(self.surfaces),
             "likely_surfaces": list(self.likely_surfaces),
             "groups": [list(group) for group in self.groups],

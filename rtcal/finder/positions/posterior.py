@@ -7,6 +7,11 @@ often errs by more than is assumed, and the other pairs do not.
 
 One effect in one place is weighed against another: a hypothesis at positions has a place, and no sets
 are formed as on means (`rtcal.finder.means.set_posterior`).
+
+Something that no effect explains is no rival of the effects: a room may lack both. Its larger error is
+weighed alone and beside every effect, and is as probable in both ways, so that "unknown" has what is
+left where no effect explains the measurement better than larger errors do. Taken as a rival only, it
+won where the right surface explained most of what was measured and errors were larger than assumed.
 """
 
 from __future__ import annotations
@@ -14,7 +19,7 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property, partial
 
 import numpy as np
@@ -66,7 +71,8 @@ class PositionsEvidence:
     """Log evidence of every hypothesis, or its log posterior weight, for n_draws sets of residuals.
 
     ``none`` (n_draws,). ``shifts`` has an array (n_hypotheses, n_draws) for each `ShiftHypothesis`,
-    ``spreads`` an array (n_draws,) for each `SpreadHypothesis`.
+    ``spreads`` an array (n_draws,) for each `SpreadHypothesis`. ``beside`` has that of ``shifts`` where
+    something is other than stated that no effect explains, too; it is empty where that is not tried.
     """
 
     none: Array
@@ -74,12 +80,13 @@ class PositionsEvidence:
     unknown: Array
     shifts: list[Array]
     spreads: list[Array]
+    beside: list[Array] = field(default_factory=list)
 
     @property
     def total(self) -> Array:
         """Log of the sum over all hypotheses, (n_draws,)."""
         every = [self.none, self.coefficients, self.unknown, *self.spreads]
-        every += [np.asarray(logsumexp(w, axis=0)) for w in self.shifts]
+        every += [np.asarray(logsumexp(w, axis=0)) for w in (*self.shifts, *self.beside)]
         return np.asarray(logsumexp(np.array(every), axis=0))
 
 
@@ -102,6 +109,15 @@ class PositionsHypotheses:
     def unknown_odds(self) -> float:
         """Odds of something that no effect explains."""
         return ODDS[UNKNOWN] if self.unknown else 0.0
+
+    @property
+    def unexplained(self) -> float:
+        """Prior probability that no effect explains everything, where there is one.
+
+        Over all effects it is that of something unknown alone, but no larger than a half.
+        """
+        of_effects = sum(float(s.odds.sum()) for s in self.shifts)
+        return min(self.unknown_odds / of_effects, 0.5) if of_effects > 0 else 0.0
 
     def log_prior(self, odds: Array | float) -> Array:
         """Return the log prior probability of hypotheses with these odds."""
@@ -132,14 +148,26 @@ def evaluate(
         mixed = log_mixture(np.concatenate(shifts), of_scales, hypotheses.off)
         shifts = np.split(mixed, np.cumsum([len(each) for each in shifts])[:-1])
 
+    as_unknown = [one.of(residuals) for one in unknown]
+
+    def over_scales(values: Sequence[Array]) -> Array:
+        return np.asarray(logsumexp(np.array(values), axis=0) - np.log(len(values)))
+
+    beside: list[Array] = []
+    if hypotheses.unknown:
+        of_unknown = [
+            one.each_shifted(hypotheses.shifts, r)
+            for one, r in zip(unknown, as_unknown, strict=True)
+        ]
+        beside = [over_scales(each) for each in zip(*of_unknown, strict=True)]
+
     return PositionsEvidence(
         none=none,
         coefficients=np.asarray(together),
-        unknown=np.asarray(
-            logsumexp([u.stated(u.of(residuals)) for u in unknown], axis=0) - np.log(len(unknown))
-        ),
+        unknown=over_scales([u.stated(r) for u, r in zip(unknown, as_unknown, strict=True)]),
         shifts=shifts,
         spreads=[stated.spread(spread, as_stated) for spread in hypotheses.spreads],
+        beside=beside,
     )
 
 
@@ -154,7 +182,8 @@ def scores(posterior: PositionsEvidence, hypotheses: PositionsHypotheses) -> tup
     for spread, weight in zip(hypotheses.spreads, posterior.spreads, strict=True):
         (noisy if spread.effect == NOISE else other).append(weight)
         odds += spread.odds if spread.effect == NOISE else 0.0
-    other += [np.asarray(logsumexp(by_size, axis=0)) for by_size in posterior.shifts]
+    both = (*posterior.shifts, *posterior.beside)
+    other += [np.asarray(logsumexp(by_size, axis=0)) for by_size in both]
     of_pair = logsumexp(np.array(noisy), axis=0)
     nothing = np.logaddexp(posterior.none, of_pair)
     prior = np.logaddexp(posterior.none, hypotheses.log_prior(odds))  # of nothing
@@ -176,18 +205,24 @@ def weights(
     def relative(values: Array) -> Array:
         return np.asarray((values - evidence.none) / temper)
 
+    def of_shifts(values: Sequence[Array], share: float) -> list[Array]:
+        return [
+            hypotheses.log_prior(share * s.odds)[:, np.newaxis] + relative(e)
+            for s, e in zip(hypotheses.shifts, values, strict=True)
+        ]
+
+    unexplained = hypotheses.unexplained
+
     return PositionsEvidence(
         none=np.full_like(evidence.none, np.log(NO_EFFECT * (1 - off))),
         coefficients=np.log(NO_EFFECT * off) + relative(evidence.coefficients),
         unknown=hypotheses.log_prior(hypotheses.unknown_odds) + relative(evidence.unknown),
-        shifts=[
-            hypotheses.log_prior(s.odds)[:, np.newaxis] + relative(e)
-            for s, e in zip(hypotheses.shifts, evidence.shifts, strict=True)
-        ],
+        shifts=of_shifts(evidence.shifts, 1 - unexplained if evidence.beside else 1.0),
         spreads=[
             hypotheses.log_prior(s.odds) + relative(e)
             for s, e in zip(hypotheses.spreads, evidence.spreads, strict=True)
         ],
+        beside=of_shifts(evidence.beside, unexplained) if evidence.beside else [],
     )
 
 
@@ -210,6 +245,7 @@ def either(
         unknown=mixed(evidence.unknown, other.unknown),
         shifts=[mixed(*both) for both in zip(evidence.shifts, other.shifts, strict=True)],
         spreads=[mixed(*both) for both in zip(evidence.spreads, other.spreads, strict=True)],
+        beside=[mixed(*both) for both in zip(evidence.beside, other.beside, strict=True)],
     )
 
 
@@ -224,14 +260,14 @@ def with_families(
     def factor(family: str) -> float:
         return MEANS_POWER * float(np.log(max(families.get(family, 0.0), LEAST_BY_MEANS)))
 
+    by_shift = [factor(shift.family) for shift in hypotheses.shifts]
     return PositionsEvidence(
         none=posterior.none + factor(NONE),
         coefficients=posterior.coefficients + factor(COEFFICIENTS),
         unknown=posterior.unknown + factor(UNKNOWN),
-        shifts=[
-            w + factor(s.family) for s, w in zip(hypotheses.shifts, posterior.shifts, strict=True)
-        ],
+        shifts=[w + f for w, f in zip(posterior.shifts, by_shift, strict=True)],
         spreads=[w + factor(MEASUREMENT) for w in posterior.spreads],
+        beside=[w + f for w, f in zip(posterior.beside, by_shift, strict=False)],
     )
 
 
@@ -307,7 +343,8 @@ _SPACING = 0.1
 class Summary:
     """Probabilities of everything that may be other than stated; see `PositionsFinding`.
 
-    ``on_surfaces`` is the probability that something stands on a surface.
+    ``on_surfaces`` is the probability that something stands on a surface, ``unexplained`` that of
+    something that no effect explains, alone or beside an effect.
     """
 
     candidates: tuple[Candidate, ...]
@@ -315,6 +352,7 @@ class Summary:
     families: dict[str, float]
     surfaces: dict[str, float]
     on_surfaces: float
+    unexplained: float
 
 
 def summary_of(
@@ -324,9 +362,14 @@ def summary_of(
     total = float(posterior.total[0])
     names = list(case.faces)
     grouped: dict[tuple[str, int | None, str], list[tuple[ShiftHypothesis, Array]]] = {}
-    for shift, logs in zip(hypotheses.shifts, posterior.shifts, strict=True):
+    chances = [np.exp(logs[:, 0] - total) for logs in posterior.shifts]
+    beside = [np.exp(logs[:, 0] - total) for logs in posterior.beside]
+    unexplained = float(np.exp(posterior.unknown[0] - total)) + sum(float(b.sum()) for b in beside)
+    if beside:
+        chances = [one + more for one, more in zip(chances, beside, strict=True)]
+    for shift, of_shift in zip(hypotheses.shifts, chances, strict=True):
         key = (shift.effect, shift.surface, shift.place)
-        grouped.setdefault(key, []).append((shift, np.exp(logs[:, 0] - total)))
+        grouped.setdefault(key, []).append((shift, of_shift))
     candidates = [_candidate(case, members) for members in grouped.values()]
     places: dict[tuple[str, str], list[tuple[float, float, str]]] = {}
     for spread, log in zip(hypotheses.spreads, posterior.spreads, strict=True):
@@ -357,6 +400,7 @@ def summary_of(
         with_added(families),
         most_probable_first(shares),
         on_surfaces,
+        unexplained,
     )
 
 

@@ -28,7 +28,7 @@ from rtcal.finder.positions.case import (
     with_index,
 )
 from rtcal.finder.positions.evidence import NOISE, POSITION, Likelihood, ShiftHypothesis
-from rtcal.finder.positions.finding import PositionsFinding
+from rtcal.finder.positions.finding import MOST, PositionsFinding
 from rtcal.finder.positions.hypotheses import (
     COUPLED,
     WHOLE,
@@ -235,7 +235,7 @@ def find_by_positions(
         aimed = float(gain(lobes, evidence, hypotheses)[0])
         if indexed and reverberation:
             told = summary_of(case, hypotheses, weights(evidence, hypotheses, TOLD_TEMPER))
-            unexplained = told.probabilities.get(UNKNOWN, 0.0) >= CLAIMED
+            unexplained = told.unexplained >= CLAIMED
         doubted = aimed > (LIKELY_INDEX if indexed else LIKELY_LOBES) or unexplained
         if doubted and reverberation:
             case, of_gain = as_unknown(case), -np.inf
@@ -302,10 +302,12 @@ def _finding(
     summary = summary_of(case, hypotheses, posterior)
     groups = _groups(case, hypotheses, summary, likelihood)
     in_families = [effect.name for effect in effects if not effect.alone]
-    verdict, family = claimed(
-        detected.verdict, summary.probabilities, summary.families, in_families
-    )
-    best = next(e for e in summary.probabilities if e != NONE)
+    # The library as a whole is weighed against what it does not explain, and not each of its effects.
+    known = dict(summary.probabilities)
+    if known.get(UNKNOWN, 0.0) < MOST * (1 - known[NONE]):
+        known.pop(UNKNOWN, None)
+    verdict, family = claimed(detected.verdict, known, summary.families, in_families)
+    best = next(e for e in known if e != NONE)
     placed = _first_placed(summary, verdict)
     reasons = _reasons(case, verdict, placed)
     first = next(iter(summary.surfaces))
@@ -319,6 +321,7 @@ def _finding(
         family=family,
         surface=first if located else None,
         surfaces=summary.surfaces,
+        unexplained=summary.unexplained,
         groups=groups,
         candidates=summary.candidates,
         probabilities=summary.probabilities,

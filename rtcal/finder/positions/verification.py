@@ -19,7 +19,7 @@ from rtcal.acoustics.observables import LEVEL, parameter_label
 from rtcal.finder.finding import Candidate, HeldOutVerification, check_pairs
 from rtcal.finder.positions.case import PositionsCase
 from rtcal.finder.positions.corrected import corrected_geometry
-from rtcal.finder.positions.finding import PositionsFinding
+from rtcal.finder.positions.finding import PositionsFinding, kind
 from rtcal.finder.positions.responses import key_of
 from rtcal.finder.positions.search import find_by_positions
 from rtcal.loop.control_runs import trace_ahead
@@ -32,6 +32,7 @@ from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError
 from rtcal.support.files import json_numbers
 from rtcal.support.speed import TaskProgress
+from rtcal.support.text import listed
 from rtcal.support.types import Array
 
 MODELS = ("before", "plain", "corrected")
@@ -125,16 +126,45 @@ class PositionsVerification(HeldOutVerification):
         return dict(zip(MODELS, by_pair, strict=True))
 
     @property
+    def differing(self) -> tuple[Candidate | None, ...]:
+        """What the halves added that is another thing than all pairs found; () where they agree.
+
+        The same thing is of the same family, all of added absorption as one, and on the same surface or
+        on one that these positions do not tell from it.
+        """
+        found = self.finding.likeliest
+        if found is None:
+            return ()
+        alike = {found.surface}.union(*(g for g in self.finding.groups if found.surface in g))
+        return tuple(
+            c for c in self.added if c is None or kind(c) != kind(found) or c.surface not in alike
+        )
+
+    @property
+    def verdict(self) -> str:
+        """As of the gap; but not ``supported`` where the halves found another thing than all pairs."""
+        of_gap = super().verdict
+        return "unproven" if of_gap == "supported" and self.differing else of_gap
+
+    @property
     def verdict_in_words(self) -> str:
-        """The grounds of the verdict, in a sentence."""
+        """The grounds of the verdict, in a sentence; other things that the halves found stand in it."""
         size = f"{abs(self.gain):.2f} ± {self.uncertainty:.2f} JND"
-        if self.verdict == "supported":
+        found, other = self.finding.likeliest, self.differing
+        halves = ""
+        if other and found is not None:
+            each = listed([*dict.fromkeys("nothing" if c is None else c.title for c in other)])
+            which = "the halves of the pairs" if len(other) > 1 else "half of the pairs"
+            halves = f"{which} found {each}, not {found.title} as all pairs did; "
+        of_gap = super().verdict
+        if of_gap == "unproven":
             return (
-                f"Supported: with what was found the gap is {size} smaller than calibrated alone."
+                f"Unproven: {halves}the gap changes by {size} with what was found, no more than by "
+                "chance."
             )
-        if self.verdict == "withdrawn":
-            return f"Withdrawn: with what was found the gap is {size} larger than calibrated alone."
-        return f"Unproven: the gap changes by {size} with what was found, no more than by chance."
+        less = "smaller" if of_gap == "supported" else "larger"
+        said = f"{halves}with what was found the gap is {size} {less} than calibrated alone."
+        return f"{self.verdict.capitalize()}: {said}"
 
     @property
     def sentence(self) -> str:

@@ -1,0 +1,179 @@
+"""Laws of "unknown" at positions, and of halves that found another thing than all pairs."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import rtcal as rt
+from rtcal.finder import library
+from rtcal.finder.claim import CLAIMED
+from rtcal.finder.finding import Candidate
+from rtcal.finder.positions import PositionsCase, PositionsFinding
+from rtcal.finder.positions.hypotheses import shifts
+from rtcal.finder.positions.posterior import (
+    TOLD_TEMPER,
+    PositionsEvidence,
+    PositionsHypotheses,
+    Summary,
+    evaluate,
+    scores,
+    summary_of,
+    weights,
+)
+from rtcal.finder.positions.problem import PositionsProblem, problem_of
+from rtcal.finder.positions.responses import responses_of
+from rtcal.finder.positions.search import controls_of, every_hypothesis
+from rtcal.finder.prior import NONE, UNKNOWN
+from tests.geometric_world.load import IN_SITU, load, truth
+from tests.test_where import MATCH, measured, stated, tracing
+from tests.test_where_corrected import candidate
+from tests.test_where_page import finding_of, verification_of
+
+pytest.importorskip("numba", reason="the paths are traced by compiled code (extra fast)")
+
+LARGER = 9.0
+"""Variance of the simulator's error that is added, over the one that a search assumes."""
+Searched = tuple[PositionsCase, PositionsProblem, PositionsHypotheses]
+
+
+@pytest.fixture(scope="module")
+def searched(kept: Path) -> Searched:
+    """Return the numbers of a search in a room for development that hides an opening on face 3."""
+    room, hidden = load(0, 0, IN_SITU), truth(0, 0)
+    assert (hidden["kind"], hidden["surface"]) == ("opening", 2)
+    case = PositionsCase(
+        simulator=room.simulator(n_paths=2400), measured=room.without_level(), match=MATCH[:-1]
+    )
+    made = responses_of(case, 0, kept)
+    numbers = problem_of(case, made, controls_of(case, cache=kept))
+    return case, numbers, every_hypothesis(case, made, numbers, library())
+
+
+def told(of: Searched, seed: int, hidden: bool) -> tuple[Summary, float]:
+    """Return what a search tells, and its score, where the simulator errs by more than is assumed."""
+    case, numbers, every = of
+    error = LARGER * numbers.simulator_error()
+    drawn = np.random.default_rng(seed).multivariate_normal(
+        np.zeros(len(error)), error, method="eigh"
+    )
+    residual = numbers.residual + drawn if hidden else drawn
+    evidence = evaluate(
+        numbers.likelihoods(), every, np.where(numbers.used, residual, 0.0)[:, np.newaxis]
+    )
+    said = summary_of(case, every, weights(evidence, every, TOLD_TEMPER))
+    return said, float(scores(weights(evidence, every), every)[0][0])
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_what_a_surface_explains_is_not_unknown_where_errors_are_larger(
+    searched: Searched, seed: int
+) -> None:
+    """ "Unknown" had 1.00 in both, where T falls by a quarter; the surface was first without it."""
+    said, score = told(searched, seed, hidden=True)
+    assert score > 10
+    assert said.probabilities[UNKNOWN] < 0.15
+    assert said.unexplained > 0.9
+    assert said.on_surfaces > 0.8
+    assert next(iter(said.surfaces)) == "face 3"
+    assert next(iter(said.probabilities)) == "opening"
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_larger_errors_alone_claim_nothing(searched: Searched, seed: int) -> None:
+    said, _ = told(searched, seed, hidden=False)
+    assert said.unexplained > 0.5
+    assert max(p for n, p in said.families.items() if n not in (NONE, UNKNOWN)) < CLAIMED
+    assert max(said.surfaces.values()) * said.on_surfaces < CLAIMED
+
+
+def test_what_no_effect_explains_is_as_probable_alone_as_beside_one() -> None:
+    """Whatever is tried: one effect or a hundred."""
+    case = PositionsCase(simulator=tracing(stated()), measured=measured(True))
+    every = shifts(case, library())
+    for some in (every, every[: len(every) // 2]):
+        hypotheses = PositionsHypotheses(some, [], off=0.0)
+        zero = np.zeros(1)
+        of_shifts = [np.full((len(s.odds), 1), -60.0) for s in some]
+        beside = [np.zeros((len(s.odds), 1)) for s in some]
+        alike = weights(
+            PositionsEvidence(zero - 60, zero - 60, zero, of_shifts, [], beside), hypotheses
+        )
+        told = summary_of(case, hypotheses, alike)
+        assert told.probabilities[UNKNOWN] == pytest.approx(0.5, abs=1e-6)
+        assert told.unexplained == pytest.approx(1.0, abs=1e-6)
+
+
+def unknown(
+    shares: dict[str, float], families: Sequence[str] = ("added absorption",)
+) -> PositionsFinding:
+    """Return a finding that is "unknown" with 0.6, and the rest on some surfaces."""
+    finding = finding_of(shares)
+    alone = Candidate(effect=UNKNOWN, family=UNKNOWN, probability=0.6)
+    known = [
+        replace(c, probability=0.4 * c.probability, family=families[i % len(families)])
+        for i, c in enumerate(finding.candidates)
+    ]
+    return replace(
+        finding,
+        verdict="unknown",
+        effect=None,
+        family=None,
+        candidates=(alone, *known),
+        probabilities={UNKNOWN: 0.6, "porous": 0.36, "none": 0.04},
+        unexplained=0.7,
+    )
+
+
+def test_what_holds_most_of_the_rest_is_said_and_applied() -> None:
+    found = unknown({"wall 5": 0.8, "wall 0": 0.2})
+    assert "Of the library, added absorption explains most (100 % of the rest)" in found.headline
+    assert '"wall 5" (80 %)' in found.headline
+    assert found.can_be_added
+    made = found.apply()
+    assert made.added.surface == "wall 5"
+    assert "unknown 60 %" in made.support
+    torn = unknown({"wall 5": 0.34, "wall 0": 0.33, "ceiling": 0.33}, ["field", "scale", "climate"])
+    assert not torn.can_be_added
+    with pytest.raises(rt.errors.DataError, match="So no surface lacks anything to add"):
+        torn.apply()
+
+
+def test_that_an_effect_does_not_explain_everything_is_said() -> None:
+    found = replace(finding_of({"wall 5": 1.0}), surface="wall 5", unexplained=0.93)
+    assert "This does not explain everything that was measured (93 %)" in found.headline
+    assert "does not explain everything" not in finding_of({"wall 5": 1.0}).headline
+
+
+def test_halves_that_found_another_thing_stand_in_the_verdict() -> None:
+    """The whole was supported by halves that had added something else, which stood further down."""
+    found = finding_of({"wall 5": 0.7, "wall 0": 0.3}, (("wall 5", "wall 1"),))
+    shrinks = {"before": 3.0, "plain": 2.0, "corrected": 1.0}
+    result = verification_of(found, shrinks)
+    same, alike, other = (candidate(name, 6.0) for name in ("wall 5", "wall 1", "wall 0"))
+    lacks = replace(same, family="less absorption", effect="covered surface")
+    for added in ((same, same), (same, alike)):
+        agreed = replace(result, added=added)
+        assert agreed.verdict == "supported"
+        assert agreed.sentence.startswith("Supported: with what was found")
+    for added, said in {
+        (same, other): 'half of the pairs found porous on "wall 0", not porous on "wall 5"',
+        (
+            other,
+            None,
+        ): 'the halves of the pairs found porous on "wall 0" and nothing, not porous on',
+        (lacks, same): 'half of the pairs found covered surface on "wall 5", not porous on',
+    }.items():
+        differing = replace(result, added=added)
+        assert differing.verdict == "unproven"
+        assert differing.sentence.startswith(f"Unproven: {said}")
+        assert "smaller than calibrated alone" in differing.sentence
+    grows = replace(
+        verification_of(found, {"before": 3.0, "plain": 1.0, "corrected": 2.0}), added=(same, other)
+    )
+    assert grows.verdict == "withdrawn"
+    assert grows.sentence.startswith("Withdrawn: half of the pairs found")
