@@ -20,8 +20,8 @@ MAX_CELLS = 100_000
 MAX_FACES = 100_000
 """Largest number of faces of a mesh as it is drawn; those in one plane are joined later."""
 MAX_CORNERS = 4 * MAX_FACES
-MAX_CHANNEL_SAMPLES = 2**23
-"""Largest number of samples of a response: 174 s at 48 kHz, 64 MB in memory."""
+MAX_CHANNEL_SAMPLES = 2**22
+"""Largest number of samples of a response: 87 s at 48 kHz. Its analysis takes some 400 MB."""
 MAX_SAMPLES = 2**24
 """Largest number of samples of the responses in one file: 128 MB as numbers of 8 bytes."""
 

@@ -2,14 +2,12 @@
 
 Each band is filtered backwards in time (Jacobsen & Rindel 1987), so that the filter's ringing precedes
 the sound. A decay then keeps its slope for B T above 4; the forward filter needs 16. The decay curve is
-the energy integrated from the end. What ends it is one of four (`Floor`):
+the energy integrated from the end, in one of two ways, of which the one that reaches deeper is taken:
 
-- The last tenth is so low that it matters to no parameter: the curve is integrated as it is.
-- It is noise, or the decay itself where the response was cut. The decay's line by the method of
-  Lundeby et al. (1995) tells which: noise is the part of the last tenth that the line leaves. It is
-  subtracted, the curve ends at the noise, and the line's energy beyond is added (Guski & Vorlaender
-  2014).
-- No line is found: the curve is integrated as it is, for the parameters that the last tenth leaves.
+- as it is, where the last tenth is so low that it matters to no parameter, as in simulated decays;
+- by the line of the late decay (Lundeby et al. 1995), which tells noise from a decay that was cut off:
+  noise is what the line leaves of the last tenth. It is subtracted, the curve ends at the noise, and
+  the line's energy beyond is added (Guski & Vorlaender 2014). Some decays have no such line.
 
 A parameter is returned only if the range of levels below the sound is as large as ISO 3382 requires:
 the end is 10 dB below the evaluation range. The range is
@@ -36,6 +34,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.signal import sosfilt
 
 from rtcal.acoustics import bands as _bands
 from rtcal.acoustics import decay
@@ -430,7 +429,21 @@ def _parameters(
         return _Parameters(ratio=-np.inf, floor=Floor.SHORT)
     energy = np.asarray(energy, dtype=float) / energy.max()
     early = early * float(np.sum(energy)) / total
-    decayed = _decay_curve(energy, rate, centre, max(needed.values()))
+    enough = max(needed.values())
+    cut = _cut(energy, rate, centre)
+    done = _evaluated(_as_it_is(energy, cut), rate, needed, early, early_samples)
+    if done.ratio < enough:
+        decay_on_line = _on_line(energy[:cut], rate, centre)
+        if decay_on_line is not None:
+            by_line = _evaluated(decay_on_line, rate, needed, early, early_samples)
+            done = max(done, by_line, key=lambda of_curve: of_curve.ratio)
+    return done
+
+
+def _evaluated(
+    decayed: _Decay, rate: float, needed: Mapping[str, float], early: float, early_samples: int
+) -> _Parameters:
+    """Return the parameters of a decay curve that its range suffices for."""
     curve = decayed.curve
     level = 10 * np.log10(curve / curve[0])
     # Levels below every evaluation range are left out, which saves memory in the regressions.
@@ -442,9 +455,9 @@ def _parameters(
     if EARLY.key not in times or decayed.reach < -EARLY.lower:
         return _Parameters(ratio=-np.inf, floor=Floor.FLAT)
     density = curve[0] * 6 * np.log(10) / (times[EARLY.key] * rate)
-    ratio = float(10 * np.log10(density / decayed.noise)) if decayed.noise > 0 else np.inf
+    ratio = float(10 * np.log10(density / decayed.end)) if decayed.end > 0 else np.inf
+    reach = min(ratio - decayed.lost, decayed.reach)
     curve[0] += max(early - decayed.subtracted * early_samples, 0.0)
-    reach = min(ratio, decayed.reach)
     values = {**_energy_ratios(curve, rate), **times}
     return _Parameters(
         ratio=ratio if reach >= max(needed.values()) else reach,
@@ -481,37 +494,53 @@ class _Decay:
     ----------
     curve : array (n,)
         Energy that is left at each sample, above 0.
-    noise : float
+    end : float
         Energy per sample at the end, of noise and decay.
-    subtracted : float
-        Noise in it that was subtracted, per sample.
     floor : Floor
+    subtracted : float
+        Noise that was subtracted, energy per sample.
     reach : float
-        Range in dB that is not spoilt by noise which was not subtracted.
+        Range in dB that noise, where it was not subtracted, leaves to the curve.
+    lost : float
+        Range in dB that a curve loses which lacks the energy beyond a cut.
     """
 
     curve: Array
-    noise: float
-    subtracted: float = 0.0
+    end: float
     floor: Floor
+    subtracted: float = 0.0
     reach: float = np.inf
+    lost: float = 0.0
 
 
-def _decay_curve(energy: Array, rate: float, centre: float | None, enough: float) -> _Decay:
-    """Return the decay curve of one squared response, (n_samples,), for ranges up to ``enough`` dB."""
-    energy = energy[: _cut(energy, rate, centre)]
-    n, total = len(energy), energy.sum()
-    end = energy[n * 9 // 10 :].mean()
+def _as_it_is(energy: Array, cut: int) -> _Decay:
+    """Return the decay curve of a squared response, integrated as it is.
+
+    ``cut`` is the number of samples before a cut. An error of the curve that is `MARGIN_DB` below a
+    range is too small for any parameter.
+    """
+    n = len(energy)
+    tenth = energy[n * 9 // 10 :].mean()
+    before = energy[cut * 9 // 10 : cut].mean() if cut < n else 0.0
+    more = MARGIN_DB - _RANGE_TO_NOISE
     with np.errstate(divide="ignore"):
-        # An error that is `MARGIN_DB` below the range is too small for any parameter.
-        reach = float(10 * np.log10(total / (end * n))) + _RANGE_TO_NOISE - MARGIN_DB
-    as_it_is = _Decay(curve=_integrated(energy), noise=float(end), floor=Floor.END, reach=reach)
-    line = None if reach >= enough else _line(energy, rate, centre)
-    if line is None:
-        return as_it_is
-    crossing, t, floor = (
-        line  # in samples; the line has the energy `floor` where it crosses the noise
+        reach = float(10 * np.log10(energy.sum() / (tenth * n))) - more
+    return _Decay(
+        curve=_integrated(energy),
+        end=float(max(tenth, before)),
+        floor=Floor.END,
+        reach=reach,
+        lost=more if cut < n else 0.0,
     )
+
+
+def _on_line(energy: Array, rate: float, centre: float | None) -> _Decay | None:
+    """Return the decay curve of a squared response by the line of its late decay; None without one."""
+    line = _line(energy, rate, centre)
+    if line is None:
+        return None
+    n = len(energy)
+    crossing, t, floor = line  # the line has the energy `floor` where it crosses the noise
     slope = 6 * np.log(10) / t
     first = int(np.clip(crossing + t / 6, 0, n * 9 // 10))
     at_first, at_end = floor * np.exp(-slope * (np.array([first, n]) - crossing))
@@ -522,12 +551,12 @@ def _decay_curve(energy: Array, rate: float, centre: float | None, enough: float
         stop = int(crossing - t / 6 * np.log10(noise / floor))
         left = noise
     if not 10 <= stop <= n:
-        return as_it_is
+        return None
     curve = _integrated(energy[:stop] - noise) + left / slope
     ends = np.flatnonzero(~(curve > 0))
     return _Decay(
         curve=curve[: ends[0]] if ends.size else curve,
-        noise=noise + at_end,
+        end=noise + at_end,
         subtracted=noise,
         floor=Floor.NOISE if noise > at_end else Floor.CUT,
     )
@@ -614,13 +643,16 @@ def _energy_ratios(curve: Array, rate: float) -> dict[str, float]:
 def _filtered(time: Array, rate: float, centre: float, fractions: int) -> Array:
     """Square of the response in one band, filtered backwards in time."""
     pyfar, _ = _libraries()
-    filtered = pyfar.dsp.filter.fractional_octave_bands(
-        pyfar.Signal(time[::-1], rate),
+    band = pyfar.dsp.filter.fractional_octave_bands(
+        None,
         fractions,
+        sampling_rate=rate,
         order=_ORDER,
         frequency_range=(centre * 0.97, centre * 1.03),
     )
-    return np.asarray(np.ravel(filtered.time)[::-1] ** 2)
+    (sections,) = band.coefficients
+    filtered = sosfilt(sections, time[::-1])[::-1]
+    return np.asarray(np.square(filtered, out=filtered))
 
 
 def _centres(bands: str | Sequence[float], rate: float) -> tuple[Array, int]:
