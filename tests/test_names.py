@@ -243,7 +243,7 @@ def test_every_public_object_has_one_path() -> None:
 MANY_ARGUMENTS = {
     "rtcal.Room.from_surfaces": "what a room's file states, in its order",
     "rtcal.exact.solve": "the numbers of one QP, and where its answer goes",
-    "rtcal.find": "four say what was measured, seven how both models search; those of "
+    "rtcal.find": "five say what was measured, seven how both models search; those of "
     "means alone go on as they are, and are refused elsewhere",
     "rtcal.io.tables.parse": "each says what a table may leave open",
     "rtcal.io.tables.read": "each says what a table may leave open",

@@ -369,7 +369,7 @@ class CalibrationResult(Result):
 
     @cached_property
     def verdict(self) -> CalibrationVerdict:
-        """What the calibration shows of model and measurement: see `rtcal.acoustics.quality`."""
+        """Statement on model and measurement that text, page and JSON share."""
         return CalibrationVerdict(**self.to_dict()["verdict"])
 
     def __repr__(self) -> str:

@@ -430,12 +430,10 @@ def _what_changed(
     if room.scene.mesh is not None:
         spare(targets, [room.scene.mesh])
     scattering = {} if inputs.scattering is None else {"scattering": inputs.scattering}
+    after, earlier = (read_measured(path, quietly=True) for path in (measured, before))
+    if after.is_summary or earlier.is_summary or not room.scene.sources:
+        refuse({"--scattering": inputs.scattering}, f"{_NEEDS_POSITIONS} before and after")
     with errors_name_options("scattering"):
-        case: Any = case_of(
-            room,
-            read_measured(measured, quietly=True),
-            before=read_measured(before, quietly=True),
-            tracing=scattering,
-        )
+        case: Any = case_of(room, after, before=earlier, tracing=scattering)
     found: StatesFinding = find(case, only=search.only, without=search.without, seed=search.seed)
     return found

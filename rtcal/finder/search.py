@@ -44,10 +44,19 @@ def case_of(
     checks.instance("measured", measured, Measurement)
     if simulator is not None and simulator.room is not room:
         raise DataError("simulator is of another room; make it with this one")
+    if simulator is not None and stated.get("tracing"):
+        raise DataError(
+            "tracing is not used beside a simulator: give the simulator these arguments"
+        )
     if before is not None:
         pairs = not (measured.is_summary or before.is_summary)
         if simulator is None and pairs and room.scene.sources:
             simulator = geometry_files.path_tracing(room, **stated.pop("tracing", {}))
+        if stated.pop("tracing", None):
+            raise DataError(
+                "tracing needs a room that states its sources and receivers, measured pair by pair "
+                "before and after: without them nothing is traced"
+            )
         for name in filter(stated.get, stated):
             raise DataError(f"{name} is not of a search for what changed between these two states")
         return states.StatesCase(room=room, before=before, after=measured, simulator=simulator)
@@ -83,6 +92,7 @@ def find(
     simulator: PathTracing | None = None,
     *,
     before: Measurement | None = None,
+    tracing: Mapping[str, Any] | None = None,
     effects: Sequence[Effect] | None = None,
     seed: int = 0,
     only: Sequence[str] = (),
@@ -111,6 +121,9 @@ def find(
         Of the same positions, before something was changed: then what changed is found, instead of what
         the model lacks (`rtcal.finder.states`). The room's coefficients do not count. Neither
         ``controls``, ``cache`` nor ``progress`` belongs to such a search.
+    tracing : mapping, optional
+        Arguments of `PathTracing`, such as ``n_paths`` and ``scattering``, where the room's scene is
+        traced: in place of a ``simulator``.
     effects : sequence of Effect, optional
         The effects to try; the whole library if not given.
     seed : int
@@ -149,10 +162,13 @@ def find(
     if isinstance(room, Room):
         if measured is None:
             raise DataError("measured is missing: a room is compared with what was measured in it")
-        case = case_of(room, measured, simulator, before)
+        scene = {} if tracing is None else {"tracing": tracing}
+        case = case_of(room, measured, simulator, before, **scene)
     else:
-        if not (measured is None and simulator is None and before is None):
-            raise DataError("measured, before and simulator belong to a room; a case holds its own")
+        if not (measured is None and simulator is None and before is None and tracing is None):
+            raise DataError(
+                "measured, before, simulator and tracing belong to a room; a case holds its own"
+            )
         case = room
     if isinstance(case, states.StatesCase):
         refused = {"controls": controls, "cache": cache, "progress": progress, **of_means}
