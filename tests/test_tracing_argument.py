@@ -1,4 +1,4 @@
-"""`tracing` belongs to a search that traces the room's scene, and is refused elsewhere in true words."""
+"""`tracing` belongs to a search that traces the room's scene, and is refused elsewhere."""
 
 from __future__ import annotations
 

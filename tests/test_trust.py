@@ -10,8 +10,11 @@ import pytest
 from scipy import stats
 
 import rtcal as rt
+from rtcal.acoustics.directions import facing
 from rtcal.acoustics.quality import plausibility
-from rtcal.acoustics.trust import trust_marks
+from rtcal.acoustics.trust import trust_marks, uneven_marks
+from rtcal.report.page import calibration_page
+from rtcal.simulators.geometry import Polyhedron
 from tests.conftest import also, random_room
 
 ROOMS = 2000
@@ -224,3 +227,77 @@ def test_uncertainty_of_t_reaches_b_and_z(cr2) -> None:
     bare = rt.calibrate(room, result.measured)
     assert np.isnan(bare.target_uncertainty).all()
     assert np.all(np.abs(result.plausibility.z) < np.abs(bare.plausibility.z))
+
+
+def _box(ceiling: float, **stated: object) -> rt.Room:
+    """A classroom of 8 x 7.5 x 3 m, its ceiling of other coefficients than the rest."""
+    surfaces = [
+        rt.Surface("ceiling", "tiles", 60, "z"),
+        rt.Surface("floor", "linoleum", 60, "z"),
+        rt.Surface("long walls", "plaster", 48, "y"),
+        rt.Surface("short walls", "plaster", 45, "x"),
+    ]
+    materials = {
+        "tiles": rt.Material("tiles", [ceiling, ceiling], [0.05, 0.05]),
+        "linoleum": rt.Material("linoleum", [0.03, 0.05], [0.01, 0.01]),
+        "plaster": rt.Material("plaster", [0.03, 0.05], [0.01, 0.01]),
+    }
+    return rt.Room.from_surfaces(
+        name="classroom",
+        volume=180,
+        materials=[*materials.values()],
+        surfaces=surfaces,
+        centre_frequencies=[500, 1000],
+        air=rt.Air(),
+        **stated,  # type: ignore[arg-type]
+    )
+
+
+def test_a_room_in_which_equations_differ_is_marked() -> None:
+    """Directions stated by axis; Arau-Puchades' equation of the package is the oracle."""
+    for ceiling in (0.05, 0.2, 0.8):
+        room = _box(ceiling)
+        result = rt.calibrate(room, 1.02 * rt.Eyring().reverberation_time(room))
+        arau, eyring = (e.reverberation_time(result.room) for e in (rt.ArauPuchades(), rt.Eyring()))
+        apart = np.abs(arau - eyring) / (0.05 * eyring)
+        marks = [m for m in result.trust_marks if m.kind == "equations_differ"]
+        assert bool(marks) == (apart.max() > 1)
+        if not marks:
+            continue
+        k = int(np.argmax(apart))
+        assert f"gives {arau[k]:.2f} s for Eyring's {eyring[k]:.2f} s" in marks[0].text
+        assert f"{apart[k]:.1f} JND apart" in marks[0].text
+        assert "rtcal fit" in marks[0].advice
+        for said in (" ".join(str(result).split()), calibration_page(result).replace("&#39;", "'")):
+            assert "the absorption is uneven: Arau-Puchades' equation gives" in said
+        assert "equations_differ" in result.to_json()
+        assert result.verdict.level != "agrees"
+
+
+def test_directions_by_dimensions_name_or_mesh_mark_a_room_and_none_does_not() -> None:
+    room = _box(0.8)
+    kinds = {}
+    walls = {"floor": "b", "ceiling": "a", "west": "c", "east": "c", "south": "c", "north": "c"}
+    names = {"axis": room.materials, "names": ["ceiling", "floor", "walls"], "none": "abc"}
+    for kind, called in names.items():
+        bare = rt.Room(
+            name="r",
+            volume=180,
+            materials=list(called),
+            areas=room.areas,
+            alpha=room.alpha,
+            sigma=room.sigma,
+            centre_frequencies=room.centre_frequencies,
+            air=room.air,
+        )
+        given = room if kind == "axis" else bare
+        kinds[kind] = uneven_marks(given, facing(given))
+        if kind == "none":
+            boxed = bare.replace(dimensions=(8, 7.5, 3))
+            kinds["dimensions"] = uneven_marks(boxed, facing(boxed))
+            mesh = Polyhedron.shoebox((8, 7.5, 3), walls)
+            kinds["mesh"] = uneven_marks(bare, facing(bare, mesh))
+    assert kinds.pop("none") == ()
+    assert {len(marks) for marks in kinds.values()} == {1}, kinds
+    texts = {kind: marks[0].text for kind, marks in kinds.items()}
+    assert texts["axis"] == texts["mesh"] == texts["dimensions"]

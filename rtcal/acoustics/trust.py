@@ -11,8 +11,10 @@ from numpy.typing import NDArray
 
 from rtcal.acoustics.bands import mid_frequency_time, schroeder_frequency
 from rtcal.acoustics.decay import BentDecay
+from rtcal.acoustics.directions import enough_known
+from rtcal.acoustics.equations import Eyring
 from rtcal.acoustics.observables import TARGET
-from rtcal.acoustics.quality import LARGE_Z
+from rtcal.acoustics.quality import LARGE_Z, gap_jnd
 from rtcal.acoustics.room import Room
 from rtcal.acoustics.typing_errors import TypingError, in_room
 from rtcal.support.arguments import checked
@@ -158,6 +160,12 @@ _ADVICE: dict[str, tuple[str, str]] = {
         "",
         "one of them is wrong: the absorption that T asks for is proportional to the volume",
     ),
+    "equations_differ": (
+        "",
+        "these coefficients, and each prediction with them, depend on the equation: calibrate by path "
+        "tracing (`rtcal fit` with a mesh, `rtcal loop` with a simulator), and predict a change of one "
+        "surface there",
+    ),
     "wide_sigma": (
         "",
         "any T agrees with so large a sigma: is it relative to alpha, or in percent?",
@@ -186,6 +194,56 @@ def typing_marks(room: Room, measured: Sequence[TypingError]) -> tuple[TrustMark
     letter, advice = _ADVICE["typing_error"]
     errors = (*measured, *in_room(room))
     return tuple(TrustMark("typing_error", letter, e.frequency, e.text, advice) for e in errors)
+
+
+@checked
+def uneven_marks(room: Room, shares: Array) -> tuple[TrustMark, ...]:
+    """Return the mark of a room whose absorption is so uneven that equations differ by over one JND.
+
+    Compared are Eyring's T, for which all surfaces count alike, and Arau-Puchades', for which the
+    surfaces of each axis count for themselves (`rtcal.acoustics.equations.ArauPuchades`).
+
+    Parameters
+    ----------
+    room : Room
+        With the coefficients to compare by.
+    shares : array (n_materials, 3)
+        Directions of each material, as `rtcal.acoustics.directions.facing` returns them. Where most of
+        the absorption has no known direction there is no mark; the rest counts a third each.
+
+    Examples
+    --------
+    >>> import rtcal as rt
+    >>> room = rt.Room(name="classroom", volume=180, materials=["ceiling", "floor", "walls"],
+    ...                areas=[60, 60, 96], alpha=[[0.8], [0.04], [0.03]],
+    ...                sigma=[[0.1], [0.01], [0.01]], centre_frequencies=[500])
+    >>> from rtcal.acoustics.directions import facing
+    >>> uneven_marks(room, facing(room))[0].text[:66]
+    "the absorption is uneven: Arau-Puchades' equation gives 0.92 s for"
+    """
+    if not enough_known(room, shares):
+        return ()
+    along = room.areas[:, np.newaxis] * np.where(np.isnan(shares), 1 / 3, shares)
+    areas = along.sum(axis=0)
+    along, areas = along[:, areas > 0], areas[areas > 0]
+    eyring = Eyring()
+    mean = np.minimum(along.T @ room.alpha / areas[:, np.newaxis], eyring.largest_mean)
+    exponents = np.concatenate(
+        [eyring.exponent(mean), eyring.exponent([areas @ mean / areas.sum()])]
+    )
+    times = eyring.room_constant(room) * room.volume
+    times = times / (room.total_area * exponents + 4 * room.air_attenuation * room.volume)
+    arau = np.exp(areas @ np.log(times[:-1]) / areas.sum())
+    differ = np.abs(gap_jnd(arau, times[-1]))
+    k = int(np.argmax(differ))
+    if not differ[k] > 1:
+        return ()
+    text = (
+        f"the absorption is uneven: Arau-Puchades' equation gives {arau[k]:.2f} s for Eyring's "
+        f"{times[-1, k]:.2f} s at {room.centre_frequencies[k]:g} Hz, {differ[k]:.1f} JND apart"
+    )
+    letter, advice = _ADVICE["equations_differ"]
+    return (TrustMark("equations_differ", letter, None, text, advice),)
 
 
 def uncarried_mark(frequency: float, low: float, high: float) -> TrustMark:

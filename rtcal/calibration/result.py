@@ -13,11 +13,12 @@ from numpy.typing import NDArray
 from rtcal.acoustics import room_errors
 from rtcal.acoustics.changed_time import KnownRoom
 from rtcal.acoustics.changes import Change
+from rtcal.acoustics.directions import facing
 from rtcal.acoustics.equations import LinearEquation
 from rtcal.acoustics.quality import CalibrationVerdict, Plausibility, gap_jnd, plausibility, verdict
 from rtcal.acoustics.room import CalibrationRecord, Room
 from rtcal.acoustics.room_errors import Assumptions, of_absorption
-from rtcal.acoustics.trust import TrustMark, trust_marks, typing_marks
+from rtcal.acoustics.trust import TrustMark, trust_marks, typing_marks, uneven_marks
 from rtcal.calibration import table
 from rtcal.calibration.certificate import Certificate
 from rtcal.calibration.convex_program import RawSolution
@@ -41,12 +42,21 @@ class CalibrationResult(Result):
     """A calibrated room, with the calibration's certificate, plausibility and trust marks.
 
     Of several configurations, it is the result of one; see `JointResult`.
+
+    Attributes
+    ----------
+    joint : JointResult
+    configuration : int
+    shares : array (n_materials, 3), optional
+        Directions of the materials, as `rtcal.acoustics.directions.facing` returns them of a mesh.
+        Without it, those that the room itself states.
     """
 
     record_kind: ClassVar[str] = table.KIND
 
     joint: JointResult
     configuration: int
+    shares: Array | None = None
 
     @property
     def prior(self) -> Room:
@@ -213,6 +223,7 @@ class CalibrationResult(Result):
         """Reasons to doubt single bands or the whole room, with advice; likely typing errors first."""
         return (
             *typing_marks(self.prior, self.measured_data.mistyped),
+            *uneven_marks(self.room, facing(self.room) if self.shares is None else self.shares),
             *trust_marks(
                 self.prior,
                 self.measured,

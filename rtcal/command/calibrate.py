@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import Literal
 
@@ -82,8 +84,10 @@ def calibrate(
 
     `rtcal report calibrated` makes a page of the results.
     """
+    from rtcal.acoustics.directions import facing
     from rtcal.acoustics.room import Room
     from rtcal.calibration import methods
+    from rtcal.io import geometry_files
     from rtcal.report import figures
 
     folder = output_folder("--out", out)
@@ -98,11 +102,8 @@ def calibrate(
         _by_modes(room, measured, modes, equation, folder)
         return
     stated = Room.from_file(room)
-    if stated.scene.mesh is not None and not is_quiet():
-        from rtcal.io import geometry_files
-
-        if doubt := geometry_files.mesh_doubt(stated):
-            warn(doubt)
+    if not is_quiet() and (doubt := geometry_files.mesh_doubt(stated)):
+        warn(doubt)
     with without_air_warning():
         result = methods.calibrate(
             stated,
@@ -112,6 +113,9 @@ def calibrate(
             solver=solver,
             unreachable=unreachable,
         )
+    if stated.scene.mesh is not None:
+        with suppress(DataError):  # told by the mesh's doubt
+            result = replace(result, shares=facing(stated, geometry_files.read(stated)))
     files = [] if folder is None else figures.write_folder(result, folder)
     tell(str(result), result.to_dict(), files)
 
