@@ -400,7 +400,7 @@ def measurement(**changes):
 
 
 def test_noise_of_a_mean_is_that_of_independent_pairs():
-    t20 = Matched.t20(np.ones(2))
+    t20 = Matched.time(np.ones(2), "T20")
     assert t20.noise(measurement()) == pytest.approx([0.0, 0.0])
     stated = measurement(uncertainty={"t20": [[0.3, 0.6], [0.4, NAN]]})
     assert t20.noise(stated) == pytest.approx([0.25, NAN], nan_ok=True)
@@ -408,7 +408,7 @@ def test_noise_of_a_mean_is_that_of_independent_pairs():
 
 def test_t20_of_a_measurement():
     bands = np.array([500.0, 1000.0])
-    wanted = Matched.t20(np.array([1.0, 1.0]))
+    wanted = Matched.time(np.array([1.0, 1.0]), "T20")
     assert simulated_time(measurement(), bands, wanted, []) == pytest.approx([2.0, 3.0])
     lacking = measurement(values={"t20": [[1.0, 2.0], [3.0, NAN]]})
     with pytest.raises(rt.errors.DataError, match=r"T20\[S to R2, 1000 Hz\] is missing"):
@@ -420,7 +420,7 @@ def test_t20_of_a_measurement():
     with pytest.raises(rt.errors.DataError, match="1000 Hz"):
         simulated_time(lacking, bands, wanted, [step([1.0, 1.0], [1.0, NAN])])
     # A band without a measured T may lack it; all measured bands may not.
-    unmeasured = Matched.t20(np.array([1.0, NAN]))
+    unmeasured = Matched.time(np.array([1.0, NAN]), "T20")
     assert simulated_time(lacking, bands, unmeasured, []) == pytest.approx([2.0, 2.0])
     none = measurement(values={"t20": [[NAN, 2.0], [3.0, NAN]]})
     with pytest.raises(rt.errors.DataError, match=r"S to R1, 500 Hz"):

@@ -125,6 +125,7 @@ def test_a_coefficient_a_tenth_of_its_neighbours_is_found_and_no_resonator_is_mi
     wrong = room().replace(alpha=alpha)
     assert [e.frequency for e in in_room(wrong)] == [1000]
     mark = rt.calibrate(wrong, USUAL).trust_marks[0]
+    assert mark.kind == "alpha_typing_error"
     assert mark.text == 'alpha of "tiles" = 0.0175, beside 0.3 at 500 Hz and 0.35 at 2000 Hz'
     alpha[2] = [0.1, 0.25, 0.85, 0.3, 0.12, 0.1]
     assert in_room(room().replace(alpha=alpha)) == []

@@ -14,6 +14,7 @@ from rtcal.acoustics.observables import (
     OBSERVABLES,
     REVERBERATION,
     SUMMARY,
+    TARGET,
     observable,
     parameter_label,
 )
@@ -293,6 +294,12 @@ class Measurement:
         count = np.sum(np.isfinite(values), axis=0)
         total = np.nansum(values, axis=0)
         return np.where(count > 0, total / np.maximum(count, 1), np.nan)
+
+    @property
+    def time_label(self) -> str:
+        """Name of the reverberation time that `decay_time` takes: T20, T30, or both."""
+        used = {parameter_label(p) for p in self.decay_time().parameter if p}
+        return " and ".join(sorted(used)) or TARGET.label
 
     @checked
     def mean_uncertainty(self, parameter: str) -> Array:

@@ -132,8 +132,9 @@ _ADVICE: dict[str, tuple[str, str]] = {
     ),
     "bent": (
         "c",
-        "one T does not describe the decay, and these coefficients follow T20: look for coupled "
-        "spaces or absorption on one side, and do not use them at other positions or in other rooms",
+        "one T does not describe the decay, and these coefficients follow one slope of it: look for "
+        "coupled spaces or absorption on one side, and do not use them at other positions or in other "
+        "rooms",
     ),
     "no_air": (
         "",
@@ -192,8 +193,11 @@ def bent_marks(bent: Sequence[BentDecay]) -> tuple[TrustMark, ...]:
 def typing_marks(room: Room, measured: Sequence[TypingError]) -> tuple[TrustMark, ...]:
     """Return the trust marks of likely typing errors, measured and in the room."""
     letter, advice = _ADVICE["typing_error"]
-    errors = (*measured, *in_room(room))
-    return tuple(TrustMark("typing_error", letter, e.frequency, e.text, advice) for e in errors)
+    return tuple(
+        TrustMark(kind, letter, error.frequency, error.text, advice)
+        for kind, errors in (("typing_error", measured), ("alpha_typing_error", in_room(room)))
+        for error in errors
+    )
 
 
 @checked

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Unpack, overload
 
-from rtcal.acoustics import typing_errors
 from rtcal.acoustics.equations import Equation, Eyring, LinearEquation
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.repeats import refuse_repeated_data
@@ -324,7 +323,6 @@ class JointProblem:
             solution = self._program.solve(data, used.rooms, assembler.equation, chosen)
         except InfeasibleError as error:
             mistyped = [e for of_room in times for e in of_room.mistyped]
-            mistyped += [e for room in used.rooms for e in typing_errors.in_room(room)]
             if mistyped:
                 error.args = (f"{mistyped[0].sentence}. {error}",)
             raise

@@ -60,10 +60,13 @@ class Matched:
         In s, NaN where it is missing; T20 (or T30 in its place) first.
     shares : dict of parameter to array (n_bands,)
         Weights, divided by their sum in each band.
+    time_label : str
+        Name of the measured reverberation time, as `rtcal.acoustics.measurement.Measurement` has it.
     """
 
     measured: Mapping[str, Array]
     shares: Mapping[str, Array]
+    time_label: str = TARGET.label
 
     def __post_init__(self) -> None:
         for name in ("measured", "shares"):
@@ -71,14 +74,17 @@ class Matched:
             object.__setattr__(self, name, values)
 
     @classmethod
-    def t20(cls, measured: Array) -> Matched:
-        """Return that T20 alone is matched."""
-        return cls(measured={TARGET.key: measured}, shares={TARGET.key: np.ones(len(measured))})
+    def time(cls, measured: Array, time_label: str) -> Matched:
+        """Return that the reverberation time alone is matched."""
+        shares = {TARGET.key: np.ones(len(measured))}
+        return cls(measured={TARGET.key: measured}, shares=shares, time_label=time_label)
 
     @property
     def label(self) -> str:
         """The matched parameters, in words."""
-        names = " and ".join(parameter_label(p) for p in self.shares)
+        names = " and ".join(
+            self.time_label if p == TARGET.key else parameter_label(p) for p in self.shares
+        )
         return names if len(self.shares) == 1 else f"the weighted mean of {names}"
 
     @property
@@ -163,7 +169,7 @@ def matched_times(
         weights of a band are 0, or the measurement lacks a parameter that has a weight.
     """
     if weights is None:
-        return Matched.t20(t20)
+        return Matched.time(t20, measured.time_label)
     stated = checks.mapped("weights", weights)
     if unknown := [name for name in stated if name not in PARAMETERS]:
         raise DataError(
@@ -192,7 +198,9 @@ def matched_times(
             )
     kept = [p for p in PARAMETERS if p == TARGET.key or by_parameter[p].any()]
     return Matched(
-        measured={p: times[p] for p in kept}, shares={p: by_parameter[p] / total for p in kept}
+        measured={p: times[p] for p in kept},
+        shares={p: by_parameter[p] / total for p in kept},
+        time_label=measured.time_label,
     )
 
 

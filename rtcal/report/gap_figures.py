@@ -11,7 +11,7 @@ from rtcal.acoustics.observables import DecaySlope, of_kind
 from rtcal.acoustics.priors import NORMAL_90
 from rtcal.finder.claim import CLAIMED, SAID
 from rtcal.finder.means.features import state
-from rtcal.finder.means.finding import FEATURE_NAMES, MeansFinding
+from rtcal.finder.means.finding import MeansFinding, feature_names
 from rtcal.finder.means.verification import MeansVerification, residual_map, reverberation_times
 from rtcal.finder.prior import NONE
 from rtcal.report.document import MOST, odds
@@ -89,7 +89,7 @@ def residuals(finding: MeansFinding, verification: MeansVerification | None = No
     rows = [
         (c, k)
         for c in range(len(finding.residuals))
-        for k in range(len(FEATURE_NAMES))
+        for k in range(finding.residuals.shape[1])
         if np.isfinite(finding.residuals[c, k]).any()
     ]
     names = [c.name for c in finding.case.configurations]
@@ -112,7 +112,9 @@ def residuals(finding: MeansFinding, verification: MeansVerification | None = No
                         color="white" if strong else "black",
                     )
         labels = [
-            FEATURE_NAMES[k] + (f" of {shown(names[c], 20)}" if several else "") for c, k in rows
+            feature_names(finding.case.configurations[c].measured)[k]
+            + (f" of {shown(names[c], 20)}" if several else "")
+            for c, k in rows
         ]
         axis.set_yticks(range(len(rows)), labels, fontsize=9)
         axis.set_xticks(range(len(f)), [f"{v:g}" for v in f], rotation=90 if len(f) > 10 else 0)

@@ -317,7 +317,8 @@ def summary(finding: MeansFinding, verification: MeansVerification | None) -> di
     first = finding.case.configurations[0].name
     decided = finding.can_be_added and not finding.undecided
     supported = verification is not None and verification.verdict == "supported"
-    plain = f'plain calibration to T20 of "{first}"'
+    time = finding.case.configurations[0].measured.time_label
+    plain = f'plain calibration to {time} of "{first}"'
     if supported:
         lacking = listed([finding.title, *finding.rivals], last="or")
         plain += f": not to be used, the model lacks something ({lacking})"
@@ -361,6 +362,7 @@ def _corrected(finding: MeansFinding, verification: MeansVerification | None) ->
     """The coefficients with the effect or the set in the model, and the sizes."""
     room = finding.case.room
     names = [f'"{c.name}"' for c in finding.case.configurations]
+    time = finding.case.configurations[0].measured.time_label
     if verification is None:
         corrected = recalibrate(finding.with_effects(), finding.discrepancy)
         use = "They are right if these are the right names."
@@ -372,7 +374,7 @@ def _corrected(finding: MeansFinding, verification: MeansVerification | None) ->
             "withdrawn": "Not to be used: the finding is withdrawn.",
         }[verification.verdict]
     return {
-        "title": f"with {finding.title} in the model, calibrated to T20 of {listed(names)}",
+        "title": f"with {finding.title} in the model, calibrated to {time} of {listed(names)}",
         "use": use,
         "effects": corrected.effects_in_words,
         "materials": material_rows(

@@ -103,7 +103,7 @@ def observe(case: Case) -> tuple[ObservedFeatures, list[str]]:
                 )
                 table[c, :, b] = np.nan
             elif np.isnan(table[c, 0, b]):
-                notes.append(f'"{configuration.name}": {bands.label(f)} dropped: no T20')
+                notes.append(f'"{configuration.name}": {bands.label(f)} dropped: no T20 and no T30')
                 table[c, :, b] = np.nan
     used = np.isfinite(table)
     full = np.zeros((n, len(FEATURES), k, n, len(FEATURES), k))

@@ -9,6 +9,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from rtcal.acoustics import bands
+from rtcal.acoustics.measurement import Measurement
 from rtcal.finder.case import Case
 from rtcal.finder.claim import CLAIMED, SAID, Names, SetsFinding, after_doubt
 from rtcal.finder.effects.checks import AppliedEffect, checked_effects
@@ -25,7 +26,11 @@ from rtcal.support.files import json_numbers
 from rtcal.support.text import as_sentence, listed
 from rtcal.support.types import Array
 
-FEATURE_NAMES = ("T20", "EDT/T20", "T30/T20", "C80", "G")
+
+def feature_names(measured: Measurement) -> tuple[str, ...]:
+    """Return the features' names as printed, by the reverberation time that was measured."""
+    time = measured.time_label
+    return time, f"EDT/{time}", "T30/T20", "C80", "G"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -327,7 +332,7 @@ class MeansFinding(SetsFinding):
             "residuals": [
                 {
                     "configuration": c.name,
-                    "feature": FEATURE_NAMES[f],
+                    "feature": feature_names(c.measured)[f],
                     "values": [None if np.isnan(v) else round(float(v), 2) for v in row],
                 }
                 for c, table in zip(self.case.configurations, self.residuals, strict=True)
@@ -383,7 +388,7 @@ class MeansFinding(SetsFinding):
             )
             rows = [
                 (f"    {name}", [text.number(v, "+.1f") for v in row])
-                for name, row in zip(FEATURE_NAMES, residuals, strict=True)
+                for name, row in zip(feature_names(c.measured), residuals, strict=True)
                 if np.isfinite(row).any()
             ]
             lines += text.table(rows, header=header)

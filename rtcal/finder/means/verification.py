@@ -26,7 +26,7 @@ from rtcal.finder.effects.checks import AppliedEffect
 from rtcal.finder.finding import Verification, amount
 from rtcal.finder.means.corrected import corrected_room
 from rtcal.finder.means.features import distances, observe, state
-from rtcal.finder.means.finding import FEATURE_NAMES, MeansFinding
+from rtcal.finder.means.finding import MeansFinding, feature_names
 from rtcal.finder.means.gap import LITTLE
 from rtcal.finder.means.hypotheses import predict_hypotheses
 from rtcal.finder.means.likelihood import MeansProblem
@@ -134,7 +134,8 @@ class Recalibrated(Result):
         size, ends = self.sizes.get(p.name), p.size_interval
         if size is None:
             return f"{name}: {p.effect.describe(p.parameters)}"
-        source = ", calibrated to T20 alone" if p.name in self.joint.effects else ""
+        time = self.case.configurations[0].measured.time_label
+        source = f", calibrated to {time} alone" if p.name in self.joint.effects else ""
         return f"{name}{source}: {amount(size, p.effect.unit, ends)}"
 
     def __repr__(self) -> str:
@@ -234,7 +235,7 @@ class MeansVerification(Verification):
         bias = finding.discrepancy.bias.reshape(observed.features.shape)
         quantities = []
         for c, configuration in enumerate(case.configurations):
-            for f, name in enumerate(FEATURE_NAMES):
+            for f, name in enumerate(feature_names(configuration.measured)):
                 if not observed.used[c, f].any():
                     continue
                 # Plain calibration has bent alpha for the model's bias in T as well.
@@ -310,7 +311,7 @@ class MeansVerification(Verification):
                 for c, table in zip(
                     self.finding.case.configurations, residual_map(self), strict=True
                 )
-                for name, row in zip(FEATURE_NAMES, table, strict=True)
+                for name, row in zip(feature_names(c.measured), table, strict=True)
                 if np.isfinite(row).any()
             ],
         }
@@ -323,7 +324,7 @@ class MeansVerification(Verification):
         if np.isnan(self.before):
             return (
                 f"Unproven: nothing was measured that tells {name} from bent coefficients. The finding "
-                f"rests on T20 and on the stated coefficients. {sure}"
+                f"rests on {self._time} and on the stated coefficients. {sure}"
             )
         gap = (
             f"with {name} in the model the gap that alpha cannot close goes from {self.before:.2f} to "
@@ -338,14 +339,20 @@ class MeansVerification(Verification):
             )
         if self.verdict == "withdrawn":
             but = "although" if self.predictive > 0 else "and"
-            given = f"given T20 it is predicted {_better(self.predictive)}"
+            given = f"given {self._time} it is predicted {_better(self.predictive)}"
             return f"Withdrawn: {gap}, {but} {given}. {sure}"
         likely = "more" if self.predictive >= 0 else "less"
         return (
-            f"Unproven: {gap}, which neither supports nor refutes the finding. It rests on T20 and on "
-            "the stated coefficients: weighed with their uncertainty, the other quantities are "
+            f"Unproven: {gap}, which neither supports nor refutes the finding. It rests on "
+            f"{self._time} and on the stated coefficients: weighed with their uncertainty, the other "
+            "quantities are "
             f"{abs(self.predictive):.1f} nats {likely} probable with the effect. {sure}"
         )
+
+    @property
+    def _time(self) -> str:
+        """Name of the reverberation time that was fitted."""
+        return self.finding.case.configurations[0].measured.time_label
 
     @property
     def _fitted_in_words(self) -> str:
@@ -355,12 +362,12 @@ class MeansVerification(Verification):
             plainly = next((g.before for g in self.quantities if g.fitted), 0.0)
             how = "exactly" if plainly < EXACT else f"to {plainly:.2f} JND"
             return (
-                f"Plain calibration meets the fitted T20 {how}. The corrected one meets it as closely "
-                "as the uncertainty of T allows."
+                f"Plain calibration meets the fitted {self._time} {how}. The corrected one meets it as "
+                "closely as the uncertainty of T allows."
             )
         return (
-            f"The corrected model does not meet the fitted T20: it is {off:.1f} times as far off "
-            "as the uncertainty of T allows. So no coefficients near the stated ones go with this "
+            f"The corrected model does not meet the fitted {self._time}: it is {off:.1f} times as far "
+            "off as the uncertainty of T allows. So no coefficients near the stated ones go with this "
             "effect and size."
         )
 
@@ -397,7 +404,7 @@ class MeansVerification(Verification):
         lines += text.table(rows, header=("mean gap in JND", ["plain", "corrected"]))
         if self.verdict != "unproven":
             lines += text.wrapped(
-                "Once T20 is fitted, the corrected model predicts what alpha cannot absorb "
+                f"Once {self._time} is fitted, the corrected model predicts what alpha cannot absorb "
                 f"{_better(self.predictive)} than the plain one."
             )
         lines += text.wrapped(self._fitted_in_words)

@@ -323,7 +323,7 @@ class StatesVerification(HeldOutVerification):
         What was measured at pairs that the finding had not; None where the halves of its own pairs
         predict each other.
     gaps : array (2, n_pairs, n_bands)
-        ln T before less measured after, in JND of 5 %: as if nothing had changed. ln T predicted less
+        T before less T measured after, in JND of 5 %: as if nothing had changed. T predicted less T
         measured after.
     """
 

@@ -17,7 +17,8 @@ from scipy.special import logsumexp
 
 from rtcal.acoustics import bands
 from rtcal.acoustics.measurement import Measurement
-from rtcal.acoustics.observables import MATCH, TARGET
+from rtcal.acoustics.observables import MATCH
+from rtcal.acoustics.quality import gap_jnd
 from rtcal.finder.claim import SAID, claimed, most_probable_first
 from rtcal.finder.effects import Effect
 from rtcal.finder.effects.checks import checked_effects
@@ -389,9 +390,12 @@ def verify(
 
 
 def _gaps(change: Array, predicted: Array) -> Array:
-    """Return the gaps in JND, (2, n_pairs, n_bands): as if nothing had changed, and as predicted."""
-    jnd = np.log1p(TARGET.jnd)
-    return np.stack([-change / jnd, (predicted - change) / jnd])
+    """Return the gaps in JND, (2, n_pairs, n_bands): as if nothing had changed, and as predicted.
+
+    ``change`` and ``predicted`` are logarithms of T after over T before.
+    """
+    ratio = np.exp(change)
+    return np.stack([gap_jnd(np.ones_like(ratio), ratio), gap_jnd(np.exp(predicted), ratio)])
 
 
 def _at_new_pairs(finding: StatesFinding, before: Measurement, after: Measurement) -> StatesCase:

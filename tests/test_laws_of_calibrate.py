@@ -1,0 +1,187 @@
+"""Plain questions to a calibration, over all methods, equations and kinds of uncertain rooms."""
+
+from __future__ import annotations
+
+import re
+from typing import Any
+
+import numpy as np
+import pytest
+
+import rtcal as rt
+from rtcal.acoustics.quality import MET
+from rtcal.finder.means.finding import feature_names
+from rtcal.loop.calibrate import calibrate_simulator
+from rtcal.report import loop_page
+from rtcal.report import page as page_module
+from rtcal.report.page import calibration_page
+from rtcal.simulators import EquationSimulator
+from rtcal.support.errors import DataError
+from tests.conftest import also
+from tests.report.pages import no_figures
+
+METHODS = ("mle", "lse", "soft", "smooth", "robust")
+EQUATIONS = (rt.Sabine(), rt.Eyring(), rt.Kuttruff())
+STATED: dict[str, dict[str, Any]] = {
+    "exact": {},
+    "uncertain": {"volume_sigma": 0.05, "area_sigma": 0.03, "climate_sigma": (2, 10)},
+    "correlated": {"band_correlation": 0.6, "common_alpha_sigma": 0.15},
+}
+BANDS = [125, 250, 500, 1000, 2000]
+
+
+def room(seed: int = 1, **stated: Any) -> rt.Room:
+    rng = np.random.default_rng(seed)
+    alpha = rng.uniform(0.03, 0.4, (4, 5))
+    return rt.Room(
+        name="office",
+        volume=95,
+        materials=["carpet", "boards", "glass", "door"],
+        areas=[34, 80, 14, 6],
+        alpha=alpha,
+        sigma=0.3 * alpha,
+        centre_frequencies=BANDS,
+        air=rt.Air(21, 45),
+        **stated,
+    )
+
+
+def cases() -> list[Any]:
+    every = [
+        (m, e, kind)
+        for m in METHODS
+        for e in EQUATIONS
+        for kind in STATED
+        if not (m == "robust" and kind == "correlated")
+    ]
+    quick = [c for i, c in enumerate(every) if i % 3 == 0]
+    return [*quick, *also(*(c for c in every if c not in quick))]
+
+
+def calibrated(given: rt.Room, t: Any, method: str, equation: Any) -> Any:
+    return rt.calibrate(given, t, method, equation)
+
+
+@pytest.mark.parametrize(("method", "equation", "kind"), cases())
+def test_a_calibrated_room_is_not_moved_by_the_t_that_it_has(method, equation, kind) -> None:
+    given = room(**STATED[kind])
+    t = equation.reverberation_time(given) * np.array([1.2, 0.9, 0.8, 1.1, 1.0])
+    first = calibrated(given, t, method, equation)
+    again = first.room.replace(calibration=None)
+    second = calibrated(again, first.reverberation_time_after, method, equation)
+    np.testing.assert_allclose(second.alpha, first.alpha, rtol=0, atol=1e-9)
+    assert np.nanmax(np.abs(second.gap_before)) < 1e-9
+    with pytest.raises(DataError, match=r"already calibrated|twice"):
+        calibrated(first.room, t, method, equation)
+
+
+@pytest.mark.parametrize(("method", "equation", "kind"), cases())
+def test_twice_is_the_same_bits_and_the_order_of_materials_moves_nothing(
+    method, equation, kind
+) -> None:
+    given = room(2, **STATED[kind])
+    t = equation.reverberation_time(given) * np.array([0.8, 1.3, 1.1, 0.9, 1.2])
+    first, second = (calibrated(given, t, method, equation) for _ in range(2))
+    assert first.alpha.tobytes() == second.alpha.tobytes()
+    assert first.posterior_sigma.tobytes() == second.posterior_sigma.tobytes()
+    order = np.array([2, 0, 3, 1])
+    other = given.replace(
+        materials=[given.materials[i] for i in order],
+        areas=given.areas[order],
+        alpha=given.alpha[order],
+        sigma=given.sigma[order],
+        area_sigma=given.area_sigma[order],
+    )
+    permuted = calibrated(other, t, method, equation)
+    np.testing.assert_allclose(permuted.alpha, first.alpha[order], rtol=0, atol=1e-10)
+    sigma = first.posterior_sigma[order]
+    np.testing.assert_allclose(permuted.posterior_sigma, sigma, rtol=1e-7, atol=1e-12)
+    np.testing.assert_allclose(permuted.plausibility.z, first.plausibility.z, rtol=0, atol=1e-8)
+    assert permuted.verdict.level == first.verdict.level
+
+
+@pytest.mark.parametrize(("method", "equation", "kind"), cases())
+def test_twice_the_areas_and_the_volume_is_the_same_room(method, equation, kind) -> None:
+    """(k V / T - 4 m V) / S has the same value, and so has each coefficient."""
+    given = room(3, **STATED[kind])
+    t = equation.reverberation_time(given) * np.array([0.9, 1.2, 0.8, 1.3, 1.0])
+    double = given.replace(volume=2 * given.volume, areas=2 * given.areas)
+    first, second = (calibrated(r, t, method, equation) for r in (given, double))
+    np.testing.assert_allclose(second.alpha, first.alpha, rtol=0, atol=1e-8)
+    np.testing.assert_allclose(second.plausibility.q, first.plausibility.q, rtol=1e-6)
+    assert second.verdict.level == first.verdict.level
+
+
+def results() -> list[Any]:
+    """Calibrations of every verdict: gaps, contradictions, T calculated from the prior, marks."""
+    made = []
+    for i, kind in enumerate(STATED):
+        for method in METHODS:
+            if method == "robust" and kind == "correlated":
+                continue
+            for factor in (1.0, 1.04, 1.1, 1.5, 3.0):
+                given = room(i, **STATED[kind])
+                made.append(
+                    rt.calibrate(given, factor * rt.Eyring().reverberation_time(given), method)
+                )
+    bare = room(volume_sigma=0.3)
+    made.append(rt.calibrate(bare, 0.6 * rt.Eyring().reverberation_time(bare)))
+    far = room().replace(volume=900)
+    made.append(rt.calibrate(far, 1.03 * rt.Eyring().reverberation_time(far)))
+    terms = rt.terms
+    untied = rt.Calibration(terms.PriorDeviation(), []).build(room())
+    made.append(untied.solve(1.3 * rt.Eyring().reverberation_time(room())))
+    return made
+
+
+def test_one_verdict_decides_what_text_page_and_record_say(monkeypatch) -> None:
+    """None says "agrees" where T is not met, where a value is mistyped, or p is not in between."""
+    monkeypatch.setattr(page_module, "_figures", no_figures)
+    levels = set()
+    for n, result in enumerate(results()):
+        verdict, p = result.verdict, result.plausibility.p_value
+        levels.add(verdict.level)
+        gap = np.abs(result.gap_after[np.isfinite(result.gap_after)])
+        text = " ".join(str(result).split())
+        assert text.index(verdict.heading) < text.index("measured T / s")
+        assert result.to_dict()["verdict"]["level"] == verdict.level
+        met = (gap < MET).all() and result.joint.asks_for_measured_time
+        if verdict.level == "agrees":
+            assert met
+            assert 0.05 <= p <= 0.99
+            assert (np.abs(result.gap_before) < 3).all()
+        if not met:
+            assert verdict.level != "agrees"
+            assert "agrees" not in verdict.heading
+        if n % 7 and met:
+            continue
+        page = calibration_page(result).replace("&#39;", "'")
+        plain = re.sub(r"<style.*?</style>|<[^>]+>", " ", page, flags=re.DOTALL)
+        plain = " ".join(plain.split())
+        assert ("verdict agrees" in page) == (verdict.level == "agrees")
+        assert verdict.heading in plain
+        if not met:
+            assert "agrees" not in plain
+            assert "of 5 bands" in plain or "in no band" in plain
+    assert levels == {"agrees", "open", "contradicts"}
+
+
+def test_t30_is_called_t30() -> None:
+    """No text about T30 alone names T20 as what was measured or matched."""
+    given = room()
+    t = 1.1 * rt.Eyring().reverberation_time(given)
+    measured = rt.Measurement.from_values(BANDS, t30=t)
+    assert measured.time_label == "T30"
+    assert rt.Measurement.from_values(BANDS, t20=t, t30=t).time_label == "T20"
+    mixed = rt.Measurement.from_values(BANDS, t20=[*t[:2], *[np.nan] * 3], t30=t)
+    assert mixed.time_label == "T20 and T30"
+    assert feature_names(measured)[:2] == ("T30", "EDT/T30")
+    result = rt.calibrate(given, measured)
+    for said in (str(result), result._repr_html_(), calibration_page(result)):
+        assert "T30" in said
+        assert "T20" not in re.sub(r"base64,[A-Za-z0-9+/=]+", "", said)
+    looped = calibrate_simulator(EquationSimulator(rt.Kuttruff(), given), given, measured)
+    assert looped.loop.matched.label == "T30"
+    page = loop_page.page(looped)
+    assert "so that T30 comes nearer to what was measured" in page
+    assert "Only T30 was fitted" in page
