@@ -223,7 +223,7 @@ def uneven_marks(room: Room, shares: Array) -> tuple[TrustMark, ...]:
     ...                sigma=[[0.1], [0.01], [0.01]], centre_frequencies=[500])
     >>> from rtcal.acoustics.directions import facing
     >>> uneven_marks(room, facing(room))[0].text[:66]
-    "the absorption is uneven: Arau-Puchades' equation gives 0.92 s for"
+    "the absorption is uneven: Arau-Puchades' equation gives 0.89 s for"
     """
     if not enough_known(room, shares):
         return ()
@@ -232,13 +232,12 @@ def uneven_marks(room: Room, shares: Array) -> tuple[TrustMark, ...]:
     along, areas = along[:, areas > 0], areas[areas > 0]
     eyring = Eyring()
     mean = np.minimum(along.T @ room.alpha / areas[:, np.newaxis], eyring.largest_mean)
-    exponents = np.concatenate(
-        [eyring.exponent(mean), eyring.exponent([areas @ mean / areas.sum()])]
-    )
-    times = eyring.room_constant(room) * room.volume
-    times = times / (room.total_area * exponents + 4 * room.air_attenuation * room.volume)
-    arau = np.exp(areas @ np.log(times[:-1]) / areas.sum())
-    differ = np.abs(gap_jnd(arau, times[-1]))
+    exponents = np.vstack([eyring.exponent(mean), eyring.exponent(areas @ mean / areas.sum())])
+    absorbed = room.total_area * exponents + 4 * room.air_attenuation * room.volume
+    known = (absorbed > 0).all(axis=0)
+    times = eyring.room_constant(room) * room.volume / np.where(known, absorbed, np.nan)
+    arau: Array = np.exp(areas @ np.log(times[:-1]) / areas.sum())
+    differ = np.nan_to_num(np.abs(gap_jnd(arau, times[-1])))
     k = int(np.argmax(differ))
     if not differ[k] > 1:
         return ()
