@@ -33,7 +33,7 @@ def test_a_loop_results_page(loop_result, tmp_path) -> None:
     assert [float(v) for v in re.findall(r"<td[^>]*>([\d.]+)</td>", row)] == np.round(
         after, 3
     ).tolist()
-    assert "With all the coefficients returned, T20 is off by 0.0 JND at most" in text
+    assert "With all the coefficients returned, T30 is off by 0.0 JND at most" in text
     assert "no finding" not in text
     assert len(rt.load(path).loop.steps) == loop_result.simulations
     steps = [
