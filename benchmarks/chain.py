@@ -1,6 +1,7 @@
 """Does adding data ever cost? T20 alone, with EDT, T30, C80 and G, and with a second configuration.
 
     python -m benchmarks.chain table                                    # of the stored rows
+    python -m benchmarks.chain weak                                     # what a weak verdict changes
     python -m benchmarks.chain run --folder out --empty 16 --each 2     # can be resumed
     python -m benchmarks.chain run --folder out --setting "full power" --empty 16 --each 2
     python -m benchmarks.chain table --folder out --setting "full power"
@@ -49,6 +50,7 @@ from benchmarks.judging import (
 )
 from benchmarks.second_world import truth_of
 from rtcal.finder import Case
+from rtcal.finder.claim import too_weak
 from rtcal.finder.means import likelihood
 from rtcal.finder.means.engines import ControlRooms
 from rtcal.finder.prior import NO_EFFECT
@@ -250,6 +252,43 @@ def steps(rows: Mapping[str, dict[str, Any]]) -> None:
                 print(f"of {counts.total()}")
 
 
+PRESENT = ("chosen", "chosen, earlier")
+"""Stored rows of the present threshold, from before `rtcal.finder.claim.too_weak`; no room twice."""
+
+
+def weak() -> None:
+    """Print flagged, detected and claimed rooms before and after weak findings became hints.
+
+    The rule needs the probabilities alone, which the rows hold. Claims of a name or a family are not
+    changed by it.
+    """
+    print("data: nothing hidden, flagged; hidden, detected; ambiguous sets with the truth")
+    whole = (SECOND, *reversed(CHAIN))
+    for name, data in {**{n: (n,) for n in CHAIN}, "as stated": whole}.items():
+        rooms = [
+            room
+            for setting in PRESENT
+            for world in POPULATIONS
+            for room in judged(rows_of(None, setting), world, *data)
+        ]
+        said = []
+        for rule in (False, True):
+            flagged = [r for r in rooms if r.flagged and not (rule and _weak(r))]
+            sets = [r.truth_in_set for r in flagged if r.row["verdict"] == "ambiguous"]
+            empty = sum(r.nothing for r in flagged)
+            of_empty = sum(r.nothing for r in rooms)
+            said.append(
+                f"{empty} of {of_empty} ({empty / of_empty:.3f}); {len(flagged) - empty} of "
+                f"{len(rooms) - of_empty}; {sum(sets)} of {len(sets)}"
+            )
+        print(f"{name:24} before {said[0]:42} after {said[1]}")
+
+
+def _weak(room: Judged) -> bool:
+    unclaimed = room.row["verdict"] in ("ambiguous", "unknown")
+    return unclaimed and bool(too_weak(room.row["probabilities"], room.row["families"]))
+
+
 def record(rows: Mapping[str, dict[str, Any]]) -> None:
     """Print how often each verdict was right: T20, EDT and T30, and the case as it is stated."""
     times: list[Judged] = []
@@ -270,7 +309,7 @@ def record(rows: Mapping[str, dict[str, Any]]) -> None:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("what", choices=("run", "table"))
+    parser.add_argument("what", choices=("run", "table", "weak"))
     parser.add_argument("--folder", type=Path)
     parser.add_argument("--setting", default="", help=f"of a run: {', '.join(SETTINGS)}")
     parser.add_argument("--empty", type=int, default=16, help="rooms with nothing hidden")
@@ -278,6 +317,9 @@ def main() -> None:
     parser.add_argument("--world", type=int, nargs="+", default=[*POPULATIONS], help="of a run")
     given = parser.parse_args()
     warnings.simplefilter("ignore")
+    if given.what == "weak":
+        weak()
+        return
     if given.what == "run":
         if given.folder is None:
             parser.error("--folder is needed")

@@ -401,7 +401,9 @@ def test_data_that_say_nothing_do_not_hide_what_t20_detects() -> None:
     assert whole.score < whole.threshold
     assert whole.detection.deciding == "T20"
     assert "Detected by T20 alone" in str(whole)
-    assert whole.detected
+    # All data leave nothing a fair part of the probability, which makes it a hint.
+    assert whole.verdict == "hint"
+    assert whole.reasons[0].startswith("that nothing is missing has a probability of")
 
 
 def test_people_are_objects_and_an_audience_covers_floor() -> None:

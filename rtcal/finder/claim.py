@@ -162,6 +162,31 @@ def claimed(
     return ("ambiguous" if family is None else "family"), family
 
 
+FAIR = 1 / 3
+"""A fair part of the probability. Where nothing missing has it, as before the measurement
+(`rtcal.finder.prior.NO_EFFECT`), or no effect and no family does, the data do not say enough to call
+something missing. `python -m benchmarks.chain weak` shows what it costs and saves."""
+
+
+def too_weak(probabilities: Mapping[str, float], families: Mapping[str, float]) -> str:
+    """Return why nothing is said to be missing although the score exceeds its threshold; "" if it is.
+
+    Examples
+    --------
+    >>> too_weak({"none": 0.4, "opening": 0.35}, {"none": 0.4, "added absorption": 0.5})
+    'that nothing is missing has a probability of 40 %'
+    >>> too_weak({"none": 0.2, "opening": 0.3}, {"none": 0.2, "added absorption": 0.5})
+    ''
+    """
+    nothing = probabilities.get(NONE, 0.0)
+    if nothing >= FAIR:
+        return f"that nothing is missing has a probability of {100 * nothing:.0f} %"
+    every = [p for table in (probabilities, families) for k, p in table.items() if k != NONE]
+    if max(every, default=0.0) < FAIR:
+        return f"no effect and no family of effects has a probability of {100 * FAIR:.0f} %"
+    return ""
+
+
 def credible_set(probabilities: Mapping[str, float]) -> tuple[str, ...]:
     """Return the most probable hypotheses but "none" that hold `CREDIBLE` of the probability."""
     some = {k: p for k, p in probabilities.items() if k != NONE}

@@ -339,7 +339,9 @@ class Finding(Result):
         ``family``: a family of that probability, but no member, or one with a doubt about its size or
         fit. ``ambiguous``: something is missing, and effects of several families explain it.
         ``unknown``: the model lacks something that no effect of the library explains. ``hint``: the
-        score does not exceed the threshold but is above 0, or a check has failed (``reasons``).
+        score does not exceed the threshold but is above 0, nothing missing has a third of the
+        probability, no effect and no family has (both of means over positions), or a check has failed
+        (``reasons``).
     family : str or None
         The family whose probability is at least 0.9.
     probabilities : mapping of str to float

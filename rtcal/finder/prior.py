@@ -10,6 +10,7 @@ that are *off together* err by several times as much (`SCALES`): heavy tails.
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -258,11 +259,19 @@ def _root(covariance: Array) -> Array:
     return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0))[..., None, :])
 
 
-def drawn(d: Directions, rng: np.random.Generator, n: int) -> Array:
+def drawn(d: Directions, materials: Sequence[str], rng: np.random.Generator, n: int) -> Array:
     """Draw usual changes of alpha in common, (n, n_configurations, n_materials, n_bands)."""
     together = np.einsum("nt,ctmb->ncmb", rng.standard_normal((n, 2)), d.common)
-    z = rng.standard_normal((n, 2, d.own.shape[2]))
+    each = by_name(rng, materials)
+    z = np.stack([of_name.standard_normal((n, 2)) for of_name in each], axis=-1)
     return np.asarray(together + np.einsum("ntm,ctmb->ncmb", z, d.own))
+
+
+def by_name(rng: np.random.Generator, names: Sequence[str]) -> list[np.random.Generator]:
+    """Return a generator for each name: what is drawn for it depends on no other and on no order."""
+    of_all = int(rng.integers(2**63))
+    digests = [hashlib.sha256(name.encode()).digest()[:8] for name in names]
+    return [np.random.default_rng([of_all, int.from_bytes(digest)]) for digest in digests]
 
 
 @dataclass(frozen=True, eq=False)

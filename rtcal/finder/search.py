@@ -127,7 +127,8 @@ def find(
     effects : sequence of Effect, optional
         The effects to try; the whole library if not given.
     seed : int
-        Of control rooms, control runs, paths and the bootstrap.
+        Of control runs, paths and the bootstrap at positions, and of two states. A search by means over
+        positions draws nothing: control rooms and null rooms are fixed sequences.
     only, without : sequence of str
         Names of the effects to try alone, or to leave out.
     controls : ControlRuns, or sequence of ControlRooms, optional
@@ -159,6 +160,7 @@ def find(
     none
     """
     case: AnyCase
+    checks.whole("seed", seed, 0)
     if isinstance(room, Room):
         if measured is None:
             raise DataError("measured is missing: a room is compared with what was measured in it")
@@ -178,7 +180,6 @@ def find(
         return states.find(case, effects=effects, seed=seed, only=only, without=without)
     common: Mapping[str, Any] = {
         "effects": effects,
-        "seed": seed,
         "only": only,
         "without": without,
         "controls": controls,
@@ -189,7 +190,7 @@ def find(
         return find_by_means(checks.instance("case", case, Case), **common, **of_means)
     for name in of_means:
         raise DataError(f"{name} is of a search by means over positions")
-    return positions.find(case, **common)
+    return positions.find(case, seed=seed, **common)
 
 
 @overload

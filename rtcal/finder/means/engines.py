@@ -19,6 +19,7 @@ from rtcal.acoustics.materials import Surface
 from rtcal.acoustics.room import Room
 from rtcal.finder.case import Case
 from rtcal.finder.model import FEATURES, RoomState, predict
+from rtcal.finder.prior import by_name
 from rtcal.simulators.geometry import SHOEBOX_WALLS, Polyhedron
 from rtcal.simulators.late_images import mean_energy
 from rtcal.simulators.path_tracing import PathTracing
@@ -42,7 +43,7 @@ below 0.5 turn the paths towards the walls' normals at each reflection. In a fla
 a fifth shorter than by any equation.
 """
 _RECEIVERS = 4
-_PATHS = 6000
+_PATHS = 3000
 _RAYS = 4000
 _IMAGES = 300_000
 """Image sources of a pair that are counted one by one. Of later ones the mean is taken."""
@@ -108,21 +109,26 @@ def _relative(controls: ControlRooms) -> list[int]:
 def draw_alpha(case: Case, rng: np.random.Generator, n: int) -> Array:
     """Draw coefficients from the prior: (n, n_configurations, n_materials, n_bands), in [0.001, 0.99].
 
-    The bands have the room's correlation. A configuration's changes are independent draws.
+    The bands have the room's correlation. A configuration's changes are independent draws. Each
+    material's draws belong to its name, so that their order changes nothing.
     """
     room = case.room
     correlation = bands.correlation(room.centre_frequencies, room.band_correlation)
     factor = np.linalg.cholesky(correlation + 1e-10 * np.eye(room.n_bands))
 
-    def drawn(mean: Array, sigma: Array) -> Array:
-        z = rng.standard_normal((n, *mean.shape)) @ factor.T
+    def drawn(of_name: np.random.Generator, mean: Array, sigma: Array) -> Array:
+        z = of_name.standard_normal((n, room.n_bands)) @ factor.T
         return np.asarray(np.clip(mean + sigma * z, 0.001, 0.99))
 
-    base = drawn(room.alpha, room.sigma)
+    each = zip(by_name(rng, room.materials), room.alpha, room.sigma, strict=True)
+    base = np.stack([drawn(*of_material) for of_material in each], axis=1)
     out = np.repeat(base[:, None], len(case.configurations), axis=1)
     for c, configuration in enumerate(case.configurations):
-        for material, change in configuration.changes.items():
-            out[:, c, room.material_index(material)] = drawn(change.alpha, change.sigma)
+        changes = configuration.changes
+        names = [f"{material} in {configuration.name}" for material in changes]
+        for of_name, (material, change) in zip(by_name(rng, names), changes.items(), strict=True):
+            row = room.material_index(material)
+            out[:, c, row] = drawn(of_name, change.alpha, change.sigma)
     return out
 
 
@@ -279,15 +285,17 @@ class Engine:
     def run(self, case: Case, seed: int, progress: TaskProgress | None = None) -> ControlRooms:
         """Simulate the control rooms of a case."""
         rng = np.random.default_rng([seed, self.stream])
+        places = _spread_evenly(rng, self.setups, 3 * (1 + _RECEIVERS))
+        alphas = draw_alpha(case, rng, self.setups * self.draws)
         models = [self.models[n // 2 % len(self.models)] for n in range(self.setups)]
         scattering = _scattering(models, rng) if self.scatters else [0.0] * self.setups
         errors = []
         for number in range(self.setups):
-            setup = _setup(case, rng, number, seed, scattering[number], models[number])
+            setup = _setup(case, places[number], number, seed, scattering[number], models[number])
             simulate = self.simulator(setup)
             duration = self.duration * float(_time(setup, case.room.alpha).max())
             rows = []
-            for alpha in draw_alpha(case, rng, self.draws):
+            for alpha in alphas[number :: self.setups]:
                 simulated = [simulate(_by_axis(setup.share, a), duration) for a in alpha]
                 rows.append(simulated - _theory(case, setup, alpha))
             errors.append(rows)
@@ -311,25 +319,40 @@ def _scattering(models: Sequence[ScatteringModel], rng: np.random.Generator) -> 
     return out
 
 
+def _spread_evenly(rng: np.random.Generator, n: int, dimensions: int) -> Array:
+    """Return points in the unit cube, (n, dimensions), evenly over each coordinate.
+
+    A Latin hypercube (McKay, Beckman & Conover 1979).
+    """
+    cells = np.stack([rng.permutation(n) for _ in range(dimensions)], axis=1)
+    return np.asarray((cells + rng.uniform(size=cells.shape)) / n)
+
+
 def _setup(
     case: Case,
-    rng: np.random.Generator,
+    places: Array,
     number: int,
     seed: int,
     scattering: float,
     model: ScatteringModel,
 ) -> Setup:
-    """Return a control room with source and receivers at random positions."""
+    """Return a control room; ``places``, from 0 to 1, give its source and receivers."""
     room, share = box(case)
     sides = np.array(room.dimensions)
-    least = 0.2 * room.volume ** (1 / 3)
-    source = sides * rng.uniform(0.15, 0.85, 3)
-    receivers: dict[str, tuple[float, ...]] = {}
-    while len(receivers) < _RECEIVERS:
-        place = sides * rng.uniform(0.15, 0.85, 3)
-        if np.linalg.norm(place - source) > least:
-            receivers[f"R{len(receivers) + 1}"] = tuple(place.tolist())
+    source, *others = sides * (0.15 + 0.7 * places.reshape(-1, 3))
+    receivers = {
+        f"R{i}": tuple(_apart(source, place, sides).tolist()) for i, place in enumerate(others, 1)
+    }
     return Setup(room, share, tuple(source.tolist()), receivers, scattering, model, number, seed)
+
+
+def _apart(source: Array, place: Array, sides: Array) -> Array:
+    """Return a receiver's place; where it is too near the source, one towards the farthest corner."""
+    least = 0.2 * float(np.prod(sides)) ** (1 / 3)
+    if np.linalg.norm(place - source) > least:
+        return place
+    way = np.where(source < sides / 2, 0.85, 0.15) * sides - source
+    return np.asarray(source + 1.001 * least / float(np.linalg.norm(way)) * way)
 
 
 def _distances(setup: Setup) -> Array:
@@ -387,8 +410,8 @@ ENGINES: Mapping[str, Engine] = {
             name="path tracing",
             simulator=_path_tracing,
             stream=1,
-            setups=8,
-            draws=4,
+            setups=32,
+            draws=1,
             duration=1.15,
             models=tuple(SCATTERING),
         ),

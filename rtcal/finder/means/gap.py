@@ -12,12 +12,13 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
+from scipy.special import ndtr
 
 from rtcal.acoustics import bands
 from rtcal.acoustics.bands import mid_frequency_time, schroeder_frequency
 from rtcal.acoustics.observables import observable
 from rtcal.finder.case import Case
-from rtcal.finder.claim import DISTINCT_NATS
+from rtcal.finder.claim import CLAIMED, DISTINCT_NATS
 from rtcal.finder.effects import Effect, Parameters
 from rtcal.finder.finding import Size
 from rtcal.finder.means.evidence import MeansEvidence, evaluate
@@ -98,11 +99,9 @@ def unexplained(name: str, times: float, probability: float) -> list[Objection]:
 
 def gap_against(name: str, gap: GapCheck) -> list[Objection]:
     """Return a doubt where the gap grows, or where what alpha cannot fit contradicts the effect."""
+    ends = f"from {gap.before:.2f} to {gap.after:.2f} JND"
     if gap.grows:
-        words = (
-            f"with {name} in the model the gap that alpha cannot close grows from {gap.before:.2f} to "
-            f"{gap.after:.2f} JND"
-        )
+        words = f"with {name} in the model the gap that alpha cannot close grows {ends}"
         return [Objection(words, "effect")]
     if gap.contradicts:
         words = (
@@ -110,6 +109,12 @@ def gap_against(name: str, gap: GapCheck) -> list[Objection]:
             f"({gap.predictive:.1f} nats)"
         )
         return [Objection(words, "effect")]
+    if gap.growth >= 0.5:
+        words = (
+            f"with {name} in the model the gap that alpha cannot close may grow, {ends}: by more than "
+            f"{LITTLE:g} JND with a probability of {100 * gap.growth:.0f} %"
+        )
+        return [Objection(words, "fit")]
     return []
 
 
@@ -222,9 +227,17 @@ class GapCheck:
         return self.before - self.after > self.uncertainty and self.predictive > 0
 
     @property
+    def growth(self) -> float:
+        """Probability that the gap grows by more than a little; 0 where nothing was measured of it."""
+        grown = self.after - self.before - LITTLE
+        if not self.uncertainty > 0:
+            return float(grown > 0)
+        return float(ndtr(grown / self.uncertainty))
+
+    @property
     def grows(self) -> bool:
-        """Whether the gap grows by more than its uncertainty and more than a little."""
-        return self.after - self.before > max(LITTLE, self.uncertainty)
+        """Whether the gap grows by more than a little, as surely as a claim must be."""
+        return self.growth >= CLAIMED
 
     @property
     def contradicts(self) -> bool:
@@ -315,6 +328,10 @@ _PARAMETERS = {"EDT and T30": ("edt", "t30"), "C80": ("c80",), "G": ("g",)}
 
 def _in_words(kind: str) -> str:
     return "G, with a calibrated source" if kind == "G" else kind
+
+
+NO_STEP = "none: these data do not show that anything is missing"
+"""The advice where the data do not say enough to call something missing."""
 
 
 def next_measurement(evidence: MeansEvidence, candidates: Sequence[str]) -> str:

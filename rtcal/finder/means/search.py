@@ -11,7 +11,7 @@ import numpy as np
 from rtcal.acoustics import bands
 from rtcal.acoustics.observables import parameter_label
 from rtcal.finder.case import Case
-from rtcal.finder.claim import by_family, credible_set, family_of, posterior
+from rtcal.finder.claim import by_family, credible_set, family_of, posterior, too_weak
 from rtcal.finder.effects import Effect
 from rtcal.finder.effects.checks import AppliedEffect, checked_effects, judged_effects
 from rtcal.finder.finding import Candidate, Detection
@@ -26,7 +26,7 @@ from rtcal.finder.means.evidence import (
 from rtcal.finder.means.evidence import score as evidence_of_something
 from rtcal.finder.means.features import LEVELS, observe, steps
 from rtcal.finder.means.finding import MeansFinding
-from rtcal.finder.means.gap import next_measurement, schroeder_limit
+from rtcal.finder.means.gap import NO_STEP, next_measurement, schroeder_limit
 from rtcal.finder.means.hypotheses import MeansHypotheses, predict_hypotheses
 from rtcal.finder.means.likelihood import MeansProblem
 from rtcal.finder.means.set_posterior import MOST, posterior_of_sets, single_posterior
@@ -54,7 +54,6 @@ def find(
     case: Case,
     effects: Sequence[Effect] | None = None,
     threshold: Threshold | float | None = None,
-    seed: int = 0,
     *,
     most: int = 1,
     expected: float | None = None,
@@ -76,8 +75,6 @@ def find(
     threshold : Threshold or float, optional
         Of an earlier bootstrap of the same case, or a number of nats; the model's discrepancy is then
         estimated from ``controls``. Bootstrapped if not given.
-    seed : int
-        Of the control rooms and of the bootstrap.
     most : int
         Largest number of effects that may be missing at once, from 1 to 3.
     expected : float, optional
@@ -117,7 +114,6 @@ def find(
     >>> print(rt.find(case, most=3))  # doctest: +SKIP
     """
     checks.instance("case", case, Case).require_fresh()
-    checks.whole("seed", seed, 0)
     every = checked_effects(effects)
     effects, left_out = chosen_effects(every, without, only)
     odds = checked_odds(effects, prior)
@@ -130,10 +126,10 @@ def find(
     predicted = predict_hypotheses(case, effects)
     if not isinstance(threshold, Threshold):
         if controls is None:
-            controls = control_rooms(case, seed, engines, progress, cache)
+            controls = control_rooms(case, 0, engines, progress, cache)
         else:
             controls = checked_controls(case, controls)
-        bootstrapped = bootstrap_threshold(case, observed, predicted, controls, before, seed)
+        bootstrapped = bootstrap_threshold(case, observed, predicted, controls, before)
         limits = bootstrapped.values
         if threshold is not None:
             limit = checks.number("threshold", threshold)
@@ -216,12 +212,15 @@ def _conclude(
     else:
         sets = posterior_of_sets(compared, prior, expected=expected, most=most)
         probabilities, families = sets.effects(), sets.families(effects)
+    weak = too_weak(probabilities, families)
     if most == 1 or detected is not None:
-        verdict = of_single(evidence, of_one, of_one_family, detected)
-        told_apart = verdict.names
+        verdict = of_single(evidence, of_one, of_one_family, detected, weak)
+    elif weak:
+        verdict = of_single(evidence, of_one, of_one_family, "hint")
+        verdict = replace(verdict, reasons=(weak, *verdict.reasons))
     else:
         verdict = of_sets(evidence, sets, probabilities, families)
-        told_apart = credible_set(of_one)
+    told_apart = verdict.names if most == 1 or detected is not None else credible_set(of_one)
     return MeansFinding(
         case=case,
         **{k: v for k, v in vars(verdict).items() if k != "names"},
@@ -237,7 +236,9 @@ def _conclude(
         alpha=averaged_alpha(compared, sets.likely),
         prior=prior,
         detection=detection,
-        advice=next_measurement(evidence, told_apart),
+        advice=NO_STEP
+        if weak and verdict.verdict == "hint"
+        else next_measurement(evidence, told_apart),
         residuals=problem.standardized_residuals(),
         notes=(*_off_levels(problem), *notes, observed.origin, *_notes(case)),
         discrepancy=problem.discrepancy,

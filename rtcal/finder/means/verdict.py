@@ -265,10 +265,12 @@ def of_single(
     probabilities: Mapping[str, float],
     families: Mapping[str, float],
     detected: str | None,
+    weak: str = "",
 ) -> Verdict:
     """Return what is claimed where one effect is missing at most.
 
     ``detected`` is "none" or "hint" where the score does not exceed its threshold, else None.
+    ``weak`` is why the data do not say enough (`rtcal.finder.claim.too_weak`): a hint, then.
     """
     effects = evidence.problem.predicted.effects
     best = next(k for k in probabilities if k != NONE)
@@ -276,6 +278,8 @@ def of_single(
     verdict, family = claimed(detected, probabilities, families, rough)
     if verdict == "none":
         return Verdict(verdict=verdict, family=family)
+    weak = weak if detected is None and verdict in ("ambiguous", "unknown") else ""
+    verdict = "hint" if weak else verdict
     fits, found = dict[str, Fit](), tuple[Objection, ...]()
     if best != UNKNOWN:
         fits[best] = fit(evidence, best, precise=True)
@@ -294,7 +298,7 @@ def of_single(
         members=(best,) if best in fits else (),
         names=names,
         fits=fits,
-        reasons=tuple(doubt.words for doubt in found),
+        reasons=tuple(filter(None, (weak, *(doubt.words for doubt in found)))),
         leads=sure and bool(found) and found[0].of == "stated",
         mistake=mistake_in(found),
     )

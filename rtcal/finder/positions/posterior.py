@@ -282,7 +282,6 @@ show. Of 17 participants' models of PTB's studio as it was, an earlier version f
 def evidence_of_means(
     case: PositionsCase,
     effects: Sequence[Effect] | None = None,
-    seed: int = 0,
     cache: str | os.PathLike[str] | None = None,
 ) -> MeansFinding | None:
     """Return what `rtcal.find` says of the means over positions.
@@ -290,7 +289,7 @@ def evidence_of_means(
     None where that finder has nothing to compare: no T, or none that can be trusted.
     """
     try:
-        return find_by_means(of_means(case), effects, seed=seed, cache=cache)
+        return find_by_means(of_means(case), effects, cache=cache)
     except DataError:
         return None
 

@@ -143,7 +143,7 @@ def find(
     means = None
     if not left_out and case.simulated is None:
         # The means know neither fewer effects nor another program's values.
-        means = evidence_of_means(case, every, seed, cache)
+        means = evidence_of_means(case, every, cache)
     found = find_by_positions(case, every, controls, cache, seed, left_out, progress, means)
     return found if means is None else replace(found, mistake=means.mistake)
 
@@ -240,7 +240,7 @@ def find_by_positions(
         if doubted and reverberation:
             case, of_gain = as_unknown(case), -np.inf
             numbers, hypotheses, evidence = searched(case)
-            means = None if means is None else evidence_of_means(case, effects, seed, cache)
+            means = None if means is None else evidence_of_means(case, effects, cache)
         elif doubted:  # nothing is left that says as much whatever the source
             evidence = lobes
         else:
