@@ -216,7 +216,7 @@ class PriorDeviation(BaseTerm):
 
     def _whitener(self, layout: Layout) -> Any:
         bands, between = self.factors(layout)
-        within = sp.block_diag([np.linalg.inv(b) for b in bands])
+        within = sp.block_diag([sp.csr_array(np.linalg.inv(b)) for b in bands])
         across = sp.kron(np.linalg.inv(between), sp.eye_array(layout.n_bands))
         whitener = sp.csr_array(across @ within)
         whitener.eliminate_zeros()
