@@ -13,7 +13,7 @@ import rtcal as rt
 from benchmarks import archive as study
 from rtcal.calibration.archive import likelihood
 from rtcal.calibration.archive.likelihood import Evidence, RoomData, Spread
-from rtcal.command.main import cli
+from rtcal.command.main import cli, main
 from rtcal.report import pages
 from rtcal.support.errors import DataError
 
@@ -227,6 +227,31 @@ def test_configurations_are_learned_as_one_room(
     for i, result in enumerate((joint, *rooms[1:])):
         result.save(tmp_path / str(i))
     assert rt.learn(rt.archive.read_folder(tmp_path)).lessons == archive.lessons
+
+
+def test_results_of_other_kinds_count_for_nothing(
+    rooms: list[rt.calibration.CalibrationResult],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """Of 260 calibrations beside as many predictions 251 were read, without a word."""
+    panel = rt.Material("panel", [0.5] * rooms[0].prior.n_bands, [0.1] * rooms[0].prior.n_bands)
+    cover = rt.prediction.Cover(rooms[0].prior.materials[0], panel, 1.0)
+    for i, result in enumerate(rooms):
+        result.save(tmp_path / f"room {i}" / "calibrated")
+        for n in range(3):
+            result.predict(cover).save(tmp_path / f"room {i}" / f"before {n}")
+    names = [result.prior.name for result in rooms]
+    monkeypatch.setattr("rtcal.calibration.archive._MOST", len(rooms))
+    assert [r.prior.name for r in rt.archive.read_folder(tmp_path)] == names
+    with pytest.raises(SystemExit) as end:
+        main(["learn", str(tmp_path)])
+    assert end.value.code == 0
+    assert f"Left out, results of other kinds: {3 * len(rooms)}" in capsys.readouterr().out
+    monkeypatch.setattr("rtcal.calibration.archive._MOST", len(rooms) - 1)
+    with pytest.raises(DataError, match=f"more than {len(rooms) - 1} calibrations"):
+        rt.archive.read_folder(tmp_path)
 
 
 def test_the_library_is_the_next_calibrations_input(

@@ -300,6 +300,8 @@ def learn(
         numbers("--room-weight", weights, "ROOM=WEIGHT, such as hall=0.5"),
     )
     said, record = str(library), library.to_dict()
+    if others := len([*Path(folder).rglob(NUMBERS)]) - len(calibrated):
+        said += f"\nLeft out, results of other kinds: {others}"
     files: dict[Path, bytes] = {}
     if target is not None:
         files = {target / NUMBERS: library.to_json(target).encode()}

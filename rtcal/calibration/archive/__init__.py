@@ -324,7 +324,8 @@ def materials(result: CalibrationResult | JointResult) -> tuple[str, ...]:
 def read_folder(folder: str | os.PathLike[str]) -> list[CalibrationResult | JointResult]:
     """Return the calibrations in a folder: each ``result.json`` of ``rtcal calibrate --out`` below it.
 
-    Raises DataError if there is none, or one that cannot be read. Files of other results are left out.
+    Raises DataError if there is none, one that cannot be read, or more than 500. Files of other results
+    are left out.
 
     Examples
     --------
@@ -342,8 +343,15 @@ def read_folder(folder: str | os.PathLike[str]) -> list[CalibrationResult | Join
         raise DataError(
             f"folder {folder} has no {results.NUMBERS}; rtcal calibrate --out writes one"
         )
-    found = [results.load(file) for file in files[: _MOST + 1]]
-    kept = [result for result in found if isinstance(result, CalibrationResult | JointResult)]
+    kept = []
+    for file in files:
+        result = results.load(file)
+        if isinstance(result, CalibrationResult | JointResult):
+            kept.append(result)
+        if len(kept) > _MOST:
+            raise DataError(
+                f"folder {folder} has more than {_MOST} calibrations: name a smaller one"
+            )
     if not kept:
         raise DataError(f"folder {folder} has results, but no calibration among them")
     return kept
