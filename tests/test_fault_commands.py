@@ -69,6 +69,20 @@ def stepped(folder: Path) -> None:
     call("loop next @room.toml @s.csv --state @loop.json --out @next.toml", folder)
 
 
+def with_variants(folder: Path) -> None:
+    inputs(folder)
+    variant = '[[variant]]\nname = "open"\n[[variant.change]]\nopen = "windows"\narea = 2.0\n'
+    (folder / "variants.toml").write_text(variant)
+
+
+def an_archive(folder: Path) -> None:
+    room, _ = rt.datasets.bras_cr2()
+    for name in ("a", "b"):
+        times = rt.Eyring().reverberation_time(room) * (1.1 if name == "a" else 1.2)
+        rt.calibrate(room.replace(name=name), times).save(folder / "rooms" / name)
+    room.save(str(folder / "room.toml"))
+
+
 def materials(folder: Path) -> None:
     inputs(folder)
     room = rt.Room.from_file(str(folder / "room.toml"))
@@ -163,6 +177,10 @@ STUDY = "study --kind shoebox --sigma-r 0.05 --out @made"
 
 WRITERS = {
     "calibrate": Writer(calibrated, "calibrate @room.toml @t.csv --out @made"),
+    "predict": Writer(
+        with_variants, "predict @room.toml @t.csv --change @variants.toml --out @made"
+    ),
+    "learn": Writer(an_archive, "learn @rooms --apply @room.toml --out @library"),
     "report": Writer(calibrated, "report @made"),
     "fit": Writer(box_with_pairs, f"{FIT} --out @made", ahead=".rtcal_cache"),
     "loop start": Writer(
@@ -256,6 +274,7 @@ def test_a_geometry_is_written_whole_or_refused(
     "name",
     [
         *("loop start", "loop next", "loop back", "import", "export", "measure", "table"),
+        *("predict", "learn"),
         pytest.param("fit", marks=pytest.mark.long),
     ],
 )

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import csv
 import dataclasses
 import json
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 import rtcal as rt
@@ -170,3 +172,25 @@ def test_a_saved_case_keeps_its_room_whole(tmp_path: Path) -> None:
     again = Case.from_file(str(path)).room
     assert again.material_correlation == {(first, second): 0.5}
     assert again.sources == {first: "a book"}
+
+
+@pytest.mark.parametrize("name", ["=1+1", "+S1", "-R1", "@home", '=HYPERLINK("x")'])
+def test_a_name_is_no_formula_to_the_program_that_opens_the_table(
+    name: str, tmp_path: Path
+) -> None:
+    from rtcal.io import tables
+
+    measured = rt.Measurement(
+        centre_frequencies=[500, 1000],
+        values={"t20": np.array([[1.0, 2.0], [3.0, 4.0]])},
+        pairs=[(name, "R1"), ("S2", name)],
+    )
+    for file in ("t.csv", "t.xlsx"):
+        tables.write(measured, tmp_path / file)
+        assert tables.measurement(tmp_path / file).measurement.pairs == measured.pairs
+    cells = [c for row in csv.reader((tmp_path / "t.csv").open()) for c in row]
+    assert sum(name in cell for cell in cells) == 4
+    assert not any(cell.startswith(tuple("=+-@")) for cell in cells)
+    openpyxl = pytest.importorskip("openpyxl")
+    (sheet,) = openpyxl.load_workbook(tmp_path / "t.xlsx").worksheets
+    assert not any(cell.data_type == "f" for row in sheet.iter_rows() for cell in row)

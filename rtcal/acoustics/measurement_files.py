@@ -314,4 +314,8 @@ def text(data: Mapping[str, Any]) -> str:
 
 
 def _cell_text(value: Any) -> Any:
+    if isinstance(value, str) and value.startswith(("=", "+", "-", "@")):
+        return (
+            f" {value}"  # a name, which Excel would take for a formula; readers leave the blank out
+        )
     return repr(value) if isinstance(value, float) else "" if value is None else value
