@@ -174,7 +174,7 @@ def test_an_outline_without_its_last_point_is_closed(tmp_path) -> None:
 def test_an_outline_that_bounds_no_floor_is_refused_in_own_words(
     tmp_path, capsys, corners: list[tuple[float, float]], rule: str
 ) -> None:
-    """Of a crossed outline one part was the room: 22.5 m³ in silence."""
+    """One part of a crossed outline was the room: 22.5 m³ in silence."""
     path = outlined(tmp_path, corners)
     with pytest.raises(DataError, match=f'space "1 Study": .*{rule}'):
         mesh.room(path)
