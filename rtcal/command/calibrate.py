@@ -231,7 +231,7 @@ def fit(
                 fit_scattering=not keep_scattering,
                 seed=seed,
                 progress=following(shown),
-            ).traced()
+            )
     files = []
     if folder is not None:
         files = positions_page.write_positions(

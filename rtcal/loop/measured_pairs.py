@@ -82,6 +82,17 @@ class MeasuredPairs:
         """Where there is a value, (n_parameters, n_pairs, n_bands)."""
         return np.isfinite(self.observations.values)
 
+    def in_values(self, jnd: ArrayLike) -> Array:
+        """Return JND of each parameter, (n_parameters,), as deviations of the values used, (n_used,)."""
+        found = np.empty(self.used.shape)
+        for p, (name, number) in enumerate(
+            zip(self.observations.parameters, np.atleast_1d(jnd), strict=True)
+        ):
+            kind, values = observable(name), self.observations.natural(name)
+            unit = np.broadcast_to(kind.jnd_of(values), values.shape)
+            found[p] = number * kind.of_observed(unit, values)
+        return np.asarray(found[self.used])
+
     def gap(self, simulated: Observations) -> Array:
         """Return simulated less measured in JND, as `gap_at_pairs` does."""
         return gap_at_pairs(simulated, self.observations, relative=self.level == "relative")

@@ -4,7 +4,8 @@
 
 with y what was measured, f what the simulator hears, J its derivatives at a, and C the covariance of
 the errors of measurement and simulator. alpha becomes the next a, or a point on the way to it where
-the objective with the simulator itself would rise.
+the objective with the simulator itself would rise. No fit ends farther from what was measured than it
+began: then the start is returned, and ``refused`` says so.
 """
 
 from __future__ import annotations
@@ -26,9 +27,9 @@ from rtcal.acoustics.quality import gap_jnd, rms
 from rtcal.acoustics.room import Room
 from rtcal.acoustics.room_errors import in_words, prior_covariance
 from rtcal.acoustics.scene import POSITION, checked_uncertainty
-from rtcal.calibration.methods import Steps
 from rtcal.calibration.problem import Calibration
 from rtcal.loop import control_runs
+from rtcal.loop.beyond_prior import BeyondPrior, beyond_prior
 from rtcal.loop.control_runs import (
     ControlRuns,
     simulated_controls,
@@ -49,14 +50,12 @@ from rtcal.loop.measured_pairs import (
 from rtcal.loop.positions_result import GaussNewtonStep, PositionsResult
 from rtcal.loop.positions_steps import (
     GROUPS,
-    LinearisationPoint,
-    LinearisedSimulator,
+    Fitted,
     Listener,
-    error_of_simulator,
-    scaled_errors,
-    steps_to_positions,
+    PositionsFit,
+    simulator_error,
 )
-from rtcal.loop.scattering import Scattering, fitted, scattered
+from rtcal.loop.scattering import Scattering, fitted
 from rtcal.modes.result import ModesResult
 from rtcal.simulators import base, observations
 from rtcal.simulators.base import Simulator
@@ -218,31 +217,37 @@ def calibrate_positions(
     listener = Listener(simulator, data, first, room.alpha, seed)
     before = listener.values()
     prior = prior_covariance(room)
-    listener, error, materials = error_of_simulator(listener, controls, prior, fit_scattering)
-    if fit_scattering and materials is None and isinstance(tracer, PathTracing):
-        notes = (*notes, _kept(tracer))
-    if materials is not None:
-        error = error + materials.covariance
-        listener.add(materials.back)
-    errors = scaled_errors(listener, room, prior, error)
-    path = steps_to_positions(listener, calibration, measured, room, errors)
+    error, by_scattering = simulator_error(listener, controls, fit_scattering)
+    beyond = _beyond(listener, room, prior, error)
+    fit = PositionsFit(
+        listener,
+        room,
+        calibration,
+        measured,
+        prior,
+        error,
+        None if beyond else by_scattering,
+    ).run()
+    listener, path = fit.listener, fit.path
     last = path.steps[-1].model.matrix
-    pull, residual = np.zeros(len(error)), listener.residual()
-    pull[listener.used] = errors.scale * np.linalg.solve(errors.covariance, residual)
-    predicted = _predicted(listener, error if controls is not None else None, pull)
     scattering, start = None, tracer.scattering if isinstance(tracer, PathTracing) else None
-    if materials is not None and isinstance(tracer, PathTracing):
-        log_odds = materials.likely(pull)
-        tracer = scattered(tracer, log_odds, materials.model)
-        unknown = errors.covariance + last @ prior @ last.T
-        scattering = fitted(tracer, log_odds, materials.posterior(listener.used, unknown))
-        listener.add(materials.slope @ log_odds)
+    if fit.materials is not None and isinstance(tracer, PathTracing):
+        weighed = listener.simulator
+        assert isinstance(weighed, PathTracing)
+        tracer = replace(
+            tracer, scattering=weighed.scattering, scattering_model=weighed.scattering_model
+        )
+        unknown = fit.errors.covariance + last @ prior @ last.T
+        posterior = fit.materials.posterior(listener.used, unknown)
+        scattering = fitted(tracer, fit.materials.traced, posterior)
+    elif fit_scattering and isinstance(tracer, PathTracing):
+        notes = (*notes, _kept(tracer, beyond))
     return PositionsResult(
         prior=room,
-        room=_calibrated(room, tracer, scattering, path, data, controls),
+        room=room if fit.refused else _calibrated(room, tracer, scattering, fit, data, controls),
         simulator=_named(tracer, scattering),
         tracer=tracer,
-        weighed=precise(tracer, more_paths),
+        weighed=listener.simulator,
         seed=seed,
         scattering=scattering,
         start=start,
@@ -252,34 +257,58 @@ def calibrate_positions(
         held_out=Beside.at_pairs(in_room, data.observations, exclude, first, listener.heard),
         before=_with(data.observations, before),
         after=_with(data.observations, listener.values()),
-        predicted=predicted,
+        predicted=_predicted(fit, with_error=controls is not None),
         controls=controls,
-        error_scale=errors.scale,
-        innovation=residual + last @ (path.end.alpha - room.alpha).ravel(),
-        covariance=errors.covariance,
+        unexplained=fit.errors.unexplained,
+        innovation=fit.residual + last @ (listener.alpha - room.alpha).ravel(),
+        covariance=fit.errors.covariance,
         prior_covariance=prior,
         steps=tuple(
             GaussNewtonStep(s.model.start.alpha, s.model.matrix, float(s.share[0]), s.model.answer)
             for s in path.steps
         ),
         settled=path.settled,
+        refused=fit.refused,
+        beyond=beyond,
         notes=(*notes, *data.notes, *base.lost_paths(simulator)),
     )
 
 
-def _predicted(listener: Listener, error: Array | None, pull: Array) -> Observations:
+def _beyond(listener: Listener, room: Room, prior: Array, error: Array) -> BeyondPrior | None:
+    """Return how far T is from what the stated coefficients let expect; see `beyond_prior`."""
+    data = listener.data
+    shape = data.observations.values.shape
+    matrix = np.zeros((*shape, prior.shape[0]))
+    matrix[data.used] = listener.linearised()
+    used = np.flatnonzero(data.used)
+    errors = np.zeros((data.used.size, data.used.size))
+    of_simulator = error[np.ix_(listener.used, listener.used)]
+    errors[np.ix_(used, used)] = data.covariance + of_simulator
+    return beyond_prior(
+        room,
+        data.observations.parameters,
+        data.observations.values,
+        listener.values(),
+        matrix,
+        prior,
+        errors,
+    )
+
+
+def _predicted(fit: Fitted, *, with_error: bool) -> Observations:
     """Return what every position hears, with the simulator's error as the measured pairs tell it.
 
     The error's mean given the residual r at the measured pairs: D_all (R + D)⁻¹ r, D_all its
-    covariance ``error`` between all values and those used. ``pull`` (n,) is (R + D)⁻¹ r, 0
-    where nothing was measured.
+    covariance between all values and those used.
     """
-    heard = listener.heard
-    values = listener.everywhere()
-    if error is not None:
-        values = values + (error @ pull).reshape(values.shape)
+    heard, values = fit.listener.heard, fit.listener.everywhere()
+    if with_error:
+        told = fit.errors.simulator @ fit.pull
+        if fit.materials is not None:
+            told = told + fit.materials.back
+        values = values + told.reshape(values.shape)
     return Observations(
-        parameters=listener.data.observations.parameters,
+        parameters=fit.listener.data.observations.parameters,
         pairs=heard.pairs,
         centre_frequencies=heard.centre_frequencies,
         values=values,
@@ -290,7 +319,7 @@ def _calibrated(
     room: Room,
     simulator: Simulator,
     scattering: Scattering | None,
-    path: Steps[LinearisationPoint, LinearisedSimulator],
+    fit: Fitted,
     data: MeasuredPairs,
     controls: ControlRuns | None,
 ) -> Room:
@@ -298,7 +327,7 @@ def _calibrated(
 
     It has the scattering coefficients of a `PathTracing` and their meaning, too.
     """
-    answer = path.steps[-1].model.answer
+    answer = fit.path.steps[-1].model.answer
     record = CalibrationRecord(
         method="positions",
         equation=f"every position heard by {_named(simulator, scattering)}",
@@ -311,7 +340,8 @@ def _calibrated(
         room = room.replace(
             scattering=simulator.scattering, scattering_model=simulator.scattering_model
         )
-    return room.replace(alpha=np.clip(path.end.alpha, 0.0, 1.0), sigma=sigma, calibration=record)
+    alpha = np.clip(fit.listener.alpha, 0.0, 1.0)
+    return room.replace(alpha=alpha, sigma=sigma, calibration=record)
 
 
 def _given(
@@ -408,8 +438,12 @@ def _tell_noise(groups: Array, match: Sequence[str], tracer: PathTracing) -> Non
     )
 
 
-def _kept(tracer: PathTracing) -> str:
+def _kept(tracer: PathTracing, beyond: BeyondPrior | None) -> str:
     """Return why the scattering was not fitted."""
+    if beyond is not None:
+        return (
+            "The scattering stated was kept: no scattering makes up for absorption that is lacking."
+        )
     if tracer.scattering_model != "random":
         return 'The scattering stated was kept: only "random" paths tell what another would change.'
     if np.isin(tracer.scattering, (0.0, 1.0)).all():

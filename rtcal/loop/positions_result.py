@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, ClassVar
 
@@ -21,6 +21,7 @@ from rtcal.calibration.certificate import Certificate
 from rtcal.calibration.methods import gain, learned_materials
 from rtcal.calibration.result import CalibrationResult
 from rtcal.calibration.table import coefficients
+from rtcal.loop.beyond_prior import BeyondPrior
 from rtcal.loop.control_runs import ControlRuns
 from rtcal.loop.matched import Beside, left, sentences
 from rtcal.loop.measured_pairs import (
@@ -41,7 +42,7 @@ from rtcal.loop.positions_prediction import (
 from rtcal.loop.predicted_positions import WANTED, predict_positions
 from rtcal.loop.scattering import Scattering
 from rtcal.simulators.base import Simulator
-from rtcal.simulators.observations import Observations, observe
+from rtcal.simulators.observations import Observations
 from rtcal.support import text
 from rtcal.support.files import json_numbers
 from rtcal.support.results import Result
@@ -49,6 +50,10 @@ from rtcal.support.types import Array
 
 KIND = "positions 1"
 """Value of the key ``rtcal`` in a saved result."""
+_REFUSED = (
+    "No step led nearer to what was measured: the start is returned, and nothing was fitted. State larger "
+    "sigmas or more paths, or look for what the room lacks (rtcal find)."
+)
 _FARTHER = 0.5
 """JND: the noise of a tracing. A larger rise of the mean gap is the calibration's."""
 
@@ -81,10 +86,10 @@ class PositionsResult(Result):
     simulator : str
         Name of the simulator and its scattering. The coefficients belong to no other.
     tracer : Simulator
-        The simulator that the coefficients belong to: the one given, with the scattering fitted. It
-        was not run. Do not calibrate it on the same data again: its scattering comes from them.
+        The simulator that the coefficients belong to: the one given, with the scattering fitted. Do not
+        calibrate it on the same data again: its scattering comes from them.
     weighed : Simulator
-        The same with as many paths as were weighed.
+        The same with as many paths as were weighed: it gave ``after``.
     seed : int
     scattering : Scattering or None
         The scattering that was fitted; None where the one stated was kept.
@@ -98,18 +103,17 @@ class PositionsResult(Result):
     held_out : Beside or None
         What was measured at the pairs that were excluded, before and after; without the level.
     before, after : Observations
-        What the simulator given hears with the prior; what is expected of ``tracer`` with the
-        coefficients returned. It was not run with the last change of the scattering, which is taken
-        into account by derivatives. `traced` runs it.
+        What the simulator given hears with the prior, and what ``weighed`` hears with the coefficients
+        returned.
     predicted : Observations
         What all positions of the simulator hear with the coefficients returned, also those that
         were not measured. Where control runs tell the simulator's error, its mean given what was
         measured is added: what all pairs have in common, such as other scattering.
     controls : ControlRuns or None
         The simulator's error, to be given to a second calibration. None if it is not known.
-    error_scale : float
-        Factor of the error's variance under which what was measured is likeliest, at least 1. It is
-        above 1 where simulator and prior miss what was measured by more than they should.
+    unexplained : array (n_parameters,)
+        Standard deviation in JND by which each value of a parameter differs from the simulator beyond
+        all stated errors, under which what was measured is likeliest.
     innovation, covariance : array (n_used,), (n_used, n_used)
         What was measured less what the simulator hears at ``steps[-1].alpha``, linearly
         extrapolated to the prior; covariance of the errors of measurement and simulator.
@@ -122,6 +126,10 @@ class PositionsResult(Result):
         What was left out, and why.
     start : array (n_materials, n_bands) or None
         The scattering at which the fit started; None of a simulator that has none.
+    refused : bool
+        Whether no step led nearer to what was measured, so that the room is the one that was given.
+    beyond : BeyondPrior or None
+        The measured T, where the stated coefficients and their sigma cannot explain it.
     """
 
     record_kind: ClassVar[str] = KIND
@@ -140,33 +148,17 @@ class PositionsResult(Result):
     after: Observations
     predicted: Observations
     controls: ControlRuns | None
-    error_scale: float
+    unexplained: Array
     innovation: Array
     covariance: Array
     prior_covariance: Array
     steps: tuple[GaussNewtonStep, ...]
     settled: bool
     notes: tuple[str, ...]
-    is_traced: bool = False
+    refused: bool = False
+    beyond: BeyondPrior | None = None
     held_out: Beside | None = None
     start: Array | None = None
-
-    def traced(self) -> PositionsResult:
-        """Return the result with ``after`` as ``tracer`` hears it: one more trace.
-
-        Nothing else changes. Where the scattering was kept, ``after`` is so already, and nothing is
-        traced. Raises as the simulator does.
-        """
-        if self.scattering is None:
-            return self
-        every = (*self.parameters, *self.beside.parameters)
-        heard = observe(self.weighed, self.alpha, every, seed=self.seed)
-        beside = replace(self.beside, after=heard.at(self.beside.measured))
-        held_out = self.held_out
-        if held_out is not None:
-            held_out = replace(held_out, after=heard.at(held_out.measured))
-        after = heard.at(self.after)
-        return replace(self, after=after, beside=beside, held_out=held_out, is_traced=True)
 
     def predict(
         self,
@@ -293,9 +285,9 @@ class PositionsResult(Result):
     @cached_property
     def _chi_square(self) -> tuple[Array, Array]:
         matrix = self.steps[-1].matrix
-        # One wrong pair makes the simulator's error larger, and would then be explained by it.
-        of_measurement = self.measured.covariance
-        stated = of_measurement + (self.covariance - of_measurement) / self.error_scale
+        # One wrong pair makes the unexplained error larger, and would then be explained by it.
+        deviation = self.measured.in_values(self.unexplained)
+        stated = self.covariance - np.diag(deviation**2)
         expected = matrix @ self.prior_covariance @ matrix.T + stated
         return chi_square(self.innovation, expected, rows_of_pairs(self.measured.used))
 
@@ -348,9 +340,19 @@ class PositionsResult(Result):
 
     @property
     def warning(self) -> str:
-        """That the calibrated simulator is not to be used, which is said first; "" if it may be."""
+        """What is said first: the start was returned, or T or the gap forbid the use; "" if nothing."""
         farther = self._farther_matched
-        return farther_in_words(farther, fitted=self.scattering is not None) if farther else ""
+        return " ".join(
+            [
+                *([_REFUSED] if self.refused else []),
+                *([str(self.beyond)] if self.beyond else []),
+                *(
+                    [farther_in_words(farther, fitted=self.scattering is not None)]
+                    if farther
+                    else []
+                ),
+            ]
+        )
 
     @property
     def every_note(self) -> list[str]:
@@ -368,20 +370,15 @@ class PositionsResult(Result):
             )
         if self.scattering is not None:
             notes += self.scattering.notes(self.prior.materials)
-            if not self.is_traced:
-                notes.append("The gaps after are expected ones. `result.traced()` simulates them.")
         if self.controls is None:
             notes.append(
                 "No interval: no control run tells this simulator's error. It is assumed to be 5 % of "
                 "a time and 0.5 dB of a level."
             )
-        if self.error_scale > 1:
-            off = rms(self.gap_after, axis=(1, 2))
-            worst = int(np.argmax(off))
+        if unexplained := self.unexplained_in_words:
             notes.append(
-                "Simulator and prior miss what was measured by more than their errors let expect: the "
-                f"variance of the simulator's error was taken {self.error_scale:.1f} times as large. "
-                f"{parameter_label(self.parameters[worst])} stays farthest, by {off[worst]:.1f} JND."
+                "Simulator and prior miss what was measured by more than their errors let expect. A value "
+                f"differs by a further {unexplained} (standard deviation)."
             )
         for pair in self.contradictions:
             notes.append(
@@ -393,6 +390,15 @@ class PositionsResult(Result):
                 "Not settled: the last step moved alpha, or was refused. Calibrate with more paths."
             )
         return notes
+
+    @property
+    def unexplained_in_words(self) -> str:
+        """The unexplained errors of half a JND and more, by parameter; "" without any."""
+        return ", ".join(
+            f"{of:.1f} JND of {parameter_label(p)}"
+            for p, of in zip(self.parameters, self.unexplained, strict=True)
+            if of >= _FARTHER
+        )
 
     def to_dict(self) -> dict[str, Any]:
         """Return everything as plain numbers, lists and text; None where a value is missing."""
@@ -438,7 +444,9 @@ class PositionsResult(Result):
             "misfit": json_numbers(self.misfit),
             "contradictions": [list(pair) for pair in self.contradictions],
             "control_runs": 0 if self.controls is None else len(self.controls.errors),
-            "error_scale": self.error_scale,
+            "unexplained_jnd": json_numbers(self.unexplained),
+            "refused": self.refused,
+            "beyond_prior": self.beyond and vars(self.beyond),
             "steps": [step.share for step in self.steps],
             "settled": self.settled,
             "worst_certificate": self.certificate.worst,

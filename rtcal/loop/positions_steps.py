@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from copy import copy
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import eigh, solve_triangular
+from scipy.linalg import cho_factor, cho_solve, solve_triangular
+from scipy.optimize import minimize
 
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.observables import observable
+from rtcal.acoustics.quality import rms
 from rtcal.acoustics.room import Room
 from rtcal.acoustics.room_errors import heard_changes
 from rtcal.calibration.methods import Steps, Taken, gauss_newton
@@ -21,6 +24,7 @@ from rtcal.loop.control_runs import MODELS, ControlRuns, ahead_factor, level, pa
 from rtcal.loop.measured_pairs import MeasuredPairs
 from rtcal.loop.scattering import (
     DIGITS,
+    ErrorsByScattering,
     MaterialScattering,
     errors_by_scattering,
     log_likelihood,
@@ -32,12 +36,6 @@ from rtcal.simulators.observations import Observations, jacobian, observe
 from rtcal.simulators.path_tracing import PathTracing
 from rtcal.simulators.tracer import ScatteringModel
 from rtcal.support.types import Array
-
-_OF_CONTROLS = 0.5
-"""Share of what is expected in how a pair differs from the mean over pairs. It was chosen for what
-control runs let expect. They have fewer paths, but their positions differ, as the true ones do. In the
-mean of six development rooms the log-likelihood of what was measured was 5.2 nats higher with 0.5 than
-with 0, and 1.3 higher than with 1."""
 
 _LEAST = 0.02
 """Scattering below which paths are followed for no longer."""
@@ -59,8 +57,6 @@ class Listener:
         At all pairs of the simulator.
     alpha : array (n_materials, n_bands)
     seed, calls : int
-    shift : array (n_parameters, n_pairs, n_bands)
-        What is added to every value; see `scattered`.
     used : int array (n_used,)
         Which of the values were measured, counted over the measured parameters at all pairs.
     """
@@ -70,7 +66,6 @@ class Listener:
     heard: Observations
     alpha: Array
     seed: int
-    shift: Array = field(default_factory=lambda: np.zeros(1))
     calls: int = 1
     used: NDArray[np.int64] = field(init=False)
     _slopes: tuple[Array, Array] | None = field(init=False, default=None)
@@ -97,33 +92,19 @@ class Listener:
     def scattered(self, tracer: PathTracing, expected: Array) -> Listener:
         """Return a listener to a tracer with another scattering, at this alpha.
 
-        Each pair's difference from the mean over pairs is the mean of the tracer's and of that
-        expected. The mean itself is the tracer's. A straight line is no tracer: in a development room
-        with little scattering a line through control runs raised T20 at 4 kHz by 10 %, the tracer by
-        28 %.
-
-        ``expected`` (n_parameters, n_pairs, n_bands) is the change of every value.
+        ``expected`` (n_parameters, n_pairs, n_bands) is the change of every value that is expected; it
+        says for how long the paths are followed.
         """
-        values = self.heard.values[self._rows]
         likely = Observations(
             parameters=self.data.observations.parameters,
             pairs=self.heard.pairs,
             centre_frequencies=self.heard.centre_frequencies,
-            values=values + expected,
+            values=self.everywhere() + expected,
         )
         ahead = max(_AHEAD * self._less_scattered(tracer), ahead_factor(likely, tracer, self.alpha))
         tracer.trace_ahead(self.alpha, ahead, seed=self.seed)
         heard = tracer.observe(self.alpha, self.heard.parameters, seed=self.seed)
-        off = expected - (heard.values[self._rows] - values)
-        return Listener(
-            tracer,
-            self.data,
-            heard,
-            self.alpha,
-            self.seed,
-            shift=_OF_CONTROLS * (off - off.mean(axis=1, keepdims=True)),
-            calls=self.calls + 1,
-        )
+        return Listener(tracer, self.data, heard, self.alpha, self.seed, calls=self.calls + 1)
 
     def _less_scattered(self, tracer: PathTracing) -> float:
         """Return how many times less a tracer scatters than that which is heard, at least 1."""
@@ -132,13 +113,9 @@ class Listener:
         now, then = (level(of.scattering, of.room.areas) for of in (self.simulator, tracer))
         return max(now / max(then, _LEAST), 1.0)
 
-    def add(self, change: Array) -> None:
-        """Add ``change`` (n,), n = parameters x pairs x bands, to every value."""
-        self.shift = self.shift + change.reshape(self.everywhere().shape)
-
     def everywhere(self) -> Array:
         """Return the values at all pairs of the simulator, (n_parameters, n_all_pairs, n_bands)."""
-        return np.asarray(self.heard.values[self._rows] + self.shift)
+        return np.asarray(self.heard.values[self._rows])
 
     def values(self) -> Array:
         """Return the values, (n_parameters, n_pairs, n_bands)."""
@@ -147,6 +124,11 @@ class Listener:
     def residual(self) -> Array:
         """Return measured less heard, (n_used,)."""
         return np.asarray((self.data.observations.values - self.values())[self.data.used])
+
+    def gap(self) -> float:
+        """Return the root mean square gap over all that is matched, in JND."""
+        measured = self.data.observations
+        return float(rms(self.data.gap(replace(measured, values=self.values()))))
 
     @property
     def of_level(self) -> NDArray[np.bool_]:
@@ -174,79 +156,6 @@ class Listener:
 
 GROUPS = 4
 """Groups of paths whose differences tell the noise of a control run."""
-_SCALES = 139
-"""Factors of the simulator's error that are tried: neighbours differ by 5 %."""
-_LARGEST_SCALE = 1000.0
-"""Largest factor of the simulator's error: then it is some 30 times as large as in the control runs."""
-
-
-def error_of_simulator(
-    listener: Listener,
-    controls: ControlRuns | None,
-    prior: Array,
-    fit_scattering: bool,
-) -> tuple[Listener, Array, MaterialScattering | None]:
-    """Return who hears the scattering that is likely, and the simulator's error with it.
-
-    The covariance is (n, n) with n all values: measured parameters at all pairs of the simulator. It
-    does not count the scattering of the materials. What that does is returned last; None where the
-    scattering stated is kept, as by every simulator but a `PathTracing` with the model "random". Only
-    its paths tell what scattering does. Coefficients of 0 and 1 are kept, too.
-    """
-    heard, parameters = listener.heard, listener.data.observations.parameters
-    shape = (len(parameters), *heard.values.shape[1:])
-    if controls is None:
-        error = np.array([observable(p).unknown_error for p in parameters])
-        variance = error[:, np.newaxis, np.newaxis] ** 2
-        return listener, np.diag(np.broadcast_to(variance, shape).ravel()), None
-    controls = controls.at(parameters, heard.pairs)
-    noise, tracer = _noise(listener), listener.simulator
-    without_noise = controls.without_noise(noise)
-    if (
-        not fit_scattering
-        or not isinstance(tracer, PathTracing)
-        or tracer.scattering_model != "random"
-    ):
-        return listener, without_noise.covariance(), None
-    errors = errors_by_scattering(controls, noise)
-    stated = _materials(listener, tracer, np.zeros(tracer.room.n_materials))
-    if errors is None or not stated.slope.any():  # without a slope every coefficient is 0 or 1
-        return listener, without_noise.covariance(), None
-    matrix, residual, used = listener.linearised(), listener.residual(), listener.used
-    expected = matrix @ prior @ matrix.T + listener.data.covariance
-    stated_level = level(tracer.scattering, tracer.room.areas)
-
-    def first_step(model: ScatteringModel) -> tuple[float, ScatteringModel, Array, Array]:
-        """Return the log-likelihood, the model, what it adds, and what pulls the scattering."""
-        added = np.zeros(len(stated.slope)) if model == "random" else errors.of_model.ravel()
-        error = errors.covariance(stated_level, model) + stated.covariance
-        covariance = expected + error[np.ix_(used, used)]
-        left, pull = residual - added[used], np.zeros(len(added))
-        pull[used] = np.linalg.solve(covariance, left)
-        return log_likelihood(left, covariance), model, added, pull
-
-    _, model, added, pull = max(map(first_step, MODELS), key=lambda step: step[0])
-    log_odds = stated.likely(pull).round(DIGITS)
-    other = scattered(tracer, log_odds, model)
-    change = added + stated.slope @ log_odds
-    listener = listener.scattered(other, change.reshape(shape))
-    # Only paths of the model "random" tell the slopes; those of the scattering stated serve for both.
-    materials = replace(stated, traced=log_odds, model=model)
-    if model == "random":
-        materials = _materials(listener, other, log_odds)
-    return listener, errors.covariance(level(other.scattering, other.room.areas), model), materials
-
-
-def _materials(listener: Listener, tracer: PathTracing, traced: Array) -> MaterialScattering:
-    parameters = listener.data.observations.parameters
-    return material_scattering(tracer, listener.alpha, parameters, traced, listener.seed)
-
-
-def _noise(listener: Listener) -> Array:
-    simulator, parameters = listener.simulator, listener.data.observations.parameters
-    shape = (len(parameters), *listener.heard.values.shape[1:])
-    groups = groups_of_paths(simulator, listener.alpha, parameters, listener.seed, shape)
-    return noise_of_a_run(simulator, groups)
 
 
 def groups_of_paths(
@@ -276,57 +185,127 @@ def noise_of_a_run(simulator: Simulator, groups: Array) -> Array:
     return np.asarray(of_group * simulator.n_paths / GROUPS / paths_of_a_run(simulator))
 
 
-@dataclass(frozen=True, eq=False)
-class ScaledErrors:
-    """The errors of what is compared: covariance, its Cholesky factor, scale of the simulator's."""
+def _noise(listener: Listener) -> Array:
+    simulator, parameters = listener.simulator, listener.data.observations.parameters
+    shape = (len(parameters), *listener.heard.values.shape[1:])
+    groups = groups_of_paths(simulator, listener.alpha, parameters, listener.seed, shape)
+    return noise_of_a_run(simulator, groups)
 
+
+def simulator_error(
+    listener: Listener, controls: ControlRuns | None, fit_scattering: bool
+) -> tuple[Array, ErrorsByScattering | None]:
+    """Return the covariance of the simulator's error, and its errors by scattering.
+
+    The covariance is (n, n) with n all values: measured parameters at all pairs of the simulator. The
+    second is None where the scattering stated is kept, as by every simulator but a `PathTracing` with
+    the model "random". Only its paths tell what scattering does. Coefficients of 0 and 1 are kept, too.
+    """
+    heard, parameters = listener.heard, listener.data.observations.parameters
+    if controls is None:
+        error = np.array([observable(p).unknown_error for p in parameters])
+        shape = (len(parameters), *heard.values.shape[1:])
+        variance = error[:, np.newaxis, np.newaxis] ** 2
+        return np.diag(np.broadcast_to(variance, shape).ravel()), None
+    controls = controls.at(parameters, heard.pairs)
+    noise, tracer = _noise(listener), listener.simulator
+    whole = controls.without_noise(noise).covariance()
+    if (
+        not fit_scattering
+        or not isinstance(tracer, PathTracing)
+        or tracer.scattering_model != "random"
+        or np.isin(tracer.scattering, (0.0, 1.0)).all()
+    ):
+        return whole, None
+    return whole, errors_by_scattering(controls, noise)
+
+
+@dataclass(frozen=True, eq=False)
+class Errors:
+    """The errors of what is compared.
+
+    Attributes
+    ----------
+    simulator : array (n, n)
+        Covariance of the simulator's error at all values, with that of the scattering that is not known.
+    unexplained : array (n_parameters,)
+        Standard deviation in JND by which each value differs beyond the other errors.
+    covariance : array (n_used, n_used)
+        Of measurement, room, simulator and what is unexplained, of the values used.
+    factor : array (n_used, n_used)
+        Its Cholesky factor.
+    """
+
+    simulator: Array
+    unexplained: Array
     covariance: Array
     factor: Array
-    scale: float
 
 
-def scaled_errors(listener: Listener, room: Room, prior: Array, error: Array) -> ScaledErrors:
-    """Return the errors with the scale of the simulator's under which the data are likeliest.
+_MOST_UNEXPLAINED = 100.0
+"""JND beyond which nothing is matched."""
 
-    ``error`` (n, n) is the simulator's covariance as it is assumed, at all pairs.
+
+def unexplained_errors(
+    innovation: Array, expected: Array, unit: Array, parameter: NDArray[np.int64]
+) -> Array:
+    """Return each parameter's unexplained error in JND under which what was measured is likeliest.
+
+    The error differs from value to value: control runs vary what all pairs have in common, but no
+    furniture and no directivity that a pair alone meets. A common factor of the simulator's error would
+    also explain a T that is off at every pair, so that T would not be fitted.
+
+    Parameters
+    ----------
+    innovation : array (n,)
+        What was measured less what the simulator gives with the prior.
+    expected : array (n, n)
+        Its covariance without the unexplained errors.
+    unit : array (n,)
+        One JND of each value.
+    parameter : int array (n,)
+        Number of each value's parameter.
+
+    Returns
+    -------
+    array (n_parameters,)
+
+    References
+    ----------
+    Variance components by maximum likelihood (Harville 1977, JASA 72, 320-338).
     """
-    error = error[np.ix_(listener.used, listener.used)]
-    matrix = listener.linearised()
-    of_room = heard_changes(room, matrix, listener.of_level)
-    of_measurement = listener.data.covariance + of_room.T @ of_room
-    values = listener.residual() + matrix @ room.alpha.ravel()
-    expected = matrix @ prior @ matrix.T + of_measurement
-    scale = error_scale(values - matrix @ room.alpha.ravel(), expected, error)
-    covariance = of_measurement + scale * error
-    return ScaledErrors(covariance, np.asarray(np.linalg.cholesky(covariance)), scale)
+    square = unit**2
+    number = int(parameter.max()) + 1
+
+    def loss(deviation: Array) -> tuple[float, Array]:
+        covariance = expected + np.diag(deviation[parameter] ** 2 * square)
+        factor = cho_factor(covariance, lower=True)
+        pull = cho_solve(factor, innovation)
+        of_variance = np.diag(cho_solve(factor, np.eye(len(square)))) - pull**2
+        slope = np.bincount(parameter, of_variance * square, minlength=number) * deviation
+        return 0.5 * float(innovation @ pull) + float(np.log(np.diag(factor[0])).sum()), slope
+
+    found = minimize(
+        loss,
+        np.ones(number),
+        jac=True,
+        method="L-BFGS-B",
+        bounds=[(0.0, _MOST_UNEXPLAINED)] * number,
+    )
+    return np.asarray(found.x)
 
 
-def error_scale(innovation: Array, expected: Array, error: Array) -> float:
-    """Return the factor of the simulator's error under which what was measured is likeliest.
-
-    At least 1, and at most `_LARGEST_SCALE`. ``innovation`` (n,) is what was measured less what the
-    simulator hears with the prior, ``expected`` (n, n) its covariance without the simulator's error,
-    ``error`` (n, n) that of the simulator's error.
-    """
-    # In the eigenvectors of both covariances the factor changes variances only.
-    variance, vectors = eigh(error, expected)
-    variance = np.maximum(variance, 0.0)
-    square = (vectors.T @ innovation) ** 2
-
-    def loss(log_scale: float) -> float:
-        of_sum = 1 + np.exp(log_scale) * variance
-        return float(np.sum(square / of_sum + np.log(of_sum)))
-
-    tried = np.linspace(0.0, np.log(_LARGEST_SCALE), _SCALES)
-    return float(np.exp(tried[np.argmin([loss(x) for x in tried])]))
-
-
-STEPS = 4
-"""Largest number of Gauss-Newton steps."""
-_HALVINGS = 3
+STEPS = 6
+"""Largest number of Gauss-Newton steps with the same errors."""
+_PASSES = 3
+"""Most times that the unexplained errors are found anew, where the last steps ended."""
+_ALIKE = 0.1
+"""JND by which unexplained errors differ that are the same."""
+_ROUNDS = 3
+"""Most times that the room is traced with another scattering."""
+_HALVINGS = 6
 _SETTLED = 0.05
 """Change of alpha in prior sigmas after which no further step is taken."""
-
 
 POSITIONS = LinearObservations("positions")
 
@@ -341,14 +320,20 @@ class LinearisationPoint:
 
 @dataclass(frozen=True, eq=False)
 class LinearisedSimulator:
-    """The simulator, linearised at ``start``, and the answer of the QP."""
+    """The simulator, linearised at ``start``, and the answer of the QP.
+
+    ``offset`` (n_used,) is what the values used would rise by with the scattering as traced in place of
+    that stated, ``now`` the objective at ``start``, ``limit`` the largest gap in JND.
+    """
 
     listener: Listener
     start: LinearisationPoint
     matrix: Array
-    errors: ScaledErrors
+    errors: Errors
+    offset: Array
     answer: CalibrationResult
     now: float
+    limit: float
 
     def towards(self, share: Array) -> LinearisationPoint:
         """Return what is heard at these shares of the way to the answer."""
@@ -358,52 +343,291 @@ class LinearisedSimulator:
         return LinearisationPoint(alpha, self.listener.heard)
 
     def worse(self, end: LinearisationPoint) -> NDArray[np.bool_]:
-        """Return whether the objective with the simulator itself rises."""
-        residual = self.listener.residual()
-        rises = _objective(self.errors.factor, residual, self.answer, end.alpha) > self.now
-        return np.array([rises])
+        """Return whether the objective with the simulator itself rises, or the gap exceeds its limit."""
+        residual = self.listener.residual() + self.offset
+        value = _misfit(self.errors.factor, residual) + _others(self.answer, end.alpha)
+        return np.array([value > self.now or self.listener.gap() > self.limit])
 
 
-def steps_to_positions(
-    listener: Listener,
-    calibration: Calibration | None,
-    measured: Measurement,
-    room: Room,
-    errors: ScaledErrors,
-) -> Steps[LinearisationPoint, LinearisedSimulator]:
-    """Take at most `STEPS` Gauss-Newton steps; the ``listener`` is left where they end."""
-    problem = _composed(_plain(room) if calibration is None else calibration).build(room)
-    # T enters where the user's own terms match it.
-    times = None if calibration is None else measured
-    inverse_sigma = np.divide(1.0, room.sigma, out=np.zeros_like(room.sigma), where=room.sigma > 0)
+Path = Steps[LinearisationPoint, LinearisedSimulator]
 
-    def linearised(at: LinearisationPoint) -> LinearisedSimulator:
+
+@dataclass(frozen=True, eq=False)
+class Fitted:
+    """Where a fit ended.
+
+    Attributes
+    ----------
+    listener : Listener
+        The simulator with the fitted scattering, at the fitted alpha.
+    path : Steps
+        The last Gauss-Newton steps.
+    errors : Errors
+        With which they were taken.
+    materials : MaterialScattering or None
+        What the scattering does; None where that stated is kept.
+    refused : bool
+        Whether no step led nearer, so that the start is returned.
+    """
+
+    listener: Listener
+    path: Path
+    errors: Errors
+    materials: MaterialScattering | None
+    refused: bool = False
+
+    @property
+    def residual(self) -> Array:
+        """Measured less simulated with the scattering stated, by derivatives, (n_used,)."""
+        if self.materials is None:
+            return self.listener.residual()
+        return self.listener.residual() - self.materials.back[self.listener.used]
+
+    @property
+    def pull(self) -> Array:
+        """Inverse covariance times the residual, (n,): 0 where nothing was measured."""
+        pull = np.zeros(len(self.errors.simulator))
+        pull[self.listener.used] = np.linalg.solve(self.errors.covariance, self.residual)
+        return pull
+
+
+class PositionsFit:
+    """A fit of alpha, and of the scattering of a `PathTracing`, to what every position heard.
+
+    No step is taken unless the simulator itself shows that the objective falls and that the gap over all
+    that is matched stays below that of the start. The errors belong to where the steps ended: the
+    unexplained ones (`unexplained_errors`) are found there, and further steps are taken from there.
+
+    Parameters
+    ----------
+    listener : Listener
+        At the room's coefficients.
+    room : Room
+    calibration : Calibration, optional
+        Prior, further terms and constraints.
+    measured : Measurement
+        Its T enters where the calibration's own terms match it.
+    prior : array (n_materials * n_bands, n_materials * n_bands)
+    error : array (n, n)
+        Covariance of the simulator's error, with the scattering kept.
+    by_scattering : ErrorsByScattering or None
+        The errors by scattering, where it is fitted.
+    """
+
+    def __init__(
+        self,
+        listener: Listener,
+        room: Room,
+        calibration: Calibration | None,
+        measured: Measurement,
+        prior: Array,
+        error: Array,
+        by_scattering: ErrorsByScattering | None,
+    ) -> None:
+        self.listener, self.room, self.prior = listener, room, prior
+        self.error, self.by_scattering = error, by_scattering
+        self._problem = _composed(_plain(room) if calibration is None else calibration).build(room)
+        self._times = None if calibration is None else measured
+        self._start = LinearisationPoint(room.alpha, listener.heard)
+        self._residual, self._gap = listener.residual(), listener.gap()
+        self._unit = listener.data.in_values(np.ones(len(listener.data.used)))
+        self._parameter = np.nonzero(listener.data.used)[0]
+        self._inverse_sigma = np.divide(
+            1.0, room.sigma, out=np.zeros_like(room.sigma), where=room.sigma > 0
+        )
+
+    def run(self) -> Fitted:
+        """Return where the fit ends."""
+        kept = self._with_stated_scattering()
+        if kept.materials is None or kept.refused:
+            return kept
+        return self._with_fitted_scattering(kept)
+
+    def _with_stated_scattering(self) -> Fitted:
+        listener, materials = self.listener, self._materials(self.listener)
+        none = np.zeros(len(self._residual))
+        errors = self._errors(listener, materials, np.zeros(self._parameter.max() + 1))
+        # The first steps only lead near: with errors that were found at the start, where a simulator
+        # is far from what was measured, its curvature would count as an error.
+        path = self._steps(listener, errors, none, np.inf)
+        for _ in range(_PASSES):
+            materials = self._materials(listener)
+            before = errors.unexplained
+            errors = self._errors(listener, materials, None)
+            if not self._is_nearer(listener, errors, path.steps[-1].model.answer):
+                listener.alpha, listener.heard = self._start.alpha, self._start.heard
+            path = self._steps(listener, errors, none, self._limit(path))
+            if np.abs(errors.unexplained - before).max() < _ALIKE:
+                break
+        stayed = path.end.alpha is self._start.alpha or np.array_equal(
+            path.end.alpha, self._start.alpha
+        )
+        refused = stayed and not path.settled
+        return Fitted(listener, path, errors, materials, refused)
+
+    def _with_fitted_scattering(self, kept: Fitted) -> Fitted:
+        best, listener, materials = kept, kept.listener, kept.materials
+        assert materials is not None and isinstance(listener.simulator, PathTracing)
+        tracer, path, errors = listener.simulator, kept.path, kept.errors
+        model, change, log_odds = self._first_scattering(kept)
+        if model == tracer.scattering_model and not log_odds.any():
+            return kept
+        for _ in range(_ROUNDS):
+            other = scattered(tracer, log_odds, model)
+            listener = listener.scattered(other, change.reshape(listener.everywhere().shape))
+            # Only paths of the model "random" tell the slopes; those of the other serve for both.
+            slopes = materials if model == "vector" else self._materials(listener)
+            assert slopes is not None
+            materials = replace(slopes, traced=log_odds, model=model)
+            errors = self._errors(listener, materials, None)
+            best = self._better(best, Fitted(copy(listener), path, errors, materials))
+            path = self._steps(listener, errors, -materials.back[listener.used], np.inf)
+            ended = Fitted(listener, path, errors, materials)
+            best = self._better(best, ended)
+            likely = materials.likely(ended.pull).round(DIGITS)
+            if np.array_equal(likely, log_odds):
+                break
+            change, log_odds = materials.slope @ (likely - log_odds), likely
+        best.listener.calls = listener.calls
+        return best
+
+    def _first_scattering(self, kept: Fitted) -> tuple[ScatteringModel, Array, Array]:
+        """Return the likelier model, the change of all values that is expected, and the log odds."""
+        listener, materials, errors = kept.listener, kept.materials, kept.errors
+        assert self.by_scattering is not None and materials is not None
+        tracer, used = listener.simulator, listener.used
+        assert isinstance(tracer, PathTracing)
+        stated = level(tracer.scattering, tracer.room.areas)
         matrix = listener.linearised()
-        residual = listener.residual()
-        values = residual + matrix @ at.alpha.ravel()
-        numbers = Observed(matrix=matrix, values=values, covariance=errors.covariance)
-        answer = problem.solve(times, observed={POSITIONS: numbers}, method="positions")
-        # The prior may break the constraints, and then its objective is no measure.
-        now = np.inf
-        if at.alpha is not room.alpha:
-            now = _objective(errors.factor, residual, answer, at.alpha)
-        return LinearisedSimulator(listener, at, matrix, errors, answer, now)
+        innovation = listener.residual() + matrix @ (listener.alpha - self.room.alpha).ravel()
+        of_data = errors.covariance - errors.simulator[np.ix_(used, used)]
+        found = []
+        for model in MODELS:
+            added = np.zeros(len(materials.slope))
+            if model == "vector":
+                added = self.by_scattering.of_model.ravel()
+            error = self.by_scattering.covariance(stated, model) + materials.covariance
+            covariance = of_data + error[np.ix_(used, used)]
+            left = innovation - added[used]
+            whole = matrix @ self.prior @ matrix.T + covariance
+            pull = np.zeros(len(added))
+            pull[used] = np.linalg.solve(whole, left)
+            log_odds = materials.likely(pull).round(DIGITS)
+            found.append((log_likelihood(left, whole), model, added, log_odds))
+        _, model, added, log_odds = max(found, key=lambda of: of[0])
+        return model, added + materials.slope @ log_odds, log_odds
 
-    def settled(step: Taken[LinearisedSimulator]) -> bool:
-        # The whole step counts: one that was shortened to little may be far from the minimum.
-        moved = np.abs(step.model.answer.alpha - step.model.start.alpha)
-        return bool(np.max(moved * inverse_sigma) < _SETTLED)
+    def _materials(self, listener: Listener) -> MaterialScattering | None:
+        """Return what scattering does where the listener is; None where it is not fitted."""
+        tracer = listener.simulator
+        if self.by_scattering is None or not isinstance(tracer, PathTracing):
+            return None
+        parameters = listener.data.observations.parameters
+        stated = np.zeros(tracer.room.n_materials)
+        return material_scattering(tracer, listener.alpha, parameters, stated, listener.seed)
 
-    path = gauss_newton(
-        LinearisationPoint(room.alpha, listener.heard),
-        linearised,
-        most=STEPS,
-        halvings=_HALVINGS,
-        settled=settled,
-        refuse=True,
-    )
-    listener.alpha, listener.heard = path.end.alpha, path.end.heard
-    return path
+    def _errors(
+        self,
+        listener: Listener,
+        materials: MaterialScattering | None,
+        unexplained: Array | None,
+    ) -> Errors:
+        """Return the errors where the listener is; ``unexplained`` ones are found if None."""
+        error, tracer = self.error, listener.simulator
+        offset = np.zeros(len(self._residual))
+        if materials is not None and self.by_scattering is not None:
+            assert isinstance(tracer, PathTracing)
+            at = level(tracer.scattering, tracer.room.areas)
+            error = self.by_scattering.covariance(at, materials.model) + materials.covariance
+            offset = -materials.back[listener.used]
+        matrix = listener.linearised()
+        of_room = heard_changes(self.room, matrix, listener.of_level)
+        known = listener.data.covariance + of_room.T @ of_room
+        known = known + error[np.ix_(listener.used, listener.used)]
+        if unexplained is None:
+            innovation = listener.residual() + offset
+            innovation = innovation + matrix @ (listener.alpha - self.room.alpha).ravel()
+            expected = matrix @ self.prior @ matrix.T + known
+            unexplained = unexplained_errors(innovation, expected, self._unit, self._parameter)
+        covariance = known + np.diag((unexplained[self._parameter] * self._unit) ** 2)
+        return Errors(error, unexplained, covariance, np.asarray(np.linalg.cholesky(covariance)))
+
+    def _steps(self, listener: Listener, errors: Errors, offset: Array, limit: float) -> Path:
+        """Take Gauss-Newton steps from where the listener is; it is left where they end."""
+
+        def linearised(at: LinearisationPoint) -> LinearisedSimulator:
+            matrix = listener.linearised()
+            residual = listener.residual() + offset
+            values = residual + matrix @ at.alpha.ravel()
+            numbers = Observed(matrix=matrix, values=values, covariance=errors.covariance)
+            answer = self._problem.solve(
+                self._times, observed={POSITIONS: numbers}, method="positions"
+            )
+            now, most = np.inf, np.inf
+            if _keeps(answer, at.alpha):  # else the objective is no measure, nor is the gap
+                now = _misfit(errors.factor, residual) + _others(answer, at.alpha)
+                most = limit
+            return LinearisedSimulator(listener, at, matrix, errors, offset, answer, now, most)
+
+        def settled(step: Taken[LinearisedSimulator]) -> bool:
+            # The whole step counts: one that was shortened to little may be far from the minimum.
+            moved = np.abs(step.model.answer.alpha - step.model.start.alpha)
+            return bool(np.max(moved * self._inverse_sigma) < _SETTLED)
+
+        path = gauss_newton(
+            LinearisationPoint(listener.alpha, listener.heard),
+            linearised,
+            most=STEPS,
+            halvings=_HALVINGS,
+            settled=settled,
+            refuse=True,
+        )
+        listener.alpha, listener.heard = path.end.alpha, path.end.heard
+        return path
+
+    def _limit(self, path: Path) -> float:
+        """Return the gap that no end may exceed: the start's, if it keeps the constraints."""
+        return self._gap if _keeps(path.steps[-1].model.answer, self._start.alpha) else np.inf
+
+    def _is_nearer(self, listener: Listener, errors: Errors, answer: CalibrationResult) -> bool:
+        """Return whether a listener with the scattering stated is nearer than the start."""
+        if not _keeps(answer, self._start.alpha):
+            return True
+        values = [
+            _misfit(errors.factor, residual) + _others(answer, alpha)
+            for residual, alpha in (
+                (listener.residual(), listener.alpha),
+                (self._residual, self._start.alpha),
+            )
+        ]
+        return values[0] <= values[1] and listener.gap() <= self._gap
+
+    def _better(self, best: Fitted, other: Fitted) -> Fitted:
+        """Return the one with the lower objective, in which both have the errors of the second.
+
+        The scattering's own deviations count, and its uncertainty does not. The second is not taken if
+        its objective or its gap is above the start's.
+        """
+        listener, materials = other.listener, other.materials
+        assert materials is not None
+        used, answer = listener.used, other.path.steps[-1].model.answer
+        unknown = materials.covariance[np.ix_(used, used)]
+        factor = np.asarray(np.linalg.cholesky(other.errors.covariance - unknown))
+
+        def objective(residual: Array, alpha: Array, log_odds: Array) -> float:
+            of_scattering = 0.5 * log_odds @ np.linalg.solve(materials.prior, log_odds)
+            return _misfit(factor, residual) + _others(answer, alpha) + float(of_scattering)
+
+        value, old = (
+            objective(of.listener.residual(), of.listener.alpha, of.materials.traced)
+            for of in (other, best)
+            if of.materials is not None
+        )
+        if _keeps(answer, self._start.alpha):
+            start = objective(self._residual, self._start.alpha, np.zeros(len(materials.traced)))
+            if value > start or listener.gap() > self._gap:
+                return best
+        return other if value < old else best
 
 
 def _plain(room: Room) -> Calibration:
@@ -422,17 +646,38 @@ def _composed(calibration: Calibration) -> Calibration:
     return Calibration(as_objective(calibration.objective) + POSITIONS, calibration.constraints)
 
 
-def _objective(factor: Array, residual: Array, answer: CalibrationResult, alpha: Array) -> float:
-    """Return the objective at alpha, whose residual is the simulator's own."""
+def _misfit(factor: Array, residual: Array) -> float:
+    """Return half the squares of a residual over its errors; ``factor`` is their Cholesky factor."""
     white = solve_triangular(factor, residual, lower=True)
-    return 0.5 * float(white @ white) + _others(answer, alpha)
+    return 0.5 * float(white @ white)
+
+
+def _unknowns(answer: CalibrationResult, alpha: Array) -> Array:
+    """Return the unknowns of a problem with other coefficients."""
+    layout = answer.joint.solution.model.data.layout
+    u = answer.joint.solution.unknowns.copy()
+    u[: layout.n_alpha] = alpha[layout.first].ravel()
+    return np.asarray(u)
 
 
 def _others(answer: CalibrationResult, alpha: Array) -> float:
     """Return the value of the objective's terms other than the positions."""
-    model = answer.joint.solution.model
-    layout = model.data.layout
-    u = answer.joint.solution.unknowns.copy()
-    u[: layout.n_alpha] = alpha[layout.first].ravel()
+    model, u = answer.joint.solution.model, _unknowns(answer, alpha)
     terms = zip(model.objective.terms, model.data.weights, strict=True)
     return sum(w * t.value(u, model.data) for t, w in terms if t != POSITIONS)
+
+
+_KEPT = 1e-9
+"""By how much coefficients may miss a constraint that they keep, over the size of its row."""
+
+
+def _keeps(answer: CalibrationResult, alpha: Array) -> bool:
+    """Return whether coefficients keep the bounds and constraints of a problem."""
+    model, u = answer.joint.solution.model, _unknowns(answer, alpha)
+    slack = _KEPT * (1 + np.abs(u))
+    if (u < model.lower - slack).any() or (u > model.upper + slack).any():
+        return False
+    values = np.asarray(model.matrix @ u)
+    slack = _KEPT * (1 + np.abs(values))
+    inside = (values >= model.row_lower - slack) & (values <= model.row_upper + slack)
+    return bool(inside.all())

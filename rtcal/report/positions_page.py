@@ -265,10 +265,10 @@ def _doubts(result: PositionsResult) -> list[dict[str, Any]]:
             ", ".join(odd),
             "1 is usual. Look at the decays of these pairs.",
         )
-    if result.error_scale > 1:
+    if unexplained := result.unexplained_in_words:
         add(
             "Misses more than expected",
-            f"Variance of the simulator's error: {result.error_scale:.1f} times as large.",
+            f"A value differs by a further {unexplained} (standard deviation).",
             "Check volume, mesh and stated sigma. Something may be missing in the room.",
         )
     if result.controls is None:
