@@ -64,10 +64,11 @@ def eight(values: np.ndarray, bands: np.ndarray, *, edges: bool) -> np.ndarray:
     return out if edges else np.where(np.isin(OCTAVES, bands), out, np.nan)
 
 
-def fit_peer(case: PositionRoom, folder: str) -> np.ndarray:
-    """Return what acoustic-spaces makes of a room, (n_materials, n_bands)."""
-    from acoustic_spaces import calibration
-    from acoustic_spaces.parameters import PARAMETERS, RoomParameters
+def scene_of(case: Any, folder: str, rays: int, scattering: float) -> tuple[Any, list[str]]:
+    """Return the scene of a case in acoustic-spaces, and its materials' names there.
+
+    ``case`` has a room, geometry, sources, receivers and what was measured.
+    """
     from acoustic_spaces.scene import Scene
 
     bands, measured = case.room.centre_frequencies, case.measured
@@ -80,7 +81,7 @@ def fit_peer(case: PositionRoom, folder: str) -> np.ndarray:
             "name": "position room",
             "geometry": {"file": str(path), "units": "m", "up_axis": "z"},
             "materials": {
-                n: {"absorption": a.tolist(), "scattering": SCATTERING}
+                n: {"absorption": a.tolist(), "scattering": scattering}
                 for n, a in zip(names, stated, strict=True)
             },
             "assignments": {n: n for n in names},
@@ -92,25 +93,42 @@ def fit_peer(case: PositionRoom, folder: str) -> np.ndarray:
             },
             "simulation": {
                 "seed": 0,
-                "ir_length_s": float(max(0.5, 1.1 * np.max(measured.values["t20"]))),
+                "ir_length_s": float(max(0.5, 1.1 * np.nanmax(measured.values["t20"]))),
                 "early": {"diffraction": "none"},
-                "late": {"rays": RAYS},
+                "late": {"rays": rays},
                 "scattering": {"method": "random", "from_size": False},
             },
         }
     )
+    return scene, names
+
+
+def values_of(room: Any, measured: Any, fitted: tuple[str, ...]) -> dict[tuple[str, str], Any]:
+    """Return the measured parameters that are fitted in acoustic-spaces' form, by pair."""
+    from acoustic_spaces.parameters import PARAMETERS, RoomParameters
+
     missing = np.full(len(OCTAVES), np.nan)
-    values = {
+    return {
         pair: RoomParameters(
             **{
-                p: eight(measured.values[p][i], bands, edges=False) if p in FITTED else missing
+                p: eight(measured.values[p][i], room.centre_frequencies, edges=False)
+                if p in fitted
+                else missing
                 for p in PARAMETERS
             }
         )
         for i, pair in enumerate(measured.pairs)
     }
+
+
+def fit_peer(case: PositionRoom, folder: str) -> np.ndarray:
+    """Return what acoustic-spaces makes of a room, (n_materials, n_bands)."""
+    from acoustic_spaces import calibration
+
+    scene, names = scene_of(case, folder, RAYS, SCATTERING)
+    values = values_of(case.room, case.measured, FITTED)
     found = calibration.calibrate(scene, values, names, parameters=FITTED, threads=1)
-    return np.asarray(found.absorption[:, np.isin(OCTAVES, bands)])
+    return np.asarray(found.absorption[:, np.isin(OCTAVES, case.room.centre_frequencies)])
 
 
 def fit(index: int) -> dict[str, Any]:

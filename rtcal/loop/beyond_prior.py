@@ -63,8 +63,8 @@ class BeyondPrior:
         )
         return (
             f"The stated coefficients and their sigma cannot explain the measured {name}: at "
-            f"{label(self.frequency)} it is {self.measured:.2f} s, the simulation of the stated room has "
-            f"{self.simulated:.2f} s, {times}, and coefficients within {_REACH:g} sigma reach "
+            f"{label(self.frequency)} it is {self.measured:.2f} s, the simulation of the stated room "
+            f"has {self.simulated:.2f} s, {times}, and coefficients within {_REACH:g} sigma reach "
             f"{self.reached:.2f} s ({self.bands} of {self.of_bands} bands are beyond). Needed would be "
             f"{needed}, {abs(self.z):.0f} standard deviations away: state a sigma "
             f"{sigma:.0f} times as large where the coefficients are guesses, or look for what the room "

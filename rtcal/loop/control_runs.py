@@ -311,9 +311,9 @@ def simulated_controls(
                 alpha = room.alpha
                 heard, difference = error(control, alpha, of_run, again)
             factors.append(ahead_factor(heard, control, alpha))
-        except (TooShortError, DataError) as failure:
-            # The paths of a run may be too few for a state that absorbs more.
-            if again or not (after or isinstance(failure, TooShortError)):
+        except (TooShortError, DataError):
+            # The paths of a run may be too few, or a place too near a source for an EDT.
+            if again:
                 raise
             difference, left_out = np.full(shape, np.nan), left_out + 1
         errors.append(difference)

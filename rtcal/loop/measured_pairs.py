@@ -83,7 +83,7 @@ class MeasuredPairs:
         return np.isfinite(self.observations.values)
 
     def in_values(self, jnd: ArrayLike) -> Array:
-        """Return JND of each parameter, (n_parameters,), as deviations of the values used, (n_used,)."""
+        """Return JND of each parameter, (n_parameters,), as deviations of the values, (n_used,)."""
         found = np.empty(self.used.shape)
         for p, (name, number) in enumerate(
             zip(self.observations.parameters, np.atleast_1d(jnd), strict=True)

@@ -231,15 +231,14 @@ def calibrate_positions(
     listener, path = fit.listener, fit.path
     last = path.steps[-1].model.matrix
     scattering, start = None, tracer.scattering if isinstance(tracer, PathTracing) else None
-    if fit.materials is not None and isinstance(tracer, PathTracing):
-        weighed = listener.simulator
-        assert isinstance(weighed, PathTracing)
+    if fit.scattering is not None and isinstance(tracer, PathTracing):
+        weighed, materials = fit.scattering.tracer, fit.scattering.materials
         tracer = replace(
             tracer, scattering=weighed.scattering, scattering_model=weighed.scattering_model
         )
         unknown = fit.errors.covariance + last @ prior @ last.T
-        posterior = fit.materials.posterior(listener.used, unknown)
-        scattering = fitted(tracer, fit.materials.traced, posterior)
+        posterior = materials.posterior(listener.used, unknown)
+        scattering = fitted(tracer, materials.traced, posterior)
     elif fit_scattering and isinstance(tracer, PathTracing):
         notes = (*notes, _kept(tracer, beyond))
     return PositionsResult(
@@ -304,8 +303,8 @@ def _predicted(fit: Fitted, *, with_error: bool) -> Observations:
     heard, values = fit.listener.heard, fit.listener.everywhere()
     if with_error:
         told = fit.errors.simulator @ fit.pull
-        if fit.materials is not None:
-            told = told + fit.materials.back
+        if fit.scattering is not None:
+            told = told + fit.scattering.materials.back
         values = values + told.reshape(values.shape)
     return Observations(
         parameters=fit.listener.data.observations.parameters,

@@ -93,8 +93,8 @@ class CalibratedAtPositions(Protocol):
         """The control runs; None where no error is known."""
 
     @property
-    def error_scale(self) -> float:
-        """Factor of the simulator's variance."""
+    def unexplained(self) -> Array:
+        """Standard deviation in JND of what the other errors do not explain, (n_parameters,)."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)

@@ -51,8 +51,8 @@ from rtcal.support.types import Array
 KIND = "positions 1"
 """Value of the key ``rtcal`` in a saved result."""
 _REFUSED = (
-    "No step led nearer to what was measured: the start is returned, and nothing was fitted. State larger "
-    "sigmas or more paths, or look for what the room lacks (rtcal find)."
+    "No step led nearer to what was measured: the start is returned, and nothing was fitted. State "
+    "larger sigmas or more paths, or look for what the room lacks (rtcal find)."
 )
 _FARTHER = 0.5
 """JND: the noise of a tracing. A larger rise of the mean gap is the calibration's."""
@@ -377,8 +377,8 @@ class PositionsResult(Result):
             )
         if unexplained := self.unexplained_in_words:
             notes.append(
-                "Simulator and prior miss what was measured by more than their errors let expect. A value "
-                f"differs by a further {unexplained} (standard deviation)."
+                "Simulator and prior miss what was measured by more than their errors let expect. A "
+                f"value differs by a further {unexplained} (standard deviation)."
             )
         for pair in self.contradictions:
             notes.append(

@@ -35,6 +35,7 @@ from rtcal.simulators.base import Simulator
 from rtcal.simulators.observations import Observations, jacobian, observe
 from rtcal.simulators.path_tracing import PathTracing
 from rtcal.simulators.tracer import ScatteringModel
+from rtcal.support.errors import DataError, SimulatorError, TooShortError
 from rtcal.support.types import Array
 
 _LEAST = 0.02
@@ -227,7 +228,7 @@ class Errors:
     Attributes
     ----------
     simulator : array (n, n)
-        Covariance of the simulator's error at all values, with that of the scattering that is not known.
+        Covariance of the simulator's error at all values, with that of an unknown scattering.
     unexplained : array (n_parameters,)
         Standard deviation in JND by which each value differs beyond the other errors.
     covariance : array (n_used, n_used)
@@ -312,10 +313,10 @@ POSITIONS = LinearObservations("positions")
 
 @dataclass(frozen=True, eq=False)
 class LinearisationPoint:
-    """A point of the path: alpha, and what the simulator hears there."""
+    """A point of the path: alpha, and what the simulator hears there; None where it gives nothing."""
 
     alpha: Array
-    heard: Observations
+    heard: Observations | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -339,17 +340,41 @@ class LinearisedSimulator:
         """Return what is heard at these shares of the way to the answer."""
         start = self.start.alpha
         alpha = start + float(share[0]) * (self.answer.alpha - start)
-        self.listener.move(alpha)
+        try:
+            self.listener.move(alpha)
+        except (DataError, SimulatorError):  # no decay time with so much absorption, or so little
+            return LinearisationPoint(alpha, None)
         return LinearisationPoint(alpha, self.listener.heard)
 
     def worse(self, end: LinearisationPoint) -> NDArray[np.bool_]:
-        """Return whether the objective with the simulator itself rises, or the gap exceeds its limit."""
+        """Return whether the simulator's own objective rises, or its gap exceeds the limit."""
+        if end.heard is None:
+            return np.array([True])
         residual = self.listener.residual() + self.offset
         value = _misfit(self.errors.factor, residual) + _others(self.answer, end.alpha)
         return np.array([value > self.now or self.listener.gap() > self.limit])
 
 
 Path = Steps[LinearisationPoint, LinearisedSimulator]
+
+
+@dataclass(frozen=True, eq=False)
+class FittedScattering:
+    """A tracer with a scattering that is fitted, and what is known of it.
+
+    ``materials`` says what the scattering does, ``errors`` which error is left beside it.
+    """
+
+    tracer: PathTracing
+    materials: MaterialScattering
+    errors: ErrorsByScattering
+
+    @property
+    def covariance(self) -> Array:
+        """Covariance of the simulator's error with the scattering not known, (n, n)."""
+        tracer, model = self.tracer, self.materials.model
+        at = level(tracer.scattering, tracer.room.areas)
+        return self.errors.covariance(at, model) + self.materials.covariance
 
 
 @dataclass(frozen=True, eq=False)
@@ -364,8 +389,8 @@ class Fitted:
         The last Gauss-Newton steps.
     errors : Errors
         With which they were taken.
-    materials : MaterialScattering or None
-        What the scattering does; None where that stated is kept.
+    scattering : FittedScattering or None
+        None where the scattering stated is kept.
     refused : bool
         Whether no step led nearer, so that the start is returned.
     """
@@ -373,15 +398,13 @@ class Fitted:
     listener: Listener
     path: Path
     errors: Errors
-    materials: MaterialScattering | None
+    scattering: FittedScattering | None
     refused: bool = False
 
     @property
     def residual(self) -> Array:
         """Measured less simulated with the scattering stated, by derivatives, (n_used,)."""
-        if self.materials is None:
-            return self.listener.residual()
-        return self.listener.residual() - self.materials.back[self.listener.used]
+        return self.listener.residual() + _offset(self.listener, self.scattering)
 
     @property
     def pull(self) -> Array:
@@ -391,11 +414,18 @@ class Fitted:
         return pull
 
 
+def _offset(listener: Listener, scattering: FittedScattering | None) -> Array:
+    """Return by how much less is heard with the scattering stated than with that traced, (n_used,)."""
+    if scattering is None:
+        return np.zeros(len(listener.used))
+    return -scattering.materials.back[listener.used]
+
+
 class PositionsFit:
     """A fit of alpha, and of the scattering of a `PathTracing`, to what every position heard.
 
-    No step is taken unless the simulator itself shows that the objective falls and that the gap over all
-    that is matched stays below that of the start. The errors belong to where the steps ended: the
+    No step is taken unless the simulator itself shows that the objective falls, and that the gap over
+    all that is matched stays below that of the start. The errors belong to where the steps ended: the
     unexplained ones (`unexplained_errors`) are found there, and further steps are taken from there.
 
     Parameters
@@ -428,7 +458,7 @@ class PositionsFit:
         self.error, self.by_scattering = error, by_scattering
         self._problem = _composed(_plain(room) if calibration is None else calibration).build(room)
         self._times = None if calibration is None else measured
-        self._start = LinearisationPoint(room.alpha, listener.heard)
+        self._heard = listener.heard
         self._residual, self._gap = listener.residual(), listener.gap()
         self._unit = listener.data.in_values(np.ones(len(listener.data.used)))
         self._parameter = np.nonzero(listener.data.used)[0]
@@ -439,51 +469,51 @@ class PositionsFit:
     def run(self) -> Fitted:
         """Return where the fit ends."""
         kept = self._with_stated_scattering()
-        if kept.materials is None or kept.refused:
+        if kept.scattering is None or kept.refused:
             return kept
-        return self._with_fitted_scattering(kept)
+        return self._with_other_scattering(kept, kept.scattering)
 
     def _with_stated_scattering(self) -> Fitted:
-        listener, materials = self.listener, self._materials(self.listener)
-        none = np.zeros(len(self._residual))
-        errors = self._errors(listener, materials, np.zeros(self._parameter.max() + 1))
+        listener, scattering = self.listener, self._stated_scattering()
+        errors = self._errors(listener, scattering, np.zeros(len(listener.data.used)))
         # The first steps only lead near: with errors that were found at the start, where a simulator
         # is far from what was measured, its curvature would count as an error.
-        path = self._steps(listener, errors, none, np.inf)
+        path = self._steps(listener, errors, scattering, np.inf)
         for _ in range(_PASSES):
-            materials = self._materials(listener)
-            before = errors.unexplained
-            errors = self._errors(listener, materials, None)
-            if not self._is_nearer(listener, errors, path.steps[-1].model.answer):
-                listener.alpha, listener.heard = self._start.alpha, self._start.heard
-            path = self._steps(listener, errors, none, self._limit(path))
+            scattering, before = self._stated_scattering(), errors.unexplained
+            errors, answer = self._errors(listener, scattering), path.steps[-1].model.answer
+            begins_right = _keeps(answer, self.room.alpha)
+            if begins_right and not self._is_nearer(listener, errors, answer):
+                listener.alpha, listener.heard = self.room.alpha, self._heard
+            limit = self._gap if begins_right else np.inf
+            path = self._steps(listener, errors, scattering, limit)
             if np.abs(errors.unexplained - before).max() < _ALIKE:
                 break
-        stayed = path.end.alpha is self._start.alpha or np.array_equal(
-            path.end.alpha, self._start.alpha
-        )
-        refused = stayed and not path.settled
-        return Fitted(listener, path, errors, materials, refused)
+        refused = np.array_equal(path.end.alpha, self.room.alpha) and not path.settled
+        return Fitted(listener, path, errors, scattering, refused)
 
-    def _with_fitted_scattering(self, kept: Fitted) -> Fitted:
-        best, listener, materials = kept, kept.listener, kept.materials
-        assert materials is not None and isinstance(listener.simulator, PathTracing)
-        tracer, path, errors = listener.simulator, kept.path, kept.errors
-        model, change, log_odds = self._first_scattering(kept)
-        if model == tracer.scattering_model and not log_odds.any():
+    def _with_other_scattering(self, kept: Fitted, stated: FittedScattering) -> Fitted:
+        best, listener, path = kept, kept.listener, kept.path
+        model, change, log_odds = self._first_scattering(kept, stated)
+        if model == stated.materials.model and not log_odds.any():
             return kept
         for _ in range(_ROUNDS):
-            other = scattered(tracer, log_odds, model)
-            listener = listener.scattered(other, change.reshape(listener.everywhere().shape))
+            tracer = scattered(stated.tracer, log_odds, model)
+            try:
+                listener = listener.scattered(tracer, change.reshape(listener.everywhere().shape))
+            except TooShortError:  # with so little scattering no decay ends
+                break
             # Only paths of the model "random" tell the slopes; those of the other serve for both.
-            slopes = materials if model == "vector" else self._materials(listener)
-            assert slopes is not None
-            materials = replace(slopes, traced=log_odds, model=model)
-            errors = self._errors(listener, materials, None)
-            best = self._better(best, Fitted(copy(listener), path, errors, materials))
-            path = self._steps(listener, errors, -materials.back[listener.used], np.inf)
-            ended = Fitted(listener, path, errors, materials)
-            best = self._better(best, ended)
+            materials = stated.materials
+            if model == "random":
+                materials = self._materials(listener, tracer)
+            materials = replace(materials, traced=log_odds, model=model)
+            scattering = FittedScattering(tracer, materials, stated.errors)
+            errors = self._errors(listener, scattering)
+            best = self._better(best, Fitted(copy(listener), path, errors, scattering), scattering)
+            path = self._steps(listener, errors, scattering, np.inf)
+            ended = Fitted(listener, path, errors, scattering)
+            best = self._better(best, ended, scattering)
             likely = materials.likely(ended.pull).round(DIGITS)
             if np.array_equal(likely, log_odds):
                 break
@@ -491,25 +521,22 @@ class PositionsFit:
         best.listener.calls = listener.calls
         return best
 
-    def _first_scattering(self, kept: Fitted) -> tuple[ScatteringModel, Array, Array]:
+    def _first_scattering(
+        self, kept: Fitted, stated: FittedScattering
+    ) -> tuple[ScatteringModel, Array, Array]:
         """Return the likelier model, the change of all values that is expected, and the log odds."""
-        listener, materials, errors = kept.listener, kept.materials, kept.errors
-        assert self.by_scattering is not None and materials is not None
-        tracer, used = listener.simulator, listener.used
-        assert isinstance(tracer, PathTracing)
-        stated = level(tracer.scattering, tracer.room.areas)
+        listener, materials, used = kept.listener, stated.materials, kept.listener.used
         matrix = listener.linearised()
         innovation = listener.residual() + matrix @ (listener.alpha - self.room.alpha).ravel()
-        of_data = errors.covariance - errors.simulator[np.ix_(used, used)]
+        of_data = kept.errors.covariance - kept.errors.simulator[np.ix_(used, used)]
         found = []
         for model in MODELS:
             added = np.zeros(len(materials.slope))
             if model == "vector":
-                added = self.by_scattering.of_model.ravel()
-            error = self.by_scattering.covariance(stated, model) + materials.covariance
-            covariance = of_data + error[np.ix_(used, used)]
+                added = stated.errors.of_model.ravel()
+            error = replace(stated, materials=replace(materials, model=model)).covariance
             left = innovation - added[used]
-            whole = matrix @ self.prior @ matrix.T + covariance
+            whole = matrix @ self.prior @ matrix.T + of_data + error[np.ix_(used, used)]
             pull = np.zeros(len(added))
             pull[used] = np.linalg.solve(whole, left)
             log_odds = materials.likely(pull).round(DIGITS)
@@ -517,11 +544,15 @@ class PositionsFit:
         _, model, added, log_odds = max(found, key=lambda of: of[0])
         return model, added + materials.slope @ log_odds, log_odds
 
-    def _materials(self, listener: Listener) -> MaterialScattering | None:
-        """Return what scattering does where the listener is; None where it is not fitted."""
-        tracer = listener.simulator
+    def _stated_scattering(self) -> FittedScattering | None:
+        """Return what the scattering stated does where the listener is; None where it is not fitted."""
+        tracer = self.listener.simulator
         if self.by_scattering is None or not isinstance(tracer, PathTracing):
             return None
+        return FittedScattering(tracer, self._materials(self.listener, tracer), self.by_scattering)
+
+    @staticmethod
+    def _materials(listener: Listener, tracer: PathTracing) -> MaterialScattering:
         parameters = listener.data.observations.parameters
         stated = np.zeros(tracer.room.n_materials)
         return material_scattering(tracer, listener.alpha, parameters, stated, listener.seed)
@@ -529,31 +560,32 @@ class PositionsFit:
     def _errors(
         self,
         listener: Listener,
-        materials: MaterialScattering | None,
-        unexplained: Array | None,
+        scattering: FittedScattering | None,
+        unexplained: Array | None = None,
     ) -> Errors:
-        """Return the errors where the listener is; ``unexplained`` ones are found if None."""
-        error, tracer = self.error, listener.simulator
-        offset = np.zeros(len(self._residual))
-        if materials is not None and self.by_scattering is not None:
-            assert isinstance(tracer, PathTracing)
-            at = level(tracer.scattering, tracer.room.areas)
-            error = self.by_scattering.covariance(at, materials.model) + materials.covariance
-            offset = -materials.back[listener.used]
+        """Return the errors where the listener is; the ``unexplained`` ones are found if None."""
+        error = self.error if scattering is None else scattering.covariance
         matrix = listener.linearised()
         of_room = heard_changes(self.room, matrix, listener.of_level)
         known = listener.data.covariance + of_room.T @ of_room
         known = known + error[np.ix_(listener.used, listener.used)]
         if unexplained is None:
-            innovation = listener.residual() + offset
+            innovation = listener.residual() + _offset(listener, scattering)
             innovation = innovation + matrix @ (listener.alpha - self.room.alpha).ravel()
             expected = matrix @ self.prior @ matrix.T + known
             unexplained = unexplained_errors(innovation, expected, self._unit, self._parameter)
         covariance = known + np.diag((unexplained[self._parameter] * self._unit) ** 2)
         return Errors(error, unexplained, covariance, np.asarray(np.linalg.cholesky(covariance)))
 
-    def _steps(self, listener: Listener, errors: Errors, offset: Array, limit: float) -> Path:
+    def _steps(
+        self,
+        listener: Listener,
+        errors: Errors,
+        scattering: FittedScattering | None,
+        limit: float,
+    ) -> Path:
         """Take Gauss-Newton steps from where the listener is; it is left where they end."""
+        offset = _offset(listener, scattering)
 
         def linearised(at: LinearisationPoint) -> LinearisedSimulator:
             matrix = listener.linearised()
@@ -582,34 +614,28 @@ class PositionsFit:
             settled=settled,
             refuse=True,
         )
-        listener.alpha, listener.heard = path.end.alpha, path.end.heard
+        if path.end.heard is not None:  # steps that give nothing are refused
+            listener.alpha, listener.heard = path.end.alpha, path.end.heard
         return path
-
-    def _limit(self, path: Path) -> float:
-        """Return the gap that no end may exceed: the start's, if it keeps the constraints."""
-        return self._gap if _keeps(path.steps[-1].model.answer, self._start.alpha) else np.inf
 
     def _is_nearer(self, listener: Listener, errors: Errors, answer: CalibrationResult) -> bool:
         """Return whether a listener with the scattering stated is nearer than the start."""
-        if not _keeps(answer, self._start.alpha):
-            return True
         values = [
             _misfit(errors.factor, residual) + _others(answer, alpha)
             for residual, alpha in (
                 (listener.residual(), listener.alpha),
-                (self._residual, self._start.alpha),
+                (self._residual, self.room.alpha),
             )
         ]
         return values[0] <= values[1] and listener.gap() <= self._gap
 
-    def _better(self, best: Fitted, other: Fitted) -> Fitted:
+    def _better(self, best: Fitted, other: Fitted, scattering: FittedScattering) -> Fitted:
         """Return the one with the lower objective, in which both have the errors of the second.
 
-        The scattering's own deviations count, and its uncertainty does not. The second is not taken if
-        its objective or its gap is above the start's.
+        The scattering's own deviations count, and its uncertainty does not. The second, with its
+        ``scattering``, is not taken if its objective or its gap is above the start's.
         """
-        listener, materials = other.listener, other.materials
-        assert materials is not None
+        listener, materials = other.listener, scattering.materials
         used, answer = listener.used, other.path.steps[-1].model.answer
         unknown = materials.covariance[np.ix_(used, used)]
         factor = np.asarray(np.linalg.cholesky(other.errors.covariance - unknown))
@@ -618,13 +644,12 @@ class PositionsFit:
             of_scattering = 0.5 * log_odds @ np.linalg.solve(materials.prior, log_odds)
             return _misfit(factor, residual) + _others(answer, alpha) + float(of_scattering)
 
-        value, old = (
-            objective(of.listener.residual(), of.listener.alpha, of.materials.traced)
-            for of in (other, best)
-            if of.materials is not None
-        )
-        if _keeps(answer, self._start.alpha):
-            start = objective(self._residual, self._start.alpha, np.zeros(len(materials.traced)))
+        none = np.zeros(len(materials.traced))
+        value = objective(listener.residual(), listener.alpha, materials.traced)
+        traced = none if best.scattering is None else best.scattering.materials.traced
+        old = objective(best.listener.residual(), best.listener.alpha, traced)
+        if _keeps(answer, self.room.alpha):
+            start = objective(self._residual, self.room.alpha, none)
             if value > start or listener.gap() > self._gap:
                 return best
         return other if value < old else best

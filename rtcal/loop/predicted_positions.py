@@ -45,7 +45,7 @@ from rtcal.loop.scattering import (
 )
 from rtcal.prediction import words
 from rtcal.simulators.base import Simulator
-from rtcal.simulators.observations import checked_parameters, jacobian, observe
+from rtcal.simulators.observations import Observations, checked_parameters, jacobian, observe
 from rtcal.simulators.path_tracing import PathTracing
 from rtcal.support.errors import DataError
 from rtcal.support.speed import Progress
@@ -71,6 +71,12 @@ class Before:
         return np.flatnonzero(flags)
 
     @cached_property
+    def heard(self) -> Observations:
+        """What the calibrated simulator gives at all pairs, of the matched parameters."""
+        result = self.result
+        return observe(self.simulator, result.alpha, result.parameters, seed=result.seed)
+
+    @cached_property
     def matrix(self) -> Array:
         """Derivatives of the values used, (n_used, n_materials * n_bands)."""
         result = self.result
@@ -87,9 +93,8 @@ class Before:
     def innovation(self) -> Array:
         """The measured values less those heard with the prior, linearly, (n_used,)."""
         result = self.result
-        heard = observe(self.simulator, result.alpha, result.parameters, seed=result.seed).values
         measured = result.measured.observations.values
-        left = measured[result.measured.used] - heard.ravel()[self.used]
+        left = measured[result.measured.used] - self.heard.values.ravel()[self.used]
         return np.asarray(left + self.matrix @ (result.alpha - result.prior.alpha).ravel())
 
     def error(
@@ -218,11 +223,27 @@ class Changed:
         of_runs = told.covariance(at, tracer.scattering_model)
         return of_runs + of_materials.covariance + own.covariance()
 
+    def _unexplained(self) -> Array:
+        """Return the covariance of the calibration's unexplained errors before and after, (n, n).
+
+        Such an error stays with its pair: that of a matched parameter is the same after the change.
+        """
+        result, heard = self.result, self.known.heard
+        deviation = dict.fromkeys((*result.parameters, *self.match), np.zeros(heard.values[0].size))
+        for name, number in zip(result.parameters, result.unexplained, strict=True):
+            kind, values = observable(name), heard.natural(name)
+            unit = np.broadcast_to(kind.jnd_of(values), values.shape)
+            deviation[name] = number * kind.of_observed(unit, values).ravel()
+        rows = (*result.parameters, *self.match)
+        return np.block(
+            [[np.diag(deviation[p] * deviation[q] * (p == q)) for q in rows] for p in rows]
+        )
+
     def predicted(self, variant: Variant) -> PositionsPrediction:
         """Return the prediction, whose ``heard_before`` is its own middle."""
         result, used = self.result, self.known.used
         matrix, measured = self.known.matrix, result.measured.covariance
-        whole = result.error_scale * self.errors
+        whole = self.errors + self._unexplained()
         rows = PairsAndMean((len(self.match), len(self.controls.pairs), result.prior.n_bands))
         first = len(result.parameters) * len(self.controls.pairs) * result.prior.n_bands
         before, across, own = (
