@@ -8,7 +8,7 @@ import pytest
 import rtcal as rt
 from rtcal.datasets import halls
 from rtcal.loop.control_runs import ControlRuns, simulated_controls
-from rtcal.loop.positions_steps import error_scale
+from rtcal.loop.positions_steps import unexplained_errors
 from rtcal.loop.scattering import COMMON_LEFT, basis, errors_by_scattering
 from rtcal.simulators import PathTracing, Polyhedron, path_trace
 from rtcal.simulators.geometry import SHOEBOX_WALLS
@@ -173,14 +173,17 @@ def test_groups_of_paths_have_the_mean_of_all_and_their_noise():
         tracer.observe_in_groups(hall.room.alpha, 5)
 
 
-def test_the_simulators_error_is_scaled_to_what_is_likeliest():
+def test_unexplained_errors_are_those_under_which_the_data_are_likeliest():
+    """Each parameter has its own; what all values have in common is no part of it."""
     rng = np.random.default_rng(5)
-    n = 300
-    factor = rng.standard_normal((n, 20)) / np.sqrt(20)
-    error, expected = factor @ factor.T, np.diag(rng.uniform(0.1, 1.0, n))
-    for scale in (1.0, 5.0):
-        drawn = rng.multivariate_normal(np.zeros(n), expected + scale * error, 15)
-        found = np.array([error_scale(x, expected, error) for x in drawn])
-        assert np.median(found) == pytest.approx(scale, rel=0.2)
-        # Chi-square's scatter over all 300 values would make it 4 where it is 1.
-        assert np.quantile(found, 0.9) < 2 * scale
+    n, of = 300, np.repeat([0, 1], 150)
+    unit = np.where(of == 0, 0.05, 1.0)
+    common = np.outer(unit, unit) * (of[:, np.newaxis] == of)
+    expected = common + np.diag((0.5 * unit) ** 2)
+    for wanted in ([0.0, 0.0], [3.0, 0.0], [2.0, 4.0]):
+        covariance = expected + np.diag((np.array(wanted)[of] * unit) ** 2)
+        drawn = rng.multivariate_normal(np.zeros(n), covariance, 9)
+        found = np.median([unexplained_errors(x, expected, unit, of) for x in drawn], axis=0)
+        assert found == pytest.approx(wanted, rel=0.15, abs=0.2)
+    far = unexplained_errors(drawn[0] + 20 * unit * (of == 0), expected, unit, of)
+    assert far[0] < 4  # 20 JND that all values have in common are no error of each

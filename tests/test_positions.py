@@ -178,19 +178,14 @@ def test_positions_that_were_not_measured_are_predicted(case, result):
     assert gaps["predicted"] < gaps["stated scattering"] < gaps["prior"]
 
 
-def test_what_is_heard_after_is_expected_until_it_is_traced(result):
-    """Then it is what a user of the tracer hears. The last change of scattering is a linear one."""
-    assert "`result.traced()` simulates them" in str(result)
-    traced = result.traced()
-    returned = precise(result.tracer).observe(result.alpha, MATCH).values
+def test_what_is_heard_after_is_what_the_returned_tracer_gives(result):
+    """Its scattering was fitted, too; an expected change by derivatives would be no simulation."""
+    returned = result.weighed.observe(result.alpha, MATCH).values
+    assert (result.after.values == returned).all()
+    again = precise(result.tracer).observe(result.alpha, MATCH).values
+    np.testing.assert_allclose(again, returned, atol=1e-3)  # its paths are no longer than needed
     stated = precise(tracing(result.prior)).observe(result.alpha, MATCH).values
-    assert (traced.after.values == returned).all()
-    assert "simulates them" not in str(traced)
-    assert (traced.alpha == result.alpha).all()
-    off = (result.after.values - returned).mean(axis=1)
-    of_scattering = (returned - stated).mean(axis=1)
-    assert np.abs(of_scattering).max() > 0.01
-    assert np.abs(off).max() < 0.5 * np.abs(of_scattering).max()
+    assert np.abs((returned - stated).mean(axis=1)).max() > 0.01
 
 
 def test_scattering_that_cannot_be_fitted_is_kept_and_said(case, result):
@@ -208,7 +203,6 @@ def test_scattering_that_cannot_be_fitted_is_kept_and_said(case, result):
         assert said in " ".join(str(kept).split())
         assert kept.simulator == simulator.name
         assert (kept.room.scattering == simulator.scattering).all()
-        assert kept.traced() is kept
     with pytest.raises(DataError, match='scattering_model = "vector"; derivatives'):
         simulator.scattering_jacobian(room.alpha, MATCH)
 
@@ -350,7 +344,7 @@ def replaced(measured, parameter, values):
 
 
 def test_two_pairs_whose_names_were_exchanged_are_both_named(case, result):
-    """They made the simulator's error 4.5 times as large, which then explained them."""
+    """They make the unexplained error larger, which must not explain them."""
     room, _, measured = case
     exchanged = {p: v[[1, 0, *range(2, len(v))]] for p, v in measured.values.items()}
     found = rt.calibrate_positions(
@@ -361,7 +355,7 @@ def test_two_pairs_whose_names_were_exchanged_are_both_named(case, result):
         controls=result.controls,
     )
     assert set(found.contradictions) == set(measured.pairs[:2])
-    assert " JND." in str(found)
+    assert "differs by a further" in " ".join(str(found).split())
 
 
 def test_a_pair_that_contradicts_all_others_is_named_and_can_be_left_out(case, result):
@@ -379,7 +373,7 @@ def test_a_pair_that_contradicts_all_others_is_named_and_can_be_left_out(case, r
     assert without.contradictions == ()
     assert measured.pairs[2] not in without.pairs
     right = result.alpha
-    assert error(room, without.alpha, right) < 0.8 * error(room, found.alpha, right)
+    assert error(room, without.alpha, right) < error(room, found.alpha, right)
 
 
 def test_relative_levels_do_not_depend_on_a_sources_power(case, result):
@@ -443,32 +437,6 @@ def test_any_simulator_is_calibrated_without_an_interval():
     assert "No interval" in text
     assert np.abs(result.gap_after).max() < np.abs(result.gap_before).max()
     np.testing.assert_array_equal(result.room.sigma, room.sigma)
-
-
-def test_a_step_that_was_shortened_to_little_has_not_settled():
-    """Absorption beyond 0.5 % above what is stated is heard as less: no alpha gives the measured T."""
-    room, _ = rt.datasets.bras_cr2()
-    stated = room.areas @ room.alpha
-
-    def heard_of(area):
-        t = rt.Sabine().time(room, area)
-        return rt.Measurement(
-            centre_frequencies=room.centre_frequencies,
-            pairs=[("S", "R1"), ("S", "R2")],
-            values={"t20": np.array([t, t]), "edt": np.array([t, t])},
-        )
-
-    def program(alpha, seed):
-        more = np.log(room.areas @ alpha / stated)
-        return heard_of(stated * np.exp(0.005 - np.abs(more - 0.005)))
-
-    simulator = rt.simulators.External(room=room, run=program, name="folded")
-    measured = heard_of(1.35 * stated)
-    result = rt.calibrate_positions(simulator, room, measured, match=("t20", "edt"))
-    assert np.abs(result.gap_after).max() > 6
-    assert min(step.share for step in result.steps) < 1
-    assert not result.settled
-    assert "Not settled" in " ".join(str(result).split())
 
 
 def test_what_was_not_measured_is_not_beside(result):

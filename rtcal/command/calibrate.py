@@ -18,6 +18,7 @@ from rtcal.command.console import (
     equation_option,
     errors_name_options,
     exclude_option,
+    is_forced,
     is_quiet,
     match_option,
     method_option,
@@ -134,6 +135,8 @@ def _by_modes(
     tell(str(result), result.to_dict(), files)
 
 
+NOT_NEARER = 7
+"""Exit code of a fit that returns its start."""
 _START = 0.1
 """Scattering coefficient at which a fit starts where none is stated. No source says so: it is a choice,
 and it matters. In one simulated room, 4,000 paths, starts of 0.05, 0.1 and 0.2 ended at 0.28, 0.27 and
@@ -184,6 +187,9 @@ def fit(
     ROOM states its mesh, sources and receivers (docs/files.md). Where neither it nor --scattering
     states a scattering coefficient, the fit starts at 0.1.
 
+    No fit ends farther from MEASURED than it began. Where no step leads nearer, the start is returned,
+    the exit code is 7, and nothing is written without --force.
+
     Four times as many paths as --paths are weighed. The control runs take most of the time. They are
     kept beside ROOM, in .rtcal_cache, so that a second calibration is quicker.
 
@@ -233,11 +239,13 @@ def fit(
                 progress=following(shown),
             )
     files = []
-    if folder is not None:
+    if folder is not None and (is_forced() or not result.refused):
         files = positions_page.write_positions(
             result, folder, tracer.geometry, tracer.sources, tracer.receivers
         )
     tell(str(result), result.to_dict(), files)
+    if result.refused:
+        raise click.exceptions.Exit(NOT_NEARER)
 
 
 LIBRARY_ROOM = "room.toml"

@@ -227,9 +227,15 @@ def output_options(command: Callable[..., None]) -> Callable[..., None]:
 
 
 def _force(context: click.Context, parameter: click.Parameter, value: bool) -> None:
-    """Let the command replace files that rtcal did not write."""
+    """Let the command replace files that rtcal did not write, and write what it advises against."""
     if value:
+        context.meta["rtcal.force"] = True
         files.may_replace()
+
+
+def is_forced() -> bool:
+    """Return whether the running command was called with ``--force``."""
+    return _flag("force")
 
 
 force_option = click.option(

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 
 import click
 
-from rtcal.command.calibrate import calibrate, fit, learn, study
+from rtcal.command.calibrate import NOT_NEARER, calibrate, fit, learn, study
 from rtcal.command.console import CannotPrint, printing, show_warning, warn
 from rtcal.command.files import example, export, measure, report, table
 from rtcal.command.finder import NOTHING_TO_ADD, apply, find, plan, verify
@@ -29,6 +29,7 @@ EXIT_CODES = {
     4: "an optional library is missing",
     CannotPrint.exit_code: "the output cannot be printed",
     NOTHING_TO_ADD: "nothing to add, nothing written (`rtcal apply`)",
+    NOT_NEARER: "no step led nearer: the start is returned, nothing written (`rtcal fit`)",
     130: "interrupted",
 }
 

@@ -307,9 +307,8 @@ class PositionsResult(Result):
         )
 
     def __str__(self) -> str:
-        lines = [f"Coefficients only for {self.simulator}"]
-        if self.warning:
-            lines += ["", *text.wrapped(self.warning, hanging="    ")]
+        lines = [*text.wrapped(self.warning, hanging="    "), ""] if self.warning else []
+        lines.append(f"Coefficients only for {self.simulator}")
         tables = [gap_table(self.parameters, self.pairs, self.gap_before, self.gap_after)]
         if more := self.beside.parameters:
             ends = self.beside.gap_before, self.beside.gap_after

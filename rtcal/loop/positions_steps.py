@@ -305,6 +305,9 @@ _ALIKE = 0.1
 _ROUNDS = 3
 """Most times that the room is traced with another scattering."""
 _HALVINGS = 6
+FITS = 0.5
+"""Gap in JND, root mean square over all that is matched, below which a start needs no fit: the noise of
+a tracing."""
 _SETTLED = 0.05
 """Change of alpha in prior sigmas after which no further step is taken."""
 
@@ -489,7 +492,8 @@ class PositionsFit:
             path = self._steps(listener, errors, scattering, limit)
             if np.abs(errors.unexplained - before).max() < _ALIKE:
                 break
-        refused = np.array_equal(path.end.alpha, self.room.alpha) and not path.settled
+        stayed = np.array_equal(path.end.alpha, self.room.alpha)
+        refused = stayed and self._gap > FITS
         return Fitted(listener, path, errors, scattering, refused)
 
     def _with_other_scattering(self, kept: Fitted, stated: FittedScattering) -> Fitted:
