@@ -24,6 +24,7 @@ from rtcal.acoustics.equations import LinearEquation
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.measurement_files import MAX_BYTES
 from rtcal.acoustics.observables import TARGET
+from rtcal.acoustics.quality import rms
 from rtcal.acoustics.room import Room
 from rtcal.calibration.problem_data import times_in_room
 from rtcal.loop.matched import Weights
@@ -188,6 +189,10 @@ def _run(
     checks.whole("max_simulations", max_simulations, 1 if simulator.deterministic else 2)
     calls = _Calls(simulator, max(max_simulations - 1, 1), exclude)
     try:
+        if calls.left > 1:
+            loop = _with_stated(calls, loop, seed)
+            if loop.steps and after_step is not None:
+                after_step(loop)
         while not loop.finished and calls.left:
             step = _simulate_step(calls, loop, seed)
             if step is None:
@@ -231,6 +236,20 @@ class _Calls:
         return measurement
 
 
+def _with_stated(calls: _Calls, loop: Loop, seed: int) -> Loop:
+    """Return the loop after a simulation of the stated coefficients, so that none ends farther away.
+
+    Coefficients that some band has no T20 for are no start: the equation's are simulated first.
+    """
+    alpha = loop.prior_alpha()
+    try:
+        return loop.record(alpha, calls.simulate(alpha, seed), stated=True)
+    except RtcalError as error:
+        if not error.bands and not isinstance(error, DataError):
+            raise
+        return loop
+
+
 def _simulate_step(
     calls: _Calls, loop: Loop, seed: int
 ) -> tuple[Array, Measurement, tuple[int, ...]] | None:
@@ -262,7 +281,8 @@ def _simulate_step(
 def _result(calls: _Calls, loop: Loop, seed: int) -> LoopResult:
     """Return the result: the coefficients of each band's best step, simulated together.
 
-    If bands differ in their best step, their coefficients were never simulated together.
+    If bands differ in their best step, their coefficients were never simulated together. Where bands
+    depend on each other and are farther together than a step was, those of that step are returned.
     """
     simulator, alpha = calls.simulator, loop.best_alpha
     confirmation = None
@@ -270,6 +290,11 @@ def _result(calls: _Calls, loop: Loop, seed: int) -> LoopResult:
         confirmation = calls.simulate(alpha, seed + 1)
     simulated = [m for a, s, m in calls.answers if s == seed and np.array_equal(a, alpha)]
     after = simulated[-1] if simulated else confirmation or calls.simulate(alpha, seed)
+    if simulator.deterministic:
+        nearest = rms(loop.matched.gap(after)) - _AS_NEAR
+        for tried, _, measurement in calls.answers:
+            if (gap := rms(loop.matched.gap(measurement))) < nearest:
+                nearest, alpha, after = gap, tried, measurement
     calibrated = loop.outcome.room
     record = calibrated.calibration and replace(
         calibrated.calibration,
@@ -281,13 +306,15 @@ def _result(calls: _Calls, loop: Loop, seed: int) -> LoopResult:
         simulator=simulator.name,
         loop=loop,
         simulations=calls.number,
-        before=calls.answers[0][2],
+        before=calls.answers[0][2],  # the stated coefficients, where they have a T20
         after=after,
         confirmation=confirmation,
         notes=lost_paths(simulator),
     )
 
 
+_AS_NEAR = 1e-6
+"""JND by which gaps differ that are the same."""
 _COEFFICIENTS = re.compile(r"^#\s*Coefficients ([0-9a-f]{12})\b", re.M)
 
 

@@ -283,6 +283,12 @@ class Loop(Result):
         )
 
     @property
+    def stated_target(self) -> Array:
+        """T in s that the equation gives for the stated coefficients, (n_bands,), as `next_target`."""
+        target = np.clip(self.equation.reverberation_time(self.room), *self._target_limits)
+        return np.where(np.isfinite(self.wanted), target, np.nan)
+
+    @property
     def next_alpha(self) -> Array:
         """Coefficients to simulate next, (n_materials, n_bands), as the program reads them.
 
@@ -321,8 +327,15 @@ class Loop(Result):
         return replace(self, steps=self.steps[:-1])
 
     @checked
-    def record(self, alpha: Array, simulated: Measurement, without_t20: Sequence[int] = ()) -> Loop:
-        """Return the loop after a simulation of `next_alpha`.
+    def record(
+        self,
+        alpha: Array,
+        simulated: Measurement,
+        without_t20: Sequence[int] = (),
+        *,
+        stated: bool = False,
+    ) -> Loop:
+        """Return the loop after a simulation of `next_alpha`, or of the stated coefficients.
 
         A band may lack a T20 that it had in an earlier step. Its target then moves back towards one
         with a T20.
@@ -335,6 +348,8 @@ class Loop(Result):
             In the room's bands, with T20.
         without_t20 : sequence of int, optional
             Bands whose T20 in ``simulated`` belongs to other coefficients.
+        stated : bool
+            Whether ``alpha`` is `prior_alpha`. Its target is the equation's own T.
 
         Raises
         ------
@@ -349,7 +364,7 @@ class Loop(Result):
         )
         time[np.array(without_t20, dtype=int)] = np.nan
         step = Step(
-            target=self.next_target,
+            target=self.stated_target if stated else self.next_target,
             alpha=check_alpha(self.room, alpha),
             simulated=time,
             noise=self.matched.noise(simulated),
