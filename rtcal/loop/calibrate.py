@@ -65,6 +65,7 @@ def calibrate_simulator(
 ) -> LoopResult:
     """Calibrate a room's coefficients so that a simulator has the measured mean T20.
 
+    The stated coefficients are simulated first, so that no band ends farther away than it began.
     `calibrate_positions` matches what every position heard.
 
     Parameters

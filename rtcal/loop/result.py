@@ -41,7 +41,8 @@ class LoopResult(Result):
     simulations : int
         Number of all calls of the simulator.
     before : Measurement
-        Simulated with the coefficients of the equation's calibration, without the loop.
+        Simulated with the stated coefficients. If some band has no T20 with them, or fewer than three
+        simulations were allowed, with those of the equation's calibration.
     after : Measurement
         Simulated with the coefficients returned. What is matched was fitted, by default T20.
     confirmation : Measurement or None
