@@ -94,8 +94,8 @@ def calibrate_positions(
 ) -> PositionsResult:
     """Calibrate a room's coefficients so that a simulator has what every position heard.
 
-    The gap over all that is matched, and the objective, are at most those of the room as given: else it is
-    returned, and the result's ``refused`` says so.
+    The gap over all that is matched, and the objective, are at most those of the room as given: else
+    that room is returned, and the result's ``refused`` says so.
 
     Parameters
     ----------
