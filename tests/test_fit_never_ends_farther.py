@@ -124,7 +124,7 @@ def of_simulator(name):
 
 
 def measured(name, alpha, *, scale=1.0, seed=9):
-    """What another run of the same simulator gives, its times ``scale`` times as long."""
+    """Return another run of the same simulator, its times ``scale`` times as long."""
     heard = precise(SIMULATORS[name](stated(PRIORS["usual"]))).simulate(alpha, seed=seed)
     values = {p: heard.values[p] for p in MATCH if p in heard.values}
     for p in {"t20", "edt"} & set(values):

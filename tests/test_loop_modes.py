@@ -34,12 +34,12 @@ def program(factor):
 
 
 def test_an_exact_simulator_leaves_modes_below_and_the_equation_above(told):
-    result = rt.calibrate_simulator(program(1.0), told, MEASURED)
+    result = rt.calibrate_simulator(program(1.0), told, MEASURED, tolerance=1e-3)
     assert result.status == ("by modes", "by modes", "converged")
     np.testing.assert_array_equal(result.alpha[:, :2], told.alpha[:, :2])
     assert (np.abs(told.alpha[:, :2] - ROOM.alpha[:, :2]) > 0.005).any()
     above = rt.calibrate(told.room, [np.nan, np.nan, times(TRUTH)[2]])
-    np.testing.assert_allclose(result.alpha[:, 2], above.alpha[:, 2], rtol=1e-9)
+    np.testing.assert_allclose(result.alpha[:, 2], above.alpha[:, 2], rtol=1e-6)
     assert (np.abs(result.alpha[:, 2] - told.alpha[:, 2]) > 1e-4).any()
 
 

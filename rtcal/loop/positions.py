@@ -29,7 +29,7 @@ from rtcal.acoustics.room_errors import in_words, prior_covariance
 from rtcal.acoustics.scene import POSITION, checked_uncertainty
 from rtcal.calibration.problem import Calibration
 from rtcal.loop import control_runs
-from rtcal.loop.beyond_prior import BeyondPrior, beyond_prior
+from rtcal.loop.prior_reach import BeyondPrior, beyond_prior
 from rtcal.loop.control_runs import (
     ControlRuns,
     simulated_controls,
@@ -249,7 +249,7 @@ def calibrate_positions(
         room=room if fit.refused else _calibrated(room, tracer, scattering, fit, data, controls),
         simulator=_named(tracer, scattering),
         tracer=tracer,
-        weighed=listener.simulator,
+        weighed=precise(tracer, more_paths),
         seed=seed,
         scattering=scattering,
         start=start,

@@ -21,7 +21,7 @@ from rtcal.calibration.certificate import Certificate
 from rtcal.calibration.methods import gain, learned_materials
 from rtcal.calibration.result import CalibrationResult
 from rtcal.calibration.table import coefficients
-from rtcal.loop.beyond_prior import BeyondPrior
+from rtcal.loop.prior_reach import BeyondPrior
 from rtcal.loop.control_runs import ControlRuns
 from rtcal.loop.matched import Beside, left, sentences
 from rtcal.loop.measured_pairs import (
@@ -89,7 +89,7 @@ class PositionsResult(Result):
         The simulator that the coefficients belong to: the one given, with the scattering fitted. Do not
         calibrate it on the same data again: its scattering comes from them.
     weighed : Simulator
-        The same with as many paths as were weighed: it gave ``after``.
+        The same with as many paths as were weighed.
     seed : int
     scattering : Scattering or None
         The scattering that was fitted; None where the one stated was kept.
@@ -103,8 +103,8 @@ class PositionsResult(Result):
     held_out : Beside or None
         What was measured at the pairs that were excluded, before and after; without the level.
     before, after : Observations
-        What the simulator given hears with the prior, and what ``weighed`` hears with the coefficients
-        returned.
+        What the simulator given and its ``tracer`` give, with the prior and with the coefficients
+        returned, with as many paths as were weighed.
     predicted : Observations
         What all positions of the simulator hear with the coefficients returned, also those that
         were not measured. Where control runs tell the simulator's error, its mean given what was
@@ -339,7 +339,7 @@ class PositionsResult(Result):
 
     @property
     def warning(self) -> str:
-        """What is said first: the start was returned, or T or the gap forbid the use; "" if nothing."""
+        """Sentences that stand first: start returned, T beyond the prior, gap grown; "" if none."""
         farther = self._farther_matched
         return " ".join(
             [

@@ -222,7 +222,7 @@ def simulator_error(
 
 
 @dataclass(frozen=True, eq=False)
-class Errors:
+class FitErrors:
     """The errors of what is compared.
 
     Attributes
@@ -333,7 +333,7 @@ class LinearisedSimulator:
     listener: Listener
     start: LinearisationPoint
     matrix: Array
-    errors: Errors
+    errors: FitErrors
     offset: Array
     answer: CalibrationResult
     now: float
@@ -390,7 +390,7 @@ class Fitted:
         The simulator with the fitted scattering, at the fitted alpha.
     path : Steps
         The last Gauss-Newton steps.
-    errors : Errors
+    errors : FitErrors
         With which they were taken.
     scattering : FittedScattering or None
         None where the scattering stated is kept.
@@ -400,7 +400,7 @@ class Fitted:
 
     listener: Listener
     path: Path
-    errors: Errors
+    errors: FitErrors
     scattering: FittedScattering | None
     refused: bool = False
 
@@ -566,7 +566,7 @@ class PositionsFit:
         listener: Listener,
         scattering: FittedScattering | None,
         unexplained: Array | None = None,
-    ) -> Errors:
+    ) -> FitErrors:
         """Return the errors where the listener is; the ``unexplained`` ones are found if None."""
         error = self.error if scattering is None else scattering.covariance
         matrix = listener.linearised()
@@ -579,12 +579,12 @@ class PositionsFit:
             expected = matrix @ self.prior @ matrix.T + known
             unexplained = unexplained_errors(innovation, expected, self._unit, self._parameter)
         covariance = known + np.diag((unexplained[self._parameter] * self._unit) ** 2)
-        return Errors(error, unexplained, covariance, np.asarray(np.linalg.cholesky(covariance)))
+        return FitErrors(error, unexplained, covariance, np.asarray(np.linalg.cholesky(covariance)))
 
     def _steps(
         self,
         listener: Listener,
-        errors: Errors,
+        errors: FitErrors,
         scattering: FittedScattering | None,
         limit: float,
     ) -> Path:
@@ -622,7 +622,7 @@ class PositionsFit:
             listener.alpha, listener.heard = path.end.alpha, path.end.heard
         return path
 
-    def _is_nearer(self, listener: Listener, errors: Errors, answer: CalibrationResult) -> bool:
+    def _is_nearer(self, listener: Listener, errors: FitErrors, answer: CalibrationResult) -> bool:
         """Return whether a listener with the scattering stated is nearer than the start."""
         values = [
             _misfit(errors.factor, residual) + _others(answer, alpha)

@@ -72,7 +72,7 @@ class Before:
 
     @cached_property
     def heard(self) -> Observations:
-        """What the calibrated simulator gives at all pairs, of the matched parameters."""
+        """Matched parameters at all pairs, as the calibrated simulator gives them."""
         result = self.result
         return observe(self.simulator, result.alpha, result.parameters, seed=result.seed)
 

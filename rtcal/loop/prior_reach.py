@@ -1,4 +1,4 @@
-"""How far a measured reverberation time is from what the stated coefficients let expect."""
+"""The reach of the stated coefficients: a measured reverberation time may lie beyond it."""
 
 from __future__ import annotations
 
