@@ -343,7 +343,7 @@ def replaced(measured, parameter, values):
 
 
 def test_two_pairs_whose_names_were_exchanged_are_both_named(case, result):
-    """They make the unexplained error larger, which must not explain them."""
+    """An error that the data themselves make larger must not explain them."""
     room, _, measured = case
     exchanged = {p: v[[1, 0, *range(2, len(v))]] for p, v in measured.values.items()}
     found = rt.calibrate_positions(
@@ -354,7 +354,6 @@ def test_two_pairs_whose_names_were_exchanged_are_both_named(case, result):
         controls=result.controls,
     )
     assert set(found.contradictions) == set(measured.pairs[:2])
-    assert "differs by a further" in " ".join(str(found).split())
 
 
 def test_a_pair_that_contradicts_all_others_is_named_and_can_be_left_out(case, result):

@@ -29,7 +29,6 @@ from rtcal.acoustics.room_errors import in_words, prior_covariance
 from rtcal.acoustics.scene import POSITION, checked_uncertainty
 from rtcal.calibration.problem import Calibration
 from rtcal.loop import control_runs
-from rtcal.loop.prior_reach import BeyondPrior, beyond_prior
 from rtcal.loop.control_runs import (
     ControlRuns,
     simulated_controls,
@@ -55,6 +54,7 @@ from rtcal.loop.positions_steps import (
     PositionsFit,
     simulator_error,
 )
+from rtcal.loop.prior_reach import BeyondPrior, beyond_prior
 from rtcal.loop.scattering import Scattering, fitted
 from rtcal.modes.result import ModesResult
 from rtcal.simulators import base, observations

@@ -21,7 +21,6 @@ from rtcal.calibration.certificate import Certificate
 from rtcal.calibration.methods import gain, learned_materials
 from rtcal.calibration.result import CalibrationResult
 from rtcal.calibration.table import coefficients
-from rtcal.loop.prior_reach import BeyondPrior
 from rtcal.loop.control_runs import ControlRuns
 from rtcal.loop.matched import Beside, left, sentences
 from rtcal.loop.measured_pairs import (
@@ -40,6 +39,7 @@ from rtcal.loop.positions_prediction import (
     material_table,
 )
 from rtcal.loop.predicted_positions import WANTED, predict_positions
+from rtcal.loop.prior_reach import BeyondPrior
 from rtcal.loop.scattering import Scattering
 from rtcal.simulators.base import Simulator
 from rtcal.simulators.observations import Observations
