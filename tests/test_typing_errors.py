@@ -12,7 +12,10 @@ import rtcal as rt
 from rtcal.acoustics.typing_errors import far_from_neighbours, in_measurement, in_room
 from rtcal.command import main as cli
 from rtcal.io import tables
+from rtcal.loop.calibrate import calibrate_simulator
+from rtcal.report import loop_page
 from rtcal.report.page import calibration_page
+from rtcal.simulators import EquationSimulator
 from rtcal.support.errors import InfeasibleError
 
 BANDS = [125, 250, 500, 1000, 2000, 4000]
@@ -129,3 +132,16 @@ def test_a_coefficient_a_tenth_of_its_neighbours_is_found_and_no_resonator_is_mi
     assert mark.text == 'alpha of "tiles" = 0.0175, beside 0.3 at 500 Hz and 0.35 at 2000 Hz'
     alpha[2] = [0.1, 0.25, 0.85, 0.3, 0.12, 0.1]
     assert in_room(room().replace(alpha=alpha)) == []
+
+
+def test_the_page_of_a_loop_names_it_first() -> None:
+    t = np.array(USUAL)
+    t[3] *= 4.5
+    simulator = EquationSimulator(rt.Kuttruff(), room())
+    looped = calibrate_simulator(simulator, room(), rt.Measurement.from_values(BANDS, t20=t))
+    first = loop_page.summary(looped.loop, looped.status)[0]
+    assert first.startswith(
+        "Likely a typing error at 1000 Hz: T20 = 5.4 s, beside 1.24 s at 500 Hz"
+    )
+    right = calibrate_simulator(simulator, room(), rt.Measurement.from_values(BANDS, t20=USUAL))
+    assert loop_page.summary(right.loop, right.status)[0].startswith("A simulator was run")

@@ -48,7 +48,13 @@ def summary(loop: Loop, status_of_bands: Sequence[str]) -> list[str]:
     """Return the loop as a few sentences; ``status_of_bands`` is each band's status."""
     f, first = loop.room.centre_frequencies, gap_jnd(loop.steps[0].simulated, loop.wanted)
     n = len(loop.steps)
+    typed = [mark for mark in loop.trust_marks if "typing_error" in mark.kind]
     sentences = [
+        f"Likely a typing error at {mark.frequency:g} Hz: {mark.text}. Check this value before "
+        "anything else."
+        for mark in typed
+    ]
+    sentences += [
         f"A simulator was run {n} time{'' if n == 1 else 's'}, and after each run the absorption "
         f"coefficients were changed so that {loop.matched.label} comes nearer to what was measured."
     ]
