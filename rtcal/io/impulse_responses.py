@@ -457,13 +457,14 @@ def _evaluated(
     density = curve[0] * 6 * np.log(10) / (times[EARLY.key] * rate)
     ratio = float(10 * np.log10(density / decayed.end)) if decayed.end > 0 else np.inf
     reach = min(ratio - decayed.lost, decayed.reach)
+    centre = float(curve.sum() / curve[0]) / rate  # of gravity, in s
     curve[0] += max(early - decayed.subtracted * early_samples, 0.0)
     values = {**_energy_ratios(curve, rate), **times}
     return _Parameters(
         ratio=ratio if reach >= max(needed.values()) else reach,
         floor=decayed.floor,
         values={p: v for p, v in values.items() if reach >= needed[p]},
-        late=_is_late(in_range, rate, values["ts"], times),
+        late=_is_late(in_range, rate, centre, times),
     )
 
 
@@ -473,7 +474,7 @@ _STEADIEST = 2.2
 """Least time of 90 % of the energy over that of the half; an exponential has 3.3, steady noise 1.8."""
 
 
-def _is_late(level: Array, rate: float, ts: float, times: Mapping[str, float]) -> bool:
+def _is_late(level: Array, rate: float, centre: float, times: Mapping[str, float]) -> bool:
     """Return whether the energy arrives later than in a decay, judged by a decay curve in dB.
 
     Both its centre of gravity and the rise of its energy must be late: one strong reflection in a dry
@@ -483,7 +484,7 @@ def _is_late(level: Array, rate: float, ts: float, times: Mapping[str, float]) -
     t = times.get(TARGET.key)
     if t is None:  # the last 5 dB of EDT's range
         t = 12 * (most - int(np.argmax(level <= -5.0)) / rate)
-    return most < _STEADIEST * half and ts * 6 * np.log(10) > _LATEST * t
+    return most < _STEADIEST * half and centre * 6 * np.log(10) > _LATEST * t
 
 
 @dataclass(frozen=True, kw_only=True)
