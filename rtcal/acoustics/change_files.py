@@ -421,7 +421,7 @@ def check_treatments(treatments: Sequence[Treatment], room: Room) -> tuple[Treat
 
 def _stated(treatment: Treatment) -> tuple[Any, ...]:
     """Return what a treatment states, in a form that compares."""
-    material = treatment.material
+    material: Any = treatment.material
     if isinstance(material, Material):
         numbers = (material.alpha, material.sigma, material.alpha_min)
         material = (material.name, *(np.asarray(n, dtype=float).tolist() for n in numbers))

@@ -239,7 +239,7 @@ class Choice:
             raise SolverError(f"the design's linear program was not solved: {found.message}")
         v = np.clip(np.where(self.whole & whole, np.round(found.x), found.x), *box)
         over = float(np.max(self._rows @ v, initial=0.0))  # the solver's tolerance
-        return np.where(self.whole & whole, v, v / max(over, 1.0))
+        return np.asarray(np.where(self.whole & whole, v, v / max(over, 1.0)))
 
     def _touching(self, inside: Array, outside: Array) -> tuple[Array, float]:
         """Return the plane that touches a margin where the line from inside to outside leaves it."""
