@@ -1,4 +1,4 @@
-"""Designing to a target: laws of the envelope, the program against brute force, what is refused."""
+"""Designing to a target: the cheapest, beside exhaustive search; laws; what is refused."""
 
 from __future__ import annotations
 

@@ -21,6 +21,8 @@ _LEAST, _MOST = 1e-3, 1 - 1e-6
 """Probabilities beyond which a margin is that of a normal ln T: there samples are too few."""
 _NONE = 1e-9
 """Areas below this, in shares of a treatment's largest, are 0."""
+_KEPT = 100
+"""Most predictions that are kept."""
 _WIDEST, _WIDENED = 100.0, 0.002
 """Largest factor by which a range is widened, and its accuracy."""
 _FAR = 50.0
@@ -56,10 +58,6 @@ class DesignModel:
 
     def prediction(self, x: Array) -> Prediction:
         """Return T of the room with areas of the treatments in m²."""
-        # The search keeps a surface's area to its own tolerance only.
-        covers, surfaces = self.covering
-        over = np.maximum(covers @ x / surfaces, 1.0)
-        x = x / np.max(np.where(covers > 0, over[:, np.newaxis], 1.0), axis=0, initial=1.0)
         put = [(self.treatments[j], float(x[j])) for j in self._order]
         return predict(
             self.known,
@@ -76,6 +74,8 @@ class DesignModel:
         """Return the prediction for areas in m², and mean and sd of ln T; kept for later."""
         key = x.tobytes()
         if key not in self._predicted:
+            if len(self._predicted) == _KEPT:  # the first one goes
+                del self._predicted[next(iter(self._predicted))]
             made = self.prediction(x)
             self._predicted[key] = made, made.log_mean, made.log_sigma
         return self._predicted[key]
@@ -93,9 +93,8 @@ class DesignModel:
 
         def of(x: Array) -> Array:
             found = self.probability(x, target)[bounded]
-            _, mean, sigma = (
-                each if i == 0 else each[bounded] for i, each in enumerate(self._known(x))
-            )
+            _, mean, sigma = self._known(x)
+            mean, sigma = mean[bounded], sigma[bounded]
             # Further off than samples reach, ln T is taken as normal: the search must see a slope.
             ends = np.fmin(high - mean, mean - low) / np.maximum(sigma, 1e-9)
             sampled = ndtri(np.clip(found, _LEAST, _MOST))

@@ -149,7 +149,7 @@ class Choice:
             jac=lambda s: np.append(np.zeros(n), -1.0),
             bounds=[*[(0.0, 1.0)] * n, (None, None)],
             constraints=[
-                {"type": "ineq", "fun": lambda s: self.at(low + s[:-1] * scale) - s[-1]},
+                {"type": "ineq", "fun": lambda s: self.at(within(s[:-1])) - s[-1]},
                 {"type": "ineq", "fun": lambda s: 1 - self._rows @ (low + s[:-1] * scale)},
             ],
             method="SLSQP",
@@ -280,7 +280,8 @@ class Choice:
         """Return the derivatives of a margin by the unknowns, (n_treatments,), where it is ``here``."""
         out = np.empty(len(v))
         for j, step in enumerate(_STEP * self.most):
-            step = step if v[j] + step <= self.most[j] else -step
+            covered = self._rows @ v + step * self._rows[:, j]
+            step = step if v[j] + step <= self.most[j] and (covered <= 1).all() else -step
             out[j] = (self.at(np.where(np.arange(len(v)) == j, v[j] + step, v))[k] - here) / step
         return out
 
