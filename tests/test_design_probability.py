@@ -15,11 +15,11 @@ from rtcal.acoustics.changes import Change
 from rtcal.prediction import Add, Assumptions, Cover, changed
 from rtcal.support.types import Array
 
-BANDS = np.array([250.0, 500.0, 1000.0, 2000.0])
+BANDS = np.array([250.0, 1000.0])
 AXES = {"floor": (0, 0, 1), "ceiling": (0, 0, 1), "wall": (0.5, 0.5, 0)}
 """Shares of a surface's area across x, y and z, which its name says."""
-DRAWS = 1_500_000
-U_T = 0.03
+DRAWS = 2_000_000
+U_T = 0.05
 """Relative standard uncertainty of the measured T."""
 
 
@@ -27,18 +27,18 @@ def a_room(seed: int) -> tuple[np.random.Generator, rt.CalibrationResult, Array]
     """A calibrated room, some of whose coefficients are near 0 beside what is not known of them."""
     rng = np.random.default_rng([57, 40, seed])
     x, y, z = np.exp(rng.uniform(np.log(3), np.log(8))) * np.array([1.4, 1.1, 0.65])
-    alpha = np.clip(np.exp(rng.uniform(np.log(0.01), np.log(0.3), (3, 4))), 0.005, 0.6)
+    alpha = np.clip(np.exp(rng.uniform(np.log(0.01), np.log(0.3), (3, 2))), 0.005, 0.6)
     room = rt.Room(
         name=f"room {seed}",
         volume=x * y * z,
         materials=list(AXES),
         areas=[x * y, x * y, 2 * (x + y) * z],
         alpha=alpha,
-        sigma=np.maximum(rng.uniform(0.2, 0.9, (3, 4)) * alpha, 0.01),
+        sigma=np.maximum(rng.uniform(0.2, 0.9, (3, 2)) * alpha, 0.01),
         centre_frequencies=BANDS,
         air=rt.Air(20, 50),
     )
-    t = rt.Eyring().reverberation_time(room) * np.exp(0.15 * rng.standard_normal(4))
+    t = rt.Eyring().reverberation_time(room) * np.exp(0.15 * rng.standard_normal(2))
     measured = rt.Measurement(
         centre_frequencies=BANDS,
         values={"t20": t[np.newaxis]},
@@ -50,8 +50,8 @@ def a_room(seed: int) -> tuple[np.random.Generator, rt.CalibrationResult, Array]
 
 def some_changes(rng: np.random.Generator, room: rt.Room) -> list[Change]:
     """Panels on the ceiling, and in half of the rooms screens that stand free."""
-    panel = rt.Material("panel", rng.uniform(0.3, 0.9, 4), [0.1] * 4)
-    screen = rt.Material("screen", rng.uniform(0.1, 0.6, 4), [0.05] * 4)
+    panel = rt.Material("panel", rng.uniform(0.3, 0.9, 2), [0.1] * 2)
+    screen = rt.Material("screen", rng.uniform(0.1, 0.6, 2), [0.05] * 2)
     put: list[Change] = [Cover("ceiling", panel, room.areas[1] * rng.uniform(0.2, 0.9))]
     if rng.random() < 0.5:
         put.append(Add(screen, room.areas[0] * rng.uniform(0.05, 0.3)))
@@ -149,14 +149,14 @@ def test_the_probability_is_that_of_importance_sampling_from_the_prior(seed: int
     rng, result, t = a_room(seed)
     changes = some_changes(rng, result.prior)
     made = result.predict(changes)
-    high = np.exp(made.log_mean + rng.uniform(0.7, 1.8, 4) * made.log_sigma)
-    low = high / rng.uniform(1.3, 2.5, 4)
+    high = np.exp(made.log_mean + rng.uniform(0.7, 1.8, 2) * made.log_sigma)
+    low = high / rng.uniform(1.3, 2.5, 2)
     found = made.probability(low, high)
     compared = 0
     for k in range(len(BANDS)):
         time, weight = sampled(result, t, changes, k)
         effective = weight.sum() ** 2 / (weight**2).sum()
-        if effective < 20_000:  # its own noise would be 0.003
+        if effective < 15_000:  # its own noise would be above 0.003
             continue
         inside = (time >= low[k]) & (time <= high[k])
         assert found[k] == pytest.approx((weight * inside).sum() / weight.sum(), abs=0.01)

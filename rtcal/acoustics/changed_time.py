@@ -59,7 +59,7 @@ _KERNEL = 0.1
 """Width of the kernel of a probability, in standard deviations of the draws."""
 _LARGEST = 0.999
 """Largest mean absorption coefficient of a draw, in shares of what the equation holds for."""
-_FIRST = 4
+_FIRST = 16
 """Draws before T before is taken into account, over those after it."""
 _LEAST = 1e-9
 """Least absorption coefficient of a draw: its logarithm is taken."""
