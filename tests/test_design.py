@@ -128,6 +128,30 @@ def test_panels_and_free_pieces_together_cost_least(one_sided: bool) -> None:
     assert cheaper(found, steps) is None
 
 
+def test_panels_that_may_be_cut_are_named_where_whole_ones_will_not_do() -> None:
+    result = known()
+    target = Target([np.nan] * 3, [1.3] * 3)
+    some = design(result, TREATMENTS[:1], target, 0.8)
+    area = float(some.areas[0])
+    large = replace(TREATMENTS[0], largest=1.1 * area, unit=0.6 * area)
+    said = f"No whole panels .* at a cost of {some.cost:.0f}: {area:.1f} m² of ceiling"
+    with pytest.raises(InfeasibleError, match=said):
+        design(result, [large], target, 0.8)
+
+
+def test_the_order_of_materials_changes_nothing() -> None:
+    room = a_room()
+    turned = room.replace(
+        materials=room.materials[::-1],
+        areas=room.areas[::-1],
+        alpha=room.alpha[::-1],
+        sigma=room.sigma[::-1],
+    )
+    first, again = (design(known(each), TREATMENTS, TARGET, 0.85) for each in (room, turned))
+    assert again.areas == pytest.approx(first.areas, rel=1e-6)
+    assert again.probability == pytest.approx(first.probability, abs=1e-6)
+
+
 @pytest.mark.parametrize("order", [(0, 2, 1), (2, 1, 0), (1, 0, 2)])
 def test_the_order_of_treatments_changes_nothing(order: tuple[int, ...]) -> None:
     shop, every, target = a_shop(one_sided=True)

@@ -63,11 +63,6 @@ class Design(Result):
         """T of the treated room."""
         return self.model.prediction(self.areas)
 
-    @property
-    def change_percent(self) -> Array:
-        """What the treatments change T by, in percent of T before, (n_bands,)."""
-        return 100 * (self.prediction.mean / self.prediction.time_before - 1)
-
     @cached_property
     def probability(self) -> Array:
         """Probability that T is in its range, (n_bands,); `prediction` states the same."""
@@ -114,7 +109,6 @@ class Design(Result):
             "probability": json_numbers(self.probability),
             "probability_together": self.probability_together,
             "frontier": {f"{p:g}": None if np.isinf(c) else c for p, c in self.frontier.items()},
-            "change_percent": json_numbers(self.change_percent),
             "prediction": self.prediction.to_dict(),
         }
 
@@ -141,7 +135,8 @@ def text_of(record: dict[str, Any]) -> str:
         ("       to / s", record["target"]["high"], ".2f"),
         ("T before / s", record["prediction"]["reverberation_time_before"], ".2f"),
         ("T after / s", record["prediction"]["reverberation_time"], ".2f"),
-        ("change / %", record["change_percent"], "+.0f"),
+        ("change / s", record["prediction"]["change_seconds"], "+.2f"),
+        ("change / %", record["prediction"]["change_percent"], "+.0f"),
         ("90 %: from / s", low, ".2f"),
         ("      to / s", high, ".2f"),
         ("probability", record["probability"], ".2f"),
@@ -170,7 +165,8 @@ def text_of(record: dict[str, Any]) -> str:
             *text.wrapped(f"Cost {record['cost']:.0f}. Cost by probability: {frontier}."),
             *text.wrapped(
                 f"Probability that all bands are in range at once: "
-                f"{record['probability_together']:.2f}."
+                f"{record['probability_together']:.2f}. The probabilities are those of draws; a "
+                "band's is at most 0.01 off."
             ),
             *(line for each in record["prediction"]["sentences"] for line in text.wrapped(each)),
         ]
