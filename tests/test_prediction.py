@@ -369,6 +369,8 @@ def test_a_second_state_narrows_and_corrects() -> None:
     two = joint.results[0].predict(Cover("walls", stated, 25))
     assert len(two.known.others) == 1
     assert (two.half_width < 0.85 * one.half_width).all()
+    other = predict(joint.results, [], before=some)
+    assert other.mean == pytest.approx(joint.results[1].reverberation_time_after)
     errors = [np.abs(np.log(p.mean / time(25))) for p in (one, two)]
     assert (errors[1] < 0.6 * errors[0]).all()
 
@@ -425,8 +427,10 @@ def test_rooms_that_do_not_fit_are_refused(result) -> None:
         result.predict([Open(m) for m in result.prior.materials])
     with pytest.raises(DataError, match=r"factor = 2"):
         Assumptions(factor=2)
-    with pytest.raises(DataError, match="that of the calibration"):
+    with pytest.raises(DataError, match="the calibration's is Eyring"):
         predict(result, [], equation=rt.Sabine())
+    with pytest.raises(DataError, match="is not a state that was calibrated"):
+        predict(result, [], before=a_room(7))
 
 
 def test_no_measured_t_counts_twice() -> None:

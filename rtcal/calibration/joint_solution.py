@@ -191,6 +191,16 @@ class JointSolution:
         Raises ModelError if the calibration has further unknowns or observations, which a prediction
         does not know of, or if its equation gives no T for the calibrated room.
         """
+        if configuration not in self._known_rooms:
+            self._known_rooms[configuration] = self._known_room(configuration)
+        return self._known_rooms[configuration]
+
+    @cached_property
+    def _known_rooms(self) -> dict[int, KnownRoom]:
+        """One of each configuration: what is drawn of it is kept by its identity."""
+        return {}
+
+    def _known_room(self, configuration: int) -> KnownRoom:
         terms = self.solution.model.objective.terms
         if self.effects or any(isinstance(t, LinearObservations) for t in terms):
             raise ModelError(

@@ -64,6 +64,11 @@ class CalibrationResult(Result):
         return self.joint.configurations.rooms[self.configuration]
 
     @property
+    def states(self) -> tuple[CalibrationResult, ...]:
+        """The results of all measured configurations, for `rtcal.prediction.predict`."""
+        return self.joint.results
+
+    @property
     def equation(self) -> LinearEquation:
         """The equation that turned T into b."""
         return self.joint.equation
@@ -292,7 +297,7 @@ class CalibrationResult(Result):
         """Return the optimality conditions at the answer, for `rtcal.posterior.sensitivity`."""
         return self.joint.optimality()
 
-    @cached_property
+    @property
     def known(self) -> KnownRoom:
         """What a prediction takes of this calibration; ModelError as `JointSolution.known_room`."""
         return self.joint.known_room(self.configuration)

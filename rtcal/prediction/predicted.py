@@ -47,24 +47,45 @@ class Calibrated(Protocol):
         """What is known of the room before it is changed."""
 
 
+Known = Calibrated | KnownRoom | Room | Sequence[Calibrated]
+"""What `predict` takes."""
+
+
 def known_room(
-    known: Calibrated | KnownRoom | Room, equation: LinearEquation | None = None
+    known: Known, before: Room | None = None, equation: LinearEquation | None = None
 ) -> KnownRoom:
     """Return what is known of a room: by a calibration, or of one in which nothing was measured.
 
-    ``equation`` is that of a Room, `rtcal.Eyring` if not given. DataError for anything else.
+    Parameters
+    ----------
+    known : CalibrationResult, sequence of them, KnownRoom or Room
+        A sequence is the states of one room, as `JointResult.results` has them.
+    before : Room, optional
+        The state that is changed; the first one if not given.
+    equation : LinearEquation, optional
+        Of a Room; `rtcal.Eyring` if not given.
+
+    Raises DataError for anything else, a state that is not among them, or another equation than a
+    calibration's.
     """
     if isinstance(known, Room):
         return KnownRoom.stated(known, equation or Eyring())
-    if equation is not None:
-        raise DataError("equation is that of the calibration; give one for a Room alone")
-    if isinstance(known, KnownRoom):
-        return known
-    if not isinstance(known, Calibrated):
+    listed = known if isinstance(known, Sequence) else (known,)
+    states = [
+        each if isinstance(each, KnownRoom) else getattr(each, "known", None) for each in listed
+    ]
+    found = next((s for s in states if s is not None and before in (None, s.room)), None)
+    if found is None and before is not None and any(states):
+        raise DataError(f'before = room "{before.name}" is not a state that was calibrated')
+    if found is None:
         raise DataError(
             f"known = {checks.shown(known)} is neither a calibration's result nor a Room"
         )
-    return known.known
+    if equation is not None and equation != found.equation:
+        raise DataError(
+            f"equation = {equation.name}, but the calibration's is {found.equation.name}"
+        )
+    return found
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -335,9 +356,10 @@ class Prediction(Result):
 
 @checked
 def predict(
-    known: Calibrated | KnownRoom | Room,
+    known: Known,
     changes: Change | Sequence[Change] | Room,
     *,
+    before: Room | None = None,
     equation: LinearEquation | None = None,
     assumptions: Assumptions | None = None,
     name: str = "",
@@ -346,11 +368,13 @@ def predict(
 
     Parameters
     ----------
-    known : CalibrationResult or Room
+    known : CalibrationResult, sequence of them, or Room
         With a Room nothing was measured: its stated coefficients alone predict. Several measured states
-        are a calibration of `rtcal.Configurations`.
+        are a calibration of `rtcal.Configurations`, and its ``results`` the sequence.
     changes : Change, sequence of Change, or Room
         A Room is the changed room itself.
+    before : Room, optional
+        Of several states the one that is changed; the first if not given.
     equation : LinearEquation, optional
         Of a Room; `rtcal.Eyring` if not given. A calibration has its own.
     assumptions : Assumptions, optional
@@ -378,7 +402,7 @@ def predict(
     >>> print(predict(result, []).half_width)
     [0. 0. 0. 0. 0. 0.]
     """
-    room_known = known_room(known, equation)
+    room_known = known_room(known, before, equation)
     made: tuple[Change, ...] = ()
     if isinstance(changes, Room):
         default = changes.name
@@ -471,9 +495,10 @@ class Predictions(Result):
 
 @checked
 def compare(
-    known: Calibrated | KnownRoom | Room,
+    known: Known,
     variants: Sequence[Variant],
     *,
+    before: Room | None = None,
     equation: LinearEquation | None = None,
     assumptions: Assumptions | None = None,
     target: Target | None = None,
@@ -492,7 +517,7 @@ def compare(
     <Predictions: window open>
     """
     refuse_repeated_names(variants)
-    room_known = known_room(known, equation)
+    room_known = known_room(known, before, equation)
     made = tuple(
         predict(room_known, v.changes, assumptions=assumptions, name=v.name) for v in variants
     )
