@@ -293,7 +293,8 @@ class TimeChange:
         What is only added absorbs at least nothing, and what is only removed did so: a longer T that an
         equation has with a hard piece that stands free is not taken.
         """
-        return self.states.log_ratio(1, self.unknowns, self.assumptions)
+        before = _log_time_before(self.known, self.assumptions) if self.is_placed else None
+        return self.states.log_ratio(1, self.unknowns, self.assumptions, before)
 
     @property
     def unknowns(self) -> Unknowns:
@@ -339,6 +340,14 @@ class TimeChange:
 def _drawn_before(known: KnownRoom, assumptions: Assumptions) -> Unknowns:
     drawn = _given(known, assumptions, _independent(known, assumptions))
     return _given_others(known, assumptions, drawn) if known.others else drawn
+
+
+@functools.lru_cache(32)
+def _log_time_before(known: KnownRoom, assumptions: Assumptions) -> Array:
+    """Return draws of ln T before, (n_bands, DRAWS), where the directions of the exchange are known."""
+    before = _before(known)
+    states = _States(known, (before, before), known.materials)
+    return states.log_time(0, _drawn_before(known, assumptions), assumptions)
 
 
 def _drawn(known: KnownRoom, new: New, assumptions: Assumptions) -> Unknowns:
@@ -554,10 +563,17 @@ class _States:
         unknown = self.areas[:, :, UNKNOWN].max(axis=0)
         return not (unknown[self.changing] > 0).any()
 
-    def log_ratio(self, state: int, unknowns: Unknowns, assumed: Assumptions) -> Array:
-        """Return draws of ln (T of the other state / T before), (n_bands, DRAWS)."""
+    def log_ratio(
+        self, state: int, unknowns: Unknowns, assumed: Assumptions, before: Array | None = None
+    ) -> Array:
+        """Return draws of ln (T of the other state / T before), (n_bands, DRAWS).
+
+        ``before`` are those of ln T before, where they are known.
+        """
         first, other = self.both[0].room, self.both[state].room
-        ratio = self.log_time(state, unknowns, assumed) - self.log_time(0, unknowns, assumed)
+        if before is None:
+            before = self.log_time(0, unknowns, assumed)
+        ratio = self.log_time(state, unknowns, assumed) - before
         if first.volume == other.volume and first.air == other.air:
             whole = self.areas.sum(axis=2)
             if (whole[state] >= whole[0]).all():
