@@ -1,6 +1,6 @@
 """The change between two measurements: real rooms, controls, a hidden world.
 
-    python -m benchmarks.two_states [real] [surfaces] [worlds] [controls] [hidden] [time]
+    python -m benchmarks.two_states [real] [surfaces] [worlds] [controls] [hidden] [climates] [time]
 
 docs/two_states_study.md has its output. The data are read from the shared folder beside the checkout.
 """
@@ -10,6 +10,7 @@ from __future__ import annotations
 import itertools
 import sys
 import time
+from collections import Counter
 
 import numpy as np
 
@@ -245,6 +246,23 @@ def hidden(number: int = 40) -> None:
     )
 
 
+def climates(number: int = 20) -> None:
+    """Each state in a climate of its own, as uncertain as stated: with panels, and with nothing else."""
+    for panels in (0.9, 0.0):
+        claimed: Counter[str] = Counter()
+        for i in range(number):
+            rng = np.random.default_rng(FIRST + i)
+            two = []
+            for j, area in enumerate((0.0, panels)):
+                air = rt.Air(20 + 2 * rng.standard_normal(), 50 + 10 * rng.standard_normal())
+                t = synthetic.times(area, air)
+                two.append(synthetic.measured(t, 3 * FIRST + 2 * i + j, pairs=30))
+            finding = rt.find(synthetic.room(), two[1], before=two[0])
+            claimed[finding.family or finding.verdict] += 1
+        counts = ", ".join(f"{name} {n}" for name, n in claimed.most_common())
+        print(f"{panels:g} m² of panels, {number} rooms of 30 pairs: {counts}", flush=True)
+
+
 INDEX = (0.6, 1.2, 0.5, 3.0, 7.0, 7.7, 7.7)
 """Directivity index of the loudspeakers in dB, 125 Hz to 8 kHz, fitted to direct over late energy of
 state 000; the ends are extrapolated."""
@@ -364,6 +382,7 @@ if __name__ == "__main__":
         "worlds": worlds,
         "controls": controls,
         "hidden": hidden,
+        "climates": climates,
         "time": seconds,
     }
     for name in sys.argv[1:] or parts:

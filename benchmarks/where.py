@@ -66,7 +66,9 @@ PRESENT = "sixth"
 
 def population_of(which: str) -> int:
     """Return the population that rooms ``which`` of `ROOMS` belong to."""
-    return {"sixth": 3, "seventh": 4, "eighth": 4, "ninth": 4, "tenth": 4}.get(which, 1)
+    return {"eleventh": 3, "sixth": 3, "seventh": 4, "eighth": 4, "ninth": 4, "tenth": 4}.get(
+        which, 1
+    )
 
 
 def stored_in(which: str) -> Path:
@@ -74,10 +76,12 @@ def stored_in(which: str) -> Path:
     return HERE / f"population_{population_of(which)}_results.jsonl.gz"
 
 
-def case_of(room: GeometricRoom, data: str) -> rt.finder.positions.PositionsCase:
+def case_of(
+    room: GeometricRoom, data: str, paths: int = PATHS
+) -> rt.finder.positions.PositionsCase:
     level = data == "level"
     return rt.finder.positions.PositionsCase(
-        simulator=room.simulator(n_paths=PATHS),
+        simulator=room.simulator(n_paths=paths),
         measured=room.measured if level else room.without_level(),
         match=MATCH if level else MATCH[:-1],
     )
@@ -90,6 +94,7 @@ class Judging:
     population: int
     statement: str
     folder: Path
+    paths: int = PATHS
 
     def load(self, index: int) -> GeometricRoom:
         return load(self.population, index, self.statement)
@@ -110,7 +115,7 @@ def prepared(
 def judged(judging: Judging, index: int, data: str) -> dict[str, Any]:
     """Return what `finder.positions.find` says of a room."""
     room = judging.load(index)
-    case = case_of(room, data)
+    case = case_of(room, data, judging.paths)
     clock, processor = time.perf_counter(), time.process_time()
     finding = rt.finder.positions.find(case, cache=judging.folder / "controls")
     return {
@@ -137,7 +142,8 @@ def verified(judging: Judging, index: int, data: str) -> dict[str, Any]:
     for row in read(judging.file("run")):
         if (row["index"], row["data"]) == (index, data) and row["verdict"] not in FLAGS:
             return out
-    finding = rt.finder.positions.find(case_of(judging.load(index), data), cache=cache)
+    case = case_of(judging.load(index), data, judging.paths)
+    finding = rt.finder.positions.find(case, cache=cache)
     if not finding.can_be_added:
         return out
     result = rt.finder.positions.verify(finding, cache=cache)
@@ -327,6 +333,8 @@ def main() -> None:
     parser.add_argument("--number", type=int, default=250, help="of rooms, in a fair order")
     parser.add_argument("--rooms", choices=ROOMS, default=PRESENT, help="which ones a table is of")
     parser.add_argument("--data", default=",".join(DATA))
+    parser.add_argument("--least", type=float, default=-1.0, help="effect on T of the rooms")
+    parser.add_argument("--paths", type=int, default=PATHS, help="from each source")
     given = parser.parse_args()
     warnings.simplefilter("ignore")
     if given.command == "list":
@@ -345,8 +353,12 @@ def main() -> None:
     elif given.command == "speed":
         speed(given.folder, given.population)
     else:
-        judging = Judging(given.population, given.statement, given.folder)
-        every = sorted(i for i in stored(given.population, "truth") if i >= given.first)
+        judging = Judging(given.population, given.statement, given.folder, given.paths)
+        every = sorted(
+            i
+            for i in stored(given.population, "truth")
+            if i >= given.first and truth(given.population, i)["effect_on_t"] >= given.least
+        )
         run(judging, given.command, every[: given.number], given.data.split(","))
 
 

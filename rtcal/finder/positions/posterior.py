@@ -62,6 +62,9 @@ MEANS_POWER = 0.5
 positions (`python -m benchmarks.where_temper`). Both see the same T, so neither counts in full."""
 LEAST_BY_MEANS = 1e-3
 """Least probability of a family by means: they have other effects, and err by more than they know."""
+_NEGLIGIBLE = 15.0
+"""Evidence in nats by which larger errors are less likely than those assumed, from which they are not
+weighed beside each effect."""
 _TINY = 1e-9
 """Prior probability below which nothing else than a noisy pair is tried."""
 
@@ -153,8 +156,12 @@ def evaluate(
     def over_scales(values: Sequence[Array]) -> Array:
         return np.asarray(logsumexp(np.array(values), axis=0) - np.log(len(values)))
 
+    alone = over_scales([u.stated(r) for u, r in zip(unknown, as_unknown, strict=True)])
     beside: list[Array] = []
-    if hypotheses.unknown:
+    if hypotheses.unknown and (alone < none - _NEGLIGIBLE).all():
+        # Larger errors explain what an effect leaves even less than what nothing explains.
+        beside = [np.full_like(of_shift, -np.inf) for of_shift in shifts]
+    elif hypotheses.unknown:
         of_unknown = [
             one.each_shifted(hypotheses.shifts, r)
             for one, r in zip(unknown, as_unknown, strict=True)
@@ -164,7 +171,7 @@ def evaluate(
     return PositionsEvidence(
         none=none,
         coefficients=np.asarray(together),
-        unknown=over_scales([u.stated(r) for u, r in zip(unknown, as_unknown, strict=True)]),
+        unknown=alone,
         shifts=shifts,
         spreads=[stated.spread(spread, as_stated) for spread in hypotheses.spreads],
         beside=beside,
