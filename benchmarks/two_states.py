@@ -247,7 +247,7 @@ def hidden(number: int = 40) -> None:
 
 
 def climates(number: int = 20) -> None:
-    """Each state in a climate of its own, as uncertain as stated: with panels, and with nothing else."""
+    """Each state in a climate of its own, as uncertain as stated: with panels, and without."""
     for panels in (0.9, 0.0):
         claimed: Counter[str] = Counter()
         for i in range(number):

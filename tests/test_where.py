@@ -305,6 +305,9 @@ def test_the_gap_shrinks_at_pairs_that_were_not_fitted(
     assert result.gaps.shape == (3, 1, 5, 6, 3)
     assert np.isfinite(result.gaps[-1]).all()
     assert result.verdict == "supported"
+    # A half found people on the floor: that is in the verdict's line, since no surface is claimed.
+    assert finding.surface is None
+    assert result.sentence.startswith("Supported for added absorption, not for its surface: half")
     assert result.ratio < 0.7
     assert set(result.halves[0]) | set(result.halves[1]) == set(finding.pairs)
     assert not set(result.halves[0]) & set(result.halves[1])

@@ -85,7 +85,10 @@ def verification_of(
 
 
 PAIRS = SimpleNamespace(
-    pairs=[("S", f"R{i}") for i in range(6)], parameters=("t20", "edt"), likeliest=None
+    pairs=[("S", f"R{i}") for i in range(6)],
+    parameters=("t20", "edt"),
+    likeliest=None,
+    surface=None,
 )
 
 

@@ -129,15 +129,17 @@ class PositionsVerification(HeldOutVerification):
     def differing(self) -> tuple[Candidate | None, ...]:
         """What the halves added that is another thing than all pairs found; () where they agree.
 
-        The same thing is of the same family, all of added absorption as one, and on the same surface or
-        on one that these positions do not tell from it.
+        The same thing is of the same family, all of added absorption as one; where a surface is
+        claimed, also on that surface, or on one that these positions do not tell from it.
         """
-        found = self.finding.likeliest
+        found, claimed = self.finding.likeliest, self.finding.surface
         if found is None:
             return ()
-        alike = {found.surface}.union(*(g for g in self.finding.groups if found.surface in g))
+        alike = {claimed}.union(*(g for g in self.finding.groups if claimed in g))
         return tuple(
-            c for c in self.added if c is None or kind(c) != kind(found) or c.surface not in alike
+            c
+            for c in self.added
+            if c is None or kind(c) != kind(found) or not (claimed is None or c.surface in alike)
         )
 
     @property
@@ -149,22 +151,27 @@ class PositionsVerification(HeldOutVerification):
     @property
     def verdict_in_words(self) -> str:
         """The grounds of the verdict, in a sentence; other things that the halves found stand in it."""
-        size = f"{abs(self.gain):.2f} ± {self.uncertainty:.2f} JND"
-        found, other = self.finding.likeliest, self.differing
+        size, said = f"{abs(self.gain):.2f} ± {self.uncertainty:.2f} JND", self.verdict.capitalize()
+        found, of_gap = self.finding.likeliest, super().verdict
+        elsewhere = self.differing
+        if found is not None and not elsewhere:
+            elsewhere = tuple(c for c in self.added if c is not None and c.surface != found.surface)
+            if elsewhere and self.verdict == "supported":
+                said += f" for {kind(found)}, not for its surface"
         halves = ""
-        if other and found is not None:
-            each = listed([*dict.fromkeys("nothing" if c is None else c.title for c in other)])
-            which = "the halves of the pairs" if len(other) > 1 else "half of the pairs"
+        if elsewhere and found is not None:
+            each = listed([*dict.fromkeys("nothing" if c is None else c.title for c in elsewhere)])
+            which = "the halves of the pairs" if len(elsewhere) > 1 else "half of the pairs"
             halves = f"{which} found {each}, not {found.title} as all pairs did; "
-        of_gap = super().verdict
         if of_gap == "unproven":
             return (
-                f"Unproven: {halves}the gap changes by {size} with what was found, no more than by "
+                f"{said}: {halves}the gap changes by {size} with what was found, no more than by "
                 "chance."
             )
         less = "smaller" if of_gap == "supported" else "larger"
-        said = f"{halves}with what was found the gap is {size} {less} than calibrated alone."
-        return f"{self.verdict.capitalize()}: {said}"
+        return (
+            f"{said}: {halves}with what was found the gap is {size} {less} than calibrated alone."
+        )
 
     @property
     def sentence(self) -> str:
