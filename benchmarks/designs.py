@@ -70,7 +70,7 @@ def problem(
     some = np.array([each.largest for each in treatments]) * rng.uniform(0.2, 0.7, len(treatments))
     put = [each.change(area) for each, area in zip(treatments, some.tolist(), strict=True)]
     middle = result.predict(put).mean
-    wide = rng.uniform(0.2, 0.4)
+    wide = rng.uniform(0.12, 0.4)
     low = middle / (1 + wide) if rng.random() < 0.5 else np.full(6, np.nan)
     return result, treatments, Target(low, middle * (1 + wide)), float(rng.choice(ASKED))
 
