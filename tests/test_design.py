@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 
 import rtcal as rt
+from benchmarks import designs
 from rtcal.prediction import (
     Target,
     Treatment,
@@ -23,7 +24,7 @@ from rtcal.prediction import (
     predict,
     read_treatments,
 )
-from rtcal.prediction.designed import Design, design
+from rtcal.prediction.designed import Design, design, design_model
 from rtcal.support.errors import DataError, InfeasibleError
 from rtcal.support.types import Array
 
@@ -126,6 +127,27 @@ def test_panels_and_free_pieces_together_cost_least(one_sided: bool) -> None:
     assert found.probability.min() >= 0.85 - 1e-4
     steps = [np.arange(8) * 1.9, np.linspace(0, 8, 9), np.arange(5) * 2.3]
     assert cheaper(found, steps) is None
+
+
+@pytest.mark.parametrize(
+    "index", [0, *(pytest.param(i, marks=pytest.mark.long) for i in range(1, 8))]
+)
+def test_exhaustive_search_finds_nothing_that_is_cheaper_by_one_percent(index: int) -> None:
+    """Every number of panels, with a fine search over what may be had in any area."""
+    result, treatments, target, p = designs.problem(index, stream=5)
+    try:
+        found = design(result, treatments, target, p)
+    except InfeasibleError:
+        model = design_model(result, treatments, target)
+        assert designs.exhaustive(model, p)[1] is None
+        return
+    for treatment, area in zip(treatments, found.areas.tolist(), strict=True):
+        panels = area / (treatment.unit or area or 1.0)
+        assert treatment.unit is None or panels == pytest.approx(round(panels), abs=1e-9)
+    assert found.probability[target.bounded].min() >= p - 1e-4
+    assert designs.exhaustive(found.model, p, 0.99 * found.cost)[1] is None
+    turned = design(result, treatments[::-1], target, p)
+    assert turned.areas[::-1] == pytest.approx(found.areas, abs=1e-9)
 
 
 def test_panels_that_may_be_cut_are_named_where_whole_ones_will_not_do() -> None:
