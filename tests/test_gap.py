@@ -20,11 +20,12 @@ from rtcal.command import finder as commands
 from rtcal.command.finder_options import Inputs
 from rtcal.command.main import cli
 from rtcal.finder import Case, MeansFinding, MeansVerification, control_rooms, verify
-from rtcal.finder.finding import Size
+from rtcal.finder.finding import Miss, Size
 from rtcal.finder.means import engines, evidence, search
 from rtcal.finder.means.engines import ControlRooms
 from rtcal.finder.means.evidence import FOLDER
 from rtcal.finder.means.features import distances, state
+from rtcal.finder.means.verification import Gap
 from rtcal.finder.model import predict
 from rtcal.finder.search import find
 from rtcal.report import gap_figures, pages
@@ -85,7 +86,7 @@ def test_the_commands_find_add_and_prove(folder: Path) -> None:
     again = json.loads(run("find", str(out), "--json"))
     assert again["verdict"] in ("none", "hint")
     assert again["score"] < 0.2 * found["score"]
-    assert "what alpha cannot absorb" in run("verify", case)
+    assert "all that was held out" in run("verify", case)
     assert run("find", case, "--quiet") == ""
 
 
@@ -213,59 +214,108 @@ def test_every_verdict_has_a_headline_and_says_what_to_do(
 
 
 def with_gap(
-    seen: MeansVerification, before: float, after: float, **changes: float
+    seen: MeansVerification, before: float, after: float, **changes: Any
 ) -> MeansVerification:
-    """Return a verification whose gap is as stated wherever alpha cannot close it."""
-    gaps = (g if g.fitted else replace(g, before=before, after=after) for g in seen.quantities)
-    return replace(seen, quantities=tuple(gaps), **changes)
+    """Return a verification with this gap in one quantity, which was held out, and a claimed family."""
+    gap = Gap("as built", "C80", fitted=False, held_out=True, before=before, after=after)
+    gaps = (*(g for g in seen.quantities if not g.held_out), gap)
+    finding = replace(seen.finding, verdict="family", family="added absorption")
+    stated = {"held_out": ("C80",), "uncertainty": 0.1, "missed": (), "finding": finding}
+    return replace(seen, quantities=gaps, **(stated | changes))
+
+
+MISS = Miss("T20", "", 500.0, 0.53, 0.645, 0.013, -3.6, "s")
 
 
 def test_the_verdict_stands_beside_what_is_supported(finding: MeansFinding) -> None:
     seen = verify(finding)
-    assert seen.sentence.startswith(
-        f"{seen.verdict.capitalize()}: with {finding.best_effect} in the model"
-    )
     sure = with_gap(seen, 1.0, 0.1, predictive=5.0)
-    numbers = f"from {sure.before:.2f} to {sure.after:.2f} JND"
-    assert numbers in sure.sentence
-    assert "Proven" not in str(sure)
+    assert sure.verdict == "supported"
+    assert "shrinks with furniture from 1.00 to 0.10 JND, by 0.90 ± 0.10 JND" in sure.sentence
+    assert "more than 0.20 JND counts" in sure.sentence
     best = str(finding.best_effect)
-    assert f"({finding.verdict}: {best} {finding.percent(best)}; " in sure.sentence
-    torn = replace(sure, finding=unsure(finding))
-    name = f'area of "{finding.case.room.materials[1]}"'
-    assert torn.sentence.startswith(f"Supported, but not told apart from opening: with {name} in")
-    assert f"ambiguous: {name} 60 %; opening 30 %, not told apart" in torn.sentence
-    assert torn.to_dict()["finding"]["candidates"] == ["area", "opening"]
-    page = summary(torn.finding, torn)
-    assert page["plain"].endswith(f"not to be used, the model lacks something ({name} or opening)")
-    assert "opening would explain the data about as well" in page["unknowable"]
-    assert (
-        f"{numbers} with {name} in the model, which supports the finding." in page["rests_on"][-3]
-    )
+    assert f"(family: {best} {finding.percent(best)}; " in sure.sentence
+    page = summary(sure.finding, sure)
+    assert "not to be used, the model lacks something" in page["plain"]
+    assert "Use the corrected calibration below" in " ".join(page["to_do"])
+    assert sure.sentence in page["rests_on"]
     corrected = page["corrected"]["materials"][0]["cells"][0]
-    assert corrected["low"] < corrected["after"] == torn.corrected.alpha[0, 0] < corrected["high"]
-    hardly = with_gap(torn, 0.35, 0.31)
-    assert "from 0.35 to 0.31 JND, which is little." in hardly.sentence
-    assert "which is little" not in with_gap(torn, 0.85, 0.31).sentence
+    assert corrected["low"] < corrected["after"] == sure.corrected.alpha[0, 0] < corrected["high"]
 
 
-def test_an_unproven_finding_is_said_once(finding: MeansFinding) -> None:
-    """A gap that alpha closes, too, speaks neither for nor against; terminal and page say only that."""
-    unproven = with_gap(verify(finding), 0.31, 0.33, predictive=20.0)
-    assert unproven.verdict == "unproven"
-    said, page = " ".join(str(unproven).split()), summary(finding, unproven)
-    neither = "which neither supports nor refutes the finding. It rests on T"
-    assert neither in said
-    assert neither in " ".join(page["rests_on"])
-    assert "20.0 nats more probable with the effect" in said
-    assert "than the plain one" not in said
-    assert "do not tell the effect from coefficients other than the stated" in page["to_do"][-1]
-    assert "20.0 nats less probable" in replace(unproven, predictive=-20.0).sentence
-    unmeasured = with_gap(unproven, np.nan, np.nan)
-    assert "The finding rests on T20 and on the stated coefficients." in unmeasured.sentence
-    assert "The finding rests on the stated ones." in " ".join(
-        summary(finding, unmeasured)["rests_on"]
+@pytest.mark.parametrize(
+    ("before", "after", "changes", "why"),
+    [
+        (1.75, 1.74, {"uncertainty": 0.001}, "a decrease by more than 0.20 JND counts"),
+        (1.0, 0.7, {"uncertainty": 0.3}, "a decrease by more than 0.49 JND counts"),
+        (1.0, 0.1, {"predictive": -0.4}, "0.4 nats less probable with it"),
+        (1.0, 0.1, {"missed": (MISS,)}, "T20 at 500 Hz is 0.53 s, measured 0.645 ± 0.013 s"),
+    ],
+)
+def test_supported_means_something(
+    finding: MeansFinding, before: float, after: float, changes: dict[str, Any], why: str
+) -> None:
+    """Not for 1.75 to 1.74 JND, nor within its error, nor where T is missed by 3 JND."""
+    seen = with_gap(verify(finding), before, after, **({"predictive": 5.0} | changes))
+    assert seen.verdict == "unproven"
+    assert why in seen.sentence
+    page = summary(seen.finding, seen)
+    said = " ".join(page["to_do"])
+    assert "Use the corrected" not in said
+    assert why in " ".join(page["rests_on"])
+    record = seen.to_dict()
+    assert record["least_shrinkage_jnd"] == 0.2
+    assert record["uncertainty_jnd"] == seen.uncertainty
+    if seen.misses:
+        assert "Do not simulate with it" in said
+        assert page["corrected"]["use"] == "Not to be used: with them the model misses T."
+
+
+def test_what_gets_worse_at_held_out_data_is_said_and_never_supported(
+    finding: MeansFinding,
+) -> None:
+    """A coupled room was supported by EDT, to which it was fitted, while C80 and G got worse."""
+    seen = with_gap(verify(finding), 3.0, 0.2, predictive=5.0)
+    worse = Gap("as built", "G", fitted=False, held_out=True, before=1.0, after=1.4)
+    both = replace(seen, quantities=(*seen.quantities, worse))
+    assert both.gain > both.needed
+    assert both.verdict == "unproven"
+    assert "gap of G grows from 1.00 to 1.40 JND" in both.sentence
+    assert with_gap(seen, 0.1, 1.0).verdict == "withdrawn"
+    fitted = tuple(replace(g, held_out=False) for g in seen.quantities)
+    untested = replace(seen, quantities=fitted, held_out=(), uncertainty=np.nan)
+    assert untested.verdict == "not tested"
+    assert untested.sentence.startswith(
+        "Not tested: furniture was fitted to all that was measured."
     )
+    page = summary(untested.finding, untested)
+    assert "Measure C80 or G, or a second configuration" in " ".join(page["to_do"])
+    assert untested.to_dict()["before_jnd"] is None
+
+
+def test_nothing_ambiguous_is_supported(finding: MeansFinding) -> None:
+    torn = with_gap(verify(finding), 1.0, 0.1, predictive=5.0, finding=unsure(finding))
+    assert torn.verdict == "unproven"
+    assert "no effect and no family of effects is claimed" in torn.sentence.lower()
+    assert torn.to_dict()["finding"]["candidates"] == ["area", "opening"]
+
+
+def test_what_the_finding_was_fitted_to_tests_nothing(folder: Path) -> None:
+    """T20, EDT and T30 of one configuration; with C80 and G these two count, and nothing else does."""
+    case = Case.from_file(str(folder / "case.json"))
+    found = rt.find(case, cache=folder)
+    levels = verify(found)
+    held = {g.quantity for g in levels.quantities if g.held_out}
+    assert held == {"C80", "G"}
+    assert levels.verdict != "not tested"
+    times = case.only("t20", "edt", "t30")
+    alone = verify(rt.find(times, cache=folder))
+    assert alone.verdict == "not tested"
+    assert not any(g.held_out for g in alone.quantities)
+    # What is measured later was not in the search: the effect stays as it was found.
+    later = verify(rt.find(times, cache=folder), case)
+    assert later.held_out == ("what was not in the search",)
+    assert {g.quantity for g in later.quantities if g.held_out} == {"C80", "G"}
 
 
 @pytest.mark.parametrize(

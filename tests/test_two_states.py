@@ -23,6 +23,12 @@ def panels() -> StatesFinding:
     return rt.find(room(), measured(times(12), 2, uneven=0.03), before=measured(times(), 1))
 
 
+@pytest.fixture(scope="module")
+def many() -> StatesFinding:
+    """The same of 24 m², with which T is met in every band."""
+    return rt.find(room(), measured(times(24), 2, uneven=0.03), before=measured(times(), 1))
+
+
 def test_panels_are_found_with_their_amount_and_spectrum(panels: StatesFinding) -> None:
     assert panels.verdict == "family"
     assert wrongly_typed(panels) == []
@@ -158,8 +164,22 @@ def test_options_of_one_state_are_refused(panels: StatesFinding) -> None:
         rt.find(case.room, before=case.before)
 
 
-def test_each_half_of_the_pairs_predicts_the_other(panels: StatesFinding) -> None:
+def test_t_that_is_missed_is_never_supported(panels: StatesFinding) -> None:
+    """The gap shrinks from 9 to 1 JND; T at 1 kHz is off by more than 1 JND and than it may be."""
     verification = rt.finder.verify(panels)
+    assert verification.gain > verification.needed
+    assert verification.verdict == "unproven"
+    (miss,) = verification.misses
+    assert abs(miss.model / miss.measured - 1) > 0.05
+    assert abs(miss.model - miss.measured) > miss.uncertainty
+    assert miss.in_words in verification.sentence
+    assert f"± {verification.uncertainty:.2f} JND" in verification.sentence
+
+
+def test_each_half_of_the_pairs_predicts_the_other(
+    panels: StatesFinding, many: StatesFinding
+) -> None:
+    verification = rt.finder.verify(many)
     assert verification.verdict == "supported"
     assert verification.after < 0.5 * verification.before
     assert verification.gaps.shape == (2, 6, 6)
@@ -172,8 +192,8 @@ def test_each_half_of_the_pairs_predicts_the_other(panels: StatesFinding) -> Non
         rt.finder.verify(same)
 
 
-def test_an_earlier_finding_predicts_the_pairs_that_it_had_not(panels: StatesFinding) -> None:
-    case = panels.case
+def test_an_earlier_finding_predicts_the_pairs_that_it_had_not(many: StatesFinding) -> None:
+    case = many.case
     some = case.before.pairs[:4]
     earlier = rt.find(case.room, case.after.select(some), before=case.before.select(some))
     result = rt.finder.verify(earlier, before=case.before, after=case.after)
@@ -181,7 +201,7 @@ def test_an_earlier_finding_predicts_the_pairs_that_it_had_not(panels: StatesFin
     assert result.gaps.shape == (2, 2, 6)
     assert result.to_dict()["pairs"] == [list(p) for p in case.before.pairs[4:]]
     np.testing.assert_allclose(
-        result.gaps[0], np.expm1(-panels.case.differences.change[4:]) / 0.05, rtol=1e-9
+        result.gaps[0], np.expm1(-many.case.differences.change[4:]) / 0.05, rtol=1e-9
     )
     # Another change than the one that was found is not predicted.
     other = rt.finder.verify(earlier, before=case.after, after=case.before)
@@ -355,7 +375,8 @@ def test_the_command_writes_numbers_and_page(
     assert run(*command, "--out", names["out"], "--json") == 0
     record = json.loads(capsys.readouterr().out)
     assert record["verdict"] == "family"
-    assert record["verification"]["verdict"] == "supported"
+    assert record["verification"]["verdict"] == "unproven"
+    assert record["verification"]["misses"][0]["quantity"] == "T20"
     assert len(record["written"]) == 2
     page = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
     assert "What changed between two measurements" in page
@@ -367,7 +388,7 @@ def test_the_command_writes_numbers_and_page(
     assert run(*command, "--most", "2") != 0
     assert "--most" in capsys.readouterr().err
     assert run("verify", *command[1:], "--json") == 0
-    assert json.loads(capsys.readouterr().out)["verdict"] == "supported"
+    assert json.loads(capsys.readouterr().out)["verdict"] == "unproven"
     assert run("verify", *command[1:], "--finding", names["out"]) == 2
     assert "0 pairs of before and after are not among the 6" in capsys.readouterr().err
     out = str(tmp_path / "changed")

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+import rtcal as rt
 from rtcal.finder.finding import Detection
 from rtcal.finder.positions import Place, PositionsFinding, PositionsVerification, verification
 from rtcal.loop.control_runs import ControlRuns
@@ -72,23 +73,38 @@ def finding() -> PositionsFinding:
 def verification_of(
     finding: Any, gaps: dict[str, float], noise: float = 0.1
 ) -> PositionsVerification:
-    """Return gaps that are as stated in the mean, with noise over seeds and pairs."""
+    """Return gaps that are as stated in the mean, with noise over seeds and pairs.
+
+    Every second pair has too much, the others too little: the pairs' mean is met.
+    """
     rng = np.random.default_rng(4)
     shape = (3, len(finding.parameters), len(finding.pairs), 2)
+    sign = (-1.0) ** np.arange(len(finding.pairs))[:, np.newaxis]
     return PositionsVerification(
         finding=finding,
         added=(None, None),
         halves=(finding.pairs[:1], finding.pairs[1:]),
         seeds=(0, 1, 2),
-        gaps=np.stack([g + noise * rng.standard_normal(shape) for g in gaps.values()]),
+        gaps=np.stack([sign * (g + noise * rng.standard_normal(shape)) for g in gaps.values()]),
     )
 
 
+SIX = [("S", f"R{i}") for i in range(6)]
+MEASURED = rt.Measurement(
+    centre_frequencies=[500, 1000],
+    pairs=SIX,
+    values={"t20": np.full((6, 2), 1.2), "edt": np.full((6, 2), 1.1)},
+)
 PAIRS = SimpleNamespace(
-    pairs=[("S", f"R{i}") for i in range(6)],
+    pairs=SIX,
     parameters=("t20", "edt"),
     likeliest=None,
     surface=None,
+    case=SimpleNamespace(
+        in_room=MEASURED,
+        measured=MEASURED,
+        room=SimpleNamespace(centre_frequencies=MEASURED.centre_frequencies),
+    ),
 )
 
 
@@ -105,6 +121,37 @@ def test_a_gap_that_changes_by_less_than_its_uncertainty_is_unproven(
     assert result.gain == pytest.approx(plain - corrected, abs=0.06)
     assert 0.005 < result.uncertainty < 0.05
     assert np.isfinite(list(result.spread["plain"].values())).all()
+
+
+@pytest.mark.parametrize("name", ["t20", "edt"])
+def test_a_mean_that_is_missed_is_never_supported(name: str) -> None:
+    """T was 0.53 s for 0.645 ± 0.013 s, and the verdict was to use the model."""
+    result = verification_of(PAIRS, {"before": 3.0, "plain": 2.5, "corrected": 0.8})
+    assert result.verdict == "supported"
+    row = PAIRS.parameters.index(name)
+    # As close on average, but every pair is off to the same side, in one band.
+    result.gaps[-1][:, row, :, 1] = -2.0
+    assert result.gain > result.needed
+    assert result.verdict == "unproven"
+    (miss,) = result.misses
+    assert (miss.quantity.lower(), miss.frequency) == (name, 1000.0)
+    assert miss.model == pytest.approx(0.9 * miss.measured)
+    assert miss.in_words in result.sentence
+    assert "Do not simulate with it" in result.sentence
+    # A miss within 1 JND, or within its uncertainty, is none.
+    result.gaps[-1][:, row, :, 1] = -0.9
+    assert not result.misses
+    result.gaps[-1][:, row, :, 1] = 1.2 + 12 * (-1.0) ** np.arange(6)
+    assert not result.misses
+
+
+def test_a_gap_that_hardly_shrinks_supports_nothing_however_sure_it_is() -> None:
+    """1.75 to 1.74 JND, known to 0.001 JND."""
+    result = verification_of(PAIRS, {"before": 3.0, "plain": 1.75, "corrected": 1.74}, 0.001)
+    assert result.gain > 5 * result.uncertainty
+    assert result.verdict == "unproven"
+    assert f"± {result.uncertainty:.2f} JND" in result.sentence
+    assert f"only a change by more than {result.needed:.2f} JND counts" in result.sentence
 
 
 @pytest.mark.parametrize(("before", "said"), [(1.5, True), (3.0, False)])
@@ -135,7 +182,7 @@ def test_attributes_have_one_type_whatever_was_found(
 def test_a_gap_that_shrinks_at_one_pair_alone_is_unproven() -> None:
     """It had been enough that every seed's mean was smaller."""
     result = verification_of(PAIRS, {"before": 3.0, "plain": 2.0, "corrected": 2.0}, 0.001)
-    result.gaps[-1][:, :, 0] = 0.5
+    result.gaps[-1][:, :, 0] = 0.1
     assert (result.gap("corrected") < result.gap("plain")).all()
     assert result.verdict == "unproven"
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import warnings
 from abc import abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -11,12 +12,15 @@ from typing import Any, Literal
 import numpy as np
 from scipy import stats
 
+from rtcal.acoustics import bands
+from rtcal.acoustics.observables import DecaySlope, observable
 from rtcal.finder.effects import Effect
 from rtcal.finder.effects.whole_room import CoupledRoom
 from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError, ModelError
 from rtcal.support.files import json_numbers
 from rtcal.support.results import Result
+from rtcal.support.text import first_of
 from rtcal.support.types import Array
 
 End = Literal["", "least", "most"]
@@ -175,6 +179,60 @@ _CONFIDENCE = 0.95
 """Of a gap over pairs that is said to shrink or to grow: one-sided, by Student's t."""
 
 
+LEAST_SHRINKAGE = 0.2
+"""Decrease of the mean gap in JND that supports a finding at least, however well it is known: a gap
+that goes from 1.75 to 1.74 JND supports nothing."""
+_WORDS_OF_MISSES = 3
+"""Bands that miss what was measured and are named in a sentence."""
+
+
+@dataclass(frozen=True)
+class Miss:
+    """A band in which the corrected model misses what it was matched to.
+
+    Attributes
+    ----------
+    quantity, place : str
+        "T20", and where: the name of a configuration; "" where there is one.
+    frequency : float
+        Centre frequency in Hz.
+    model, measured, uncertainty : float
+        In the quantity's ``unit``; the standard uncertainty of what was measured.
+    jnd : float
+        The gap in JND, signed.
+    unit : str
+    """
+
+    quantity: str
+    place: str
+    frequency: float
+    model: float
+    measured: float
+    uncertainty: float
+    jnd: float
+    unit: str
+
+    @property
+    def in_words(self) -> str:
+        """The band with both values: "T20 at 500 Hz is 0.53 s, measured 0.645 ± 0.013 s"."""
+        at = f"{self.quantity} at {bands.label(self.frequency)}"
+        at += f' of "{self.place}"' if self.place else ""
+        unit = f" {self.unit}" if self.unit else ""
+        return (
+            f"{at} is {self.model:.3g}{unit}, measured {self.measured:.3g} ± "
+            f"{self.uncertainty:.2g}{unit}"
+        )
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain values for JSON."""
+        return dict(vars(self))
+
+
+def is_miss(jnd: Array, uncertainty: Array) -> Array:
+    """Return where a gap in JND exceeds 1 JND and its standard uncertainty, which is in JND, too."""
+    return np.asarray(np.abs(jnd) > np.maximum(1.0, np.nan_to_num(uncertainty)))
+
+
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Verification(Result):
     """The gap with and without what was found: `MeansVerification` or `PositionsVerification`.
@@ -185,6 +243,20 @@ class Verification(Result):
     """
 
     finding: Finding
+
+    @property
+    @abstractmethod
+    def misses(self) -> tuple[Miss, ...]:
+        """What the model with what was found misses by more than 1 JND and than its uncertainty."""
+
+    @property
+    def misses_in_words(self) -> str:
+        """What the model misses, in a sentence with the consequence; "" where it meets all."""
+        if not self.misses:
+            return ""
+        worst = sorted(self.misses, key=lambda miss: -abs(miss.jnd))
+        said = first_of([miss.in_words for miss in worst], _WORDS_OF_MISSES)
+        return f"Do not simulate with it: with what was found {said}."
 
     @property
     @abstractmethod
@@ -199,9 +271,10 @@ class Verification(Result):
     @property
     @abstractmethod
     def verdict(self) -> str:
-        """``supported``: the gap shrinks by more than its uncertainty; ``withdrawn``: it grows.
+        """``supported``: the gap shrinks by more than its uncertainty, by `LEAST_SHRINKAGE` at least.
 
-        ``unproven``: it changes by less, or nothing was measured that tells.
+        ``withdrawn``: it grows. ``unproven``: it changes by less, or the model misses what it was
+        matched to (`misses`). ``not tested``: nothing was measured that the finding was not fitted to.
         """
 
     @property
@@ -214,6 +287,8 @@ class Verification(Result):
         return {
             "verdict": self.verdict,
             "sentence": self.sentence,
+            "misses": [miss.to_dict() for miss in self.misses],
+            "least_shrinkage_jnd": LEAST_SHRINKAGE,
             "finding": self.finding.to_dict(),
         }
 
@@ -237,6 +312,66 @@ class HeldOutVerification(Verification):
         """The decrease of each pair's mean absolute gap, (n_seeds, n_pairs), in JND."""
 
     @property
+    @abstractmethod
+    def matched(self) -> Mapping[str, tuple[Array, Array]]:
+        """Of each parameter the mean measured over the pairs, (n_bands,), and what is left of the gap.
+
+        The gap is that of the last model, (n_pairs, n_bands), signed and in JND.
+        """
+
+    @property
+    def prediction_error(self) -> Array | float:
+        """Standard deviation in JND that the last model states for itself; 0 of a calibrated one."""
+        return 0.0
+
+    @property
+    @abstractmethod
+    def matched_pairs(self) -> Sequence[tuple[str, str]]:
+        """The pairs of source and receiver that `matched` has."""
+
+    @property
+    @abstractmethod
+    def frequencies(self) -> Array:
+        """Centre frequencies in Hz, (n_bands,)."""
+
+    @property
+    def misses(self) -> tuple[Miss, ...]:
+        """Means over the pairs that the model with what was found misses.
+
+        Their variance is the larger of that over the pairs, of which as many are independent as there
+        are sources or receivers, and of that of noise in as many responses (ISO 3382-2).
+        """
+        matched, out, pairs = self.matched, list[Miss](), self.matched_pairs
+        decays = (m for p, (m, _) in matched.items() if isinstance(observable(p), DecaySlope))
+        times = next(decays, None)
+        independent = max(len({s for s, _ in pairs}), len({r for _, r in pairs}))
+        for name, (measured, gaps) in matched.items():
+            of = observable(name)
+            step = of.jnd * measured if of.relative_jnd else np.full(len(measured), of.jnd)
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore", RuntimeWarning)  # a band without a value
+                mean = np.nanmean(gaps, axis=0)
+                error = np.nanstd(gaps, axis=0, ddof=1) / np.sqrt(independent)
+            if times is not None:
+                one = of.scatter(self.frequencies, times) * (measured if of.logarithmic else 1.0)
+                error = np.fmax(error, one / step / np.sqrt(len(pairs)))
+            error = np.hypot(error, self.prediction_error)
+            for k in np.flatnonzero(is_miss(mean, error) & np.isfinite(mean)).tolist():
+                out.append(
+                    Miss(
+                        quantity=of.label,
+                        place="",
+                        frequency=float(self.frequencies[k]),
+                        model=float(measured[k] + step[k] * mean[k]),
+                        measured=float(measured[k]),
+                        uncertainty=float(step[k] * np.nan_to_num(error[k])),
+                        jnd=float(mean[k]),
+                        unit=of.unit,
+                    )
+                )
+        return tuple(out)
+
+    @property
     def gain(self) -> float:
         """The decrease of the mean absolute gap with what was found, in JND."""
         return float(self.gains.mean())
@@ -251,15 +386,25 @@ class HeldOutVerification(Verification):
         return float(np.hypot(of_pairs, of_seeds))
 
     @property
+    def needed(self) -> float:
+        """The decrease of the gap in JND that supports the finding.
+
+        More than its uncertainty, one-sided, by Student's t over the pairs, and `LEAST_SHRINKAGE`.
+        """
+        free = self.gains.shape[1] - 1
+        return max(LEAST_SHRINKAGE, self.uncertainty * float(stats.t.ppf(_CONFIDENCE, free)))
+
+    @property
     def verdict(self) -> str:
         """``supported``, ``unproven`` or ``withdrawn``: the gap shrinks, hardly changes, or grows.
 
-        By more than its uncertainty, one-sided, by Student's t over the pairs.
+        By `needed`; and nothing that was matched may be missed (`misses`).
         """
-        gain, free = self.gain, self.gains.shape[1] - 1
-        if abs(gain) <= self.uncertainty * float(stats.t.ppf(_CONFIDENCE, free)):
+        if abs(self.gain) <= self.needed:
             return "unproven"
-        return "supported" if gain > 0 else "withdrawn"
+        if self.gain < 0:
+            return "withdrawn"
+        return "unproven" if self.misses else "supported"
 
 
 def check_pairs(pairs: Sequence[object]) -> None:

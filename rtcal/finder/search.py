@@ -14,7 +14,7 @@ from rtcal.finder.configuration import Configuration
 from rtcal.finder.effects import Effect
 from rtcal.finder.means.engines import ControlRooms
 from rtcal.finder.means.finding import MeansFinding
-from rtcal.finder.means.recalibration import verify as verify_by_means
+from rtcal.finder.means.held_out import verify as verify_by_means
 from rtcal.finder.means.search import find as find_by_means
 from rtcal.finder.means.verification import MeansVerification
 from rtcal.io import geometry_files

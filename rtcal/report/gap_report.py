@@ -8,15 +8,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from rtcal.acoustics import room_files
 from rtcal.acoustics.equations import mean_equation
 from rtcal.calibration.methods import calibrate
 from rtcal.finder.claim import CLAIMED, SAID
 from rtcal.finder.means.evidence import QUANTILE
 from rtcal.finder.means.finding import MeansFinding
-from rtcal.finder.means.recalibration import recalibrate, verify
+from rtcal.finder.means.held_out import verify
+from rtcal.finder.means.recalibration import recalibrate
 from rtcal.finder.means.verdict import TWO
 from rtcal.finder.means.verification import MeansVerification
 from rtcal.report import gap_figures
@@ -114,7 +113,7 @@ def rests_on(finding: MeansFinding, verification: MeansVerification | None) -> l
     sentences += [as_sentence(reason) for reason in finding.reasons]
     sentences += finding.not_judged_in_words
     if verification is not None:
-        sentences.append(_proof(verification))
+        sentences.append(verification.sentence)
     sentences += map(as_sentence, finding.sets_in_words)
     if finding.more_than_one:
         sentences.append(
@@ -137,12 +136,15 @@ def to_do(finding: MeansFinding, verification: MeansVerification | None) -> list
             {
                 "supported": "Use the corrected calibration below for T and level, not the plain one. "
                 "Do not quote its coefficients before the effect is confirmed.",
+                "not tested": "Measure C80 or G, or a second configuration, before the corrected "
+                "calibration is used: nothing was measured that the finding was not fitted to.",
                 "unproven": "Do this before the corrected calibration is used: the measurements do "
                 "not tell the effect from coefficients other than the stated ones.",
                 "withdrawn": "Use neither calibration: with the effect in the model the measurements "
                 "fit worse.",
             }[verification.verdict]
         )
+        steps += filter(None, [verification.misses_in_words])
     elif finding.can_be_added:
         steps += [
             "Ask what to measure next with rtcal plan --next: it goes on from these sets.",
@@ -166,26 +168,6 @@ def evidence(finding: MeansFinding) -> str:
         f"threshold is {odds(finding.threshold)}: at most {often} of simulated rooms that lack nothing "
         "exceed it."
     )
-
-
-def _proof(verification: MeansVerification) -> str:
-    """Return what became of the gaps that no choice of coefficients can close."""
-    name, before, after = verification.finding.title, verification.before, verification.after
-    if np.isnan(before):
-        return (
-            f"Nothing but T was measured, which other coefficients than the stated ones give without "
-            f"{name}, too. The finding rests on the stated ones."
-        )
-    gap = (
-        "Coefficients can hardly change the decay's shape, the level, and T of a second configuration. "
-        f"There the mean gap goes from {before:.2f} to {after:.2f} JND with {name} in the model"
-    )
-    return {
-        "supported": f"{gap}, which supports the finding.",
-        "unproven": f"{gap}, which neither supports nor refutes the finding. It rests on T and on the "
-        "stated coefficients.",
-        "withdrawn": f"{gap}, which speaks against the finding.",
-    }[verification.verdict]
 
 
 def _candidates(finding: MeansFinding) -> str:
@@ -370,9 +352,12 @@ def _corrected(finding: MeansFinding, verification: MeansVerification | None) ->
         corrected = verification.corrected
         use = {
             "supported": "To be quoted once the effect is confirmed.",
+            "not tested": "Nothing but the evidence supports them.",
             "unproven": "Nothing but the evidence supports them.",
             "withdrawn": "Not to be used: the finding is withdrawn.",
         }[verification.verdict]
+        if verification.misses:
+            use = "Not to be used: with them the model misses T."
     return {
         "title": f"with {finding.title} in the model, calibrated to {time} of {listed(names)}",
         "use": use,

@@ -222,21 +222,28 @@ class MeansFinding(SetsFinding):
             raise DataError(why)
         return (effect,)
 
-    def with_effects(self, case: Case | None = None, members: Names | None = None) -> Case:
+    def with_effects(
+        self,
+        case: Case | None = None,
+        members: Names | None = None,
+        fits: Mapping[str, Fit] | None = None,
+    ) -> Case:
         """Return the case with effects in its model; by default those of the most probable set.
 
-        It is what a verification compares with the case, however probable the effects are.
+        It is what a verification compares with the case, however probable the effects are. ``fits`` are
+        the effects' parameters and sizes, by default those that were found.
         """
         case = self.case if case is None else case
         members = self.members if members is None else members
         present = {a.name for a in case.applied}
         if present.issuperset(members):
             return case
-        off = self.fits[members[-1]].coefficients
+        fits = self.fits if fits is None else fits
+        off = fits[members[-1]].coefficients
         if off is not None:
             case = off.apply(case)
         missing = [n for n in members if n in self.effects and n not in present]
-        added = [self.fits[name].applied(self.effects[name]) for name in missing]
+        added = [fits[name].applied(self.effects[name]) for name in missing]
         return replace(case, applied=(*case.applied, *added)) if added else case
 
     @checked

@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.special import ndtr
 
 from rtcal.acoustics import bands
@@ -245,33 +246,38 @@ class GapCheck:
         return self.predictive < CONTRADICTED
 
 
-def gap_check(problem: MeansProblem, i: int, scale: float) -> GapCheck:
+def gap_check(
+    problem: MeansProblem, i: int, scale: float, held: NDArray[np.bool_] | None = None
+) -> GapCheck:
     """Return the gap under "none" and under hypothesis ``i``.
 
-    With a ``scale`` other than 1, hypothesis ``i`` has coefficients that are off together.
+    With a ``scale`` other than 1, hypothesis ``i`` has coefficients that are off together. ``held``
+    (n_used,) are the features that count, by default all that alpha cannot fit; the evidence is of
+    these, given the others.
     """
     c, f, _ = problem.places
     fitted = (c == 0) & (f == 0)
-    if fitted.all():
+    held = ~fitted if held is None else held
+    if not held.any():
         return GapCheck(np.nan, np.nan, np.nan, 0.0)
-    jnd = np.array([observable(name).jnd for name in FEATURES])[f[~fitted]]
+    jnd = np.array([observable(name).jnd for name in FEATURES])[f[held]]
+    kept = np.flatnonzero(~held)
     gaps, moves, density = [], [], []
     for row, factor, exact in ((0, 1.0, True), (i, scale, False)):
         alpha, other = problem.covariance_of(row, factor)
         whole = alpha + other
         against = alpha if exact else whole
         gain = np.linalg.solve(
-            _plus(against[np.ix_(fitted, fitted)]), alpha[np.ix_(fitted, ~fitted)]
+            _plus(against[np.ix_(fitted, fitted)]), alpha[np.ix_(fitted, held)]
         ).T
         residual = problem.residual(row)
-        gaps.append((residual[~fitted] - gain @ residual[fitted]) / jnd)
-        moves.append(np.concatenate([-gain, np.eye(int((~fitted).sum()))], axis=1) / jnd[:, None])
-        kept = np.flatnonzero(fitted)
+        gaps.append((residual[held] - gain @ residual[fitted]) / jnd)
+        moves.append(np.concatenate([-gain, np.eye(int(held.sum()))], axis=1) / jnd[:, None])
         density.append(
             log_density(residual, whole) - log_density(residual[kept], whole[np.ix_(kept, kept)])
         )
         noise = other
-    order = np.concatenate([np.flatnonzero(fitted), np.flatnonzero(~fitted)])
+    order = np.concatenate([np.flatnonzero(fitted), np.flatnonzero(held)])
     root = np.linalg.cholesky(_plus(noise[np.ix_(order, order)]))
     drawn = np.random.default_rng(0).standard_normal((_DRAWS, len(order))) @ root.T
     before, after = (np.abs(g + drawn @ m.T).mean(1) for g, m in zip(gaps, moves, strict=True))

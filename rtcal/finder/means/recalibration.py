@@ -1,15 +1,17 @@
 """Calibrate a case's room without and with the effects that were added to its model.
 
-The QP has the prior's deviation and a soft match of T, whose uncertainty includes the model's. alpha is
-from 0 to 1, and the configurations share coefficients. The size of each effect that adds absorption is
-a further unknown, 0 or more. A decay's shape, another equation or a noise floor is not part of the QP.
-For these, Gauss-Newton steps correct its target T until the whole model has the measured T.
+The QP has the prior's deviation and a soft match of T within the uncertainty of the measurement. What
+the model itself errs by, alpha takes up as in any calibration, so that the corrected model has the
+measured T. alpha is from 0 to 1, and the configurations share coefficients. The size of each effect
+that adds absorption is a further unknown, 0 or more. A decay's shape, another equation or a noise floor
+is not part of the QP. For these, Gauss-Newton steps correct its target T until the whole model has the
+measured T.
 """
 
 from __future__ import annotations
 
 import warnings
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -36,11 +38,10 @@ from rtcal.finder.means.features import (
     observe,
     state,
 )
-from rtcal.finder.means.finding import MeansFinding
-from rtcal.finder.means.verification import MeansVerification, Recalibrated
+from rtcal.finder.means.verification import Recalibrated
 from rtcal.finder.model import FEATURES, STEEPEST, RoomState, predict
 from rtcal.support.arguments import checked
-from rtcal.support.errors import DataError, MissingAirWarning
+from rtcal.support.errors import MissingAirWarning
 from rtcal.support.speed import single_threaded_blas
 from rtcal.support.types import Array
 
@@ -55,9 +56,8 @@ _NEAR = 3.0
 _SMALLEST = 1e-3
 _LEAST_SEEN = 1e-3
 """Share of a material that the QP counts as seen, however much of it is covered."""
-_MISFIT = 0.15
-"""Relative standard deviation of an effect's change of T: half of its
-variance is common to all bands (`Effect.spectrum_error`), half is not (`Effect.formula_error`)."""
+_LEAST_U = 0.002
+"""Relative uncertainty of T at least: a stated one of 0 would leave the prior no weight."""
 _T20 = FEATURES.index("t20")
 
 
@@ -76,20 +76,26 @@ def plain(case: Case) -> Recalibrated:
     """
     bare = replace(case, applied=())
     first = replace(bare, configurations=bare.configurations[:1])
-    return _calibrated(first, bare, None, exact=True)
+    return _calibrated(first, bare, [0], None, exact=True)
 
 
 @single_threaded_blas()
 @checked
-def recalibrate(case: Case, discrepancy: ModelDiscrepancy | None = None) -> Recalibrated:
+def recalibrate(
+    case: Case,
+    discrepancy: ModelDiscrepancy | None = None,
+    *,
+    left_out: Sequence[int] = (),
+) -> Recalibrated:
     """Calibrate the case with its effects, to T20 of every configuration.
 
     Parameters
     ----------
     case : Case
     discrepancy : ModelDiscrepancy, optional
-        The model's error, from control rooms. Its bias is subtracted, and its covariance adds to the
-        uncertainty of T.
+        The model's error, from control rooms, whose bias is subtracted.
+    left_out : sequence of int
+        Numbers of configurations that are predicted and not fitted; not the first.
 
     Raises
     ------
@@ -99,25 +105,30 @@ def recalibrate(case: Case, discrepancy: ModelDiscrepancy | None = None) -> Reca
     """
     if discrepancy is not None:
         checked_discrepancy(case, discrepancy)
-    return _calibrated(case, case, discrepancy, exact=False)
+    rows = [c for c in range(len(case.configurations)) if c not in left_out]
+    fitted = replace(case, configurations=[case.configurations[c] for c in rows])
+    return _calibrated(fitted, case, rows, discrepancy, exact=False)
 
 
 def _calibrated(
-    fitted: Case, whole: Case, discrepancy: ModelDiscrepancy | None, *, exact: bool
+    fitted: Case,
+    whole: Case,
+    rows: Sequence[int],
+    discrepancy: ModelDiscrepancy | None,
+    *,
+    exact: bool,
 ) -> Recalibrated:
+    """Calibrate to the configurations ``rows`` of the whole case, which the fitted one has."""
     whole.require_fresh()
     room = fitted.room
-    n, k = len(fitted.configurations), room.n_bands
+    k = room.n_bands
     observed, _ = observe(fitted)
     shape = (len(whole.configurations), len(FEATURES), k)
     bias = np.zeros(shape) if discrepancy is None else discrepancy.bias.reshape(shape)
-    error = np.zeros(shape)
-    if discrepancy is not None:
-        error = np.diag(discrepancy.covariance).reshape(shape)
     variance = np.full(observed.used.shape, np.nan)
     variance[observed.used] = np.diag(observed.covariance)
-    measured = observed.features[:, _T20] - bias[:n, _T20]
-    u = np.sqrt(variance[:, _T20] + error[:n, _T20] + _misfit(fitted) ** 2)
+    measured = observed.features[:, _T20] - bias[rows, _T20]
+    u = np.sqrt(np.maximum(variance[:, _T20], _LEAST_U**2))
     is_linear = isinstance(mean_equation(fitted.equation), LinearEquation)
     stated = {(c.name, m): v.alpha for c in fitted.configurations for m, v in c.changes.items()}
     steps = gauss_newton(
@@ -261,30 +272,6 @@ class _Linearised:
         return np.asarray(after > np.maximum(before, _NEAR))
 
 
-def _misfit(case: Case) -> Array:
-    """Standard deviation of ln T by the effects' forms and sizes, (n_configurations, n_bands)."""
-    if not case.applied:
-        return np.zeros((len(case.configurations), case.room.n_bands))
-    bare = replace(case, applied=())
-    sizes = [_relative_spread(p) for p in case.applied]
-    return np.array(
-        [
-            np.hypot(_MISFIT, max(sizes))
-            * np.diff(
-                predict([state(bare, c), state(case, c)], distances(case, c)).features[:, _T20],
-                axis=0,
-            )[0]
-            for c in case.configurations
-        ]
-    )
-
-
-def _relative_spread(p: AppliedEffect) -> float:
-    """Return the size's standard deviation over its distance from the size that changes nothing."""
-    apart = abs(p.size - p.effect.neutral)
-    return min(p.size_sigma / max(apart, _SMALLEST), 1.0) if p.size_sigma else 0.0
-
-
 def _coefficients(
     case: Case, c: Configuration, alpha: Array, changed: Mapping[tuple[str, str], Array]
 ) -> Array:
@@ -405,21 +392,3 @@ def _values(case: Case, solved: JointResult) -> tuple[Array, dict[tuple[str, str
     alpha = np.array([row.get(m, case.room.alpha[i]) for i, m in enumerate(case.room.materials)])
     changed = {(c.name, m): row[_name(c, m)] for c in case.configurations for m in c.changes}
     return alpha, changed
-
-
-@single_threaded_blas()
-@checked
-def verify(finding: MeansFinding, case: Case | None = None) -> MeansVerification:
-    """Compare the plainly calibrated model with the one that has the named effect.
-
-    Raises DataError where there is no named effect (see `MeansFinding.apply`), where there are two or
-    more, or ``case`` differs in shape.
-    """
-    if len(finding.members) > 1:
-        raise DataError(
-            f"{len(finding.members)} effects were found together; the gap is compared for one: search "
-            "with most = 1"
-        )
-    case = finding.case if case is None else case
-    before, after = plain(case), recalibrate(finding.with_effects(case), finding.discrepancy)
-    return MeansVerification.of(finding, case, before, after)

@@ -1,10 +1,11 @@
-"""The calibrated coefficients of a case, and a finding verified by the gaps that alpha cannot fit.
+"""The calibrated coefficients of a case, and the verdict on a finding by data that were held out.
 
 Plain calibration changes alpha until T20 fits, whatever effect is missing. So a smaller gap in T20
-proves nothing. The two models are compared in quantities that alpha cannot fit: the decay's shape (EDT,
-T30), the level (C80, G), and T20 of every configuration but the first (another absorber, another
-humidity, the suspect removed). A gap that shrinks there proves that the model is better, not that
-the name is right: a rival that does the same would shrink it too.
+proves nothing, and a smaller gap in what the effect was fitted to proves little. The two models are
+compared at data that were held out (`rtcal.finder.means.held_out`): the level (C80, G), and further
+configurations (another absorber, another humidity, the suspect removed). A gap that shrinks there
+shows that the model is better, not that the name is right: a rival that does the same would shrink it
+too.
 """
 
 from __future__ import annotations
@@ -15,17 +16,18 @@ from functools import cached_property
 from typing import Any, ClassVar
 
 import numpy as np
+from numpy.typing import NDArray
 
-from rtcal.acoustics.observables import observable
+from rtcal.acoustics.observables import TARGET, observable
 from rtcal.acoustics.priors import NORMAL_90
 from rtcal.acoustics.room import CalibrationRecord, Room
 from rtcal.calibration.problem_data import data_history, times_in_room
 from rtcal.calibration.result import JointResult
 from rtcal.finder.case import Case
 from rtcal.finder.effects.checks import AppliedEffect
-from rtcal.finder.finding import Verification, amount
+from rtcal.finder.finding import LEAST_SHRINKAGE, Miss, Verification, amount, is_miss
 from rtcal.finder.means.corrected import corrected_room
-from rtcal.finder.means.features import distances, observe, state
+from rtcal.finder.means.features import ObservedFeatures, distances, observe, state
 from rtcal.finder.means.finding import MeansFinding, feature_names
 from rtcal.finder.means.gap import LITTLE
 from rtcal.finder.means.hypotheses import predict_hypotheses
@@ -34,7 +36,7 @@ from rtcal.finder.model import FEATURES, predict
 from rtcal.support import __version__, text
 from rtcal.support.files import json_numbers
 from rtcal.support.results import Result
-from rtcal.support.text import listed
+from rtcal.support.text import as_sentence, listed
 from rtcal.support.types import Array
 
 
@@ -190,17 +192,85 @@ EXACT = 0.005
 """Gap in JND that is printed as 0.00."""
 MET = 2.0
 """Standard deviations of T within which a calibration has met it."""
+_SURE = 1.645
+"""Standard errors by which a gap must shrink: 95 %, one-sided."""
+_T20 = FEATURES.index("t20")
 
 
 @dataclass(frozen=True)
 class Gap:
-    """The mean absolute gap of one quantity in one configuration, in JND, before and after."""
+    """The mean absolute gap of one quantity in one configuration, in JND, before and after.
+
+    ``fitted`` is T20 of the first configuration, which plain calibration matches. ``held_out`` is what
+    the effect was not fitted to when it was predicted.
+    """
 
     configuration: str
     quantity: str
     fitted: bool
+    held_out: bool
     before: float
     after: float
+
+
+def quantities_of(
+    case: Case,
+    observed: ObservedFeatures,
+    bias: Array,
+    before: Recalibrated,
+    after: Recalibrated,
+    counted: NDArray[np.bool_],
+    *,
+    held_out: bool = True,
+) -> list[Gap]:
+    """Return the gaps of what is ``counted``, (n_configurations, n_features, n_bands)."""
+    out = []
+    for c, configuration in enumerate(case.configurations):
+        for f, name in enumerate(feature_names(configuration.measured)):
+            at = counted[c, f]
+            if not at.any():
+                continue
+            measured = observed.features[c, f, at]
+            # Plain calibration has bent alpha for the model's bias in T as well.
+            usual = before.features[c, f] + (0 if f == _T20 else bias[c, f])
+            one, other = (
+                float(np.mean(np.abs(gap_in_jnd(f, measured, model[at]))))
+                for model in (usual, after.features[c, f] + bias[c, f])
+            )
+            fitted = f == _T20 and c == 0
+            out.append(Gap(configuration.name, name, fitted, held_out, one, other))
+    return out
+
+
+def misses_of(
+    case: Case, observed: ObservedFeatures, bias: Array, corrected: Recalibrated
+) -> tuple[Miss, ...]:
+    """Return the T to which the corrected model was matched and which it misses."""
+    spread = np.full(observed.used.shape, np.nan)
+    spread[observed.used] = np.sqrt(np.diag(observed.covariance))
+    out = []
+    for c, configuration in enumerate(case.configurations):
+        model = corrected.features[c, _T20] + bias[c, _T20]
+        measured, u = observed.features[c, _T20], spread[c, _T20]
+        jnd = gap_in_jnd(_T20, measured, model)
+        missed = observed.used[c, _T20] & is_miss(jnd, u / observable(TARGET.key).jnd)
+        place = configuration.name if len(case.configurations) > 1 else ""
+        for k in np.flatnonzero(missed).tolist():
+            frequency, time = float(case.room.centre_frequencies[k]), float(np.exp(measured[k]))
+            model_time, error = float(np.exp(model[k])), float(time * u[k])
+            out.append(
+                Miss(
+                    configuration.measured.time_label,
+                    place,
+                    frequency,
+                    model_time,
+                    time,
+                    error,
+                    float(jnd[k]),
+                    "s",
+                )
+            )
+    return tuple(out)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -210,52 +280,37 @@ class MeansVerification(Verification):
     Attributes
     ----------
     quantities : tuple of Gap
-        By configuration and quantity. ``before`` and ``after`` are means over those that alpha cannot
-        absorb.
+        By configuration and quantity. ``before`` and ``after`` are means over those that were held out.
+    held_out : tuple of str
+        The parts of the data that were held out, in words.
+    uncertainty : float
+        Standard error of the gap's change in JND, by measurement, model and the effect's size.
     predictive : float
-        Nats by which the effect predicts what alpha cannot absorb, given the fitted T20, better than
-        the model without it.
+        Nats by which the effect predicts what was held out better than the model without it.
+    missed : tuple of Miss
+        See `misses`.
     plain, corrected : Recalibrated
     """
 
-    record_kind: ClassVar[str] = "verification 2"
+    record_kind: ClassVar[str] = "verification 3"
 
     finding: MeansFinding
     quantities: tuple[Gap, ...]
+    held_out: tuple[str, ...]
+    uncertainty: float
     predictive: float
+    missed: tuple[Miss, ...]
     plain: Recalibrated
     corrected: Recalibrated
 
-    @classmethod
-    def of(
-        cls, finding: MeansFinding, case: Case, plain: Recalibrated, corrected: Recalibrated
-    ) -> MeansVerification:
-        """Return the gaps of a case that was calibrated without and with the effect."""
-        observed, _ = observe(case)
-        bias = finding.discrepancy.bias.reshape(observed.features.shape)
-        quantities = []
-        for c, configuration in enumerate(case.configurations):
-            for f, name in enumerate(feature_names(configuration.measured)):
-                if not observed.used[c, f].any():
-                    continue
-                # Plain calibration has bent alpha for the model's bias in T as well.
-                usual = plain.features[c, f] + (0 if f == 0 else bias[c, f])
-                one = [
-                    float(np.nanmean(np.abs(_gap(f, observed.features[c, f], model))))
-                    for model in (usual, corrected.features[c, f] + bias[c, f])
-                ]
-                quantities.append(Gap(configuration.name, name, f == 0 and c == 0, *one))
-        return cls(
-            finding=finding,
-            quantities=tuple(quantities),
-            predictive=finding.fits[str(finding.best_effect)].gap.predictive,
-            plain=plain,
-            corrected=corrected,
-        )
+    @property
+    def misses(self) -> tuple[Miss, ...]:
+        """T by band and configuration that the corrected model misses."""
+        return self.missed
 
     @property
     def before(self) -> float:
-        """Mean absolute gap in JND without the effect, over what alpha cannot absorb; or NaN."""
+        """Mean absolute gap in JND without the effect, over what was held out; or NaN."""
         return float(self._means[0])
 
     @property
@@ -265,34 +320,81 @@ class MeansVerification(Verification):
 
     @property
     def _means(self) -> Array:
-        proof = [(g.before, g.after) for g in self.quantities if not g.fitted]
+        proof = [(g.before, g.after) for g in self.quantities if g.held_out]
         return np.mean(proof, axis=0) if proof else np.full(2, np.nan)
 
     @property
-    def verdict(self) -> str:
-        """``supported``: the model got better where alpha cannot have made it so.
+    def gain(self) -> float:
+        """Decrease of the mean gap at what was held out, in JND; NaN where nothing was."""
+        return self.before - self.after
 
-        ``unproven``: the data have nothing that alpha could not absorb, or it does not change. Else
-        ``withdrawn``.
+    @property
+    def needed(self) -> float:
+        """Decrease in JND that supports the finding: 1.645 standard errors, and `LEAST_SHRINKAGE`."""
+        return max(LEAST_SHRINKAGE, _SURE * self.uncertainty)
+
+    @property
+    def worse(self) -> dict[str, tuple[float, float]]:
+        """Quantities whose gap at what was held out grows by `LEAST_SHRINKAGE`, before and after."""
+        kinds = dict.fromkeys(g.quantity for g in self.quantities if g.held_out)
+        out = {}
+        for kind in kinds:
+            pairs = [
+                (g.before, g.after) for g in self.quantities if g.held_out and g.quantity == kind
+            ]
+            before, after = np.mean(pairs, axis=0).tolist()
+            if after - before > LEAST_SHRINKAGE:
+                out[kind] = (before, after)
+        return out
+
+    @property
+    def verdict(self) -> str:
+        """``supported``: the claimed effect predicts data better that it was not fitted to.
+
+        ``not tested``: nothing was measured that the finding was not fitted to. ``withdrawn``: the gap
+        grows there. Else ``unproven``, with the `objections`.
         """
-        fitted = self.finding.fits[str(self.finding.best_effect)].gap
-        gap = replace(fitted, before=self.before, after=self.after, predictive=self.predictive)
-        if gap.grows:
+        if np.isnan(self.before):
+            return "not tested"
+        if -self.gain > max(LITTLE, self.uncertainty):
             return "withdrawn"
-        return "supported" if gap.shrinks else "unproven"
+        return "unproven" if self.objections else "supported"
+
+    @property
+    def objections(self) -> tuple[str, ...]:
+        """Why the finding is not supported, a clause each; () where it is."""
+        out = []
+        if self.gain <= self.needed:
+            out.append(f"only a decrease by more than {self.needed:.2f} JND counts")
+        for kind, (before, after) in self.worse.items():
+            out.append(f"the gap of {kind} grows from {before:.2f} to {after:.2f} JND")
+        if self.predictive <= 0:
+            out.append(
+                "weighed with their uncertainty, these data are "
+                f"{abs(self.predictive):.1f} nats less probable with it"
+            )
+        if self.finding.verdict not in ("named", "family"):
+            out.append("no effect and no family of effects is claimed")
+        if self.misses:
+            out.append("the corrected model misses T")
+        return tuple(out)
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain values for JSON."""
         return {
             **super().to_dict(),
+            "held_out": list(self.held_out),
             "before_jnd": json_numbers(self.before),
             "after_jnd": json_numbers(self.after),
+            "uncertainty_jnd": json_numbers(self.uncertainty),
+            "objections": [] if np.isnan(self.before) else list(self.objections),
             "predictive_nats": self.predictive,
             "gaps": [
                 {
                     "configuration": g.configuration,
                     "quantity": g.quantity,
                     "fitted": g.fitted,
+                    "held_out": g.held_out,
                     "before_jnd": g.before,
                     "after_jnd": g.after,
                 }
@@ -318,35 +420,32 @@ class MeansVerification(Verification):
 
     @property
     def sentence(self) -> str:
-        """The change of the gap, in numbers, and how sure the effect's name is."""
+        """The verdict, the change of the gap with its standard error, and how sure the name is."""
         f, name = self.finding, self.finding.title
-        sure = f"The finding was {f.support}."
         if np.isnan(self.before):
-            return (
-                f"Unproven: nothing was measured that tells {name} from bent coefficients. The finding "
-                f"rests on {self._time} and on the stated coefficients. {sure}"
+            said = (
+                f"Not tested: {name} was fitted to all that was measured. Measure C80 or G, or a "
+                "second configuration. The finding rests on T and on the stated coefficients. "
+                f"It is {f.support}."
             )
+            return " ".join(filter(None, [said, self.misses_in_words]))
+        verb = "shrinks" if self.gain > 0 else "grows"
         gap = (
-            f"with {name} in the model the gap that alpha cannot close goes from {self.before:.2f} to "
-            f"{self.after:.2f} JND"
+            f"at data that it was not fitted to ({listed(self.held_out)}) the gap {verb} with {name} "
+            f"from {self.before:.2f} to {self.after:.2f} JND, by {abs(self.gain):.2f} ± "
+            f"{self.uncertainty:.2f} JND (standard error)"
         )
         if self.verdict == "supported":
-            little = self.before - self.after < LITTLE
             apart = f", but not told apart from {listed(f.rivals)}" if f.rivals else ""
             return (
-                f"Supported{apart}: {gap}{', which is little' if little else ''}. That speaks for the "
-                f"model, not for the name ({f.support})."
+                f"Supported{apart}: {gap}; more than {self.needed:.2f} JND counts. The model is "
+                f"better; the name may still be wrong ({f.support})."
             )
-        if self.verdict == "withdrawn":
-            but = "although" if self.predictive > 0 else "and"
-            given = f"given {self._time} it is predicted {_better(self.predictive)}"
-            return f"Withdrawn: {gap}, {but} {given}. {sure}"
-        likely = "more" if self.predictive >= 0 else "less"
-        return (
-            f"Unproven: {gap}, which neither supports nor refutes the finding. It rests on "
-            f"{self._time} and on the stated coefficients: weighed with their uncertainty, the other "
-            "quantities are "
-            f"{abs(self.predictive):.1f} nats {likely} probable with the effect. {sure}"
+        grounds = [o for o in self.objections if "misses" not in o]
+        why = f". {as_sentence(listed(grounds))}" if grounds else "."
+        verdict = self.verdict.capitalize()
+        return " ".join(
+            filter(None, [f"{verdict}: {gap}{why}", f"It is {f.support}.", self.misses_in_words])
         )
 
     @property
@@ -382,7 +481,7 @@ class MeansVerification(Verification):
         """Return the mean gaps before and after as a table, the verdict in words."""
         rows = [
             [
-                f"{g.quantity} of {g.configuration}" + (" (fitted)" if g.fitted else ""),
+                _named(g),
                 f"{g.before:.2f}",
                 f"{g.after:.2f}",
             ]
@@ -395,18 +494,12 @@ class MeansVerification(Verification):
         """Return the sentence, the gaps and the coefficients."""
         rows = []
         for g in self.quantities:
-            name = f"  {g.quantity} of {g.configuration}" + (" (fitted)" if g.fitted else "")
-            rows.append((name, [f"{g.before:.2f}", f"{g.after:.2f}"]))
+            rows.append((f"  {_named(g)}", [f"{g.before:.2f}", f"{g.after:.2f}"]))
         if np.isfinite(self.before):
             cells = [f"{self.before:.2f}", f"{self.after:.2f}"]
-            rows.append(("  what alpha cannot absorb", cells))
+            rows.append(("  all that was held out", cells))
         lines = text.wrapped(self.sentence)
         lines += text.table(rows, header=("mean gap in JND", ["plain", "corrected"]))
-        if self.verdict != "unproven":
-            lines += text.wrapped(
-                f"Once {self._time} is fitted, the corrected model predicts what alpha cannot absorb "
-                f"{_better(self.predictive)} than the plain one."
-            )
         lines += text.wrapped(self._fitted_in_words)
         room = self.finding.case.room
         lines += table(room, {"plain": self.plain, "corrected": self.corrected})
@@ -441,11 +534,14 @@ def reverberation_times(verification: MeansVerification) -> list[dict[str, Array
     ]
 
 
-def _better(nats: float) -> str:
-    return f"{abs(nats):.1f} nats {'better' if nats >= 0 else 'worse'}"
+def _named(g: Gap) -> str:
+    """Return a quantity's name, and what it was used for."""
+    used = " (matched)" if g.fitted else " (held out)" if g.held_out else ""
+    return f"{g.quantity} of {g.configuration}{used}"
 
 
-def _gap(feature: int, measured: Array, modelled: Array) -> Array:
+def gap_in_jnd(feature: int, measured: Array, modelled: Array) -> Array:
+    """Return the gap of a row of `FEATURES` in JND, signed."""
     jnd = observable(FEATURES[feature]).jnd
     if feature < 3:  # relative, from logarithms
         return np.asarray((np.exp(modelled - measured) - 1) / jnd)

@@ -9,6 +9,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar
@@ -99,6 +100,31 @@ class PositionsVerification(HeldOutVerification):
         return np.asarray(plain - corrected)
 
     @property
+    def matched(self) -> dict[str, tuple[Array, Array]]:
+        """Of each parameter the measured mean over the pairs, and the corrected model's gaps."""
+        case, parameters = self.finding.case, self.finding.parameters
+        measured = Observations.of_measurement(case.in_room, parameters, self.finding.pairs)
+        relative = LEVEL.key if LEVEL.key in case.measured.values else ""
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", RuntimeWarning)  # a band without a value
+            gaps = np.nanmean(self.gaps[-1], axis=0)
+            return {
+                name: (np.nanmean(measured.natural(name), axis=0), gaps[p])
+                for p, name in enumerate(parameters)
+                if name != relative  # its mean over the pairs is taken off
+            }
+
+    @property
+    def matched_pairs(self) -> Sequence[tuple[str, str]]:
+        """The pairs, each of which was predicted from the half that it is not in."""
+        return self.finding.pairs
+
+    @property
+    def frequencies(self) -> Array:
+        """Centre frequencies in Hz, (n_bands,)."""
+        return self.finding.case.room.centre_frequencies
+
+    @property
     def by_parameter(self) -> dict[str, dict[str, float]]:
         """Mean absolute gap by model and parameter in JND, over all seeds."""
         return {
@@ -150,28 +176,26 @@ class PositionsVerification(HeldOutVerification):
 
     @property
     def verdict_in_words(self) -> str:
-        """The grounds of the verdict, in a sentence; other things that the halves found stand in it."""
-        size, said = f"{abs(self.gain):.2f} ± {self.uncertainty:.2f} JND", self.verdict.capitalize()
-        found, of_gap = self.finding.likeliest, super().verdict
-        elsewhere = self.differing
+        """The grounds of the verdict, in a sentence or two; what the halves found stands in it."""
+        size, verdict = (
+            f"{abs(self.gain):.2f} ± {self.uncertainty:.2f} JND",
+            self.verdict.capitalize(),
+        )
+        found, elsewhere = self.finding.likeliest, self.differing
         if found is not None and not elsewhere:
             elsewhere = tuple(c for c in self.added if c is not None and c.surface != found.surface)
             if elsewhere and self.verdict == "supported":
-                said += f" for {kind(found)}, not for its surface"
+                verdict += f" for {kind(found)}, not for its surface"
         halves = ""
         if elsewhere and found is not None:
             each = listed([*dict.fromkeys("nothing" if c is None else c.title for c in elsewhere)])
             which = "the halves of the pairs" if len(elsewhere) > 1 else "half of the pairs"
             halves = f"{which} found {each}, not {found.title} as all pairs did; "
-        if of_gap == "unproven":
-            return (
-                f"{said}: {halves}the gap changes by {size} with what was found, no more than by "
-                "chance."
-            )
-        less = "smaller" if of_gap == "supported" else "larger"
-        return (
-            f"{said}: {halves}with what was found the gap is {size} {less} than calibrated alone."
-        )
+        less = "smaller" if self.gain > 0 else "larger"
+        said = f"{halves}with what was found the gap is {size} {less} than calibrated alone"
+        counts = f"only a change by more than {self.needed:.2f} JND counts"
+        sentences = [f"{verdict}: {said}; {counts}.", self.misses_in_words]
+        return " ".join(filter(None, sentences))
 
     @property
     def sentence(self) -> str:

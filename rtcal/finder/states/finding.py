@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import islice
 from typing import Any, ClassVar
@@ -10,6 +10,8 @@ from typing import Any, ClassVar
 import numpy as np
 
 from rtcal.acoustics import bands
+from rtcal.acoustics.observables import TARGET
+from rtcal.acoustics.priors import NORMAL_90
 from rtcal.finder.claim import CLAIMED, Names, over_frequency
 from rtcal.finder.finding import (
     LEAST_PAIRS,
@@ -350,13 +352,43 @@ class StatesVerification(HeldOutVerification):
         return np.asarray(by_pair[np.newaxis])
 
     @property
+    def matched(self) -> dict[str, tuple[Array, Array]]:
+        """T measured after the change, mean over the pairs, and the gaps of the finding's own pairs."""
+        found = self.finding.case.differences
+        left = np.expm1(self.finding.shift - found.change) / TARGET.jnd
+        return {TARGET.key: (found.after, left)}
+
+    @property
+    def prediction_error(self) -> Array | float:
+        """Standard deviation in JND of T after, by the interval of the change, (n_bands,)."""
+        case, total = self.finding.case, self.finding.case.room.total_area
+        air = 4 * case.room.air_attenuation * case.room.volume
+        areas = np.clip(self.finding.area + self.finding.change[1:], 0.0, 0.999 * total)
+        low, high = total * case.equation.exponent(areas / total) + air
+        out = np.abs(np.log(high / low)) / (2 * NORMAL_90 * np.log1p(TARGET.jnd))
+        return np.asarray(np.nan_to_num(out))
+
+    @property
+    def matched_pairs(self) -> Sequence[tuple[str, str]]:
+        """The finding's own pairs."""
+        return self.finding.case.differences.pairs
+
+    @property
+    def frequencies(self) -> Array:
+        """Centre frequencies in Hz, (n_bands,)."""
+        return self.finding.case.differences.centre_frequencies
+
+    @property
     def sentence(self) -> str:
-        """The verdict in a sentence."""
+        """The verdict in a sentence or two."""
         others = "the other half of the pairs" if self.case is None else "the other pairs"
-        return (
-            f"{self.verdict}: at pairs that were not fitted the mean gap of T is {self.before:.1f} JND "
-            f"if nothing changed, and {self.after:.1f} JND with what {others} found."
+        said = (
+            f"{self.verdict}: at pairs that were not fitted the mean gap of T is {self.before:.2f} JND "
+            f"if nothing changed, and {self.after:.2f} JND with what {others} found: a decrease of "
+            f"{self.gain:.2f} ± {self.uncertainty:.2f} JND (standard error), of which more than "
+            f"{self.needed:.2f} JND counts."
         )
+        return " ".join(filter(None, [said, self.misses_in_words]))
 
     def __repr__(self) -> str:
         return f"<StatesVerification {self.verdict}>"
