@@ -1,4 +1,4 @@
-"""How often claims of the finder were right, as every finding prints it: rtcal/finder/records.json.
+"""Counts of the finder's right claims, as every finding prints them: rtcal/finder/records.json.
 
     python -m benchmarks.records           # print the counts
     python -m benchmarks.records write     # write the file

@@ -235,7 +235,7 @@ def test_results_of_other_kinds_count_for_nothing(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    """Of 260 calibrations beside as many predictions 251 were read, without a word."""
+    """Among as many predictions 251 of 260 calibrations were read, without a word."""
     panel = rt.Material("panel", [0.5] * rooms[0].prior.n_bands, [0.1] * rooms[0].prior.n_bands)
     cover = rt.prediction.Cover(rooms[0].prior.materials[0], panel, 1.0)
     for i, result in enumerate(rooms):

@@ -148,7 +148,7 @@ def test_names_that_say_floor_ceiling_or_wall(name: str, kind: str | None) -> No
 
 
 def measured() -> rt.Measurement:
-    """What path tracing with little scattering gives in the room."""
+    """T that path tracing with little scattering gives in the room."""
     stated = room(scattering=np.full((3, 4), 0.1))
     walls = dict.fromkeys(("west", "east", "south", "north"), "m3")
     tracer = PathTracing(

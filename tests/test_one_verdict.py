@@ -158,7 +158,7 @@ def test_where_nothing_has_a_fair_part_nothing_is_called_missing(
 
 
 def test_a_weak_finding_is_a_hint_and_advises_nothing() -> None:
-    """Of 180 empty rooms that are stored, 12 were called ambiguous, with a first candidate of 0.1."""
+    """In 180 stored empty rooms 12 were called ambiguous, with a first candidate of 0.1."""
     case = rt.datasets.hidden_room()[0].only("t20", configurations=["A"])
     # A prior that makes nothing so probable that the data do not outweigh it.
     found = rt.find(case, prior={"none": 500.0}, without=["coefficients"])

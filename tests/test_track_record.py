@@ -37,7 +37,7 @@ def test_every_record_of_means_has_counts_and_an_interval(verdict: str, data: st
     said = records.record_of_means(verdict, data)
     assert "not used to make the finder" in said
     assert data in said
-    record = TrackRecord.from_dict(records.records()["means"][data])
+    record = TrackRecord.from_dict(records.stored()["means"][data])
     if (right := record.right.get(verdict)) is not None:
         assert re.search(
             rf"\b{right.of} .* were claimed, and {right.count} .*\({right.in_words}\)", said
@@ -48,7 +48,7 @@ def test_every_record_of_means_has_counts_and_an_interval(verdict: str, data: st
 @pytest.mark.parametrize("verdict", ["named", "family"])
 def test_a_claim_in_measured_rooms_has_the_claims_made_as_its_denominator(verdict: str) -> None:
     """46 cases are no 46 claims: no error in 7 claims leaves an error rate of up to 41 %."""
-    measured = records.records()["measured"]
+    measured = records.stored()["measured"]
     assert measured["claims"] < measured["cases"]
     wrong = Share(measured["wrong"], measured["claims"])
     said = records.record_of_means(verdict, records.ALL)
@@ -61,7 +61,7 @@ def test_a_claim_in_measured_rooms_has_the_claims_made_as_its_denominator(verdic
 
 @pytest.mark.parametrize("kind", ["families", "sets of families"])
 def test_claims_beside_others_have_counts_and_an_interval(kind: str) -> None:
-    right = Share(*records.records()["several"][kind])
+    right = Share(*records.stored()["several"][kind])
     said = records.record_of_several([kind])
     assert (
         f"{right.of} {kind} were claimed, and {right.count} were right ({right.in_words})" in said
@@ -89,7 +89,7 @@ def test_a_search_at_positions_states_the_claims_of_rooms_like_its_own(
     room = room.replace(sigma=(0.3 if statement == HANDBOOK else 0.1) * room.alpha)
     assert records.statement_of(room) == statement
     data = records.WITH_LEVEL if LEVEL.key in match else records.WITHOUT_LEVEL
-    record = TrackRecord.from_dict(records.records()["positions"][statement][data])
+    record = TrackRecord.from_dict(records.stored()["positions"][statement][data])
     said = records.record_of_positions(room, match)
     for share in (record.detected, record.flagged, *record.right.values()):
         assert {f"{share.count}", f"{share.of}"} <= set(re.findall(r"\d+", said))

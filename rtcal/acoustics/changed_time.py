@@ -81,7 +81,7 @@ class MeasuredState:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class KnownRoom:
-    """What is known of a room before it is changed; a calibration gives it.
+    """A room as it is known before it is changed; a calibration gives it.
 
     Attributes
     ----------

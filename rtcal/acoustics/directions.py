@@ -18,7 +18,7 @@ __all__ = ["enough_known", "facing", "kind_of"]
 __dir__ = __all__.copy
 
 
-class Faces(Protocol):
+class FacesOfMaterials(Protocol):
     """The part of a geometry that says where its materials face: one entry of each per face."""
 
     @property
@@ -49,7 +49,7 @@ NOT_KNOWN = (
 
 
 @checked
-def facing(room: Room, geometry: Faces | None = None) -> Array:
+def facing(room: Room, geometry: FacesOfMaterials | None = None) -> Array:
     """Return each material's shares of area across x, y and z, (n_materials, 3); NaN where unknown.
 
     In this order: the faces of a geometry (an oblique one counts by the squares of its normal), the
@@ -61,7 +61,7 @@ def facing(room: Room, geometry: Faces | None = None) -> Array:
     Parameters
     ----------
     room : Room
-    geometry : Faces, optional
+    geometry : FacesOfMaterials, optional
         Its faces take the place of the room's surfaces. Its materials are named as the room's; one
         that it lacks is unknown.
 

@@ -299,7 +299,7 @@ class CalibrationResult(Result):
 
     @property
     def known(self) -> KnownRoom:
-        """What a prediction takes of this calibration; ModelError as `JointSolution.known_room`."""
+        """The room as a prediction takes it; ModelError as `JointSolution.known_room`."""
         return self.joint.known_room(self.configuration)
 
     def predict(

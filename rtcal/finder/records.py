@@ -1,4 +1,4 @@
-"""How often claims of the finder were right: in simulated and in measured rooms, by kind of data.
+"""Counts of the finder's right claims, in simulated and in measured rooms, by kind of data.
 
 The counts are those of ``records.json``, which `python -m benchmarks.records` writes from judged rooms
 that were not used to make the finder (docs/discrepancy_study.md, docs/where_study.md).
@@ -91,7 +91,7 @@ class TrackRecord:
 
 
 @cache
-def records() -> Mapping[str, Any]:
+def stored() -> Mapping[str, Any]:
     """Return the contents of `FILE`."""
     text = resources.files("rtcal.finder").joinpath(FILE).read_text(encoding="utf-8")
     out: dict[str, Any] = json.loads(text)
@@ -116,7 +116,7 @@ def record_of_means(verdict: str, data: str) -> str:
     In simulated rooms that were not used to make the finder, with T20, EDT and T30 of one \
 configuration, 10 of 359 rooms that lack nothing were flagged (1 to 5 %, 95 % interval).
     """
-    record = TrackRecord.from_dict(records()["means"][data])
+    record = TrackRecord.from_dict(stored()["means"][data])
     rooms = f"In simulated rooms that were not used to make the finder, with {data},"
     if verdict == "unknown":
         flagged = record.flagged
@@ -144,7 +144,7 @@ def _given(right: Share, kind: str, was: str) -> str:
 
 def _in_measured_rooms() -> str:
     """Return how many claims were made in measured rooms, and how many of them were wrong."""
-    measured = records()["measured"]
+    measured = stored()["measured"]
     wrong = Share(measured["wrong"], measured["claims"])
     number = (
         "none was" if wrong.count == 0 else f"{wrong.count} {'was' if wrong.count == 1 else 'were'}"
@@ -158,7 +158,7 @@ def _in_measured_rooms() -> str:
 def record_of_several(claimed: Sequence[str]) -> str:
     """Return how often claims beside others were right: "families", "sets of families"."""
     rooms = "In simulated rooms with one or two effects that were not used to make the finder,"
-    said = [f"{rooms} {_given(Share(*records()['several'][k]), k, 'were right')}" for k in claimed]
+    said = [f"{rooms} {_given(Share(*stored()['several'][k]), k, 'were right')}" for k in claimed]
     return " ".join(said)
 
 
@@ -173,7 +173,7 @@ def statement_of(room: Room) -> str:
 def record_of_positions(room: Room, match: Sequence[str]) -> str:
     """Return how often hidden effects were detected and empty rooms flagged, with such data."""
     stated, data = statement_of(room), WITH_LEVEL if LEVEL.key in match else WITHOUT_LEVEL
-    record = TrackRecord.from_dict(records()["positions"][stated][data])
+    record = TrackRecord.from_dict(stored()["positions"][stated][data])
     right = record.right
     return (
         f"In simulated rooms with coefficients {stated} that were not used to make the finder, "

@@ -160,7 +160,7 @@ class DesignModel:
         low, high = np.log(self.target.low[bounded]), np.log(self.target.high[bounded])
 
         def spare(x: Array) -> Array:
-            """By how much a normal ln T keeps the nearer end."""
+            """Distance by which a normal ln T keeps the nearer end."""
             _, mean, sigma = self._known(x)
             ends = np.fmin(high - mean[bounded], mean[bounded] - low)
             return np.asarray(ends - ndtri(probability) * sigma[bounded])

@@ -44,7 +44,7 @@ class Calibrated(Protocol):
 
     @property
     def known(self) -> KnownRoom:
-        """What is known of the room before it is changed."""
+        """The room as it is known before it is changed."""
 
 
 Known = Calibrated | KnownRoom | Room | Sequence[Calibrated]
@@ -151,7 +151,7 @@ class Prediction(Result):
 
     @property
     def before_is(self) -> str:
-        """What T before is: "measured", "calibrated model" or "stated coefficients"."""
+        """The kind of T before: "measured", "calibrated model" or "stated coefficients"."""
         if not self.known.measured.any():
             return words.STATED
         return words.MEASURED if self.known.exact else words.MODEL
@@ -293,7 +293,7 @@ class Prediction(Result):
 
     @property
     def sentences(self) -> list[str]:
-        """What the interval rests on, what it leaves out, and what to measure next."""
+        """Sentences on what the interval rests on, what it leaves out, and what to measure next."""
         known = self.known
         if not self.half_width.any():
             return [words.NOTHING_CHANGES]

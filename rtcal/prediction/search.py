@@ -59,7 +59,7 @@ _SMALLEST = 1 / 32
 
 @dataclass(frozen=True, eq=False)
 class Choice:
-    """What may be placed, and what it must keep.
+    """Areas that may be placed, and the ranges that they must keep.
 
     Attributes
     ----------

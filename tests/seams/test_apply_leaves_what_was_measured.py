@@ -104,7 +104,7 @@ def with_odds(finding: MeansFinding, verdict: str, **probabilities: float) -> Me
 
 
 def test_an_improbable_candidate_is_added_only_by_its_name(finding: MeansFinding) -> None:
-    """Of first candidates with less than 0.3 nine of 41 were right."""
+    """Nine of 41 first candidates with less than 0.3 were right."""
     unsure = with_odds(finding, "ambiguous", first=0.29, second=0.2)
     names = [c.effect for c in unsure.candidates]
     assert unsure.can_be_added

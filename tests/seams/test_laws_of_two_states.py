@@ -125,7 +125,7 @@ def test_exchanged_real_states_mirror_the_answer_and_no_turned_panel_is_a_climat
 
 
 def test_the_same_state_twice_is_no_change() -> None:
-    """Of one file given twice, of one to fewer digits, and of one that was measured again."""
+    """One file given twice, of one to fewer digits, and of one that was measured again."""
     once = measured(times(), 1)
     rounded = replace(once, values={"t20": once.values["t20"].round(2)})
     rng = np.random.default_rng(3)

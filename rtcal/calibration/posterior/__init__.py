@@ -103,7 +103,7 @@ class Posterior:
 
 
 @runtime_checkable
-class Calibrated(Protocol):
+class HasDensity(Protocol):
     """A result that has a posterior density."""
 
     def density(self) -> IndependentBands | CoupledBands:
@@ -111,7 +111,7 @@ class Calibrated(Protocol):
 
 
 @checked
-def distribution(result: Calibrated, n_samples: int = 4000, seed: int = 0) -> Posterior:
+def distribution(result: HasDensity, n_samples: int = 4000, seed: int = 0) -> Posterior:
     """Return the posterior distribution of a calibration's coefficients.
 
     The prior is normal with the room's sigma, truncated to the bounds. The error of b is normal with
@@ -145,7 +145,7 @@ def distribution(result: Calibrated, n_samples: int = 4000, seed: int = 0) -> Po
     >>> bool(((low < result.alpha) & (result.alpha < high)).all())
     True
     """
-    if not isinstance(result, Calibrated):
+    if not isinstance(result, HasDensity):
         raise DataError(f"result = {result!r} is not the result of a calibration")
     checks.whole("n_samples", n_samples, 2)
     checks.whole("seed", seed, 0)

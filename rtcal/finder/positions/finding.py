@@ -230,7 +230,7 @@ class PositionsFinding(Finding):
 
     @property
     def _of_the_rest(self) -> str:
-        """What of the library explains most where no effect explains all, after a blank; "" of none."""
+        """Words on what explains most where no effect explains all, after a blank; "" of none."""
         likely = self.likeliest
         if likely is None:
             return ""

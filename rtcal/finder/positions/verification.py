@@ -153,7 +153,7 @@ class PositionsVerification(HeldOutVerification):
 
     @property
     def differing(self) -> tuple[Candidate | None, ...]:
-        """What the halves added that is another thing than all pairs found; () where they agree.
+        """The candidates of halves that are another thing than all pairs found; () where they agree.
 
         The same thing is of the same family, all of added absorption as one; where a surface is
         claimed, also on that surface, or on one that these positions do not tell from it.

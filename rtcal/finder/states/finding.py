@@ -212,7 +212,7 @@ class StatesFinding(Finding):
 
     @property
     def climate_in_words(self) -> str:
-        """How probable it is that the climate changed beside the surfaces; "" where it hardly did."""
+        """Words on a climate that changed beside the surfaces; "" where it hardly did."""
         if self.verdict == NONE or self.family == "climate" or self.climate < 0.5:
             return ""
         return f"Another climate of the air explains a part of it ({100 * self.climate:.0f} %)."
