@@ -206,19 +206,20 @@ def calibrated(
     from rtcal.acoustics.room import Room
     from rtcal.calibration.configurations import Configurations
     from rtcal.calibration.methods import calibrate
+    from rtcal.calibration.problem_data import tell_data
 
     if Path(room).is_dir():
         raise DataError(f"{room} is a folder; give the room (TOML) that was calibrated and its T")
     if measured is None:
         raise DataError("--also takes MEASURED, too: T of the room before the change")
-    before = Room.from_file(room)
-    heard = read_measured(measured, quietly=True)
+    rooms = [Room.from_file(path) for path in (room, *(path for path, _ in also))]
+    times = [read_measured(path, quietly=True) for path in (measured, *(path for _, path in also))]
+    for state, heard in zip(rooms, times, strict=True):
+        tell_data(state, heard)
     if not also:
         with without_air_warning():
-            return calibrate(before, heard, equation=equation)
-    rooms = [before, *(Room.from_file(path) for path, _ in also)]
+            return calibrate(rooms[0], times[0], equation=equation)
     names = [new_name_of(i, each.name, rooms) for i, each in enumerate(rooms)]
-    times = [heard, *(read_measured(path, quietly=True) for _, path in also)]
     with without_air_warning():
         joint = calibrate(Configurations(rooms, names), times, method="joint", equation=equation)
     return joint.results[0]

@@ -154,7 +154,7 @@ air = {{ temperature = 26, humidity = 60 }}
 _TREATMENTS = f"""probability = 0.8
 
 [target]
-high = [0.85, 0.75, 0.7, 0.7, 0.7, 0.7]
+high = [1.0, 0.9, 0.8, 0.8, 0.8, 0.8]
 
 {_PANEL}
 [[material]]

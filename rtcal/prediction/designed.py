@@ -220,7 +220,7 @@ def design(
     >>> none = float("nan")
     >>> target = rt.prediction.Target([none] * 6, [none, 1.2, 1.0, 1.0, 1.0, none])
     >>> found = rt.design(result, [on_ceiling], target)
-    >>> print(18 < found.areas[0] < 23, bool((found.probability[1:5] > 0.79).all()))
+    >>> print(29 < found.areas[0] < 32, bool((found.probability[1:5] > 0.79).all()))
     True True
     """
     if not LEAST <= checks.number("probability", probability) <= _BEST:
