@@ -194,6 +194,8 @@ MET = 2.0
 """Standard deviations of T within which a calibration has met it."""
 _SURE = 1.645
 """Standard errors by which a gap must shrink: 95 %, one-sided."""
+_PREDICTED = 1.0
+"""Mean gap in JND at what was held out, up to which the corrected model predicts it."""
 _T20 = FEATURES.index("t20")
 
 
@@ -366,6 +368,8 @@ class MeansVerification(Verification):
         out = []
         if self.gain <= self.needed:
             out.append(f"only a decrease by more than {self.needed:.2f} JND counts")
+        if self.after > _PREDICTED:
+            out.append(f"with it these data are still missed by {self.after:.2f} JND on average")
         for kind, (before, after) in self.worse.items():
             out.append(f"the gap of {kind} grows from {before:.2f} to {after:.2f} JND")
         if self.predictive <= 0:
