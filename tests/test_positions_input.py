@@ -13,6 +13,7 @@ from click.testing import CliRunner
 
 import rtcal as rt
 from rtcal.acoustics.observables import MATCH
+from rtcal.command.calibrate import NOT_NEARER
 from rtcal.command.main import cli
 from rtcal.datasets import halls
 from rtcal.io import obj
@@ -404,6 +405,24 @@ def test_wrong_options_are_named(folder, options, said):
     assert isinstance(done.exception, DataError)
     assert said in str(done.exception)
     assert not (folder / "made").exists()
+
+
+def test_a_fit_that_leads_no_nearer_writes_nothing_and_has_a_code_of_its_own(folder):
+    """Nothing may move, so that the start is returned."""
+    room = rt.Room.from_file(str(folder / "room.toml"))
+    room.replace(sigma=np.zeros_like(room.sigma)).save(str(folder / "room.toml"))
+    options = "--match", "t20", "--keep-scattering", "--out", str(folder / "made")
+    done = fit(folder, *options)
+    assert done.exit_code == NOT_NEARER == 7
+    first = done.stdout.splitlines()[0]
+    assert first.startswith("No step led nearer to what was measured: the start is returned")
+    assert not (folder / "made").exists()
+    forced = fit(folder, *options, "--force")
+    assert forced.exit_code == NOT_NEARER
+    written = rt.Room.from_file(str(folder / "made" / "room.toml"))
+    np.testing.assert_array_equal(written.alpha, room.alpha)
+    assert written.calibration is None
+    assert fit(folder, *options, "--quiet").exit_code == NOT_NEARER
 
 
 def test_what_is_missing_is_asked_for_by_its_option(folder):
