@@ -29,7 +29,7 @@ EXIT_CODES = {
     4: "an optional library is missing",
     CannotPrint.exit_code: "the output cannot be printed",
     NOTHING_TO_ADD: "nothing to add, nothing written (`rtcal apply`)",
-    NOT_NEARER: "no step led nearer: the start is returned, nothing written (`rtcal fit`)",
+    NOT_NEARER: "no step led nearer, the start stays (`rtcal fit`)",
     130: "interrupted",
 }
 

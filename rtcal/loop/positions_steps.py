@@ -304,6 +304,8 @@ _ALIKE = 0.1
 """JND by which unexplained errors differ that are the same."""
 _ROUNDS = 3
 """Most times that the room is traced with another scattering."""
+_GAP_WEIGHTS = (0.1, 1.0, 10.0)
+"""Weights of the squared gap that are tried where the objective's own steps would raise it."""
 _SETTLED_ODDS = 0.15
 """Change of the log odds, rounded to tenths, for which the room is not traced again: 0.02 to 0.04 of a
 coefficient."""
@@ -474,12 +476,20 @@ class PositionsFit:
 
     def run(self) -> Fitted:
         """Return where the fit ends."""
-        kept = self._with_stated_scattering()
-        if kept.scattering is None or kept.refused:
-            return kept
-        return self._with_other_scattering(kept, kept.scattering)
+        if self.by_scattering is not None:
+            free = self._with_stated_scattering(guarded=False)
+            if free.scattering is not None:
+                found = self._with_other_scattering(free, free.scattering)
+                if found is not None:
+                    return found
+            self.listener.alpha, self.listener.heard = self.room.alpha, self._heard
+        return self._with_stated_scattering(guarded=True)
 
-    def _with_stated_scattering(self) -> Fitted:
+    def _with_stated_scattering(self, *, guarded: bool) -> Fitted:
+        """Return where alpha ends with the scattering stated.
+
+        If ``guarded``, no farther than the start. Else the scattering is still to be fitted.
+        """
         listener, scattering = self.listener, self._stated_scattering()
         errors = self._errors(listener, scattering, np.zeros(len(listener.data.used)))
         # The first steps only lead near: with errors that were found at the start, where a simulator
@@ -488,22 +498,29 @@ class PositionsFit:
         for _ in range(_PASSES):
             scattering, before = self._stated_scattering(), errors.unexplained
             errors, answer = self._errors(listener, scattering), path.steps[-1].model.answer
-            begins_right = _keeps(answer, self.room.alpha)
+            begins_right = guarded and _keeps(answer, self.room.alpha)
             if begins_right and not self._is_nearer(listener, errors, answer):
                 listener.alpha, listener.heard = self.room.alpha, self._heard
             limit = self._gap if begins_right else np.inf
             path = self._steps(listener, errors, scattering, limit)
             if np.abs(errors.unexplained - before).max() < _ALIKE:
                 break
-        stayed = np.array_equal(path.end.alpha, self.room.alpha)
-        refused = stayed and self._gap > FITS
+        misses = self._gap > FITS
+        for weight in _GAP_WEIGHTS:
+            if not (guarded and misses and np.array_equal(path.end.alpha, self.room.alpha)):
+                break
+            # The objective falls along its own step and the gap rises: a step may lower both.
+            self._steps(listener, errors, scattering, self._gap, weight)
+            path = self._steps(listener, errors, scattering, self._gap)
+        refused = guarded and misses and np.array_equal(path.end.alpha, self.room.alpha)
         return Fitted(listener, path, errors, scattering, refused)
 
-    def _with_other_scattering(self, kept: Fitted, stated: FittedScattering) -> Fitted:
-        best, listener, path = kept, kept.listener, kept.path
-        model, change, log_odds = self._first_scattering(kept, stated)
+    def _with_other_scattering(self, free: Fitted, stated: FittedScattering) -> Fitted | None:
+        """Return the nearest of the fits with scattering fitted, too; None if none is near."""
+        best, listener, path = self._better(None, free, stated), free.listener, free.path
+        model, change, log_odds = self._first_scattering(free, stated)
         if model == stated.materials.model and not log_odds.any():
-            return kept
+            return best
         for _ in range(_ROUNDS):
             tracer = scattered(stated.tracer, log_odds, model)
             try:
@@ -525,7 +542,8 @@ class PositionsFit:
             if np.abs(likely - log_odds).max() < _SETTLED_ODDS:
                 break
             change, log_odds = materials.slope @ (likely - log_odds), likely
-        best.listener.calls = listener.calls
+        if best is not None:
+            best.listener.calls = listener.calls
         return best
 
     def _first_scattering(
@@ -590,15 +608,22 @@ class PositionsFit:
         errors: FitErrors,
         scattering: FittedScattering | None,
         limit: float,
+        weight: float = 0.0,
     ) -> Path:
-        """Take Gauss-Newton steps from where the listener is; it is left where they end."""
-        offset = _offset(listener, scattering)
+        """Take Gauss-Newton steps from where the listener is; it is left where they end.
+
+        ``weight`` is that of the squared gap in JND, which the steps lower beside the objective.
+        """
+        offset, covariance = _offset(listener, scattering), errors.covariance
+        if weight:
+            information = np.linalg.inv(covariance) + np.diag(weight / self._unit**2)
+            covariance = np.linalg.inv(information)
 
         def linearised(at: LinearisationPoint) -> LinearisedSimulator:
             matrix = listener.linearised()
             residual = listener.residual() + offset
             values = residual + matrix @ at.alpha.ravel()
-            numbers = Observed(matrix=matrix, values=values, covariance=errors.covariance)
+            numbers = Observed(matrix=matrix, values=values, covariance=covariance)
             answer = self._problem.solve(
                 self._times, observed={POSITIONS: numbers}, method="positions"
             )
@@ -636,7 +661,9 @@ class PositionsFit:
         ]
         return values[0] <= values[1] and listener.gap() <= self._gap
 
-    def _better(self, best: Fitted, other: Fitted, scattering: FittedScattering) -> Fitted:
+    def _better(
+        self, best: Fitted | None, other: Fitted, scattering: FittedScattering
+    ) -> Fitted | None:
         """Return the one with the lower objective, in which both have the errors of the second.
 
         The scattering's own deviations count, and its uncertainty does not. The second, with its
@@ -653,12 +680,14 @@ class PositionsFit:
 
         none = np.zeros(len(materials.traced))
         value = objective(listener.residual(), listener.alpha, materials.traced)
-        traced = none if best.scattering is None else best.scattering.materials.traced
-        old = objective(best.listener.residual(), best.listener.alpha, traced)
         if _keeps(answer, self.room.alpha):
             start = objective(self._residual, self.room.alpha, none)
             if value > start or listener.gap() > self._gap:
                 return best
+        if best is None or best.scattering is None:
+            return other
+        traced = best.scattering.materials.traced
+        old = objective(best.listener.residual(), best.listener.alpha, traced)
         return other if value < old else best
 
 
