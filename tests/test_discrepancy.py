@@ -470,7 +470,8 @@ def test_a_probability_is_printed_once() -> None:
     assert finding.verdict in ("family", "ambiguous")
     said = " ".join(str(finding).split())
     for name in finding.names:
-        assert len(re.findall(rf"{name} \(?{finding.percent(name)}", said)) == 1, name
+        title = re.escape(finding.title_of(name))
+        assert len(re.findall(rf"{title} \(?{finding.percent(name)}", said)) == 1, name
     others = [k for k, p in finding.probabilities.items() if p >= 0.03]
     assert all(name in said for name in others)
 

@@ -147,8 +147,7 @@ class FineOpening(Opening):
 
 @dataclass(frozen=True)
 class FineVolume(WrongVolume):
-    def grid(self, state):  # type: ignore[no-untyped-def]
-        return [{"ratio": float(r)} for r in np.geomspace(0.6, 1.7, 35)]
+    steps: ClassVar[int] = 2 * WrongVolume.steps - 1
 
 
 def test_a_grid_twice_as_fine_changes_no_probability() -> None:

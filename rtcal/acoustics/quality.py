@@ -330,6 +330,28 @@ def _not_contradicted(record: Mapping[str, Any]) -> str:
     return f"What was stated is not contradicted ({q}); {asks}."
 
 
+_SOMETHING = (
+    "Something is missing from the model, or is stated wrongly, or is less certain than stated."
+)
+
+
+def longer_in_words(record: Mapping[str, Any]) -> str:
+    """Return what it most often means that T is longer than stated in every band; "" where it is not.
+
+    That is where z is negative in every band with T, of at least two.
+    """
+    z = numbers(record["plausibility"]["z"])
+    known = z[np.isfinite(z)]
+    if len(known) < 2 or not (known < 0).all():
+        return ""
+    return (
+        "T is longer in every band than the stated coefficients give. Most often the equation then "
+        "gives too little T for this room, because its absorption is unevenly distributed or its "
+        "surfaces scatter little, or handbook coefficients are too high. A wrong volume or area is "
+        "rarer."
+    )
+
+
 def _of_materials(record: Mapping[str, Any]) -> CalibrationVerdict:
     """Return what p and z say of the materials, where the calibrated room has the measured T."""
     plausibility = record["plausibility"]
@@ -362,14 +384,13 @@ def _of_materials(record: Mapping[str, Any]) -> CalibrationVerdict:
         return CalibrationVerdict(
             "contradicts",
             _AGAINST,
-            f"{further}; {asks}. Something is missing from the model, or is stated wrongly, or is less "
-            f"certain than stated. {together}".rstrip(),
+            f"{further}; {asks}. {longer_in_words(record) or _SOMETHING} {together}".rstrip(),
         )
     if p < P_CONTRADICTION:
         return CalibrationVerdict(
             "open",
             "The measurement agrees with what was stated only if all coefficients err the same way",
-            f"{further}; {asks}. {together}".rstrip(),
+            " ".join(filter(None, (f"{further}; {asks}.", longer_in_words(record), together))),
         )
     within = (
         f"The coefficients moved no further than their stated uncertainty explains ({q}); {asks}."

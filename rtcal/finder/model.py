@@ -38,6 +38,18 @@ class Decay:
     rates: Array
 
 
+VOLUME_OF_MESH, VOLUME_TYPED = 0.05, 0.1
+"""Relative standard deviation of a volume where the room states none: of a mesh, and of a number. A
+volume is read off drawings, and its error is that of what they leave out."""
+
+
+def volume_sigma_of(room: Room) -> float:
+    """Return the relative standard deviation of a room's volume: the stated one, else the usual."""
+    if room.volume_sigma > 0:
+        return room.volume_sigma
+    return VOLUME_TYPED if room.scene.mesh is None else VOLUME_OF_MESH
+
+
 @dataclass(frozen=True, eq=False)
 class RoomState:
     """A room in one configuration: the data of a prediction.
@@ -48,6 +60,7 @@ class RoomState:
     (n_bands,) is the absorption area of free-standing objects in m². ``floor_db`` is the noise's
     level relative to the start of the decay, over a record of ``record`` reverberation times.
     ``direct_db`` is the level of the direct sound relative to an omnidirectional source.
+    ``volume_sigma`` is the relative standard deviation of the stated volume (`volume_sigma_of`).
     """
 
     volume: float
@@ -64,6 +77,7 @@ class RoomState:
     floor_db: float | None = None
     record: float = 2.0
     direct_db: float = 0.0
+    volume_sigma: float = 0.1
 
     def __post_init__(self) -> None:
         for name in ("areas", "alpha", "facing", "air", "frequencies", "covering", "objects"):
@@ -85,12 +99,18 @@ class RoomState:
             frequencies=room.centre_frequencies,
             speed_of_sound=room.speed_of_sound,
             equation=equation,
+            volume_sigma=volume_sigma_of(room),
         )
 
     @property
     def total_area(self) -> float:
         """S in m²."""
         return float(self.areas.sum())
+
+    @property
+    def directions_known(self) -> bool:
+        """Whether a material has another share along an axis than a third, as where nothing says it."""
+        return not np.allclose(self.facing, 1 / 3)
 
     @property
     def surface_absorption(self) -> Array:

@@ -29,7 +29,9 @@ from rtcal.finder.model import (
 )
 from rtcal.support.types import Array, read_only_view
 
-RATIOS = (1e-3, 1e3)
+_LAST = 500.0
+"""Decay of the energy in nepers after which it is too little for a double number."""
+RATIOS = (5e-4, 2e3)
 """Ratios of a true area or volume to the stated one: a unit taken for another is a factor of 1000."""
 
 
@@ -100,8 +102,32 @@ class WrongArea(OfMaterial):
 
 @dataclass(frozen=True)
 class WrongVolume(WrongStatement):
-    """The true volume, as a ratio of the stated one."""
+    """The true volume, as a ratio of the stated one.
 
+    A stated volume is believed within its standard deviation (`RoomState.volume_sigma`). Beyond it only
+    a gross mistake is, which is a factor: a half that was not drawn, a length for another, feet for
+    metres.
+    """
+
+    FACTORS: ClassVar[Mapping[float, float]] = {
+        2.0: 0.35,
+        3.0: 0.05,
+        4.0: 0.025,
+        8.0: 0.05,
+        35.3: 0.0125,
+        1000.0: 0.0125,
+    }
+    """Factors of gross mistakes with their shares of these: of a half or a third of the room, of
+    lengths twice as large, of cubic feet and of a unit. Their inverses have the same."""
+    odds: ClassVar[float] = 1 / 3
+    GROSS: ClassVar[float] = 0.9
+    """Probability that a wrong volume is a gross mistake: within its standard deviation it is right."""
+    WIDTH: ClassVar[float] = 0.05
+    """Standard deviation of ln of a gross mistake about its factor."""
+    UNEVEN: ClassVar[float] = 0.01
+    """Factor of the probability of a volume two to four times as large where no directions are known:
+    an uneven field, which is not judged then, makes T as much longer."""
+    steps: ClassVar[int] = 18
     name: ClassVar[str] = "volume"
     size: ClassVar[str] = "ratio"
     unit: ClassVar[str] = "of the stated volume"
@@ -109,16 +135,49 @@ class WrongVolume(WrongStatement):
     size_error: ClassVar[float] = 0.04
 
     def grid(self, state: RoomState) -> Sequence[Parameters]:
-        """Return 0.6 to 1.7."""
-        return [{"ratio": float(r)} for r in np.geomspace(0.6, 1.7, 18)]
+        """Return ratios within four standard deviations, and those about the `FACTORS`.
+
+        Ratios with which sound would end before 80 ms are left out: they have no C80.
+        """
+        near = self.near(state)
+        about = self._mistakes()[:, np.newaxis] + self.WIDTH * np.linspace(-3, 3, self.steps // 2)
+        end = np.log(near[-1]["ratio"]) + self.WIDTH
+        shortest = np.log(0.08 * state.rate.max() / _LAST)
+        far = [x for x in sorted({*about.ravel().tolist()}) if abs(x) > end and x > shortest]
+        every = [*near, *({"ratio": float(np.exp(x))} for x in far)]
+        return sorted(every, key=lambda theta: theta["ratio"])
+
+    def near(self, state: RoomState) -> list[Parameters]:
+        """Return ratios within four standard deviations."""
+        return [
+            {"ratio": float(r)} for r in np.exp(state.volume_sigma * np.linspace(-4, 4, self.steps))
+        ]
+
+    def _mistakes(self) -> Array:
+        """Return ln of the factors of gross mistakes, and of their inverses."""
+        logs = np.log([*self.FACTORS])
+        return np.concatenate([logs, -logs])
 
     def limits(self, room: Room | None) -> Limits:
         """Return `RATIOS`."""
         return {"ratio": RATIOS}
 
-    def density(self, parameters: Parameters, state: RoomState) -> float:
-        """Return a normal density of ln ratio, of standard deviation 0.2."""
-        return float(np.exp(-0.5 * (np.log(parameters["ratio"]) / 0.2) ** 2))
+    def densities(self, grid: Sequence[Parameters], state: RoomState) -> Array:
+        """Return the density of ln ratio: normal about 0, and with `GROSS` about ln of the factors."""
+        logs = np.log([theta["ratio"] for theta in grid])
+
+        def normal(about: Array | float, sigma: float) -> Array:
+            return np.asarray(np.exp(-0.5 * ((logs - about) / sigma) ** 2) / sigma)
+
+        shares = np.tile([*self.FACTORS.values()], 2)
+        mistakes = self._mistakes()
+        if not state.directions_known:
+            shares = np.where((mistakes > 0) & (mistakes < np.log(5)), self.UNEVEN * shares, shares)
+        of_mistakes = np.sum(
+            [s * normal(x, self.WIDTH) for s, x in zip(shares, mistakes, strict=True)], axis=0
+        )
+        right = normal(0.0, state.volume_sigma)
+        return np.asarray((1 - self.GROSS) * right + self.GROSS * of_mistakes)
 
     def change(self, state: RoomState, parameters: Parameters) -> RoomState:
         """Return the room with that volume."""

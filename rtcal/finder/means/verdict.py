@@ -99,15 +99,19 @@ def estimate_size(
     steps. With it, a search improves the best set, and the size is evaluated in fine steps for it and
     for the three most probable sets of the other parameters.
     """
-    predicted = evidence.problem.predicted
+    problem = evidence.problem
+    predicted, base = problem.predicted, state(problem.case, problem.case.configurations[0])
     effect, rows = predicted.effects[name], evidence.rows[name]
     likelihood = evidence.by_hypothesis()[rows]
     grid = [predicted.parameters[i] for i in rows]
 
-    def evaluated(thetas: Sequence[Parameters]) -> Array:
-        return evidence.under(effect, thetas).by_hypothesis()[1:]
+    def log_density(thetas: Sequence[Parameters]) -> Array:
+        return np.log(np.maximum(effect.densities(thetas, base), _LEAST_DENSITY))
 
-    best = grid[int(np.argmax(likelihood))]
+    def evaluated(thetas: Sequence[Parameters]) -> Array:
+        return evidence.under(effect, thetas).by_hypothesis()[1:] + log_density(thetas)
+
+    best = grid[int(np.argmax(likelihood + log_density(grid)))]
     if precise:
         best = _searched(grid, best, effect.discrete, evaluated)
     if not np.isfinite(effect.neutral):
@@ -158,6 +162,10 @@ def estimate_size(
     cumulated = np.cumsum(by_size) - 0.5 * by_size
     interval = [float(np.interp(q, cumulated, size_of(fine))) for q in (0.05, 0.95)]
     return best, Size(float(by_size @ size_of(fine)), interval[0], interval[1], effect.unit, end)
+
+
+_LEAST_DENSITY = 1e-30
+"""Density below which parameters are impossible."""
 
 
 def _widened(p: Array, at: Array, spread: float) -> Array:

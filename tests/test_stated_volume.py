@@ -1,0 +1,184 @@
+"""A stated volume is believed: an equation that gives too little T is no wrong volume."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+import rtcal as rt
+from rtcal.finder import Case, Configuration
+from rtcal.finder.effects.whole_room import WrongVolume
+from rtcal.finder.means.finding import MeansFinding
+from rtcal.finder.model import RoomState, volume_sigma_of
+from rtcal.finder.prior import grid_weights
+from rtcal.simulators.geometry import Polyhedron
+from rtcal.simulators.path_tracing import PathTracing
+
+F = [125, 250, 500, 1000, 2000, 4000]
+SEATS, PLASTER = [0.28, 0.42, 0.58, 0.66, 0.7, 0.68], [0.1, 0.08, 0.06, 0.05, 0.05, 0.05]
+WOOD, STAGE = [0.15, 0.12, 0.1, 0.08, 0.07, 0.07], [0.3, 0.25, 0.2, 0.15, 0.1, 0.1]
+
+
+def hall(relative: float, **stated: Any) -> rt.Room:
+    alpha = np.array([SEATS, PLASTER, WOOD, STAGE])
+    return rt.Room(
+        **{
+            "name": "hall",
+            "volume": 9600.0,
+            "materials": ["seats", "plaster", "wood", "stage"],
+            "areas": [820, 2300, 700, 240],
+            "alpha": alpha,
+            "sigma": np.maximum(relative * alpha, 0.01),
+            "centre_frequencies": F,
+            "air": rt.Air(20, 50),
+            **stated,
+        }
+    )
+
+
+def heard(room: rt.Room, ratio: float, seed: int = 0) -> rt.Measurement:
+    """T by the equation times a ratio, as measured at twelve positions."""
+    noise = np.exp(0.02 * np.random.default_rng(seed).standard_normal((2, len(F))))
+    t20, edt = rt.Eyring().reverberation_time(room) * ratio * noise
+    return rt.Measurement(
+        centre_frequencies=F,
+        values={"t20": t20[None], "edt": edt[None]},
+        n_sources=2,
+        n_receivers=6,
+    )
+
+
+def found(room: rt.Room, measured: rt.Measurement, tmp_path: Any) -> MeansFinding:
+    case = Case(room=room, configurations=[Configuration(name="A", measured=measured)])
+    finding = rt.find(case, cache=tmp_path)
+    assert isinstance(finding, MeansFinding)
+    return finding
+
+
+def believed(finding: MeansFinding) -> bool:
+    """Whether a volume is neither claimed nor the first with 0.3."""
+    volume = finding.probabilities["volume"]
+    first = next(name for name in finding.probabilities if name != "none")
+    claimed = finding.verdict == "named" and finding.best_effect == "volume"
+    return not claimed and finding.family != "scale" and not (first == "volume" and volume >= 0.3)
+
+
+@pytest.mark.parametrize(
+    ("relative", "stated"), [(0.1, 0.0), (0.1, 0.02), (0.1, 0.05), (0.05, 0.0), (0.2, 0.0)]
+)
+def test_an_equation_with_too_little_t_is_no_wrong_volume(
+    relative: float, stated: float, tmp_path: Any
+) -> None:
+    """T is 1.4 times the equation's in every band. It was named: a volume 1.4 times as large (0.97)."""
+    room = hall(relative, volume_sigma=stated)
+    finding = found(room, heard(room, 1.4), tmp_path)
+    assert believed(finding), str(finding)
+    assert finding.probabilities["volume"] < 0.1
+
+
+@pytest.mark.parametrize(("true", "least"), [(0.5, 0.5), (2.0, 0.9)])
+def test_half_or_twice_the_volume_is_found(true: float, least: float, tmp_path: Any) -> None:
+    room = hall(0.1, dimensions=(20.0, 24.0, 20.0))
+    larger = room.replace(volume=room.volume * true, dimensions=None)
+    finding = found(room, heard(larger, 1.0), tmp_path)
+    assert finding.best_effect == "volume"
+    assert finding.probabilities["volume"] > least
+    size = finding.size
+    assert size is not None
+    assert size.low < true < size.high
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("scattering", [0.1, 0.3])
+@pytest.mark.parametrize("known", [True, False])
+@pytest.mark.parametrize("relative", [0.1, 0.2])
+@pytest.mark.parametrize(
+    ("sides", "floor", "ceiling", "walls"),
+    [
+        ((6.5, 8.4, 3.6), 0.5, 0.45, 0.03),
+        ((12.0, 9.0, 3.2), 0.05, 0.6, 0.06),
+        ((9.0, 15.0, 5.0), 0.55, 0.06, 0.05),
+        ((30.0, 18.0, 8.0), 0.05, 0.5, 0.05),
+        ((32.0, 20.0, 16.0), 0.6, 0.07, 0.08),
+    ],
+)
+def test_a_traced_room_has_its_stated_volume(
+    sides: tuple[float, float, float],
+    floor: float,
+    ceiling: float,
+    walls: float,
+    relative: float,
+    known: bool,
+    scattering: float,
+    tmp_path: Any,
+) -> None:
+    x, y, z = sides
+    alpha = np.repeat([[floor], [ceiling], [walls]], len(F), axis=1)
+    room = rt.Room(
+        name="box",
+        volume=x * y * z,
+        materials=["m1", "m2", "m3"],
+        areas=[x * y, x * y, 2 * (x + y) * z],
+        alpha=alpha,
+        sigma=np.maximum(relative * alpha, 0.01),
+        centre_frequencies=F,
+        air=rt.Air(20, 50),
+        scattering=np.full(alpha.shape, scattering),
+        dimensions=sides if known else None,
+    )
+    around = dict.fromkeys(("west", "east", "south", "north"), "m3")
+    tracer = PathTracing(
+        room=room,
+        geometry=Polyhedron.shoebox(sides, {**around, "floor": "m1", "ceiling": "m2"}),
+        sources={"S1": (0.3 * x, 0.28 * y, 1.5)},
+        receivers={"R1": (0.7 * x, 0.75 * y, 1.2), "R2": (0.52 * x, 0.6 * y, 1.3)},
+        n_paths=4000,
+    )
+    values = tracer.simulate(room.alpha, seed=1).values
+    measured = rt.Measurement(
+        centre_frequencies=F,
+        values={p: values[p].mean(axis=0, keepdims=True) for p in ("t20", "edt")},
+        n_sources=1,
+        n_receivers=2,
+    )
+    assert believed(found(room, measured, tmp_path))
+
+
+def test_a_volume_is_as_certain_as_it_is_stated() -> None:
+    room = hall(0.1)
+    mesh = room.replace(scene=rt.Scene(mesh="hall.obj"))
+    assert volume_sigma_of(room) == 0.1
+    assert volume_sigma_of(mesh) == 0.05
+    assert volume_sigma_of(mesh.replace(volume_sigma=0.02)) == 0.02
+    even = np.full((4, 3), 1 / 3)
+    for stated, sigma in ((room, 0.1), (mesh, 0.05), (room.replace(volume_sigma=0.02), 0.02)):
+        effect, state = WrongVolume(), RoomState.of_room(stated, np.eye(3)[[2, 0, 1, 2]])
+        grid = effect.grid(state)
+        logs, weights = (
+            np.log([theta["ratio"] for theta in grid]),
+            grid_weights(effect, grid, state),
+        )
+        near = np.abs(logs) < 4.01 * sigma
+        assert weights[near].sum() == pytest.approx(1 - WrongVolume.GROSS, abs=0.03)
+        spread = np.sqrt(weights[near] @ logs[near] ** 2 / weights[near].sum())
+        assert spread == pytest.approx(sigma, rel=0.1)
+        # 1.4 times as large is neither an uncertain volume nor a gross mistake.
+        assert weights[np.abs(np.abs(logs) - np.log(1.45)) < 0.05].sum() < 0.02
+        twice = weights[np.abs(logs - np.log(2)) < 0.16].sum()
+        uneven = replace(state, facing=even)
+        assert (
+            grid_weights(effect, grid, uneven)[np.abs(logs - np.log(2)) < 0.16].sum() < twice / 50
+        )
+
+
+def test_t_that_is_longer_in_every_band_is_said_as_what_it_most_often_is() -> None:
+    room = hall(0.1)
+    longer = rt.calibrate(room, heard(room, 1.4)).to_dict()["verdict"]
+    said = " ".join(map(str, longer.values())) if isinstance(longer, dict) else str(longer)
+    assert "T is longer in every band" in said
+    assert "the equation then gives too little T for this room" in said
+    shorter = str(rt.calibrate(room, heard(room, 0.7)).to_dict()["verdict"])
+    assert "T is longer in every band" not in shorter
