@@ -160,8 +160,6 @@ def test_two_changes_one_after_the_other_are_both_at_once(named: bool) -> None:
         )
         both = found.predict([one, two])
         same(both, found.predict([two, one]))
-        if named:  # a room that is given whole must say which way its new materials face
-            continue
         same(both, found.predict(changed(changed(found.prior, one), two)))
 
 
@@ -477,6 +475,13 @@ def test_what_faces_which_way_follows_the_changes() -> None:
     assert by_name["panel"].tolist() == [0, 0, 4, 0, 0]
     assert by_name["floor"][3] == pytest.approx(2)
     assert shares.areas.sum() == pytest.approx(total - 1)
+    # A room that is given whole: what comes in faces as what it takes the place of.
+    changes = [
+        Cover("ceiling", PANEL, 4),
+        Cover("walls", rt.Material("felt", [0.3] * 3, [0.1] * 3), 6),
+    ]
+    whole, stepwise = placed(room, changed(room, changes)), placed(room, changes)
+    assert whole.areas == pytest.approx(stepwise.areas)
     unnamed = placed(a_room(0, named=False), [Cover("one", PANEL, 4)])
     assert (unnamed.areas[:, 4] == unnamed.room.areas).all()
 

@@ -27,6 +27,8 @@ MOST_ADDED = 10.0
 """Largest area that is added, in shares of the room's surface: more is a slip of the decimal point."""
 MOST_VOLUME = 100.0
 """Largest ratio of the volumes before and after: more is a slip of the unit."""
+_SAME_AREA = 1e-6
+"""Relative difference below which what comes in has the area of what goes out."""
 _ROUNDING = 1e-9
 """Relative difference below which an area is the whole area."""
 
@@ -296,7 +298,8 @@ def placed(before: Room, changes: Sequence[Change] | Room, like: Placed | None =
     changes : sequence of Change, or Room
         A Room is the changed room itself.
     like : Placed, optional
-        A state whose materials face as they do there, where the room itself does not say.
+        Another state, where the room itself does not say: its materials face as they do there. What
+        comes in faces as what it takes the place of, and stands free where nothing went out.
 
     Raises DataError as `changed`.
 
@@ -313,10 +316,10 @@ def placed(before: Room, changes: Sequence[Change] | Room, like: Placed | None =
     towards[known, :3] = shares[known]
     towards[~known, UNKNOWN] = 1.0
     if like is not None:
-        for row in np.flatnonzero(~known).tolist():
-            if (name := before.materials[row]) in like.room.materials:
-                own = like.areas[like.room.materials.index(name)]
-                towards[row] = own / own.sum()
+        if not before.surfaces and before.dimensions is None:
+            # Names alone say less than the other state does.
+            known &= [m not in like.room.materials for m in before.materials]
+        _like(towards, before, np.flatnonzero(~known).tolist(), like)
     start = Placed(before, towards * before.areas[:, np.newaxis])
     if isinstance(changes, Room):
         return placed(changes, (), start)
@@ -346,6 +349,35 @@ def placed(before: Room, changes: Sequence[Change] | Room, like: Placed | None =
     rows = np.array([faces[name] for name in room.materials])
     # The room's own areas, to the last digit.
     return Placed(room, rows * (room.areas / rows.sum(axis=1))[:, np.newaxis])
+
+
+def _like(towards: Array, room: Room, unknown: Sequence[int], other: Placed) -> None:
+    """Fill in which way materials face, (n_materials, 5), from another state of the room."""
+    shares = dict(zip(other.room.materials, other.areas, strict=True))
+    has = dict(zip(room.materials, room.areas.tolist(), strict=True))
+    lost = {
+        name: own * (1 - has.get(name, 0.0) / own.sum())
+        for name, own in shares.items()
+        if own.sum() > has.get(name, 0.0) * (1 + _ROUNDING)
+    }
+    new = []
+    for row in unknown:
+        name = room.materials[row]
+        same = [m for m, gone in lost.items() if abs(gone.sum() / has[name] - 1) < _SAME_AREA]
+        if name in shares:
+            if not shares[name][UNKNOWN] or towards[row, UNKNOWN]:
+                towards[row] = shares[name] / shares[name].sum()
+        elif len(same) == 1:
+            gone = lost.pop(same[0])
+            towards[row] = gone / gone.sum()
+        else:
+            new.append(row)
+    gone = sum(lost.values(), np.zeros(len(DIRECTIONS)))
+    area = sum(has[room.materials[row]] for row in new)
+    for row in new:
+        covering = min(gone.sum() / area, 1.0)
+        towards[row] = covering * gone / max(gone.sum(), 1e-300)
+        towards[row, FREE] += 1 - covering
 
 
 def _bare(room: Room) -> Room:

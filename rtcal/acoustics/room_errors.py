@@ -84,7 +84,7 @@ class Assumptions:
     evenness: float = 0.6
     evenness_sigma: float = 0.8
     one_surface: float = 0.65
-    own: float = 0.1
+    own: float = 0.03
     changed: float = 0.1
     time: float = 0.05
     band_correlation: float = 0.7
