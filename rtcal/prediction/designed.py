@@ -165,8 +165,8 @@ def text_of(record: dict[str, Any]) -> str:
             *text.wrapped(f"Cost {record['cost']:.0f}. Cost by probability: {frontier}."),
             *text.wrapped(
                 f"Probability that all bands are in range at once: "
-                f"{record['probability_together']:.2f}. The probabilities are those of draws; a "
-                "band's is at most 0.01 off."
+                f"{record['probability_together']:.2f}. The probabilities are means over draws"
+                + ("." if record["prediction"]["measured_states"] > 1 else ", at most 0.01 off.")
             ),
             *(line for each in record["prediction"]["sentences"] for line in text.wrapped(each)),
         ]
