@@ -159,6 +159,8 @@ def test_gap_and_objective_are_at_most_those_of_the_start(name, prior, scale):
     result = fit(name, room, data, fit_scattering=False)
     before, after = rms(result.gap_before), rms(result.gap_after)
     assert after <= before + 1e-9
+    each = [rms(gap, axis=(1, 2)) for gap in (result.gap_before, result.gap_after)]
+    assert (each[1] <= np.maximum(each[0], 0.5) + 1e-9).all()  # none is given up for the others
     start = objective(result, result.before, room.alpha)
     assert objective(result, result.after, result.alpha) <= start * (1 + 1e-9)
     if prior == "none":
@@ -246,7 +248,7 @@ def test_a_fit_of_the_corrected_prior_of_a_tight_one_keeps_its_gap():
 
 
 @pytest.mark.parametrize("name", ["paths", "images", "program", "equation"])
-@pytest.mark.parametrize("factor", [0.7, 1.0, 3.0])
+@pytest.mark.parametrize("factor", [0.85, 1.0, 3.0])
 def test_no_loop_ends_farther_than_the_stated_coefficients(name, factor):
     room = stated(PRIORS["usual"])
     simulator = SIMULATORS[name](room)

@@ -126,10 +126,10 @@ class Listener:
         """Return measured less heard, (n_used,)."""
         return np.asarray((self.data.observations.values - self.values())[self.data.used])
 
-    def gap(self) -> float:
-        """Return the root mean square gap over all that is matched, in JND."""
-        measured = self.data.observations
-        return float(rms(self.data.gap(replace(measured, values=self.values()))))
+    def gaps(self) -> Array:
+        """Return root mean square gaps in JND: of all that is matched, and of each parameter."""
+        gap = self.data.gap(replace(self.data.observations, values=self.values()))
+        return np.array([rms(gap), *rms(gap, axis=(1, 2))])
 
     @property
     def of_level(self) -> NDArray[np.bool_]:
@@ -332,7 +332,7 @@ class LinearisedSimulator:
     """The simulator, linearised at ``start``, and the answer of the QP.
 
     ``offset`` (n_used,) is what the values used would rise by with the scattering as traced in place of
-    that stated, ``now`` the objective at ``start``, ``limit`` the largest gap in JND.
+    that stated, ``now`` the objective at ``start``, ``limit`` the largest gaps in JND.
     """
 
     listener: Listener
@@ -342,7 +342,7 @@ class LinearisedSimulator:
     offset: Array
     answer: CalibrationResult
     now: float
-    limit: float
+    limit: Array
 
     def towards(self, share: Array) -> LinearisationPoint:
         """Return what is heard at these shares of the way to the answer."""
@@ -360,7 +360,7 @@ class LinearisedSimulator:
             return np.array([True])
         residual = self.listener.residual() + self.offset
         value = _misfit(self.errors.factor, residual) + _others(self.answer, end.alpha)
-        return np.array([value > self.now or self.listener.gap() > self.limit])
+        return np.array([value > self.now or (self.listener.gaps() > self.limit).any()])
 
 
 Path = Steps[LinearisationPoint, LinearisedSimulator]
@@ -467,7 +467,10 @@ class PositionsFit:
         self._problem = _composed(_plain(room) if calibration is None else calibration).build(room)
         self._times = None if calibration is None else measured
         self._heard = listener.heard
-        self._residual, self._gap = listener.residual(), listener.gap()
+        self._residual, self._gaps = listener.residual(), listener.gaps()
+        self._no_limit = np.full(len(self._gaps), np.inf)
+        # No parameter is given up for the others, but for what is no more than noise.
+        self._limit = np.array([self._gaps[0], *np.maximum(self._gaps[1:], FITS)])
         self._unit = listener.data.in_values(np.ones(len(listener.data.used)))
         self._parameter = np.nonzero(listener.data.used)[0]
         self._inverse_sigma = np.divide(
@@ -494,24 +497,24 @@ class PositionsFit:
         errors = self._errors(listener, scattering, np.zeros(len(listener.data.used)))
         # The first steps only lead near: with errors that were found at the start, where a simulator
         # is far from what was measured, its curvature would count as an error.
-        path = self._steps(listener, errors, scattering, np.inf)
+        path = self._steps(listener, errors, scattering, self._no_limit)
         for _ in range(_PASSES):
             scattering, before = self._stated_scattering(), errors.unexplained
             errors, answer = self._errors(listener, scattering), path.steps[-1].model.answer
             begins_right = guarded and _keeps(answer, self.room.alpha)
             if begins_right and not self._is_nearer(listener, errors, answer):
                 listener.alpha, listener.heard = self.room.alpha, self._heard
-            limit = self._gap if begins_right else np.inf
+            limit = self._limit if begins_right else self._no_limit
             path = self._steps(listener, errors, scattering, limit)
             if np.abs(errors.unexplained - before).max() < _ALIKE:
                 break
-        misses = self._gap > FITS
+        misses = self._gaps[0] > FITS
         for weight in _GAP_WEIGHTS:
             if not (guarded and misses and np.array_equal(path.end.alpha, self.room.alpha)):
                 break
             # The objective falls along its own step and the gap rises: a step may lower both.
-            self._steps(listener, errors, scattering, self._gap, weight)
-            path = self._steps(listener, errors, scattering, self._gap)
+            self._steps(listener, errors, scattering, self._limit, weight)
+            path = self._steps(listener, errors, scattering, self._limit)
         refused = guarded and misses and np.array_equal(path.end.alpha, self.room.alpha)
         return Fitted(listener, path, errors, scattering, refused)
 
@@ -535,7 +538,7 @@ class PositionsFit:
             scattering = FittedScattering(tracer, materials, stated.errors)
             errors = self._errors(listener, scattering)
             best = self._better(best, Fitted(copy(listener), path, errors, scattering), scattering)
-            path = self._steps(listener, errors, scattering, np.inf)
+            path = self._steps(listener, errors, scattering, self._no_limit)
             ended = Fitted(listener, path, errors, scattering)
             best = self._better(best, ended, scattering)
             likely = materials.likely(ended.pull).round(DIGITS)
@@ -607,7 +610,7 @@ class PositionsFit:
         listener: Listener,
         errors: FitErrors,
         scattering: FittedScattering | None,
-        limit: float,
+        limit: Array,
         weight: float = 0.0,
     ) -> Path:
         """Take Gauss-Newton steps from where the listener is; it is left where they end.
@@ -627,7 +630,7 @@ class PositionsFit:
             answer = self._problem.solve(
                 self._times, observed={POSITIONS: numbers}, method="positions"
             )
-            now, most = np.inf, np.inf
+            now, most = np.inf, self._no_limit
             if _keeps(answer, at.alpha):  # else the objective is no measure, nor is the gap
                 now = _misfit(errors.factor, residual) + _others(answer, at.alpha)
                 most = limit
@@ -659,7 +662,7 @@ class PositionsFit:
                 (self._residual, self.room.alpha),
             )
         ]
-        return values[0] <= values[1] and listener.gap() <= self._gap
+        return values[0] <= values[1] and bool((listener.gaps() <= self._limit).all())
 
     def _better(
         self, best: Fitted | None, other: Fitted, scattering: FittedScattering
@@ -682,7 +685,7 @@ class PositionsFit:
         value = objective(listener.residual(), listener.alpha, materials.traced)
         if _keeps(answer, self.room.alpha):
             start = objective(self._residual, self.room.alpha, none)
-            if value > start or listener.gap() > self._gap:
+            if value > start or (listener.gaps() > self._limit).any():
                 return best
         if best is None or best.scattering is None:
             return other
