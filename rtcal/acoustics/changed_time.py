@@ -27,7 +27,7 @@ from __future__ import annotations
 import functools
 import hashlib
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 
 import numpy as np
@@ -63,6 +63,7 @@ _FIRST = 16
 """Draws before T before is taken into account, over those after it."""
 _LEAST = 1e-9
 """Least absorption coefficient of a draw: its logarithm is taken."""
+_EVERY = slice(None)
 _EVEN = 0.01
 """Relative difference of T below which the equations for uneven absorption say the same."""
 _MOST_OF_AXIS = 0.6
@@ -171,7 +172,7 @@ def normal_quantiles(centre: Array, sigma: Array, lower: Array) -> Array:
     return np.asarray(np.where(sigma[..., np.newaxis] > 0, cut, middle))
 
 
-@functools.lru_cache(1024)
+@functools.lru_cache(64)
 def normal_of(label: str, number: int) -> Array:
     """Return draws of a standard normal variable, (number,), that belong to a label.
 
@@ -336,13 +337,20 @@ class TimeChange:
         return np.where(known.measured[:, np.newaxis], 0.0, level)
 
 
-@functools.lru_cache(32)
+@functools.lru_cache(4)
 def _drawn_before(known: KnownRoom, assumptions: Assumptions) -> Unknowns:
-    drawn = _given(known, assumptions, _independent(known, assumptions))
+    """Return draws of what is known, given every measured T; band by band, as memory allows."""
+    each = [_given(known, assumptions, k) for k in range(known.room.n_bands)]
+    drawn = Unknowns(
+        **{
+            field.name: np.concatenate([getattr(one, field.name) for one in each])
+            for field in fields(Unknowns)
+        }
+    )
     return _given_others(known, assumptions, drawn) if known.others else drawn
 
 
-@functools.lru_cache(32)
+@functools.lru_cache(4)
 def _log_time_before(known: KnownRoom, assumptions: Assumptions) -> Array:
     """Return draws of ln T before, (n_bands, DRAWS), where the directions of the exchange are known."""
     before = _before(known)
@@ -393,58 +401,48 @@ def _new_material(
     return own.swapaxes(0, 1), factor.swapaxes(0, 1)
 
 
-def _independent(known: KnownRoom, assumptions: Assumptions) -> Unknowns:
-    """Return draws of what is known, before T is taken into account but by the calibration."""
-    number, names, n_bands = _FIRST * DRAWS, known.materials, known.room.n_bands
+def _independent(known: KnownRoom, assumptions: Assumptions, band: int) -> Unknowns:
+    """Return draws of what is known in a band, before T counts but by the calibration."""
+    number, names = _FIRST * DRAWS, known.materials
 
-    def every(label: str) -> Array:
-        return np.broadcast_to(normal_of(label, number), (n_bands, number))
+    def one(label: str) -> Array:
+        return normal_of(label, number)[np.newaxis]
 
     own = np.array([normal_of(f"alpha of {name}", number) for name in names])
-    value, vector = np.linalg.eigh(known.correlation)
-    root = (vector * np.sqrt(np.maximum(value, 0))[:, np.newaxis]) @ vector.swapaxes(1, 2)
-    sigma = _factor_sigma(known.alpha, _area_sigma(known, assumptions), assumptions).T
+    value, vector = np.linalg.eigh(known.correlation[band])
+    root = (vector * np.sqrt(np.maximum(value, 0))) @ vector.T
+    here = slice(band, band + 1)
+    sigma = _factor_sigma(known.alpha[:, here], _area_sigma(known, assumptions), assumptions)
     factors = np.array([normal_of(f"factor of {name}", number) for name in names])
+    alpha = _alpha((root @ own)[:, np.newaxis], known.quantiles[:, here])
     return Unknowns(
-        alpha=_alpha((root @ own).swapaxes(0, 1), known.quantiles).swapaxes(0, 1),
-        factor=sigma[:, :, np.newaxis] * factors,
-        evenness=_evenness(every("evenness"), assumptions),
-        air=every("air"),
-        volume=every("volume"),
-        alone=every("place") > ndtri(1 - assumptions.one_surface),
+        alpha=alpha.swapaxes(0, 1),
+        factor=(sigma * factors)[np.newaxis],
+        evenness=_evenness(one("evenness"), assumptions),
+        air=one("air"),
+        volume=one("volume"),
+        alone=one("place") > ndtri(1 - assumptions.one_surface),
     )
 
 
-def _given(known: KnownRoom, assumptions: Assumptions, drawn: Unknowns) -> Unknowns:
+def _given(known: KnownRoom, assumptions: Assumptions, band: int) -> Unknowns:
     """Return as many draws as are kept, drawn by the likelihood of T before: systematic resampling.
 
     ln T before is normal about that of the draw, with the uncertainty of the measured T. In a band
     without a measured T every draw is as likely.
     """
-    before = _before(known)
-    log_time = _States(known, (before, before), known.materials).log_time(0, drawn, assumptions)
-    u = np.nan_to_num(known.log_uncertainty, nan=assumptions.time)
-    off = (log_time - np.log(known.time)[:, np.newaxis]) / np.maximum(u, _LEAST_UNCERTAINTY)[
-        :, np.newaxis
-    ]
-    off = np.where(known.measured[:, np.newaxis], off, 0.0)
-    weight = np.exp(-(off**2 - (off**2).min(axis=1, keepdims=True)) / 2)
+    drawn, before = _independent(known, assumptions, band), _before(known)
+    off = np.zeros(_FIRST * DRAWS)
+    if known.measured[band]:
+        states = _States(known, (before, before), known.materials)
+        log_time = states.log_time(0, drawn, assumptions, slice(band, band + 1))[0]
+        u = float(np.nan_to_num(known.log_uncertainty[band], nan=assumptions.time))
+        off = (log_time - np.log(known.time[band])) / max(u, _LEAST_UNCERTAINTY)
+    weight = np.cumsum(np.exp(-(off**2 - (off**2).min()) / 2))
     levels = (np.arange(DRAWS) + 0.5) / DRAWS
-    kept = np.array(
-        [np.minimum(np.searchsorted(np.cumsum(w) / w.sum(), levels), len(w) - 1) for w in weight]
-    )
-
-    def at(values: Array) -> Array:
-        return np.take_along_axis(values, kept, axis=1)
-
-    each = kept[:, np.newaxis]
+    kept = np.minimum(np.searchsorted(weight / weight[-1], levels), len(weight) - 1)
     return Unknowns(
-        alpha=np.take_along_axis(drawn.alpha, each, axis=2),
-        factor=np.take_along_axis(drawn.factor, each, axis=2),
-        evenness=at(drawn.evenness),
-        air=at(drawn.air),
-        volume=at(drawn.volume),
-        alone=np.take_along_axis(drawn.alone, kept, axis=1),
+        **{each.name: getattr(drawn, each.name)[..., kept] for each in fields(Unknowns)}
     )
 
 
@@ -582,16 +580,18 @@ class _States:
                 ratio = np.maximum(ratio, 0.0)
         return np.asarray(ratio)
 
-    def log_time(self, state: int, unknowns: Unknowns, assumed: Assumptions) -> Array:
-        """Return draws of ln T of a state, (n_bands, n_draws)."""
+    def log_time(
+        self, state: int, unknowns: Unknowns, assumed: Assumptions, bands: slice = _EVERY
+    ) -> Array:
+        """Return draws of ln T of a state in some bands, (n_bands, n_draws)."""
         room, equation, first = self.both[state].room, self.known.equation, self.both[0].room
         areas = self.areas[state].sum(axis=1)
         total = areas.sum()
         size = max(first.volume_sigma, room.volume_sigma) or assumed.volume
         grown = np.exp(size * unknowns.volume)
         volume = first.volume + (room.volume - first.volume) * grown
-        error = np.exp(self._air_sigma[:, np.newaxis] * unknowns.air)
-        air = 4 * room.air_attenuation[:, np.newaxis] * error * volume
+        error = np.exp(self._air_sigma[bands, np.newaxis] * unknowns.air)
+        air = 4 * room.air_attenuation[bands, np.newaxis] * error * volume
         mean = np.einsum("n,knd->kd", areas, unknowns.absorption) / total
         walls = total * self._exponent(mean)
         log_time = np.log(equation.room_constant(room) * volume / (walls + air))
