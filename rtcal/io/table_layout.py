@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
@@ -12,12 +12,13 @@ from rtcal.io.table_columns import (
     Column,
     column_of,
     frequency_of,
+    is_unused,
     name_and_unit,
     parameter_of,
     position_of,
     repeat_of,
 )
-from rtcal.io.table_words import STATISTICS, WHOLE_RANGES, is_missing, plain
+from rtcal.io.table_words import DOUBTFUL, WHOLE_RANGES, is_missing, plain, statistic_of
 from rtcal.io.text import shown
 from rtcal.support.errors import DataError
 from rtcal.support.text import first_of
@@ -133,10 +134,16 @@ class Headers:
         self.path, self.decay_time = path, decay_time
         self.extra_columns = extra_columns
 
-    def column(self, header: str, place: str) -> Column | None:
-        """Return the column of a header, None for an unknown one."""
+    def column(self, header: str, place: str, among: Sequence[str] = ()) -> Column | None:
+        """Return the column of a header, None for an unknown one.
+
+        "R2" is a correlation, or a receiver ``among`` headers of which another is one.
+        """
         if header in self.extra_columns:
             return Column("", header)
+        own = position_of(header) if is_unused(header) else None
+        if own and any(position_of(other) and not is_unused(other) for other in among):
+            return Column("data", header, source=own[0], receiver=own[1])
         return column_of(header, place, self.decay_time)
 
     def names(self, cells: list[str]) -> tuple[int, bool]:
@@ -144,7 +151,7 @@ class Headers:
         count, complete = 0, True
         for cell in filter(None, cells):
             try:
-                column = self.column(cell, "")
+                column = self.column(cell, "", cells)
             except DataError:  # a name with an unknown unit or band
                 count += not _BARE_NUMBER.fullmatch(cell)
                 complete = False
@@ -210,7 +217,12 @@ class Headers:
         while cells and not cells[-1]:
             cells = cells[:-1]
         try:
-            columns = [self.column(cell, "") for cell in cells]
+            columns = [
+                Column("", cell)
+                if i and statistic_of(cell) is not None
+                else self.column(cell, "", cells)
+                for i, cell in enumerate(cells)
+            ]
         except DataError:
             return False
         return len(columns) > 1 and all(columns) and _has_corner([c for c in columns if c])
@@ -275,11 +287,17 @@ class Headers:
         if not any(not top[i] and below[i] for i in range(first, width)):
             return None
         columns, name, n_completed = [], "", 0
+        of_positions = any(map(position_of, top))
         try:
             for upper, lower in zip(top, below, strict=True):
                 name = upper or name
-                over = self.column(name, f"{self.path}, line {line}") if name else None
-                under = self.column(lower, f"{self.path}, line {below_line}") if lower else None
+                if of_positions and statistic_of(name) not in (None, DOUBTFUL):
+                    columns.append(Column("", name))
+                    continue
+                over = self.column(name, f"{self.path}, line {line}", top) if name else None
+                under = (
+                    self.column(lower, f"{self.path}, line {below_line}", below) if lower else None
+                )
                 both = over.completed(under) if over and under else None
                 column = both or (under if lower else over if upper else None)
                 if column is None:
@@ -291,14 +309,14 @@ class Headers:
         return columns if n_completed > 1 else None
 
     def with_units(
-        self, header: list[str], body: list[Row]
+        self, header: list[str], body: list[Row], words: Collection[str] = UNIT_WORDS
     ) -> tuple[list[str], list[Row], int | None]:
         """Return the header with the units of the line below it, the rows after it, and its number."""
         if not body:
             return header, body, None
         line, cells = body[0]
         units = (cells + [""] * len(header))[: len(header)]
-        is_unit = [u.strip("[]()").lower() in UNIT_WORDS for u in units]
+        is_unit = [u.strip("[]()").lower() in words for u in units]
         named = [u for u, is_word in zip(units, is_unit, strict=True) if is_word and u not in "-1"]
         if not named or not all(
             is_word or not u for u, is_word in zip(units, is_unit, strict=True)
@@ -316,11 +334,17 @@ class Headers:
         columns, unknown = [], []
         of_positions, of_bands = any(map(position_of, header)), any(map(frequency_of, header))
         for i, name in enumerate(header):
-            if of_positions and i and name.lower() in STATISTICS:
+            statistic = statistic_of(name) if of_positions and i else None
+            if statistic is not None:
+                if statistic == DOUBTFUL:
+                    raise DataError(
+                        f'{place}: column "{shown(name)}" may be a statistic or a position: delete it; '
+                        "or, if it is a position, name its receiver, as R7"
+                    )
                 columns.append(Column("", name))
                 continue
             cells = [row[i] for _, row in body if len(row) > i and row[i]]
-            column = self.column(name, place) if name else Column("") if not cells else None
+            column = self.column(name, place, header) if name else Column("") if not cells else None
             if column is None and plain(name) in WHOLE_RANGES and of_bands:
                 column = Column("", name)
             if column is None and i == 0 and not name:

@@ -23,12 +23,14 @@ from rtcal.io.table_columns import (
 )
 from rtcal.io.table_layout import Row, TableLayout
 from rtcal.io.table_words import (
+    DOUBTFUL,
     FORMULA_ERRORS,
-    STATISTICS,
     WHOLE_RANGES,
+    is_count,
     is_missing,
     parameters,
     plain,
+    statistic_of,
 )
 from rtcal.io.text import number, shown, unit_of
 from rtcal.support.errors import DataError
@@ -107,6 +109,7 @@ class Reader:
         is_summary = bool(counts) or {"sources", "receivers", "standard_deviation"} & {*kinds}
         self.named = bool(position[1])
         self.formula_errors: list[str] = []  # the places of values that are missing for it
+        self.statistics: dict[str, None] = {}  # names of the rows of statistics over positions
         self.unnamed_means = False  # whether a mean without a parameter or band was left out
         self.pair = (position[0] or "S1", position[1] or "R1")
         if is_summary and not self.has_positions:
@@ -130,7 +133,7 @@ class Reader:
             (line, cells[at[0]])
             for line, cells in self.layout.rows
             if at
-            and cells[at[0]].lower() not in STATISTICS
+            and statistic_of(cells[at[0]]) in (None, DOUBTFUL)
             and any(
                 column.kind in ("data", "value") and not is_missing(cell)
                 for column, cell in zip(columns, cells, strict=True)
@@ -161,7 +164,7 @@ class Reader:
                 for column, cell in zip(self.layout.columns, cells, strict=True)
                 if column.kind not in ("data", "")
             }
-            statistic = self._statistic(entries, place)
+            statistic = self._statistic(entries, cells, place)
             rows += [
                 (statistic, place, *value)
                 for value in self._values(cells, entries, statistic, place)
@@ -239,19 +242,44 @@ class Reader:
             raise DataError(f'{self.header_place}: no row has "{shown(selection)}"')
         return rows
 
-    def _statistic(self, entries: Mapping[str, str], place: str) -> str | None:
-        """Return the statistic of a row of means or deviations; None for single values."""
+    def _statistic(
+        self, entries: Mapping[str, str], cells: Sequence[str], place: str
+    ) -> str | None:
+        """Return the statistic of a row of means or deviations; None for single values.
+
+        A mean over the sources at one receiver is no value of this table's, and is left out.
+        """
         if "statistic" in entries:
-            word = entries["statistic"].lower()
-            if word not in STATISTICS:
+            word = entries["statistic"]
+            found = statistic_of(word)
+            if found in (None, DOUBTFUL):
                 raise DataError(
-                    f'{place}: statistic "{shown(word)}" is none of {", ".join(STATISTICS)}'
+                    f'{place}: statistic "{shown(word)}" is no known one, as mean, standard deviation, '
+                    "minimum, median and count are"
                 )
-            return STATISTICS[word]
-        receiver, source = (entries.get(name, "").lower() for name in ("receiver", "source"))
-        if receiver in ("", *STATISTICS) and source in STATISTICS:
-            return STATISTICS[source]
-        return STATISTICS.get(receiver)
+            return found
+        receiver, source = (entries.get(name, "") for name in ("receiver", "source"))
+        named = {name: statistic_of(name) for name in (receiver, source) if name}
+        statistics = {name: kind for name, kind in named.items() if kind is not None}
+        if not statistics:
+            return None
+        values = [
+            cell
+            for column, cell in zip(self.layout.columns, cells, strict=True)
+            if column.kind in ("data", "value") and not is_missing(cell)
+        ]
+        for name, kind in statistics.items():
+            counts = not is_count(name) or all(cell.isdecimal() for cell in values)
+            if values and (kind == DOUBTFUL or not counts):
+                raise DataError(
+                    f'{place}: "{shown(name)}" may be a statistic or a remark, or a position: delete '
+                    "the row; or, if it is a position, give it another name"
+                )
+        name, kind = next(iter(statistics.items()))
+        self.statistics[name] = None
+        if receiver and receiver not in statistics:
+            return ""
+        return kind
 
     def _values(
         self, cells: list[str], entries: Mapping[str, str], statistic: str | None, place: str

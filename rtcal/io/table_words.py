@@ -123,73 +123,132 @@ COLUMNS = {
 }
 """What a column holds (`rtcal.io.table_columns.Column.kind`) by its header."""
 
-STATISTICS = {
-    **dict.fromkeys(
-        (
-            "mean",
-            "average",
-            "avg",
-            "avg.",
-            "mittel",
-            "mittelwert",
-            "mw",
-            "durchschnitt",
-            "arithm. mittel",
-            "spatial average",
-            "moyenne",
-            "promedio",
-            "media",
-            "ø",
-        ),
-        "value",
-    ),
-    **dict.fromkeys(
-        (
-            "sd",
-            "std",
-            "std.",
-            "stdev",
-            "std. dev.",
-            "std dev",
-            "std. deviation",
-            "stdabw",
-            "stabw",
-            "stabw.",
-            "standardabw.",
-            "std.abw.",
-            "stddev",
-            "sigma",
-            "σ",
-            "écart-type",
-            "ecart-type",
-            "desviación estándar",
-            "dev. std",
-            "dev. standard",
-            "deviazione standard",
-            "standard deviation",
-            "standardabweichung",
-        ),
-        "standard_deviation",
-    ),
-    **dict.fromkeys(
-        (
-            "min",
-            "max",
-            "median",
-            "minimum",
-            "maximum",
-            "range",
-            "spannweite",
-            "streuung",
-            "number of measurements",
-            "n",
-            "count",
-            "anzahl",
-        ),
-        "",
-    ),
-}
-"""Names of statistics over positions: of means, of standard deviations, and of what is not read."""
+_MEANS = frozenset(
+    _words(
+        "mean means meanvalue average averages averaged avg mittel mittelwert mittelwerte mw mittelung "
+        "gemittelt durchschnitt moyenne moyennes moy promedio media média medio medie gemiddelde "
+        "gesamt gesamtmittel gesamtmittelwert raummittel raummittelwert insgesamt total overall "
+        "ensemble ø ∅ µ"
+    )
+)
+_DEVIATIONS = frozenset(
+    _words(
+        "sd std stdev stddev stdabw stabw standardabw standardabweichung stdabweichung abw sigma σ "
+        "deviation deviazione desviación desviacion desvio écart ecart dev"
+    )
+)
+_OTHER_STATISTICS = frozenset(
+    _words(
+        "min max minimum maximum median mediane médiane mediana range spannweite streuung variance "
+        "varianz standardfehler sem error cv percentile perzentil quantile uncertainty unsicherheit "
+        "messunsicherheit incertitude incertidumbre incertezza incerteza"
+    )
+)
+_COUNTS = frozenset(_words("n count anzahl nombre"))
+_NO_POSITIONS = frozenset(
+    _words(
+        "soll sollwert target limit grenzwert anforderung requirement toleranz tolerance result "
+        "ergebnis résultat resultado risultato summe sum somme suma summary zusammenfassung jnd"
+    )
+)
+"""What is no place either: a row called so is refused, since it may be anything."""
+_SHORT = frozenset(_words("mw moy sd std dev abw sigma σ µ"))
+"""Statistics that numbered places may be called, too: "MW 1" is a place, "Mean 1" is in doubt."""
+_BEFORE_COUNT = frozenset(
+    _words("n k of von aus over über ueber sur de des di dei del do da su sobre")
+)
+_OF_STATISTICS = frozenset(
+    _words(
+        "all alle aller allen every the der die das les la le el los las y and und et tous toutes "
+        "todos todas tutti tutte pos position positions positionen posiciones posición posicion posizioni "
+        "posições mic mics microphone microphones mikrofon mikrofone mikrofonen receiver receivers "
+        "empfänger receptores récepteurs source sources quelle quellen measurement measurements "
+        "messung messungen medidas mesures misure point points punkt punkte punkten puntos punti "
+        "value values wert werte valor valeur room raum spatial spatiale räumlich räumliche räumlicher "
+        "räumliches espacial spaziale arithmetic arithm arithmetisch arithmetische arithmetischer "
+        "arithmetisches arithmétique aritmética aritmetica number standard estándar estandar "
+        "padrão padrao type pairs paare combinations kombinationen s sec ms"
+    )
+)
+_SEPARATORS = re.compile(r"[\s()\[\]{},;:=/_+.\-\u2013]+")
+_IN_BRACKETS = re.compile(r"[(\[]\s*(\d+)\s*[)\]]")
+_EXPANDED = re.compile(r"u\w?\s*[(\[]?\s*k\s*=.*")
+
+DOUBTFUL = "?"
+"""`statistic_of` a name that may be a statistic's, and may be a place's."""
+
+
+def statistic_of(name: str) -> str | None:
+    """Return the statistic over positions that a row, column or sheet is called after.
+
+    It is "value" for a mean, "standard_deviation", and "" for one that is not read (the least, the
+    median, a number of positions). `DOUBTFUL` is returned for a name with such a word and others, and
+    None for any other name.
+
+    Examples
+    --------
+    >>> [statistic_of(n) for n in ("Mean (n=2)", "T20 mean", "Mittel (alle)", "écart-type", "Max of 6")]
+    ['value', 'value', 'value', 'standard_deviation', '']
+    >>> [statistic_of(n) for n in ("Mean stalls", "Mean 2", "Mittelgang", "R2", "MW 2")]
+    ['?', '?', None, None, None]
+    """
+    name = name.strip().lower()
+    if not name or len(name) > _LONGEST_STATISTIC:
+        return None
+    if _EXPANDED.fullmatch(name):
+        return ""
+    in_brackets = _IN_BRACKETS.findall(name)
+    words = [w for token in _SEPARATORS.split(name) if token for w in _parts(token)]
+    if len(words) == 1 and words[0] in _COUNTS:
+        return ""
+    if words and all(w in _NO_POSITIONS or _is_parameter(w) for w in words):
+        return DOUBTFUL if any(w in _NO_POSITIONS for w in words) else None
+    if {"number", "nombre", "anzahl"} & {*words[:1]} and all(
+        w in _OF_STATISTICS | _BEFORE_COUNT | _COUNTS for w in words
+    ):
+        return ""
+    named = [w for w in words if w in _MEANS | _DEVIATIONS | _OTHER_STATISTICS]
+    if not named:
+        return None
+    bare = False
+    for i, word in enumerate(words):
+        if word.isdecimal():
+            before, after = words[i - 1] if i else "", words[i + 1] if i + 1 < len(words) else ""
+            bare |= not (word in in_brackets or before in _BEFORE_COUNT or after in _OF_STATISTICS)
+        elif word not in named and not (
+            word in _OF_STATISTICS | _BEFORE_COUNT or _is_parameter(word)
+        ):
+            return None if {*named} <= _OTHER_STATISTICS else DOUBTFUL
+    if bare:
+        return None if {*named} <= _SHORT | _OTHER_STATISTICS else DOUBTFUL
+    if any(w in _OTHER_STATISTICS for w in named):
+        return ""
+    return "standard_deviation" if any(w in _DEVIATIONS for w in named) else "value"
+
+
+def is_count(name: str) -> bool:
+    """Return whether a row is called after the number of positions, as a place to the north may be."""
+    return name.strip().lower() in _COUNTS
+
+
+_LONGEST_STATISTIC = 80
+
+
+def _parts(token: str) -> list[str]:
+    """Return the words of one that is written together, as "T20mean" and "Mean6" are."""
+    if token in _MEANS or _is_parameter(token):
+        return [token]
+    for word in sorted(_MEANS, key=len, reverse=True):
+        if len(word) > 2 and token != word and word in (token[: len(word)], token[-len(word) :]):
+            rest = token[len(word) :] if token.startswith(word) else token[: -len(word)]
+            if rest.isdecimal() or _is_parameter(rest):
+                return [word, rest] if token.startswith(word) else [rest, word]
+    return [token]
+
+
+def _is_parameter(word: str) -> bool:
+    return word in parameters() or word in OPEN_DECAY_TIMES or word in UNUSED_PARAMETERS
+
 
 FORMULA_ERRORS = ("#div/0!", "#wert!", "#value!")
 """What a spreadsheet shows for a formula that has no result."""

@@ -43,11 +43,13 @@ from rtcal.io.table_columns import (
 )
 from rtcal.io.table_layout import Sheet, TableLayout, has_header, layout_of
 from rtcal.io.table_values import Key, Reader, Values
+from rtcal.io.table_words import DOUBTFUL, statistic_of
 from rtcal.io.text import decode, shown
 from rtcal.support import checks
 from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError
 from rtcal.support.files import read_bytes
+from rtcal.support.text import first_of
 
 __all__ = ["FORMATS", "Table", "measurement", "parse", "read", "write"]
 __dir__ = __all__.copy
@@ -57,6 +59,8 @@ MAX_BYTES = 2**22
 """Largest size of a table in bytes; a workbook of 5000 positions, compressed, is a tenth of it."""
 _MOST_COLUMNS = 20
 """Largest number of columns that a message names."""
+_MOST_STATISTICS = 6
+"""Largest number of rows of statistics that a message names."""
 
 FORMATS: list[Any] = [workbook, text_tables]
 """Formats beside text with separators. Each has ``claims(content)`` and
@@ -180,6 +184,9 @@ def parse(
         chosen, left_out = _chosen(of_file, sheets, path, decay_time)
         notes += left_out
         found += _layouts(chosen, decay_time, columns)
+    if not sheets:
+        found, left_out = _of_places(found)
+        notes += left_out
     _check_options(found, parameter=parameter, decay_time=decay_time, ignore=ignore)
     of_titles = [t for _, layout in found for t in layout.titles]
     of_names = [n for _, layout in found for n in layout.cells("receiver") if position_in(n)]
@@ -266,6 +273,28 @@ def _chosen(
     ] or of_file
     left_out = [f'"{shown(s.name)}"' for s in of_file if s not in chosen]
     return chosen, [f"left out, without a header: {', '.join(left_out)}"] if left_out else []
+
+
+def _of_places(
+    found: list[tuple[Sheet, TableLayout]],
+) -> tuple[list[tuple[Sheet, TableLayout]], list[str]]:
+    """Return the tables without those called after a statistic beside others of a position each."""
+    names = {id(sheet): sheet.position[1] or sheet.name for sheet, _ in found}
+    kinds = {key: statistic_of(name) for key, name in names.items()}
+    if not any(any(_position(sheet)) for sheet, _ in found if kinds[id(sheet)] is None):
+        return found, []
+    for sheet, _ in found:
+        if kinds[id(sheet)] == DOUBTFUL:
+            raise DataError(
+                f'{sheet.place}: "{shown(names[id(sheet)])}" may be a statistic or a position: leave '
+                "it out; or, if it is a position, name its receiver, as R7"
+            )
+    left_out = [f'"{shown(names[key])}"' for key, kind in kinds.items() if kind is not None]
+    kept = [(sheet, layout) for sheet, layout in found if kinds[id(sheet)] is None]
+    if not left_out:
+        return kept, []
+    which = first_of(left_out, _MOST_STATISTICS)
+    return kept, [f"tables of means and deviations beside single positions are left out: {which}"]
 
 
 def _layouts(
@@ -427,6 +456,9 @@ def _named_by_rows(
 
 
 def _position(sheet: Sheet) -> tuple[str, str]:
+    """Return the source and receiver that a table is called after; a mean has none."""
+    if not sheet.position[0] and statistic_of(sheet.position[1]) not in (None, DOUBTFUL):
+        return "", ""
     return sheet.position if any(sheet.position) else position_of(sheet.name) or ("", "")
 
 
@@ -441,6 +473,11 @@ def _table(
     values = single or of_several
     places = ", ".join(dict.fromkeys(r.header_place for r in readers))
     if not values:
+        if any(reader.unnamed_means for reader in readers):
+            raise DataError(
+                f"{places}: no row of a position, and only of means: delete the column that names "
+                "them, and state n_sources and n_receivers"
+            )
         raise DataError(f"{places}: no row with a value below the header")
     pairs = list(dict.fromkeys(key[:2] for key in values))
     placed = places_of(pairs)
@@ -451,8 +488,14 @@ def _table(
         if len(readers) > 1:
             report.append(f"{reader.header_place}:")
         report += reader.report(pairs)
-    if single and (of_several or any(reader.unnamed_means for reader in readers)):
-        notes = ["rows of means and deviations beside single positions are left out", *notes]
+    if single and (of_several or any(reader.statistics for reader in readers)):
+        named = dict.fromkeys(n for reader in readers for n in reader.statistics)
+        which = first_of([f'"{shown(n)}"' for n in named], _MOST_STATISTICS)
+        left_out = "rows of means and deviations beside single positions are left out"
+        notes = [f"{left_out}: {which}" if named else left_out, *notes]
+    elif unused := [n for r in readers for n in r.statistics if statistic_of(n) == ""]:
+        which = first_of([f'"{shown(n)}"' for n in unused], _MOST_STATISTICS)
+        notes = [f"rows of other statistics are left out: {which}", *notes]
     # What stands after the first line of a single table's report is about the columns.
     report[1:1] = notes if len(readers) == 1 else []
     report += [] if len(readers) == 1 else notes

@@ -18,6 +18,7 @@ from __future__ import annotations
 
 import csv
 import re
+from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
 from pathlib import PureWindowsPath
 
@@ -59,11 +60,19 @@ def sheet_of_text(
         named = {s: headers.names(rows[headers.header(rows)][1])[0] for s, rows in tables.items()}
         best = max(named.values(), default=0)
         likely = [s for s in candidates if named.get(s, 0) == best]
-        chosen = next((s for s in likely if s in first), likely[0])
+        # A title and decimals may have commas, where most lines have equally many semicolons.
+        even = (s for s in likely if s in tables and _is_even(tables[s]))
+        chosen = next(even, None) or next((s for s in likely if s in first), likely[0])
     rows = tables[chosen] if chosen in tables else _rows(characters, chosen, path)
     by = "blanks" if aligned and chosen == "\t" else repr(chosen)
     note = f"text in {text.encoding}, columns separated by {by}"
     return Sheet(path, tuple(rows), note)
+
+
+def _is_even(rows: Sequence[Row]) -> bool:
+    """Return whether half of the rows or more have equally many cells, and more than one."""
+    widths = Counter(len(cells) for _, cells in rows if len(cells) > 1)
+    return bool(widths) and 2 * max(widths.values()) >= max(len(rows), 4)
 
 
 def _stated_separator(characters: str) -> tuple[str | None, str]:

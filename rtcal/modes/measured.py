@@ -23,9 +23,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtcal.acoustics.observables import TARGET
+from rtcal.acoustics.observables.decay_times import LIMITS
 from rtcal.acoustics.repeats import fingerprint
+from rtcal.io import workbook
 from rtcal.io.table_columns import name_and_unit
-from rtcal.io.table_layout import Headers
+from rtcal.io.table_layout import Headers, Sheet
+from rtcal.io.table_words import COLUMNS, OPEN_DECAY_TIMES, plain
 from rtcal.io.text import MAX_TEXT, decode, number, shown
 from rtcal.io.text_tables import sheet_of_text
 from rtcal.modes.room_modes import DECAY
@@ -38,14 +41,23 @@ from rtcal.support.types import Array, read_only
 __all__ = ["MeasuredModes", "read"]
 __dir__ = __all__.copy
 
-_LARGEST_FREQUENCY = 1000.0
+_LEAST_FREQUENCY, _LARGEST_FREQUENCY = 1.0, 1000.0
+_DECAY_TIMES = 0.03, 30.0
+"""Decay times of modes in s that need no unit: outside, ms is likelier."""
+_LARGEST_UNCERTAINTY = 0.3
+"""Relative uncertainty that needs no unit: above, % or ms is likelier."""
 _UNITS = {
     "frequency": {"": 1.0, "Hz": 1.0, "kHz": 1000.0},
     "decay": {"": 1.0, "1/s": 1.0, "s^-1": 1.0, "s-1": 1.0},
     "T": {"": 1.0, "s": 1.0, "ms": 1e-3},
 }
-_WORDS = {"frequency": "frequency", "f": "frequency", "decay": "decay", "delta": "decay"}
-_WORDS |= dict.fromkeys(("t", "t60", "rt", "mt60"), "T")
+_WORDS = dict.fromkeys((word for word, kind in COLUMNS.items() if kind == "band"), "frequency")
+_WORDS |= dict.fromkeys(("decay", "delta", "δ", "abklingkonstante", "decayconstant"), "decay")
+_WORDS |= dict.fromkeys((*OPEN_DECAY_TIMES, "mt60", "decaytime"), "T")
+_UNIT_WORDS = {
+    word.lower() for units in (*_UNITS.values(), {"%": 1, "-": 1}) for word in units if word
+}
+_LIKELY = {"frequency": "kHz", "T": "ms", "decay": "1/s"}
 _RELATIVE = {"%": 0.01, "percent": 0.01}
 _NUMBERS = ("frequencies", "decays", "decay_uncertainty", "frequency_uncertainty")
 _OF_MODES = (*_NUMBERS, "amplitudes", "calculated")
@@ -116,6 +128,18 @@ class MeasuredModes:
             equal = self.frequencies[bad] == self.frequencies[bad - 1]
             wrong = "is given twice" if equal else "is not above the one before it"
             raise DataError(f"frequencies[{bad}] = {self.frequencies[bad]:g} Hz {wrong}")
+        if self.frequencies[0] < _LEAST_FREQUENCY:
+            raise DataError(
+                f"frequencies[0] = {self.frequencies[0]:g} Hz is below {_LEAST_FREQUENCY:g} Hz, where "
+                "no room has modes; is the unit kHz?"
+            )
+        low, high = DECAY / LIMITS[1], DECAY / LIMITS[0]
+        if (outside := (self.decays < low) | (self.decays > high)).any():
+            bad = int(np.argmax(outside))
+            raise DataError(
+                f"decays[{bad}] = {self.decays[bad]:g} 1/s is a decay time of "
+                f"{DECAY / self.decays[bad]:.3g} s, and no room's is outside {LIMITS[0]:g} to {LIMITS[1]:g} s; is the unit another?"
+            )
         if self.frequencies[-1] > _LARGEST_FREQUENCY:
             raise DataError(
                 f"frequencies[{n - 1}] = {self.frequencies[-1]:g} Hz is above {_LARGEST_FREQUENCY:g} "
@@ -168,11 +192,13 @@ class MeasuredModes:
 
 @checked
 def read(path: str | os.PathLike[str]) -> MeasuredModes:
-    r"""Read a table (CSV) of modes.
+    r"""Read a table (CSV, or a workbook's sheet) of modes.
 
     Columns: ``frequency`` in Hz; ``decay`` in 1/s or ``T`` in s; ``u_decay`` or ``u_T``, their standard
-    uncertainty; and ``u_frequency``, which may be left out. A header may state another unit: kHz, ms
-    or, of an uncertainty, %. Decimals may have a comma where columns are separated by ``;``.
+    uncertainty; and ``u_frequency``, which may be left out. A header, or a row of units below it, may
+    state another unit: kHz, ms or, of an uncertainty, %. Decimals may have a comma where columns are
+    separated by ``;``. A value without a unit is refused where another unit is likelier: a frequency
+    below 1 Hz, a decay time outside 0.03 to 30 s, an uncertainty above 0.3 of its value.
 
     Raises
     ------
@@ -190,10 +216,15 @@ def read(path: str | os.PathLike[str]) -> MeasuredModes:
     <MeasuredModes: 2 from 34.1 to 42.7 Hz>
     """
     place = os.fspath(checks.path("path", path))
-    sheet = sheet_of_text(decode(read_bytes(path, MAX_TEXT), place), place, decay_time=TARGET.key)
+    sheet = _sheet(read_bytes(path, MAX_TEXT), place)
+    place = sheet.place
     (first, names), *below = sheet.rows
+    while names and not names[-1]:
+        names = names[:-1]
+    headers = Headers(place, None, ())
+    names, below, _ = headers.with_units(names, below, _UNIT_WORDS)
     columns = _columns(names, f"{place}, line {first}")
-    of_width = Headers(place, None, ()).of_width
+    of_width = headers.of_width
     rows = [(line, of_width(cells, len(names), line)) for line, cells in below]
     of = "decay" if "decay" in columns else "T"
     if not {"frequency", of} <= columns.keys() or {"decay", "T"} <= columns.keys():
@@ -203,7 +234,9 @@ def read(path: str | os.PathLike[str]) -> MeasuredModes:
         )
     if f"u_{of}" not in columns:
         raise DataError(f'{place}: the column "u_{of}" is missing: the standard uncertainty')
-    used = "".join(cells[k] for _, cells in rows for k, _, _ in columns.values())
+    if not rows:
+        raise DataError(f"{place}, line {first}: no mode below the header")
+    used = "".join(cells[k] for _, cells in rows for k, *_ in columns.values())
     if "," in used and "." in used:
         raise DataError(f"{place}: decimal commas and decimal points in one table")
 
@@ -211,12 +244,16 @@ def read(path: str | os.PathLike[str]) -> MeasuredModes:
         return f'{place}, line {rows[row][0]}, column "{names[columns[name][0]]}"'
 
     def values(name: str) -> Array:
-        (k, factor, relative), found = columns[name], np.zeros(len(rows))
+        (k, factor, relative, stated), found = columns[name], np.zeros(len(rows))
+        whole = name.removeprefix("u_")
+        unlikely = partial(_refuse_unit, stated, name, columns[whole][1])
+        of_whole = values(whole) if whole != name else np.zeros(len(rows))
         for i, (_, cells) in enumerate(rows):
             found[i] = number(cells[k].replace(",", "."), at(name, i))
             if not found[i] > 0:
                 raise DataError(f"{at(name, i)}: {found[i]:g} is not above 0")
-        return factor * found * (values(name.removeprefix("u_")) if relative else 1)
+            unlikely(at(name, i), found[i], of_whole[i])
+        return factor * found * (of_whole if relative else 1)
 
     rows = [rows[i] for i in np.argsort(values("frequency"), kind="stable")]
     decays, uncertainty = values(of), values(f"u_{of}")
@@ -230,38 +267,85 @@ def read(path: str | os.PathLike[str]) -> MeasuredModes:
             frequency_uncertainty=values("u_frequency") if "u_frequency" in columns else None,
         )
     except DataError as error:
-        # Values are above 0: what breaks a rule is a frequency.
+        # Values are above 0: what breaks a rule is a frequency or a decay.
         told = re.sub(
-            r"frequencies\[(\d+)\] =", lambda m: at("frequency", int(m[1])) + ":", str(error)
+            r"(frequencies|decays)\[(\d+)\] =",
+            lambda m: at("frequency" if m[1] == "frequencies" else of, int(m[2])) + ":",
+            str(error),
         )
         raise DataError(told) from error
 
 
-def _columns(header: Sequence[str], place: str) -> dict[str, tuple[int, float, bool]]:
+def _sheet(content: bytes, place: str) -> Sheet:
+    """Return the cells of a table of modes: of a text, or of a workbook's only sheet with cells."""
+    if not workbook.claims(content):
+        return sheet_of_text(decode(content, place), place, decay_time=TARGET.key)
+    sheets = workbook.sheets(content, place, {})
+    if len(sheets) > 1:
+        names = ", ".join(f'"{shown(sheet.name)}"' for sheet in sheets)
+        raise DataError(f"{place}: the sheets are {names}; keep the one with the modes alone")
+    return sheets[0]
+
+
+def _refuse_unit(
+    stated: bool, name: str, factor: float, place: str, value: float, of_whole: float
+) -> None:
+    """Raise DataError for a value whose unit is not stated, and of which another unit is likelier.
+
+    ``factor`` is that of the unit of the value to which an uncertainty belongs, ``of_whole`` this value.
+    """
+    if stated:
+        return
+    whole = name.removeprefix("u_")
+    low, high = {
+        "frequency": (_LEAST_FREQUENCY, _LARGEST_FREQUENCY),
+        "T": _DECAY_TIMES,
+        "decay": (DECAY / _DECAY_TIMES[1], DECAY / _DECAY_TIMES[0]),
+    }[whole]
+    unit = next(u for u in _UNITS[whole] if u)
+    likely = f'state its unit, as in "{name} [{_LIKELY[whole]}]" or "{name} [{unit}]"'
+    if name == whole:
+        if not low <= value <= high:
+            raise DataError(
+                f"{place}: {value:g} has no unit, and is not from {low:.3g} to {high:.3g} {unit}: "
+                f"{likely}"
+            )
+    elif factor != 1:
+        raise DataError(
+            f"{place}: no unit is stated, and {whole} has another than {unit}: {likely}"
+        )
+    elif value > _LARGEST_UNCERTAINTY * of_whole:
+        raise DataError(
+            f"{place}: {value:g} has no unit, and is more than {_LARGEST_UNCERTAINTY:g} of {whole}: "
+            f'{likely}, or "{name} [%]"'
+        )
+
+
+def _columns(header: Sequence[str], place: str) -> dict[str, tuple[int, float, bool, bool]]:
     """Return the columns that are of modes, by name; DataError for a unit that is not known.
 
-    Of each its number, the unit's factor, and whether this is relative.
+    Of each its number, the unit's factor, whether this is relative, and whether the unit is stated.
     """
-    found: dict[str, tuple[int, float, bool]] = {}
+    found: dict[str, tuple[int, float, bool, bool]] = {}
     for k, cell in enumerate(header):
         # As in "decay / 1/s", too.
         slash = "/" in cell and not cell.endswith((")", "]"))
         parts = cell.split("/", 1) if slash else name_and_unit(cell)
         word, unit = (part.strip().lower() for part in parts)
-        bare = word.removeprefix("u_").removesuffix(" uncertainty")
+        bare = plain(word.removeprefix("u_").removesuffix(" uncertainty"))
         if bare not in _WORDS:
             continue
-        name = _WORDS[bare] if bare == word else f"u_{_WORDS[bare]}"
+        name = _WORDS[bare] if bare == plain(word) else f"u_{_WORDS[bare]}"
         if name in found:
             raise DataError(f'{place}: the column "{name}" stands there twice')
-        units = _UNITS[_WORDS[bare]] | ({} if bare == word else _RELATIVE)
+        units = _UNITS[_WORDS[bare]] | ({} if bare == plain(word) else _RELATIVE)
         factor = {u.lower(): factor for u, factor in units.items()}.get(unit)
         if factor is None:
             raise DataError(
                 f'{place}: the unit of "{shown(cell)}" is not known; known are '
                 f"{', '.join(filter(None, units))}"
             )
-        found[name] = k, factor, unit in _RELATIVE
+        found[name] = k, factor, unit in _RELATIVE, bool(unit)
     return found
 
 
