@@ -64,7 +64,7 @@ _QUANTITIES = re.compile(
     re.I,
 )
 _ALPHA = r"(?:alpha|α)(?:[_ ]?(?:sabine|[spi])\b|[sp])?"
-_PERCENT_WORD = r"(?:%|percent|per ?cent|prozent|pour ?cent|por ?ciento|por ?cento|pct)"
+_PERCENT_WORD = r"(?:%|percent|per ?cento?|prozent|pour ?cent|por ?ciento|por ?cento|pct)"
 _AREA_WORD = (
     r"(?:m\s*²|m\^?2|qm|sq\.?\s*m|square met(?:er|re)s?|ft\s*²|ft\^?2|sq\.?\s*ft|"
     r"(?:metric )?sabines?|sabins?)"
@@ -103,6 +103,9 @@ _AREAS_OF_COEFFICIENTS = re.compile(
     r"(?:\w*(?:alpha|α|absorption|absor[cç]|assorb)\w*|\bA|\b(?:values|werte|angaben|valeurs|valores|valori))"
     rf"\s*(?:(?:in|en)\s+|/\s*|[\[(]\s*)({_AREA_WORD})(?!\w)\s*[\])]?(?!\s*[:=]\s*\d)",
     re.I,
+)
+_UNIT_BEHIND = re.compile(
+    rf"\s*(?:[\[(][^\])]*[\])]|(?:/|\b(?:in|en)\b)\s*(?:{_PERCENT_WORD}|\S+)|%)\s*$", re.I
 )
 _COEFFICIENT = re.compile(
     rf"(?:(?:{_ALPHA}|s|p|of|de|d|di|do|l|sound|acoustic\w*|acústic\w*|acustic\w*|mean|(?:schall)?absorptions?"
@@ -215,7 +218,7 @@ def _refuse_repeated_band(place: str, stated: Sequence[tuple[str, float]]) -> No
 
 def _band(cell: str, factor: float = 1.0) -> float | None:
     """Return the band that a cell names, with a ``factor`` to Hz where it has no unit."""
-    cell = re.sub(r"\s*[\[(]\s*%\s*[\])]$", "", cell.strip())
+    cell = re.sub(rf"\s*[\[(]\s*(?:{_PERCENT_WORD}|-)\s*[\])]$", "", cell.strip(), flags=re.I)
     value = frequency_of(re.sub(r"^(alpha|α)\w*\s*", "", cell))
     if value is not None and not cell.lower().endswith(("k", "hz")):
         value *= factor
@@ -251,6 +254,13 @@ def _across(
             f"{sheet.place}, line {sheet.rows[at][0]}: no column has the product's name"
         )
     above = [i for i in range(at) if _are_units(sheet.rows[i][1], at_bands)]
+    for line, cells in (row for i, row in enumerate(sheet.rows[:at]) if i not in above):
+        repeated = {cells[k] for k in at_bands if k < len(cells)}
+        if len(repeated) == 1 and any(repeated):
+            raise DataError(
+                f'{sheet.place}, line {line}: "{shown(repeated.pop())}" is no known unit; '
+                "they are % and -"
+            )
     titles = _titles([row for i, row in enumerate(sheet.rows[:at]) if i not in above])
     _refuse_objects(sheet, [*header, *titles])
     units = [sheet.rows[i][1] for i in above]
@@ -342,6 +352,8 @@ def _down(sheet: Sheet, otherwise: str) -> tuple[list[_Product], list[str]]:
             unit_rows.append(i)
         elif header_row < 0 and _is_header(sheet, i, columns):
             header_row = i
+        else:
+            _refuse_second_header(sheet, i, columns)
     if header_row < 0 and unit_rows and len(columns) == 1:
         header_row = unit_rows.pop(0)  # as in "Frequency;αs (%)"
     header = sheet.rows[header_row][1] if header_row >= 0 else []
@@ -406,6 +418,18 @@ def _is_header(sheet: Sheet, at: int, columns: Sequence[int]) -> bool:
     return bool(of_bands) and any(k < len(cells) and cells[k] for k in columns)
 
 
+def _refuse_second_header(sheet: Sheet, at: int, columns: Sequence[int]) -> None:
+    """Raise DataError for a row of names above a header: one of both may state units."""
+    line, cells = sheet.rows[at]
+    of_columns = [cells[k] for k in columns if k < len(cells) and cells[k]]
+    of_bands = cells[0] and (COLUMNS.get(plain(cells[0])) == "band" or _unit(cells[0]) == "other")
+    if len(of_columns) == len(columns) and (of_bands or (not cells[0] and len(columns) > 1)):
+        raise DataError(
+            f'{sheet.place}, line {line}: "{shown(of_columns[0])}" stands in a second row of names; keep '
+            "one, with units such as % or - in a row below it"
+        )
+
+
 def _not_of_bands(
     sheet: Sheet, rows: Sequence[tuple[int, float]], columns: Sequence[int], factor: float
 ) -> list[str]:
@@ -459,7 +483,7 @@ def _role(name: str) -> str:
 
 
 def _without_unit(name: str) -> str:
-    return re.sub(r"\s*(?:[\[(][^\])]*[\])]|(?:/|\bin\b)\s*\S+|%)\s*$", "", name).strip()
+    return _UNIT_BEHIND.sub("", name).strip()
 
 
 def _with_coefficients(
@@ -523,8 +547,11 @@ def _product_of(name: str) -> str:
 
 
 def _unit(cell: str) -> str | None:
-    """Return the unit that a cell is: "%", "-", "m²", another's, "" for αs alone; None for other text."""
-    only = re.sub(rf"^{_ALPHA}", "", cell.strip(), flags=re.I).strip().strip("[](){}/, ")
+    """Return the unit that a cell is: "%", "-", "m²", "other"; "" for αs alone, None for other text."""
+    base, only = _without_unit(cell), cell.strip()
+    if _COEFFICIENT.fullmatch(base) and _NAMES_COEFFICIENT.search(base):
+        only = only[len(base) :]
+    only = re.sub(r"^(in|en)\s+", "", only.strip().strip("[](){}/, "), flags=re.I)
     for unit, pattern in (
         ("%", _IS_PERCENT),
         ("-", _IS_FRACTION),
@@ -559,6 +586,7 @@ def _stated_unit(product: _Product, place: str) -> tuple[str, str]:
         unit = _unit(text)
         if unit is None or unit == "":
             unit = "%" if _OF_COLUMN.search(text) else "m²" if _names_area(text) else ""
+            unit = unit or ("-" if re.search(r"[\[(]\s*-\s*[\])]\s*$", text) else "")
         if unit:
             found.setdefault(unit, text)
     if area := found.get("m²"):

@@ -149,7 +149,15 @@ class Headers:
     def names(self, cells: list[str]) -> tuple[int, bool]:
         """Return the number of cells that name a column by more than a number, and whether all do."""
         count, complete = 0, True
+        placed = any(map(position_of, cells))
         for cell in filter(None, cells):
+            if placed and statistic_of(cell) is not None:
+                continue
+            if (
+                "\t" in cell or ";" in cell
+            ):  # several cells, where a comma is taken to separate them
+                complete = False
+                continue
             try:
                 column = self.column(cell, "", cells)
             except DataError:  # a name with an unknown unit or band
@@ -286,7 +294,7 @@ class Headers:
         first = next(i for i, c in enumerate(top) if c)
         if not any(not top[i] and below[i] for i in range(first, width)):
             return None
-        columns, name, n_completed = [], "", 0
+        columns, name, n_completed, unplaced = [], "", 0, list[str]()
         of_positions = any(map(position_of, top))
         try:
             for upper, lower in zip(top, below, strict=True):
@@ -299,6 +307,8 @@ class Headers:
                     self.column(lower, f"{self.path}, line {below_line}", below) if lower else None
                 )
                 both = over.completed(under) if over and under else None
+                if of_positions and name and not both and under and under.kind == "data":
+                    unplaced.append(name)
                 column = both or (under if lower else over if upper else None)
                 if column is None:
                     return None
@@ -306,6 +316,11 @@ class Headers:
                 columns.append(column)
         except DataError:
             return None
+        if n_completed > 1 and unplaced:
+            raise DataError(
+                f'{self.path}, line {line}: "{shown(unplaced[0])}" is no position as those beside it are: '
+                "delete its columns; or, if it is a position, name its receiver, as R7"
+            )
         return columns if n_completed > 1 else None
 
     def with_units(
@@ -322,8 +337,10 @@ class Headers:
             is_word or not u for u, is_word in zip(units, is_unit, strict=True)
         ):
             return header, body, None
+        units = [u.strip("[]()") for u in units]
         with_unit = [
-            f"{h} [{u.strip('[]()')}]" if u else h for h, u in zip(header, units, strict=True)
+            f"{h} [{u}]" if u and name_and_unit(h)[1].lower() != u.lower() else h
+            for h, u in zip(header, units, strict=True)
         ]
         return with_unit, body[1:], line
 

@@ -119,7 +119,7 @@ COLUMNS = {
     **dict.fromkeys(_words("file filename datei dateiname fichier archivo"), "file"),
     "sources": "sources",
     "receivers": "receivers",
-    **dict.fromkeys(_words("unit einheit unidad unité"), "unit"),
+    **dict.fromkeys(_words("unit einheit unidad unidade unité unità"), "unit"),
 }
 """What a column holds (`rtcal.io.table_columns.Column.kind`) by its header."""
 
@@ -160,11 +160,12 @@ _BEFORE_COUNT = frozenset(
 _OF_STATISTICS = frozenset(
     _words(
         "all alle aller allen every the der die das les la le el los las y and und et tous toutes "
-        "todos todas tutti tutte pos position positions positionen posiciones posición posicion posizioni "
-        "posições mic mics microphone microphones mikrofon mikrofone mikrofonen receiver receivers "
-        "empfänger receptores récepteurs source sources quelle quellen measurement measurements "
-        "messung messungen medidas mesures misure point points punkt punkte punkten puntos punti "
-        "value values wert werte valor valeur room raum spatial spatiale räumlich räumliche räumlicher "
+        "todos todas tutti tutte pos position positions positionen posiciones posición posicion "
+        "posizioni posições mic mics microphone microphones mikrofon mikrofone mikrofonen receiver "
+        "receivers empfänger receptores récepteurs source sources quelle quellen measurement "
+        "measurements messung messungen medidas mesures misure point points "
+        "punkt punkte punkten "
+        "puntos punti value values wert werte valor valeur room raum spatial spatiale räumlich räumliche räumlicher "
         "räumliches espacial spaziale arithmetic arithm arithmetisch arithmetische arithmetischer "
         "arithmetisches arithmétique aritmética aritmetica number standard estándar estandar "
         "padrão padrao type pairs paare combinations kombinationen s sec ms"

@@ -138,7 +138,8 @@ class MeasuredModes:
             bad = int(np.argmax(outside))
             raise DataError(
                 f"decays[{bad}] = {self.decays[bad]:g} 1/s is a decay time of "
-                f"{DECAY / self.decays[bad]:.3g} s, and no room's is outside {LIMITS[0]:g} to {LIMITS[1]:g} s; is the unit another?"
+                f"{DECAY / self.decays[bad]:.3g} s, and no room's is outside {LIMITS[0]:g} to "
+                f"{LIMITS[1]:g} s; is the unit another?"
             )
         if self.frequencies[-1] > _LARGEST_FREQUENCY:
             raise DataError(
@@ -292,7 +293,7 @@ def _refuse_unit(
 ) -> None:
     """Raise DataError for a value whose unit is not stated, and of which another unit is likelier.
 
-    ``factor`` is that of the unit of the value to which an uncertainty belongs, ``of_whole`` this value.
+    ``factor`` is that of the unit of the value to which an uncertainty belongs, ``of_whole`` it.
     """
     if stated:
         return
