@@ -8,8 +8,12 @@ Two shapes are read, with the cells of `rtcal.io.table_layout`:
 
 A column or a title such as "mounting: E-400" or "source" goes into the material's source. A coefficient
 above 1, which ISO 354's edge effect gives, is taken as 1, and the source says so. Coefficients are in
-percent if their own cells or headers have the unit ("250 Hz [%]"), or a text names both ("alpha in %").
-A % that stands elsewhere, such as "open area [%]", changes nothing, and the source says so.
+percent if their own cells or headers have the unit ("250 Hz [%]"), a row of units or a column "unit"
+has it, or a text names both ("alpha in %"). A % that stands elsewhere, such as "open area [%]", changes
+nothing, and the source says so. A product in m² per object has a doubt, and no room may use it.
+
+Of a protocol, with columns or rows such as T1, T2, alpha_s and U(k=2), the coefficients are read, and
+the source names what is left out; so it does with uncertainties and statistics beside products.
 """
 
 from __future__ import annotations
@@ -348,7 +352,8 @@ def _down(sheet: Sheet, otherwise: str) -> tuple[list[_Product], list[str]]:
         plain_units = _are_units(cells, columns) and not all(
             _COEFFICIENT.fullmatch(c) or not c for c in cells[1:]
         )
-        if plain_units or (_are_units(cells, columns) and _is_header(sheet, i - 1, columns)):
+        named = header_row >= 0 or _is_header(sheet, i - 1, columns)
+        if plain_units or (_are_units(cells, columns) and named):
             unit_rows.append(i)
         elif header_row < 0 and _is_header(sheet, i, columns):
             header_row = i
@@ -425,8 +430,8 @@ def _refuse_second_header(sheet: Sheet, at: int, columns: Sequence[int]) -> None
     of_bands = cells[0] and (COLUMNS.get(plain(cells[0])) == "band" or _unit(cells[0]) == "other")
     if len(of_columns) == len(columns) and (of_bands or (not cells[0] and len(columns) > 1)):
         raise DataError(
-            f'{sheet.place}, line {line}: "{shown(of_columns[0])}" stands in a second row of names; keep '
-            "one, with units such as % or - in a row below it"
+            f'{sheet.place}, line {line}: "{shown(of_columns[0])}" stands in a second row of '
+            "names; keep one, with units such as % or - in a row below it"
         )
 
 

@@ -18,7 +18,14 @@ from rtcal.io.table_columns import (
     position_of,
     repeat_of,
 )
-from rtcal.io.table_words import DOUBTFUL, WHOLE_RANGES, is_missing, plain, statistic_of
+from rtcal.io.table_words import (
+    DOUBTFUL,
+    WHOLE_RANGES,
+    is_count,
+    is_missing,
+    plain,
+    statistic_of,
+)
 from rtcal.io.text import shown
 from rtcal.support.errors import DataError
 from rtcal.support.text import first_of
@@ -256,6 +263,7 @@ class Headers:
             if unit_line:
                 notes.append(f"line {unit_line} has the units")
             columns = self.columns(header, body, line)
+            self.check_above(rows[at - 1] if at else (0, []), columns)
         if columns[0] == _ROW_NUMBERS:
             notes.append("the first column has the rows' numbers, and is left out")
         if below := _text_below(columns, body):
@@ -299,7 +307,7 @@ class Headers:
         try:
             for upper, lower in zip(top, below, strict=True):
                 name = upper or name
-                if of_positions and statistic_of(name) not in (None, DOUBTFUL):
+                if of_positions and not (statistic_of(name) in (None, DOUBTFUL) or is_count(name)):
                     columns.append(Column("", name))
                     continue
                 over = self.column(name, f"{self.path}, line {line}", top) if name else None
@@ -318,8 +326,8 @@ class Headers:
             return None
         if n_completed > 1 and unplaced:
             raise DataError(
-                f'{self.path}, line {line}: "{shown(unplaced[0])}" is no position as those beside it are: '
-                "delete its columns; or, if it is a position, name its receiver, as R7"
+                f'{self.path}, line {line}: "{shown(unplaced[0])}" is no position as those beside it '
+                "beside it are: delete its columns; or, if it is a position, name its receiver, as R7"
             )
         return columns if n_completed > 1 else None
 
@@ -353,7 +361,9 @@ class Headers:
         for i, name in enumerate(header):
             statistic = statistic_of(name) if of_positions and i else None
             if statistic is not None:
-                if statistic == DOUBTFUL:
+                cells = [row[i] for _, row in body if len(row) > i and not is_missing(row[i])]
+                counts = not is_count(name) or all(cell.isdecimal() for cell in cells)
+                if statistic == DOUBTFUL or not counts:
                     raise DataError(
                         f'{place}: column "{shown(name)}" may be a statistic or a position: delete it; '
                         "or, if it is a position, name its receiver, as R7"
@@ -395,6 +405,18 @@ class Headers:
         columns = [replace(c, kind=of_files) if c.kind == "file" else c for c in columns]
         self.check_twice(columns, place)
         return columns
+
+    def check_above(self, above: Row, columns: Sequence[Column]) -> None:
+        """Raise DataError for positions above a header without any, if they are not read with it."""
+        line, cells = above
+        placed = any(c.receiver or c.kind in ("source", "receiver") for c in columns)
+        several = sum(map(bool, cells[1:])) > 1
+        if several and not placed and (named := next(filter(position_of, cells), "")):
+            other = next((c for c in cells if c and not position_of(c)), named)
+            raise DataError(
+                f'{self.path}, line {line}: "{shown(named)}" is a position, and "{shown(other)}" none; '
+                "name one above the columns of each, and delete the others"
+            )
 
     def check_twice(self, columns: list[Column], place: str) -> None:
         """Raise DataError for two columns of one meaning."""

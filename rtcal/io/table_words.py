@@ -163,12 +163,12 @@ _OF_STATISTICS = frozenset(
         "todos todas tutti tutte pos position positions positionen posiciones posición posicion "
         "posizioni posições mic mics microphone microphones mikrofon mikrofone mikrofonen receiver "
         "receivers empfänger receptores récepteurs source sources quelle quellen measurement "
-        "measurements messung messungen medidas mesures misure point points "
-        "punkt punkte punkten "
-        "puntos punti value values wert werte valor valeur room raum spatial spatiale räumlich räumliche räumlicher "
-        "räumliches espacial spaziale arithmetic arithm arithmetisch arithmetische arithmetischer "
-        "arithmetisches arithmétique aritmética aritmetica number standard estándar estandar "
-        "padrão padrao type pairs paare combinations kombinationen s sec ms"
+        "measurements messung messungen medidas mesures misure point points punkt punkte punkten "
+        "puntos punti value values wert werte valor valeur room raum spatial spatiale räumlich "
+        "räumliche räumlicher räumliches espacial spaziale arithmetic arithm arithmetisch "
+        "arithmetische arithmetischer arithmetisches arithmétique aritmética aritmetica number "
+        "standard estándar estandar padrão padrao type pairs paare combinations kombinationen s sec "
+        "ms"
     )
 )
 _SEPARATORS = re.compile(r"[\s()\[\]{},;:=/_+.\-\u2013]+")

@@ -54,9 +54,7 @@ _UNITS = {
 _WORDS = dict.fromkeys((word for word, kind in COLUMNS.items() if kind == "band"), "frequency")
 _WORDS |= dict.fromkeys(("decay", "delta", "δ", "abklingkonstante", "decayconstant"), "decay")
 _WORDS |= dict.fromkeys((*OPEN_DECAY_TIMES, "mt60", "decaytime"), "T")
-_UNIT_WORDS = {
-    word.lower() for units in (*_UNITS.values(), {"%": 1, "-": 1}) for word in units if word
-}
+_UNIT_WORDS = {"%", "-", *(word.lower() for units in _UNITS.values() for word in units if word)}
 _LIKELY = {"frequency": "kHz", "T": "ms", "decay": "1/s"}
 _RELATIVE = {"%": 0.01, "percent": 0.01}
 _NUMBERS = ("frequencies", "decays", "decay_uncertainty", "frequency_uncertainty")

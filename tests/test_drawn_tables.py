@@ -1,0 +1,327 @@
+"""Tables with known content: units, statistics and protocols are read right, or refused by name."""
+
+from __future__ import annotations
+
+from collections import Counter
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import rtcal as rt
+from benchmarks import drawn_tables
+from rtcal.io import library, table_layout, table_values, tables
+from rtcal.io.table_words import statistic_of
+from rtcal.support.errors import DataError
+from tests.test_tables_as_they_come import book
+
+LEAST_READ = {"materials": 0.85, "values": 0.85, "modes": 0.5}
+"""Share of the drawn tables that must be read; of modes many state no unit, which is refused."""
+
+
+def outcomes(folder: Path, seeds: range) -> dict[str, Counter[str]]:
+    found: dict[str, Counter[str]] = {kind: Counter() for kind in LEAST_READ}
+    for seed in seeds:
+        what, why = drawn_tables.judged(seed, folder)
+        found[drawn_tables.example(seed).kind][what] += 1
+        assert what in ("right", "refused"), (seed, what, why)
+    print({kind: dict(counts) for kind, counts in found.items()})
+    return found
+
+
+@pytest.mark.parametrize(
+    "seeds", [range(7000, 7060), pytest.param(range(500), marks=pytest.mark.long)], ids=len
+)
+def test_a_drawn_table_is_read_with_its_true_values_or_refused_by_its_place(
+    tmp_path: Path, seeds: range
+) -> None:
+    for kind, counts in outcomes(tmp_path, seeds).items():
+        assert counts["right"] >= LEAST_READ[kind] * counts.total(), (kind, counts)
+
+
+@pytest.mark.parametrize("kind", ["unit of a row", "statistic", "role"])
+def test_a_fault_of_a_reader_would_be_noticed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kind: str
+) -> None:
+    """The judge must see the values that a reader without one of its rules reads."""
+    if kind == "unit of a row":
+        monkeypatch.setattr(library, "_unit", lambda _: None)
+    elif kind == "role":
+        monkeypatch.setattr(library, "_role", lambda _: "")
+    else:
+        for module in (table_layout, table_values, tables):
+            monkeypatch.setattr(module, "statistic_of", lambda _: None)
+    found = Counter(drawn_tables.judged(seed, tmp_path)[0] for seed in range(7000, 7120))
+    assert found["silent"] > 0
+
+
+# -- material lists
+
+
+def of_text(folder: Path, text: str) -> tuple[library.MaterialList, str]:
+    (folder / "Sample 3.csv").write_text(text, encoding="utf-8")
+    return library.read(folder / "Sample 3.csv"), str(folder / "Sample 3.csv")
+
+
+def alpha(folder: Path, text: str) -> dict[str, tuple[float, ...]]:
+    listed, _ = of_text(folder, text)
+    return {m.name: m.alpha for m in listed.materials}
+
+
+ACROSS = "product{u};250;500;1000\n"
+DOWN = "250;{0};{1}\n500;{0};{1}\n1000;{0};{1}\n"
+
+
+@pytest.mark.parametrize(
+    "unit", ["m² per chair", "m²/Platz", "A_obj", "[m²]", "m2 je Sitz", "Sabin"]
+)
+@pytest.mark.parametrize("where", ["cell", "name", "row of units"])
+def test_areas_of_objects_are_no_coefficients(tmp_path: Path, unit: str, where: str) -> None:
+    if where == "cell":
+        text = f"product;unit;250;500;1000\nRug;-;0,2;0,2;0,2\nChair;{unit};0,6;0,7;0,8\n"
+    elif where == "name":
+        named = f"Chair ({unit.strip('[]')})"
+        text = f"product;250;500;1000\nRug;0,2;0,2;0,2\n{named};0,6;0,7;0,8\n"
+    else:
+        text = f"f;Rug;Chair\nHz;-;{unit}\n" + DOWN.format("0,2", "0,7")
+    listed, path = of_text(tmp_path, text)
+    rug, chair = listed.materials
+    assert (rug.alpha, rug.doubt) == ((0.2,) * 3, "")
+    with pytest.raises(DataError, match=r"Sample 3\.csv, line \d: Chair.* names absorption areas"):
+        listed.room(name="x", areas={chair.name: 20.0}, volume=100.0)
+    room = listed.room(name="x", areas={"Rug": 20.0}, volume=100.0)
+    assert room.materials == ("Rug",)
+    assert path in chair.doubt
+
+
+@pytest.mark.parametrize(
+    "title", ["A in m²", "Absorption [m²]", "Stuhl: m² je Platz", "αs (sabins)"]
+)
+def test_a_title_of_areas_refuses_the_table(tmp_path: Path, title: str) -> None:
+    with pytest.raises(DataError, match="names absorption areas"):
+        of_text(tmp_path, f"{title}\nproduct;250;500;1000\nRug;0,2;0,2;0,2\n")
+
+
+@pytest.mark.parametrize("title", ["Probe: 10,8 m²", "Sample area (m²): 10.8", "12 m² per sample"])
+def test_a_size_of_the_sample_is_no_unit(tmp_path: Path, title: str) -> None:
+    text = f"{title}\nproduct;250;500;1000\nRug;0,2;0,2;0,2\n"
+    assert alpha(tmp_path, text) == {"Rug": (0.2,) * 3}
+
+
+@pytest.mark.parametrize(
+    "units", ["Hz;αs (%);αs (%)", "Hz;%;%", ";[%];[%]", "Hz;percent;Prozent", "[Hz];in %;αs in %"]
+)
+@pytest.mark.parametrize("above", [False, True])
+def test_a_row_of_units_counts_and_the_other_names(tmp_path: Path, units: str, above: bool) -> None:
+    head = [units, "f;carpet;curtain"] if above else ["f;carpet;curtain", units]
+    read = alpha(tmp_path, "\n".join([*head, DOWN.format(1, 2)]))
+    assert read == {"carpet": (0.01,) * 3, "curtain": (0.02,) * 3}
+
+
+@pytest.mark.parametrize("units", ["%;%;%", "αs (%);αs (%);αs (%)", "[%];[%];[%]"])
+@pytest.mark.parametrize("above", [False, True])
+def test_a_row_of_units_across(tmp_path: Path, units: str, above: bool) -> None:
+    head = [f";{units}", "product;250;500;1000"]
+    read = alpha(tmp_path, "\n".join([*(head if above else head[::-1]), "carpet;1;1;2\n"]))
+    assert read == {"carpet": (0.01, 0.01, 0.02)}
+
+
+@pytest.mark.parametrize(
+    ("text", "rule"),
+    [
+        ("f;a;b\nHz;procent;procent\n" + DOWN.format(1, 2), "line 1: .a. stands in a second row"),
+        (";procent;procent;procent\nproduct;250;500;1000\na;1;1;1\n", ".procent. is no known unit"),
+        ("αs in %\nf;a;b\nHz;-;-\n" + DOWN.format(1, 1), r"the unit is .-. and also .αs in %."),
+        ("product;unit;250;500;1000\na;dB;1;1;1\n", "line 2: a: .dB. is no unit of coefficients"),
+        ("f;T1;T2\n" + DOWN.format(1, 1), "line 2: .T1. is called as a reverberation time is"),
+        ("f;T20\n250;1\n500;1\n1000;1\n", "line 2: .T20. is called as a reverberation time is"),
+        (
+            "f;alpha_s;rug\n" + DOWN.format(1, 1),
+            "line 2: .alpha_s. names a coefficient and no product",
+        ),
+        (
+            "f;a;b\n250;0,1;0,2\n50O;0,1;0,2\n1000;0,1;0,2\n2000;0,1;0,2\n",
+            "line 3: .50O. is no band",
+        ),
+    ],
+)
+def test_what_may_be_a_unit_or_no_product_is_refused(tmp_path: Path, text: str, rule: str) -> None:
+    with pytest.raises(DataError, match=rule):
+        of_text(tmp_path, text)
+
+
+PROTOCOL = [
+    ["T1", 5, 5, 5],
+    ["T2", 1.2, 1.1, 1.3],
+    ["alpha_s", 0.3, 0.4, 0.5],
+    ["U(k=2)", 0.1, 0.1, 0.1],
+]
+
+
+@pytest.mark.parametrize("across", [False, True])
+@pytest.mark.parametrize("xlsx", [False, True])
+@pytest.mark.parametrize("order", [[0, 1, 2, 3], [2, 3, 0, 1]])
+@pytest.mark.parametrize(
+    "named", ["alpha_s", "αs", "Absorptionsgrad", "absorption coefficient αs [-]"]
+)
+def test_of_a_protocol_the_coefficients_are_read(
+    tmp_path: Path, across: bool, xlsx: bool, order: list[int], named: str
+) -> None:
+    rows = [[named if c == "alpha_s" else c for c in PROTOCOL[i]] for i in order]
+    rows = [["f" if not across else "quantity", 250, 500, 1000], *rows]
+    cells = rows if across else [list(column) for column in zip(*rows, strict=True)]
+    path = tmp_path / ("Rug 3.xlsx" if xlsx else "Rug 3.csv")
+    text = "\n".join(";".join(map(str, row)) for row in cells)
+    path.write_bytes(book({"Rug 3": cells}) if xlsx else text.encode())
+    (rug,) = library.read(path).materials
+    assert (rug.name, rug.alpha) == ("Rug 3", (0.3, 0.4, 0.5))
+    assert all(
+        f'"{name}"' in rug.source.partition("left out: ")[2] for name in ("T1", "T2", "U(k=2)")
+    )
+
+
+def test_uncertainties_beside_products_are_left_out_by_name(tmp_path: Path) -> None:
+    text = (
+        "f;rug;U rug;felt;U felt\n250;0,2;0,1;0,3;0,1\n500;0,2;0,1;0,3;0,1\n1000;0,2;0,1;0,3;0,1\n"
+    )
+    listed, _ = of_text(tmp_path, text)
+    assert {m.name: m.alpha for m in listed.materials} == {"rug": (0.2,) * 3, "felt": (0.3,) * 3}
+    assert 'left out: "U rug", "U felt"' in listed.materials[0].source
+
+
+# -- measured values
+
+NAMES = (
+    "Gesamt",
+    "Mean (n=2)",
+    "T20 mean",
+    "Average of 6",
+    "Moyenne",
+    "Mittel (alle)",
+    "promedio (6)",
+)
+
+
+def layouts(name: str) -> dict[str, list[list[object]]]:
+    """T20 of 1 and 2 s at two receivers, with a statistic of 1.5 s."""
+    return {
+        "rows": [["receiver", "T20 500 Hz"], ["R2", 1], ["R3", 2], [name, 1.5]],
+        "row first": [["receiver", "T20 500 Hz"], [name, 1.5], ["R2", 1], ["R3", 2]],
+        "corner": [["T20 [s]", 500, 1000], ["S1R2", 1, 1], ["S1R3", 2, 2], [name, 1.5, 1.5]],
+        "across": [["T20 [s]", "R2", "R3", name], [500, 1, 2, 1.5]],
+        "long": [
+            ["receiver", "parameter", "f", "value"],
+            *([r, "T20", 500, v] for r, v in (("R2", 1), ("R3", 2), (name, 1.5))),
+        ],
+        "source": [
+            ["source", "receiver", "f", "T20"],
+            ["S1", "R2", 500, 1],
+            ["S1", "R3", 500, 2],
+            [name, "", 500, 1.5],
+        ],
+        "merged": [
+            ["", "S1R2", "", "S1R3", "", name, ""],
+            ["f", "T20", "EDT", "T20", "EDT", "T20", "EDT"],
+            [500, 1, 1, 2, 2, 1.5, 1.5],
+        ],
+    }
+
+
+@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("layout", layouts(""))
+@pytest.mark.parametrize("xlsx", [False, True])
+def test_a_statistic_over_positions_is_no_position(name: str, layout: str, xlsx: bool) -> None:
+    rows = layouts(name)[layout]
+    text = "\n".join(";".join(map(str, row)) for row in rows)
+    table = tables.parse(book({"x": rows}) if xlsx else text.encode())
+    assert table.measurement.pairs == (("S1", "R2"), ("S1", "R3"))
+    assert table.measurement.values["t20"][:, 0].tolist() == [1, 2]
+    assert any("left out" in line and f'"{name}' in line for line in table.columns)
+
+
+@pytest.mark.parametrize("name", ["Mean stalls", "Mittelwert 2", "Soll", "N"])
+@pytest.mark.parametrize("layout", layouts(""))
+def test_what_may_be_a_statistic_or_a_position_is_refused(name: str, layout: str) -> None:
+    text = "\n".join(";".join(map(str, row)) for row in layouts(name)[layout])
+    with pytest.raises(DataError, match=name):
+        tables.parse(text.encode())
+
+
+@pytest.mark.parametrize("name", ["Mittelgang", "MW 2", "Maxsaal", "Parkett Mitte", "Totale Nord"])
+def test_places_that_sound_like_statistics(name: str) -> None:
+    assert statistic_of(name) is None
+    text = "\n".join(";".join(map(str, row)) for row in layouts(name)["rows"])
+    assert tables.parse(text.encode()).measurement.pairs[-1] == ("S1", name)
+
+
+@pytest.mark.parametrize("name", ["Gesamt", "Mean (n=2)", "Mittelwert"])
+def test_a_sheet_of_means_is_no_position(name: str) -> None:
+    sheets = {n: [["f", "T20"], [500, v]] for n, v in (("S1R2", 1), ("S1R3", 2), (name, 1.5))}
+    table = tables.parse(book(sheets))
+    assert table.measurement.pairs == (("S1", "R2"), ("S1", "R3"))
+    assert any(
+        "beside single positions are left out" in line and name in line for line in table.columns
+    )
+
+
+def test_a_mean_over_sources_at_one_receiver_is_no_source() -> None:
+    text = "source;receiver;f;T20\nS1;R1;500;1\nS2;R1;500;2\nMean;R1;500;1,5\n"
+    assert tables.parse(text.encode()).measurement.pairs == (("S1", "R1"), ("S2", "R1"))
+
+
+def test_a_receiver_2_beside_others_is_no_correlation() -> None:
+    measured = tables.parse(b"T20 [s];R1;R2;R3\n500;1;2;3\n").measurement
+    assert measured.values["t20"].tolist() == [[1], [2], [3]]
+    fit = tables.parse(b"f;T20;R2\n500;1;0.99\n").measurement
+    assert fit.values["t20"].tolist() == [[1]]
+
+
+# -- modes
+
+
+@pytest.mark.parametrize(
+    ("header", "row"),
+    [
+        ("f;T [ms];u_T [ms]", "33;830;41,5"),
+        ("f [kHz];T;u_T", "0,033;0,83;0,0415"),
+        ("Frequenz / kHz;Nachhallzeit / ms;u_T / %", "0,033;830;5"),
+        ("f;T;u_T\nkHz;ms;%", "0,033;830;5"),
+        ("Fréquence;TR;u_T\n[Hz];[s];[ms]", "33;0,83;41,5"),
+    ],
+)
+@pytest.mark.parametrize("xlsx", [False, True])
+def test_units_of_modes_that_are_stated(tmp_path: Path, header: str, row: str, xlsx: bool) -> None:
+    path = tmp_path / ("modes.xlsx" if xlsx else "modes.csv")
+    text = f"{header}\n{row}\n"
+    cells = [[c.replace(",", ".") for c in line.split(";")] for line in text.splitlines()]
+    path.write_bytes(book({"modes": cells}) if xlsx else text.encode())
+    modes = rt.modes.read(path)
+    np.testing.assert_allclose(modes.frequencies, 33)
+    np.testing.assert_allclose(modes.decay_times, 0.83)
+    np.testing.assert_allclose(modes.decay_uncertainty / modes.decays, 0.05)
+
+
+@pytest.mark.parametrize(
+    ("table", "rule"),
+    [
+        (
+            "f;T;u_T\n33;830;40\n",
+            r"line 2, column .T.: 830 has no unit, .* state its unit, as in .T \[ms\].",
+        ),
+        ("f;T;u_T\n33;90;4\n", r"line 2, column .T.: 90 has no unit"),
+        (
+            "f;T;u_T\n0,033;0,83;0,04\n",
+            r"column .f.: 0.033 has no unit, .* as in .frequency \[kHz\].",
+        ),
+        ("f;T [ms];u_T\n33;830;40\n", r"column .u_T.: no unit is stated, and T has another than s"),
+        ("f;T;u_T\n33;0,83;40\n", r"column .u_T.: 40 has no unit, and is more than 0.3 of T"),
+        ("f;decay;u_decay\n33;830;40\n", r"column .decay.: 830 has no unit"),
+        ("f [Hz];T;u_T\n0,033;0,83;0,04\n", r"line 2, column .f \[Hz\].: 0.033 Hz is below 1 Hz"),
+        ("f;T [s];u_T [s]\n33;830;40\n", r"line 2, column .T \[s\].: .* decay time of 830 s"),
+        ("f;T;u_T\n", "a header and at least one row"),
+    ],
+)
+def test_units_of_modes_that_are_not_stated(tmp_path: Path, table: str, rule: str) -> None:
+    (tmp_path / "modes.csv").write_text(table)
+    with pytest.raises(DataError, match=rule):
+        rt.modes.read(tmp_path / "modes.csv")
