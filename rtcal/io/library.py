@@ -80,7 +80,7 @@ _OBJECT_WORD = (
     r"are[ae] di assorbimento)"
 )
 _PER_OBJECT = re.compile(
-    rf"{_OBJECT_WORD}|(?<![\d.,])(?<![\d.,]\s){_AREA_WORD}\s*(?:/|\b(?:per|pro|je|par|por|a)\b)\s*[^\W\d]",
+    rf"{_OBJECT_WORD}|(?<!\d)(?<!\d\s){_AREA_WORD}\s*(?:/|\b(?:per|pro|je|par|por|a)\b)\s*[^\W\d]",
     re.I,
 )
 _PERCENT = re.compile(_PERCENT_WORD, re.I)
@@ -92,7 +92,9 @@ _IS_AREA = re.compile(
     rf"(?:A\s*(?:/|in)?\s*)?{_AREA_WORD}\W*(?:(?:/|\b(?:per|pro|je|par|por|a)\b).*)?|{_OBJECT_WORD}.*",
     re.I,
 )
-_IS_OTHER = re.compile(r"k?hz|m?s|sec|db", re.I)
+_IS_OTHER = re.compile(r"k?hz|m?s|sec|db|‰|per ?mille?|promille?|[x×·*]\s*100", re.I)
+_TIMES_100 = re.compile(r"(?<!\d)(?<!\d\s)[x×·*]\s*100\b(?!\s*(?:[x×]|[cm]?m\b))", re.I)
+_BEHIND = re.compile(r"[\[(]\s*([^\])]*?)\s*[\])]\s*$")
 _UNIT = rf"(?:\b(?:in|en)\s+{_PERCENT_WORD}|[\[(]\s*{_PERCENT_WORD}\s*[\])])"
 _OF_COLUMN = re.compile(rf"(?:{_UNIT}|(?<![\d\s])[\s,/]*{_PERCENT_WORD})\s*$", re.I)
 _OF_COEFFICIENTS = re.compile(
@@ -131,6 +133,7 @@ _UNCERTAINTY = re.compile(
     r"incertidumbre|incertezza|incerteza)\b.*)|s_?R",
     re.I,
 )
+_IS_NUMBER = re.compile(r"\d*[.,]?\d+\s*%?")
 _SYMBOL = re.compile(r"[AScVm]_?\w{0,3}", re.I)
 _WITH_OTHER_UNIT = re.compile(r".*[\[(]\s*(?:m?s|sec|db|k?hz)\s*[\])]", re.I)
 
@@ -201,7 +204,12 @@ def _of_sheet(sheet: Sheet, otherwise: str) -> Iterator[ListedMaterial]:
             break
     else:
         products, left_out = _down(sheet, otherwise)
-    materials = [_material(sheet.place, product, left_out) for product in products]
+    in_percent = [_stated_unit(p, sheet.place)[0] == "%" for p in products]
+    in_percent += [any("%" in cell for cell in p.values.values()) for p in products]
+    materials = [
+        _material(sheet.place, product, left_out, beside_percent=any(in_percent))
+        for product in products
+    ]
     doubts = [material.doubt for material in materials if material.doubt]
     if doubts and len(doubts) == len(materials):
         raise DataError(doubts[0])
@@ -330,7 +338,7 @@ def _down(sheet: Sheet, otherwise: str) -> tuple[list[_Product], list[str]]:
     in_khz = any(
         name_and_unit(c[0])[1].lower() == "khz" or c[0].strip(" []()").lower() == "khz"
         for _, c in sheet.rows
-        if c and c[0]
+        if c and c[0] and frequency_of(c[0]) is None
     )
     factor = 1000.0 if in_khz else 1.0
     rows = [(i, f) for i, (_, c) in enumerate(sheet.rows) if (f := _band(c[0], factor)) is not None]
@@ -382,7 +390,7 @@ def _down(sheet: Sheet, otherwise: str) -> tuple[list[_Product], list[str]]:
             name = otherwise
         else:
             units = [name]
-        if not name:
+        if not name or (len(columns) > 1 and _unit(name) and not _role(name)):
             place = f"{sheet.place}, line {sheet.rows[max(first - 1, 0)][0]}"
             raise DataError(f"{place}: column {k + 1} has no product's name")
         values = {
@@ -445,7 +453,12 @@ def _not_of_bands(
     left_out = []
     bands_at = {i for i, _ in rows}
     for i, (line, cells) in enumerate(sheet.rows):
-        if i < rows[0][0] or i in bands_at or not any(k < len(cells) and cells[k] for k in columns):
+        if i in bands_at or not any(k < len(cells) and cells[k] for k in columns):
+            continue
+        if i < rows[0][0] and not (
+            cells[0][:1].isdecimal()
+            and all(_IS_NUMBER.fullmatch(cells[k]) for k in columns if k < len(cells))
+        ):
             continue
         if not cells[0] or cells[0][0].isdecimal():
             said = (
@@ -591,12 +604,16 @@ def _stated_unit(product: _Product, place: str) -> tuple[str, str]:
         unit = _unit(text)
         if unit is None or unit == "":
             unit = "%" if _OF_COLUMN.search(text) else "m²" if _names_area(text) else ""
-            unit = unit or ("-" if re.search(r"[\[(]\s*-\s*[\])]\s*$", text) else "")
+            behind = _BEHIND.search(text)
+            if not unit and behind and _unit(behind[1]) in ("-", "other") and behind[1] != "1":
+                unit = _unit(behind[1]) or ""
+            unit = "other" if _TIMES_100.search(text) else unit
         if unit:
             found.setdefault(unit, text)
     if area := found.get("m²"):
         return "", f'{place}: "{shown(area)}" names {_ARE_AREAS}'
-    if other := found.get("other"):
+    other = found.get("other") or next(filter(_TIMES_100.search, product.titles), "")
+    if other:
         return "", f'{place}: "{shown(other)}" is no unit of coefficients; they have % or none'
     of_texts = [*product.headers, *product.titles]
     of_table = any(map(_OF_COEFFICIENTS.search, of_texts)) or any(
@@ -628,11 +645,19 @@ def _first_percent(texts: Sequence[str]) -> str:
     return next(filter(_PERCENT.search, texts), "")
 
 
-def _material(of_sheet: str, product: _Product, left_out: Sequence[str]) -> ListedMaterial:
+def _material(
+    of_sheet: str, product: _Product, left_out: Sequence[str], *, beside_percent: bool
+) -> ListedMaterial:
     """Return a product as a material; it has a doubt if its numbers are no coefficients."""
     place = f"{of_sheet}, line {product.line}"
     unit, doubt = _stated_unit(product, f"{place}: {shown(product.name)}")
     percent, values = unit == "%", product.values
+    of_cells = ["%" in cell for cell in values.values()]
+    if any(of_cells) and not all(of_cells) and not percent:
+        raise DataError(
+            f'{place}: "{shown(product.name)}" has cells with % and others without; write it '
+            "in all or in none"
+        )
     elsewhere = "" if percent else _first_percent([*product.headers, *product.titles])
     alpha, above = [], []
     for frequency, cell in values.items():
@@ -645,11 +670,16 @@ def _material(of_sheet: str, product: _Product, left_out: Sequence[str]) -> List
                 f"{where}: {value:g} is not from 0 to {LARGEST:g}; name % with the coefficient if in "
                 'percent, as in a line "alpha in %" above the header'
             )
+        if value >= 1 and beside_percent and not (unit or any(of_cells) or doubt):
+            doubt = (
+                f"{where}: {value:g} has no unit beside others in %; state it, as % or -, in the name "
+                "of the product or in a column of units"
+            )
         if value > 1:
             above.append(f"{value:.2f} at {bands.label(frequency)}")
         alpha.append(min(value, 1.0))
     source = "; ".join([place, *filter(None, product.stated)])
-    if elsewhere and unit != "-" and not all("%" in cell for cell in values.values()):
+    if elsewhere and unit != "-" and not all(of_cells):
         source += f'; taken as fractions: "{shown(elsewhere, 60)}" is no unit of the coefficients'
     if above:
         source += f"; above 1 (edge effect), taken as 1: {', '.join(above)}"

@@ -326,8 +326,8 @@ class Headers:
             return None
         if n_completed > 1 and unplaced:
             raise DataError(
-                f'{self.path}, line {line}: "{shown(unplaced[0])}" is no position as those beside it '
-                "beside it are: delete its columns; or, if it is a position, name its receiver, as R7"
+                f'{self.path}, line {line}: "{shown(unplaced[0])}" is no position as those beside '
+                "it are: delete its columns; or, if it is a position, name its receiver, as R7"
             )
         return columns if n_completed > 1 else None
 

@@ -128,7 +128,7 @@ _MEANS = frozenset(
         "mean means meanvalue average averages averaged avg mittel mittelwert mittelwerte mw mittelung "
         "gemittelt durchschnitt moyenne moyennes moy promedio media média medio medie gemiddelde "
         "gesamt gesamtmittel gesamtmittelwert raummittel raummittelwert insgesamt total overall "
-        "ensemble ø ∅ µ"
+        "ensemble ø ∅ µ x̄"
     )
 )
 _DEVIATIONS = frozenset(
@@ -152,6 +152,7 @@ _NO_POSITIONS = frozenset(
     )
 )
 """What is no place either: a row called so is refused, since it may be anything."""
+_ALL = frozenset(_words("all alle every tous toutes todos todas tutti tutte"))
 _SHORT = frozenset(_words("mw moy sd std dev abw sigma σ µ"))
 """Statistics that numbered places may be called, too: "MW 1" is a place, "Mean 1" is in doubt."""
 _BEFORE_COUNT = frozenset(
@@ -210,7 +211,8 @@ def statistic_of(name: str) -> str | None:
         return ""
     named = [w for w in words if w in _MEANS | _DEVIATIONS | _OTHER_STATISTICS]
     if not named:
-        return None
+        of_all = {*words} & _ALL and {*words} <= _OF_STATISTICS | _BEFORE_COUNT
+        return DOUBTFUL if of_all else None
     bare = False
     for i, word in enumerate(words):
         if word.isdecimal():

@@ -28,7 +28,7 @@ from rtcal.acoustics.repeats import fingerprint
 from rtcal.io import workbook
 from rtcal.io.table_columns import name_and_unit
 from rtcal.io.table_layout import Headers, Sheet
-from rtcal.io.table_words import COLUMNS, OPEN_DECAY_TIMES, plain
+from rtcal.io.table_words import COLUMNS, DOUBTFUL, OPEN_DECAY_TIMES, plain, statistic_of
 from rtcal.io.text import MAX_TEXT, decode, number, shown
 from rtcal.io.text_tables import sheet_of_text
 from rtcal.modes.room_modes import DECAY
@@ -233,6 +233,14 @@ def read(path: str | os.PathLike[str]) -> MeasuredModes:
         )
     if f"u_{of}" not in columns:
         raise DataError(f'{place}: the column "u_{of}" is missing: the standard uncertainty')
+    means = [
+        f'{place}, line {line}: "{shown(cells[columns["frequency"][0]])}" is no mode, and is left out.'
+        for line, cells in rows
+        if statistic_of(cells[columns["frequency"][0]]) not in (None, DOUBTFUL)
+    ]
+    rows = [
+        row for row in rows if statistic_of(row[1][columns["frequency"][0]]) in (None, DOUBTFUL)
+    ]
     if not rows:
         raise DataError(f"{place}, line {first}: no mode below the header")
     used = "".join(cells[k] for _, cells in rows for k, *_ in columns.values())
@@ -264,6 +272,7 @@ def read(path: str | os.PathLike[str]) -> MeasuredModes:
             decays=decays,
             decay_uncertainty=uncertainty,
             frequency_uncertainty=values("u_frequency") if "u_frequency" in columns else None,
+            notes=means,
         )
     except DataError as error:
         # Values are above 0: what breaks a rule is a frequency or a decay.
