@@ -2,9 +2,13 @@
 
 Each function gets valid arguments, then one of them is replaced by each of `WRONG`, None, texts, empty
 and object arrays, NaN, wrong shapes, and by a generator. A call may work or raise a typed error
-(`rt.errors`). Counted are the untyped exceptions (asked: at most 1 %) and the calls without an end
-within `LIMIT` (asked: 0). Public are the names that the packages list, the functions of the modules
+(`rt.errors`). Counted are the untyped exceptions (asked: none but of `PLAIN`) and the calls without an
+end within `LIMIT` (asked: 0). Public are the names that the packages list, the functions of the modules
 among them, and the methods of the classes for which `instances` has an example.
+
+Two errors of Python's stay: the TypeError of a call with too few or too many arguments, or with an
+argument of an unknown name, which is not called here; and those of the functions in `PLAIN`. Classes
+and readers (`made_here`) check where an object is made or a file is opened, and are not in that list.
 
 ``--list`` prints each untyped call. ``--only TEXT ...`` takes the functions with a TEXT in their name.
 ``--slow`` prints the processor time by function.
@@ -25,7 +29,8 @@ import traceback
 import types
 import warnings
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import fields, is_dataclass
 from pathlib import Path
 from typing import Any
 
@@ -56,6 +61,17 @@ LIMIT = 10.0
 """s of processor time per call, so that a busy machine changes nothing. `find` takes some 3 s."""
 MEMORY = 6 * 2**30
 """Bytes of address space: a call that needs more raises MemoryError, which counts as untyped."""
+
+PLAIN: dict[str, tuple[type[Exception], ...]] = {
+    "rt.acoustics.observables.of_kind": (TypeError,),
+    "rt.acoustics.observables.register": (TypeError, AttributeError),
+    "rt.acoustics.observables.longest": (TypeError,),
+    "rt.terms.half_squares": (TypeError, ValueError, OverflowError),
+}
+"""Functions that raise Python's own error for an argument of another kind, and which.
+
+They are called by who writes an observable or a term, with a class or an expression of cvxpy's.
+"""
 
 WRONG: tuple[Any, ...] = (
     None,
@@ -119,8 +135,11 @@ def public(name: str, thing: Any) -> Iterator[tuple[str, Any]]:
         yield name, thing
 
 
-def instances(folder: Path) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Return examples by the name of their class, and by the name of a parameter."""
+def instances(folder: Path, *, searched: bool = True) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Return examples by the name of their class, and by the name of a parameter.
+
+    Without ``searched`` there is none of what `rtcal.find` returns, which takes 12 s.
+    """
     f = [500.0, 1000.0]
     walls = zip(SHOEBOX_WALLS, (12.0, 12.0, 15.0, 15.0, 20.0, 20.0), "xxyyzz", strict=True)
     surfaces = [rt.Surface(w, "floor" if x == "z" else "wall", a, x) for w, a, x in walls]
@@ -152,8 +171,8 @@ def instances(folder: Path) -> tuple[dict[str, Any], dict[str, Any]]:
     change = ChangedMaterial(np.array([0.2, 0.2]), np.array([0.02, 0.02]))
     configuration = Configuration(name="A", measured=measured, distances=np.array([2.0]))
     case = Case(room=room, configurations=[configuration])
-    finding = find(rt.datasets.hidden_room()[0])
-    verification = verify(finding)
+    finding = find(rt.datasets.hidden_room()[0]) if searched else None
+    verification = verify(finding) if searched else None
     simulator = EquationSimulator(rt.Eyring(), room)
     loop = start(room, measured)
     point = {"S": (1.0, 1.0, 1.0)}
@@ -211,8 +230,9 @@ def instances(folder: Path) -> tuple[dict[str, Any], dict[str, Any]]:
         "Recalibrated": rt.finder.recalibrate(case),
         "Generator": np.random.default_rng(1),
         "ObjectiveTerm": rt.terms.PriorDeviation(),
-        "ModelDiscrepancy": finding.discrepancy,
+        "ModelDiscrepancy": finding.discrepancy if finding is not None else None,
     }
+    by_class = {name: example for name, example in by_class.items() if example is not None}
     room.save(str(folder / "room.toml"))
     measured.save(str(folder / "t.csv"))
     by_name: dict[str, Any] = {
@@ -332,8 +352,15 @@ def _stop(*_: object) -> None:
     raise _Endless
 
 
-def call(function: Callable[..., Any], keywords: dict[str, Any]) -> tuple[str, str]:
-    """Return how a call ended (works, typed, untyped or endless), and where and why."""
+def call(
+    function: Callable[..., Any],
+    keywords: dict[str, Any],
+    plain: tuple[type[Exception], ...] = (),
+) -> tuple[str, str]:
+    """Return how a call ended (works, typed, plain, untyped or endless), and where and why.
+
+    ``plain`` are the exceptions that may be Python's own, as in `PLAIN`.
+    """
     signal.signal(signal.SIGPROF, _stop)
     signal.setitimer(signal.ITIMER_PROF, LIMIT)
     try:
@@ -346,7 +373,8 @@ def call(function: Callable[..., Any], keywords: dict[str, Any]) -> tuple[str, s
         return "endless", ""
     except BaseException as error:
         last = traceback.extract_tb(error.__traceback__)[-1]
-        return "untyped", f"{type(error).__name__} in {Path(last.filename).name}:{last.lineno}"
+        end = "plain" if isinstance(error, plain) else "untyped"
+        return end, f"{type(error).__name__} in {Path(last.filename).name}:{last.lineno}"
     finally:
         signal.setitimer(signal.ITIMER_PROF, 0)
 
@@ -354,7 +382,13 @@ def call(function: Callable[..., Any], keywords: dict[str, Any]) -> tuple[str, s
 def arguments(
     name: str, function: Callable[..., Any], by_class: dict[str, Any], by_name: dict[str, Any]
 ) -> dict[str, Any]:
-    """Return valid arguments for what has no default: by the parameter's class, else its name."""
+    """Return valid arguments for what has no default: by the parameter's class, else its name.
+
+    Those of a class are the fields of its example, if it is a dataclass.
+    """
+    example = by_class.get(getattr(function, "__name__", ""))
+    if inspect.isclass(function) and is_dataclass(example) and isinstance(example, function):
+        return {f.name: getattr(example, f.name) for f in fields(example) if f.init}
     out = {}
     for p in inspect.signature(function).parameters.values():
         if (
@@ -404,6 +438,50 @@ def wrong_calls(
                     yield name, wrong, valid | {name: wrong}
 
 
+READERS = (
+    "rt.io.",
+    "rt.load",
+    ".load",
+    ".from_",
+    ".read",
+    ".of",
+    ".parse",
+    ".page_of",
+    ".read_folder",
+)
+"""Parts of the names of what opens a file, or makes an object of plain values or of other objects."""
+
+
+def made_here(name: str, function: Callable[..., Any]) -> bool:
+    """Whether an object is made here, or a file opened or written: a class or one of `READERS`."""
+    return inspect.isclass(function) or any(
+        name.startswith(part) if part[0] != "." else f".{name.split('.')[-1]}".startswith(part)
+        for part in READERS
+    )
+
+
+def ends(
+    called: Iterable[tuple[str, Callable[..., Any]]],
+    examples: tuple[dict[str, Any], dict[str, Any]],
+    *,
+    every: int = 1,
+) -> Iterator[tuple[str, str, str]]:
+    """Yield the function's name, how a call ended, and the call with where and why.
+
+    One call in ``every`` is made; which ones goes round from parameter to parameter.
+    """
+    number = 0
+    for name, function in called:
+        for parameter, wrong, keywords in wrong_calls(
+            function, arguments(name, function, *examples)
+        ):
+            number += 1
+            if number % every:
+                continue
+            end, why = call(function, keywords, PLAIN.get(name, ()))
+            yield name, end, f"{name}({parameter}={str(wrong)[:30]!r}): {end} {why}"
+
+
 def main() -> None:
     """Print the counts, and the functions that raise untyped errors."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
@@ -420,21 +498,19 @@ def main() -> None:
     bare = []
     with tempfile.TemporaryDirectory() as made:
         os.chdir(made)
-        by_class, by_name = instances(Path(made))
-        for name, function in functions(by_class):
+        examples = instances(Path(made))
+        for name, function in functions(examples[0]):
             if not any(text in name for text in chosen.only):
                 continue
             began = time.process_time()
-            valid = arguments(name, function, by_class, by_name)
-            if call(function, valid)[0] == "untyped":
+            if call(function, arguments(name, function, *examples))[0] == "untyped":
                 bare.append(name)
-            for parameter, wrong, keywords in wrong_calls(function, valid):
-                end, why = call(function, keywords)
+            for _, end, why in ends([(name, function)], examples):
                 counts[end] += 1
                 if end in ("untyped", "endless"):
                     untyped[name] += 1
                     if chosen.list:
-                        print(f"{name}({parameter}={str(wrong)[:30]!r}): {end} {why}", flush=True)
+                        print(why, flush=True)
             seconds[name] += round(time.process_time() - began, 1)
     total = counts.total()
     print(

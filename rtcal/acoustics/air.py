@@ -83,7 +83,7 @@ class Air:
         as exp(-m x); m = (dB/m) / (10 lg e). The reverberation equations' 4mV needs this unit: with
         dB/m in its place the air counts 4.3 times.
         """
-        f = np.asarray(list(frequencies), dtype=float)
+        f = checks.array("frequencies", checks.listed("frequencies", frequencies))
         kelvin = self.temperature + 273.15
         t = kelvin / _REFERENCE_TEMPERATURE
         p = self.pressure / _REFERENCE_PRESSURE

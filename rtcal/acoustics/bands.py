@@ -12,6 +12,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from rtcal.support import checks
 from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError
 from rtcal.support.types import Array
@@ -173,6 +174,9 @@ def span(frequencies: Sequence[float] | Array) -> str:
     >>> span([125, 250, 500]), span([1000])
     ('3 bands, 125 to 500 Hz', '1 band, 1000 Hz')
     """
+    frequencies = checks.array("frequencies", frequencies)
+    if frequencies.ndim != 1 or not frequencies.size:
+        raise DataError(f"frequencies = {checks.shown(frequencies)} is not a list of numbers")
     first, last = (f"{f:g}" for f in (frequencies[0], frequencies[-1]))
     if len(frequencies) == 1:
         return f"1 band, {last} Hz"

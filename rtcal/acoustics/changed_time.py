@@ -43,6 +43,7 @@ from rtcal.acoustics.room_errors import (
     between_materials,
     of_climate,
 )
+from rtcal.support import checks
 from rtcal.support.errors import DataError, ModelError
 from rtcal.support.sampler import truncated_normal
 from rtcal.support.types import Array
@@ -129,6 +130,8 @@ class KnownRoom:
     @classmethod
     def stated(cls, room: Room, equation: LinearEquation) -> KnownRoom:
         """Return what the stated coefficients say of a room in which nothing was measured."""
+        checks.instance("room", room, Room)
+        checks.instance("equation", equation, LinearEquation)
         between = between_materials(room.materials, [room])
         covariance = alpha_covariance(room.alpha.T, room.sigma.T, between, room.common_alpha_sigma)
         sigma, correlation = correlation_of(covariance)

@@ -66,7 +66,7 @@ class Surface:
         text_name("surface material", self.material)
         area = checks.positive(f'surface["{self.name}"].area', self.area, "m²")
         object.__setattr__(self, "area", area)
-        if self.axis is not None and self.axis not in AXES:
+        if self.axis is not None and (not isinstance(self.axis, str) or self.axis not in AXES):
             raise DataError(f'surface["{self.name}"].axis = "{self.axis}" is not "x", "y" or "z"')
 
 
@@ -167,6 +167,9 @@ def stacked(
     A material's area is the sum over its surfaces; a material without a surface is left out.
     Raises DataError for a surface whose material is not among ``materials``.
     """
+    for kind, members in ((Surface, surfaces), (Material, materials)):
+        for i, member in enumerate(members):
+            checks.instance(f"{kind.__name__.lower()}s[{i}]", member, kind)
     by_name = {m.name: m for m in materials}
     if len(by_name) < len(materials):
         twice = next(m.name for m in materials if by_name[m.name] is not m)

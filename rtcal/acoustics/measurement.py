@@ -153,7 +153,10 @@ class Measurement:
         >>> print(sweeps.with_repeats(receivers={"R2": "R1"}).values["t20"])
         [[1.1]]
         """
-        stated = {"sources": dict(sources or {}), "receivers": dict(receivers or {})}
+        stated = {
+            "sources": checks.text_by_name("sources", sources),
+            "receivers": checks.text_by_name("receivers", receivers),
+        }
         for i, (kind, of_kind) in enumerate(stated.items()):
             for name in of_kind:
                 if name not in {pair[i] for pair in self.pairs}:

@@ -27,6 +27,7 @@ import numpy as np
 
 from rtcal.acoustics import bands
 from rtcal.acoustics.observables import OBSERVABLES, SUMMARY, parameter_label
+from rtcal.support import checks
 from rtcal.support.checks import Entries
 from rtcal.support.errors import DataError
 from rtcal.support.files import json_numbers, read_text
@@ -58,7 +59,7 @@ MAX_CELLS = 2**20
 
 def read(path: str | os.PathLike[str]) -> dict[str, Any]:
     """Return a CSV file as `Measurement.to_dict` would; DataError names file, line, value and rule."""
-    if os.fspath(path).lower().endswith((".xlsx", ".xls")):
+    if os.fspath(checks.path("path", path)).lower().endswith((".xlsx", ".xls")):
         raise DataError(
             f"{path}: a workbook, and no CSV: `rtcal table {path} --out t.csv` makes one of it"
         )

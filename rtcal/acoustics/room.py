@@ -161,8 +161,7 @@ class Room:
         def put(name: str, value: object) -> None:
             object.__setattr__(self, name, value)
 
-        if above_one not in ("refuse", "clip"):
-            raise DataError(f'above_one = "{above_one}" is not "refuse" or "clip"')
+        checks.choice("above_one", above_one, ("refuse", "clip"))
         if isinstance(self.materials, str):
             raise DataError(f'materials = "{self.materials}" is one text, not a sequence of names')
         for name in ("alpha", "sigma", "areas", "materials"):
@@ -312,9 +311,10 @@ class Room:
     @checked
     def place(self, name: str, material: int, band: int) -> str:
         """Return the name of one value in messages: ``alpha["carpet", 500 Hz]``."""
+        checks.text("name", name)
         axes = (("material", material, self.n_materials), ("band", band, self.n_bands))
         for axis, place, count in axes:
-            if not 0 <= place < count:
+            if checks.whole(axis, place, 0) >= count:
                 raise DataError(f"{axis} = {checks.shown(place)} is not from 0 to {count - 1}")
         frequency = bands.label(self.centre_frequencies[band])
         return f'{name}["{self.materials[material]}", {frequency}]'
@@ -322,11 +322,12 @@ class Room:
     @checked
     def material_index(self, name: str) -> int:
         """Return the row of the material ``name``; DataError if the room has none of that name."""
-        return int(self.material_rows([name])[0])
+        return int(self.material_rows([checks.text("name", name)])[0])
 
     @checked
     def material_rows(self, names: Sequence[str]) -> NDArray[np.int64]:
         """Return the rows of materials, (n,); DataError as `material_index`."""
+        names = checks.texts("names", names)
         rows = {name: i for i, name in enumerate(self.materials)}
         if lacking := [name for name in names if name not in rows]:
             known = ", ".join(self.materials)
@@ -374,10 +375,14 @@ class Room:
             air=air,
             dimensions=dimensions,
             band_correlation=band_correlation,
-            material_correlation=material_correlation or {},
+            material_correlation={} if material_correlation is None else material_correlation,
             calibration=calibration,
             above_one=above_one,
-            **stacked(tuple(surfaces), tuple(materials), frequencies),
+            **stacked(
+                checks.listed("surfaces", surfaces),
+                checks.listed("materials", materials),
+                frequencies,
+            ),
         )
 
     @classmethod
@@ -395,6 +400,12 @@ class Room:
 
         ``stated`` goes to `from_surfaces`. Raises DataError as that does.
         """
+        for needed in ("volume", "surfaces"):
+            if not hasattr(geometry, needed):
+                raise DataError(
+                    f"geometry = {checks.shown(geometry)} has no {needed}, as a "
+                    "rtcal.simulators.Polyhedron has"
+                )
         return cls.from_surfaces(
             name=name,
             volume=geometry.volume,

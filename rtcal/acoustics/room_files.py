@@ -79,6 +79,7 @@ from rtcal.acoustics.air import Air
 from rtcal.acoustics.materials import CalibrationRecord, Material, Surface, stacked
 from rtcal.acoustics.priors import TIERS, in_situ, sigma_iso_12999_2, sigma_relative
 from rtcal.acoustics.scene import TABLES, Scene, listed, quoted, scene_lines
+from rtcal.support import checks
 from rtcal.support.checks import Entries, toml_table
 from rtcal.support.errors import DataError
 from rtcal.support.files import json_numbers
@@ -128,7 +129,8 @@ def attributes(data: Mapping[str, Any], place: str = "") -> dict[str, Any]:
 
     Raises DataError, which begins with ``place``, for an unknown key or a value of the wrong kind.
     """
-    room = Entries(f"{place}: " if place else "", data, _NEEDED, _OPTIONAL)
+    place = f"{place}: " if checks.text("place", place) else ""
+    room = Entries(place, data, _NEEDED, _OPTIONAL)
     materials = room.texts("materials")
     frequencies = room.array("centre_frequencies", (None,))
     shape = (len(materials), len(frequencies))

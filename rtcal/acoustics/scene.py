@@ -81,11 +81,9 @@ class Scene:
     def __post_init__(self) -> None:
         if self.mesh is not None:
             object.__setattr__(self, "mesh", os.fspath(checks.path("mesh", self.mesh)))
-        elif self.unit != 1:
-            raise DataError(
-                f"unit = {checks.shown(self.unit)} is that of a mesh, and none is stated"
-            )
         object.__setattr__(self, "unit", checks.positive("unit", self.unit, "m"))
+        if self.mesh is None and self.unit != 1:
+            raise DataError(f"unit = {self.unit:g} is that of a mesh, and none is stated")
         for kind in _POINTS:
             object.__setattr__(self, kind, _points(kind, getattr(self, kind)))
         for kind, other in (_POINTS, _POINTS[::-1]):
@@ -155,7 +153,8 @@ class Scene:
 
         Raises DataError, which begins with ``place``, for an unknown key or a value of the wrong kind.
         """
-        tables = Entries(f"{place}." if place else "", data, (), TABLES)
+        place = f"{place}." if checks.text("place", place) else ""
+        tables = Entries(place, data, (), TABLES)
         stated: dict[str, Any] = {}
         if "geometry" in tables:
             geometry = tables.entries("geometry", (), _GEOMETRY)

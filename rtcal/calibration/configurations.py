@@ -145,6 +145,12 @@ class Configurations:
         Configurations share the volume and the areas; each has a climate of its own. Without any change
         where no room is uncertain. ``times`` is (n_configurations, n_bands) in s.
         """
+        checks.instance("equation", equation, LinearEquation)
+        times = checks.array("times", times)
+        if times.shape != (shape := (len(self.rooms), self.rooms[0].n_bands)):
+            raise DataError(
+                f"times has shape {times.shape}; (n_configurations, n_bands) is {shape}"
+            )
         if not any(room.is_uncertain for room in self.rooms):
             return np.zeros((0, times.size))
         n, (c, k) = len(self.materials), times.shape
@@ -421,7 +427,7 @@ def layout_of(
 
 def require_same_shape(built: Configurations, asked: Configurations) -> Configurations:
     """Return ``asked`` if it has the shape that the problem was built with, else DataError."""
-    for room in asked.rooms:
+    for room in checks.instance("configurations", asked, Configurations).rooms:
         if not isinstance(room, Room):
             raise DataError(f"room = {room!r} is not a rtcal.Room")
     if len(built.rooms) != len(asked.rooms):

@@ -42,7 +42,8 @@ from rtcal.calibration.uncertainty import (
     optimality,
     unbounded,
 )
-from rtcal.support.errors import ModelError
+from rtcal.support import checks
+from rtcal.support.errors import DataError, ModelError
 from rtcal.support.types import Array
 
 _SAME_TIME = 1e-6
@@ -208,6 +209,8 @@ class JointSolution:
                 "as the corrected room of `rtcal apply`"
             )
         rooms = self.configurations.rooms
+        if checks.whole("configuration", configuration, 0) >= len(rooms):
+            raise DataError(f"configuration = {configuration} is not from 0 to {len(rooms) - 1}")
         room = rooms[configuration]
         rows = [self.materials.index(m) for m in room.materials]
         time = where_valid(self.equation.time, room, room.areas @ self.alpha[rows])

@@ -163,6 +163,8 @@ def _refuse_repeated(terms: Sequence[object], place: str) -> None:
 def _compiled(
     calibration: Calibration, configurations: Configurations, equation: Equation
 ) -> tuple[Assembler, ConvexProgram]:
+    checks.instance("calibration", calibration, Calibration)
+    checks.instance("configurations", configurations, Configurations)
     if not isinstance(equation, LinearEquation):
         if not isinstance(equation, Equation) or isinstance(equation, type):
             raise ModelError(f"equation = {equation!r} is not an equation such as rtcal.Eyring()")

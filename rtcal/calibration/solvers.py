@@ -20,7 +20,8 @@ import numpy as np
 import scipy.sparse as sp
 
 from rtcal.calibration.compiled_qp import CompiledQP
-from rtcal.support.errors import DataError, MissingDependencyError, ModelError, SolverError
+from rtcal.support import checks
+from rtcal.support.errors import MissingDependencyError, ModelError, SolverError
 from rtcal.support.types import Array
 
 Unreachable = Literal["raise", "nearest"]
@@ -72,9 +73,12 @@ class SolveOptions:
     def __post_init__(self) -> None:
         if not isinstance(self.solver, str):
             raise ModelError(f'solver = {self.solver!r} is not a name such as "clarabel"')
-        if self.unreachable not in ("raise", "nearest"):
-            raise DataError(f'unreachable = "{self.unreachable}" is not "raise" or "nearest"')
-        if self.warm_start not in ("auto", "closed_form", "none"):
+        checks.choice("unreachable", self.unreachable, ("raise", "nearest"))
+        if not isinstance(self.warm_start, str) or self.warm_start not in (
+            "auto",
+            "closed_form",
+            "none",
+        ):
             raise ModelError(
                 f'warm_start = {self.warm_start!r} is not "auto", "closed_form" or "none"'
             )

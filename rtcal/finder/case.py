@@ -264,6 +264,8 @@ class Case:
     @checked
     def only(self, *parameters: str, configurations: Sequence[str] | None = None) -> Case:
         """Return the case with some of its parameters, and some of its configurations."""
+        if configurations is not None:
+            configurations = checks.texts("configurations", configurations)
         kept = []
         for c in self.configurations:
             if configurations is not None and c.name not in configurations:

@@ -115,6 +115,7 @@ class Configuration:
 
     def coefficients(self, room: Room) -> tuple[Array, Array]:
         """Return alpha and sigma of the room in this configuration, (n_materials, n_bands)."""
+        checks.instance("room", room, Room)
         alpha, sigma = np.array(room.alpha), np.array(room.sigma)
         for material, change in self.changes.items():
             row = room.material_index(material)
@@ -168,6 +169,7 @@ class Configuration:
         returns it. Raises DataError for an unknown key, and for a value of the
         wrong kind.
         """
+        data = checks.mapped("configuration", data)
         name = text_name("configuration: name", data.get("name", "measured"))
         where = f'configuration "{name}"'
         inline = (*PARAMETERS, *OPTIONAL)

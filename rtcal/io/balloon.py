@@ -21,6 +21,7 @@ import numpy as np
 from rtcal.acoustics import bands
 from rtcal.acoustics.directivity import UPWARDS, Directivity
 from rtcal.io import sofa, text
+from rtcal.support import checks
 from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError
 from rtcal.support.files import read_bytes
@@ -88,8 +89,8 @@ def read(
     >>> print(10 * np.log10(speaker.gain([[1, 0, 0], [-1, 0, 0]])[:, 0]).round(1))
     [ 12. -24.]
     """
-    place = os.fspath(path)
-    wanted = [float(f) for f in np.atleast_1d(np.asarray(frequencies, dtype=float))]
+    place = os.fspath(checks.path("path", path))
+    wanted = np.atleast_1d(checks.array("frequencies", frequencies)).ravel().tolist()
     of_sofa = sofa.claims(path)
     gains = np.array(_from_sofa(place, wanted) if of_sofa else _from_text(place, wanted))
     try:

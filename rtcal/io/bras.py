@@ -32,6 +32,7 @@ from rtcal.io.material_export import ExportReport, write_list
 from rtcal.io.material_list import ListedMaterial, MaterialList
 from rtcal.io.table_columns import nearest_band
 from rtcal.io.text import MAX_TEXT, decode, lines, number, shown
+from rtcal.support import checks
 from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError
 from rtcal.support.files import read_bytes
@@ -89,7 +90,7 @@ def parse(
     content: bytes, path: str = "BRAS file", *, where: Mapping[str, str] | None = None
 ) -> MaterialList:
     """Return the materials of a file's content; see `read`."""
-    text = decode(content, path)
+    text, where = decode(content, path), checks.text_by_name("where", where)
     rows: list[tuple[int, list[Cell]]] = []
     for line, start, raw in lines(text.characters):
         if raw.strip():
@@ -101,7 +102,7 @@ def parse(
         raise DataError(f"{path}, line {line}: {len(header)} columns; at most {MAX_BANDS} are read")
     if re.match(r"[\d.]", header[0][0]):
         return MaterialList(path=path, text=text, materials=(_single_material(rows, path, where),))
-    return MaterialList(path=path, text=text, materials=_table(rows, path, where or {}))
+    return MaterialList(path=path, text=text, materials=_table(rows, path, where))
 
 
 def _cells(raw: str, start: int) -> list[Cell]:

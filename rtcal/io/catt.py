@@ -26,6 +26,7 @@ from rtcal.io import material_list
 from rtcal.io.material_export import ExportReport, write_list
 from rtcal.io.material_list import ListedMaterial, MaterialList
 from rtcal.io.text import MAX_TEXT, decode, lines, number, shown
+from rtcal.support import checks
 from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError
 from rtcal.support.files import read_bytes
@@ -278,6 +279,7 @@ def _numbers(
 
 def _bands_of_new_list(room: Room) -> tuple[float, ...]:
     """Return the octaves 125 Hz to 4 kHz, and 8 and 16 kHz if the room has them."""
+    checks.instance("room", room, Room)
     obtainable = band_conversion.obtainable(room.centre_frequencies, BANDS)
     n_bands = 6 if BANDS[6] not in obtainable else 7 if BANDS[7] not in obtainable else 8
     return BANDS[:n_bands]

@@ -11,6 +11,7 @@ from rtcal.io import balloon, obj
 from rtcal.simulators.geometry import SHOEBOX_WALLS, Polyhedron
 from rtcal.simulators.path_tracing import PathTracing
 from rtcal.simulators.tracer import area_doubt, volume_doubt
+from rtcal.support import checks
 from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError
 
@@ -25,6 +26,7 @@ def read(room: Room) -> Polyhedron:
     Raises DataError as `rtcal.io.obj.read`, for a mesh with a material that the room lacks, and for a
     room that states neither a mesh nor dimensions.
     """
+    checks.instance("room", room, Room)
     if room.scene.mesh is not None:
         geometry = obj.read(room.scene.mesh, unit=room.scene.unit)
         for face, material in zip(geometry.names, geometry.materials, strict=True):
@@ -56,7 +58,7 @@ def mesh_doubt(room: Room) -> str:
     >>> mesh_doubt(rt.datasets.bras_cr2()[0])
     ''
     """
-    if room.scene.mesh is None:
+    if checks.instance("room", room, Room).scene.mesh is None:
         return ""
     try:
         geometry = read(room)
@@ -81,7 +83,7 @@ def path_tracing(room: Room, **options: Any) -> PathTracing:
     >>> path_tracing(box, n_paths=160).pairs
     (('S1', 'R1'),)
     """
-    if not room.scene.sources:
+    if not checks.instance("room", room, Room).scene.sources:
         raise DataError(
             f'room "{room.name}" does not state where its sources and receivers are: write [sources] '
             "and [receivers] into its file, a line such as S1 = [1.2, 3.4, 1.5] for each"

@@ -116,7 +116,7 @@ def read(
         For a file that cannot be read, and for several channels where ``channels`` is not stated;
         the message names file and rule.
     """
-    paths = [path] if isinstance(path, (str, os.PathLike)) else list(path)
+    paths = [path] if isinstance(path, (str, os.PathLike)) else checks.listed("path", path)
     if not paths:
         raise DataError("no file of an impulse response is given")
     responses: dict[tuple[str, str], _Response] = {}
@@ -374,7 +374,15 @@ def of_energy(
     """
     needed = _ranges(minimum_range)
     checks.positive("sampling_rate", sampling_rate, "Hz")
-    bandwidth = sampling_rate / 2 if centre_frequency is None else _bandwidth(centre_frequency, 1)
+    energy = checks.array("energy", energy)
+    if energy.ndim != 1:
+        raise DataError(f"energy has shape {energy.shape}, not (n_samples,)")
+    early = checks.number("early", early)
+    checks.whole("early_samples", early_samples, 0)
+    bandwidth = sampling_rate / 2
+    if centre_frequency is not None:
+        centre_frequency = checks.positive("centre_frequency", centre_frequency, "Hz")
+        bandwidth = _bandwidth(centre_frequency, 1)
     of_band = _parameters(
         energy, sampling_rate, needed, centre_frequency, bandwidth, early, early_samples
     )
@@ -680,8 +688,10 @@ def _centres(bands: str | Sequence[float], rate: float) -> tuple[Array, int]:
 
 def _ranges(minimum_range: Mapping[str, float] | None) -> dict[str, float]:
     chosen = dict(MINIMUM_RANGE)
-    for parameter, value in (minimum_range or {}).items():
-        if parameter.lower() not in chosen:
+    stated = {} if minimum_range is None else minimum_range
+    for parameter, value in checks.mapped("minimum_range", stated).items():
+        value = checks.number(f"minimum_range[{checks.shown(parameter)}]", value)
+        if checks.text("minimum_range: a name", parameter).lower() not in chosen:
             raise DataError(
                 f"minimum_range[{parameter}] = {value:g} dB; known are {', '.join(chosen)}"
             )

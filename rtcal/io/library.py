@@ -41,6 +41,7 @@ from rtcal.io.table_words import (
 )
 from rtcal.io.text import MAX_TEXT, Text, decode, number, shown
 from rtcal.io.text_tables import sheet_of_text
+from rtcal.support import checks
 from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError
 from rtcal.support.files import read_bytes
@@ -150,7 +151,7 @@ def read(path: str | os.PathLike[str]) -> MaterialList:
     MissingDependencyError
         For a workbook without openpyxl.
     """
-    folder = Path(path)
+    folder = checks.path("path", path)
     if folder.is_dir():
         files = sorted(p for p in folder.iterdir() if p.suffix.lower() in ENDINGS)
         if not files:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
-from pathlib import Path
 
 import numpy as np
 
@@ -14,7 +13,7 @@ from rtcal.acoustics.equations import Eyring, LinearEquation
 from rtcal.acoustics.room import Room
 from rtcal.acoustics.scene import POSITION, Scene
 from rtcal.io.material_list import ListedMaterial, MaterialList
-from rtcal.support import text
+from rtcal.support import checks, text
 from rtcal.support.errors import DataError
 from rtcal.support.files import write_bytes
 from rtcal.support.types import Array
@@ -143,25 +142,29 @@ def write_list(
     band; with "refuse" they are an error. ``readable`` returns the name that a new file has for a
     material without one in ``entries``.
     """
-    if missing_bands not in ("refuse", "nearest"):
-        raise DataError(f'missing_bands = "{missing_bands}" is neither "refuse" nor "nearest"')
+    checks.instance("room", room, Room)
+    checks.choice("missing_bands", missing_bands, ("refuse", "nearest"))
+    entries = checks.text_by_name("entries", entries)
     equation = Eyring() if equation is None else equation
+    checks.instance("equation", equation, LinearEquation)
+    if decimals is not None:
+        decimals = checks.whole("decimals", decimals, 0)
     notes: list[str] = []
-    if template is None and Path(path).exists():
+    if template is None and checks.path("path", path).exists():
         template = path
     if template is not None:
         listed = read(template)
     else:
         in_new_bands, notes = _in_new_bands(room, new_bands, missing_bands, os.fspath(path))
-        renamed = _renamed(room.materials, entries or {}, readable)
-        entries = {**(entries or {}), **renamed}
+        renamed = _renamed(room.materials, entries, readable)
+        entries |= renamed
         names = [entries.get(name, name) for name in room.materials]
         if renamed:
             pairs = [f'"{name}" is {new}' for name, new in renamed.items()]
             some = text.first_of(pairs, MOST_NAMED)
             notes.append(f"Renamed, as the program reads names: {some}")
         listed = new_list(in_new_bands.replace(materials=names, surfaces=()))
-    listed = listed.with_entries(entries or {}, room)
+    listed = listed.with_entries(entries, room)
     if decimals is not None:
         listed = replace(
             listed, materials=tuple(_with_decimals(m, decimals) for m in listed.materials)

@@ -31,7 +31,7 @@ from rtcal.io import budget, cad, obj, units
 from rtcal.io.mend import OFFSET, WELD, Faces, Mended, MeshError, closed, mended
 from rtcal.io.mend.solids import room_between
 from rtcal.io.text import decode, lines, number, shown
-from rtcal.support import library
+from rtcal.support import checks, library
 from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError, MissingDependencyError
 from rtcal.support.files import read_bytes
@@ -87,9 +87,9 @@ def read(
     MissingDependencyError
         Without trimesh or ifcopenshell, for a format that it reads.
     """
-    if unit is not None and not 0 < unit < float("inf"):
-        raise DataError(f"unit = {unit:g} m is not finite and above 0")
-    ending = Path(path).suffix.lower()
+    if unit is not None:
+        unit = checks.positive("unit", unit, "m")
+    ending = checks.path("path", path).suffix.lower()
     if ending == IFC:
         return cad.ifc_faces(os.fspath(path), unit, space, weld)
     if space is not None:

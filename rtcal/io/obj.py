@@ -27,6 +27,7 @@ from rtcal.io.mend import Faces
 from rtcal.io.text import MAX_TEXT, decode, lines, number, shown
 from rtcal.io.units import check_volume
 from rtcal.simulators.geometry import Polyhedron
+from rtcal.support import checks
 from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError
 from rtcal.support.files import read_bytes
@@ -85,8 +86,7 @@ def read(path: str | os.PathLike[str], *, unit: float = 1.0) -> Polyhedron:
 @checked
 def parse(content: bytes, path: str = "OBJ file", *, unit: float = 1.0) -> Polyhedron:
     """Return the room of a file's content; see `read`."""
-    if not 0 < unit < float("inf"):
-        raise DataError(f"unit = {unit:g} m is not finite and above 0")
+    unit = checks.positive("unit", unit, "m")
     vertices, polygons, materials, names, line = _drawn(content, path, unit, "", MAX_FACES)
     if not polygons:
         raise DataError(f"{path}, line {line}: there is no face; a room has at least 4")
@@ -167,13 +167,13 @@ def _drawn(
 @checked
 def text(polyhedron: Polyhedron) -> str:
     """Return a room as OBJ in m; reading it back gives the same room."""
-    return polyhedron.to_text()
+    return checks.instance("polyhedron", polyhedron, Polyhedron).to_text()
 
 
 @checked
 def write(polyhedron: Polyhedron, path: str | os.PathLike[str]) -> None:
     """Write a room as OBJ in m, whole or not at all."""
-    polyhedron.save(path)
+    checks.instance("polyhedron", polyhedron, Polyhedron).save(path)
 
 
 def _face_name(group: str, member: int, number: int) -> str:

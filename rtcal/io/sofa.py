@@ -22,7 +22,7 @@ import numpy as np
 from rtcal.acoustics.repeats import SAME_PLACE
 from rtcal.acoustics.scene import Scene
 from rtcal.io import budget
-from rtcal.support import library
+from rtcal.support import checks, library
 from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError
 from rtcal.support.types import Array
@@ -113,7 +113,7 @@ class Responses:
 
 def claims(path: str | os.PathLike[str]) -> bool:
     """Return whether a file is HDF5, as SOFA files are."""
-    if not Path(path).is_file():
+    if not checks.path("path", path).is_file():
         return False
     with open(path, "rb") as stream:
         return stream.read(len(_HDF5)) == _HDF5
@@ -136,10 +136,9 @@ def read(path: str | os.PathLike[str]) -> Responses:
 
 def _opened(path: str | os.PathLike[str]) -> Any:
     """Return sofar's object of a file; raises as `read`."""
-    size = Path(path).stat().st_size if Path(path).exists() else 0
     if not claims(path):
         raise DataError(f"{path}, byte 0: not a SOFA (HDF5) file")
-    if size > MAX_BYTES:
+    if (size := Path(path).stat().st_size) > MAX_BYTES:
         raise DataError(f"{path}: {size} bytes; at most {MAX_BYTES}")
     _require_shapes(os.fspath(path))
     sofar = library(_NEEDED, "sofar")

@@ -21,7 +21,6 @@ from __future__ import annotations
 import os
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any
 
 from rtcal.acoustics import bands, measurement_files
@@ -126,9 +125,9 @@ def read(
     MissingDependencyError
         For a workbook (xlsx) without openpyxl.
     """
-    paths = [path] if isinstance(path, (str, os.PathLike)) else list(path)
+    paths = [path] if isinstance(path, (str, os.PathLike)) else checks.listed("path", path)
     return parse(
-        {os.fspath(p): read_bytes(p, MAX_BYTES) for p in paths},
+        {os.fspath(checks.path("path", p)): read_bytes(p, MAX_BYTES) for p in paths},
         decay_time=decay_time,
         parameter=parameter,
         where=where,
@@ -155,26 +154,29 @@ def parse(
     sheets: Collection[str] = (),
 ) -> Table:
     """Return the measurement of a table's content, or of several by their names; see `read`."""
-    contents = {path: content} if isinstance(content, bytes) else content
+    checks.text("path", path)
+    contents = {path: content} if isinstance(content, bytes) else checks.mapped("content", content)
     if not contents:
         raise DataError("no table is given")
     for name, choice, choices in (
         ("decay_time", decay_time, DECAY_TIMES_OF_RT60),
         ("parameter", parameter, tuple(OBSERVABLES)),
     ):
-        if choice is not None and choice not in choices:
-            raise DataError(f'{name} = "{choice}" is none of {", ".join(choices)}')
+        if choice is not None:
+            checks.choice(name, choice, choices)
     stated: dict[str, float] = {}
     for name, count in (("sources", n_sources), ("receivers", n_receivers)):
         if count is not None:
             stated[name] = checks.whole(f"n_{name}", count, 1)
     checks.flag("repeats", repeats)
-    where, ignore = where or {}, [ignore] if isinstance(ignore, str) else ignore
-    sheets = [sheets] if isinstance(sheets, str) else sheets
+    where = checks.text_by_name("where", where)
+    ignore = (ignore,) if isinstance(ignore, str) else checks.texts("ignore", ignore)
+    sheets = (sheets,) if isinstance(sheets, str) else checks.texts("sheets", sheets)
     columns = {*where, *ignore}
     found: list[tuple[Sheet, TableLayout]] = []
     notes: list[str] = []
     for path, content in contents.items():
+        checks.content(checks.text("content: a name", path), content)
         of_file = _sheets(content, path, where, decay_time, columns)
         if repeats:
             of_file = [
@@ -227,7 +229,8 @@ def measurement(path: str | os.PathLike[str]) -> Table:
 @checked
 def write(measurement: Measurement, path: str | os.PathLike[str]) -> None:
     """Write the native table, one value per row: CSV, or a workbook if the name ends in .xlsx."""
-    if Path(path).suffix.lower() == workbook.ENDING:
+    checks.instance("measurement", measurement, Measurement)
+    if checks.path("path", path).suffix.lower() == workbook.ENDING:
         workbook.write({"measurement": measurement_files.rows(measurement.to_dict())}, path)
     else:
         measurement.save(os.fspath(path))

@@ -6,6 +6,7 @@ import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 
+from rtcal.support import checks
 from rtcal.support.errors import DataError
 
 MAX_TEXT = 2**18
@@ -66,6 +67,7 @@ def decode(content: bytes, path: str = "file") -> Text:
     DataError
         If the bytes violate the encoding of the byte order mark.
     """
+    checks.content(path, content)
     for mark, codec in _BYTE_ORDER_MARKS.items():
         if content.startswith(mark):
             try:

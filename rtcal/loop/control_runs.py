@@ -87,6 +87,10 @@ class ControlRuns:
     more_paths: int = 1
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "parameters", checks.texts("parameters", self.parameters))
+        object.__setattr__(self, "pairs", checks.pairs("pairs", self.pairs))
+        object.__setattr__(self, "models", checks.texts("models", self.models))
+        checks.whole("more_paths", self.more_paths, 1)
         errors = read_only(checks.array("errors", self.errors))
         if (
             errors.ndim != 4

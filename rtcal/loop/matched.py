@@ -104,6 +104,7 @@ class Matched:
 
         T20 and EDT come from the same paths. Their errors are added, which no correlation exceeds.
         """
+        checks.instance("measurement", measurement, Measurement)
         time = self.combined(measurement.mean)
         total = np.zeros(len(time))
         for parameter, share in self.shares.items():

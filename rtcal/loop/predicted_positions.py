@@ -47,6 +47,7 @@ from rtcal.prediction import words
 from rtcal.simulators.base import Simulator
 from rtcal.simulators.observations import Observations, checked_parameters, jacobian, observe
 from rtcal.simulators.path_tracing import PathTracing
+from rtcal.support import checks
 from rtcal.support.errors import DataError
 from rtcal.support.speed import Progress
 from rtcal.support.types import Array
@@ -413,6 +414,13 @@ def predict_positions(
     panels True True
     window True True
     """
+    if not hasattr(result, "weighed"):
+        raise DataError(
+            f"result = {checks.shown(result)} is no result of rtcal.calibrate_positions"
+        )
+    variants = checks.listed("variants", variants)
+    for i, variant in enumerate(variants):
+        checks.instance(f"variants[{i}]", variant, Variant)
     refuse_repeated_names(variants)
     assumed = Assumptions() if assumptions is None else assumptions
     every = (Variant(_BEFORE, ()), *variants)

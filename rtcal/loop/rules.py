@@ -158,7 +158,26 @@ class Step:
 
     def __post_init__(self) -> None:
         for name in ("target", "alpha", "simulated", "noise"):
-            object.__setattr__(self, name, read_only(getattr(self, name)))
+            values = read_only(checks.array(f"step: {name}", getattr(self, name)))
+            object.__setattr__(self, name, values)
+        n = self.target.shape
+        shapes = {"simulated": self.simulated.shape, "noise": self.noise.shape}
+        heard = {
+            checks.text("step: a parameter of heard", parameter): checks.array(
+                f"step: heard[{checks.shown(parameter)}]", values
+            )
+            for parameter, values in checks.mapped("step: heard", self.heard).items()
+        }
+        shapes |= {f"heard[{checks.shown(p)}]": values.shape for p, values in heard.items()}
+        if len(n) != 1 or self.alpha.ndim != 2 or self.alpha.shape[1:] != n:
+            raise DataError(
+                f"step: target has shape {n} and alpha {self.alpha.shape}; they are (n_bands,) and "
+                "(n_materials, n_bands)"
+            )
+        for name, shape in shapes.items():
+            if shape != n:
+                raise DataError(f"step: {name} has shape {shape}; that of target is {n}")
+        object.__setattr__(self, "heard", heard)
 
 
 def simulated_time(

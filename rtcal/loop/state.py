@@ -178,6 +178,9 @@ class Loop(Result):
         return np.asarray(self._heard(parameter)[self.best, np.arange(self.room.n_bands)])
 
     def _heard(self, parameter: str) -> Array:
+        checks.text("parameter", parameter)
+        if not self.steps:
+            raise DataError("the loop has no simulation yet, and so no means")
         none = np.full(self.room.n_bands, np.nan)
         return np.stack([step.heard.get(parameter, none) for step in self.steps])
 
@@ -362,9 +365,12 @@ class Loop(Result):
         time = rules.simulated_time(
             simulated, self.room.centre_frequencies, self.matched, self.steps
         )
-        time[np.array(without_t20, dtype=int)] = np.nan
+        for band in checks.listed("without_t20", without_t20):
+            if checks.whole("without_t20", band, 0) >= len(time):
+                raise DataError(f"without_t20 has {band}; the bands are 0 to {len(time) - 1}")
+            time[band] = np.nan
         step = Step(
-            target=self.stated_target if stated else self.next_target,
+            target=self.stated_target if checks.flag("stated", stated) else self.next_target,
             alpha=check_alpha(self.room, alpha),
             simulated=time,
             noise=self.matched.noise(simulated),

@@ -107,7 +107,8 @@ class MeasuredModes:
     notes: Sequence[str] = ()
 
     def __post_init__(self) -> None:
-        put, n = partial(object.__setattr__, self), np.size(self.frequencies)
+        put = partial(object.__setattr__, self)
+        n = checks.array("frequencies", self.frequencies).size
         if n == 0:
             raise DataError("frequencies is empty; at least one mode is needed")
         if self.frequency_uncertainty is None:

@@ -25,7 +25,7 @@ from rtcal.studies.paper import (
 )
 from rtcal.studies.runner import table_csv
 from rtcal.studies.study import Study, Table, analytic_scores, run
-from rtcal.support import text
+from rtcal.support import checks, text
 from rtcal.support.arguments import checked
 
 __all__ = ["StudyReport", "priors", "report", "spread"]
@@ -163,8 +163,12 @@ def report(
     MissingDependencyError
         With files but without matplotlib, before anything is computed.
     """
+    for room in (rooms := checks.texts("rooms", rooms)):
+        checks.choice("rooms", room, (*_HEADINGS, "halls"))
+    sigma_r = checks.array("sigma_r", sigma_r).ravel().tolist()
+    checks.choice("sampling", sampling, _SAMPLINGS)
     result = StudyReport()
-    if with_files:
+    if checks.flag("with_files", with_files):
         new_figure()
     for sentence in (*_LEGEND, _SAMPLINGS[sampling]):
         result.lines.extend(text.wrapped(sentence))

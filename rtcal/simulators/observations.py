@@ -58,13 +58,30 @@ class Observations:
     direct: Array | None = None
 
     def __post_init__(self) -> None:
-        shape = (len(self.parameters), len(self.pairs), len(self.centre_frequencies))
+        f = checks.array("Observations: centre_frequencies", self.centre_frequencies)
+        if f.ndim != 1:
+            raise DataError(f"Observations: centre_frequencies has shape {f.shape}, not (n_bands,)")
+        parameters = checks.texts("Observations: parameters", self.parameters)
+        pairs = checks.pairs("Observations: pairs", self.pairs)
+        shape = (len(parameters), len(pairs), len(f))
         values = read_only(checks.array("observations", self.values))
         if values.shape != shape:
             raise DataError(
                 f"observations have shape {values.shape}; (n_parameters, n_pairs, n_bands) = {shape}"
             )
-        object.__setattr__(self, "values", values)
+        if self.direct is not None:
+            direct = checks.array("Observations: direct", self.direct)
+            if direct.shape != shape[1:]:
+                raise DataError(
+                    f"Observations: direct has shape {direct.shape}; (n_pairs, n_bands) = {shape[1:]}"
+                )
+        for name, value in (
+            ("parameters", parameters),
+            ("pairs", pairs),
+            ("centre_frequencies", f),
+            ("values", values),
+        ):
+            object.__setattr__(self, name, value)
 
     def __repr__(self) -> str:
         return (
@@ -105,6 +122,9 @@ class Observations:
         pairs : sequence of (source, receiver)
             NaN where the measurement lacks a pair.
         """
+        checks.instance("measurement", measurement, Measurement)
+        parameters = checks.texts("parameters", parameters)
+        pairs = checks.pairs("pairs", pairs)
         rows = {pair: i for i, pair in enumerate(measurement.pairs)}
         values = np.full((len(parameters), len(pairs), len(measurement.centre_frequencies)), np.nan)
         names = checked_parameters(parameters) if parameters else ()

@@ -145,6 +145,7 @@ class PathTracing(DirectedSources, Tracer):
         thinned already, it has ``factor`` times its paths; with a factor of 1 it is this one, with the
         paths that it has traced.
         """
+        checks.whole("factor", factor, 1)
         if self.thinned is not None:
             return self if factor == 1 else replace(self, n_paths=factor * self.n_paths)
         return replace(
@@ -159,6 +160,8 @@ class PathTracing(DirectedSources, Tracer):
 
         They have a value per band.
         """
+        for name, of in checks.mapped("directivity", directivity).items():
+            checks.instance(f"directivity[{checks.shown(name)}]", of, Directivity)
         changed = copy(self)
         # A key with a band, too, has the paths of its directivity.
         kept = {key: of for key, of in self._traced.items() if len(key) == 2}
@@ -220,6 +223,7 @@ class PathTracing(DirectedSources, Tracer):
         `TooShortError` where paths that were traced end too early and are not to be traced ``again``.
         """
         alpha, match = check_alpha(self, alpha), observations.checked_parameters(match)
+        again = checks.flag("again", again)
         (energy,) = self._groups(alpha, match, 1, seed, None if again else self._followed(seed))
         return self._observed(energy, alpha, match)
 
@@ -346,6 +350,7 @@ class PathTracing(DirectedSources, Tracer):
             not "random".
         """
         alpha, match = check_alpha(self, alpha), observations.checked_parameters(match)
+        checks.whole("number", number, 1)
         self._check_number(number)
         return self._derivatives(
             alpha,
@@ -406,9 +411,8 @@ class PathTracing(DirectedSources, Tracer):
             raise DataError(f"band = {checks.shown(band)} is not from 0 to {self.room.n_bands - 1}")
         longest = check_seconds(seconds) * self.room.speed_of_sound
         columns = [tuple(column) for column in self.scattering.T]
-        key = (seed, columns.index(columns[band]))
+        key = (checks.whole("seed", seed, 0), columns.index(columns[band]))
         if key not in self._traced or self._traced[key].longest < longest:
-            checks.whole("seed", seed, 0)
             if any(other != seed for other, *_ in self._traced):
                 self._traced.clear()
             self._traced[key] = self._trace(self.scattering[:, band], longest, seed)

@@ -77,6 +77,27 @@ def flag(place: str, value: object) -> bool:
     return bool(value)
 
 
+def text(place: str, value: object) -> str:
+    """Return a text; DataError for anything else."""
+    if not isinstance(value, str):
+        raise DataError(f"{place} = {shown(value)} is not a text")
+    return value
+
+
+def choice(place: str, value: object, options: Collection[str]) -> str:
+    """Return a text that is one of ``options``; DataError for anything else."""
+    if text(place, value) not in options:
+        raise DataError(f"{place} = {shown(value)} is not one of {', '.join(options)}")
+    return str(value)
+
+
+def content(place: str, value: object) -> bytes:
+    """Return the bytes of a file; DataError for anything else, also for its text."""
+    if not isinstance(value, bytes):
+        raise DataError(f"{place}: content = {shown(value)} is not bytes, as a file has")
+    return value
+
+
 def instance(place: str, value: object, kind: type[T]) -> T:
     """Return an instance of one of rtcal's classes; DataError for anything else."""
     if not isinstance(value, kind):
@@ -144,6 +165,20 @@ def listed(place: str, value: object) -> tuple[Any, ...]:
     if isinstance(value, str | bytes) or not isinstance(value, Iterable):
         raise DataError(f"{place} = {shown(value)} is not a list")
     return tuple(value)
+
+
+def texts(place: str, value: object) -> tuple[str, ...]:
+    """Return the members of a sequence of texts; DataError for one text and for anything else."""
+    return tuple(text(f"{place}[{i}]", each) for i, each in enumerate(listed(place, value)))
+
+
+def text_by_name(place: str, value: object) -> dict[str, str]:
+    """Return a mapping of texts to texts as a dict; None is an empty one; DataError for others."""
+    stated = mapped(place, {} if value is None else value)
+    return {
+        text(f"{place}: a name", name): text(f"{place}[{shown(name)}]", each)
+        for name, each in stated.items()
+    }
 
 
 def pairs(place: str, value: object) -> tuple[tuple[str, str], ...]:
@@ -233,6 +268,8 @@ def toml_table(text: str) -> dict[str, Any]:
     >>> toml_table("volume = 100")
     {'volume': 100}
     """
+    if not isinstance(text, str):
+        raise DataError(f"content = {shown(text)} is not a text")
     if any(line.count(".") > MAX_DOTS for line in text.split("\n") if "=" not in line[:MAX_DOTS]):
         raise DataError(f"a key of more than {MAX_DOTS} parts")
     try:
@@ -338,18 +375,11 @@ class Entries:
 
     def text(self, key: str, default: str | None = None) -> str:
         """Return a text, or ``default`` if the key is missing."""
-        value = self._value(key, default)
-        if not isinstance(value, str):
-            raise DataError(f"{self.place}{key} = {shown(value)} is not a text")
-        return value
+        return text(self.place + key, self._value(key, default))
 
     def choice(self, key: str, options: Collection[str], default: str | None = None) -> str:
         """Return a text that is one of ``options``."""
-        value = self.text(key, default)
-        if value not in options:
-            stated = f"{self.place}{key} = {shown(value)}"
-            raise DataError(f"{stated} is not one of {', '.join(options)}")
-        return value
+        return choice(self.place + key, self._value(key, default), options)
 
     def number(
         self,
@@ -390,11 +420,7 @@ class Entries:
 
     def texts(self, key: str, default: Sequence[str] | None = None) -> list[str]:
         """Return a list of texts."""
-        value = self.listed(key, default)
-        for i, each in enumerate(value):
-            if not isinstance(each, str):
-                raise DataError(f"{self.place}{key}[{i}] = {shown(each)} is not a text")
-        return value
+        return list(texts(self.place + key, self.listed(key, default)))
 
     def mapping(self, key: str, default: Mapping[str, Any] | None = None) -> dict[str, Any]:
         """Return an object with arbitrary keys, such as names of materials."""

@@ -26,6 +26,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from rtcal.support import checks
 from rtcal.support.errors import DataError
 from rtcal.support.types import Array
 
@@ -378,12 +379,12 @@ def spare(
 
 def write_text(path: str | os.PathLike[str], text: str) -> None:
     """Write a file whole or not at all."""
-    write_all({path: text.encode("utf-8", errors="backslashreplace")})
+    write_bytes(path, text.encode("utf-8", errors="backslashreplace"))
 
 
 def write_bytes(path: str | os.PathLike[str], content: bytes) -> None:
     """Write bytes whole or not at all; DataError if the place cannot be written."""
-    write_all({path: content})
+    write_all({checks.path("path", path): content})
 
 
 def write_all(contents: Mapping[Any, bytes]) -> None:

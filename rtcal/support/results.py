@@ -102,7 +102,7 @@ class Result(ABC):
             If the folder cannot be made, the file cannot be written, or the result holds an object of
             the user's own class, which no file can hold.
         """
-        place = Path(path)
+        place = checks.path("path", path)
         if place.suffix != ".json" or place.is_dir():
             place /= NUMBERS
         content = self._sealed(place.parent).encode()
@@ -142,7 +142,7 @@ def load(path: str | os.PathLike[str]) -> Any:
     >>> print(bool((again.alpha == result.alpha).all()), str(again) == str(result))
     True True
     """
-    place = Path(path)
+    place = checks.path("path", path)
     if place.is_dir():
         place /= NUMBERS
         if not place.exists():

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtcal.acoustics import bands
+from rtcal.support import checks
 from rtcal.support.errors import DataError
 from rtcal.support.types import Array
 
@@ -315,7 +316,7 @@ def observable(key: str) -> Observable:
     >>> observable("ts").label, observable("ts").unit
     ('Ts', 's')
     """
-    if key not in OBSERVABLES:
+    if not isinstance(key, str) or key not in OBSERVABLES:
         raise DataError(f'parameter "{key}" is unknown; known are {", ".join(OBSERVABLES)}')
     return OBSERVABLES[key]
 
@@ -337,5 +338,5 @@ def parameter_label(parameter: str) -> str:
     >>> [parameter_label(parameter) for parameter in ("t20", "ts", "level")]
     ['T20', 'Ts', 'level']
     """
-    known = OBSERVABLES.get(parameter)
+    known = OBSERVABLES.get(checks.text("parameter", parameter))
     return parameter.upper() if known is None else known.label

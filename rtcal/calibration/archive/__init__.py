@@ -336,7 +336,7 @@ def read_folder(folder: str | os.PathLike[str]) -> list[CalibrationResult | Join
     ...     print([result.prior.name for result in read_folder(folder)])
     ['BRAS CR2, seminar room']
     """
-    if not Path(folder).is_dir():
+    if not checks.path("folder", folder).is_dir():
         raise DataError(f"{folder}: no such folder")
     files = sorted(Path(folder).rglob(results.NUMBERS))
     if not files:

@@ -377,6 +377,7 @@ class AppliedEffect:
     custom: Effect | None = None
 
     def __post_init__(self) -> None:
+        checks.text("effect: name", self.name)
         for name, value in checks.mapped("effect: parameters", self.parameters).items():
             checks.number(f"effect: parameters[{name!r}]", value)
         if self.size_interval is not None:
@@ -398,8 +399,10 @@ class AppliedEffect:
         size_interval: tuple[float, float] | None = None,
     ) -> AppliedEffect:
         """Return an effect of the library, or another one, with these parameters."""
+        if not isinstance(effect, Effect):
+            raise DataError(f"effect = {checks.shown(effect)} is no rtcal.finder.Effect")
         custom = None if effect in library() else effect
-        return cls(effect.name, dict(parameters), size_interval, custom)
+        return cls(effect.name, parameters, size_interval, custom)
 
     @cached_property
     def effect(self) -> Effect:

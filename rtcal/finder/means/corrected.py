@@ -31,6 +31,7 @@ from rtcal.finder.model import FEATURES, RoomState, highest, mean_contributions,
 from rtcal.simulators.base import RoomSimulator, Simulator, check_alpha, run
 from rtcal.simulators.geometry import Polyhedron
 from rtcal.support.arguments import checked
+from rtcal.support.checks import shown
 from rtcal.support.errors import DataError
 from rtcal.support.text import listed
 from rtcal.support.types import Array
@@ -124,7 +125,10 @@ def simulator(case: Case, make: Callable[[Room], Simulator] | None = None) -> Si
         why = next((cause for cause in (_DECAY, _NO_AIR, _TOO_MUCH) if cause in why), "")
         if why and p.effect.not_in_simulator is not None:
             raise DataError(f"{p.name}: {p.effect.not_in_simulator if why == _DECAY else why}")
-    return SpreadAbsorbers(case, make(c.stated))
+    made = make(c.stated)
+    if not isinstance(made, Simulator):
+        raise DataError(f"make returned {shown(made)}, which is no rtcal.simulators.Simulator")
+    return SpreadAbsorbers(case, made)
 
 
 @dataclass(frozen=True, eq=False, repr=False)

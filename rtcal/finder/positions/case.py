@@ -115,7 +115,8 @@ class PositionsCase:
         object.__setattr__(self, "exclude", checks.pairs("exclude", self.exclude))
         for name in ("measured", "simulated"):
             values = getattr(self, name)
-            if isinstance(values, Measurement):
+            if values is not None:
+                checks.instance(name, values, Measurement)
                 values, repeated = at_places(self.simulator, values)
                 if name == "measured":
                     object.__setattr__(
@@ -209,7 +210,9 @@ class PositionsCase:
             As `rtcal.io.geometry_files.path_tracing` and `PositionsCase` do.
         """
         return cls(
-            simulator=geometry_files.path_tracing(room, **(tracing or {})),
+            simulator=geometry_files.path_tracing(
+                room, **checks.mapped("tracing", {} if tracing is None else tracing)
+            ),
             measured=measured,
             surfaces=room.scene.surfaces or None,
             position_uncertainty=room.scene.position_uncertainty,

@@ -97,6 +97,9 @@ class Differences:
         DataError
             If the states have no pair in common, or no T20 or T30 in any band.
         """
+        checks.instance("room", room, Room)
+        checks.instance("before", before, Measurement)
+        checks.instance("after", after, Measurement)
         of_bands = told.of_bands(room, before, after)
         before, after, notes = without_copies(before, after)
         wanted = room.centre_frequencies
