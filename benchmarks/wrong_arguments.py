@@ -62,15 +62,17 @@ LIMIT = 10.0
 MEMORY = 6 * 2**30
 """Bytes of address space: a call that needs more raises MemoryError, which counts as untyped."""
 
-PLAIN: dict[str, tuple[type[Exception], ...]] = {
-    "rt.acoustics.observables.of_kind": (TypeError,),
-    "rt.acoustics.observables.register": (TypeError, AttributeError),
-    "rt.acoustics.observables.longest": (TypeError,),
-    "rt.terms.half_squares": (TypeError, ValueError, OverflowError),
+PLAIN: dict[tuple[str, str], tuple[type[Exception], ...]] = {
+    ("rt.acoustics.observables.of_kind", "kind"): (TypeError,),
+    ("rt.acoustics.observables.register", "kind"): (TypeError, AttributeError),
+    ("rt.terms.half_squares", "expression"): (TypeError, ValueError, OverflowError),
+    ("rt.calibrate_simulator", "after_step"): (TypeError,),
+    ("rt.finder.simulator", "make"): (TypeError,),
 }
-"""Functions that raise Python's own error for an argument of another kind, and which.
+"""Function and argument for which an error of Python's own stays, and which.
 
-They are called by who writes an observable or a term, with a class or an expression of cvxpy's.
+The first three are called by who writes an observable or a term, with a class or an expression of
+cvxpy's. The others call a function of the user's, whose own error it is: ``len`` of a room has none.
 """
 
 WRONG: tuple[Any, ...] = (
@@ -438,24 +440,14 @@ def wrong_calls(
                     yield name, wrong, valid | {name: wrong}
 
 
-READERS = (
-    "rt.io.",
-    "rt.load",
-    ".load",
-    ".from_",
-    ".read",
-    ".of",
-    ".parse",
-    ".page_of",
-    ".read_folder",
-)
+READERS = ("rt.io.", "load", "from_", "read", "of_energy", "of_measurement", "parse", "page_of")
 """Parts of the names of what opens a file, or makes an object of plain values or of other objects."""
 
 
 def made_here(name: str, function: Callable[..., Any]) -> bool:
     """Whether an object is made here, or a file opened or written: a class or one of `READERS`."""
     return inspect.isclass(function) or any(
-        name.startswith(part) if part[0] != "." else f".{name.split('.')[-1]}".startswith(part)
+        part in name if part.startswith("rt") else name.split(".")[-1].startswith(part)
         for part in READERS
     )
 
@@ -478,7 +470,7 @@ def ends(
             number += 1
             if number % every:
                 continue
-            end, why = call(function, keywords, PLAIN.get(name, ()))
+            end, why = call(function, keywords, PLAIN.get((name, parameter), ()))
             yield name, end, f"{name}({parameter}={str(wrong)[:30]!r}): {end} {why}"
 
 

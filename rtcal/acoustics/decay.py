@@ -250,6 +250,9 @@ def measurement(
     DataError
         If a decay has no T20 at all, since nothing is reflected.
     """
+    energy = checks.array("energy", energy)
+    if energy.ndim != 3:
+        raise DataError(f"energy has shape {energy.shape}, not (n_pairs, n_bands, n_bins)")
     values = parameters(energy, bin_width)
     lost = np.isnan(values[TARGET.key])
     if lost.any():

@@ -212,6 +212,9 @@ def plausibility(
 
         p_value = float(chdtrc(count, q))
         if together is not None:
+            together = checks.array("together", together)
+            if together.shape[1:] != (n,):
+                raise DataError(f"together has shape {together.shape}, not (n_errors, n_bands)")
             wider = (covariance + together.T @ together)[np.ix_(used, used)]
             p_together = float(chdtrc(count, _chi_square(difference[used], wider)))
     return Plausibility(z, q, count, p_value, p_together)

@@ -173,9 +173,9 @@ class Room:
             raise DataError(f"materials has {blank[0]!r}; a name is not blank")
         put("name", text_name("name", self.name))
         put("author", short_name("author", self.author))
-        put("surfaces", checks.listed("surfaces", self.surfaces or ()))
-        put("sources", checks.mapped("sources", self.sources or {}))
-        pairs = checks.mapped("material_correlation", self.material_correlation or {})
+        put("surfaces", checks.listed("surfaces", self.surfaces))
+        put("sources", checks.mapped("sources", self.sources))
+        pairs = checks.mapped("material_correlation", self.material_correlation)
         put("material_correlation", pairs)
         for name, kind in (("air", Air), ("calibration", CalibrationRecord)):
             if not isinstance(getattr(self, name), (kind, type(None))):
@@ -210,9 +210,7 @@ class Room:
             if len(sides) != 3:
                 raise DataError(f"dimensions has {len(sides)} values; a shoebox has 3")
             put("dimensions", sides)
-        if self.scattering_model not in ("random", "vector"):
-            model = checks.shown(self.scattering_model)
-            raise DataError(f'scattering_model = {model} is not "random" or "vector"')
+        checks.choice("scattering_model", self.scattering_model, ("random", "vector"))
         checks.instance("scene", self.scene, Scene)
         check_surfaces(self.materials, self.areas, self.surfaces)
         check_correlation(self.materials, self.band_correlation, self.material_correlation)

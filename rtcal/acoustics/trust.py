@@ -17,7 +17,9 @@ from rtcal.acoustics.observables import TARGET
 from rtcal.acoustics.quality import LARGE_Z, gap_jnd
 from rtcal.acoustics.room import Room
 from rtcal.acoustics.typing_errors import TypingError, in_room
+from rtcal.support import checks
 from rtcal.support.arguments import checked
+from rtcal.support.errors import DataError
 from rtcal.support.types import Array
 
 __all__ = [
@@ -308,6 +310,10 @@ def trust_marks(
     bent : sequence of BentDecay
         Bands whose measured decay is not straight.
     """
+    checks.instance("room", room, Room)
+    measured = checks.array("measured", measured)
+    if measured.shape != (room.n_bands,):
+        raise DataError(f"measured has shape {measured.shape}, not (n_bands,) = ({room.n_bands},)")
     marks: list[TrustMark] = []
 
     def mark(kind: str, frequency: float | None, text: str, advised: str = "") -> None:

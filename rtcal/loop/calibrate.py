@@ -30,7 +30,7 @@ from rtcal.calibration.problem_data import times_in_room
 from rtcal.loop.matched import Weights
 from rtcal.loop.measured_pairs import Pair, left_out, refuse_unknown
 from rtcal.loop.result import LoopResult
-from rtcal.loop.rules import LEFT_ALONE, Rule
+from rtcal.loop.rules import LEFT_ALONE, RULES, Rule
 from rtcal.loop.state import Loop, start
 from rtcal.modes.result import ModesResult
 from rtcal.simulators.base import Simulator, at_places, check_fits, lost_paths, run
@@ -131,6 +131,8 @@ def calibrate_simulator(
     modes = room if isinstance(room, ModesResult) else None
     room = room.prior if isinstance(room, ModesResult) else room
     check_fits(simulator, room)
+    if rule is not None:
+        checks.choice("rule", rule, RULES)
     exclude = checks.pairs("exclude", exclude)
     checks.whole("seed", seed, 0)
     measured, repeated = at_places(simulator, measured)

@@ -122,10 +122,7 @@ class PathTracing(DirectedSources, Tracer):
         self._check_batches("n_paths", self.n_paths)
         if self.scattering_model is None:
             object.__setattr__(self, "scattering_model", self.room.scattering_model)
-        if self.scattering_model not in ("random", "vector"):
-            raise DataError(
-                f'scattering_model = "{self.scattering_model}" is not "random" or "vector"'
-            )
+        checks.choice("scattering_model", self.scattering_model, ("random", "vector"))
         self._check_directivity()
         if self.workers is not None:
             checks.whole("workers", self.workers, 1)

@@ -315,7 +315,7 @@ def table_1_range(areas: Array) -> tuple[Array, Array]:
     shape = (4000, len(TABLE_1_MU))
     mu = np.array(TABLE_1_MU) + rng.uniform(-_HALF_DIGIT, _HALF_DIGIT, shape)
     sigma = np.array(TABLE_1_SIGMA) + rng.uniform(-_HALF_DIGIT, _HALF_DIGIT, shape)
-    emse = analytic_emse(mu, sigma, np.asarray(areas, dtype=float))
+    emse = analytic_emse(mu, sigma, checks.array("areas", areas))
     low, high = np.quantile(emse, [0.01, 0.99], axis=0)
     return low, high
 

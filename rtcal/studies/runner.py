@@ -241,7 +241,8 @@ def run_pieces(
         pool = stack.enter_context(
             thread_pool(workers) if executor is None else nullcontext(executor)
         )
-        bar = stack.enter_context(progress_bar(count, "piece", progress))
+        wanted = checks.flag("progress", progress)
+        bar = stack.enter_context(progress_bar(count, "piece", wanted))
         for number, piece in _hand_out(pool, compute, range(count), store):
             result = piece if isinstance(piece, ScoreMoments) else piece.result()
             if store is not None and not isinstance(piece, ScoreMoments):

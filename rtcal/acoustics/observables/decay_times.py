@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from rtcal.acoustics import bands
 from rtcal.acoustics.observables.base import DB, Observable, Part, Scale, of_kind, register
+from rtcal.support import checks
 from rtcal.support.errors import DataError
 from rtcal.support.types import Array
 
@@ -304,5 +305,5 @@ def longest(keys: Iterable[str]) -> DecaySlope:
     >>> longest(["edt", "t30", "c80"]).label, longest(["edt"]).label
     ('T30', 'T20')
     """
-    asked = {T20.key, *keys}
+    asked = {T20.key, *checks.texts("keys", keys)}
     return min((o for k, o in of_kind(DecaySlope).items() if k in asked), key=lambda o: o.lower)
