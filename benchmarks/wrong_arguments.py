@@ -457,17 +457,22 @@ def ends(
     examples: tuple[dict[str, Any], dict[str, Any]],
     *,
     every: int = 1,
+    seconds: float = np.inf,
 ) -> Iterator[tuple[str, str, str]]:
     """Yield the function's name, how a call ended, and the call with where and why.
 
-    One call in ``every`` is made; which ones goes round from parameter to parameter.
+    One call in ``every`` is made; which ones goes round from parameter to parameter. A function whose
+    calls have taken ``seconds`` of processor time, such as one that renders figures, is left.
     """
     number = 0
     for name, function in called:
+        began = time.process_time()
         for parameter, wrong, keywords in wrong_calls(
             function, arguments(name, function, *examples)
         ):
             number += 1
+            if time.process_time() - began > seconds:
+                break
             if number % every:
                 continue
             end, why = call(function, keywords, PLAIN.get((name, parameter), ()))

@@ -4,6 +4,9 @@
 coefficients within the bounds give what was asked.  ``SolverError``: the solver failed on a sound
 problem; another solver or other settings may help.  ``SimulatorError``: a simulator failed; its
 cause says why.  ``MissingDependencyError``: install an extra.
+
+A call with too few or too many arguments, or with an argument of an unknown name, is a TypeError of
+Python's own. `benchmarks/wrong_arguments.py` lists the other errors that are Python's.
 """
 
 from __future__ import annotations
