@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import time
 from collections import Counter
 from pathlib import Path
 
@@ -178,6 +180,22 @@ def test_of_a_protocol_the_coefficients_are_read(
     assert all(
         f'"{name}"' in rug.source.partition("left out: ")[2] for name in ("T1", "T2", "U(k=2)")
     )
+
+
+@pytest.mark.parametrize(
+    "text", ["[", "(", "s ", "αs", "absorption ", "T - ", "U(k", "m² per ", "in "]
+)
+def test_long_cells_are_read_in_time(tmp_path: Path, text: str) -> None:
+    """Patterns that try every part of a text are kept from long ones."""
+    long = text * (20000 // len(text))
+    start = time.process_time()
+    for table in (
+        f"f;{long};b\n" + DOWN.format(1, 1),
+        f"{long}\nproduct;250;500;1000\n{long};1;1;1\n",
+    ):
+        with contextlib.suppress(DataError):
+            of_text(tmp_path, table)
+    assert time.process_time() - start < 1
 
 
 def test_uncertainties_beside_products_are_left_out_by_name(tmp_path: Path) -> None:

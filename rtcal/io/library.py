@@ -28,7 +28,7 @@ from rtcal.acoustics import bands
 from rtcal.acoustics.observables import REVERBERATION, TARGET
 from rtcal.io import workbook
 from rtcal.io.material_list import ListedMaterial, MaterialList
-from rtcal.io.table_columns import LEAST_BAND, frequency_of, name_and_unit, nearest_band
+from rtcal.io.table_columns import LEAST_BAND, MAX_HEADER, frequency_of, name_and_unit, nearest_band
 from rtcal.io.table_layout import Row, Sheet
 from rtcal.io.table_words import (
     COLUMNS,
@@ -300,7 +300,7 @@ def _across(
             continue
         stated = [f"{h}: {c}" for h, c in others]
         stated += _lacking(at_bands.values(), values)
-        own = [c for h, c in others if _is_quantity(h) or _PER_OBJECT.search(c)]
+        own = [c for h, c in others if _is_quantity(h) or _PER_OBJECT.search(_ends(c))]
         products.append(
             _Product(
                 name=name,
@@ -482,7 +482,7 @@ def _role(name: str) -> str:
     for a product's name.
     """
     name = name.strip()
-    if not name:
+    if not name or len(name) > MAX_HEADER:
         return ""
     if _PRACTICAL.match(name) and _COEFFICIENT.fullmatch(_without_unit(name)):
         return "practical"
@@ -562,11 +562,20 @@ def _with_coefficients(
 
 def _product_of(name: str) -> str:
     """Return a name without the coefficient that it ends with, as in "carpet αs"."""
+    if len(name) > MAX_HEADER:
+        return name
     return re.sub(rf"[\s_,:-]+{_ALPHA}\s*(?:[\[(].*)?$", "", name, flags=re.I).strip()
+
+
+def _ends(text: str) -> str:
+    """Return a text, or of a long one its begin and end, where units stand; patterns are slow else."""
+    return text if len(text) <= 2 * MAX_HEADER else f"{text[:MAX_HEADER]} {text[-MAX_HEADER:]}"
 
 
 def _unit(cell: str) -> str | None:
     """Return the unit that a cell is: "%", "-", "m²", "other"; "" for αs alone, None for other text."""
+    if len(cell) > MAX_HEADER:
+        return None
     base, only = _without_unit(cell), cell.strip()
     if _COEFFICIENT.fullmatch(base) and _NAMES_COEFFICIENT.search(base):
         only = only[len(base) :]
@@ -584,7 +593,7 @@ def _unit(cell: str) -> str | None:
 
 def _refuse_objects(sheet: Sheet, texts: Sequence[str]) -> None:
     """Raise DataError for absorption areas in m² of objects (ISO 354, Sect. 8.1.3)."""
-    for text in texts:
+    for text in map(_ends, texts):
         if _PER_OBJECT.search(text) or _AREAS_OF_COEFFICIENTS.search(text):
             raise DataError(f'{sheet.place}: "{shown(text)}" names {_ARE_AREAS}')
 
@@ -601,7 +610,7 @@ def _stated_unit(product: _Product, place: str) -> tuple[str, str]:
     Raises DataError for two units that contradict each other.
     """
     found: dict[str, str] = {}
-    for text in product.units:
+    for text in map(_ends, product.units):
         unit = _unit(text)
         if unit is None or unit == "":
             unit = "%" if _OF_COLUMN.search(text) else "m²" if _names_area(text) else ""
@@ -613,10 +622,10 @@ def _stated_unit(product: _Product, place: str) -> tuple[str, str]:
             found.setdefault(unit, text)
     if area := found.get("m²"):
         return "", f'{place}: "{shown(area)}" names {_ARE_AREAS}'
-    other = found.get("other") or next(filter(_TIMES_100.search, product.titles), "")
+    other = found.get("other") or next(filter(_TIMES_100.search, map(_ends, product.titles)), "")
     if other:
         return "", f'{place}: "{shown(other)}" is no unit of coefficients; they have % or none'
-    of_texts = [*product.headers, *product.titles]
+    of_texts = [*map(_ends, product.headers), *map(_ends, product.titles)]
     of_table = any(map(_OF_COEFFICIENTS.search, of_texts)) or any(
         _unit(t) == "%" for t in product.titles
     )
