@@ -99,7 +99,7 @@ _BEHIND = re.compile(r"[\[(]\s*([^\])]*?)\s*[\])]\s*$")
 _UNIT = rf"(?:\b(?:in|en)\s+{_PERCENT_WORD}|[\[(]\s*{_PERCENT_WORD}\s*[\])])"
 _OF_COLUMN = re.compile(rf"(?:{_UNIT}|(?<![\d\s])[\s,/]*{_PERCENT_WORD})\s*$", re.I)
 _OF_COEFFICIENTS = re.compile(
-    r"(?:\w*(?:alpha|α|absor|assorb|coef|koef)[\w,.]*|\b(?:values|werte|angaben|valeurs|valores|valori))"
+    r"(?:(?:alpha|α|absor|assorb|coef|koef)[\w,.]*|\b(?:values|werte|angaben|valeurs|valores|valori))"
     rf"\s*[/,:]?\s*(?:{_UNIT}|{_PERCENT_WORD}\s*$)",
     re.I,
 )
@@ -107,7 +107,7 @@ _AREAS_OF_COLUMN = re.compile(
     rf"\S.*?(?:[\[(]\s*({_AREA_WORD}[^\])]*)[\])]|(?:\s+in\s+|\s*/\s*)({_AREA_WORD}.*))\s*$", re.I
 )
 _AREAS_OF_COEFFICIENTS = re.compile(
-    r"(?:\w*(?:alpha|α|absorption|absor[cç]|assorb)\w*|\bA|\b(?:values|werte|angaben|valeurs|valores|valori))"
+    r"(?:(?:alpha|α|absorption|absor[cç]|assorb)\w*|\bA|\b(?:values|werte|angaben|valeurs|valores|valori))"
     rf"\s*(?:(?:in|en)\s+|/\s*|[\[(]\s*)({_AREA_WORD})(?!\w)\s*[\])]?(?!\s*[:=]\s*\d)",
     re.I,
 )
