@@ -189,9 +189,14 @@ class JointSolution:
     def known_room(self, configuration: int) -> KnownRoom:
         """Return what is known of a configuration before it is changed, for `rtcal.prediction`.
 
-        Raises ModelError if the calibration has further unknowns or observations, which a prediction
+        Raises DataError for a configuration that there is not, and ModelError if the calibration has further unknowns or observations, which a prediction
         does not know of, or if its equation gives no T for the calibrated room.
         """
+        last = len(self.configurations.rooms) - 1
+        if checks.whole("configuration", configuration, 0) > last:
+            raise DataError(
+                f"configuration = {checks.shown(configuration)} is not from 0 to {last}"
+            )
         if configuration not in self._known_rooms:
             self._known_rooms[configuration] = self._known_room(configuration)
         return self._known_rooms[configuration]
@@ -209,8 +214,6 @@ class JointSolution:
                 "as the corrected room of `rtcal apply`"
             )
         rooms = self.configurations.rooms
-        if checks.whole("configuration", configuration, 0) >= len(rooms):
-            raise DataError(f"configuration = {configuration} is not from 0 to {len(rooms) - 1}")
         room = rooms[configuration]
         rows = [self.materials.index(m) for m in room.materials]
         time = where_valid(self.equation.time, room, room.areas @ self.alpha[rows])
