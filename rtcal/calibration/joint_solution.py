@@ -189,8 +189,9 @@ class JointSolution:
     def known_room(self, configuration: int) -> KnownRoom:
         """Return what is known of a configuration before it is changed, for `rtcal.prediction`.
 
-        Raises DataError for a configuration that there is not, and ModelError if the calibration has further unknowns or observations, which a prediction
-        does not know of, or if its equation gives no T for the calibrated room.
+        Raises DataError for a configuration that there is not, and ModelError if the calibration has
+        further unknowns or observations, which a prediction does not know of, or if its equation gives
+        no T for the calibrated room.
         """
         last = len(self.configurations.rooms) - 1
         if checks.whole("configuration", configuration, 0) > last:
