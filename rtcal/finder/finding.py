@@ -335,6 +335,12 @@ class HeldOutVerification(Verification):
         """Centre frequencies in Hz, (n_bands,)."""
 
     @property
+    def decay_times(self) -> Array | None:
+        """T in s, (n_bands,), by which a response is noisy; None where none was matched."""
+        every = self.matched.items()
+        return next((m for p, (m, _) in every if isinstance(observable(p), DecaySlope)), None)
+
+    @property
     def misses(self) -> tuple[Miss, ...]:
         """Means over the pairs that the model with what was found misses.
 
@@ -342,8 +348,7 @@ class HeldOutVerification(Verification):
         are sources or receivers, and of that of noise in as many responses (ISO 3382-2).
         """
         matched, out, pairs = self.matched, list[Miss](), self.matched_pairs
-        decays = (m for p, (m, _) in matched.items() if isinstance(observable(p), DecaySlope))
-        times = next(decays, None)
+        times = self.decay_times
         independent = max(len({s for s, _ in pairs}), len({r for _, r in pairs}))
         for name, (measured, gaps) in matched.items():
             of = observable(name)

@@ -346,8 +346,12 @@ class StatesVerification(HeldOutVerification):
 
     @property
     def gains(self) -> Array:
-        """Mean absolute gap of each pair without less with the change, (1, n_pairs), in JND."""
-        without, with_change = np.abs(self.gaps)
+        """Mean absolute gap of each pair without less with the change, (1, n_pairs), in JND.
+
+        Of ln T, so that states that are exchanged have the same ones: a JND is of another T there.
+        """
+        in_log = np.log1p(TARGET.jnd * self.gaps) / np.log1p(TARGET.jnd)
+        without, with_change = np.abs(in_log)
         by_pair = np.nanmean(without - with_change, axis=1)
         return np.asarray(by_pair[np.newaxis])
 
@@ -355,15 +359,29 @@ class StatesVerification(HeldOutVerification):
     def matched(self) -> dict[str, tuple[Array, Array]]:
         """T measured after the change, mean over the pairs, and the gaps of the finding's own pairs."""
         found = self.finding.case.differences
-        left = np.expm1(self.finding.shift - found.change) / TARGET.jnd
+        # In ln T, so that what is missed in one order of the states is missed in the other.
+        left = (self.finding.shift - found.change) / np.log1p(TARGET.jnd)
         return {TARGET.key: (found.after, left)}
 
     @property
+    def decay_times(self) -> Array:
+        """Geometric mean of T before and after, which is the same of two states that are exchanged."""
+        found = self.finding.case.differences
+        return np.asarray(np.sqrt(found.before * found.after))
+
+    @property
     def prediction_error(self) -> Array | float:
-        """Standard deviation in JND of T after, by the interval of the change, (n_bands,)."""
+        """Standard deviation in JND of T after, by the interval of the change, (n_bands,).
+
+        The state of the longer T is the first: two states that are exchanged have the same one.
+        """
         case, total = self.finding.case, self.finding.case.room.total_area
         air = 4 * case.room.air_attenuation * case.room.volume
-        areas = np.clip(self.finding.area + self.finding.change[1:], 0.0, 0.999 * total)
+        found, change = case.differences, self.finding.change[1:]
+        area, sign = self.finding.area, 1.0
+        if not found.falls:
+            area, sign = case.equation.absorption_area(case.room, found.after), -1.0
+        areas = np.clip(area + sign * change, 0.0, 0.999 * total)
         low, high = total * case.equation.exponent(areas / total) + air
         out = np.abs(np.log(high / low)) / (2 * NORMAL_90 * np.log1p(TARGET.jnd))
         return np.asarray(np.nan_to_num(out))
