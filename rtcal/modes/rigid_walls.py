@@ -226,7 +226,7 @@ def box_modes(sides: Array, materials: Sequence[str], largest: float, c: float) 
     order = np.roll(np.flatnonzero(frequencies <= top), -1)
     own, frequencies = orders[order], frequencies[order]
     if len(own) < 2:
-        raise DataError(f"largest = {largest:g} Hz: the room has no mode up to {top:g} Hz")
+        raise DataError(f"the room has no mode up to {largest:g} Hz")
     beyond = [_beyond(own, sides, axis) for axis in range(3)]
     orders = np.concatenate([own[:-1], *(pairs for pairs, _, _ in beyond), own[-1:]])
     more = [wavenumbers * c / (2 * np.pi) for _, _, wavenumbers in beyond]
