@@ -1,4 +1,4 @@
-"""What the study says of "supported" in another tracer's rooms is what the stored rows have."""
+"""Counts of "supported" in another tracer's rooms: the study states those of the stored rows."""
 
 from __future__ import annotations
 

@@ -47,7 +47,7 @@ _TABLES = (".csv", ".xlsx")
 PROGRAMS = ("catt", "odeon", "pyroomacoustics", "bras")
 
 
-@click.command(short_help="Impulse responses (sound files, SOFA) to T20, EDT, C80, STI and others.")
+@click.command(short_help="Impulse responses (sound, SOFA) to T20, EDT, C80 and others.")
 @click.argument("responses", type=click.Path(), nargs=-1, required=True)
 @bands_option
 @click.option(

@@ -12,7 +12,7 @@ from click.core import ParameterSource
 
 from rtcal.command.console import as_options, errors_name_options, fit_ending, numbers, said, tell
 from rtcal.support.errors import DataError
-from rtcal.support.files import spare
+from rtcal.support.files import commit, spare
 from rtcal.support.speed import bar
 from rtcal.support.text import rounded, shortened
 
@@ -78,6 +78,7 @@ def check(
                 refused = _with_volume(error)
                 if picture is not None:
                     draw(drawn, edges, picture)
+                    commit()
                     refused = DataError(f"{refused}. Written: {picture}")
                 raise refused from error
             done = error.unclosed

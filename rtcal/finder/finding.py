@@ -247,11 +247,11 @@ class Verification(Result):
     @property
     @abstractmethod
     def misses(self) -> tuple[Miss, ...]:
-        """What the model with what was found misses by more than 1 JND and than its uncertainty."""
+        """Gaps of the model with what was found that are more than 1 JND and than its uncertainty."""
 
     @property
     def misses_in_words(self) -> str:
-        """What the model misses, in a sentence with the consequence; "" where it meets all."""
+        """A sentence on what the model misses, with the consequence; "" where it meets all."""
         if not self.misses:
             return ""
         worst = sorted(self.misses, key=lambda miss: -abs(miss.jnd))
@@ -314,7 +314,7 @@ class HeldOutVerification(Verification):
     @property
     @abstractmethod
     def matched(self) -> Mapping[str, tuple[Array, Array]]:
-        """Of each parameter the mean measured over the pairs, (n_bands,), and what is left of the gap.
+        """For each parameter the mean measured over the pairs, (n_bands,), and what is left of the gap.
 
         The gap is that of the last model, (n_pairs, n_bands), signed and in JND.
         """

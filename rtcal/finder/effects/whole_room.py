@@ -162,6 +162,10 @@ class WrongVolume(WrongStatement):
         """Return `RATIOS`."""
         return {"ratio": RATIOS}
 
+    def density(self, parameters: Parameters, state: RoomState) -> float:
+        """Return the density of ln ratio; see `densities`."""
+        return float(self.densities([parameters], state)[0])
+
     def densities(self, grid: Sequence[Parameters], state: RoomState) -> Array:
         """Return the density of ln ratio: normal about 0, and with `GROSS` about ln of the factors."""
         logs = np.log([theta["ratio"] for theta in grid])

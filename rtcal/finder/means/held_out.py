@@ -44,7 +44,7 @@ _LEVEL_ROWS = [FEATURES.index(name) for name in LEVELS]
 
 
 @dataclass(frozen=True, eq=False)
-class Part:
+class HeldOut:
     """A part of the data that the effect is not fitted to.
 
     Attributes
@@ -65,7 +65,7 @@ class Part:
     refitted: bool = True
 
 
-def parts_of(case: Case, observed: ObservedFeatures, fitted: ObservedFeatures) -> list[Part]:
+def parts_of(case: Case, observed: ObservedFeatures, fitted: ObservedFeatures) -> list[HeldOut]:
     """Return the parts of the data that can be held out; none where there are none.
 
     ``fitted`` is what the finding was fitted to.
@@ -74,7 +74,7 @@ def parts_of(case: Case, observed: ObservedFeatures, fitted: ObservedFeatures) -
     further = used & ~np.array(fitted.used, dtype=bool)
     further[0, 0] = False  # alpha fits T20 of the first configuration, whatever is missing
     if further.any():
-        return [Part("what was not in the search", further, further, refitted=False)]
+        return [HeldOut("what was not in the search", further, further, refitted=False)]
     out = []
     levels = np.zeros_like(used)
     levels[:, _LEVEL_ROWS] = used[:, _LEVEL_ROWS]
@@ -84,11 +84,11 @@ def parts_of(case: Case, observed: ObservedFeatures, fitted: ObservedFeatures) -
         names = [
             n.upper() for n, row in zip(LEVELS, _LEVEL_ROWS, strict=True) if used[0, row].any()
         ]
-        out.append(Part(" and ".join(names), levels, counted))
+        out.append(HeldOut(" and ".join(names), levels, counted))
     for c, configuration in enumerate(case.configurations[1:], 1):
         whole = np.zeros_like(used)
         whole[c] = used[c]
-        out.append(Part(f'configuration "{configuration.name}"', whole, whole, (c,)))
+        out.append(HeldOut(f'configuration "{configuration.name}"', whole, whole, (c,)))
     return out
 
 
@@ -162,7 +162,7 @@ def _judged(
     finding: MeansFinding,
     case: Case,
     observed: ObservedFeatures,
-    part: Part,
+    part: HeldOut,
     before: Recalibrated,
 ) -> _Judged:
     """Return what becomes of the gap at a part of the data."""
@@ -187,7 +187,7 @@ def _refitted(
     finding: MeansFinding,
     case: Case,
     observed: ObservedFeatures,
-    part: Part,
+    part: HeldOut,
     effects: list[Effect],
 ) -> Fit:
     """Return the best effect as the data without a part have it."""

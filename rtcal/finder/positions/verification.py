@@ -101,7 +101,7 @@ class PositionsVerification(HeldOutVerification):
 
     @property
     def matched(self) -> dict[str, tuple[Array, Array]]:
-        """Of each parameter the measured mean over the pairs, and the corrected model's gaps."""
+        """For each parameter the measured mean over the pairs, and the corrected model's gaps."""
         case, parameters = self.finding.case, self.finding.parameters
         measured = Observations.of_measurement(case.in_room, parameters, self.finding.pairs)
         relative = LEVEL.key if LEVEL.key in case.measured.values else ""
