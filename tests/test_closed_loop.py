@@ -226,7 +226,7 @@ def test_state_files_that_do_not_fit(cr2, tmp_path):
 def test_bad_input(cr2):
     room, measured = cr2
     simulator = EquationSimulator(rt.Eyring(), room)
-    with pytest.raises(DataError, match='rule = "hope"'):
+    with pytest.raises(DataError, match="rule = 'hope' is not one of"):
         calibrate_simulator(simulator, room, measured, "hope")
     with pytest.raises(DataError, match="tolerance"):
         calibrate_simulator(simulator, room, measured, tolerance=0.0)

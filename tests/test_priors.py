@@ -238,7 +238,7 @@ def test_a_room_file_states_its_prior(tmp_path) -> None:
     ("old", "new", "message"),
     [
         ('above_one = "clip"', "", r'alpha\["panel", 1000 Hz\] = 1.1 is not in \[0, 1\]'),
-        ('above_one = "clip"', 'above_one = "cut"', 'above_one = "cut" is not "refuse" or "clip"'),
+        ('above_one = "clip"', 'above_one = "cut"', "above_one = 'cut' is not one of refuse, clip"),
         ('"moderate"', '"middling"', "sigma = 'middling' is not one of low, moderate, high"),
         ("iso_12999_2 = true", "iso_12999_2 = 1", "iso_12999_2 = 1 is not true or false"),
         ("in_situ_factor = 2.0", "in_situ_factor = 0.5", "in-situ factor = 0.5"),

@@ -201,7 +201,7 @@ BAD_CALLS = [
     (lambda: rt.calibrate(room(), [0.8, 0.7], solver=None), "solver = None is not a name"),
     (lambda: rt.calibrate(room(), [0.8, 0.7], settings="x"), "is not a mapping"),
     (lambda: rt.calibrate(room(), [0.8, 0.7], warm_start="x"), "warm_start = 'x' is not"),
-    (lambda: rt.calibrate(room(), [0.8, 0.7], unreachable="x"), 'unreachable = "x" is not'),
+    (lambda: rt.calibrate(room(), [0.8, 0.7], unreachable="x"), "unreachable = 'x' is not one of"),
     (lambda: rt.calibrate(room(), [0.8, 0.7], settings={"nonsense": 1}), 'no setting "nonsense"'),
     (lambda: rt.calibrate(room(), [0.8, 0.7], settings={"max_iter": "x"}), "refuses the settings"),
     (lambda: rt.calibrate(room(), [0.8, 0.7], solver="osqp", settings={"nonsense": 1}), "refuses"),

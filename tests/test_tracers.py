@@ -245,7 +245,7 @@ def test_bad_alpha(make):
 
 
 def test_scattering_models_are_two():
-    with pytest.raises(DataError, match='"diffuse" is not "random" or "vector"'):
+    with pytest.raises(DataError, match="'diffuse' is not one of random, vector"):
         path_tracer(scattering_model="diffuse")
 
 

@@ -318,7 +318,7 @@ def placed(before: Room, changes: Sequence[Change] | Room, like: Placed | None =
     if like is not None:
         if not before.surfaces and before.dimensions is None:
             # Names alone say less than the other state does.
-            known &= [m not in like.room.materials for m in before.materials]
+            known &= np.array([m not in like.room.materials for m in before.materials])
         _like(towards, before, np.flatnonzero(~known).tolist(), like)
     start = Placed(before, towards * before.areas[:, np.newaxis])
     if isinstance(changes, Room):

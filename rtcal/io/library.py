@@ -25,7 +25,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from rtcal.acoustics import bands
-from rtcal.acoustics.observables import REVERBERATION, TARGET
+from rtcal.acoustics.observables import TARGET, DecaySlope, of_kind
 from rtcal.io import workbook
 from rtcal.io.material_list import ListedMaterial, MaterialList
 from rtcal.io.table_columns import LEAST_BAND, MAX_HEADER, frequency_of, name_and_unit, nearest_band
@@ -56,7 +56,6 @@ LARGEST = 1.5
 """Largest coefficient of ISO 354 that is no percentage: a small specimen's edges add up to a half."""
 
 _LEAST_BANDS = 3
-_TIMES = ("edt", *(o.key for o in REVERBERATION))
 _MOST_LEFT_OUT = 6
 _NAMES = re.compile(
     r"(mat[eé]ria\w*|produ[ck]?t\w*|prodotto|name|nom|nome|nombre|bezeichnung|artikel|d[eé]signation|"
@@ -494,7 +493,7 @@ def _role(name: str) -> str:
         _TIME.fullmatch(name)
         or _TIME.fullmatch(_without_unit(name))
         or plain(_without_unit(name)) in OPEN_DECAY_TIMES
-        or parameters().get(plain(_without_unit(name))) in _TIMES
+        or parameters().get(plain(_without_unit(name))) in of_kind(DecaySlope)
         or _WITH_OTHER_UNIT.fullmatch(name)
     ):
         return "time"

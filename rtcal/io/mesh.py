@@ -291,6 +291,7 @@ def _head_of_3mf(content: bytes, path: str) -> tuple[str, list[str]]:
                 zipfile.BadZipFile,
                 zlib.error,
                 NotImplementedError,
+                EOFError,
                 OSError,
                 ValueError,
             ) as error:

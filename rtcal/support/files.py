@@ -285,6 +285,7 @@ def replace_file(path: Path, content: bytes) -> None:
     Raises DataError if it cannot be written.
     """
     new = path.with_name(f".{path.name}.{os.getpid()}{NEW}")
+    begun.append(path)
     try:
         _write_file(new, content)
         os.replace(new, path)

@@ -34,17 +34,17 @@ def test_a_loop_takes_it_as_exact_and_does_not_push_the_target(room: rt.Room) ->
     assert np.abs(loops[0].room.alpha - room.alpha).max() > 0.001
 
 
-def test_a_prediction_counts_it(room: rt.Room) -> None:
-    t = measured(room)
+def test_a_predicted_change_hardly_depends_on_it(room: rt.Room) -> None:
+    """T before is known, so that a volume, and an error common to all areas, cancel in the change."""
     change = Climate(rt.Air(25, 30))
-    usual, alike, part, stated = (
-        rt.calibrate(room.replace(**more), t).predict(change)
+    usual, *others = (
+        rt.calibrate(room.replace(**more), measured(room)).predict(change)
         for more in ({}, {"volume_sigma": 0.03, "area_sigma": 0.03}, {"volume_sigma": 0.08}, STATED)
     )
-    np.testing.assert_allclose(alike.interval, usual.interval, rtol=1e-9)
-    share = [p.parts["volume, areas and climate"] for p in (usual, part, stated)]
-    assert (share[0] < share[1]).all()
-    assert (share[1] < share[2]).all()
+    for other in others:
+        np.testing.assert_allclose(other.mean, usual.mean, rtol=0.02)
+        np.testing.assert_allclose(other.interval, usual.interval, rtol=0.05)
+        assert (other.parts["volume, areas and climate"] < 0.05).all()
 
 
 def test_an_archive_counts_it(room: rt.Room) -> None:

@@ -196,7 +196,7 @@ _SURE = 1.645
 """Standard errors by which a gap must shrink: 95 %, one-sided."""
 _PREDICTED = 1.0
 """Mean gap in JND at what was held out, up to which the corrected model predicts it."""
-_T20 = FEATURES.index("t20")
+_T20 = FEATURES.index(TARGET.key)
 
 
 @dataclass(frozen=True)
