@@ -87,7 +87,8 @@ def predicted(result) -> PositionsPredictions:
 def test_both_predict_one_t_within_their_intervals(measured, result, predicted) -> None:
     by_equation = rt.calibrate(a_room(), measured).predict(HALF.changes)
     at_positions = predicted.predictions[0]
-    sigma = np.hypot(by_equation.linear_sigma, at_positions.sigma[0, -1])
+    low, high = by_equation.interval
+    sigma = np.hypot(np.log(high / low) / (2 * 1.645), at_positions.sigma[0, -1])
     off = np.log(at_positions.mean("t20") / by_equation.mean)
     assert (np.abs(off) < 1.645 * sigma).all()
     assert (np.abs(off) < np.log(1.05) * 2.5).all()
