@@ -535,9 +535,13 @@ def all_data(_: Case, used: np.ndarray) -> dict[int, str]:
     return {int(used.sum()): "all data"}
 
 
-@pytest.mark.long
+@pytest.mark.study
 @pytest.mark.parametrize("kind", [0, 2, 11])
 def test_stored_findings_are_found_again(kind: int) -> None:
+    """The stored population is of the finder before 32 fixed control rooms and the volume's prior.
+
+    It is to be judged anew, once, with the next change of the finder: a study, since it takes an hour.
+    """
     assert differences(min(i for i, row in stored().items() if row["kind"] == kind)) == []
 
 
