@@ -113,11 +113,14 @@ def record_of_means(verdict: str, data: str) -> str:
     """Return how often such a verdict was right with such data, `TIMES` or `ALL`.
 
     >>> print(record_of_means("unknown", TIMES))
-    In simulated rooms that were not used to make the finder, with T20, EDT and T30 of one \
-configuration, 10 of 359 rooms that lack nothing were flagged (1 to 5 %, 95 % interval).
+    In simulated rooms that were not used to make the finder, by an earlier version of it with T20, \
+EDT and T30 of one configuration, 10 of 359 rooms that lack nothing were flagged (1 to 5 %, 95 % interval).
     """
     record = TrackRecord.from_dict(stored()["means"][data])
-    rooms = f"In simulated rooms that were not used to make the finder, with {data},"
+    rooms = (
+        "In simulated rooms that were not used to make the finder, by an earlier version of it with "
+        f"{data},"
+    )
     if verdict == "unknown":
         flagged = record.flagged
         return (
@@ -157,7 +160,10 @@ def _in_measured_rooms() -> str:
 
 def record_of_several(claimed: Sequence[str]) -> str:
     """Return how often claims beside others were right: "families", "sets of families"."""
-    rooms = "In simulated rooms with one or two effects that were not used to make the finder,"
+    rooms = (
+        "In simulated rooms with one or two effects that were not used to make the finder, by an "
+        "earlier version of it,"
+    )
     said = [f"{rooms} {_given(Share(*stored()['several'][k]), k, 'were right')}" for k in claimed]
     return " ".join(said)
 
