@@ -113,8 +113,9 @@ def record_of_means(verdict: str, data: str) -> str:
     """Return how often such a verdict was right with such data, `TIMES` or `ALL`.
 
     >>> print(record_of_means("unknown", TIMES))
-    In simulated rooms that were not used to make the finder, by an earlier version of it with T20, \
-EDT and T30 of one configuration, 10 of 359 rooms that lack nothing were flagged (1 to 5 %, 95 % interval).
+    In simulated rooms that were not used to make the finder, by an earlier version of it with \
+T20, EDT and T30 of one configuration, 10 of 359 rooms that lack nothing were flagged (1 to 5 %, 95 % \
+interval).
     """
     record = TrackRecord.from_dict(stored()["means"][data])
     rooms = (
