@@ -304,7 +304,7 @@ def test_the_gap_shrinks_at_pairs_that_were_not_fitted(
     result = rt.finder.positions.verify(finding, cache=kept)
     assert result.gaps.shape == (3, 1, 5, 6, 3)
     assert np.isfinite(result.gaps[-1]).all()
-    assert result.verdict == "supported"
+    assert result.verdict == "supported", result.sentence
     # A half found people on the floor: that is in the verdict's line, since no surface is claimed.
     assert finding.surface is None
     assert result.sentence.startswith("Supported for added absorption, not for its surface: half")
