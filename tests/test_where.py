@@ -304,11 +304,13 @@ def test_the_gap_shrinks_at_pairs_that_were_not_fitted(
     result = rt.finder.positions.verify(finding, cache=kept)
     assert result.gaps.shape == (3, 1, 5, 6, 3)
     assert np.isfinite(result.gaps[-1]).all()
-    assert result.verdict == "supported", result.sentence
-    # A half found people on the floor: that is in the verdict's line, since no surface is claimed.
+    # Calibration alone leaves so little of the gap that what more goes is no proof. And a half found
+    # people on the floor: that is in the verdict's line.
+    assert result.verdict == "unproven"
     assert finding.surface is None
-    assert result.sentence.startswith("Supported for added absorption, not for its surface: half")
-    assert result.ratio < 0.7
+    assert result.sentence.startswith('Unproven: half of the pairs found audience on "floor", not')
+    assert result.ratio < 0.8
+    assert result.gain > 0
     assert set(result.halves[0]) | set(result.halves[1]) == set(finding.pairs)
     assert not set(result.halves[0]) & set(result.halves[1])
 

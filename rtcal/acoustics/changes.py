@@ -301,7 +301,10 @@ def placed(before: Room, changes: Sequence[Change] | Room, like: Placed | None =
         Another state, where the room itself does not say: its materials face as they do there. What
         comes in faces as what it takes the place of, and stands free where nothing went out.
 
-    Raises DataError as `changed`.
+    Raises
+    ------
+    DataError
+        As `changed`.
 
     Examples
     --------

@@ -65,8 +65,10 @@ def known_room(
     equation : LinearEquation, optional
         Of a Room; `rtcal.Eyring` if not given.
 
-    Raises DataError for anything else, a state that is not among them, or another equation than a
-    calibration's.
+    Raises
+    ------
+    DataError
+        For anything else, a state that is not among them, or another equation than a calibration's.
     """
     if isinstance(known, Room):
         return KnownRoom.stated(known, equation or Eyring())
