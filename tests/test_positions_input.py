@@ -47,7 +47,7 @@ def tracer():
 
 @pytest.fixture(scope="module")
 def measured():
-    """Of many paths: to the noise of few no fit leads nearer."""
+    """Data of many paths: to the noise of few no fit leads nearer."""
     many = PathTracing(geometry=HALL.geometry, room=ROOM, **PLACES, n_paths=3000, scattering=0.5)
     return many.simulate(ROOM.alpha * 1.1, seed=3)
 
