@@ -223,12 +223,10 @@ def _by_trimesh(content: bytes, path: str, unit: float | None) -> Faces:
             raise DataError(f'{path}: part "{shown(str(name))}" has a face without its corners')
         # An object of 3MF has a name and no material: its author tells surfaces apart by it.
         by_object = ending == ".3mf" and len(parts) > 1
-        of_face = _materials(geometry, str(name) if by_object else Path(path).stem)
-        part = text_name(f"{path}: a part", str(name)) or "part"
-        for corners, material in zip(points[index], of_face, strict=True):
-            polygons.append(corners)
-            materials.append(text_name(f"{path}: a material", material))
-            names.append(part)
+        material = _material(geometry) or (str(name) if by_object else Path(path).stem)
+        polygons += list(points[index])
+        materials += [text_name(f"{path}: a material", material)] * len(index)
+        names += [text_name(f"{path}: a part", str(name)) or "part"] * len(index)
     if not polygons:
         raise DataError(f"{path}: there is no face; a room has at least 4")
     known = None if unit is None and in_file is None else length
@@ -240,15 +238,10 @@ def _z_up(points: Array) -> Array:
     return np.asarray(points[:, [0, 2, 1]] * np.array([1.0, -1.0, 1.0]))
 
 
-def _materials(geometry: Any, otherwise: str) -> list[str]:
-    """Return the material of each face: its name, else its colour where there are several."""
-    n = len(geometry.faces)
-    visual: Any = getattr(geometry, "visual", None)
-    material = getattr(visual, "material", None)
-    if material is not None:
-        name = getattr(material, "name", None)
-        return [str(name) if name else otherwise] * n
-    return [otherwise] * n
+def _material(geometry: Any) -> str:
+    """Return the name of a part's material; "" without one."""
+    visual = getattr(geometry, "visual", None)
+    return str(getattr(getattr(visual, "material", None), "name", None) or "")
 
 
 def _require_triangles(content: bytes, path: str) -> None:

@@ -114,11 +114,6 @@ def target(path: Path) -> Path:
     return file
 
 
-def digest(content: bytes) -> str:
-    """Return the digest by which a record knows a file."""
-    return hashlib.sha256(content).hexdigest()
-
-
 def _digest_of(path: Path) -> str | None:
     """Return the digest of a file on the disk; None if there is none, or it cannot be read."""
     try:
@@ -141,7 +136,10 @@ def _write_set(contents: Mapping[Path, bytes], command: str) -> None:
             "command": command,
             "whole": False,
             "files": {
-                os.path.relpath(path, folder): [digest(content), _digest_of(path)]
+                os.path.relpath(path, folder): [
+                    hashlib.sha256(content).hexdigest(),
+                    _digest_of(path),
+                ]
                 for path, content in contents.items()
             },
         }
@@ -220,13 +218,9 @@ def _require_whole(path: Path) -> None:
             return  # an old file, from which the command makes the set anew
         new = [name for name, d in written["files"].items() if now[name] == d[0]]
         raise DataError(
-            f"{path}: was not written whole: {_quoted(new) or 'none'} of {_quoted(written['files'])} "
+            f"{path}: was not written whole: {', '.join(new) or 'none'} of {', '.join(now)} "
             f"is new, since `{written['command']}` was interrupted. Repeat that command"
         )
-
-
-def _quoted(names: Any) -> str:
-    return ", ".join(str(name) for name in names)
 
 
 def is_own(path: Path) -> bool:
