@@ -260,9 +260,7 @@ def unknown_evidence(
     size = count * kinds * bands
     mask = used.ravel()
     extra = full.reshape(size, size)[np.ix_(mask, mask)]
-    factorization = Factorization.whole(
-        covariance + np.square(UNKNOWN_SIZES)[:, None, None] * extra
-    )
+    factorization = Factorization(covariance + np.square(UNKNOWN_SIZES)[:, None, None] * extra)
     rows = np.repeat(residual[None], len(UNKNOWN_SIZES), axis=0)
     densities = log_densities(factorization, rows, len(residual), ends, coarsened=coarsened)
     parts = [logsumexp(of_sizes, axis=0) for of_sizes, _ in densities]

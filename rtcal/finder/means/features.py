@@ -255,16 +255,11 @@ engine that it was not estimated from (docs/discrepancy.md); 1.0 and 1.5 change 
 
 @dataclass(frozen=True, eq=False)
 class ModelDiscrepancy:
-    """Bias and covariance of the model's error, over all features raveled.
-
-    ``factor`` (n, r), where it is given, has the covariance's low rank: without factor factor' it is
-    diagonal.
-    """
+    """Bias and covariance of the model's error, over all features raveled."""
 
     bias: Array
     covariance: Array
     engines: tuple[str, ...] = ()
-    factor: Array | None = None
 
 
 def checked_discrepancy(case: Case, discrepancy: object) -> ModelDiscrepancy:
@@ -303,9 +298,8 @@ def estimate_discrepancy(case: Case, controls: Sequence[ControlRooms]) -> ModelD
         rows.append(common.reshape(k, size))
     factor = np.concatenate(rows).T * np.sqrt(INFLATION)
     full = factor @ factor.T
-    factor *= np.sqrt(1 - SHRINKAGE)
     shrunk = (1 - SHRINKAGE) * full + SHRINKAGE * np.diag(np.diag(full))
-    return ModelDiscrepancy(bias.ravel(), shrunk, tuple(c.engine for c in controls), factor)
+    return ModelDiscrepancy(bias.ravel(), shrunk, tuple(c.engine for c in controls))
 
 
 _SMALL = 64
@@ -364,26 +358,6 @@ class AlphaCovariance:
         parts = np.concatenate([self._air[part], together], axis=-1)
         alone = self._covariance(stored) if self._off is None else stored
         return np.asarray(alone + parts @ parts.swapaxes(1, 2))
-
-    def low_rank(self, part: slice) -> tuple[Array, Array] | None:
-        """Return factors of `of` that have few columns, and what configurations do not share.
-
-        Factors (n, size, r) and covariances within each configuration (n, n_configurations, n_bands,
-        n_bands). None where the factors would not have fewer columns than half of the rows.
-        """
-        if self._off is not None:
-            return None
-        slopes = self._stored[part] * self._sigma
-        together, air = self.off_together(part), self._air[part]
-        n, count, n_materials, n_bands = slopes.shape
-        size = count * n_bands
-        if n_materials * n_bands + together.shape[2] + air.shape[2] > size / 2:
-            return None
-        shared = np.where(self._changed, 0.0, slopes).swapaxes(2, 3)[..., None]
-        shared = shared * np.linalg.cholesky(self._rho)[:, None, :]
-        own = np.where(self._changed, slopes, 0.0)
-        within = (own.swapaxes(2, 3) @ own) * self._rho
-        return np.concatenate([shared.reshape(n, size, -1), together, air], axis=-1), within
 
     def slopes(self, i: int) -> Array:
         """Return -d ln T20 / d alpha of hypothesis 0 or 1, (n_configurations, n_materials, n_bands)."""

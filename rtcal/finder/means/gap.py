@@ -196,7 +196,7 @@ def evidence_of_factors(problem: MeansProblem) -> tuple[float, float]:
     directions = np.array([f == 0, problem.slopes[0]], dtype=float)
     more = MISTAKE**2 * np.einsum("di,dj->dij", directions, directions)
     rows = np.broadcast_to(problem.residual(0), (2, 1, len(f)))
-    factorization = Factorization.whole(alpha + other + more)
+    factorization = Factorization(alpha + other + more)
     ((densities, _),) = log_densities(factorization, rows, 1, [len(f)])
     of_units, of_room = densities[:, 0].tolist()
     return of_units, of_room

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,20 +19,7 @@ from rtcal.support.types import Array
 
 
 class Factorization:
-    """The factors of n covariances C = B + U U', B with blocks on its diagonal.
-
-    With L L' = B, W = L⁻¹ U and G G' = I + W' W, it is C⁻¹ = L⁻ᵀ (I - W (G G')⁻¹ W') L⁻¹ and
-    |C| = |B| |G|² (Woodbury 1950). Without U the time grows with the cube of a block's rows; with U,
-    with the rows of C times the square of U's columns.
-
-    Parameters
-    ----------
-    blocks : sequence of arrays (n, m_c, m_c)
-        They are overwritten.
-    places : sequence of slices
-        Rows of C that the blocks belong to.
-    low_rank : array (n, r, m), optional
-        U'.
+    """The Cholesky factors L of n covariances C (n, m, m), which are overwritten.
 
     Raises
     ------
@@ -41,21 +27,9 @@ class Factorization:
         If a covariance is not positive definite.
     """
 
-    def __init__(
-        self,
-        blocks: Sequence[Array],
-        places: Sequence[slice],
-        low_rank: Array | None = None,
-    ) -> None:
-        self._blocks, self._places = blocks, places
-        diagonals = [_cholesky(block) for block in blocks]
-        self._half = np.cumsum(np.concatenate(diagonals, axis=1), axis=1)
-        self._whitened = None if low_rank is None else self._by_blocks(low_rank)
-
-    @classmethod
-    def whole(cls, covariance: Array) -> Factorization:
-        """Return the factors of covariances (n, m, m), which are overwritten."""
-        return cls([covariance], [slice(None)])
+    def __init__(self, covariance: Array) -> None:
+        self._half = np.cumsum(_cholesky(covariance), axis=1)
+        self._lower = covariance
 
     def leading(
         self, rows: Array, first: int, ends: Sequence[int]
@@ -67,40 +41,14 @@ class Factorization:
         squares of the ``first`` rows (n, first), those with the others (n, first, d - first), and those
         of the others with one another. ``rows`` may be overwritten.
         """
-        whitened, low, begin = self._by_blocks(rows), self._whitened, 0
+        whitened, begin = np.ascontiguousarray(rows), 0
+        _solve(self._lower, whitened)
         square, across, others = (np.zeros(()) for _ in range(3))
-        inner, along = np.zeros(()), np.zeros(())
         for end in ends:
-            part = whitened[:, :, begin:end]
-            new = _products(part, first)
+            new = _products(whitened[:, :, begin:end], first)
             square, across, others = square + new[0], across + new[1], others + new[2]
-            half = self._half[:, end - 1]
-            if low is None:
-                yield half, square, across, others
-            else:
-                seen = low[:, :, begin:end]
-                inner = inner + seen @ seen.swapaxes(1, 2)
-                along = along + part @ seen.swapaxes(1, 2)
-                factor = inner + np.eye(low.shape[1])
-                half = half + _cholesky(factor).sum(1)
-                solved = np.array(along)
-                _solve(factor, solved)
-                less = _products(solved, first)
-                yield half, square - less[0], across - less[1], others - less[2]
+            yield self._half[:, end - 1], square, across, others
             begin = end
-
-    def _by_blocks(self, rows: Array) -> Array:
-        """Return rows times L⁻ᵀ."""
-        if len(self._blocks) == 1:
-            rows = np.ascontiguousarray(rows)
-            _solve(self._blocks[0], rows)
-            return rows
-        out = np.empty(rows.shape)
-        for block, place in zip(self._blocks, self._places, strict=True):
-            part = np.ascontiguousarray(rows[:, :, place])
-            _solve(block, part)
-            out[:, :, place] = part
-        return out
 
 
 def _products(rows: Array, first: int) -> tuple[Array, Array, Array]:
@@ -241,19 +189,6 @@ class MeansProblem:
         both = self.discrepancy.covariance + self.predicted.applied.covariance
         return np.asarray(self.observed.covariance + both[np.ix_(self.mask, self.mask)])
 
-    @cached_property
-    def _fixed_low_rank(self) -> tuple[Array, Array] | None:
-        """R and diagonals by configuration, raveled to (n_used, n_used), and factors (r, n_used)."""
-        if self.discrepancy.factor is None:
-            return None
-        factor = self.discrepancy.factor[self.mask]
-        diagonal = np.diag(self.discrepancy.covariance)[self.mask] - (factor**2).sum(1)
-        applied = self.predicted.applied
-        diagonal += applied.diagonal[self.mask]
-        factor = np.concatenate([factor, applied.factor[self.mask]], axis=1)
-        factor = factor[:, factor.any(0)]
-        return self.observed.covariance + np.diag(diagonal), factor.T
-
     def _alpha(self, part: slice) -> Array:
         """Return J Sigma J' of some hypotheses, (n, n_used, n_used)."""
         out = self.predicted.alpha_covariance.of(part).take(self.t20, 2)
@@ -271,39 +206,10 @@ class MeansProblem:
 
     def _factorization(self, part: slice) -> Factorization:
         """Return the factors of some hypotheses' covariances."""
-        if self._fixed_low_rank is not None:
-            low_rank = self.predicted.alpha_covariance.low_rank(part)
-            if low_rank is not None:
-                return self._by_configuration(part, *self._fixed_low_rank, *low_rank)
         covariance = self._alpha(part)
         covariance += self.without_alpha
         covariance += self._misfit(part).covariance
-        return Factorization.whole(covariance)
-
-    def _by_configuration(
-        self, part: slice, fixed: Array, factor: Array, shared: Array, within: Array
-    ) -> Factorization:
-        """Return the factors by blocks of configurations, and a part of low rank."""
-        error = self._misfit(part)
-        alpha = shared.take(self.t20, 1) * self.slopes[part, :, None]
-        low_rank = np.concatenate([alpha, error.factor], axis=2).swapaxes(1, 2)
-        low_rank = np.concatenate(
-            [np.broadcast_to(factor, (len(alpha), *factor.shape)), low_rank], axis=1
-        )
-        blocks = []
-        c, _, b = self.places
-        ends = [*np.flatnonzero(np.diff(c)) + 1, len(c)]
-        configurations = [slice(*pair) for pair in pairwise([0, *ends])]
-        for place in configurations:
-            bands, slopes = b[place], self.slopes[part][:, place]
-            which = self.t20[place.start] // within.shape[-1]
-            block = within[:, which].take(bands, 1).take(bands, 2)
-            block *= slopes[:, :, None] * slopes[:, None, :]
-            block += fixed[place, place]
-            rows = np.arange(len(bands))
-            block[:, rows, rows] += error.diagonal[:, place]
-            blocks.append(block)
-        return Factorization(blocks, configurations, low_rank)
+        return Factorization(covariance)
 
     def covariance_of(self, i: int, scale: float = 1.0) -> tuple[Array, Array]:
         """Return the covariance of hypothesis ``i`` from the coefficients, and that from all else.
@@ -361,7 +267,7 @@ def alpha_covariance(predicted: MeansHypotheses, i: int) -> Array:
 
 def log_density(residual: Array, covariance: Array) -> float:
     """Return the log density of a residual (m,) under a covariance, in nats."""
-    factorization = Factorization.whole(covariance[None].copy())
+    factorization = Factorization(covariance[None].copy())
     ((log, _),) = log_densities(factorization, residual[None, None].copy(), 1, [len(residual)])
     return float(log[0, 0])
 

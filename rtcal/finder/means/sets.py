@@ -205,7 +205,7 @@ def evaluate_sets(compared: MeansProblem, sets: Sequence[Rows], *, off: bool) ->
         rows = (compared.observed.values - of.mean)[:, None, :]
         if off:
             rows = np.concatenate([rows, of.common], axis=1)
-        factorization, ends = Factorization.whole(of.covariance), [rows.shape[2]]
+        factorization, ends = Factorization(of.covariance), [rows.shape[2]]
         ((one, scaled),) = log_densities(factorization, rows, 1, ends, coarsened=False)
         out[part, 0] = np.where(of.possible, one[:, 0], -np.inf)
         if scaled is not None:
