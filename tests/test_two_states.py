@@ -244,36 +244,14 @@ def test_one_file_given_twice_is_no_change_and_is_said_first(panels: StatesFindi
     assert same.headline.startswith(said)
 
 
-@pytest.mark.parametrize(("decimals", "then"), [(2, 2), (4, 4), (3, 2), (2, 3)])
-def test_pairs_that_were_copied_are_left_out_and_said(
-    panels: StatesFinding, decimals: int, then: int
-) -> None:
+def test_pairs_that_were_copied_are_noted(panels: StatesFinding) -> None:
     """Half of the pairs were the file of before, and what had changed was not found."""
-    before, after = (
-        replace(m, values={"t20": m.values["t20"].round(n)})
-        for m, n in ((panels.case.before, decimals), (panels.case.after, then))
-    )
+    before, after = panels.case.before, panels.case.after
     table, half = after.values["t20"].copy(), len(before.pairs) // 2
-    table[:half] = panels.case.before.values["t20"][:half].round(then)
-    mixed = Differences.of(room(), before, replace(after, values={"t20": table}))
-    assert mixed.pairs == before.pairs[half:]
-    alone = Differences.of(room(), before, after.select(after.pairs[half:]))
-    np.testing.assert_array_equal(mixed.change, alone.change)
-    assert mixed.notes[0].startswith("S0 to R1, S1 to R1, S2 to R1")
-    assert "the same values before and after, as if copied. Left out." in mixed.notes[0]
-    assert Differences.of(room(), before, after).pairs == before.pairs
-
-
-def test_values_that_were_copied_are_left_out_and_said(panels: StatesFinding) -> None:
-    before, after = (
-        replace(m, values={"t20": m.values["t20"].round(4)})
-        for m in (panels.case.before, panels.case.after)
-    )
-    table = after.values["t20"].copy()
-    table[:, ::2] = before.values["t20"][:, ::2]
-    mixed = Differences.of(room(), before, replace(after, values={"t20": table}))
-    assert mixed.measured.tolist() == [False, True] * 3
-    assert "to the last digit, as if copied. Left out." in mixed.notes[0]
+    table[:half] = before.values["t20"][:half] * 1.00001
+    notes = Differences.of(room(), before, replace(after, values={"t20": table})).notes
+    assert notes[0].startswith("The same values before and after: S0 to R1, S1 to R1, S2 to R1.")
+    assert "same values" not in " ".join(Differences.of(room(), before, after).notes)
 
 
 def test_pairs_that_are_copies_within_a_state_are_said(panels: StatesFinding) -> None:
@@ -288,19 +266,6 @@ def test_pairs_that_are_copies_within_a_state_are_said(panels: StatesFinding) ->
     one = " ".join(Differences.of(room(), first, panels.case.after).notes)
     assert f"Before: {note}" in one
     assert "after: the same" not in one.lower()
-
-
-def test_exchanged_names_are_said(panels: StatesFinding) -> None:
-    """One file, two pairs of which had each other's name, was a change that nothing explains."""
-    before = replace(panels.case.before, values={"t20": panels.case.before.values["t20"].round(3)})
-    table = panels.case.after.values["t20"].round(3)
-    table[[1, 3]] = before.values["t20"][[3, 1]]
-    after = replace(panels.case.after, values={"t20": table})
-    said = " ".join(Differences.of(room(), before, after).notes)
-    first, second = (" to ".join(before.pairs[i]) for i in (1, 3))
-    each = f"{first} has those of {second}, {second} has those of {first}"
-    assert f"another pair before: {each}. Are" in said
-    assert "another pair" not in " ".join(panels.case.differences.notes)
 
 
 def test_a_pair_without_t_in_one_state_is_said(panels: StatesFinding) -> None:
@@ -326,20 +291,6 @@ def test_a_wrong_seed_is_refused(panels: StatesFinding, seed: object) -> None:
     for call in (rt.finder.verify, rt.finder.states.find):
         with pytest.raises(rt.errors.DataError, match=r"seed = .* is not a whole number"):
             call(panels if call is rt.finder.verify else panels.case, seed=seed)
-
-
-@pytest.mark.parametrize("then", [1, 2])
-def test_rounded_values_that_are_equal_by_chance_stay(panels: StatesFinding, then: int) -> None:
-    """To 0.1 s many values are equal, to 0.01 s some."""
-    before, after = (
-        replace(m, values={"t20": m.values["t20"].round(n)})
-        for m, n in ((panels.case.before, 2), (measured(times(), 2), then))
-    )
-    table = after.values["t20"].copy()
-    table[::3, 2] = before.values["t20"][::3, 2].round(then)
-    kept = Differences.of(room(), before, replace(after, values={"t20": table}))
-    assert kept.notes == ()
-    assert np.isfinite(kept.change).all()
 
 
 def test_what_does_not_fit_in_the_room_is_said(panels: StatesFinding) -> None:

@@ -267,7 +267,7 @@ class Measurement:
 
     @property
     def copies(self) -> list[str]:
-        """A note on pairs that have all values of another, if hardly by chance; [] without any."""
+        """A note on pairs that have all values of another; [] without any."""
         return repeats.copies(self.pairs, self.values.values())
 
     @classmethod

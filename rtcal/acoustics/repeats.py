@@ -24,17 +24,9 @@ from rtcal.support.types import Array
 Pair = tuple[str, str]
 
 _SAME = 1e-4
-"""Largest difference of the same data, relative above 1."""
-_SPREAD = 0.03
-"""Share of a value over which a second measurement of it spreads: three standard deviations of 1 %.
-Teams differ by more at one pair (Bork 2005), one team on another day hardly by less."""
-CHANCE = 0.001
-"""Probability below which values are not equal by chance."""
-_TELL = 3
-"""Least number of differences that tell how near the values of a band are to each other."""
-_ALL_BY_CHANCE = 0.05
-"""Probability below which values that are all equal when rounded are the same data: data are given
-again more often than all of them are measured alike."""
+"""Largest difference of equal values, relative above 1: a program that converts changes less."""
+_LEAST_COPIED = 3
+"""Least number of values of a pair that is noted as a copy of another."""
 
 
 def require_repeats(placed: Sequence[Pair], place: str) -> None:
@@ -103,11 +95,9 @@ def _cells(name: str) -> dict[str, str]:
 def same_data(one: str, other: str) -> bool:
     """Whether two names are of the same data, or one of a part of the other's.
 
-    Values are one if they differ by a ten-thousandth at most: a program that converts changes less.
-    Names are of the same data if all values that both have are equal, and at least two or all that
-    either has; or if more are equal than chance allows (`beyond_chance`). Two measured T that are
-    rounded to 0.01 s are often equal, two of four digits hardly ever. Values that are equal when they
-    are rounded alike (`equal_rounded`) count where that is not probable by chance.
+    Names are of the same data if all values that both have are equal to 1e-4, relative above 1, and
+    these are at least two, or all that either has. Data that were rounded anew in between, or of which
+    a value was replaced, are other data.
 
     Examples
     --------
@@ -116,14 +106,6 @@ def same_data(one: str, other: str) -> bool:
     >>> same_data("T:250=2.1,500=1.92,1000=1.7", "T:500=1.92,1000=1.7")
     True
     >>> same_data("T:250=2.1,500=1.92", "T:500=1.92,1000=1.7")
-    False
-    >>> same_data("T:250=2.114,500=1.923,1000=1.7", "T:250=2.114,500=1.923,1000=1.745")
-    True
-    >>> same_data("T:250=2.11,500=1.92,1000=1.7", "T:250=2.11,500=1.92,1000=1.74")
-    False
-    >>> same_data("T:250=2.114,500=1.923,1000=1.745", "T:250=2.11,500=1.92,1000=1.75")
-    True
-    >>> same_data("T:250=2.114,500=1.923,1000=1.745", "T:250=2.1,500=1.9,1000=1.7")
     False
     """
     return bool(_shared(one, other))
@@ -137,136 +119,17 @@ def _shared(one: str, other: str) -> list[str]:
     if one == other:
         return list(of_one) or [one]
     both = [label for label in of_one if label in of_other]
-    equal = [label for label in both if _equal(of_one[label], of_other[label])]
     least = 1 if of_one.keys() == of_other.keys() else 2
-    if len(equal) == len(both):
-        return equal if len(equal) >= least else []
-    values = (np.array([_number(of[label]) for label in both]) for of in (of_one, of_other))
-    as_rounded, chances = equal_rounded(*values)
-    alike = [label for label, e in zip(both, as_rounded, strict=True) if e]
-    shared = alike if len(alike) > len(equal) else equal
-    every = len(shared) == len(both) >= least and chances.prod() < _ALL_BY_CHANCE
-    return shared if every or beyond_chance(len(shared), chances) else []
+    equal = all(_equal(of_one[label], of_other[label]) for label in both)
+    return both if equal and len(both) >= least else []
 
 
 def _equal(one: str, other: str) -> bool:
-    value, second = _number(one), _number(other)
-    if math.isnan(value) or math.isnan(second):
-        return one == other
-    return abs(value - second) <= _SAME * max(1.0, abs(value))
-
-
-def _number(text: str) -> float:
-    """Return a value of a name of data; NaN where a record that was written by hand has none."""
     try:
-        return float(text)
-    except ValueError:
-        return math.nan
-
-
-def chance_of_equal(values: Array | Sequence[float]) -> Array:
-    """Return how probably each value would be measured again to its last digit; 1 of NaN.
-
-    The digits are those of most of the values: 1.7 beside 1.923 and 2.114 is 1.700. No more than three
-    decimals count: a mean of rounded values has more, and they tell little.
-
-    Examples
-    --------
-    >>> chance_of_equal([1.92, 2.11, 1.7]).round(2).tolist()
-    [0.17, 0.16, 0.2]
-    >>> chance_of_equal([1.923, 2.114, 1.7]).round(2).tolist()
-    [0.02, 0.02, 0.02]
-    """
-    sizes = np.abs(np.asarray(values, dtype=float))
-    step = _step(sizes)
-    return np.asarray(np.fmin(1.0, step / np.maximum(_SPREAD * sizes, step)))
-
-
-def _step(sizes: Array) -> Array:
-    """Return the distance of values that are told apart, as they are rounded."""
-    return np.maximum(10.0 ** -min(_decimals(sizes), 3), 2 * _SAME * sizes)
-
-
-def chance_of_near(one: Array, other: Array) -> Array:
-    """Return how probably two values of a band are equal, by how near others are, (n_bands,).
-
-    ``one`` and ``other`` are rows (n_rows, n_bands); equal values and NaN tell nothing, since what is
-    equal may be a copy. The steps of rounding between the others are taken as geometric on both sides
-    of 0. A band with fewer than `_TELL` of them is as all bands are; 0 if there are none.
-
-    Examples
-    --------
-    >>> t = np.array([[1.514], [1.516], [1.511], [1.515], [1.510]])
-    >>> chance_of_near(t[:-1], t[1:]).round(2), chance_of_equal([1.514]).round(2)
-    (array([0.06]), array([0.02]))
-    """
-    steps = np.abs(one - other) / np.maximum(_step(np.abs(one)), _step(np.abs(other)))
-    counted = [column[column > _SAME] for column in steps.T]
-    every = np.concatenate(counted)
-    return np.array([_chance_of_none(c if len(c) >= _TELL else every) for c in counted])
-
-
-def chances_at_pairs(tables: Sequence[Array], rows: Sequence[int] | slice = slice(None)) -> Array:
-    """Return how probably each value of tables (n_pairs, n_bands) is met again, side by side.
-
-    How near values are is told by neighbouring ``rows``.
-    """
-    near = [chance_of_near(own[:-1], own[1:]) for own in (table[rows] for table in tables)]
-    return np.maximum(np.hstack([*map(chance_of_equal, tables)]), np.hstack(near))
-
-
-def _chance_of_none(steps: Array) -> float:
-    """Return the probability of no step, by the steps between values that are not equal."""
-    if not len(steps):
-        return 0.0
-    near = max(1.0, float(np.median(steps)) / 2)
-    ratio: float = np.mean(steps.round(3) > near).item() ** (1 / near)
-    return (1 - ratio) / (1 + ratio)
-
-
-def _decimals(values: Array) -> int:
-    """Return the decimals of most of the values, of five at most."""
-    known = values[np.isfinite(values)].tolist()
-    decimals = sorted(len(f"{v:.5f}".rstrip("0").partition(".")[2]) for v in known) or [0]
-    return decimals[len(decimals) // 2]
-
-
-def equal_rounded(one: Array, other: Array) -> tuple[NDArray[np.bool_], Array]:
-    """Return which values of two rows are equal when both are rounded to the decimals of the coarser.
-
-    And the probability that each is by chance, as it is of the coarser (`chance_of_equal`).
-
-    A value that was rounded twice, 1.9149 to 1.915 and to 1.92, is equal to itself rounded once.
-
-    Examples
-    --------
-    >>> equal, _ = equal_rounded(np.array([1.923, 2.114, 1.745]), np.array([1.92, 2.11, 1.77]))
-    >>> equal.tolist()
-    [True, True, False]
-    """
-    coarse, fine = sorted(map(_decimals, (one, other)))
-    most = (10.0**-coarse + (10.0**-fine if fine > coarse else 0.0)) / 2
-    equal = np.abs(one - other) <= np.maximum(most, _SAME * np.maximum(1.0, np.abs(one)))
-    return np.asarray(equal), np.maximum(chance_of_equal(one), chance_of_equal(other))
-
-
-def beyond_chance(n_equal: int, chances: Array, *, compared: int = 1) -> bool:
-    """Whether more of some values are equal than chance allows; ``chances`` (n_values,) of each.
-
-    ``compared`` is the number of sets of values of which this is one.
-    Of values that are not equally probable the binomial distribution of the mean has the wider tail.
-
-    Examples
-    --------
-    >>> chances = chance_of_equal([1.92, 2.11, 1.93, 1.81, 1.74, 1.65])
-    >>> beyond_chance(6, chances), beyond_chance(3, chances)
-    (True, False)
-    """
-    from scipy.special import bdtrc
-
-    if n_equal == 0:
-        return False
-    return bool(bdtrc(n_equal - 1, len(chances), float(chances.mean())) < CHANCE / compared)
+        value, second = float(one), float(other)
+    except ValueError:  # a record that was written by hand
+        return one == other
+    return bool(np.isclose(value, second, rtol=_SAME, atol=_SAME))
 
 
 def refuse_repeated_data(room: Room, *names: str) -> None:
@@ -427,12 +290,22 @@ def in_words(placed: Iterable[Pair]) -> list[str]:
     return [f"repeats of one place are averaged and count as one position: {each}"]
 
 
-_LEAST_COPIED = 3
-"""Least number of values that tell a copy."""
+def same_values(one: Array, other: Array) -> NDArray[np.bool_]:
+    """Return which rows (n_rows, n_values) have equal values wherever both have one, three at least.
+
+    Examples
+    --------
+    >>> t = np.array([[1.514, 1.411, 1.313], [1.514, 1.411, np.nan]])
+    >>> same_values(t, t * 1.00001).tolist(), same_values(t, t * 1.001).tolist()
+    ([True, False], [False, False])
+    """
+    known = np.isfinite(one) & np.isfinite(other)
+    equal = np.isclose(one, other, rtol=_SAME, atol=_SAME)
+    return np.asarray((equal | ~known).all(axis=1) & (known.sum(axis=1) >= _LEAST_COPIED))
 
 
 def copies(pairs: Sequence[Pair], tables: Iterable[Array]) -> list[str]:
-    """Return a note on pairs that have all values of another, if hardly by chance; [] without any.
+    """Return a note on pairs that have all values of another, three at least; [] without any.
 
     ``tables`` are (n_pairs, n_bands) by parameter.
 
@@ -441,22 +314,13 @@ def copies(pairs: Sequence[Pair], tables: Iterable[Array]) -> list[str]:
     >>> t = np.array([[1.514, 1.411, 1.313]] * 2)
     >>> copies([("S1", "R1"), ("S1", "R2")], [t])[0][:52]
     'the same values in every band: S1 to R2 and S1 to R1'
-    >>> copies([("S1", "R1"), ("S1", "R2")], [t.round(1)])
-    []
     """
-    every = [*tables]
-    rows = np.nan_to_num(np.hstack(every), nan=-np.inf)
+    rows = np.hstack([*tables])
     first: dict[bytes, int] = {}
-    of_row = [first.setdefault(row.tobytes(), i) for i, row in enumerate(rows)]
-    if len(first) == len(rows):
-        return []
-    chances = chances_at_pairs(every, [*first.values()])
     copied = []
-    for i, j in enumerate(of_row):
-        known = np.isfinite(rows[i])
-        n = int(known.sum())
-        among = math.comb(len(rows), 2)
-        if j != i and n >= _LEAST_COPIED and beyond_chance(n, chances[i, known], compared=among):
+    for i, row in enumerate(np.nan_to_num(rows, nan=-np.inf)):
+        j = first.setdefault(row.tobytes(), i)
+        if j != i and np.isfinite(rows[i]).sum() >= _LEAST_COPIED:
             copied.append(" and ".join(" to ".join(pairs[k]) for k in (i, j)))
     if not copied:
         return []

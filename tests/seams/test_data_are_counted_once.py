@@ -10,14 +10,12 @@ import pytest
 from click.testing import CliRunner
 
 import rtcal as rt
-from rtcal.acoustics import repeats
 from rtcal.command.main import cli
-from rtcal.finder.states.copies import without_copies
 from rtcal.loop import positions
 from rtcal.loop.measured_pairs import fingerprints, pairs_to_match
 from rtcal.simulators.observations import Observations
 from rtcal.support.errors import CopiedPairsWarning, DataError
-from tests.conftest import also, program_of
+from tests.conftest import program_of
 from tests.test_discrepancy import controls_of
 
 
@@ -34,25 +32,6 @@ def test_an_equation(room_and_times, change: float) -> None:
     with pytest.raises(DataError, match="already calibrated on these data"):
         rt.calibrate(once, times + change)
     rt.calibrate(once, times * 1.01)
-
-
-@pytest.mark.parametrize(
-    ("first", "then", "factor", "refused"),
-    [(4, 2, 1.0, True), (2, 4, 1.0, True), (4, 2, 1.01, False), (4, 1, 1.0, False)],
-)
-def test_the_same_times_in_another_rounding(
-    room_and_times, first: int, then: int, factor: float, refused: bool
-) -> None:
-    """T to 0.01 s had been other data than T to 1 ms. To 0.1 s it is equal by chance."""
-    room, times = room_and_times
-    times = 1.01234 * times
-    once = rt.calibrate(room, times.round(first)).room
-    again = (factor * times).round(then)
-    if refused:
-        with pytest.raises(DataError, match=r"on these data \(T at 125 Hz"):
-            rt.calibrate(once, again)
-    else:
-        assert rt.calibrate(once, again, unreachable="nearest").room.calibration is not None
 
 
 @pytest.mark.parametrize("change", [0.0, 1e-7, 2e-5])
@@ -94,52 +73,6 @@ def test_rounded_values_agree_by_chance_and_are_other_data(room_and_times, equal
     other = (1.02 * times).round(2)
     other[equal] = times[equal]
     rt.calibrate(once, other)
-
-
-@pytest.mark.parametrize(("decimals", "n_new"), [(3, 3), (4, 3)])
-def test_some_new_values_among_those_of_the_record_do_not_hide_them(
-    room_and_times, decimals: int, n_new: int
-) -> None:
-    """Values with three digits after the point hardly ever agree by chance."""
-    room, times = room_and_times
-    times = (1.01234 * times).round(decimals)
-    once = rt.calibrate(room, times).room
-    other = times.copy()
-    other[:n_new] = (1.02 * times[:n_new]).round(decimals)
-    with pytest.raises(DataError, match="already calibrated on these data"):
-        rt.calibrate(once, other)
-
-
-def test_a_room_measured_anew_is_other_data(room_and_times) -> None:
-    """Both times rounded to 0.01 s, with 1 % between them: a fifth of the values are equal."""
-    room, times = room_and_times
-    rng = np.random.default_rng(0)
-    truth = times * (1 + 0.03 * rng.standard_normal((12, 1)))
-    pairs = [("S1", f"R{i}") for i in range(12)]
-    for _ in range(20):
-        states = [
-            rt.Measurement(
-                centre_frequencies=room.centre_frequencies,
-                values={"t20": (truth * (1 + 0.01 * rng.standard_normal(truth.shape))).round(2)},
-                pairs=pairs,
-            )
-            for _ in range(2)
-        ]
-        once = rt.calibrate(room, states[0]).room
-        assert rt.calibrate(once, states[1]).room.calibration is not None
-
-
-def test_a_new_band_beside_old_values_at_pairs(room_and_times) -> None:
-    room, times = room_and_times
-    times = times.round(3)
-    kept = [0, 1, 2]
-    once = rt.calibrate(room, at_places(room, times, kept, t20=1.0)).room
-    table = np.full((3, room.n_bands), np.nan)
-    table[:, 2] = at_places(room, times, kept, t20=1.0).values["t20"][:, 2]
-    table[0, 3] = 1.1
-    mixed = replace(at_places(room, times, kept, t20=1.0), values={"t20": table})
-    with pytest.raises(DataError, match="already calibrated on these data"):
-        rt.calibrate(once, mixed)
 
 
 PLACES = [("S 1", f"R,{i}") for i in range(4)]
@@ -338,47 +271,3 @@ def test_a_fit_refuses_them_before_it_simulates(
         rt.calibrate_positions(used, once, measured, match)
     with pytest.raises(AssertionError, match="have begun"):
         rt.calibrate_positions(tracer, hall.room, measured, match)
-
-
-def times_at(rng: np.random.Generator, spread: float, bands: int = 6) -> np.ndarray:
-    """Return T of twelve pairs, (12, n_bands), whose relative standard deviation is ``spread``."""
-    return rng.uniform(0.5, 2, bands) * (1 + spread * rng.standard_normal((12, bands)))
-
-
-@pytest.mark.parametrize("bands", [*also(3, 5), 8])
-def test_values_that_repeat_closely_are_no_copies(bands: int) -> None:
-    """T that repeats to 0.3 % is often equal to three decimals, and 48 of 200 had a copied pair."""
-    pairs, found = [("S1", f"R{i}") for i in range(12)], 0
-    for seed in range(200):
-        rng = np.random.default_rng(seed)
-        found += bool(repeats.copies(pairs, [times_at(rng, 0.003, bands).round(3)]))
-        true = times_at(rng, 0.03, bands)
-        states = [
-            rt.Measurement(
-                centre_frequencies=1000.0 * 2.0 ** np.arange(-bands + 4, 4),
-                values={"t20": (true * (1 + 0.003 * rng.standard_normal(true.shape))).round(3)},
-                pairs=pairs,
-            )
-            for _ in range(2)
-        ]
-        found += bool(without_copies(*states)[2])
-    assert found <= 2
-
-
-@pytest.mark.parametrize("bands", [5, 8])
-def test_copies_of_values_that_differ_are_seen(bands: int) -> None:
-    pairs = [("S1", f"R{i}") for i in range(12)]
-    for seed in range(50):
-        rng = np.random.default_rng(seed)
-        before, after = (times_at(rng, 0.03, bands).round(3) for _ in range(2))
-        before[-1], after[4] = before[0], before[4]
-        assert "S1 to R11 and S1 to R0" in repeats.copies(pairs, [before])[0]
-        states = [
-            rt.Measurement(
-                centre_frequencies=1000.0 * 2.0 ** np.arange(-bands + 4, 4),
-                values={"t20": times},
-                pairs=pairs,
-            )
-            for times in (before, after)
-        ]
-        assert without_copies(*states)[2][0].startswith("S1 to R4: the same values")

@@ -25,13 +25,13 @@ from rtcal.acoustics.materials import CHANGED, Material
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.observables import MATCH, REVERBERATION, SUMMARY, parameter_label
 from rtcal.acoustics.priors import NORMAL_90
+from rtcal.acoustics.repeats import same_values
 from rtcal.acoustics.room import Room
 from rtcal.acoustics.scene import Scene
 from rtcal.calibration.methods import calibrate
+from rtcal.calibration.problem_data import notes_of_bands
 from rtcal.finder.case import CLIMATE_UNCERTAINTY, checked_climate_uncertainty
 from rtcal.finder.positions import surfaces as of_room
-from rtcal.finder.states import told
-from rtcal.finder.states.copies import without_copies
 from rtcal.io import obj
 from rtcal.simulators import observations
 from rtcal.simulators.geometry import Polyhedron
@@ -41,7 +41,7 @@ from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError
 from rtcal.support.files import make_folder, write_all
 from rtcal.support.results import NOT_SAVED
-from rtcal.support.text import listed
+from rtcal.support.text import as_sentence, first_of, listed
 from rtcal.support.types import Array
 
 _LEAST = 1e-6
@@ -100,20 +100,24 @@ class Differences:
         checks.instance("room", room, Room)
         checks.instance("before", before, Measurement)
         checks.instance("after", after, Measurement)
-        of_bands = told.of_bands(room, before, after)
-        before, after, notes = without_copies(before, after)
         wanted = room.centre_frequencies
         states = [band_conversion.measurement_in_room_bands(m, wanted) for m in (before, after)]
         pairs = [p for p in states[0].pairs if p in states[1].pairs]
         if not pairs:
             raise DataError(
                 "before and after have no source and receiver in common; two states are measured at "
-                f"the same positions, and these are {told.named(before)} and {told.named(after)}"
+                f"the same positions, and these are {_pairs_of(before)} and {_pairs_of(after)}"
             )
         paired = before.select(pairs), after.select(pairs)
-        notes += [*of_bands, *told.of_copies(*paired), *told.of_names(*paired)]
-        notes += told.alone(states[0], states[1], pairs)
+        notes = [
+            *_by_state(*("; ".join(notes_of_bands(room, m)) for m in (before, after))),
+            *_by_state(*("; ".join(m.copies) for m in paired)),
+        ]
+        for state, name in zip(states, ("before", "after"), strict=True):
+            if others := [" to ".join(p) for p in state.pairs if p not in pairs]:
+                notes.append(f"Only {name} has {first_of(others, 1)}: left out.")
         chosen = [m.select(pairs) for m in states]
+        notes += _copied(*chosen)
         shape = (len(pairs), room.n_bands)
         change, variance = np.full(shape, np.nan), np.full(shape, np.nan)
         times, names = np.full((2, room.n_bands), np.nan), [""] * room.n_bands
@@ -148,7 +152,9 @@ class Differences:
             raise DataError(
                 f"no {labels} in any band of the room that before and after have in common"
             )
-        notes += told.without_times(pairs, change)
+        if empty := np.flatnonzero(np.isnan(change).all(axis=1)).tolist():
+            without = first_of([" to ".join(pairs[i]) for i in empty], 3)
+            notes.append(f"No T of both states at {without}: left out.")
         if unstated:
             notes.append(
                 "A mean T states neither its uncertainty nor of how many positions it is: it is taken "
@@ -176,6 +182,39 @@ class Differences:
     def measured(self) -> NDArray[np.bool_]:
         """In which bands there is a difference, (n_bands,)."""
         return np.asarray(np.isfinite(self.change).any(axis=0))
+
+
+def _by_state(before: str, after: str) -> list[str]:
+    """Return the notes of each state as sentences; one, if it is the same of both.
+
+    >>> _by_state("no T", "no T"), _by_state("", "no T")
+    (['Before and after: no T.'], ['After: no T.'])
+    """
+    each = {"before and after": before} if before == after else {"before": before, "after": after}
+    return [as_sentence(f"{state}: {note}") for state, note in each.items() if note]
+
+
+def _pairs_of(measured: Measurement) -> str:
+    """Return in words whether there are means, or the first pair and how many more."""
+    if measured.is_summary:
+        return "means over positions"
+    return first_of([*map(" to ".join, measured.pairs)], 1)
+
+
+def _copied(before: Measurement, after: Measurement) -> list[str]:
+    """Return a note on pairs whose values are all equal in both states; [] if those of all pairs are.
+
+    Both have the same pairs and bands. A pair counts with three values at least (`same_values`).
+    """
+    shared = [name for name in before.values if name in after.values]
+    tables = (np.hstack([m.values[name] for name in shared]) for m in (before, after))
+    copied = [" to ".join(before.pairs[i]) for i in np.flatnonzero(same_values(*tables))]
+    if not copied or len(copied) == len(before.pairs):
+        return []
+    return [
+        f"The same values before and after: {first_of(copied, 3)}. Leave them out if they were not "
+        "measured anew: else they count as pairs where nothing changed."
+    ]
 
 
 @checked
