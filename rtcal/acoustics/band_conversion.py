@@ -25,8 +25,7 @@ import numpy as np
 
 from rtcal.acoustics import bands
 from rtcal.acoustics.measurement import Measurement
-from rtcal.acoustics.observables import TARGET, observable
-from rtcal.acoustics.observables.base import ITSELF, Scale
+from rtcal.acoustics.observables import ITSELF, TARGET, Scale, observable
 from rtcal.acoustics.room import Room
 from rtcal.support import checks
 from rtcal.support.arguments import checked

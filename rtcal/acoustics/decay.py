@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from rtcal.acoustics import bands
 from rtcal.acoustics.measurement import Measurement
+from rtcal.acoustics.observables import MARGIN_DB as MARGIN_DB
 from rtcal.acoustics.observables import (
     OBSERVABLES,
     TARGET,
@@ -23,9 +24,8 @@ from rtcal.acoustics.observables import (
     observable,
     of_kind,
 )
-from rtcal.acoustics.observables.decay_times import MARGIN_DB as MARGIN_DB
-from rtcal.acoustics.observables.decay_times import cut_off_db as cut_off_db
-from rtcal.acoustics.observables.decay_times import decay_curve_db as decay_curve_db
+from rtcal.acoustics.observables import cut_off_db as cut_off_db
+from rtcal.acoustics.observables import decay_curve_db as decay_curve_db
 from rtcal.support import checks
 from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError, TooShortError, of_bands

@@ -22,8 +22,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from rtcal.acoustics.observables import TARGET
-from rtcal.acoustics.observables.decay_times import LIMITS
+from rtcal.acoustics.observables import LIMITS, TARGET
 from rtcal.acoustics.repeats import fingerprint
 from rtcal.io import workbook
 from rtcal.io.table_columns import name_and_unit

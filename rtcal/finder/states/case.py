@@ -208,7 +208,7 @@ def _copied(before: Measurement, after: Measurement) -> list[str]:
     """
     shared = [name for name in before.values if name in after.values]
     tables = (np.hstack([m.values[name] for name in shared]) for m in (before, after))
-    copied = [" to ".join(before.pairs[i]) for i in np.flatnonzero(same_values(*tables))]
+    copied = [" to ".join(before.pairs[i]) for i in np.flatnonzero(same_values(*tables)).tolist()]
     if not copied or len(copied) == len(before.pairs):
         return []
     return [

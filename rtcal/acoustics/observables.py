@@ -1,0 +1,1051 @@
+"""Observables: room-acoustic parameters at a position, by band, that readers and fits share.
+
+A new observable is one class. It registers itself in `OBSERVABLES`, where files, tables, impulse
+responses, simulators, calibrations, finders, pages and checks look it up: its value from an energy
+decay, its derivative, the scale on which it is linear in the absorption, its JND, its uncertainty, its
+unit, its limits and its names. docs/extending.md adds one from outside.
+
+Three scales belong to an observable. Its values have its unit. What is *observed* is nearly linear in
+alpha: the logarithm of a time, or the value itself. And one function of what is observed is linear in
+the room's absorption.
+
+Examples
+--------
+>>> print(observable("c80").label, isinstance(observable("t20"), DecaySlope), TARGET.key)
+C80 True t20
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Container, Iterable
+from dataclasses import dataclass
+from functools import cached_property
+from typing import ClassVar, Literal, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rtcal.acoustics import bands
+from rtcal.support import checks
+from rtcal.support.errors import DataError
+from rtcal.support.types import Array
+
+__all__ = [
+    "EARLY",
+    "LEVEL",
+    "MATCH",
+    "OBSERVABLES",
+    "REVERBERATION",
+    "SUMMARY",
+    "TARGET",
+    "DecaySlope",
+    "Observable",
+    "longest",
+    "observable",
+    "of_kind",
+    "parameter_label",
+    "register",
+]
+__dir__ = __all__.copy
+
+DB = 10 / np.log(10)
+"""dB per neper of energy."""
+OCTAVES = (125.0, 250.0, 500.0, 1000.0, 2000.0, 4000.0)
+"""Centre frequencies in Hz of `Observable.between_teams`."""
+_BINS = 4000
+"""Bins of the exponential decay that stands for a noise-like response, over twice its T."""
+
+
+Part = Literal["late", "early", "level"]
+
+
+@dataclass(frozen=True)
+class Scale:
+    """A quantity that averages over the thirds of an octave, as a function of the value."""
+
+    forward: Callable[[Array], Array]
+    inverse: Callable[[Array], Array]
+    slope: Callable[[Array], Array]
+
+
+ITSELF = Scale(lambda x: x, lambda x: x, np.ones_like)
+
+
+class Observable(ABC):
+    """A room-acoustic parameter: its names, its units, and how it follows from an energy decay.
+
+    Attributes
+    ----------
+    key : str
+        Name in files, in JSON and in Python.
+    label : str
+        Name as it is printed.
+    spellings : tuple of str
+        Further names in tables of other programs, in lower case without spaces.
+    unit : str
+    decimals : int
+        Digits after the point as it is printed.
+    rank : int
+        Place in lists, the smallest first.
+    jnd : float
+        Just noticeable difference, in the unit or, where ``relative_jnd``, of the value.
+    limits : (float, float)
+        Least and largest value that is accepted.
+    doubt : str
+        The likely mistake behind a value beyond them.
+    usual : (float, float)
+        Least and largest value that hardly any room is beyond; one that is, is read and told.
+    minimum_range : float or None
+        Impulse-to-noise ratio in dB that a response needs to hold it. None where a response alone does
+        not: its level needs a calibrated source.
+    reaches : float
+        Time in s that a response must be longer than to hold it.
+    logarithmic : bool
+        Whether the logarithm is observed. Uncertainties are then relative.
+    rises : bool
+        Whether it rises with the absorption.
+    part : {"late", "early", "level"}
+        Part of the decay that it hears. What stands near a position changes each part by a share of its
+        own.
+    teams : tuple of float
+        Standard deviation between teams at one pair of positions, by octave of `OCTAVES`, as observed.
+    unknown_error : float
+        Standard deviation of a simulator's error that no control run tells, as observed.
+    remeasured : float
+        Standard deviation by which all pairs of a band differ, as observed, if it is measured anew and
+        nothing changed.
+    matched : bool
+        Whether it is matched at every position where nothing else is asked for.
+    predicted : bool
+        Whether a prediction at positions gives it beside what is matched.
+    shown : bool
+        Whether a loop on mean values shows it, and a tracer states its noise.
+    stand_in : str or None
+        Key of an observable that serves in its place where it was not measured.
+    averaging : Scale
+        The quantity that averages over the thirds of an octave.
+    """
+
+    key: ClassVar[str]
+    label: ClassVar[str]
+    spellings: ClassVar[tuple[str, ...]] = ()
+    unit: ClassVar[str]
+    decimals: ClassVar[int]
+    rank: ClassVar[int]
+    jnd: ClassVar[float]
+    relative_jnd: ClassVar[bool] = False
+    limits: ClassVar[tuple[float, float]]
+    doubt: ClassVar[str]
+    usual: ClassVar[tuple[float, float]] = (-np.inf, np.inf)
+    minimum_range: ClassVar[float | None] = 20.0
+    reaches: ClassVar[float] = 0.0
+    logarithmic: ClassVar[bool] = False
+    rises: ClassVar[bool] = False
+    part: ClassVar[Part] = "early"
+    teams: ClassVar[tuple[float, ...]]
+    unknown_error: ClassVar[float]
+    remeasured: ClassVar[float] = 0.01
+    matched: ClassVar[bool] = False
+    predicted: ClassVar[bool] = False
+    shown: ClassVar[bool] = False
+    stand_in: ClassVar[str | None] = None
+    averaging: ClassVar[Scale] = ITSELF
+
+    @abstractmethod
+    def value(self, energy: Array, bin_width: float) -> Array:
+        """Return the value of energy decays (..., n_bins), (...); not finite where one lacks it."""
+
+    @abstractmethod
+    def gradient(self, energy: Array, level: Array, bin_width: float) -> Array:
+        """Return d observed / d energy of each bin, (..., n_bins), in 1 or dB over the energy's unit.
+
+        ``level`` is the decay curve in dB, `decay_curve_db`.
+        """
+
+    @abstractmethod
+    def linear(self, values: Array, stated: Array) -> Array:
+        """Return how far what is observed is from what is stated, linear in the absorption.
+
+        0 at ``stated``; a relative change of the absorption near it, up to the sign.
+        """
+
+    @abstractmethod
+    def linear_slope(self, values: Array, stated: Array) -> Array:
+        """Return the derivative of `linear` by what is observed."""
+
+    def too_short(self, energy: Array) -> NDArray[np.bool_]:
+        """Return whether energy decays (..., n_bins) are cut off too early to hold it, (...)."""
+        return np.zeros(np.shape(energy)[:-1], dtype=bool)
+
+    def key_in(self, values: Container[str]) -> str:
+        """Return under which key a table has it: its own, or else its stand-in's."""
+        return self.key if self.stand_in is None or self.key in values else self.stand_in
+
+    def observed(self, values: Array) -> Array:
+        """Return what is observed, of values in the unit; NaN where there is no logarithm."""
+        if not self.logarithmic:
+            return values
+        with np.errstate(invalid="ignore", divide="ignore"):
+            return np.asarray(np.log(values))
+
+    def natural(self, observed: Array) -> Array:
+        """Return values in the unit, of what is observed."""
+        return np.asarray(np.exp(observed)) if self.logarithmic else observed
+
+    def of_observed(self, uncertainty: Array, values: Array) -> Array:
+        """Return the uncertainty of what is observed, of that of the values."""
+        return np.asarray(uncertainty / values) if self.logarithmic else uncertainty
+
+    def of_value(self, uncertainty: Array, values: Array) -> Array:
+        """Return the uncertainty of the values, of that of what is observed."""
+        return np.asarray(uncertainty * values) if self.logarithmic else uncertainty
+
+    def jnd_of(self, values: Array) -> Array | float:
+        """Return one JND of values, in the unit."""
+        return self.jnd * values if self.relative_jnd else self.jnd
+
+    def decay_time(self, values: Array) -> Array:
+        """Return the T in s of an exponential decay with these values; NaN if they do not tell it."""
+        return np.full(np.shape(values), np.nan)
+
+    def between_teams(self, frequencies: Array) -> Array:
+        """Return the standard deviation between teams as observed, (n_bands,)."""
+        return np.asarray(np.interp(np.log(frequencies), np.log(OCTAVES), self.teams))
+
+    def scatter(self, frequencies: Array, times: Array) -> Array:
+        """Return the standard deviation as observed of one response, whose field is noise.
+
+        In a band of bandwidth B the energy of a bin of width w has the relative variance 1 / (B w).
+
+        Parameters
+        ----------
+        frequencies : array (n_bands,)
+            Centre frequencies in Hz.
+        times : array (..., n_bands)
+            Decay time in s of an exponential decay.
+        """
+        times = np.asarray(times, dtype=float)
+        bandwidth = np.broadcast_to(bands.bandwidth_factor(frequencies) * frequencies, times.shape)
+        decay = 10.0 ** (-12 * np.arange(_BINS) / _BINS)
+        out = np.full(times.shape, np.nan)
+        for place in zip(*np.nonzero(np.isfinite(times)), strict=True):
+            width = 2 * float(times[place]) / _BINS
+            energy = decay / decay.sum()
+            level = 10 * np.log10(np.flip(np.cumsum(np.flip(energy))))
+            by_bin = self.gradient(energy, level - level[0], width) * energy
+            out[place] = np.sqrt(by_bin @ by_bin / (bandwidth[place] * width))
+        return out
+
+    def overall(self, values: Array, frequencies: Array) -> Array:
+        """Return the one number of all bands, (...), of values (..., n_bands); NaN if it has none."""
+        return np.full(np.shape(values)[:-1], np.nan)
+
+    def variance_of_mean(self, frequencies: Array, mean: Array, positions: Array) -> Array:
+        """Return the variance of a mean over ``positions`` that theory expects; NaN without one."""
+        return np.full(np.shape(mean), np.nan)
+
+    @property
+    def rule(self) -> str:
+        """The values that are accepted, in words.
+
+        Examples
+        --------
+        >>> observable("d50").rule
+        'from 0 to 1: is it in percent? D50 is a fraction'
+        """
+        unit = f" {self.unit}".rstrip()
+        return f"from {self.limits[0]:g} to {self.limits[1]:g}{unit}: {self.doubt}"
+
+    @property
+    def value_rule(self) -> str:
+        """The rule that no `Measurement` breaks, in words: a simulated value may be implausible."""
+        return self.rule
+
+    def broken(self, values: Array) -> NDArray[np.bool_]:
+        """Return where values break the ``value_rule``, rounding included."""
+        least, most = self.limits
+        with np.errstate(invalid="ignore"):
+            return np.asarray((values < least) | (values > most * (1 + 1e-9)))
+
+    def largest_uncertainty(self, values: Array) -> tuple[Array, str]:
+        """Return the largest uncertainty that says anything, and what it is, in words."""
+        least, most = self.limits
+        return np.full(np.shape(values), most - least), "the parameter's range"
+
+    def refuse(self, place: str, value: float) -> None:
+        """Raise DataError for a value that no room has; ``place`` says whose it is. NaN is missing."""
+        if self.broken(np.asarray(value)):
+            raise DataError(f"{place} = {value:g} is not {self.rule}")
+
+
+OBSERVABLES: dict[str, Observable] = {}
+"""Every observable by its key, in the order of their ranks."""
+
+O = TypeVar("O", bound=Observable)  # noqa: E741
+
+
+def register(kind: type[O]) -> type[O]:
+    """Name an observable in `OBSERVABLES`; a class decorator.
+
+    Raises
+    ------
+    DataError
+        If another class has the key, ``teams`` are not one per octave of `OCTAVES`, or the gradient is
+        not the derivative of what is observed.
+    """
+    new: Observable = kind()
+    place = f'observable "{new.key}"'
+    old = type(OBSERVABLES.get(new.key, new))
+    if (old.__module__, old.__qualname__) != (kind.__module__, kind.__qualname__):
+        raise DataError(f"{place}: {old.__qualname__} has this key; each observable has its own")
+    if len(new.teams) != len(OCTAVES):
+        octaves = ", ".join(f"{f:g}" for f in OCTAVES)
+        raise DataError(
+            f"{place}: teams has {len(new.teams)} values; it has one for each of {octaves} Hz"
+        )
+    if kind.__module__ != __name__:  # tests check the package's own
+        check_gradient(new)
+    every = [*(o for o in OBSERVABLES.values() if o.key != new.key), new]
+    OBSERVABLES.clear()
+    OBSERVABLES.update({o.key: o for o in sorted(every, key=lambda o: o.rank)})
+    return kind
+
+
+def check_gradient(observable: Observable) -> None:
+    """Raise DataError unless the gradient is the derivative of what is observed of a decay.
+
+    The decay is exponential, of 1 s, in 200 bins of 10 ms. Each bin's energy is changed by a share of
+    1e-6 and by -1e-6. Differences above 1 % of the largest are errors.
+    """
+    width, step = 0.01, 1e-6
+    energy = np.exp(-13.8 * width * np.arange(200.0))
+    left = np.flip(np.cumsum(np.flip(energy)))
+    stated = np.asarray(observable.gradient(energy, 10 * np.log10(left / left[0]), width)) * energy
+    up, down = (
+        observable.observed(observable.value(energy * (1 + sign * step * np.eye(200)), width))
+        for sign in (1, -1)
+    )
+    found = (up - down) / (2 * step)
+    k = int(np.argmax(np.abs(stated - found)))
+    if not abs(stated[k] - found[k]) <= 0.01 * np.abs(found).max():
+        raise DataError(
+            f'observable "{observable.key}": gradient at {width * k:g} s = {stated[k] / energy[k]:g}; '
+            f"differences of value give {found[k] / energy[k]:g}"
+        )
+
+
+def observable(key: str) -> Observable:
+    """Return an observable by its key; DataError for a name that is none.
+
+    Examples
+    --------
+    >>> observable("ts").label, observable("ts").unit
+    ('Ts', 's')
+    """
+    if not isinstance(key, str) or key not in OBSERVABLES:
+        raise DataError(f'parameter "{key}" is unknown; known are {", ".join(OBSERVABLES)}')
+    return OBSERVABLES[key]
+
+
+def of_kind(kind: type[O]) -> dict[str, O]:
+    """Return the observables that are of one class, by key."""
+    return {key: o for key, o in OBSERVABLES.items() if isinstance(o, kind)}
+
+
+SUMMARY = "*"
+"""Name of the source and of the receiver in a row that holds means over several pairs."""
+
+
+def parameter_label(parameter: str) -> str:
+    """Return a parameter as it is printed; a name that is none in capitals.
+
+    Examples
+    --------
+    >>> [parameter_label(parameter) for parameter in ("t20", "ts", "level")]
+    ['T20', 'Ts', 'level']
+    """
+    known = OBSERVABLES.get(checks.text("parameter", parameter))
+    return parameter.upper() if known is None else known.label
+
+
+LIMITS = (0.01, 120.0)
+"""Shortest and longest T20 and T30 in s that are accepted. A lined box of a litre has 0.01 s or more.
+The longest published T is 112 s, at 125 Hz in the oil tanks of Inchindown (T. Cox, Sonic
+Wonderland, 2014)."""
+TEAMS = (0.046, 0.036, 0.028, 0.022, 0.017, 0.013)
+"""Of T, relative. The ends are from the music studio of the PTB (round robin III, Bork 2005; medians
+over pairs), geometric between them. All pairs of a team have this error in common."""
+
+MARGIN_DB = 15.0
+"""Least distance in dB from a range's lower end down to the truncation. Truncating an exponential decay
+there lowers T20 by 0.4 %."""
+_DECAYS = 10
+"""Decays that an integrated impulse response counts as (ISO 3382-2:2008, 6.2)."""
+
+
+def decay_curve_db(energy: Array) -> Array:
+    """Return the normalised decay curve at the start of each bin, in dB, same shape.
+
+    L_k = 10 lg(sum over j >= k of E_j / sum over all of E_j), so that L_0 = 0 (Schroeder 1965).
+    Minus infinity where no energy is left, NaN for a decay without energy.
+    """
+    # Summed from the end, where the numbers are small: a difference of large sums would round them.
+    left = np.flip(np.cumsum(np.flip(energy, -1), axis=-1), -1)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.asarray(10 * np.log10(left / left[..., :1]))
+
+
+def cut_off_db(energy: Array) -> Array:
+    """Return the level of the energy that the end of the decay cuts off, (...).
+
+    In dB relative to the whole energy. It is extrapolated from the energies A and B of the last two
+    quarters of the time: B r / (1 - r), r = B / A. Infinite where the energy does not fall, minus
+    infinity where none is left at the end. A double slope is judged by its late part.
+    """
+    quarter = energy.shape[-1] // 4
+    if quarter == 0:
+        return np.full(energy.shape[:-1], np.inf)
+    last = energy[..., -quarter:].sum(axis=-1)
+    before = energy[..., -2 * quarter : -quarter].sum(axis=-1)
+    falls = before > last
+    with np.errstate(divide="ignore", invalid="ignore"):
+        beyond = np.where(last == 0, 0.0, np.where(falls, last**2 / (before - last), np.inf))
+        return np.asarray(10 * np.log10(beyond / energy.sum(axis=-1)))
+
+
+class Relative(Observable):
+    """A time in s, whose logarithm is observed."""
+
+    unit = "s"
+    decimals = 3
+    logarithmic = True
+    unknown_error = 0.05
+
+    def linear(self, values: Array, stated: Array) -> Array:
+        """Return 1 - stated / value: 1 / T and 1 / Ts are linear in the absorption area."""
+        return np.asarray(1 - np.exp(-(values - stated)))
+
+    def linear_slope(self, values: Array, stated: Array) -> Array:
+        """Return the derivative of `linear` by the logarithm."""
+        return np.asarray(np.exp(-(values - stated)))
+
+
+@dataclass(frozen=True)
+class Bend:
+    """The difference of a decay time from T20 in straight decays.
+
+    Attributes
+    ----------
+    name : str
+        Of the ratio less 1.
+    limit : float
+        Its largest size in percent.
+    scatter : float
+        Standard deviation of the ratio times sqrt(B T), over 4,000 exponential decays of Gaussian noise
+        (B T = 44 to 355).
+    """
+
+    name: str
+    limit: float
+    scatter: float
+
+
+class DecaySlope(Relative):
+    """A decay time in s: -60 dB over the slope of the decay curve within a range of levels.
+
+    Attributes
+    ----------
+    upper, lower : float
+        The range in dB.
+    one_decay : float
+        Relative standard deviation of one decay's time, times sqrt(B T), B the bandwidth in Hz.
+    averages : (float, float) or None
+        a and b of the uncertainty of a mean over positions (ISO 3382-2:2008, Eqs. 4 and 5).
+    bend : Bend or None
+        Where the ratio to T20 tells whether a decay is bent.
+    """
+
+    upper: ClassVar[float]
+    lower: ClassVar[float]
+    one_decay: ClassVar[float]
+    averages: ClassVar[tuple[float, float] | None] = None
+    bend: ClassVar[Bend | None] = None
+    jnd = 0.05
+    relative_jnd = True
+    limits = LIMITS
+    # An anechoic room for speech and a mausoleum.
+    usual = 0.05, 30.0
+    doubt = "is it in seconds?"
+    part: ClassVar[Part] = "late"
+    teams = TEAMS
+    averaging = Scale(lambda t: 1 / t, lambda rate: 1 / rate, lambda t: -1 / t**2)
+
+    def value(self, energy: Array, bin_width: float) -> Array:
+        """Return the decay times in s; NaN for a decay that is too short or does not fall."""
+        times = self.of_curve(decay_curve_db(energy), bin_width)
+        return np.where(self.too_short(energy), np.nan, times)
+
+    def of_curve(self, level: Array, bin_width: float) -> Array:
+        """Return the decay times in s of decay curves in dB, wherever they end, (...).
+
+        NaN where fewer than two points lie within the range, or the curve does not fall.
+        """
+        with np.errstate(invalid="ignore"):
+            within = (level <= self.upper) & (level >= self.lower)
+        k = np.arange(level.shape[-1], dtype=float)
+        n = within.sum(axis=-1)
+        many = np.maximum(n, 1)
+        mean = np.where(within, k, 0).sum(-1) / many
+        centred_k = np.where(within, k - mean[..., np.newaxis], 0.0)
+        y = np.where(within, level, 0.0)
+        spread = np.sum(centred_k**2, axis=-1)
+        fall = -np.sum(centred_k * y, axis=-1)
+        holds = (n >= 2) & (fall > 0)
+        return np.where(holds, 60 * bin_width * spread / np.where(holds, fall, 1.0), np.nan)
+
+    def too_short(self, energy: Array) -> NDArray[np.bool_]:
+        """Return whether the decays are cut off too early to hold the range of levels."""
+        return np.asarray(cut_off_db(energy) > self.lower - MARGIN_DB)
+
+    def gradient(self, energy: Array, level: Array, bin_width: float) -> Array:
+        """Return d ln T / d E_j.
+
+        T is -60 / slope, the slope that of the regression of L_k = DB ln(B_k / B_0) on k within the
+        range, with B_k the energy from bin k on. So d ln T = -sum c_k dL_k / (slope sum c_k²), where
+        c_k is k less its mean. The range's ends move too: at an end that lies r off the line, points
+        enter or leave at the rate of dL / slope bins, and each has the weight c r / (slope sum c_k²).
+        """
+        within = (level <= self.upper) & (level >= self.lower)
+        k = np.arange(level.shape[-1], dtype=float)
+        n = np.maximum(within.sum(axis=-1, keepdims=True), 1)
+        centred = np.where(within, k - np.where(within, k, 0.0).sum(-1, keepdims=True) / n, 0.0)
+        inside = np.where(within, level, 0.0)
+        spread = np.sum(centred**2, axis=-1, keepdims=True)
+        slope = np.sum(centred * inside, axis=-1, keepdims=True) / spread
+        residual = inside - inside.sum(-1, keepdims=True) / n - slope * centred
+        by_level = -centred / (slope * spread)
+        leverage = centred * residual / (slope**2 * spread)
+        first = np.argmax(within, axis=-1)[..., np.newaxis]
+        last = level.shape[-1] - 1 - np.argmax(np.flip(within, -1), axis=-1)[..., np.newaxis]
+        by_level += np.where(k == last, leverage, 0.0)
+        if self.upper < 0:  # the curve begins at 0 dB, whatever the energy
+            by_level -= np.where(k == first, leverage, 0.0)
+        left = np.flip(np.cumsum(np.flip(energy, -1), axis=-1), -1)
+        share = np.where(within, by_level / np.where(left > 0, left, 1.0), 0.0)
+        whole = by_level.sum(-1, keepdims=True) / left[..., :1]
+        gradient = DB * (np.cumsum(share, axis=-1) - whole)
+        lacking = np.isnan(self.of_curve(level, bin_width))[..., np.newaxis]
+        return np.where(lacking, np.nan, gradient)
+
+    def decay_time(self, values: Array) -> Array:
+        """Return the values."""
+        return values
+
+    def scatter(self, frequencies: Array, times: Array) -> Array:
+        """Return `one_decay` / sqrt(B T) (ISO 3382-2:2008, Eqs. 4 and 5 for T20 and T30)."""
+        bandwidth = bands.bandwidth_factor(frequencies) * frequencies
+        with np.errstate(invalid="ignore"):
+            return np.asarray(self.one_decay / np.sqrt(bandwidth * times))
+
+    def variance_of_mean(self, frequencies: Array, mean: Array, positions: Array) -> Array:
+        """Return a² T (1 + b / n) / (N B), n the decays of an average, N the positions.
+
+        The standard was not at hand; a and b are those of RWTH Aachen's ITA-Toolbox,
+        ita_roomacoustics_uncertainty.m (P. Dietrich, 2009), which names EN ISO 3382.
+        """
+        if self.averages is None:
+            return super().variance_of_mean(frequencies, mean, positions)
+        a, b = self.averages
+        bandwidth = bands.bandwidth_factor(frequencies) * frequencies
+        return np.asarray(a**2 * mean * (1 + b / _DECAYS) / (np.maximum(positions, 1) * bandwidth))
+
+    @property
+    def value_rule(self) -> str:
+        """A simulated decay may be of any length."""
+        return "finite and above 0 s"
+
+    def broken(self, values: Array) -> NDArray[np.bool_]:
+        """Return where values are not above 0."""
+        with np.errstate(invalid="ignore"):
+            return np.asarray(values <= 0)
+
+    def largest_uncertainty(self, values: Array) -> tuple[Array, str]:
+        """Return the values."""
+        return values, "the value itself"
+
+    def refuse(self, place: str, value: float) -> None:
+        """Raise DataError for a T that no room has: it is most likely in another unit."""
+        if value <= 0:
+            raise DataError(f"{place} = {value:g} s is not above 0")
+        low, high = self.limits
+        if value > high or value < low:
+            low, high = LIMITS
+            raise DataError(
+                f"{place} = {value:g} s is not from {low:g} to {high:g} s, as in any room: {self.doubt}"
+            )
+
+
+@register
+class T20(DecaySlope):
+    """T20: -5 to -25 dB (ISO 3382-1:2009, 5.3)."""
+
+    key, label, rank = "t20", "T20", 10
+    spellings = (
+        "rt20",
+        "tr20",
+        "rt60t20",
+        "t60t20",
+        "t60(20)",
+        "reverberationtimet20",
+        "nachhallzeitt20",
+    )
+    upper, lower = -5.0, -25.0
+    minimum_range = 35.0
+    one_decay = 0.88
+    averages = (0.88, 1.90)
+    matched = shown = True
+
+
+@register
+class T30(DecaySlope):
+    """T30: -5 to -35 dB (ISO 3382-1:2009, 5.3)."""
+
+    key, label, rank = "t30", "T30", 20
+    spellings = (
+        "rt30",
+        "tr30",
+        "rt60t30",
+        "t60t30",
+        "t60(30)",
+        "reverberationtimet30",
+        "nachhallzeitt30",
+    )
+    upper, lower = -5.0, -35.0
+    minimum_range = 45.0
+    one_decay = 0.55
+    averages = (0.55, 1.52)
+    # ISO 3382-2:2008, B.3: above 10 % a decay is far from straight. The scatter is 0.70 to 0.77.
+    bend = Bend("curvature T30/T20 - 1", 10.0, 0.75)
+
+
+@register
+class EDT(DecaySlope):
+    """Early decay time: 0 to -10 dB (ISO 3382-1:2009, A.2.2)."""
+
+    key, label, rank = "edt", "EDT", 30
+    spellings = ("earlydecaytime",)
+    upper, lower = 0.0, -10.0
+    # Strong direct sound makes it arbitrarily short.
+    limits = 0.0, LIMITS[1]
+    usual = 0.005, 30.0
+    # 400 decays of octave-filtered Gaussian noise at 500 Hz and 400 at 1 kHz, T = 1 s, have 1.7.
+    one_decay = 1.6
+    part = "early"
+    # Four JND, in the mean over positions. The scatter is 2.2 to 2.3.
+    bend = Bend("EDT/T20 - 1", 20.0, 2.25)
+    teams = (0.100, 0.080, 0.064, 0.051, 0.041, 0.033)
+    matched = shown = True
+
+
+def longest(keys: Iterable[str]) -> DecaySlope:
+    """Return the decay time that needs the longest decay, of these observables and T20.
+
+    Examples
+    --------
+    >>> longest(["edt", "t30", "c80"]).label, longest(["edt"]).label
+    ('T30', 'T20')
+    """
+    asked = {T20.key, *checks.texts("keys", keys)}
+    return min((o for k, o in of_kind(DecaySlope).items() if k in asked), key=lambda o: o.lower)
+
+
+def divided(energy: Array, bin_width: float, limit: float) -> tuple[Array, Array]:
+    """Return the energy before and after ``limit`` s; a bin that it divides counts in proportion.
+
+    Both are summed, since the later energy as a difference could round to a value below 0.
+    """
+    share = early_share(energy.shape[-1], bin_width, limit)
+    return energy @ share, energy @ (1 - share)
+
+
+def early_share(n_bins: int, bin_width: float, limit: float) -> Array:
+    """Return the part of each bin that is before ``limit`` s, (n_bins,)."""
+    return np.clip(limit / bin_width - np.arange(n_bins), 0.0, 1.0)
+
+
+def _early_share(clarity: Array) -> Array:
+    return np.asarray(1 / (1 + 10 ** (-clarity / 10)))
+
+
+class Clarity(Observable):
+    """10 lg(early / late) in dB; ``limit`` in s ends the early sound."""
+
+    limit: ClassVar[float]
+    unit = "dB"
+    decimals = 1
+    jnd = 1.0
+    # C80 of T = 0.03 s is 160 dB.
+    limits = -200.0, 200.0
+    doubt = "is it in dB?"
+    # C80 of T = 0.1 s is 48 dB; of 1 m from a source in a long T it is some 20 dB.
+    usual = -40.0, 45.0
+    rises = True
+    # Of C80 between teams, in dB; see `TEAMS`.
+    teams = (0.83, 0.70, 0.59, 0.49, 0.42, 0.35)
+    unknown_error = 0.5
+    remeasured = 0.1
+    averaging = Scale(
+        _early_share,
+        lambda share: 10 * np.log10(share / (1 - share)),
+        lambda c: np.log(10) / 10 * _early_share(c) * (1 - _early_share(c)),
+    )
+
+    def value(self, energy: Array, bin_width: float) -> Array:
+        """Return the clarity in dB; infinite without late energy, NaN without any."""
+        early, late = divided(energy, bin_width, self.limit)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return np.asarray(10 * np.log10(early / late))
+
+    def gradient(self, energy: Array, level: Array, bin_width: float) -> Array:
+        """Return DB (share / early - (1 - share) / late), share the part of a bin before the limit."""
+        share = early_share(energy.shape[-1], bin_width, self.limit)
+        early, late = energy @ share, energy @ (1 - share)
+        return np.asarray(
+            DB * (share / early[..., np.newaxis] - (1 - share) / late[..., np.newaxis])
+        )
+
+    def linear(self, values: Array, stated: Array) -> Array:
+        """Return the relative change of the decay rate k of C = 10 lg(exp(k limit) - 1)."""
+        return np.asarray(self._rate(values) / self._rate(stated) - 1)
+
+    def linear_slope(self, values: Array, stated: Array) -> Array:
+        """Return the derivative of `linear` by the clarity."""
+        rate = self._rate(values)
+        by_rate = DB * self.limit / -np.expm1(-rate * self.limit)
+        return np.asarray(1 / (by_rate * self._rate(stated)))
+
+    def _rate(self, clarity: Array) -> Array:
+        """Return the k of an exponential decay with this clarity in dB, in 1/s."""
+        return np.asarray(np.log1p(np.exp(clarity / DB)) / self.limit)
+
+    def scatter(self, frequencies: Array, times: Array) -> Array:
+        """Return the standard deviation in dB of one response, whose field is noise.
+
+        In a window the energy of noise of bandwidth B has the relative variance 1 / (B t), where
+        t = (∫ e)² / ∫ e² of the decaying energy e. For the early sound of an exponential decay t is
+        2 (1 - a) / (k (1 + a)), for the late one 2 / k; k = 6 ln 10 / T, a = exp(-k limit).
+        """
+        bandwidth = bands.bandwidth_factor(frequencies) * frequencies
+        with np.errstate(invalid="ignore"):
+            rate = 6 * np.log(10) / times
+            end = np.exp(-rate * self.limit)
+            variance = rate / (2 * bandwidth) * ((1 + end) / (1 - end) + 1)
+            return np.asarray(10 / np.log(10) * np.sqrt(variance))
+
+
+@register
+class C50(Clarity):
+    """Clarity of speech: the energy before 50 ms over that after, in dB."""
+
+    key, label, rank = "c50", "C50", 40
+    spellings = ("clarityc50", "deutlichkeitsmaß", "deutlichkeitsmaßc50", "deutlichkeitsmassc50")
+    limit = reaches = 0.05
+    shown = True
+
+
+@register
+class C80(Clarity):
+    """Clarity of music: the energy before 80 ms over that after, in dB."""
+
+    key, label, rank = "c80", "C80", 50
+    spellings = ("clarityc80", "klarheitsmaß", "klarheitsmaßc80", "klarheitsmassc80")
+    limit = reaches = 0.08
+    matched = shown = True
+
+
+_C50 = C50()
+_HALF = 0.25 / DB
+"""d D50 / d C50 where half of the energy is early: nowhere else it is larger."""
+
+
+@register
+class D50(Observable):
+    """Definition: the share of the energy before 50 ms (ISO 3382-1:2009, A.11)."""
+
+    key, label, rank = "d50", "D50", 60
+    spellings = (
+        "definition",
+        "definitiond50",
+        "deutlichkeitd50",
+        "d",
+        "deutlichkeit",
+        "deutlichkeitsgrad",
+        "deutlichkeitsgradd50",
+    )
+    unit = ""
+    decimals = 2
+    jnd = 0.05
+    limits = 0.0, 1.0
+    doubt = "is it in percent? D50 is a fraction"
+    reaches = C50.limit
+    rises = True
+    teams = tuple(_HALF * x for x in C50.teams)
+    unknown_error = _HALF * C50.unknown_error
+    predicted = True
+
+    def value(self, energy: Array, bin_width: float) -> Array:
+        """Return the early share; NaN without energy."""
+        early, late = divided(energy, bin_width, C50.limit)
+        with np.errstate(invalid="ignore"):
+            return np.asarray(early / (early + late))
+
+    def gradient(self, energy: Array, level: Array, bin_width: float) -> Array:
+        """Return (share - D50) / sum of E, share the part of a bin before 50 ms."""
+        share = early_share(energy.shape[-1], bin_width, C50.limit)
+        total = energy.sum(-1, keepdims=True)
+        return np.asarray((share - (energy @ share)[..., np.newaxis] / total) / total)
+
+    def linear(self, values: Array, stated: Array) -> Array:
+        """Return the relative change of the decay rate k of D50 = 1 - exp(-50 ms k)."""
+        return np.asarray(np.log1p(-values) / np.log1p(-stated) - 1)
+
+    def linear_slope(self, values: Array, stated: Array) -> Array:
+        """Return the derivative of `linear` by D50."""
+        return np.asarray(-1 / ((1 - values) * np.log1p(-stated)))
+
+    def scatter(self, frequencies: Array, times: Array) -> Array:
+        """Return that of C50 times d D50 / d C50 = D50 (1 - D50) / DB, of an exponential decay."""
+        with np.errstate(invalid="ignore"):
+            late = np.exp(-6 * np.log(10) * C50.limit / times)
+        return np.asarray(_C50.scatter(frequencies, times) * late * (1 - late) / DB)
+
+
+MODULATIONS = np.array([0.63, 0.8, 1.0, 1.25, 1.6, 2.0, 2.5, 3.15, 4.0, 5.0, 6.3, 8.0, 10.0, 12.5])
+"""Modulation frequencies in Hz (IEC 60268-16:2020, A.2.2)."""
+_OCTAVES = (125.0, 250.0, 500.0, 1000.0, 2000.0, 4000.0, 8000.0)
+_WEIGHTS = np.array([0.085, 0.127, 0.230, 0.233, 0.309, 0.224, 0.173])
+_REDUNDANCY = np.array([0.085, 0.078, 0.065, 0.011, 0.047, 0.095])
+"""Octave weights alpha, and beta of neighbours (IEC 60268-16:2011, Table A.3, male speech)."""
+_RANGE = 15.0
+"""Signal-to-noise ratios in dB beyond which speech is not understood better or worse."""
+_BY_LN_T = 0.2
+"""Largest change of STI by ln T of an exponential decay."""
+
+
+@register
+class STI(Observable):
+    """Speech transmission index, noise-free, by the indirect method (IEC 60268-16:2020, 5.3.2 and A.5).
+
+    In one octave it is the modulation transfer index, the mean transmission index over the modulation
+    frequencies; `overall` is the STI of all octaves. Masking and noise are not in it: speech in a
+    noisy room is understood less well than it says.
+    """
+
+    key, label, rank = "sti", "STI", 65
+    spellings = ("speechtransmissionindex", "mti", "modulationtransferindex")
+    unit = ""
+    decimals = 2
+    jnd = 0.03  # Bradley, Reich and Norcross 1999
+    limits = 0.0, 1.0
+    doubt = "is it in percent? STI is a fraction"
+    rises = True
+    teams = tuple(_BY_LN_T * x for x in EDT.teams)
+    unknown_error = jnd / 2
+    predicted = True
+
+    def value(self, energy: Array, bin_width: float) -> Array:
+        """Return the mean transmission index; NaN without energy."""
+        return np.asarray(_index(np.abs(_transfer(energy, bin_width))).mean(-1))
+
+    def gradient(self, energy: Array, level: Array, bin_width: float) -> Array:
+        """Return d STI / d E_j = mean of d TI / d m (Re(m* w_j) / |m| - |m|) over F, over sum(E)."""
+        ratio = _transfer(energy, bin_width)
+        waves = np.stack([_wave(f, energy.shape[-1], bin_width) for f in MODULATIONS])
+        m = np.abs(ratio)
+        by_ratio = _slope(m) / len(MODULATIONS)
+        wave = ((by_ratio / m * np.conj(ratio)) @ waves).real
+        rest = np.sum(by_ratio * m, axis=-1, keepdims=True)
+        return np.asarray((wave - rest) / energy.sum(-1, keepdims=True))
+
+    def linear(self, values: Array, stated: Array) -> Array:
+        """Return the relative change of the rate k of an exponential decay with this STI."""
+        return np.asarray(self._rate(values) / self._rate(stated) - 1)
+
+    def linear_slope(self, values: Array, stated: Array) -> Array:
+        """Return the derivative of `linear` by STI."""
+        logarithms, table = self._table
+        at = np.log(self._rate(values))
+        by_logarithm = np.interp(at, logarithms, np.gradient(table, logarithms))
+        return np.asarray(self._rate(values) / (by_logarithm * self._rate(stated)))
+
+    def overall(self, values: Array, frequencies: Array) -> Array:
+        """Return the STI of all octaves from 125 Hz to 8 kHz, (...); NaN if one is missing.
+
+        Sum of alpha_k M_k - sum of beta_k sqrt(M_k M_k+1) (IEC 60268-16:2011, A.5.6), M by octave.
+
+        Examples
+        --------
+        >>> octaves = np.array([125, 250, 500, 1000, 2000, 4000, 8000])
+        >>> print(STI().overall(np.full(7, 0.6), octaves).round(3))
+        0.6
+        """
+        listed = np.asarray(frequencies, dtype=float).tolist()
+        if not set(_OCTAVES) <= set(listed):
+            return super().overall(values, frequencies)
+        m = np.asarray(values, dtype=float)[..., [listed.index(f) for f in _OCTAVES]]
+        return np.asarray(m @ _WEIGHTS - np.sqrt(m[..., :-1] * m[..., 1:]) @ _REDUNDANCY)
+
+    def _rate(self, values: Array) -> Array:
+        """Return the k in 1/s of an exponential decay with this STI."""
+        logarithms, table = self._table
+        return np.asarray(np.exp(np.interp(values, table, logarithms)))
+
+    @cached_property
+    def _table(self) -> tuple[Array, Array]:
+        """Ln of the rates in 1/s and STI of exponential decays, T from 0.005 to 200 s: both rise.
+
+        m = 1 / sqrt(1 + (2 pi F / k)²) (Houtgast and Steeneken 1973).
+        """
+        logarithms = np.linspace(np.log(0.06), np.log(3000.0), 4000)
+        angle = 2 * np.pi * MODULATIONS / np.exp(logarithms)[:, np.newaxis]
+        table = _index(1 / np.sqrt(1 + angle**2)).mean(-1)
+        # Beyond the range of ratios it is flat: kept rising, so that it has an inverse.
+        return logarithms, np.asarray(table + 1e-9 * np.arange(len(table)))
+
+
+def _transfer(energy: Array, bin_width: float) -> Array:
+    """Return the complex modulation transfer, (..., n_modulations).
+
+    m(F) = sum E exp(-2 pi i F t) / sum E (Schroeder 1981), t the middle of each bin. The frequencies
+    are taken one by one, since a response has a million bins.
+    """
+    n_bins = np.shape(energy)[-1]
+    with np.errstate(invalid="ignore", divide="ignore"):
+        total = np.asarray(energy).sum(-1)
+        each = [energy @ _wave(f, n_bins, bin_width) / total for f in MODULATIONS]
+    return np.stack(each, axis=-1)
+
+
+def _wave(frequency: float, n_bins: int, bin_width: float) -> Array:
+    """Return exp(-2 pi i F t) at the middle of each bin, (n_bins,)."""
+    return np.asarray(np.exp(-2j * np.pi * frequency * (np.arange(n_bins) + 0.5) * bin_width))
+
+
+def _index(m: Array) -> Array:
+    """Return the transmission index of a modulation transfer, 0 to 1."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ratio = 10 * np.log10(m / (1 - m))
+    return np.asarray((np.clip(ratio, -_RANGE, _RANGE) + _RANGE) / (2 * _RANGE))
+
+
+def _slope(m: Array) -> Array:
+    """Return d index / d m; 0 where the ratio is cut off."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        inside = np.abs(10 * np.log10(m / (1 - m))) < _RANGE
+        return np.asarray(np.where(inside, DB / (2 * _RANGE) / (m * (1 - m)), 0.0))
+
+
+class OfEnergy(Observable):
+    """A level of the whole energy in dB: what `G` and `Level` have in common."""
+
+    unit = "dB"
+    decimals = 1
+    jnd = 1.0
+    limits = -200.0, 200.0
+    doubt = "is it in dB?"
+    minimum_range = None
+    part = "level"
+    # In dB, of G; see `TEAMS`.
+    teams = (2.0, 1.55, 1.20, 0.92, 0.72, 0.55)
+    unknown_error = 0.5
+    remeasured = 0.2
+    averaging = Scale(
+        lambda level: 10 ** (level / 10),
+        lambda energy: 10 * np.log10(energy),
+        lambda level: np.log(10) / 10 * 10 ** (level / 10),
+    )
+
+    def value(self, energy: Array, bin_width: float) -> Array:
+        """Return the level of a source of unit energy relative to 10 m in the free field, in dB."""
+        with np.errstate(divide="ignore"):
+            return np.asarray(10 * np.log10(400 * np.pi * energy.sum(-1)))
+
+    def gradient(self, energy: Array, level: Array, bin_width: float) -> Array:
+        """Return DB / sum(E)."""
+        return np.broadcast_to(DB / energy.sum(-1, keepdims=True), energy.shape)
+
+    def linear(self, values: Array, stated: Array) -> Array:
+        """Return 1 - E_stated / E: the inverse of the energy is linear in the absorption area."""
+        return np.asarray(1 - np.exp(-(values - stated) * (1 / DB)))
+
+    def linear_slope(self, values: Array, stated: Array) -> Array:
+        """Return the derivative of `linear` by the level."""
+        unit = 1 / DB
+        return np.asarray(unit * np.exp(-(values - stated) * unit))
+
+
+@register
+class Level(OfEnergy):
+    """The level, relative to any reference that all receivers of a source share.
+
+    It is what G is without a calibrated source, and G serves in its place.
+    """
+
+    key, label, rank = "level", "level", 90
+    stand_in = "g"
+    matched = True
+
+
+@register
+class G(OfEnergy):
+    """Sound strength: the level relative to 10 m in the free field (ISO 3382-1:2009, A.2.1)."""
+
+    key, label, rank = "g", "G", 80
+    spellings = ("strength", "soundstrength")
+    # Far outdoors, and at 0.1 m from a source.
+    usual = -40.0, 45.0
+
+
+@register
+class Ts(Relative):
+    """Centre time: the energy's centre of gravity in s (ISO 3382-1:2009, A.13)."""
+
+    key, label, rank = "ts", "Ts", 70
+    spellings = ("centretime", "centertime", "schwerpunktzeit")
+    jnd = 0.010
+    # Ts of an exponential decay is T / 13.8: 8.7 s for T = 120 s.
+    limits = 0.0, 10.0
+    doubt = "is it in ms?"
+    # Ts of T = 0.05 s and of T = 28 s.
+    usual = 0.0036, 2.0
+    teams = EDT.teams
+    matched = True
+
+    def value(self, energy: Array, bin_width: float) -> Array:
+        """Return the centre time in s; NaN without energy."""
+        middle = (np.arange(energy.shape[-1]) + 0.5) * bin_width
+        with np.errstate(invalid="ignore"):
+            return np.asarray(energy @ middle / energy.sum(axis=-1))
+
+    def gradient(self, energy: Array, level: Array, bin_width: float) -> Array:
+        """Return d ln Ts / d E_k = k / sum(E k) - 1 / sum(E)."""
+        k = np.arange(energy.shape[-1]) + 0.5
+        return np.asarray(k / (energy @ k)[..., np.newaxis] - 1 / energy.sum(-1, keepdims=True))
+
+    def decay_time(self, values: Array) -> Array:
+        """Return 6 ln 10 Ts."""
+        return np.asarray(values * (6 * np.log(10)))
+
+
+REVERBERATION = tuple(o for o in of_kind(DecaySlope).values() if o.averages is not None)
+"""The reverberation times. Coefficients are calibrated to the first one that was measured, never to
+EDT: it depends on early sound and the source's directivity, which coefficients must not compensate."""
+TARGET = REVERBERATION[0]
+"""The decay time that every simulator gives, and that a loop on mean values matches."""
+EARLY = max(of_kind(DecaySlope).values(), key=lambda o: o.lower)
+"""The early decay time, of the first levels."""
+LEVEL = OBSERVABLES["level"]
+"""The level, whose reference is a source's own where G was not measured."""
+MATCH = tuple(key for key, o in OBSERVABLES.items() if o.matched)
+"""Keys of what is matched at every position where nothing else is asked for."""
