@@ -54,6 +54,6 @@ if TYPE_CHECKING:
     from rtcal.modes.calibrate import calibrate_modes as calibrate_modes
     from rtcal.prediction.designed import design as design
     from rtcal.support import errors as errors
-    from rtcal.support.results import load as load
+    from rtcal.support.saved import load as load
 else:
     __getattr__, __dir__, __all__ = support.exports(__name__, __file__)

@@ -22,7 +22,6 @@ from rtcal.io import bras, catt, impulse_responses, obj, odeon, pyroomacoustics,
 from rtcal.io.material_list import MaterialList
 from rtcal.io.text import number
 from rtcal.loop import Loop
-from rtcal.support import results
 from rtcal.support.errors import DataError
 from rtcal.support.text import look_alike
 from tests import fuzz_native as native
@@ -130,7 +129,7 @@ READERS: dict[str, Reader] = {
         Case.from_file, ".toml", native.CASE_TOML, native.case_holds, native.BESIDE_CASE
     ),
     "loop": Reader(Loop.load, ".json", native.LOOP, native.loop_holds),
-    "result": Reader(results.load, ".json", native.RESULT, native.result_holds),
+    "result": Reader(rt.load, ".json", native.RESULT, native.result_holds),
     "object": Reader(native.read_objects, ".json", native.OBJECTS),
     "piece": Reader(native.read_piece, ".sums", native.PIECE, native.piece_holds),
     "kept array": Reader(

@@ -7,7 +7,7 @@ from functools import cached_property
 from typing import Any, ClassVar, get_origin
 
 from rtcal.support.arguments import _rule, _typing_names
-from rtcal.support.results import Result
+from rtcal.support.saved import Result
 
 
 def stated_types(kind: type) -> dict[str, tuple[str, str]]:

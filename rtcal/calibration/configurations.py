@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from functools import cached_property
 
 import numpy as np
 
@@ -290,13 +290,19 @@ class Assembler:
             areas=self._summed(configurations.areas),
             gains=gains,
             time=times,
-            target=self.target(configurations.rooms, times),
+            target=np.array(
+                [
+                    self.equation.target(r, t)
+                    for r, t in zip(configurations.rooms, times, strict=True)
+                ]
+            ),
             target_uncertainty=uncertainty,
             target_sensitivity=sensitivity,
             largest_target=np.array(
                 [[self.equation.largest_mean * r.total_area] for r in configurations.rooms]
             ),
-            target_of=partial(self.target, configurations.rooms),  # a lambda cannot be pickled
+            equation=self.equation,
+            rooms=tuple(configurations.rooms),
             weights=self.weights(weights),
             pinned=np.concatenate([held.ravel(), np.zeros(len(further), dtype=bool)]),
             centre=flat(
@@ -320,12 +326,6 @@ class Assembler:
         if missing := [t for t in terms if t not in observed]:
             raise DataError(f"observed lacks {missing[0]!r}: it needs its numbers to be solved")
         return {term: observed[term].over(self.layout) for term in terms}
-
-    def target(self, rooms: Sequence[Room], times: Array) -> Array:
-        """Return b in m² for T in s, both (n_configurations, n_bands)."""
-        return np.array(
-            [self.equation.target(room, t) for room, t in zip(rooms, times, strict=True)]
-        )
 
     @cached_property
     def _soft(self) -> list[SoftMatch]:

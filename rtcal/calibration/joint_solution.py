@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -20,7 +20,7 @@ from rtcal.acoustics.changed_time import (
 from rtcal.acoustics.equations import LinearEquation
 from rtcal.calibration import table
 from rtcal.calibration.certificate import Certificate
-from rtcal.calibration.configurations import Configurations
+from rtcal.calibration.configurations import Assembler, Configurations
 from rtcal.calibration.convex_program import Solution
 from rtcal.calibration.feasibility import where_valid
 from rtcal.calibration.posterior import Optimality, exact_posterior
@@ -29,6 +29,8 @@ from rtcal.calibration.problem_data import MeasuredTimes, ProblemData
 from rtcal.calibration.terms import (
     LinearObservations,
     MatchConstraint,
+    ObjectiveTerm,
+    Observed,
     PriorDeviation,
     RoomMatch,
     SoftMatch,
@@ -63,8 +65,8 @@ class JointSolution:
         As stated in the call.
     measured_times : tuple of MeasuredTimes
         One per configuration.
-    assemble : function
-        Returns the `ProblemData` of the same problem for other measurements.
+    assembler, weights, observed
+        With which `assemble` repeats the problem for other measurements.
     versions : mapping of str to str
         Of rtcal, Python and the libraries that made it.
     """
@@ -75,8 +77,16 @@ class JointSolution:
     method: str
     solver: str
     measured_times: tuple[MeasuredTimes, ...]
-    assemble: Callable[[Sequence[MeasuredTimes]], ProblemData]
+    assembler: Assembler
+    weights: Mapping[ObjectiveTerm, float] | None = None
+    observed: Mapping[LinearObservations, Observed] | None = None
     versions: Mapping[str, str] = field(default_factory=table.versions)
+
+    def assemble(self, measured: Sequence[MeasuredTimes]) -> ProblemData:
+        """Return the numbers of the same problem for other measurements."""
+        return self.assembler.problem_data(
+            self.configurations, measured, self.weights, self.observed
+        )
 
     @property
     def materials(self) -> tuple[str, ...]:

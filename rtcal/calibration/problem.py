@@ -5,7 +5,6 @@ from __future__ import annotations
 import warnings
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
 from typing import Unpack, overload
 
 from rtcal.acoustics.equations import Equation, Eyring, LinearEquation
@@ -335,9 +334,9 @@ class JointProblem:
             method=method,
             solver=chosen.solver,
             measured_times=tuple(times),
-            assemble=partial(  # a lambda cannot be pickled
-                assembler.problem_data, used, weights=weights, observed=observed
-            ),
+            assembler=assembler,
+            weights=weights,
+            observed=observed,
         )
 
     @checked

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from rtcal.acoustics import band_conversion, bands, repeats, typing_errors
 from rtcal.acoustics.decay import BentDecay, bent_decays
+from rtcal.acoustics.equations import LinearEquation
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.observables import REVERBERATION, TARGET, parameter_label
 from rtcal.acoustics.room import Room
@@ -217,8 +218,10 @@ class ProblemData:
         |db/dT| in m²/s, infinite where T does not determine b (the peak of Kuttruff's equation).
     largest_target : array (n_configurations, 1)
         The largest b in m² that the equation can invert.
-    target_of : function
-        b in m² for any T in s, both (n_configurations, n_bands).
+    equation : LinearEquation
+        It turned T into b.
+    rooms : tuple of Room
+        The configurations.
     weights : tuple of float
         One per objective term.
     pinned : array (size,) of bool
@@ -244,7 +247,8 @@ class ProblemData:
     target_uncertainty: Array
     target_sensitivity: Array
     largest_target: Array
-    target_of: Callable[[Array], Array]
+    equation: LinearEquation
+    rooms: tuple[Room, ...]
     weights: tuple[float, ...]
     pinned: Flags
     centre: Array
@@ -256,6 +260,12 @@ class ProblemData:
         for name, value in vars(self).items():
             if isinstance(value, np.ndarray) and value.flags.writeable:
                 vars(self)[name] = read_only_view(value)
+
+    def target_of(self, times: Array) -> Array:
+        """Return b in m² for any T in s, both (n_configurations, n_bands)."""
+        return np.array(
+            [self.equation.target(room, t) for room, t in zip(self.rooms, times, strict=True)]
+        )
 
     @cached_property
     def matched(self) -> Flags:

@@ -32,7 +32,7 @@ from rtcal.prediction.predicted import Prediction, predict
 from rtcal.support import __version__
 from rtcal.support.errors import ModelError
 from rtcal.support.files import json_numbers
-from rtcal.support.results import Result
+from rtcal.support.saved import Result
 from rtcal.support.text import shortened
 from rtcal.support.types import Array, read_only_view
 

@@ -289,7 +289,7 @@ def learn(
     """
     from rtcal.acoustics.room import Room
     from rtcal.calibration import archive
-    from rtcal.support.results import NUMBERS
+    from rtcal.support.saved import NUMBERS
 
     target = output_folder("--out", out)
     if room is not None and target is None:

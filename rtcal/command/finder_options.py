@@ -338,7 +338,7 @@ def find_change(
     """
     from rtcal.finder.search import verify
     from rtcal.report import document, finding_pages
-    from rtcal.support.results import NUMBERS
+    from rtcal.support.saved import NUMBERS
 
     paths = [] if folder is None else [folder / NUMBERS, folder / finding_pages.PAGE]
     finding = _what_changed(inputs, search, before, paths)
@@ -364,7 +364,7 @@ def verify_change(
     """Print how well a change predicts pairs that were not fitted: halves, or an earlier finding's."""
     from rtcal.finder.search import verify
     from rtcal.finder.states import StatesFinding
-    from rtcal.support.results import load
+    from rtcal.support.saved import load
 
     if earlier is None:
         finding = _what_changed(inputs, search, before)

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from rtcal.acoustics.room import Room
     from rtcal.calibration.result import CalibrationResult
     from rtcal.loop.positions_result import PositionsResult
-    from rtcal.support.results import Result
+    from rtcal.support.saved import Result
 
 
 MAX_BYTES = 2**18
@@ -155,7 +155,7 @@ def predict(
 def fitted_folder(room: str, measured: str | None) -> PositionsResult | None:
     """Return the calibration of an `rtcal fit` folder; None for a room's file."""
     from rtcal.loop.positions_result import PositionsResult
-    from rtcal.support.results import load
+    from rtcal.support.saved import load
 
     if not Path(room).is_dir():
         return None

@@ -19,7 +19,7 @@ from rtcal.finder.effects.whole_room import CoupledRoom
 from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError, ModelError
 from rtcal.support.files import json_numbers
-from rtcal.support.results import Result
+from rtcal.support.saved import Result
 from rtcal.support.text import first_of
 from rtcal.support.types import Array
 

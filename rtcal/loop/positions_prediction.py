@@ -27,7 +27,7 @@ from rtcal.simulators.base import Simulator
 from rtcal.support import text
 from rtcal.support.errors import DataError
 from rtcal.support.files import json_numbers
-from rtcal.support.results import Result
+from rtcal.support.saved import Result
 from rtcal.support.text import number, shortened
 from rtcal.support.types import Array
 

@@ -45,7 +45,7 @@ from rtcal.simulators.base import Simulator
 from rtcal.simulators.observations import Observations
 from rtcal.support import text
 from rtcal.support.files import json_numbers
-from rtcal.support.results import Result
+from rtcal.support.saved import Result
 from rtcal.support.types import Array
 
 KIND = "positions 1"

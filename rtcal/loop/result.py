@@ -20,7 +20,7 @@ from rtcal.loop.matched import SHOWN, Gaps, ParameterGap, left, sentences
 from rtcal.loop.state import Loop
 from rtcal.support import text
 from rtcal.support.files import json_numbers
-from rtcal.support.results import Result
+from rtcal.support.saved import Result
 from rtcal.support.types import Array
 
 _STRONGEST_SHADE = 5.0  # JND

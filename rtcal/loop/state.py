@@ -48,7 +48,7 @@ from rtcal.simulators.base import check_alpha
 from rtcal.support import checks
 from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError
-from rtcal.support.results import NOT_SAVED, Result, load
+from rtcal.support.saved import NOT_SAVED, Result, load
 from rtcal.support.text import shortened
 from rtcal.support.types import Array
 

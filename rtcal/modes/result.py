@@ -23,7 +23,7 @@ from rtcal.modes.measured import MeasuredModes
 from rtcal.modes.room_modes import DECAY
 from rtcal.support import __version__, text
 from rtcal.support.files import json_numbers
-from rtcal.support.results import Result
+from rtcal.support.saved import Result
 from rtcal.support.types import Array
 
 KIND = "modes 1"

@@ -27,7 +27,7 @@ from rtcal.support import checks, sampler, text
 from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError
 from rtcal.support.files import json_numbers
-from rtcal.support.results import Result
+from rtcal.support.saved import Result
 from rtcal.support.text import shortened
 from rtcal.support.types import Array
 

@@ -24,7 +24,7 @@ from rtcal.support import checks
 from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError, MissingDependencyError
 from rtcal.support.files import make_folder, write_all, write_bytes
-from rtcal.support.results import NUMBERS
+from rtcal.support.saved import NUMBERS
 from rtcal.support.types import Array
 
 if TYPE_CHECKING:

@@ -25,7 +25,7 @@ from rtcal.report.document import Heading, blocks, render, source
 from rtcal.report.figures import BLACK, BLUE, ORANGE, band_axis, new_figure, rendered
 from rtcal.support.arguments import checked
 from rtcal.support.files import make_folder, write_all
-from rtcal.support.results import NUMBERS
+from rtcal.support.saved import NUMBERS
 
 PAGE, MAP, PLAN, ROOM, GAP = (
     "report.html",

@@ -25,7 +25,7 @@ from rtcal.report.page import FINDING_FIGURES, finding_page
 from rtcal.support.arguments import checked
 from rtcal.support.errors import MissingAirWarning
 from rtcal.support.files import make_folder, write_all
-from rtcal.support.results import NUMBERS, Result
+from rtcal.support.saved import NUMBERS, Result
 from rtcal.support.text import as_sentence, listed
 
 __all__ = ["figures", "summary", "write"]

@@ -39,7 +39,7 @@ from rtcal.support.arguments import checked
 from rtcal.support.checks import json_object
 from rtcal.support.errors import DataError
 from rtcal.support.files import json_numbers, read_text
-from rtcal.support.results import MAX_BYTES, NUMBERS, load
+from rtcal.support.saved import MAX_BYTES, NUMBERS, load
 
 __all__ = ["page_of"]
 __dir__ = __all__.copy

@@ -22,7 +22,7 @@ from rtcal.simulators.observations import Observations
 from rtcal.simulators.path_tracing import PathTracing
 from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError
-from rtcal.support.results import NUMBERS
+from rtcal.support.saved import NUMBERS
 from rtcal.support.text import first_of
 from rtcal.support.types import Array
 

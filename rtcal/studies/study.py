@@ -31,7 +31,7 @@ from rtcal.studies.paper import (
 from rtcal.studies.runner import SAMPLED, ScoreMoments, run_pieces
 from rtcal.support import checks
 from rtcal.support.errors import DataError
-from rtcal.support.results import Result
+from rtcal.support.saved import Result
 from rtcal.support.types import Array
 
 _LEAST = 1e-9

@@ -20,9 +20,10 @@ from rtcal.calibration.archive.likelihood import Evidence, RoomData, Spread
 from rtcal.calibration.configurations import Configurations
 from rtcal.calibration.problem_data import data_history
 from rtcal.calibration.result import CalibrationResult, JointResult
-from rtcal.support import checks, results
+from rtcal.support import checks
 from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError
+from rtcal.support.saved import NUMBERS, load
 from rtcal.support.types import Array
 
 __all__ = ["Archive", "Lesson", "Spread", "Suspect", "read_folder"]
@@ -338,14 +339,12 @@ def read_folder(folder: str | os.PathLike[str]) -> list[CalibrationResult | Join
     """
     if not checks.path("folder", folder).is_dir():
         raise DataError(f"{folder}: no such folder")
-    files = sorted(Path(folder).rglob(results.NUMBERS))
+    files = sorted(Path(folder).rglob(NUMBERS))
     if not files:
-        raise DataError(
-            f"folder {folder} has no {results.NUMBERS}; rtcal calibrate --out writes one"
-        )
+        raise DataError(f"folder {folder} has no {NUMBERS}; rtcal calibrate --out writes one")
     kept = []
     for file in files:
-        result = results.load(file)
+        result = load(file)
         if isinstance(result, CalibrationResult | JointResult):
             kept.append(result)
         if len(kept) > _MOST:

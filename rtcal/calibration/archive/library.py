@@ -17,7 +17,7 @@ from rtcal.support import __version__, checks, text
 from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError
 from rtcal.support.files import json_numbers
-from rtcal.support.results import Result
+from rtcal.support.saved import Result
 from rtcal.support.types import Array
 
 _OFF = 2.0

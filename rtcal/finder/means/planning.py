@@ -41,7 +41,7 @@ from rtcal.finder.prior import NONE, prior_of
 from rtcal.support import checks, text
 from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError
-from rtcal.support.results import Result
+from rtcal.support.saved import Result
 from rtcal.support.speed import single_threaded_blas
 from rtcal.support.text import listed
 

@@ -35,7 +35,7 @@ from rtcal.finder.means.likelihood import MeansProblem
 from rtcal.finder.model import FEATURES, predict
 from rtcal.support import __version__, text
 from rtcal.support.files import json_numbers
-from rtcal.support.results import Result
+from rtcal.support.saved import Result
 from rtcal.support.text import as_sentence, listed
 from rtcal.support.types import Array
 

@@ -40,7 +40,6 @@ from rtcal.support import checks
 from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError
 from rtcal.support.files import make_folder, write_all
-from rtcal.support.results import NOT_SAVED
 from rtcal.support.text import as_sentence, first_of, listed
 from rtcal.support.types import Array
 
@@ -271,7 +270,7 @@ class StatesCase:
     simulator: PathTracing | None = None
     match: Sequence[str] = MATCH
     climate_uncertainty: tuple[float, float] = CLIMATE_UNCERTAINTY
-    differences: Differences = field(init=False, metadata=NOT_SAVED)
+    differences: Differences = field(init=False)
 
     def __post_init__(self) -> None:
         checks.instance("room", self.room, Room)

@@ -1,0 +1,296 @@
+"""Results in files: their numbers for other programs, and the result itself as plain data.
+
+A result is a frozen dataclass of numbers, texts, arrays and other such dataclasses, each written once.
+`load` makes them again by their constructors, which check what they are given. No code is stored: a
+file names classes of rtcal, or of the user's own that derive from one, and their fields.
+"""
+
+from __future__ import annotations
+
+import base64
+import dataclasses
+import json
+import math
+import os
+import sys
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from contextlib import suppress
+from importlib import import_module
+from pathlib import Path
+from typing import Any, ClassVar
+
+import numpy as np
+
+from rtcal.support import __version__, checks
+from rtcal.support.checks import json_object
+from rtcal.support.errors import DataError
+from rtcal.support.files import json_text, make_folder, read_text, write_all
+
+NUMBERS = "result.json"
+"""Name of a result's file in its folder."""
+MAX_BYTES = 2**28
+"""Largest size of a file in bytes: control runs of a large room have some 10 MB."""
+NOT_SAVED = {"saved": False}
+"""Metadata of a dataclass field that is not stored, such as what was compiled."""
+_OBJECT = "object"
+_READERS = {
+    ".csv": "a table: rtcal.Measurement.from_file reads it",
+    ".toml": "a room or a case: rtcal.Room.from_file or rtcal.finder.Case.from_file reads it",
+}
+_KINDS = "bifcU"  # of arrays: truth values, integers, floats, complex numbers, texts
+
+
+class CannotBeSavedError(DataError):
+    """An object that no file can hold, such as a function or a simulator of the user's own class."""
+
+
+class Result(ABC):
+    """A result that can be saved and loaded again; it is a frozen dataclass of what it rests on."""
+
+    record_kind: ClassVar[str]
+    """Value of the key ``rtcal`` in its file."""
+
+    @abstractmethod
+    def to_dict(self) -> dict[str, Any]:
+        """Return what the result says as plain numbers, lists and text."""
+
+    def to_json(self, folder: str | os.PathLike[str] | None = None) -> str:
+        """Return the text of its file: the numbers of `to_dict`, and the result itself.
+
+        Files that it names, such as a room's mesh, are named as seen from ``folder``, in which the text
+        is written; without one, by their whole path. A result that holds an object of the user's own
+        class, such as a simulator, has its numbers alone, and the reason.
+        """
+        try:
+            return self._text({"objects": plain(self, folder)})
+        except CannotBeSavedError as error:
+            return self._text({"not_saved": str(error)})
+
+    def _text(self, itself: Mapping[str, Any]) -> str:
+        itself = {"version": __version__, **itself}
+        numbers = json_text({"rtcal": self.record_kind, **self.to_dict()}).removesuffix("\n}")
+        return f'{numbers},\n "{_OBJECT}": {json.dumps(itself, allow_nan=False)}\n}}\n'
+
+    def save(self, path: str | os.PathLike[str]) -> Path:
+        """Write a file that `rtcal.load` reads, whole or not at all, and return its path.
+
+        ``path`` is a folder, which gets a ``result.json``, or a file's name that ends in ``.json``. The
+        file holds `to_json`.
+
+        Raises
+        ------
+        DataError
+            If the folder cannot be made, the file cannot be written, or the result holds an object that
+            no file can hold.
+        """
+        place = checks.path("path", path)
+        if place.suffix != ".json" or place.is_dir():
+            place /= NUMBERS
+        content = self._text({"objects": plain(self, place.parent)}).encode()
+        make_folder(place.parent)
+        write_all({place: content})
+        return place
+
+
+def load(path: str | os.PathLike[str]) -> Any:
+    """Return the result that a folder or a file holds, with its room, its data and all its methods.
+
+    Parameters
+    ----------
+    path : path
+        The folder that `save`, ``rtcal calibrate --out`` or another command wrote, or the
+        ``result.json`` in it.
+
+    Returns
+    -------
+    CalibrationResult, JointResult, LoopResult, PositionsResult, Finding, Verification or another
+        It prints the same as the one that was saved.
+
+    Raises
+    ------
+    DataError
+        If the file is no result, or another version of rtcal wrote it.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> import rtcal as rt
+    >>> result = rt.calibrate(*rt.datasets.bras_cr2())
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     path = result.save(folder)
+    ...     again = rt.load(folder)
+    >>> print(bool((again.alpha == result.alpha).all()), str(again) == str(result))
+    True True
+    """
+    place = checks.path("path", path)
+    if place.is_dir():
+        place /= NUMBERS
+        if not place.exists():
+            raise DataError(f"folder {Path(path).resolve()} has no {NUMBERS}; `save` writes one")
+    if place.suffix in _READERS:
+        raise DataError(f"{place}: no saved result but {_READERS[place.suffix]}")
+    try:
+        return loaded(json_object(read_text(place, MAX_BYTES)), place.parent)
+    except DataError as error:
+        if str(error).startswith(str(place)):
+            raise
+        raise DataError(f"{place}: {error}") from error
+
+
+def loaded(record: Mapping[str, Any], folder: str | os.PathLike[str] = "") -> Any:
+    """Return the result of a file's content, in ``folder``; DataError as `load`, without its name."""
+    kind, itself = record.get("rtcal"), record.get(_OBJECT)
+    if "configurations" in record and itself is None:
+        raise DataError("no saved result but a case: rtcal.finder.Case.from_file reads it")
+    if not isinstance(kind, str) or not isinstance(itself, dict):
+        raise DataError(f'no saved result: it has no "rtcal" and "{_OBJECT}"; calculate it again')
+    if "not_saved" in itself:
+        raise DataError(f"the result itself is not in it: {itself['not_saved']}")
+    version = itself.get("version")
+    if version != __version__ or set(itself) != {"version", "objects"}:
+        other = version not in (None, __version__)
+        by = f"rtcal {checks.shown(version)}" if other else "an earlier state of rtcal"
+        raise DataError(
+            f'"{kind}" of {by}, which rtcal {__version__} does not read: calculate the result again '
+            "from its data"
+        )
+    result = restored(itself["objects"], folder)
+    if not isinstance(result, Result) or result.record_kind != kind:
+        raise DataError(f'its "{_OBJECT}" is no {checks.shown(kind)}')
+    return result
+
+
+def plain(value: Any, folder: str | os.PathLike[str] | None = None) -> list[Any]:
+    """Return a dataclass as a list of plain objects for JSON: each after those that it holds.
+
+    Files are named as seen from ``folder``; without one, by their whole path.
+
+    Raises
+    ------
+    CannotBeSavedError
+        For an object that is no dataclass of rtcal's kinds.
+
+    Examples
+    --------
+    >>> from rtcal.acoustics.air import Air
+    >>> plain(Air(20.0, 50.0))[0]["class"]
+    'rtcal.acoustics.air.Air'
+    >>> restored(plain(Air(20.0, 50.0)))
+    Air(temperature=20.0, humidity=50.0, pressure=101.325)
+    """
+    objects: list[Any] = []
+    places: dict[int, int] = {}
+    written: list[Any] = []  # keeps each object alive, so that no other gets its id
+
+    def of(value: Any) -> Any:
+        if isinstance(value, np.generic):
+            value = value.item()
+        if value is None or isinstance(value, bool | int | str):
+            return value
+        if isinstance(value, float):
+            return value if math.isfinite(value) else {"float": repr(value)}
+        if isinstance(value, list):
+            return [of(v) for v in value]
+        if type(value) is tuple:
+            return {"tuple": [of(v) for v in value]}
+        if isinstance(value, Mapping):
+            return {"table": [[of(k), of(v)] for k, v in value.items()]}
+        if id(value) not in places:
+            entry = _array_entry(value) if isinstance(value, np.ndarray) else fields_of(value)
+            places[id(value)] = len(objects)
+            objects.append(entry)
+            written.append(value)
+        return {_OBJECT: places[id(value)]}
+
+    def fields_of(value: Any) -> dict[str, Any]:
+        kind = type(value)
+        name = f"{kind.__module__}.{kind.__qualname__}"
+        if not _storable(kind):
+            raise CannotBeSavedError(
+                f"{checks.shown(value)} cannot be saved: {name} is no dataclass of rtcal's kinds"
+            )
+        if hasattr(value, "seen_from"):  # a scene, which names files
+            whole = value.within(os.getcwd())
+            value = whole if folder is None else whole.seen_from(folder)
+        stated = [f for f in dataclasses.fields(kind) if f.init and f.metadata != NOT_SAVED]
+        return {"class": name, "fields": {f.name: of(getattr(value, f.name)) for f in stated}}
+
+    of(value)
+    return objects
+
+
+def restored(objects: Any, folder: str | os.PathLike[str] = "") -> Any:
+    """Return the value that `plain` wrote for a file in ``folder``; DataError for anything else."""
+    made: list[Any] = []
+
+    def value(entry: Any) -> Any:
+        if entry is None or isinstance(entry, bool | int | float | str):
+            return entry
+        if isinstance(entry, list):
+            return [value(v) for v in entry]
+        ((kind, inside),) = entry.items()
+        if kind == "float" and inside in ("nan", "inf", "-inf"):
+            return float(inside)
+        if kind == "tuple":
+            return tuple(value(inside))
+        if kind == "table":
+            return {value(k): value(v) for k, v in inside}
+        if kind == _OBJECT and type(inside) is int and inside >= 0:
+            return made[inside]
+        raise ValueError(f"{checks.shown(entry)} is no value")
+
+    for i, entry in enumerate(objects if isinstance(objects, list) else ()):
+        name = entry.get("class", "array") if isinstance(entry, dict) else "object"
+        try:
+            if "class" not in entry:
+                made.append(_array(**entry))
+                continue
+            one = _class(name)(**{n: value(v) for n, v in entry["fields"].items()})
+            made.append(one.within(folder) if hasattr(one, "seen_from") else one)
+        except (TypeError, ValueError, AttributeError, LookupError, ArithmeticError) as error:
+            raise DataError(f"objects[{i}], {checks.shown(name)}: {error}") from error
+    if not made:
+        raise DataError("objects is no list of objects")
+    return made[-1]
+
+
+def _storable(kind: type) -> bool:
+    """Return whether a class is a dataclass of rtcal, or derived from one, under its module's name."""
+    return (
+        dataclasses.is_dataclass(kind)
+        and any(base.__module__.startswith("rtcal.") for base in kind.__mro__)
+        and vars(sys.modules.get(kind.__module__, object)).get(kind.__qualname__) is kind
+    )
+
+
+def _class(name: Any) -> type:
+    """Return the class of a name; ValueError unless rtcal stores objects of it."""
+    module, _, own = str(name).rpartition(".")
+    if module.startswith("rtcal.") and module.replace(".", "").replace("_", "").isalnum():
+        with suppress(ImportError):
+            import_module(module)
+    kind = vars(sys.modules.get(module, object)).get(own)
+    if not isinstance(kind, type) or not _storable(kind) or kind.__module__ != module:
+        raise ValueError(
+            "no class that rtcal saves; a class in a module of your own is to be imported first"
+        )
+    return kind
+
+
+def _array_entry(array: np.ndarray[Any, Any]) -> dict[str, Any]:
+    if array.dtype.kind not in _KINDS:
+        raise CannotBeSavedError(f"an array of {array.dtype} cannot be saved")
+    little = array.astype(array.dtype.newbyteorder("<"), copy=False)
+    content = base64.b64encode(np.ascontiguousarray(little).tobytes()).decode()
+    return {"dtype": little.dtype.str, "shape": list(array.shape), "content": content}
+
+
+def _array(dtype: str, shape: list[int], content: str) -> np.ndarray[Any, Any]:
+    kind = np.dtype(str(dtype))
+    if kind.kind not in _KINDS or any(type(n) is not int or n < 0 for n in shape):
+        raise ValueError(f"{checks.shown([dtype, shape])} is no array of numbers or texts")
+    values = np.frombuffer(base64.b64decode(content, validate=True), kind).reshape(shape)
+    array = values.astype(kind.newbyteorder("="))
+    array.setflags(write=False)
+    return array
