@@ -21,22 +21,19 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from rtcal.acoustics import bands
-from rtcal.acoustics.equations import LinearEquation
 from rtcal.acoustics.room import Room
 from rtcal.io import material_list
-from rtcal.io.material_export import ExportReport, write_list
-from rtcal.io.material_list import ListedMaterial, MaterialList
+from rtcal.io.material_list import Format, ListedMaterial, MaterialList, Token
 from rtcal.io.table_columns import nearest_band
 from rtcal.io.text import MAX_TEXT, decode, lines, number, shown
 from rtcal.support import checks
 from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError
 from rtcal.support.files import read_bytes
-from rtcal.support.types import Array
 
 __all__ = ["DECIMALS", "MAX_BANDS", "parse", "read", "write"]
 __dir__ = __all__.copy
@@ -44,54 +41,17 @@ __dir__ = __all__.copy
 DECIMALS = 3
 MAX_BANDS = 100
 
-Cell = tuple[str, int, int]
-"""The characters of a cell, and the positions of its start and end in the text."""
-
-
-@checked
-def read(path: str | os.PathLike[str], *, where: Mapping[str, str] | None = None) -> MaterialList:
-    """Return one material, or those of a table's rows; DataError names file, line and rule.
-
-    ``where`` selects rows of a table: ``where={"room": "CR2", "set": "initial"}``.
-    """
-    return parse(read_bytes(path, MAX_TEXT), os.fspath(path), where=where)
-
-
-@checked
-def write(
-    room: Room,
-    path: str | os.PathLike[str],
-    *,
-    template: str | os.PathLike[str] | None = None,
-    equation: LinearEquation | None = None,
-    decimals: int | None = None,
-    where: Mapping[str, str] | None = None,
-    entries: Mapping[str, str] | None = None,
-) -> ExportReport:
-    """Write the room's coefficients into ``template``, else into ``path`` if it exists.
-
-    If neither exists, the file is a new table. Returns the effect of the rounding on T, as
-    `catt.write`.
-    """
-    return write_list(
-        room,
-        path,
-        read=lambda p: read(p, where=where),
-        new_list=_new_list,
-        template=template,
-        equation=equation,
-        decimals=decimals,
-        entries=entries,
-    )
-
 
 @checked
 def parse(
     content: bytes, path: str = "BRAS file", *, where: Mapping[str, str] | None = None
 ) -> MaterialList:
-    """Return the materials of a file's content; see `read`."""
+    """Return the materials of a file's content; DataError names file, line and rule.
+
+    ``where`` selects rows of a table: ``where={"room": "CR2", "set": "initial"}``.
+    """
     text, where = decode(content, path), checks.text_by_name("where", where)
-    rows: list[tuple[int, list[Cell]]] = []
+    rows: list[tuple[int, list[Token]]] = []
     for line, start, raw in lines(text.characters):
         if raw.strip():
             rows.append((line, _cells(raw, start)))
@@ -105,7 +65,7 @@ def parse(
     return MaterialList(path=path, text=text, materials=_table(rows, path, where))
 
 
-def _cells(raw: str, start: int) -> list[Cell]:
+def _cells(raw: str, start: int) -> list[Token]:
     """Return the cells of a line that begins at position ``start``."""
     cells = []
     for characters in raw.split(","):
@@ -116,13 +76,15 @@ def _cells(raw: str, start: int) -> list[Cell]:
     return cells
 
 
-def _bands(frequencies: list[float], place: str) -> Array:
+def _bands(cells: Sequence[Token], place: str, what: str) -> tuple[float, ...]:
     """Return the bands in Hz; frequencies in the published tables are off by up to 3 %."""
-    return bands.as_bands([nearest_band(f) or f if f > 0 else f for f in frequencies], place)
+    frequencies = material_list.numbers(cells, place)
+    nominal = [nearest_band(f) or f if f > 0 else f for f in frequencies]
+    return tuple(map(float, bands.as_bands(nominal, f"{place}: {what}")))
 
 
 def _single_material(
-    rows: list[tuple[int, list[Cell]]], path: str, where: Mapping[str, str] | None
+    rows: list[tuple[int, list[Token]]], path: str, where: Mapping[str, str] | None
 ) -> ListedMaterial:
     if where:
         raise DataError(f"{path}: holds one material and no columns to select by")
@@ -131,29 +93,27 @@ def _single_material(
             f"{path}, line {rows[-1][0]}: {len(rows)} rows; the rows are frequencies, "
             "absorption and, if known, scattering"
         )
-    values = [[number(c[0], f"{path}, line {line}") for c in cells] for line, cells in rows]
-    for (line, cells), name in zip(rows[1:], ("alpha", "scattering"), strict=False):
-        if len(cells) != len(rows[0][1]):
-            raise DataError(
-                f"{path}, line {line}: {len(cells)} values for {len(rows[0][1])} frequencies"
-            )
-        row = values[1] if name == "alpha" else values[2]
-        material_list.check_coefficients(row, 1.0, f"{path}, line {line}", name)
-    frequencies = _bands(values[0], f"{path}, line {rows[0][0]}: frequencies")
+    places = [f"{path}, line {line}" for line, _ in rows]
+    values = [material_list.numbers(c, p) for (_, c), p in zip(rows, places, strict=True)]
+    for place, row, name in zip(places[1:], values[1:], ("alpha", "scattering"), strict=False):
+        if len(row) != len(values[0]):
+            raise DataError(f"{place}: {len(row)} values for {len(values[0])} frequencies")
+        material_list.coefficients(row, place, name=name)
+    scatters = len(rows) == 3
     return ListedMaterial(
         name=Path(path).stem,
         line=rows[1][0],
-        alpha=tuple(values[1]),
-        centre_frequencies=tuple(float(f) for f in frequencies),
-        spans=tuple((b, e) for _, b, e in rows[1][1]),
+        alpha=values[1],
+        centre_frequencies=_bands(rows[0][1], places[0], "frequencies"),
+        spans=material_list.spans(rows[1][1]),
         decimals=DECIMALS,
-        scattering=tuple(values[2]) if len(rows) == 3 else None,
-        scattering_spans=tuple((b, e) for _, b, e in rows[2][1]) if len(rows) == 3 else (),
+        scattering=values[2] if scatters else None,
+        scattering_spans=material_list.spans(rows[2][1]) if scatters else (),
     )
 
 
 def _table(
-    rows: list[tuple[int, list[Cell]]], path: str, where: Mapping[str, str]
+    rows: list[tuple[int, list[Token]]], path: str, where: Mapping[str, str]
 ) -> tuple[ListedMaterial, ...]:
     line, header = rows[0]
     names = [c[0] for c in header]
@@ -161,10 +121,7 @@ def _table(
         if names.count(wanted) != 1:
             raise DataError(f'{path}, line {line}: column "{shown(wanted)}" is not there once')
     columns = [i for i, n in enumerate(names) if re.match(r"[\d.]", n)]
-    place = f"{path}, line {line}"
-    frequencies = _bands(
-        [number(header[i][0], place) for i in columns], f"{place}: the bands' columns"
-    )
+    frequencies = _bands([header[i] for i in columns], f"{path}, line {line}", "the bands' columns")
     materials = []
     for line, cells in rows[1:]:
         place = f"{path}, line {line}"
@@ -172,15 +129,14 @@ def _table(
             raise DataError(f"{place}: {len(cells)} cells; the header has {len(header)}")
         if any(cells[names.index(c)][0] != v for c, v in where.items()):
             continue
-        values = [number(cells[i][0], place) for i in columns]
-        material_list.check_coefficients(values, 1.0, place)
+        row = [cells[i] for i in columns]
         materials.append(
             ListedMaterial(
                 name=cells[names.index("material")][0],
                 line=line,
-                alpha=tuple(values),
-                centre_frequencies=tuple(float(f) for f in frequencies),
-                spans=tuple(cells[i][1:] for i in columns),
+                alpha=material_list.coefficients(material_list.numbers(row, place), place),
+                centre_frequencies=frequencies,
+                spans=material_list.spans(row),
                 decimals=DECIMALS,
             )
         )
@@ -189,13 +145,17 @@ def _table(
     return tuple(materials)
 
 
-def _new_list(room: Room) -> MaterialList:
+def _new(room: Room) -> bytes:
     rows = ["material," + ",".join(f"{f:g}" for f in room.centre_frequencies)]
     for i, name in enumerate(room.materials):
         if "," in name or not name.isprintable() or name.strip() != name or not name:
             raise DataError(f"material {name!r}: a name in this table has no comma, on one line")
         rows.append(name + "," + ",".join(f"{a:.{DECIMALS}f}" for a in room.alpha[i]))
-    return parse(("\n".join(rows) + "\n").encode("utf-8"))
+    return ("\n".join(rows) + "\n").encode("utf-8")
+
+
+_FORMAT = Format(parse=parse, new=_new)
+read, write = _FORMAT.read, _FORMAT.write
 
 
 def read_sigma(path: str | os.PathLike[str]) -> dict[str, ListedMaterial | float]:

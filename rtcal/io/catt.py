@@ -15,21 +15,16 @@ checked in the program.
 
 from __future__ import annotations
 
-import os
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 from rtcal.acoustics import band_conversion
-from rtcal.acoustics.equations import LinearEquation
 from rtcal.acoustics.room import Room
 from rtcal.io import material_list
-from rtcal.io.material_export import ExportReport, write_list
-from rtcal.io.material_list import ListedMaterial, MaterialList
-from rtcal.io.text import MAX_TEXT, decode, lines, number, shown
-from rtcal.support import checks
+from rtcal.io.material_list import Format, ListedMaterial, MaterialList, Token
+from rtcal.io.text import decode, lines, shown
 from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError
-from rtcal.support.files import read_bytes
 from rtcal.support.types import Array
 
 __all__ = ["parse", "read", "write"]
@@ -43,68 +38,6 @@ _NAME = r"[^\s=<>{};:]+"
 _STATEMENT = re.compile(rf"[ \t]*(?:(ABS1?)[ \t]+)?({_NAME})[ \t]*=[ \t]*(.*)", re.I | re.S)
 _LIST = re.compile(r"<([^<>]*)>[ \t]*")
 _COLOUR = re.compile(r"\{[ \t]*\d{1,3}[ \t]+\d{1,3}[ \t]+\d{1,3}[ \t]*\}[ \t]*", re.ASCII)
-
-
-def read(path: str | os.PathLike[str]) -> MaterialList:
-    """Return the materials of a CATT-Acoustic file; DataError names file, line and rule."""
-    return parse(read_bytes(path, MAX_TEXT), os.fspath(path))
-
-
-@checked
-def write(
-    room: Room,
-    path: str | os.PathLike[str],
-    *,
-    template: str | os.PathLike[str] | None = None,
-    equation: LinearEquation | None = None,
-    decimals: int | None = None,
-    missing_bands: str = "refuse",
-    entries: Mapping[str, str] | None = None,
-) -> ExportReport:
-    """Write the room's coefficients into ``template``, else into ``path`` if it exists.
-
-    Only numbers that change are written, of alpha and scattering; everything else keeps its bytes. A
-    material without scattering gets that of the room. If neither file exists, the file is a new list
-    of the octaves 125 Hz to 4 kHz, with 8 and 16 kHz if the room has them. There a name has an
-    underscore in place of a character that CATT does not read.
-
-    Parameters
-    ----------
-    room : Room
-    path, template : path
-    equation : LinearEquation, optional
-        Predicts the effect of the rounding on T; Eyring's by default.
-    decimals : int, optional
-        Decimals of a coefficient, 3 for a tenth of a percent; the format's own by default.
-    missing_bands : {"refuse", "nearest"}
-        If the room lacks an octave from 125 Hz to 4 kHz: refuse to write a new list, or write the
-        coefficients of the nearest octave.
-    entries : mapping of str to str, optional
-        The file's name of each material of the room that has another one there, as ``--as`` has
-        stated at import, or is to have in a new file.
-
-    Returns
-    -------
-    ExportReport
-
-    Raises
-    ------
-    DataError
-        For a material that the file lacks, and for a file that cannot be read or written.
-    """
-    return write_list(
-        room,
-        path,
-        read=lambda file: _with_own_values(read(file), room),
-        new_list=_new_list,
-        template=template,
-        equation=equation,
-        decimals=decimals,
-        entries=entries,
-        new_bands=_bands_of_new_list(room),
-        missing_bands=missing_bands,
-        readable=lambda name: re.sub(r"[^!-~]|[=<>{};:]", "_", name),
-    )
 
 
 def _with_own_values(listed: MaterialList, room: Room) -> MaterialList:
@@ -148,7 +81,7 @@ def _with_own_values(listed: MaterialList, room: Room) -> MaterialList:
 
 @checked
 def parse(content: bytes, path: str = "CATT file") -> MaterialList:
-    """Return the materials of a file's content; see `read`."""
+    """Return the materials of a file's content; DataError names file, line and rule."""
     text = decode(content, path)
     materials: list[ListedMaterial] = []
     aliases: dict[str, tuple[str, int]] = {}
@@ -199,47 +132,59 @@ def _material(
     match = _LIST.match(text)
     if not match:
         raise DataError(f'{place}: "{shown(text)}" lacks the closing >')
-    values, spans = _numbers(match.group(1), offset + match.start(1), place)
-    material_list.check_coefficients(values, unit, place)
+    row = _row(match, offset, place)
+    values = material_list.numbers(row, place)
+    alpha = material_list.coefficients(values, place, unit)
     at_most_one = not fraction and 0 < max(values) <= 1
-    tail, scattering = text[match.end() :], None
-    spans_of_scattering: tuple[tuple[int, int], ...] = ()
+    tail, scattering, scattering_row = text[match.end() :], None, list[Token]()
     if tail[:1] in ("L", "l"):
         tail = tail[1:].lstrip(" \t")
-        begin = offset + len(text) - len(tail)
         scattering_list = _LIST.match(tail)
         if not scattering_list:
             raise DataError(f"{place}: L, the scattering, lacks its <6 to 8 values>")
-        diffuse, spans_of_scattering = _numbers(
-            scattering_list.group(1),
-            begin + scattering_list.start(1),
-            place,
-            " of L, the scattering",
-        )
-        if len(diffuse) != len(values):
+        begin = offset + len(text) - len(tail)
+        scattering_row = _row(scattering_list, begin, place, " of L, the scattering")
+        if len(scattering_row) != len(row):
             raise DataError(
-                f"{place}: {len(values)} absorption and {len(diffuse)} scattering values; "
+                f"{place}: {len(row)} absorption and {len(scattering_row)} scattering values; "
                 "the numbers must be equal"
             )
-        material_list.check_coefficients(diffuse, unit, place, "scattering")
-        scattering = tuple(material_list.coefficient(v, unit) for v in diffuse)
+        scattering = material_list.coefficients(
+            material_list.numbers(scattering_row, place), place, unit, "scattering"
+        )
         tail = tail[scattering_list.end() :]
     if tail and not _COLOUR.fullmatch(tail):
         raise DataError(f'{place}: "{shown(tail)}" after the values is no colour {{r g b}}')
     return ListedMaterial(
         name=name,
         line=line,
-        alpha=tuple(material_list.coefficient(v, unit) for v in values),
-        centre_frequencies=BANDS[: len(values)],
-        spans=spans,
+        alpha=alpha,
+        centre_frequencies=BANDS[: len(row)],
+        spans=material_list.spans(row),
         unit=unit,
         decimals=DECIMALS + 2 if fraction else DECIMALS,
         scattering=scattering,
-        scattering_spans=spans_of_scattering,
+        scattering_spans=material_list.spans(scattering_row),
         scattering_place=offset + match.end(1) + 1,
         source=f"{place}: at most 1 %, since ABS is in percent" if at_most_one else "",
         doubt=_doubt(place, name, match[1], values) if at_most_one else "",
     )
+
+
+def _row(match: re.Match[str], offset: int, place: str, which: str = "") -> list[Token]:
+    """Return the tokens of a list of 6 to 8 numbers, which begins ``offset`` characters after 0."""
+    row = material_list.tokens(r"[^\s:]+|:", match[1], offset + match.start(1))
+    for i in [i for i, token in enumerate(row) if token[0] == ":"]:
+        if i != 6:
+            raise DataError(
+                f"{place}: the : stands after {i} values; it separates "
+                "the 6 octaves to 4 kHz from 8 and 16 kHz"
+            )
+    row = [token for token in row if token[0] != ":"]
+    material_list.numbers(row, place)
+    if not 6 <= len(row) <= 8:
+        raise DataError(f"{place}: {len(row)} values{which}; 6 to 8 octaves from 125 Hz are needed")
+    return row
 
 
 def _doubt(place: str, name: str, text: str, values: Sequence[float]) -> str:
@@ -255,37 +200,14 @@ def _doubt(place: str, name: str, text: str, values: Sequence[float]) -> str:
     )
 
 
-def _numbers(
-    text: str, offset: int, place: str, which: str = ""
-) -> tuple[list[float], tuple[tuple[int, int], ...]]:
-    values: list[float] = []
-    spans: list[tuple[int, int]] = []
-    for token in re.finditer(r"[^\s:]+|:", text):
-        if token.group() == ":":
-            if len(values) != 6:
-                raise DataError(
-                    f"{place}: the : stands after {len(values)} values; it separates "
-                    "the 6 octaves to 4 kHz from 8 and 16 kHz"
-                )
-            continue
-        values.append(number(token.group(), place))
-        spans.append((offset + token.start(), offset + token.end()))
-    if not 6 <= len(values) <= 8:
-        raise DataError(
-            f"{place}: {len(values)} values{which}; 6 to 8 octaves from 125 Hz are needed"
-        )
-    return values, tuple(spans)
-
-
 def _bands_of_new_list(room: Room) -> tuple[float, ...]:
     """Return the octaves 125 Hz to 4 kHz, and 8 and 16 kHz if the room has them."""
-    checks.instance("room", room, Room)
     obtainable = band_conversion.obtainable(room.centre_frequencies, BANDS)
     n_bands = 6 if BANDS[6] not in obtainable else 7 if BANDS[7] not in obtainable else 8
     return BANDS[:n_bands]
 
 
-def _new_list(room: Room) -> MaterialList:
+def _new(room: Room) -> bytes:
     rows = ["; Absorption, %, in octaves from 125 Hz; written by rtcal"]
     for i, name in enumerate(room.materials):
         if not re.fullmatch(_NAME, name) or not name.isascii():
@@ -297,7 +219,7 @@ def _new_list(room: Room) -> MaterialList:
         if room.scattering is not None:
             groups.append(f"L <{_percents(room.scattering[i])}>")
         rows.append(" ".join(groups))
-    return parse(("\r\n".join(rows) + "\r\n").encode("ascii"))
+    return ("\r\n".join(rows) + "\r\n").encode("ascii")
 
 
 def _percents(row: Array) -> str:
@@ -307,3 +229,13 @@ def _percents(row: Array) -> str:
 def _in_groups(texts: Sequence[str]) -> str:
     """Return the numbers of a list, with a colon before 8 kHz."""
     return " ".join(texts[:6]) + (" : " + " ".join(texts[6:]) if texts[6:] else "")
+
+
+_FORMAT = Format(
+    parse=parse,
+    new=_new,
+    bands=_bands_of_new_list,
+    readable=lambda name: re.sub(r"[^!-~]|[=<>{};:]", "_", name),
+    prepared=_with_own_values,
+)
+read, write = _FORMAT.read, _FORMAT.write

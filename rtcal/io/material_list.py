@@ -1,22 +1,31 @@
 """Material lists of other programs: a room from a list, and calibrated coefficients back into it.
 
-Each format's module reads the materials and the position of every number. This module converts bands
-and writes numbers, for all formats. Only numbers that change are written; all other bytes stay.
+Each format's module has its grammar: where the materials and every number stand. This module converts
+bands, writes numbers, and says what rounding does to T, for all formats. Only numbers that change are
+written; all other bytes stay.
 """
 
 from __future__ import annotations
 
+import os
+import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
+from typing import Any
 
 import numpy as np
 
-from rtcal.acoustics import band_conversion, bands, priors
+from rtcal.acoustics import band_conversion, bands, priors, quality, repeats
 from rtcal.acoustics.air import Air
+from rtcal.acoustics.equations import Eyring, LinearEquation
 from rtcal.acoustics.materials import above_one_hint, text_name
 from rtcal.acoustics.room import Material, Room, Surface
-from rtcal.io.text import Text
+from rtcal.acoustics.scene import POSITION, Scene
+from rtcal.io.text import MAX_TEXT, Text, number
+from rtcal.support import checks, text
+from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError
+from rtcal.support.files import read_bytes, write_bytes
 from rtcal.support.types import Array
 
 
@@ -325,37 +334,34 @@ class MaterialList:
                 bands.index(np.asarray(room.centre_frequencies), f)
                 for f in material.centre_frequencies
             ]
-            if all(c is None for c in columns):
+            in_room = [k for k in columns if k is not None]
+            if not in_room:
                 raise DataError(
                     f'{self.path}, line {material.line}: "{material.name}" has none of the '
                     "room's bands"
                 )
-            for k, span, stated in zip(columns, material.spans, material.alpha, strict=True):
-                if k is not None:
-                    place = f"{self.path}: {room.place('alpha', i, k)}"
-                    alpha[i, k] = change.to(material, span, stated, float(alpha[i, k]), place)
+            in_file = [("alpha", alpha, material.spans, material.alpha)]
+            at = material.scattering_place
             if scattering is None:
-                continue
-            spans, at = material.scattering_spans, material.scattering_place
-            in_room = [k for k in columns if k is not None]
-            if material.scattering is not None and spans:
-                for k, span, stated in zip(columns, spans, material.scattering, strict=True):
-                    if k is not None:
-                        place = f"{self.path}: {room.place('scattering', i, k)}"
-                        value = float(scattering[i, k])
-                        scattering[i, k] = change.to(material, span, stated, value, place)
+                pass
+            elif material.scattering is not None and material.scattering_spans:
+                spans_of, stated = material.scattering_spans, material.scattering
+                in_file.append(("scattering", scattering, spans_of, stated))
             elif at is not None and self.scattering_text and len(in_room) == len(columns):
-                numbers = [material.rounded(float(scattering[i, k])) for k in in_room]
-                inserted = self.scattering_text([text for text, _ in numbers])
+                written = [material.rounded(float(scattering[i, k])) for k in in_room]
+                inserted = self.scattering_text([characters for characters, _ in written])
                 change.insert(at, inserted, f'{self.path}: scattering["{name}"]')
-                scattering[i, in_room] = [value for _, value in numbers]
+                scattering[i, in_room] = [value for _, value in written]
             else:
                 lacking.append(name)
+            for quantity, table, spans_of, stated in in_file:
+                for k, span, before in zip(columns, spans_of, stated, strict=True):
+                    if k is not None:
+                        place = f"{self.path}: {room.place(quantity, i, k)}"
+                        table[i, k] = change.to(material, span, before, float(table[i, k]), place)
         as_read = room.replace(alpha=alpha, scattering=None if lacking else scattering)
-        in_file = set.intersection(
-            *(set(self.listed(name).centre_frequencies) for name in room.materials)
-        )
-        shared = [f for f in room.centre_frequencies if f in in_file]
+        listed = [set(self.listed(name).centre_frequencies) for name in room.materials]
+        shared = [f for f in room.centre_frequencies if f in set.intersection(*listed)]
         if not shared:
             raise DataError(f"{self.path}: its materials have none of the room's bands in common")
         if len(shared) < room.n_bands:
@@ -407,8 +413,8 @@ class _Change:
     def text(self, characters: str) -> str:
         """Return the file's text with all changes."""
         pieces, position = [], 0
-        for (start, end), text in sorted(self.texts.items()):
-            pieces += [characters[position:start], text]
+        for (start, end), written in sorted(self.texts.items()):
+            pieces += [characters[position:start], written]
             position = end
         return "".join([*pieces, characters[position:]])
 
@@ -421,12 +427,382 @@ def coefficient(value: float, unit: float) -> float:
     return value / round(1 / unit) if unit < 1 else value
 
 
-def check_coefficients(
-    values: Sequence[float], unit: float, place: str, name: str = "alpha"
-) -> None:
-    """Raise DataError unless every number is from 0 to 1 (0 to 100 in percent)."""
+Token = tuple[str, int, int]
+"""The characters of a number or cell, and the positions of its start and end in the text."""
+
+
+def tokens(pattern: str, text: str, start: int) -> list[Token]:
+    """Return what matches in a part of a file's text that begins at position ``start``."""
+    return [(m[0], start + m.start(), start + m.end()) for m in re.finditer(pattern, text)]
+
+
+def numbers(row: Sequence[Token], place: str) -> tuple[float, ...]:
+    """Return the numbers of a row; DataError names the place of what is none."""
+    return tuple(number(token, place) for token, _, _ in row)
+
+
+def spans(row: Sequence[Token]) -> tuple[tuple[int, int], ...]:
+    """Return the characters of the file's text that hold each number of a row."""
+    return tuple((start, end) for _, start, end in row)
+
+
+def coefficients(
+    values: Sequence[float], place: str, unit: float = 1.0, name: str = "alpha"
+) -> tuple[float, ...]:
+    """Return coefficients; DataError unless every number is from 0 to 1 (0 to 100 in percent)."""
     for value in values:
         if not 0 <= coefficient(value, unit) <= 1:
             hint = above_one_hint(coefficient(value, unit)) if name == "alpha" else ""
             instead = f"; in this list write {1 / unit:g}" if hint else ""
             raise DataError(f"{place}: {name} {value:g} is not in [0, {1 / unit:g}]{hint}{instead}")
+    return tuple(coefficient(value, unit) for value in values)
+
+
+MOST_NAMED = 5
+RECORD = "the record of the calibration"
+LOST = {
+    "name": ("name",),
+    "author": ("author",),
+    "areas and volume": ("areas", "volume", "surfaces", "dimensions"),
+    "sigma": ("sigma",),
+    "uncertainties of areas, volume and climate": (
+        "area_sigma",
+        "volume_sigma",
+        "common_area_sigma",
+        "common_alpha_sigma",
+        "climate_sigma",
+    ),
+    "alpha_min": ("alpha_min",),
+    "correlations": ("band_correlation", "material_correlation"),
+    "what scattering means": ("scattering_model",),
+    "air": ("air",),
+    "where coefficients are from": ("sources",),
+    "coefficients that were above 1": ("clipped",),
+    RECORD: ("calibration",),
+}
+"""What it does not hold, in words, and the fields of a room that these are; see `_of_scene`, too."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ExportReport:
+    """The room as a program reads it from the written file, and the effect on T.
+
+    Parameters
+    ----------
+    path : str
+    template : str or None
+        The list whose numbers were changed; None for a new list.
+    equation : str
+        The reverberation equation that gives both T.
+    room : Room
+        The room as read from the file: in the file's bands, rounded to its decimals.
+    reverberation_time : array (n_bands,)
+        T in s of the room that was exported, converted to the file's bands.
+    reverberation_time_as_read : array (n_bands,)
+        T in s of ``room``.
+    bands_not_written : sequence of float
+        Bands of the exported room in Hz that the file does not have for every material.
+    notes : sequence of str
+        How bands were converted or filled.
+    lost : sequence of str
+        What the exported room states and the file does not hold.
+    """
+
+    path: str
+    template: str | None
+    equation: str
+    room: Room
+    reverberation_time: Array
+    reverberation_time_as_read: Array
+    bands_not_written: tuple[float, ...] = ()
+    notes: tuple[str, ...] = ()
+    lost: tuple[str, ...] = ()
+
+    @property
+    def change(self) -> Array:
+        """Change of T by the conversion and rounding, in JND, signed, (n_bands,)."""
+        return quality.gap_jnd(self.reverberation_time_as_read, self.reverberation_time)
+
+    def __str__(self) -> str:
+        if self.template is None:
+            kind = "new list, since there was no such file"
+        else:
+            kind = "changed list" if self.template == self.path else f"changed {self.template}"
+        cells = [
+            (bands.label(f), [f"{before:.4f}", f"{after:.4f}", text.number(change, "+.2f")])
+            for f, before, after, change in zip(
+                self.room.centre_frequencies,
+                self.reverberation_time,
+                self.reverberation_time_as_read,
+                self.change,
+                strict=True,
+            )
+        ]
+        rows = [
+            f"{self.path}: {kind}",
+            *text.wrapped(
+                f"T by {self.equation}'s equation: of the room, and of the coefficients as the program "
+                "reads them (rounded, in its bands)"
+            ),
+            *text.table(cells, header=("band", ["T / s", "as read / s", "change / JND"])),
+        ]
+        if self.bands_not_written:
+            missing = ", ".join(bands.labels(self.bands_not_written))
+            rows.append(f"Not in the file, so not written: {missing}")
+        for note in self.notes:
+            rows += text.wrapped(note)
+        rows += text.wrapped(f"Not in the file: {', '.join(self.lost)}. Keep the room's own file.")
+        if RECORD in self.lost:
+            rows += text.wrapped(
+                "A room made of this file can be calibrated to the same data again, which would count "
+                "them twice."
+            )
+        return "\n".join(rows)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Format:
+    """A program's list of materials: its grammar, by which lists are read, written and changed.
+
+    Parameters
+    ----------
+    parse : callable
+        Returns the `MaterialList` of a file's content, path, and what else `read` is given.
+    new : callable
+        Returns the content of a new list of a room's materials.
+    bands : callable
+        Returns the bands in Hz of a new list for a room; none where it has the room's own.
+    readable : callable
+        Returns the name that a new list has for a material without one in ``entries``.
+    prepared : callable
+        Returns the list as it is to be changed for a room.
+    """
+
+    parse: Callable[..., MaterialList]
+    new: Callable[[Room], bytes]
+    bands: Callable[[Room], Sequence[float]] = lambda _: ()
+    readable: Callable[[str], str] = str
+    prepared: Callable[[MaterialList, Room], MaterialList] = lambda listed, _: listed
+
+    def read(self, path: str | os.PathLike[str], **selected: Any) -> MaterialList:
+        """Return the materials of a file; DataError names file, line and rule.
+
+        ``selected`` is what the format's ``parse`` takes beside the content, such as ``where`` of BRAS.
+        """
+        return self.parse(read_bytes(path, MAX_TEXT), os.fspath(path), **selected)
+
+    @checked
+    def write(
+        self,
+        room: Room,
+        path: str | os.PathLike[str],
+        *,
+        template: str | os.PathLike[str] | None = None,
+        equation: LinearEquation | None = None,
+        decimals: int | None = None,
+        missing_bands: str = "refuse",
+        entries: Mapping[str, str] | None = None,
+        **selected: Any,
+    ) -> ExportReport:
+        """Write the room's coefficients into ``template``, else into ``path`` if it exists.
+
+        Only numbers that change are written, of alpha and of scattering where the format has it;
+        everything else keeps its bytes. If neither file exists, the file is a new list.
+
+        Parameters
+        ----------
+        room : Room
+        path, template : path
+        equation : LinearEquation, optional
+            Predicts the effect of the rounding on T; Eyring's by default.
+        decimals : int, optional
+            Decimals of a coefficient, 3 for a tenth of a percent; the format's own by default.
+        missing_bands : {"refuse", "nearest"}
+            If the room lacks a band that a new list of the program needs: refuse to write it, or
+            write the coefficients of the nearest band.
+        entries : mapping of str to str, optional
+            The file's name of each material of the room that has another one there, as ``--as`` has
+            stated at import, or is to have in a new file.
+        selected
+            As for `read`.
+
+        Raises
+        ------
+        DataError
+            For a material that the file lacks, and for a file that cannot be read or written.
+        """
+        checks.instance("room", room, Room)
+        checks.choice("missing_bands", missing_bands, ("refuse", "nearest"))
+        entries = checks.text_by_name("entries", entries)
+        equation = Eyring() if equation is None else equation
+        checks.instance("equation", equation, LinearEquation)
+        if decimals is not None:
+            decimals = checks.whole("decimals", decimals, 0)
+        notes: list[str] = []
+        if template is None and checks.path("path", path).exists():
+            template = path
+        if template is not None:
+            listed = self.prepared(self.read(template, **selected), room)
+        else:
+            in_new_bands, notes = _in_new_bands(
+                room, self.bands(room), missing_bands, os.fspath(path)
+            )
+            renamed = _renamed(room.materials, entries, self.readable)
+            entries |= renamed
+            names = [entries.get(name, name) for name in room.materials]
+            if renamed:
+                pairs = [f'"{name}" is {new}' for name, new in renamed.items()]
+                some = text.first_of(pairs, MOST_NAMED)
+                notes.append(f"Renamed, as the program reads names: {some}")
+            listed = self.parse(self.new(in_new_bands.replace(materials=names, surfaces=())))
+        listed = listed.with_entries(entries, room)
+        if decimals is not None:
+            listed = replace(
+                listed, materials=tuple(_with_decimals(m, decimals) for m in listed.materials)
+            )
+        content, as_read, lacking = listed.with_room(room)
+        notes += _without_measured_time(room, equation)
+        time = equation.reverberation_time(room)
+        between = room.centre_frequencies, as_read.centre_frequencies
+        rule = band_conversion.rule(*between, "alpha")
+        if rule:
+            time = band_conversion.parameter(time, *between)
+            notes.append(f"{rule}; T of the room by the mean of 1/T")
+        else:
+            time = time[np.isin(*between)]
+        time_as_read = equation.reverberation_time(as_read)
+        write_bytes(path, content)
+        if template is not None:
+            notes += _replaced_scattering(listed, self.prepared(self.read(path, **selected), room))
+        return ExportReport(
+            path=os.fspath(path),
+            template=None if template is None else os.fspath(template),
+            equation=equation.name,
+            room=as_read,
+            reverberation_time=time,
+            reverberation_time_as_read=time_as_read,
+            bands_not_written=tuple(map(float, band_conversion.unused(*between))),
+            notes=tuple(notes),
+            lost=_lost(room, lacking),
+        )
+
+
+def _renamed(
+    materials: Sequence[str], stated: Mapping[str, str], readable: Callable[[str], str]
+) -> dict[str, str]:
+    """Return other names for materials whose own cannot stand in a new file, each there once."""
+    taken = {stated.get(name, name) for name in materials}
+    renamed: dict[str, str] = {}
+    for i, name in enumerate(materials):
+        new = readable(name)
+        if name in stated or new == name:
+            continue
+        while new in taken:
+            new = f"{new}_{i + 1}"
+        taken.add(new)
+        renamed[name] = new
+    return renamed
+
+
+def _replaced_scattering(listed: MaterialList, as_written: MaterialList) -> tuple[str, ...]:
+    """Return a note on the materials of a changed list that have another scattering now."""
+    after = {m.name: m.scattering for m in as_written.materials}
+    changed = [
+        f"{m.name} ({np.mean(m.scattering):.2f}, now {np.mean(now):.2f})"
+        for m in listed.materials
+        if m.scattering is not None
+        and (now := after.get(m.name)) is not None
+        and now != m.scattering
+    ]
+    if not changed:
+        return ()
+    return (
+        "The room's scattering replaced the list's, which a fit to positions changes too. Means over "
+        f"the bands: {text.first_of(changed, MOST_NAMED)}",
+    )
+
+
+def _without_measured_time(room: Room, equation: LinearEquation) -> list[str]:
+    """Return a note where a calibrated room lacks the T that it was calibrated to, by half a JND."""
+    if room.calibration is None or room.calibration.equation != equation.name:
+        return []
+    gap = quality.gap_jnd(equation.reverberation_time(room), repeats.times_of(room))
+    left = np.abs(gap) >= quality.MET
+    if not left.any():
+        return []
+    each = ", ".join(
+        f"{bands.label(f)} {g:+.1f} JND"
+        for f, g in zip(room.centre_frequencies[left], gap[left], strict=True)
+    )
+    return [
+        f"The room as exported does not have the measured T ({each}). The calibration left this gap, "
+        "as to an uncertain volume: see its page before you simulate"
+    ]
+
+
+def _lost(room: Room, lacking: Sequence[str]) -> tuple[str, ...]:
+    """Return what a room states and no list of materials holds, after ``lacking`` scattering."""
+    of = "" if len(lacking) == room.n_materials else f" of {', '.join(lacking)}"
+    usual = {f.name: f.default for f in fields(room)}
+
+    def is_stated(name: str) -> bool:
+        value = getattr(room, name)
+        if isinstance(value, np.ndarray):
+            return bool(value.any())
+        return bool(value) and value != usual[name]
+
+    return (
+        *((f"scattering{of}",) if lacking else ()),
+        *(words for words, names in LOST.items() if any(map(is_stated, names))),
+        *_of_scene(room.scene),
+    )
+
+
+def _of_scene(scene: Scene) -> tuple[str, ...]:
+    """Return what a scene states, in words: no sources and receivers where it has none."""
+    said = ["mesh"] if scene.mesh is not None else []
+    said += ["sources and receivers"] if scene.sources else []
+    further = {
+        "directivity of sources": bool(scene.directivity),
+        "uncertainty of positions": scene.position_uncertainty != POSITION,
+        "names of surfaces": bool(scene.surfaces),
+    }
+    return (*filter(None, [", ".join(said)]), *(words for words, is_so in further.items() if is_so))
+
+
+def _in_new_bands(
+    room: Room, needed: Sequence[float], missing_bands: str, path: str
+) -> tuple[Room, list[str]]:
+    """Return the room in the bands of a new file, with notes on bands that were filled."""
+    if not needed:
+        return room, []
+    obtainable = band_conversion.obtainable(room.centre_frequencies, needed)
+    missing = [f for f in needed if f not in obtainable]
+    if missing and (missing_bands == "refuse" or not obtainable.size):
+        raise DataError(
+            f"{path}: a new file of this program needs {bands.label(missing[0])}, which the room "
+            'lacks; write into the program\'s own file (template), or state missing_bands="nearest"'
+        )
+    converted = band_conversion.room(room, obtainable)
+    nearest = [int(np.argmin(np.abs(np.log(obtainable / f)))) for f in needed]
+    notes = [
+        f"{bands.label(f)} is not in the room: alpha as at {bands.label(obtainable[k])}"
+        for f, k in zip(needed, nearest, strict=True)
+        if f in missing
+    ]
+    tables = {n: getattr(converted, n) for n in ("alpha", "sigma", "alpha_min", "scattering")}
+    return converted.replace(
+        centre_frequencies=np.asarray(needed),
+        **{n: t[:, nearest] for n, t in tables.items() if t is not None},
+    ), notes
+
+
+def _with_decimals(listed: ListedMaterial, decimals: int) -> ListedMaterial:
+    """Return the material with its numbers written to these decimals of the coefficient."""
+    least = 2 if listed.unit == 0.01 else 0
+    if not least <= decimals <= 15:
+        raise DataError(
+            f"decimals = {decimals} of a coefficient; they are {least} to 15"
+            + (", since the file has whole percents at least" if least else "")
+        )
+    return replace(listed, decimals=decimals - least)

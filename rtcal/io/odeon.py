@@ -17,20 +17,15 @@ not checked in the program.
 
 from __future__ import annotations
 
-import os
 import re
 from collections import Counter
-from collections.abc import Mapping
 
-from rtcal.acoustics.equations import LinearEquation
 from rtcal.acoustics.room import Room
 from rtcal.io import material_list
-from rtcal.io.material_export import ExportReport, write_list
-from rtcal.io.material_list import ListedMaterial, MaterialList
-from rtcal.io.text import MAX_TEXT, Text, decode, lines, number, shown
+from rtcal.io.material_list import Format, ListedMaterial, MaterialList
+from rtcal.io.text import Text, decode, lines, shown
 from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError
-from rtcal.support.files import read_bytes
 
 __all__ = ["parse", "read", "write"]
 __dir__ = __all__.copy
@@ -42,46 +37,9 @@ LARGEST_NUMBER = 2**31 - 1
 _HEAD = re.compile(r"[ \t]*(\d{1,10})[ \t]+(\S(?:.*\S)?)[ \t]*", re.ASCII)
 
 
-def read(path: str | os.PathLike[str]) -> MaterialList:
-    """Return the materials of a library; DataError names file, line and rule."""
-    return parse(read_bytes(path, MAX_TEXT), os.fspath(path))
-
-
-@checked
-def write(
-    room: Room,
-    path: str | os.PathLike[str],
-    *,
-    template: str | os.PathLike[str] | None = None,
-    equation: LinearEquation | None = None,
-    decimals: int | None = None,
-    missing_bands: str = "refuse",
-    entries: Mapping[str, str] | None = None,
-) -> ExportReport:
-    """Write the room's coefficients into ``template``, else into ``path`` if it exists.
-
-    If neither exists, the file is a new library. It has all eight octaves; with
-    ``missing_bands="nearest"``, octaves that the room lacks have the coefficients of the nearest
-    one. A material's name is "number description"; names without a number get numbers from 10001
-    on. Returns the effect of the rounding on T, as `catt.write`.
-    """
-    return write_list(
-        room,
-        path,
-        read=read,
-        new_list=_new_list,
-        template=template,
-        equation=equation,
-        decimals=decimals,
-        entries=entries,
-        new_bands=BANDS,
-        missing_bands=missing_bands,
-    )
-
-
 @checked
 def parse(content: bytes, path: str = "ODEON file") -> MaterialList:
-    """Return the materials of a library's content; see `read`."""
+    """Return the materials of a library's content. DataError names file, line and rule."""
     text = decode(content, path)
     materials: list[ListedMaterial] = []
     line_of_number: dict[int, int] = {}
@@ -122,24 +80,21 @@ def parse(content: bytes, path: str = "ODEON file") -> MaterialList:
 
 
 def _material(head: re.Match[str], raw: str, start: int, place: str, line: int) -> ListedMaterial:
-    tokens = list(re.finditer(r"\S+", raw))
-    if len(tokens) != len(BANDS):
-        raise DataError(
-            f"{place}: {len(tokens)} values; there are 8, for the octaves 63 Hz to 8 kHz"
-        )
-    values = [number(t.group(), place) for t in tokens]
-    material_list.check_coefficients(values, 1.0, place)
+    row = material_list.tokens(r"\S+", raw, start)
+    if len(row) != len(BANDS):
+        raise DataError(f"{place}: {len(row)} values; there are 8, for the octaves 63 Hz to 8 kHz")
     return ListedMaterial(
         name=f"{int(head.group(1))} {head.group(2)}",
         line=line,
-        alpha=tuple(values),
+        alpha=material_list.coefficients(material_list.numbers(row, place), place),
         centre_frequencies=BANDS,
-        spans=tuple((start + t.start(), start + t.end()) for t in tokens),
+        spans=material_list.spans(row),
         decimals=DECIMALS,
     )
 
 
-def _new_list(room: Room) -> MaterialList:
+def _new(room: Room) -> bytes:
+    """Return a new library; names without a number get numbers from 10001 on."""
     rows = []
     for i, name in enumerate(room.materials):
         if not (name.isprintable() and name.strip() == name and name):
@@ -147,4 +102,8 @@ def _new_list(room: Room) -> MaterialList:
         numbered = re.match(r"\d{1,10} \S", name, re.ASCII)
         rows.append(name if numbered else f"{10001 + i} {name}")
         rows.append("\t" + "\t".join(f"{a:.{DECIMALS}f}" for a in room.alpha[i]))
-    return parse(Text("", codec="cp1252").encode("\r\n".join(rows) + "\r\n"))
+    return Text("", codec="cp1252").encode("\r\n".join(rows) + "\r\n")
+
+
+_FORMAT = Format(parse=parse, new=_new, bands=lambda _: BANDS)
+read, write = _FORMAT.read, _FORMAT.write

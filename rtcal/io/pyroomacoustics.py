@@ -18,22 +18,18 @@ Source: pyroomacoustics 0.10.1, ``data/materials.json`` and ``parameters.Materia
 from __future__ import annotations
 
 import json
-import os
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any
 
 from rtcal.acoustics import bands
-from rtcal.acoustics.equations import LinearEquation
 from rtcal.acoustics.room import Room
 from rtcal.io import material_list
-from rtcal.io.material_export import ExportReport, write_list
-from rtcal.io.material_list import ListedMaterial, MaterialList
-from rtcal.io.text import MAX_TEXT, decode, line_of, number, shown
+from rtcal.io.material_list import Format, ListedMaterial, MaterialList
+from rtcal.io.text import decode, line_of, shown
 from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError
-from rtcal.support.files import read_bytes
 
 __all__ = ["parse", "read", "write"]
 __dir__ = __all__.copy
@@ -43,38 +39,6 @@ MAX_DEPTH = 32
 _TOKEN = re.compile(r'[ \t\r\n]*("(?:[^"\\]|\\.)*"|[{}\[\]:,]|[^\s{}\[\]:,"]+)', re.S)
 Keys = tuple[str | int, ...]
 """The path to a value: keys of objects and indices of lists."""
-
-
-def read(path: str | os.PathLike[str]) -> MaterialList:
-    """Return the materials of a JSON file; DataError names file, line and rule."""
-    return parse(read_bytes(path, MAX_TEXT), os.fspath(path))
-
-
-@checked
-def write(
-    room: Room,
-    path: str | os.PathLike[str],
-    *,
-    template: str | os.PathLike[str] | None = None,
-    equation: LinearEquation | None = None,
-    decimals: int | None = None,
-    entries: Mapping[str, str] | None = None,
-) -> ExportReport:
-    """Write the room's coefficients into ``template``, else into ``path`` if it exists.
-
-    If neither exists, the file is a new data base. Without ``decimals`` all digits are written, so
-    that T does not change.
-    """
-    return write_list(
-        room,
-        path,
-        read=read,
-        new_list=_new_list,
-        template=template,
-        equation=equation,
-        decimals=decimals,
-        entries=entries,
-    )
 
 
 @checked
@@ -104,9 +68,9 @@ def dictionaries(room: Room) -> dict[str, dict[str, Any]]:
 
 @checked
 def parse(content: bytes, path: str = "JSON file") -> MaterialList:
-    """Return the materials of a JSON file's content; see `read`."""
+    """Return the materials of a JSON file's content; DataError names the line and the rule."""
     text = decode(content, path)
-    lists: dict[Keys, list[tuple[str, int, int]]] = {}
+    lists: dict[Keys, list[material_list.Token]] = {}
     for where, token, begin, end in _scalars(text.characters, path):
         if (
             len(where) > 1
@@ -125,17 +89,18 @@ def parse(content: bytes, path: str = "JSON file") -> MaterialList:
             continue
         line = line_of(text.characters, numbers[0][1])
         place = f"{path}, line {line}"
-        values = [number(t, place) for t, _, _ in numbers]
         of_scattering = where[0] == "scattering"
-        material_list.check_coefficients(
-            values, 1.0, place, "scattering" if of_scattering else "alpha"
+        values = material_list.coefficients(
+            material_list.numbers(numbers, place),
+            place,
+            name="scattering" if of_scattering else "alpha",
         )
         beside = (*where[:-1], "center_freqs")
         centres = lists.get(beside) or lists.get(("center_freqs",))
         if centres is None:
             raise DataError(f"{place}: these coefficients have no center_freqs")
         frequencies = bands.as_bands(
-            [number(t, place) for t, _, _ in centres], f"{place}: center_freqs"
+            material_list.numbers(centres, place), f"{place}: center_freqs"
         )
         if len(values) != len(frequencies) and not (
             beside not in lists and len(values) < len(frequencies)
@@ -146,10 +111,10 @@ def parse(content: bytes, path: str = "JSON file") -> MaterialList:
         listed = ListedMaterial(
             name=str(where[-2]) if len(where) > 1 else "material",
             line=line,
-            alpha=tuple(values),
+            alpha=values,
             # In pyroomacoustics, a shorter list begins at the lowest band of its data base.
             centre_frequencies=tuple(float(f) for f in frequencies[: len(values)]),
-            spans=tuple((b, e) for _, b, e in numbers),
+            spans=material_list.spans(numbers),
         )
         if of_scattering:
             scattering.setdefault(listed.name, listed)
@@ -221,7 +186,7 @@ def _key(token: str, place: str) -> str:
         raise DataError(f'{place}: "{shown(token)}" is not a JSON string') from error
 
 
-def _new_list(room: Room) -> MaterialList:
+def _new(room: Room) -> bytes:
     entries = dictionaries(room)
     content: dict[str, Any] = {
         "center_freqs": [float(f) for f in room.centre_frequencies],
@@ -233,4 +198,8 @@ def _new_list(room: Room) -> MaterialList:
         content["scattering"] = {
             "Calibrated": {name: entry["scattering"] for name, entry in entries.items()}
         }
-    return parse((json.dumps(content, indent=2, ensure_ascii=False) + "\n").encode("utf-8"))
+    return (json.dumps(content, indent=2, ensure_ascii=False) + "\n").encode("utf-8")
+
+
+_FORMAT = Format(parse=parse, new=_new)
+read, write = _FORMAT.read, _FORMAT.write

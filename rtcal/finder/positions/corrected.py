@@ -25,7 +25,7 @@ from rtcal.finder.finding import Candidate
 from rtcal.finder.positions.case import PositionsCase
 from rtcal.finder.positions.surfaces import NEAR, face_at, patched
 from rtcal.io import catt, obj, odeon
-from rtcal.io.material_export import ExportReport
+from rtcal.io.material_list import ExportReport
 from rtcal.simulators.geometry import Polyhedron
 from rtcal.simulators.path_tracing import PathTracing
 from rtcal.support import checks, files
