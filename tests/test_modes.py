@@ -423,7 +423,7 @@ def test_units_and_decimals_of_a_table(tmp_path, table):
 
 def test_wrong_arguments():
     modes = heard(TRUTH)
-    with pytest.raises(DataError, match="MeasuredModes"):
+    with pytest.raises(DataError, match=r"modes = \[40.0\] is not a rtcal.*MeasuredModes"):
         rt.calibrate_modes(ROOM, [40.0])
     with pytest.raises(DataError, match="neither a mesh nor dimensions"):
         rt.calibrate_modes(ROOM.replace(dimensions=None), modes)

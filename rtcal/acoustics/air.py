@@ -8,7 +8,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from rtcal.support import checks
-from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError
 from rtcal.support.types import Array
 
@@ -75,7 +74,6 @@ class Air:
         """c = 331.3 sqrt(1 + t / 273.15) in m/s, t the temperature in °C."""
         return float(331.3 * np.sqrt(1 + self.temperature / 273.15))
 
-    @checked
     def attenuation(self, frequencies: Iterable[float]) -> Array:
         """Return the energy attenuation m in 1/m at ``frequencies`` (Hz), (n_bands,).
 

@@ -28,7 +28,6 @@ from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.observables import ITSELF, TARGET, Scale, observable
 from rtcal.acoustics.room import Room
 from rtcal.support import checks
-from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError
 from rtcal.support.types import Array
 
@@ -145,7 +144,6 @@ def absorption(values: Array, frequencies: Iterable[float], wanted: Iterable[flo
     return _averaged(ITSELF, values, _Columns(frequencies, wanted))
 
 
-@checked
 def parameter(
     values: Array, frequencies: Iterable[float], wanted: Iterable[float], name: str = TARGET.key
 ) -> Array:
@@ -177,7 +175,6 @@ def parameter(
     return _averaged(kind.averaging, values, _Columns(frequencies, wanted))
 
 
-@checked
 def parameter_uncertainty(
     uncertainty: Array,
     values: Array,
@@ -272,7 +269,6 @@ def measurement(measured: Measurement, wanted: Iterable[float]) -> Measurement:
     )
 
 
-@checked
 def measurement_in_room_bands(measured: Measurement, wanted: Iterable[float]) -> Measurement:
     """Return the measurement in exactly the ``wanted`` bands, with missing values where it has none.
 

@@ -13,7 +13,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtcal.support import checks
-from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError
 from rtcal.support.types import Array
 
@@ -85,7 +84,6 @@ _MIDDLE = 440.0, 2300.0  # Hz, just outside the third octaves of 500 Hz and 2 kH
 _LOWEST = 20.0  # Hz, the limit of hearing. Frequencies in kHz, at most 20, lie below
 
 
-@checked
 def nominal(frequency: float) -> float:
     """Return the nominal third-octave centre within 1.5 % of ``frequency`` (Hz), else itself.
 
@@ -104,7 +102,6 @@ def _nominal(frequency: float) -> float:
     return float(nearest) if abs(frequency / nearest - 1) <= _TOLERANCE else float(frequency)
 
 
-@checked
 def octaves(lowest: float = 125, highest: float = 4000) -> tuple[float, ...]:
     """Return the nominal octave centres from ``lowest`` to ``highest`` (Hz).
 
@@ -116,7 +113,6 @@ def octaves(lowest: float = 125, highest: float = 4000) -> tuple[float, ...]:
     return tuple(f for f in OCTAVES if lowest <= f <= highest)
 
 
-@checked
 def third_octaves(lowest: float = 100, highest: float = 5000) -> tuple[float, ...]:
     """Return the nominal third-octave centres from ``lowest`` to ``highest`` (Hz).
 
@@ -142,7 +138,6 @@ def hertz(frequencies: Sequence[float]) -> str:
     return (", ".join(texts[:-1]) + " and " if len(texts) > 1 else "") + texts[-1] + " Hz"
 
 
-@checked
 def label(frequency: float) -> str:
     """Return the band's name in tables and messages.
 
@@ -165,7 +160,6 @@ def labels(frequencies: Iterable[float]) -> list[str]:
     return [label(frequency) for frequency in frequencies]
 
 
-@checked
 def span(frequencies: Sequence[float] | Array) -> str:
     """Return the number of bands with the first and the last, as part of a sentence.
 
@@ -234,7 +228,6 @@ def _refuse_mistyped(f: Array, place: str) -> None:
             )
 
 
-@checked
 def index(frequencies: Array, frequency: float) -> int | None:
     """Return where ``frequency`` (Hz) stands in ``frequencies`` (within 1.5 %), or None.
 
@@ -247,7 +240,6 @@ def index(frequencies: Array, frequency: float) -> int | None:
     return int(near[0]) if near.size else None
 
 
-@checked
 def is_middle(frequencies: Array) -> NDArray[np.bool_]:
     """Return which bands are octaves or thirds from 500 Hz to 2 kHz, (n_bands,).
 
@@ -260,7 +252,6 @@ def is_middle(frequencies: Array) -> NDArray[np.bool_]:
     return np.asarray((frequencies > low) & (frequencies < high))
 
 
-@checked
 def correlation(frequencies: Array, per_octave: float) -> Array:
     """Return the correlation of errors between bands, (n_bands, n_bands): per_octave ** octaves.
 
@@ -283,7 +274,6 @@ def correlation(frequencies: Array, per_octave: float) -> Array:
     return np.asarray(np.where(apart == 0, 1.0, per_octave**apart))
 
 
-@checked
 def bandwidth_factor(frequencies: Array) -> float:
     """Return bandwidth / centre frequency: 0.71 for octaves, 0.23 for third-octaves.
 
@@ -295,7 +285,6 @@ def bandwidth_factor(frequencies: Array) -> float:
     return 0.23 if float(np.min(frequencies[1:] / frequencies[:-1])) < np.sqrt(2) else 0.71
 
 
-@checked
 def schroeder_frequency(t: Array, volume: float) -> Array:
     """Return 2000 sqrt(T / V) in Hz, T in s and V in m³ (Schroeder & Kuttruff 1962).
 
@@ -307,7 +296,6 @@ def schroeder_frequency(t: Array, volume: float) -> Array:
     return np.asarray(2000 * np.sqrt(np.asarray(t, dtype=float) / volume))
 
 
-@checked
 def mid_frequency_time(t: Array, centre_frequencies: Array) -> float:
     """Return the mean of T over the octaves 500 and 1000 Hz, or their thirds; else over all bands.
 

@@ -79,7 +79,6 @@ from rtcal.acoustics.materials import Material
 from rtcal.acoustics.room import Room
 from rtcal.acoustics.targets import Target, target_of
 from rtcal.support import checks
-from rtcal.support.arguments import checked
 from rtcal.support.checks import Entries, toml_table
 from rtcal.support.errors import DataError
 
@@ -109,7 +108,6 @@ class Variant:
             raise DataError(f"cost = {self.cost:g} is not finite and 0 or more")
 
 
-@checked
 def read_variants(
     content: str, room: Room, catalogue: Catalogue | None = None
 ) -> tuple[Variant, ...]:
@@ -274,7 +272,6 @@ MOST_PANELS = 500
 """Most whole panels of a treatment: with more, whole ones are no rule that costs anything."""
 
 
-@checked
 @dataclass(frozen=True)
 class Treatment:
     """A material that may be put into the room.
@@ -341,7 +338,6 @@ class Treatment:
         return self.material if isinstance(self.material, str) else self.material.name
 
 
-@checked
 def read_treatments(
     content: str, room: Room, catalogue: Catalogue | None = None
 ) -> tuple[tuple[Treatment, ...], Target, float]:

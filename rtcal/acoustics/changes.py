@@ -16,7 +16,6 @@ from rtcal.acoustics.materials import Material
 from rtcal.acoustics.room import Room
 from rtcal.acoustics.scene import Scene
 from rtcal.support import checks
-from rtcal.support.arguments import check_fields, checked
 from rtcal.support.errors import DataError
 from rtcal.support.text import without_looks
 from rtcal.support.types import Array
@@ -36,15 +35,11 @@ _ROUNDING = 1e-9
 class Change(ABC):
     """A change of a room; it makes the room that it leads to."""
 
-    def __post_init__(self) -> None:
-        check_fields(self)
-
     @abstractmethod
     def apply(self, room: Room) -> Room:
         """Return the changed room; DataError if the room does not allow the change."""
 
 
-@checked
 @dataclass(frozen=True)
 class Cover(Change):
     """A surface is covered: what lies below it no longer absorbs. The total surface stays.
@@ -73,6 +68,11 @@ class Cover(Change):
     by: Material | str
     area: float | None = None
 
+    def __post_init__(self) -> None:
+        checks.text("Cover: surface", self.surface)
+        _check_material("Cover: by", self.by)
+        _check_area("Cover", self.area)
+
     def apply(self, room: Room) -> Room:
         """Return the room with the surface covered."""
         area = _taken(room, self.surface, self.area)
@@ -83,7 +83,6 @@ class Cover(Change):
         return f'cover {_amount(self.area)} of "{self.surface}" by "{_name(self.by)}"'
 
 
-@checked
 @dataclass(frozen=True)
 class Add(Change):
     """Something free-standing is added: the total surface grows, and nothing is covered.
@@ -108,10 +107,14 @@ class Add(Change):
     material: Material | str
     area: float
 
+    def __post_init__(self) -> None:
+        _check_material("Add: material", self.material)
+        checks.positive("Add: area", self.area, "m²")
+
     def apply(self, room: Room) -> Room:
         """Return the room with what is added."""
         most = MOST_ADDED * room.total_area
-        if checks.positive("area", self.area, " m²") > most:
+        if self.area > most:
             raise DataError(
                 f"area = {self.area:g} m² is more than {most:g} m², {MOST_ADDED:g} times the room's "
                 "surface"
@@ -124,7 +127,6 @@ class Add(Change):
         return f'add {_amount(self.area)} of "{_name(self.material)}"'
 
 
-@checked
 @dataclass(frozen=True)
 class Remove(Change):
     """Something free-standing is removed: the total surface shrinks.
@@ -148,6 +150,10 @@ class Remove(Change):
     material: str
     area: float | None = None
 
+    def __post_init__(self) -> None:
+        checks.text("Remove: material", self.material)
+        _check_area("Remove", self.area)
+
     def apply(self, room: Room) -> Room:
         """Return the room without it."""
         left = _with_less(room, self.material, _taken(room, self.material, self.area))
@@ -159,7 +165,6 @@ class Remove(Change):
         return f'remove {_amount(self.area)} of "{self.material}"'
 
 
-@checked
 @dataclass(frozen=True)
 class Open(Change):
     """A part of a surface is opened: alpha = 1 there, exactly.
@@ -183,6 +188,10 @@ class Open(Change):
     surface: str
     area: float | None = None
 
+    def __post_init__(self) -> None:
+        checks.text("Open: surface", self.surface)
+        _check_area("Open", self.area)
+
     def apply(self, room: Room) -> Room:
         """Return the room with the opening."""
         return self.cover(room).apply(room)
@@ -196,7 +205,6 @@ class Open(Change):
         return f'open {_amount(self.area)} of "{self.surface}"'
 
 
-@checked
 @dataclass(frozen=True)
 class Climate(Change):
     """Another climate: temperature, humidity and pressure of the air.
@@ -209,6 +217,9 @@ class Climate(Change):
 
     air: Air
 
+    def __post_init__(self) -> None:
+        checks.instance("Climate: air", self.air, Air)
+
     def apply(self, room: Room) -> Room:
         """Return the room in this air."""
         return room.with_air(self.air)
@@ -217,7 +228,6 @@ class Climate(Change):
         return f"air of {self.air.temperature:g} °C and {self.air.humidity:g} %"
 
 
-@checked
 @dataclass(frozen=True)
 class NewVolume(Change):
     """Another volume in m³. The surfaces stay: `Add` and `Remove` change them.
@@ -230,10 +240,13 @@ class NewVolume(Change):
 
     volume: float
 
+    def __post_init__(self) -> None:
+        checks.positive("NewVolume: volume", self.volume, "m³")
+
     def apply(self, room: Room) -> Room:
         """Return the room with this volume; DataError for one a hundred times as small or large."""
         least, most = room.volume / MOST_VOLUME, room.volume * MOST_VOLUME
-        if not least <= checks.positive("volume", self.volume, "m³") <= most:
+        if not least <= self.volume <= most:
             raise DataError(
                 f"volume = {self.volume:g} m³ is not from {least:g} to {most:g} m³: the room has "
                 f"{room.volume:g} m³"
@@ -244,7 +257,6 @@ class NewVolume(Change):
         return f"volume of {self.volume:g} m³"
 
 
-@checked
 def changed(room: Room, changes: Change | Sequence[Change]) -> Room:
     """Return the room after one or several changes, in their order.
 
@@ -400,6 +412,16 @@ def _name(material: Material | str) -> str:
     return material if isinstance(material, str) else material.name
 
 
+def _check_material(place: str, value: object) -> None:
+    if not isinstance(value, Material | str):
+        raise DataError(f"{place} = {checks.shown(value)} is no Material and no name of one")
+
+
+def _check_area(kind: str, area: object) -> None:
+    if area is not None:
+        checks.positive(f"{kind}: area", area, "m²")
+
+
 def _amount(area: float | None) -> str:
     return "all" if area is None else f"{area:g} m²"
 
@@ -409,7 +431,7 @@ def _taken(room: Room, surface: str, area: float | None) -> float:
     has = float(room.areas[room.material_index(surface)])
     if area is None:
         return has
-    if checks.positive("area", area, "m²") > has * (1 + _ROUNDING):
+    if area > has * (1 + _ROUNDING):
         raise DataError(f'area = {area:g} m² is more than the {has:g} m² of "{surface}"')
     return has if area > has * (1 - _ROUNDING) else area
 

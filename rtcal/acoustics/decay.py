@@ -27,7 +27,6 @@ from rtcal.acoustics.observables import (
 from rtcal.acoustics.observables import cut_off_db as cut_off_db
 from rtcal.acoustics.observables import decay_curve_db as decay_curve_db
 from rtcal.support import checks
-from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError, TooShortError, of_bands
 from rtcal.support.types import Array
 
@@ -119,7 +118,6 @@ def checked_decay(energy: Array, bin_width: float = 1.0) -> Array:
     return energy
 
 
-@checked
 def decay_time(energy: Array, bin_width: float, parameter: str = TARGET.key) -> Array:
     """Return a decay time in s, (...): -60 dB over the slope of the decay curve within its range.
 
@@ -154,7 +152,6 @@ def decay_time(energy: Array, bin_width: float, parameter: str = TARGET.key) -> 
     return _decay_time(parameter).value(checked_decay(energy, bin_width), bin_width)
 
 
-@checked
 def too_short(energy: Array, parameter: str = TARGET.key) -> NDArray[np.bool_]:
     """Return whether the decay is cut off too early to hold a decay time, (...)."""
     return _decay_time(parameter).too_short(checked_decay(energy))
@@ -167,7 +164,6 @@ def _decay_time(parameter: str) -> DecaySlope:
     return known[parameter]
 
 
-@checked
 def parameters(
     energy: Array, bin_width: float, names: Sequence[str] | None = None
 ) -> dict[str, Array]:
@@ -183,7 +179,6 @@ def parameters(
     return {name: np.where(np.isfinite(v), v, np.nan) for name, v in values.items()}
 
 
-@checked
 def gradients(energy: Array, bin_width: float, parameters: Sequence[str]) -> Array:
     """Return d parameter / d energy of each bin, (n_parameters, ..., n_bins).
 
@@ -231,7 +226,6 @@ def _observables(names: Sequence[str]) -> list[Observable]:
     return [OBSERVABLES[name] if name in OBSERVABLES else observable(name) for name in names]
 
 
-@checked
 def measurement(
     energy: Array,
     bin_width: float,

@@ -11,7 +11,6 @@ import numpy as np
 
 from rtcal.acoustics.materials import AXES, Surface
 from rtcal.acoustics.room import Room
-from rtcal.support.arguments import checked
 from rtcal.support.types import Array
 
 __all__ = ["enough_known", "facing", "kind_of"]
@@ -48,7 +47,6 @@ NOT_KNOWN = (
 """Why an effect is not judged in a room whose directions are not known."""
 
 
-@checked
 def facing(room: Room, geometry: FacesOfMaterials | None = None) -> Array:
     """Return each material's shares of area across x, y and z, (n_materials, 3); NaN where unknown.
 
@@ -102,7 +100,6 @@ def facing(room: Room, geometry: FacesOfMaterials | None = None) -> Array:
     )
 
 
-@checked
 def enough_known(room: Room, shares: Array) -> bool:
     """Return whether the directions of most of the absorption are known; ``shares`` as of `facing`."""
     unknown = np.isnan(shares).any(axis=1)
@@ -142,7 +139,6 @@ _TO = frozenset(["to", "bis", "au", "à", "al", "ao"])
 _NO_COMPOUNDS = ("leinwand", "vorwand", "gewand")
 
 
-@checked
 def kind_of(name: str) -> str | None:
     """Return "floor", "ceiling", "wall" or "floor and ceiling" where a name says it, else None.
 

@@ -12,7 +12,6 @@ from numpy.typing import ArrayLike
 
 from rtcal.acoustics.materials import text_name
 from rtcal.support import checks
-from rtcal.support.arguments import checked
 from rtcal.support.checks import Entries
 from rtcal.support.errors import DataError
 from rtcal.support.types import Array, read_only
@@ -26,7 +25,6 @@ _MOST = 361
 _PARALLEL = 1e-3
 
 
-@checked
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Directivity:
     """The energy that a loudspeaker radiates in each direction: an index's lobe, or a balloon.
@@ -194,7 +192,6 @@ class Directivity:
             raise DataError(f"{place}.{error}") from None
 
 
-@checked
 @dataclass(frozen=True, kw_only=True)
 class DirectivityFile:
     """A file with a loudspeaker's balloon, and how it is aimed. It names the file and does not read it.

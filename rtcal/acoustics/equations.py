@@ -26,7 +26,6 @@ import numpy as np
 from rtcal.acoustics import bands
 from rtcal.acoustics.room import AXES, Room
 from rtcal.support import checks
-from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError, InfeasibleError, ModelError, of_bands
 from rtcal.support.types import Array
 
@@ -130,32 +129,26 @@ class MeanEquation(ReverberationEquation, ABC):
         """The mean up to which the exponent rises and can be inverted."""
         return np.inf
 
-    @checked
     def contribution(self, alpha: Array) -> Array:
         """Return h(alpha), the contribution of a wall to the mean."""
         return np.asarray(alpha)
 
-    @checked
     def coefficient(self, contribution: Array) -> Array:
         """Return the alpha of a wall with this contribution: the inverse of `contribution`."""
         return np.asarray(contribution)
 
-    @checked
     def contribution_slope(self, alpha: Array) -> Array:
         """Return dh / d alpha."""
         return np.ones_like(alpha)
 
-    @checked
     def exponent(self, mean: Array) -> Array:
         """Return the absorption exponent a = E(mean)."""
         return np.asarray(mean)
 
-    @checked
     def inverse(self, exponent: Array) -> Array:
         """Return the mean that has this exponent, NaN where none has: the inverse of `exponent`."""
         return np.asarray(exponent)
 
-    @checked
     def slope(self, mean: Array) -> Array:
         """Return d exponent / d mean."""
         return np.ones_like(mean)
@@ -202,14 +195,12 @@ class LinearEquation(MeanEquation):
         """Return the equation itself."""
         return self
 
-    @checked
     def time(self, room: Room, absorption_area: Array) -> Array:
         """Return T in s for the surfaces' absorption area S'alpha in m², both (..., n_bands)."""
         checks.instance("room", room, Room)
         exponent = self.exponent(absorption_area / room.total_area)
         return self._time(room, room.total_area * exponent)
 
-    @checked
     def target(self, room: Room, t: Array) -> Array:
         """Return b in m², (..., n_bands), for T in s, without a check that the bounds can reach it.
 
@@ -218,14 +209,12 @@ class LinearEquation(MeanEquation):
         """
         return np.asarray(room.total_area * self.inverse(self.exponent_of_time(room, t)))
 
-    @checked
     def exponent_of_time(self, room: Room, t: Array) -> Array:
         """Return the absorption exponent (k V / T - 4 m V) / S that T in s asks for, (..., n_bands)."""
         with np.errstate(over="ignore"):
             total = self.room_constant(room) * room.volume / np.asarray(t, dtype=float)
         return np.asarray((total - 4 * room.air_attenuation * room.volume) / room.total_area)
 
-    @checked
     def target_sensitivity(self, room: Room, t: Array) -> Array:
         """Return db/dT in m²/s, (n_bands,): negative, since a longer T needs less absorption."""
         t = np.asarray(t, dtype=float)
@@ -233,7 +222,6 @@ class LinearEquation(MeanEquation):
             total_slope = -self.room_constant(room) * room.volume / t**2
             return np.asarray(total_slope / self.slope(self.target(room, t) / room.total_area))
 
-    @checked
     def air_share(self, room: Room, absorption_area: Array) -> Array:
         """Return the air's share 4mV / (S a + 4mV) of the whole absorption, (n_bands,)."""
         air = 4 * room.air_attenuation * room.volume
@@ -328,20 +316,17 @@ class Eyring(LinearEquation):
         """1 - exp(-25): above it, the mean coefficient determines T only to rounding."""
         return float(-np.expm1(-_LARGEST_EXPONENT))
 
-    @checked
     def exponent(self, mean: Array) -> Array:
         """Return -ln(1 - mean alpha), infinite at 1."""
         with np.errstate(divide="ignore"):
             return np.asarray(-np.log1p(-np.minimum(mean, 1.0)))
 
-    @checked
     def inverse(self, exponent: Array) -> Array:
         """Return 1 - exp(-exponent); NaN above 25, where it would lose T to rounding."""
         with np.errstate(over="ignore"):
             mean = -np.expm1(-np.asarray(exponent, dtype=float))
         return np.asarray(np.where(np.asarray(exponent) > _LARGEST_EXPONENT, np.nan, mean))
 
-    @checked
     def slope(self, mean: Array) -> Array:
         """Return 1 / (1 - mean alpha)."""
         with np.errstate(divide="ignore"):
@@ -400,18 +385,15 @@ class Millington(MeanEquation):
     # An opening has alpha = 1 and would make T zero; 0.999 counts it as 6.9 times its area.
     largest_alpha: ClassVar[float] = 0.999
 
-    @checked
     def contribution(self, alpha: Array) -> Array:
         """Return the wall's exponent -ln(1 - alpha), infinite at 1."""
         with np.errstate(divide="ignore"):
             return np.asarray(-np.log1p(-np.asarray(alpha, dtype=float)))
 
-    @checked
     def coefficient(self, contribution: Array) -> Array:
         """Return 1 - exp(-contribution)."""
         return np.asarray(-np.expm1(-np.asarray(contribution, dtype=float)))
 
-    @checked
     def contribution_slope(self, alpha: Array) -> Array:
         """Return 1 / (1 - alpha)."""
         with np.errstate(divide="ignore"):
@@ -470,7 +452,6 @@ class Kuttruff(LinearEquation):
         """1 - exp(-1 / gamma²), where T is shortest."""
         return float(-np.expm1(-1 / self.path_variance))
 
-    @checked
     def exponent(self, mean: Array) -> Array:
         """Return a' (1 - gamma² a' / 2); ModelError beyond the peak, where it does not hold."""
         beyond = np.atleast_1d(mean) > self.largest_mean * (1 + 1e-12)
@@ -483,7 +464,6 @@ class Kuttruff(LinearEquation):
         eyring = -np.log1p(-np.asarray(mean, dtype=float))
         return np.asarray(eyring * (1 - self.path_variance * eyring / 2))
 
-    @checked
     def inverse(self, exponent: Array) -> Array:
         """Return the mean coefficient below the peak; NaN for an exponent above the peak's."""
         # The quotient keeps the digits of small exponents. Up to 1e-14 is rounding at the peak.
@@ -492,7 +472,6 @@ class Kuttruff(LinearEquation):
         eyring = 2 * np.asarray(exponent, dtype=float) / (1 + np.sqrt(inside))
         return np.asarray(-np.expm1(-eyring))
 
-    @checked
     def slope(self, mean: Array) -> Array:
         """Return (1 - gamma² a') / (1 - mean alpha), 0 at the peak."""
         eyring = -np.log1p(-np.asarray(mean, dtype=float))

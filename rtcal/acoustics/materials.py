@@ -12,7 +12,6 @@ import numpy as np
 from rtcal.acoustics import bands
 from rtcal.acoustics.air import Air
 from rtcal.support import checks
-from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError
 from rtcal.support.text import LOOKS, look_alike, shortened
 from rtcal.support.types import Array, read_only
@@ -47,7 +46,6 @@ class Material:
     source: str = ""
 
 
-@checked
 @dataclass(frozen=True)
 class Surface:
     """One surface of a room: its material, its area in m² and the axis it stands across.
@@ -273,6 +271,8 @@ def by_material(stated: Any, materials: Sequence[str], areas: Array) -> Array:
 
     Raises DataError for a value that is no relative one nor a text in m², and for an unknown material.
     """
+    if isinstance(stated, np.ndarray):
+        stated = stated.tolist()
     if isinstance(stated, Mapping):
         if unknown := [name for name in stated if name not in materials]:
             raise DataError(
@@ -280,12 +280,12 @@ def by_material(stated: Any, materials: Sequence[str], areas: Array) -> Array:
                 f"{', '.join(materials)}"
             )
         listed = [stated.get(name, 0.0) for name in materials]
-    elif isinstance(stated, str) or np.ndim(stated) == 0:
+    elif not isinstance(stated, list | tuple):
         listed = [stated] * len(materials)
-    elif not np.any(listed := list(stated)):
-        for value in listed:
-            relative("area_sigma", value)
+    elif all(type(v) in (int, float) and v == 0 for v in stated):
         listed = [0.0] * len(materials)  # nothing stated, also of a room that had other materials
+    else:
+        listed = list(stated)
     if len(listed) != len(materials):
         raise DataError(
             f"area_sigma has {len(listed)} values; there are {len(materials)} materials"

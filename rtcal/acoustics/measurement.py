@@ -19,7 +19,6 @@ from rtcal.acoustics.observables import (
     parameter_label,
 )
 from rtcal.support import checks, text
-from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError
 from rtcal.support.files import write_text
 from rtcal.support.types import Array
@@ -127,7 +126,6 @@ class Measurement:
         fields = {n: repeats.averaged(getattr(self, n), rows, n) for n in ("values", "uncertainty")}
         return {"pairs": tuple(rows), **fields}
 
-    @checked
     def with_repeats(
         self,
         *,
@@ -283,7 +281,6 @@ class Measurement:
             },
         )
 
-    @checked
     def mean(self, parameter: str) -> Array:
         """Return the arithmetic mean over the pairs that have a value, (n_bands,), NaN if none has.
 
@@ -304,7 +301,6 @@ class Measurement:
         used = {parameter_label(p) for p in self.decay_time().parameter if p}
         return " and ".join(sorted(used)) or TARGET.label
 
-    @checked
     def mean_uncertainty(self, parameter: str) -> Array:
         """Return the standard uncertainty u of `mean`, (n_bands,), NaN where it is unknown.
 
@@ -378,7 +374,6 @@ class Measurement:
         used = [pair for pair, used in zip(self.pairs, has_value, strict=True) if used]
         return float(max(len({s for s, _ in used}), len({r for _, r in used}), 0))
 
-    @checked
     def select(self, pairs: Iterable[tuple[str, str]]) -> Measurement:
         """Return the measurement at these pairs alone, in their order.
 
@@ -447,7 +442,6 @@ class Measurement:
         """Return the measurement as the text of its CSV file; reading it gives the same numbers."""
         return measurement_files.text(self.to_dict())
 
-    @checked
     def save(self, path: str) -> None:
         """Write the measurement to CSV, whole or not at all."""
         write_text(path, self.to_text())

@@ -18,7 +18,6 @@ import numpy as np
 
 from rtcal.acoustics import bands
 from rtcal.support import checks
-from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError
 from rtcal.support.types import Array, read_only
 
@@ -115,7 +114,6 @@ class TruncatedNormal:
         if not np.all(np.asarray(self.lower) < np.asarray(self.upper)):
             raise DataError("truncated normal: lower must be below upper")
 
-    @checked
     def log_pdf(self, x: Array) -> Array:
         """Return the natural logarithm of the density at ``x``; -inf outside [lower, upper]."""
         x = np.asarray(x, dtype=float)
@@ -125,7 +123,6 @@ class TruncatedNormal:
         inside = -slope * offset - offset**2 / 2 - np.log(scale * self.sigma)
         return np.where((x < self.lower) | (x > self.upper), -np.inf, inside)
 
-    @checked
     def pdf(self, x: Array) -> Array:
         """Return the density at ``x`` (Eq. 13)."""
         return np.asarray(np.exp(self.log_pdf(x)))
@@ -140,7 +137,6 @@ class TruncatedNormal:
         *_, second = self._moments()
         return np.asarray(np.asarray(self.sigma) ** 2 * second)
 
-    @checked
     def sample(self, rng: np.random.Generator, size: tuple[int, ...] = ()) -> Array:
         """Return draws of shape ``size`` + the parameters' shape, by inversion of the distribution.
 

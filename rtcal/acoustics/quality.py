@@ -12,7 +12,6 @@ from numpy.typing import ArrayLike
 from rtcal.acoustics import bands
 from rtcal.acoustics.observables import TARGET, observable
 from rtcal.support import checks
-from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError
 from rtcal.support.text import as_sentence
 from rtcal.support.types import Array
@@ -22,7 +21,6 @@ __all__ = ["Plausibility", "agreement", "gap_jnd", "plausibility"]
 __dir__ = __all__.copy
 
 
-@checked
 def gap_jnd(model: Array, measured: Array, parameter: str = TARGET.key) -> Array:
     """Return (model - measured) in JND, signed, same shape; NaN where either is missing.
 
@@ -95,7 +93,6 @@ class Plausibility:
 Agreement = Literal["contradicts", "agrees", "too good"]
 
 
-@checked
 def agreement(p_value: float | None, p_together: float | None = None) -> Agreement | None:
     """Return whether measurement and prior contradict, agree, or agree too well to be true.
 
@@ -117,7 +114,6 @@ def agreement(p_value: float | None, p_together: float | None = None) -> Agreeme
     return "too good" if p_value > P_TOO_GOOD else "agrees"
 
 
-@checked
 def together_in_words(p_value: float, p_together: float | None) -> str:
     """Return the sentence on errors that coefficients have in common; "" where they change little.
 
@@ -141,7 +137,6 @@ LARGE_GAP = 3.0
 """A gap before calibration, in JND, that anyone hears. Agreement says little where it is allowed."""
 
 
-@checked
 def weak_agreement(gap_before: ArrayLike) -> str:
     """Return the reservation of an agreement in spite of large gaps (n_bands,); "" without one.
 
@@ -160,7 +155,6 @@ def weak_agreement(gap_before: ArrayLike) -> str:
     )
 
 
-@checked
 def plausibility(
     difference: Array, covariance: Array, bound_active: bool, together: Array | None = None
 ) -> Plausibility:

@@ -41,7 +41,6 @@ from rtcal.acoustics.materials import (
 from rtcal.acoustics.room_files import toml_text
 from rtcal.acoustics.scene import Scene
 from rtcal.support import checks, text
-from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError
 from rtcal.support.files import read_text, write_text
 from rtcal.support.text import shortened
@@ -51,7 +50,6 @@ __all__ = ["AXES", "CalibrationRecord", "Material", "Room", "Surface", "text_nam
 __dir__ = __all__.copy
 
 
-@checked
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Room:
     """A room: volume, materials with their areas, absorption coefficients and their uncertainty.
@@ -306,7 +304,6 @@ class Room:
         sigma = (0.0, 0.0) if air is None else self.climate_sigma
         return self.replace(air=air, climate_sigma=sigma)
 
-    @checked
     def place(self, name: str, material: int, band: int) -> str:
         """Return the name of one value in messages: ``alpha["carpet", 500 Hz]``."""
         checks.text("name", name)
@@ -317,12 +314,10 @@ class Room:
         frequency = bands.label(self.centre_frequencies[band])
         return f'{name}["{self.materials[material]}", {frequency}]'
 
-    @checked
     def material_index(self, name: str) -> int:
         """Return the row of the material ``name``; DataError if the room has none of that name."""
         return int(self.material_rows([checks.text("name", name)])[0])
 
-    @checked
     def material_rows(self, names: Sequence[str]) -> NDArray[np.int64]:
         """Return the rows of materials, (n,); DataError as `material_index`."""
         names = checks.texts("names", names)
@@ -343,7 +338,6 @@ class Room:
             raise DataError(f"a room cannot be changed so: {error}") from error
 
     @classmethod
-    @checked
     def from_surfaces(
         cls,
         *,
@@ -384,7 +378,6 @@ class Room:
         )
 
     @classmethod
-    @checked
     def from_geometry(
         cls,
         geometry: Geometry,
@@ -418,7 +411,6 @@ class Room:
         return room_files.plain(self)
 
     @classmethod
-    @checked
     def from_dict(cls, data: Mapping[str, Any], place: str = "room") -> Room:
         """Return the room of plain values, as `to_dict` gives them.
 
@@ -434,7 +426,6 @@ class Room:
         return room.replace(scene=room.scene.within(Path(path).parent)) if room.scene else room
 
     @classmethod
-    @checked
     def from_text(cls, text: str, place: str) -> Room:
         """Return the room of a TOML text; messages begin with ``place``."""
         try:
@@ -450,7 +441,6 @@ class Room:
         room = self if folder is None else self.replace(scene=self.scene.seen_from(folder))
         return toml_text(room.to_dict())
 
-    @checked
     def save(self, path: str) -> None:
         """Write the room to TOML, whole or not at all."""
         write_text(path, self.to_text(checks.path("path", path).parent))

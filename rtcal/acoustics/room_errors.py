@@ -25,12 +25,10 @@ from rtcal.acoustics import bands
 from rtcal.acoustics.equations import LinearEquation
 from rtcal.acoustics.room import Room
 from rtcal.support import checks
-from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError
 from rtcal.support.types import Array
 
 
-@checked
 @dataclass(frozen=True, kw_only=True)
 class Assumptions:
     """Standard deviations of what a prediction cannot know; docs/prediction_study.md tests them.

@@ -18,7 +18,6 @@ from rtcal.acoustics.directivity import (
 )
 from rtcal.acoustics.materials import text_name
 from rtcal.support import checks
-from rtcal.support.arguments import checked
 from rtcal.support.checks import Entries
 from rtcal.support.errors import DataError
 
@@ -36,7 +35,6 @@ MAX_POINTS = 1000
 """Largest number of sources, and of receivers."""
 
 
-@checked
 @dataclass(frozen=True, kw_only=True)
 class Scene:
     """Where a room's walls, sources and receivers are. It names files and reads none.

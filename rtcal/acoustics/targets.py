@@ -20,7 +20,6 @@ from numpy.typing import NDArray
 
 from rtcal.acoustics import bands
 from rtcal.support import checks
-from rtcal.support.arguments import checked
 from rtcal.support.checks import Entries
 from rtcal.support.errors import DataError
 from rtcal.support.files import json_numbers
@@ -65,7 +64,6 @@ _ANSI_BANDS = (500.0, 1000.0, 2000.0)
 _ANSI_SOURCE = "ANSI/ASA S12.60: at most {:g} s at 500, 1000 and 2000 Hz (after secondary sources)"
 
 
-@checked
 @dataclass(frozen=True, eq=False)
 class Target:
     """A range of T per band.
@@ -126,7 +124,6 @@ class Target:
         return Target(self.low / factor, np.minimum(self.high * factor, LONGEST), self.source)
 
 
-@checked
 def din_18041(group: str, volume: float, centre_frequencies: Sequence[float] | Array) -> Target:
     """Return the range of T of DIN 18041:2016, group A, for octaves from 125 to 4000 Hz.
 
@@ -174,7 +171,6 @@ def din_18041(group: str, volume: float, centre_frequencies: Sequence[float] | A
     return Target(t * ends[:, 0], t * ends[:, 1], source)
 
 
-@checked
 def ansi_s12_60(volume: float, centre_frequencies: Sequence[float] | Array) -> Target:
     """Return the largest T of a classroom after ANSI/ASA S12.60: 0.6 s, above 283 m³ 0.7 s.
 

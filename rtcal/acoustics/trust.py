@@ -18,7 +18,6 @@ from rtcal.acoustics.quality import LARGE_Z, gap_jnd
 from rtcal.acoustics.room import Room
 from rtcal.acoustics.typing_errors import TypingError, in_room
 from rtcal.support import checks
-from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError
 from rtcal.support.types import Array
 
@@ -35,7 +34,6 @@ _SHORT_PATH = 0.3
 """m. A reverberation chamber full of furniture keeps about 1 m."""
 
 
-@checked
 def surface_doubt(room: Room) -> tuple[str, str] | None:
     """Return the kind of mark and a sentence if areas and volume do not fit, else None.
 
@@ -184,14 +182,12 @@ _WIDE_SIGMA = 0.5
 """The standard deviation of a coefficient of which nothing is known, uniform from 0 to 1, is 0.29."""
 
 
-@checked
 def bent_marks(bent: Sequence[BentDecay]) -> tuple[TrustMark, ...]:
     """Return the trust marks of bands whose decay is bent."""
     letter, advice = _ADVICE["bent"]
     return tuple(TrustMark("bent", letter, band.frequency, band.text, advice) for band in bent)
 
 
-@checked
 def typing_marks(room: Room, measured: Sequence[TypingError]) -> tuple[TrustMark, ...]:
     """Return the trust marks of likely typing errors, measured and in the room."""
     letter, advice = _ADVICE["typing_error"]
@@ -202,7 +198,6 @@ def typing_marks(room: Room, measured: Sequence[TypingError]) -> tuple[TrustMark
     )
 
 
-@checked
 def uneven_marks(room: Room, shares: Array) -> tuple[TrustMark, ...]:
     """Return the mark of a room whose absorption is so uneven that equations differ by over one JND.
 
@@ -281,7 +276,6 @@ def implausible_modes_mark(
     return TrustMark("implausible_modes", letter, None, text, advice)
 
 
-@checked
 def trust_marks(
     room: Room,
     measured: Array,
@@ -371,13 +365,11 @@ def trust_marks(
     return tuple(marks)
 
 
-@checked
 def letters(marks: Sequence[TrustMark], frequency: float) -> str:
     """Return the letters of a band's marks, without repeats; empty if it has none."""
     return "".join(dict.fromkeys(m.letter for m in marks if m.frequency == frequency))
 
 
-@checked
 def explained(marks: Sequence[TrustMark]) -> list[str]:
     """Return the marks as lines of text, grouped by advice: the facts, then the advice."""
     lines = []

@@ -24,7 +24,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rtcal.support import checks, speed
-from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError, MissingDependencyError
 from rtcal.support.types import Array
 
@@ -63,7 +62,6 @@ class Answer(NamedTuple):
     status: NDArray[np.int8]
 
 
-@checked
 def solve(
     mu: ArrayLike,
     sigma: ArrayLike,

@@ -13,7 +13,6 @@ from scipy.linalg import solve_triangular
 
 from rtcal.acoustics import bands
 from rtcal.support import checks
-from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError
 from rtcal.support.types import Array, read_only
 
@@ -123,7 +122,6 @@ class Layout:
         return np.asarray(values[: self.n_alpha].reshape(self.n_rows, -1)[list(self.rows)])
 
 
-@checked
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Observed:
     """Numbers of a `LinearObservations`: values = matrix @ alpha and an error of zero mean.

@@ -38,7 +38,6 @@ from rtcal.calibration.terms import (
     RoomMatch,
     SoftMatch,
 )
-from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError, ModelError
 from rtcal.support.types import Array
 
@@ -136,7 +135,6 @@ def calibrate(
 ) -> JointResult: ...
 
 
-@checked
 def calibrate(
     room: Room | Configurations,
     measured: Any,

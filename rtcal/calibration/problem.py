@@ -37,7 +37,6 @@ from rtcal.calibration.terms import (
     lacking,
 )
 from rtcal.support import checks
-from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError, InfeasibleError, MissingAirWarning, ModelError
 from rtcal.support.types import Array
 
@@ -112,7 +111,6 @@ class Calibration:
     @overload
     def build(self, room: Configurations, equation: Equation | None = None) -> JointProblem: ...
 
-    @checked
     def build(
         self, room: Room | Configurations, equation: Equation | None = None
     ) -> CalibrationProblem | JointProblem:
@@ -215,7 +213,6 @@ def _measured_times(
     ]
 
 
-@checked
 class CalibrationProblem:
     """A calibration that is compiled for a room's shape: solve it for many measurements."""
 
@@ -281,7 +278,6 @@ class CalibrationProblem:
         return self._joint.whitened([measured], rooms)
 
 
-@checked
 class JointProblem:
     """A calibration that is compiled for several configurations of one room."""
 
@@ -295,7 +291,6 @@ class JointProblem:
     def __repr__(self) -> str:
         return f"<JointProblem with {self.equation.name}'s equation for {self.configurations!r}>"
 
-    @checked
     def solve(
         self,
         measured: Sequence[Times | None],
@@ -339,7 +334,6 @@ class JointProblem:
             observed=observed,
         )
 
-    @checked
     def whitened(
         self, measured: Sequence[Times], configurations: Configurations | None = None
     ) -> WhitenedQP:

@@ -21,7 +21,6 @@ from rtcal.acoustics.priors import in_situ, sigma_iso_12999_2
 from rtcal.acoustics.room import Material
 from rtcal.io import pyroomacoustics
 from rtcal.io.material_list import MaterialList
-from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError, MissingDependencyError
 from rtcal.support.text import shortened
 from rtcal.support.types import Array
@@ -74,7 +73,6 @@ def names() -> dict[str, str]:
     return {name: str(entry["description"]) for name, entry in _entries()[1].items()}
 
 
-@checked
 def material(
     name: str, centre_frequencies: Sequence[float] | Array, in_situ_factor: float = 1.5
 ) -> Material:
@@ -150,7 +148,6 @@ def material_list() -> MaterialList:
     )
 
 
-@checked
 def similar(name: str, most: int = 5, among: Mapping[str, str] | None = None) -> list[str]:
     """Return the names of entries whose name or description resembles a material's name.
 
@@ -183,7 +180,6 @@ def similar(name: str, most: int = 5, among: Mapping[str, str] | None = None) ->
     return best[:most]
 
 
-@checked
 def nearest(name: str, most: int = 3) -> list[str]:
     """Return what resembles a material's name: entry, construction and mounting, alpha with its sigma.
 

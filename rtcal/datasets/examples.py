@@ -18,7 +18,6 @@ from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.room import Room
 from rtcal.simulators.geometry import SHOEBOX_WALLS, Polyhedron
 from rtcal.support import checks
-from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError
 
 if TYPE_CHECKING:
@@ -49,7 +48,6 @@ def bras_cr2() -> tuple[Room, Measurement]:
     )
 
 
-@checked
 def hidden_room(*, closed: bool = False) -> tuple[Case, dict[str, Any]]:
     """Return a case with a hidden effect, and the truth: the effect and ``alpha``.
 
@@ -377,7 +375,6 @@ _EXAMPLES: Mapping[str, Callable[[], Example]] = {
 NAMES = tuple(_EXAMPLES)
 
 
-@checked
 def example(name: str) -> Example:
     """Return the example of this name, one of `NAMES`.
 

@@ -24,7 +24,6 @@ from rtcal.acoustics.air import Air
 from rtcal.acoustics.bands import octaves
 from rtcal.acoustics.room import Material, Room
 from rtcal.simulators.geometry import Polyhedron
-from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError
 
 __all__ = ["BANDS", "Hall", "corridor", "hard_hall", "lecture_hall", "polyhedron", "theatre"]
@@ -364,7 +363,6 @@ Box = tuple[tuple[float, float], tuple[float, float], tuple[float, float]]
 Rectangle = tuple[tuple[int, int], tuple[int, int]]
 
 
-@checked
 def polyhedron(
     air: Sequence[Box], solid: Sequence[Box], paint: Sequence[tuple[str, str, Box]]
 ) -> Polyhedron:

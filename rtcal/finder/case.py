@@ -60,7 +60,6 @@ from rtcal.finder.configuration import (
 from rtcal.finder.effects.checks import AppliedEffect, check_parameters
 from rtcal.io import geometry_files
 from rtcal.support import checks
-from rtcal.support.arguments import checked
 from rtcal.support.checks import Entries, json_object, toml_table
 from rtcal.support.errors import DataError
 from rtcal.support.files import read_text, write_text
@@ -83,7 +82,6 @@ def checked_climate_uncertainty(value: object) -> tuple[float, float]:
     return kelvin, percent
 
 
-@checked
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Case:
     """A room, its equation and the configurations in which it was measured.
@@ -228,7 +226,6 @@ class Case:
         except DataError as error:
             raise DataError(f"{path}: {error}") from error
 
-    @checked
     def save(self, path: str) -> None:
         """Write the case as JSON, whole or not at all; DataError as `to_dict`."""
         write_text(path, self.to_json())
@@ -261,7 +258,6 @@ class Case:
             if np.isfinite(c.measured.decay_time().mean).any():
                 refuse_repeated_data(self.room, times_in_room(self.room, c.measured).fingerprint)
 
-    @checked
     def only(self, *parameters: str, configurations: Sequence[str] | None = None) -> Case:
         """Return the case with some of its parameters, and some of its configurations."""
         if configurations is not None:

@@ -19,7 +19,6 @@ from rtcal.acoustics.measurement_files import OPTIONAL
 from rtcal.acoustics.observables import observable
 from rtcal.acoustics.room import Room, text_name
 from rtcal.support import checks
-from rtcal.support.arguments import checked
 from rtcal.support.checks import Entries
 from rtcal.support.errors import DataError, OtherBandsWarning
 from rtcal.support.files import json_numbers
@@ -34,7 +33,6 @@ MAX_UNCERTAINTY = {"time": (1.0, " (relative: 0.02 is 2 %)"), "level": (20.0, " 
 _KEYS = ("name", "changes", "suspect_removed", "air", "distances", "distance", "planned")
 
 
-@checked
 @dataclass(frozen=True)
 class ChangedMaterial:
     """Coefficients of one material in one configuration: alpha and sigma, (n_bands,).
@@ -56,7 +54,6 @@ class ChangedMaterial:
             object.__setattr__(self, name, read_only(array))
 
 
-@checked
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Configuration:
     """One measurement of the room, and the changes of the room for it.
@@ -161,7 +158,6 @@ class Configuration:
         }
 
     @classmethod
-    @checked
     def from_dict(cls, data: Mapping[str, Any], centre_frequencies: Array) -> Configuration:
         """Return the configuration of plain values, measured in these bands in Hz.
 

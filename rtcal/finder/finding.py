@@ -16,7 +16,6 @@ from rtcal.acoustics import bands
 from rtcal.acoustics.observables import DecaySlope, observable
 from rtcal.finder.effects import Effect
 from rtcal.finder.effects.whole_room import CoupledRoom
-from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError, ModelError
 from rtcal.support.files import json_numbers
 from rtcal.support.saved import Result
@@ -586,7 +585,6 @@ class Finding(Result):
         said = f"{self.verdict}: {best}"
         return f"{said}; {', '.join(rivals)}, not told apart" if rivals else said
 
-    @checked
     def percent(self, name: str) -> str:
         """The probability of an effect, or of "none", in percent."""
         return f"{100 * self.probabilities.get(name, 0.0):.0f} %"

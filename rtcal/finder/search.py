@@ -21,7 +21,6 @@ from rtcal.io import geometry_files
 from rtcal.loop.control_runs import ControlRuns
 from rtcal.simulators.path_tracing import PathTracing
 from rtcal.support import checks
-from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError
 from rtcal.support.speed import TaskProgress
 
@@ -85,7 +84,6 @@ def find(
 def find(
     room: Room, measured: Measurement, simulator: PathTracing | None = None, **options: Any
 ) -> MeansFinding | positions.PositionsFinding: ...
-@checked
 def find(
     room: Room | AnyCase,
     measured: Measurement | None = None,
@@ -201,7 +199,6 @@ def verify(
 ) -> positions.PositionsVerification: ...
 @overload
 def verify(finding: states.StatesFinding, **options: Any) -> states.StatesVerification: ...
-@checked
 def verify(
     finding: MeansFinding | positions.PositionsFinding | states.StatesFinding,
     case: Case | None = None,

@@ -22,7 +22,6 @@ from rtcal.acoustics import bands
 from rtcal.acoustics.directivity import UPWARDS, Directivity
 from rtcal.io import sofa, text
 from rtcal.support import checks
-from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError
 from rtcal.support.files import read_bytes
 from rtcal.support.types import Array
@@ -47,7 +46,6 @@ _ARCS = {"none": 1.0, "horizontal": 0.5, "full": 0.25}
 """Share of the circle that each symmetry states; all but the first with both ends."""
 
 
-@checked
 def read(
     path: str | os.PathLike[str],
     frequencies: Sequence[float] | Array,

@@ -31,7 +31,6 @@ from rtcal.io.material_list import Format, ListedMaterial, MaterialList, Token
 from rtcal.io.table_columns import nearest_band
 from rtcal.io.text import MAX_TEXT, decode, lines, number, shown
 from rtcal.support import checks
-from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError
 from rtcal.support.files import read_bytes
 
@@ -42,7 +41,6 @@ DECIMALS = 3
 MAX_BANDS = 100
 
 
-@checked
 def parse(
     content: bytes, path: str = "BRAS file", *, where: Mapping[str, str] | None = None
 ) -> MaterialList:

@@ -23,7 +23,6 @@ from rtcal.acoustics.room import Room
 from rtcal.io import material_list
 from rtcal.io.material_list import Format, ListedMaterial, MaterialList, Token
 from rtcal.io.text import decode, lines, shown
-from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError
 from rtcal.support.types import Array
 
@@ -79,7 +78,6 @@ def _with_own_values(listed: MaterialList, room: Room) -> MaterialList:
     return parse(listed.text.encode(text), listed.path)
 
 
-@checked
 def parse(content: bytes, path: str = "CATT file") -> MaterialList:
     """Return the materials of a file's content; DataError names file, line and rule."""
     text = decode(content, path)

@@ -12,14 +12,12 @@ from rtcal.simulators.geometry import SHOEBOX_WALLS, Polyhedron
 from rtcal.simulators.path_tracing import PathTracing
 from rtcal.simulators.tracer import area_doubt, volume_doubt
 from rtcal.support import checks
-from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError
 
 __all__ = ["mesh_doubt", "path_tracing", "read"]
 __dir__ = __all__.copy
 
 
-@checked
 def read(room: Room) -> Polyhedron:
     """Return the mesh of a room's scene, or the box of a room with dimensions and a surface per wall.
 
@@ -46,7 +44,6 @@ def read(room: Room) -> Polyhedron:
     return Polyhedron.shoebox(room.dimensions, walls)
 
 
-@checked
 def mesh_doubt(room: Room) -> str:
     """Return in a sentence where a room's areas or volume are not those of its mesh; "" if they are.
 
@@ -67,7 +64,6 @@ def mesh_doubt(room: Room) -> str:
     return ". ".join(filter(None, (volume_doubt(geometry, room), area_doubt(geometry, room))))
 
 
-@checked
 def path_tracing(room: Room, **options: Any) -> PathTracing:
     """Return a path tracing of a room that states its scene; ``options`` as of `PathTracing`.
 

@@ -60,7 +60,6 @@ from rtcal.acoustics.repeats import (
 from rtcal.io import sofa, sound
 from rtcal.io.analysis import MOST_NAMED, Analysis, Floor, spread
 from rtcal.support import checks, library
-from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError
 from rtcal.support.text import first_of
 from rtcal.support.types import Array
@@ -80,7 +79,6 @@ _ORDER = 6  # Butterworth; IEC 61260-1 class 1 needs 5 for octaves and 6 for thi
 _NAMES = re.compile(r"(?<![A-Za-z])(L?S\w*?\d+)[_-]+((?:MP|M|R)\w*?\d+(?:#\d+)?)", re.I | re.ASCII)
 
 
-@checked
 def read(
     path: str | os.PathLike[str] | Sequence[str | os.PathLike[str]],
     *,
@@ -203,7 +201,6 @@ def _chosen(
     return [(receiver, every[number - 1])]
 
 
-@checked
 def analyse(
     signals: Any,
     *,
@@ -357,7 +354,6 @@ def _bandwidth(centre: float, fractions: int) -> float:
     return centre * (2 ** (0.5 / fractions) - 2 ** (-0.5 / fractions))
 
 
-@checked
 def of_energy(
     energy: Array,
     sampling_rate: float,

@@ -42,7 +42,6 @@ from rtcal.io.table_words import (
 from rtcal.io.text import MAX_TEXT, Text, decode, number, shown
 from rtcal.io.text_tables import sheet_of_text
 from rtcal.support import checks
-from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError
 from rtcal.support.files import read_bytes
 from rtcal.support.text import first_of
@@ -138,7 +137,6 @@ _SYMBOL = re.compile(r"[AScVm]_?\w{0,3}", re.I)
 _WITH_OTHER_UNIT = re.compile(r".*[\[(]\s*(?:m?s|sec|db|k?hz)\s*[\])]", re.I)
 
 
-@checked
 def read(path: str | os.PathLike[str]) -> MaterialList:
     """Return the products of a file or of all files of a folder.
 

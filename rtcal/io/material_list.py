@@ -23,7 +23,6 @@ from rtcal.acoustics.room import Material, Room, Surface
 from rtcal.acoustics.scene import POSITION, Scene
 from rtcal.io.text import MAX_TEXT, Text, number
 from rtcal.support import checks, text
-from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError
 from rtcal.support.files import read_bytes, write_bytes
 from rtcal.support.types import Array
@@ -591,7 +590,6 @@ class Format:
         """
         return self.parse(read_bytes(path, MAX_TEXT), os.fspath(path), **selected)
 
-    @checked
     def write(
         self,
         room: Room,

@@ -32,7 +32,6 @@ from rtcal.io.mend import OFFSET, WELD, Faces, Mended, MeshError, closed, mended
 from rtcal.io.mend.solids import room_between
 from rtcal.io.text import decode, lines, number, shown
 from rtcal.support import checks, library
-from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError, MissingDependencyError
 from rtcal.support.files import read_bytes
 from rtcal.support.text import listed
@@ -60,7 +59,6 @@ _ROOMS = 1.5, 1000.0
 """Least and largest length in m of the longest side of the box around a room."""
 
 
-@checked
 def read(
     path: str | os.PathLike[str],
     *,
@@ -104,7 +102,6 @@ def read(
     return READERS[ending](content, os.fspath(path), unit)
 
 
-@checked
 def room(
     path: str | os.PathLike[str],
     *,

@@ -28,7 +28,6 @@ from rtcal.io.text import MAX_TEXT, decode, lines, number, shown
 from rtcal.io.units import check_volume
 from rtcal.simulators.geometry import Polyhedron
 from rtcal.support import checks
-from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError
 from rtcal.support.files import read_bytes
 
@@ -74,7 +73,6 @@ _IGNORED = {
 }
 
 
-@checked
 def read(path: str | os.PathLike[str], *, unit: float = 1.0) -> Polyhedron:
     """Return a room; DataError names file, line and rule, or the edge at which the walls do not close.
 
@@ -83,7 +81,6 @@ def read(path: str | os.PathLike[str], *, unit: float = 1.0) -> Polyhedron:
     return parse(read_bytes(path, MAX_TEXT), os.fspath(path), unit=unit)
 
 
-@checked
 def parse(content: bytes, path: str = "OBJ file", *, unit: float = 1.0) -> Polyhedron:
     """Return the room of a file's content; see `read`."""
     unit = checks.positive("unit", unit, "m")
@@ -164,13 +161,11 @@ def _drawn(
     return vertices, faces, materials, names, line
 
 
-@checked
 def text(polyhedron: Polyhedron) -> str:
     """Return a room as OBJ in m; reading it back gives the same room."""
     return checks.instance("polyhedron", polyhedron, Polyhedron).to_text()
 
 
-@checked
 def write(polyhedron: Polyhedron, path: str | os.PathLike[str]) -> None:
     """Write a room as OBJ in m, whole or not at all."""
     checks.instance("polyhedron", polyhedron, Polyhedron).save(path)

@@ -24,7 +24,6 @@ from rtcal.acoustics.room import Room
 from rtcal.io import material_list
 from rtcal.io.material_list import Format, ListedMaterial, MaterialList
 from rtcal.io.text import Text, decode, lines, shown
-from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError
 
 __all__ = ["parse", "read", "write"]
@@ -37,7 +36,6 @@ LARGEST_NUMBER = 2**31 - 1
 _HEAD = re.compile(r"[ \t]*(\d{1,10})[ \t]+(\S(?:.*\S)?)[ \t]*", re.ASCII)
 
 
-@checked
 def parse(content: bytes, path: str = "ODEON file") -> MaterialList:
     """Return the materials of a library's content. DataError names file, line and rule."""
     text = decode(content, path)

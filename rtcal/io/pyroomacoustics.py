@@ -28,7 +28,6 @@ from rtcal.acoustics.room import Room
 from rtcal.io import material_list
 from rtcal.io.material_list import Format, ListedMaterial, MaterialList
 from rtcal.io.text import decode, line_of, shown
-from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError
 
 __all__ = ["parse", "read", "write"]
@@ -41,7 +40,6 @@ Keys = tuple[str | int, ...]
 """The path to a value: keys of objects and indices of lists."""
 
 
-@checked
 def dictionaries(room: Room) -> dict[str, dict[str, Any]]:
     """Return the arguments of ``pyroomacoustics.Material`` by material.
 
@@ -66,7 +64,6 @@ def dictionaries(room: Room) -> dict[str, dict[str, Any]]:
     return result
 
 
-@checked
 def parse(content: bytes, path: str = "JSON file") -> MaterialList:
     """Return the materials of a JSON file's content; DataError names the line and the rule."""
     text = decode(content, path)

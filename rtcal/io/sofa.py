@@ -23,7 +23,6 @@ from rtcal.acoustics.repeats import SAME_PLACE
 from rtcal.acoustics.scene import Scene
 from rtcal.io import budget
 from rtcal.support import checks, library
-from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError
 from rtcal.support.types import Array
 
@@ -119,7 +118,6 @@ def claims(path: str | os.PathLike[str]) -> bool:
         return stream.read(len(_HDF5)) == _HDF5
 
 
-@checked
 def read(path: str | os.PathLike[str]) -> Responses:
     """Return the responses and positions of a SOFA file.
 

@@ -45,7 +45,6 @@ from rtcal.io.table_values import Key, Reader, Values
 from rtcal.io.table_words import DOUBTFUL, statistic_of
 from rtcal.io.text import decode, shown
 from rtcal.support import checks
-from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError
 from rtcal.support.files import read_bytes
 from rtcal.support.text import first_of
@@ -83,7 +82,6 @@ class Table:
         return unusual(self.measurement)
 
 
-@checked
 def read(
     path: str | os.PathLike[str] | Sequence[str | os.PathLike[str]],
     *,
@@ -139,7 +137,6 @@ def read(
     )
 
 
-@checked
 def parse(
     content: bytes | Mapping[str, bytes],
     path: str = "table",
@@ -213,7 +210,6 @@ def parse(
     return _table(readers, where, notes, repeats)
 
 
-@checked
 def measurement(path: str | os.PathLike[str]) -> Table:
     """Return the measurement of a native CSV file, of a workbook or of REW's text.
 
@@ -226,7 +222,6 @@ def measurement(path: str | os.PathLike[str]) -> Table:
     return Table(Measurement.from_file(os.fspath(path)), ())
 
 
-@checked
 def write(measurement: Measurement, path: str | os.PathLike[str]) -> None:
     """Write the native table, one value per row: CSV, or a workbook if the name ends in .xlsx."""
     checks.instance("measurement", measurement, Measurement)

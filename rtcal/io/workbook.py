@@ -25,7 +25,6 @@ from rtcal.io import budget
 from rtcal.io.table_layout import Row, Sheet
 from rtcal.io.text import shown
 from rtcal.support import library
-from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError
 from rtcal.support.files import write_bytes
 from rtcal.support.text import first_of
@@ -218,7 +217,6 @@ def _text(cell: Any, formula: Any, place: str) -> str:
     return " ".join(str(value).split())
 
 
-@checked
 def write(
     tables: Mapping[str, Sequence[Sequence[Any]]],
     path: str | os.PathLike[str],

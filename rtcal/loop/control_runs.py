@@ -29,7 +29,6 @@ from rtcal.simulators.path_tracing import DENSER, PathTracing
 from rtcal.simulators.shoebox import ShoeboxSimulator
 from rtcal.simulators.tracer import ScatteringModel, eyring_seconds
 from rtcal.support import __version__, checks, files
-from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError, RtcalError, TooShortError
 from rtcal.support.speed import Progress
 from rtcal.support.types import Array, read_only
@@ -215,7 +214,6 @@ def _product(errors: Array) -> Array:
     return np.asarray(np.einsum("pk,pq,kl,ql->pkql", deviation, parameters, of_bands, deviation))
 
 
-@checked
 def simulated_controls(
     simulator: Simulator,
     room: Room,

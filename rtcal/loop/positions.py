@@ -62,7 +62,6 @@ from rtcal.simulators.base import Simulator
 from rtcal.simulators.observations import DifferentiableSimulator, Observations, observe
 from rtcal.simulators.path_tracing import PathTracing
 from rtcal.support import __version__, checks
-from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError, FewPathsWarning, SimulatorError
 from rtcal.support.speed import Progress
 from rtcal.support.types import Array
@@ -75,7 +74,6 @@ _BATCHES = 16
 """Batches of the paths that are weighed; a multiple of `simulator_error.GROUPS`."""
 
 
-@checked
 def calibrate_positions(
     simulator: Simulator,
     room: Room | ModesResult,

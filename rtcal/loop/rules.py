@@ -22,7 +22,6 @@ from rtcal.acoustics.quality import gap_jnd
 from rtcal.acoustics.room import Room
 from rtcal.loop.matched import Matched
 from rtcal.support import checks
-from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError
 from rtcal.support.types import Array, read_only
 
@@ -131,7 +130,6 @@ def stuck_bands(alpha: Array, simulated: Array) -> NDArray[np.bool_]:
     return np.asarray(changed & same)
 
 
-@checked
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Step:
     """One simulation.

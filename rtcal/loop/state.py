@@ -46,14 +46,12 @@ from rtcal.loop.rules import RULES, Rule, Step
 from rtcal.modes.result import ModesResult
 from rtcal.simulators.base import check_alpha
 from rtcal.support import checks
-from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError
 from rtcal.support.saved import NOT_SAVED, Result, load
 from rtcal.support.text import shortened
 from rtcal.support.types import Array
 
 
-@checked
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Loop(Result):
     """A closed loop between two simulations.
@@ -255,7 +253,6 @@ class Loop(Result):
         """Whether no band would gain from another simulation."""
         return bool(self.steps) and "not converging" not in self.status
 
-    @checked
     def confirmed(self, measurement: Measurement) -> tuple[str, ...]:
         """Return the status of each band after a simulation of `best_alpha` with another seed.
 
@@ -329,7 +326,6 @@ class Loop(Result):
             raise DataError("the loop has no simulation yet: there is none to take back")
         return replace(self, steps=self.steps[:-1])
 
-    @checked
     def record(
         self,
         alpha: Array,
@@ -434,7 +430,6 @@ class Loop(Result):
         return loop if room is None or loop.low else replace(loop, room=room)
 
 
-@checked
 def start(
     room: Room,
     measured: Measurement,

@@ -44,7 +44,6 @@ from rtcal.modes.model import ABOVE, RoomPoles
 from rtcal.modes.result import ModesResult
 from rtcal.simulators.geometry import Polyhedron
 from rtcal.support import checks
-from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError
 from rtcal.support.speed import single_threaded_blas
 from rtcal.support.text import as_sentence
@@ -60,7 +59,6 @@ _SETTLED = 0.1
 """Share of a decay's uncertainty by which the linearised decay may be off the model's own."""
 
 
-@checked
 def calibrate_modes(
     room: Room,
     modes: MeasuredModes | Responses,
@@ -100,8 +98,10 @@ def calibrate_modes(
     MissingDependencyError
         If the room is no box and scikit-fem is not installed (``rtcal[modes]``).
     """
+    checks.instance("room", room, Room)
     if isinstance(modes, Responses):
         modes = modes_in(room, modes, geometry)
+    checks.instance("modes", modes, MeasuredModes)
     model = RoomPoles.of(room, max(ABOVE * modes.frequencies[-1], modes.largest), geometry)
     known = modes.calculated
     if known is not None and len(known) and known.max() >= model.modes.wanted:
@@ -252,7 +252,6 @@ _INFLATED = 1.5  # uncertainty over what independent errors give: what is left i
 
 
 @single_threaded_blas()
-@checked
 def find_modes(
     room: Room,
     responses: Array,

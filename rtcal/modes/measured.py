@@ -32,7 +32,6 @@ from rtcal.io.text import MAX_TEXT, decode, number, shown
 from rtcal.io.text_tables import sheet_of_text
 from rtcal.modes.room_modes import DECAY
 from rtcal.support import checks
-from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError
 from rtcal.support.files import read_bytes
 from rtcal.support.types import Array, read_only
@@ -60,7 +59,6 @@ _NUMBERS = ("frequencies", "decays", "decay_uncertainty", "frequency_uncertainty
 _OF_MODES = (*_NUMBERS, "amplitudes", "calculated")
 
 
-@checked
 @dataclass(frozen=True, kw_only=True, eq=False)
 class MeasuredModes:
     """Modes of a measurement.
@@ -189,7 +187,6 @@ class MeasuredModes:
         return replace(self, **{n: v[rows] for n, v in of_modes.items() if v is not None})
 
 
-@checked
 def read(path: str | os.PathLike[str]) -> MeasuredModes:
     r"""Read a table (CSV, or a workbook's sheet) of modes.
 

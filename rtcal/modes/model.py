@@ -39,7 +39,6 @@ from rtcal.modes.room_modes import Admittances, Poles, RoomModes
 from rtcal.simulators.geometry import Polyhedron
 from rtcal.simulators.tracer import area_doubt, check_walls
 from rtcal.support import checks
-from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError
 from rtcal.support.types import Array
 
@@ -51,7 +50,6 @@ LARGEST_PHASE = 75.0
 """Largest phase of beta in degrees: beyond it no alpha above 0.44 has an admittance."""
 
 
-@checked
 def absorption(beta: Complex | Array) -> Array:
     """Return the random-incidence absorption coefficient of specific admittances, same shape.
 
@@ -73,7 +71,6 @@ def absorption(beta: Complex | Array) -> Array:
     return np.asarray(8 * g * (1 - g * log + (g**2 - b**2) * arc))
 
 
-@checked
 def admittance(alpha: Array, phase: float = 0.0) -> Complex:
     """Return the specific admittance of this random-incidence absorption coefficient, same shape.
 

@@ -21,7 +21,6 @@ from rtcal.modes.room_modes import RoomModes
 from rtcal.simulators.facets import WELD, distances
 from rtcal.simulators.geometry import SHOEBOX_WALLS, Polyhedron
 from rtcal.support import checks
-from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError, MissingDependencyError, ModelError
 from rtcal.support.types import Array
 
@@ -38,7 +37,6 @@ _kept: dict[tuple[Any, ...], RoomModes] = {}
 """Modes of the last rooms: a second calibration of a room does not calculate them again."""
 
 
-@checked
 def modes_of(
     geometry: Polyhedron,
     largest: float,

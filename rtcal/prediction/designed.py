@@ -19,7 +19,6 @@ from rtcal.prediction import words
 from rtcal.prediction.design_model import DesignModel
 from rtcal.prediction.predicted import Calibrated, Prediction, known_room
 from rtcal.support import checks, text
-from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError, InfeasibleError
 from rtcal.support.files import json_numbers
 from rtcal.support.saved import Result
@@ -173,7 +172,6 @@ def text_of(record: dict[str, Any]) -> str:
     )
 
 
-@checked
 def design(
     result: Calibrated | KnownRoom,
     treatments: Sequence[Treatment],

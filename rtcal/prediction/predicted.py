@@ -24,7 +24,6 @@ from rtcal.acoustics.room_errors import Assumptions
 from rtcal.acoustics.targets import Target
 from rtcal.prediction import words
 from rtcal.support import checks, sampler, text
-from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError
 from rtcal.support.files import json_numbers
 from rtcal.support.saved import Result
@@ -356,7 +355,6 @@ class Prediction(Result):
         return words.text_of(self.to_dict())
 
 
-@checked
 def predict(
     known: Known,
     changes: Change | Sequence[Change] | Room,
@@ -495,7 +493,6 @@ class Predictions(Result):
         return f"<Predictions: {', '.join(p.name for p in self.predictions)}>"
 
 
-@checked
 def compare(
     known: Known,
     variants: Sequence[Variant],

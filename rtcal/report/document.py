@@ -20,7 +20,6 @@ from numpy.typing import NDArray
 from rtcal.acoustics.materials import LONGEST_NAME, short_name
 from rtcal.report import figures
 from rtcal.support import __version__
-from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError, MissingDependencyError
 from rtcal.support.files import write_text
 from rtcal.support.text import shortened
@@ -139,7 +138,6 @@ class Heading:
         return Heading(title, self.author or author, self.date)
 
 
-@checked
 def render(template: str, values: Mapping[str, Any], heading: Heading) -> str:
     """Return a page of a template that extends ``layout.html``.
 
@@ -158,7 +156,6 @@ def render(template: str, values: Mapping[str, Any], heading: Heading) -> str:
     return text
 
 
-@checked
 def source(figure: Any, step: Callable[[], None]) -> str:
     """Return a figure as a data URI, a separate document whose ids do not clash with the page's."""
     step()
@@ -170,7 +167,6 @@ def data_of(content: bytes, kind: str = "text/plain") -> str:
     return f"data:{kind};base64,{base64.b64encode(content).decode()}"
 
 
-@checked
 def blocks(n_bands: int) -> list[slice]:
     """Return the bands of each part of a table, alike in width, so that it fits a sheet."""
     number = -(-n_bands // _BANDS_ABREAST)
@@ -178,7 +174,6 @@ def blocks(n_bands: int) -> list[slice]:
     return [slice(first, end) for first, end in pairwise(ends)]
 
 
-@checked
 def write(path: str | os.PathLike[str], text: str) -> None:
     """Write a page, whole or not at all."""
     write_text(path, text)

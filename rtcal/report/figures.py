@@ -21,7 +21,6 @@ from rtcal.acoustics.trust import letters
 from rtcal.io.mend import Faces
 from rtcal.simulators.geometry import Polyhedron
 from rtcal.support import checks
-from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError, MissingDependencyError
 from rtcal.support.files import make_folder, write_all, write_bytes
 from rtcal.support.saved import NUMBERS
@@ -82,7 +81,6 @@ FILES = (ROOM, NUMBERS, FIGURE)
 _MOST_AXES = 10_000  # a panel takes 0.1 MB
 
 
-@checked
 def new_figure(
     width: float = 7.0, height: float = 4.2, rows: int = 1, columns: int = 1
 ) -> tuple[Any, Any]:
@@ -105,7 +103,6 @@ def new_figure(
     return figure, figure.subplots(rows, columns)
 
 
-@checked
 def shown(name: str, longest: int = _LONGEST_NAME) -> str:
     r"""Return a name for a figure, whole, in short lines; a dollar, which begins a formula, is escaped.
 
@@ -120,7 +117,6 @@ def shown(name: str, longest: int = _LONGEST_NAME) -> str:
     return "\n".join(textwrap.wrap(line, longest) or [line]).replace("$", r"\$")
 
 
-@checked
 def panels(number: int, frequencies: Array) -> tuple[Any, list[Any]]:
     """Return a figure with small axes over the bands, and these: one for each material, at most twelve.
 
@@ -141,7 +137,6 @@ def panels(number: int, frequencies: Array) -> tuple[Any, list[Any]]:
     return figure, every[:number]
 
 
-@checked
 def band_axis(axes: Axes, frequencies: Array, below: list[str] | None = None) -> None:
     """Make x a logarithmic axis with the bands' centres, each with its text of ``below``."""
     many = len(frequencies) > _MANY_BANDS
@@ -154,7 +149,6 @@ def band_axis(axes: Axes, frequencies: Array, below: list[str] | None = None) ->
     axes.set_xlabel("Band centre frequency / Hz")
 
 
-@checked
 def jnd_band(axes: Axes, frequencies: Array, measured: Array) -> None:
     """Draw T ± one JND in grey; bands without T interrupt it."""
     low, high = (1 - TARGET.jnd) * measured, (1 + TARGET.jnd) * measured
@@ -162,7 +156,6 @@ def jnd_band(axes: Axes, frequencies: Array, measured: Array) -> None:
     axes.vlines(frequencies, low, high, color="0.85", linewidth=8)  # visible also for a single band
 
 
-@checked
 def reverberation_time(result: CalibrationResult) -> Any:
     """Return the figure of T(f): measured with its band of one JND, before and after.
 
@@ -212,7 +205,6 @@ def reverberation_time(result: CalibrationResult) -> Any:
     return figure
 
 
-@checked
 def gap(result: CalibrationResult) -> Any:
     """Return the figure of the gap to the measured T, before and after, in JND by band."""
     figure, axes = new_figure(7.0, 3.2)
@@ -248,7 +240,6 @@ def gap(result: CalibrationResult) -> Any:
     return figure
 
 
-@checked
 def rendered(figure: Figure, kind: str) -> bytes:
     """Return a figure as the bytes of a ``png``, ``svg`` or ``pdf`` file, the same each time."""
     import matplotlib
@@ -263,7 +254,6 @@ def rendered(figure: Figure, kind: str) -> bytes:
     return stream.getvalue()
 
 
-@checked
 def save(figure: Any, path: str | os.PathLike[str]) -> None:
     """Write a figure as PNG, SVG or PDF by the path's ending, whole or not at all."""
     kind = os.path.splitext(os.fspath(path))[1].lstrip(".").lower()

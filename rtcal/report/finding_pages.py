@@ -23,7 +23,6 @@ from rtcal.finder.states.search import verify
 from rtcal.report import document, room_view, where_figures
 from rtcal.report.document import Heading, blocks, render, source
 from rtcal.report.figures import BLACK, BLUE, ORANGE, band_axis, new_figure, rendered
-from rtcal.support.arguments import checked
 from rtcal.support.files import make_folder, write_all
 from rtcal.support.saved import NUMBERS
 
@@ -37,7 +36,6 @@ PAGE, MAP, PLAN, ROOM, GAP = (
 FILES = (PAGE, MAP, PLAN, ROOM, GAP)
 
 
-@checked
 def write_where(
     finding: PositionsFinding,
     verification: PositionsVerification | None,
@@ -67,7 +65,6 @@ def write_where(
     return list(contents)
 
 
-@checked
 def drawn(
     finding: PositionsFinding,
     verification: PositionsVerification | None,
@@ -98,7 +95,6 @@ _LEVELS = {"supported": "agrees", "withdrawn": "contradicts", "unproven": "open"
 """Class of the box that a verdict stands in."""
 
 
-@checked
 def where_page(
     finding: PositionsFinding,
     verification: PositionsVerification | None,
@@ -165,7 +161,6 @@ def _said(name: str, finding: PositionsFinding, verification: PositionsVerificat
     return f"{view} with sources and receivers; {what}."
 
 
-@checked
 def states_page(finding: StatesFinding, heading: Heading, step: Callable[[], None]) -> str:
     """Return the page as HTML; raises as `rtcal.report.page.page`."""
     found = finding.case.differences
@@ -235,7 +230,6 @@ def _times(finding: StatesFinding) -> Any:
     return figure
 
 
-@checked
 def change_figure(finding: StatesFinding) -> Any:
     """Return the change of the absorption area by band, with its interval."""
     k = finding.case.differences.measured

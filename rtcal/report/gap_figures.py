@@ -27,7 +27,6 @@ from rtcal.report.figures import (
     panels,
     shown,
 )
-from rtcal.support.arguments import checked
 from rtcal.support.text import number
 from rtcal.support.types import Array
 
@@ -48,7 +47,6 @@ _BENT = 0.01
 """Least visible change of ln EDT/T20 or ln T30/T20 in a drawn decay."""
 
 
-@checked
 def reverberation_time(verification: MeansVerification) -> Any:
     """Return T(f) of the first configuration: measured, prior, plainly calibrated, corrected."""
     finding = verification.finding
@@ -79,7 +77,6 @@ def reverberation_time(verification: MeansVerification) -> Any:
     return figure
 
 
-@checked
 def residuals(finding: MeansFinding, verification: MeansVerification | None = None) -> Any:
     """Return the residual map: feature by band and configuration; before, and after the effect."""
     maps = [("The model as stated", finding.residuals)]
@@ -135,7 +132,6 @@ def residuals(finding: MeansFinding, verification: MeansVerification | None = No
     return figure
 
 
-@checked
 def evidence(finding: MeansFinding) -> Any:
     """Return the evidence of every effect as bars, with the threshold."""
     names = list(finding.evidence)
@@ -193,14 +189,12 @@ def evidence(finding: MeansFinding) -> Any:
     return figure
 
 
-@checked
 def bends(verification: MeansVerification) -> bool:
     """Whether the effect bends the decay: whether EDT/T20 or T30/T20 change visibly."""
     shapes = [model.features[:, 1:3] for model in (verification.plain, verification.corrected)]
     return bool(np.abs(shapes[1] - shapes[0]).max() > _BENT)
 
 
-@checked
 def probabilities(finding: MeansFinding) -> Any:
     """Return the figure of the probability of each effect that it is there at all."""
     names = [n for n, p in finding.probabilities.items() if p >= SAID and n != NONE]
@@ -225,7 +219,6 @@ def probabilities(finding: MeansFinding) -> Any:
     return figure
 
 
-@checked
 def decay(verification: MeansVerification) -> Any:
     """Return the decay of the band with the largest residual of shape: measured, plain, corrected."""
     finding = verification.finding
@@ -280,7 +273,6 @@ def _level(case: Any, alpha: Array, band: int, t: Array) -> Array:
     return np.asarray(10 * np.log10(np.maximum(left / total, 1e-9)))
 
 
-@checked
 def shifts(verification: MeansVerification) -> Any:
     """Return each material's shift of alpha by band, plain and corrected, with 90 % intervals.
 

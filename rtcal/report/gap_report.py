@@ -22,7 +22,6 @@ from rtcal.report import gap_figures
 from rtcal.report.document import Heading, data_of, in_odds, material_rows, odds
 from rtcal.report.figures import rendered
 from rtcal.report.page import FINDING_FIGURES, finding_page
-from rtcal.support.arguments import checked
 from rtcal.support.errors import MissingAirWarning
 from rtcal.support.files import make_folder, write_all
 from rtcal.support.saved import NUMBERS, Result
@@ -188,7 +187,6 @@ class Reproduction:
     seed: int
 
 
-@checked
 def figures(
     finding: MeansFinding, verification: MeansVerification | None
 ) -> dict[str, tuple[Any, str]]:
@@ -235,7 +233,6 @@ def figures(
     return drawn
 
 
-@checked
 def write(
     finding: MeansFinding,
     folder: Path,
@@ -263,7 +260,6 @@ def write(
     return list(contents)
 
 
-@checked
 def page(
     finding: MeansFinding,
     verified: MeansVerification | None,
@@ -286,7 +282,6 @@ def page(
     return finding_page(usual, entries, drawn, heading=heading)
 
 
-@checked
 def summary(finding: MeansFinding, verification: MeansVerification | None) -> dict[str, Any]:
     """Return the finding as plain values for the page.
 

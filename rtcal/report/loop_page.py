@@ -19,7 +19,6 @@ from rtcal.report import words
 from rtcal.report.document import Heading, blocks, material_rows, render, source
 from rtcal.report.figures import BLACK, BLUE, ORANGE, band_axis, jnd_band, new_figure, shown
 from rtcal.report.words import hertz
-from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError
 
 __all__ = ["page", "path"]
@@ -236,7 +235,6 @@ _MARKERS = "o^vDPX<>"
 _STYLES = ("-", "--", "-.", ":")
 
 
-@checked
 def path(loop: Loop) -> Any:
     """Return the figure of a loop's path, like Fig. 7 of Bellows & Katz (2025).
 
@@ -305,7 +303,6 @@ def path(loop: Loop) -> Any:
     return figure
 
 
-@checked
 def page(
     result: Loop | LoopResult,
     *,

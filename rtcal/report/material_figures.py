@@ -8,7 +8,6 @@ import numpy as np
 
 from rtcal.acoustics.priors import NORMAL_90
 from rtcal.report.figures import BLACK, BLUE, GREEN, MOST_PANELS, ORANGE, new_figure, panels, shown
-from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError
 from rtcal.support.types import Array
 
@@ -29,7 +28,6 @@ _SHARES = (
 )
 
 
-@checked
 def coefficients(result: CalibrationResult) -> Any:
     """Return the figure of alpha by material and band: prior and calibrated, with 90 % intervals.
 
@@ -99,7 +97,6 @@ def coefficients(result: CalibrationResult) -> Any:
     return figure
 
 
-@checked
 def intervals(calibration: CalibrationResult) -> tuple[Array, Array]:
     """Return the ends of the calibrated coefficients' 90 % intervals, (n_materials, n_bands)."""
     if calibration.interval is not None:
@@ -108,7 +105,6 @@ def intervals(calibration: CalibrationResult) -> tuple[Array, Array]:
     return np.clip(calibration.alpha - spread, 0, 1), np.clip(calibration.alpha + spread, 0, 1)
 
 
-@checked
 def shares(result: CalibrationResult) -> Any:
     """Return the figure of each material's share of the calibrated absorption by band, in %.
 
@@ -145,7 +141,6 @@ def shares(result: CalibrationResult) -> Any:
     return figure
 
 
-@checked
 def absorption_shares(calibration: CalibrationResult, most: int) -> tuple[list[str], Array]:
     """Return names and shares in %, (n_names, n_bands), of materials, effects and, last, the air.
 
@@ -170,7 +165,6 @@ def absorption_shares(calibration: CalibrationResult, most: int) -> tuple[list[s
     )
 
 
-@checked
 def plane_of(
     result: CalibrationResult,
     pair: tuple[str, str] | None = None,
@@ -235,7 +229,6 @@ def _band(calibration: CalibrationResult, frequency: float | None) -> int:
     return int(matching[0])
 
 
-@checked
 def plane(
     mu: Array,
     sigma: Array,

@@ -22,7 +22,6 @@ from rtcal.report import (
 )
 from rtcal.report.document import Heading, blocks, data_of, material_rows, render, source
 from rtcal.report.figures import BLACK, BLUE, ORANGE, new_figure
-from rtcal.support.arguments import checked
 from rtcal.support.types import Array
 
 __all__ = ["calibration_page", "finding_page"]
@@ -41,7 +40,6 @@ FINDING_FIGURES = (
 """Names of a finding's figures; those that a finding lacks are left out of its page."""
 
 
-@checked
 def calibration_page(
     result: CalibrationResult,
     *,
@@ -69,7 +67,6 @@ def calibration_page(
     return render("calibration.html", values, _heading(heading, result))
 
 
-@checked
 def finding_page(
     result: CalibrationResult,
     finding: Mapping[str, Any],

@@ -35,7 +35,6 @@ from rtcal.prediction.predicted import Prediction, Predictions
 from rtcal.report import finding_pages, gap_report, loop_page, positions_page, prediction_page
 from rtcal.report.document import Heading
 from rtcal.report.page import calibration_page, modes_page
-from rtcal.support.arguments import checked
 from rtcal.support.checks import json_object
 from rtcal.support.errors import DataError
 from rtcal.support.files import json_numbers, read_text
@@ -45,7 +44,6 @@ __all__ = ["page_of"]
 __dir__ = __all__.copy
 
 
-@checked
 def page_of(
     path: str | os.PathLike[str],
     *,
@@ -107,7 +105,6 @@ _OF_PAIRS = ("pairs", "contradictions")
 """Ends of the names of lists of a source and a receiver each."""
 
 
-@checked
 def write_workbook(result: str | os.PathLike[str], path: str | os.PathLike[str]) -> None:
     """Write the tables of a saved result, a folder or its result.json, as a workbook (xlsx).
 

@@ -20,7 +20,6 @@ from rtcal.report.figures import BLACK, ORANGE, ROOM, new_figure, shown, write_w
 from rtcal.simulators.geometry import Polyhedron
 from rtcal.simulators.observations import Observations
 from rtcal.simulators.path_tracing import PathTracing
-from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError
 from rtcal.support.saved import NUMBERS
 from rtcal.support.text import first_of
@@ -292,7 +291,6 @@ def _doubts(result: PositionsResult) -> list[dict[str, Any]]:
     return doubts
 
 
-@checked
 def plan(
     result: PositionsResult,
     geometry: Polyhedron,
@@ -360,7 +358,6 @@ def draw_plan(
     return figure
 
 
-@checked
 def shifts(result: PositionsResult) -> Any:
     """Return the figure of how far each coefficient moved, in prior sigmas, by material and band."""
     return draw_shifts(result.shift, result.prior.materials, result.prior.centre_frequencies)

@@ -26,7 +26,6 @@ from rtcal.studies.paper import (
 from rtcal.studies.runner import table_csv
 from rtcal.studies.study import Study, Table, analytic_scores, run
 from rtcal.support import checks, text
-from rtcal.support.arguments import checked
 
 __all__ = ["StudyReport", "priors", "report", "spread"]
 __dir__ = __all__.copy
@@ -37,7 +36,6 @@ _MARKERS = "os^Dv*"
 NAMES = {"none": "BASE", "scaling": "REF", "lse": "LSE", "mle": "MLE"}
 
 
-@checked
 def priors(mu: Sequence[float], sigma: Sequence[float], title: str) -> Any:
     """Return the figure of truncated normal densities on [0, 1] (Figs. 2 and 4a)."""
     figure, axes = new_figure()
@@ -62,7 +60,6 @@ def priors(mu: Sequence[float], sigma: Sequence[float], title: str) -> Any:
     return figure
 
 
-@checked
 def spread(table: Table, aace: Sequence[float], title: str) -> Any:
     """Return the box plot of the root of EMSE over realisations (Fig. 4b).
 

@@ -17,7 +17,6 @@ from rtcal.finder.positions.verification import MODELS, PositionsVerification
 from rtcal.report.figures import BLACK, BLUE, GREEN, ORANGE, new_figure, shown
 from rtcal.report.room_still import ABOVE, TURNS, axes_of
 from rtcal.simulators.geometry import Polyhedron
-from rtcal.support.arguments import checked
 from rtcal.support.types import Array
 
 _SHOWN = 0.02
@@ -30,7 +29,6 @@ _HATCHES = ("//", "\\\\", "..", "xx", "++")
 _BOX = {"boxstyle": "round,pad=0.2", "facecolor": "white", "edgecolor": "none", "alpha": 0.75}
 
 
-@checked
 def room(finding: PositionsFinding, place: Place | None = None) -> Any:
     """Return the room in an axonometric view, each surface as orange as it is probable.
 
@@ -42,7 +40,6 @@ def room(finding: PositionsFinding, place: Place | None = None) -> Any:
     return figure
 
 
-@checked
 def draw_room(axes: Any, finding: PositionsFinding, place: Place | None = None) -> None:
     """Draw the room in an axonometric view into axes; see `room`.
 
@@ -219,7 +216,6 @@ def _middle(geometry: Polyhedron, faces: Faces) -> Array:
     return np.asarray(np.average(triangles.mean(axis=1), axis=0, weights=areas))
 
 
-@checked
 def plan(finding: PositionsFinding, place: Place | None = None) -> Any:
     """Return the map on the plan: which pairs disagree, and which walls could mend it.
 
@@ -278,7 +274,6 @@ def plan(finding: PositionsFinding, place: Place | None = None) -> Any:
     return figure
 
 
-@checked
 def disagreement(finding: PositionsFinding) -> Any:
     """Return the map as tables, in standard deviations: pairs by parameters, parameters by bands."""
     names = [parameter_label(p) for p in finding.parameters]
@@ -314,7 +309,6 @@ def _table(axes: Any, z: Array, rows: Sequence[str], columns: Sequence[str], mos
     return image
 
 
-@checked
 def bars(verification: PositionsVerification) -> Any:
     """Return the three bars: the mean gap at held-out pairs as stated, calibrated, corrected."""
     figure, axes = new_figure(6.0, 3.8)
@@ -322,7 +316,6 @@ def bars(verification: PositionsVerification) -> Any:
     return figure
 
 
-@checked
 def draw_bars(axes: Any, verification: PositionsVerification) -> None:
     """Draw the three bars into axes; whiskers are the range over the simulator's seeds."""
     labels = ("as stated", "calibrated", "corrected\nand calibrated")

@@ -19,7 +19,6 @@ from rtcal.acoustics.room import AXES, Surface, text_name
 from rtcal.simulators import facets
 from rtcal.simulators.facets import WELD, edge_owners
 from rtcal.support import checks
-from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError
 from rtcal.support.files import write_text
 from rtcal.support.types import Array
@@ -153,7 +152,6 @@ class Polyhedron:
         return face
 
     @classmethod
-    @checked
     def shoebox(cls, dimensions: Sequence[float], materials: str | Mapping[str, str]) -> Polyhedron:
         """Return the box from the origin to ``dimensions`` (x, y, z) in m.
 
@@ -178,7 +176,6 @@ class Polyhedron:
         )
 
     @classmethod
-    @checked
     def from_polygons(cls, polygons: Iterable[tuple[str, str, Any]]) -> Polyhedron:
         """Return the polyhedron of faces (name, material, points), with points (n, 3) in m."""
         polygons = checks.listed("polygons", polygons)
@@ -249,7 +246,6 @@ class Polyhedron:
             rows.append("f " + " ".join(str(v + 1) for v in face))
         return "\n".join(rows) + "\n"
 
-    @checked
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the room as OBJ in m, whole or not at all."""
         write_text(path, self.to_text())

@@ -22,7 +22,6 @@ from rtcal.acoustics.observables import MATCH, OBSERVABLES, observable, paramete
 from rtcal.simulators import base
 from rtcal.simulators.base import Simulator
 from rtcal.support import checks
-from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError, SimulatorError, TooShortError
 from rtcal.support.types import Array, read_only
 
@@ -33,7 +32,6 @@ STEP = 0.01
 rounding, and its curvature adds less than 1 % to the slope."""
 
 
-@checked
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Observations:
     """Parameters by pair and band, in units in which they are nearly linear in alpha.
@@ -89,7 +87,6 @@ class Observations:
             f"{len(self.pairs)} pairs, {bands.span(self.centre_frequencies)}>"
         )
 
-    @checked
     def natural(self, parameter: str) -> Array:
         """Return a parameter in its own unit, s or dB, (n_pairs, n_bands)."""
         values = self.values[self.parameters.index(parameter)]
@@ -108,7 +105,6 @@ class Observations:
         )
 
     @classmethod
-    @checked
     def of_measurement(
         cls, measurement: Measurement, parameters: Sequence[str], pairs: Sequence[tuple[str, str]]
     ) -> Observations:
@@ -186,7 +182,6 @@ def checked_parameters(match: Sequence[str]) -> tuple[str, ...]:
     return tuple(names)
 
 
-@checked
 def observe(
     simulator: Simulator, alpha: Array, match: Sequence[str] = MATCH, *, seed: int = 0
 ) -> Observations:
@@ -211,7 +206,6 @@ def observe(
     return Observations.of_measurement(simulated, match, simulated.pairs)
 
 
-@checked
 def jacobian(
     simulator: Simulator, alpha: Array, match: Sequence[str] = MATCH, *, seed: int = 0
 ) -> Array:
@@ -225,7 +219,6 @@ def jacobian(
     return differences(simulator, alpha, match, seed=seed)
 
 
-@checked
 def differences(
     simulator: Simulator, alpha: Array, match: Sequence[str] = MATCH, *, seed: int = 0
 ) -> Array:

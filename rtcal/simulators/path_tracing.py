@@ -28,7 +28,6 @@ from rtcal.simulators.tracer import (
     of_all_bands,
 )
 from rtcal.support import checks
-from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError
 from rtcal.support.types import Array
 
@@ -205,7 +204,6 @@ class PathTracing(DirectedSources, Tracer):
         ]
         return of_all_bands(groups, decays)
 
-    @checked
     def observe(
         self,
         alpha: Array,

@@ -21,7 +21,6 @@ from rtcal.acoustics.measurement import Measurement
 from rtcal.simulators.base import check_alpha
 from rtcal.simulators.shoebox import ShoeboxSimulator
 from rtcal.support import checks, speed
-from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError
 from rtcal.support.types import Array
 
@@ -146,7 +145,6 @@ class ScatteringDelayNetwork(ShoeboxSimulator):
         """Mean free path 4V/S in m."""
         return 4 * self.room.volume / self.room.total_area
 
-    @checked
     def impulse_responses(self, alpha: Array, duration: float) -> Array:
         """Return the pressure responses, (n_pairs, n_bands, n_samples), from the emission on.
 

@@ -33,7 +33,6 @@ from numpy.typing import NDArray
 
 from rtcal.acoustics.priors import TruncatedNormal
 from rtcal.support import checks, speed
-from rtcal.support.arguments import checked
 from rtcal.support.types import Array
 
 __all__ = [
@@ -260,7 +259,6 @@ def _score(z: Array, rows: Array, room: Realisation) -> TrialSums:
     return TrialSums(squares, (along * delta).sum(-1), change, active)
 
 
-@checked
 def analytic_emse(mu: Array, sigma: Array, areas: Array) -> Array:
     """Return EMSE of no calibration, scaling, LSE and MLE, (..., 4), in closed form.
 

@@ -29,7 +29,6 @@ import numpy as np
 
 from rtcal.studies.paper import CALIBRATIONS, METHODS
 from rtcal.support import checks, files
-from rtcal.support.arguments import checked
 from rtcal.support.checks import json_object
 from rtcal.support.errors import DataError
 from rtcal.support.files import make_folder, read_text, write_bytes
@@ -38,7 +37,6 @@ from rtcal.support.speed import thread_pool
 from rtcal.support.types import Array
 
 
-@checked
 def write_table(table: np.recarray[Any, Any], path: str | os.PathLike[str]) -> None:
     """Write a table as .csv, whole or not at all; numbers keep all their digits.
 

@@ -5,8 +5,9 @@ coefficients within the bounds give what was asked.  ``SolverError``: the solver
 problem; another solver or other settings may help.  ``SimulatorError``: a simulator failed; its
 cause says why.  ``MissingDependencyError``: install an extra.
 
-A call with too few or too many arguments, or with an argument of an unknown name, is a TypeError of
-Python's own. `benchmarks/wrong_arguments.py` lists the other errors that are Python's.
+Constructors, readers and commands raise these. A function that is given another type, too few or too
+many arguments, or an argument of an unknown name raises Python's own error (TypeError, AttributeError,
+or NumPy's ValueError for shapes that do not fit); it raises DataError for a value out of its range.
 """
 
 from __future__ import annotations

@@ -21,7 +21,6 @@ from rtcal.calibration.configurations import Configurations
 from rtcal.calibration.problem_data import data_history
 from rtcal.calibration.result import CalibrationResult, JointResult
 from rtcal.support import checks
-from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError
 from rtcal.support.saved import NUMBERS, load
 from rtcal.support.types import Array
@@ -70,7 +69,6 @@ class _Calibrated:
         return b, noise + changes.T @ changes
 
 
-@checked
 def learn(
     rooms: Sequence[CalibrationResult | JointResult],
     names: Mapping[str, str] | None = None,
@@ -321,7 +319,6 @@ def materials(result: CalibrationResult | JointResult) -> tuple[str, ...]:
     return tuple(_Calibrated.of(result).room.materials)
 
 
-@checked
 def read_folder(folder: str | os.PathLike[str]) -> list[CalibrationResult | JointResult]:
     """Return the calibrations in a folder: each ``result.json`` of ``rtcal calibrate --out`` below it.
 

@@ -14,7 +14,6 @@ from rtcal.acoustics.materials import ARCHIVE, CalibrationRecord
 from rtcal.acoustics.room import Material, Room
 from rtcal.calibration.archive.likelihood import Spread
 from rtcal.support import __version__, checks, text
-from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError
 from rtcal.support.files import json_numbers
 from rtcal.support.saved import Result
@@ -123,7 +122,6 @@ class Archive(Result):
     suspects: tuple[Suspect, ...]
     measured: tuple[str, ...]
 
-    @checked
     def material(self, name: str) -> Material:
         """Return one entry with its sigma and its source; DataError if the archive lacks it."""
         if name not in self.materials:
@@ -138,7 +136,6 @@ class Archive(Result):
             source=self._source(i),
         )
 
-    @checked
     def apply(self, room: Room, names: Mapping[str, str] | None = None) -> Room:
         """Return a room with the library's alpha and sigma where the archive knows the material.
 
@@ -209,7 +206,6 @@ class Archive(Result):
             calibration=record,
         )
 
-    @checked
     def left_as_stated(self, room: Room, names: Mapping[str, str] | None = None) -> tuple[str, ...]:
         """Return in sentences what `apply` takes from the room's own tables: materials, and bands.
 

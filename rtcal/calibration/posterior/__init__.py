@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 from rtcal.calibration.posterior.density import POINTS, CoupledBands, IndependentBands, Marginals
 from rtcal.calibration.posterior.marginals import marginal_distributions, passed_on, unmatched
 from rtcal.support import checks, kkt
-from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError
 from rtcal.support.kkt import Hessian
 from rtcal.support.sampler import sample
@@ -110,7 +109,6 @@ class HasDensity(Protocol):
         """Return the density of the coefficients given the measurement."""
 
 
-@checked
 def distribution(result: HasDensity, n_samples: int = 4000, seed: int = 0) -> Posterior:
     """Return the posterior distribution of a calibration's coefficients.
 
@@ -337,7 +335,6 @@ class Optimal(Protocol):
         """Return the optimality conditions at the answer."""
 
 
-@checked
 def sensitivity(result: Optimal) -> Array:
     """Return d alpha / d T in 1/s, (n_materials, n_bands, n_configurations, n_bands).
 

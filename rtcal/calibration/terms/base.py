@@ -16,7 +16,6 @@ from rtcal.calibration.compiled_qp import Context
 from rtcal.calibration.layout import Integers, Layout, Whitened
 from rtcal.calibration.problem_data import ProblemData
 from rtcal.support import checks
-from rtcal.support.arguments import checked
 from rtcal.support.errors import ModelError
 from rtcal.support.types import Array
 
@@ -102,7 +101,6 @@ def as_objective(term: ObjectiveTerm | Objective) -> Objective:
     raise ModelError(f"{term!r} is not an objective term{lacking(term, ObjectiveTerm)}")
 
 
-@checked
 def lacking(thing: object, protocol: type, *others: type) -> str:
     """Return the members that ``thing`` lacks of the most similar protocol, as ": it lacks ...".
 

@@ -15,7 +15,6 @@ from rtcal.calibration.layout import Layout
 from rtcal.calibration.problem_data import ProblemData
 from rtcal.calibration.terms.base import BaseTerm, Rows, half_squares, limited
 from rtcal.support import checks
-from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError, ModelError
 from rtcal.support.kkt import Squares
 from rtcal.support.types import Array
@@ -399,7 +398,6 @@ def match_values(data: ProblemData) -> Array:
     return np.concatenate([values, np.where(matched, gains, 0.0).ravel()])
 
 
-@checked
 def match_matrix(data: ProblemData) -> Any:
     """Return S' as a sparse matrix, one row per configuration and band, over the unknowns."""
     return sp.csr_array(data.match_rows)

@@ -38,7 +38,6 @@ from rtcal.finder.effects.whole_room import (
 )
 from rtcal.finder.model import Decay, RoomState
 from rtcal.support import checks
-from rtcal.support.arguments import checked
 from rtcal.support.checks import Entries
 from rtcal.support.errors import DataError, RtcalError
 from rtcal.support.text import shortened
@@ -348,7 +347,6 @@ def _run(where: str, call: Callable[[], T], parameters: Parameters | None = None
         raise DataError(f"{where}{with_what} raises {type(error).__name__}: {what}") from error
 
 
-@checked
 @dataclass(frozen=True)
 class AppliedEffect:
     """An effect that was added to the model.
@@ -391,7 +389,6 @@ class AppliedEffect:
         check_parameters(self.effect, self.parameters, interval=self.size_interval)
 
     @classmethod
-    @checked
     def of(
         cls,
         effect: Effect,

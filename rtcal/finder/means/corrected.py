@@ -30,7 +30,6 @@ from rtcal.finder.means.features import distances, state, with_applied
 from rtcal.finder.model import FEATURES, RoomState, highest, mean_contributions, predict
 from rtcal.simulators.base import RoomSimulator, Simulator, check_alpha, run
 from rtcal.simulators.geometry import Polyhedron
-from rtcal.support.arguments import checked
 from rtcal.support.checks import shown
 from rtcal.support.errors import DataError
 from rtcal.support.text import listed
@@ -49,7 +48,6 @@ _HELD = ("volume", "areas", "alpha", "air", "speed_of_sound", "covering", "objec
 """Parts of a state that a room, or the equation that is named beside it, represents."""
 
 
-@checked
 def corrected_room(case: Case) -> Room:
     """Return the case's room with its effects, not calibrated.
 
@@ -95,7 +93,6 @@ def _resized(stated: Room, room: Room) -> list[str]:
     return out
 
 
-@checked
 def simulator(case: Case, make: Callable[[Room], Simulator] | None = None) -> Simulator:
     """Return a simulator of the corrected room; the rows of alpha are `corrected_room`'s.
 

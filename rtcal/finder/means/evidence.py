@@ -75,7 +75,6 @@ from rtcal.finder.prior import (
     grid_weights,
 )
 from rtcal.support import __version__, checks, files
-from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError
 from rtcal.support.speed import TaskProgress, single_threaded_blas
 from rtcal.support.types import Array
@@ -298,7 +297,6 @@ FOLDER = ".rtcal_cache"
 
 
 @single_threaded_blas()
-@checked
 def control_rooms(
     case: Case,
     seed: int = 0,

@@ -20,7 +20,6 @@ from rtcal.finder.means.verdict import Fit
 from rtcal.finder.prior import COEFFICIENTS, NONE, UNKNOWN, OffTogether, Prior
 from rtcal.finder.records import data_of, record_of_means, record_of_several
 from rtcal.support import text
-from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError
 from rtcal.support.files import json_numbers
 from rtcal.support.text import as_sentence, listed
@@ -181,7 +180,6 @@ class MeansFinding(SetsFinding):
             f"room's file{instead}."
         )
 
-    @checked
     def apply(self, case: Case | None = None, *, effect: str | None = None) -> Case:
         """Return the case with the most probable effects in its model, or with one that is named.
 
@@ -246,7 +244,6 @@ class MeansFinding(SetsFinding):
         added = [fits[name].applied(self.effects[name]) for name in missing]
         return replace(case, applied=(*case.applied, *added)) if added else case
 
-    @checked
     def title_of(self, name: str) -> str:
         """A candidate as a sentence names it."""
         if name == COEFFICIENTS:
@@ -524,7 +521,6 @@ class MeansFinding(SetsFinding):
             "look for another source"
         )
 
-    @checked
     def size_of(self, name: str) -> str:
         """A candidate's size with its interval, and its other parameters; "" without any."""
         fit = self.fits.get(name)

@@ -35,7 +35,6 @@ from rtcal.finder.means.verification import (
 )
 from rtcal.finder.model import FEATURES
 from rtcal.finder.prior import SCALES, probability_off
-from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError
 from rtcal.support.speed import single_threaded_blas
 from rtcal.support.types import Array
@@ -93,7 +92,6 @@ def parts_of(case: Case, observed: ObservedFeatures, fitted: ObservedFeatures) -
 
 
 @single_threaded_blas()
-@checked
 def verify(finding: MeansFinding, case: Case | None = None) -> MeansVerification:
     """Compare the model with and without the best effect by data that the effect is not fitted to.
 

@@ -39,7 +39,6 @@ from rtcal.finder.means.measurements import (
 from rtcal.finder.means.sets import compare, moments
 from rtcal.finder.prior import NONE, prior_of
 from rtcal.support import checks, text
-from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError
 from rtcal.support.saved import Result
 from rtcal.support.speed import single_threaded_blas
@@ -232,7 +231,6 @@ GENERIC_UNCERTAINTY = (0.04, 0.04, 0.02, 0.7, 0.7)
 
 
 @single_threaded_blas()
-@checked
 def plan(
     case: Case,
     effects: Sequence[Effect] | None = None,

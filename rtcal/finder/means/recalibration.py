@@ -40,7 +40,6 @@ from rtcal.finder.means.features import (
 )
 from rtcal.finder.means.verification import Recalibrated
 from rtcal.finder.model import FEATURES, STEEPEST, RoomState, predict
-from rtcal.support.arguments import checked
 from rtcal.support.errors import MissingAirWarning
 from rtcal.support.speed import single_threaded_blas
 from rtcal.support.types import Array
@@ -80,7 +79,6 @@ def plain(case: Case) -> Recalibrated:
 
 
 @single_threaded_blas()
-@checked
 def recalibrate(
     case: Case,
     discrepancy: ModelDiscrepancy | None = None,

@@ -42,14 +42,12 @@ from rtcal.finder.prior import (
     prior_of,
 )
 from rtcal.support import checks
-from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError
 from rtcal.support.speed import TaskProgress, single_threaded_blas
 from rtcal.support.types import Array
 
 
 @single_threaded_blas()
-@checked
 def find(
     case: Case,
     effects: Sequence[Effect] | None = None,

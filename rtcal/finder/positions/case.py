@@ -48,13 +48,11 @@ from rtcal.simulators.base import at_places
 from rtcal.simulators.geometry import Polyhedron
 from rtcal.simulators.path_tracing import PathTracing
 from rtcal.support import checks
-from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError
 from rtcal.support.text import first_of, shortened
 from rtcal.support.types import Array
 
 
-@checked
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PositionsCase:
     """A simulator of a room, and what was measured at its source-receiver pairs.
@@ -184,7 +182,6 @@ class PositionsCase:
                 )
 
     @classmethod
-    @checked
     def from_room(
         cls,
         room: Room,
@@ -209,10 +206,10 @@ class PositionsCase:
         DataError
             As `rtcal.io.geometry_files.path_tracing` and `PositionsCase` do.
         """
+        options = checks.mapped("tracing", {} if tracing is None else tracing)
+        checks.texts("tracing: names", options)
         return cls(
-            simulator=geometry_files.path_tracing(
-                room, **checks.mapped("tracing", {} if tracing is None else tracing)
-            ),
+            simulator=geometry_files.path_tracing(room, **options),
             measured=measured,
             surfaces=room.scene.surfaces or None,
             position_uncertainty=room.scene.position_uncertainty,
@@ -266,7 +263,6 @@ class PositionsCase:
             p for p in self.simulator.pairs if p in self.measured.pairs and p not in self.exclude
         )
 
-    @checked
     def only(self, pairs: Sequence[Pair]) -> PositionsCase:
         """Return the case with these measured pairs alone; DataError for one that it lacks."""
         wanted = checks.pairs("pairs", pairs)

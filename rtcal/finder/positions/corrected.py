@@ -29,7 +29,6 @@ from rtcal.io.material_list import ExportReport
 from rtcal.simulators.geometry import Polyhedron
 from rtcal.simulators.path_tracing import PathTracing
 from rtcal.support import checks, files
-from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError
 from rtcal.support.files import make_folder, write_all
 from rtcal.support.types import Array
@@ -113,7 +112,6 @@ class Corrected:
             "lost": {name: list(lost) for name, lost in self.lost.items()},
         }
 
-    @checked
     def save(self, folder: str | os.PathLike[str]) -> list[Path]:
         """Write `FILES` into a folder, all or none, and return their paths.
 

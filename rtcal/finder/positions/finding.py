@@ -18,7 +18,6 @@ from rtcal.finder.prior import NONE, UNKNOWN
 from rtcal.loop.control_runs import ControlRuns
 from rtcal.loop.measured_pairs import without_place
 from rtcal.support import checks, text
-from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError
 from rtcal.support.files import json_numbers
 from rtcal.support.text import listed
@@ -147,7 +146,6 @@ class PositionsFinding(Finding):
             return f"{best.title}: {CoupledRoom.not_in_simulator}"
         return f"{self.headline} So no surface lacks anything to add."
 
-    @checked
     def apply(self, form: str = "patch", *, at: Sequence[float] | None = None) -> Corrected:
         """Return room and geometry with the most probable candidate in them.
 
@@ -372,7 +370,6 @@ class Place:
     nats: float
 
 
-@checked
 def next_position(
     finding: PositionsFinding, *, number: int = 16, seed: int = 0
 ) -> tuple[Place, ...]:

@@ -61,7 +61,6 @@ from rtcal.finder.records import record_of_positions
 from rtcal.loop.control_runs import ControlRuns, simulated_controls
 from rtcal.loop.measured_pairs import T30_ALONE, with_t30
 from rtcal.support import checks
-from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError
 from rtcal.support.speed import Progress, TaskProgress, single_threaded_blas
 from rtcal.support.types import Array
@@ -101,7 +100,6 @@ of 0.47. With 6 it had 0.32; the shipped room then takes 1.4 times as long (docs
 
 
 @single_threaded_blas()
-@checked
 def find(
     case: PositionsCase,
     *,

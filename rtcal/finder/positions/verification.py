@@ -29,7 +29,6 @@ from rtcal.loop.positions import calibrate_positions
 from rtcal.simulators.observations import Observations, observe
 from rtcal.simulators.path_tracing import PathTracing
 from rtcal.support import checks, files, text
-from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError
 from rtcal.support.files import json_numbers
 from rtcal.support.speed import TaskProgress
@@ -81,7 +80,6 @@ class PositionsVerification(HeldOutVerification):
         """The same with what was found."""
         return float(self.gap("corrected").mean())
 
-    @checked
     def gap(self, model: str) -> Array:
         """Return the mean absolute gap of a model in `MODELS`, (n_seeds,), in JND."""
         if model not in MODELS:
@@ -272,7 +270,6 @@ class PositionsVerification(HeldOutVerification):
         }
 
 
-@checked
 def verify(
     finding: PositionsFinding,
     *,

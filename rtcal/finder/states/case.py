@@ -37,7 +37,6 @@ from rtcal.simulators import observations
 from rtcal.simulators.geometry import Polyhedron
 from rtcal.simulators.path_tracing import PathTracing
 from rtcal.support import checks
-from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError
 from rtcal.support.files import make_folder, write_all
 from rtcal.support.text import as_sentence, first_of, listed
@@ -216,7 +215,6 @@ def _copied(before: Measurement, after: Measurement) -> list[str]:
     ]
 
 
-@checked
 @dataclass(frozen=True, kw_only=True, eq=False)
 class StatesCase:
     """A room that was measured twice, at the same positions with the same equipment.
@@ -353,7 +351,6 @@ class SecondState:
             "notes": list(self.notes),
         }
 
-    @checked
     def save(self, folder: str | os.PathLike[str]) -> list[Path]:
         """Write the room, and its mesh where surfaces are claimed; all or none. Return the paths."""
         where = checks.path("folder", folder)

@@ -30,7 +30,6 @@ from rtcal.finder.states.evidence import ADDED, AIR, REMOVED, Baseline, Errors, 
 from rtcal.finder.states.finding import StatesFinding, StatesVerification
 from rtcal.finder.states.surfaces import Located, locate, other_gains, trusted
 from rtcal.support import checks
-from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError
 from rtcal.support.text import first_of
 from rtcal.support.types import Array
@@ -42,7 +41,6 @@ _SAMPLES = 4000
 _INTERVAL = (0.05, 0.95)
 
 
-@checked
 def find(
     case: StatesCase,
     *,
@@ -326,7 +324,6 @@ _LEAST_NEW = 2
 """Fewest pairs that a finding had not: their scatter tells how sure the gain is."""
 
 
-@checked
 def verify(
     finding: StatesFinding,
     *,

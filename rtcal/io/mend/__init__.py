@@ -62,7 +62,6 @@ from rtcal.io.mend.walls import COVERED, Cut, cut, lifted
 from rtcal.io.mend.welding import flattened, joined, settled, snapped, welded, without_repetitions
 from rtcal.simulators import facets
 from rtcal.simulators.geometry import Polyhedron
-from rtcal.support.arguments import checked
 from rtcal.support.errors import DataError
 from rtcal.support.types import Array
 
@@ -80,7 +79,6 @@ __all__ = [
 __dir__ = __all__.copy
 
 
-@checked
 def mended(
     faces: Faces,
     *,

@@ -1,34 +1,24 @@
-"""Call every public function with wrong arguments: `python benchmarks/wrong_arguments.py`.
+"""Hostile calls of every public function, for the law in `tests/seams/test_hostile_calls.py`.
 
-Each function gets valid arguments, then one of them is replaced by each of `WRONG`, None, texts, empty
+Each function gets valid arguments, then one of them is replaced by each of `WRONG`: None, texts, empty
 and object arrays, NaN, wrong shapes, and by a generator. A call may work or raise a typed error
-(`rt.errors`). Counted are the untyped exceptions (asked: none but of `PLAIN`) and the calls without an
-end within `LIMIT` (asked: 0). Public are the names that the packages list, the functions of the modules
-among them, and the methods of the classes for which `instances` has an example.
+(`rt.errors`). Public are the names that the packages list, the functions of the modules among them,
+and the methods of the classes for which `instances` has an example.
 
-Two errors of Python's stay: the TypeError of a call with too few or too many arguments, or with an
-argument of an unknown name, which is not called here; and those of the functions in `PLAIN`. Classes
-and readers (`made_here`) check where an object is made or a file is opened, and are not in that list.
-
-``--list`` prints each untyped call. ``--only TEXT ...`` takes the functions with a TEXT in their name.
-``--slow`` prints the processor time by function.
+Classes and readers (`made_here`) check where an object is made or a file is opened: their errors are
+all typed. A function that is given another type, or arrays that do not fit, may raise an error of
+Python's or NumPy's own (`PLAIN`), and so may a call with an argument of an unknown name.
 """
 
 from __future__ import annotations
 
-import argparse
 import contextlib
 import inspect
 import io
-import os
-import resource
 import signal
-import tempfile
 import time
 import traceback
 import types
-import warnings
-from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import fields, is_dataclass
 from pathlib import Path
@@ -59,21 +49,8 @@ from rtcal.support.errors import ModelError, RtcalError
 
 LIMIT = 10.0
 """s of processor time per call, so that a busy machine changes nothing. `find` takes some 3 s."""
-MEMORY = 6 * 2**30
-"""Bytes of address space: a call that needs more raises MemoryError, which counts as untyped."""
-
-PLAIN: dict[tuple[str, str], tuple[type[Exception], ...]] = {
-    ("rt.acoustics.observables.of_kind", "kind"): (TypeError,),
-    ("rt.acoustics.observables.register", "kind"): (TypeError, AttributeError),
-    ("rt.terms.half_squares", "expression"): (TypeError, ValueError, OverflowError),
-    ("rt.calibrate_simulator", "after_step"): (TypeError,),
-    ("rt.finder.simulator", "make"): (TypeError,),
-}
-"""Function and argument for which an error of Python's own stays, and which.
-
-The first three are called by who writes an observable or a term, with a class or an expression of
-cvxpy's. The others call a function of the user's, whose own error it is: ``len`` of a room has none.
-"""
+PLAIN = (TypeError, ValueError, AttributeError, IndexError, OverflowError)
+"""Errors of Python's own that functions may raise for a wrong type or shape; nothing else may."""
 
 WRONG: tuple[Any, ...] = (
     None,
@@ -361,7 +338,7 @@ def call(
 ) -> tuple[str, str]:
     """Return how a call ended (works, typed, plain, untyped or endless), and where and why.
 
-    ``plain`` are the exceptions that may be Python's own, as in `PLAIN`.
+    ``plain`` are the exceptions of Python's own that are allowed.
     """
     signal.signal(signal.SIGPROF, _stop)
     signal.setitimer(signal.ITIMER_PROF, LIMIT)
@@ -475,51 +452,5 @@ def ends(
                 break
             if number % every:
                 continue
-            end, why = call(function, keywords, PLAIN.get((name, parameter), ()))
+            end, why = call(function, keywords, () if made_here(name, function) else PLAIN)
             yield name, end, f"{name}({parameter}={str(wrong)[:30]!r}): {end} {why}"
-
-
-def main() -> None:
-    """Print the counts, and the functions that raise untyped errors."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--list", action="store_true", help="print each untyped call")
-    parser.add_argument("--slow", action="store_true", help="print the time by function")
-    parser.add_argument("--only", nargs="+", default=[""], help="only functions with such a name")
-    chosen = parser.parse_args()
-    warnings.simplefilter("ignore")
-    np.seterr(all="ignore")
-    resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY))
-    counts: Counter[str] = Counter()
-    untyped: Counter[str] = Counter()
-    seconds: Counter[str] = Counter()
-    bare = []
-    with tempfile.TemporaryDirectory() as made:
-        os.chdir(made)
-        examples = instances(Path(made))
-        for name, function in functions(examples[0]):
-            if not any(text in name for text in chosen.only):
-                continue
-            began = time.process_time()
-            if call(function, arguments(name, function, *examples))[0] == "untyped":
-                bare.append(name)
-            for _, end, why in ends([(name, function)], examples):
-                counts[end] += 1
-                if end in ("untyped", "endless"):
-                    untyped[name] += 1
-                    if chosen.list:
-                        print(why, flush=True)
-            seconds[name] += round(time.process_time() - began, 1)
-    total = counts.total()
-    print(
-        f"{len(seconds)} functions, {total} calls: "
-        + ", ".join(f"{v} {k}" for k, v in counts.items())
-    )
-    print(f"untyped {100 * counts['untyped'] / total:.2f} %, without an end {counts['endless']}")
-    print("by function:", ", ".join(f"{n} {c}" for n, c in untyped.most_common()))
-    print("valid arguments raise an untyped error:", ", ".join(bare) or "none")
-    if chosen.slow:
-        print("seconds:", ", ".join(f"{n} {s:.1f}" for n, s in seconds.most_common(30)))
-
-
-if __name__ == "__main__":
-    main()
