@@ -214,7 +214,7 @@ def test_a_callable_cannot_change_the_coefficients_of_its_caller(cr2):
 class Scaling:
     """A simulator of one's own, which changes the array that it is given."""
 
-    name, deterministic, smooth = "scaling", True, True
+    name, deterministic = "scaling", True
 
     def __init__(self, room):
         self.room = room

@@ -52,7 +52,6 @@ def test_rows_and_columns_are_the_rooms(name):
     assert simulator.materials == tuple(SHOEBOX.materials)
     assert np.array_equal(simulator.centre_frequencies, SHOEBOX.centre_frequencies)
     assert simulator.deterministic == (name not in ("PathTracing", "RayTracing"))
-    assert simulator.smooth == (name != "RayTracing")
 
 
 @pytest.mark.parametrize("name", SIMULATORS)

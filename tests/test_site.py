@@ -190,7 +190,7 @@ def test_a_printed_guide_is_the_guide_alone(site: Path, tmp_path: Path) -> None:
         assert f"Page {number} of {len(sheets)}" in sheet
     for rows in (
         ("ScatteringDelayNetwork", "EquationSimulator"),
-        ("secant", "regression"),
+        ("secant", "safeguarded"),
         ("converged  ", "not confirmed"),
     ):
         on = [[k for k, s in enumerate(sheets) if re.search(rf"^ *{r}", s, re.M)] for r in rows]

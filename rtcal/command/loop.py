@@ -47,7 +47,7 @@ def loop() -> None:
 @equation_option
 @click.option(
     "--rule",
-    type=click.Choice(("secant", "safeguarded", "regression")),
+    type=click.Choice(("secant", "safeguarded")),
     default="safeguarded",
     show_default=True,
     help="How the loop chooses the next target; see docs/closed_loop.md.",

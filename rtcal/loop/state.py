@@ -17,10 +17,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtcal.acoustics.band_conversion import measurement_in_room_bands
+from rtcal.acoustics.bands import label, span
 from rtcal.acoustics.decay import BentDecay
 from rtcal.acoustics.equations import Eyring, LinearEquation
 from rtcal.acoustics.measurement import Measurement
-from rtcal.acoustics.observables import TARGET
+from rtcal.acoustics.observables import TARGET, parameter_label
 from rtcal.acoustics.quality import gap_jnd
 from rtcal.acoustics.repeats import refuse_repeated_data
 from rtcal.acoustics.room import Room
@@ -42,14 +43,87 @@ from rtcal.loop.matched import (
     means,
     of_room,
 )
-from rtcal.loop.rules import RULES, Rule, Step
+from rtcal.loop.rules import RULES, Rule
 from rtcal.modes.result import ModesResult
 from rtcal.simulators.base import check_alpha
 from rtcal.support import checks
 from rtcal.support.errors import DataError
 from rtcal.support.saved import NOT_SAVED, Result, load
 from rtcal.support.text import shortened
-from rtcal.support.types import Array
+from rtcal.support.types import Array, read_only
+
+STATUSES = (
+    "converged",
+    "no measured T",
+    "by modes",
+    "too few modes",
+    "unreachable",
+    "not converging",
+    "not confirmed",
+)
+"""Status of a band. Only a `LoopResult` has the last one: the loop itself has no confirmation."""
+LEFT_ALONE = STATUSES[:4]
+"""Statuses of bands of which the loop asks nothing more."""
+MAX_DECIMALS = 12
+"""Largest number of decimals of alpha that a program reads."""
+_CLOSE_TARGETS = np.log(1.1)
+"""If log targets with and without a simulated T20 are closer, another simulation gains little: T is
+then known within 10 %, two JND."""
+_STUCK_STEPS = 3
+"""Steps with different coefficients and the same T20 after which T does not depend on alpha."""
+_AT_LIMIT = 1e-9  # relative; rounding of a target that was set to the limit
+_FROM_BOUNDS = 1e-3
+"""Share of the range of S'alpha that a target keeps from its ends: at the bounds T may be 0, or
+infinite without air."""
+_BELOW_LARGEST_MEAN = 0.999  # of the mean coefficient at which the equation ends
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Step:
+    """One simulation.
+
+    Attributes
+    ----------
+    target : array (n_bands,)
+        T in s that the equation was calibrated to, NaN without a measured T.
+    alpha : array (n_materials, n_bands)
+        Coefficients as simulated.
+    simulated : array (n_bands,)
+        Simulated T in s of what is matched, NaN if these coefficients give none.
+    noise : array (n_bands,)
+        Standard error of it in s; 0 if the simulator states none, NaN if it is unknown.
+    heard : dict of parameter to array (n_bands,)
+        Means of all parameters that are shown, as simulated, matched or not.
+    """
+
+    target: Array
+    alpha: Array
+    simulated: Array
+    noise: Array
+    heard: Mapping[str, Array] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        for name in ("target", "alpha", "simulated", "noise"):
+            values = read_only(checks.array(f"step: {name}", getattr(self, name)))
+            object.__setattr__(self, name, values)
+        n = self.target.shape
+        shapes = {"simulated": self.simulated.shape, "noise": self.noise.shape}
+        heard = {
+            checks.text("step: a parameter of heard", parameter): checks.array(
+                f"step: heard[{checks.shown(parameter)}]", values
+            )
+            for parameter, values in checks.mapped("step: heard", self.heard).items()
+        }
+        shapes |= {f"heard[{checks.shown(p)}]": values.shape for p, values in heard.items()}
+        if len(n) != 1 or self.alpha.ndim != 2 or self.alpha.shape[1:] != n:
+            raise DataError(
+                f"step: target has shape {n} and alpha {self.alpha.shape}; they are (n_bands,) and "
+                "(n_materials, n_bands)"
+            )
+        for name, shape in shapes.items():
+            if shape != n:
+                raise DataError(f"step: {name} has shape {shape}; that of target is {n}")
+        object.__setattr__(self, "heard", heard)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -67,7 +141,7 @@ class Loop(Result):
         What is matched: the measured T20, or its compromise with EDT.
     measured : str
         Fingerprints of the data, for the record of the calibrated room.
-    rule : {"secant", "safeguarded", "regression"}
+    rule : {"secant", "safeguarded"}
         See `rtcal.loop.rules`.
     method : str
         Method of the equation's calibration; see `rtcal.calibrate`.
@@ -110,6 +184,14 @@ class Loop(Result):
     beside: Mapping[str, Array] = field(default_factory=dict)
     low: BelowSchroeder | None = None
     _problems: list[CalibrationProblem] = field(default_factory=list, metadata=NOT_SAVED)
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.rule, str) or self.rule not in RULES:
+            raise DataError(f'rule = "{self.rule}" is not one of {", ".join(RULES)}')
+        preset(self.method)
+        if self.decimals is not None and checks.whole("decimals", self.decimals, 1) > MAX_DECIMALS:
+            raise DataError(f"decimals = {self.decimals} is more than {MAX_DECIMALS}")
+        checks.positive("tolerance", self.tolerance, "JND")
 
     def __repr__(self) -> str:
         n, measured = len(self.steps), np.isfinite(self.wanted).sum()
@@ -228,25 +310,33 @@ class Loop(Result):
 
     @property
     def goal(self) -> Array:
-        """Gap in JND at which each band is done, (n_bands,); see `rtcal.loop.rules.band_goals`."""
-        return rules.band_goals(self.tolerance, self.steps[-1].noise / self._jnd)
+        """Gap in JND at which each band is done, (n_bands,): the tolerance less the simulator's noise.
+
+        At least half the tolerance, since no gap below a large noise can be shown. Unknown noise counts
+        as large.
+        """
+        noise = self.steps[-1].noise / TARGET.jnd_of(self.wanted)
+        return np.fmax(self.tolerance - noise, self.tolerance / 2)
 
     @property
     def status(self) -> tuple[str, ...]:
-        """Status of each band: one of `rtcal.loop.rules.STATUSES`."""
-        close = np.abs(np.log(self._target_without_t20 / self.best_target)) < rules.CLOSE_TARGETS
-        alpha = np.array([step.alpha for step in self.steps])
-        simulated = np.array([step.simulated for step in self.steps])
-        stuck = rules.stuck_bands(alpha, simulated)
-        every = rules.band_statuses(
-            self.gap,
-            self.goal,
-            self.steps[-1].target,
-            self._target_limits,
-            close | stuck,
-            np.isfinite(self.wanted),
+        """Status of each band before a confirmation: one of `STATUSES`."""
+        close = np.abs(np.log(self._target_without_t20 / self.best_target)) < _CLOSE_TARGETS
+        (shortest, longest), target = self._target_limits, self.steps[-1].target
+        at_limit = ((self.gap < 0) & (target >= longest * (1 - _AT_LIMIT))) | (
+            (self.gap > 0) & (target <= shortest * (1 + _AT_LIMIT))
         )
-        return self.low.statuses(every) if self.low else every
+        blocked = close | at_limit
+        if len(last := self.steps[-_STUCK_STEPS:]) == _STUCK_STEPS:
+            changed = np.diff([step.alpha for step in last], axis=0) != 0
+            same = np.diff([step.simulated for step in last], axis=0) == 0
+            blocked |= changed.any(axis=1).all(axis=0) & same.all(axis=0)
+        status = np.select(
+            [np.isnan(self.wanted), np.abs(self.gap) <= self.goal, blocked],
+            ["no measured T", "converged", "unreachable"],
+            "not converging",
+        ).tolist()
+        return self.low.statuses(status) if self.low else tuple(status)
 
     @property
     def finished(self) -> bool:
@@ -256,31 +346,47 @@ class Loop(Result):
     def confirmed(self, measurement: Measurement) -> tuple[str, ...]:
         """Return the status of each band after a simulation of `best_alpha` with another seed.
 
-        See `rtcal.loop.rules.confirmed_statuses`.
+        A converged band is confirmed if the noise is within the tolerance, and the gap within tolerance
+        plus noise. A larger noise would confirm any gap.
         """
-        noise = self.matched.noise(measurement) / self._jnd
-        return rules.confirmed_statuses(
-            self.status, self.matched.gap(measurement), noise, self.tolerance
-        )
+        noise = self.matched.noise(measurement) / TARGET.jnd_of(self.wanted)
+        gap = np.abs(self.matched.gap(measurement))
+        kept = (noise <= self.tolerance) & (gap <= self.tolerance + noise)
+        lost = (np.array(self.status) == "converged") & ~kept
+        return tuple(np.where(lost, "not confirmed", self.status).tolist())
 
     @property
     def next_target(self) -> Array:
         """T in s to calibrate the equation to next, (n_bands,), NaN without a measured T.
 
         If any band needs another simulation, converged bands with a gap above half their goal are
-        moved too. That costs no simulation, and each band keeps its best step.
+        moved too. That costs no simulation, and each band keeps its best step. A band without any T20
+        so far takes the equation's T for the prior. A target goes at most halfway towards one without
+        a T20.
         """
         if not self.steps:
             return self.wanted.copy()
-        return rules.next_targets(
-            self.rule,
-            self.steps,
-            self.wanted,
-            self.best_target,
-            self._moving,
-            self._target_limits,
-            self.equation.reverberation_time(self.room),
-        )
+        target, without_t20 = self.best_target, self._target_without_t20
+        for k in np.flatnonzero(self._moving):
+            shortest, longest = (limit[k] for limit in self._target_limits)
+            known = [step for step in self.steps if np.isfinite(step.simulated[k])]
+            if not known:
+                stated = self.equation.reverberation_time(self.room)[k]
+                target[k] = np.clip(stated, shortest, longest)
+                continue
+            proposed = rules.next_target(
+                self.rule,
+                np.array([step.target[k] for step in known]),
+                np.array([step.simulated[k] for step in known]),
+                self.wanted[k],
+                shortest,
+                longest,
+            )
+            halfway = np.sqrt(target[k] * without_t20[k])
+            # Without such a target, NaN makes the comparison False and the proposal stands.
+            beyond = (proposed - halfway) * (without_t20[k] - target[k]) > 0
+            target[k] = halfway if beyond else proposed
+        return target
 
     @property
     def stated_target(self) -> Array:
@@ -358,9 +464,7 @@ class Loop(Result):
         """
         if self.finished:
             raise DataError("the loop is done: no band is left that another simulation helps")
-        time = rules.simulated_time(
-            simulated, self.room.centre_frequencies, self.matched, self.steps
-        )
+        time = self._simulated_time(simulated)
         for band in checks.listed("without_t20", without_t20):
             if checks.whole("without_t20", band, 0) >= len(time):
                 raise DataError(f"without_t20 has {band}; the bands are 0 to {len(time) - 1}")
@@ -373,11 +477,6 @@ class Loop(Result):
             heard=means(simulated),
         )
         return replace(self, steps=(*self.steps, step))
-
-    @property
-    def _jnd(self) -> Array:
-        """One JND of the measured T in s, (n_bands,)."""
-        return np.asarray(TARGET.jnd_of(self.wanted))
 
     @property
     def _gaps(self) -> Array:
@@ -394,13 +493,65 @@ class Loop(Result):
         rough = (np.abs(self.gap) > self.goal / 2) & np.isnan(self._target_without_t20)
         return np.asarray(needed | ((band_status == "converged") & rough & needed.any()))
 
-    @property
-    def _target_without_t20(self) -> Array:
-        return rules.target_without_t20(self.steps, self.wanted, self.best_target)
+    def _simulated_time(self, measurement: Measurement) -> Array:
+        """Return the simulated T of what is matched in s, (n_bands,), NaN where some pair has none.
+
+        Raises DataError for other bands, or a matched parameter that is missing. A measured band may
+        lack it only if it has one in an earlier step, and some measured band has one now.
+        """
+        frequencies = self.room.centre_frequencies
+        checks.instance("what was simulated", measurement, Measurement)
+        if not np.array_equal(measurement.centre_frequencies, frequencies):
+            raise DataError(
+                f"what was simulated has {span(measurement.centre_frequencies)}; the room has "
+                f"{span(frequencies)}"
+            )
+        for parameter in self.matched.shares:
+            if parameter not in measurement.values:
+                raise DataError(f"what was simulated has no {parameter_label(parameter)}")
+        measured = np.isfinite(self.matched.wanted)
+        missing = {
+            parameter: np.isnan(measurement.values[parameter]) & measured & (share > 0)
+            for parameter, share in self.matched.shares.items()
+        }
+        lost = np.any([absent.any(axis=0) for absent in missing.values()], axis=0)
+        earlier = np.zeros(lost.shape, dtype=bool)
+        for step in self.steps:
+            earlier |= np.isfinite(step.simulated)
+        refused = lost if lost[measured].all() else lost & ~earlier
+        for parameter, absent in missing.items():
+            for pair, k in np.argwhere(absent & refused)[:1].tolist():
+                raise DataError(
+                    f"simulated {parameter_label(parameter)}[{' to '.join(measurement.pairs[pair])}, "
+                    f"{label(frequencies[k])}] is missing, but T was measured there"
+                )
+        return np.where(lost, np.nan, self.matched.combined(measurement.mean))
 
     @property
+    def _target_without_t20(self) -> Array:
+        """The target without a simulated T20 that is nearest to the best one, (n_bands,).
+
+        NaN for a band with a T20 in every step or in none.
+        """
+        targets = np.array([step.target for step in self.steps])
+        simulated = np.isfinite(self._gaps)
+        missing = ~simulated & np.isfinite(self.wanted)
+        distance = np.where(missing, np.abs(np.log(targets / self.best_target)), np.inf)
+        nearest = targets[np.argmin(distance, axis=0), np.arange(self.room.n_bands)]
+        both = missing.any(axis=0) & simulated.any(axis=0)
+        return np.asarray(np.where(both, nearest, np.nan))
+
+    @cached_property
     def _target_limits(self) -> tuple[Array, Array]:
-        return rules.target_limits(self.room, self.equation)
+        """The shortest and the longest T in s that the equation can give within the bounds."""
+        room, fixed = self.room, self.room.sigma == 0
+        floor = 0.0 if room.alpha_min is None else room.alpha_min
+        least = room.areas @ np.where(fixed, room.alpha, floor)
+        most = room.areas @ np.where(fixed, room.alpha, 1.0)
+        margin = _FROM_BOUNDS * (most - least)
+        largest = _BELOW_LARGEST_MEAN * self.equation.largest_mean * room.total_area
+        high = np.minimum(most - margin, largest)
+        return self.equation.time(room, high), self.equation.time(room, least + margin)
 
     def to_dict(self) -> dict[str, Any]:
         """Return the loop as plain values."""
@@ -447,12 +598,7 @@ def start(
     ``weights`` and ``modes`` are those of `calibrate_simulator`. Raises DataError if an argument breaks
     its rule, or the room was calibrated to these data. Warns of other bands, copies and no air.
     """
-    if not isinstance(rule, str) or rule not in RULES:
-        raise DataError(f'rule = "{rule}" is not one of {", ".join(RULES)}')
     checks.instance("room", room, Room)
-    preset(method)
-    rules.check_decimals(decimals)
-    checks.positive("tolerance", tolerance, "JND")
     stated, low = measured, None if modes is None else BelowSchroeder.of(modes, room, measured)
     room, measured = (low.room, low.above(measured)) if low else (room, measured)
     data = times_in_room(room, measured)

@@ -12,8 +12,8 @@ from rtcal.acoustics.equations import Eyring
 from rtcal.acoustics.observables import OBSERVABLES, TARGET, observable, parameter_label
 from rtcal.acoustics.quality import gap_jnd
 from rtcal.loop import matched
+from rtcal.loop.calibrate import LoopResult
 from rtcal.loop.matched import ParameterGap
-from rtcal.loop.result import LoopResult
 from rtcal.loop.state import Loop
 from rtcal.report import words
 from rtcal.report.document import Heading, blocks, material_rows, render, source

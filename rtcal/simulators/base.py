@@ -42,9 +42,6 @@ class Simulator(Protocol):
         Bands of the columns of alpha in Hz.
     deterministic : bool
         Whether the result does not depend on the seed.
-    smooth : bool
-        Whether T is a smooth function of alpha while the seed stays the same. A path tracer is
-        smooth if every alpha weighs the same paths.
     """
 
     @property
@@ -65,11 +62,6 @@ class Simulator(Protocol):
     @property
     def deterministic(self) -> bool:
         """Whether the result does not depend on the seed."""
-        ...
-
-    @property
-    def smooth(self) -> bool:
-        """Whether T is a smooth function of alpha while the seed stays the same."""
         ...
 
     def simulate(self, alpha: Array, *, seed: int = 0) -> Measurement:

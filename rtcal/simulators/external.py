@@ -81,11 +81,6 @@ class External(RoomSimulator):
         if self.time_limit is not None:
             checks.positive("time_limit", self.time_limit, "s")
 
-    @property
-    def smooth(self) -> bool:
-        """Whether T counts as a smooth function of alpha: that of a deterministic function does."""
-        return self.deterministic
-
     def simulate(self, alpha: Array, *, seed: int = 0) -> Measurement:
         """Return the function's result for alpha (n_materials, n_bands) as a measurement.
 
@@ -339,7 +334,6 @@ class EquationSimulator(RoomSimulator):
     equation: Equation
     room: Room
     deterministic: ClassVar[bool] = True
-    smooth: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
         if isinstance(self.equation, type) or not isinstance(self.equation, Equation):

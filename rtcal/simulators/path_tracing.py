@@ -7,7 +7,7 @@ from concurrent.futures import ThreadPoolExecutor
 from copy import copy
 from dataclasses import dataclass, field, replace
 from itertools import repeat
-from typing import Any, ClassVar, Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -111,7 +111,6 @@ class PathTracing(DirectedSources, Tracer):
     scattering_model: Any = None
     workers: int | None = None
     thinned: float | None = None
-    smooth: ClassVar[bool] = True
     _traced: dict[tuple[int, ...], paths.Paths] = field(
         default_factory=dict, init=False, repr=False
     )

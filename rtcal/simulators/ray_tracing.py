@@ -20,7 +20,7 @@ module depends on:
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -77,7 +77,6 @@ class RayTracing(Tracer):
     """
 
     n_rays: int = 8000
-    smooth: ClassVar[bool] = False
 
     def __post_init__(self) -> None:
         _engine()

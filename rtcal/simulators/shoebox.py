@@ -76,7 +76,6 @@ class ShoeboxSimulator(RoomSimulator, ABC):
     receivers: Mapping[str, Point]
     box: Shoebox = field(init=False)
     deterministic: ClassVar[bool] = True
-    smooth: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "box", shoebox_of(self.room, self.sources, self.receivers))

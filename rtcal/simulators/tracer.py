@@ -206,11 +206,6 @@ class Tracer(RoomSimulator, ABC):
         """Name that calibrated coefficients belong to."""
 
     @property
-    @abstractmethod
-    def smooth(self) -> bool:
-        """Whether T is a smooth function of alpha while the seed stays the same."""
-
-    @property
     def pairs(self) -> tuple[tuple[str, str], ...]:
         """Names of source and receiver of each pair, source by source."""
         return tuple((s, r) for s in self.sources for r in self.receivers)

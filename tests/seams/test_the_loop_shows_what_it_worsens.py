@@ -27,7 +27,6 @@ class Bent:
     cost: float
     name: str = "bent"
     deterministic: bool = True
-    smooth: bool = True
 
     @property
     def materials(self) -> tuple[str, ...]:

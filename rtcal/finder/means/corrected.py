@@ -135,7 +135,6 @@ class CaseModel(RoomSimulator):
     case: Case
     room: Room = field(init=False)
     deterministic: bool = field(default=True, init=False)
-    smooth: bool = field(default=True, init=False)
     _corrected: _Corrected = field(init=False)
 
     def __post_init__(self) -> None:
@@ -197,11 +196,6 @@ class SpreadAbsorbers(RoomSimulator):
     def deterministic(self) -> bool:
         """Whether the simulator of the stated materials is deterministic."""
         return self.inner.deterministic
-
-    @property
-    def smooth(self) -> bool:
-        """Whether T of the simulator of the stated materials is smooth."""
-        return self.inner.smooth
 
     def simulate(self, alpha: Array, *, seed: int = 0) -> Measurement:
         """Simulate alpha (n_materials, n_bands)."""
