@@ -112,3 +112,8 @@ def program_of(room: rt.Room) -> rt.simulators.External:
 def candidates_of(*effects: str) -> tuple[Candidate, ...]:
     """Return candidates of which nothing but their effects is known."""
     return tuple(Candidate(effect=e, family=e, probability=0.0) for e in effects)
+
+
+def pytest_make_parametrize_id(val: object) -> str | None:
+    """Return no name of bytes: workbooks hold the time, so that two workers had other tests."""
+    return "bytes" if isinstance(val, bytes) else None

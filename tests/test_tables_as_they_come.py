@@ -378,7 +378,7 @@ BAD: list[tuple[bytes, str]] = [
 ]
 
 
-@pytest.mark.parametrize(("content", "rule"), BAD, ids=[rule for _, rule in BAD])
+@pytest.mark.parametrize(("content", "rule"), BAD)
 def test_bad_tables(content: bytes, rule: str) -> None:
     with pytest.raises(DataError, match=rule):
         tables.parse(content)

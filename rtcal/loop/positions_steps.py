@@ -310,6 +310,11 @@ _SETTLED_ODDS = 0.15
 """Change of the log odds, rounded to tenths, for which the room is not traced again: 0.02 to 0.04 of a
 coefficient."""
 _HALVINGS = 6
+_TRIALS = 3
+"""Most lengths of the last step, which lowers the gap."""
+_INDISTINCT = 0.5
+"""Rise of the objective in nats within which coefficients are as likely as those of its minimum, but for
+one standard deviation."""
 FITS = 0.5
 """Gap in JND, root mean square over all that is matched, below which a start needs no fit: the noise of
 a tracing."""
@@ -479,6 +484,51 @@ class PositionsFit:
 
     def run(self) -> Fitted:
         """Return where the fit ends."""
+        fit = self._nearest()
+        if not fit.refused and fit.listener.gaps()[0] > FITS:
+            self._close(fit)
+        return fit
+
+    def _close(self, fit: Fitted) -> None:
+        """Move to a smaller gap where the objective is indistinct from its minimum.
+
+        An error of the simulator that all bands have in common counts once, and the deviation of every
+        coefficient by itself: so coefficients that all are off by the same factor leave a part of the
+        gap at the minimum.
+        """
+        listener, errors, model = fit.listener, fit.errors, fit.path.steps[-1].model
+        offset, start = _offset(listener, fit.scattering), listener.alpha
+        heard, gaps = listener.heard, listener.gaps()
+
+        def objective(residual: Array, alpha: Array) -> float:
+            return _misfit(errors.factor, residual) + _others(model.answer, alpha)
+
+        residual, matrix = listener.residual() + offset, listener.linearised()
+        least = objective(residual, start)
+        most = least + _INDISTINCT
+        if _keeps(model.answer, self.room.alpha):
+            most = min(most, objective(self._residual, self.room.alpha))
+        covariance = self._weighted(errors, _GAP_WEIGHTS[0])
+        way = self._answer(start, matrix, residual, covariance).alpha - start
+        rise = objective(residual - matrix @ way.ravel(), start + way) - least
+        share = np.sqrt(_INDISTINCT / max(rise, _INDISTINCT))
+        limit = np.maximum(gaps, FITS)
+        for _ in range(_TRIALS):
+            alpha = start + share * way
+            try:
+                listener.move(alpha)
+            except (DataError, SimulatorError):
+                pass  # a decay without a time
+            else:
+                inside = objective(listener.residual() + offset, alpha) <= most
+                now = listener.gaps()
+                if inside and now[0] < gaps[0] and (now <= limit).all():
+                    return
+            share /= 2
+        listener.alpha, listener.heard = start, heard
+
+    def _nearest(self) -> Fitted:
+        """Return where the objective is least."""
         if self.by_scattering is not None:
             free = self._with_stated_scattering(guarded=False)
             if free.scattering is not None:
@@ -617,19 +667,12 @@ class PositionsFit:
 
         ``weight`` is that of the squared gap in JND, which the steps lower beside the objective.
         """
-        offset, covariance = _offset(listener, scattering), errors.covariance
-        if weight:
-            information = np.linalg.inv(covariance) + np.diag(weight / self._unit**2)
-            covariance = np.linalg.inv(information)
+        offset, covariance = _offset(listener, scattering), self._weighted(errors, weight)
 
         def linearised(at: LinearisationPoint) -> LinearisedSimulator:
             matrix = listener.linearised()
             residual = listener.residual() + offset
-            values = residual + matrix @ at.alpha.ravel()
-            numbers = Observed(matrix=matrix, values=values, covariance=covariance)
-            answer = self._problem.solve(
-                self._times, observed={POSITIONS: numbers}, method="positions"
-            )
+            answer = self._answer(at.alpha, matrix, residual, covariance)
             now, most = np.inf, self._no_limit
             if _keeps(answer, at.alpha):  # else the objective is no measure, nor is the gap
                 now = _misfit(errors.factor, residual) + _others(answer, at.alpha)
@@ -652,6 +695,21 @@ class PositionsFit:
         if path.end.heard is not None:  # steps that give nothing are refused
             listener.alpha, listener.heard = path.end.alpha, path.end.heard
         return path
+
+    def _weighted(self, errors: FitErrors, weight: float) -> Array:
+        """Return the errors' covariance where the squared gap in JND has a ``weight`` beside it."""
+        if not weight:
+            return errors.covariance
+        information = np.linalg.inv(errors.covariance) + np.diag(weight / self._unit**2)
+        return np.asarray(np.linalg.inv(information))
+
+    def _answer(
+        self, at: Array, matrix: Array, residual: Array, covariance: Array
+    ) -> CalibrationResult:
+        """Return the QP's answer with the simulator linearised at coefficients."""
+        values = residual + matrix @ at.ravel()
+        numbers = Observed(matrix=matrix, values=values, covariance=covariance)
+        return self._problem.solve(self._times, observed={POSITIONS: numbers}, method="positions")
 
     def _is_nearer(self, listener: Listener, errors: FitErrors, answer: CalibrationResult) -> bool:
         """Return whether a listener with the scattering stated is nearer than the start."""
