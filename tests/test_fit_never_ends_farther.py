@@ -174,6 +174,26 @@ def test_gap_and_objective_are_at_most_those_of_the_start(name, prior, scale):
         assert after < 0.5 * before
 
 
+@pytest.mark.parametrize("factor", [1.5, 2.0])
+def test_of_coefficients_that_are_as_likely_those_with_the_smallest_gap_are_taken(factor):
+    """An error of the simulator that all bands share would else excuse a part of the gap."""
+    simulator = images(stated(PRIORS["usual"]))
+    common = 0.06 * np.random.default_rng(3).standard_normal((16, 1, 1, 1))
+    errors = common * np.array([1.0, 1.0, 16.0])[:, np.newaxis, np.newaxis] * np.ones((16, 3, 3, 2))
+    runs = ControlRuns(
+        parameters=MATCH, pairs=tuple(simulator.simulate(ALPHA).pairs), errors=errors
+    )
+    data = measured("images", factor * ALPHA)
+    result = fit("images", stated(PRIORS["usual"]), data, controls=runs)
+    likeliest = result.steps[-1].answer.alpha
+    heard = simulator.observe(likeliest, MATCH)
+    gap = rms(result.measured.gap(heard))
+    assert gap > 0.5
+    assert rms(result.gap_after) < 0.9 * gap
+    least = objective(result, heard, likeliest)
+    assert least - 0.01 < objective(result, result.after, result.alpha) < least + 0.5
+
+
 @pytest.mark.parametrize("factor", [1 / 3, 1.0, 3.0])
 @pytest.mark.parametrize("prior", ["tight", "usual", "wide"])
 def test_a_fitted_scattering_ends_no_farther_either(prior, factor):

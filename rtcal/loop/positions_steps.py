@@ -313,8 +313,8 @@ _HALVINGS = 6
 _TRIALS = 3
 """Most lengths of the last step, which lowers the gap."""
 _INDISTINCT = 0.5
-"""Rise of the objective in nats within which coefficients are as likely as those of its minimum, but for
-one standard deviation."""
+"""Rise of the objective in nats within which coefficients are indistinct from those of its minimum: one
+standard deviation."""
 FITS = 0.5
 """Gap in JND, root mean square over all that is matched, below which a start needs no fit: the noise of
 a tracing."""
