@@ -74,19 +74,9 @@ def batch(rows: int) -> list[tuple[str, float, str, bool]]:
         lambda: closed_form(mu, sigma, areas, target, out),
         lambda: rt.exact.solve(mu, sigma, areas, target, out=out),
     )
-    few = slice(0, 200_000)
-    numpy_time, kernel = least(
-        2,
-        lambda: rt.exact.solve(mu[few], sigma[few], areas, target[few], engine="numpy"),
-        lambda: rt.exact.solve(mu[few], sigma[few], areas, target[few]),
-    )
     per = exact / rows
     print(f"{rows:,} problems of {N}, {100 * share:.1f} % with an active bound, one thread:")
-    print(
-        f"  closed form {1e9 * closed / rows:.0f} ns, exact {1e9 * per:.0f} ns, "
-        f"NumPy engine {1e9 * numpy_time / 200_000:.0f} ns a problem"
-    )
-    print(f"  NumPy engine / kernel {numpy_time / kernel:.1f}")
+    print(f"  closed form {1e9 * closed / rows:.0f} ns, exact {1e9 * per:.0f} ns a problem")
     general = [one_daqp(mu, sigma, areas, target), one_cvxpy(mu, sigma, areas, target)]
     return [
         ("exact / closed form", exact / closed, "at most 2.5", exact / closed <= 2.5),

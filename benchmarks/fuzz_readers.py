@@ -38,8 +38,7 @@ MAX_KEPT_BYTES = 60_000
 """Size of all the files of a reader that are kept in the repository."""
 KERNELS = [
     "rtcal.calibration.exact_kernel",
-    "rtcal.simulators.shoebox_numba",
-    "rtcal.simulators.path_numba",
+    "rtcal.simulators.kernels",
     "rtcal.studies.trials_kernel",
 ]
 """Modules that numba compiles: it does not know what atheris writes into them."""

@@ -40,27 +40,9 @@ SURVIVED = {
 }
 SURVIVORS: dict[tuple[str, str], str] = {
     (
-        "rtcal.calibration.exact.x__solve_chunk",
-        "+ alpha[unsolved] = None",
-    ): "equivalent: NumPy writes None as NaN into an array of floats",
-    (
-        "rtcal.calibration.exact.x__fix",
-        "+ to_high = (a > hi) & (under < over)[:, np.newaxis]",
-    ): "speed only: if both sides are violated alike, D is the answer's already, and what is not "
-    "fixed at its upper bound now is clipped to it at the end (2,000 such ties: no difference)",
-    (
-        "rtcal.calibration.exact.x__fix",
-        "+ alpha = np.clip(base - d[:, np.newaxis] * free, low, None)",
-    ): "equivalent: after the last round no free coefficient is above its upper bound (60,000 random "
-    "bands: no difference)",
-    (
         "rtcal.calibration.archive.x__told_apart",
         "+ for each, row, columns in zip(rooms, called, entries, strict=False)",
     ): "equivalent: each room has one row of names, and one of columns",
-    (
-        "rtcal.calibration.exact.x__solve_chunk",
-        "+ b = b + np.where(inside, 0.0, np.where(start >= b, give, -give))",
-    ): "equivalent: where start is b, it is inside, or give is 0",
     (
         "rtcal.calibration.numpy_model.x__check_rows",
         "+ for row in np.flatnonzero(row_scale >= 0):",

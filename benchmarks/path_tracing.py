@@ -17,9 +17,7 @@ from statistics import median
 import numpy as np
 
 from rtcal.datasets import halls
-from rtcal.simulators import path_numpy, paths
 from rtcal.simulators.path_tracing import PathTracing
-from rtcal.support import speed
 
 SECONDS = 1.5
 LIMIT = 20  # promised: re-weighting at least this many times quicker than tracing
@@ -71,11 +69,6 @@ def main() -> int:
             seconds(lambda alpha=alpha: whole.simulate(alpha))  # type: ignore[misc]
         )
     middle = {label: median(values) for label, values in times.items()}
-    if speed.available():
-        paths.kernels = lambda: path_numpy  # the twin, for comparison
-        twin = tracer(1)
-        middle["NumPy twin: trace"] = seconds(lambda: twin.traced(0, SECONDS))
-        middle["NumPy twin: weight"] = seconds(lambda: twin.energy(hall.room.alpha, SECONDS))
     one = middle["trace, one thread"]
     print(
         f"{traced.n_paths} paths, {len(hall.geometry.faces)} surfaces "

@@ -45,7 +45,7 @@ from rtcal.loop.control_runs import ControlRuns, simulated_controls, trace_ahead
 from rtcal.loop.measured_pairs import pairs_to_match
 from rtcal.loop.positions import MORE_PATHS, precise
 from rtcal.loop.positions_steps import Listener
-from rtcal.simulators import PathTracing, path_trace, paths
+from rtcal.simulators import PathTracing, paths
 from rtcal.simulators.observations import Observations
 from rtcal.simulators.tracer import ScatteringModel
 from tests.position_rooms.generate import order
@@ -67,24 +67,24 @@ class Traces:
     """Counts the traces of the path tracer while it is entered."""
 
     def __enter__(self) -> Traces:
-        self.number, self._trace = 0, path_trace.trace
+        self.number, self._trace = 0, paths.trace
 
         def counted(*args: Any, **options: Any) -> Any:
             self.number += 1
             return self._trace(*args, **options)
 
-        path_trace.trace = counted
+        paths.trace = counted
         return self
 
     def __exit__(self, *_: object) -> None:
-        path_trace.trace = self._trace
+        paths.trace = self._trace
 
 
 class KeptTraces:
     """Keeps a room's traces while it is entered: they do not depend on alpha, nor on its prior."""
 
     def __enter__(self) -> KeptTraces:
-        self._trace, self._kept = path_trace.trace, dict[tuple[Any, ...], paths.Paths]()
+        self._trace, self._kept = paths.trace, dict[tuple[Any, ...], paths.Paths]()
 
         def kept(geometry: Any, *points: np.ndarray, **options: Any) -> paths.Paths:
             key = (
@@ -100,11 +100,11 @@ class KeptTraces:
                 self._kept[key] = self._trace(geometry, *points, **options)
             return self._kept[key]
 
-        path_trace.trace = kept
+        paths.trace = kept
         return self
 
     def __exit__(self, *_: object) -> None:
-        path_trace.trace = self._trace
+        paths.trace = self._trace
 
 
 def calibrate(

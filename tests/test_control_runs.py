@@ -10,7 +10,7 @@ from rtcal.datasets import halls
 from rtcal.loop.control_runs import ControlRuns, simulated_controls
 from rtcal.loop.positions_steps import unexplained_errors
 from rtcal.loop.scattering import COMMON_LEFT, basis, errors_by_scattering
-from rtcal.simulators import PathTracing, Polyhedron, path_trace
+from rtcal.simulators import PathTracing, Polyhedron, paths
 from rtcal.simulators.geometry import SHOEBOX_WALLS
 from rtcal.support.errors import DataError
 
@@ -141,13 +141,13 @@ def test_no_control_run_is_traced_twice(monkeypatch):
         receivers={"R1": [4.5, 3.5, 1.2], "R2": [3.0, 3.9, 1.2]},
         n_paths=800,
     )
-    traced, trace = [], path_trace.trace
+    traced, trace = [], paths.trace
 
     def counted(*points, **options):
         traced.append(options["seed"])
         return trace(*points, **options)
 
-    monkeypatch.setattr(path_trace, "trace", counted)
+    monkeypatch.setattr(paths, "trace", counted)
     made = simulated_controls(tracer, room, ("t20", "edt"))
     assert len(traced) == 1 + 16  # the simulator itself, and each run
     assert 12 <= len(made.errors) <= 16

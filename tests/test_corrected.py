@@ -326,7 +326,6 @@ def test_a_geometry_without_what_the_finding_changed_is_refused(changed: str) ->
 def test_the_command_s_room_is_one_that_rtcal_calibrates(
     hidden: tuple[Case, np.ndarray], tmp_path: Path
 ) -> None:
-    pytest.importorskip("numba", reason="the control rooms are compiled (extra fast)")
     case = hidden[0].only("t20", "edt", "t30", configurations=["A"])
     case.save(str(tmp_path / "case.json"))
     case.configurations[0].measured.save(str(tmp_path / "measured.csv"))

@@ -7,9 +7,11 @@ import rtcal as rt
 from rtcal.acoustics.directivity import Directivity, DirectivityFile
 from rtcal.datasets import halls
 from rtcal.io import balloon, geometry_files
+from rtcal.simulators import kernels
 from rtcal.simulators.path_tracing import PathTracing
-from rtcal.support import speed
 from rtcal.support.errors import DataError
+from tests.reference import in_place_of
+from tests.reference import paths as reference
 
 HALL = halls.lecture_hall()
 SOURCE, RECEIVER = HALL.sources["S1"], next(iter(HALL.receivers))
@@ -95,12 +97,12 @@ def test_derivatives_are_those_of_the_aimed_source():
     assert change[0] / step == pytest.approx(jacobian, rel=1e-2, abs=1e-3)
 
 
-@pytest.mark.skipif(not speed.available(), reason="needs numba")
-def test_both_kernels_trace_the_same_aimed_paths(monkeypatch):
+def test_numpy_and_the_compiled_loops_trace_the_same_aimed_paths():
     aimed = {"directivity": speaker([1.0, 2, 3, 4, 5, 6, 7]), "n_paths": 160}
     compiled = tracer(**aimed).energy(HALL.room.alpha, 0.1, seed=1)
-    monkeypatch.setattr(speed, "available", lambda: False)
-    assert tracer(**aimed).energy(HALL.room.alpha, 0.1, seed=1) == pytest.approx(compiled, rel=1e-5)
+    with in_place_of(kernels, reference):
+        twin = tracer(**aimed).energy(HALL.room.alpha, 0.1, seed=1)
+    assert twin == pytest.approx(compiled, rel=1e-5)
 
 
 def test_where_the_directivity_is_unknown_reverberation_times_alone_count():

@@ -1,4 +1,4 @@
-"""The exact batch solver: against rational arithmetic, its twin, the definitions, bad input."""
+"""The exact batch solver: against rational arithmetic, NumPy, the definitions, bad input."""
 
 from __future__ import annotations
 
@@ -11,22 +11,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import rtcal as rt
-from rtcal.calibration import exact
-from rtcal.calibration.exact import _engine, _excess
-from rtcal.support import speed
-from rtcal.support.errors import DataError, MissingDependencyError
+from rtcal.calibration import exact, exact_kernel
+from rtcal.support.errors import DataError
 from tests import rational
 from tests.problems import Problem, problems
+from tests.reference import exact as reference
+from tests.reference import in_place_of
 
-ENGINES = [
-    "numpy",
-    pytest.param(
-        "numba",
-        marks=pytest.mark.skipif(
-            not speed.available(), reason="numba is not installed (rtcal[fast])"
-        ),
-    ),
-]
 EPS = np.finfo(float).eps
 COUNTS = [500, pytest.param(5000, marks=pytest.mark.long)]
 STATUS = {"below": exact.BELOW, "above": exact.ABOVE}
@@ -64,14 +55,8 @@ def truth(count: int) -> tuple[list[Problem], list]:
     ]
 
 
-def test_the_engine_that_is_asked_for_is_taken() -> None:
-    compiled = "numba" if speed.available() else "numpy"
-    assert (_engine("numpy"), _engine("auto")) == ("numpy", compiled)
-
-
 @pytest.mark.parametrize("count", COUNTS)
-@pytest.mark.parametrize("engine", ENGINES)
-def test_against_rational_arithmetic(engine: str, count: int) -> None:
+def test_against_rational_arithmetic(count: int) -> None:
     found, right = truth(count)
     worst, infeasible, snapped = 0.0, 0, 0
     for indices in by_size(found).values():
@@ -80,7 +65,7 @@ def test_against_rational_arithmetic(engine: str, count: int) -> None:
             np.array([getattr(p, k) for p in chosen]) for k in ("mu", "sigma", "areas")
         )
         target = np.array([p.target for p in chosen])
-        alpha, multiplier, status = exact.solve(mu, sigma, areas, target, engine=engine)
+        alpha, multiplier, status = exact.solve(mu, sigma, areas, target)
         assert alpha.min(where=status[:, np.newaxis] == 0, initial=0) == 0
         assert alpha.max(where=status[:, np.newaxis] == 0, initial=1) == 1
         for j, i in enumerate(indices):
@@ -136,11 +121,10 @@ def variants() -> list[tuple[tuple, dict, list]]:
     return found
 
 
-@pytest.mark.parametrize("engine", ENGINES)
-def test_bounds_per_coefficient_soft_and_band_against_rational_arithmetic(engine: str) -> None:
+def test_bounds_per_coefficient_soft_and_band_against_rational_arithmetic() -> None:
     active, worst = 0, 0.0
     for arrays, options, right in variants():
-        alpha, d, status = exact.solve(*arrays, **options, engine=engine)
+        alpha, d, status = exact.solve(*arrays, **options)
         assert status == exact.OK
         worst = max(worst, *(abs(float(x) - a) for x, a in zip(right, alpha, strict=True)))
         active += int(np.sum((alpha == arrays[4]) | (alpha == arrays[5])))
@@ -152,11 +136,10 @@ def test_bounds_per_coefficient_soft_and_band_against_rational_arithmetic(engine
     assert active > 1000
 
 
-@pytest.mark.parametrize("engine", ENGINES)
-def test_multiplier_is_the_papers_d(engine: str) -> None:
+def test_multiplier_is_the_papers_d() -> None:
     checked = 0
     for p in problems(210, seed=2):
-        alpha, d, status = exact.solve(p.mu, p.sigma, p.areas, p.target, engine=engine)
+        alpha, d, status = exact.solve(p.mu, p.sigma, p.areas, p.target)
         if status != exact.OK or not np.any(p.sigma > 0):
             continue
         w = p.areas * p.sigma**2
@@ -174,8 +157,7 @@ def test_multiplier_is_the_papers_d(engine: str) -> None:
     assert checked > 5
 
 
-@pytest.mark.parametrize("engine", ENGINES)
-def test_the_ends(engine: str) -> None:
+def test_the_ends() -> None:
     """b within 16 n eps sum |S bound| of an end is that end; beyond, it is out of reach."""
     areas = np.array([0.1, 33.3, 7.7])
     mu, sigma = np.array([0.2, 0.4, 0.6]), np.array([0.05, 0.1, 0.0])
@@ -193,7 +175,7 @@ def test_the_ends(engine: str) -> None:
             most + 3 * near,
         ]
     )
-    alpha, d, status = exact.solve(mu, sigma, areas, target, engine=engine)
+    alpha, d, status = exact.solve(mu, sigma, areas, target)
     assert status.tolist() == [0, 0, 0, 1, 0, 0, 0, 2]
     assert np.array_equal(alpha[:3], np.tile([0, 0, 0.6], (3, 1)))
     assert np.array_equal(alpha[4:7], np.tile([1, 1, 0.6], (3, 1)))
@@ -201,18 +183,17 @@ def test_the_ends(engine: str) -> None:
     assert d[:3] == pytest.approx(max(0.2 / w[0], 0.4 / w[1]))
     assert d[4:7] == pytest.approx(min(-0.8 / w[0], -0.6 / w[1]))
     # nothing can move: feasible only at S'mu
-    held = exact.solve(mu, np.zeros(3), areas, [mu @ areas, mu @ areas + 1, 1.0], engine=engine)
+    held = exact.solve(mu, np.zeros(3), areas, [mu @ areas, mu @ areas + 1, 1.0])
     assert held.status.tolist() == [0, 2, 1]
     assert np.array_equal(held.alpha[0], mu)
     assert held.multiplier[0] == 0
     # a point where all coefficients are at a bound, though not an end
-    corner = exact.solve([-1.0, 2.0], [1.0, 1.0], [2.0, 3.0], 3.0, engine=engine)
+    corner = exact.solve([-1.0, 2.0], [1.0, 1.0], [2.0, 3.0], 3.0)
     assert corner.alpha.tolist() == [0, 1]
     assert corner.multiplier == pytest.approx(1 / 3)  # of [-1/2, 1/3] the end nearest 0
 
 
-@pytest.mark.parametrize("engine", ENGINES)
-def test_bad_rows_are_status_3_and_leave_the_others_alone(engine: str) -> None:
+def test_bad_rows_are_status_3_and_leave_the_others_alone() -> None:
     mu, sigma, areas = np.full((10, 3), 0.5), np.full((10, 3), 0.1), np.full((10, 3), 2.0)
     lower, upper, target = np.zeros((10, 3)), np.ones((10, 3)), np.full(10, 2.5)
     give, u = np.zeros(10), np.zeros(10)
@@ -225,29 +206,26 @@ def test_bad_rows_are_status_3_and_leave_the_others_alone(engine: str) -> None:
     upper[7, 0] = np.nan
     sigma[8, 0] = np.inf
     give[9] = -1.0
-    alpha, d, status = exact.solve(
-        mu, sigma, areas, target, lower, upper, tolerance=give, engine=engine
-    )
+    alpha, d, status = exact.solve(mu, sigma, areas, target, lower, upper, tolerance=give)
     assert status.tolist() == [0] + [3] * 9
     assert np.isnan(alpha[1:]).all()
     assert np.isnan(d[1:]).all()
     np.testing.assert_allclose(alpha[0], 2.5 / 6)
     u[2] = -1.0
     soft = exact.solve(
-        0.5 * np.ones(3), [0.1] * 3, [2.0, 2.0, 2.0], np.full(10, 2.5), uncertainty=u, engine=engine
+        0.5 * np.ones(3), [0.1] * 3, [2.0, 2.0, 2.0], np.full(10, 2.5), uncertainty=u
     )
     assert soft.status.tolist() == [0, 0, 3] + [0] * 7
 
 
-@pytest.mark.parametrize("engine", ENGINES)
 @pytest.mark.parametrize("tiny", [1e-170, 1e-160, 1e-145])
-def test_a_sigma_whose_square_rounds_to_0_is_refused(engine: str, tiny: float) -> None:
+def test_a_sigma_whose_square_rounds_to_0_is_refused(tiny: float) -> None:
     """It gave alpha = 1 or the prior, with status 0."""
     sigma = [[tiny, tiny], [0.1, 0.1], [0.0, 0.1]]
-    answer = exact.solve([0.1, 0.2], sigma, [10, 20], 7.0, engine=engine)
+    answer = exact.solve([0.1, 0.2], sigma, [10, 20], 7.0)
     assert answer.status.tolist() == [exact.BAD_INPUT, exact.OK, exact.OK]
     np.testing.assert_allclose(answer.alpha[1:] @ [10, 20], 7)
-    one = exact.solve([0.1, 0.2], [tiny, tiny], [10, 20], [7.0, 8.0], engine=engine)
+    one = exact.solve([0.1, 0.2], [tiny, tiny], [10, 20], [7.0, 8.0])
     assert one.status.tolist() == [exact.BAD_INPUT] * 2
 
 
@@ -260,48 +238,37 @@ def test_what_does_not_fit_is_an_error() -> None:
         exact.solve(["a"], [0.1], [1], 0.2)
     with pytest.raises(DataError, match="not both"):
         exact.solve([0.1], [0.1], [1], 0.2, tolerance=1.0, uncertainty=1.0)
-    with pytest.raises(DataError, match='engine = "gpu"'):
-        exact.solve([0.1], [0.1], [1], 0.2, engine="gpu")
     with pytest.raises(DataError, match="out must be"):
         exact.solve([0.1], [0.1], [1], 0.2, out=np.empty(2))
 
 
-def test_without_numba(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(speed, "available", lambda: False)
-    with pytest.raises(MissingDependencyError, match=r"rtcal\[fast\]"):
-        exact.solve([0.1], [0.1], [1], 0.05, engine="numba")
-    assert exact.solve([0.1], [0.1], [1], 0.05).alpha == pytest.approx(0.05)
-
-
-@pytest.mark.parametrize("engine", ENGINES)
-def test_shapes_broadcast(engine: str) -> None:
+def test_shapes_broadcast() -> None:
     rng = np.random.default_rng(4)
     mu, sigma = rng.uniform(0.2, 0.8, (5, 1, 4)), rng.uniform(0.01, 0.1, (4,))
     areas, target = rng.uniform(1, 9, (3, 4)), rng.uniform(2, 3, (5, 3))
     out = np.empty((5, 3, 4))
-    alpha, d, status = exact.solve(mu, sigma, areas, target, engine=engine, out=out)
+    alpha, d, status = exact.solve(mu, sigma, areas, target, out=out)
     assert alpha is out
     assert d.shape == status.shape == (5, 3)
     for i in range(5):
         for j in range(3):
-            one = exact.solve(mu[i, 0], sigma, areas[j], target[i, j], engine=engine)
+            one = exact.solve(mu[i, 0], sigma, areas[j], target[i, j])
             np.testing.assert_allclose(alpha[i, j], one.alpha, rtol=0, atol=1e-14)
             assert one.multiplier == pytest.approx(float(d[i, j]))
-    assert exact.solve(mu[:0], sigma, areas[0], 1.0, engine=engine).alpha.shape == (0, 1, 4)
+    assert exact.solve(mu[:0], sigma, areas[0], 1.0).alpha.shape == (0, 1, 4)
     np.testing.assert_allclose((areas * alpha).sum(-1), target, rtol=1e-13)
 
 
-@pytest.mark.skipif(not speed.available(), reason="numba is not installed (rtcal[fast])")
 @given(st.integers(1, 30), st.integers(0, 2**32), st.floats(0, 3))
-def test_the_twins_agree(n: int, seed: int, spread: float) -> None:
+def test_the_compiled_loop_does_what_numpy_does(n: int, seed: int, spread: float) -> None:
     rng = np.random.default_rng(seed)
     mu, sigma = rng.uniform(-0.2, 1.2, (20, n)), rng.uniform(0.01, 0.3, (20, n))
     areas = 10 ** rng.uniform(0, spread, (20, n))
     target = rng.uniform(-0.05, 1.05, 20) * areas.sum(-1)
     u = rng.choice([0.0, 0.5], 20)
-    one, other = (
-        exact.solve(mu, sigma, areas, target, uncertainty=u, engine=e) for e in ("numpy", "numba")
-    )
+    one = exact.solve(mu, sigma, areas, target, uncertainty=u)
+    with in_place_of(exact_kernel, reference):
+        other = exact.solve(mu, sigma, areas, target, uncertainty=u)
     assert np.array_equal(one.status, other.status)
     np.testing.assert_allclose(one.alpha, other.alpha, rtol=0, atol=1e-11)
     np.testing.assert_allclose(one.multiplier, other.multiplier, rtol=1e-8, atol=1e-9)
@@ -334,7 +301,8 @@ def test_small_difference_of_large_areas_is_exact_to_rounding() -> None:
         for *row, b in pairs
     ]
     assert np.abs(wanted).max() > 1e-14
-    np.testing.assert_allclose(_excess(areas, alpha, target), wanted, rtol=0, atol=1e-25)
+    found = [exact_kernel.excess_of(*row) for row in zip(areas, alpha, target, strict=True)]
+    np.testing.assert_allclose(found, wanted, rtol=0, atol=1e-25)
 
 
 @pytest.mark.parametrize("end", [0.0, 1.0])
@@ -344,9 +312,7 @@ def test_rows_at_an_end_have_multipliers_of_their_own(end: float) -> None:
     sigma = np.array([[0.1, 0.2], [0.05, 0.1], [0.3, 0.02]])
     areas = np.array([20.0, 35.0])
     target = np.full(3, end * areas.sum())
-    together = exact.solve(mu, sigma, areas, target, engine="numpy")
-    alone = [
-        exact.solve(m, s, areas, target[0], engine="numpy") for m, s in zip(mu, sigma, strict=True)
-    ]
+    together = exact.solve(mu, sigma, areas, target)
+    alone = [exact.solve(m, s, areas, target[0]) for m, s in zip(mu, sigma, strict=True)]
     assert len({float(one.multiplier) for one in alone}) == 3
     assert together.multiplier.tolist() == [float(one.multiplier) for one in alone]

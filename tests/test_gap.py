@@ -32,9 +32,6 @@ from rtcal.report import gap_figures, pages
 from rtcal.report.document import Heading
 from rtcal.report.gap_report import summary
 from rtcal.simulators.sdn import ScatteringDelayNetwork
-
-pytest.importorskip("numba", reason="the engines are compiled (extra fast)")
-
 from tests.conftest import candidates_of
 from tests.hidden_world import populations
 from tests.hidden_world.generate import numbers, read

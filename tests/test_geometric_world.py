@@ -8,8 +8,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-pytest.importorskip("numba", reason="the geometric world is compiled (extra fast)")
-
 from rtcal.simulators import PathTracing
 from tests.geometric_world import generate, hidden, in_situ, load, rooms
 from tests.imports import imported_by

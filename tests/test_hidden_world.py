@@ -9,8 +9,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-pytest.importorskip("numba", reason="the hidden world is compiled (extra fast)")
-
 from tests.hidden_world import shipped
 from tests.hidden_world.tracer import World, trace
 from tests.imports import imported_by

@@ -8,8 +8,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-pytest.importorskip("numba", reason="the hidden worlds are compiled (extra fast)")
-
 from benchmarks import real_cases, real_data
 from benchmarks.judging import Judged, calibration_error, interval, stated_probabilities
 from benchmarks.real_cases import RealCase, every_case

@@ -6,8 +6,6 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-pytest.importorskip("numba", reason="the hidden worlds are compiled (extra fast)")
-
 from benchmarks.known_effect_test import best_powers, drawn_ratios, log_ratio
 from benchmarks.real_cases import every_case
 from benchmarks.second_world import WORLDS, true_effect, truth_of

@@ -18,14 +18,14 @@ from rtcal.simulators import (
     PathTracing,
     Polyhedron,
     ScatteringDelayNetwork,
+    kernels,
     observations,
-    path_numba,
-    path_numpy,
-    paths,
 )
 from rtcal.simulators.geometry import SHOEBOX_WALLS
 from rtcal.simulators.observations import differences, jacobian, observe
 from rtcal.support.errors import DataError, SimulatorError
+from tests.reference import in_place_of
+from tests.reference import paths as reference
 
 
 @pytest.fixture(scope="module")
@@ -85,22 +85,22 @@ def test_surfaces_add_up_to_their_material(tracer):
     assert (by_surface[..., owners == 0] != by_material[..., :1] / (owners == 0).sum()).any()
 
 
-def test_both_kernels_give_the_same_derivatives(tracer, monkeypatch):
+def test_numpy_and_the_compiled_loops_give_the_same_derivatives(tracer):
     alpha = tracer.room.alpha.copy()
     alpha[1, 0] = 1.0
     found = []
-    for kernels in (path_numba, path_numpy):
-        monkeypatch.setattr(paths, "kernels", lambda kernels=kernels: kernels)
-        found.append(tracer.jacobian(alpha, ["c80", "level"], seed=1))
+    for loops in (kernels, reference):
+        with in_place_of(kernels, loops):
+            found.append(tracer.jacobian(alpha, ["c80", "level"], seed=1))
     np.testing.assert_allclose(*found, rtol=1e-9, atol=1e-12)
     assert np.isfinite(found[0]).all()
 
 
-def test_both_kernels_give_the_same_derivatives_by_scattering(tracer, monkeypatch):
+def test_numpy_and_the_compiled_loops_give_the_same_derivatives_by_scattering(tracer):
     found = []
-    for kernels in (path_numba, path_numpy):
-        monkeypatch.setattr(paths, "kernels", lambda kernels=kernels: kernels)
-        found.append(tracer.scattering_jacobian(tracer.room.alpha, ["c80", "level"], seed=1))
+    for loops in (kernels, reference):
+        with in_place_of(kernels, loops):
+            found.append(tracer.scattering_jacobian(tracer.room.alpha, ["c80", "level"], seed=1))
     assert found[0].shape == (2, 2, len(tracer.pairs), tracer.room.n_bands, tracer.room.n_materials)
     assert np.abs(found[0]).max() > 0
     np.testing.assert_allclose(*found, rtol=1e-9, atol=1e-12)
@@ -181,10 +181,8 @@ def test_what_scatters_nothing_or_everything_has_no_derivative_by_scattering(tra
         ends.scattering_jacobian(tracer.room.alpha, ["level"], number=3)
 
 
-@pytest.mark.parametrize("compiled", [True, False])
 @pytest.mark.parametrize("kind", [ImageSource, ScatteringDelayNetwork])
-def test_shoebox_simulators_have_exact_derivatives(kind, compiled, monkeypatch):
-    monkeypatch.setattr("rtcal.support.speed.available", lambda: compiled)
+def test_shoebox_simulators_have_exact_derivatives(kind, monkeypatch):
     monkeypatch.setattr(observations, "STEP", 1e-5)  # decays of one length, no curvature
     areas = [21, 21, 15, 15, 35, 35]
     room = rt.Room(

@@ -7,10 +7,12 @@ import pytest
 
 from rtcal.acoustics.decay import decay_time
 from rtcal.datasets import halls
-from rtcal.simulators import path_numba, path_numpy, path_trace, paths
+from rtcal.simulators import kernels, paths
 from rtcal.simulators.geometry import Polyhedron
 from rtcal.simulators.tracer import jackknife
 from rtcal.support.errors import DataError
+from tests.reference import in_place_of
+from tests.reference import paths as reference
 
 C = 343.0
 BIN = 0.002 * C  # m
@@ -20,7 +22,7 @@ def trace(geometry, sources, receivers, scattering, seconds, **options):
     receivers = np.array(receivers, dtype=float)
     names = list(geometry.areas)
     settings = {"n_paths": 4000, "n_batches": 16, "scattering_model": "random", "seed": 1} | options
-    return path_trace.trace(
+    return paths.trace(
         geometry,
         np.array(sources, dtype=float),
         receivers,
@@ -45,13 +47,12 @@ def diffuse():
 
 
 @pytest.mark.parametrize("scattering_model", ["random", "vector"])
-def test_numba_and_numpy_trace_the_same_paths(scattering_model, monkeypatch):
+def test_the_compiled_loops_trace_the_paths_of_numpy(scattering_model):
     hall = halls.lecture_hall()
     alpha = np.random.default_rng(0).uniform(0, 1, (9, 3))
     alpha[2, 1] = 1.0  # nothing comes back from it
-    found = []
-    for kernels in (path_numba, path_numpy):
-        monkeypatch.setattr(paths, "kernels", lambda kernels=kernels: kernels)
+
+    def found():
         made = trace(
             hall.geometry,
             [hall.sources["S1"]],
@@ -62,8 +63,11 @@ def test_numba_and_numpy_trace_the_same_paths(scattering_model, monkeypatch):
             n_batches=2,
             scattering_model=scattering_model,
         )
-        found.append((made, made.energy(alpha, np.array([0, 1e-3, 1e-2]), BIN)))
-    (first, energy), (second, twin) = found
+        return made, made.energy(alpha, np.array([0, 1e-3, 1e-2]), BIN)
+
+    first, energy = found()
+    with in_place_of(kernels, reference):
+        second, twin = found()
     for a, b in zip(first.batches[0], second.batches[0], strict=True):
         assert (a.events == b.events).all()
         assert (a.starts == b.starts).all()
@@ -72,12 +76,6 @@ def test_numba_and_numpy_trace_the_same_paths(scattering_model, monkeypatch):
         assert a.free_paths == pytest.approx(b.free_paths, rel=1e-9)
     assert twin == pytest.approx(energy, rel=1e-6)
     assert energy.sum() > 0
-
-
-def test_without_numba_the_twin_is_used(monkeypatch):
-    assert paths.kernels() is path_numba
-    monkeypatch.setattr("rtcal.support.speed.available", lambda: False)
-    assert paths.kernels() is path_numpy
 
 
 def test_energy_is_conserved_where_nothing_absorbs(diffuse):
@@ -168,7 +166,7 @@ def test_the_receivers_radius_does_not_bias_the_energy():
     # A sphere as large as its distance to the walls allows hears, reflection by reflection, what
     # a point hears: here the first reflections from six walls, 1 % with the noise.
     receiver = np.array([2.5, 4.4, 1.5])
-    made = path_trace.trace(
+    made = paths.trace(
         BOX,
         np.array(SOURCE),
         receiver[np.newaxis],
@@ -302,12 +300,10 @@ def test_lost_paths_are_dropped_and_the_others_weigh_more():
     assert gradient[:, :, 0, 0] == pytest.approx(slope, rel=1e-5, abs=1e-7)
 
 
-def test_numpy_drops_the_same_paths(monkeypatch):
-    found = []
-    for kernels in (path_numba, path_numpy):
-        monkeypatch.setattr(paths, "kernels", lambda kernels=kernels: kernels)
-        found.append(trace(leaky_box(0.03), SOURCE, RECEIVERS, 0.5, 0.5, n_paths=600, n_batches=2))
-    first, second = found
+def test_numpy_drops_the_same_paths():
+    first = trace(leaky_box(0.03), SOURCE, RECEIVERS, 0.5, 0.5, n_paths=600, n_batches=2)
+    with in_place_of(kernels, reference):
+        second = trace(leaky_box(0.03), SOURCE, RECEIVERS, 0.5, 0.5, n_paths=600, n_batches=2)
     assert first.lost_share == second.lost_share > 0
     for a, b in zip(first.batches[0], second.batches[0], strict=True):
         assert (a.events == b.events).all()
@@ -327,7 +323,7 @@ def test_jackknife_of_a_mean_is_its_standard_error():
     assert error == pytest.approx(values.std(axis=0, ddof=1) / np.sqrt(40))
 
 
-def test_one_sweep_changes_groups_of_faces_as_weighings_do(monkeypatch):
+def test_one_sweep_changes_groups_of_faces_as_weighings_do():
     hall = halls.lecture_hall()
     names = list(hall.geometry.areas)
     made_of = np.array([names.index(m) for m in hall.geometry.materials])
@@ -345,23 +341,23 @@ def test_one_sweep_changes_groups_of_faces_as_weighings_do(monkeypatch):
     changed = np.stack([alpha * 0.5, np.ones_like(alpha)])
     members = np.zeros((2, len(names)), dtype=bool)
     members[0, 0] = members[1, 1:4] = True
-    for kernels in (path_numba, path_numpy):
-        monkeypatch.setattr(paths, "kernels", lambda kernels=kernels: kernels)
-        swept = made.energy_changed(alpha, air, BIN, made_of, members, changed)
+    for loops in (kernels, reference):
+        with in_place_of(kernels, loops):
+            swept = made.energy_changed(alpha, air, BIN, made_of, members, changed)
         for group, of_group in zip(members, swept, strict=True):
             for other, energy in zip(changed, of_group, strict=True):
                 weighed = made.energy(np.where(group[:, None], other, alpha), air, BIN).mean(axis=0)
                 assert energy == pytest.approx(weighed, rel=1e-6, abs=1e-12)
 
 
-def test_thinned_paths_are_the_same_until_they_end(monkeypatch):
-    """Both kernels end the same paths, and those left are the ones that would be there anyway."""
+def test_thinned_paths_are_the_same_until_they_end():
+    """NumPy and the compiled loop end the same; those left would be there anyway."""
     found = []
-    for kernels in (path_numba, path_numpy):
-        monkeypatch.setattr(paths, "kernels", lambda kernels=kernels: kernels)
-        found.append(
-            trace(BOX, SOURCE, RECEIVERS, 0.4, 0.5, n_paths=512, n_batches=2, thinned=THINNED)
-        )
+    for loops in (kernels, reference):
+        with in_place_of(kernels, loops):
+            found.append(
+                trace(BOX, SOURCE, RECEIVERS, 0.4, 0.5, n_paths=512, n_batches=2, thinned=THINNED)
+            )
     whole = trace(BOX, SOURCE, RECEIVERS, 0.4, 0.5, n_paths=512, n_batches=2)
     for one, other in zip(found[0].batches[0], found[1].batches[0], strict=True):
         assert (one.events == other.events).all()

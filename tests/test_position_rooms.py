@@ -9,8 +9,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-pytest.importorskip("numba", reason="the position rooms are compiled (extra fast)")
-
 from rtcal.acoustics import decay
 from rtcal.acoustics.observables import observable
 from rtcal.simulators import PathTracing

@@ -26,7 +26,7 @@ from rtcal.simulators import (
     ImageSource,
     PathTracing,
     ScatteringDelayNetwork,
-    path_trace,
+    paths,
 )
 from rtcal.simulators.external import EquationSimulator
 from rtcal.support.errors import DataError, SimulatorError
@@ -214,8 +214,8 @@ def test_paths_that_leave_through_gaps_are_said(measured, monkeypatch):
         leaky = replace(made.batches[0][0], lost=1)
         return replace(made, batches=((leaky, *made.batches[0][1:]), *made.batches[1:]))
 
-    trace = path_trace.trace
-    monkeypatch.setattr(path_trace, "trace", traced)
+    trace = paths.trace
+    monkeypatch.setattr(paths, "trace", traced)
     tracer = PathTracing(geometry=HALL.geometry, room=ROOM, **PLACES, n_paths=160, scattering=0.5)
     assert tracer.lost_share == 0
     result = calibrate(tracer, measured)

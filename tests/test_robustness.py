@@ -60,12 +60,9 @@ def test_what_is_false_is_no_equation(equation) -> None:
         rt.calibrate(room(), [0.8, 0.75], equation=equation)
 
 
-@pytest.mark.parametrize("engine", ["numpy", "numba"])
-def test_an_endless_uncertainty_is_no_datum(engine: str) -> None:
+def test_an_endless_uncertainty_is_no_datum() -> None:
     endless = [np.inf, 1e200, 1.0]
-    answer = rt.exact.solve(
-        [0.4, 0.3], [0.1, 0.1], [20, 74], 30.0, uncertainty=endless, engine=engine
-    )
+    answer = rt.exact.solve([0.4, 0.3], [0.1, 0.1], [20, 74], 30.0, uncertainty=endless)
     assert answer.status.tolist() == [3, 3, 0]
 
 

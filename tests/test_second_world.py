@@ -8,8 +8,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-pytest.importorskip("numba", reason="the second world is compiled (extra fast)")
-
 import rtcal as rt
 from tests.imports import imported_by
 from tests.second_world import rooms

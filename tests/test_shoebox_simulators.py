@@ -7,13 +7,14 @@ import pytest
 
 import rtcal as rt
 from rtcal.acoustics import decay
-from rtcal.simulators import base
+from rtcal.simulators import base, kernels
 from rtcal.simulators.geometry import SHOEBOX_WALLS, Polyhedron
 from rtcal.simulators.late_images import mean_energy
-from rtcal.simulators.sdn import ScatteringDelayNetwork, _blocks
+from rtcal.simulators.sdn import ScatteringDelayNetwork
 from rtcal.simulators.shoebox import ImageSource, lattice
-from rtcal.support import speed
 from rtcal.support.errors import DataError, TooShortError
+from tests.reference import in_place_of
+from tests.reference import shoebox as reference
 
 SOURCE, RECEIVER = {"S": (4.5, 3.5, 2.0)}, {"R": (2.0, 2.0, 1.5)}
 APART = {"R": (2.1, 2.3, 1.4)}  # no two first reflections arrive in one sample
@@ -71,15 +72,11 @@ def test_sdn_keeps_its_energy_without_absorption() -> None:
 
 
 def test_sdn_numba_and_numpy_are_one_network() -> None:
-    if not speed.available():
-        pytest.skip("needs numba")
-    from rtcal.simulators.shoebox_numba import blocks
-
     sdn = ScatteringDelayNetwork(room=box(), sources=SOURCE, receivers=RECEIVER, sampling_rate=8000)
     network, rng = sdn.networks[0], np.random.default_rng(1)
     gains = [rng.uniform(0.9, 1, shape) for shape in ((6, 5, 3), (6, 3), (6, 3), (6, 3))]
     delays = (network.lines, network.source_delays, network.tap_delays)
-    one, two = (run(*delays, *gains, 16000) for run in (_blocks, blocks))
+    one, two = (loops.blocks(*delays, *gains, 16000) for loops in (kernels, reference))
     assert np.abs(one).max() > 0.1
     assert one == pytest.approx(two, rel=0, abs=1e-12 * np.abs(one).max())
 
@@ -196,15 +193,13 @@ def test_late_images_have_their_mean_over_positions() -> None:
         np.testing.assert_allclose(*both, rtol=0.03)
 
 
-def test_image_numba_and_numpy_weigh_alike(monkeypatch: pytest.MonkeyPatch) -> None:
-    if not speed.available():
-        pytest.skip("needs numba")
+def test_image_numba_and_numpy_weigh_alike() -> None:
     images = ImageSource(room=box(rt.Air()), sources=SOURCE, receivers=RECEIVER, duration=0.2)
     compiled = images.energy(ALPHA)
-    monkeypatch.setattr(speed, "available", lambda: False)
     assert compiled.min() >= 0
     assert compiled.sum() > 0
-    assert images.energy(ALPHA) == pytest.approx(compiled, rel=1e-12, abs=0)
+    with in_place_of(kernels, reference):
+        assert images.energy(ALPHA) == pytest.approx(compiled, rel=1e-12, abs=0)
 
 
 def test_a_black_wall_reflects_nothing() -> None:

@@ -17,10 +17,11 @@ import rtcal as rt
 from rtcal import studies
 from rtcal.acoustics.priors import TruncatedNormal
 from rtcal.command.main import cli
-from rtcal.studies import paper
+from rtcal.studies import paper, trials_kernel
 from rtcal.studies.runner import SERIES, ScoreMoments
-from rtcal.support import speed
 from rtcal.support.errors import DataError, MissingDependencyError
+from tests.reference import in_place_of
+from tests.reference import trials as reference
 
 SHOEBOX = np.array(studies.paper.SHOEBOX)
 HALL = np.array(list(studies.paper.LECTURE_HALL.values()))
@@ -87,11 +88,10 @@ def test_trials_are_truncated_normal() -> None:
     assert np.all((abs(law.mean() - mu) > 4 * standard_error)[1:])  # the bias is seen
 
 
-@pytest.mark.skipif(not speed.available(), reason="numba is not installed (rtcal[fast])")
-def test_kernels_and_twins_agree(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_compiled_loops_do_what_numpy_does() -> None:
     compiled = studies.run(SHOEBOX, 0.1, 30, 700, seed=3)
-    monkeypatch.setattr(speed, "available", lambda: False)
-    plain = studies.run(SHOEBOX, 0.1, 30, 700, seed=3)
+    with in_place_of(trials_kernel, reference):
+        plain = studies.run(SHOEBOX, 0.1, 30, 700, seed=3)
     assert plain.moments.active.sum() > 100
     assert np.array_equal(plain.moments.active, compiled.moments.active)
     np.testing.assert_allclose(plain.moments.sums, compiled.moments.sums, rtol=1e-12)

@@ -19,7 +19,6 @@ from tests.conftest import also
 
 pytest.importorskip("matplotlib", reason="needs the extra report")
 pytest.importorskip("jinja2", reason="needs the extra report")
-pytest.importorskip("numba", reason="the engines are compiled (extra fast)")
 
 pytestmark = pytest.mark.usefixtures("runs_kept")
 WIDTHS = (60, 80, 120)

@@ -20,8 +20,6 @@ from rtcal.simulators import PathTracing
 from rtcal.support.types import Array
 from tests.test_where import heard, stated, tracing
 
-pytest.importorskip("numba", reason="the paths are traced by compiled code (extra fast)")
-
 WALL = 1
 """The east wall's row of alpha."""
 PLACES = {

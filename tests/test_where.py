@@ -30,8 +30,6 @@ from rtcal.simulators.geometry import SHOEBOX_WALLS
 from rtcal.support.errors import DataError, ModelError
 from tests.conftest import also
 
-pytest.importorskip("numba", reason="the paths are traced by compiled code (extra fast)")
-
 BANDS = (500.0, 1000.0, 2000.0)
 SIZE = (7.0, 5.0, 3.0)
 SOURCES = {"S1": (1.2, 1.0, 1.5), "S2": (5.6, 3.9, 1.4)}

@@ -8,8 +8,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-pytest.importorskip("numba", reason="the geometric world is compiled (extra fast)")
-
 import rtcal as rt
 from benchmarks import where, where_figures
 from benchmarks.where_threshold import folds

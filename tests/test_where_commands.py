@@ -24,7 +24,6 @@ from tests.test_where_page import PLACE, finding_of, verification_of
 
 pytest.importorskip("matplotlib", reason="needs the extra report")
 pytest.importorskip("jinja2", reason="needs the extra report")
-pytest.importorskip("numba", reason="the paths are traced by compiled code (extra fast)")
 
 FILES = ("room.toml", "pairs.csv")
 COMMANDS = [

@@ -18,8 +18,6 @@ from rtcal.simulators import ImageSource, PathTracing, Polyhedron, RayTracing
 from rtcal.simulators.geometry import SHOEBOX_WALLS
 from rtcal.support.errors import DataError
 
-pytest.importorskip("numba", reason="the paths are traced by compiled code (extra fast)")
-
 BANDS = (500.0, 1000.0)
 SIZE = (7.0, 5.0, 3.0)
 SOURCES = {"S": (1.2, 1.0, 1.5)}

@@ -32,8 +32,6 @@ from rtcal.finder.positions.posterior import (
 from rtcal.finder.records import record_of_positions
 from tests.test_where import MATCH, measured, stated, tracing
 
-pytest.importorskip("numba", reason="the paths are traced by compiled code (extra fast)")
-
 
 @pytest.fixture(scope="module")
 def case() -> rt.finder.positions.PositionsCase:

@@ -26,7 +26,6 @@ from tests.typed import wrongly_typed
 
 pytest.importorskip("matplotlib", reason="needs the extra report")
 pytest.importorskip("jinja2", reason="needs the extra report")
-pytest.importorskip("numba", reason="the paths are traced by compiled code (extra fast)")
 
 PLACE = Place(point=(6.5, 3.0, 1.2), source="S", nats=2.5)
 

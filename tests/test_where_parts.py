@@ -18,8 +18,6 @@ from rtcal.report import where_figures
 from rtcal.simulators import PathTracing, Polyhedron
 from rtcal.simulators.geometry import SHOEBOX_WALLS
 
-pytest.importorskip("numba", reason="the paths are traced by compiled code (extra fast)")
-
 BANDS = (500.0, 1000.0)
 SIZE = (12.0, 4.0, 3.0)
 SOURCES = {"S1": (1.5, 1.0, 1.5), "S2": (10.3, 2.9, 1.4)}

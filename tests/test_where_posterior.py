@@ -14,6 +14,7 @@ import pytest
 from scipy.stats import multivariate_normal
 
 import rtcal as rt
+from benchmarks import where_ideal, where_temper
 from rtcal.finder.effects import library
 from rtcal.finder.positions.evidence import ScatteringLevels
 from rtcal.finder.positions.hypotheses import shifts
@@ -28,9 +29,6 @@ from rtcal.finder.positions.posterior import (
     with_families,
 )
 from tests.test_where import MATCH, measured, stated, tracing
-
-pytest.importorskip("numba", reason="the paths are traced by compiled code (extra fast)")
-from benchmarks import where_ideal, where_temper
 
 
 @pytest.fixture(scope="module")

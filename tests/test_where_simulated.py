@@ -18,7 +18,6 @@ from tests.test_where import BANDS, RECEIVERS, SOURCES, measured, stated, tracin
 from tests.test_where_corrected import candidate
 
 pytest.importorskip("pyroomacoustics", reason="the other program")
-pytest.importorskip("numba", reason="the paths are traced by compiled code (extra fast)")
 
 MATCH = ("t20", "edt", "c80", "ts")
 

@@ -17,8 +17,6 @@ from tests.conftest import also
 from tests.test_where import MATCH, RECEIVERS, SOURCES, heard, stated, tracing
 from tests.test_where import measured as opened
 
-pytest.importorskip("numba", reason="the paths are traced by compiled code (extra fast)")
-
 MICROPHONE = {"M": (3.9, 2.2, 1.3)}
 SPEAKERS = {
     f"L{n}": (3.9 + 1.6 * np.cos(angle), 2.2 + 1.6 * np.sin(angle), 1.3 + 0.1 * (-1) ** n)

@@ -1,6 +1,6 @@
-"""The compiled engine of `rtcal.calibration.exact`: it solves the rows one by one, in one thread.
+"""The compiled loop of `rtcal.calibration.exact`: it solves the rows one by one, in one thread.
 
-It does the arithmetic of the NumPy engine in `rtcal.calibration.exact`; tests compare the two.
+`tests/reference/exact.py` does the same arithmetic in NumPy.
 """
 
 from __future__ import annotations

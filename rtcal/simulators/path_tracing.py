@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from rtcal.acoustics.directivity import Directivity
 from rtcal.acoustics.observables import MATCH, longest
-from rtcal.simulators import observations, path_trace, paths
+from rtcal.simulators import observations, paths
 from rtcal.simulators.base import check_alpha
 from rtcal.simulators.observations import Observations
 from rtcal.simulators.tracer import (
@@ -83,7 +83,7 @@ class PathTracing(DirectedSources, Tracer):
         Number of threads, by default the number of processors.
     thinned : float, optional
         Time in s after which every second path ends, and again after each further such time; those left
-        weigh twice as much. See `rtcal.simulators.path_trace.trace`.
+        weigh twice as much. See `rtcal.simulators.paths.trace`.
 
     Raises
     ------
@@ -429,7 +429,7 @@ class PathTracing(DirectedSources, Tracer):
 
     def _trace(self, scattering: Array, longest: float, seed: int) -> paths.Paths:
         sources, receivers = self._points()
-        return path_trace.trace(
+        return paths.trace(
             self.geometry,
             sources,
             receivers,

@@ -20,7 +20,7 @@ from rtcal.acoustics.equations import Eyring
 from rtcal.acoustics.measurement import Measurement
 from rtcal.simulators.base import check_alpha
 from rtcal.simulators.shoebox import ShoeboxSimulator
-from rtcal.support import checks, speed
+from rtcal.support import checks
 from rtcal.support.errors import DataError
 from rtcal.support.types import Array
 
@@ -220,16 +220,15 @@ class ScatteringDelayNetwork(ShoeboxSimulator):
 
     def _render(self, network: Network, reflection: NDArray[Any], out: NDArray[Any]) -> None:
         """Write one pair's responses, (n_bands, n_samples); complex for complex reflection factors."""
+        from rtcal.simulators import kernels
+
         half = self.room.air_attenuation / 2
         lines = np.exp(-half * network.line_lengths[..., np.newaxis])
         source = network.source_lengths[:, np.newaxis]
         tap = network.tap_lengths[:, np.newaxis]
         injected = np.exp(-half * source) / source
         heard = np.exp(-half * tap) / (1 + tap / source)
-        run = _blocks
-        if speed.available():
-            from rtcal.simulators.shoebox_numba import blocks as run
-        out[:] = run(
+        out[:] = kernels.blocks(
             network.lines,
             network.source_delays,
             network.tap_delays,
@@ -271,51 +270,3 @@ def _network(dimensions: Array, source: Array, receiver: Array, rate: float) -> 
         direct_delay=int(np.rint(rate * direct)),
         direct_length=direct,
     )
-
-
-def _blocks(
-    delays: NDArray[np.int64],
-    source_delays: NDArray[np.int64],
-    tap_delays: NDArray[np.int64],
-    lines: Array,
-    reflection: NDArray[Any],
-    injected: Array,
-    heard: Array,
-    n: int,
-) -> NDArray[Any]:
-    """Run the network in blocks of its smallest delay; return the response (n_bands, n).
-
-    ``delays`` (6, 5), ``source_delays`` and ``tap_delays`` (6,) are in samples. ``lines`` (6, 5,
-    n_bands), ``reflection``, ``injected`` and ``heard`` (6, n_bands) are gains.
-    """
-    block, longest = int(delays.min()), int(delays.max())
-    # Incoming waves by port. A full buffer is shifted to its start.
-    kept = longest + 64 * block
-    incoming = np.zeros((_NODES, _PORTS, kept, lines.shape[-1]), reflection.dtype)
-    out = np.zeros((n + int(tap_delays.max()) + block, lines.shape[-1]), reflection.dtype)
-    base = 0
-    for start in range(0, n, block):
-        if start + block + longest - base > kept:
-            left = kept - (start - base)
-            incoming[:, :, :left] = incoming[:, :, start - base :].copy()
-            incoming[:, :, left:] = 0
-            base = start
-        wave = incoming[:, :, start - base : start - base + block]
-        pressure = 0.4 * wave.sum(axis=1)
-        for k in np.flatnonzero(
-            (source_delays >= start) & (source_delays < start + block)
-        ).tolist():
-            at = int(source_delays[k]) - start
-            # A (p+ + p_S / 2) adds p_S / 2 at each port, and p_S to the node's pressure.
-            pressure[k, at] += injected[k] / 2
-            out[start + at + tap_delays[k]] += heard[k] * reflection[k] * injected[k] / 2
-        outgoing = reflection[:, np.newaxis, np.newaxis] * (pressure[:, np.newaxis] - wave)
-        for k in range(_NODES):
-            tap = start + int(tap_delays[k])
-            out[tap : tap + block] += heard[k] * reflection[k] * pressure[k]
-            for j in range(_PORTS):
-                to = _NEIGHBOUR[k, j]
-                port = k - (k > to)
-                at = start - base + int(delays[k, j])
-                incoming[to, port, at : at + block] = lines[k, j] * outgoing[k, j]
-    return out[:n].T

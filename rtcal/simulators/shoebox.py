@@ -27,7 +27,7 @@ from rtcal.simulators import observations
 from rtcal.simulators.base import RoomSimulator, check_alpha
 from rtcal.simulators.geometry import SHOEBOX_WALLS, Polyhedron
 from rtcal.simulators.observations import Observations
-from rtcal.support import checks, speed
+from rtcal.support import checks
 from rtcal.support.errors import DataError
 from rtcal.support.types import Array
 
@@ -311,14 +311,13 @@ class ImageSource(ShoeboxSimulator):
 
     def _summed(self, images: Images, reflected: Array) -> Array:
         """Return the energy of a pair's bins, (n_bands, n_bins), by a factor per wall and hits."""
-        weigh = _weigh
-        if speed.available():
-            from rtcal.simulators.shoebox_numba import weigh
+        from rtcal.simulators import kernels
+
         x, y, z = (
             near[:, hits[:, 0]] * far[:, hits[:, 1]]
             for near, far, hits in zip(reflected[::2], reflected[1::2], images.hits, strict=True)
         )
-        energy = weigh(
+        energy = kernels.weigh(
             x, y, z, images.rows, images.starts, images.bins, images.weights, self._n_bins
         )
         return energy * np.exp(-np.multiply.outer(self.room.air_attenuation, images.lengths))
@@ -387,32 +386,6 @@ class ImageSource(ShoeboxSimulator):
             weights=1 / (4 * np.pi * length**2),
             lengths=np.bincount(bin_, length, self._n_bins) / np.maximum(images_per_bin, 1),
         )
-
-
-def _weigh(
-    x: Array,
-    y: Array,
-    z: Array,
-    rows: NDArray[np.int64],
-    starts: NDArray[np.int64],
-    bins: NDArray[np.uint32],
-    weights: Array,
-    n_bins: int,
-) -> Array:
-    """Return the energy of each bin, (n_bands, n_bins).
-
-    ``x``, ``y`` and ``z``, (n_bands, n_lattice): product of (1 - alpha) over the hits along an axis.
-    """
-    size = np.diff(starts)
-    row_of_z = np.arange(len(bins)) + np.repeat(rows[:, 2] - starts[:-1], size)
-    run = np.repeat(np.arange(len(rows)), size)
-    reflected_xy = x[:, rows[:, 0]] * y[:, rows[:, 1]]
-    return np.array(
-        [
-            np.bincount(bins, xy[run] * z_of_band[row_of_z] * weights, n_bins)
-            for xy, z_of_band in zip(reflected_xy, z, strict=True)
-        ]
-    )
 
 
 def lattice(

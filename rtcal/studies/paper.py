@@ -32,7 +32,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtcal.acoustics.priors import TruncatedNormal
-from rtcal.support import checks, speed
+from rtcal.support import checks
 from rtcal.support.types import Array
 
 __all__ = [
@@ -104,12 +104,10 @@ def trials(rng: np.random.Generator, mu: Array, sigma: Array, z: Array) -> None:
 
 def outside(z: Array, low: Array, high: Array) -> NDArray[np.intp]:
     """Return the flat indices of ``z`` (n, trials) below ``low`` or above ``high`` (n,)."""
-    if speed.available():
-        from rtcal.studies import trials_kernel
+    from rtcal.studies import trials_kernel
 
-        indices = np.empty(z.size, np.intp)
-        return indices[: trials_kernel.outside(z, low, high, indices)]
-    return np.flatnonzero((z < low[:, np.newaxis]) | (z > high[:, np.newaxis]))
+    indices = np.empty(z.size, np.intp)
+    return indices[: trials_kernel.outside(z, low, high, indices)]
 
 
 METHODS = ("none", "scaling", "lse", "mle")
@@ -220,43 +218,23 @@ class TrialSums:
 
 def score(z: Array, room: Realisation) -> TrialSums:
     """Calibrate the trials ``z`` = (alpha* - mu)/sigma, (n, trials), and sum up their errors."""
+    from rtcal.studies import trials_kernel
+
     # e = mu - alpha* = -sigma z; the rows give delta = S'e and e'q from z
     rows = -np.vstack([room.areas * room.sigma, room.q * room.sigma])
-    if speed.available():
-        from rtcal.studies import trials_kernel
-
-        squares, sums = trials_kernel.score(
-            z,
-            rows,
-            room.mu,
-            room.sigma,
-            room.q,
-            room.q @ room.areas,
-            room.delta,
-            room.multiplier,
-            room.least,
-            room.most,
-        )
-        return TrialSums(squares, sums[0], sums[1, :-1], sums[2, :-1])
-    return _score(z, rows, room)
-
-
-def _score(z: Array, rows: Array, room: Realisation) -> TrialSums:
-    """The NumPy version of `trials_kernel.score`."""
-    along = rows @ z
-    delta = along[0]
-    variance = room.sigma**2
-    change, active = np.zeros(len(room.q)), np.zeros(len(room.q))
-    for k, q in enumerate(room.q):
-        out = np.flatnonzero((delta < room.least[k]) | (delta > room.most[k]))
-        active[k] = out.size
-        d = np.interp(delta[out], room.delta[k], room.multiplier[k])
-        truth = room.mu[:, np.newaxis] + room.sigma[:, np.newaxis] * z[:, out]
-        error = np.clip(room.mu[:, np.newaxis] - d * q[:, np.newaxis], 0, 1) - truth
-        free = room.mu[:, np.newaxis] - delta[out] / (q @ room.areas) * q[:, np.newaxis] - truth
-        change[k] = np.sum(error**2) - np.sum(free**2)
-    squares = float(np.einsum("it,it,i->", z, z, variance))
-    return TrialSums(squares, (along * delta).sum(-1), change, active)
+    squares, sums = trials_kernel.score(
+        z,
+        rows,
+        room.mu,
+        room.sigma,
+        room.q,
+        room.q @ room.areas,
+        room.delta,
+        room.multiplier,
+        room.least,
+        room.most,
+    )
+    return TrialSums(squares, sums[0], sums[1, :-1], sums[2, :-1])
 
 
 def analytic_emse(mu: Array, sigma: Array, areas: Array) -> Array:

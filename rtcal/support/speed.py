@@ -1,8 +1,7 @@
 """Long computations: BLAS on one thread, a pool that an error ends, compiled loops, the progress bar.
 
-Only this module imports threadpoolctl, numba (extra ``fast``) and tqdm. Modules of compiled functions
-decorate them with `compiled` and are imported only if numba is `available`. Each has a NumPy version,
-which is used without numba.
+Only this module imports threadpoolctl, numba and tqdm. Modules of compiled functions decorate them
+with `compiled`, and are imported where they are first used.
 
 Factoring a matrix of a hundred rows takes less time than waking a second thread. On a machine with
 busy cores the second thread also waits for a core, so that `find` takes more than ten times as long
@@ -11,7 +10,6 @@ busy cores the second thread also waits for a core, so that `find` takes more th
 
 from __future__ import annotations
 
-import functools
 import os
 import threading
 import time
@@ -63,16 +61,6 @@ def thread_pool(workers: int | None) -> Iterator[ThreadPoolExecutor]:
 
 
 Kernel = TypeVar("Kernel", bound=Callable[..., Any])
-
-
-@functools.cache
-def available() -> bool:
-    """Return whether numba is installed and can be imported."""
-    try:
-        import numba  # noqa: F401
-    except ImportError:
-        return False
-    return True
 
 
 def compiled(*, reorder: bool) -> Callable[[Kernel], Kernel]:

@@ -20,7 +20,6 @@ from rtcal.simulators import PathTracing, Polyhedron
 from rtcal.support.errors import DataError
 
 pytest.importorskip("matplotlib", reason="needs the extra report")
-pytest.importorskip("numba", reason="the control runs are compiled (extra fast)")
 
 SIZE = (7.0, 5.5, 4.0)
 BANDS = [500.0, 1000.0]

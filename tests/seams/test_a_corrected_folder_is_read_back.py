@@ -13,8 +13,6 @@ from rtcal.io import catt, geometry_files, obj, odeon
 from rtcal.simulators import Polyhedron
 from tests.test_where_corrected import BANDS, L_PLAN, candidate, case_in, prism, triangulated
 
-pytest.importorskip("numba", reason="the paths are traced by compiled code (extra fast)")
-
 SHAPES = {"L": prism(L_PLAN), "triangles": triangulated(prism(L_PLAN))}
 ROUNDED = 0.0005
 """Half of the last decimal of the coefficients in the lists."""

@@ -17,8 +17,6 @@ from rtcal.support.errors import DataError
 from rtcal.support.types import Array
 from tests.test_where import measured, stated, tracing
 
-pytest.importorskip("numba", reason="the paths are traced by compiled code (extra fast)")
-
 
 @dataclass(frozen=True)
 class Hatch(Absorber):

@@ -20,8 +20,6 @@ from rtcal.finder.effects import library
 from rtcal.support.errors import OtherBandsWarning
 from tests.conftest import also, program_of
 
-pytest.importorskip("numba", reason="the paths are traced by compiled code (extra fast)")
-
 THIRDS = (200, 250, 315, 400, 500, 630, 800, 1000, 1250, 1600, 2000, 2500)
 IN_BANDS: dict[str, Callable[[rt.Measurement], rt.Measurement]] = {
     "alike": lambda m: m,

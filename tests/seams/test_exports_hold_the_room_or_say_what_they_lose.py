@@ -110,7 +110,6 @@ def looped() -> rt.Room:
 @functools.cache
 def fitted() -> PositionsResult:
     """Return a fit of scattering that the prior does not state."""
-    pytest.importorskip("numba", reason="the paths are traced by compiled code (extra fast)")
     room = stated(scattering=None, scattering_model="random", alpha=np.full((2, 8), 0.2))
     tracer = geometry_files.path_tracing(room, scattering=0.1, n_paths=400)
     heard = geometry_files.path_tracing(room, scattering=0.5, n_paths=4000)
@@ -124,7 +123,6 @@ def fitted() -> PositionsResult:
 
 @functools.cache
 def patched() -> Corrected:
-    pytest.importorskip("numba", reason="the paths are traced by compiled code (extra fast)")
     ones = {"t20": np.ones((2, 8))}
     pairs = [("S1", "R1"), ("S1", "R2")]
     measured = rt.Measurement(centre_frequencies=OCTAVES, pairs=pairs, values=ones)

@@ -13,8 +13,6 @@ from rtcal.finder.states import StatesFinding
 from rtcal.support.types import Array
 from tests.test_two_states_surfaces import PLACES, POINT, simulator, two_states
 
-pytest.importorskip("numba", reason="the paths are traced by compiled code (extra fast)")
-
 
 @pytest.fixture(scope="module")
 def states() -> tuple[rt.Measurement, rt.Measurement]:

@@ -8,8 +8,6 @@ import pytest
 import rtcal as rt
 from rtcal.simulators import PathTracing, Polyhedron
 
-pytest.importorskip("numba", reason="the paths are traced by compiled code (extra fast)")
-
 WALLS = ("west", "east", "south", "north", "floor", "ceiling")
 MATCH = ("t20", "edt", "c80", "ts", "level")
 

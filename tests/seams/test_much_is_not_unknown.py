@@ -34,8 +34,6 @@ from tests.test_where import MATCH, measured, stated, tracing
 from tests.test_where_corrected import candidate
 from tests.test_where_page import finding_of, verification_of
 
-pytest.importorskip("numba", reason="the paths are traced by compiled code (extra fast)")
-
 LARGER = 9.0
 """Variance of the simulator's error that is added, over the one that a search assumes."""
 Searched = tuple[PositionsCase, PositionsProblem, PositionsHypotheses]

@@ -198,7 +198,6 @@ def test_every_position_shows_it_too(cost: float) -> None:
 
 
 def test_a_tracer_hears_at_its_end_what_was_not_matched() -> None:
-    pytest.importorskip("numba", reason="the paths are traced by compiled code (extra fast)")
     hall = rt.datasets.halls.corridor()
     tracer = rt.simulators.PathTracing(
         geometry=hall.geometry,

@@ -15,8 +15,6 @@ from rtcal.io import obj
 from rtcal.loop import positions
 from rtcal.support.errors import DataError, FewPathsWarning
 
-pytest.importorskip("numba", reason="the paths are traced by compiled code (extra fast)")
-
 HALL = rt.datasets.halls.lecture_hall()
 OPTIONS = ["--paths", "100", "--match", "t20", "--match", "edt"]
 

@@ -23,7 +23,6 @@ TURNED = 0.9
 def test_turned_panels_are_named_added_and_verified(
     again: bool, tmp_path: Path, kept: Path
 ) -> None:
-    pytest.importorskip("numba", reason="the control rooms are compiled (extra fast)")
     case = laboratory(TURNED, turned_back=again)
     finding = find(case, cache=kept)
     assert (finding.verdict, finding.effect) == ("named", "covered surface")

@@ -15,7 +15,6 @@ from rtcal.finder.positions import PositionsCase, PositionsFinding, find
 from rtcal.report import where_figures
 from tests.test_where import heard, stated, tracing
 
-pytest.importorskip("numba", reason="the paths are traced by compiled code (extra fast)")
 pytestmark = pytest.mark.long  # the search that they share takes 20 s
 
 FOAM = (0.6, 0.9, 0.95)

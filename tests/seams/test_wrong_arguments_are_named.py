@@ -67,7 +67,6 @@ def test_arguments_of_a_program() -> None:
 
 
 def test_a_flag_of_a_tracer() -> None:
-    pytest.importorskip("numba", reason="the paths are traced by compiled code (extra fast)")
     hall = rt.datasets.halls.corridor()
     tracer = rt.simulators.PathTracing(
         geometry=hall.geometry,
@@ -84,7 +83,6 @@ def test_a_flag_of_a_tracer() -> None:
 @pytest.mark.parametrize("kind", [list, np.array, iter], ids=str)
 def test_effects_in_a_geometry_of_any_kind(kind: type) -> None:
     """A generator was read once and then ignored; an array raised a ValueError."""
-    pytest.importorskip("numba", reason="the paths are traced by compiled code (extra fast)")
     from rtcal.finder.prior import left_out_of
 
     every = rt.finder.positions.EFFECTS

@@ -1,89 +1,22 @@
-"""Traced paths as they are stored, and the inner loops over them in NumPy.
+"""The path tracer's inner loops in NumPy, against which the compiled ones are tested.
 
-The loops are used without numba. They trace all paths together, step by step.
+They trace all paths together, step by step, and have the arguments of `rtcal.simulators.kernels`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from functools import cached_property
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rtcal.acoustics.directivity import Directivity
 from rtcal.simulators.facets import first_hit
 from rtcal.support.types import Array
-
-LARGEST_CODE = int(np.iinfo(np.uint16).max)
-"""Largest number of an event."""
 
 _GOLDEN = np.uint64(0x9E3779B97F4A7C15)
 _FIRST = np.uint64(0xBF58476D1CE4E5B9)
 _SECOND = np.uint64(0x94D049BB133111EB)
 _S30, _S27, _S31, _S11 = (np.uint64(s) for s in (30, 27, 31, 11))
-
-
-@dataclass(frozen=True, eq=False)
-class Batch:
-    """Paths from one source: wall hits and receptions in order.
-
-    ``events[starts[i]:starts[i + 1]]`` belongs to path i. A wall hit is the number of the face, plus
-    n_faces where the path was scattered under the model "random". A reception is 2 n_faces + receiver.
-    ``lengths`` (m) and ``weights`` (1/m²) have one value per reception. All arrays are read-only.
-    """
-
-    events: NDArray[np.uint16]
-    starts: NDArray[np.int64]
-    lengths: NDArray[np.float32]
-    weights: NDArray[np.float32]
-    directions: Array  # (n_paths, 3), in which they left the source
-    lost: int  # paths that left through a gap; they have no events
-    free_paths: tuple[float, float, float]  # number, sum in m, sum of squares in m²
-
-    def __post_init__(self) -> None:
-        for values in (*self.arrays, self.directions):
-            values.setflags(write=False)
-
-    @cached_property
-    def arrays(self) -> tuple[NDArray[Any], ...]:
-        """Events, starts, lengths and weights, as the kernels take them."""
-        return self.events, self.starts, self.lengths, self.weights
-
-    @property
-    def nbytes(self) -> int:
-        """Memory in bytes."""
-        return sum(x.nbytes for x in self.arrays)
-
-
-def aimed(batches: Sequence[Batch], lobe: Directivity, n_codes: int) -> tuple[Batch, ...]:
-    """Return the paths of a source with this directivity, of one band.
-
-    Events of ``n_codes`` and above are receptions.
-    """
-    gains = lobe.gain(np.concatenate([batch.directions for batch in batches]))[:, 0]
-    ends = np.cumsum([len(batch.directions) for batch in batches])[:-1]
-    out = []
-    for batch, gain in zip(batches, np.split(gains, ends), strict=True):
-        path = np.repeat(np.arange(len(gain)), np.diff(batch.starts))[batch.events >= n_codes]
-        out.append(replace(batch, weights=batch.weights * gain[path].astype(np.float32)))
-    return tuple(out)
-
-
-def joined(
-    batches: Sequence[Batch],
-) -> tuple[NDArray[np.uint16], NDArray[np.int64], NDArray[np.float32], NDArray[np.float32]]:
-    """Return the arrays of several batches as those of one."""
-    before = np.cumsum([0, *(len(batch.events) for batch in batches)])
-    starts = [batch.starts[:-1] + begin for batch, begin in zip(batches, before, strict=False)]
-    return (
-        np.concatenate([batch.events for batch in batches]),
-        np.concatenate([*starts, before[-1:]]),
-        np.concatenate([batch.lengths for batch in batches]),
-        np.concatenate([batch.weights for batch in batches]),
-    )
 
 
 def _uniform(state: NDArray[np.uint64]) -> Array:
@@ -113,7 +46,7 @@ def trace(
     thinned: float,
     shares: Array,
 ) -> tuple[Any, Any, Any, Any, Array]:
-    """Trace paths; returns the same as `rtcal.simulators.path_numba.trace`."""
+    """Trace paths; returns the same as `rtcal.simulators.kernels.trace`."""
     n_paths, n_faces = len(directions), len(scattering)
     p, v = np.broadcast_to(origin, directions.shape).copy(), directions.copy()
     state, travelled = seeds.copy(), np.zeros(n_paths)
@@ -226,7 +159,7 @@ def histogram_gradient(
     out: Array,
     gradient: Array,
 ) -> None:
-    """Add energy and derivatives as `rtcal.simulators.path_numba.histogram_gradient` does."""
+    """Add energy and derivatives as `rtcal.simulators.kernels.histogram_gradient` does."""
     shape = (out.shape[0], out.shape[2])
     heard, begin, energy, flat, in_bins = _heard(
         events, starts, lengths, weights, log_reflection, attenuation, first, bin_length, shape
@@ -245,7 +178,7 @@ def histogram_gradient(
 def most_hits(
     events: NDArray[np.uint16], starts: NDArray[np.int64], held: NDArray[np.int64]
 ) -> int:
-    """Return the most hits of a path on one group, as `rtcal.simulators.path_numba.most_hits` does."""
+    """Return the most hits of a path on one group, as `rtcal.simulators.kernels.most_hits` does."""
     every = _hits(events, held)
     return int((every[starts[1:]] - every[starts[:-1]]).max(initial=0))
 
@@ -263,7 +196,7 @@ def histogram_changed(
     powers: Array,
     out: Array,
 ) -> None:
-    """Add energies as `rtcal.simulators.path_numba.histogram_changed` does."""
+    """Add energies as `rtcal.simulators.kernels.histogram_changed` does."""
     n_groups, n_receivers, n_bins = out.shape[:3]
     n_hits = powers.shape[1]
     heard, begin, energy, flat, in_bins = _heard(

@@ -1,8 +1,7 @@
-"""The path tracer's inner loops, compiled. `rtcal.simulators.path_numpy` does the same in NumPy.
+"""The simulators' inner loops, compiled: of traced paths, image sources and scattering delay networks.
 
-Both modules have `trace`, `histogram`, `histogram_gradient`, `histogram_changed` and `most_hits` with
-the same arguments, and trace the same paths up to rounding. Only `rtcal.simulators.paths` imports them,
-inside a function.
+Importing this module takes numba, so simulators import it where they run. `tests/reference` has the
+same in NumPy.
 """
 
 from __future__ import annotations
@@ -11,6 +10,7 @@ import math
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rtcal.support.speed import compiled
 from rtcal.support.types import Array
@@ -129,7 +129,7 @@ def trace(
     thinned: float,
     shares: Array,
 ) -> tuple[Any, Any, Any, Any, Array]:
-    """Trace paths: events, starts, lengths, weights (see `rtcal.simulators.path_numpy.Batch`), counts.
+    """Trace paths: events, starts, lengths, weights (see `rtcal.simulators.paths.Batch`), counts.
 
     ``owners`` has the face of each triangle, ``scattering`` the coefficient of each face. Paths whose
     number 2^i does not divide end at i times the length ``thinned``; what is heard after it weighs 1 /
@@ -447,3 +447,109 @@ def histogram_changed(
                     for k in range(n_bands):
                         out[j, receiver, place, c, k] += sums[number, k] * powers[j, number, c, k]
                 sums[number] = 0.0
+
+
+def weigh(
+    x: Array,
+    y: Array,
+    z: Array,
+    rows: NDArray[np.int64],
+    starts: NDArray[np.int64],
+    bins: NDArray[np.uint32],
+    weights: Array,
+    n_bins: int,
+) -> Array:
+    """Return the energy of each bin of image sources, (n_bands, n_bins).
+
+    ``x``, ``y`` and ``z``, (n_bands, n_lattice): product of (1 - alpha) over the hits along an axis.
+    ``rows``, ``starts``, ``bins`` and ``weights`` as in `rtcal.simulators.shoebox.Images`.
+    """
+    # Unsigned indices need no check for negative values, which would take half of the time.
+    unsigned = np.uint64
+    return _weigh(x, y, z, rows.view(unsigned), starts.view(unsigned), bins, weights, n_bins)
+
+
+@compiled(reorder=True)
+def _weigh(
+    x: Array,
+    y: Array,
+    z: Array,
+    rows: NDArray[np.uint64],
+    starts: NDArray[np.uint64],
+    bins: NDArray[np.uint32],
+    weights: Array,
+    n_bins: int,
+) -> Array:
+    out = np.zeros((len(x), n_bins))
+    for run in range(len(rows)):
+        begin, first = starts[run], rows[run, 2]
+        for band in range(len(x)):  # the inner loops stay within the run: its images are cached
+            reflected = x[band, rows[run, 0]] * y[band, rows[run, 1]]
+            for i in range(starts[run + 1] - begin):
+                out[band, bins[begin + i]] += reflected * z[band, first + i] * weights[begin + i]
+    return out
+
+
+@compiled(reorder=True)
+def blocks(
+    delays: NDArray[np.int64],
+    source_delays: NDArray[np.int64],
+    tap_delays: NDArray[np.int64],
+    lines: Array,
+    reflection: NDArray[Any],
+    injected: Array,
+    heard: Array,
+    n: int,
+) -> NDArray[Any]:
+    """Run a network in blocks of its smallest delay; return the response (n_bands, n).
+
+    ``delays`` (6, 5), ``source_delays`` and ``tap_delays`` (6,) are in samples. ``lines`` (6, 5,
+    n_bands), ``reflection``, ``injected`` and ``heard`` (6, n_bands) are gains; complex reflection
+    factors give a complex response.
+    """
+    n_bands = lines.shape[2]
+    block, longest = delays.min(), delays.max()
+    # Incoming waves by port. The buffer fits the processor's cache. It is shifted to its start when
+    # full, so that no block wraps around and the loops over samples vectorise.
+    kept = 2 * longest + block
+    incoming = np.empty((6, 5, kept), reflection.dtype)
+    pressure = np.empty(block, reflection.dtype)
+    out = np.zeros((n_bands, n + tap_delays.max() + block), reflection.dtype)
+    for b in range(n_bands):
+        incoming[:] = 0.0
+        base = 0
+        for start in range(0, n, block):
+            if start + block + longest - base > kept:
+                left = kept - (start - base)
+                for k in range(6):
+                    for j in range(5):
+                        for i in range(left):
+                            incoming[k, j, i] = incoming[k, j, i + start - base]
+                        for i in range(left, kept):
+                            incoming[k, j, i] = 0.0
+                base = start
+            offset = start - base
+            for k in range(6):
+                waves = incoming[k, :, offset : offset + block]
+                for i in range(block):
+                    pressure[i] = 0.4 * (
+                        waves[0, i] + waves[1, i] + waves[2, i] + waves[3, i] + waves[4, i]
+                    )
+                beta = reflection[k, b]
+                tapped = out[b, start + tap_delays[k] : start + tap_delays[k] + block]
+                gain = heard[k, b] * beta
+                if start <= source_delays[k] < start + block:
+                    # A (p+ + p_S / 2) adds p_S / 2 at each port, and p_S to the node's pressure.
+                    pressure[source_delays[k] - start] += injected[k, b] / 2
+                    tapped[source_delays[k] - start] += gain * injected[k, b] / 2
+                for i in range(block):
+                    tapped[i] += gain * pressure[i]
+                for j in range(5):
+                    to = j + 1 if j >= k else j
+                    port = k - 1 if k > to else k
+                    arrival = offset + delays[k, j]
+                    leaving = incoming[to, port, arrival : arrival + block]
+                    loss = beta * lines[k, j, b]
+                    for i in range(block):
+                        leaving[i] = loss * (pressure[i] - waves[j, i])
+    return out[:, :n]
