@@ -1,8 +1,8 @@
 """Faces of models drawn in CAD programs: a DXF file, and one space of a building model (IFC).
 
-Of DXF (text) 3D faces, polyface meshes and meshes are read; the layer is the material. That is the
-entities 3DFACE, POLYLINE as a polyface or polygon mesh with its VERTEX entities, and MESH, outside
-blocks. Others, such as lines, texts and solids (ACIS), are counted in a note.
+Of DXF (text), by ezdxf (``rtcal[mesh]``), 3D faces, polyface and polygon meshes and meshes are read;
+the layer is the material. Others, such as lines, texts, blocks and solids (ACIS), are counted in a
+note.
 
 Of IFC, by ifcopenshell (``rtcal[ifc]``), one space is read and what bounds it. A space is a closed
 solid. The model says which wall, slab or covering bounds each of its faces, and where doors and windows
@@ -10,8 +10,7 @@ are (`IfcRelSpaceBoundary`). A face's material is named after the element: its m
 its layers. A door or window is a face that lies on its wall's; the mender gives it its area. Faces that
 nothing bounds are "floor", "ceiling" and "wall"; where one space opens into another they are "opening".
 
-Sources: Autodesk, "DXF Reference", 2012, ENTITIES: group codes of 3DFACE, POLYLINE, VERTEX, MESH;
-ISO 16739-1:2018, IfcRelSpaceBoundary, IfcConnectionSurfaceGeometry.
+Source: ISO 16739-1:2018, IfcRelSpaceBoundary, IfcConnectionSurfaceGeometry.
 """
 
 from __future__ import annotations
@@ -19,9 +18,8 @@ from __future__ import annotations
 import os
 import re
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -30,7 +28,7 @@ from rtcal.acoustics.materials import text_name
 from rtcal.io import budget, units
 from rtcal.io.mend import Faces
 from rtcal.io.mend.polygons import axes_of, normal_of, polygon_of, shapely
-from rtcal.io.text import decode, lines, number, shown
+from rtcal.io.text import decode, number, shown
 from rtcal.support import library
 from rtcal.support.errors import DataError
 from rtcal.support.types import Array
@@ -41,42 +39,40 @@ _SAME = 1e-9  # m, of one point
 _LARGEST_GAP = 0.1  # m, of an outline's ends; one that leaves out its last edge is longer
 _CROSSED = 1e-3  # share of an outline's area by which its parts must differ in their turning
 _POINT = re.compile(r"-?\d[\d.e+-]*")
-Pair = tuple[int, str, int]
-"""Group code, value, and line."""
 
 
 def dxf_faces(content: bytes, path: str, unit: float | None) -> Faces:
-    """Return the faces of a DXF file; DataError names the line."""
+    """Return the faces in the model space of a DXF file, read entity by entity.
+
+    Raises DataError for a file that is damaged, and MissingDependencyError without ezdxf.
+    """
+    needed = "DXF needs ezdxf: pip install 'rtcal[mesh]'; OBJ does not"
+    ezdxf = library(needed, "ezdxf", "ezdxf.addons.iterdxf", "ezdxf.render")
     if content.startswith(b"AutoCAD Binary DXF"):
         raise DataError(f"{path}: binary DXF; save it as text (ASCII) DXF")
-    stated = _unit(_pairs(content, path), path, is_refused=unit is None)
+    stated = _unit_of_dxf(content, path, is_refused=unit is None)
     length = unit if unit is not None else stated if stated is not None else 1.0
     polygons: list[Array] = []
     layers: list[str] = []
-    others: Counter[str] = Counter()
-    mesh: list[list[Pair]] | None = None
-    for entity in _entities(_pairs(content, path)):
-        kind = entity[0][1]
-        if kind == "3DFACE":
-            codes = {code for code, _, _ in entity}
-            corners = [_point(entity, k, path) for k in range(4) if 10 + k in codes]
-            _add(polygons, layers, corners, entity, path)
-        elif kind == "POLYLINE":
-            mesh = [entity]
-        elif kind == "VERTEX" and mesh is not None:
-            mesh.append(entity)
-        elif kind == "SEQEND":
-            if mesh is not None:
-                for corners in _of_polyline(mesh, path, others):
-                    _add(polygons, layers, corners, mesh[0], path)
-            mesh = None
-        elif kind == "MESH":
-            for corners in _of_mesh(entity, path):
-                _add(polygons, layers, corners, entity, path)
-        else:
-            others[kind] += 1
-        if len(polygons) > budget.MAX_FACES:
-            raise DataError(f"{path}, line {entity[0][2]}: more than {budget.MAX_FACES} faces")
+    others = Counter(
+        kind for kind in map(bytes.decode, _KIND.findall(_entities(content))) if kind not in _FACES
+    )
+    try:
+        encoding = ezdxf.filemanagement.dxf_file_info(path).encoding
+        for entity in ezdxf.addons.iterdxf.modelspace(path, types=_FACES):
+            drawn = _faces_of_dxf(ezdxf, entity)
+            if drawn is None:
+                others[entity.dxftype()] += 1
+                continue
+            layer = decode(entity.dxf.layer.encode(encoding, "surrogateescape"), path).characters
+            layers += [text_name(f"{path}: layer", layer) or "0"] * len(drawn)
+            polygons += [length * np.array([corner.xyz for corner in face]) for face in drawn]
+            budget.require(len(polygons), budget.MAX_FACES, "faces", path, "simplify the model")
+    except DataError:
+        raise
+    except Exception as error:  # ezdxf raises what its parser raises
+        said = " ".join(str(error).split())
+        raise DataError(f"{path}: cannot be read as DXF: {said}") from error
     left_out = ", ".join(f"{n} {shown(kind)}" for kind, n in others.most_common(5))
     if not polygons:
         raise DataError(
@@ -87,134 +83,47 @@ def dxf_faces(content: bytes, path: str, unit: float | None) -> Faces:
     notes += [f"no faces, left out: {left_out}"] if left_out else []
     names = [f"{layer} {i}" for i, layer in enumerate(layers, 1)]
     known = None if unit is None and stated is None else length
-    return Faces(path, [p * length for p in polygons], layers, names, tuple(notes), known)
+    return Faces(path, polygons, layers, names, tuple(notes), known)
 
 
-def _add(
-    polygons: list[Array],
-    layers: list[str],
-    corners: Sequence[Sequence[float]],
-    entity: Sequence[Pair],
-    path: str,
-) -> None:
-    polygons.append(np.array(corners, dtype=float))
-    layer = next((v for c, v, _ in entity if c == 8), "0")
-    layers.append(text_name(f"{path}, line {entity[0][2]}: layer", layer) or "0")
+_FACES = ("3DFACE", "POLYLINE", "VERTEX", "SEQEND", "MESH")
+_KIND = re.compile(rb"^[ \t]*0[ \t]*\r?\n[ \t]*([A-Z0-9_]*[A-Z][A-Z0-9_]*)", re.MULTILINE)
+"""An entity's name: the value of the group code 0."""
+_INSUNITS = re.compile(rb"^\$INSUNITS[ \t]*\r?\n[ \t]*70[ \t]*\r?\n[ \t]*(\S+)", re.MULTILINE)
 
 
-def _pairs(content: bytes, path: str) -> Iterator[Pair]:
-    """Yield the pairs of a group code and a value, each on two lines."""
-    rows = ((n, raw.strip()) for n, _, raw in lines(decode(content, path).characters))
-    for (n, code), (_, value) in zip(rows, rows, strict=False):
-        try:
-            yield int(code), value, n
-        except ValueError as error:
-            raise DataError(f'{path}, line {n}: "{shown(code)}" is no group code of DXF') from error
+def _entities(content: bytes) -> bytes:
+    """Return the section of the entities."""
+    return content.partition(b"ENTITIES")[2].partition(b"ENDSEC")[0]
 
 
-def _unit(pairs: Iterator[Pair], path: str, *, is_refused: bool) -> float | None:
+def _unit_of_dxf(content: bytes, path: str, *, is_refused: bool) -> float | None:
     """Return the length of the header's unit in m, None without one; DataError if it is not known."""
-    for (code, value, _), (_, following, line) in pairwise(pairs):
-        if code == 2 and value == "ENTITIES":
-            break
-        if code == 9 and value == "$INSUNITS":
-            place = f"{path}, line {line + 1}"
-            stated = number(following, place)
-            if stated not in units.OF_DXF and is_refused:
-                raise DataError(
-                    f"{place}: $INSUNITS = {following} is no unit of DXF, which has 0 to "
-                    f"{max(units.OF_DXF)}; state its length in m, such as unit = 0.01"
-                )
-            return units.OF_DXF.get(int(stated))
+    found = _INSUNITS.search(content.partition(b"ENTITIES")[0])
+    if found is None:
+        return None
+    line = content.count(b"\n", 0, found.start(1)) + 1
+    place = f"{path}, line {line}"
+    stated = number(found[1].decode("latin-1"), place)
+    if stated not in units.OF_DXF and is_refused:
+        raise DataError(
+            f"{place}: $INSUNITS = {stated:g} is no unit of DXF, which has 0 to "
+            f"{max(units.OF_DXF)}; state its length in m, such as unit = 0.01"
+        )
+    return units.OF_DXF.get(int(stated))
+
+
+def _faces_of_dxf(ezdxf: Any, entity: Any) -> list[Sequence[Any]] | None:
+    """Return the corners of each face of an entity; None for a polyline that is no mesh."""
+    kind = entity.dxftype()
+    if kind == "3DFACE":
+        corners = (entity.dxf.get(f"vtx{k}") for k in range(4))
+        return [[corner for corner in corners if corner is not None]]
+    if kind == "MESH":
+        return [*ezdxf.render.MeshBuilder.from_mesh(entity).faces_as_vertices()]
+    if entity.is_poly_face_mesh or entity.is_polygon_mesh:
+        return [face.wcs_vertices() for face in entity.virtual_entities()]
     return None
-
-
-def _entities(pairs: Iterator[Pair]) -> Iterator[list[Pair]]:
-    """Yield the entities of the section ENTITIES, each as its pairs from the name on."""
-    section, entity = "", list[Pair]()
-    for pair in pairs:
-        code, value, _ = pair
-        if code == 0:
-            if entity and section == "ENTITIES":
-                yield entity
-            entity = []
-            if value == "SECTION":
-                section = next(pairs, (0, "", 0))[1]
-            elif value in ("ENDSEC", "EOF"):
-                section = ""
-            elif section == "ENTITIES":
-                entity = [pair]
-        elif entity:
-            entity.append(pair)
-
-
-def _value(entity: Sequence[Pair], code: int, path: str, otherwise: float | None = None) -> float:
-    for c, value, line in entity:
-        if c == code:
-            return number(value, f"{path}, line {line + 1}")
-    if otherwise is None:
-        place = f"{path}, line {entity[0][2]}"
-        raise DataError(f"{place}: {entity[0][1]} lacks the group code {code}")
-    return otherwise
-
-
-def _point(entity: Sequence[Pair], k: int, path: str) -> list[float]:
-    return [_value(entity, 10 * axis + k, path, 0.0 if axis == 3 else None) for axis in (1, 2, 3)]
-
-
-def _of_polyline(
-    mesh: Sequence[Sequence[Pair]], path: str, others: Counter[str]
-) -> list[list[list[float]]]:
-    """Return the polygons of a polyface mesh (flag 64) or of a polygon mesh of m x n (flag 16)."""
-    flags = int(_value(mesh[0], 70, path, 0.0))
-    points: list[list[float]] = []
-    polygons: list[list[list[float]]] = []
-    if not flags & (16 | 64):
-        others["POLYLINE"] += 1
-        return []
-    for vertex in mesh[1:]:
-        if int(_value(vertex, 70, path, 0.0)) & 192 == 128:  # a face of a polyface mesh
-            index = [abs(int(_value(vertex, c, path, 0.0))) for c in (71, 72, 73, 74)]
-            index = [k for k in index if k]
-            if len(index) < 3 or max(index) > len(points):
-                raise DataError(f"{path}, line {vertex[0][2]}: a face without its corners")
-            polygons.append([points[k - 1] for k in index])
-        else:
-            points.append(_point(vertex, 0, path))
-    if flags & 16:
-        m, n = (int(_value(mesh[0], code, path)) for code in (71, 72))
-        if m * n != len(points):
-            raise DataError(
-                f"{path}, line {mesh[0][2]}: {len(points)} corners of a mesh of {m} x {n}"
-            )
-        for i in range(m - (not flags & 1)):
-            for k in range(n - (not flags & 32)):
-                corners = [(i, k), (i + 1, k), (i + 1, k + 1), (i, k + 1)]
-                polygons.append([points[(a % m) * n + b % n] for a, b in corners])
-    return polygons
-
-
-def _of_mesh(entity: Sequence[Pair], path: str) -> list[list[list[float]]]:
-    """Return the polygons of a MESH: 92 corners, 93 the size of the list, then counts and corners."""
-    n_points = int(_value(entity, 92, path))
-    found: dict[int, list[float]] = {10: [], 20: [], 30: []}
-    for code, value, line in entity:
-        if code in found and len(found[code]) < n_points:
-            found[code].append(number(value, f"{path}, line {line + 1}"))
-    start = next((i for i, (code, _, _) in enumerate(entity) if code == 93), None)
-    if start is None or len({n_points, *map(len, found.values())}) != 1:
-        raise DataError(f"{path}, line {entity[0][2]}: MESH without its corners or faces")
-    size = int(number(entity[start][1], f"{path}, line {entity[start][2] + 1}"))
-    listed = [int(number(v, f"{path}, line {n + 1}")) for c, v, n in entity[start + 1 :] if c == 90]
-    points = list(map(list, zip(*found.values(), strict=True)))
-    polygons, i = [], 0
-    while i < min(size, len(listed)):
-        index = listed[i + 1 : i + 1 + listed[i]]
-        if len(index) < 3 or not all(0 <= k < n_points for k in index):
-            raise DataError(f"{path}, line {entity[0][2]}: MESH has a face without its corners")
-        polygons.append([points[k] for k in index])
-        i += 1 + listed[i]
-    return polygons
 
 
 _NEAR = 0.3

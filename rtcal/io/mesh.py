@@ -163,7 +163,7 @@ def _obj(content: bytes, path: str, unit: float | None) -> Faces:
 
 def _by_trimesh(content: bytes, path: str, unit: float | None) -> Faces:
     """Return the faces of a scene that trimesh reads; each triangle is a face."""
-    needed = "this format needs trimesh: pip install 'rtcal[mesh]'; OBJ and DXF do not"
+    needed = "this format needs trimesh: pip install 'rtcal[mesh]'; OBJ does not"
     trimesh = library(needed, "trimesh")
     ending = Path(path).suffix.lower()
     source: Any = path
