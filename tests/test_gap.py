@@ -246,6 +246,7 @@ def test_the_verdict_stands_beside_what_is_supported(finding: MeansFinding) -> N
         (1.75, 1.74, {"uncertainty": 0.001}, "a decrease by more than 0.20 JND counts"),
         (1.0, 0.7, {"uncertainty": 0.3}, "a decrease by more than 0.49 JND counts"),
         (1.0, 0.1, {"predictive": -0.4}, "0.4 nats less probable with it"),
+        (1.0, 0.1, {"predictive": 1.6}, "1.6 nats more probable with it; 2.3 count"),
         (4.0, 1.1, {}, "with it these data are still missed by 1.10 JND on average"),
         (1.0, 0.1, {"missed": (MISS,)}, "T20 at 500 Hz is 0.53 s, measured 0.645 ± 0.013 s"),
     ],

@@ -24,6 +24,7 @@ from rtcal.acoustics.room import CalibrationRecord, Room
 from rtcal.calibration.problem_data import data_history, times_in_room
 from rtcal.calibration.result import JointResult
 from rtcal.finder.case import Case
+from rtcal.finder.claim import DISTINCT_NATS
 from rtcal.finder.effects.checks import AppliedEffect
 from rtcal.finder.finding import LEAST_SHRINKAGE, Miss, Verification, amount, is_miss
 from rtcal.finder.means.corrected import corrected_room
@@ -372,10 +373,11 @@ class MeansVerification(Verification):
             out.append(f"with it these data are still missed by {self.after:.2f} JND on average")
         for kind, (before, after) in self.worse.items():
             out.append(f"the gap of {kind} grows from {before:.2f} to {after:.2f} JND")
-        if self.predictive <= 0:
+        if self.predictive < DISTINCT_NATS:
+            more = "more" if self.predictive > 0 else "less"
             out.append(
                 "weighed with their uncertainty, these data are "
-                f"{abs(self.predictive):.1f} nats less probable with it"
+                f"{abs(self.predictive):.1f} nats {more} probable with it; {DISTINCT_NATS:g} count"
             )
         if self.finding.verdict not in ("named", "family"):
             out.append("no effect and no family of effects is claimed")
