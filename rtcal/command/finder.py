@@ -225,7 +225,8 @@ def apply(
     claimed, at 0.9.
 
     With a geometry, a folder gets room, mesh, and lists of materials for CATT and ODEON. The
-    patch stands in the middle of its surface unless --at says where.
+    patch stands in the middle of its surface unless --at states a place. Where the best family on one
+    surface has less than 0.3, --effect or --at must be stated.
 
     With --before, a folder gets the room of the second state: calibrated to what was measured before,
     with what changed.
@@ -257,13 +258,13 @@ def apply(
         from rtcal.finder.positions.corrected import FILES
 
         refuse({"--room": room}, ": with a geometry the room is written into the folder of --out")
-        refuse({"--effect": effect}, ": with a geometry --at says on which surface it is to stand")
         if os.path.isfile(out):
             raise DataError(f"--out {out} is a file; with a geometry it is a folder")
         place = _place(at)
         finding = search_case(inputs, search, [Path(out, name) for name in FILES])
-        made = partial(finding.apply, form or "patch", at=place)
-        added = add_to_folder(finding, made, Path(out))
+        made = partial(finding.apply, form or "patch", at=place, effect=effect)
+        with errors_name_options("effect", "at"):
+            added = add_to_folder(finding, made, Path(out))
     if not added:
         raise click.exceptions.Exit(NOTHING_TO_ADD)
 

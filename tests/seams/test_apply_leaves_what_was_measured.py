@@ -21,8 +21,10 @@ from rtcal.finder.effects.checks import checked_grid
 from rtcal.finder.means.corrected import not_in_room
 from rtcal.finder.means.features import state
 from rtcal.finder.means.finding import MeansFinding
+from rtcal.finder.positions import PositionsFinding
 from rtcal.report import finding_pages, gap_report
 from rtcal.support.errors import DataError
+from tests.test_where_page import finding_of
 
 ABOUT = {"area", "volume"}
 """Effects that are about a stated number itself."""
@@ -153,3 +155,54 @@ def test_a_volume_is_changed_only_where_its_error_is_claimed(case: Case, kept: P
     assert gap_report.summary(guess, None)["corrected"] is None
     claimed = replace(guess, verdict="named", named=("volume",), probabilities={"volume": 0.95})
     assert corrected_room(claimed.apply()).volume == pytest.approx(1.3 * case.room.volume)
+
+
+def torn_at_positions(first: float, verdict: str = "ambiguous") -> PositionsFinding:
+    """Return a finding whose best candidate has a probability, two of one family on another wall."""
+    found = finding_of({"wall 5": 1.0, "wall 0": 1.0, "ceiling": 1.0})
+    wall, other, ceiling = found.candidates
+    every = [
+        replace(wall, probability=first),
+        replace(other, probability=0.16),
+        replace(other, effect="curtain", family="added absorption, rising", probability=0.1),
+        replace(ceiling, effect="area", family="scale", probability=0.14),
+    ]
+    return replace(found, verdict=verdict, effect=None, family=None, candidates=tuple(every))
+
+
+def test_at_positions_an_improbable_candidate_is_added_only_where_it_is_stated() -> None:
+    unsure = torn_at_positions(0.29)
+    assert unsure.can_be_added
+    with pytest.raises(DataError, match=r"less than 30 %.*effect = NAME, or its place") as refused:
+        unsure.apply()
+    assert all(
+        f"{c.title} ({100 * c.probability:.0f} %)" in str(refused.value) for c in unsure.candidates
+    )
+    assert unsure.apply(effect="porous").added.surface == "wall 5"
+    assert unsure.apply(effect="curtain").added.surface == "wall 0"
+    with pytest.raises(DataError, match='effect = "organ" is no candidate'):
+        unsure.apply(effect="organ")
+    geometry = unsure.case.geometry
+    corners = geometry.vertices[list(geometry.faces[unsure.case.faces["wall 0"][0]])]
+    there = unsure.apply(at=tuple(corners.mean(axis=0)))
+    assert there.added.title == 'porous on "wall 0"'
+    with pytest.raises(DataError, match=r'effect = "area" is no candidate\. Candidates: porous'):
+        unsure.apply(at=tuple(corners.mean(axis=0)), effect="area")
+    assert torn_at_positions(0.31).apply().added.surface == "wall 5"
+
+
+def test_which_member_of_a_family_stands_on_a_surface_is_no_question() -> None:
+    """Porous with 0.2 and curtain with 0.2 on one wall: absorption is missing there with 0.4."""
+    found = torn_at_positions(0.2)
+    first = found.candidates[0]
+    curtain = replace(first, effect="curtain", family="added absorption, rising")
+    both = replace(found, candidates=(first, curtain, *found.candidates[1:]))
+    assert both.apply().added.surface == "wall 5"
+
+
+def test_where_most_is_unknown_shares_are_those_of_the_rest() -> None:
+    found = torn_at_positions(0.2, "unknown")
+    alone = replace(found.candidates[0], effect="unknown", family="unknown", surface=None, place="")
+    rest = replace(found, candidates=(replace(alone, probability=0.4), *found.candidates))
+    assert rest.undecided == ""
+    assert rest.apply().added.surface == "wall 5"

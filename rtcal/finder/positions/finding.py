@@ -11,7 +11,7 @@ import numpy as np
 
 from rtcal.finder.claim import SAID, after_doubt, credible_set
 from rtcal.finder.effects.whole_room import CoupledRoom
-from rtcal.finder.finding import LEAST_PAIRS, Candidate, Detection, Finding
+from rtcal.finder.finding import LEAST_ADDED, LEAST_PAIRS, Candidate, Detection, Finding
 from rtcal.finder.positions.case import PositionsCase
 from rtcal.finder.positions.weighing import Weighing
 from rtcal.finder.prior import NONE, UNKNOWN
@@ -35,6 +35,8 @@ def kind(candidate: Candidate) -> str:
     return candidate.family.split(",")[0]
 
 
+_CHOICE = 6
+"""Most candidates of which a sentence gives the choice."""
 _LEAST = 1e-3
 """Probability below which nothing is added to a surface, even where the user names it."""
 
@@ -146,8 +148,39 @@ class PositionsFinding(Finding):
             return f"{best.title}: {CoupledRoom.not_in_simulator}"
         return f"{self.headline} So no surface lacks anything to add."
 
-    def apply(self, form: str = "patch", *, at: Sequence[float] | None = None) -> Corrected:
-        """Return room and geometry with the most probable candidate in them.
+    @property
+    def undecided(self) -> str:
+        """Why `apply` must be told what it is to add, in words; "" where it need not be.
+
+        What stands on a surface counts with its family: which porous absorber it is changes little.
+        Where the verdict is "unknown", the shares are those of the rest.
+        """
+        best = self.likeliest
+        if not self.can_be_added or best is None:
+            return ""
+        known = [c for c in self.candidates if c.effect != UNKNOWN]
+        alike = [c for c in known if (c.surface, kind(c)) == (best.surface, kind(best))]
+        share = sum(c.probability for c in alike)
+        if self.verdict == UNKNOWN:
+            share /= sum(c.probability for c in known)
+        if share >= LEAST_ADDED:
+            return ""
+        some = [c for c in known if c.can_be_added and c.probability >= SAID][:_CHOICE]
+        named = [f"{c.title} ({100 * c.probability:.0f} %)" for c in some or [best]]
+        return (
+            "Neither an effect nor a place is stated, and the most probable family on one surface has "
+            f"less than {100 * LEAST_ADDED:.0f} %. Candidates: {listed(named, last='or')}. State one: "
+            "effect = NAME, or its place: at = X,Y,Z."
+        )
+
+    def apply(
+        self,
+        form: str = "patch",
+        *,
+        at: Sequence[float] | None = None,
+        effect: str | None = None,
+    ) -> Corrected:
+        """Return room and geometry with the most probable candidate in them, or one that is stated.
 
         Parameters
         ----------
@@ -159,20 +192,26 @@ class PositionsFinding(Finding):
             Middle of the patch in m, by default the candidate's ``middle``, or without one the middle
             of the surface. The surface is the one at this place, and the candidate is the most probable
             one on it.
+        effect : str, optional
+            Of the candidate, by default of the most probable one. Needed, or ``at``, where the most
+            probable family on one surface has less than 0.3.
 
         Raises
         ------
         DataError
-            If nothing is other than stated, or not on a surface, or a second room; or if ``at`` is on
-            no surface, or on one on which nothing was found.
+            If nothing is other than stated, or not on a surface, or a second room; if ``at`` is on no
+            surface, or on one on which nothing was found; if ``effect`` is no candidate there; or if
+            neither is stated and the best candidate is improbable.
         """
         from rtcal.finder.positions.corrected import corrected_geometry
 
         nothing, best = self.reason_for_none, self.likeliest
         if nothing is not None or best is None:
             raise DataError(nothing or self.headline)
-        if at is not None:
-            best = self._candidate_at(at)
+        if at is not None or effect is not None:
+            best = self._candidate(at, effect)
+        elif why := self.undecided:
+            raise DataError(why)
         every = {c.title: c.probability for c in self.candidates}
         rivals = [
             name for name in credible_set(every) if name != best.title and every[name] >= SAID
@@ -181,16 +220,23 @@ class PositionsFinding(Finding):
         made = corrected_geometry(self.case, best, form, at)
         return replace(made, support=self.support_of(one, others))
 
-    def _candidate_at(self, at: Sequence[float]) -> Candidate:
-        """Return the most probable candidate on the surface at a place."""
+    def _candidate(self, at: Sequence[float] | None, effect: str | None) -> Candidate:
+        """Return the most probable candidate on the surface at a place, and of an effect."""
         from rtcal.finder.positions.corrected import surface_at
 
-        surface = surface_at(self.case, at)
-        every = (c for c in self.candidates if c.surface == surface and c.can_be_added)
-        best = next(every, None)
-        if best is None or best.probability < _LEAST:
-            raise DataError(f'at lies on "{surface}", on which nothing was found')
-        return best
+        every = [c for c in self.candidates if c.can_be_added and c.probability >= _LEAST]
+        if at is not None:
+            surface = surface_at(self.case, at)
+            every = [c for c in every if c.surface == surface]
+            if not every:
+                raise DataError(f'at lies on "{surface}", on which nothing was found')
+        found = next((c for c in every if effect in (None, c.effect)), None)
+        if found is None:
+            named = dict.fromkeys(c.effect for c in every)
+            raise DataError(
+                f'effect = "{effect}" is no candidate. Candidates: {listed([*named], last="or")}'
+            )
+        return found
 
     @property
     def what(self) -> str:
