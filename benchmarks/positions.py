@@ -42,9 +42,8 @@ from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.quality import gap_jnd
 from rtcal.acoustics.room_errors import prior_covariance
 from rtcal.loop.control_runs import ControlRuns, simulated_controls, trace_ahead
-from rtcal.loop.measured_pairs import pairs_to_match
+from rtcal.loop.measured_pairs import Linearisation, pairs_to_match
 from rtcal.loop.positions import MORE_PATHS, precise
-from rtcal.loop.positions_steps import Listener
 from rtcal.simulators import PathTracing, paths
 from rtcal.simulators.observations import Observations
 from rtcal.simulators.tracer import ScatteringModel
@@ -353,7 +352,7 @@ def least_error(population: int, index: int, prior: str) -> float:
     tracer = knowing(case.simulator(n_paths=MORE_PATHS * PATHS), population, index)
     heard = tracer.observe(case.room.alpha, MATCH)
     data = pairs_to_match(case.room, case.measured, MATCH, heard)
-    matrix = Listener(tracer, data, heard, case.room.alpha, 0).linearised()
+    matrix = Linearisation(tracer, data, heard, case.room.alpha, 0).linearised()
     before = prior_covariance(case.room)
     across = before @ matrix.T
     gain = np.linalg.solve(matrix @ across + data.covariance, across.T)

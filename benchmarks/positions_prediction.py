@@ -20,8 +20,7 @@ import numpy as np
 
 import rtcal as rt
 from rtcal.acoustics.observables import observable
-from rtcal.loop.positions_prediction import PositionsPrediction
-from rtcal.loop.predicted_positions import predict_positions
+from rtcal.loop.positions_result import PositionsPrediction, predict_positions
 from rtcal.prediction import Cover, Variant
 from rtcal.simulators import PathTracing, Polyhedron
 from rtcal.simulators.observations import observe
@@ -198,7 +197,7 @@ def scored(index: int, part: str) -> list[dict[str, Array]]:
 
 def stated_alone(tracer: PathTracing, prediction: PositionsPrediction) -> Array:
     """Return what the simulator hears after the change with the coefficients stated."""
-    from rtcal.loop.changed_room import ChangedRoom
+    from rtcal.loop.positions_result import ChangedRoom
     from rtcal.prediction import Assumptions
 
     room = ChangedRoom(tracer.room, prediction.changes, Assumptions())

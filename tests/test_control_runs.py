@@ -8,7 +8,7 @@ import pytest
 import rtcal as rt
 from rtcal.datasets import halls
 from rtcal.loop.control_runs import ControlRuns, simulated_controls
-from rtcal.loop.positions_steps import unexplained_errors
+from rtcal.loop.positions import unexplained_errors
 from rtcal.loop.scattering import COMMON_LEFT, basis, errors_by_scattering
 from rtcal.simulators import PathTracing, Polyhedron, paths
 from rtcal.simulators.geometry import SHOEBOX_WALLS

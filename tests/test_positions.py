@@ -15,7 +15,6 @@ from rtcal.loop import control_runs
 from rtcal.loop.matched import Beside
 from rtcal.loop.positions import precise
 from rtcal.loop.positions_result import PositionsResult
-from rtcal.loop.positions_steps import Listener
 from rtcal.loop.scattering import MaterialScattering, scattered
 from rtcal.report import positions_page
 from rtcal.report.document import Heading
@@ -204,14 +203,6 @@ def test_scattering_that_cannot_be_fitted_is_kept_and_said(case, result):
         assert (kept.room.scattering == simulator.scattering).all()
     with pytest.raises(DataError, match='scattering_model = "vector"; derivatives'):
         simulator.scattering_jacobian(room.alpha, MATCH)
-
-
-def test_less_scattering_is_traced_for_longer_and_none_for_no_longer(case, result):
-    room = case[0]
-    listener = Listener(tracing(room), result.measured, result.before, room.alpha, 0)
-    assert listener._less_scattered(tracing(room, scattering=0.25)) == pytest.approx(2.0)
-    assert listener._less_scattered(tracing(room, scattering=0.8)) == 1.0
-    assert listener._less_scattered(tracing(room, scattering=0.0)) == pytest.approx(25.0)
 
 
 def test_the_scattering_is_fitted_to_what_was_measured(case, result):

@@ -283,8 +283,8 @@ def alike_alpha(room: Room) -> Array:
     )
 
 
-def heard_changes(room: Room, matrix: Array, of_level: NDArray[np.bool_]) -> Array:
-    """Return the changes of heard values by one standard deviation each, (n_changes, n_values).
+def value_changes(room: Room, matrix: Array, of_level: NDArray[np.bool_]) -> Array:
+    """Return the changes of values at positions by one standard deviation each, (n_changes, n_values).
 
     Those of `alike_alpha`; but a larger volume keeps the level.
 

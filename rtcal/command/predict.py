@@ -117,7 +117,7 @@ def predict(
     from rtcal.acoustics.room import Room
     from rtcal.datasets import catalogue
     from rtcal.loop.control_runs import RUNS
-    from rtcal.loop.predicted_positions import predict_positions
+    from rtcal.loop.positions_result import predict_positions
     from rtcal.prediction.predicted import compare
     from rtcal.support.speed import bar, following
 

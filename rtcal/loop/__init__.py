@@ -7,10 +7,10 @@ from rtcal import support
 if TYPE_CHECKING:
     from rtcal.loop.calibrate import LoopResult as LoopResult
     from rtcal.loop.control_runs import ControlRuns as ControlRuns
-    from rtcal.loop.positions_prediction import PositionsPrediction as PositionsPrediction
-    from rtcal.loop.positions_prediction import PositionsPredictions as PositionsPredictions
+    from rtcal.loop.positions_result import PositionsPrediction as PositionsPrediction
+    from rtcal.loop.positions_result import PositionsPredictions as PositionsPredictions
     from rtcal.loop.positions_result import PositionsResult as PositionsResult
-    from rtcal.loop.predicted_positions import predict_positions as predict_positions
+    from rtcal.loop.positions_result import predict_positions as predict_positions
     from rtcal.loop.rules import Rule as Rule
     from rtcal.loop.state import STATUSES as STATUSES
     from rtcal.loop.state import Loop as Loop

@@ -2,7 +2,7 @@
 
 A control run is a path tracing of the same room in which everything differs that is not known: how the
 walls scatter, where exactly sources and receivers stand, the random numbers, and alpha, which is drawn
-from the prior. What it hears less what the simulator hears for the same alpha is an error as the
+from the prior. Its values less the simulator's for the same alpha is an error as the
 simulator may have against the real room. The covariance of these errors says how far to trust it.
 """
 
@@ -43,8 +43,8 @@ _BETWEEN_MATERIALS = 0.12
 _PATHS = 6000
 """Most paths of a control run, per source, `DENSER` times as many where they are thinned."""
 
-Heard = Callable[[Simulator, Array, int], Array]
-"""What a simulator hears in another state of the room, (n_parameters, n_pairs, n_bands): for alpha
+Simulated = Callable[[Simulator, Array, int], Array]
+"""The values of a simulator in another state of the room, (n_parameters, n_pairs, n_bands): for alpha
 (n_materials, n_bands) before the change, and a seed."""
 AHEAD = 3.0
 """How many times Eyring's T of the prior the paths of a simulator are followed. In ten development
@@ -69,7 +69,7 @@ class ControlRuns:
     parameters, pairs : tuple
         As in `rtcal.simulators.Observations`.
     errors : array (n_runs, n_parameters, n_pairs, n_bands)
-        What a control run hears less what the simulator hears for the same alpha.
+        Values of a control run less the simulator's for the same alpha.
     levels : array (n_runs,), optional
         Mean scattering coefficient of each run over the surfaces, by area.
     models : tuple of str (n_runs,)
@@ -223,7 +223,7 @@ def simulated_controls(
     position_uncertainty: float = POSITION,
     cache: str | os.PathLike[str] | None = None,
     progress: Progress | None = None,
-    after: Sequence[tuple[Sequence[str], Heard]] = (),
+    after: Sequence[tuple[Sequence[str], Simulated]] = (),
     more_paths: int = 1,
 ) -> ControlRuns | None:
     """Return the errors of a simulator in `RUNS` control runs; None if it has no geometry to trace.
@@ -245,7 +245,7 @@ def simulated_controls(
     progress : callable, optional
         Called with the number of finished runs and their total.
     after : sequence of (names, callable)
-        Further states of the room, heard in the same runs: what a simulator hears there stands behind
+        Further states of the room, simulated in the same runs: the values there stand behind
         ``match``, by these names. Nothing is kept in the ``cache`` then.
     more_paths : int
         Factor of the number of paths of the runs, and of a simulator that traces paths.
@@ -291,13 +291,16 @@ def simulated_controls(
     def error(
         control: PathTracing, alpha: Array, of_run: int, again: bool
     ) -> tuple[Observations, Array]:
-        heard = control.observe(alpha, match, seed=of_run, again=again)
+        found = control.observe(alpha, match, seed=of_run, again=again)
         if isinstance(simulator, PathTracing):
             values = simulator.observe(alpha, match, seed=seed, again=again).values
         else:
             values = observe(simulator, alpha, match, seed=seed).values
-        more = [hear(control, alpha, of_run) - hear(simulator, alpha, seed) for _, hear in after]
-        return heard, np.concatenate([heard.values - values, *more])
+        more = [
+            values_of(control, alpha, of_run) - values_of(simulator, alpha, seed)
+            for _, values_of in after
+        ]
+        return found, np.concatenate([found.values - values, *more])
 
     trace_ahead(simulator, room.alpha, seed)
     errors, factors, left_out = [], list[float](), 0
@@ -308,11 +311,11 @@ def simulated_controls(
         again = left_out == _LEFT_OUT
         try:
             try:
-                heard, difference = error(control, alpha, of_run, again)
+                found, difference = error(control, alpha, of_run, again)
             except DataError:  # some draws leave a decay without a parameter
                 alpha = room.alpha
-                heard, difference = error(control, alpha, of_run, again)
-            factors.append(ahead_factor(heard, control, alpha))
+                found, difference = error(control, alpha, of_run, again)
+            factors.append(ahead_factor(found, control, alpha))
         except (TooShortError, DataError):
             # The paths of a run may be too few, or a place too near a source for an EDT.
             if again:
@@ -327,12 +330,43 @@ def simulated_controls(
     return runs(made)
 
 
-def ahead_factor(heard: Observations, tracer: PathTracing, alpha: Array) -> float:
+GROUPS = 4
+"""Groups of paths whose differences tell the noise of a control run."""
+
+
+def groups_of_paths(
+    simulator: Simulator,
+    alpha: Array,
+    parameters: Sequence[str],
+    seed: int,
+    shape: tuple[int, int, int],
+) -> Array:
+    """Return the values of groups of the paths, (n_groups, p, i, k): their differences are noise.
+
+    It is 0 but for a `PathTracing`; ``shape`` is (n_parameters, n_pairs, n_bands).
+    """
+    if not isinstance(simulator, PathTracing):
+        return np.zeros((GROUPS, *shape))
+    return simulator.observe_in_groups(alpha, GROUPS, parameters, seed=seed)
+
+
+def noise_of_a_run(simulator: Simulator, groups: Array) -> Array:
+    """Return the variance of a control run's values by its finite paths, (n_parameters, n_bands).
+
+    ``groups`` (n_groups, p, i, k) are the simulator's `groups_of_paths`.
+    """
+    of_group = groups.var(axis=0, ddof=1).mean(axis=1)
+    if not isinstance(simulator, PathTracing):
+        return np.asarray(of_group)
+    return np.asarray(of_group * simulator.n_paths / GROUPS / paths_of_a_run(simulator))
+
+
+def ahead_factor(found: Observations, tracer: PathTracing, alpha: Array) -> float:
     """Return how many times Eyring's T the decays are followed, so that they hold T20 or T30."""
     times = [
-        heard.natural(o.key).max() * (decay.MARGIN_DB - o.lower) / 60
+        found.natural(o.key).max() * (decay.MARGIN_DB - o.lower) / 60
         for o in REVERBERATION
-        if o.key in heard.parameters
+        if o.key in found.parameters
     ]
     return _SPARE * max(max(times, default=0.0) / eyring_seconds(tracer.room, alpha), 1.0)
 

@@ -5,7 +5,7 @@ times, T_c = product of T_p to the power of p's share. Where the times follow th
 T_c leaves the smallest weighted sum of squares of log(T_p / measured T_p). The shares decide how
 the disagreement of T20 and EDT is divided.
 
-No simulator of rays hears room modes, and below the Schroeder frequency T is no equation's. With room
+No simulator of rays has room modes, and below the Schroeder frequency T is no equation's. With room
 modes the loop is not told what was measured there: coefficients stay as the modes' decays left them.
 """
 
@@ -263,8 +263,8 @@ class Beside:
     ) -> Beside:
         """Return what is in ``before`` and not in ``matched``, at the pairs that are matched."""
         names = [p for p in before.parameters if p not in matched.parameters]
-        heard = Observations.of_measurement(measured, names, matched.pairs)
-        there = [p for p in names if np.isfinite(heard.natural(p)).any()]
+        values = Observations.of_measurement(measured, names, matched.pairs)
+        there = [p for p in names if np.isfinite(values.natural(p)).any()]
         wanted = Observations.of_measurement(measured, there, matched.pairs)
         return cls(measured=wanted, before=before.at(wanted), after=after.at(wanted))
 

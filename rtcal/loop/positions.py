@@ -1,8 +1,8 @@
-"""Calibrate a simulator to what every position heard, by Gauss-Newton steps that are each a QP.
+"""Calibrate a simulator to the values at every position, by Gauss-Newton steps that are each a QP.
 
     minimise ½ (y - f(a) - J (alpha - a))' C⁻¹ (y - f(a) - J (alpha - a)) + the other terms,
 
-with y what was measured, f what the simulator hears, J its derivatives at a, and C the covariance of
+with y what was measured, f what the simulator gives, J its derivatives at a, and C the covariance of
 the errors of measurement and simulator. alpha becomes the next a, or a point on the way to it where
 the objective with the simulator itself would rise. No fit ends farther from what was measured than it
 began: then the start is returned, and ``refused`` says so.
@@ -14,10 +14,14 @@ import math
 import os
 import warnings
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from copy import copy
+from dataclasses import dataclass, replace
 from typing import overload
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import cho_factor, cho_solve, solve_triangular
+from scipy.optimize import minimize
 
 from rtcal.acoustics.band_conversion import measurement_in_room_bands
 from rtcal.acoustics.materials import CalibrationRecord
@@ -25,12 +29,20 @@ from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.observables import MATCH, observable, parameter_label
 from rtcal.acoustics.quality import gap_jnd, rms
 from rtcal.acoustics.room import Room
-from rtcal.acoustics.room_errors import in_words, prior_covariance
+from rtcal.acoustics.room_errors import in_words, prior_covariance, value_changes
 from rtcal.acoustics.scene import POSITION, checked_uncertainty
+from rtcal.calibration.methods import Steps, Taken, gauss_newton
 from rtcal.calibration.problem import Calibration
+from rtcal.calibration.result import CalibrationResult
+from rtcal.calibration.terms import LinearObservations, Observed, PriorDeviation, as_objective
 from rtcal.loop import control_runs
 from rtcal.loop.control_runs import (
+    GROUPS,
+    MODELS,
     ControlRuns,
+    groups_of_paths,
+    level,
+    noise_of_a_run,
     simulated_controls,
     trace_ahead,
 )
@@ -38,8 +50,11 @@ from rtcal.loop.matched import BelowSchroeder, Beside
 from rtcal.loop.matched import means as measured_beside
 from rtcal.loop.measured_pairs import (
     T30_ALONE,
+    BeyondPrior,
+    Linearisation,
     MeasuredPairs,
     Pair,
+    beyond_prior,
     history,
     pairs_to_match,
     refuse_known,
@@ -47,24 +62,647 @@ from rtcal.loop.measured_pairs import (
     without_place,
 )
 from rtcal.loop.positions_result import GaussNewtonStep, PositionsResult
-from rtcal.loop.positions_steps import (
-    GROUPS,
-    Fitted,
-    Listener,
-    PositionsFit,
-    simulator_error,
+from rtcal.loop.scattering import (
+    DIGITS,
+    ErrorsByScattering,
+    MaterialScattering,
+    Scattering,
+    errors_by_scattering,
+    fitted,
+    log_likelihood,
+    material_scattering,
+    scattered,
 )
-from rtcal.loop.prior_reach import BeyondPrior, beyond_prior
-from rtcal.loop.scattering import Scattering, fitted
 from rtcal.modes.result import ModesResult
 from rtcal.simulators import base, observations
 from rtcal.simulators.base import Simulator
 from rtcal.simulators.observations import DifferentiableSimulator, Observations, observe
 from rtcal.simulators.path_tracing import PathTracing
+from rtcal.simulators.tracer import ScatteringModel
 from rtcal.support import __version__, checks
-from rtcal.support.errors import DataError, FewPathsWarning, SimulatorError
+from rtcal.support.errors import DataError, FewPathsWarning, SimulatorError, TooShortError
 from rtcal.support.speed import Progress
 from rtcal.support.types import Array
+
+
+def _noise(here: Linearisation) -> Array:
+    simulator, parameters = here.simulator, here.data.observations.parameters
+    shape = (len(parameters), *here.simulated.values.shape[1:])
+    groups = groups_of_paths(simulator, here.alpha, parameters, here.seed, shape)
+    return noise_of_a_run(simulator, groups)
+
+
+def simulator_error(
+    here: Linearisation, controls: ControlRuns | None, fit_scattering: bool
+) -> tuple[Array, ErrorsByScattering | None]:
+    """Return the covariance of the simulator's error, and its errors by scattering.
+
+    The covariance is (n, n) with n all values: measured parameters at all pairs of the simulator. The
+    second is None where the scattering stated is kept, as by every simulator but a `PathTracing` with
+    the model "random". Only its paths tell what scattering does. Coefficients of 0 and 1 are kept, too.
+    """
+    simulated, parameters = here.simulated, here.data.observations.parameters
+    if controls is None:
+        error = np.array([observable(p).unknown_error for p in parameters])
+        shape = (len(parameters), *simulated.values.shape[1:])
+        variance = error[:, np.newaxis, np.newaxis] ** 2
+        return np.diag(np.broadcast_to(variance, shape).ravel()), None
+    controls = controls.at(parameters, simulated.pairs)
+    noise, tracer = _noise(here), here.simulator
+    whole = controls.without_noise(noise).covariance()
+    if (
+        not fit_scattering
+        or not isinstance(tracer, PathTracing)
+        or tracer.scattering_model != "random"
+        or np.isin(tracer.scattering, (0.0, 1.0)).all()
+    ):
+        return whole, None
+    return whole, errors_by_scattering(controls, noise)
+
+
+@dataclass(frozen=True, eq=False)
+class FitErrors:
+    """The errors of what is compared.
+
+    Attributes
+    ----------
+    simulator : array (n, n)
+        Covariance of the simulator's error at all values, with that of an unknown scattering.
+    unexplained : array (n_parameters,)
+        Standard deviation in JND by which each value differs beyond the other errors.
+    covariance : array (n_used, n_used)
+        Of measurement, room, simulator and what is unexplained, of the values used.
+    factor : array (n_used, n_used)
+        Its Cholesky factor.
+    """
+
+    simulator: Array
+    unexplained: Array
+    covariance: Array
+    factor: Array
+
+
+_MOST_UNEXPLAINED = 100.0
+"""JND beyond which nothing is matched."""
+
+
+def unexplained_errors(
+    innovation: Array, expected: Array, unit: Array, parameter: NDArray[np.int64]
+) -> Array:
+    """Return each parameter's unexplained error in JND under which what was measured is likeliest.
+
+    The error differs from value to value: control runs vary what all pairs have in common, but no
+    furniture and no directivity that a pair alone meets. A common factor of the simulator's error would
+    also explain a T that is off at every pair, so that T would not be fitted.
+
+    Parameters
+    ----------
+    innovation : array (n,)
+        What was measured less what the simulator gives with the prior.
+    expected : array (n, n)
+        Its covariance without the unexplained errors.
+    unit : array (n,)
+        One JND of each value.
+    parameter : int array (n,)
+        Number of each value's parameter.
+
+    Returns
+    -------
+    array (n_parameters,)
+
+    References
+    ----------
+    Variance components by maximum likelihood (Harville 1977, JASA 72, 320-338).
+    """
+    square = unit**2
+    number = int(parameter.max()) + 1
+
+    def loss(deviation: Array) -> tuple[float, Array]:
+        covariance = expected + np.diag(deviation[parameter] ** 2 * square)
+        factor = cho_factor(covariance, lower=True)
+        pull = cho_solve(factor, innovation)
+        of_variance = np.diag(cho_solve(factor, np.eye(len(square)))) - pull**2
+        slope = np.bincount(parameter, of_variance * square, minlength=number) * deviation
+        return 0.5 * float(innovation @ pull) + float(np.log(np.diag(factor[0])).sum()), slope
+
+    found = minimize(
+        loss,
+        np.ones(number),
+        jac=True,
+        method="L-BFGS-B",
+        bounds=[(0.0, _MOST_UNEXPLAINED)] * number,
+    )
+    return np.asarray(found.x)
+
+
+STEPS = 6
+"""Largest number of Gauss-Newton steps with the same errors."""
+_PASSES = 3
+"""Most times that the unexplained errors are found anew, where the last steps ended."""
+_ALIKE = 0.1
+"""JND by which unexplained errors differ that are the same."""
+_ROUNDS = 3
+"""Most times that the room is traced with another scattering."""
+_GAP_WEIGHTS = (0.1, 1.0, 10.0)
+"""Weights of the squared gap that are tried where the objective's own steps would raise it."""
+_SETTLED_ODDS = 0.15
+"""Change of the log odds, rounded to tenths, for which the room is not traced again: 0.02 to 0.04 of a
+coefficient."""
+_HALVINGS = 6
+_TRIALS = 3
+"""Most lengths of the last step, which lowers the gap."""
+_INDISTINCT = 0.5
+"""Rise of the objective in nats within which coefficients are indistinct from those of its minimum: one
+standard deviation."""
+FITS = 0.5
+"""Gap in JND, root mean square over all that is matched, below which a start needs no fit: the noise of
+a tracing."""
+_SETTLED = 0.05
+"""Change of alpha in prior sigmas after which no further step is taken."""
+
+POSITIONS = LinearObservations("positions")
+
+
+@dataclass(frozen=True, eq=False)
+class LinearisationPoint:
+    """A point of the path: alpha, and the simulated values there; None where it gives nothing."""
+
+    alpha: Array
+    simulated: Observations | None
+
+
+@dataclass(frozen=True, eq=False)
+class LinearisedSimulator:
+    """The simulator, linearised at ``start``, and the answer of the QP.
+
+    ``offset`` (n_used,) is what the values used would rise by with the scattering as traced in place of
+    that stated, ``now`` the objective at ``start``, ``limit`` the largest gaps in JND.
+    """
+
+    here: Linearisation
+    start: LinearisationPoint
+    matrix: Array
+    errors: FitErrors
+    offset: Array
+    answer: CalibrationResult
+    now: float
+    limit: Array
+
+    def towards(self, share: Array) -> LinearisationPoint:
+        """Return the simulated values at these shares of the way to the answer."""
+        start = self.start.alpha
+        alpha = start + float(share[0]) * (self.answer.alpha - start)
+        try:
+            self.here.move(alpha)
+        except (DataError, SimulatorError):  # no decay time with so much absorption, or so little
+            return LinearisationPoint(alpha, None)
+        return LinearisationPoint(alpha, self.here.simulated)
+
+    def worse(self, end: LinearisationPoint) -> NDArray[np.bool_]:
+        """Return whether the simulator's own objective rises, or its gap exceeds the limit."""
+        if end.simulated is None:
+            return np.array([True])
+        residual = self.here.residual() + self.offset
+        value = _misfit(self.errors.factor, residual) + _others(self.answer, end.alpha)
+        return np.array([value > self.now or (self.here.gaps() > self.limit).any()])
+
+
+Path = Steps[LinearisationPoint, LinearisedSimulator]
+
+
+@dataclass(frozen=True, eq=False)
+class FittedScattering:
+    """A tracer with a scattering that is fitted, and what is known of it.
+
+    ``materials`` says what the scattering does, ``errors`` which error is left beside it.
+    """
+
+    tracer: PathTracing
+    materials: MaterialScattering
+    errors: ErrorsByScattering
+
+    @property
+    def covariance(self) -> Array:
+        """Covariance of the simulator's error with the scattering not known, (n, n)."""
+        tracer, model = self.tracer, self.materials.model
+        at = level(tracer.scattering, tracer.room.areas)
+        return self.errors.covariance(at, model) + self.materials.covariance
+
+
+@dataclass(frozen=True, eq=False)
+class Fitted:
+    """Where a fit ended.
+
+    Attributes
+    ----------
+    here : Linearisation
+        The simulator with the fitted scattering, at the fitted alpha.
+    path : Steps
+        The last Gauss-Newton steps.
+    errors : FitErrors
+        With which they were taken.
+    scattering : FittedScattering or None
+        None where the scattering stated is kept.
+    refused : bool
+        Whether no step led nearer, so that the start is returned.
+    """
+
+    here: Linearisation
+    path: Path
+    errors: FitErrors
+    scattering: FittedScattering | None
+    refused: bool = False
+
+    @property
+    def residual(self) -> Array:
+        """Measured less simulated with the scattering stated, by derivatives, (n_used,)."""
+        return self.here.residual() + _offset(self.here, self.scattering)
+
+    @property
+    def pull(self) -> Array:
+        """Inverse covariance times the residual, (n,): 0 where nothing was measured."""
+        pull = np.zeros(len(self.errors.simulator))
+        pull[self.here.used] = np.linalg.solve(self.errors.covariance, self.residual)
+        return pull
+
+
+def _offset(here: Linearisation, scattering: FittedScattering | None) -> Array:
+    """Return how much smaller values are with the scattering stated than as traced, (n_used,)."""
+    if scattering is None:
+        return np.zeros(len(here.used))
+    return -scattering.materials.back[here.used]
+
+
+class PositionsFit:
+    """A fit of alpha, and of the scattering of a `PathTracing`, to the values at every position.
+
+    No step is taken unless the simulator itself shows that the objective falls, and that the gap over
+    all that is matched stays below that of the start. The errors belong to where the steps ended: the
+    unexplained ones (`unexplained_errors`) are found there, and further steps are taken from there.
+
+    Parameters
+    ----------
+    here : Linearisation
+        At the room's coefficients.
+    room : Room
+    calibration : Calibration, optional
+        Prior, further terms and constraints.
+    measured : Measurement
+        Its T enters where the calibration's own terms match it.
+    prior : array (n_materials * n_bands, n_materials * n_bands)
+    error : array (n, n)
+        Covariance of the simulator's error, with the scattering kept.
+    by_scattering : ErrorsByScattering or None
+        The errors by scattering, where it is fitted.
+    """
+
+    def __init__(
+        self,
+        here: Linearisation,
+        room: Room,
+        calibration: Calibration | None,
+        measured: Measurement,
+        prior: Array,
+        error: Array,
+        by_scattering: ErrorsByScattering | None,
+    ) -> None:
+        self.here, self.room, self.prior = here, room, prior
+        self.error, self.by_scattering = error, by_scattering
+        self._problem = _composed(_plain(room) if calibration is None else calibration).build(room)
+        self._times = None if calibration is None else measured
+        self._simulated = here.simulated
+        self._residual, self._gaps = here.residual(), here.gaps()
+        self._no_limit = np.full(len(self._gaps), np.inf)
+        # No parameter is given up for the others, but for what is no more than noise.
+        self._limit = np.array([self._gaps[0], *np.maximum(self._gaps[1:], FITS)])
+        self._unit = here.data.in_values(np.ones(len(here.data.used)))
+        self._parameter = np.nonzero(here.data.used)[0]
+        self._inverse_sigma = np.divide(
+            1.0, room.sigma, out=np.zeros_like(room.sigma), where=room.sigma > 0
+        )
+
+    def run(self) -> Fitted:
+        """Return where the fit ends."""
+        fit = self._nearest()
+        if not fit.refused and fit.here.gaps()[0] > FITS:
+            self._close(fit)
+        return fit
+
+    def _close(self, fit: Fitted) -> None:
+        """Move to a smaller gap where the objective is indistinct from its minimum.
+
+        An error of the simulator that all bands have in common counts once, and the deviation of every
+        coefficient by itself: so coefficients that all are off by the same factor leave a part of the
+        gap at the minimum.
+        """
+        here, errors, model = fit.here, fit.errors, fit.path.steps[-1].model
+        offset, start = _offset(here, fit.scattering), here.alpha
+        simulated, gaps = here.simulated, here.gaps()
+
+        def objective(residual: Array, alpha: Array) -> float:
+            return _misfit(errors.factor, residual) + _others(model.answer, alpha)
+
+        residual, matrix = here.residual() + offset, here.linearised()
+        least = objective(residual, start)
+        most = least + _INDISTINCT
+        if _keeps(model.answer, self.room.alpha):
+            most = min(most, objective(self._residual, self.room.alpha))
+        covariance = self._weighted(errors, _GAP_WEIGHTS[0])
+        way = self._answer(start, matrix, residual, covariance).alpha - start
+        rise = objective(residual - matrix @ way.ravel(), start + way) - least
+        share = np.sqrt(_INDISTINCT / max(rise, _INDISTINCT))
+        limit = np.maximum(gaps, FITS)
+        for _ in range(_TRIALS):
+            alpha = start + share * way
+            try:
+                here.move(alpha)
+            except (DataError, SimulatorError):
+                pass  # a decay without a time
+            else:
+                inside = objective(here.residual() + offset, alpha) <= most
+                now = here.gaps()
+                if inside and now[0] < gaps[0] and (now <= limit).all():
+                    return
+            share /= 2
+        here.alpha, here.simulated = start, simulated
+
+    def _nearest(self) -> Fitted:
+        """Return where the objective is least."""
+        if self.by_scattering is not None:
+            free = self._with_stated_scattering(guarded=False)
+            if free.scattering is not None:
+                found = self._with_other_scattering(free, free.scattering)
+                if found is not None:
+                    return found
+            self.here.alpha, self.here.simulated = self.room.alpha, self._simulated
+        return self._with_stated_scattering(guarded=True)
+
+    def _with_stated_scattering(self, *, guarded: bool) -> Fitted:
+        """Return where alpha ends with the scattering stated.
+
+        If ``guarded``, no farther than the start. Else the scattering is still to be fitted.
+        """
+        here, scattering = self.here, self._stated_scattering()
+        errors = self._errors(here, scattering, np.zeros(len(here.data.used)))
+        # The first steps only lead near: with errors that were found at the start, where a simulator
+        # is far from what was measured, its curvature would count as an error.
+        path = self._steps(here, errors, scattering, self._no_limit)
+        for _ in range(_PASSES):
+            scattering, before = self._stated_scattering(), errors.unexplained
+            errors, answer = self._errors(here, scattering), path.steps[-1].model.answer
+            begins_right = guarded and _keeps(answer, self.room.alpha)
+            if begins_right and not self._is_nearer(here, errors, answer):
+                here.alpha, here.simulated = self.room.alpha, self._simulated
+            limit = self._limit if begins_right else self._no_limit
+            path = self._steps(here, errors, scattering, limit)
+            if np.abs(errors.unexplained - before).max() < _ALIKE:
+                break
+        misses = self._gaps[0] > FITS
+        for weight in _GAP_WEIGHTS:
+            if not (guarded and misses and np.array_equal(path.end.alpha, self.room.alpha)):
+                break
+            # The objective falls along its own step and the gap rises: a step may lower both.
+            self._steps(here, errors, scattering, self._limit, weight)
+            path = self._steps(here, errors, scattering, self._limit)
+        refused = guarded and misses and np.array_equal(path.end.alpha, self.room.alpha)
+        return Fitted(here, path, errors, scattering, refused)
+
+    def _with_other_scattering(self, free: Fitted, stated: FittedScattering) -> Fitted | None:
+        """Return the nearest of the fits with scattering fitted, too; None if none is near."""
+        best, here, path = self._better(None, free, stated), free.here, free.path
+        model, change, log_odds = self._first_scattering(free, stated)
+        if model == stated.materials.model and not log_odds.any():
+            return best
+        for _ in range(_ROUNDS):
+            tracer = scattered(stated.tracer, log_odds, model)
+            try:
+                here = here.scattered(tracer, change.reshape(here.everywhere().shape))
+            except TooShortError:  # with so little scattering no decay ends
+                break
+            # Only paths of the model "random" tell the slopes; those of the other serve for both.
+            materials = stated.materials
+            if model == "random":
+                materials = self._materials(here, tracer)
+            materials = replace(materials, traced=log_odds, model=model)
+            scattering = FittedScattering(tracer, materials, stated.errors)
+            errors = self._errors(here, scattering)
+            best = self._better(best, Fitted(copy(here), path, errors, scattering), scattering)
+            path = self._steps(here, errors, scattering, self._no_limit)
+            ended = Fitted(here, path, errors, scattering)
+            best = self._better(best, ended, scattering)
+            likely = materials.likely(ended.pull).round(DIGITS)
+            if np.abs(likely - log_odds).max() < _SETTLED_ODDS:
+                break
+            change, log_odds = materials.slope @ (likely - log_odds), likely
+        if best is not None:
+            best.here.calls = here.calls
+        return best
+
+    def _first_scattering(
+        self, kept: Fitted, stated: FittedScattering
+    ) -> tuple[ScatteringModel, Array, Array]:
+        """Return the likelier model, the change of all values that is expected, and the log odds."""
+        here, materials, used = kept.here, stated.materials, kept.here.used
+        matrix = here.linearised()
+        innovation = here.residual() + matrix @ (here.alpha - self.room.alpha).ravel()
+        of_data = kept.errors.covariance - kept.errors.simulator[np.ix_(used, used)]
+        found = []
+        for model in MODELS:
+            added = np.zeros(len(materials.slope))
+            if model == "vector":
+                added = stated.errors.of_model.ravel()
+            error = replace(stated, materials=replace(materials, model=model)).covariance
+            left = innovation - added[used]
+            whole = matrix @ self.prior @ matrix.T + of_data + error[np.ix_(used, used)]
+            pull = np.zeros(len(added))
+            pull[used] = np.linalg.solve(whole, left)
+            log_odds = materials.likely(pull).round(DIGITS)
+            found.append((log_likelihood(left, whole), model, added, log_odds))
+        _, model, added, log_odds = max(found, key=lambda of: of[0])
+        return model, added + materials.slope @ log_odds, log_odds
+
+    def _stated_scattering(self) -> FittedScattering | None:
+        """Return what the scattering stated does where the here is; None where it is not fitted."""
+        tracer = self.here.simulator
+        if self.by_scattering is None or not isinstance(tracer, PathTracing):
+            return None
+        return FittedScattering(tracer, self._materials(self.here, tracer), self.by_scattering)
+
+    @staticmethod
+    def _materials(here: Linearisation, tracer: PathTracing) -> MaterialScattering:
+        parameters = here.data.observations.parameters
+        stated = np.zeros(tracer.room.n_materials)
+        return material_scattering(tracer, here.alpha, parameters, stated, here.seed)
+
+    def _errors(
+        self,
+        here: Linearisation,
+        scattering: FittedScattering | None,
+        unexplained: Array | None = None,
+    ) -> FitErrors:
+        """Return the errors where the here is; the ``unexplained`` ones are found if None."""
+        error = self.error if scattering is None else scattering.covariance
+        matrix = here.linearised()
+        of_room = value_changes(self.room, matrix, here.of_level)
+        known = here.data.covariance + of_room.T @ of_room
+        known = known + error[np.ix_(here.used, here.used)]
+        if unexplained is None:
+            innovation = here.residual() + _offset(here, scattering)
+            innovation = innovation + matrix @ (here.alpha - self.room.alpha).ravel()
+            expected = matrix @ self.prior @ matrix.T + known
+            unexplained = unexplained_errors(innovation, expected, self._unit, self._parameter)
+        covariance = known + np.diag((unexplained[self._parameter] * self._unit) ** 2)
+        return FitErrors(error, unexplained, covariance, np.asarray(np.linalg.cholesky(covariance)))
+
+    def _steps(
+        self,
+        here: Linearisation,
+        errors: FitErrors,
+        scattering: FittedScattering | None,
+        limit: Array,
+        weight: float = 0.0,
+    ) -> Path:
+        """Take Gauss-Newton steps from where the here is; it is left where they end.
+
+        ``weight`` is that of the squared gap in JND, which the steps lower beside the objective.
+        """
+        offset, covariance = _offset(here, scattering), self._weighted(errors, weight)
+
+        def linearised(at: LinearisationPoint) -> LinearisedSimulator:
+            matrix = here.linearised()
+            residual = here.residual() + offset
+            answer = self._answer(at.alpha, matrix, residual, covariance)
+            now, most = np.inf, self._no_limit
+            if _keeps(answer, at.alpha):  # else the objective is no measure, nor is the gap
+                now = _misfit(errors.factor, residual) + _others(answer, at.alpha)
+                most = limit
+            return LinearisedSimulator(here, at, matrix, errors, offset, answer, now, most)
+
+        def settled(step: Taken[LinearisedSimulator]) -> bool:
+            # The whole step counts: one that was shortened to little may be far from the minimum.
+            moved = np.abs(step.model.answer.alpha - step.model.start.alpha)
+            return bool(np.max(moved * self._inverse_sigma) < _SETTLED)
+
+        path = gauss_newton(
+            LinearisationPoint(here.alpha, here.simulated),
+            linearised,
+            most=STEPS,
+            halvings=_HALVINGS,
+            settled=settled,
+            refuse=True,
+        )
+        if path.end.simulated is not None:  # steps that give nothing are refused
+            here.alpha, here.simulated = path.end.alpha, path.end.simulated
+        return path
+
+    def _weighted(self, errors: FitErrors, weight: float) -> Array:
+        """Return the errors' covariance where the squared gap in JND has a ``weight`` beside it."""
+        if not weight:
+            return errors.covariance
+        information = np.linalg.inv(errors.covariance) + np.diag(weight / self._unit**2)
+        return np.asarray(np.linalg.inv(information))
+
+    def _answer(
+        self, at: Array, matrix: Array, residual: Array, covariance: Array
+    ) -> CalibrationResult:
+        """Return the QP's answer with the simulator linearised at coefficients."""
+        values = residual + matrix @ at.ravel()
+        numbers = Observed(matrix=matrix, values=values, covariance=covariance)
+        return self._problem.solve(self._times, observed={POSITIONS: numbers}, method="positions")
+
+    def _is_nearer(self, here: Linearisation, errors: FitErrors, answer: CalibrationResult) -> bool:
+        """Return whether a here with the scattering stated is nearer than the start."""
+        values = [
+            _misfit(errors.factor, residual) + _others(answer, alpha)
+            for residual, alpha in (
+                (here.residual(), here.alpha),
+                (self._residual, self.room.alpha),
+            )
+        ]
+        return values[0] <= values[1] and bool((here.gaps() <= self._limit).all())
+
+    def _better(
+        self, best: Fitted | None, other: Fitted, scattering: FittedScattering
+    ) -> Fitted | None:
+        """Return the one with the lower objective, in which both have the errors of the second.
+
+        The scattering's own deviations count, and its uncertainty does not. The second, with its
+        ``scattering``, is not taken if its objective or its gap is above the start's.
+        """
+        here, materials = other.here, scattering.materials
+        used, answer = here.used, other.path.steps[-1].model.answer
+        unknown = materials.covariance[np.ix_(used, used)]
+        factor = np.asarray(np.linalg.cholesky(other.errors.covariance - unknown))
+
+        def objective(residual: Array, alpha: Array, log_odds: Array) -> float:
+            of_scattering = 0.5 * log_odds @ np.linalg.solve(materials.prior, log_odds)
+            return _misfit(factor, residual) + _others(answer, alpha) + float(of_scattering)
+
+        none = np.zeros(len(materials.traced))
+        value = objective(here.residual(), here.alpha, materials.traced)
+        if _keeps(answer, self.room.alpha):
+            start = objective(self._residual, self.room.alpha, none)
+            if value > start or (here.gaps() > self._limit).any():
+                return best
+        if best is None or best.scattering is None:
+            return other
+        traced = best.scattering.materials.traced
+        old = objective(best.here.residual(), best.here.alpha, traced)
+        return other if value < old else best
+
+
+def _plain(room: Room) -> Calibration:
+    return Calibration(
+        PriorDeviation(
+            band_correlation=room.band_correlation,
+            material_correlation=room.material_correlation,
+            common=room.common_alpha_sigma > 0,
+        ),
+        [],
+    )
+
+
+def _composed(calibration: Calibration) -> Calibration:
+    """Return the calibration with the positions in its objective."""
+    return Calibration(as_objective(calibration.objective) + POSITIONS, calibration.constraints)
+
+
+def _misfit(factor: Array, residual: Array) -> float:
+    """Return half the squares of a residual over its errors; ``factor`` is their Cholesky factor."""
+    white = solve_triangular(factor, residual, lower=True)
+    return 0.5 * float(white @ white)
+
+
+def _unknowns(answer: CalibrationResult, alpha: Array) -> Array:
+    """Return the unknowns of a problem with other coefficients."""
+    layout = answer.joint.solution.model.data.layout
+    u = answer.joint.solution.unknowns.copy()
+    u[: layout.n_alpha] = alpha[layout.first].ravel()
+    return np.asarray(u)
+
+
+def _others(answer: CalibrationResult, alpha: Array) -> float:
+    """Return the value of the objective's terms other than the positions."""
+    model, u = answer.joint.solution.model, _unknowns(answer, alpha)
+    terms = zip(model.objective.terms, model.data.weights, strict=True)
+    return sum(w * t.value(u, model.data) for t, w in terms if t != POSITIONS)
+
+
+_KEPT = 1e-9
+"""By how much coefficients may miss a constraint that they keep, over the size of its row."""
+
+
+def _keeps(answer: CalibrationResult, alpha: Array) -> bool:
+    """Return whether coefficients keep the bounds and constraints of a problem."""
+    model, u = answer.joint.solution.model, _unknowns(answer, alpha)
+    slack = _KEPT * (1 + np.abs(u))
+    if (u < model.lower - slack).any() or (u > model.upper + slack).any():
+        return False
+    values = np.asarray(model.matrix @ u)
+    slack = _KEPT * (1 + np.abs(values))
+    inside = (values >= model.row_lower - slack) & (values <= model.row_upper + slack)
+    return bool(inside.all())
+
 
 MORE_PATHS = 4
 """Factor of the number of paths that are weighed: EDT of a pair has a noise of 2 to 9 % with 6000. In a
@@ -90,7 +728,7 @@ def calibrate_positions(
     seed: int = 0,
     progress: Progress | None = None,
 ) -> PositionsResult:
-    """Calibrate a room's coefficients so that a simulator has what every position heard.
+    """Calibrate a room's coefficients so that a simulator has the values at every position.
 
     The gap over all that is matched, and the objective, are at most those of the room as given: else
     that room is returned, and the result's ``refused`` says so. Where a gap above 0.5 JND is left, of
@@ -103,7 +741,7 @@ def calibrate_positions(
         A `PathTracing` is followed with more paths.
     room : Room or ModesResult
         Its alpha and sigma are the prior. A result of ``calibrate_modes(room, ...)`` without T stands
-        in place of what was heard below the Schroeder frequency: coefficients stay there as it left
+        in place of what was measured below the Schroeder frequency: coefficients stay there as it left
         them.
     measured : Measurement
         Of pairs that the simulator has, too.
@@ -187,16 +825,16 @@ def calibrate_positions(
         notes = (*notes, *simulator.notes, *simulator.source_notes)
     if replaced:
         notes = (T30_ALONE, *notes)
-    first, not_heard = _first(simulator, room.alpha, match, measured, seed)
+    first, not_simulated = _first(simulator, room.alpha, match, measured, seed)
     data = pairs_to_match(room, measured, match, first, exclude)
-    notes = (*without_place(measured, first.pairs), *notes, *not_heard, *repeated)
+    notes = (*without_place(measured, first.pairs), *notes, *not_simulated, *repeated)
     if stated := in_words(room):
         notes = (*notes, f"The room is uncertain, and that counts: {stated}.")
     _refuse_one_place(simulator, data.observations.pairs, position_uncertainty)
     if isinstance(tracer, PathTracing) and isinstance(simulator, PathTracing):
         # Too few paths are told before the control runs.
-        heard = simulator.observe_in_groups(room.alpha, GROUPS, match, seed=seed)
-        _tell_noise(heard, match, tracer)
+        groups = simulator.observe_in_groups(room.alpha, GROUPS, match, seed=seed)
+        _tell_noise(groups, match, tracer)
     if controls is None:
         told: list[int] = []
 
@@ -217,13 +855,13 @@ def calibrate_positions(
         if controls is not None and not told:  # they were kept
             tell(control_runs.RUNS, control_runs.RUNS)
     in_room = measurement_in_room_bands(measured, room.centre_frequencies)
-    listener = Listener(simulator, data, first, room.alpha, seed)
-    before = listener.values()
+    here = Linearisation(simulator, data, first, room.alpha, seed)
+    before = here.values()
     prior = prior_covariance(room)
-    error, by_scattering = simulator_error(listener, controls, fit_scattering)
-    beyond = _beyond(listener, room, prior, error)
+    error, by_scattering = simulator_error(here, controls, fit_scattering)
+    beyond = _beyond(here, room, prior, error)
     fit = PositionsFit(
-        listener,
+        here,
         room,
         calibration,
         measured,
@@ -231,7 +869,7 @@ def calibrate_positions(
         error,
         None if beyond else by_scattering,
     ).run()
-    listener, path = fit.listener, fit.path
+    here, path = fit.here, fit.path
     last = path.steps[-1].model.matrix
     scattering, start = None, tracer.scattering if isinstance(tracer, PathTracing) else None
     if fit.scattering is not None and isinstance(tracer, PathTracing):
@@ -240,7 +878,7 @@ def calibrate_positions(
             tracer, scattering=weighed.scattering, scattering_model=weighed.scattering_model
         )
         unknown = fit.errors.covariance + last @ prior @ last.T
-        posterior = materials.posterior(listener.used, unknown)
+        posterior = materials.posterior(here.used, unknown)
         scattering = fitted(tracer, materials.traced, posterior)
     elif fit_scattering and isinstance(tracer, PathTracing):
         notes = (*notes, _kept(tracer, beyond))
@@ -253,16 +891,16 @@ def calibrate_positions(
         seed=seed,
         scattering=scattering,
         start=start,
-        simulations=listener.calls,
+        simulations=here.calls,
         measured=data,
-        beside=Beside.of(in_room, data.observations, first, listener.heard),
-        held_out=Beside.at_pairs(in_room, data.observations, exclude, first, listener.heard),
+        beside=Beside.of(in_room, data.observations, first, here.simulated),
+        held_out=Beside.at_pairs(in_room, data.observations, exclude, first, here.simulated),
         before=_with(data.observations, before),
-        after=_with(data.observations, listener.values()),
+        after=_with(data.observations, here.values()),
         predicted=_predicted(fit, with_error=controls is not None),
         controls=controls,
         unexplained=fit.errors.unexplained,
-        innovation=fit.residual + last @ (listener.alpha - room.alpha).ravel(),
+        innovation=fit.residual + last @ (here.alpha - room.alpha).ravel(),
         covariance=fit.errors.covariance,
         prior_covariance=prior,
         steps=tuple(
@@ -276,21 +914,21 @@ def calibrate_positions(
     )
 
 
-def _beyond(listener: Listener, room: Room, prior: Array, error: Array) -> BeyondPrior | None:
+def _beyond(here: Linearisation, room: Room, prior: Array, error: Array) -> BeyondPrior | None:
     """Return how far T is from what the stated coefficients let expect; see `beyond_prior`."""
-    data = listener.data
+    data = here.data
     shape = data.observations.values.shape
     matrix = np.zeros((*shape, prior.shape[0]))
-    matrix[data.used] = listener.linearised()
+    matrix[data.used] = here.linearised()
     used = np.flatnonzero(data.used)
     errors = np.zeros((data.used.size, data.used.size))
-    of_simulator = error[np.ix_(listener.used, listener.used)]
+    of_simulator = error[np.ix_(here.used, here.used)]
     errors[np.ix_(used, used)] = data.covariance + of_simulator
     return beyond_prior(
         room,
         data.observations.parameters,
         data.observations.values,
-        listener.values(),
+        here.values(),
         matrix,
         prior,
         errors,
@@ -298,21 +936,21 @@ def _beyond(listener: Listener, room: Room, prior: Array, error: Array) -> Beyon
 
 
 def _predicted(fit: Fitted, *, with_error: bool) -> Observations:
-    """Return what every position hears, with the simulator's error as the measured pairs tell it.
+    """Return the values at every position, with the simulator's error as the measured pairs tell it.
 
     The error's mean given the residual r at the measured pairs: D_all (R + D)⁻¹ r, D_all its
     covariance between all values and those used.
     """
-    heard, values = fit.listener.heard, fit.listener.everywhere()
+    simulated, values = fit.here.simulated, fit.here.everywhere()
     if with_error:
         told = fit.errors.simulator @ fit.pull
         if fit.scattering is not None:
             told = told + fit.scattering.materials.back
         values = values + told.reshape(values.shape)
     return Observations(
-        parameters=fit.listener.data.observations.parameters,
-        pairs=heard.pairs,
-        centre_frequencies=heard.centre_frequencies,
+        parameters=fit.here.data.observations.parameters,
+        pairs=simulated.pairs,
+        centre_frequencies=simulated.centre_frequencies,
         values=values,
     )
 
@@ -342,7 +980,7 @@ def _calibrated(
         room = room.replace(
             scattering=simulator.scattering, scattering_model=simulator.scattering_model
         )
-    alpha = np.clip(fit.listener.alpha, 0.0, 1.0)
+    alpha = np.clip(fit.here.alpha, 0.0, 1.0)
     return room.replace(alpha=alpha, sigma=sigma, calibration=record)
 
 
@@ -367,15 +1005,15 @@ def _given(
 def _first(
     simulator: Simulator, alpha: Array, match: tuple[str, ...], measured: Measurement, seed: int
 ) -> tuple[Observations, tuple[str, ...]]:
-    """Return what is heard with the prior, also of what was measured and is not matched.
+    """Return the simulated values with the prior, also of what was measured and is not matched.
 
     A note names what the simulator does not give of that.
     """
     more = [p for p in measured_beside(measured) if p not in match]
     if not isinstance(simulator, DifferentiableSimulator):
         simulated = base.run(simulator, alpha, seed=seed)
-        heard = [p for p in more if p in observations.given(simulated)]
-        return Observations.of_measurement(simulated, (*match, *heard), simulated.pairs), ()
+        given = [p for p in more if p in observations.given(simulated)]
+        return Observations.of_measurement(simulated, (*match, *given), simulated.pairs), ()
     try:
         return observe(simulator, alpha, (*match, *more), seed=seed), ()
     except DataError:

@@ -161,7 +161,7 @@ class MaterialScattering:
 def material_scattering(
     tracer: PathTracing, alpha: Array, parameters: Sequence[str], traced: Array, seed: int
 ) -> MaterialScattering:
-    """Return how what a tracer hears depends on the scattering of each material.
+    """Return how the values of a tracer depend on the scattering of each material.
 
     The differences between pairs are drawn towards their mean as far as they are noise. DataError for
     a tracer with another scattering model than "random".

@@ -32,7 +32,8 @@ from rtcal.support.types import Array
 
 JND = 0.05
 """One just noticeable difference of T, as a share of it."""
-LEVEL = 0.9
+COVERAGE = 0.9
+"""Probability of an interval."""
 _SURE = 1e-12
 """Standard deviation of ln T from which on T is not known exactly."""
 
@@ -188,7 +189,7 @@ class Prediction(Result):
     @cached_property
     def interval(self) -> tuple[Array, Array]:
         """Ends of the 90 % interval of T in s, each (n_bands,), for the T before that is given."""
-        return self.quantile((1 - LEVEL) / 2), self.quantile((1 + LEVEL) / 2)
+        return self.quantile((1 - COVERAGE) / 2), self.quantile((1 + COVERAGE) / 2)
 
     def quantile(self, probability: float) -> Array:
         """Return the quantile of T in s, (n_bands,); DataError unless it is between 0 and 1."""

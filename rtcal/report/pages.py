@@ -26,8 +26,7 @@ from rtcal.finder.positions.verification import PositionsVerification
 from rtcal.finder.states import StatesFinding
 from rtcal.io import workbook
 from rtcal.loop.calibrate import LoopResult
-from rtcal.loop.positions_prediction import PositionsPrediction, PositionsPredictions
-from rtcal.loop.positions_result import PositionsResult
+from rtcal.loop.positions_result import PositionsPrediction, PositionsPredictions, PositionsResult
 from rtcal.loop.state import Loop
 from rtcal.modes.result import ModesResult
 from rtcal.prediction.designed import Design

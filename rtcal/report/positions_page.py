@@ -12,8 +12,7 @@ import numpy as np
 from rtcal.acoustics import bands
 from rtcal.acoustics.observables import DecaySlope, of_kind, parameter_label
 from rtcal.acoustics.quality import rms
-from rtcal.loop.positions_prediction import gap_rows
-from rtcal.loop.positions_result import PositionsResult
+from rtcal.loop.positions_result import PositionsResult, gap_rows
 from rtcal.report import room_view
 from rtcal.report.document import Heading, blocks, material_rows, render, source
 from rtcal.report.figures import BLACK, ORANGE, ROOM, new_figure, shown, write_with_figures

@@ -10,7 +10,7 @@ import numpy as np
 
 from rtcal.acoustics import bands
 from rtcal.acoustics.observables import observable, parameter_label
-from rtcal.loop.positions_prediction import PositionsPrediction, PositionsPredictions
+from rtcal.loop.positions_result import PositionsPrediction, PositionsPredictions
 from rtcal.prediction.designed import Design
 from rtcal.prediction.predicted import Prediction, Predictions
 from rtcal.report.document import Heading, blocks, render, source
@@ -186,7 +186,7 @@ def page_at_positions(
     variants = result.predictions if isinstance(result, PositionsPredictions) else (result,)
     first = variants[0]
     frequencies, t = first.before.centre_frequencies, first.parameters[0]
-    before = observable(t).natural(first.heard_before[0, -1])
+    before = observable(t).natural(first.simulated_before[0, -1])
     drawn = times(frequencies, before, [(v.name, v.mean(t), v.interval(t)) for v in variants])
     means = [(v.name, v.mean(t), 2, False) for v in variants]
     return render(
@@ -218,7 +218,7 @@ def _at_positions(variant: PositionsPrediction, step: Callable[[], None]) -> dic
     for i, parameter in enumerate(variant.parameters):
         of, (low, high) = observable(parameter), variant.interval(parameter)
         unit = f" / {of.unit}" if of.unit else ""
-        before = of.natural(variant.heard_before[i, -1])
+        before = of.natural(variant.simulated_before[i, -1])
         rows += [
             (f"{of.label} before{unit}", before, of.decimals, False),
             (f"{of.label} after{unit}", variant.mean(parameter), of.decimals, False),

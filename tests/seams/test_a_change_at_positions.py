@@ -110,7 +110,7 @@ def test_the_truth_of_the_change_is_within(predicted) -> None:
 @pytest.mark.long
 def test_no_change_is_what_was_measured(measured, predicted) -> None:
     found = predicted.predictions[2]
-    assert found.middle == pytest.approx(found.heard_before)
+    assert found.middle == pytest.approx(found.simulated_before)
     assert found.change("t20") == pytest.approx(np.zeros_like(found.change("t20")), abs=1e-9)
     assert np.abs(np.log(found.mean("t20") / measured.mean("t20"))).max() < 0.05
     assert (found.half_width("t20")[-1] < predicted.predictions[0].half_width("t20")[-1]).all()

@@ -10,7 +10,7 @@ import pytest
 
 import rtcal as rt
 from rtcal.acoustics.air import Air
-from rtcal.acoustics.room_errors import heard_changes
+from rtcal.acoustics.room_errors import value_changes
 from rtcal.finder.positions.problem import _prior
 from rtcal.finder.positions.responses import AIR
 from rtcal.prediction import Assumptions, predict
@@ -57,7 +57,7 @@ def derivatives(room: rt.Room) -> np.ndarray:
 @pytest.mark.parametrize("of_level", [False, True])
 def test_changes_are_those_of_the_equation(of_level: bool) -> None:
     room = room_of(**STATED)
-    got = heard_changes(room, derivatives(room), np.full(2, of_level))
+    got = value_changes(room, derivatives(room), np.full(2, of_level))
     step = 1e-4
 
     def moved(**changes: object) -> np.ndarray:
@@ -180,7 +180,7 @@ def test_the_finder_at_positions_expects_what_the_room_may_be_off_by(
     matrix = np.zeros((2, 5, 3, 2))
     for k in range(2):
         matrix[k, :, :, k] = slopes[k]
-    changes = heard_changes(uncertain, matrix.reshape(10, -1), np.zeros(10, dtype=bool))
+    changes = value_changes(uncertain, matrix.reshape(10, -1), np.zeros(10, dtype=bool))
     np.testing.assert_allclose(
         variance(uncertain) - variance(exact), (changes**2).sum(axis=0), rtol=1e-9
     )
@@ -209,7 +209,7 @@ def test_a_prediction_counts_each_area_of_its_own_and_the_climate(name: str) -> 
     """Its T has the variance of what the room states, as positions hear it; nothing else is unknown."""
     exact = room_of().replace(sigma=np.zeros((3, 2)))
     uncertain = exact.replace(**{name: STATED[name]})
-    expected = heard_changes(uncertain, derivatives(exact), np.zeros(2, dtype=bool))
+    expected = value_changes(uncertain, derivatives(exact), np.zeros(2, dtype=bool))
     variance = variance_before(uncertain)
     np.testing.assert_allclose(variance, (expected**2).sum(axis=0), rtol=0.06)
     assert (variance > 0).all()
