@@ -19,7 +19,7 @@ from rtcal.acoustics.priors import TruncatedNormal
 from rtcal.command.main import cli
 from rtcal.studies import paper, trials_kernel
 from rtcal.studies.runner import SERIES, ScoreMoments
-from rtcal.support.errors import DataError, MissingDependencyError
+from rtcal.support.errors import DataError
 from tests.reference import in_place_of
 from tests.reference import trials as reference
 
@@ -480,13 +480,9 @@ def test_bad_input(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     blocked.write_text("")
     with pytest.raises(DataError, match="file"):
         studies.run(SHOEBOX, 0.1, 1, 1, folder=blocked / "study")
-    monkeypatch.setitem(__import__("sys").modules, "tqdm", None)
-    with pytest.raises(MissingDependencyError, match=r"rtcal\[studies\]"):
-        studies.run(SHOEBOX, 0.1, 1, 1, progress=True)
 
 
 def test_progress_bar(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
-    pytest.importorskip("tqdm", reason="tqdm is not installed (rtcal[studies])")
     studies.run(SHOEBOX, 0.1, 250, 10, progress=True)
     assert capsys.readouterr().err == ""  # done within two seconds
     monkeypatch.setattr("rtcal.support.speed.DELAY", 0.0)

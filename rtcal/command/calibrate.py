@@ -117,8 +117,9 @@ def calibrate(
     if stated.scene.mesh is not None:
         with suppress(DataError):  # told by the mesh's doubt
             result = replace(result, shares=facing(stated, geometry_files.read(stated)))
-    files = [] if folder is None else figures.write_folder(result, folder)
-    tell(str(result), result.to_dict(), files)
+    if folder is not None:
+        figures.write_folder(result, folder)
+    tell(str(result), result.to_dict())
 
 
 def _by_modes(
@@ -131,8 +132,9 @@ def _by_modes(
     with without_air_warning():
         heard = read_measured(measured)
         result = told_by_modes(Room.from_file(room), modes, heard, equation)
-    files = [] if folder is None else figures.write_with_figures(result, folder, {})
-    tell(str(result), result.to_dict(), files)
+    if folder is not None:
+        figures.write_with_figures(result, folder, {})
+    tell(str(result), result.to_dict())
 
 
 NOT_NEARER = 7
@@ -238,12 +240,11 @@ def fit(
                 seed=seed,
                 progress=following(shown),
             )
-    files = []
     if folder is not None and (is_forced() or not result.refused):
-        files = positions_page.write_positions(
+        positions_page.write_positions(
             result, folder, tracer.geometry, tracer.sources, tracer.receivers
         )
-    tell(str(result), result.to_dict(), files)
+    tell(str(result), result.to_dict())
     if result.refused:
         raise click.exceptions.Exit(NOT_NEARER)
 
@@ -320,7 +321,7 @@ def learn(
             files[target / LIBRARY_ROOM] = applied.to_text(target).encode()
         make_folder(target)
         write_all(files)
-    tell(said, record, [*files])
+    tell(said, record)
 
 
 @click.command(short_help="The paper's stochastic study beside its numbers.")

@@ -10,7 +10,6 @@ import time
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -173,8 +172,7 @@ def told_by_modes(
 
     modes = sofa.read(path) if sofa.claims(path) else tables.read(path)
     with bar(1, "calculation", False, said()) as shown:
-        if not is_quiet():
-            shown.set_description("room modes, minutes where a mesh has hundreds of them")
+        shown.set_description("room modes, minutes where a mesh has hundreds of them")
         return calibrate_modes(room, modes, measured, equation=equation)
 
 
@@ -363,21 +361,20 @@ class CannotPrint(click.ClickException):
     exit_code = 5
 
 
-def tell(text: str, record: Mapping[str, Any], listed: Sequence[object] = ()) -> None:
+def tell(text: str, record: Mapping[str, Any], then: str = "") -> None:
     """Write the command's files, and print a text and which they are, or with ``--json`` a record.
 
     With ``--quiet`` it prints nothing. Files are written first, since a reader may close the output
-    (``| head``). ``listed`` are files that are written already. Raises CannotPrint where the output is
-    closed or full.
+    (``| head``). ``then`` stands below the files' names. Raises CannotPrint where the output is closed or full.
     """
-    made = list(dict.fromkeys([*map(str, listed), *files.commit()]))
+    made = files.commit()
     as_json = _flag("as_json")
     if is_quiet() and not as_json:
         return
     if sys.stdout is None:
         raise CannotPrint("cannot print: the standard output is closed")
     if made:
-        text = "\n".join(filter(None, [text, written(made)]))
+        text = "\n".join(filter(None, [text, written(made), then]))
         record = {**record, "written": made}
     with printing():
         click.echo(_json_text(record) if as_json else printable(fitted(text)))
@@ -450,13 +447,8 @@ def said() -> Callable[[str], None] | None:
 
 
 def bar_wanted() -> bool:
-    """Whether to show a progress bar: on a terminal, if tqdm is installed."""
-    return (
-        not is_quiet()
-        and sys.stderr is not None
-        and sys.stderr.isatty()
-        and find_spec("tqdm") is not None
-    )
+    """Whether to show a progress bar: on a terminal."""
+    return not is_quiet() and sys.stderr is not None and sys.stderr.isatty()
 
 
 def written(paths: Sequence[object]) -> str:

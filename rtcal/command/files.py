@@ -30,7 +30,6 @@ from rtcal.command.console import (
     texts,
     warn,
     writing_options,
-    written,
 )
 from rtcal.io.table_columns import DECAY_TIMES_OF_RT60
 from rtcal.support import files
@@ -231,9 +230,8 @@ def _write_and_tell(
         "pairs": measurement.pairs,
         "values": measurement.values,
         **notes,
-        "written": out,
     }
-    tell(str(analysis), record, [] if out is None else [out])
+    tell(str(analysis), record)
 
 
 @click.command(short_help="A calibrated room into a program's material list, changed or new.")
@@ -289,7 +287,6 @@ def export(
     with errors_name_options("missing_bands", "decimals"):
         done = module.write(Room.from_file(room), materials, **options)
     record = {
-        "written": done.path,
         "new_list": done.template is None,
         "template": done.template,
         "equation": done.equation,
@@ -347,14 +344,9 @@ def example(
         raise DataError(f"{present[0]} exists; an example writes over no file: give another --out")
     make_folder(folder)
     write_all(targets)
-    files.commit()
     commands = [f"cd {shlex.quote(str(folder))}", *project.commands]
-    lines = [written(list(targets)), "", "Next:"]
-    lines += [line for command in commands for line in shell(command, "  ")]
-    tell(
-        "\n".join(lines),
-        {"written": [str(path) for path in targets], "commands": list(project.commands)},
-    )
+    lines = ["\nNext:", *(line for command in commands for line in shell(command, "  "))]
+    tell("", {"commands": list(project.commands)}, "\n".join(lines))
 
 
 _FIGURES = 5
@@ -401,13 +393,9 @@ def report(
     fit_ending("--out", out, ".html", ".htm", workbook.ENDING)
     if target.suffix.lower() == workbook.ENDING:
         pages.write_workbook(result, target)
-        tell("", {}, [target])
+        tell("", {})
         return
     with bar(_FIGURES, "figure", bar_wanted(), said()) as shown:
         text = pages.page_of(result, heading=heading, progress=lambda: shown.update(1))
     document.write(target, text)
-    tell(
-        "",
-        {"bytes": len(text.encode())},
-        [target],
-    )
+    tell("", {"bytes": len(text.encode())})

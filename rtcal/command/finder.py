@@ -127,12 +127,11 @@ def find(
             verification = verified(inputs, finding)
             first = [verification.sentence]
         place = next(iter(_further_places(finding)), None)
-        paths = finding_pages.write_where(finding, verification, folder, heading, command, place)
+        finding_pages.write_where(finding, verification, folder, heading, command, place)
     else:
         files = gap_report.Reproduction(command, tuple(files_read(inputs)), search.seed)
-        paths = gap_report.write(finding, folder, files, heading)
-    record = {**finding.to_dict(), "written": [str(p) for p in paths]}
-    tell("\n".join([*first, str(finding)]), record, paths)
+        gap_report.write(finding, folder, files, heading)
+    tell("\n".join([*first, str(finding)]), finding.to_dict())
 
 
 @click.command(short_help="Compare the gaps with and without what was found.")

@@ -135,7 +135,7 @@ def _progress(unit: str) -> Iterator[Callable[[str, int, int], None]]:
     with bar(0, unit, bar_wanted(), said()) as shown:
 
         def progress(step: str, done: int, total: int) -> None:
-            if step not in begun and hasattr(shown, "reset"):
+            if step not in begun:
                 begun.append(step)
                 if done == 1:
                     shown.reset(total=total)
@@ -312,13 +312,11 @@ def add_to_folder(
 ) -> bool:
     """Write the room with what was found into a folder; return whether something was found."""
     if (nothing := finding.reason_for_none) is not None:
-        record = {**finding.to_dict(), "written": []}
-        tell(f"{nothing}\nNothing is written.", record)
+        tell(f"{nothing}\nNothing is written.", finding.to_dict())
         return False
     made = apply()
-    paths = made.save(folder)
-    record = {**finding.to_dict(), **made.to_dict(), "written": [str(p) for p in paths]}
-    tell("\n".join([finding.headline, *made.in_words]), record, paths)
+    made.save(folder)
+    tell("\n".join([finding.headline, *made.in_words]), {**finding.to_dict(), **made.to_dict()})
     return True
 
 
@@ -351,8 +349,7 @@ def find_change(
         page = finding_pages.states_page(finding, heading, lambda: None)
         finding.save(folder)
         document.write(paths[1], page)
-        record["written"] = [str(path) for path in paths]
-    tell(printed, record, paths)
+    tell(printed, record)
 
 
 def verify_change(

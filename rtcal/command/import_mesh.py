@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -88,7 +89,6 @@ def check(
         drawn.save(mended)
     if picture is not None:
         draw(drawn, edges, picture)
-    files = [path for path in (mended, picture) if path is not None]
     notes = [as_options(note, ["unit"]) for note in done.notes]
     record = {
         "volume": done.volume,
@@ -98,14 +98,16 @@ def check(
         "area_uncertainty": done.area_uncertainty,
         "defects": [asdict(defect) for defect in done.defects],
         "notes": notes,
-        "written": files,
     }
-    tell("\n".join([*notes, str(done)]), record, files)
+    tell("\n".join([*notes, str(done)]), record)
 
 
-def _patience(mesh: str) -> Any:
-    """Return what says, once, that a mesh takes longer: how much longer is not known."""
-    return bar(1, f"mending of {mesh}", False, said())
+@contextmanager
+def _patience(mesh: str) -> Iterator[None]:
+    """Say that a mesh takes longer: how much longer is not known."""
+    with bar(1, "step", False, said()) as shown:
+        shown.set_description(f"mending of {mesh}")
+        yield
 
 
 def geometry(

@@ -224,7 +224,7 @@ def import_room(
     notes = _notes(
         room, rule, sigma, {n: (others.get(n) or listed.listed(n)).scattering for n in used}
     )
-    _tell(room, unused, notes + of_mesh, out)
+    _tell(room, unused, notes + of_mesh)
 
 
 def _materials(program: str, path: str | None) -> MaterialList:
@@ -411,7 +411,7 @@ def _notes(
     return notes
 
 
-def _tell(room: Room, unused: list[str], notes: list[str], out: str) -> None:
+def _tell(room: Room, unused: list[str], notes: list[str]) -> None:
     from rtcal.acoustics.bands import span
 
     areas = dict(zip(room.materials, room.areas.tolist(), strict=True))
@@ -427,6 +427,5 @@ def _tell(room: Room, unused: list[str], notes: list[str], out: str) -> None:
         "centre_frequencies": room.centre_frequencies,
         "notes": notes,
         "left_out": unused,
-        "written": out,
     }
-    tell("\n".join(rows), record, [out])
+    tell("\n".join(rows), record)

@@ -63,7 +63,9 @@ def what_is_known(command: Callable[..., None]) -> Callable[..., None]:
 def told(found: Result, out: str | None) -> None:
     """Write a result's file where asked for, and print the result."""
     folder = output_folder("--out", out)
-    tell(str(found), found.to_dict(), [] if folder is None else [found.save(folder)])
+    if folder is not None:
+        found.save(folder)
+    tell(str(found), found.to_dict())
 
 
 def read_changes(path: str, read: Callable[[str], Any]) -> Any:

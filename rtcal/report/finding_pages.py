@@ -287,7 +287,7 @@ def correct(
     said = finding.to_dict()
     record: dict[str, Any] = {k: said[k] for k in _KEPT if k in said}
     if (nothing := finding.reason_for_none) is not None:
-        record |= {"sentence": nothing, "written": []}
+        record |= {"sentence": nothing}
         return Correction(f"{nothing}\nNothing is written.", record)
     members = finding.chosen(effect)
     corrected = finding.with_effects(members=members)
@@ -303,13 +303,11 @@ def correct(
         *table(corrected.room, {"corrected": calibrated}),
         *(f"  note: {note}" for note in finding.notes),
         *(f"  not in {room_path}: {line}" for line in absent),
-        f"Written: {', '.join(files)}",
     ]
     record |= {
         "sentence": sentence,
         "present": [p.to_dict() for p in corrected.applied],
         "calibrated": calibrated.to_dict(),
-        "written": list(files),
         "notes": list(finding.notes),
         "not_in_room": absent,
     }

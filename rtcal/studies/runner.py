@@ -222,8 +222,6 @@ def run_pieces(
     DataError
         If the folder cannot be written, is damaged, holds another study, or
         if ``workers``, ``executor`` or ``folder`` is of the wrong kind.
-    MissingDependencyError
-        With ``progress`` where tqdm is not installed.
     """
     if workers is not None:
         checks.whole("workers", workers, 1)

@@ -51,6 +51,7 @@ class _Set:
     contents: dict[Path, bytes] = field(default_factory=dict)
     stated: dict[Path, str] = field(default_factory=dict)
     """The files' paths as they were stated."""
+    written: list[str] = field(default_factory=list)
 
 
 _current: _Set | None = None
@@ -90,12 +91,14 @@ def may_replace(path: str | os.PathLike[str] | None = None) -> None:
 
 
 def commit() -> list[str]:
-    """Write what the running command has to write, as one set; return the paths of its files."""
-    if _current is None or not _current.contents:
+    """Write what the running command has to write, as one set; return what it has written so far."""
+    if _current is None:
         return []
     contents, _current.contents = _current.contents, {}
-    _write_set(contents, _current.command)
-    return [_current.stated[path] for path in contents]
+    if contents:
+        _write_set(contents, _current.command)
+        _current.written += [_current.stated[path] for path in contents]
+    return list(dict.fromkeys(_current.written))
 
 
 def target(path: Path) -> Path:
