@@ -365,7 +365,8 @@ def tell(text: str, record: Mapping[str, Any], then: str = "") -> None:
     """Write the command's files, and print a text and which they are, or with ``--json`` a record.
 
     With ``--quiet`` it prints nothing. Files are written first, since a reader may close the output
-    (``| head``). ``then`` stands below the files' names. Raises CannotPrint where the output is closed or full.
+    (``| head``). ``then`` stands below the files' names. Raises CannotPrint where the output is closed
+    or full.
     """
     made = files.commit()
     as_json = _flag("as_json")
