@@ -3,7 +3,7 @@
 libFuzzer by way of atheris (`pip install atheris`) changes files so that they reach new lines of
 rtcal. It keeps those that do in `.fuzz/READER`, from where the next run goes on, and the smallest of
 them in `tests/fuzz_corpus`. It starts from those, and from the files of `tests/fuzz.py` and
-`tests/corpus.py`. A reader passes if every file is read or refused as `fuzz.check` asks, within 10 s
+`tests/corpus.toml`. A reader passes if every file is read or refused as `fuzz.check` asks, within 10 s
 and 1 GB. Prints per reader the files tried and kept, the places of rtcal's code that were reached,
 the processor time in s and the memory in MB. Ends with 1 if a reader fell, beside the file that did it.
 SECONDS, 60 if not said, are those of each reader, by the clock. As many readers run at a time as there

@@ -8,54 +8,87 @@ from typing import Any
 import numpy as np
 import pytest
 
-from rtcal.io import bras, catt, obj, odeon, pyroomacoustics, tables
+import rtcal as rt
+from rtcal.io import bras, catt, library, obj, odeon, pyroomacoustics, tables
 from rtcal.support.errors import DataError
 from tests import corpus
+from tests.damage import damages
 
 READERS: dict[str, Any] = {
     "bras": bras,
     "catt": catt,
+    "library": library,
+    "modes": rt.modes,
     "obj": obj,
     "odeon": odeon,
     "pyroomacoustics": pyroomacoustics,
     "tables": tables,
 }
+WRITTEN = {"bras", "catt", "odeon", "pyroomacoustics"}
 
 
-def test_there_are_a_hundred_and_their_names_differ() -> None:
-    assert len({c.name for c in corpus.CASES}) == len(corpus.CASES) >= 100
+def test_there_are_three_hundred_and_their_names_differ() -> None:
+    assert len(corpus.NAMED) == len(corpus.CASES) >= 300
 
 
 @pytest.mark.parametrize("case", corpus.CASES, ids=lambda c: c.name)
 def test_each_file_gives_what_it_means(case: corpus.Case, tmp_path: Path) -> None:
-    path = tmp_path / "file"
+    endings = {"library": ".xlsx" if case.sheets else ".csv", "modes": ".csv"}
+    path = tmp_path / f"file{endings.get(case.reader, '')}"
     path.write_bytes(case.content)
+    read = READERS[case.reader].read
     if case.error is not None:
         with pytest.raises(DataError, match=case.error) as refusal:
-            READERS[case.reader].read(path, **case.options)
+            read(path, **case.options)
         assert str(path) in str(refusal.value)
         assert "\n" not in str(refusal.value)
         return
-    result = READERS[case.reader].read(path, **case.options)
+    result = read(path, **case.options)
     if case.volume is not None:
-        assert result.volume == pytest.approx(case.volume, rel=1e-12)
-    elif case.alpha is not None:
+        assert result.volume == pytest.approx(case.volume, rel=1e-9)
+    elif case.values is not None:
+        expected = {tuple(key): value for *key, value in case.values}
+        assert values(result.measurement) == pytest.approx(expected, rel=1e-12)
+        assert all(said in str(result) for said in case.said)
+    else:
         assert {m.name: list(m.alpha) for m in result.materials} == case.alpha
+        sources = " ".join(m.source for m in result.materials)
+        assert all(said in sources for said in case.said)
+    if case.reader in WRITTEN:
         copy = tmp_path / "copy"
         room = result.room(name="", volume=60, areas=dict.fromkeys(result.names, 10.0))
         READERS[case.reader].write(room, copy, template=path)
         assert copy.read_bytes() == case.content
-    else:
-        assert values(result.measurement) == pytest.approx(case.values, rel=1e-12)
-        assert case.said is None or case.said in str(result)
 
 
-def values(measured: Any) -> dict[tuple[str, str, int], float]:
-    """All values of a measurement by receiver, parameter and band."""
-    held = {}
-    for parameter, table in measured.values.items():
-        for (_, receiver), row in zip(measured.pairs, table, strict=True):
-            for f, value in zip(measured.centre_frequencies, row, strict=True):
-                if np.isfinite(value):
-                    held[receiver, parameter, int(f)] = float(value)
-    return held
+def values(measured: rt.Measurement) -> dict[tuple[object, ...], float]:
+    """All values of a measurement by source, receiver, parameter and band."""
+    return {
+        (*pair, parameter, f): float(value)
+        for parameter, table in measured.values.items()
+        for pair, row in zip(measured.pairs, table, strict=True)
+        for f, value in zip(measured.centre_frequencies.tolist(), row, strict=True)
+        if np.isfinite(value)
+    }
+
+
+SHAPES = (
+    "positions across, the sheet names the parameter",
+    "Dirac's text",
+    "REW, two measurements",
+    "merged headers",
+    "one sheet per position",
+    "an XL2's report",
+    "Aurora's AcouPar",
+)
+
+
+@pytest.mark.parametrize("name", SHAPES)
+def test_broken_tables_raise_typed_errors(name: str) -> None:
+    refused = 0
+    for damaged in damages(corpus.NAMED[name].content, 40):
+        try:
+            tables.parse(damaged)
+        except DataError:
+            refused += 1
+    assert refused > 3

@@ -15,7 +15,7 @@ from benchmarks import drawn_tables
 from rtcal.io import library, table_layout, table_values, tables
 from rtcal.io.table_words import statistic_of
 from rtcal.support.errors import DataError
-from tests.test_tables_as_they_come import book
+from tests.corpus import book
 
 LEAST_READ = {"materials": 0.85, "values": 0.85, "modes": 0.6}
 """Share of the drawn tables that must be read; of modes many state no unit, which is refused."""
@@ -65,12 +65,6 @@ def of_text(folder: Path, text: str) -> tuple[library.MaterialList, str]:
     return library.read(folder / "Sample 3.csv"), str(folder / "Sample 3.csv")
 
 
-def alpha(folder: Path, text: str) -> dict[str, tuple[float, ...]]:
-    listed, _ = of_text(folder, text)
-    return {m.name: m.alpha for m in listed.materials}
-
-
-ACROSS = "product{u};250;500;1000\n"
 DOWN = "250;{0};{1}\n500;{0};{1}\n1000;{0};{1}\n"
 
 
@@ -94,62 +88,6 @@ def test_areas_of_objects_are_no_coefficients(tmp_path: Path, unit: str, where: 
     room = listed.room(name="x", areas={"Rug": 20.0}, volume=100.0)
     assert room.materials == ("Rug",)
     assert path in chair.doubt
-
-
-@pytest.mark.parametrize(
-    "title", ["A in m²", "Absorption [m²]", "Stuhl: m² je Platz", "αs (sabins)"]
-)
-def test_a_title_of_areas_refuses_the_table(tmp_path: Path, title: str) -> None:
-    with pytest.raises(DataError, match="names absorption areas"):
-        of_text(tmp_path, f"{title}\nproduct;250;500;1000\nRug;0,2;0,2;0,2\n")
-
-
-@pytest.mark.parametrize("title", ["Probe: 10,8 m²", "Sample area (m²): 10.8", "12 m² per sample"])
-def test_a_size_of_the_sample_is_no_unit(tmp_path: Path, title: str) -> None:
-    text = f"{title}\nproduct;250;500;1000\nRug;0,2;0,2;0,2\n"
-    assert alpha(tmp_path, text) == {"Rug": (0.2,) * 3}
-
-
-@pytest.mark.parametrize(
-    "units", ["Hz;αs (%);αs (%)", "Hz;%;%", ";[%];[%]", "Hz;percent;Prozent", "[Hz];in %;αs in %"]
-)
-@pytest.mark.parametrize("above", [False, True])
-def test_a_row_of_units_counts_and_the_other_names(tmp_path: Path, units: str, above: bool) -> None:
-    head = [units, "f;carpet;curtain"] if above else ["f;carpet;curtain", units]
-    read = alpha(tmp_path, "\n".join([*head, DOWN.format(1, 2)]))
-    assert read == {"carpet": (0.01,) * 3, "curtain": (0.02,) * 3}
-
-
-@pytest.mark.parametrize("units", ["%;%;%", "αs (%);αs (%);αs (%)", "[%];[%];[%]"])
-@pytest.mark.parametrize("above", [False, True])
-def test_a_row_of_units_across(tmp_path: Path, units: str, above: bool) -> None:
-    head = [f";{units}", "product;250;500;1000"]
-    read = alpha(tmp_path, "\n".join([*(head if above else head[::-1]), "carpet;1;1;2\n"]))
-    assert read == {"carpet": (0.01, 0.01, 0.02)}
-
-
-@pytest.mark.parametrize(
-    ("text", "rule"),
-    [
-        ("f;a;b\nHz;procent;procent\n" + DOWN.format(1, 2), "line 1: .a. stands in a second row"),
-        (";procent;procent;procent\nproduct;250;500;1000\na;1;1;1\n", ".procent. is no known unit"),
-        ("αs in %\nf;a;b\nHz;-;-\n" + DOWN.format(1, 1), r"the unit is .-. and also .αs in %."),
-        ("product;unit;250;500;1000\na;dB;1;1;1\n", "line 2: a: .dB. is no unit of coefficients"),
-        ("f;T1;T2\n" + DOWN.format(1, 1), "line 2: .T1. is called as a reverberation time is"),
-        ("f;T20\n250;1\n500;1\n1000;1\n", "line 2: .T20. is called as a reverberation time is"),
-        (
-            "f;alpha_s;rug\n" + DOWN.format(1, 1),
-            "line 2: .alpha_s. names a coefficient and no product",
-        ),
-        (
-            "f;a;b\n250;0,1;0,2\n50O;0,1;0,2\n1000;0,1;0,2\n2000;0,1;0,2\n",
-            "line 3: .50O. is no band",
-        ),
-    ],
-)
-def test_what_may_be_a_unit_or_no_product_is_refused(tmp_path: Path, text: str, rule: str) -> None:
-    with pytest.raises(DataError, match=rule):
-        of_text(tmp_path, text)
 
 
 PROTOCOL = [
@@ -196,15 +134,6 @@ def test_long_cells_are_read_in_time(tmp_path: Path, text: str) -> None:
         with contextlib.suppress(DataError):
             of_text(tmp_path, table)
     assert time.process_time() - start < 1
-
-
-def test_uncertainties_beside_products_are_left_out_by_name(tmp_path: Path) -> None:
-    text = (
-        "f;rug;U rug;felt;U felt\n250;0,2;0,1;0,3;0,1\n500;0,2;0,1;0,3;0,1\n1000;0,2;0,1;0,3;0,1\n"
-    )
-    listed, _ = of_text(tmp_path, text)
-    assert {m.name: m.alpha for m in listed.materials} == {"rug": (0.2,) * 3, "felt": (0.3,) * 3}
-    assert 'left out: "U rug", "U felt"' in listed.materials[0].source
 
 
 # -- measured values
@@ -282,18 +211,6 @@ def test_a_sheet_of_means_is_no_position(name: str) -> None:
     )
 
 
-def test_a_mean_over_sources_at_one_receiver_is_no_source() -> None:
-    text = "source;receiver;f;T20\nS1;R1;500;1\nS2;R1;500;2\nMean;R1;500;1,5\n"
-    assert tables.parse(text.encode()).measurement.pairs == (("S1", "R1"), ("S2", "R1"))
-
-
-def test_a_receiver_2_beside_others_is_no_correlation() -> None:
-    measured = tables.parse(b"T20 [s];R1;R2;R3\n500;1;2;3\n").measurement
-    assert measured.values["t20"].tolist() == [[1], [2], [3]]
-    fit = tables.parse(b"f;T20;R2\n500;1;0.99\n").measurement
-    assert fit.values["t20"].tolist() == [[1]]
-
-
 # -- modes
 
 
@@ -324,29 +241,3 @@ def test_a_mean_of_modes_is_no_mode(tmp_path: Path) -> None:
     modes = rt.modes.read(tmp_path / "modes.csv")
     assert modes.frequencies.tolist() == [33, 41]
     assert any('line 4: "Mean (n=2)" is no mode' in note for note in modes.notes)
-
-
-@pytest.mark.parametrize(
-    ("table", "rule"),
-    [
-        (
-            "f;T;u_T\n33;830;40\n",
-            r"line 2, column .T.: 830 has no unit, .* state its unit, as in .T \[ms\].",
-        ),
-        ("f;T;u_T\n33;90;4\n", r"line 2, column .T.: 90 has no unit"),
-        (
-            "f;T;u_T\n0,033;0,83;0,04\n",
-            r"column .f.: 0.033 has no unit, .* as in .frequency \[kHz\].",
-        ),
-        ("f;T [ms];u_T\n33;830;40\n", r"column .u_T.: no unit is stated, and T has another than s"),
-        ("f;T;u_T\n33;0,83;40\n", r"column .u_T.: 40 has no unit, and is more than 0.3 of T"),
-        ("f;decay;u_decay\n33;830;40\n", r"column .decay.: 830 has no unit"),
-        ("f [Hz];T;u_T\n0,033;0,83;0,04\n", r"line 2, column .f \[Hz\].: 0.033 Hz is below 1 Hz"),
-        ("f;T [s];u_T [s]\n33;830;40\n", r"line 2, column .T \[s\].: .* decay time of 830 s"),
-        ("f;T;u_T\n", "a header and at least one row"),
-    ],
-)
-def test_units_of_modes_that_are_not_stated(tmp_path: Path, table: str, rule: str) -> None:
-    (tmp_path / "modes.csv").write_text(table)
-    with pytest.raises(DataError, match=rule):
-        rt.modes.read(tmp_path / "modes.csv")

@@ -353,51 +353,6 @@ def test_bras_table_of_the_benchmark(shared_data: Path) -> None:
     assert listed.with_room(room)[0] == path.read_bytes()
 
 
-BAD = [
-    (catt, b"ABS a = <1 2 3 4 5>", "line 1: 5 values; 6 to 8"),
-    (catt, b"\nABS a = <1 2 3 4 5 101>", r"line 2: alpha 101 is not in \[0, 100\]"),
-    (catt, b"ABS1 a = <1 2 3 4 5 6>", r"line 1: alpha 2 is not in \[0, 1\]"),
-    (catt, b"ABS a = <1 2 3 4 5 six>", 'line 1: "six" is not a finite number'),
-    (catt, b"ABS a = <1 2 3 4 5 6", "line 1: .* lacks the closing >"),
-    (catt, b"ABS a = <1 2 3 4 5 6> L <1 2 3>", "line 1: 3 values of L, the scattering; 6"),
-    (catt, b"ABS a = <1 2 3 4 5 6> {red}", "line 1: .* is no colour"),
-    (catt, b"ABS a = <1 2 3 : 4 5 6>", "line 1: the : stands after 3 values"),
-    (catt, b"ABS a = b", 'line 1: "b", which "a" stands for'),
-    (
-        catt,
-        b"ABS a = <1 2 3 4 5 6>\nABS a = <1 2 3 4 5 6>",
-        "line 2: .* given twice, first on line 1",
-    ),
-    (catt, b"ABS\n", "line 1: .* is no ABS statement"),
-    (catt, b"PLANES\n", "line 1: no material"),
-    (odeon, b"1 a\n.1 0.1 0.1 0.1 0.1 0.1 0.1\n", "line 2: 7 values; there are 8"),
-    (odeon, b"1 a", "line 1: its 8 coefficients are missing"),
-    (odeon, b"1 a\n\n", "line 2: empty"),
-    (odeon, b"concrete\n", "line 1: .* is not a number"),
-    (odeon, b"1 a\n0 0 0 0 0 0 0 0\n1 b\n0 0 0 0 0 0 0 0\n", "line 3: number 1 is given twice"),
-    (odeon, b"1 a\n0 0 0 0 0 0 0 1.1\n", r"line 2: alpha 1.1 is not in \[0, 1\]"),
-    (pyroomacoustics, b'{"a": {"coeffs": [0.1]}}', "line 1: these .* have no center_freqs"),
-    (pyroomacoustics, b'{"coeffs": [0.1, 2], "center_freqs": [1, 2]}', "line 1: alpha 2 is not"),
-    (pyroomacoustics, b'{"coeffs": [0.1, true], "center_freqs": [1, 2]}', '"true" is not'),
-    (pyroomacoustics, b'{"coeffs": [0.1], \n"center_freqs": [500, 250]}', "line 1: .* has 250"),
-    (pyroomacoustics, b'{"a": 1, "a": 2}', 'line 1: the key "a" is given twice'),
-    (pyroomacoustics, b'{"a": 1', "line 1: not valid JSON"),
-    (bras, b"20,25\n.1\n", "line 2: 1 values for 2 frequencies"),
-    (bras, b"20,25\n.1,1.5\n", r"line 2: alpha 1.5 is not in \[0, 1\]"),
-    (bras, b"room,20\nCR2,0.1\n", 'line 1: column "material" is not there once'),
-    (bras, b"material,20\na,0.1,0.2\n", "line 2: 3 cells; the header has 2"),
-    (bras, b"material,20\n ,0.1\n", "line 2: .* has ''; a name is not blank"),
-    (pyroomacoustics, b'{"": {"coeffs": [0.1], "center_freqs": [500]}}', "a name is not blank"),
-    (bras, b"", "line 1: empty"),
-]
-
-
-@pytest.mark.parametrize(("module", "content", "rule"), BAD)
-def test_bad_input_names_the_line_and_the_rule(module: Any, content: bytes, rule: str) -> None:
-    with pytest.raises(DataError, match=rule):
-        module.parse(content)
-
-
 def test_a_new_list_renames_what_catt_does_not_read(tmp_path: Path) -> None:
     """A name that `apply` gives, "curtain on west", was refused."""
     room = octave_room(materials=["curtain on west", "curtain_on_west"])

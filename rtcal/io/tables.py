@@ -478,7 +478,10 @@ def _table(
             )
         raise DataError(f"{places}: no row with a value below the header")
     pairs = list(dict.fromkeys(key[:2] for key in values))
-    placed = places_of(pairs)
+    try:
+        placed = places_of(pairs)
+    except DataError as error:
+        raise DataError(f"{places}: {error}") from error
     if repeats:
         require_repeats(placed, places)
     report: list[str] = []
