@@ -1,14 +1,13 @@
 """`rtcal loop start` and `next`: a program run by hand, between runs of the command."""
 
 import json
-import warnings
 
 import numpy as np
 import pytest
 from click.testing import CliRunner
 
 import rtcal as rt
-from rtcal.command.main import cli, main
+from rtcal.command.main import cli
 
 
 def unwrapped(output: str) -> str:
@@ -141,14 +140,6 @@ def test_the_measurement_is_not_taken_for_what_was_simulated(cr2, tmp_path):
     assert "Done" in done.output
 
 
-def test_a_t_beyond_reach_is_said_at_the_start(cr2, tmp_path):
-    room, _ = cr2
-    far = rt.Measurement.from_values(room.centre_frequencies, t20=[1.4, 1.7, 90, 1.9, 1.7, 1.5])
-    done, *_ = begun(room, far, tmp_path)
-    assert done.exit_code == 0
-    assert "T[500 Hz] = 90 s is beyond reach" in unwrapped(done.output)
-
-
 def test_a_state_is_written_with_its_room_or_not_at_all(cr2, tmp_path):
     room, measured = cr2
     room.save(str(tmp_path / "room.toml"))
@@ -254,65 +245,6 @@ def test_a_loop_in_progress_is_not_written_over(cr2, tmp_path):
     assert begun(room, measured, tmp_path)[0].exit_code == 0
 
 
-def test_the_room_says_which_run_it_is_for_and_the_end_what_to_do(cr2, tmp_path):
-    room, measured = cr2
-    done, runner, command, files = begun(room, measured, tmp_path)
-    assert "Taken as the measured T: T30." in unwrapped(done.output)
-    note = (tmp_path / "next.toml").read_text().split("\n")[0]
-    assert note == "# To simulate: run 1 of the loop in 'loop.json'."
-    for run in range(2, 9):
-        done = runner.invoke(cli, [*command, simulate(tmp_path), *files])
-        note = (tmp_path / "next.toml").read_text().split("\n")[0]
-        if "Done" in unwrapped(done.output):
-            break
-        assert note == f"# To simulate: run {run} of the loop in 'loop.json'."
-    end = f"the end of the loop in 'loop.json', after {run - 1} runs."
-    assert note == f"# Calibrated for the program simulated: {end}"
-    assert "those of each band's best step: give it to the program a last time." in unwrapped(
-        done.output
-    )
-    assert "[z]" in unwrapped(done.output)  # 1.4 times asks for more absorption than was stated
-
-
-def test_times_in_ms_are_refused(cr2, tmp_path):
-    room, measured = cr2
-    _, runner, command, files = begun(room, measured, tmp_path)
-    table = tmp_path / "s.csv"
-    for t in (1000.0, 0.0014):
-        rt.Measurement.from_values(room.centre_frequencies, t20=[t] * 6).save(str(table))
-        done = runner.invoke(cli, [*command, str(table), *files])
-        assert f"line 2: T20 = {t:g} s is not from 0.01 to 120 s" in str(done.exception)
-        assert "is it in seconds?" in str(done.exception)
-
-
-@pytest.mark.filterwarnings("ignore::rtcal.support.errors.OtherBandsWarning")
-def test_a_band_without_t_is_printed_without_nan(cr2, tmp_path):
-    room, measured = cr2
-    times = measured.mean("t30").copy()
-    times[2] = np.nan
-    partial = rt.Measurement.from_values(room.centre_frequencies, t20=times)
-    _, runner, command, files = begun(room, partial, tmp_path)
-    done = runner.invoke(cli, [*command, simulate(tmp_path), *files])
-    assert "nan" not in unwrapped(done.output)
-    line = next(x for x in done.output.splitlines() if x.startswith("500 Hz"))
-    assert line.split() == ["500", "Hz", "-", "-", "no", "measured", "T"]
-
-
-def test_a_warning_is_one_line(cr2, tmp_path, capsys):
-    room, measured = cr2
-    room.with_air(None).save(str(tmp_path / "room.toml"))
-    measured.save(str(tmp_path / "t.csv"))
-    files = ["--state", str(tmp_path / "loop.json"), "--out", str(tmp_path / "next.toml")]
-    start = ["loop", "start", str(tmp_path / "room.toml"), str(tmp_path / "t.csv"), *files]
-    for more in ([], ["--quiet"]):
-        with warnings.catch_warnings(), pytest.raises(SystemExit):
-            warnings.simplefilter("always")
-            main([*start, *more])
-        lines = capsys.readouterr().err.splitlines()
-        assert len(lines) == (not more)
-        assert all(line.startswith("rtcal: ") and "air" in line for line in lines)
-
-
 def test_t_of_other_coefficients_is_refused(cr2, tmp_path):
     """A table that belongs to the room of another step was taken in: "converged" at a wrong T."""
     room, measured = cr2
@@ -356,29 +288,3 @@ def test_the_equation_of_the_loop_is_chosen_at_its_start(name: str, cr2, tmp_pat
     refused = CliRunner().invoke(cli, ["loop", "start", *tables, "--equation", "fitzroy", *files])
     assert refused.exit_code == 2
     assert "fitzroy" in refused.output
-
-
-def test_a_bent_decay_is_a_reservation_of_the_loop(cr2, tmp_path, capsys):
-    room, measured = cr2
-    t = measured.decay_time().mean
-    bent = rt.Measurement.from_values(room.centre_frequencies, t20=t, edt=0.5 * t, t30=1.4 * t)
-    room.save(str(tmp_path / "room.toml"))
-    bent.save(str(tmp_path / "t.csv"))
-    files = ["--state", str(tmp_path / "loop.json"), "--out", str(tmp_path / "next.toml")]
-    for step in (["start", str(tmp_path / "room.toml"), str(tmp_path / "t.csv")], None):
-        if step is None:
-            simulated = rt.Room.from_file(str(tmp_path / "next.toml"))
-            times = 1.1 * rt.Eyring().reverberation_time(simulated)
-            table = rt.Measurement.from_values(room.centre_frequencies, t20=times)
-            table.save(str(tmp_path / "s.csv"))
-            step = ["next", str(tmp_path / "room.toml"), str(tmp_path / "s.csv")]
-        with pytest.raises(SystemExit) as stop:
-            main(["loop", *step, *files])
-        assert stop.value.code == 0
-    assert "the decay is bent" in unwrapped(capsys.readouterr().out)
-    loop = rt.loop.Loop.load(str(tmp_path / "loop.json"))
-    assert {m.frequency for m in loop.trust_marks if m.kind == "bent"} == set(
-        room.centre_frequencies
-    )
-    straight = rt.Measurement.from_values(room.centre_frequencies, t20=t, edt=t, t30=t)
-    assert not rt.loop.start(room, straight).bent

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from click.testing import CliRunner
@@ -52,19 +50,6 @@ def test_a_simulator_that_is_off_moves_the_bands_above_alone(told, tmp_path):
     assert "room modes stand in place of what was measured there." in " ".join(str(result).split())
     back(result, tmp_path)
     assert "room modes stand there in place of T" in page_of(tmp_path)
-
-
-def test_doubtful_matches_are_told_by_the_loop_too(told, tmp_path):
-    """Random frequencies: `test_random_frequencies_are_refused_or_doubted`."""
-    f = np.sort(np.random.default_rng(0).uniform(30, 108, 14))
-    random = rt.calibrate_modes(ROOM, replace(heard(TRUTH).only(range(14)), frequencies=f))
-    doubt = next(note for note in random.notes if note.startswith("Doubtful"))
-    result = rt.calibrate_simulator(program(1.2), random, MEASURED)
-    assert doubt in " ".join(str(result).split())
-    result.save(tmp_path)
-    assert doubt in page_of(tmp_path)
-    sure = rt.calibrate_simulator(program(1.2), told, MEASURED)
-    assert "Doubtful" not in str(sure)
 
 
 def test_too_few_modes_keep_the_mark():

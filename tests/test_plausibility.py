@@ -2,18 +2,14 @@
 
 from __future__ import annotations
 
-import warnings
-
 import numpy as np
 import pytest
 from scipy import stats
 
 import rtcal as rt
 from rtcal import terms
-from rtcal.acoustics.bands import third_octaves
 from rtcal.calibration.configurations import Configurations
 from rtcal.calibration.methods import METHODS
-from rtcal.command.main import main
 
 
 def room_of(**changes) -> rt.Room:
@@ -157,61 +153,3 @@ def test_any_configuration_without_air_warns() -> None:
     with pytest.warns(rt.errors.MissingAirWarning, match='"no climate" states no air') as said:
         rt.calibrate(rooms, [TIMES, TIMES], method="joint")
     assert said[0].filename == __file__
-
-
-def test_the_command_leaves_the_callers_warnings_alone(tmp_path, capsys) -> None:
-    room, measured = tmp_path / "room.toml", tmp_path / "t.csv"
-    room_of(air=None).save(room)
-    rt.Measurement.from_values([500, 1000, 2000], t20=TIMES).save(measured)
-    before = list(warnings.filters)
-    with pytest.raises(SystemExit) as done:
-        main(["calibrate", str(room), str(measured)])
-    assert done.value.code == 0
-    assert warnings.filters == before
-    page = capsys.readouterr()
-    assert page.err == ""
-    assert "no air is stated" in page.out
-
-
-def test_the_figure_says_where_not_to_believe_it(cr2) -> None:
-    pytest.importorskip("matplotlib")
-    from rtcal.report import figures
-
-    room, measured = cr2
-    axes = figures.reverberation_time(rt.calibrate(room, measured)).axes[0]
-    assert [t.get_text() for t in axes.get_xticklabels()] == [
-        "125\nsz",
-        "250\n",
-        "500\n",
-        "1000\n",
-        "2000\n",
-        "4000\nz",
-    ]
-    assert axes.get_xlabel().endswith("do not trust: s below Schroeder, z implausible")
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", rt.errors.MissingAirWarning)
-        bare = rt.calibrate(room.with_air(None), measured)
-    assert "do not trust: no air, s below" in figures.reverberation_time(bare).axes[0].get_xlabel()
-
-
-def test_many_bands_are_printed_in_blocks_that_fit_a_page() -> None:
-    thirds = third_octaves(100, 5000)
-    n = len(thirds)
-    room = rt.Room(
-        name="r",
-        volume=120,
-        materials=["wall", "floor"],
-        areas=[100, 60],
-        air=rt.Air(),
-        alpha=np.full((2, n), 0.2),
-        sigma=np.full((2, n), 0.05),
-        centre_frequencies=thirds,
-    )
-    t = np.linspace(0.5, 0.6, n)
-    page = str(rt.calibrate(room, t)).splitlines()
-    assert max(len(text) for text in page) <= 80
-    measured = [text.split()[4:] for text in page if text.startswith("measured T / s")]
-    assert len(measured) > 1
-    assert [float(v) for block in measured for v in block] == [round(float(v), 3) for v in t]
-    headers = sum(text.split()[:2] == ["100", "Hz"] for text in page)
-    assert headers == 4  # bands; by material stated alpha, calibrated alpha, its shift

@@ -16,8 +16,6 @@ from rtcal.loop.matched import Beside
 from rtcal.loop.positions import precise
 from rtcal.loop.positions_result import PositionsResult
 from rtcal.loop.scattering import MaterialScattering, scattered
-from rtcal.report import positions_page
-from rtcal.report.document import Heading
 from rtcal.simulators import Observations, PathTracing
 from rtcal.support.errors import DataError
 
@@ -45,10 +43,6 @@ def heard(room, alpha, **options):
         pairs=seen.pairs,
         values={("g" if p == "level" else p): seen.natural(p) for p in MATCH},
     )
-
-
-def page_of(result):
-    return positions_page.page(result, Heading(), lambda: None)
 
 
 @pytest.fixture(scope="module")
@@ -87,43 +81,6 @@ def test_a_simulator_that_is_farther_from_the_measurement_than_before_is_not_to_
     old, new = (np.sqrt(np.mean(r**2)) for r in (result.gap_before[0], after))
     assert f"In T20 ({old:.1f} to {new:.1f} JND) the calibrated simulator" in said
     assert "farther from" not in str(result)
-
-
-def test_the_page_says_first_what_the_terminal_warns_of(result):
-    """The page had it under "What was assumed" alone."""
-    pytest.importorskip("jinja2")
-    said = page_of(off_by_one(result, "t20"))
-    assert said.index("do not simulate with it") < said.index('<h2 id="summary">')
-    assert "do not simulate with it" not in page_of(result)
-
-
-def test_the_page_says_first_what_gap_remains(result):
-    """No word said it above the tables, even where T20 was nearly twice what was measured."""
-    pytest.importorskip("jinja2")
-    index = result.parameters.index("t20")
-    assert "T20 is" not in page_of(result)
-    astray = off_by_one(result, "t20", band=1)
-    said = page_of(astray)
-    left = np.sqrt(np.mean(astray.gap_after[index] ** 2))
-    assert left > 1
-    goal = np.nanmean(result.measured.observations.natural("t20")[:, 1])
-    has = np.nanmean(astray.after.natural("t20")[:, 1])
-    assert f"T20 {left:.1f} JND" in said
-    headline = f"T20 is {has:.2f} s for {goal:.2f} s measured"
-    assert said.index(headline) < said.index('<h2 id="summary">')
-
-
-def test_the_command_of_the_page_runs_as_it_stands(result):
-    """It had ended in "--scattering S" where the scattering was fitted."""
-    pytest.importorskip("jinja2")
-    assert result.scattering is not None
-    assert "--scattering 0.5" in page_of(result)
-    assert "--scattering S" not in page_of(result)
-
-
-def test_the_model_of_scattering_that_was_taken_is_said(result):
-    said = " ".join(str(result).split())
-    assert f'measurement is likelier: here "{result.scattering.model}".' in said
 
 
 def error(room, alpha, truth):

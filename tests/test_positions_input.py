@@ -18,17 +18,14 @@ from rtcal.command.main import cli
 from rtcal.datasets import halls
 from rtcal.io import obj
 from rtcal.loop import control_runs
-from rtcal.loop.measured_pairs import response_noise, rows_of_pairs
-from rtcal.loop.scattering import Scattering
-from rtcal.report import pages, positions_page
+from rtcal.loop.measured_pairs import response_noise
+from rtcal.report import positions_page
 from rtcal.simulators import (
     DifferentiableSimulator,
     ImageSource,
     PathTracing,
     ScatteringDelayNetwork,
-    paths,
 )
-from rtcal.simulators.external import EquationSimulator
 from rtcal.support.errors import DataError, SimulatorError
 from tests.conftest import also
 
@@ -142,11 +139,6 @@ def test_an_uncertainty_that_no_measurement_has_is_refused(tracer, measured, siz
         calibrate(tracer, sure)
 
 
-def test_whether_the_scattering_is_fitted_is_true_or_false(tracer, measured):
-    with pytest.raises(DataError, match="fit_scattering"):
-        calibrate(tracer, measured, fit_scattering="no")
-
-
 def test_stated_uncertainties_replace_the_assumed_ones(tracer, measured):
     rows, shape = list(range(len(measured.pairs))), measured.values["t20"].shape
     own, common = np.full(shape, 0.02), np.full(shape[1], 0.1)
@@ -188,17 +180,6 @@ def test_all_pairs_at_one_place_are_refused(measured):
         calibrate(tracer, only(measured, [0, 1, 2], [("S1", f"R{i}") for i in (1, 2, 3)]))
 
 
-def test_a_place_outside_the_room_is_refused():
-    with pytest.raises(DataError, match=r'receiver "R9" = .* is outside the room'):
-        PathTracing(
-            geometry=HALL.geometry,
-            room=ROOM,
-            sources=PLACES["sources"],
-            receivers={"R9": (99, 0, 1)},
-            scattering=0.5,
-        )
-
-
 def test_the_same_data_are_not_counted_twice(tracer, measured):
     first = calibrate(tracer, measured)
     with pytest.raises(DataError, match="already calibrated on these data"):
@@ -206,22 +187,6 @@ def test_the_same_data_are_not_counted_twice(tracer, measured):
     mean = rt.calibrate(ROOM, measured).room
     with pytest.raises(DataError, match="already calibrated on these data"):
         rt.calibrate_positions(tracer, mean, measured, match=("t20", "c80"))
-
-
-def test_paths_that_leave_through_gaps_are_said(measured, monkeypatch):
-    def traced(*arguments, **options):
-        made = trace(*arguments, **options)
-        leaky = replace(made.batches[0][0], lost=1)
-        return replace(made, batches=((leaky, *made.batches[0][1:]), *made.batches[1:]))
-
-    trace = paths.trace
-    monkeypatch.setattr(paths, "trace", traced)
-    tracer = PathTracing(geometry=HALL.geometry, room=ROOM, **PLACES, n_paths=160, scattering=0.5)
-    assert tracer.lost_share == 0
-    result = calibrate(tracer, measured)
-    assert "0.026 % of the paths left through gaps" in "\n".join(result.notes)
-    loop = rt.calibrate_simulator(tracer, ROOM, measured)
-    assert "paths left through gaps" in " ".join(str(loop).split())
 
 
 def test_control_runs_of_another_simulator_are_refused(tracer, measured):
@@ -306,20 +271,6 @@ def test_shoebox_simulators_hear_levels_and_are_calibrated(simulator):
     assert result.sigma[0, 0] < 0.95 * BOX.sigma[0, 0]
 
 
-def test_figures_show_each_position_and_each_shift(tracer, measured):
-    result = calibrate(tracer, measured)
-    plan = positions_page.plan(result, HALL.geometry, **PLACES)
-    texts = {t.get_text() for t in plan.axes[1].texts}
-    gap = np.sqrt(np.mean(result.gap_after[:, [r == "R1" for _, r in result.pairs]] ** 2))
-    assert f"R1: {gap:.1f}" in texts
-    assert len(texts) == len(PLACES["sources"]) + len(PLACES["receivers"])
-    shifts = positions_page.shifts(result)
-    moved = (result.alpha - ROOM.alpha) / ROOM.sigma
-    assert shifts.axes[0].texts[0].get_text() == f"{moved[0, 0]:+.1f}"
-    with pytest.raises(DataError, match="has no position"):
-        positions_page.plan(result, HALL.geometry, PLACES["sources"], {"R9": (1, 1, 1)})
-
-
 def test_noise_of_a_response_is_that_of_iso_3382_2():
     noise = response_noise(["t20", "t30"], 1.3, 355.0)
     expected = [a * np.sqrt((1 + b / 10) / (355.0 * 1.3)) for a, b in ((0.88, 1.90), (0.55, 1.52))]
@@ -362,53 +313,6 @@ def test_the_command_writes_room_and_record_whole(folder):
     assert "Left out, as asked for: S1 to R1" in without.output
 
 
-def test_the_page_of_a_fit_shows_what_was_learned_and_what_not_to_believe(folder):
-    made = folder / "made"
-    assert fit(folder, "--match", "t20", "--match", "c80", "--out", str(made)).exit_code == 0
-    done = CliRunner().invoke(cli, ["report", str(made), "-q"])
-    assert done.exit_code == 0, done.output
-    text = (made / "report.html").read_text()
-    result = rt.load(made)
-    for name in ("What was learned", "Gaps by pair", "What not to believe", *ROOM.materials):
-        assert name in text
-    assert text.count("data:image/svg+xml;base64,") == 1
-    assert "<canvas" in text
-    for pair in result.pairs:
-        assert " to ".join(pair) in text
-    # Without a geometry there is no plan; one pair that is far off contradicts the others.
-    innovation = result.innovation.copy()
-    innovation[rows_of_pairs(result.measured.used)[0]] += 100 * np.sqrt(
-        result.covariance.diagonal().max()
-    )
-    program = EquationSimulator(rt.Eyring(), ROOM)
-    scattering = Scattering(
-        model="random",
-        coefficients=np.full(ROOM.alpha.shape, 0.35),
-        sigma=np.full(ROOM.alpha.shape, 0.1),
-        mean=0.35,
-        limited=(),
-    )
-    replace(result, tracer=program, innovation=innovation, scattering=scattering).save(made)
-    text = pages.page_of(made)
-    assert text.count("data:image/svg+xml;base64,") == 1
-    assert f"--exclude {':'.join(result.pairs[0])}" in text
-    assert text.count("0.35 ± 0.10") == len(ROOM.materials)
-
-
-@pytest.mark.parametrize(
-    ("options", "said"),
-    [
-        (("--exclude", "S1R1"), "is not SOURCE:RECEIVER"),
-        (("--out", ""), "--out is empty"),
-    ],
-)
-def test_wrong_options_are_named(folder, options, said):
-    done = fit(folder, *options)
-    assert isinstance(done.exception, DataError)
-    assert said in str(done.exception)
-    assert not (folder / "made").exists()
-
-
 def test_a_fit_that_leads_no_nearer_writes_nothing_and_has_a_code_of_its_own(folder):
     """Nothing may move, so that the start is returned."""
     room = rt.Room.from_file(str(folder / "room.toml"))
@@ -425,13 +329,6 @@ def test_a_fit_that_leads_no_nearer_writes_nothing_and_has_a_code_of_its_own(fol
     np.testing.assert_array_equal(written.alpha, room.alpha)
     assert written.calibration is None
     assert fit(folder, *options, "--quiet").exit_code == NOT_NEARER
-
-
-def test_what_is_missing_is_asked_for_by_its_option(folder):
-    room = rt.Room.from_file(str(folder / "room.toml"))
-    room.replace(scattering=None).save(str(folder / "room.toml"))
-    done = fit(folder, "--keep-scattering")
-    assert "states no scattering coefficients; give --scattering NUMBER" in str(done.exception)
 
 
 def test_a_fit_starts_at_a_told_scattering_where_the_room_states_none(folder, monkeypatch):

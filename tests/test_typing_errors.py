@@ -10,12 +10,8 @@ import pytest
 
 import rtcal as rt
 from rtcal.acoustics.typing_errors import far_from_neighbours, in_measurement, in_room
-from rtcal.command import main as cli
 from rtcal.io import tables
-from rtcal.loop.calibrate import calibrate_simulator
-from rtcal.report import loop_page
 from rtcal.report.page import calibration_page
-from rtcal.simulators import EquationSimulator
 from rtcal.support.errors import InfeasibleError
 
 BANDS = [125, 250, 500, 1000, 2000, 4000]
@@ -101,26 +97,6 @@ def test_one_pair_of_many_is_found_though_the_mean_hides_it(tmp_path: Path) -> N
     assert said[0].startswith("likely a typing error at 1000 Hz: T30 (S1 to R5) = ")
 
 
-def test_the_commands_name_it_first(tmp_path: Path, monkeypatch, capsys) -> None:
-    monkeypatch.chdir(tmp_path)
-    t = np.array(USUAL)
-    t[4] /= 20
-    rt.Measurement.from_values(BANDS, t20=t).save("t.csv")
-    room().save("room.toml")
-
-    def run(*arguments: str) -> tuple[str, str]:
-        with pytest.raises(SystemExit):
-            cli.main([*arguments])
-        printed = capsys.readouterr()
-        return printed.out, printed.err
-
-    said, _ = run("table", "t.csv")
-    assert said.startswith("likely a typing error at 2000 Hz")
-    said, warned = run("calibrate", "room.toml", "t.csv", "--unreachable", "nearest")
-    assert "likely a typing error at 2000 Hz" in warned.splitlines()[0]
-    assert said.index("Likely a typing error") < said.index("measured T / s")
-
-
 def test_a_coefficient_a_tenth_of_its_neighbours_is_found_and_no_resonator_is_missed() -> None:
     alpha = room().alpha.copy()
     assert in_room(room()) == []
@@ -132,16 +108,3 @@ def test_a_coefficient_a_tenth_of_its_neighbours_is_found_and_no_resonator_is_mi
     assert mark.text == 'alpha of "tiles" = 0.0175, beside 0.3 at 500 Hz and 0.35 at 2000 Hz'
     alpha[2] = [0.1, 0.25, 0.85, 0.3, 0.12, 0.1]
     assert in_room(room().replace(alpha=alpha)) == []
-
-
-def test_the_page_of_a_loop_names_it_first() -> None:
-    t = np.array(USUAL)
-    t[3] *= 4.5
-    simulator = EquationSimulator(rt.Kuttruff(), room())
-    looped = calibrate_simulator(simulator, room(), rt.Measurement.from_values(BANDS, t20=t))
-    first = loop_page.summary(looped.loop, looped.status)[0]
-    assert first.startswith(
-        "Likely a typing error at 1000 Hz: T20 = 5.4 s, beside 1.24 s at 500 Hz"
-    )
-    right = calibrate_simulator(simulator, room(), rt.Measurement.from_values(BANDS, t20=USUAL))
-    assert loop_page.summary(right.loop, right.status)[0].startswith("A simulator was run")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from fractions import Fraction
-from pathlib import Path
 
 import cvxpy as cp
 import numpy as np
@@ -15,7 +14,6 @@ from rtcal import terms
 from rtcal.acoustics.changes import Change
 from rtcal.acoustics.room_errors import target_changes
 from rtcal.calibration.configurations import Configurations
-from rtcal.io import catt
 from rtcal.prediction import (
     Add,
     Cover,
@@ -26,7 +24,6 @@ from rtcal.prediction import (
     changed,
 )
 from rtcal.report import words
-from rtcal.report.page import calibration_page
 from rtcal.support.errors import DataError, ModelError
 from tests.conftest import also
 
@@ -343,18 +340,6 @@ def test_the_file_says_it_and_is_read_back() -> None:
     assert "The room is uncertain as stated" in str(result)
 
 
-def test_a_room_that_is_taken_as_exact_is_said_to_be() -> None:
-    room = room_of(0, volume_sigma=0.05)
-    for stated, method, sentence in (
-        (room.as_exact, "mle", "taken as exact: the room states no uncertainty of them."),
-        (room, "lse", "taken as exact; stated is (standard deviations): volume 5 %."),
-        (room, "mle", "The room is uncertain as stated"),
-    ):
-        said = str(rt.calibrate(stated, times(stated, 0), method, SABINE))
-        assert sentence in " ".join(said.split())
-        assert said.count("taken as exact") == sentence.startswith("taken as exact")
-
-
 @pytest.mark.parametrize(
     ("stated", "message"),
     [
@@ -415,16 +400,6 @@ def test_an_uncertain_room_is_predicted_and_designed_with() -> None:
     assert found.cost == pytest.approx(0, abs=1e-3)
 
 
-def test_the_page_does_not_claim_that_t_is_met_exactly() -> None:
-    room = room_of(2, **STATED)
-    t = times(room, 2)
-    uncertain, certain = rt.calibrate(room, t), rt.calibrate(room_of(2), t)
-    assert np.abs(uncertain.gap_after).max() > 0.05
-    assert not any("exactly" in sentence for sentence in words.assumed(uncertain))
-    assert any("remains as a gap" in sentence for sentence in words.assumed(uncertain))
-    assert any("measured reverberation time exactly" in s for s in words.assumed(certain))
-
-
 def at_one_pair(t: np.ndarray, uncertainty: np.ndarray) -> rt.Measurement:
     return rt.Measurement(
         centre_frequencies=BANDS,
@@ -438,36 +413,6 @@ def volume_is_wrong(**stated: object) -> tuple[rt.Room, np.ndarray]:
     """A room whose T are all 15 % too short for the stated volume, which may be off."""
     room = room_of(3, **stated).replace(sigma=np.full((4, 4), 0.01))
     return room, 0.85 * SABINE.reverberation_time(room)
-
-
-def test_a_gap_that_the_volume_takes_up_leads_the_page_and_the_text(tmp_path: Path) -> None:
-    """The headline had been green: "with its materials within what was stated of them"."""
-    room, t = volume_is_wrong(volume_sigma=0.12)
-    result = rt.calibrate(room, t, equation=SABINE)
-    assert np.abs(result.gap_after).min() > 0.5
-    said = words.lead(result, result.verdict)
-    lead = said["headline"]
-    assert lead.startswith(
-        "The calibrated room does not have the measured reverberation time in 4 of"
-    )
-    assert lead.endswith("uncertain explains them: the volume (12 %). Check that first.")
-    assert "larger than before" not in lead
-    assert said["level"] == "open"
-    assert words.usable(result)[0] == []
-    text = calibration_page(result)
-    assert 'class="verdict agrees"' not in text
-    assert "It agrees by construction" not in text
-    assert "In no band did a check find" not in text
-    assert "does not have the measured reverberation time" in " ".join(str(result).split())[:400]
-    exported = catt.write(
-        result.room, tmp_path / "room.geo", equation=SABINE, missing_bands="nearest"
-    )
-    assert "The room as exported does not have the measured T (250 Hz " in str(exported)
-    met = rt.calibrate(*volume_is_wrong(), equation=SABINE)
-    headline = words.lead(met, met.verdict)["headline"]
-    assert headline.startswith("The model has the measured reverberation time")
-    exported = catt.write(met.room, tmp_path / "met.geo", equation=SABINE, missing_bands="nearest")
-    assert "as exported does not have" not in str(exported)
 
 
 @pytest.mark.parametrize(

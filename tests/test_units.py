@@ -11,7 +11,6 @@ import pytest
 import rtcal as rt
 from rtcal.acoustics.priors import TruncatedNormal, in_situ, sigma_iso_12999_2, sigma_relative
 from rtcal.acoustics.quality import agreement, plausibility
-from rtcal.acoustics.trust import explained
 from rtcal.calibration.terms import SoftMatch
 from rtcal.finder import ChangedMaterial, Configuration
 from rtcal.loop.state import start
@@ -186,22 +185,6 @@ def test_agreement_in_spite_of_a_large_gap_is_said_to_confirm_nothing() -> None:
     assert reservation in unwrapped(rt.calibrate(vague, long))
     assert "agrees" not in unwrapped(rt.calibrate(vague, long))
     assert "does not confirm the model" not in unwrapped(rt.calibrate(vague, usual))
-
-
-def test_an_upper_bound_is_not_told_to_state_a_floor() -> None:
-    stated = room()
-    t = rt.Eyring().time(stated, np.array([30.0, 215.0]))
-    marks = rt.calibrate(stated, t).trust_marks
-    upper = [m for m in marks if m.kind == "at_bound" and "upper" in m.text]
-    assert upper
-    assert not any("floor" in m.advice for m in upper)
-    low = rt.Eyring().time(stated, np.array([4.0, 44.0]))
-    marks = rt.calibrate(stated, low).trust_marks
-    lower = [m for m in marks if m.kind == "at_bound" and "lower" in m.text]
-    assert lower
-    assert all("state a lower limit" in m.advice for m in lower)
-    lines = explained([*upper, *lower])
-    assert len([line for line in lines if line.startswith("    ->")]) == 2
 
 
 def test_an_uncertain_time_that_contradicts_the_materials_is_marked_by_z_alone() -> None:
