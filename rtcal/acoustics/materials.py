@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 import unicodedata
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
 
 from rtcal.acoustics import bands
-from rtcal.acoustics.air import Air
 from rtcal.support import checks
 from rtcal.support.errors import DataError
-from rtcal.support.text import LOOKS, look_alike, shortened
-from rtcal.support.types import Array, read_only
+from rtcal.support.text import shortened
+from rtcal.support.types import Array
 
 AXES = ("x", "y", "z")
 
@@ -126,18 +125,6 @@ def short_name(place: str, value: object) -> str:
     if len(name) > LONGEST_NAME:
         raise DataError(f"{place} has {len(name)} characters; at most {LONGEST_NAME} are allowed")
     return name
-
-
-def check_apart(materials: Sequence[str]) -> None:
-    """Raise DataError for a material that is there twice, and for two whose names look alike."""
-    if len({*materials}) < len(materials):
-        twice = min(m for m in materials if materials.count(m) > 1)
-        raise DataError(
-            f'materials has "{twice}" twice; a material is one row (Room.from_surfaces sums its '
-            "surfaces)"
-        )
-    if alike := look_alike(materials):
-        raise DataError(f'materials has "{alike[0]}" and "{alike[1]}", {LOOKS}')
 
 
 def array_of(name: str, value: object) -> Array:
@@ -254,127 +241,10 @@ def _places(place: str, labels: list[Any], wanted: list[Any]) -> list[int]:
     return [int(np.flatnonzero([label == name for label in labels])[0]) for name in wanted]
 
 
-_AREA_UNIT = "m²"
-
-
-def relative(place: str, value: object) -> float:
-    """Return a relative standard deviation; DataError unless it is 0 or more and below 1."""
-    stated = checks.number(place, value)
-    if not 0 <= stated < 1:
-        percent = ": is it in percent?" if 1 <= stated <= 100 else ""
-        raise DataError(f"{place} = {stated:g} is not a relative value from 0 to below 1{percent}")
-    return stated
-
-
-def by_material(stated: Any, materials: Sequence[str], areas: Array) -> Array:
-    """Return the relative standard deviation of each area, (n_materials,), from any way to state it.
-
-    Raises DataError for a value that is no relative one nor a text in m², and for an unknown material.
-    """
-    if isinstance(stated, np.ndarray):
-        stated = stated.tolist()
-    if isinstance(stated, Mapping):
-        if unknown := [name for name in stated if name not in materials]:
-            raise DataError(
-                f'area_sigma["{unknown[0]}"]: no material of the room has that name; it has '
-                f"{', '.join(materials)}"
-            )
-        listed = [stated.get(name, 0.0) for name in materials]
-    elif not isinstance(stated, list | tuple):
-        listed = [stated] * len(materials)
-    elif all(type(v) in (int, float) and v == 0 for v in stated):
-        listed = [0.0] * len(materials)  # nothing stated, also of a room that had other materials
-    else:
-        listed = list(stated)
-    if len(listed) != len(materials):
-        raise DataError(
-            f"area_sigma has {len(listed)} values; there are {len(materials)} materials"
-        )
-    values = [
-        _of_area(f'area_sigma["{name}"]', value, float(area))
-        for name, value, area in zip(materials, listed, areas, strict=True)
-    ]
-    return read_only(np.array(values))
-
-
-def _of_area(place: str, value: Any, area: float) -> float:
-    if not isinstance(value, str):
-        return relative(place, value)
-    number, unit = value.strip().removesuffix(_AREA_UNIT), value.strip().endswith(_AREA_UNIT)
-    try:
-        square_metres = float(number)
-    except ValueError:
-        square_metres = np.nan
-    if not unit or np.isnan(square_metres):
-        raise DataError(
-            f'{place} = "{value[:40]}" is no number with the unit m² (written with ²), such as '
-            '"1.5 m²"; a share of the area is a number without quotes, such as 0.1'
-        )
-    if not 0 <= square_metres < area:
-        raise DataError(
-            f'{place} = "{value[:40]}" is not from 0 to below the area, which is {area:g} m²'
-        )
-    return square_metres / area
-
-
-def climate(stated: Any, air: Air | None) -> tuple[float, float]:
-    """Return the standard deviations of temperature in K and humidity in %; DataError if unfit."""
-    pair = checks.listed("climate_sigma", stated)
-    if len(pair) != 2:
-        raise DataError(f"climate_sigma has {len(pair)} values; it has K and % of humidity")
-    kelvin, percent = (checks.number("climate_sigma", value) for value in pair)
-    for value, unit, most in ((kelvin, "K", 20), (percent, "%", 50)):
-        if not 0 <= value <= most:
-            raise DataError(f"climate_sigma = {value:g} {unit} is not from 0 to {most} {unit}")
-    if air is None and (kelvin or percent):
-        raise DataError("climate_sigma is stated, but no air that it belongs to")
-    return kelvin, percent
-
-
 LEAST, LARGEST = 1e-9, 1e9
 """Of volumes in m³, the largest of areas in m², too. Nothing that is built comes near either."""
 LARGEST_LABORATORY_ALPHA = 2.0
 """ISO 354 gives up to some 1.3 for thick absorbers of 10 m² (edge effect); small objects give more."""
-
-Place = Callable[[str, int, int], str]
-"""Returns the name of one value in messages, as `rtcal.Room.place` does."""
-
-
-def checked_areas(materials: Sequence[str], stated: object) -> Array:
-    """Return the areas in m², (n_materials,); DataError unless each is above 0."""
-    areas = array_of("areas", stated)
-    n = len(materials)
-    if areas.shape != (n,):
-        raise DataError(f"areas has shape {areas.shape}; with {n} materials it must be ({n},)")
-    for material, area in zip(materials, areas, strict=True):
-        if not 0 < area <= LARGEST:
-            raise DataError(
-                f'areas["{material}"] = {area:g} m² is not an area above 0 and at most {LARGEST:g}'
-            )
-    return read_only(areas)
-
-
-def checked_coefficients(name: str, stated: object, shape: tuple[int, int], place: Place) -> Array:
-    """Return values from 0 to 1, (n_materials, n_bands), or raise DataError naming one."""
-    array = array_of(name, stated)
-    if array.shape != shape:
-        raise DataError(
-            f"{name} has shape {array.shape}; it must be (n_materials, n_bands) = {shape}"
-        )
-    bad = ~np.isfinite(array) | (array < 0) | (array > 1)
-    if bad.any():
-        i, k = (int(v) for v in np.argwhere(bad)[0])
-        rule = "in [0, 1]"
-        if name == "sigma" and not array[i, k] > 0:
-            rule = "a finite value of 0 or more"
-        elif LARGEST_LABORATORY_ALPHA < array[i, k] <= 100 or (
-            name != "alpha" and array[i, k] > 1.5
-        ):
-            rule += ": is it in percent?"
-        elif name == "alpha":
-            rule += above_one_hint(array[i, k])
-        raise DataError(f"{place(name, i, k)} = {array[i, k]:g} is not {rule}")
-    return read_only(array)
 
 
 def above_one_hint(alpha: float) -> str:
@@ -391,80 +261,3 @@ def above_one_hint(alpha: float) -> str:
         ". Laboratories report such values (ISO 354, edge effect): a room that states above_one = "
         '"clip" takes them as 1 and says so, as `rtcal import library` does with product data'
     )
-
-
-def check_minimum(alpha: Array, alpha_min: Array, place: Place) -> None:
-    """Raise DataError if a coefficient is below its own minimum."""
-    if (low := alpha_min > alpha).any():
-        i, k = (int(v) for v in np.argwhere(low)[0])
-        raise DataError(
-            f"{place('alpha', i, k)} = {alpha[i, k]:g} is below its own "
-            f"alpha_min = {alpha_min[i, k]:g}"
-        )
-
-
-def cut_to_one(stated: object, shape: tuple[int, int], place: Place) -> tuple[object, list[str]]:
-    """Return laboratory coefficients, those above 1 cut to 1, and the name of each that was cut.
-
-    What has another shape stays as it is. Raises DataError above `LARGEST_LABORATORY_ALPHA`.
-    """
-    alpha = array_of("alpha", stated)
-    if alpha.shape != shape:
-        return stated, []
-    if (alpha > LARGEST_LABORATORY_ALPHA).any():
-        i, k = np.argwhere(alpha > LARGEST_LABORATORY_ALPHA)[0].tolist()
-        raise DataError(
-            f"{place('alpha', i, k)} = {alpha[i, k]:g} looks like percent; "
-            f'above_one = "clip" takes values up to {LARGEST_LABORATORY_ALPHA:g}, as '
-            "laboratories report them"
-        )
-    above = np.argwhere(alpha > 1).tolist()
-    return np.minimum(alpha, 1.0), [f"{place('alpha', i, k)} = {alpha[i, k]:g}" for i, k in above]
-
-
-def check_surfaces(materials: Sequence[str], areas: Array, surfaces: Sequence[Surface]) -> None:
-    """Raise DataError unless the surfaces, if there are any, add up to the stated areas."""
-    drawn = dict.fromkeys(materials, 0.0)
-    for surface in surfaces:
-        if surface.material not in drawn:
-            raise DataError(
-                f'surface["{surface.name}"].material = "{surface.material}" is no material of '
-                f"the room; it has {', '.join(materials)}"
-            )
-        drawn[surface.material] += surface.area
-    for material, area in zip(materials, areas, strict=True):
-        if surfaces and not np.isclose(drawn[material], area, rtol=1e-9, atol=0):
-            raise DataError(
-                f'areas["{material}"] = {area:g} m², but its surfaces sum to '
-                f"{drawn[material]:g} m²; change both, or leave the surfaces out (surfaces=())"
-            )
-
-
-def check_correlation(
-    materials: Sequence[str], bands: float, correlation: Mapping[tuple[str, str], float]
-) -> None:
-    """Raise DataError unless the prior correlations of bands and materials are possible ones."""
-    checks.number("band_correlation", bands)
-    if not 0 <= bands < 1:
-        raise DataError(f"band_correlation = {bands:g} is not from 0 to below 1")
-    between: dict[tuple[int, int], float] = {}
-    for pair, value in correlation.items():
-        if not isinstance(pair, tuple) or len(pair) != 2:
-            raise DataError(f"material_correlation: {pair!r} is not a pair of materials")
-        first, second = pair
-        place = f'material_correlation["{first}", "{second}"]'
-        checks.number(place, value)
-        if unknown := [name for name in pair if name not in materials]:
-            raise DataError(
-                f'{place}: "{unknown[0]}" is no material of the room; it has {", ".join(materials)}'
-            )
-        i, j = materials.index(first), materials.index(second)
-        if i == j or not -1 < value < 1:
-            raise DataError(
-                f"{place} = {value:g} is not a value between -1 and 1 for two materials"
-            )
-        between[i, j] = between[j, i] = value
-    named = sorted({i for i, _ in between})
-    matrix = np.array([[between.get((i, j), float(i == j)) for j in named] for i in named])
-    if named and np.linalg.eigvalsh(matrix)[0] <= 0:
-        raise DataError("material_correlation is not positive definite: the values contradict")

@@ -18,22 +18,15 @@ from rtcal.acoustics.materials import (
     ARCHIVE,
     AXES,
     LARGEST,
+    LARGEST_LABORATORY_ALPHA,
     LEAST,
     CalibrationRecord,
     Geometry,
     Material,
     Surface,
-    by_material,
-    check_apart,
-    check_correlation,
-    check_minimum,
-    check_surfaces,
-    checked_areas,
-    checked_coefficients,
-    climate,
-    cut_to_one,
+    above_one_hint,
+    array_of,
     in_order,
-    relative,
     short_name,
     stacked,
     text_name,
@@ -43,11 +36,20 @@ from rtcal.acoustics.scene import Scene
 from rtcal.support import checks, text
 from rtcal.support.errors import DataError
 from rtcal.support.files import read_text, write_text
-from rtcal.support.text import shortened
+from rtcal.support.text import LOOKS, look_alike, shortened
 from rtcal.support.types import Array, read_only
 
 __all__ = ["AXES", "CalibrationRecord", "Material", "Room", "Surface", "text_name"]
 __dir__ = __all__.copy
+
+
+def _relative(place: str, value: object) -> float:
+    """Return a relative standard deviation; DataError unless it is 0 or more and below 1."""
+    stated = checks.number(place, value)
+    if not 0 <= stated < 1:
+        percent = ": is it in percent?" if 1 <= stated <= 100 else ""
+        raise DataError(f"{place} = {stated:g} is not a relative value from 0 to below 1{percent}")
+    return stated
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -184,24 +186,50 @@ class Room:
         put("volume", checks.positive("volume", self.volume, "m³"))
         if not LEAST <= self.volume <= LARGEST:
             raise DataError(f"volume = {self.volume:g} m³ is not from {LEAST:g} to {LARGEST:g} m³")
-        n, k = self.n_materials, self.n_bands
+        n = self.n_materials
         if n == 0:
             raise DataError("materials is empty; a room has at least one material")
-        check_apart(self.materials)
+        if len({*self.materials}) < n:
+            twice = min(m for m in self.materials if self.materials.count(m) > 1)
+            raise DataError(
+                f'materials has "{twice}" twice; a material is one row (Room.from_surfaces sums its '
+                "surfaces)"
+            )
+        if alike := look_alike(self.materials):
+            raise DataError(f'materials has "{alike[0]}" and "{alike[1]}", {LOOKS}')
         for name in ("areas", "alpha", "sigma", "scattering", "alpha_min"):
             stated = getattr(self, name)
             put(name, in_order(name, stated, self.materials, self.centre_frequencies))
-        put("areas", checked_areas(self.materials, self.areas))
+        put("areas", read_only(array_of("areas", self.areas)))
+        if self.areas.shape != (n,):
+            raise DataError(
+                f"areas has shape {self.areas.shape}; with {n} materials it must be ({n},)"
+            )
+        for material, area in zip(self.materials, self.areas, strict=True):
+            if not 0 < area <= LARGEST:
+                raise DataError(
+                    f'areas["{material}"] = {area:g} m² is not an area above 0 and at most {LARGEST:g}'
+                )
         if above_one == "clip":
-            alpha, cut = cut_to_one(self.alpha, (n, k), self.place)
-            put("alpha", alpha)
-            put("clipped", (*self.clipped, *cut))
+            put("alpha", alpha := array_of("alpha", self.alpha))
+            for i, k in np.argwhere(alpha > 1).tolist() if alpha.shape == self._shape else ():
+                if alpha[i, k] > LARGEST_LABORATORY_ALPHA:
+                    raise DataError(
+                        f"{self.place('alpha', i, k)} = {alpha[i, k]:g} looks like percent; "
+                        f'above_one = "clip" takes values up to {LARGEST_LABORATORY_ALPHA:g}, as '
+                        "laboratories report them"
+                    )
+                put("clipped", (*self.clipped, f"{self.place('alpha', i, k)} = {alpha[i, k]:g}"))
+                self.alpha[i, k] = 1.0
         for name in ("alpha", "sigma", "scattering", "alpha_min"):
-            value = getattr(self, name)
-            if value is not None:
-                put(name, checked_coefficients(name, value, (n, k), self.place))
-        if self.alpha_min is not None:
-            check_minimum(self.alpha, self.alpha_min, self.place)
+            if getattr(self, name) is not None:
+                put(name, self._coefficients(name))
+        if self.alpha_min is not None and (low := self.alpha_min > self.alpha).any():
+            i, k = np.argwhere(low)[0].tolist()
+            raise DataError(
+                f"{self.place('alpha', i, k)} = {self.alpha[i, k]:g} is below its own "
+                f"alpha_min = {self.alpha_min[i, k]:g}"
+            )
         if self.dimensions is not None:
             stated = checks.listed("dimensions", self.dimensions)
             sides = tuple(checks.positive("dimensions", side, "m") for side in stated)
@@ -210,12 +238,137 @@ class Room:
             put("dimensions", sides)
         checks.choice("scattering_model", self.scattering_model, ("random", "vector"))
         checks.instance("scene", self.scene, Scene)
-        check_surfaces(self.materials, self.areas, self.surfaces)
-        check_correlation(self.materials, self.band_correlation, self.material_correlation)
+        self._check_surfaces()
+        self._check_correlation()
         for name in ("volume_sigma", "common_area_sigma", "common_alpha_sigma"):
-            put(name, relative(name, getattr(self, name)))
-        put("area_sigma", by_material(self.area_sigma, self.materials, self.areas))
-        put("climate_sigma", climate(self.climate_sigma, self.air))
+            put(name, _relative(name, getattr(self, name)))
+        put("area_sigma", self._area_errors())
+        pair = checks.listed("climate_sigma", self.climate_sigma)
+        if len(pair) != 2:
+            raise DataError(f"climate_sigma has {len(pair)} values; it has K and % of humidity")
+        kelvin, percent = (checks.number("climate_sigma", value) for value in pair)
+        for value, unit, most in ((kelvin, "K", 20), (percent, "%", 50)):
+            if not 0 <= value <= most:
+                raise DataError(f"climate_sigma = {value:g} {unit} is not from 0 to {most} {unit}")
+        if self.air is None and (kelvin or percent):
+            raise DataError("climate_sigma is stated, but no air that it belongs to")
+        put("climate_sigma", (kelvin, percent))
+
+    @property
+    def _shape(self) -> tuple[int, int]:
+        return self.n_materials, self.n_bands
+
+    def _coefficients(self, name: str) -> Array:
+        """Return values from 0 to 1, (n_materials, n_bands), or raise DataError naming one."""
+        array, shape = array_of(name, getattr(self, name)), self._shape
+        if array.shape != shape:
+            raise DataError(
+                f"{name} has shape {array.shape}; it must be (n_materials, n_bands) = {shape}"
+            )
+        bad = ~np.isfinite(array) | (array < 0) | (array > 1)
+        if bad.any():
+            i, k = np.argwhere(bad)[0].tolist()
+            rule = "in [0, 1]"
+            if name == "sigma" and not array[i, k] > 0:
+                rule = "a finite value of 0 or more"
+            elif LARGEST_LABORATORY_ALPHA < array[i, k] <= 100 or (
+                name != "alpha" and array[i, k] > 1.5
+            ):
+                rule += ": is it in percent?"
+            elif name == "alpha":
+                rule += above_one_hint(array[i, k])
+            raise DataError(f"{self.place(name, i, k)} = {array[i, k]:g} is not {rule}")
+        return read_only(array)
+
+    def _check_surfaces(self) -> None:
+        """Raise DataError unless the surfaces, if there are any, add up to the stated areas."""
+        drawn = dict.fromkeys(self.materials, 0.0)
+        for surface in self.surfaces:
+            if surface.material not in drawn:
+                raise DataError(
+                    f'surface["{surface.name}"].material = "{surface.material}" is no material of '
+                    f"the room; it has {', '.join(self.materials)}"
+                )
+            drawn[surface.material] += surface.area
+        for material, area in zip(self.materials, self.areas, strict=True):
+            if self.surfaces and not np.isclose(drawn[material], area, rtol=1e-9, atol=0):
+                raise DataError(
+                    f'areas["{material}"] = {area:g} m², but its surfaces sum to '
+                    f"{drawn[material]:g} m²; change both, or leave the surfaces out (surfaces=())"
+                )
+
+    def _check_correlation(self) -> None:
+        """Raise DataError unless the prior correlations of bands and materials are possible ones."""
+        if not 0 <= checks.number("band_correlation", self.band_correlation) < 1:
+            raise DataError(
+                f"band_correlation = {self.band_correlation:g} is not from 0 to below 1"
+            )
+        between: dict[tuple[int, int], float] = {}
+        for pair, value in self.material_correlation.items():
+            if not isinstance(pair, tuple) or len(pair) != 2:
+                raise DataError(f"material_correlation: {pair!r} is not a pair of materials")
+            place = f'material_correlation["{pair[0]}", "{pair[1]}"]'
+            checks.number(place, value)
+            if unknown := [name for name in pair if name not in self.materials]:
+                raise DataError(
+                    f'{place}: "{unknown[0]}" is no material of the room; it has '
+                    f"{', '.join(self.materials)}"
+                )
+            i, j = (self.materials.index(name) for name in pair)
+            if i == j or not -1 < value < 1:
+                raise DataError(
+                    f"{place} = {value:g} is not a value between -1 and 1 for two materials"
+                )
+            between[i, j] = between[j, i] = value
+        named = sorted({i for i, _ in between})
+        matrix = np.array([[between.get((i, j), float(i == j)) for j in named] for i in named])
+        if named and np.linalg.eigvalsh(matrix)[0] <= 0:
+            raise DataError("material_correlation is not positive definite: the values contradict")
+
+    def _area_errors(self) -> Array:
+        """Return the relative standard deviation of each area, (n_materials,), however it is stated.
+
+        Raises DataError for a value that is no relative one nor a text in m², or an unknown material.
+        """
+        stated: Any = self.area_sigma
+        if isinstance(stated, Mapping):
+            if unknown := [name for name in stated if name not in self.materials]:
+                raise DataError(
+                    f'area_sigma["{unknown[0]}"]: no material of the room has that name; it has '
+                    f"{', '.join(self.materials)}"
+                )
+            listed = [stated.get(name, 0.0) for name in self.materials]
+        elif isinstance(stated, str) or np.ndim(stated) == 0:
+            listed = [stated] * self.n_materials
+        elif not np.any(listed := list(stated)):
+            for value in listed:
+                _relative("area_sigma", value)
+            listed = [0.0] * self.n_materials  # also of a room that had other materials
+        if len(listed) != self.n_materials:
+            raise DataError(
+                f"area_sigma has {len(listed)} values; there are {self.n_materials} materials"
+            )
+        values = []
+        for name, value, area in zip(self.materials, listed, self.areas.tolist(), strict=True):
+            place = f'area_sigma["{name}"]'
+            if not isinstance(value, str):
+                values.append(_relative(place, value))
+                continue
+            try:
+                square_metres = float(value.strip().removesuffix("m²"))
+            except ValueError:
+                square_metres = np.nan
+            if not value.strip().endswith("m²") or np.isnan(square_metres):
+                raise DataError(
+                    f'{place} = "{value[:40]}" is no number with the unit m² (written with ²), such as '
+                    '"1.5 m²"; a share of the area is a number without quotes, such as 0.1'
+                )
+            if not 0 <= square_metres < area:
+                raise DataError(
+                    f'{place} = "{value[:40]}" is not from 0 to below the area, which is {area:g} m²'
+                )
+            values.append(square_metres / area)
+        return read_only(np.array(values))
 
     def __repr__(self) -> str:
         return f"<{self._description}>"
