@@ -20,8 +20,7 @@ import numpy as np
 
 import rtcal as rt
 from rtcal.prediction import Target, Treatment
-from rtcal.prediction.design_model import DesignModel
-from rtcal.prediction.designed import design_model
+from rtcal.prediction.designed import DesignModel, design_model
 from rtcal.support.types import Array
 
 BANDS = np.array([125.0, 250.0, 500.0, 1000.0, 2000.0, 4000.0])

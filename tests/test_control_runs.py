@@ -7,9 +7,14 @@ import pytest
 
 import rtcal as rt
 from rtcal.datasets import halls
-from rtcal.loop.control_runs import ControlRuns, simulated_controls
+from rtcal.loop.control_runs import (
+    COMMON_LEFT,
+    ControlRuns,
+    basis,
+    errors_by_scattering,
+    simulated_controls,
+)
 from rtcal.loop.positions import unexplained_errors
-from rtcal.loop.scattering import COMMON_LEFT, basis, errors_by_scattering
 from rtcal.simulators import PathTracing, Polyhedron, paths
 from rtcal.simulators.geometry import SHOEBOX_WALLS
 from rtcal.support.errors import DataError

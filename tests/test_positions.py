@@ -12,10 +12,10 @@ import pytest
 import rtcal as rt
 from rtcal.datasets import halls
 from rtcal.loop import control_runs
+from rtcal.loop.control_runs import MaterialScattering, scattered
 from rtcal.loop.matched import Beside
 from rtcal.loop.positions import precise
 from rtcal.loop.positions_result import PositionsResult
-from rtcal.loop.scattering import MaterialScattering, scattered
 from rtcal.simulators import Observations, PathTracing
 from rtcal.support.errors import DataError
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import rtcal as rt
-from rtcal.acoustics.typing_errors import far_from_neighbours, in_measurement, in_room
+from rtcal.acoustics.trust import far_from_neighbours, in_measurement, in_room
 from rtcal.io import tables
 from rtcal.report.page import calibration_page
 from rtcal.support.errors import InfeasibleError

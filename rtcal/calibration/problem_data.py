@@ -12,13 +12,13 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from rtcal.acoustics import band_conversion, bands, repeats, typing_errors
+from rtcal.acoustics import band_conversion, bands, repeats, trust
 from rtcal.acoustics.decay import BentDecay, bent_decays
 from rtcal.acoustics.equations import LinearEquation
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.observables import REVERBERATION, TARGET, parameter_label
 from rtcal.acoustics.room import Room
-from rtcal.acoustics.typing_errors import TypingError
+from rtcal.acoustics.trust import TypingError
 from rtcal.calibration.layout import Layout, Whitened
 from rtcal.support import checks
 from rtcal.support.errors import CopiedPairsWarning, DataError, OtherBandsWarning
@@ -107,7 +107,7 @@ def times_in_room(room: Room, measured: Measurement | Sequence[float] | Array) -
         (),
         repeats.of_times(room, times),
         "",
-        mistyped=tuple(typing_errors.of_row(room.centre_frequencies, times, "T", " s")),
+        mistyped=tuple(trust.of_row(room.centre_frequencies, times, "T", " s")),
     )
 
 
@@ -120,16 +120,14 @@ def _mistyped(
     places = np.log(room.centre_frequencies)
     found = [
         replace(error, frequency=float(room.centre_frequencies[k]))
-        for error in typing_errors.in_measurement(
+        for error in trust.in_measurement(
             Measurement(
                 centre_frequencies=measured.centre_frequencies, values=values, pairs=measured.pairs
             )
         )
         for k in [int(np.argmin(np.abs(places - np.log(error.frequency))))]
     ]
-    return tuple(found) or tuple(
-        typing_errors.of_row(room.centre_frequencies, mean, "the mean T", " s")
-    )
+    return tuple(found) or tuple(trust.of_row(room.centre_frequencies, mean, "the mean T", " s"))
 
 
 def notes_of_bands(room: Room, measured: Measurement) -> list[str]:

@@ -15,7 +15,7 @@ from rtcal.acoustics.observables import (
     observable,
     parameter_label,
 )
-from rtcal.acoustics.typing_errors import in_measurement
+from rtcal.acoustics.trust import in_measurement
 from rtcal.support import text
 from rtcal.support.types import Array
 

@@ -37,12 +37,21 @@ from rtcal.calibration.result import CalibrationResult
 from rtcal.calibration.terms import LinearObservations, Observed, PriorDeviation, as_objective
 from rtcal.loop import control_runs
 from rtcal.loop.control_runs import (
+    DIGITS,
     GROUPS,
     MODELS,
     ControlRuns,
+    ErrorsByScattering,
+    MaterialScattering,
+    Scattering,
+    errors_by_scattering,
+    fitted,
     groups_of_paths,
     level,
+    log_likelihood,
+    material_scattering,
     noise_of_a_run,
+    scattered,
     simulated_controls,
     trace_ahead,
 )
@@ -62,17 +71,6 @@ from rtcal.loop.measured_pairs import (
     without_place,
 )
 from rtcal.loop.positions_result import GaussNewtonStep, PositionsResult
-from rtcal.loop.scattering import (
-    DIGITS,
-    ErrorsByScattering,
-    MaterialScattering,
-    Scattering,
-    errors_by_scattering,
-    fitted,
-    log_likelihood,
-    material_scattering,
-    scattered,
-)
 from rtcal.modes.result import ModesResult
 from rtcal.simulators import base, observations
 from rtcal.simulators.base import Simulator

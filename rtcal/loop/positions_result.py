@@ -58,9 +58,13 @@ from rtcal.calibration.table import coefficients
 from rtcal.loop.control_runs import (
     GROUPS,
     ControlRuns,
+    MaterialScattering,
+    Scattering,
     Simulated,
+    errors_by_scattering,
     groups_of_paths,
     level,
+    material_scattering,
     noise_of_a_run,
     simulated_controls,
 )
@@ -76,12 +80,6 @@ from rtcal.loop.measured_pairs import (
     of_level,
     relative_misfit,
     rows_of_pairs,
-)
-from rtcal.loop.scattering import (
-    MaterialScattering,
-    Scattering,
-    errors_by_scattering,
-    material_scattering,
 )
 from rtcal.prediction import words
 from rtcal.prediction.predicted import COVERAGE

@@ -25,8 +25,7 @@ from rtcal.acoustics.observables import TARGET, parameter_label
 from rtcal.acoustics.quality import gap_jnd
 from rtcal.acoustics.repeats import refuse_repeated_data
 from rtcal.acoustics.room import Room
-from rtcal.acoustics.trust import TrustMark, bent_marks, typing_marks
-from rtcal.acoustics.typing_errors import of_row
+from rtcal.acoustics.trust import TrustMark, bent_marks, of_row, typing_marks
 from rtcal.calibration.methods import preset
 from rtcal.calibration.problem import CalibrationProblem
 from rtcal.calibration.problem_data import data_history, tell_data, times_in_room

@@ -4,7 +4,7 @@ How much the whole room scatters is not known, nor how far each material departs
 scattering depends on frequency. The first changes too much for a derivative: in a flat room T20 moves
 twice as far towards little scattering as towards much. So it is traced at several levels (`levels`).
 The traced paths tell what the others change (`PathTracing.scattering_jacobian`), with the prior of a
-calibration to every position (`rtcal.loop.scattering`). Control runs tell the rest, without the noise
+calibration to every position (`rtcal.loop.control_runs`). Control runs tell the rest, without the noise
 of their few paths. What is compared has noise of its own, and so have the derivatives.
 """
 
@@ -36,11 +36,10 @@ from rtcal.finder.positions.evidence import (
 from rtcal.finder.positions.hypotheses import uneven_amount, uneven_columns
 from rtcal.finder.positions.responses import AIR, STEP, TRACED, TRACINGS, PairShifts
 from rtcal.finder.prior import SCALES
-from rtcal.loop.control_runs import ControlRuns
+from rtcal.loop.control_runs import COMMON as OF_ROOM
+from rtcal.loop.control_runs import OWN as OF_MATERIAL
+from rtcal.loop.control_runs import ControlRuns, MaterialScattering
 from rtcal.loop.measured_pairs import MeasuredPairs, Pair, pairs_to_match
-from rtcal.loop.scattering import COMMON as OF_ROOM
-from rtcal.loop.scattering import OWN as OF_MATERIAL
-from rtcal.loop.scattering import MaterialScattering
 from rtcal.simulators.observations import LARGEST_ALPHA, Observations
 from rtcal.support.errors import DataError
 from rtcal.support.types import Array

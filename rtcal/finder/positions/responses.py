@@ -28,8 +28,7 @@ from rtcal.finder.positions.case import (
     lobes,
 )
 from rtcal.finder.positions.weighing import MOVE, SECOND_ROOMS, Weighing, displaced
-from rtcal.loop.control_runs import share_of_signal
-from rtcal.loop.scattering import scattered
+from rtcal.loop.control_runs import scattered, share_of_signal
 from rtcal.simulators.observations import LARGEST_ALPHA
 from rtcal.simulators.path_tracing import DENSER, LARGER, PathTracing
 from rtcal.simulators.tracer import LONGEST
