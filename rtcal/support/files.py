@@ -36,9 +36,23 @@ NEW = ".rtcal-new"
 """Ending of a file while it is written."""
 _MOST_RECORD = 2**22
 _CALL = "the call that wrote it"
+_UNWRITTEN = "cannot be written: "
 
 begun: list[Path] = []
 """Files that this process has written, or begun to write: without any, nothing was written."""
+
+
+@contextmanager
+def _naming(path: Any, what: str = "") -> Iterator[None]:
+    """Raise a DataError that names the path in place of what the system or Python raises."""
+    try:
+        yield
+    except DataError:
+        raise
+    except OSError as error:
+        raise DataError(f"{path}: {what}{error.strerror or error}") from error
+    except (ValueError, TypeError) as error:  # a path with a NUL, or no path
+        raise DataError(f"{path!r}: not a path: {error}") from error
 
 
 @dataclass
@@ -131,60 +145,44 @@ def _write_set(contents: Mapping[Path, bytes], command: str) -> None:
 
     All temporary files are written first: where a disk is full, every file is as it was.
     """
-    place: Any = ""
     folders = list(dict.fromkeys(path.parent for path in contents))
     news = {path: path.with_name(f".{path.name}{NEW}") for path in contents}
-    sets: dict[Path, dict[str, Any]] = {
-        folder: {
-            "command": command,
-            "whole": False,
-            "files": {
-                os.path.relpath(path, folder): [
-                    hashlib.sha256(content).hexdigest(),
-                    _digest_of(path),
-                ]
-                for path, content in contents.items()
-            },
-        }
-        for folder in folders
-    }
+    digests = {p: [hashlib.sha256(c).hexdigest(), _digest_of(p)] for p, c in contents.items()}
     begun.extend(contents)
     try:
-        try:
-            for path, content in contents.items():
-                place = path
+        for path, content in contents.items():
+            with _naming(path, _UNWRITTEN):
                 _write_file(news[path], content, path)
-            for folder in folders:
-                place = folder
-                _put(folder, sets[folder])
-        except BaseException:  # nothing is replaced yet
-            for new in (*news.values(), *(folder / f"{RECORD}{NEW}" for folder in folders)):
-                with suppress(OSError):
-                    new.unlink(missing_ok=True)
-            raise
-        for path, new in news.items():
-            place = path
-            os.replace(new, path)
         for folder in folders:
-            place = folder
-            _sync_folder(folder)
-            _put(folder, {**sets[folder], "whole": True})
-    except OSError as error:
-        raise DataError(f"{place}: cannot be written: {error.strerror or error}") from error
+            _put(folder, command, digests, whole=False)
+    except BaseException:  # nothing is replaced yet
+        for new in (*news.values(), *(folder / f"{RECORD}{NEW}" for folder in folders)):
+            with suppress(OSError):
+                new.unlink(missing_ok=True)
+        raise
+    for path, new in news.items():
+        with _naming(path, _UNWRITTEN):
+            os.replace(new, path)
+    for folder in folders:
+        _put(folder, command, digests, whole=True)
 
 
-def _put(folder: Path, written: Mapping[str, Any]) -> None:
+def _put(
+    folder: Path, command: str, digests: Mapping[Path, list[str | None]], *, whole: bool
+) -> None:
     """Add a set to a folder's record, in place of what it says of the set's files."""
-    others = []
-    for known in _sets(folder):
-        kept = {n: d for n, d in known["files"].items() if n not in written["files"]}
-        if kept:
-            others.append({**known, "files": kept})
-    record = {"rtcal": "files 1", "sets": [*others, written]}
-    place, new = folder / RECORD, folder / f"{RECORD}{NEW}"
-    _write_file(new, json.dumps(record, indent=1).encode())
-    os.replace(new, place)
-    _sync_folder(folder)
+    written = {os.path.relpath(path, folder): each for path, each in digests.items()}
+    sets = [{"command": command, "whole": whole, "files": written}]
+    for known in reversed(_sets(folder)):
+        if kept := {n: d for n, d in known["files"].items() if n not in written}:
+            sets.insert(0, {**known, "files": kept})
+    new = folder / f"{RECORD}{NEW}"
+    with _naming(folder, _UNWRITTEN):
+        if whole:
+            _sync_folder(folder)
+        _write_file(new, json.dumps({"rtcal": "files 1", "sets": sets}, indent=1).encode())
+        os.replace(new, folder / RECORD)
+        _sync_folder(folder)
 
 
 def _sets(folder: Path) -> list[dict[str, Any]]:
@@ -283,11 +281,9 @@ def replace_file(path: Path, content: bytes) -> None:
     """
     new = path.with_name(f".{path.name}.{os.getpid()}{NEW}")
     begun.append(path)
-    try:
+    with _naming(path, _UNWRITTEN):
         _write_file(new, content)
         os.replace(new, path)
-    except OSError as error:
-        raise DataError(f"{path}: cannot be written: {error.strerror or error}") from error
 
 
 MAX_BYTES = 2**28
@@ -297,10 +293,11 @@ MAX_BYTES = 2**28
 def read(path: Path) -> Array | None:
     """Return the array that `write` kept under this name; None if there is none."""
     try:
-        head, _, content = read_bytes(path, MAX_BYTES).partition(b"\n")
+        kept = read_bytes(path, MAX_BYTES)
     except DataError:
         return None
-    if head + b"\n" != _head(path, content):
+    content = kept[hashlib.sha256().digest_size :]
+    if kept != _sealed(path, content):
         return None
     array: Array = np.load(io.BytesIO(content), allow_pickle=False)
     return array
@@ -315,13 +312,12 @@ def write(path: Path, array: Array) -> None:
     np.save(content, array, allow_pickle=False)
     with suppress(DataError):
         make_folder(path.parent)
-        replace_file(path, _head(path, content.getvalue()) + content.getvalue())
+        replace_file(path, _sealed(path, content.getvalue()))
 
 
-def _head(path: Path, content: bytes) -> bytes:
-    """Return a file's first line: what it is, its name and its checksum."""
-    said = f"rtcal array {path.name}, sha256 "
-    return f"{said}{hashlib.sha256(said.encode() + content).hexdigest()}\n".encode()
+def _sealed(path: Path, content: bytes) -> bytes:
+    """Return a content below its checksum, in which the file's name counts."""
+    return hashlib.sha256(path.name.encode() + content).digest() + content
 
 
 def read_bytes(path: str | os.PathLike[str], limit: int) -> bytes:
@@ -329,7 +325,7 @@ def read_bytes(path: str | os.PathLike[str], limit: int) -> bytes:
 
     Also if it is of a set that was written in part.
     """
-    try:
+    with _naming(path):
         if Path(path).exists() and not Path(path).is_file():
             raise DataError(f"{path}: not a file")
         file = Path(os.path.realpath(path))
@@ -339,12 +335,6 @@ def read_bytes(path: str | os.PathLike[str], limit: int) -> bytes:
             _require_whole(file)
             with open(path, "rb") as stream:
                 content = stream.read(limit + 1)
-    except DataError:
-        raise
-    except OSError as error:
-        raise DataError(f"{path}: {error.strerror or error}") from error
-    except (ValueError, TypeError) as error:  # a path with a NUL, or no path
-        raise DataError(f"{path!r}: not a path: {error}") from error
     if len(content) > limit:
         raise DataError(f"{path}: more than {limit} bytes; a file of this kind has at most that")
     return content
@@ -393,21 +383,14 @@ def write_all(contents: Mapping[Any, bytes]) -> None:
     existing files keep their mode. The keys are paths. Raises DataError, naming the file, if a place
     cannot be written.
     """
-    path: Any = ""
-    try:
-        targets, stated = {}, {}
-        for path, content in contents.items():
+    targets, stated = {}, {}
+    for path, content in contents.items():
+        with _naming(path, _UNWRITTEN):
             file = target(Path(path))
             targets[file], stated[file] = content, os.fspath(path)
             if not file.parent.is_dir():
                 raise FileNotFoundError(None, "No such file or directory")
             refuse_foreign(path)
-    except OSError as error:
-        raise DataError(f"{path}: cannot be written: {error.strerror or error}") from error
-    except (ValueError, TypeError) as error:
-        if isinstance(error, DataError):
-            raise
-        raise DataError(f"{path!r} is not a path: {error}") from error
     if _current is not None:
         _current.contents.update(targets)
         _current.stated.update(stated)
@@ -417,12 +400,8 @@ def write_all(contents: Mapping[Any, bytes]) -> None:
 
 def make_folder(path: str | os.PathLike[str]) -> None:
     """Make a folder, with those above it, unless it exists; DataError if that fails."""
-    try:
+    with _naming(path):
         Path(path).mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise DataError(f"{path}: {error.strerror or error}") from error
-    except (ValueError, TypeError) as error:  # a path with a NUL, or no path
-        raise DataError(f"{path!r}: not a path: {error}") from error
 
 
 def json_numbers(values: ArrayLike) -> Any:
