@@ -129,13 +129,35 @@ def run(simulator: Simulator, alpha: Array, *, seed: int = 0) -> Measurement:
     checks.whole("seed", seed, 0)
     alpha = check_alpha(simulator, alpha)
     try:
-        measurement = simulator.simulate(alpha, seed=seed)
+        measurement: object = simulator.simulate(alpha, seed=seed)
     except RtcalError:
         raise
     except (Exception, SystemExit) as error:  # a script's sys.exit() must not end the caller
         text = " ".join(str(error).split())
         raise SimulatorError(f"{simulator.name} raised {type(error).__name__}: {text}") from error
-    return check_measurement(simulator, measurement)
+    if not isinstance(measurement, Measurement):
+        raise SimulatorError(
+            f"{simulator.name} returned {type(measurement).__name__}; a simulator returns a "
+            "Measurement"
+        )
+    expected, returned = simulator.centre_frequencies, measurement.centre_frequencies
+    if not np.array_equal(returned, expected):
+        raise SimulatorError(
+            f"{simulator.name} returned bands {returned.tolist()} Hz; the room has "
+            f"{expected.tolist()} Hz"
+        )
+    if TARGET.key not in measurement.values:
+        raise SimulatorError(
+            f"{simulator.name} returned no {TARGET.key}, only {', '.join(measurement.values)}"
+        )
+    if (missing := np.isnan(measurement.values[TARGET.key])).any():
+        pair, band = (int(i) for i in np.argwhere(missing)[0])
+        incomplete = SimulatorError(
+            f"{simulator.name} returned NaN for {TARGET.key}[{' to '.join(measurement.pairs[pair])}, "
+            f"{bands.label(expected[band])}]; a mean over the other pairs would hide it"
+        )
+        raise of_bands(incomplete, np.flatnonzero(missing.any(axis=0)))
+    return measurement
 
 
 def lost_paths(simulator: Simulator) -> tuple[str, ...]:
@@ -167,33 +189,6 @@ def at_places(simulator: Simulator, measured: Measurement) -> tuple[Measurement,
     of_sources, of_receivers = same.values()
     placed = [(of_sources.get(s, s), of_receivers.get(r, r)) for s, r in measured.pairs]
     return measured.with_repeats(**same), tuple(map(as_sentence, repeats.in_words(placed)))
-
-
-def check_measurement(simulator: Simulator, measurement: object) -> Measurement:
-    """Return the simulator's measurement; SimulatorError as in `run`."""
-    if not isinstance(measurement, Measurement):
-        raise SimulatorError(
-            f"{simulator.name} returned {type(measurement).__name__}; a simulator returns a "
-            "Measurement"
-        )
-    expected, returned = simulator.centre_frequencies, measurement.centre_frequencies
-    if not np.array_equal(returned, expected):
-        raise SimulatorError(
-            f"{simulator.name} returned bands {returned.tolist()} Hz; the room has "
-            f"{expected.tolist()} Hz"
-        )
-    if TARGET.key not in measurement.values:
-        raise SimulatorError(
-            f"{simulator.name} returned no {TARGET.key}, only {', '.join(measurement.values)}"
-        )
-    if (missing := np.isnan(measurement.values[TARGET.key])).any():
-        pair, band = (int(i) for i in np.argwhere(missing)[0])
-        error = SimulatorError(
-            f"{simulator.name} returned NaN for {TARGET.key}[{' to '.join(measurement.pairs[pair])}, "
-            f"{bands.label(expected[band])}]; a mean over the other pairs would hide it"
-        )
-        raise of_bands(error, np.flatnonzero(missing.any(axis=0)))
-    return measurement
 
 
 def check_fits(simulator: Simulator, room: Room) -> None:

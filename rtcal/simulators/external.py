@@ -153,13 +153,12 @@ class External(RoomSimulator):
 
 
 KEPT_ERRORS = 2**16
-"""Number of bytes at the end of a program's error output that are kept."""
+"""Number of bytes at the end of a program's error output that are read."""
 QUOTED_ERRORS = 300
 """Number of characters of the last line of error output that a message quotes."""
 MARK = "RTCAL_PROGRAM"
 """Environment variable of a started program. The processes it starts inherit the variable."""
 
-_LAST_OUTPUT = 1.0  # s; longest wait for a pipe that a child of the ended program keeps open
 _PASSES = 20  # a process may start another one while it is being ended
 _BETWEEN_PASSES = 0.02  # s
 
@@ -234,48 +233,35 @@ def command(
 def _run(line: list[str], time_limit: float | None) -> tuple[int, str]:
     """Run a program to its end; return its status and the last line of its error output."""
     mark = uuid.uuid4().hex
-    try:
-        program = subprocess.Popen(
-            line,
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.DEVNULL,
-            stderr=subprocess.PIPE,
-            env={**os.environ, MARK: mark},
-            start_new_session=True,
-        )
-    except (OSError, ValueError) as error:
-        raise SimulatorError(f"{line[0]} cannot be started: {error}") from error
-    errors = _Tail(program)
-    try:
-        status = program.wait(time_limit)
-    except BaseException as error:  # the limit, or the user interrupts
-        survivors = _end(program, mark)
-        if not isinstance(error, subprocess.TimeoutExpired):
-            raise
-        left = f"; processes {survivors} could not be ended" if survivors else ""
-        raise SimulatorError(f"{line[0]} ran for longer than {time_limit:g} s{left}") from error
-    return status, errors.last_line()
+    with tempfile.TemporaryFile() as output:
+        try:
+            program = subprocess.Popen(
+                line,
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.DEVNULL,
+                stderr=output,
+                env={**os.environ, MARK: mark},
+                start_new_session=True,
+            )
+        except (OSError, ValueError) as error:
+            raise SimulatorError(f"{line[0]} cannot be started: {error}") from error
+        try:
+            status = program.wait(time_limit)
+        except BaseException as error:  # the limit, or the user interrupts
+            survivors = _end(program, mark)
+            if not isinstance(error, subprocess.TimeoutExpired):
+                raise
+            left = f"; processes {survivors} could not be ended" if survivors else ""
+            raise SimulatorError(f"{line[0]} ran for longer than {time_limit:g} s{left}") from error
+        return status, _last_line(output)
 
 
-class _Tail:
-    """The end of a program's error output. A thread reads all of it, so no program blocks."""
-
-    def __init__(self, program: subprocess.Popen[bytes]) -> None:
-        self._bytes = b""
-        self._thread = threading.Thread(target=self._read, args=(program.stderr,), daemon=True)
-        self._thread.start()
-
-    def _read(self, stream: IO[bytes]) -> None:
-        with stream:
-            while block := os.read(stream.fileno(), KEPT_ERRORS):
-                self._bytes = (self._bytes + block)[-KEPT_ERRORS:]
-
-    def last_line(self) -> str:
-        """Return the last line, shortened; a child of the ended program may keep the stream open."""
-        self._thread.join(_LAST_OUTPUT)
-        lines = self._bytes.decode(errors="replace").strip().splitlines()
-        text = printable(lines[-1]).strip() if lines else "nothing on its error output"
-        return text if len(text) <= QUOTED_ERRORS else text[:QUOTED_ERRORS] + " ..."
+def _last_line(output: IO[bytes]) -> str:
+    """Return the last line of a program's error output, shortened."""
+    output.seek(max(output.seek(0, os.SEEK_END) - KEPT_ERRORS, 0))
+    lines = output.read().decode(errors="replace").strip().splitlines()
+    text = printable(lines[-1]).strip() if lines else "nothing on its error output"
+    return text if len(text) <= QUOTED_ERRORS else text[:QUOTED_ERRORS] + " ..."
 
 
 def _end(program: subprocess.Popen[bytes], mark: str) -> list[int]:

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtcal.acoustics.directivity import Directivity
-from rtcal.simulators import tracer
+from rtcal.simulators.facets import first_hit
 from rtcal.simulators.geometry import Polyhedron
 from rtcal.simulators.tracer import ScatteringModel
 from rtcal.support.errors import DataError
@@ -569,7 +569,7 @@ def trace(
             f"{len(materials)} faces and {len(receivers)} receivers are too many: twice the faces and "
             f"the receivers are at most {LARGEST_CODE}"
         )
-    planes, sides = tracer.planes(geometry)
+    planes, sides = planes_of(geometry)
     by_face = np.ascontiguousarray(np.asarray(scattering, dtype=float)[materials])
     per_batch = -(-n_paths // n_batches)
     # A batch whose number of paths no power of two divides keeps a little more than its share.
@@ -580,7 +580,7 @@ def trace(
         s, b = job
         sequence = np.random.SeedSequence([seed, s, b])
         seeds = sequence.generate_state(per_batch, np.uint64)
-        directions = tracer.sphere(per_batch, np.random.default_rng(sequence.spawn(1)[0]))
+        directions = sphere(per_batch, np.random.default_rng(sequence.spawn(1)[0]))
         events, starts, lengths, weights, counts = kernels.trace(
             sources[s],
             directions,
@@ -609,7 +609,7 @@ def trace(
             "the room's faces leave gaps or cut through each other"
         )
     batches = tuple(tuple(done[s * n_batches : (s + 1) * n_batches]) for s in range(len(sources)))
-    direct = tracer.direct_lengths(geometry, sources, receivers)
+    direct = direct_lengths(geometry, sources, receivers)
     return Paths(
         batches=batches,
         materials=materials.copy(),
@@ -633,3 +633,46 @@ def _first(
         heard = [b.lengths[b.events[b.events >= n_codes] == n_codes + r] for b in batches[s]]
         first[s, r] = min((float(x.min()) for x in heard if x.size), default=longest)
     return first
+
+
+def planes_of(geometry: Polyhedron) -> tuple[Array, Array]:
+    """Return each triangle's plane (inward normal, offset) and its two barycentric functions.
+
+    A point x of the plane lies in the triangle where n·x - d is 0 or more for both rows of
+    ``sides`` (n_triangles, 2, 4), and their sum at most 1 (Havel & Herout 2010).
+    """
+    a, b, c = np.moveaxis(geometry.triangles, 1, 0)
+    u, v = b - a, c - a
+    normal = np.cross(u, v)
+    square = np.sum(normal**2, axis=1, keepdims=True)
+    rows = np.stack([np.cross(v, normal) / square, np.cross(normal, u) / square], axis=1)
+    offsets = np.einsum("tij,tj->ti", rows, a)[..., np.newaxis]
+    inward = -normal / np.sqrt(square)
+    equations = np.hstack([inward, np.sum(inward * a, axis=1, keepdims=True)])
+    return equations, np.ascontiguousarray(np.concatenate([rows, offsets], axis=2))
+
+
+def sphere(n: int, rng: np.random.Generator) -> Array:
+    """Return n directions of a Fibonacci lattice on the sphere, rotated at random."""
+    height = 1 - (2 * np.arange(n) + 1) / n
+    turn = np.pi * (1 + np.sqrt(5)) * np.arange(n)
+    across = np.sqrt(1 - height**2)
+    lattice = np.stack([across * np.cos(turn), across * np.sin(turn), height], axis=1)
+    rotation, upper = np.linalg.qr(rng.standard_normal((3, 3)))
+    return np.ascontiguousarray(lattice @ (rotation * np.sign(np.diag(upper))))
+
+
+def direct_lengths(geometry: Polyhedron, sources: Array, receivers: Array) -> Array:
+    """Return the lengths of the direct sounds in m, (n_sources, n_receivers), NaN where hidden."""
+    walls, sides = planes_of(geometry)
+    lengths = np.empty((len(sources), len(receivers)))
+    for s, source in enumerate(sources):
+        vectors = receivers - source
+        lengths[s] = np.linalg.norm(vectors, axis=1)
+        if not lengths[s].all():
+            raise DataError("a source and a receiver are at the same place")
+        directions = vectors / lengths[s][:, np.newaxis]
+        origins = np.tile(source, (len(vectors), 1))
+        _, t = first_hit(origins, directions, walls, sides)
+        lengths[s, t < lengths[s]] = np.nan
+    return lengths

@@ -25,9 +25,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rtcal.simulators import tracer
 from rtcal.simulators.base import check_alpha
-from rtcal.simulators.tracer import Tracer, check_seconds
+from rtcal.simulators.geometry import convex_parts
+from rtcal.simulators.paths import direct_lengths
+from rtcal.simulators.tracer import Tracer, check_seconds, of_all_bands
 from rtcal.support import checks, library
 from rtcal.support.errors import DataError
 from rtcal.support.types import Array
@@ -105,17 +106,13 @@ class RayTracing(Tracer):
             for bands in self.bands_of_paths()
             for group in np.split(bands, range(_BANDS, len(bands), _BANDS))
         ]
-        direct = tracer.direct_lengths(self.geometry, *self._points())
+        direct = direct_lengths(self.geometry, *self._points())
         batches = [
             [self._batch(alpha, bands, seconds, direct, rng) for bands in groups]
             for _ in range(self.n_batches)
         ]
         n_bins = min(decay.shape[-1] for batch in batches for decay in batch)
-        energy = np.empty((self.n_batches, *direct.shape, self.room.n_bands, n_bins))
-        for b, batch in enumerate(batches):
-            for bands, decay in zip(groups, batch, strict=True):
-                energy[b][:, :, bands] = decay[..., :n_bins]
-        return energy
+        return np.stack([of_all_bands(groups, batch)[..., :n_bins] for batch in batches])
 
     def _batch(
         self,
@@ -145,13 +142,13 @@ class RayTracing(Tracer):
         n_bands = alpha.shape[1]
         absorption = np.hstack([alpha, np.tile(alpha[:, -1:], (1, _BANDS - n_bands))])
         walls = []
-        for corners, material in self._walls():
-            row = self.room.material_index(material)
-            walls.append(
+        for face, row in enumerate(self.room.material_rows(self.geometry.materials)):
+            walls += [
                 engine.wall_factory(
                     rotation @ corners.T, absorption[row], np.full(_BANDS, scattering[row]), ""
                 )
-            )
+                for corners in convex_parts(self.geometry, face)
+            ]
         room = engine.Room(walls, fs=_RATE, max_order=-1, ray_tracing=True)
         room.set_sound_speed(self.room.speed_of_sound)
         room.set_ray_tracing(
@@ -172,19 +169,6 @@ class RayTracing(Tracer):
             heard = np.asarray(room.rt_histograms[r][s][0])[:n_bands, : energy.shape[-1]]
             energy[s, r, :, : heard.shape[1]] = heard  # ends with the last ray heard
         return energy / (4 * np.pi)
-
-    def _walls(self) -> list[tuple[Array, str]]:
-        """Return corners and material of each wall: convex faces whole, others as triangles."""
-        geometry, walls = self.geometry, []
-        for i, (face, material) in enumerate(zip(geometry.faces, geometry.materials, strict=True)):
-            corners = geometry.vertices[list(face)]
-            edges = np.roll(corners, -1, axis=0) - corners
-            if (np.cross(edges, np.roll(edges, -1, axis=0)) @ geometry.normals[i] >= 0).all():
-                walls.append((corners, material))
-            else:
-                triangles = geometry.triangles[geometry.triangle_faces == i]
-                walls += [(triangle, material) for triangle in triangles]
-        return walls
 
     def _from_direct_sound(self, fine: Array, direct: Array, per_bin: int) -> Array:
         """Sum fine bins from the direct sound on, as many as every pair has."""

@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 
 from rtcal.acoustics import decay
 from rtcal.acoustics.equations import Eyring
-from rtcal.acoustics.measurement import Measurement
 from rtcal.simulators.base import check_alpha
 from rtcal.simulators.shoebox import ShoeboxSimulator
 from rtcal.support import checks
@@ -160,17 +159,6 @@ class ScatteringDelayNetwork(ShoeboxSimulator):
         for response, network in zip(out, self.networks, strict=True):
             self._render(network, reflection, response)
         return out
-
-    def simulate(self, alpha: Array, *, seed: int = 0) -> Measurement:
-        """Return the parameters of a response by pair; the seed has no effect.
-
-        Raises
-        ------
-        TooShortError
-            If a decay of ``longest`` does not hold T20.
-        """
-        checks.whole("seed", seed, 0)
-        return decay.measurement(*self.decays(alpha), self.centre_frequencies, self.box.pairs)
 
     def decays(self, alpha: Array) -> tuple[Array, float]:
         """Return energy decays that hold T20, or of ``longest``, and the width of their bins in s."""

@@ -5,6 +5,12 @@ images are therefore stored with their hits per wall. For any alpha and band, an
 distance d contributes the energy (Allen & Berkley 1979; energies are added, not pressures)
 
     E = product over walls (1 - alpha)^hits exp(-m d) / (4 pi d²).
+
+The late energy of a shoebox is that of its images' mean over all positions (`mean_energy`). Images
+are evenly spread over space, one in each volume V. So there are c dt / V of them, times
+4 pi (c t)², between t and t + dt, in all directions u, and (Lehmann & Johansson 2008)
+
+    E(t) = c / V mean over u of exp(-c t (sum over axes |u_i| / L_i (-ln(1 - alpha_i)) + m)).
 """
 
 from __future__ import annotations
@@ -147,9 +153,15 @@ class ShoeboxSimulator(RoomSimulator, ABC):
     def _wall_gradients(self, alpha: Array, n_bins: int) -> Iterator[Array]:
         """Yield the derivatives of each pair's decays by alpha of each wall, (6, n_bands, n_bins)."""
 
-    @abstractmethod
     def simulate(self, alpha: Array, *, seed: int = 0) -> Measurement:
-        """Return the simulated measurement for alpha (n_materials, n_bands)."""
+        """Return the parameters of a response for alpha (n_materials, n_bands), by pair.
+
+        The seed has no effect. Raises `TooShortError` if a decay does not hold T20.
+        """
+        checks.whole("seed", seed, 0)
+        return decay.measurement(
+            *self.decays(check_alpha(self, alpha)), self.centre_frequencies, self.box.pairs
+        )
 
 
 def shoebox_of(room: Room, sources: Mapping[str, Point], receivers: Mapping[str, Point]) -> Shoebox:
@@ -340,19 +352,6 @@ class ImageSource(ShoeboxSimulator):
         """Return `energy` and the width of its bins in s."""
         return self.energy(alpha), self.bin_width
 
-    def simulate(self, alpha: Array, *, seed: int = 0) -> Measurement:
-        """Return the parameters of a response by pair; the seed has no effect.
-
-        Raises
-        ------
-        TooShortError
-            If a decay of ``duration`` does not hold T20.
-        """
-        checks.whole("seed", seed, 0)
-        return decay.measurement(
-            self.energy(alpha), self.bin_width, self.centre_frequencies, self.box.pairs
-        )
-
     @property
     def _n_bins(self) -> int:
         return int(np.ceil(self.duration / self.bin_width))
@@ -406,3 +405,58 @@ def lattice(
         coordinates.append(coordinate[order])
         hits.append(np.stack([np.abs(n - u), np.abs(n)], axis=1)[order])
     return coordinates, hits
+
+
+_DIRECTIONS = 300
+
+
+def mean_energy(room: Room, alpha: Array, distances: Array, times: Array) -> Array:
+    """Return the energy per second, (n_distances, n_bands, n_times), in 1/(m² s).
+
+    The source has unit energy: its direct sound is 1 / (4 pi d²).
+
+    Parameters
+    ----------
+    room : Room
+        A shoebox with dimensions.
+    alpha : array (3, n_bands)
+        Coefficients of both walls across each axis, below 1.
+    distances : array (n_distances,)
+        Source-receiver distances in m.
+    times : array (n_times,)
+        In s after the direct sound.
+
+    References
+    ----------
+    E. A. Lehmann, A. M. Johansson: Prediction of energy decay in room impulse responses simulated with
+    an image-source model. J. Acoust. Soc. Am. 124, 2008.
+
+    Examples
+    --------
+    At t = 0 every image counts in full, so that the energy is c / V.
+
+    >>> import numpy as np
+    >>> from rtcal.acoustics.room import Room
+    >>> room = Room(name="box", volume=105, materials=["all"], areas=[142], alpha=[[0.3]],
+    ...             sigma=[[0.1]], centre_frequencies=[1000], dimensions=(5, 7, 3))
+    >>> mean_energy(room, np.full((3, 1), 0.3), np.zeros(1), np.zeros(1)) * 105 / room.speed_of_sound
+    array([[[1.]]])
+    """
+    c = room.speed_of_sound
+    hits = _directions(_DIRECTIONS) / np.array(room.dimensions)
+    lost = hits @ -np.log(1 - alpha) + room.air_attenuation
+    before = np.exp(-np.multiply.outer(distances, lost))
+    # Band by band, since a long decay in all directions and bands would fill the memory.
+    of_bands = [
+        before[:, :, k] @ np.exp(-np.multiply.outer(lost[:, k], c * times))
+        for k in range(lost.shape[1])
+    ]
+    return np.asarray(np.stack(of_bands, axis=1) * (c / (len(hits) * room.volume)))
+
+
+def _directions(n: int) -> Array:
+    """Return unit vectors (n, 3), spread evenly over an octant by the golden ratio."""
+    i = np.arange(n) + 0.5
+    z, azimuth = i / n, np.pi / 2 * (i * (1 + np.sqrt(5)) / 2 % 1)
+    across = np.sqrt(1 - z**2)
+    return np.stack([across * np.cos(azimuth), across * np.sin(azimuth), z], axis=1)

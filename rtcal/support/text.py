@@ -266,6 +266,10 @@ def look_alike(names: Iterable[str]) -> tuple[str, str] | None:
 LOOKS = "which only upper case, blanks or the width of characters keep apart"
 
 
+_OBEYED = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069\ud800-\udfff]")
+"""What a terminal may interpret: C0 and C1 controls, marks of direction, lone surrogates."""
+
+
 def printable(text: str) -> str:
     r"""Return a text with escaped control characters, which no terminal interprets.
 
@@ -276,23 +280,7 @@ def printable(text: str) -> str:
     >>> printable("wall\x1b[2J")
     'wall\\x1b[2J'
     """
-    return "".join(c if c in "\n\t" or not _obeyed(c) else _written_out(c) for c in text)
-
-
-def _obeyed(character: str) -> bool:
-    """Whether a terminal may interpret it: C0 and C1 controls, marks of direction, lone surrogates."""
-    code = ord(character)
-    return (
-        code < 0x20
-        or 0x7F <= code < 0xA0
-        or 0x202A <= code <= 0x202E
-        or 0x2066 <= code <= 0x2069
-        or 0xD800 <= code <= 0xDFFF
-    )
-
-
-def _written_out(character: str) -> str:
-    return character.encode("unicode_escape").decode("ascii")
+    return _OBEYED.sub(lambda found: found[0].encode("unicode_escape").decode("ascii"), text)
 
 
 # Orange and blue of Okabe and Ito's palette (jfly.uni-koeln.de/color, 2008), which readers with any

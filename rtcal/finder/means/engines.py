@@ -21,10 +21,9 @@ from rtcal.finder.case import Case
 from rtcal.finder.model import FEATURES, RoomState, predict
 from rtcal.finder.prior import by_name
 from rtcal.simulators.geometry import SHOEBOX_WALLS, Polyhedron
-from rtcal.simulators.late_images import mean_energy
 from rtcal.simulators.path_tracing import PathTracing
 from rtcal.simulators.ray_tracing import RayTracing
-from rtcal.simulators.shoebox import ImageSource
+from rtcal.simulators.shoebox import ImageSource, mean_energy
 from rtcal.simulators.tracer import LONGEST, ScatteringModel, Tracer
 from rtcal.support import checks
 from rtcal.support.errors import DataError
