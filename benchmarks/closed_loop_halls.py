@@ -27,6 +27,7 @@ from rtcal.datasets import halls
 from rtcal.loop.calibrate import calibrate_simulator
 from rtcal.simulators.path_tracing import PathTracing
 from rtcal.simulators.ray_tracing import RayTracing
+from rtcal.support.schema import Point
 
 
 @dataclass(frozen=True)
@@ -59,7 +60,7 @@ COLUMNS = (
 )
 
 
-def moved(points: dict[str, halls.Point], rng: np.random.Generator) -> dict[str, halls.Point]:
+def moved(points: dict[str, Point], rng: np.random.Generator) -> dict[str, Point]:
     """Each point half a metre to the side."""
     found = {}
     for name, (x, y, z) in points.items():
@@ -68,7 +69,7 @@ def moved(points: dict[str, halls.Point], rng: np.random.Generator) -> dict[str,
     return found
 
 
-def only(measured: rt.Measurement, receivers: dict[str, halls.Point]) -> rt.Measurement:
+def only(measured: rt.Measurement, receivers: dict[str, Point]) -> rt.Measurement:
     """The measurement at some receivers."""
     rows = [i for i, (_, r) in enumerate(measured.pairs) if r in receivers]
     return rt.Measurement(
@@ -107,7 +108,7 @@ def prior(hall: halls.Hall, case: Case) -> rt.Room:
     return hall.room.replace(sigma=RELATIVE_SIGMA * hall.room.alpha) if case.relative else hall.room
 
 
-def chosen(hall: halls.Hall, case: Case) -> dict[str, halls.Point]:
+def chosen(hall: halls.Hall, case: Case) -> dict[str, Point]:
     """The sources that sound."""
     return dict(list(hall.sources.items())[: case.n_sources])
 
@@ -127,7 +128,7 @@ def run(name: str, case: Case, trial: int) -> Trial:
     hall = getattr(halls, name)()
     room = prior(hall, case)
 
-    def tracer(receivers: dict[str, halls.Point], n_paths: int) -> PathTracing:
+    def tracer(receivers: dict[str, Point], n_paths: int) -> PathTracing:
         return PathTracing(
             geometry=hall.geometry,
             room=room,

@@ -20,10 +20,10 @@ from rtcal.loop import Loop, start
 from rtcal.report import words
 from rtcal.studies.runner import ScoreMoments, _open, _Store
 from rtcal.support import files
-from rtcal.support.checks import json_object
 from rtcal.support.errors import DataError
 from rtcal.support.files import read_text
 from rtcal.support.saved import MAX_BYTES, plain, restored
+from rtcal.support.schema import json_object
 from tests.test_discrepancy import opened
 
 _ROOM, _MEASURED = rt.datasets.bras_cr2()

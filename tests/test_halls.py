@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from rtcal.datasets import halls
-from rtcal.support.errors import DataError
 
 HALLS = (halls.lecture_hall, halls.hard_hall, halls.theatre, halls.corridor)
 
@@ -36,13 +35,3 @@ def test_the_theatre_has_thirty_materials_and_uneven_absorption():
     room = halls.theatre().room
     assert room.n_materials == 30
     assert room.alpha[:, 3].max() > 10 * room.alpha[:, 3].min()
-
-
-def test_boxes_add_subtract_and_need_paint():
-    box = ((0.0, 2.0), (0.0, 2.0), (0.0, 2.0))
-    cut = ((1.0, 2.0), (0.0, 1.0), (0.0, 3.3 - 1.3))  # a rounding away from 2
-    room = halls.polyhedron([box], [cut], [("wall", "a", box), ("cut", "b", cut)])
-    assert room.volume == pytest.approx(6)
-    assert room.areas == pytest.approx({"a": 18, "b": 4})
-    with pytest.raises(DataError, match="no paint"):
-        halls.polyhedron([box], [], [("floor", "a", ((0, 2), (0, 2), (0, 0)))])

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 import rtcal as rt
-from rtcal.datasets.halls import polyhedron
 from rtcal.modes import modes_of
 from rtcal.modes.rigid_walls import box_modes, fill
 from rtcal.simulators.geometry import SHOEBOX_WALLS, Polyhedron
 from rtcal.support.errors import DataError, ModelError
+from tests.boxes import polyhedron
 from tests.test_modes import TRUTH
 
 pytest.importorskip("skfem")

@@ -60,9 +60,11 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+import msgspec
 import numpy as np
 
 from rtcal.acoustics import room_files
+from rtcal.acoustics.air import Air
 from rtcal.acoustics.changes import (
     MOST_ADDED,
     OPENING,
@@ -77,15 +79,81 @@ from rtcal.acoustics.changes import (
 )
 from rtcal.acoustics.materials import Material
 from rtcal.acoustics.room import Room
-from rtcal.acoustics.targets import Target, target_of
+from rtcal.acoustics.targets import Target, TargetTable, target_of
 from rtcal.support import checks
-from rtcal.support.checks import Entries, toml_table
 from rtcal.support.errors import DataError
+from rtcal.support.schema import Table, read, toml_table
 
 Catalogue = Callable[[str, Any], Material]
 """Returns the catalogue's material of a name for centre frequencies in Hz."""
-_KINDS = ("cover", "add", "remove", "open", "air", "volume")
-_MATERIAL = ("alpha", "sigma", "catalogue", "source")
+_TAKES = {
+    "cover": ("by", "area"),
+    "add": ("area",),
+    "remove": ("area",),
+    "open": ("area",),
+    "air": (),
+    "volume": (),
+}
+"""Kinds of change in a file, and the further keys that each may have."""
+
+
+class NewMaterial(Table):
+    """A material that is not in the room: alpha and sigma, or a name in the catalogue."""
+
+    name: str
+    alpha: list[float] | None = None
+    sigma: room_files.StatedSigma | None = None
+    catalogue: str | None = None
+    source: str = ""
+
+
+class ChangeTable(Table):
+    """A change: one of the keys of `_TAKES`, and what belongs to it."""
+
+    cover: str | None = None
+    by: str | None = None
+    add: str | None = None
+    remove: str | None = None
+    open: str | None = None
+    area: float | None = None
+    air: room_files.AirTable | None = None
+    volume: float | None = None
+
+
+class VariantTable(Table):
+    """A variant; its name is that of its changes if it states none."""
+
+    change: list[ChangeTable]
+    name: str = ""
+    cost: float | None = None
+
+
+class VariantsFile(Table):
+    """A file of variants."""
+
+    variant: list[VariantTable] = []
+    material: list[NewMaterial] = []
+    target: TargetTable | None = None
+
+
+class TreatmentTable(Table):
+    """A treatment, with the fields of `Treatment`."""
+
+    name: str
+    material: str
+    largest: float
+    cost: float
+    covers: str | None = None
+    unit: float | None = None
+
+
+class TreatmentsFile(Table):
+    """A file of treatments."""
+
+    treatment: list[TreatmentTable]
+    target: TargetTable
+    material: list[NewMaterial] = []
+    probability: float = 0.8
 
 
 @dataclass(frozen=True)
@@ -141,22 +209,15 @@ def read_variants(
     >>> print(variants[0].changes[0])
     open 2 m² of "windows"
     """
-    file = Entries("", toml_table(content), ("variant",), ("material", "target"))
-    new = new_materials(file, room, catalogue)
+    file = read(VariantsFile, toml_table(content))
+    new = new_materials(file.material, room, catalogue)
     variants: list[Variant] = []
-    for place, table in tables(file, "variant"):
-        entry = Entries(f"{place}: ", table, ("change",), ("name", "cost"))
-        made = tuple(
-            _change(f"{place}, {where}", each, room, new) for where, each in tables(entry, "change")
-        )
+    for i, table in enumerate(file.variant, start=1):
+        place = f'variant "{table.name}"' if table.name else f"variant {i}"
         try:
+            made = tuple(_change(change, room, new) for change in table.change)
             changed(room, made)
-        except DataError as error:
-            raise DataError(f"{place}, {error}") from error
-        name = entry.text("name", "; ".join(map(str, made)))
-        cost = entry.number("cost") if "cost" in entry else None
-        try:
-            variants.append(Variant(name, made, cost))
+            variants.append(Variant(table.name or "; ".join(map(str, made)), made, table.cost))
         except DataError as error:
             raise DataError(f"{place}: {error}") from error
     if not variants:
@@ -174,93 +235,77 @@ def refuse_repeated_names(variants: Sequence[Variant]) -> None:
 
 def read_target(content: str, room: Room) -> Target | None:
     """Return the target of a TOML text of variants; None if it states none. Raises as `target_of`."""
-    file = Entries("", toml_table(content), (), ("variant", "material", "target"))
-    if "target" not in file:
-        return None
-    return stated_target(file, room)
+    stated = read(VariantsFile, toml_table(content)).target
+    return stated and target_of(stated, room.volume, room.centre_frequencies)
 
 
-def stated_target(file: Entries, room: Room) -> Target:
-    """Return the target that a file states in its table."""
-    return target_of(
-        file.entries("target", (), ("standard", "group", "low", "high")),
-        room.volume,
-        room.centre_frequencies,
-    )
-
-
-def tables(file: Entries, key: str) -> list[tuple[str, Mapping[str, Any]]]:
-    """Return each ``[[key]]`` with its place in messages."""
-    return [(f"[[{key}]] {i + 1}", table) for i, table in enumerate(file.listed(key, []))]
-
-
-def new_materials(file: Entries, room: Room, catalogue: Catalogue | None) -> dict[str, Material]:
+def new_materials(
+    tables: Sequence[NewMaterial], room: Room, catalogue: Catalogue | None
+) -> dict[str, Material]:
     """Return the materials that a file states, by name; DataError for a name given twice."""
     new: dict[str, Material] = {}
-    for place, table in tables(file, "material"):
-        material = new_material(place, table, room, catalogue)
-        if material.name in new:
-            raise DataError(f'material "{material.name}" is given twice')
-        new[material.name] = material
+    for table in tables:
+        if table.name in new:
+            raise DataError(f'material "{table.name}" is given twice')
+        new[table.name] = _new_material(table, room, catalogue)
     return new
 
 
-def material_name(entry: Entries, key: str, room: Room, new: Mapping[str, Material]) -> str:
+def _material_name(key: str, name: str, room: Room, new: Mapping[str, Material]) -> str:
     """Return the material that a file names; DataError if neither room nor file has it."""
-    name = entry.text(key)
     if name not in (*room.materials, *new, OPENING):
         raise DataError(
-            f'{entry.place}{key} = "{name}" is no material; the room has {", ".join(room.materials)}; '
+            f'{key} = "{name}" is no material; the room has {", ".join(room.materials)}; '
             f"the file has {', '.join(new) or 'none'}"
         )
     return name
 
 
-def new_material(
-    place: str, table: Any, room: Room, catalogue: Catalogue | None, more: tuple[str, ...] = ()
-) -> Material:
-    """Return a material of a file; ``more`` are further keys of its table."""
-    entry = Entries(f"{place}: ", table, ("name",), (*_MATERIAL, *more))
-    name = entry.text("name")
-    if "catalogue" in entry:
-        if catalogue is None:
-            raise DataError(f'{place}: no catalogue to look "{entry.text("catalogue")}" up in')
-        if both := [key for key in ("alpha", "sigma") if key in entry]:
-            raise DataError(f"{place}: catalogue and {both[0]} are both stated; a material has one")
-        try:
-            found = catalogue(entry.text("catalogue"), room.centre_frequencies)
-        except DataError as error:
-            raise DataError(f"{place}: {error}") from error
-        return Material(name, found.alpha, found.sigma, source=found.source)
-    own = {key: table[key] for key in ("name", "alpha", "sigma", "source") if key in table}
-    return room_files.material(place, own, room.centre_frequencies, None)
+def _new_material(table: NewMaterial, room: Room, catalogue: Catalogue | None) -> Material:
+    place = f'material "{table.name}"'
+    if table.catalogue is None:
+        stated = {"name": table.name, "alpha": table.alpha, "sigma": table.sigma}
+        own = read(room_files.MaterialTable, {**stated, "source": table.source}, f"{place}:")
+        made = room_files.material(own, room.centre_frequencies, None)
+        for key in ("alpha", "sigma"):
+            if (n := len(getattr(made, key))) != room.n_bands:
+                raise DataError(f"{place}: {key} has {n} values; the room has {room.n_bands} bands")
+        return made
+    if catalogue is None:
+        raise DataError(f'{place}: no catalogue to look "{table.catalogue}" up in')
+    if both := [key for key in ("alpha", "sigma") if getattr(table, key) is not None]:
+        raise DataError(f"{place}: catalogue and {both[0]} are both stated; a material has one")
+    try:
+        found = catalogue(table.catalogue, room.centre_frequencies)
+    except DataError as error:
+        raise DataError(f"{place}: {error}") from error
+    return Material(table.name, found.alpha, found.sigma, source=found.source)
 
 
-def _change(place: str, table: Any, room: Room, new: Mapping[str, Material]) -> Change:
-    entry = Entries(f"{place}: ", table, (), (*_KINDS, "by", "area"))
-    kinds = [kind for kind in _KINDS if kind in entry]
+def _change(table: ChangeTable, room: Room, new: Mapping[str, Material]) -> Change:
+    stated = {k: v for k, v in msgspec.structs.asdict(table).items() if v is not None}
+    kinds = [kind for kind in _TAKES if kind in stated]
     if len(kinds) != 1:
-        raise DataError(f"{place} has {len(kinds)} of {', '.join(_KINDS)}; a change is one of them")
-    kind = kinds[0]
-    takes = {"cover": ("by", "area"), "add": ("area",), "remove": ("area",), "open": ("area",)}
-    Entries(f"{place}: ", table, (kind,), takes.get(kind, ()))
+        raise DataError(f"a change has {len(kinds)} of {', '.join(_TAKES)}; it is one of them")
+    (kind,) = kinds
+    if extra := [key for key in stated if key not in (kind, *_TAKES[kind])]:
+        raise DataError(f"{kind} has {extra[0]}, which has no meaning there")
     if kind == "air":
-        air = room_files.air(f"{place}: air", table["air"])
-        if air is None:
-            raise DataError(f"{place}: air is empty")
-        return Climate(air)
+        return Climate(room_files.air(table.air) or Air())
     if kind == "volume":
-        return NewVolume(entry.number("volume"))
-    surface = material_name(entry, kind, room, new)
-    area = entry.number("area") if "area" in entry else None
-    if kind == "cover":
-        by = material_name(entry, "by", room, new)
-        return Cover(surface, new.get(by, by), area)
+        return NewVolume(stated["volume"])
+    surface = _material_name(kind, stated[kind], room, new)
     if kind == "remove":
-        return Remove(surface, area)
+        return Remove(surface, table.area)
     if kind == "open":
-        return Open(surface, area)
-    return Add(new.get(surface, surface), entry.number("area"))
+        return Open(surface, table.area)
+    needed = "by" if kind == "cover" else "area"
+    if needed not in stated:
+        raise DataError(f"{kind} lacks {needed}")
+    if kind == "add":
+        return Add(new.get(surface, surface), stated["area"])
+    by = _material_name("by", stated["by"], room, new)
+    return Cover(surface, new.get(by, by), table.area)
 
 
 LEAST = 0.8
@@ -362,26 +407,18 @@ def read_treatments(
     >>> treatments[0].covers, target.high[2], probability
     ('plaster', np.float64(0.6), 0.8)
     """
-    file = Entries("", toml_table(content), ("treatment", "target"), ("material", "probability"))
-    target = stated_target(file, room)
-    new = new_materials(file, room, catalogue)
+    file = read(TreatmentsFile, toml_table(content))
+    new = new_materials(file.material, room, catalogue)
     treatments = []
-    for place, table in tables(file, "treatment"):
-        entry = Entries(
-            f"{place}: ", table, ("name", "material", "largest", "cost"), ("covers", "unit")
-        )
-        named = material_name(entry, "material", room, new)
-        treatments.append(
-            Treatment(
-                name=entry.text("name"),
-                material=new.get(named, named),
-                largest=entry.number("largest"),
-                cost=entry.number("cost"),
-                covers=material_name(entry, "covers", room, {}) if "covers" in entry else None,
-                unit=entry.number("unit") if "unit" in entry else None,
-            )
-        )
-    return tuple(treatments), target, file.number("probability", LEAST)
+    for table in file.treatment:
+        place = f'treatment "{table.name}": '
+        named = _material_name(f"{place}material", table.material, room, new)
+        if table.covers is not None:
+            _material_name(f"{place}covers", table.covers, room, {})
+        stated = msgspec.structs.asdict(table)
+        treatments.append(Treatment(**{**stated, "material": new.get(named, named)}))
+    target = target_of(file.target, room.volume, room.centre_frequencies)
+    return tuple(treatments), target, file.probability
 
 
 def check_treatments(treatments: Sequence[Treatment], room: Room) -> tuple[Treatment, ...]:

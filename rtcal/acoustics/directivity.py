@@ -7,13 +7,14 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
+import msgspec
 import numpy as np
 from numpy.typing import ArrayLike
 
 from rtcal.acoustics.materials import text_name
 from rtcal.support import checks
-from rtcal.support.checks import Entries
 from rtcal.support.errors import DataError
+from rtcal.support.schema import Point, Table
 from rtcal.support.types import Array, read_only
 
 LARGEST_INDEX = 25.0
@@ -169,28 +170,6 @@ class Directivity:
             return {"index": self.index.tolist(), "aim": list(self.aim)}
         return {"gains": self.gains.tolist(), "aim": list(self.aim), "up": list(self.up)}
 
-    @classmethod
-    def from_dict(cls, data: Any, place: str = "directivity") -> Directivity:
-        """Return the directivity of a table as `to_dict` gives it; DataError begins with ``place``."""
-        balloon = isinstance(data, dict) and "gains" in data
-        entries = Entries(
-            f"{place}.", data, ("gains" if balloon else "index", "aim"), ("up",) if balloon else ()
-        )
-        stated: dict[str, Any] = {
-            key: entries.array(key, (3,)).tolist() for key in ("aim", "up") if key in entries.values
-        }
-        if balloon:
-            stated["gains"] = entries.array("gains", (None, None, None))
-        else:
-            per_band = isinstance(entries.values["index"], list | tuple)
-            stated["index"] = (
-                entries.array("index", (None,)) if per_band else entries.number("index")
-            )
-        try:
-            return cls(**stated)
-        except DataError as error:
-            raise DataError(f"{place}.{error}") from None
-
 
 @dataclass(frozen=True, kw_only=True)
 class DirectivityFile:
@@ -222,16 +201,6 @@ class DirectivityFile:
         """Return plain values, as a room's file states them."""
         up = {} if self.up == UPWARDS else {"up": list(self.up)}
         return {"file": self.file, "aim": list(self.aim), **up}
-
-    @classmethod
-    def from_dict(cls, data: Any, place: str = "directivity") -> DirectivityFile:
-        """Return what a table states; DataError begins with ``place``."""
-        entries = Entries(f"{place}.", data, ("file", "aim"), ("up",))
-        stated = {k: entries.array(k, (3,)).tolist() for k in ("aim", "up") if k in entries.values}
-        try:
-            return cls(file=entries.text("file"), **stated)
-        except DataError as error:
-            raise DataError(f"{place}.{error}") from None
 
 
 def direction(name: str, stated: Any) -> tuple[float, float, float]:
@@ -299,10 +268,30 @@ def directivities(
     return made
 
 
-def directivity_of_table(table: Any, place: str) -> Directivity | DirectivityFile:
-    """Return the directivity of a table in a room's file; DataError, which begins with ``place``."""
-    named = isinstance(table, dict) and "file" in table
-    return (DirectivityFile if named else Directivity).from_dict(table, place)
+class Lobe(Table):
+    """A source's directivity in a room's file, of which one of index, gains and file is stated."""
+
+    aim: Point
+    index: float | list[float] | None = None
+    gains: list[list[list[float]]] | None = None
+    file: str | None = None
+    up: Point | None = None
+
+
+def directivity_of(table: Lobe | str, place: str) -> StatedDirectivity:
+    """Return the directivity that a file states; DataError, which begins with ``place``, for none."""
+    if not isinstance(table, Lobe):
+        return UNKNOWN
+    stated = {k: v for k, v in msgspec.structs.asdict(table).items() if v is not None}
+    kinds = [key for key in ("index", "gains", "file") if key in stated]
+    if len(kinds) != 1:
+        raise DataError(f"{place} states {len(kinds)} of index, gains and file; it has one of them")
+    if kinds == ["index"] and table.up:
+        raise DataError(f"{place}.up is of a balloon, and an index has none")
+    try:
+        return DirectivityFile(**stated) if table.file is not None else Directivity(**stated)
+    except DataError as error:
+        raise DataError(f"{place}.{error}") from None
 
 
 def plain_directivities(stated: Mapping[str, Any]) -> dict[str, Any]:

@@ -6,10 +6,12 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
+import msgspec
 import numpy as np
 
 from rtcal.acoustics import bands, measurement_files, repeats
 from rtcal.acoustics.materials import text_name
+from rtcal.acoustics.measurement_files import MeasurementData
 from rtcal.acoustics.observables import (
     OBSERVABLES,
     REVERBERATION,
@@ -21,6 +23,7 @@ from rtcal.acoustics.observables import (
 from rtcal.support import checks, text
 from rtcal.support.errors import DataError
 from rtcal.support.files import write_text
+from rtcal.support.schema import read
 from rtcal.support.types import Array
 
 MAX_POSITIONS = 12
@@ -427,7 +430,7 @@ class Measurement:
 
         Raises DataError for an unknown key, for a value that is no number, and as `Measurement` does.
         """
-        return cls(**measurement_files.attributes(data))
+        return cls(**msgspec.structs.asdict(read(MeasurementData, data)))
 
     @classmethod
     def from_file(cls, path: str) -> Measurement:

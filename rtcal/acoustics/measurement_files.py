@@ -28,9 +28,9 @@ import numpy as np
 from rtcal.acoustics import bands
 from rtcal.acoustics.observables import OBSERVABLES, SUMMARY, parameter_label
 from rtcal.support import checks
-from rtcal.support.checks import Entries
 from rtcal.support.errors import DataError
 from rtcal.support.files import json_numbers, read_text
+from rtcal.support.schema import Table
 from rtcal.support.types import Array
 
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d{1,3})?", re.ASCII)
@@ -43,15 +43,23 @@ _OPTIONAL_COLUMNS = (
     "receivers",
 )
 
-OPTIONAL = (
-    "pairs",
-    "uncertainty",
-    "common_uncertainty",
-    "standard_deviation",
-    "n_sources",
-    "n_receivers",
-)
-"""Keys of a saved measurement that may be absent."""
+Rows = list[list[float | None]]
+PerBand = list[float | None]
+
+
+class MeasurementData(Table):
+    """A measurement as plain values, as `rtcal.Measurement.to_dict` returns them; None is missing."""
+
+    centre_frequencies: list[float]
+    values: dict[str, Rows]
+    pairs: tuple[tuple[str, str], ...] = ((SUMMARY, SUMMARY),)
+    uncertainty: dict[str, Rows] = {}
+    common_uncertainty: dict[str, PerBand] = {}
+    standard_deviation: dict[str, PerBand] = {}
+    n_sources: int | None = None
+    n_receivers: int | None = None
+
+
 MAX_BYTES = 2**21
 MAX_CELLS = 2**20
 """Largest number of values in a file, pairs times bands times parameters; most may be empty."""
@@ -227,34 +235,6 @@ def _count(stated: set[float], name: str) -> int | None:
     if count != int(count) or count < 1:
         raise DataError(f"column {name} = {count:g} is not a whole number above 0")
     return int(count)
-
-
-def attributes(data: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the arguments of `Measurement` from the dict that `read` and `plain` return.
-
-    Raises DataError for an unknown key, and for a value that is no number.
-    """
-    entries = Entries("", data, ("centre_frequencies", "values"), OPTIONAL)
-    frequencies = entries.array("centre_frequencies", (None,))
-    shape = (None, len(frequencies))
-
-    def arrays(name: str, shape: tuple[int | None, ...]) -> dict[str, Array]:
-        if name not in entries:
-            return {}
-        parameters = entries.mapping(name)
-        table = Entries(f"{name}.", parameters, (), OBSERVABLES)
-        return {p: table.array(p, shape, missing=True) for p in parameters}
-
-    return {
-        "centre_frequencies": frequencies,
-        "pairs": [tuple(p) for p in entries.listed("pairs", [(SUMMARY, SUMMARY)])],
-        "values": arrays("values", shape),
-        "uncertainty": arrays("uncertainty", shape),
-        "common_uncertainty": arrays("common_uncertainty", shape[1:]),
-        "standard_deviation": arrays("standard_deviation", shape[1:]),
-        "n_sources": data.get("n_sources"),
-        "n_receivers": data.get("n_receivers"),
-    }
 
 
 def plain(measurement: Any) -> dict[str, Any]:

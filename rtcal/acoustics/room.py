@@ -31,11 +31,11 @@ from rtcal.acoustics.materials import (
     stacked,
     text_name,
 )
-from rtcal.acoustics.room_files import toml_text
 from rtcal.acoustics.scene import Scene
 from rtcal.support import checks, text
 from rtcal.support.errors import DataError
 from rtcal.support.files import read_text, write_text
+from rtcal.support.schema import read
 from rtcal.support.text import LOOKS, look_alike, shortened
 from rtcal.support.types import Array, read_only
 
@@ -570,7 +570,7 @@ class Room:
         Raises DataError, which begins with ``place``, for an unknown key, for a value of the wrong
         kind, and as `Room` does.
         """
-        return cls(**room_files.attributes(data, place))
+        return cls(**room_files.of_plain(read(room_files.PlainRoom, data, place)))
 
     @classmethod
     def from_file(cls, path: str) -> Room:
@@ -582,7 +582,7 @@ class Room:
     def from_text(cls, text: str, place: str) -> Room:
         """Return the room of a TOML text; messages begin with ``place``."""
         try:
-            return cls(**room_files.attributes(room_files.parse(text)))
+            return cls(**room_files.of_text(text))
         except DataError as error:
             raise DataError(f"{place}: {error}") from error
 
@@ -592,7 +592,7 @@ class Room:
         The scene's mesh is named as seen from ``folder``, if that is given.
         """
         room = self if folder is None else self.replace(scene=self.scene.seen_from(folder))
-        return toml_text(room.to_dict())
+        return room_files.text_of(room)
 
     def save(self, path: str) -> None:
         """Write the room to TOML, whole or not at all."""

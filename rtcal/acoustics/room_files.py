@@ -68,262 +68,244 @@ One ``[[material]]`` per material::
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
-from dataclasses import fields
-from typing import Any
+from typing import Annotated, Any, Literal
 
+import msgspec
 import numpy as np
 
 from rtcal.acoustics import bands
 from rtcal.acoustics.air import Air
+from rtcal.acoustics.directivity import Lobe
 from rtcal.acoustics.materials import CalibrationRecord, Material, Surface, stacked
 from rtcal.acoustics.priors import TIERS, in_situ, sigma_iso_12999_2, sigma_relative
-from rtcal.acoustics.scene import TABLES, Scene, listed, quoted, scene_lines
-from rtcal.support import checks
-from rtcal.support.checks import Entries, toml_table
+from rtcal.acoustics.scene import GeometryTable, Places, Scene, SceneTables
 from rtcal.support.errors import DataError
 from rtcal.support.files import json_numbers
+from rtcal.support.schema import Share, Table, read, toml_table, toml_text
 from rtcal.support.types import Array
 
 MAX_BYTES = 2**18
 """Largest size of a room's file in bytes: thirty times a usual one."""
-MAX_ENTRIES = {"material": 500, "surface": 5000, "correlation": 5000}
 
-_AIR = tuple(f.name for f in fields(Air))
-_RECORD = ("method", "equation", "measured")
-_RECORD_OPTIONAL = ("solver", "version")
-_MATERIAL = ("area", "sigma", "alpha_min", "scattering", "source", "area_sigma")
+PerBand = float | list[float]
+StatedSigma = PerBand | Literal["low", "moderate", "high"]
+"""A sigma, or a degree of uncertainty of `TIERS`."""
 RELATIVE = ("volume_sigma", "common_area_sigma", "common_alpha_sigma")
-_PRIOR = ("relative", "minimum", "iso_12999_2", "in_situ_factor", "band_correlation")
-_FILE = (
-    "name",
-    "author",
-    "scattering_model",
-    "air",
-    "dimensions",
-    "calibration",
-    "above_one",
-    "clipped",
-    *RELATIVE,
-    "climate_sigma",
-)
-"""Optional keys that the file and the dict have in common."""
-_TABLES = (*TABLES, "area_sigma", "prior", "material", "surface", "correlation")
-_NEEDED = ("volume", "materials", "areas", "alpha", "sigma", "centre_frequencies")
-_OPTIONAL = (
-    *_FILE,
-    "alpha_min",
-    "scattering",
-    "surfaces",
-    "sources",
-    "scene",
-    "band_correlation",
-    "material_correlation",
-    "area_sigma",
-)
-_PRIOR_LIMITS = (0.0, np.finfo(float).max)
 
 
-def attributes(data: Mapping[str, Any], place: str = "") -> dict[str, Any]:
-    """Return the arguments of `Room` from the dict that `parse` and `Room.to_dict` return.
+class AirTable(Table):
+    """Temperature in °C, relative humidity in % and pressure in kPa, as of `Air`."""
 
-    Raises DataError, which begins with ``place``, for an unknown key or a value of the wrong kind.
-    """
-    place = f"{place}: " if checks.text("place", place) else ""
-    room = Entries(place, data, _NEEDED, _OPTIONAL)
-    materials = room.texts("materials")
-    frequencies = room.array("centre_frequencies", (None,))
-    shape = (len(materials), len(frequencies))
-    arguments: dict[str, Any] = {
-        "name": room.text("name", "room"),
-        "author": room.text("author", ""),
-        "scattering_model": room.text("scattering_model", "random"),
-        "scene": Scene.from_dict(data.get("scene", {}), f"{place}: scene" if place else ""),
-        "volume": room.number("volume"),
-        "materials": materials,
-        "areas": room.array("areas", shape[:1]),
-        "centre_frequencies": frequencies,
-        "band_correlation": room.number("band_correlation", 0.0),
-        "clipped": tuple(room.texts("clipped", [])),
-        "above_one": room.text("above_one", "refuse"),
-        "sources": room.mapping("sources", {}),
-        "material_correlation": dict(
-            _correlation(f"{room.place}material_correlation[{i}]", each)
-            for i, each in enumerate(room.listed("material_correlation", []))
-        ),
-        "surfaces": [
-            _surface(f"{room.place}surfaces[{i}]", each)
-            for i, each in enumerate(room.listed("surfaces", []))
-        ],
+    temperature: float = 20.0
+    humidity: float = 50.0
+    pressure: float = 101.325
+
+
+class Prior(Table):
+    """The rule for the sigma of materials that state none."""
+
+    relative: Share = 0.0
+    minimum: Share = 0.0
+    iso_12999_2: bool = False
+    in_situ_factor: float = 1.0
+    band_correlation: float = 0.0
+
+
+class MaterialTable(Table):
+    """A ``[[material]]``."""
+
+    name: str
+    alpha: list[float]
+    area: float | None = None
+    sigma: StatedSigma | None = None
+    alpha_min: PerBand = 0.0
+    scattering: PerBand | None = None
+    source: str = ""
+    area_sigma: float | str | None = None
+
+
+class SurfaceTable(Table):
+    """A surface; its name in a file without one is its number."""
+
+    material: str
+    area: float
+    name: str = ""
+    axis: str | None = None
+
+
+class Correlation(Table):
+    """The correlation of two materials' errors in the same band."""
+
+    materials: tuple[str, str]
+    value: float
+
+
+class Record(Table):
+    """The calibration of a calibrated room; see `CalibrationRecord`."""
+
+    method: str
+    equation: str
+    measured: str
+    solver: str = ""
+    version: str = ""
+
+
+class _Common(Table, kw_only=True):
+    """What a room's file and its plain values state alike."""
+
+    volume: float
+    centre_frequencies: list[float]
+    name: str = "room"
+    author: str = ""
+    scattering_model: str = "random"
+    air: AirTable | None = None
+    dimensions: list[float] | None = None
+    calibration: Record | None = None
+    above_one: str = "refuse"
+    clipped: tuple[str, ...] = ()
+    volume_sigma: float = 0.0
+    common_area_sigma: float = 0.0
+    common_alpha_sigma: float = 0.0
+    climate_sigma: tuple[float, float] = (0.0, 0.0)
+
+
+class RoomFile(_Common):
+    """A room's file; its scene's tables are those of `SceneTables`."""
+
+    geometry: GeometryTable = GeometryTable()
+    sources: Places | None = None
+    receivers: Places | None = None
+    directivity: dict[str, Lobe | Literal["unknown"]] = {}
+    material: Annotated[list[MaterialTable], msgspec.Meta(max_length=500)] = []
+    surface: Annotated[list[SurfaceTable], msgspec.Meta(max_length=5000)] = []
+    correlation: Annotated[list[Correlation], msgspec.Meta(max_length=5000)] = []
+    prior: Prior | None = None
+    area_sigma: float | str | dict[str, float | str] = 0.0
+
+
+class RoomData(_Common, kw_only=True):
+    """A room as plain values, as `rtcal.Room.to_dict` returns them."""
+
+    materials: list[str]
+    areas: list[float]
+    alpha: list[list[float]]
+    sigma: list[list[float]]
+    alpha_min: list[list[float]] | None = None
+    scattering: list[list[float]] | None = None
+    surfaces: list[SurfaceTable] = []
+    sources: dict[str, str] = {}
+    scene: SceneTables = SceneTables()
+    band_correlation: float = 0.0
+    material_correlation: list[Correlation] = []
+    area_sigma: float | str | list[float | str] | dict[str, float | str] = 0.0
+
+
+def air(table: AirTable | None) -> Air | None:
+    """Return the air of a table; None for None."""
+    return None if table is None else Air(**msgspec.structs.asdict(table))
+
+
+def _common(file: _Common) -> dict[str, Any]:
+    """Return the arguments of `Room` that a file and plain values state alike."""
+    record = file.calibration
+    return {
+        **{field: getattr(file, field) for field in _Common.__struct_fields__},
+        "air": air(file.air),
+        "calibration": record and CalibrationRecord(**msgspec.structs.asdict(record)),
     }
-    for name in ("alpha", "sigma", "alpha_min", "scattering"):
-        if name in room or name in _NEEDED:
-            arguments[name] = room.array(name, shape)
-    for name in RELATIVE:
-        arguments[name] = room.number(name, 0.0)
-    arguments["area_sigma"] = data.get("area_sigma", 0.0)
-    arguments["climate_sigma"] = data.get("climate_sigma", (0.0, 0.0))
-    if "dimensions" in room:
-        arguments["dimensions"] = tuple(_dimensions(room).tolist())
-    if "air" in room:
-        arguments["air"] = air(f"{room.place}air", data["air"])
-    if "calibration" in room:
-        record = room.entries("calibration", _RECORD, _RECORD_OPTIONAL)
-        texts = {key: record.text(key) for key in record.values}
-        arguments["calibration"] = CalibrationRecord(**texts)
-    return arguments
 
 
-def air(place: str, data: Any) -> Air | None:
-    """Return the air of temperature, humidity and pressure, or None for None."""
-    if data is None:
-        return None
-    entries = Entries(f"{place}.", data, (), _AIR)
-    return Air(**{key: entries.number(key) for key in data})
+def _surfaces(tables: list[SurfaceTable]) -> list[Surface]:
+    return [
+        Surface(s.name or f"surface {i}", s.material, s.area, s.axis)
+        for i, s in enumerate(tables, start=1)
+    ]
 
 
-def parse(text: str) -> dict[str, Any]:
-    """Return a TOML text as `Room.to_dict` would; DataError names place, value and rule."""
+def _correlations(tables: list[Correlation]) -> dict[tuple[str, str], float]:
+    return {c.materials: c.value for c in tables}
+
+
+def of_plain(data: RoomData) -> dict[str, Any]:
+    """Return the arguments of `Room` of its plain values."""
+    return {
+        **{field: getattr(data, field) for field in RoomData.__struct_fields__},
+        **_common(data),
+        "scene": Scene.of(data.scene),
+        "surfaces": _surfaces(data.surfaces),
+        "material_correlation": _correlations(data.material_correlation),
+    }
+
+
+def of_text(text: str) -> dict[str, Any]:
+    """Return the arguments of `Room` of a TOML text; DataError names place, value and rule."""
     content = toml_table(text)
-    if content and set(content) <= set(TABLES):
+    if content and set(content) <= set(SceneTables.__struct_fields__):
         raise DataError(
             f"{' and '.join(content)} are tables of the room's file: copy them to the end of room.toml"
         )
-    file = Entries("", content, ("volume", "centre_frequencies"), (*_FILE, *_TABLES))
-    frequencies = bands.as_bands(file.array("centre_frequencies", (None,)))
-    prior = file.entries("prior", (), _PRIOR) if "prior" in file else None
-    surfaces = [_surface(place, entry) for place, entry in _tables(file, "surface")]
+    file = read(RoomFile, content)
+    frequencies = bands.as_bands(file.centre_frequencies)
+    surfaces = _surfaces(file.surface)
     covered = {surface.material for surface in surfaces}
-    materials: list[Material] = []
-    for place, entry in _tables(file, "material"):
-        stated = material(place, entry, frequencies, prior)
-        if stated.name in {m.name for m in materials}:
-            raise DataError(f'material "{stated.name}" is given twice')
-        materials.append(stated)
-        if "area" in entry and stated.name in covered:
-            raise DataError(f'area["{stated.name}"] is given, and its surfaces too; give one')
-        if "area" in entry:
-            area = Entries(f'material "{stated.name}": ', entry, (), entry).number("area")
-            surfaces.append(Surface(name=stated.name, material=stated.name, area=area))
-        elif stated.name not in covered:
-            raise DataError(f'area["{stated.name}"] is missing, and no [[surface]] has it')
-    if not materials:
-        raise DataError("no [[material]]; a room has at least one")
-    rows = stacked(surfaces, materials, frequencies)
-    own = {e["name"]: e["area_sigma"] for _, e in _tables(file, "material") if "area_sigma" in e}
+    for m in file.material:
+        if m.area is not None and m.name in covered:
+            raise DataError(f'area["{m.name}"] is given, and its surfaces too; give one')
+        if m.area is not None:
+            surfaces.append(Surface(name=m.name, material=m.name, area=m.area))
+        elif m.name not in covered:
+            raise DataError(f'area["{m.name}"] is missing, and no [[surface]] has it')
+    materials = [material(m, frequencies, file.prior) for m in file.material]
+    area_sigma = {
+        name: file.area_sigma.get(name, 0.0)
+        if isinstance(file.area_sigma, dict)
+        else file.area_sigma
+        for name in (m.name for m in file.material)
+    }
     return {
-        **{key: content[key] for key in ("volume", *_FILE) if key in content},
-        "centre_frequencies": json_numbers(frequencies),
-        "materials": rows["materials"],
-        **{
-            key: json_numbers(rows[key])
-            for key in ("areas", "alpha", "sigma", "alpha_min", "scattering")
-            if rows[key] is not None
-        },
-        "surfaces": [vars(surface) for surface in surfaces],
-        "sources": rows["sources"],
-        "scene": {key: content[key] for key in TABLES if key in content},
-        "band_correlation": 0.0 if prior is None else prior.number("band_correlation", 0.0),
-        "material_correlation": [entry for _, entry in _tables(file, "correlation")],
-        "area_sigma": {
-            name: own.get(name, content.get("area_sigma", 0.0)) for name in rows["materials"]
-        },
+        **_common(file),
+        **stacked(surfaces, materials, frequencies),
+        "scene": Scene.of(file),
+        "band_correlation": 0.0 if file.prior is None else file.prior.band_correlation,
+        "material_correlation": _correlations(file.correlation),
+        "area_sigma": area_sigma | {m.name: m.area_sigma for m in file.material if m.area_sigma},
     }
 
 
-def _tables(file: Entries, key: str) -> Iterable[tuple[str, Mapping[str, Any]]]:
-    """Return each ``[[key]]`` of a file with its place."""
-    tables = file.listed(key, [])
-    if len(tables) > MAX_ENTRIES[key]:
-        raise DataError(f"{len(tables)} [[{key}]]; a room has at most {MAX_ENTRIES[key]}")
-    return [(f"[[{key}]] {i + 1}", table) for i, table in enumerate(tables)]
-
-
-def _surface(place: str, data: Any) -> Surface:
-    surface = Entries(f"{place}: ", data, ("material", "area"), ("name", "axis"))
-    return Surface(
-        name=surface.text("name", place.removeprefix("[[").replace("]]", "")),
-        material=surface.text("material"),
-        area=surface.number("area"),
-        axis=surface.text("axis") if "axis" in surface else None,
-    )
-
-
-def _correlation(place: str, data: Any) -> tuple[tuple[str, str], float]:
-    entry = Entries(f"{place}: ", data, ("materials", "value"))
-    pair = entry.texts("materials")
-    if len(pair) != 2:
-        raise DataError(f"{place}: materials = {pair!r} is not two names")
-    return (pair[0], pair[1]), entry.number("value")
-
-
-def _dimensions(room: Entries) -> Array:
-    stated = room.values["dimensions"]
-    if not isinstance(stated, list | tuple) or len(stated) != 3:
-        raise DataError(
-            f"{room.place}dimensions = {str(stated)[:40]} is not the three lengths of a shoebox in m"
-        )
-    return room.array("dimensions", (3,))
-
-
-def material(
-    place: str, data: Mapping[str, Any], frequencies: Array, prior: Entries | None
-) -> Material:
+def material(table: MaterialTable, frequencies: Array, prior: Prior | None) -> Material:
     """Return the material of a ``[[material]]``; ``prior`` derives a sigma that is not stated."""
-    name = Entries(f"{place}: ", data, ("name",), ("alpha", *_MATERIAL)).text("name")
-    entry = Entries(f'material "{name}": ', data, ("name", "alpha"), _MATERIAL)
-    shape = (len(frequencies),)
 
-    def per_band(key: str) -> list[float]:
-        """Return one number per band, of a list or of one number for all."""
-        stated = data[key]
-        if not isinstance(stated, list):
-            return [entry.number(key)] * shape[0]
-        values: list[float] = entry.array(key, shape).tolist()
-        return values
+    def per_band(stated: PerBand) -> list[float]:
+        return stated if isinstance(stated, list) else [stated] * len(frequencies)
 
-    alpha = entry.array("alpha", shape)
-    if isinstance(data.get("sigma"), str):
-        sigma = [TIERS[entry.choice("sigma", TIERS)]] * shape[0]
-    elif "sigma" in entry:
-        sigma = per_band("sigma")
+    if isinstance(table.sigma, str):
+        sigma = per_band(TIERS[table.sigma])
+    elif table.sigma is not None:
+        sigma = per_band(table.sigma)
     elif prior is not None:
-        sigma = _prior_sigma(prior, alpha, frequencies).tolist()
+        sigma = _prior_sigma(prior, table.alpha, frequencies).tolist()
     else:
         raise DataError(
-            f'material "{name}" states no sigma, and the file has no [prior] to derive it from; if in '
-            "doubt, write [prior] with relative = 0.3 and minimum = 0.01"
+            f'material "{table.name}" states no sigma, and the file has no [prior] to derive it from; '
+            "if in doubt, write [prior] with relative = 0.3 and minimum = 0.01"
         )
     return Material(
-        name=name,
-        alpha=alpha.tolist(),
+        name=table.name,
+        alpha=table.alpha,
         sigma=sigma,
-        alpha_min=per_band("alpha_min") if "alpha_min" in entry else 0.0,
-        scattering=per_band("scattering") if "scattering" in entry else None,
-        source=entry.text("source", ""),
+        alpha_min=table.alpha_min,
+        scattering=None if table.scattering is None else per_band(table.scattering),
+        source=table.source,
     )
 
 
-def _prior_sigma(prior: Entries, alpha: Array, frequencies: Array) -> Array:
+def _prior_sigma(prior: Prior, alpha: list[float], frequencies: Array) -> Array:
     """Return sigma by the file's [prior], for materials that state none."""
-    alpha = np.clip(alpha, 0, 2)  # the rules' limits; the room refuses or cuts what lies above 1
-    sigma = sigma_relative(
-        alpha,
-        prior.number("relative", 0.0, (0.0, 1.0)),
-        prior.number("minimum", 0.0, (0.0, 1.0)),
-    )
-    if prior.flag("iso_12999_2", False):
-        sigma = np.maximum(sigma, sigma_iso_12999_2(alpha, frequencies))
-    return in_situ(sigma, prior.number("in_situ_factor", 1.0, _PRIOR_LIMITS))
-
-
-def author(text: str) -> str:
-    """Return who made the room of a TOML text; "" if the text does not say or is no room."""
-    try:
-        stated = toml_table(text).get("author", "")
-    except DataError:
-        return ""
-    return stated if isinstance(stated, str) else ""
+    limited = np.clip(alpha, 0, 2)  # the rules' limits; the room refuses or cuts what lies above 1
+    sigma = sigma_relative(limited, prior.relative, prior.minimum)
+    if prior.iso_12999_2:
+        sigma = np.maximum(sigma, sigma_iso_12999_2(limited, frequencies))
+    return in_situ(sigma, prior.in_situ_factor)
 
 
 def plain(room: Any) -> dict[str, Any]:
@@ -333,30 +315,22 @@ def plain(room: Any) -> dict[str, Any]:
         for name in ("alpha_min", "scattering", "dimensions")
         if (values := getattr(room, name)) is not None
     }
-    if room.surfaces:
-        stated["surfaces"] = [vars(surface).copy() for surface in room.surfaces]
-    if room.sources:
-        stated["sources"] = dict(room.sources)
-    if room.material_correlation:
-        stated["material_correlation"] = [
+    more = {
+        "surfaces": [vars(surface).copy() for surface in room.surfaces],
+        "sources": dict(room.sources),
+        "material_correlation": [
             {"materials": list(pair), "value": float(value)}
             for pair, value in room.material_correlation.items()
-        ]
-    if room.calibration is not None:
-        stated["calibration"] = vars(room.calibration).copy()
-    if room.scattering_model != "random":
-        stated["scattering_model"] = room.scattering_model
-    if room.scene:
-        stated["scene"] = room.scene.to_dict()
-    if room.author:
-        stated["author"] = room.author
-    if room.clipped:
-        stated["clipped"] = list(room.clipped)
-    stated |= {name: value for name in RELATIVE if (value := getattr(room, name))}
-    if room.area_sigma.any():
-        stated["area_sigma"] = json_numbers(room.area_sigma)
-    if any(room.climate_sigma):
-        stated["climate_sigma"] = list(room.climate_sigma)
+        ],
+        "calibration": room.calibration and vars(room.calibration).copy(),
+        "scattering_model": room.scattering_model if room.scattering_model != "random" else None,
+        "scene": room.scene.to_dict(),
+        "author": room.author,
+        "clipped": list(room.clipped),
+        **{name: getattr(room, name) for name in RELATIVE},
+        "area_sigma": json_numbers(room.area_sigma) if room.area_sigma.any() else None,
+        "climate_sigma": list(room.climate_sigma) if any(room.climate_sigma) else None,
+    }
     return {
         "name": room.name,
         "volume": room.volume,
@@ -366,53 +340,44 @@ def plain(room: Any) -> dict[str, Any]:
         "centre_frequencies": json_numbers(room.centre_frequencies),
         "air": None if room.air is None else vars(room.air).copy(),
         **stated,
+        **{name: value for name, value in more.items() if value},
     }
 
 
-def toml_text(data: Mapping[str, Any]) -> str:
-    """Return `Room.to_dict`'s dict as the text of its TOML file."""
-    lines = [f"name = {quoted(data['name'])}"]
-    if "author" in data:
-        lines.append(f"author = {quoted(data['author'])}")
-    lines.append(f"volume = {data['volume']!r}")
-    lines.append(f"centre_frequencies = {listed(data['centre_frequencies'])}")
-    if "dimensions" in data:
-        lines.append(f"dimensions = {listed(data['dimensions'])}")
-    if "clipped" in data:
-        lines.append("clipped = [" + ", ".join(map(quoted, data["clipped"])) + "]")
-    if "scattering_model" in data:
-        lines.append(f"scattering_model = {quoted(data['scattering_model'])}")
-    lines += [f"{name} = {data[name]!r}" for name in RELATIVE if name in data]
-    if "climate_sigma" in data:
-        lines.append(f"climate_sigma = {listed(data['climate_sigma'])}")
-    lines += scene_lines(data.get("scene", {}))
-    if data["band_correlation"]:
-        lines += ["", "[prior]", f"band_correlation = {data['band_correlation']!r}"]
-    if data["air"] is not None:
-        lines += ["", "[air]"]
-        lines += [f"{key} = {float(data['air'][key])!r}" for key in sorted(data["air"])]
-    if "calibration" in data:
-        lines += ["", "[calibration]"]
-        lines += [f"{key} = {quoted(value)}" for key, value in data["calibration"].items()]
+def text_of(room: Any) -> str:
+    """Return a `Room` as the text of its TOML file."""
+    data = plain(room)
     surfaces = data.get("surfaces", [])
     covered = {surface["material"] for surface in surfaces}
-    for i, material in enumerate(data["materials"]):
-        lines += ["", "[[material]]", f"name = {quoted(material)}"]
-        if material not in covered:
-            lines.append(f"area = {data['areas'][i]!r}")
-        for key in ("alpha", "sigma", "alpha_min", "scattering"):
-            if key in data:
-                lines.append(f"{key} = {listed(data[key][i])}")
-        if data.get("area_sigma", [0.0] * (i + 1))[i]:
-            lines.append(f"area_sigma = {data['area_sigma'][i]!r}")
-        if material in data.get("sources", {}):
-            lines.append(f"source = {quoted(data['sources'][material])}")
-    for entry in data.get("material_correlation", []):
-        pair = ", ".join(map(quoted, entry["materials"]))
-        lines += ["", "[[correlation]]", f"materials = [{pair}]", f"value = {entry['value']!r}"]
-    for surface in surfaces:
-        lines += ["", "[[surface]]", f"name = {quoted(surface['name'])}"]
-        lines += [f"material = {quoted(surface['material'])}", f"area = {surface['area']!r}"]
-        if surface["axis"] is not None:
-            lines.append(f"axis = {quoted(surface['axis'])}")
-    return "\n".join(lines) + "\n"
+    materials = []
+    for i, name in enumerate(room.materials):
+        per_material = {
+            "area": None if name in covered else data["areas"][i],
+            **{k: data[k][i] for k in ("alpha", "sigma", "alpha_min", "scattering") if k in data},
+            "area_sigma": float(room.area_sigma[i]),
+            "source": room.sources.get(name),
+        }
+        materials.append({"name": name} | {k: v for k, v in per_material.items() if v})
+    top = (
+        "name",
+        "author",
+        "volume",
+        "centre_frequencies",
+        "dimensions",
+        "clipped",
+        "scattering_model",
+        *RELATIVE,
+        "climate_sigma",
+    )
+    tables = {
+        **data.get("scene", {}),
+        "prior": {k: data[k] for k in ("band_correlation",) if data[k]},
+        "air": {k: float(v) for k, v in sorted((data["air"] or {}).items())},
+        "calibration": data.get("calibration"),
+        "material": materials,
+        "correlation": data.get("material_correlation"),
+        "surface": [{k: v for k, v in s.items() if v is not None} for s in surfaces],
+    }
+    return toml_text(
+        {k: data[k] for k in top if k in data} | {k: v for k, v in tables.items() if v}
+    )

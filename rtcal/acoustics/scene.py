@@ -2,30 +2,28 @@
 
 from __future__ import annotations
 
-import json
 import os
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path, PurePath
-from typing import Any
+from typing import Annotated, Any, Literal
+
+import msgspec
 
 from rtcal.acoustics.directivity import (
     DirectivityFile,
+    Lobe,
     StatedDirectivity,
     directivities,
-    directivity_of_table,
+    directivity_of,
     plain_directivities,
 )
 from rtcal.acoustics.materials import text_name
 from rtcal.support import checks
-from rtcal.support.checks import Entries
 from rtcal.support.errors import DataError
+from rtcal.support.schema import Point, Table
 
-Point = tuple[float, float, float]
-_GEOMETRY = ("mesh", "unit", "position_uncertainty", "surfaces")
 _POINTS = ("sources", "receivers")
-TABLES = ("geometry", *_POINTS, "directivity")
-"""Names of its tables in a room's file."""
 POSITION = 0.1
 """Root mean square distance in m of sources and receivers from where they are stated. Each coordinate
 has a standard deviation sqrt(3) times smaller."""
@@ -33,6 +31,27 @@ MOST_OFF = 1.0
 """Largest `POSITION` in m that is taken."""
 MAX_POINTS = 1000
 """Largest number of sources, and of receivers."""
+
+
+class GeometryTable(Table):
+    """The table ``geometry`` of a room's file."""
+
+    mesh: str | None = None
+    unit: float = 1.0
+    position_uncertainty: float = POSITION
+    surfaces: dict[str, list[str]] = {}
+
+
+Places = Annotated[dict[str, Point], msgspec.Meta(min_length=1)]
+
+
+class SceneTables(Table):
+    """The tables of a room's file that `Scene` holds."""
+
+    geometry: GeometryTable = GeometryTable()
+    sources: Places | None = None
+    receivers: Places | None = None
+    directivity: dict[str, Lobe | Literal["unknown"]] = {}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -79,6 +98,8 @@ class Scene:
     def __post_init__(self) -> None:
         if self.mesh is not None:
             object.__setattr__(self, "mesh", os.fspath(checks.path("mesh", self.mesh)))
+            if not str(self.mesh).strip():
+                raise DataError(f"mesh = {self.mesh!r} is not the name of a mesh's file")
         object.__setattr__(self, "unit", checks.positive("unit", self.unit, "m"))
         if self.mesh is None and self.unit != 1:
             raise DataError(f"unit = {self.unit:g} is that of a mesh, and none is stated")
@@ -146,42 +167,17 @@ class Scene:
         return {name: table for name, table in tables.items() if table}
 
     @classmethod
-    def from_dict(cls, data: Any, place: str = "scene") -> Scene:
-        """Return the scene of tables as `to_dict` returns them.
-
-        Raises DataError, which begins with ``place``, for an unknown key or a value of the wrong kind.
-        """
-        place = f"{place}." if checks.text("place", place) else ""
-        tables = Entries(place, data, (), TABLES)
-        stated: dict[str, Any] = {}
-        if "geometry" in tables:
-            geometry = tables.entries("geometry", (), _GEOMETRY)
-            if "mesh" in geometry.values:
-                stated["mesh"] = geometry.text("mesh")
-                if not stated["mesh"].strip():
-                    raise DataError(f"{geometry.place}mesh is not the name of a mesh's file")
-            for key in ("unit", "position_uncertainty"):
-                if key in geometry.values:
-                    stated[key] = geometry.number(key)
-            if "surfaces" in geometry:
-                names = geometry.mapping("surfaces")
-                faces = geometry.entries("surfaces", (), names)
-                stated["surfaces"] = {name: faces.texts(name) for name in names}
-        for kind in _POINTS:
-            if kind in tables.values:
-                names = tables.mapping(kind)
-                if not names:
-                    raise DataError(f"{tables.place}{kind} is empty; there is at least one")
-                points = tables.entries(kind, (), names)
-                stated[kind] = {name: points.array(name, (3,)).tolist() for name in names}
-        if "directivity" in tables:
-            stated["directivity"] = {
-                name: of
-                if isinstance(of, str)
-                else directivity_of_table(of, f"{tables.place}directivity.{name}")
-                for name, of in tables.mapping("directivity").items()
-            }
-        return cls(**stated)
+    def of(cls, tables: Any) -> Scene:
+        """Return the scene of what has the fields of `SceneTables`; DataError as `Scene` does."""
+        return cls(
+            **msgspec.structs.asdict(tables.geometry),
+            sources=tables.sources or {},
+            receivers=tables.receivers or {},
+            directivity={
+                name: directivity_of(of, f'directivity["{name}"]')
+                for name, of in tables.directivity.items()
+            },
+        )
 
 
 def checked_uncertainty(position_uncertainty: float) -> float:
@@ -208,43 +204,3 @@ def _points(kind: str, stated: Mapping[str, Sequence[float]]) -> dict[str, Point
         x, y, z = coordinates.tolist()
         made[name] = (x, y, z)
     return made
-
-
-def scene_lines(tables: Mapping[str, Any]) -> list[str]:
-    """Return the lines of `Scene.to_dict`'s tables."""
-    lines: list[str] = []
-    geometry = tables.get("geometry", {})
-    if geometry:
-        lines += ["", "[geometry]"]
-        lines += [f"mesh = {quoted(geometry[key])}" for key in ("mesh",) if key in geometry]
-        numbers = ("unit", "position_uncertainty")
-        lines += [f"{key} = {geometry[key]!r}" for key in numbers if key in geometry]
-        if "surfaces" in geometry:
-            lines += ["", "[geometry.surfaces]"]
-            for name, faces in geometry["surfaces"].items():
-                lines.append(f"{quoted(name)} = [{', '.join(map(quoted, faces))}]")
-    for kind in ("sources", "receivers"):
-        if kind in tables:
-            lines += ["", f"[{kind}]"]
-            lines += [f"{quoted(n)} = {listed(point)}" for n, point in tables[kind].items()]
-    if "directivity" in tables:
-        lines += ["", "[directivity]"]
-    for name, of in tables.get("directivity", {}).items():
-        if isinstance(of, str):
-            lines.append(f"{quoted(name)} = {quoted(of)}")
-        else:
-            # JSON's texts and lists of numbers are TOML's.
-            entries = ", ".join(f"{key} = {json.dumps(value)}" for key, value in of.items())
-            lines.append(f"{quoted(name)} = {{ {entries} }}")
-    return lines
-
-
-def quoted(text: str) -> str:
-    """Return a text as TOML writes it."""
-    # A JSON string is a TOML basic string, but for DEL, which TOML wants escaped.
-    return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
-
-
-def listed(values: Iterable[float]) -> str:
-    """Return numbers as TOML writes them."""
-    return "[" + ", ".join(repr(float(v)) for v in values) + "]"

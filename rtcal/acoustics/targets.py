@@ -13,16 +13,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rtcal.acoustics import bands
 from rtcal.support import checks
-from rtcal.support.checks import Entries
 from rtcal.support.errors import DataError
 from rtcal.support.files import json_numbers
+from rtcal.support.schema import Table
 from rtcal.support.types import Array
 
 
@@ -189,32 +189,36 @@ def ansi_s12_60(volume: float, centre_frequencies: Sequence[float] | Array) -> T
     raise DataError(f"volume = {volume:g} m³ is above 566 m³, up to which ANSI S12.60 states T")
 
 
-def target_of(entry: Entries, volume: float, frequencies: Array) -> Target:
-    """Return the target of a file's table: ``low`` and ``high``, or ``standard`` and ``group``.
+class TargetTable(Table):
+    """The target of a file: a standard, or the ends of the range in s."""
 
-    Raises DataError if both are there, or a ``group`` that no stated standard has.
+    standard: Literal["DIN 18041", "ANSI S12.60"] | None = None
+    group: str | None = None
+    low: float | list[float] | None = None
+    high: float | list[float] | None = None
+
+
+def target_of(table: TargetTable, volume: float, frequencies: Array) -> Target:
+    """Return the target that a file states, in these bands in Hz.
+
+    Raises DataError if it states both a standard and an end, a ``group`` that no stated standard has,
+    and ends for another number of bands.
     """
-    if "standard" in entry:
-        standard = entry.choice("standard", ("DIN 18041", "ANSI S12.60"))
-        if both := [key for key in ("low", "high") if key in entry]:
-            raise DataError(
-                f'target: standard = "{standard}" and {both[0]} are both stated; a target has one'
-            )
-        if standard == "DIN 18041":
-            return din_18041(entry.text("group"), volume, frequencies)
-        if "group" in entry:
-            raise DataError(f'target: group = "{entry.text("group")}"; ANSI S12.60 has no group')
-        return ansi_s12_60(volume, frequencies)
-    if "group" in entry:
+    ends = {"low": table.low, "high": table.high}
+    stated = [key for key, end in ends.items() if end is not None]
+    if table.standard is not None and stated:
         raise DataError(
-            f'target: group = "{entry.text("group")}" without a standard; it is one of DIN 18041'
+            f'target: standard = "{table.standard}" and {stated[0]} are both stated; a target has one'
         )
-
-    def ends(key: str) -> Array:
-        if key not in entry:
-            return np.full(len(frequencies), np.nan)
-        if isinstance(entry.values[key], list):
-            return entry.array(key, (len(frequencies),))
-        return np.full(len(frequencies), entry.number(key))
-
-    return Target(ends("low"), ends("high"))
+    if table.standard == "DIN 18041":
+        return din_18041(table.group or "", volume, frequencies)
+    if table.group is not None:
+        raise DataError(f'target: group = "{table.group}" is of DIN 18041, which it does not state')
+    if table.standard is not None:
+        return ansi_s12_60(volume, frequencies)
+    n = len(frequencies)
+    for key, end in ends.items():
+        if isinstance(end, list) and len(end) != n:
+            raise DataError(f"target.{key} has {len(end)} values; the room has {n} bands")
+        ends[key] = np.broadcast_to(np.nan if end is None else end, n)
+    return Target(ends["low"], ends["high"])

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import io
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -16,7 +16,6 @@ import numpy as np
 
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.room import Room
-from rtcal.simulators.geometry import SHOEBOX_WALLS, Polyhedron
 from rtcal.support import checks
 from rtcal.support.errors import DataError
 
@@ -108,88 +107,100 @@ class Example:
 
 _CALIBRATE = "rtcal calibrate room.toml t.csv --out calibrated"
 _REPORT = "rtcal report calibrated"
-
-
-def _seminar_room() -> dict[str, bytes]:
-    folder = path("bras_cr2")
-    return {
-        "room.toml": (folder / "room.toml").read_bytes(),
-        "t.csv": (folder / "measured.csv").read_bytes(),
-        "SOURCE.md": (folder / "README.md").read_bytes().replace(b"measured.csv", b"t.csv"),
-    }
-
-
-def _room() -> Example:
-    return Example(_seminar_room(), (_CALIBRATE, _REPORT))
-
-
-_PANEL = """\
-[[material]]
-name = "panel"
-alpha = [0.4, 0.6, 0.8, 0.9, 0.9, 0.9]
-sigma = 0.1
-"""
-_VARIANTS = f"""{_PANEL}
-[[variant]]
-name = "panels"
-
-[[variant.change]]
-cover = "ceiling"
-by = "panel"
-area = 20
-
-[[variant]]
-name = "panels and warmer air"
-
-[[variant.change]]
-cover = "ceiling"
-by = "panel"
-area = 20
-
-[[variant.change]]
-air = {{ temperature = 26, humidity = 60 }}
-"""
-_TREATMENTS = f"""probability = 0.8
-
-[target]
-high = [1.0, 0.9, 0.8, 0.8, 0.8, 0.8]
-
-{_PANEL}
-[[material]]
-name = "bass trap"
-alpha = [0.6, 0.5, 0.3, 0.2, 0.2, 0.2]
-sigma = 0.1
-
-[[treatment]]
-name = "panels on the ceiling"
-material = "panel"
-covers = "ceiling"
-largest = 40
-cost = 90
-unit = 1.44
-
-[[treatment]]
-name = "bass traps"
-material = "bass trap"
-covers = "concrete"
-largest = 20
-cost = 120
-"""
-
-
-def _change() -> Example:
-    return Example(
-        {
-            **_seminar_room(),
-            "variants.toml": _VARIANTS.encode(),
-            "treatments.toml": _TREATMENTS.encode(),
-        },
+_SEMINAR_ROOM = {
+    "room.toml": "bras_cr2/room.toml",
+    "t.csv": "bras_cr2/measured.csv",
+    "SOURCE.md": "bras_cr2/README.md",
+}
+_EXAMPLES: Mapping[str, tuple[Mapping[str, str], tuple[str, ...]]] = {
+    "room": (_SEMINAR_ROOM, (_CALIBRATE, _REPORT)),
+    "change": (
+        _SEMINAR_ROOM,
         (
             "rtcal predict room.toml t.csv --change variants.toml --out after",
             "rtcal report after",
             "rtcal design room.toml t.csv --treatments treatments.toml --out design",
         ),
-    )
+    ),
+    "responses": (
+        {},
+        (
+            "rtcal measure S*.wav --out t.csv",
+            "rtcal import catalogue --mesh room.obj --catalogue carpet=carpet_cotton "
+            "--catalogue plaster=hard_surface --temperature 20 --humidity 45 --out room.toml",
+            _CALIBRATE,
+            _REPORT,
+        ),
+    ),
+    "program": (
+        {},
+        (
+            "rtcal table measured.csv --out t.csv",
+            "rtcal import catt hall.geo --volume 216 --area plaster=174 --area carpet=72 "
+            "--temperature 21 --humidity 40 --out room.toml",
+            _CALIBRATE,
+            _REPORT,
+            "rtcal loop start room.toml t.csv --state loop.json --out next.toml --decimals 3",
+            "rtcal export catt next.toml hall.geo",
+        ),
+    ),
+    # t.csv is a simulation with coefficients 1.2 times as large: `PathTracing(...).simulate(seed=7)`.
+    "simulator": ({}, ("python calibrate.py",)),
+    "optimisation": (_SEMINAR_ROOM, ("python compose.py",)),
+    "missing-effect": (
+        {"case.json": "hidden_room/case.json", "closed.json": "hidden_room/closed.json"},
+        (
+            "rtcal find case.json",
+            "rtcal find closed.json",
+            "rtcal verify closed.json",
+            "rtcal find closed.json --out gap",
+        ),
+    ),
+    # Two cases that `benchmarks/shipped_cases.py` drew by a rule: one is named, one is not.
+    "told": (
+        {"named.json": "hidden_room/named.json", "not_told.json": "hidden_room/not_told.json"},
+        ("rtcal find named.json", "rtcal find not_told.json"),
+    ),
+    # A room with a curtain that its model lacks: `tests/position_rooms/shipped.py` measures it.
+    "where": (
+        {name: f"where_room/{name}" for name in ("room.toml", "room.obj", "pairs.csv")},
+        (
+            "rtcal find room.toml pairs.csv",
+            "rtcal find room.toml pairs.csv --out page",
+            "rtcal apply room.toml pairs.csv --out corrected",
+        ),
+    ),
+}
+"""Files of each example that ship elsewhere, by name, and its commands. Its own are in ``examples``."""
+NAMES = tuple(_EXAMPLES)
+
+
+def example(name: str) -> Example:
+    """Return the example of this name, one of `NAMES`.
+
+    Raises
+    ------
+    DataError
+        If there is none of this name.
+
+    Examples
+    --------
+    >>> example("room").commands
+    ('rtcal calibrate room.toml t.csv --out calibrated', 'rtcal report calibrated')
+    """
+    if name not in _EXAMPLES:
+        raise DataError(f'example "{name}" is none of {", ".join(NAMES)}')
+    shared, commands = _EXAMPLES[name]
+    files = {file: path(place).read_bytes() for file, place in shared.items()}
+    if "SOURCE.md" in files:
+        files["SOURCE.md"] = files["SOURCE.md"].replace(b"measured.csv", b"t.csv")
+    own = path(f"examples/{name}")
+    files |= {file.name.removesuffix(".txt"): file.read_bytes() for file in sorted(own.glob("*"))}
+    if name == "responses":
+        rng = np.random.default_rng(1)
+        names = ("S1_R1.wav", "S1_R2.wav", "S2_R1.wav", "S2_R2.wav")
+        files |= {name: _response(rng) for name in names}
+    return Example(files, commands)
 
 
 _RATE = 16_000  # Hz
@@ -211,183 +222,3 @@ def _response(rng: np.random.Generator) -> bytes:
     samples = 0.9 * sound / np.abs(sound).max()
     wavfile.write(stream, _RATE, np.round(32767 * samples).astype(np.int16))
     return stream.getvalue()
-
-
-def _responses() -> Example:
-    materials = {wall: "carpet" if wall == "floor" else "plaster" for wall in SHOEBOX_WALLS}
-    box = Polyhedron.shoebox((9, 7, 3.2), materials)
-    rng = np.random.default_rng(1)
-    names = ("S1_R1.wav", "S1_R2.wav", "S2_R1.wav", "S2_R2.wav")
-    return Example(
-        {"room.obj": box.to_text().encode(), **{name: _response(rng) for name in names}},
-        (
-            "rtcal measure S*.wav --out t.csv",
-            "rtcal import catalogue --mesh room.obj --catalogue carpet=carpet_cotton "
-            "--catalogue plaster=hard_surface --temperature 20 --humidity 45 --out room.toml",
-            _CALIBRATE,
-            _REPORT,
-        ),
-    )
-
-
-_GEO = """; A rehearsal room of 9 m x 8 m x 3 m. Absorption in percent, octaves from 125 Hz.
-ABS plaster = <14 10 6 5 4 3> {200 200 200}
-ABS carpet = <8 24 57 69 71 73> {120 60 60}
-CORNERS
-"""
-_TABLE = """Position,Parameter,125 Hz,250 Hz,500 Hz,1 kHz,2 kHz,4 kHz
-P1,T20,1.21,1.05,0.82,0.80,0.78,0.70
-P2,T20,1.27,1.01,0.85,0.78,0.77,0.71
-P3,T20,1.18,1.07,0.86,0.83,0.75,0.69
-"""
-
-
-def _program() -> Example:
-    return Example(
-        {"hall.geo": _GEO.encode(), "measured.csv": _TABLE.encode()},
-        (
-            "rtcal table measured.csv --out t.csv",
-            "rtcal import catt hall.geo --volume 216 --area plaster=174 --area carpet=72 "
-            "--temperature 21 --humidity 40 --out room.toml",
-            _CALIBRATE,
-            _REPORT,
-            "rtcal loop start room.toml t.csv --state loop.json --out next.toml --decimals 3",
-            "rtcal export catt next.toml hall.geo",
-        ),
-    )
-
-
-_SIMULATOR = '''"""Calibrate a simulator: change the coefficients until its T20 is the measured one."""
-
-import rtcal as rt
-
-room = rt.Room.from_file("room.toml")
-measured = rt.Measurement.from_file("t.csv")
-tracer = rt.simulators.PathTracing(
-    geometry=rt.io.obj.read("room.obj"),
-    room=room,
-    sources={sources},
-    receivers={receivers},
-)
-result = rt.calibrate_simulator(tracer, room, measured)
-print(result)
-result.room.save("calibrated.toml")
-'''
-
-
-def _simulator() -> Example:
-    from rtcal.datasets import halls
-    from rtcal.simulators.path_tracing import PathTracing
-
-    hall = halls.lecture_hall()
-    tracer = PathTracing(
-        geometry=hall.geometry,
-        room=hall.room,
-        sources=hall.sources,
-        receivers=hall.receivers,
-    )
-    measured = tracer.simulate(np.clip(1.2 * hall.room.alpha, 0, 1), seed=7)
-    script = _SIMULATOR.format(sources=dict(hall.sources), receivers=dict(hall.receivers))
-    return Example(
-        {
-            "room.toml": hall.room.to_text().encode(),
-            "room.obj": hall.geometry.to_text().encode(),
-            "t.csv": measured.to_text().encode(),
-            "calibrate.py": script.encode(),
-        },
-        ("python calibrate.py",),
-    )
-
-
-_OPTIMISATION = '''"""Compose a calibration of terms, solve it, and read its certificate."""
-
-import rtcal as rt
-from rtcal import terms
-
-room = rt.Room.from_file("room.toml")
-measured = rt.Measurement.from_file("t.csv")
-calibration = rt.Calibration(
-    objective=terms.PriorDeviation() + terms.SoftMatch(relative=0.05),
-    constraints=[terms.Bounds(0.01, 1), terms.AtMost("concrete", "ceiling", band=250)],
-)
-problem = calibration.build(room)  # compiled once, solved as often as you like
-for solver in ("clarabel", "osqp"):
-    result = problem.solve(measured, solver=solver)
-    print(solver, result.alpha[:, 2].round(4))
-print(result.certificate)
-'''
-
-
-def _optimisation() -> Example:
-    files = {**_seminar_room(), "compose.py": _OPTIMISATION.encode()}
-    return Example(files, ("python compose.py",))
-
-
-def _missing_effect() -> Example:
-    return Example(
-        {name: path(f"hidden_room/{name}").read_bytes() for name in ("case.json", "closed.json")},
-        (
-            "rtcal find case.json",
-            "rtcal find closed.json",
-            "rtcal verify closed.json",
-            "rtcal find closed.json --out gap",
-        ),
-    )
-
-
-def _told() -> Example:
-    """Two cases that `benchmarks/shipped_cases.py` drew by a rule: one is named, one is not."""
-    return Example(
-        {
-            f"{name}.json": path(f"hidden_room/{name}.json").read_bytes()
-            for name in ("named", "not_told")
-        },
-        ("rtcal find named.json", "rtcal find not_told.json"),
-    )
-
-
-def _where() -> Example:
-    """A room with a curtain that its model lacks: `tests/position_rooms/shipped.py` measures it."""
-    return Example(
-        {
-            name: path(f"where_room/{name}").read_bytes()
-            for name in ("room.toml", "room.obj", "pairs.csv")
-        },
-        (
-            "rtcal find room.toml pairs.csv",
-            "rtcal find room.toml pairs.csv --out page",
-            "rtcal apply room.toml pairs.csv --out corrected",
-        ),
-    )
-
-
-_EXAMPLES: Mapping[str, Callable[[], Example]] = {
-    "room": _room,
-    "change": _change,
-    "responses": _responses,
-    "program": _program,
-    "simulator": _simulator,
-    "optimisation": _optimisation,
-    "missing-effect": _missing_effect,
-    "told": _told,
-    "where": _where,
-}
-NAMES = tuple(_EXAMPLES)
-
-
-def example(name: str) -> Example:
-    """Return the example of this name, one of `NAMES`.
-
-    Raises
-    ------
-    DataError
-        If there is none of this name.
-
-    Examples
-    --------
-    >>> example("room").commands
-    ('rtcal calibrate room.toml t.csv --out calibrated', 'rtcal report calibrated')
-    """
-    if name not in _EXAMPLES:
-        raise DataError(f'example "{name}" is none of {", ".join(NAMES)}')
-    return _EXAMPLES[name]()

@@ -39,10 +39,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rtcal.acoustics import bands
+from rtcal.acoustics import bands, room_files
 from rtcal.acoustics.directions import enough_known, facing
 from rtcal.acoustics.equations import mean_equation
-from rtcal.acoustics.materials import text_name
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.repeats import refuse_repeated_data
 from rtcal.acoustics.room import Room
@@ -51,18 +50,21 @@ from rtcal.finder.configuration import (
     LEVELS,
     PARAMETERS,
     Configuration,
+    ConfigurationData,
+    ConfigurationTable,
+    Uncertainty,
     check_configuration,
     check_room,
     checked_facing,
-    checked_uncertainty,
     in_room_bands,
+    measurement_of,
 )
 from rtcal.finder.effects.checks import AppliedEffect, check_parameters
 from rtcal.io import geometry_files
 from rtcal.support import checks
-from rtcal.support.checks import Entries, json_object, toml_table
 from rtcal.support.errors import DataError
 from rtcal.support.files import read_text, write_text
+from rtcal.support.schema import Table, json_object, read, toml_table
 from rtcal.support.text import shortened
 from rtcal.support.types import Array, read_only
 
@@ -80,6 +82,48 @@ def checked_climate_uncertainty(value: object) -> tuple[float, float]:
         )
     kelvin, percent = climate.tolist()
     return kelvin, percent
+
+
+class _RoomOfCase(room_files.RoomData):
+    """The room of a saved case: with the directions of its materials."""
+
+    facing: list[list[float]] | None = None
+
+
+class _EffectTable(Table):
+    """An effect that was added to a saved case; see `AppliedEffect`."""
+
+    effect: str
+    parameters: dict[str, float]
+    size_interval: tuple[float, float] | None = None
+
+
+class _CaseData(Table):
+    """A saved case."""
+
+    room: _RoomOfCase
+    configurations: list[ConfigurationData]
+    equation: str = "eyring"
+    uncertainty: Uncertainty = Uncertainty()
+    present: list[_EffectTable] = []
+    climate_uncertainty: tuple[float, float] = CLIMATE_UNCERTAINTY
+
+
+class _ConfigurationOfFile(ConfigurationTable):
+    """A configuration in TOML: the file of its measurement, or what is to be measured."""
+
+    measured: str | None = None
+    parameters: list[str] | None = None
+    positions: int = 4
+
+
+class _CaseFile(Table):
+    """A case in TOML."""
+
+    room: str
+    equation: str = "eyring"
+    uncertainty: Uncertainty = Uncertainty()
+    configuration: list[_ConfigurationOfFile] = []
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -173,27 +217,20 @@ class Case:
 
         Raises DataError for an unknown key, for a value of the wrong kind, and as `Case` does.
         """
-        optional = ("equation", "uncertainty", "present", "climate_uncertainty")
-        case = Entries("", data, ("room", "configurations"), optional)
-        room_data = case.mapping("room")
-        stated_facing = room_data.pop("facing", None)
-        room = Room.from_dict(room_data)
-        stated = checked_uncertainty(case.mapping("uncertainty", {}))
+        case = read(_CaseData, data)
+        room = Room(**room_files.of_plain(case.room))
         return cls(
             room=room,
-            equation=case.text("equation", "eyring"),
-            facing=stated_facing,
+            equation=case.equation,
+            facing=case.room.facing,
             configurations=[
-                Configuration.from_dict(
-                    checks.mapped(f"configurations[{i}]", each), room.centre_frequencies
-                ).with_uncertainty(stated)
-                for i, each in enumerate(case.listed("configurations"))
+                Configuration.of(
+                    c, measurement_of(c, room.centre_frequencies), planned=c.planned
+                ).with_uncertainty(case.uncertainty)
+                for c in case.configurations
             ],
-            applied=[
-                AppliedEffect.from_dict(checks.mapped(f"present[{i}]", each), f"present[{i}]")
-                for i, each in enumerate(case.listed("present", []))
-            ],
-            climate_uncertainty=tuple(case.listed("climate_uncertainty", CLIMATE_UNCERTAINTY)),
+            applied=[AppliedEffect(e.effect, e.parameters, e.size_interval) for e in case.present],
+            climate_uncertainty=case.climate_uncertainty,
         )
 
     def to_dict(self) -> dict[str, Any]:
@@ -220,9 +257,20 @@ class Case:
 
         Raises DataError naming the file and the rule.
         """
-        data = read_case(path)
+        text = read_text(path, MAX_BYTES)
         try:
-            return cls.from_dict(data)
+            if str(path).endswith(".json"):
+                return cls.from_dict(json_object(text))
+            file = _case_file(text)
+            room = Room.from_file(str(Path(path).parent / file.room))
+            return cls(
+                room=room,
+                equation=file.equation,
+                configurations=[
+                    _configuration(Path(path).parent, room, each).with_uncertainty(file.uncertainty)
+                    for each in file.configuration
+                ],
+            )
         except DataError as error:
             raise DataError(f"{path}: {error}") from error
 
@@ -308,43 +356,20 @@ MAX_POSITIONS = 1000
 PLANNED_UNCERTAINTY = {"time": 0.02, "level": 0.3}
 """Uncertainty assumed for planned measurements: 2 % of a decay time, 0.3 dB of C80 and G."""
 
-_TABLES = ("uncertainty", "equation", "configuration")
 
-
-def read_case(path: str) -> dict[str, Any]:
-    """Return the dict that `Case.from_dict` reads; DataError names the file and the rule."""
-    text = read_text(path, MAX_BYTES)
-    try:
-        if str(path).endswith(".json"):
-            return json_object(text)
-        content = toml_table(text)
-        if "material" in content:
-            raise DataError("this is a room's file; name what was measured in the room beside it")
-        if "geometry" in content:
-            raise DataError(
-                "a case states no geometry: write [geometry] with mesh, [sources] and [receivers] into "
-                "the room's file, and name it and the measurement: room.toml pairs.csv"
-            )
-        file = Entries("", content, ("room",), _TABLES)
-        configurations = [
-            (checks.mapped(f"configuration[{i}]", each))
-            for i, each in enumerate(file.listed("configuration", []))
-        ]
-        if not file.text("room").strip():
-            raise DataError("room is not the name of a room's file")
-    except DataError as error:
-        raise DataError(f"{path}: {error}") from error
-    folder = Path(path).parent
-    room = Room.from_file(str(folder / content["room"]))
-    data: dict[str, Any] = {
-        key: content[key] for key in ("equation", "uncertainty") if key in content
-    }
-    data["room"] = room.to_dict()
-    try:
-        data["configurations"] = [_configuration(folder, room, each) for each in configurations]
-    except DataError as error:
-        raise DataError(f"{path}: {error}") from error
-    return data
+def _case_file(text: str) -> _CaseFile:
+    content = toml_table(text)
+    if "material" in content:
+        raise DataError("this is a room's file; name what was measured in the room beside it")
+    if "geometry" in content:
+        raise DataError(
+            "a case states no geometry: write [geometry] with mesh, [sources] and [receivers] into "
+            "the room's file, and name it and the measurement: room.toml pairs.csv"
+        )
+    file = read(_CaseFile, content)
+    if not file.room.strip():
+        raise DataError("room is not the name of a room's file")
+    return file
 
 
 def files_of_case(path: str) -> list[Path]:
@@ -352,47 +377,36 @@ def files_of_case(path: str) -> list[Path]:
     case = Path(path)
     if path.endswith(".json"):
         return [case]
-    content = toml_table(read_text(path, MAX_BYTES))
-    names = [content["room"], *(c.get("measured") for c in content.get("configuration", ()))]
-    return [case, *(case.parent / name for name in names if name is not None)]
+    file = _case_file(read_text(path, MAX_BYTES))
+    names = [file.room, *(c.measured for c in file.configuration if c.measured is not None)]
+    return [case, *(case.parent / name for name in names)]
 
 
-def _configuration(folder: Path, room: Room, entry: Mapping[str, Any]) -> dict[str, Any]:
-    """Return a configuration of a TOML file with its measurement in place of the file's name."""
-    if "parameters" in entry:
-        return _planned(room, entry)
-    if not isinstance(entry.get("measured"), str) or not entry["measured"].strip():
-        raise DataError("a configuration has no measured = a measurement's file")
-    measured = Measurement.from_file(str(folder / entry["measured"]))
-    return {**entry, "measured": measured.to_dict()}
-
-
-def _planned(room: Room, entry: Mapping[str, Any]) -> dict[str, Any]:
-    """Return a configuration of a planned measurement, with 1 in place of each value."""
-    where = f'configuration "{text_name("configuration: name", entry.get("name", "planned"))}"'
-    if beside := [k for k in ("measured", *PARAMETERS, "uncertainty") if k in entry]:
+def _configuration(folder: Path, room: Room, table: _ConfigurationOfFile) -> Configuration:
+    """Return a configuration of a TOML file, with its measurement of another file."""
+    where = f'configuration "{table.name}"'
+    if table.parameters is None:
+        if not (table.measured or "").strip():
+            raise DataError(f"{where} has no measured = a measurement's file")
+        return Configuration.of(table, Measurement.from_file(str(folder / str(table.measured))))
+    if table.measured is not None:
         raise DataError(
-            f"{where}: {beside[0]} stands beside parameters; a configuration is measured or planned"
+            f"{where}: measured stands beside parameters; a configuration is measured or planned"
         )
-    wanted = entry["parameters"]
-    fits = isinstance(wanted, list) and all(p in PARAMETERS for p in wanted) and "t20" in wanted
+    wanted, n = table.parameters, table.positions
+    fits = all(p in PARAMETERS for p in wanted) and "t20" in wanted
     if not fits or len(set(wanted)) < len(wanted):
         raise DataError(
             f"{where}: parameters is not a list of {', '.join(PARAMETERS)}, t20 in it, each once"
         )
-    n_pairs = checks.whole(f"{where}: positions", entry.get("positions", 4), 1)
-    if n_pairs > MAX_POSITIONS:
-        raise DataError(f"{where}: positions = {n_pairs} is not at most {MAX_POSITIONS}")
-
-    def rows(value: float) -> list[list[float]]:
-        return [[value] * room.n_bands] * n_pairs
-
-    return {
-        "name": "planned",
-        **{k: v for k, v in entry.items() if k not in ("parameters", "positions")},
-        **{p: rows(1.0) for p in wanted},
-        "uncertainty": {
-            p: rows(PLANNED_UNCERTAINTY["level" if p in LEVELS else "time"]) for p in wanted
-        },
-        "planned": True,
-    }
+    if not 1 <= n <= MAX_POSITIONS:
+        raise DataError(f"{where}: positions = {n} is not from 1 to {MAX_POSITIONS}")
+    values = np.ones((n, room.n_bands))
+    of_kind = {p: PLANNED_UNCERTAINTY["level" if p in LEVELS else "time"] for p in wanted}
+    measured = Measurement(
+        centre_frequencies=room.centre_frequencies,
+        values=dict.fromkeys(wanted, values),
+        pairs=[("S", f"R{i + 1}") for i in range(n)],
+        uncertainty={p: u * values for p, u in of_kind.items()},
+    )
+    return Configuration.of(table, measured, planned=True)

@@ -8,29 +8,74 @@ from __future__ import annotations
 import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Annotated, Any
 
+import msgspec
 import numpy as np
 
 from rtcal.acoustics import band_conversion, bands, room_files
 from rtcal.acoustics.air import Air
 from rtcal.acoustics.measurement import Measurement
-from rtcal.acoustics.measurement_files import OPTIONAL
+from rtcal.acoustics.measurement_files import MeasurementData
 from rtcal.acoustics.observables import observable
 from rtcal.acoustics.room import Room, text_name
 from rtcal.support import checks
-from rtcal.support.checks import Entries
 from rtcal.support.errors import DataError, OtherBandsWarning
 from rtcal.support.files import json_numbers
+from rtcal.support.schema import Table
 from rtcal.support.types import Array, read_only
 
 PARAMETERS = ("t20", "edt", "t30", "c80", "g")
 """Parameters that are compared, in the order of a saved case."""
 LEVELS = ("c80", "g")
 """Parameters in dB. The uncertainty of the other parameters is relative."""
-MAX_UNCERTAINTY = {"time": (1.0, " (relative: 0.02 is 2 %)"), "level": (20.0, " dB")}
 
-_KEYS = ("name", "changes", "suspect_removed", "air", "distances", "distance", "planned")
+
+class ChangeTable(Table):
+    """The coefficients of a material in a configuration; see `ChangedMaterial`."""
+
+    alpha: list[float]
+    sigma: list[float]
+
+
+class ConfigurationTable(Table):
+    """What a configuration states beside its measurement; see `Configuration`."""
+
+    name: str = "measured"
+    changes: dict[str, ChangeTable] | None = None
+    suspect_removed: bool = False
+    air: room_files.AirTable | None = None
+    distances: list[float] | None = None
+    distance: list[float] | None = None
+
+
+_Values = list[list[float | None] | float | None]
+"""A list (n_pairs, n_bands), or (n_bands,) for a single pair; None is missing."""
+
+
+class ConfigurationData(ConfigurationTable):
+    """A configuration as plain values: its measurement, or the values by parameter."""
+
+    measured: MeasurementData | None = None
+    planned: bool = False
+    t20: _Values | None = None
+    edt: _Values | None = None
+    t30: _Values | None = None
+    c80: _Values | None = None
+    g: _Values | None = None
+    pairs: list[tuple[str, str]] | None = None
+    uncertainty: dict[str, _Values] | None = None
+    common_uncertainty: dict[str, list[float | None]] | None = None
+    standard_deviation: dict[str, list[float | None]] | None = None
+    n_sources: int | None = None
+    n_receivers: int | None = None
+
+
+class Uncertainty(Table):
+    """The uncertainty of values that state none: relative of a time, in dB of a level."""
+
+    time: Annotated[float, msgspec.Meta(gt=0, le=1)] | None = None
+    level: Annotated[float, msgspec.Meta(gt=0, le=20)] | None = None
 
 
 @dataclass(frozen=True)
@@ -119,18 +164,17 @@ class Configuration:
             alpha[row], sigma[row] = change.alpha, change.sigma
         return alpha, sigma
 
-    def with_uncertainty(self, stated: Mapping[str, float]) -> Configuration:
-        """Return the configuration with uncertainties for the values that state none.
-
-        ``stated`` as `checked_uncertainty` returns it.
-        """
+    def with_uncertainty(self, stated: Uncertainty) -> Configuration:
+        """Return the configuration with uncertainties for the values that state none."""
         measured = self.measured
         added = dict(measured.uncertainty)
         for parameter, values in measured.values.items():
-            if parameter not in added and "level" in stated and parameter in LEVELS:
-                added[parameter] = np.full_like(values, stated["level"])
-            elif parameter not in added and "time" in stated and parameter not in LEVELS:
-                added[parameter] = stated["time"] * values
+            if parameter in added:
+                continue
+            if parameter in LEVELS and stated.level is not None:
+                added[parameter] = np.full_like(values, stated.level)
+            elif parameter not in LEVELS and stated.time is not None:
+                added[parameter] = stated.time * values
         return replace(self, measured=replace(measured, uncertainty=added))
 
     def to_dict(self) -> dict[str, Any]:
@@ -158,95 +202,59 @@ class Configuration:
         }
 
     @classmethod
-    def from_dict(cls, data: Mapping[str, Any], centre_frequencies: Array) -> Configuration:
-        """Return the configuration of plain values, measured in these bands in Hz.
-
-        ``data`` holds either the values, by parameter, or ``measured`` as `Measurement.to_dict`
-        returns it. Raises DataError for an unknown key, and for a value of the
-        wrong kind.
-        """
-        data = checks.mapped("configuration", data)
-        name = text_name("configuration: name", data.get("name", "measured"))
-        where = f'configuration "{name}"'
-        inline = (*PARAMETERS, *OPTIONAL)
-        entries = Entries(f"{where}: ", data, (), (*_KEYS, "measured", *inline))
-        if "measured" in data:
-            if beside := [key for key in inline if key in data]:
-                raise DataError(
-                    f"{where}: {beside[0]} stands beside measured; values come from one of them"
-                )
-            measured = Measurement.from_dict(entries.mapping("measured"))
-        else:
-            measured = _inline(where, data, centre_frequencies)
-        distances = "distances" if "distances" in entries else "distance"
+    def of(
+        cls, table: ConfigurationTable, measured: Measurement, *, planned: bool = False
+    ) -> Configuration:
+        """Return the configuration of a table and its measurement; DataError as the class."""
+        changes = table.changes or {}
         return cls(
-            name=name,
+            name=table.name,
             measured=measured,
-            changes={
-                material: _change(f'{where}: changes: "{material}"', change)
-                for material, change in (
-                    entries.mapping("changes") if data.get("changes") is not None else {}
-                ).items()
-            },
-            suspect_removed=entries.flag("suspect_removed", False),
-            air=room_files.air(f"{where}: air", data.get("air")),
-            distances=entries.array(distances, (None,)) if distances in entries else None,
-            planned=entries.flag("planned", False),
+            changes={name: ChangedMaterial(c.alpha, c.sigma) for name, c in changes.items()},
+            suspect_removed=table.suspect_removed,
+            air=room_files.air(table.air),
+            distances=table.distance if table.distances is None else table.distances,
+            planned=planned,
         )
 
 
-def checked_uncertainty(stated: Mapping[str, Any]) -> dict[str, float]:
-    """Return the uncertainty of values that state none: ``time`` relative, ``level`` in dB.
+def measurement_of(table: ConfigurationData, centre_frequencies: Array) -> Measurement:
+    """Return the measurement of a configuration's plain values, measured in these bands in Hz.
 
-    Raises DataError unless it is above 0 and at most `MAX_UNCERTAINTY`.
+    Raises DataError for values by parameter beside a measurement, and for none of both.
     """
-    entries = Entries("uncertainty: ", stated, (), MAX_UNCERTAINTY)
-    numbers = {key: checks.positive(f"uncertainty: {key}", entries.number(key)) for key in stated}
-    for key, number in numbers.items():
-        most, unit = MAX_UNCERTAINTY[key]
-        if number > most:
-            raise DataError(f"uncertainty: {key} = {number:g} is not at most {most:g}{unit}")
-    return numbers
+    where = f'configuration "{table.name}"'
+    stated = {k: v for k, v in msgspec.structs.asdict(table).items() if v is not None}
+    values = {p: _rows(stated[p]) for p in PARAMETERS if p in stated}
+    more = {k: stated[k] for k in MeasurementData.__struct_fields__[2:] if k in stated}
+    if table.measured is not None:
+        if beside := [*values, *more]:
+            raise DataError(
+                f"{where}: {beside[0]} stands beside measured; values come from one of them"
+            )
+        return Measurement(**msgspec.structs.asdict(table.measured))
+    if not values:
+        raise DataError(f"{where} has none of {', '.join(PARAMETERS)}")
+    if "uncertainty" in more:
+        more["uncertainty"] = {p: _rows(u) for p, u in more["uncertainty"].items()}
+    n_pairs = len(next(iter(values.values())))
+    pairs = [("S", f"R{i + 1}") for i in range(n_pairs)]
+    try:
+        return Measurement(
+            centre_frequencies=centre_frequencies, values=values, **{"pairs": pairs, **more}
+        )
+    except DataError as error:
+        raise DataError(f"{where}: {error}") from error
+
+
+def _rows(values: Any) -> list[Any]:
+    """Return nested lists; the values of a single pair become a list with one row."""
+    return values if values and isinstance(values[0], list) else [values]
 
 
 def _in_order(tables: Mapping[str, Any]) -> dict[str, Any]:
     """Return the tables in the order of `from_dict`: a case that is read and saved keeps its bytes."""
     return {p: tables[p] for p in PARAMETERS if p in tables}
-
-
-def _inline(where: str, data: Mapping[str, Any], centre_frequencies: Array) -> Measurement:
-    """Return the measurement whose values the configuration holds by parameter."""
-    values = {p: _rows(f"{where}: {p}", data[p]) for p in PARAMETERS if p in data}
-    if not values:
-        raise DataError(f"{where} has none of {', '.join(PARAMETERS)}")
-    n_pairs = len(next(iter(values.values())))
-    pairs = data.get("pairs")
-    measurement = {
-        "centre_frequencies": centre_frequencies,
-        "values": values,
-        "pairs": [["S", f"R{i + 1}"] for i in range(n_pairs)] if pairs is None else pairs,
-        **{key: data[key] for key in OPTIONAL[2:] if data.get(key) is not None},
-    }
-    if data.get("uncertainty") is not None:
-        stated = checks.mapped(f"{where}: uncertainty", data["uncertainty"])
-        measurement["uncertainty"] = {
-            p: _rows(f"{where}: uncertainty: {p}", u) for p, u in stated.items()
-        }
-    try:
-        return Measurement.from_dict(measurement)
-    except DataError as error:
-        raise DataError(f"{where}: {error}") from error
-
-
-def _rows(place: str, values: Any) -> list[Any]:
-    """Return nested lists; the values of a single pair become a list with one row."""
-    rows = list(checks.listed(place, values))
-    return rows if rows and isinstance(rows[0], list | tuple | np.ndarray) else [rows]
-
-
-def _change(place: str, data: Any) -> ChangedMaterial:
-    change = Entries(f"{place}: ", data, ("alpha", "sigma"))
-    return ChangedMaterial(change.array("alpha", (None,)), change.array("sigma", (None,)))
 
 
 LEVEL_LIMITS = {"c80": (-30.0, 60.0), "g": (-40.0, 60.0)}

@@ -34,10 +34,10 @@ from rtcal.prediction.predicted import Prediction, Predictions
 from rtcal.report import finding_pages, gap_report, loop_page, positions_page, prediction_page
 from rtcal.report.document import Heading
 from rtcal.report.page import calibration_page, modes_page
-from rtcal.support.checks import json_object
 from rtcal.support.errors import DataError
 from rtcal.support.files import json_numbers, read_text
 from rtcal.support.saved import MAX_BYTES, NUMBERS, load
+from rtcal.support.schema import json_object
 
 __all__ = ["page_of"]
 __dir__ = __all__.copy

@@ -29,9 +29,9 @@ import numpy as np
 
 from rtcal.studies.paper import CALIBRATIONS, METHODS
 from rtcal.support import checks, files
-from rtcal.support.checks import json_object
 from rtcal.support.errors import DataError
 from rtcal.support.files import make_folder, read_text, write_bytes
+from rtcal.support.schema import json_object
 from rtcal.support.speed import bar as progress_bar
 from rtcal.support.speed import thread_pool
 from rtcal.support.types import Array

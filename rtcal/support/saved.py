@@ -23,9 +23,9 @@ from typing import Any, ClassVar
 import numpy as np
 
 from rtcal.support import __version__, checks
-from rtcal.support.checks import json_object
 from rtcal.support.errors import DataError
 from rtcal.support.files import json_text, make_folder, read_text, write_all
+from rtcal.support.schema import json_object
 
 NUMBERS = "result.json"
 """Name of a result's file in its folder."""

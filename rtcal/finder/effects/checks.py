@@ -38,7 +38,6 @@ from rtcal.finder.effects.whole_room import (
 )
 from rtcal.finder.model import Decay, RoomState
 from rtcal.support import checks
-from rtcal.support.checks import Entries
 from rtcal.support.errors import DataError, RtcalError
 from rtcal.support.text import shortened
 from rtcal.support.types import Array
@@ -429,15 +428,3 @@ class AppliedEffect:
         """Return plain values for JSON, as `from_dict` reads them."""
         ends = None if self.size_interval is None else list(self.size_interval)
         return {"effect": self.name, "parameters": dict(self.parameters), "size_interval": ends}
-
-    @classmethod
-    def from_dict(cls, data: Mapping[str, Any], place: str = "effect") -> AppliedEffect:
-        """Return the effect of plain values; DataError, which begins with ``place``, if it is none."""
-        entry = Entries(f"{place}.", data, ("effect", "parameters"), ("size_interval",))
-        parameters = entry.mapping("parameters")
-        numbers = Entries(f"{place}.parameters.", parameters, (), parameters)
-        ends = None
-        if "size_interval" in entry:
-            low, high = entry.array("size_interval", (2,)).tolist()
-            ends = (low, high)
-        return cls(entry.text("effect"), {k: numbers.number(k) for k in parameters}, ends)

@@ -1,0 +1,317 @@
+"""Files as types: msgspec checks a file's content against classes, and tomli-w writes it.
+
+A table of a file is a class derived from `Table`: its fields are the keys that the table may have, with
+their types. What a type does not say (ranges of physical values, lengths that must fit) is checked by
+the constructor of the object that the file describes. Text is parsed strictly before.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+import tomllib
+import types
+from collections.abc import Iterator, Mapping
+from difflib import get_close_matches
+from typing import Annotated, Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
+
+import msgspec
+
+from rtcal.support.checks import shown
+from rtcal.support.errors import DataError
+
+T = TypeVar("T")
+
+Positive = Annotated[float, msgspec.Meta(gt=0)]
+Share = Annotated[float, msgspec.Meta(ge=0, le=1)]
+Point = tuple[float, float, float]
+
+
+class Table(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
+    """A table of a file: its fields are the keys that it may have; those without a default it must."""
+
+
+def read(kind: type[T], data: object, place: str = "") -> T:
+    """Return the content of a file, or of a part of it, as a value of a type.
+
+    Parameters
+    ----------
+    kind : type
+        A `Table`, or another type that msgspec knows.
+    data : plain values
+        As `json_object` and `toml_table` return them.
+    place : str
+        The part's name in messages; empty for the whole file. With ``:`` at its end a message goes on
+        after a blank, else after a dot.
+
+    Raises
+    ------
+    DataError
+        For an unknown key, a key that is missing, or a value of another type; the message names place,
+        value and rule, and the key that is most likely meant.
+
+    Examples
+    --------
+    >>> class Material(Table):
+    ...     name: str
+    ...     alpha: list[float]
+    >>> read(list[Material], [{"name": "wall", "alpha": [0.1, "a"]}], "material")
+    Traceback (most recent call last):
+    rtcal.support.errors.DataError: material "wall": alpha[1] = 'a' is not a number
+    """
+    try:
+        return msgspec.convert(data, kind)
+    except msgspec.ValidationError as error:
+        raise DataError(_fault(kind, data, place) or f"{_whole(place)}: {error}") from error
+
+
+def _whole(place: str) -> str:
+    return place.rstrip(":") or "the file"
+
+
+def within(place: str, key: str) -> str:
+    """Return the name of a key of a table in messages."""
+    return f"{place} {key}" if place.endswith(":") else f"{place}.{key}" if place else key
+
+
+def _fault(kind: Any, value: Any, place: str) -> str | None:
+    """Return the first thing in a value that its type does not allow; None if there is none."""
+    try:
+        msgspec.convert(value, kind)
+        return None
+    except msgspec.ValidationError:
+        pass
+    for option in _options(kind):
+        if wrong := _wrong_key(option, value, place):
+            return wrong
+        for where, of, part in _parts(option, value, place):
+            if fault := _fault(of, part, where):
+                return fault
+    if isinstance(value, int) and abs(value) > 1e300:
+        return f"{place} = {shown(value)} is too large a number"
+    most = max((m.le or m.lt or 0 for _, m in map(_bounds, _options(kind)) if m), default=0)
+    number = isinstance(value, int | float) and not isinstance(value, bool)
+    percent = ": is it in percent?" if number and most == 1 < value <= 100 else ""
+    rule = " or ".join(dict.fromkeys(_words(option) for option in _options(kind)))
+    return f"{_whole(place)} = {shown(value)} is not {rule}{percent}"
+
+
+def _is_list(kind: Any) -> bool:
+    return get_origin(kind) is list or (get_origin(kind) is tuple and Ellipsis in get_args(kind))
+
+
+def _is_table(kind: Any) -> bool:
+    return isinstance(kind, type) and issubclass(kind, msgspec.Struct)
+
+
+def _options(kind: Any) -> tuple[Any, ...]:
+    """Return the types of a union without None; others are a single one."""
+    if get_origin(kind) in (Union, types.UnionType):
+        return tuple(o for each in get_args(kind) for o in _options(each) if each is not type(None))
+    return (kind,)
+
+
+def _bounds(kind: Any) -> tuple[Any, msgspec.Meta | None]:
+    """Return an annotated type and its limits; None where it has none."""
+    if get_origin(kind) is Annotated:
+        bare, meta = get_args(kind)
+        return bare, meta
+    return kind, None
+
+
+def _wrong_key(kind: Any, value: Any, place: str) -> str | None:
+    """Return which key a table lacks, or has and may not; None if its keys are right."""
+    if not (_is_table(kind) and isinstance(value, Mapping)):
+        return None
+    fields = {f.name: f for f in msgspec.structs.fields(kind)}
+    for key in value:
+        if key not in fields:
+            name = str(key)[:40]
+            near = get_close_matches(name, fields, 1)
+            among = get_close_matches(name, fields, 12, 0)
+            more = ", ..." if len(fields) > len(among) else ""
+            meant = (
+                f': is "{near[0]}" meant?' if near else f"; it may have {', '.join(among)}{more}"
+            )
+            return f'{_whole(place)} has the key "{name}", which has no meaning{meant}'
+    lacking = (name for name, f in fields.items() if f.required and name not in value)
+    return next((f"{_whole(place)} lacks {name}" for name in lacking), None)
+
+
+def _parts(kind: Any, value: Any, place: str) -> Iterator[tuple[str, Any, Any]]:
+    """Yield place, type and value of what a value of a type consists of."""
+    bare, _ = _bounds(kind)
+    origin, args = get_origin(bare), get_args(bare)
+    if _is_table(bare) and isinstance(value, Mapping):
+        hints = get_type_hints(bare, include_extras=True)
+        yield from ((within(place, k), hints[k], v) for k, v in value.items() if k in hints)
+    elif origin is dict and isinstance(value, Mapping):
+        yield from ((f"{place}: a name", args[0], key) for key in value)
+        yield from ((f'{place}["{shown(k)[1:-1]}"]', args[1], v) for k, v in value.items())
+    elif _is_list(bare) and isinstance(value, list | tuple):
+        for i, each in enumerate(value):
+            if _is_table(args[0]):
+                name = each.get("name") if isinstance(each, Mapping) else None
+                named = f'"{shown(name)[1:-1]}"' if isinstance(name, str) else str(i + 1)
+                yield f"{place} {named}:", args[0], each
+            else:
+                yield f"{place}[{i}]", args[0], each
+    elif origin is tuple and isinstance(value, list | tuple) and len(value) == len(args):
+        yield from (
+            (f"{place}[{i}]", a, v) for i, (a, v) in enumerate(zip(args, value, strict=True))
+        )
+
+
+_SCALARS = {float: "a number", int: "a whole number", str: "a text", bool: "true or false"}
+
+
+def _words(kind: Any) -> str:
+    """Return what a type allows, in words."""
+    bare, meta = _bounds(kind)
+    origin, args = get_origin(bare), get_args(bare)
+    if origin is Literal:
+        return " or ".join(f'"{option}"' for option in args)
+    if origin is tuple and not _is_list(bare):
+        return f"a list of {len(args)} {_words(args[0]).split(' ', 1)[1]}s"
+    if _is_list(bare):
+        most = f"at most {meta.max_length} " if meta and meta.max_length else ""
+        members = dict.fromkeys(
+            re.sub(r"^an? (\w+)", r"\1s", _words(option)) for option in _options(args[0])
+        )
+        return f"a list of {most}{' or '.join(members)}"
+    if origin is dict:
+        return f"a table{' with an entry' if meta else ''}"
+    if meta is None:
+        return _SCALARS.get(bare, "a table")
+    ends = (("from {:g}", meta.ge), ("above {:g}", meta.gt), ("to {:g}", meta.le))
+    limits = " ".join(words.format(end) for words, end in ends if end is not None)
+    return f"{_SCALARS[bare]} {limits}"
+
+
+MAX_DEPTH = 20
+"""Largest nesting depth of a file; rtcal's formats need at most 6."""
+MAX_DIGITS = 400
+"""Largest number of digits of an integer; the largest float has 309."""
+MAX_DOTS = 500
+"""Largest number of parts of a dotted TOML key; tomllib's time grows with its square."""
+
+
+def json_object(text: str) -> dict[str, Any]:
+    """Return the object that a JSON text holds.
+
+    Raises DataError, without the file's name, for anything but one object, a key that is given twice,
+    NaN and Infinity, an integer of more than `MAX_DIGITS`, more than `MAX_DEPTH` levels, and half of a
+    surrogate pair in a text.
+
+    Examples
+    --------
+    >>> json_object('{"volume": 100}')
+    {'volume': 100}
+    """
+    try:
+        value = json.loads(
+            text, object_pairs_hook=_unique, parse_constant=_no_number, parse_int=_integer
+        )
+    except RecursionError as error:
+        raise DataError(f"not JSON that rtcal reads: {_TOO_DEEP}") from error
+    except ValueError as error:
+        raise DataError(f"not JSON: {error}") from error
+    if not isinstance(value, dict):
+        raise DataError("not a JSON object")
+    _check_levels(value)
+    return value
+
+
+def toml_table(text: str) -> dict[str, Any]:
+    """Return the table that a TOML text holds; DataError as `json_object`.
+
+    Examples
+    --------
+    >>> toml_table("volume = 100")
+    {'volume': 100}
+    """
+    if not isinstance(text, str):
+        raise DataError(f"content = {shown(text)} is not a text")
+    if any(line.count(".") > MAX_DOTS for line in text.split("\n") if "=" not in line[:MAX_DOTS]):
+        raise DataError(f"a key of more than {MAX_DOTS} parts")
+    try:
+        value = tomllib.loads(text)
+    except RecursionError as error:
+        raise DataError(f"not TOML that rtcal reads: {_TOO_DEEP}") from error
+    except ValueError as error:
+        raise DataError(f"not valid TOML: {error}") from error
+    _check_levels(value)
+    return value
+
+
+_TOO_DEEP = f"more than {MAX_DEPTH} levels"
+
+
+def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    table = dict(pairs)
+    if len(table) < len(pairs):
+        keys = [key for key, _ in pairs]
+        twice = next(key for i, key in enumerate(keys) if key in keys[:i])
+        raise ValueError(f"the key {twice[:40]!r} is given twice")
+    return table
+
+
+def _no_number(text: str) -> None:
+    raise ValueError(f"{text} is no number of JSON's")
+
+
+def _integer(text: str) -> int:
+    if len(text) > MAX_DIGITS:
+        raise ValueError(f"an integer of {len(text)} digits; {MAX_DIGITS} are the most")
+    return int(text)
+
+
+def _check_levels(value: Any) -> None:
+    """Refuse too many levels, and text that cannot be written to a file again."""
+    level: list[Any] = [value]
+    for _ in range(MAX_DEPTH + 1):
+        below: list[Any] = []
+        for each in level:
+            if isinstance(each, dict):
+                below += each.keys()
+                below += each.values()
+            elif isinstance(each, list):
+                below += each
+            elif isinstance(each, str) and not each.isascii():
+                try:
+                    each.encode()
+                except UnicodeEncodeError as error:
+                    raise DataError(f"{each[:40]!r} has half of a surrogate pair") from error
+        if not below:
+            return
+        level = below
+    raise DataError(_TOO_DEEP)
+
+
+def toml_text(table: Mapping[str, Any]) -> str:
+    """Return plain values as the text of a TOML file, with each list of numbers on one line.
+
+    A list of tables, which hold no tables themselves, stands at the end: ``[[key]]`` for each.
+
+    Examples
+    --------
+    >>> print(toml_text({"volume": 60.0, "material": [{"name": "wall", "alpha": [0.1, 0.2]}]}))
+    volume = 60.0
+    <BLANKLINE>
+    [[material]]
+    name = "wall"
+    alpha = [0.1, 0.2]
+    <BLANKLINE>
+    """
+    import tomli_w
+
+    lists = {k: v for k, v in table.items() if isinstance(v, list) and v and isinstance(v[0], dict)}
+    texts = [tomli_w.dumps({k: v for k, v in table.items() if k not in lists})]
+    for key, tables in lists.items():
+        texts += [f"[[{key}]]\n{tomli_w.dumps(each)}" for each in tables]
+    # tomli-w writes a text on one line, so that no line of a text begins so.
+    return re.sub(
+        r"\[\n((?: +[-+.\deinfa]+,\n)+) *\]",
+        lambda found: f"[{', '.join(found[1].replace(',', ' ').split())}]",
+        "\n".join(texts),
+    )
