@@ -16,6 +16,7 @@ and C80, which were not fitted; and the largest standard error of the measuremen
 from __future__ import annotations
 
 import argparse
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -27,7 +28,6 @@ from rtcal.datasets import halls
 from rtcal.loop.calibrate import calibrate_simulator
 from rtcal.simulators.path_tracing import PathTracing
 from rtcal.simulators.ray_tracing import RayTracing
-from rtcal.support.schema import Point
 
 
 @dataclass(frozen=True)
@@ -60,7 +60,9 @@ COLUMNS = (
 )
 
 
-def moved(points: dict[str, Point], rng: np.random.Generator) -> dict[str, Point]:
+def moved(
+    points: dict[str, Sequence[float]], rng: np.random.Generator
+) -> dict[str, Sequence[float]]:
     """Each point half a metre to the side."""
     found = {}
     for name, (x, y, z) in points.items():
@@ -69,7 +71,7 @@ def moved(points: dict[str, Point], rng: np.random.Generator) -> dict[str, Point
     return found
 
 
-def only(measured: rt.Measurement, receivers: dict[str, Point]) -> rt.Measurement:
+def only(measured: rt.Measurement, receivers: dict[str, Sequence[float]]) -> rt.Measurement:
     """The measurement at some receivers."""
     rows = [i for i, (_, r) in enumerate(measured.pairs) if r in receivers]
     return rt.Measurement(
@@ -108,7 +110,7 @@ def prior(hall: halls.Hall, case: Case) -> rt.Room:
     return hall.room.replace(sigma=RELATIVE_SIGMA * hall.room.alpha) if case.relative else hall.room
 
 
-def chosen(hall: halls.Hall, case: Case) -> dict[str, Point]:
+def chosen(hall: halls.Hall, case: Case) -> dict[str, Sequence[float]]:
     """The sources that sound."""
     return dict(list(hall.sources.items())[: case.n_sources])
 
@@ -128,7 +130,7 @@ def run(name: str, case: Case, trial: int) -> Trial:
     hall = getattr(halls, name)()
     room = prior(hall, case)
 
-    def tracer(receivers: dict[str, Point], n_paths: int) -> PathTracing:
+    def tracer(receivers: dict[str, Sequence[float]], n_paths: int) -> PathTracing:
         return PathTracing(
             geometry=hall.geometry,
             room=room,

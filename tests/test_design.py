@@ -22,7 +22,6 @@ from rtcal.prediction import (
     changed,
     din_18041,
     predict,
-    read_treatments,
 )
 from rtcal.prediction.designed import Design, design, design_model
 from rtcal.support.errors import DataError, InfeasibleError
@@ -349,43 +348,6 @@ def test_the_command_designs_and_its_result_is_read_back(tmp_path: Path) -> None
     assert "0.5 is not from 0.8" in refused.stderr
 
 
-TREATMENTS_FILE = """
-[target]
-TARGET
-[[material]]
-name = "panel"
-alpha = [0.5, 0.7, 0.8]
-sigma = 0.1
-[[treatment]]
-name = "panels"
-material = "panel"
-covers = "ceiling"
-largest = 40
-cost = 90
-"""
-
-
-@pytest.mark.parametrize(
-    ("target", "old", "new", "said"),
-    [
-        ('standard = "DIN 18041"\ngroup = "A3"\nhigh = 0.6', "", "", "and high are both stated"),
-        ('standard = "ANSI S12.60"\ngroup = "A3"', "", "", "ANSI S12.60 has no group"),
-        ('group = "A3"\nhigh = 0.6', "", "", "without a standard"),
-        ("high = 600", "", "", "above 100 s"),
-        (
-            "high = 0.6",
-            'material = "panel"',
-            'material = "panl"',
-            'material = "panl" is no material; the room has wall, floor, ceiling; the file has panel',
-        ),
-    ],
-)
-def test_nothing_that_a_file_states_is_lost(target: str, old: str, new: str, said: str) -> None:
-    content = TREATMENTS_FILE.replace("TARGET", target).replace(old, new)
-    with pytest.raises(DataError, match=said):
-        read_treatments(content, a_room())
-
-
 def test_a_range_is_widened_to_100_s_at_most() -> None:
     assert Target([50.0], [90.0]).widened(2).high == 100
 
@@ -479,13 +441,6 @@ def test_a_range_that_is_none_has_no_probability(low: object, high: object, rule
 def test_a_volume_that_no_room_of_these_surfaces_has_is_refused() -> None:
     with pytest.raises(DataError, match="volume = 1e-09 m³ is not from"):
         a_seminar_room()[0].predict(rt.prediction.NewVolume(1e-9))
-
-
-def test_a_material_of_the_catalogue_states_no_alpha() -> None:
-    room, _ = rt.datasets.bras_cr2()
-    text = '[[material]]\nname = "c"\ncatalogue = "carpet_cotton"\nsigma = 0.4\n[[variant]]\n'
-    with pytest.raises(DataError, match=r"\[\[material\]\] 1: catalogue and sigma are both stated"):
-        rt.prediction.read_variants(text, room, rt.datasets.catalogue.material)
 
 
 def test_rounding_draws_the_same_samples() -> None:

@@ -305,53 +305,6 @@ def written(folder: Path, case: str, room: str = ROOM, table: str = TABLE) -> Pa
 
 
 @pytest.mark.parametrize(
-    ("case", "words"),
-    [
-        *[
-            (
-                MEASURED + f"suspect_removed = {v}\n",
-                ('"as built": suspect_removed', "true or false"),
-            )
-            for v in ('"false"', "0", "1", "[]", '""', "nan", "{}")
-        ],
-        *[
-            (f"[uncertainty]\n{k} = {v}\n" + MEASURED, (f"uncertainty: {k}",))
-            for k in ("time", "level")
-            for v in ("true", "1e300", "0", "-1", "nan", '"x"')
-        ],
-        ("[uncertainty]\ntime = 2\n" + MEASURED, ("time = 2 is not at most 1 (relative",)),
-        *[
-            (f"uncertainty = {v}\n" + MEASURED, ("uncertainty", "mapping"))
-            for v in ("0", '""', "[]")
-        ],
-        *[
-            (MEASURED + f"changes = {v}\n", ('"as built": changes', "is not a mapping"))
-            for v in ("0", '""', "[]", "false")
-        ],
-        (PLANNED.replace('["t20"]', '["t20", "t20"]'), ('"to do": parameters', "each once")),
-        (PLANNED.replace('["t20"]', '[["t20"]]'), ('"to do": parameters', "each once")),
-        (PLANNED + 'measured = "t.csv"\n', ("measured stands beside parameters",)),
-        (PLANNED + "t20 = [1, 1, 1]\n", ("t20 stands beside parameters",)),
-        (MEASURED + "t20 = [1, 1, 1]\n", ("t20 stands beside measured",)),
-        (PLANNED + "positions = 10000000\n", ("positions = 10000000 is not at most 1000",)),
-        (
-            MEASURED + "air = {foo = 1}\n",
-            ('air has the key "foo"', "not one of humidity, pressure"),
-        ),
-        (MEASURED.replace('"t.csv"', '""'), ("has no measured = a measurement's file",)),
-        (MEASURED.replace('"as built"', "3"), ("name has 3, which is not a text",)),
-        ('equation = "a\\nb"\n' + MEASURED, ("equation = 'a\\nb' is not one of",)),
-        (MEASURED + "distances = [1e6, 3]\n", ("1e+06 m; at most 83.2 m",)),
-    ],
-)
-def test_a_case_s_file_that_breaks_a_rule_is_refused(
-    case: str, words: tuple[str, ...], tmp_path: Path
-) -> None:
-    path = written(tmp_path, case)
-    refused(lambda: Case.from_file(str(path)), *words)
-
-
-@pytest.mark.parametrize(
     ("room", "table", "words"),
     [
         (ROOM, re.sub(r"T20,(\d+),", r"T20,\1,1000", TABLE), ("T20 = 1000", "in seconds?")),
@@ -402,22 +355,6 @@ def test_a_case_takes_the_bands_that_calibrate_takes(tmp_path: Path) -> None:
     np.testing.assert_allclose(1 / t20[0], np.mean([1 / 1.2, 1 / 1.5, 1 / 1.4]), rtol=1e-14)
     assert np.isnan(t20[2])
     assert result.measured_data.ignored == (5000.0,)
-
-
-@pytest.mark.parametrize("name", ["", "  "])
-def test_a_configuration_has_a_name(name: str, tmp_path: Path) -> None:
-    path = written(tmp_path, MEASURED.replace("as built", name))
-    refused(lambda: Case.from_file(str(path)), f"configuration: name = {name!r} is blank")
-
-
-@pytest.mark.parametrize("stated", ["[9, 7]", "9", "[]", "[9, 7, 3, 2]"])
-def test_dimensions_are_three_lengths(stated: str, tmp_path: Path) -> None:
-    room = ROOM.replace("{dimensions}", f"dimensions = {stated}")
-    path = written(tmp_path, MEASURED, room)
-    refused(
-        lambda: Case.from_file(str(path)),
-        f"dimensions = {stated} is not the three lengths",
-    )
 
 
 def test_distances_stay_within_a_box_s_diagonal(tmp_path: Path) -> None:

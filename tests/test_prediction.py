@@ -26,7 +26,6 @@ from rtcal.prediction import (
     changed,
     compare,
     predict,
-    read_variants,
 )
 from rtcal.support.errors import DataError, ModelError
 
@@ -532,35 +531,6 @@ area = 20
 [[variant.change]]
 air = {temperature = 24, humidity = 50}
 """
-
-
-@pytest.mark.parametrize(
-    ("old", "new", "said"),
-    [
-        ("cover", "covers", "covers"),
-        ("area = 20", "area = 2000", "more than"),
-        ('by = "panel"', "", "lacks by"),
-        (
-            'by = "panel"',
-            'by = "panl"',
-            r'by = "panl" is no material; the room has .*file has panel',
-        ),
-        (
-            "[[variant]]",
-            '[[variant]]\nname = "panels"\nchange = []\n[[variant]]',
-            "twice; each has a name of its own",
-        ),
-        ("[[variant]]", "[[variants]]", "variants"),
-        ("air = {temperature = 24, humidity = 50}", "air = {temperature = 24}\nby = 3", "by"),
-        ("air = {temperature = 24, humidity = 50}", 'open = "x"\nair = {}', "2 of"),
-    ],
-)
-def test_a_file_of_variants_that_breaks_a_rule_is_refused(old: str, new: str, said: str) -> None:
-    room, _ = rt.datasets.bras_cr2()
-    assert old in VARIANTS
-    with pytest.raises(DataError, match=said):
-        for variant in read_variants(VARIANTS.replace(old, new), room):
-            changed(room, variant.changes)
 
 
 def test_the_command_predicts_and_writes(tmp_path: Path) -> None:

@@ -67,38 +67,6 @@ def test_the_mesh_is_the_same_file_wherever_the_room_is_saved(
         assert Path(again or "").resolve() == tmp_path / "project" / "meshes" / "room.obj"
 
 
-@pytest.mark.parametrize(
-    ("tables", "message"),
-    [
-        ("[sources]\nS = [1, 2, 3]\n", "receivers is empty, and sources is not"),
-        ("[sources]\nS = [1, 2, 3]\n[receiver]\nR = [1, 2, 2]\n", 'has the key "receiver"'),
-        ("[sources]\n[receivers]\nR = [1, 2, 3]\n", "sources is empty"),
-        ("[sources]\nS = [1, 2]\n[receivers]\nR = [1, 2, 3]\n", "sources.S has 2 values"),
-        ("[sources]\nS = [1, 2, inf]\n[receivers]\nR = [1, 2, 3]\n", "sources.S[2] = inf"),
-        ("[geometry]\nmesh = 3\n", "geometry.mesh = 3 is not a text"),
-        ('[geometry]\nmesh = " "\n', "geometry.mesh is not the name of a mesh's file"),
-        ("[geometry]\nunit = 0.001\n", "unit = 0.001 is that of a mesh, and none is stated"),
-        ('[geometry]\nmesh = "a"\nunit = -1\n', "unit = -1 m is not finite and above 0"),
-        ("[geometry]\nmash = 3\n", 'geometry has the key "mash"'),
-        ("[geometry.surfaces]\nwall = 3\n", "geometry.surfaces.wall = 3 is not a list"),
-        ("[geometry]\nposition_uncertainty = 0\n", "position_uncertainty = 0 m"),
-        ("geometry = 3\n", "geometry"),
-    ],
-)
-def test_a_wrong_scene_is_named(tables: str, message: str) -> None:
-    text = room().to_text()
-    at = text.index("\n[[material]]")
-    with pytest.raises(DataError, match="room.toml: .*" + re.escape(message)):
-        rt.Room.from_text(text[:at] + tables + text[at:], "room.toml")
-
-
-def test_the_file_of_positions_is_said_to_be_tables_of_the_room() -> None:
-    with pytest.raises(DataError, match="sources and receivers are tables of the room's file"):
-        rt.Room.from_text(
-            "[sources]\nS = [1, 2, 3]\n[receivers]\nR = [1, 2, 3]\n", "positions.toml"
-        )
-
-
 def test_a_wrong_scene_is_named_in_python() -> None:
     with pytest.raises(DataError, match=re.escape('sources["S"] = (1, 2) is not three finite')):
         rt.Scene(sources={"S": (1, 2)}, receivers={"R": (1, 2, 3)})

@@ -82,7 +82,7 @@ from rtcal.acoustics.room import Room
 from rtcal.acoustics.targets import Target, TargetTable, target_of
 from rtcal.support import checks
 from rtcal.support.errors import DataError
-from rtcal.support.schema import Table, read, toml_table
+from rtcal.support.schema import FileTable, Number, read, toml_table
 
 Catalogue = Callable[[str, Any], Material]
 """Returns the catalogue's material of a name for centre frequencies in Hz."""
@@ -97,17 +97,17 @@ _TAKES = {
 """Kinds of change in a file, and the further keys that each may have."""
 
 
-class NewMaterial(Table):
+class NewMaterial(FileTable):
     """A material that is not in the room: alpha and sigma, or a name in the catalogue."""
 
     name: str
-    alpha: list[float] | None = None
+    alpha: list[Number] | None = None
     sigma: room_files.StatedSigma | None = None
     catalogue: str | None = None
     source: str = ""
 
 
-class ChangeTable(Table):
+class ChangeTable(FileTable):
     """A change: one of the keys of `_TAKES`, and what belongs to it."""
 
     cover: str | None = None
@@ -115,20 +115,20 @@ class ChangeTable(Table):
     add: str | None = None
     remove: str | None = None
     open: str | None = None
-    area: float | None = None
+    area: Number | None = None
     air: room_files.AirTable | None = None
-    volume: float | None = None
+    volume: Number | None = None
 
 
-class VariantTable(Table):
+class VariantTable(FileTable):
     """A variant; its name is that of its changes if it states none."""
 
     change: list[ChangeTable]
-    name: str = ""
-    cost: float | None = None
+    name: str | None = None
+    cost: Number | None = None
 
 
-class VariantsFile(Table):
+class VariantsFile(FileTable):
     """A file of variants."""
 
     variant: list[VariantTable] = []
@@ -136,24 +136,24 @@ class VariantsFile(Table):
     target: TargetTable | None = None
 
 
-class TreatmentTable(Table):
+class TreatmentTable(FileTable):
     """A treatment, with the fields of `Treatment`."""
 
     name: str
     material: str
-    largest: float
-    cost: float
+    largest: Number
+    cost: Number
     covers: str | None = None
-    unit: float | None = None
+    unit: Number | None = None
 
 
-class TreatmentsFile(Table):
+class TreatmentsFile(FileTable):
     """A file of treatments."""
 
     treatment: list[TreatmentTable]
     target: TargetTable
     material: list[NewMaterial] = []
-    probability: float = 0.8
+    probability: Number = 0.8
 
 
 @dataclass(frozen=True)
@@ -213,11 +213,12 @@ def read_variants(
     new = new_materials(file.material, room, catalogue)
     variants: list[Variant] = []
     for i, table in enumerate(file.variant, start=1):
-        place = f'variant "{table.name}"' if table.name else f"variant {i}"
+        place = f"variant {i}" if table.name is None else f'variant "{table.name}"'
         try:
             made = tuple(_change(change, room, new) for change in table.change)
             changed(room, made)
-            variants.append(Variant(table.name or "; ".join(map(str, made)), made, table.cost))
+            name = "; ".join(map(str, made)) if table.name is None else table.name
+            variants.append(Variant(name, made, table.cost))
         except DataError as error:
             raise DataError(f"{place}: {error}") from error
     if not variants:
@@ -236,19 +237,15 @@ def refuse_repeated_names(variants: Sequence[Variant]) -> None:
 def read_target(content: str, room: Room) -> Target | None:
     """Return the target of a TOML text of variants; None if it states none. Raises as `target_of`."""
     stated = read(VariantsFile, toml_table(content)).target
-    return stated and target_of(stated, room.volume, room.centre_frequencies)
+    return None if stated is None else target_of(stated, room.volume, room.centre_frequencies)
 
 
 def new_materials(
     tables: Sequence[NewMaterial], room: Room, catalogue: Catalogue | None
 ) -> dict[str, Material]:
     """Return the materials that a file states, by name; DataError for a name given twice."""
-    new: dict[str, Material] = {}
-    for table in tables:
-        if table.name in new:
-            raise DataError(f'material "{table.name}" is given twice')
-        new[table.name] = _new_material(table, room, catalogue)
-    return new
+    room_files.refuse_repeats(tables)
+    return {table.name: _new_material(table, room, catalogue) for table in tables}
 
 
 def _material_name(key: str, name: str, room: Room, new: Mapping[str, Material]) -> str:
@@ -266,11 +263,7 @@ def _new_material(table: NewMaterial, room: Room, catalogue: Catalogue | None) -
     if table.catalogue is None:
         stated = {"name": table.name, "alpha": table.alpha, "sigma": table.sigma}
         own = read(room_files.MaterialTable, {**stated, "source": table.source}, f"{place}:")
-        made = room_files.material(own, room.centre_frequencies, None)
-        for key in ("alpha", "sigma"):
-            if (n := len(getattr(made, key))) != room.n_bands:
-                raise DataError(f"{place}: {key} has {n} values; the room has {room.n_bands} bands")
-        return made
+        return room_files.material(own, room.centre_frequencies, None)
     if catalogue is None:
         raise DataError(f'{place}: no catalogue to look "{table.catalogue}" up in')
     if both := [key for key in ("alpha", "sigma") if getattr(table, key) is not None]:

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from rtcal.acoustics.materials import text_name
 from rtcal.support import checks
 from rtcal.support.errors import DataError
-from rtcal.support.schema import Point, Table
+from rtcal.support.schema import FileTable, Number, Point
 from rtcal.support.types import Array, read_only
 
 LARGEST_INDEX = 25.0
@@ -268,12 +268,12 @@ def directivities(
     return made
 
 
-class Lobe(Table):
+class Lobe(FileTable):
     """A source's directivity in a room's file, of which one of index, gains and file is stated."""
 
     aim: Point
-    index: float | list[float] | None = None
-    gains: list[list[list[float]]] | None = None
+    index: Number | list[Number] | None = None
+    gains: list[list[list[Number]]] | None = None
     file: str | None = None
     up: Point | None = None
 

@@ -30,7 +30,7 @@ from rtcal.acoustics.observables import OBSERVABLES, SUMMARY, parameter_label
 from rtcal.support import checks
 from rtcal.support.errors import DataError
 from rtcal.support.files import json_numbers, read_text
-from rtcal.support.schema import Table
+from rtcal.support.schema import FileTable, Number
 from rtcal.support.types import Array
 
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d{1,3})?", re.ASCII)
@@ -43,14 +43,14 @@ _OPTIONAL_COLUMNS = (
     "receivers",
 )
 
-Rows = list[list[float | None]]
-PerBand = list[float | None]
+Rows = list[list[Number | None]]
+PerBand = list[Number | None]
 
 
-class MeasurementData(Table):
+class MeasurementData(FileTable):
     """A measurement as plain values, as `rtcal.Measurement.to_dict` returns them; None is missing."""
 
-    centre_frequencies: list[float]
+    centre_frequencies: list[Number]
     values: dict[str, Rows]
     pairs: tuple[tuple[str, str], ...] = ((SUMMARY, SUMMARY),)
     uncertainty: dict[str, Rows] = {}

@@ -68,6 +68,7 @@ One ``[[material]]`` per material::
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Annotated, Any, Literal
 
 import msgspec
@@ -81,66 +82,66 @@ from rtcal.acoustics.priors import TIERS, in_situ, sigma_iso_12999_2, sigma_rela
 from rtcal.acoustics.scene import GeometryTable, Places, Scene, SceneTables
 from rtcal.support.errors import DataError
 from rtcal.support.files import json_numbers
-from rtcal.support.schema import Share, Table, read, toml_table, toml_text
+from rtcal.support.schema import FileTable, Number, Share, read, toml_table, toml_text
 from rtcal.support.types import Array
 
 MAX_BYTES = 2**18
 """Largest size of a room's file in bytes: thirty times a usual one."""
 
-PerBand = float | list[float]
+PerBand = Number | list[Number]
 StatedSigma = PerBand | Literal["low", "moderate", "high"]
 """A sigma, or a degree of uncertainty of `TIERS`."""
 RELATIVE = ("volume_sigma", "common_area_sigma", "common_alpha_sigma")
 
 
-class AirTable(Table):
+class AirTable(FileTable):
     """Temperature in °C, relative humidity in % and pressure in kPa, as of `Air`."""
 
-    temperature: float = 20.0
-    humidity: float = 50.0
-    pressure: float = 101.325
+    temperature: Number = 20.0
+    humidity: Number = 50.0
+    pressure: Number = 101.325
 
 
-class Prior(Table):
+class PriorTable(FileTable):
     """The rule for the sigma of materials that state none."""
 
     relative: Share = 0.0
     minimum: Share = 0.0
     iso_12999_2: bool = False
-    in_situ_factor: float = 1.0
-    band_correlation: float = 0.0
+    in_situ_factor: Number = 1.0
+    band_correlation: Number = 0.0
 
 
-class MaterialTable(Table):
+class MaterialTable(FileTable):
     """A ``[[material]]``."""
 
     name: str
-    alpha: list[float]
-    area: float | None = None
+    alpha: list[Number]
+    area: Number | None = None
     sigma: StatedSigma | None = None
     alpha_min: PerBand = 0.0
     scattering: PerBand | None = None
     source: str = ""
-    area_sigma: float | str | None = None
+    area_sigma: Number | str | None = None
 
 
-class SurfaceTable(Table):
+class SurfaceTable(FileTable):
     """A surface; its name in a file without one is its number."""
 
     material: str
-    area: float
+    area: Number
     name: str = ""
     axis: str | None = None
 
 
-class Correlation(Table):
+class Correlation(FileTable):
     """The correlation of two materials' errors in the same band."""
 
     materials: tuple[str, str]
-    value: float
+    value: Number
 
 
-class Record(Table):
+class Record(FileTable):
     """The calibration of a calibrated room; see `CalibrationRecord`."""
 
     method: str
@@ -150,54 +151,54 @@ class Record(Table):
     version: str = ""
 
 
-class _Common(Table, kw_only=True):
-    """What a room's file and its plain values state alike."""
+class _Common(FileTable, kw_only=True):
+    """Keys that a room's file and its plain values have in common."""
 
-    volume: float
-    centre_frequencies: list[float]
+    volume: Number
+    centre_frequencies: list[Number]
     name: str = "room"
     author: str = ""
     scattering_model: str = "random"
     air: AirTable | None = None
-    dimensions: list[float] | None = None
+    dimensions: list[Number] | None = None
     calibration: Record | None = None
     above_one: str = "refuse"
     clipped: tuple[str, ...] = ()
-    volume_sigma: float = 0.0
-    common_area_sigma: float = 0.0
-    common_alpha_sigma: float = 0.0
-    climate_sigma: tuple[float, float] = (0.0, 0.0)
+    volume_sigma: Number = 0.0
+    common_area_sigma: Number = 0.0
+    common_alpha_sigma: Number = 0.0
+    climate_sigma: tuple[Number, Number] = (0.0, 0.0)
 
 
 class RoomFile(_Common):
     """A room's file; its scene's tables are those of `SceneTables`."""
 
-    geometry: GeometryTable = GeometryTable()
+    geometry: GeometryTable = msgspec.field(default_factory=GeometryTable)
     sources: Places | None = None
     receivers: Places | None = None
     directivity: dict[str, Lobe | Literal["unknown"]] = {}
     material: Annotated[list[MaterialTable], msgspec.Meta(max_length=500)] = []
     surface: Annotated[list[SurfaceTable], msgspec.Meta(max_length=5000)] = []
     correlation: Annotated[list[Correlation], msgspec.Meta(max_length=5000)] = []
-    prior: Prior | None = None
-    area_sigma: float | str | dict[str, float | str] = 0.0
+    prior: PriorTable | None = None
+    area_sigma: Number | str | dict[str, Number | str] = 0.0
 
 
-class RoomData(_Common, kw_only=True):
+class PlainRoom(_Common, kw_only=True):
     """A room as plain values, as `rtcal.Room.to_dict` returns them."""
 
     materials: list[str]
-    areas: list[float]
-    alpha: list[list[float]]
-    sigma: list[list[float]]
-    alpha_min: list[list[float]] | None = None
-    scattering: list[list[float]] | None = None
+    areas: list[Number]
+    alpha: list[list[Number]]
+    sigma: list[list[Number]]
+    alpha_min: list[list[Number]] | None = None
+    scattering: list[list[Number]] | None = None
     surfaces: list[SurfaceTable] = []
     sources: dict[str, str] = {}
-    scene: SceneTables = SceneTables()
-    band_correlation: float = 0.0
+    scene: SceneTables = msgspec.field(default_factory=SceneTables)
+    band_correlation: Number = 0.0
     material_correlation: list[Correlation] = []
-    area_sigma: float | str | list[float | str] | dict[str, float | str] = 0.0
+    area_sigma: Number | str | list[Number | str] | dict[str, Number | str] = 0.0
 
 
 def air(table: AirTable | None) -> Air | None:
@@ -226,10 +227,10 @@ def _correlations(tables: list[Correlation]) -> dict[tuple[str, str], float]:
     return {c.materials: c.value for c in tables}
 
 
-def of_plain(data: RoomData) -> dict[str, Any]:
+def of_plain(data: PlainRoom) -> dict[str, Any]:
     """Return the arguments of `Room` of its plain values."""
     return {
-        **{field: getattr(data, field) for field in RoomData.__struct_fields__},
+        **{field: getattr(data, field) for field in PlainRoom.__struct_fields__},
         **_common(data),
         "scene": Scene.of(data.scene),
         "surfaces": _surfaces(data.surfaces),
@@ -248,6 +249,7 @@ def of_text(text: str) -> dict[str, Any]:
     frequencies = bands.as_bands(file.centre_frequencies)
     surfaces = _surfaces(file.surface)
     covered = {surface.material for surface in surfaces}
+    refuse_repeats(file.material)
     for m in file.material:
         if m.area is not None and m.name in covered:
             raise DataError(f'area["{m.name}"] is given, and its surfaces too; give one')
@@ -272,40 +274,54 @@ def of_text(text: str) -> dict[str, Any]:
     }
 
 
-def material(table: MaterialTable, frequencies: Array, prior: Prior | None) -> Material:
-    """Return the material of a ``[[material]]``; ``prior`` derives a sigma that is not stated."""
+def refuse_repeats(materials: Sequence[Any]) -> None:
+    """Raise DataError for two materials of a file with one name."""
+    names = [m.name for m in materials]
+    if twice := next((name for name in names if names.count(name) > 1), None):
+        raise DataError(f'material "{twice}" is given twice')
 
-    def per_band(stated: PerBand) -> list[float]:
-        return stated if isinstance(stated, list) else [stated] * len(frequencies)
 
-    if isinstance(table.sigma, str):
-        sigma = per_band(TIERS[table.sigma])
-    elif table.sigma is not None:
-        sigma = per_band(table.sigma)
-    elif prior is not None:
-        sigma = _prior_sigma(prior, table.alpha, frequencies).tolist()
-    else:
-        raise DataError(
-            f'material "{table.name}" states no sigma, and the file has no [prior] to derive it from; '
-            "if in doubt, write [prior] with relative = 0.3 and minimum = 0.01"
-        )
+def material(table: MaterialTable, frequencies: Array, prior: PriorTable | None) -> Material:
+    """Return the material of a ``[[material]]``; ``prior`` derives a sigma that is not stated.
+
+    Raises DataError, which names the material, for another number of values than bands.
+    """
+
+    def per_band(key: str, stated: PerBand) -> list[float]:
+        if not isinstance(stated, list):
+            return [stated] * len(frequencies)
+        if len(stated) != len(frequencies):
+            raise DataError(
+                f'material "{table.name}": {key} has {len(stated)} values; the room has '
+                f"{len(frequencies)} bands"
+            )
+        return stated
+
+    alpha, sigma = per_band("alpha", table.alpha), table.sigma
+    if sigma is None:
+        if prior is None:
+            raise DataError(
+                f'material "{table.name}" states no sigma, and the file has no [prior] to derive it '
+                "from; if in doubt, write [prior] with relative = 0.3 and minimum = 0.01"
+            )
+        sigma = _prior_sigma(prior, alpha, frequencies)
     return Material(
         name=table.name,
-        alpha=table.alpha,
-        sigma=sigma,
-        alpha_min=table.alpha_min,
-        scattering=None if table.scattering is None else per_band(table.scattering),
+        alpha=alpha,
+        sigma=per_band("sigma", TIERS[sigma] if isinstance(sigma, str) else sigma),
+        alpha_min=per_band("alpha_min", table.alpha_min) if table.alpha_min else 0.0,
+        scattering=None if table.scattering is None else per_band("scattering", table.scattering),
         source=table.source,
     )
 
 
-def _prior_sigma(prior: Prior, alpha: list[float], frequencies: Array) -> Array:
+def _prior_sigma(prior: PriorTable, alpha: list[float], frequencies: Array) -> list[float]:
     """Return sigma by the file's [prior], for materials that state none."""
     limited = np.clip(alpha, 0, 2)  # the rules' limits; the room refuses or cuts what lies above 1
     sigma = sigma_relative(limited, prior.relative, prior.minimum)
     if prior.iso_12999_2:
         sigma = np.maximum(sigma, sigma_iso_12999_2(limited, frequencies))
-    return in_situ(sigma, prior.in_situ_factor)
+    return list(map(float, in_situ(sigma, prior.in_situ_factor)))
 
 
 def plain(room: Any) -> dict[str, Any]:
@@ -315,7 +331,7 @@ def plain(room: Any) -> dict[str, Any]:
         for name in ("alpha_min", "scattering", "dimensions")
         if (values := getattr(room, name)) is not None
     }
-    more = {
+    more: dict[str, Any] = {
         "surfaces": [vars(surface).copy() for surface in room.surfaces],
         "sources": dict(room.sources),
         "material_correlation": [
@@ -351,13 +367,14 @@ def text_of(room: Any) -> str:
     covered = {surface["material"] for surface in surfaces}
     materials = []
     for i, name in enumerate(room.materials):
-        per_material = {
+        stated: dict[str, Any] = {
+            "name": name,
             "area": None if name in covered else data["areas"][i],
             **{k: data[k][i] for k in ("alpha", "sigma", "alpha_min", "scattering") if k in data},
             "area_sigma": float(room.area_sigma[i]),
             "source": room.sources.get(name),
         }
-        materials.append({"name": name} | {k: v for k, v in per_material.items() if v})
+        materials.append({k: v for k, v in stated.items() if v})
     top = (
         "name",
         "author",

@@ -21,7 +21,7 @@ from rtcal.acoustics.directivity import (
 from rtcal.acoustics.materials import text_name
 from rtcal.support import checks
 from rtcal.support.errors import DataError
-from rtcal.support.schema import Point, Table
+from rtcal.support.schema import FileTable, Number, Point
 
 _POINTS = ("sources", "receivers")
 POSITION = 0.1
@@ -33,22 +33,22 @@ MAX_POINTS = 1000
 """Largest number of sources, and of receivers."""
 
 
-class GeometryTable(Table):
+class GeometryTable(FileTable):
     """The table ``geometry`` of a room's file."""
 
     mesh: str | None = None
-    unit: float = 1.0
-    position_uncertainty: float = POSITION
+    unit: Number = 1.0
+    position_uncertainty: Number = POSITION
     surfaces: dict[str, list[str]] = {}
 
 
 Places = Annotated[dict[str, Point], msgspec.Meta(min_length=1)]
 
 
-class SceneTables(Table):
+class SceneTables(FileTable):
     """The tables of a room's file that `Scene` holds."""
 
-    geometry: GeometryTable = GeometryTable()
+    geometry: GeometryTable = msgspec.field(default_factory=GeometryTable)
     sources: Places | None = None
     receivers: Places | None = None
     directivity: dict[str, Lobe | Literal["unknown"]] = {}

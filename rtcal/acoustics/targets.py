@@ -22,7 +22,7 @@ from rtcal.acoustics import bands
 from rtcal.support import checks
 from rtcal.support.errors import DataError
 from rtcal.support.files import json_numbers
-from rtcal.support.schema import Table
+from rtcal.support.schema import FileTable, Number
 from rtcal.support.types import Array
 
 
@@ -189,13 +189,13 @@ def ansi_s12_60(volume: float, centre_frequencies: Sequence[float] | Array) -> T
     raise DataError(f"volume = {volume:g} m³ is above 566 m³, up to which ANSI S12.60 states T")
 
 
-class TargetTable(Table):
+class TargetTable(FileTable):
     """The target of a file: a standard, or the ends of the range in s."""
 
     standard: Literal["DIN 18041", "ANSI S12.60"] | None = None
     group: str | None = None
-    low: float | list[float] | None = None
-    high: float | list[float] | None = None
+    low: Number | list[Number] | None = None
+    high: Number | list[Number] | None = None
 
 
 def target_of(table: TargetTable, volume: float, frequencies: Array) -> Target:
@@ -220,5 +220,5 @@ def target_of(table: TargetTable, volume: float, frequencies: Array) -> Target:
     for key, end in ends.items():
         if isinstance(end, list) and len(end) != n:
             raise DataError(f"target.{key} has {len(end)} values; the room has {n} bands")
-        ends[key] = np.broadcast_to(np.nan if end is None else end, n)
-    return Target(ends["low"], ends["high"])
+    low, high = (np.full(n, np.nan if end is None else end) for end in ends.values())
+    return Target(low, high)

@@ -13,7 +13,7 @@ values, scattering coefficients are estimates, one per material; sigma is the pa
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from rtcal.acoustics.room import Room
@@ -21,7 +21,6 @@ from rtcal.acoustics.scene import Scene
 from rtcal.datasets.examples import path
 from rtcal.io import obj
 from rtcal.simulators.geometry import Polyhedron
-from rtcal.support.schema import Point
 
 __all__ = ["Hall", "corridor", "hard_hall", "lecture_hall", "theatre"]
 __dir__ = __all__.copy
@@ -36,9 +35,9 @@ class Hall:
 
     geometry: Polyhedron
     room: Room
-    sources: Mapping[str, Point]
-    receivers: Mapping[str, Point]
-    held_out: Mapping[str, Point]
+    sources: Mapping[str, Sequence[float]]
+    receivers: Mapping[str, Sequence[float]]
+    held_out: Mapping[str, Sequence[float]]
 
     def __repr__(self) -> str:
         counts = f"{len(self.sources)} sources, {len(self.receivers)} receivers"

@@ -34,8 +34,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
@@ -64,7 +65,7 @@ from rtcal.io import geometry_files
 from rtcal.support import checks
 from rtcal.support.errors import DataError
 from rtcal.support.files import read_text, write_text
-from rtcal.support.schema import Table, json_object, read, toml_table
+from rtcal.support.schema import FileTable, Number, json_object, read, toml_table
 from rtcal.support.text import shortened
 from rtcal.support.types import Array, read_only
 
@@ -84,29 +85,29 @@ def checked_climate_uncertainty(value: object) -> tuple[float, float]:
     return kelvin, percent
 
 
-class _RoomOfCase(room_files.RoomData):
+class _RoomOfCase(room_files.PlainRoom):
     """The room of a saved case: with the directions of its materials."""
 
-    facing: list[list[float]] | None = None
+    facing: list[list[Number]] | None = None
 
 
-class _EffectTable(Table):
+class _EffectTable(FileTable):
     """An effect that was added to a saved case; see `AppliedEffect`."""
 
     effect: str
-    parameters: dict[str, float]
-    size_interval: tuple[float, float] | None = None
+    parameters: dict[str, Number]
+    size_interval: tuple[Number, Number] | None = None
 
 
-class _CaseData(Table):
+class _CaseData(FileTable):
     """A saved case."""
 
     room: _RoomOfCase
     configurations: list[ConfigurationData]
     equation: str = "eyring"
-    uncertainty: Uncertainty = Uncertainty()
+    uncertainty: Uncertainty = msgspec.field(default_factory=Uncertainty)
     present: list[_EffectTable] = []
-    climate_uncertainty: tuple[float, float] = CLIMATE_UNCERTAINTY
+    climate_uncertainty: tuple[Number, Number] = CLIMATE_UNCERTAINTY
 
 
 class _ConfigurationOfFile(ConfigurationTable):
@@ -114,15 +115,15 @@ class _ConfigurationOfFile(ConfigurationTable):
 
     measured: str | None = None
     parameters: list[str] | None = None
-    positions: int = 4
+    positions: int | None = None
 
 
-class _CaseFile(Table):
+class _CaseFile(FileTable):
     """A case in TOML."""
 
     room: str
     equation: str = "eyring"
-    uncertainty: Uncertainty = Uncertainty()
+    uncertainty: Uncertainty = msgspec.field(default_factory=Uncertainty)
     configuration: list[_ConfigurationOfFile] = []
 
 
@@ -222,7 +223,7 @@ class Case:
         return cls(
             room=room,
             equation=case.equation,
-            facing=case.room.facing,
+            facing=cast("Any", case.room.facing),
             configurations=[
                 Configuration.of(
                     c, measurement_of(c, room.centre_frequencies), planned=c.planned
@@ -386,6 +387,8 @@ def _configuration(folder: Path, room: Room, table: _ConfigurationOfFile) -> Con
     """Return a configuration of a TOML file, with its measurement of another file."""
     where = f'configuration "{table.name}"'
     if table.parameters is None:
+        if table.positions is not None:
+            raise DataError(f"{where}: positions has no meaning beside a measurement")
         if not (table.measured or "").strip():
             raise DataError(f"{where} has no measured = a measurement's file")
         return Configuration.of(table, Measurement.from_file(str(folder / str(table.measured))))
@@ -393,7 +396,7 @@ def _configuration(folder: Path, room: Room, table: _ConfigurationOfFile) -> Con
         raise DataError(
             f"{where}: measured stands beside parameters; a configuration is measured or planned"
         )
-    wanted, n = table.parameters, table.positions
+    wanted, n = table.parameters, 4 if table.positions is None else table.positions
     fits = all(p in PARAMETERS for p in wanted) and "t20" in wanted
     if not fits or len(set(wanted)) < len(wanted):
         raise DataError(

@@ -22,7 +22,7 @@ from rtcal.acoustics.room import Room, text_name
 from rtcal.support import checks
 from rtcal.support.errors import DataError, OtherBandsWarning
 from rtcal.support.files import json_numbers
-from rtcal.support.schema import Table
+from rtcal.support.schema import FileTable, Number
 from rtcal.support.types import Array, read_only
 
 PARAMETERS = ("t20", "edt", "t30", "c80", "g")
@@ -31,25 +31,25 @@ LEVELS = ("c80", "g")
 """Parameters in dB. The uncertainty of the other parameters is relative."""
 
 
-class ChangeTable(Table):
+class ChangedTable(FileTable):
     """The coefficients of a material in a configuration; see `ChangedMaterial`."""
 
-    alpha: list[float]
-    sigma: list[float]
+    alpha: list[Number]
+    sigma: list[Number]
 
 
-class ConfigurationTable(Table):
-    """What a configuration states beside its measurement; see `Configuration`."""
+class ConfigurationTable(FileTable):
+    """A configuration but for its measurement; see `Configuration`."""
 
-    name: str = "measured"
-    changes: dict[str, ChangeTable] | None = None
+    name: str | None = None
+    changes: dict[str, ChangedTable] | None = None
     suspect_removed: bool = False
     air: room_files.AirTable | None = None
-    distances: list[float] | None = None
-    distance: list[float] | None = None
+    distances: list[Number] | None = None
+    distance: list[Number] | None = None
 
 
-_Values = list[list[float | None] | float | None]
+_Values = list[list[Number | None] | Number | None]
 """A list (n_pairs, n_bands), or (n_bands,) for a single pair; None is missing."""
 
 
@@ -65,13 +65,13 @@ class ConfigurationData(ConfigurationTable):
     g: _Values | None = None
     pairs: list[tuple[str, str]] | None = None
     uncertainty: dict[str, _Values] | None = None
-    common_uncertainty: dict[str, list[float | None]] | None = None
-    standard_deviation: dict[str, list[float | None]] | None = None
+    common_uncertainty: dict[str, list[Number | None]] | None = None
+    standard_deviation: dict[str, list[Number | None]] | None = None
     n_sources: int | None = None
     n_receivers: int | None = None
 
 
-class Uncertainty(Table):
+class Uncertainty(FileTable):
     """The uncertainty of values that state none: relative of a time, in dB of a level."""
 
     time: Annotated[float, msgspec.Meta(gt=0, le=1)] | None = None
@@ -207,13 +207,18 @@ class Configuration:
     ) -> Configuration:
         """Return the configuration of a table and its measurement; DataError as the class."""
         changes = table.changes or {}
+        default = "planned" if planned else "measured"
+        distances = table.distance if table.distances is None else table.distances
         return cls(
-            name=table.name,
+            name=default if table.name is None else table.name,
             measured=measured,
-            changes={name: ChangedMaterial(c.alpha, c.sigma) for name, c in changes.items()},
+            changes={
+                name: ChangedMaterial(np.array(c.alpha), np.array(c.sigma))
+                for name, c in changes.items()
+            },
             suspect_removed=table.suspect_removed,
             air=room_files.air(table.air),
-            distances=table.distance if table.distances is None else table.distances,
+            distances=None if distances is None else np.array(distances),
             planned=planned,
         )
 
@@ -225,7 +230,7 @@ def measurement_of(table: ConfigurationData, centre_frequencies: Array) -> Measu
     """
     where = f'configuration "{table.name}"'
     stated = {k: v for k, v in msgspec.structs.asdict(table).items() if v is not None}
-    values = {p: _rows(stated[p]) for p in PARAMETERS if p in stated}
+    values: dict[str, Any] = {p: _rows(stated[p]) for p in PARAMETERS if p in stated}
     more = {k: stated[k] for k in MeasurementData.__struct_fields__[2:] if k in stated}
     if table.measured is not None:
         if beside := [*values, *more]:

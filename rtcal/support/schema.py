@@ -1,14 +1,16 @@
 """Files as types: msgspec checks a file's content against classes, and tomli-w writes it.
 
-A table of a file is a class derived from `Table`: its fields are the keys that the table may have, with
-their types. What a type does not say (ranges of physical values, lengths that must fit) is checked by
-the constructor of the object that the file describes. Text is parsed strictly before.
+A table of a file is a class derived from `FileTable`: its fields are the keys that the table may have,
+with their types. What a type does not say (ranges of physical values, lengths that must fit) is checked
+by the constructor of the object that the file describes. Text is parsed strictly before.
 """
 
 from __future__ import annotations
 
 import json
+import math
 import re
+import sys
 import tomllib
 import types
 from collections.abc import Iterator, Mapping
@@ -22,12 +24,14 @@ from rtcal.support.errors import DataError
 
 T = TypeVar("T")
 
-Positive = Annotated[float, msgspec.Meta(gt=0)]
+_LARGEST = sys.float_info.max
+Number = Annotated[float, msgspec.Meta(ge=-_LARGEST, le=_LARGEST)]
+"""A finite number."""
 Share = Annotated[float, msgspec.Meta(ge=0, le=1)]
-Point = tuple[float, float, float]
+Point = tuple[Number, Number, Number]
 
 
-class Table(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
+class FileTable(msgspec.Struct, forbid_unknown_fields=True):
     """A table of a file: its fields are the keys that it may have; those without a default it must."""
 
 
@@ -37,7 +41,7 @@ def read(kind: type[T], data: object, place: str = "") -> T:
     Parameters
     ----------
     kind : type
-        A `Table`, or another type that msgspec knows.
+        A `FileTable`, or another type that msgspec knows.
     data : plain values
         As `json_object` and `toml_table` return them.
     place : str
@@ -52,7 +56,7 @@ def read(kind: type[T], data: object, place: str = "") -> T:
 
     Examples
     --------
-    >>> class Material(Table):
+    >>> class Material(FileTable):
     ...     name: str
     ...     alpha: list[float]
     >>> read(list[Material], [{"name": "wall", "alpha": [0.1, "a"]}], "material")
@@ -91,6 +95,8 @@ def _fault(kind: Any, value: Any, place: str) -> str | None:
         return f"{place} = {shown(value)} is too large a number"
     most = max((m.le or m.lt or 0 for _, m in map(_bounds, _options(kind)) if m), default=0)
     number = isinstance(value, int | float) and not isinstance(value, bool)
+    if number and not math.isfinite(value):
+        return f"{place} = {value:g} is not finite"
     percent = ": is it in percent?" if number and most == 1 < value <= 100 else ""
     rule = " or ".join(dict.fromkeys(_words(option) for option in _options(kind)))
     return f"{_whole(place)} = {shown(value)} is not {rule}{percent}"
@@ -171,17 +177,15 @@ def _words(kind: Any) -> str:
     origin, args = get_origin(bare), get_args(bare)
     if origin is Literal:
         return " or ".join(f'"{option}"' for option in args)
-    if origin is tuple and not _is_list(bare):
-        return f"a list of {len(args)} {_words(args[0]).split(' ', 1)[1]}s"
-    if _is_list(bare):
+    if _is_list(bare) or origin is tuple:
+        members = dict.fromkeys(_words(option) for option in _options(args[0]))
+        plural = [f"lists{m[6:]}" if m.startswith("a list") else f"{m[2:]}s" for m in members]
         most = f"at most {meta.max_length} " if meta and meta.max_length else ""
-        members = dict.fromkeys(
-            re.sub(r"^an? (\w+)", r"\1s", _words(option)) for option in _options(args[0])
-        )
-        return f"a list of {most}{' or '.join(members)}"
+        count = most if _is_list(bare) else f"{len(args)} "
+        return f"a list of {count}{' or '.join(plural)}"
     if origin is dict:
         return f"a table{' with an entry' if meta else ''}"
-    if meta is None:
+    if meta is None or meta.le == _LARGEST:
         return _SCALARS.get(bare, "a table")
     ends = (("from {:g}", meta.ge), ("above {:g}", meta.gt), ("to {:g}", meta.le))
     limits = " ".join(words.format(end) for words, end in ends if end is not None)
