@@ -297,6 +297,20 @@ def test_noise_takes_what_it_covers_and_is_the_reason(down: int) -> None:
     assert all("noise" in reason for reason in analysis.missing)
 
 
+@pytest.mark.parametrize("below", [10, 15, 22])
+@pytest.mark.parametrize("down", [26, 30, 33])
+def test_a_cut_decay_is_none_where_noise_follows(down: int, below: int) -> None:
+    """T20 was 3 to 10 % short, T30 up to 19 %: the fall was taken for that into noise."""
+    rate, t = 8000, 1.0
+    time = np.arange(int((down / 60 * t + 0.8) * rate)) / rate
+    energy = np.where(time < down / 60 * t, 10 ** (-6 * time / t), 0.0)
+    energy = energy + 10 ** (-(down + below) / 10)
+    energy = energy * np.random.default_rng(down + below).standard_normal(len(time)) ** 2
+    values, _, reasons = ir.of_energy(energy, rate)
+    assert not {"t20", "t30"} & set(values)
+    assert any("cut" in reason for reason in reasons)
+
+
 def test_few_late_rays_are_a_decay() -> None:
     """T20 of a tracer's response was withheld for noise: Lundeby's method had found no line."""
     rate, t = 16000, 1.0

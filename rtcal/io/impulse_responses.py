@@ -435,6 +435,8 @@ def _parameters(
     early = early * float(np.sum(energy)) / total
     enough = max(needed.values())
     cut = _cut(energy, rate, centre)
+    if cut == len(energy) and energy[cut * 9 // 10 :].mean() > _LOW:
+        cut = _cut_into_noise(energy, rate, centre, bandwidth)
     done = _evaluated(_as_it_is(energy, cut), rate, needed, early, early_samples)
     if done.ratio < enough:
         decay_on_line = _on_line(energy[:cut], rate, centre)
@@ -595,6 +597,36 @@ def _cut(energy: Array, rate: float, centre: float | None) -> int:
     level = before[first] * np.sqrt(max(later[first] / before[first], 1e-6))
     loud = np.flatnonzero(energy[: (first + 4) * block] > level)
     return int(loud[-1]) + 1
+
+
+_LOW = 1e-7
+"""Energy per sample over its largest value, below which what follows a cut is not looked at: a cut 50 dB
+down or lower changes no parameter, and `_cut` finds a fall of 20 dB."""
+
+
+def _cut_into_noise(energy: Array, rate: float, centre: float | None, bandwidth: float) -> int:
+    """Return the number of samples before a response is cut and noise follows, or all.
+
+    The line of the late decay and the noise tell how much energy the last 10 dB before they cross
+    have. Of a cut response it is less than half, by more than three times its standard deviation
+    1/sqrt(B D) over the duration D.
+    """
+    line = _line(energy, rate, centre)
+    if line is None:
+        return len(energy)
+    crossing, t, floor = line
+    last = int(min(crossing, len(energy)))
+    first = max(int(crossing - t / 6), 0)
+    if last - first < 10:
+        return len(energy)
+    at = np.arange(first, last)
+    expected = floor * (1 + np.exp(-6 * np.log(10) / t * (at - crossing)))
+    share = energy[first:last].sum() / expected.sum()
+    if share >= 0.5 or (1 - share) * np.sqrt(bandwidth * (last - first) / rate) <= 3:
+        return len(energy)
+    before = max(int(crossing - t / 2), 0)
+    left = np.cumsum(energy[before:last][::-1])[::-1] / np.arange(last - before, 0, -1)
+    return before + int(np.argmax(left < 2 * floor))
 
 
 def _window(centre: float | None) -> float:
