@@ -600,7 +600,7 @@ def _cut(energy: Array, rate: float, centre: float | None) -> int:
 
 
 _LOW = 1e-7
-"""Energy per sample over its largest value, below which what follows a cut is not looked at: a cut 50 dB
+"""Energy per sample over its largest value, below which no cut is looked for: one 50 dB
 down or lower changes no parameter, and `_cut` finds a fall of 20 dB."""
 
 
