@@ -335,18 +335,10 @@ def test_the_command_s_room_is_one_that_rtcal_calibrates(
         assert found.exit_code == 0, found.output
         return found.stdout
 
-    room = str(tmp_path / "room.toml")
-    said = json.loads(
-        done(
-            "apply",
-            str(tmp_path / "case.json"),
-            "--out",
-            str(tmp_path / "corrected.json"),
-            "--room",
-            room,
-            "--json",
-        )
-    )
+    room, found = str(tmp_path / "room.toml"), str(tmp_path / "found.json")
+    done("find", str(tmp_path / "case.json"), "--out", found)
+    out = str(tmp_path / "corrected.json")
+    said = json.loads(done("apply", found, "--out", out, "--room", room, "--json"))
     low, high = said["present"][0]["size_interval"]
     assert low < 39.6 < high
     assert len(said["calibrated"]["materials"]) == 6

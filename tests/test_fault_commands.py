@@ -11,7 +11,6 @@ from typing import Any, NamedTuple
 import pytest
 
 import rtcal as rt
-from rtcal.command import finder as commands
 from rtcal.command.main import main
 from rtcal.finder.search import find
 from rtcal.loop import positions
@@ -126,6 +125,16 @@ def case(folder: Path) -> None:
     opened().save(str(folder / "case.json"))
 
 
+def found(folder: Path) -> None:
+    case(folder)
+    assert call("find @case.json --out @found.json", folder) == 0
+
+
+def found_in_a_geometry(folder: Path) -> None:
+    box_with_pairs(folder)
+    assert call("find @room.toml @pairs.csv --out @found.json", folder) == 0
+
+
 FIT = "fit @room.toml @pairs.csv --match t20 --match c80 --paths 100"
 
 
@@ -160,8 +169,17 @@ def search_once(monkeypatch: pytest.MonkeyPatch) -> None:
     verified = verification_of(finding, {"before": 3.0, "plain": 2.0, "corrected": 1.0})
     drawn = finding_pages.drawn(finding, verified, PLACE)
     pictures = {id(figure): figures.rendered(figure, "png") for figure in drawn.values()}
-    monkeypatch.setattr("rtcal.finder.search.find", lambda *_, **__: finding)
-    monkeypatch.setattr(rt.finder, "verify", lambda *_, **__: verified)
+    means = find(opened(), controls=controls_of(opened()))
+    of_means = rt.finder.verify(means)
+
+    def found_once(case: object, **_: object) -> object:
+        return means if isinstance(case, rt.finder.Case) else finding
+
+    def verified_once(found: object, **_: object) -> object:
+        return of_means if found is means else verified
+
+    monkeypatch.setattr("rtcal.finder.search.find", found_once)
+    monkeypatch.setattr(rt.finder, "verify", verified_once)
     monkeypatch.setattr(rt.finder.positions, "next_position", lambda *_, **__: (PLACE,))
     monkeypatch.setattr(finding_pages, "drawn", lambda *_: drawn)
     monkeypatch.setattr(finding_pages, "rendered", lambda figure, _: pictures[id(figure)])
@@ -204,9 +222,10 @@ WRITERS = {
         f"{STUDY} --realisations 250 --trials 10 --workers 1 --folder @pieces",
         ahead="pieces",
     ),
-    "apply": Writer(case, "apply @case.json --out @new.json --room @new.toml"),
+    "apply": Writer(found, "apply @found.json --out @new.json --room @new.toml"),
+    "find": Writer(case, "find @case.json --out @found.json"),
     "gap report": Writer(case, "find @case.json --out @gap"),
-    "apply with a geometry": Writer(box_with_pairs, "apply @room.toml @pairs.csv --out @corrected"),
+    "apply with a geometry": Writer(found_in_a_geometry, "apply @found.json --out @corrected"),
     "find with a geometry": Writer(box_with_pairs, "find @room.toml @pairs.csv --out @page"),
 }
 
@@ -301,9 +320,7 @@ def computed_once(monkeypatch: pytest.MonkeyPatch) -> None:
     """Steps that take long and write nothing are done once; figures are drawn once for all."""
     fit_once(monkeypatch)
     search_once(monkeypatch)
-    finding = find(opened(), controls=controls_of(opened()))
-    monkeypatch.setattr(commands, "search_case", lambda *_, **__: finding)
-    for name in ("verify", "figures", "finding_page"):
+    for name in ("figures", "finding_page"):
         once(monkeypatch, gap_report, name)
     once(monkeypatch, pages, "page_of")
     for module in (figures, gap_report, study_report):

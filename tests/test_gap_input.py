@@ -441,8 +441,10 @@ def test_commands_simulate_a_case_s_control_rooms_once(
     said = command("find", path)
     assert runs == ["path tracing", "image sources"]
     assert command("find", path) == said
-    command("verify", path)
-    command("apply", path, "--out", str(tmp_path / "out.json"))
+    found = str(tmp_path / "found.json")
+    assert command("find", path, "--out", found) != ""
+    command("verify", found)
+    command("apply", found, "--out", str(tmp_path / "out.json"))
     assert runs == ["path tracing", "image sources"]
     assert command("find", path, "--seed", "1") == said  # nothing is drawn
     assert runs == ["path tracing", "image sources"]

@@ -176,16 +176,20 @@ def test_the_command_proposes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -
     )
     path = tmp_path / "case.json"
     case.save(str(path))
+    planned = [str(path)]
 
     def run(*arguments: str) -> tuple[int, str]:
-        done = CliRunner().invoke(cli, ["plan", str(path), *arguments])
+        done = CliRunner().invoke(cli, ["plan", planned[-1], *arguments])
         return done.exit_code, done.output or str(done.exception)
 
     code, said = run("--json", "--cost", "G=0.01")
     assert code == 0, said
     table = json.loads(said)
     assert next(p for p in table["proposals"] if p["kind"] == "G")["cost"] == 0.01
-    code, said = run("--json", "--next")
+    planned.append(str(tmp_path / "found.json"))
+    found = CliRunner().invoke(cli, ["find", str(path), "--most", "3", "--out", planned[-1]])
+    assert found.exit_code == 0, found.output
+    code, said = run("--json")
     assert code == 0, said
     assert json.loads(said)["uncertainty_nats"] < table["uncertainty_nats"]
     assert "Best one after the other:" in run()[1]

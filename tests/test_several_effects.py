@@ -373,7 +373,9 @@ def test_the_command_finds_and_adds_the_set(
     words = " ".join(run("find", path, *only, "--most", "3").split())
     assert re.search(r"number of effects: (one with \d+ %, )?two with \d+ %", words), words
     assert "candidates" in json.loads(run("find", path, *only, "--json"))
-    added = run("apply", path, *only, "--most", "3", "--out", out)
+    found = str(tmp_path / "found.json")
+    run("find", path, *only, "--most", "3", "--out", found)
+    added = run("apply", found, "--out", out)
     assert "the most probable set" in added
     assert "; verdict" not in added
     assert "It is claimed." in " ".join(added.split())
@@ -387,7 +389,7 @@ def test_the_command_finds_and_adds_the_set(
         "The model lacks",
         "without the others",
         "Number of effects",
-        "plan --next",
+        "rtcal plan",
         "in the model, calibrated to T20",
         "Sets of effects, the most probable first",
         "noise floor + volume" if "noise floor + volume" in text else "volume + noise floor",

@@ -338,25 +338,24 @@ def test_the_command_writes_numbers_and_page(
     assert (tmp_path / "p.html").read_text(encoding="utf-8") == page
     assert run(*command, "--most", "2") != 0
     assert "--most" in capsys.readouterr().err
-    assert run("verify", *command[1:], "--json") == 0
+    assert run("verify", names["out"], "--json") == 0
     assert json.loads(capsys.readouterr().out)["verdict"] == "unproven"
-    assert run("verify", *command[1:], "--finding", names["out"]) == 2
+    further = ["--before", names["before.csv"], "--after", names["after.csv"]]
+    assert run("verify", names["out"], *further[:2]) == 2
+    assert "belong together" in capsys.readouterr().err
+    assert run("verify", names["out"], *further) == 2
     assert "0 pairs of before and after are not among the 6" in capsys.readouterr().err
     out = str(tmp_path / "changed")
-    assert run("apply", *command[1:], "--out", out, "--json") == 0
+    assert run("apply", names["out"], "--out", out, "--json") == 0
     assert json.loads(capsys.readouterr().out)["written"] == [
         str(tmp_path / "changed" / "room.toml")
     ]
     made = rt.Room.from_file(str(tmp_path / "changed" / "room.toml"))
     np.testing.assert_array_equal(made.alpha, panels.apply().room.alpha)
     measured(times(), 9).save(str(tmp_path / "again.csv"))
-    same = [
-        "apply",
-        names["room.toml"],
-        str(tmp_path / "again.csv"),
-        "--before",
-        names["before.csv"],
-    ]
-    assert run(*same, "--out", str(tmp_path / "none")) == 6
+    command[2] = str(tmp_path / "again.csv")
+    same = str(tmp_path / "same.json")
+    assert run(*command, "--out", same, "--quiet") == 0
+    assert run("apply", same, "--out", str(tmp_path / "none")) == 6
     assert "Nothing is written" in capsys.readouterr().out
     assert not (tmp_path / "none").exists()

@@ -16,7 +16,7 @@ from click.testing import CliRunner
 
 import rtcal as rt
 from rtcal.acoustics.observables import observable
-from rtcal.command.finder_options import Inputs, read_case
+from rtcal.command.finder import Search
 from rtcal.command.main import cli
 from rtcal.finder.effects import library
 from rtcal.finder.finding import Detection
@@ -399,9 +399,12 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return where
 
 
-def run(command: str, folder: Path, *options: str, code: int = 0) -> str:
+def find_in(folder: Path, *options: str, code: int = 0) -> str:
     files = [str(folder / "room.toml"), str(folder / "pairs.csv")]
-    stated = [command, *files, "--scattering", "0.4", "--paths", "4800", *options]
+    return run("find", *files, "--scattering", "0.4", "--paths", "4800", *options, code=code)
+
+
+def run(*stated: str, code: int = 0) -> str:
     done = CliRunner().invoke(cli, [*stated], catch_exceptions=False)
     assert done.exit_code == code, done.output
     return str(done.stdout if code == 0 else done.output)
@@ -413,13 +416,11 @@ def test_a_workbook_is_read_as_every_command_reads_it(folder: Path) -> None:
     made = rt.Measurement.from_file(str(folder / "pairs.csv"))
     tables.write(made, folder / "pairs.xlsx")
     of_text, of_book = (
-        read_case(
-            Inputs(
-                case=str(folder / "room.toml"),
-                measured=str(folder / f"pairs.{ending}"),
-                scattering=0.4,
-            )
-        )
+        Search(
+            case=str(folder / "room.toml"),
+            measured=str(folder / f"pairs.{ending}"),
+            scattering=0.4,
+        ).read()
         for ending in ("csv", "xlsx")
     )
     assert of_book.pairs == of_text.pairs
@@ -428,25 +429,26 @@ def test_a_workbook_is_read_as_every_command_reads_it(folder: Path) -> None:
 
 @pytest.mark.long
 def test_the_commands_find_add_and_report(folder: Path, tmp_path: Path) -> None:
-    found = json.loads(run("find", folder, "--json"))
+    page = str(tmp_path / "page")
+    found = json.loads(find_in(folder, "--json", "--out", page))
     assert found["likely_surfaces"][0] == "east"
-    run("apply", folder, "--out", str(tmp_path / "corrected"), "--quiet")
+    run("apply", page, "--out", str(tmp_path / "corrected"), "--quiet")
     mesh = rt.io.obj.read(tmp_path / "corrected" / "room.obj")
     room = rt.Room.from_file(str(tmp_path / "corrected" / "room.toml"))
     assert set(mesh.materials) == set(room.materials)
     assert mesh.areas[room.materials[-1]] == pytest.approx(room.areas[-1])
     assert (tmp_path / "corrected" / "catt.txt").exists()
     assert (tmp_path / "corrected" / "odeon.txt").exists()
-    said = run("apply", folder, "--out", str(tmp_path / "there"), "--at", "7,2.2,1.4")
+    said = run("apply", page, "--out", str(tmp_path / "there"), "--at", "7,2.2,1.4")
     assert "as patch, material" in said
     there = rt.io.obj.read(tmp_path / "there" / "room.obj")
     hole = there.vertices[list(there.faces[there.materials.index(room.materials[-1])])]
     assert hole.mean(axis=0) == pytest.approx([7.0, 2.2, 1.4])
-    run("apply", folder, "--out", str(tmp_path / "wall"), "--form", "material", "--quiet")
+    run("apply", page, "--out", str(tmp_path / "wall"), "--form", "material", "--quiet")
     assert len(rt.io.obj.read(tmp_path / "wall" / "room.obj").faces) == 6
     with pytest.raises(DataError, match='--at "7,1" is not X,Y,Z in m'):
-        run("apply", folder, "--out", str(tmp_path / "no"), "--at", "7,1")
-    assert "not fitted" in run("find", folder, "--out", str(tmp_path / "page"))
+        run("apply", page, "--out", str(tmp_path / "no"), "--at", "7,1")
+    assert "not fitted" in run("verify", page)
     names = {"report.html", "result.json", "map.png", "plan.png", "room.png", "gap.png"}
     assert {
         p.name for p in (tmp_path / "page").iterdir() if not p.name.startswith(".rtcal_files")
@@ -472,7 +474,7 @@ def test_a_wrong_file_is_refused(
     for name in ("room.obj", "pairs.csv"):
         (tmp_path / name).write_bytes((folder / name).read_bytes())
     with pytest.raises(DataError, match=re.escape(message)):
-        run("find", tmp_path)
+        find_in(tmp_path)
 
 
 @pytest.mark.parametrize(
@@ -486,11 +488,11 @@ def test_a_wrong_file_is_refused(
 )
 def test_a_wrong_option_is_named(folder: Path, options: tuple[str, ...], message: str) -> None:
     with pytest.raises(DataError, match=re.escape(message)):
-        run("find", folder, *options)
+        find_in(folder, *options)
 
 
 def test_a_parameter_that_is_none_is_a_wrong_use(folder: Path) -> None:
-    said = run("find", folder, "--match", "t61", code=2)
+    said = find_in(folder, "--match", "t61", code=2)
     assert "Invalid value for '--match': 't61' is not one of 't20'" in said
 
 

@@ -26,13 +26,14 @@ pytest.importorskip("matplotlib", reason="needs the extra report")
 pytest.importorskip("jinja2", reason="needs the extra report")
 
 FILES = ("room.toml", "pairs.csv")
+FOUND = "found.json"
 COMMANDS = [
-    ("find",),
-    ("plan",),
-    ("verify",),
-    ("find", "--out", "a-folder"),
-    ("apply", "--out", "a-folder", "--at", "6,2,0"),
-    ("apply", "--out", "a-folder", "--form", "material"),
+    ("find", *FILES),
+    ("plan", FOUND),
+    ("verify", FOUND),
+    ("find", *FILES, "--out", "a-folder"),
+    ("apply", FOUND, "--out", "another", "--at", "6,2,0"),
+    ("apply", FOUND, "--out", "another", "--form", "material"),
 ]
 
 
@@ -63,6 +64,7 @@ def found(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> PositionsFinding:
     scene = rt.Scene(sources=SOURCES, receivers=RECEIVERS)
     stated().replace(scene=scene, scattering=np.full((6, 3), 0.4)).save("room.toml")
     measured(False).save("pairs.csv")
+    finding.save(FOUND)
     return finding
 
 
@@ -72,26 +74,26 @@ def test_no_line_is_longer_than_the_terminal(
     columns: int, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setenv("COLUMNS", str(columns))
-    for command, *options in COMMANDS:
-        assert run(command, *FILES, *options) == 0, capsys.readouterr().err
+    for command in COMMANDS:
+        assert run(*command) == 0, capsys.readouterr().err
         said = capsys.readouterr().out
         line = longest(said)
-        assert len(line) <= columns, f"rtcal {command}: {line}"
-    assert run("apply", *FILES, "--out", "x", "--at", "3,2,1.5") == 2
+        assert len(line) <= columns, f"rtcal {command[0]}: {line}"
+    assert run("apply", FOUND, "--out", "x", "--at", "3,2,1.5") == 2
     assert len(longest(capsys.readouterr().err)) <= columns
 
 
 def test_the_next_position_is_proposed(
-    found: PositionsFinding, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    found: PositionsFinding, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert run("plan", *FILES, "--json") == 0
+    assert run("plan", FOUND, "--json") == 0
     record = json.loads(capsys.readouterr().out)
     assert record["places"] == [
         {"point": list(PLACE.point), "source": PLACE.source, "nats": PLACE.nats}
     ]
     claimed = replace(found, surface="floor")
-    monkeypatch.setattr("rtcal.finder.search.find", lambda *_, **__: claimed)
-    assert run("plan", *FILES) == 0
+    claimed.save(FOUND)
+    assert run("plan", FOUND) == 0
     assert "No surfaces are in question" in " ".join(capsys.readouterr().out.split())
 
 
@@ -100,7 +102,7 @@ def test_the_next_position_is_proposed(
 def test_options_of_a_plan_with_means_are_refused(
     option: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert run("plan", *FILES, option) == 2
+    assert run("plan", FOUND, option) == 2
     assert f"{option.split('=')[0]}: with a geometry" in capsys.readouterr().err
 
 
@@ -123,11 +125,12 @@ def test_nothing_found_is_said_and_nothing_is_written(
 ) -> None:
     nothing = replace(found, verdict="none", effect=None, family=None)
     monkeypatch.setattr("rtcal.finder.search.find", lambda *_, **__: nothing)
-    assert run("apply", *FILES, "--out", "corrected") == 6
-    assert not (tmp_path / "corrected").exists()
-    assert run("verify", *FILES) == 0
-    assert "no surface lacks anything" in " ".join(capsys.readouterr().out.split())
     assert run("find", *FILES, "--out", "page") == 0
+    assert run("apply", "page", "--out", "corrected") == 6
+    assert not (tmp_path / "corrected").exists()
+    capsys.readouterr()
+    assert run("verify", "page") == 0
+    assert "no surface lacks anything" in " ".join(capsys.readouterr().out.split())
     assert not (tmp_path / "page" / "gap.png").exists()
 
 
@@ -151,7 +154,7 @@ def test_a_wrong_option_is_refused(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     monkeypatch.delenv("COLUMNS", raising=False)
-    assert run("apply", *FILES, "--out", "corrected", *options) == 2
+    assert run("apply", FOUND, "--out", "corrected", *options) == 2
     assert message in capsys.readouterr().err
     assert not (tmp_path / "corrected").exists()
 
@@ -161,11 +164,15 @@ def test_a_place_needs_a_geometry(
 ) -> None:
     monkeypatch.delenv("COLUMNS", raising=False)
     case = tmp_path / "case.json"
-    assert run("apply", str(case), "--out", "x", "--at", "1,2,3") == 2
+    assert run("apply", str(case), "--out", "x") == 2
     assert "No such file" in capsys.readouterr().err
     case.write_bytes(rt.datasets.path("hidden_room/case.json").read_bytes())
-    assert run("apply", str(case), "--out", "x", "--at", "1,2,3") == 2
-    assert "--at: a case without a geometry has no surface" in capsys.readouterr().err
+    assert run("apply", str(case), "--out", "x") == 2
+    assert f"`rtcal find {case} --out found`" in " ".join(capsys.readouterr().err.split())
+    means = object.__new__(rt.finder.MeansFinding)
+    monkeypatch.setattr("rtcal.command.finder.saved", lambda _: (means, None))
+    assert run("apply", "found", "--out", "x", "--at", "1,2,3") == 2
+    assert "--at: a finding without a geometry has no surface" in capsys.readouterr().err
 
 
 def test_a_search_that_was_interrupted_goes_on_from_its_control_runs(

@@ -1,12 +1,15 @@
-"""``rtcal find``, ``verify``, ``apply`` and ``plan``: what a model misses, and what to do about it."""
+"""``rtcal find``, ``verify``, ``apply`` and ``plan``: what a model misses, and what to do about it.
+
+`find` alone searches. The others read the finding that it wrote with ``--out``.
+"""
 
 from __future__ import annotations
 
 import os
 import shlex
-from collections.abc import Mapping
-from dataclasses import replace
-from functools import partial
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,68 +17,278 @@ import click
 
 from rtcal.command.console import (
     as_options,
+    bar_wanted,
     errors_name_options,
+    exclude_option,
     force_option,
     heading_options,
+    match_option,
     numbers,
     output_folder,
     output_options,
+    pairs,
+    paths_option,
+    read_measured,
+    said,
+    scattering_option,
     seed_option,
     tell,
 )
-from rtcal.command.finder_options import (
-    Inputs,
-    Search,
-    add_to_folder,
-    apply_change,
-    before_option,
-    files_read,
-    find_change,
-    input_options,
-    number_options,
-    read_case,
-    refuse,
-    search_case,
-    search_options,
-    verified,
-    verify_change,
-)
 from rtcal.support import text
 from rtcal.support.errors import DataError
+from rtcal.support.files import spare, write_all
+from rtcal.support.saved import Result, load
+from rtcal.support.speed import bar
 
 if TYPE_CHECKING:
-    from rtcal.finder import positions
+    from rtcal.finder.positions import Place, PositionsFinding
     from rtcal.report.document import Heading
 
 CHANGE = 0.2
 """Relative change of T by each effect for which ``rtcal plan`` plans, where none is stated."""
 NOTHING_TO_ADD = 6
 """Exit code of ``rtcal apply`` if the finding names nothing to add to the model."""
-OF_ONE_STATE = " is not of what changed between two states"
 PROPOSED = 3
 """Places for a further receiver that are printed."""
+SEEDS = (0, 1, 2)
+"""Seeds of the simulator over which a gap at positions is printed."""
+_OF_POSITIONS = ("simulated", "match", "exclude", "scattering", "paths")
+_OF_MEANS = ("engine", "prior", "most", "expected")
+_NEEDS_POSITIONS = " needs a room that states its sources and receivers, measured pair by pair"
+_NO_SURFACE = ": a finding without a geometry has no surface"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Search:
+    """The arguments and options of ``rtcal find``."""
+
+    case: str
+    measured: str | None = None
+    before: str | None = None
+    simulated: str | None = None
+    match: tuple[str, ...] = ()
+    exclude: tuple[str, ...] = ()
+    scattering: float | None = None
+    paths: int | None = None
+    engine: tuple[str, ...] = ()
+    without: tuple[str, ...] = ()
+    only: tuple[str, ...] = ()
+    prior: tuple[str, ...] = ()
+    most: int = 1
+    expected: float | None = None
+    seed: int = 0
+
+    @property
+    def cache(self) -> Path:
+        """The folder in which simulations are kept, beside the case or room."""
+        from rtcal.finder.means.evidence import FOLDER
+
+        return Path(self.case).parent / FOLDER
+
+    @property
+    def files(self) -> list[str]:
+        """The paths of the files that are read."""
+        from rtcal.finder.case import files_of_case
+
+        if self.measured is None:
+            return [os.fspath(path) for path in files_of_case(self.case)]
+        read = (self.case, self.measured, self.before, self.simulated)
+        return [path for path in read if path is not None]
+
+    def stated(self, *names: str) -> dict[str, Any]:
+        """Return the values of the options of these names that are not at their defaults."""
+        every = {name: getattr(self, name) for name in names}
+        return {k: v for k, v in every.items() if v not in (None, (), getattr(Search, k, None))}
+
+    @property
+    def words(self) -> list[str]:
+        """The command's words that search the same again."""
+        out = [self.case] if self.measured is None else [self.case, self.measured]
+        stated = self.stated("before", *_OF_POSITIONS) | {"seed": self.seed}
+        for name, value in {**stated, **self.stated("without", "only", *_OF_MEANS)}.items():
+            for one in value if isinstance(value, tuple) else (value,):
+                out += [f"--{name}", f"{one:g}" if isinstance(one, float) else str(one)]
+        return out
+
+    def read(self, targets: Sequence[str | Path] = ()) -> Any:
+        """Read the case; DataError if a file to be written is also one of those that are read."""
+        from rtcal.acoustics.room import Room
+        from rtcal.finder import Case
+        from rtcal.finder.search import case_of
+
+        spare(targets, [self.case])
+        if self.measured is None:
+            if self.before is not None:
+                raise DataError(
+                    "--before needs a room and what was measured after: ROOM AFTER --before BEFORE"
+                )
+            refuse(self.stated(*_OF_POSITIONS), _NEEDS_POSITIONS)
+            case = Case.from_file(self.case)
+            spare(targets, self.files)
+            return case
+        room = Room.from_file(self.case)
+        spare(targets, [path for path in (*self.files, room.scene.mesh) if path is not None])
+        measured = read_measured(self.measured, quietly=self.before is not None)
+        at_positions = bool(room.scene.sources) and not measured.is_summary
+        more: dict[str, Any] = {}
+        if self.before is not None:
+            more["before"] = read_measured(self.before, quietly=True)
+            at_positions = at_positions and not more["before"].is_summary
+            others = [n for n in (*_OF_POSITIONS, *_OF_MEANS) if n != "scattering"]
+            refuse(self.stated(*others), " is not of what changed between two states")
+        if not at_positions:
+            refuse(self.stated(*_OF_POSITIONS), _NEEDS_POSITIONS)
+            return case_of(room, measured, **more)
+        refuse(self.stated(*_OF_MEANS), ": with a geometry there is no such option")
+        if self.before is None:
+            more["exclude"] = pairs("--exclude", self.exclude)
+            if self.simulated is not None:
+                more["simulated"] = read_measured(self.simulated)
+            if self.match:
+                more["match"] = self.match
+        tracing = {"n_paths": self.paths, "scattering": self.scattering}
+        more["tracing"] = {k: v for k, v in tracing.items() if v is not None}
+        with errors_name_options("scattering", "match", "exclude"):
+            return case_of(room, measured, **more)
+
+    def finding(self, targets: Sequence[str | Path] = ()) -> Any:
+        """Find what the room's model misses, or what changed; simulations are kept beside its file."""
+        from rtcal.finder import Case
+        from rtcal.finder.search import find
+
+        case = self.read(targets)
+        options: dict[str, Any] = {"seed": self.seed, "without": self.without, "only": self.only}
+        if isinstance(case, Case):
+            odds = numbers("--prior", self.prior, "EFFECT=ODDS, such as opening=2")
+            options |= {"prior": odds, "most": self.most, "expected": self.expected}
+            options |= {"engines": self.engine} if self.engine else {}
+        if self.before is not None:
+            return find(case, **options)
+        with _progress("step") as progress:
+            return find(case, **options, cache=self.cache, progress=progress)
+
+
+def refuse(stated: Mapping[str, object], why: str) -> None:
+    """Raise DataError for the first option that is stated."""
+    for option, value in stated.items():
+        if value is not None:
+            raise DataError(f"--{option}{why}")
+
+
+@contextmanager
+def _progress(unit: str) -> Iterator[Callable[[str, int, int], None]]:
+    """Show a bar for each step of a computation."""
+    begun: list[str] = []
+    with bar(0, unit, bar_wanted(), said()) as shown:
+
+        def progress(step: str, done: int, total: int) -> None:
+            if step not in begun and hasattr(shown, "reset"):
+                begun.append(step)
+                if done == 1:
+                    shown.reset(total=total)
+                shown.set_description(step)
+            shown.update(1)
+
+        yield progress
+
+
+def saved(path: str) -> tuple[Any, Any]:
+    """Return the finding that ``rtcal find --out`` wrote, and its verification or None.
+
+    Raises
+    ------
+    DataError
+        For a file that holds no finding, with the command that writes one.
+    """
+    from rtcal.finder.finding import Finding, Verification
+
+    place, one = Path(path), "found"
+    if place.suffix == ".toml" or (place.suffix == ".json" and b'"rtcal"' not in _start(place)):
+        raise DataError(
+            f"{path} is no finding: `rtcal find {path} --out {one}` searches and writes it; then give "
+            f"{one}"
+        )
+    result: Result = load(path)
+    if isinstance(result, Verification):
+        return result.finding, result
+    if isinstance(result, Finding):
+        return result, None
+    raise DataError(f'{path} holds no finding but a result of the kind "{result.record_kind}"')
+
+
+def _start(path: Path) -> bytes:
+    """Return the beginning of a file; nothing of one that cannot be read, which `load` says."""
+    try:
+        with path.open("rb") as file:
+            return file.read(200)
+    except OSError:
+        return b'"rtcal"'
+
+
+def verified(finding: Any, cache: Path, seed: int | None = None) -> Any:
+    """Return the gaps before and after; at pairs that were not fitted over `SEEDS`."""
+    from rtcal import finder
+    from rtcal.finder.means.finding import MeansFinding
+    from rtcal.finder.states import StatesFinding
+
+    if isinstance(finding, StatesFinding):
+        return finder.verify(finding) if seed is None else finder.verify(finding, seed=seed)
+    if isinstance(finding, MeansFinding):
+        return finder.verify(finding)
+    with _progress("model") as progress:
+        return finder.verify(finding, seeds=SEEDS, cache=cache, progress=progress)
 
 
 @click.command(short_help="Find what a model misses.")
-@search_options
-@force_option
-@number_options
+@click.argument("case", metavar="CASE|ROOM", type=click.Path())
+@click.argument("measured", type=click.Path(), required=False)
+@click.option(
+    "--before",
+    type=click.Path(dir_okay=False),
+    help="What was measured at the same positions before something was changed (CSV): it is about "
+    "what changed.",
+)
+@click.option(
+    "--simulated",
+    type=click.Path(dir_okay=False),
+    help="What another program gave for the model as stated (CSV), with positions.",
+)
+@match_option
+@exclude_option
+@scattering_option
+@paths_option
+@click.option(
+    "--engine",
+    multiple=True,
+    help="Simulator of the control rooms, at least two; by default path tracing and image sources.",
+)
+@click.option("--without", multiple=True, metavar="EFFECT", help="Do not try this effect.")
+@click.option("--only", multiple=True, metavar="EFFECT", help="Try this effect alone.")
+@click.option(
+    "--prior",
+    multiple=True,
+    metavar="EFFECT=ODDS",
+    help="Prior odds of an effect, of none or of coefficients: opening=2.",
+)
+@click.option(
+    "--most",
+    type=int,
+    default=1,
+    show_default=True,
+    help="Largest number of effects that may be missing at once, up to 3.",
+)
+@click.option("--expected", type=float, help="Expected number of effects, with --most.")
+@seed_option
 @click.option(
     "--out",
-    type=click.Path(file_okay=False),
-    help="Verify it, too, and write page (report.html), figures (PNG) and numbers (result.json) "
-    "into this folder.",
+    type=click.Path(),
+    help="Folder for page (report.html), figures (PNG) and the finding (result.json), which is then "
+    "verified, too; or a file that ends in .json, for the finding alone.",
 )
-@before_option
 @heading_options
-def find(
-    inputs: Inputs,
-    search: Search,
-    number: Mapping[str, Any],
-    before: str | None,
-    heading: Heading,
-    out: str | None,
-) -> None:
+@output_options
+@force_option
+def find(heading: Heading, out: str | None, **stated: Any) -> None:
     """Print whether the model misses something, where it shows, and what it is.
 
     A ROOM and what was MEASURED in it are two files. If ROOM states a mesh, sources and receivers, and
@@ -86,100 +299,94 @@ def find(
     CASE, in .rtcal_cache.
 
     With --most 3, sets of up to three effects are compared, and each effect has the probability that it
-    is there at all. With --out the finding is verified, and its page leads with what is missing,
-    what that rests on and what to do.
+    is there at all. With --out the finding is kept: `rtcal verify`, `apply`, `plan` and `report` read
+    it. Its page leads with what is missing, what that rests on and what to do.
 
     With --before, MEASURED is what was measured after a change of the room. What changed is found, with
     its amount, and the room's coefficients do not count (docs/two_states.md).
 
-    Example: rtcal find room.toml measured.csv
-    """
-    folder = output_folder("--out", out)
-    if before is not None:
-        refuse(_more_than_one(number), OF_ONE_STATE)
-        find_change(inputs, search, before, folder, heading)
-        return
-    if folder is None:
-        finding = search_case(inputs, search, number=number)
+    \b
+    Example: rtcal find room.toml measured.csv --out found
+    """  # noqa: D301 (click's mark for lines that are not to be wrapped)
+    search = Search(**stated)
+    if out is None:
+        finding = search.finding()
         tell(str(finding), finding.to_dict())
         return
     from rtcal.report import finding_pages, gap_report
 
-    targets = [folder / name for name in {*gap_report.WRITTEN, *finding_pages.FILES}]
-    finding = search_case(inputs, search, targets, number)
-    numbers_stated = [
-        word
-        for name, value in number.items()
-        if value not in (None, 1)
-        for word in (f"--{name}", f"{value:g}")
-    ]
-    words = [
-        *inputs.arguments(),
-        *search.arguments(),
-        *numbers_stated,
-        "--out",
-        str(out),
-    ]
-    command, first = shlex.join(["rtcal", "find", *words]), []
-    if inputs.at_positions:
-        verification = None
-        if finding.can_be_verified:
-            verification = verified(inputs, finding)
-            first = [verification.sentence]
-        place = next(iter(_further_places(finding)), None)
-        finding_pages.write_where(finding, verification, folder, heading, command, place)
-    else:
-        files = gap_report.Reproduction(command, tuple(files_read(inputs)), search.seed)
-        gap_report.write(finding, folder, files, heading)
-    tell("\n".join([*first, str(finding)]), finding.to_dict())
+    output_folder("--out", out)
+    folder = Path(out)
+    if folder.suffix == ".json":
+        finding = search.finding([folder])
+        finding.save(folder)
+        tell(str(finding), finding.to_dict())
+        return
+    finding = search.finding([folder / name for name in finding_pages.WRITTEN])
+    verification = None
+    if finding.can_be_verified:
+        verification = verified(finding, search.cache)
+    command = shlex.join(["rtcal", "find", *search.words, "--out", out])
+    place = next(iter(_further_places(finding)), None)
+    again = gap_report.Reproduction(command, search.files, search.seed)
+    finding_pages.write(finding, verification, folder, heading, again, place)
+    record = finding.to_dict()
+    if verification is not None:
+        record["verification"] = verification.to_dict()
+    first = [] if verification is None else [verification.sentence]
+    tell("\n".join([*first, str(finding)]), record)
 
 
 @click.command(short_help="Compare the gaps with and without what was found.")
-@search_options
-@before_option
+@click.argument("found", type=click.Path())
 @click.option(
-    "--finding",
-    type=click.Path(exists=True),
-    help="With --before: folder of an earlier find --before, whose pairs were others.",
+    "--before",
+    type=click.Path(dir_okay=False),
+    help="Of two states: measured before at other pairs, which the finding predicts, with --after.",
 )
-def verify(
-    inputs: Inputs,
-    search: Search,
-    before: str | None,
-    finding: str | None,
-) -> None:
+@click.option("--after", type=click.Path(dir_okay=False), help="The same after the change.")
+@output_options
+def verify(found: str, before: str | None, after: str | None) -> None:
     """Add the named effect, calibrate again, and compare the gaps that alpha cannot close.
 
-    This shows whether the model gets better, not whether the name is right, so the rivals are printed
-    too. If there is nothing to add, the output says so. With a geometry, half of the pairs are fitted
-    and the others predicted. With --before, too; or an earlier --finding predicts the pairs that it had
-    not.
+    FOUND is what `rtcal find --out` wrote. The verification shows whether the model gets better, not
+    whether the name is right, so the rivals are printed too. If there is nothing to add, the output
+    says so. With a geometry, half of the pairs are fitted and the others predicted. Of two states, too;
+    or the finding predicts further pairs, measured --before and --after.
 
-    Example: rtcal verify case.toml
+    Example: rtcal verify found
     """
-    if before is not None:
-        verify_change(inputs, search, before, finding)
-        return
-    refuse({"--finding": finding}, " needs --before")
-    found = search_case(inputs, search)
-    nothing = found.reason_for_none
-    if nothing is None and not found.can_be_verified and found.undecided:
-        nothing = f"Not verified: {as_options(found.undecided, ['effect'])}"
-    if nothing is not None:
-        record = {"verdict": None, "sentence": nothing, "finding": found.to_dict()}
-        tell(nothing, record)
-        return
-    result = verified(inputs, found)
-    tell(str(result), result.to_dict())
+    from rtcal import finder
+    from rtcal.finder.means.evidence import FOLDER
+    from rtcal.finder.means.finding import MeansFinding
+    from rtcal.finder.states import StatesFinding
+
+    finding, verification = saved(found)
+    if before is not None or after is not None:
+        if not isinstance(finding, StatesFinding):
+            raise DataError("--before and --after are of a finding of two states")
+        if before is None or after is None:
+            raise DataError("--before and --after belong together: the same pairs in both states")
+        measured = {"before": read_measured(before), "after": read_measured(after)}
+        verification = finder.verify(finding, **measured)
+    if verification is None:
+        nothing = finding.reason_for_none
+        if isinstance(finding, MeansFinding) and nothing is None and not finding.can_be_verified:
+            nothing = f"Not verified: {as_options(finding.undecided, ['effect'])}"
+        if nothing is not None:
+            tell(nothing, {"verdict": None, "sentence": nothing, "finding": finding.to_dict()})
+            return
+        verification = verified(finding, Path(found).parent / FOLDER)
+    tell(str(verification), verification.to_dict())
 
 
 @click.command(short_help="Add what was found to the model.")
-@search_options
+@click.argument("found", type=click.Path())
 @click.option(
     "--out",
     type=click.Path(),
     required=True,
-    help="The case with the effect (JSON); with a geometry, a folder.",
+    help="The case with the effect (JSON); with a geometry or of two states, a folder.",
 )
 @click.option(
     "--room",
@@ -199,25 +406,17 @@ def verify(
     metavar="NAME",
     help="The candidate to add; needed where none has a probability of 0.3.",
 )
-@before_option
 @force_option
-@number_options
+@output_options
 def apply(
-    inputs: Inputs,
-    search: Search,
-    number: Mapping[str, Any],
-    out: str,
-    room: str | None,
-    effect: str | None,
-    form: str | None,
-    at: str | None,
-    before: str | None,
+    found: str, out: str, room: str | None, form: str | None, at: str | None, effect: str | None
 ) -> None:
     """Add the named effect to the model, and print the calibration with it.
 
-    If the finding is ambiguous, the best candidate is added if its probability is at least 0.3, and the
-    others are printed; else --effect must name one. If there is nothing to add, nothing is written and
-    the exit code is 6. With --most 3, the most probable set is added.
+    FOUND is what `rtcal find --out` wrote. If the finding is ambiguous, the best candidate is added if
+    its probability is at least 0.3, and the others are printed; else --effect must name one. If there
+    is nothing to add, nothing is written and the exit code is 6. Of a finding with --most 3, the most
+    probable set is added.
 
     The written case can be used like any other. Neither it nor the room is calibrated. Areas and volume
     stay as stated: absorbers stand free in the room. A volume is changed only where its error is
@@ -227,49 +426,48 @@ def apply(
     patch stands in the middle of its surface unless --at states a place. Where the best family on one
     surface has less than 0.3, --effect or --at must be stated.
 
-    With --before, a folder gets the room of the second state: calibrated to what was measured before,
+    Of two states, a folder gets the room of the second state: calibrated to what was measured before,
     with what changed.
 
     \b
-    Example: rtcal apply case.toml \\
+    Example: rtcal apply found \\
         --out corrected.json --room corrected.toml
     """  # noqa: D301 (click's mark for lines that are not to be wrapped)
-    stated = {"--room": room, "--form": form, "--at": at, "--effect": effect}
-    if before is not None:
-        refuse(stated | _more_than_one(number), OF_ONE_STATE)
-        if not apply_change(inputs, search, before, Path(out)):
-            raise click.exceptions.Exit(NOTHING_TO_ADD)
-        return
-    if not inputs.at_positions:
-        from rtcal.report.finding_pages import correct
-        from rtcal.support.files import write_all
+    from rtcal.finder.means.finding import MeansFinding
+    from rtcal.finder.states import StatesFinding
 
-        case = read_case(inputs, [out] if room is None else [out, room])
-        of_patch = {k: stated[k] for k in ("--form", "--at")}
-        refuse(of_patch, ": a case without a geometry has no surface")
-        found = search_case(inputs, search, (), number, case)
+    finding, _ = saved(found)
+    if isinstance(finding, MeansFinding):
+        from rtcal.report.finding_pages import correct
+
+        refuse({"form": form, "at": at}, _NO_SURFACE)
         with errors_name_options("effect"):
-            correction = correct(found, out, room, effect)
+            correction = correct(finding, out, room, effect)
         write_all(correction.files)
         tell(str(correction), correction.to_dict())
-        added = bool(correction.files)
+        if not correction.files:
+            raise click.exceptions.Exit(NOTHING_TO_ADD)
+        return
+    two = isinstance(finding, StatesFinding)
+    if os.path.isfile(out):
+        of = "of two states" if two else "with a geometry"
+        raise DataError(f"--out {out} is a file; {of} it is a folder")
+    if two:
+        refuse({"form": form, "at": at, "room": room, "effect": effect}, " is not of two states")
     else:
-        from rtcal.finder.positions.corrected import FILES
-
-        refuse({"--room": room}, ": with a geometry the room is written into the folder of --out")
-        if os.path.isfile(out):
-            raise DataError(f"--out {out} is a file; with a geometry it is a folder")
-        place = _place(at)
-        finding = search_case(inputs, search, [Path(out, name) for name in FILES])
-        made = partial(finding.apply, form or "patch", at=place, effect=effect)
-        with errors_name_options("effect", "at"):
-            added = add_to_folder(finding, made, Path(out))
-    if not added:
+        refuse({"room": room}, ": with a geometry the room is written into the folder of --out")
+    place = _place(at)
+    if (nothing := finding.reason_for_none) is not None:
+        tell(f"{nothing}\nNothing is written.", {**finding.to_dict(), "written": []})
         raise click.exceptions.Exit(NOTHING_TO_ADD)
+    with errors_name_options("effect", "at"):
+        made = finding.apply() if two else finding.apply(form or "patch", at=place, effect=effect)
+    made.save(Path(out))
+    tell("\n".join([finding.headline, *made.in_words]), {**finding.to_dict(), **made.to_dict()})
 
 
 @click.command(short_help="Which effects the data could tell apart; what to measure next.")
-@input_options
+@click.argument("case", metavar="CASE|FOUND", type=click.Path())
 @click.option(
     "--relative-change",
     "change",
@@ -278,7 +476,10 @@ def apply(
     f"{CHANGE:g} unless stated.",
 )
 @click.option(
-    "--next", "after", is_flag=True, help="Go on from what has been measured: search first."
+    "--case",
+    "further",
+    type=click.Path(dir_okay=False),
+    help="With FOUND: a case whose configurations without measurements could be measured next.",
 )
 @click.option(
     "--cost",
@@ -287,58 +488,61 @@ def apply(
     metavar="MEASUREMENT=HOURS",
     help="Hours of a further measurement, such as G=0.5.",
 )
-@seed_option
 @output_options
-def plan(
-    inputs: Inputs,
-    change: float | None,
-    after: bool,
-    costs: tuple[str, ...],
-    seed: int,
-) -> None:
+def plan(case: str, change: float | None, further: str | None, costs: tuple[str, ...]) -> None:
     """Print which effects the data could distinguish, and what to measure next.
 
-    A configuration may state parameters = ["t20", "edt"] in place of measured. If others are measured,
-    it is among what could be measured next. Each proposal has the information to expect about which
-    effects are there, and its hours. With --next the proposals go on from what has been measured.
+    A CASE is planned before anything is measured. A configuration may state
+    parameters = ["t20", "edt"] in place of measured. If others are measured, it is among what could be
+    measured next. Each proposal has the information to expect about which effects are there, and its
+    hours. FOUND is what `rtcal find --out` wrote, best with --most 3: the proposals then go on from
+    what has been measured.
 
-    With a geometry the room is searched first. Where several surfaces are in question, places for a
-    further receiver are proposed, with the evidence that is to be expected of them.
+    With a geometry, where several surfaces are in question, places for a further receiver are proposed,
+    with the evidence that is to be expected of them.
 
     Example: rtcal plan case.toml
     """
-    search = Search(seed)
-    if inputs.at_positions:
-        refuse(
-            {"--relative-change": change, "--cost": costs or None},
-            ": with a geometry a place for a receiver is proposed",
-        )
-        _tell_places(search_case(inputs, search))
-        return
+    from rtcal.finder import Case
     from rtcal.finder import plan as planned_with
-    from rtcal.finder.means.set_posterior import MOST
+    from rtcal.finder.means.finding import MeansFinding
 
-    read = read_case(inputs)
-    planned = [c for c in read.configurations if c.planned]
-    if len(planned) < len(read.configurations):
-        measured = [c for c in read.configurations if not c.planned]
-        read = replace(read, configurations=measured)
+    place, finding = Path(case), None
+    if place.is_dir() or (place.suffix == ".json" and b'"rtcal"' in _start(place)):
+        finding, _ = saved(case)
+        if not isinstance(finding, MeansFinding):
+            stated = {"relative-change": change, "cost": costs or None, "case": further}
+            refuse(stated, ": with a geometry a place for a receiver is proposed")
+            _tell_places(finding)
+            return
+        read = finding.case
+        planned = [] if further is None else Case.from_file(further).configurations
+        planned = [c for c in planned if c.planned]
     else:
-        planned = []
+        refuse({"case": further}, " needs a finding")
+        read = Case.from_file(case)
+        planned = [c for c in read.configurations if c.planned]
+        measured = [c for c in read.configurations if not c.planned]
+        if measured:
+            read = replace(read, configurations=measured)
+        else:
+            planned = []
     result = planned_with(
         read,
         change=CHANGE if change is None else change,
-        finding=search_case(inputs, search, number={"most": MOST}, case=read) if after else None,
+        finding=finding,
         costs=numbers("--cost", costs, "MEASUREMENT=HOURS, such as G=0.5"),
         planned=planned,
     )
     tell(str(result), result.to_dict())
 
 
-def _further_places(finding: positions.PositionsFinding) -> tuple[positions.Place, ...]:
+def _further_places(finding: Any) -> tuple[Place, ...]:
     """Return places for a further receiver, the one that tells most first; none without a question."""
     from rtcal.finder import positions
 
+    if not isinstance(finding, positions.PositionsFinding):
+        return ()
     if not finding.can_be_added or finding.surface is not None:
         return ()
     try:
@@ -347,9 +551,7 @@ def _further_places(finding: positions.PositionsFinding) -> tuple[positions.Plac
         return ()
 
 
-def _tell_places(
-    finding: positions.PositionsFinding,
-) -> None:
+def _tell_places(finding: PositionsFinding) -> None:
     """Print where a further receiver would tell the surfaces apart that are in question."""
     places = _further_places(finding)[:PROPOSED]
     lines = [*text.wrapped(finding.headline), ""]
@@ -377,20 +579,14 @@ def _tell_places(
     tell("\n".join(lines), record)
 
 
-def _more_than_one(number: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the options of how many effects may be missing, as far as they are stated."""
-    most = number["most"] if number["most"] > 1 else None
-    return {"--most": most, "--expected": number["expected"]}
-
-
-def _place(text: str | None) -> tuple[float, ...] | None:
+def _place(stated: str | None) -> tuple[float, ...] | None:
     """Read X,Y,Z; DataError for anything else."""
-    if text is None:
+    if stated is None:
         return None
     try:
-        place = tuple(float(part) for part in text.split(","))
+        place = tuple(float(part) for part in stated.split(","))
     except ValueError:
         place = ()
     if len(place) != 3:
-        raise DataError(f'--at "{text}" is not X,Y,Z in m, such as 0,4.2,1.5')
+        raise DataError(f'--at "{stated}" is not X,Y,Z in m, such as 0,4.2,1.5')
     return place

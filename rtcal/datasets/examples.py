@@ -151,9 +151,8 @@ _EXAMPLES: Mapping[str, tuple[Mapping[str, str], tuple[str, ...]]] = {
         {"case.json": "hidden_room/case.json", "closed.json": "hidden_room/closed.json"},
         (
             "rtcal find case.json",
-            "rtcal find closed.json",
-            "rtcal verify closed.json",
             "rtcal find closed.json --out gap",
+            "rtcal verify gap",
         ),
     ),
     # Two cases that `benchmarks/shipped_cases.py` drew by a rule: one is named, one is not.
@@ -165,9 +164,8 @@ _EXAMPLES: Mapping[str, tuple[Mapping[str, str], tuple[str, ...]]] = {
     "where": (
         {name: f"where_room/{name}" for name in ("room.toml", "room.obj", "pairs.csv")},
         (
-            "rtcal find room.toml pairs.csv",
             "rtcal find room.toml pairs.csv --out page",
-            "rtcal apply room.toml pairs.csv --out corrected",
+            "rtcal apply page --out corrected",
         ),
     ),
 }

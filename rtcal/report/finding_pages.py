@@ -1,4 +1,4 @@
-"""The pages of findings at positions and of changes, and the output of ``rtcal apply``."""
+"""The files of a finding, the pages at positions and of changes, and the output of ``rtcal apply``."""
 
 from __future__ import annotations
 
@@ -20,9 +20,10 @@ from rtcal.finder.positions.finding import Place, PositionsFinding, strongest
 from rtcal.finder.positions.verification import MODELS, TITLES, PositionsVerification
 from rtcal.finder.states.finding import StatesFinding, decimals
 from rtcal.finder.states.search import verify
-from rtcal.report import document, room_view, where_figures
+from rtcal.report import document, gap_report, room_view, where_figures
 from rtcal.report.document import Heading, blocks, render, source
 from rtcal.report.figures import BLACK, BLUE, ORANGE, band_axis, new_figure, rendered
+from rtcal.report.page import FINDING_FIGURES
 from rtcal.support.files import make_folder, write_all
 from rtcal.support.saved import NUMBERS
 
@@ -33,20 +34,22 @@ PAGE, MAP, PLAN, ROOM, GAP = (
     "room.png",
     "gap.png",
 )
-FILES = (PAGE, MAP, PLAN, ROOM, GAP)
+WRITTEN = (NUMBERS, PAGE, MAP, PLAN, ROOM, GAP, *(f"{name}.png" for name in FINDING_FIGURES))
+"""The files of a finding, each kind some of them."""
 
 
-def write_where(
-    finding: PositionsFinding,
-    verification: PositionsVerification | None,
+def write(
+    finding: MeansFinding | PositionsFinding | StatesFinding,
+    verification: Any,
     folder: Path,
     heading: Heading | None = None,
-    command: str = "",
+    reproduction: gap_report.Reproduction | None = None,
     place: Place | None = None,
 ) -> list[Path]:
     """Write page, numbers and figures, all or none, and return their paths.
 
-    ``place`` is a further receiver that would tell the surfaces apart.
+    ``verification`` is the finding's, or None. ``reproduction`` is printed on the page. ``place`` is a
+    further receiver that would tell the surfaces apart.
 
     Raises
     ------
@@ -55,9 +58,17 @@ def write_where(
     DataError
         If the folder cannot be made, or a file cannot be written.
     """
-    figures = drawn(finding, verification, place)
-    saved = finding if verification is None else verification
-    text = where_page(finding, verification, figures, heading or Heading(), command, place)
+    saved, figures = finding if verification is None else verification, dict[str, Any]()
+    if isinstance(finding, MeansFinding):
+        drawings = gap_report.figures(finding, verification)
+        figures = {f"{name}.png": figure for name, (figure, _) in drawings.items()}
+        text = gap_report.page(finding, verification, drawings, reproduction, heading)
+    elif isinstance(finding, StatesFinding):
+        saved, text = finding, states_page(finding, heading or Heading(), lambda: None)
+    else:
+        figures = drawn(finding, verification, place)
+        command = "" if reproduction is None else reproduction.command
+        text = where_page(finding, verification, figures, heading or Heading(), command, place)
     contents = {folder / PAGE: text.encode(), folder / NUMBERS: saved.to_json(folder).encode()}
     contents |= {folder / name: rendered(figure, "png") for name, figure in figures.items()}
     make_folder(folder)

@@ -1,11 +1,10 @@
-"""The report of a finding: figures, JSON and the page, all written or none."""
+"""The page of a finding by means, and its figures."""
 
 from __future__ import annotations
 
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 from rtcal.acoustics import room_files
@@ -14,20 +13,16 @@ from rtcal.calibration.methods import calibrate
 from rtcal.finder.claim import CLAIMED, SAID
 from rtcal.finder.means.evidence import QUANTILE
 from rtcal.finder.means.finding import MeansFinding
-from rtcal.finder.means.held_out import verify
 from rtcal.finder.means.recalibration import recalibrate
 from rtcal.finder.means.verdict import TWO
 from rtcal.finder.means.verification import MeansVerification
 from rtcal.report import gap_figures
 from rtcal.report.document import Heading, data_of, in_odds, material_rows, odds
-from rtcal.report.figures import rendered
-from rtcal.report.page import FINDING_FIGURES, finding_page
+from rtcal.report.page import finding_page
 from rtcal.support.errors import MissingAirWarning
-from rtcal.support.files import make_folder, write_all
-from rtcal.support.saved import NUMBERS, Result
 from rtcal.support.text import as_sentence, listed
 
-__all__ = ["figures", "summary", "write"]
+__all__ = ["figures", "page", "summary"]
 __dir__ = __all__.copy
 
 
@@ -146,7 +141,7 @@ def to_do(finding: MeansFinding, verification: MeansVerification | None) -> list
         steps += filter(None, [verification.misses_in_words])
     elif finding.can_be_added:
         steps += [
-            "Ask what to measure next with rtcal plan --next: it goes on from these sets.",
+            "Ask what to measure next with rtcal plan: of this finding it goes on from these sets.",
             "Do this before the corrected calibration is used. Nothing has verified the set.",
         ]
     else:
@@ -172,10 +167,6 @@ def evidence(finding: MeansFinding) -> str:
 def _candidates(finding: MeansFinding) -> str:
     names = [f"{finding.title_of(c)} ({finding.percent(c)})" for c in finding.names]
     return listed(names, last="or")
-
-
-WRITTEN = (NUMBERS, "report.html", *(f"{name}.png" for name in FINDING_FIGURES))
-"""The files of a report; ``decay`` only if the effect bends the decay."""
 
 
 @dataclass(frozen=True)
@@ -233,33 +224,6 @@ def figures(
     return drawn
 
 
-def write(
-    finding: MeansFinding,
-    folder: Path,
-    reproduction: Reproduction | None = None,
-    heading: Heading | None = None,
-) -> list[Path]:
-    """Write result.json, the figures (PNG) and report.html; return their paths.
-
-    ``reproduction``, if there is one, is printed on the page. ``heading`` is as for
-    `rtcal.report.page.calibration_page`.
-
-    Raises DataError if the folder cannot be made, MissingDependencyError without matplotlib or jinja2.
-    """
-    verified = verify(finding) if finding.can_be_verified else None
-    saved: Result = finding if verified is None else verified
-    drawn = figures(finding, verified)
-    text = page(finding, verified, drawn, reproduction, heading)
-    contents = {
-        folder / NUMBERS: saved.to_json(folder).encode(),
-        folder / "report.html": text.encode(),
-        **{folder / f"{name}.png": rendered(figure, "png") for name, (figure, _) in drawn.items()},
-    }
-    make_folder(folder)
-    write_all(contents)
-    return list(contents)
-
-
 def page(
     finding: MeansFinding,
     verified: MeansVerification | None,
@@ -267,7 +231,7 @@ def page(
     reproduction: Reproduction | None = None,
     heading: Heading | None = None,
 ) -> str:
-    """Return the page; ``drawn`` are its `figures`, the other arguments those of `write`."""
+    """Return the page; ``drawn`` are its `figures`, ``reproduction`` is printed on it."""
     entries = summary(finding, verified)
     entries["reproduce"] = _reproduce(finding, reproduction)
     first = finding.case.configurations[0]
