@@ -239,15 +239,18 @@ def verified(finding: Any, cache: Path, seed: int | None = None) -> Any:
         return finder.verify(finding, seeds=SEEDS, cache=cache, progress=progress)
 
 
-@click.command(short_help="Find what a model misses.")
-@click.argument("case", metavar="CASE|ROOM", type=click.Path())
-@click.argument("measured", type=click.Path(), required=False)
-@click.option(
+_before_option = click.option(
     "--before",
     type=click.Path(dir_okay=False),
     help="What was measured at the same positions before something was changed (CSV): it is about "
     "what changed.",
 )
+
+
+@click.command(short_help="Find what a model misses.")
+@click.argument("case", metavar="CASE|ROOM", type=click.Path())
+@click.argument("measured", type=click.Path(), required=False)
+@_before_option
 @click.option(
     "--simulated",
     type=click.Path(dir_okay=False),
@@ -339,12 +342,12 @@ def find(heading: Heading, out: str | None, **stated: Any) -> None:
 
 @click.command(short_help="Compare the gaps with and without what was found.")
 @click.argument("found", type=click.Path())
+@_before_option
 @click.option(
-    "--before",
+    "--after",
     type=click.Path(dir_okay=False),
-    help="Of two states: measured before at other pairs, which the finding predicts, with --after.",
+    help="Of two states, with --before: the same after the change, at pairs that the finding predicts.",
 )
-@click.option("--after", type=click.Path(dir_okay=False), help="The same after the change.")
 @output_options
 def verify(found: str, before: str | None, after: str | None) -> None:
     """Add the named effect, calibrate again, and compare the gaps that alpha cannot close.
@@ -386,7 +389,7 @@ def verify(found: str, before: str | None, after: str | None) -> None:
     "--out",
     type=click.Path(),
     required=True,
-    help="The case with the effect (JSON); with a geometry or of two states, a folder.",
+    help="The case with the effect (JSON); of two states or with a geometry, a folder.",
 )
 @click.option(
     "--room",
