@@ -182,7 +182,7 @@ def _progress(unit: str) -> Iterator[Callable[[str, int, int], None]]:
     with bar(0, unit, bar_wanted(), said()) as shown:
 
         def progress(step: str, done: int, total: int) -> None:
-            if step not in begun and hasattr(shown, "reset"):
+            if step not in begun:
                 begun.append(step)
                 if done == 1:
                     shown.reset(total=total)
@@ -461,7 +461,7 @@ def apply(
         refuse({"room": room}, ": with a geometry the room is written into the folder of --out")
     place = _place(at)
     if (nothing := finding.reason_for_none) is not None:
-        tell(f"{nothing}\nNothing is written.", {**finding.to_dict(), "written": []})
+        tell(f"{nothing}\nNothing is written.", finding.to_dict())
         raise click.exceptions.Exit(NOTHING_TO_ADD)
     with errors_name_options("effect", "at"):
         made = finding.apply() if two else finding.apply(form or "patch", at=place, effect=effect)
@@ -514,13 +514,13 @@ def plan(case: str, change: float | None, further: str | None, costs: tuple[str,
     if place.is_dir() or (place.suffix == ".json" and b'"rtcal"' in _start(place)):
         finding, _ = saved(case)
         if not isinstance(finding, MeansFinding):
-            stated = {"relative-change": change, "cost": costs or None, "case": further}
-            refuse(stated, ": with a geometry a place for a receiver is proposed")
+            refused = {"relative-change": change, "cost": costs or None, "case": further}
+            refuse(refused, ": with a geometry a place for a receiver is proposed")
             _tell_places(finding)
             return
         read = finding.case
-        planned = [] if further is None else Case.from_file(further).configurations
-        planned = [c for c in planned if c.planned]
+        stated = [] if further is None else Case.from_file(further).configurations
+        planned = [c for c in stated if c.planned]
     else:
         refuse({"case": further}, " needs a finding")
         read = Case.from_file(case)
