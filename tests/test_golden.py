@@ -1,4 +1,4 @@
-"""Stored verdicts: what moved is said, figure by figure, and the same figures are the same bytes."""
+"""Stored figures: what moved is printed, figure by figure, and the same figures are the same bytes."""
 
 from __future__ import annotations
 
@@ -10,31 +10,74 @@ import pytest
 from benchmarks import golden
 
 
-def test_each_figure_that_moved_is_told() -> None:
-    before = golden.plain({"verdict": "none", "p": {"a": 0.5, "b": 0.5}, "gap": np.ones((2, 2))})
-    assert golden.moved(before, before) == []
-    now = golden.plain(
-        {"verdict": "hint", "p": {"a": 0.5, "b": 0.25}, "gap": np.array([[1, 1], [1, 1.5]])}
-    )
-    assert golden.moved(before, now) == [
+def lines(before: object, now: object) -> list[str]:
+    found = golden.Differences()
+    found.add(golden.plain(before), golden.plain(now), 1e-9)
+    return found.lines
+
+
+def test_each_figure_that_moved_is_printed() -> None:
+    before = {"verdict": "none", "p": {"a": 0.5, "b": 0.5}, "gap": np.ones((2, 2)), "n": 2}
+    assert lines(before, before) == []
+    now = {
+        "verdict": "hint",
+        "p": {"a": 0.5, "b": 0.25},
+        "gap": np.array([[1, 1], [1, 1.5]]),
+        "n": 3,
+    }
+    assert lines(before, now) == [
         "verdict: none -> hint",
-        "p, b: 0.5 -> 0.25",
+        "p: 1 of 2 numbers, by 0.25 at most",
         "gap: 1 of 4 numbers, by 0.5 at most",
+        "n: 2 -> 3, by 1",
     ]
-    assert golden.moved(before, golden.plain({**before, "gap": 1 + np.finfo(float).eps}))
-    swapped = {**before, "p": {"b": 0.5, "a": 0.5}}
-    assert golden.moved(before, swapped) == ["p: another order"]
+    assert lines({"a": [1.0, None]}, {"a": [1.0, 2.0]}) == ["a: 1 of 2 numbers, by 0 at most"]
+    assert lines({"a": 1, "b": 2}, {"a": 1, "c": 2}) == ["b: gone", "c: new"]
+
+
+def test_a_text_with_one_number_more_is_compared_as_a_set() -> None:
+    assert lines({"text": [1.0, 2.5, 3.0]}, {"text": [3.0, 1.0, 7.0, 2.5]}) == [
+        "text: 3 numbers -> 4; gone none; new 7"
+    ]
+
+
+def test_rounding_is_counted_and_has_not_moved() -> None:
+    found = golden.Differences()
+    found.add({"x": [1.0, 100.0]}, {"x": [1.0 + 5e-8, 100.0]}, 1e-9)
+    assert (found.lines, found.within) == ([], 1)
+    assert found.largest == pytest.approx(5e-8)
+    found.add({"x": [1.0, 100.0]}, {"x": [1.0 + 5e-7, 100.0]}, 1e-9)
+    assert found.lines == ["x: 1 of 2 numbers, by 5e-07 at most"]
+
+
+@pytest.mark.parametrize(
+    ("text", "numbers"),
+    [
+        ("T20 at 125 Hz: 1.40 s, z = −2.5", [125.0, 1.4, -2.5]),
+        ("rtcal 0.1.0, S1_R2.wav, 9d3551831c, 25 %, 1e-05", [25.0, 1e-05]),
+        ("(90 %: 4.45 to 25.6).", [90.0, 4.45, 25.6]),
+    ],
+)
+def test_numbers_of_a_text(text: str, numbers: list[float]) -> None:
+    assert golden.numbers_in(text) == numbers
 
 
 def test_figures_are_kept_to_the_last_bit(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(golden, "STORED", tmp_path / "golden.json.gz")
-    task = next(t for t in golden.every_task(False, tmp_path) if t.name.startswith("fit: "))
+    task = next(t for t in golden.every_task(False, tmp_path) if t.name.startswith("modes: "))
     name, figures, _ = golden.made(task)
     golden.write({name: figures})
     once = golden.STORED.read_bytes()
     assert golden.compare(golden.read(), {name: golden.made(task)[1]}) == 0
     golden.write(golden.read())
     assert golden.STORED.read_bytes() == once
+
+
+def test_every_task_has_a_kind_and_is_stored(tmp_path: Path) -> None:
+    names = {t.name for t in golden.every_task(False, tmp_path)}
+    assert {golden.kind_of(n) for n in names} == set(golden.TOLERANCE)
+    # Real rooms have their data beside the repository.
+    assert {n for n in names if golden.kind_of(n) != "real"} <= set(golden.read())
 
 
 def test_only_rooms_of_development_are_read(tmp_path: Path) -> None:
