@@ -614,50 +614,38 @@ class BeyondPrior:
         )
 
 
-def beyond_prior(
-    room: Room,
-    parameters: Sequence[str],
-    measured: Array,
-    simulated: Array,
-    matrix: Array,
-    prior: Array,
-    error: Array,
-) -> BeyondPrior | None:
+def beyond_prior(here: Linearisation, room: Room, prior: Array, error: Array) -> BeyondPrior | None:
     """Return how far the measured T is from the stated coefficients; None if they explain it.
 
-    Absorption is inverse to T, so that T itself says how much more is needed, also where the
-    derivatives at the stated coefficients do not reach so far. They say how uncertain the stated
-    absorption is.
+    T20 or T30 is judged, else EDT. Absorption is inverse to T, so that T itself says how much more is
+    needed, also where the derivatives at the stated coefficients do not reach so far. They say how
+    uncertain the stated absorption is.
 
     Parameters
     ----------
+    here : Linearisation
+        At the stated coefficients.
     room : Room
-    parameters : sequence of str
-        Those that are matched. T20 or T30 is judged, else EDT.
-    measured, simulated : array (n_parameters, n_pairs, n_bands)
-        As in `rtcal.simulators.Observations`; ``simulated`` with the stated coefficients.
-    matrix : array (n_parameters, n_pairs, n_bands, n_unknowns)
-        Derivatives of ``simulated``, NaN-free.
     prior : array (n_unknowns, n_unknowns)
-    error : array (n_values, n_values)
-        Covariance of the errors of measurement and simulator, of all values.
+    error : array (n, n)
+        Covariance of the simulator's error, of all values.
     """
+    data, parameters = here.data, here.data.observations.parameters
     known = [o.key for o in (*REVERBERATION, EARLY) if o.key in parameters]
     if not known:
         return None
-    p = parameters.index(known[0])
-    there = np.isfinite(measured[p])
-    number = there.sum(axis=0)
-    bands = np.flatnonzero(number)
-    weight = np.where(there, 1.0 / np.maximum(number, 1), 0.0)
-    goal = np.exp((weight * np.where(there, measured[p], 0.0)).sum(axis=0))[bands]
-    has = np.exp((weight * simulated[p]).sum(axis=0))[bands]
+    parameter, _, band = np.nonzero(data.used)
+    rows = np.flatnonzero(parameter == parameters.index(known[0]))
+    bands = np.unique(band[rows])
+    weight = (band[rows] == bands[:, np.newaxis]).astype(float)
+    weight /= weight.sum(axis=1, keepdims=True)
+    goal = np.exp(weight @ data.observations.values[data.used][rows])
+    has = np.exp(weight @ here.values()[data.used][rows])
     more = has / goal - 1
-    slopes = np.einsum("ik,iku->ku", weight, matrix[p])[bands]
+    slopes, own = weight @ here.linearised()[rows], here.used[rows]
+    errors = data.covariance[np.ix_(rows, rows)] + error[np.ix_(own, own)]
     of_stated = np.sqrt(np.einsum("ku,uv,kv->k", slopes, prior, slopes))
-    _, n_pairs, n_bands = measured.shape
-    of_values = error.reshape(len(parameters), n_pairs, n_bands, len(parameters), n_pairs, n_bands)
-    of_mean = np.sqrt([weight[:, k] @ of_values[p, :, k, p, :, k] @ weight[:, k] for k in bands])
+    of_mean = np.sqrt(np.einsum("kr,rs,ks->k", weight, errors, weight))
     z = more / np.hypot(of_stated, (1 + more) * of_mean)
     beyond = np.abs(z) > norm.isf(CONTRADICTION / 2 / max(len(bands), 1))
     if not beyond.any():

@@ -16,7 +16,7 @@ import warnings
 from collections.abc import Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
-from typing import overload
+from typing import Any, overload
 
 import numpy as np
 from numpy.typing import NDArray
@@ -83,13 +83,6 @@ from rtcal.support.speed import Progress
 from rtcal.support.types import Array
 
 
-def _noise(here: Linearisation) -> Array:
-    simulator, parameters = here.simulator, here.data.observations.parameters
-    shape = (len(parameters), *here.simulated.values.shape[1:])
-    groups = groups_of_paths(simulator, here.alpha, parameters, here.seed, shape)
-    return noise_of_a_run(simulator, groups)
-
-
 def simulator_error(
     here: Linearisation, controls: ControlRuns | None, fit_scattering: bool
 ) -> tuple[Array, ErrorsByScattering | None]:
@@ -100,13 +93,14 @@ def simulator_error(
     the model "random". Only its paths tell what scattering does. Coefficients of 0 and 1 are kept, too.
     """
     simulated, parameters = here.simulated, here.data.observations.parameters
+    shape = (len(parameters), *simulated.values.shape[1:])
     if controls is None:
         error = np.array([observable(p).unknown_error for p in parameters])
-        shape = (len(parameters), *simulated.values.shape[1:])
         variance = error[:, np.newaxis, np.newaxis] ** 2
         return np.diag(np.broadcast_to(variance, shape).ravel()), None
-    controls = controls.at(parameters, simulated.pairs)
-    noise, tracer = _noise(here), here.simulator
+    controls, tracer = controls.at(parameters, simulated.pairs), here.simulator
+    groups = groups_of_paths(tracer, here.alpha, parameters, here.seed, shape)
+    noise = noise_of_a_run(tracer, groups)
     whole = controls.without_noise(noise).covariance()
     if (
         not fit_scattering
@@ -366,7 +360,16 @@ class PositionsFit:
     ) -> None:
         self.here, self.room, self.prior = here, room, prior
         self.error, self.by_scattering = error, by_scattering
-        self._problem = _composed(_plain(room) if calibration is None else calibration).build(room)
+        objective: Any = PriorDeviation(
+            band_correlation=room.band_correlation,
+            material_correlation=room.material_correlation,
+            common=room.common_alpha_sigma > 0,
+        )
+        constraints: Any = ()
+        if calibration is not None:
+            objective, constraints = calibration.objective, calibration.constraints
+        whole = Calibration(as_objective(objective) + POSITIONS, constraints)
+        self._problem = whole.build(room)
         self._times = None if calibration is None else measured
         self._simulated = here.simulated
         self._residual, self._gaps = here.residual(), here.gaps()
@@ -649,22 +652,6 @@ class PositionsFit:
         return other if value < old else best
 
 
-def _plain(room: Room) -> Calibration:
-    return Calibration(
-        PriorDeviation(
-            band_correlation=room.band_correlation,
-            material_correlation=room.material_correlation,
-            common=room.common_alpha_sigma > 0,
-        ),
-        [],
-    )
-
-
-def _composed(calibration: Calibration) -> Calibration:
-    """Return the calibration with the positions in its objective."""
-    return Calibration(as_objective(calibration.objective) + POSITIONS, calibration.constraints)
-
-
 def _misfit(factor: Array, residual: Array) -> float:
     """Return half the squares of a residual over its errors; ``factor`` is their Cholesky factor."""
     white = solve_triangular(factor, residual, lower=True)
@@ -857,7 +844,7 @@ def calibrate_positions(
     before = here.values()
     prior = prior_covariance(room)
     error, by_scattering = simulator_error(here, controls, fit_scattering)
-    beyond = _beyond(here, room, prior, error)
+    beyond = beyond_prior(here, room, prior, error)
     fit = PositionsFit(
         here,
         room,
@@ -893,8 +880,8 @@ def calibrate_positions(
         measured=data,
         beside=Beside.of(in_room, data.observations, first, here.simulated),
         held_out=Beside.at_pairs(in_room, data.observations, exclude, first, here.simulated),
-        before=_with(data.observations, before),
-        after=_with(data.observations, here.values()),
+        before=replace(data.observations, values=before),
+        after=replace(data.observations, values=here.values()),
         predicted=_predicted(fit, with_error=controls is not None),
         controls=controls,
         unexplained=fit.errors.unexplained,
@@ -909,27 +896,6 @@ def calibrate_positions(
         refused=fit.refused,
         beyond=beyond,
         notes=(*notes, *data.notes, *base.lost_paths(simulator)),
-    )
-
-
-def _beyond(here: Linearisation, room: Room, prior: Array, error: Array) -> BeyondPrior | None:
-    """Return how far T is from what the stated coefficients let expect; see `beyond_prior`."""
-    data = here.data
-    shape = data.observations.values.shape
-    matrix = np.zeros((*shape, prior.shape[0]))
-    matrix[data.used] = here.linearised()
-    used = np.flatnonzero(data.used)
-    errors = np.zeros((data.used.size, data.used.size))
-    of_simulator = error[np.ix_(here.used, here.used)]
-    errors[np.ix_(used, used)] = data.covariance + of_simulator
-    return beyond_prior(
-        room,
-        data.observations.parameters,
-        data.observations.values,
-        here.values(),
-        matrix,
-        prior,
-        errors,
     )
 
 
@@ -1094,12 +1060,3 @@ def _named(simulator: Simulator, scattering: Scattering | None) -> str:
     if scattering is None:
         return simulator.name
     return f"{simulator.name}, scattering {scattering.mean:.2f}"
-
-
-def _with(like: Observations, values: Array) -> Observations:
-    return Observations(
-        parameters=like.parameters,
-        pairs=like.pairs,
-        centre_frequencies=like.centre_frequencies,
-        values=values,
-    )

@@ -327,27 +327,9 @@ class PositionsPredictions(Result):
         return f"<PositionsPredictions: {', '.join(p.name for p in self.predictions)}>"
 
 
-@dataclass(frozen=True)
-class PairsAndMean:
-    """Values (n_parameters, n_pairs, n_bands), and the mean over the pairs behind them."""
-
-    shape: tuple[int, int, int]
-
-    @property
-    def with_mean(self) -> tuple[int, int, int]:
-        """The shape with the mean, (n_parameters, n_pairs + 1, n_bands)."""
-        p, i, k = self.shape
-        return p, i + 1, k
-
-    def values(self, values: Array) -> Array:
-        """Return values with their mean over the pairs, (n_parameters, n_pairs + 1, n_bands)."""
-        return np.concatenate([values, values.mean(axis=1, keepdims=True)], axis=1)
-
-    def variances(self, covariance: Array) -> Array:
-        """Return the variances of values and of their mean, of the covariance of all values."""
-        of_mean = np.einsum("pikpjk->pk", covariance.reshape(*self.shape, *self.shape))
-        own = np.diag(covariance).reshape(self.shape)
-        return np.concatenate([own, of_mean[:, np.newaxis] / self.shape[1] ** 2], axis=1)
+def _with_mean(values: Array) -> Array:
+    """Return values with their mean over the pairs, (n_parameters, n_pairs + 1, n_bands)."""
+    return np.concatenate([values, values.mean(axis=1, keepdims=True)], axis=1)
 
 
 def quantiles(
@@ -403,55 +385,6 @@ def gap_table(
         for name, cells in gap_rows(pairs, before, after)
     ]
     return [title, *(parameter_label(p) for p in parameters)], rows
-
-
-def material_table(
-    room: Room,
-    learned: Sequence[tuple[str, float, float]],
-    shift: Array,
-    pulls: Array,
-    pairs: Sequence[Pair],
-    scattering: Scattering | None,
-) -> Table:
-    """Return what was learned of each material, in the order of ``learned``.
-
-    ``shift`` (n_materials, n_bands) and ``pulls`` (n_pairs, n_materials, n_bands) are in prior sigmas.
-    """
-    header = ["", "sigma before", "after", "shift / sigma", "pulled most by"]
-    if scattering is not None:
-        header.append("scattering")
-    strength = np.abs(pulls).mean(axis=2)
-    moved = np.sqrt((shift**2).mean(axis=1))
-    rows = []
-    for name, before, after in learned:
-        i = room.material_index(name)
-        pair = "-"
-        if strength[:, i].any():
-            pair = " to ".join(pairs[int(np.argmax(strength[:, i]))])
-        row = [name, f"{before:.3f}", f"{after:.3f}", f"{moved[i]:.1f}", pair]
-        if scattering is not None:
-            s, sigma = (a[i].mean() for a in (scattering.coefficients, scattering.sigma))
-            row.append(f"{s:.2f} ± {sigma:.2f}")
-        rows.append(row)
-    return header, rows
-
-
-def farther_in_words(gaps: Sequence[tuple[str, float, float]], *, fitted: bool) -> str:
-    """Return that a calibrated simulator is not to be used, by parameter with its gaps in JND.
-
-    ``fitted`` says whether its scattering was fitted.
-    """
-    names = ", ".join(f"{parameter_label(p)} ({old:.1f} to {new:.1f} JND)" for p, old, new in gaps)
-    start = "The"
-    if fitted:
-        start = (
-            "The fitted scattering may have ended at a poor fit: try another seed, or state other "
-            "scattering. Else the"
-        )
-    return (
-        f"In {names} the calibrated simulator is farther from what was measured than before: do not "
-        f"simulate with it. {start} model misses something, or a constraint keeps alpha away."
-    )
 
 
 _FLAT = 0.05
@@ -882,7 +815,7 @@ class Changed:
         result, used = self.result, self.known.at.used
         matrix, measured = self.known.at.linearised(), result.measured.covariance
         whole = self.errors + self._unexplained
-        rows = PairsAndMean((len(self.match), len(self.controls.pairs), result.prior.n_bands))
+        shape = (len(self.match), len(self.controls.pairs), result.prior.n_bands)
         first = len(result.parameters) * len(self.controls.pairs) * result.prior.n_bands
         before, across, own = (
             whole[np.ix_(used, used)],
@@ -899,10 +832,16 @@ class Changed:
         values = self.simulated(self.alpha)
         at_prior = by_alpha[:, :n_old] @ (result.prior.alpha - result.alpha).ravel()
         shift = at_prior + gain @ self.known.innovation
-        middle = rows.values(values + shift.reshape(values.shape))
+        middle = _with_mean(values + shift.reshape(values.shape))
 
         old, new = by_alpha[:, :n_old], by_alpha[:, n_old:]
         alike = across @ np.linalg.pinv(before, hermitian=True)
+
+        def variances(covariance: Array) -> Array:
+            """Return the variances of values and of their mean, of the covariance of all values."""
+            of_mean = np.einsum("pikpjk->pk", covariance.reshape(*shape, *shape)) / shape[1] ** 2
+            own = np.diag(covariance).reshape(shape)
+            return np.concatenate([own, of_mean[:, np.newaxis]], axis=1)
 
         def parts(gain: Array) -> dict[str, Array]:
             """Return the variances that are left where the measurement counts with a gain."""
@@ -919,16 +858,16 @@ class Changed:
             if result.prior.is_uncertain:
                 of_room = self.by_room - by_room @ gain.T
                 found[words.SIZES] = of_room.T @ of_room
-            return {name: rows.variances(each) for name, each in found.items()}
+            return {name: variances(each) for name, each in found.items()}
 
         variance, without = parts(gain), parts(np.zeros(gain.shape))
         total, uncalibrated = (
-            np.sqrt(np.maximum(sum(each.values(), np.zeros(rows.with_mean)), 0.0))
+            np.sqrt(np.maximum(np.sum([*each.values()], axis=0), 0.0))
             for each in (variance, without)
         )
         posterior = prior - of_alpha @ np.linalg.solve(unknown, of_alpha.T)
         bend, ends = self._bend(values, posterior, by_alpha)
-        slope, curved = rows.values(ends), rows.values(bend)
+        slope, curved = _with_mean(ends), _with_mean(bend)
         low, high, sampled = quantiles(middle, total, slope, curved)
         means = np.where(total[:, -1] > 0, total[:, -1], 1.0) ** 2
         return PositionsPrediction(
@@ -1387,25 +1326,45 @@ class PositionsResult(Result):
         return text.html_table(self._description, header, cells, self.every_note)
 
     def _material_table(self) -> Table:
-        return material_table(
-            self.prior, self.learned, self.shift, self.pulls, self.pairs, self.scattering
-        )
+        """Return what was learned of each material, most first."""
+        header = ["", "sigma before", "after", "shift / sigma", "pulled most by"]
+        strength = np.abs(self.pulls).mean(axis=2)
+        moved = np.sqrt((self.shift**2).mean(axis=1))
+        rows = []
+        for name, before, after in self.learned:
+            i = self.prior.material_index(name)
+            pair = "-"
+            if strength[:, i].any():
+                pair = " to ".join(self.pairs[int(np.argmax(strength[:, i]))])
+            row = [name, f"{before:.3f}", f"{after:.3f}", f"{moved[i]:.1f}", pair]
+            if (fitted := self.scattering) is not None:
+                s, sigma = (a[i].mean() for a in (fitted.coefficients, fitted.sigma))
+                row.append(f"{s:.2f} ± {sigma:.2f}")
+            rows.append(row)
+        return header + ["scattering"] * (self.scattering is not None), rows
 
     @property
     def warning(self) -> str:
         """Sentences that stand first: start returned, T beyond the prior, gap grown; "" if none."""
-        farther = self._farther_matched
-        return " ".join(
-            [
-                *([_REFUSED] if self.refused else []),
-                *([str(self.beyond)] if self.beyond else []),
-                *(
-                    [farther_in_words(farther, fitted=self.scattering is not None)]
-                    if farther
-                    else []
-                ),
-            ]
-        )
+        said = [_REFUSED] if self.refused else []
+        if self.beyond:
+            said.append(str(self.beyond))
+        if farther := self._farther_matched:
+            names = ", ".join(
+                f"{parameter_label(p)} ({old:.1f} to {new:.1f} JND)" for p, old, new in farther
+            )
+            said.append(
+                f"In {names} the calibrated simulator is farther from what was measured than before: "
+                "do not simulate with it."
+            )
+            start = "The"
+            if self.scattering is not None:
+                start = (
+                    "The fitted scattering may have ended at a poor fit: try another seed, or state "
+                    "other scattering. Else the"
+                )
+            said.append(f"{start} model misses something, or a constraint keeps alpha away.")
+        return " ".join(said)
 
     @property
     def every_note(self) -> list[str]:
