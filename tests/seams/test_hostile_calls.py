@@ -5,6 +5,7 @@ Functions may raise Python's own errors for a wrong type or shape: the kinds in 
 
 from __future__ import annotations
 
+import inspect
 import warnings
 from collections import Counter
 from pathlib import Path
@@ -26,16 +27,26 @@ def quiet(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
 
 
 def test_classes_and_readers(tmp_path: Path, quiet: None) -> None:
-    """One call in seven."""
+    """One call in seven. A constructor's error names the argument, as a rule."""
     examples = hostile.instances(tmp_path, searched=False)
     made = [(name, f) for name, f in functions(examples[0]) if made_here(name, f)]
     counts: Counter[str] = Counter()
     wrong = []
-    for _, end, why in ends(made, examples, every=7):
+    classes = {name for name, function in made if inspect.isclass(function)}
+    named = Counter[bool]()
+    for name, end, why in ends(made, examples, every=7):
         counts[end] += 1
         if end in ("untyped", "endless"):
             wrong.append(why)
+        if end == "typed" and name in classes:
+            call, _, message = why.partition("): typed ")
+            parameter = call.removeprefix(f"{name}(").partition("=")[0]
+            named[parameter.removesuffix("s") in message] += 1
     assert not wrong, "\n".join(wrong)
+    assert (
+        named[True] > 0.8 * named.total()
+    )  # where not, an example lacks, or another rule is first
+    assert named.total() > 1000
     assert counts["typed"] > 1500
     assert counts.total() > 2500
 
