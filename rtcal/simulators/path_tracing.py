@@ -12,14 +12,13 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from rtcal.acoustics.directivity import Directivity
-from rtcal.acoustics.observables import MATCH, longest
+from rtcal.acoustics.directivity import Directivity, DirectivityFile, directivities
+from rtcal.acoustics.observables import MATCH, OBSERVABLES, longest
 from rtcal.simulators import observations, paths
 from rtcal.simulators.base import check_alpha
 from rtcal.simulators.observations import Observations
 from rtcal.simulators.tracer import (
     LONGEST,
-    DirectedSources,
     Tracer,
     check_seconds,
     decay_long_enough,
@@ -48,7 +47,7 @@ _Gradient = Callable[[paths.Paths, int, _Weighing], tuple[Array, Array]]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class PathTracing(DirectedSources, Tracer):
+class PathTracing(Tracer):
     """Traces paths in a room with plane walls, and weighs the same paths for every alpha.
 
     Parameters
@@ -106,6 +105,7 @@ class PathTracing(DirectedSources, Tracer):
     (4, 7)
     """
 
+    directivity: Mapping[str, Any] = field(default_factory=dict)
     n_paths: int = 8000
     n_batches: int = 16
     scattering_model: Any = None
@@ -121,7 +121,13 @@ class PathTracing(DirectedSources, Tracer):
         if self.scattering_model is None:
             object.__setattr__(self, "scattering_model", self.room.scattering_model)
         checks.choice("scattering_model", self.scattering_model, ("random", "vector"))
-        self._check_directivity()
+        stated = directivities(self.directivity, self.sources)
+        for name, of in stated.items():
+            if isinstance(of, DirectivityFile):
+                raise DataError(f'directivity["{name}"] is a file; rtcal.io.balloon.read reads it')
+            if isinstance(of, Directivity):
+                stated[name] = of.for_bands(self.room.n_bands, f'directivity["{name}"]')
+        object.__setattr__(self, "directivity", stated)
         if self.workers is not None:
             checks.whole("workers", self.workers, 1)
         if self.thinned is not None:
@@ -131,6 +137,46 @@ class PathTracing(DirectedSources, Tracer):
     def name(self) -> str:
         """Name that calibrated coefficients belong to."""
         return f"path tracing of {self.room.name} ({self.scattering_model} scattering)"
+
+    @property
+    def unknown_sources(self) -> tuple[str, ...]:
+        """The sources whose directivity is stated to be unknown."""
+        return tuple(name for name, of in self.directivity.items() if isinstance(of, str))
+
+    @property
+    def aimed_sources(self) -> dict[int, Directivity]:
+        """The directivities that are known, by the number of the source."""
+        stated = {s: self.directivity.get(name) for s, name in enumerate(self.sources)}
+        return {s: of for s, of in stated.items() if isinstance(of, Directivity)}
+
+    def trusted(self, match: Sequence[str]) -> tuple[str, ...]:
+        """Return those parameters that say as much where a source's directivity is unknown.
+
+        Early sound depends on where a loudspeaker aims, and so does the level near it. T20 and T30
+        depend on it little. DataError where none is left.
+        """
+        names = observations.checked_parameters(match)
+        if not self.unknown_sources:
+            return names
+        kept = tuple(name for name in names if OBSERVABLES[name].part == "late")
+        if not kept:
+            raise DataError(
+                f"match = {', '.join(names)} depends on the directivity of a source, which is unknown"
+            )
+        return kept
+
+    @property
+    def source_notes(self) -> tuple[str, ...]:
+        """The assumption on the sources' directivities."""
+        notes = []
+        if unknown := ", ".join(self.unknown_sources):
+            notes.append(
+                f"The directivity of {unknown} is unknown. So reverberation times alone are used: the "
+                "level and early parameters depend on where a loudspeaker aims."
+            )
+        if taken := ", ".join(name for name in self.sources if name not in self.directivity):
+            notes.append(f"Taken as omnidirectional: {taken}.")
+        return tuple(notes)
 
     def denser(self, factor: int = 1) -> PathTracing:
         """Return the tracing with `DENSER` times ``factor`` as many paths, whose noise is lower.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import partial
 from typing import Any, ClassVar, Literal
 
@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtcal.acoustics import decay
-from rtcal.acoustics.directivity import Directivity, DirectivityFile, directivities
 from rtcal.acoustics.equations import Eyring
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.observables import OBSERVABLES, TARGET, DecaySlope
@@ -20,7 +19,6 @@ from rtcal.acoustics.room import Room
 from rtcal.acoustics.trust import OFF_VOLUME
 from rtcal.simulators.base import RoomSimulator, check_alpha
 from rtcal.simulators.geometry import Polyhedron
-from rtcal.simulators.observations import checked_parameters
 from rtcal.support import checks
 from rtcal.support.errors import DataError
 from rtcal.support.types import Array, read_only
@@ -33,68 +31,6 @@ ScatteringModel = Literal["random", "vector"]
 vectors (Christensen & Rindel 2005, Forum Acusticum; also pyroomacoustics). The two models agree at
 s = 0 and s = 1 only.
 """
-
-
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class DirectedSources:
-    """The directivity of each source, for a simulator that takes it; see `PathTracing`.
-
-    The simulator states ``room`` and ``sources``. Its constructor calls `_check_directivity`.
-    """
-
-    room: Room
-    sources: Mapping[str, Any]
-    directivity: Mapping[str, Any] = field(default_factory=dict)
-
-    def _check_directivity(self) -> None:
-        """Give each directivity a value per band; DataError if one fits no source or the bands."""
-        stated = directivities(self.directivity, self.sources)
-        for name, of in stated.items():
-            if isinstance(of, DirectivityFile):
-                raise DataError(f'directivity["{name}"] is a file; rtcal.io.balloon.read reads it')
-            if isinstance(of, Directivity):
-                stated[name] = of.for_bands(self.room.n_bands, f'directivity["{name}"]')
-        object.__setattr__(self, "directivity", stated)
-
-    @property
-    def unknown_sources(self) -> tuple[str, ...]:
-        """The sources whose directivity is stated to be unknown."""
-        return tuple(name for name, of in self.directivity.items() if isinstance(of, str))
-
-    @property
-    def aimed_sources(self) -> dict[int, Directivity]:
-        """The directivities that are known, by the number of the source."""
-        stated = {s: self.directivity.get(name) for s, name in enumerate(self.sources)}
-        return {s: of for s, of in stated.items() if isinstance(of, Directivity)}
-
-    def trusted(self, match: Sequence[str]) -> tuple[str, ...]:
-        """Return those parameters that say as much where a source's directivity is unknown.
-
-        Early sound depends on where a loudspeaker aims, and so does the level near it. T20 and T30
-        depend on it little. DataError where none is left.
-        """
-        names = checked_parameters(match)
-        if not self.unknown_sources:
-            return names
-        kept = tuple(name for name in names if OBSERVABLES[name].part == "late")
-        if not kept:
-            raise DataError(
-                f"match = {', '.join(names)} depends on the directivity of a source, which is unknown"
-            )
-        return kept
-
-    @property
-    def source_notes(self) -> tuple[str, ...]:
-        """The assumption on the sources' directivities."""
-        notes = []
-        if unknown := ", ".join(self.unknown_sources):
-            notes.append(
-                f"The directivity of {unknown} is unknown. So reverberation times alone are used: the "
-                "level and early parameters depend on where a loudspeaker aims."
-            )
-        if taken := ", ".join(name for name in self.sources if name not in self.directivity):
-            notes.append(f"Taken as omnidirectional: {taken}.")
-        return tuple(notes)
 
 
 LONGEST = 60.0
