@@ -29,7 +29,7 @@ from scipy.optimize import least_squares
 import rtcal as rt
 from benchmarks import real_data as data
 from rtcal.acoustics.equations import EQUATIONS, Equation
-from rtcal.acoustics.materials import Surface
+from rtcal.acoustics.room import Surface
 from rtcal.support.types import Array
 
 MEAN = ("sabine", "eyring", "millington", "kuttruff")

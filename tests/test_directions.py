@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 import rtcal as rt
 from rtcal.acoustics.directions import enough_known, facing, kind_of
-from rtcal.acoustics.materials import Surface
+from rtcal.acoustics.room import Surface
 from rtcal.finder import Case, Configuration, control_rooms
 from rtcal.report import gap_report
 from rtcal.simulators.geometry import Polyhedron

@@ -63,7 +63,6 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from rtcal.acoustics import room_files
 from rtcal.acoustics.air import Air
 from rtcal.acoustics.changes import (
     MOST_ADDED,
@@ -77,8 +76,16 @@ from rtcal.acoustics.changes import (
     Remove,
     changed,
 )
-from rtcal.acoustics.materials import Material
-from rtcal.acoustics.room import Room
+from rtcal.acoustics.room import (
+    AirTable,
+    Material,
+    MaterialTable,
+    Room,
+    StatedSigma,
+    air,
+    material,
+    refuse_repeats,
+)
 from rtcal.acoustics.targets import Target, TargetTable, target_of
 from rtcal.support import checks
 from rtcal.support.errors import DataError
@@ -102,7 +109,7 @@ class NewMaterial(FileTable):
 
     name: str
     alpha: list[Number] | None = None
-    sigma: room_files.StatedSigma | None = None
+    sigma: StatedSigma | None = None
     catalogue: str | None = None
     source: str = ""
 
@@ -116,7 +123,7 @@ class ChangeTable(FileTable):
     remove: str | None = None
     open: str | None = None
     area: Number | None = None
-    air: room_files.AirTable | None = None
+    air: AirTable | None = None
     volume: Number | None = None
 
 
@@ -244,7 +251,7 @@ def new_materials(
     tables: Sequence[NewMaterial], room: Room, catalogue: Catalogue | None
 ) -> dict[str, Material]:
     """Return the materials that a file states, by name; DataError for a name given twice."""
-    room_files.refuse_repeats(tables)
+    refuse_repeats(tables)
     return {table.name: _new_material(table, room, catalogue) for table in tables}
 
 
@@ -262,8 +269,8 @@ def _new_material(table: NewMaterial, room: Room, catalogue: Catalogue | None) -
     place = f'material "{table.name}"'
     if table.catalogue is None:
         stated = {"name": table.name, "alpha": table.alpha, "sigma": table.sigma}
-        own = read(room_files.MaterialTable, {**stated, "source": table.source}, f"{place}:")
-        return room_files.material(own, room.centre_frequencies, None)
+        own = read(MaterialTable, {**stated, "source": table.source}, f"{place}:")
+        return material(own, room.centre_frequencies, None)
     if catalogue is None:
         raise DataError(f'{place}: no catalogue to look "{table.catalogue}" up in')
     if both := [key for key in ("alpha", "sigma") if getattr(table, key) is not None]:
@@ -284,7 +291,7 @@ def _change(table: ChangeTable, room: Room, new: Mapping[str, Material]) -> Chan
     if extra := [key for key in stated if key not in (kind, *_TAKES[kind])]:
         raise DataError(f"{kind} has {extra[0]}, which has no meaning there")
     if kind == "air":
-        return Climate(room_files.air(table.air) or Air())
+        return Climate(air(table.air) or Air())
     if kind == "volume":
         return NewVolume(stated["volume"])
     surface = _material_name(kind, stated[kind], room, new)

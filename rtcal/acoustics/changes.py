@@ -12,8 +12,7 @@ import numpy as np
 
 from rtcal.acoustics.air import Air
 from rtcal.acoustics.directions import facing
-from rtcal.acoustics.materials import Material
-from rtcal.acoustics.room import Room
+from rtcal.acoustics.room import Material, Room
 from rtcal.acoustics.scene import Scene
 from rtcal.support import checks
 from rtcal.support.errors import DataError

@@ -9,8 +9,7 @@ from typing import Protocol
 
 import numpy as np
 
-from rtcal.acoustics.materials import AXES, Surface
-from rtcal.acoustics.room import Room
+from rtcal.acoustics.room import AXES, Room, Surface
 from rtcal.support.types import Array
 
 __all__ = ["enough_known", "facing", "kind_of"]

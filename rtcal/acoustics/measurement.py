@@ -10,7 +10,6 @@ import msgspec
 import numpy as np
 
 from rtcal.acoustics import bands, measurement_files, repeats
-from rtcal.acoustics.materials import text_name
 from rtcal.acoustics.measurement_files import MeasurementData
 from rtcal.acoustics.observables import (
     OBSERVABLES,
@@ -21,6 +20,7 @@ from rtcal.acoustics.observables import (
     parameter_label,
 )
 from rtcal.support import checks, text
+from rtcal.support.checks import text_name
 from rtcal.support.errors import DataError
 from rtcal.support.files import write_text
 from rtcal.support.schema import read
@@ -437,7 +437,7 @@ class Measurement:
         """Read a measurement from CSV; see `rtcal.acoustics.measurement_files` for the format."""
         data = measurement_files.read(path)
         try:
-            return cls.from_dict(data)
+            return cls(**data)
         except DataError as error:
             raise DataError(f"{path}: {error}") from error
 

@@ -66,7 +66,7 @@ MAX_CELLS = 2**20
 
 
 def read(path: str | os.PathLike[str]) -> dict[str, Any]:
-    """Return a CSV file as `Measurement.to_dict` would; DataError names file, line, value and rule."""
+    """Return the arguments of `Measurement` of a CSV file; DataError names file, line and rule."""
     if os.fspath(checks.path("path", path)).lower().endswith((".xlsx", ".xls")):
         raise DataError(
             f"{path}: a workbook, and no CSV: `rtcal table {path} --out t.csv` makes one of it"
@@ -168,7 +168,7 @@ def _cell(cell: Mapping[str, str], column: str, place: str) -> float:
 def of_single_values(
     rows: Mapping[tuple[str, str, str, float], Mapping[str, float]],
 ) -> dict[str, Any]:
-    """Return a measurement as plain values, from values by source, receiver, parameter and band.
+    """Return the arguments of `Measurement`, from values by source, receiver, parameter and band.
 
     Each row has ``value`` and those optional columns of the file that it states; NaN is missing.
     """
@@ -183,58 +183,39 @@ def of_single_values(
             f"{shape[0]} pairs, {shape[1]} bands and {len(parameters)} parameters are more than "
             f"{MAX_CELLS} values"
         )
-    values = {p: np.full(shape, np.nan) for p in parameters}
-    uncertainty: dict[str, Array] = {}
-    deviation: dict[str, Array] = {}
-    common: dict[str, Array] = {}
-    counts: dict[str, set[float]] = {"sources": set(), "receivers": set()}
+    tables: dict[str, dict[str, Array]] = {c: {} for c in ("value", *_OPTIONAL_COLUMNS)}
     for (source, receiver, parameter, band), numbers in rows.items():
-        where = pairs[source, receiver], frequencies[band]
-        values[parameter][where] = numbers["value"]
-        if np.isfinite(numbers.get("uncertainty", np.nan)):
-            uncertainty.setdefault(parameter, np.full(shape, np.nan))[where] = numbers[
-                "uncertainty"
-            ]
-        if np.isfinite(shared := numbers.get("common_uncertainty", np.nan)):
-            row = common.setdefault(parameter, np.full(shape[1], np.nan))
-            if np.isfinite(row[where[1]]) and row[where[1]] != shared:
-                raise DataError(
-                    f"common_uncertainty of {parameter_label(parameter)} at {bands.label(band)} has "
-                    "several values; all pairs of a band share one"
-                )
-            row[where[1]] = shared
-        if np.isfinite(numbers.get("standard_deviation", np.nan)):
-            spread = deviation.setdefault(parameter, np.full(shape[1], np.nan))
-            spread[where[1]] = numbers["standard_deviation"]
-        for name, stated in counts.items():
-            if np.isfinite(numbers.get(name, np.nan)):
-                stated.add(numbers[name])
-    for name, stated in counts.items():
+        for column, number in numbers.items():
+            if column == "value" or np.isfinite(number):
+                table = tables[column].setdefault(parameter, np.full(shape, np.nan))
+                table[pairs[source, receiver], frequencies[band]] = number
+    counts = {}
+    for name in ("sources", "receivers"):
+        stated = {n for table in tables[name].values() for n in table[np.isfinite(table)].tolist()}
         if len(stated) > 1:
             raise DataError(f"column {name} has several values; all rows must be over the same")
+        for count in stated:
+            if count != int(count) or count < 1:
+                raise DataError(f"column {name} = {count:g} is not a whole number above 0")
+        counts[f"n_{name}"] = int(stated.pop()) if stated else None
+    of_bands: dict[str, dict[str, Array]] = {}
+    for name in ("common_uncertainty", "standard_deviation"):
+        of_bands[name] = {p: np.fmax.reduce(table) for p, table in tables[name].items()}
+        for p, table in tables[name].items():
+            if (differing := np.fmin.reduce(table) < of_bands[name][p]).any():
+                band = bands.label(list(frequencies)[int(np.argmax(differing))])
+                raise DataError(
+                    f"{name} of {parameter_label(p)} at {band} has several values; all pairs of a band "
+                    "share one"
+                )
     return {
-        "centre_frequencies": list(frequencies),
-        "pairs": [list(pair) for pair in pairs],
-        "values": {p: json_numbers(v) for p, v in values.items()},
-        "uncertainty": {p: json_numbers(v) for p, v in uncertainty.items()},
-        **(
-            {"common_uncertainty": {p: json_numbers(v) for p, v in common.items()}}
-            if common
-            else {}
-        ),
-        "standard_deviation": {p: json_numbers(v) for p, v in deviation.items()},
-        "n_sources": _count(counts["sources"], "sources"),
-        "n_receivers": _count(counts["receivers"], "receivers"),
+        "centre_frequencies": np.array(list(frequencies)),
+        "pairs": list(pairs),
+        "values": tables["value"],
+        "uncertainty": tables["uncertainty"],
+        **of_bands,
+        **counts,
     }
-
-
-def _count(stated: set[float], name: str) -> int | None:
-    if not stated:
-        return None
-    (count,) = stated
-    if count != int(count) or count < 1:
-        raise DataError(f"column {name} = {count:g} is not a whole number above 0")
-    return int(count)
 
 
 def plain(measurement: Any) -> dict[str, Any]:
@@ -255,33 +236,18 @@ def plain(measurement: Any) -> dict[str, Any]:
 
 def rows(data: Mapping[str, Any]) -> list[list[Any]]:
     """Return the table of `Measurement.to_dict`'s dict: the header, and a row per value."""
-    used = {
-        "uncertainty": bool(data["uncertainty"]),
-        "common_uncertainty": bool(data.get("common_uncertainty")),
-        "standard_deviation": bool(data["standard_deviation"]),
-        "sources": data["n_sources"] is not None,
-        "receivers": data["n_receivers"] is not None,
-    }
-    columns = [*_COLUMNS, *(c for c in _OPTIONAL_COLUMNS if used[c])]
-    table: list[list[Any]] = [list(columns)]
+    counts = {name: data[f"n_{name}"] for name in ("sources", "receivers")}
+    used = [c for c in _OPTIONAL_COLUMNS if data.get(c) or counts.get(c) is not None]
+    table: list[list[Any]] = [[*_COLUMNS, *used]]
     for parameter, values in data["values"].items():
         for i, (source, receiver) in enumerate(data["pairs"]):
             for k, band in enumerate(data["centre_frequencies"]):
-                cells: dict[str, Any] = {
-                    "source": source,
-                    "receiver": receiver,
-                    "parameter": parameter.upper(),
-                    "band": band,
-                    "value": values[i][k],
-                    "sources": data["n_sources"],
-                    "receivers": data["n_receivers"],
-                }
-                if parameter in data["uncertainty"]:
-                    cells["uncertainty"] = data["uncertainty"][parameter][i][k]
-                for name in ("common_uncertainty", "standard_deviation"):
-                    if parameter in data.get(name, {}):
-                        cells[name] = data[name][parameter][k]
-                table.append([cells.get(c) for c in columns])
+                cells = [source, receiver, parameter.upper(), band, values[i][k]]
+                for column in used:
+                    of = data.get(column, {}).get(parameter)
+                    per_pair = of[i] if of and column == "uncertainty" else of
+                    cells.append(counts[column] if column in counts else per_pair and per_pair[k])
+                table.append(cells)
     return table
 
 

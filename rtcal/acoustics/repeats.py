@@ -14,9 +14,8 @@ from urllib.parse import quote, unquote
 import numpy as np
 from numpy.typing import NDArray
 
-from rtcal.acoustics.materials import ARCHIVE, CHANGED
 from rtcal.acoustics.observables import OBSERVABLES, parameter_label
-from rtcal.acoustics.room import Room
+from rtcal.acoustics.room import ARCHIVE, CHANGED, Room
 from rtcal.support.errors import DataError
 from rtcal.support.text import LOOKS, first_of, look_alike
 from rtcal.support.types import Array

@@ -1,4 +1,71 @@
-"""The room: its stated materials, surfaces, volume and air."""
+"""The room: its stated materials, surfaces, volume and air, and its file.
+
+A room's file is TOML, with one ``[[material]]`` per material::
+
+
+    name = "Seminar room"
+    author = "A. Consultant"            # optional: stands on the pages of its results
+    above_one = "clip"                  # optional: cut ISO 354 coefficients above 1, and say so
+    volume = 146.1                      # m³
+    centre_frequencies = [500, 1000]    # Hz
+    scattering_model = "random"         # optional: what scattering means; or "vector"
+    volume_sigma = 0.05                 # optional: relative standard deviation of the volume
+    area_sigma = 0.03                   # optional: the same of each material's area
+    common_area_sigma = 0.02            # optional: the same of all areas together
+    common_alpha_sigma = 0.1            # optional: the same of all coefficients together
+    climate_sigma = [2, 10]             # optional: of the air's temperature (K), humidity (%)
+
+    [geometry]                          # optional, for simulators
+    mesh = "room.obj"                   # Wavefront OBJ, relative to this file; without it the room
+                                        # is the box of its dimensions
+    unit = 0.001                        # optional: of the mesh, in m
+    position_uncertainty = 0.1          # optional: of sources and receivers, in m
+    [geometry.surfaces]                 # optional: names of the faces of each surface
+    "south wall" = ["face 3", "face 7"]
+
+    [sources]                           # optional, with [receivers]: x, y and z in m
+    S1 = [1.2, 3.4, 1.5]
+
+    [receivers]
+    R1 = [4.0, 2.2, 1.2]
+
+    [directivity]                       # optional: of sources that are not omnidirectional
+    S1 = { index = [3, 7], aim = [1, 0, 0] }  # dB per band, and the axis; or "unknown"; or
+    S2 = { file = "s.sofa", aim = [1, 0, 0], up = [0, 0, 1] }  # a balloon, as rtcal.io.balloon reads
+
+    [air]                               # left out: the air absorbs nothing
+    temperature = 19.5                  # °C
+    humidity = 41.7                     # %
+    pressure = 101.325                  # kPa
+
+    [prior]                             # for materials that state no sigma:
+    relative = 0.3                      # sigma = in_situ_factor * max(relative * alpha, minimum,
+    minimum = 0.01                      #                              ISO 12999-2's if asked for)
+    iso_12999_2 = true                  # optional: the spread between laboratories as the least
+    in_situ_factor = 1.5                # optional, 1 or more: another specimen, mounted otherwise
+    band_correlation = 0.7              # optional: of one material's errors an octave apart
+
+    [[material]]
+    name = "plaster"
+    area = 34.93                        # m²; or leave it out and state [[surface]]s
+    alpha = [0.052, 0.052]              # 0 to 1, one per band
+    sigma = 0.05                        # optional: one number, one per band, or a degree of
+                                        # uncertainty: "low" 0.01, "moderate" 0.05, "high" 0.1
+    alpha_min = 0.01                    # optional: lower bound of the calibrated alpha
+    scattering = [0.1, 0.1]             # optional, for simulators
+    source = "where alpha comes from"   # optional
+    area_sigma = "1.5 m²"               # optional: in place of the room's; relative, or in m²
+
+    [[correlation]]                     # optional: of two materials' errors in the same band
+    materials = ["plaster", "concrete"]
+    value = 0.5
+
+    [[surface]]                         # optional: areas of a material are summed
+    name = "north wall"
+    material = "plaster"
+    area = 12.0                         # m²
+    axis = "x"                          # optional: the direction of its normal
+"""
 
 from __future__ import annotations
 
@@ -7,40 +74,120 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import InitVar, dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal, Protocol
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from rtcal.acoustics import bands, room_files
+from rtcal.acoustics import bands
 from rtcal.acoustics.air import Air
-from rtcal.acoustics.materials import (
-    ARCHIVE,
-    AXES,
-    LARGEST,
-    LARGEST_LABORATORY_ALPHA,
-    LEAST,
-    CalibrationRecord,
-    Geometry,
-    Material,
-    Surface,
-    above_one_hint,
-    array_of,
-    in_order,
-    short_name,
-    stacked,
-    text_name,
-)
-from rtcal.acoustics.scene import Scene
+from rtcal.acoustics.directivity import Lobe
+from rtcal.acoustics.priors import TIERS, in_situ, sigma_iso_12999_2, sigma_relative
+from rtcal.acoustics.scene import GeometryTable, Places, Scene, SceneTables
 from rtcal.support import checks, text
+from rtcal.support.checks import short_name, text_name
 from rtcal.support.errors import DataError
-from rtcal.support.files import read_text, write_text
-from rtcal.support.schema import read
+from rtcal.support.files import json_numbers, read_text, write_text
+from rtcal.support.schema import FileTable, Number, Share, read, toml_table, toml_text
 from rtcal.support.text import LOOKS, look_alike, shortened
 from rtcal.support.types import Array, read_only
 
-__all__ = ["AXES", "CalibrationRecord", "Material", "Room", "Surface", "text_name"]
+__all__ = ["AXES", "CalibrationRecord", "Material", "Room", "Surface"]
 __dir__ = __all__.copy
+
+AXES = ("x", "y", "z")
+
+
+@dataclass(frozen=True)
+class Material:
+    """A material and its prior.
+
+    Parameters
+    ----------
+    name : str
+    alpha : sequence (n_bands,)
+        Random-incidence absorption coefficients, 0 to 1.
+    sigma : sequence (n_bands,)
+        Standard deviation of each coefficient, 0 or more; 0 for a coefficient that is exact.
+    alpha_min : float or sequence (n_bands,)
+        Lower bound of the calibrated coefficient.
+    scattering : sequence (n_bands,), optional
+        Random-incidence scattering coefficients, 0 to 1; only simulators use them.
+    source : str
+        Where the coefficients come from.
+    """
+
+    name: str
+    alpha: Sequence[float]
+    sigma: Sequence[float]
+    alpha_min: float | Sequence[float] = 0.0
+    scattering: Sequence[float] | None = None
+    source: str = ""
+
+
+@dataclass(frozen=True)
+class Surface:
+    """One surface of a room: its material, its area in m² and the axis it stands across.
+
+    ``axis`` is ``"x"``, ``"y"`` or ``"z"``: the direction of its normal. Only equations that treat
+    the axes apart (Fitzroy, Arau-Puchades) need it.
+    """
+
+    name: str
+    material: str
+    area: float
+    axis: str | None = None
+
+    def __post_init__(self) -> None:
+        text_name("surface name", self.name)
+        text_name("surface material", self.material)
+        area = checks.positive(f'surface["{self.name}"].area', self.area, "m²")
+        object.__setattr__(self, "area", area)
+        if self.axis is not None and (not isinstance(self.axis, str) or self.axis not in AXES):
+            raise DataError(f'surface["{self.name}"].axis = "{self.axis}" is not "x", "y" or "z"')
+
+
+class Geometry(Protocol):
+    """The part of a geometry that a room takes: its volume in m³ and its surfaces."""
+
+    @property
+    def volume(self) -> float:
+        """Volume in m³."""
+        ...
+
+    @property
+    def surfaces(self) -> Sequence[Surface]:
+        """The faces, with material, area and axis."""
+        ...
+
+
+ARCHIVE = "archive"
+"""Method in the record of a room whose coefficients come from an archive of other rooms."""
+CHANGED = "changed"
+"""Method in the record of a room whose coefficients were changed after their calibration."""
+
+
+@dataclass(frozen=True)
+class CalibrationRecord:
+    """The calibration of a calibrated room, or the archive that its coefficients come from.
+
+    ``measured`` identifies, per band, every T that the coefficients were calibrated to. A second
+    calibration to the same T would count it twice and is refused.
+    """
+
+    method: str
+    equation: str
+    measured: str
+    solver: str = ""
+    version: str = ""
+
+
+LEAST, LARGEST = 1e-9, 1e9
+"""Of volumes in m³, the largest of areas in m², too. Nothing that is built comes near either."""
+LARGEST_LABORATORY_ALPHA = 2.0
+"""ISO 354 gives up to some 1.3 for thick absorbers of 10 m² (edge effect); small objects give more."""
+RELATIVE = ("volume_sigma", "common_area_sigma", "common_alpha_sigma")
 
 
 def _relative(place: str, value: object) -> float:
@@ -200,7 +347,7 @@ class Room:
         for name in ("areas", "alpha", "sigma", "scattering", "alpha_min"):
             stated = getattr(self, name)
             put(name, in_order(name, stated, self.materials, self.centre_frequencies))
-        put("areas", read_only(array_of("areas", self.areas)))
+        put("areas", read_only(checks.array("areas", self.areas)))
         if self.areas.shape != (n,):
             raise DataError(
                 f"areas has shape {self.areas.shape}; with {n} materials it must be ({n},)"
@@ -211,7 +358,7 @@ class Room:
                     f'areas["{material}"] = {area:g} m² is not an area above 0 and at most {LARGEST:g}'
                 )
         if above_one == "clip":
-            put("alpha", alpha := array_of("alpha", self.alpha))
+            put("alpha", alpha := checks.array("alpha", self.alpha))
             for i, k in np.argwhere(alpha > 1).tolist() if alpha.shape == self._shape else ():
                 if alpha[i, k] > LARGEST_LABORATORY_ALPHA:
                     raise DataError(
@@ -260,7 +407,7 @@ class Room:
 
     def _coefficients(self, name: str) -> Array:
         """Return values from 0 to 1, (n_materials, n_bands), or raise DataError naming one."""
-        array, shape = array_of(name, getattr(self, name)), self._shape
+        array, shape = checks.array(name, getattr(self, name)), self._shape
         if array.shape != shape:
             raise DataError(
                 f"{name} has shape {array.shape}; it must be (n_materials, n_bands) = {shape}"
@@ -561,7 +708,7 @@ class Room:
 
     def to_dict(self) -> dict[str, Any]:
         """Return the room as plain values for JSON, without fields that are not stated."""
-        return room_files.plain(self)
+        return _plain(self)
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any], place: str = "room") -> Room:
@@ -570,19 +717,19 @@ class Room:
         Raises DataError, which begins with ``place``, for an unknown key, for a value of the wrong
         kind, and as `Room` does.
         """
-        return cls(**room_files.of_plain(read(room_files.PlainRoom, data, place)))
+        return cls(**of_plain(read(PlainRoom, data, place)))
 
     @classmethod
     def from_file(cls, path: str) -> Room:
-        """Read a room from TOML; see `rtcal.acoustics.room_files` for the format."""
-        room = cls.from_text(read_text(path, room_files.MAX_BYTES), os.fspath(path))
+        """Read a room from TOML; see `rtcal.acoustics.room` for the format."""
+        room = cls.from_text(read_text(path, MAX_BYTES), os.fspath(path))
         return room.replace(scene=room.scene.within(Path(path).parent)) if room.scene else room
 
     @classmethod
     def from_text(cls, text: str, place: str) -> Room:
         """Return the room of a TOML text; messages begin with ``place``."""
         try:
-            return cls(**room_files.of_text(text))
+            return cls(**_of_text(text))
         except DataError as error:
             raise DataError(f"{place}: {error}") from error
 
@@ -592,8 +739,447 @@ class Room:
         The scene's mesh is named as seen from ``folder``, if that is given.
         """
         room = self if folder is None else self.replace(scene=self.scene.seen_from(folder))
-        return room_files.text_of(room)
+        return _text_of(room)
 
     def save(self, path: str) -> None:
         """Write the room to TOML, whole or not at all."""
         write_text(path, self.to_text(checks.path("path", path).parent))
+
+
+def stacked(
+    surfaces: Sequence[Surface], materials: Sequence[Material], centre_frequencies: Array
+) -> dict[str, Any]:
+    """Return the arguments of `Room` that surfaces and materials determine.
+
+    A material's area is the sum over its surfaces; a material without a surface is left out.
+    Raises DataError for a surface whose material is not among ``materials``.
+    """
+    for kind, members in ((Surface, surfaces), (Material, materials)):
+        for i, member in enumerate(members):
+            checks.instance(f"{kind.__name__.lower()}s[{i}]", member, kind)
+    by_name = {m.name: m for m in materials}
+    if len(by_name) < len(materials):
+        twice = next(m.name for m in materials if by_name[m.name] is not m)
+        raise DataError(f'material "{twice}" is given twice')
+    for surface in surfaces:
+        if surface.material not in by_name:
+            raise DataError(
+                f'surface["{surface.name}"].material = "{surface.material}" is not among the '
+                f"materials: {', '.join(by_name)}"
+            )
+    covered = {s.material for s in surfaces}
+    used = [m for m in by_name.values() if m.name in covered]
+    n_bands = len(centre_frequencies)
+    scattered = [(m.name, m.scattering) for m in used if m.scattering is not None]
+    if scattered and len(scattered) < len(used):
+        lacking = next(m.name for m in used if m.scattering is None)
+        raise DataError(
+            f'scattering["{lacking}"] is missing; state it for every material or for none'
+        )
+    floors = []
+    for m in used:
+        floor = checks.array("alpha_min", m.alpha_min)
+        if floor.shape not in ((), (n_bands,)):
+            raise DataError(
+                f'alpha_min["{m.name}"] has shape {floor.shape}; it is one number, or {n_bands}'
+            )
+        floors.append(np.broadcast_to(floor, (n_bands,)))
+    return {
+        "materials": [m.name for m in used],
+        "areas": checks.array(
+            "areas", [np.sum([s.area for s in surfaces if s.material == m.name]) for m in used]
+        ),
+        "alpha": _rows("alpha", [(m.name, m.alpha) for m in used], n_bands),
+        "sigma": _rows("sigma", [(m.name, m.sigma) for m in used], n_bands),
+        "alpha_min": np.array(floors) if any(f.any() for f in floors) else None,
+        "scattering": _rows("scattering", scattered, n_bands) if scattered else None,
+        "surfaces": tuple(surfaces),
+        "sources": {m.name: m.source for m in used if m.source},
+    }
+
+
+def in_order(place: str, value: Any, materials: Sequence[str], frequencies: Array) -> Any:
+    """Return the values of a mapping, DataFrame or Series in the room's order; others as they are.
+
+    A mapping has the materials as keys. Rows are ordered by their labels if these are texts, which have
+    to be the materials. Columns are ordered by theirs unless they are 0, 1, 2, ...: they have to be the
+    bands, in Hz.
+
+    Raises
+    ------
+    DataError
+        If labels are not the room's materials or bands.
+    """
+    if isinstance(value, Mapping):
+        _places(f"{place}: keys", list(value), list(materials))
+        return [value[name] for name in materials]
+    index = getattr(value, "index", None)
+    if index is None or callable(index) or not hasattr(value, "to_numpy"):
+        return value
+    array = value.to_numpy()
+    if array.shape[:1] == (len(materials),) and any(isinstance(name, str) for name in index):
+        array = array[_places(f"{place}: rows", list(index), list(materials))]
+    columns = list(getattr(value, "columns", ()))
+    if columns != list(range(len(columns))) and len(columns) == len(frequencies):
+        place = f"{place}: columns"
+        array = array[:, _places(place, [_band(c) for c in columns], frequencies.tolist())]
+    return array
+
+
+def _band(label: object) -> object:
+    """Return a column's label as a nominal frequency, or as it is if it is none."""
+    try:
+        return bands.nominal(float(str(label).removesuffix("Hz")))
+    except ValueError:
+        return label
+
+
+def _places(place: str, labels: list[Any], wanted: list[Any]) -> list[int]:
+    """Return where each of the wanted labels stands; DataError unless the labels are these."""
+    if len(set(labels)) < len(labels) or set(labels) != set(wanted):
+        others = shortened(", ".join(str(label) for label in labels), 60)
+        needed = shortened(", ".join(f"{label}" for label in wanted), 60)
+        raise DataError(f"{place} are {others}; the room has {needed}")
+    return [int(np.flatnonzero([label == name for label in labels])[0]) for name in wanted]
+
+
+def _rows(name: str, rows: list[tuple[str, Sequence[float]]], n_bands: int) -> Array:
+    """Return one row per material, (n_materials, n_bands), or raise DataError naming the material."""
+    for material, row in rows:
+        if np.ndim(row) != 1:
+            raise DataError(f'{name}["{material}"] is not a list of one number per band')
+        if len(row) != n_bands:
+            raise DataError(
+                f'{name}["{material}"] has {len(row)} values; the room has {n_bands} bands'
+            )
+    return checks.array(name, [list(row) for _, row in rows])
+
+
+def above_one_hint(alpha: float) -> str:
+    """Return what can be done about a coefficient above 1 that a laboratory may report; else "".
+
+    Examples
+    --------
+    >>> above_one_hint(0.7), above_one_hint(-1.0)
+    ('', '')
+    """
+    if not 1 < alpha <= LARGEST_LABORATORY_ALPHA:
+        return ""
+    return (
+        ". Laboratories report such values (ISO 354, edge effect): a room that states above_one = "
+        '"clip" takes them as 1 and says so, as `rtcal import library` does with product data'
+    )
+
+
+MAX_BYTES = 2**18
+"""Largest size of a room's file in bytes: thirty times a usual one."""
+
+PerBand = Number | list[Number]
+StatedSigma = PerBand | Literal["low", "moderate", "high"]
+"""A sigma, or a degree of uncertainty of `TIERS`."""
+
+
+class AirTable(FileTable):
+    """Temperature in °C, relative humidity in % and pressure in kPa, as of `Air`."""
+
+    temperature: Number = 20.0
+    humidity: Number = 50.0
+    pressure: Number = 101.325
+
+
+class PriorTable(FileTable):
+    """The rule for the sigma of materials that state none."""
+
+    relative: Share = 0.0
+    minimum: Share = 0.0
+    iso_12999_2: bool = False
+    in_situ_factor: Number = 1.0
+    band_correlation: Number = 0.0
+
+
+class MaterialTable(FileTable):
+    """A ``[[material]]``."""
+
+    name: str
+    alpha: list[Number]
+    area: Number | None = None
+    sigma: StatedSigma | None = None
+    alpha_min: PerBand = 0.0
+    scattering: PerBand | None = None
+    source: str = ""
+    area_sigma: Number | str | None = None
+
+
+class SurfaceTable(FileTable):
+    """A surface; its name in a file without one is its number."""
+
+    material: str
+    area: Number
+    name: str = ""
+    axis: str | None = None
+
+
+class Correlation(FileTable):
+    """The correlation of two materials' errors in the same band."""
+
+    materials: tuple[str, str]
+    value: Number
+
+
+class Record(FileTable):
+    """The calibration of a calibrated room; see `CalibrationRecord`."""
+
+    method: str
+    equation: str
+    measured: str
+    solver: str = ""
+    version: str = ""
+
+
+class _Common(FileTable, kw_only=True):
+    """Keys that a room's file and its plain values have in common."""
+
+    volume: Number
+    centre_frequencies: list[Number]
+    name: str = "room"
+    author: str = ""
+    scattering_model: str = "random"
+    air: AirTable | None = None
+    dimensions: list[Number] | None = None
+    calibration: Record | None = None
+    above_one: str = "refuse"
+    clipped: tuple[str, ...] = ()
+    volume_sigma: Number = 0.0
+    common_area_sigma: Number = 0.0
+    common_alpha_sigma: Number = 0.0
+    climate_sigma: tuple[Number, Number] = (0.0, 0.0)
+
+
+class RoomFile(_Common):
+    """A room's file; its scene's tables are those of `SceneTables`."""
+
+    geometry: GeometryTable = msgspec.field(default_factory=GeometryTable)
+    sources: Places | None = None
+    receivers: Places | None = None
+    directivity: dict[str, Lobe | Literal["unknown"]] = {}
+    material: Annotated[list[MaterialTable], msgspec.Meta(max_length=500)] = []
+    surface: Annotated[list[SurfaceTable], msgspec.Meta(max_length=5000)] = []
+    correlation: Annotated[list[Correlation], msgspec.Meta(max_length=5000)] = []
+    prior: PriorTable | None = None
+    area_sigma: Number | str | dict[str, Number | str] = 0.0
+
+
+class PlainRoom(_Common, kw_only=True):
+    """A room as plain values, as `rtcal.Room.to_dict` returns them."""
+
+    materials: list[str]
+    areas: list[Number]
+    alpha: list[list[Number]]
+    sigma: list[list[Number]]
+    alpha_min: list[list[Number]] | None = None
+    scattering: list[list[Number]] | None = None
+    surfaces: list[SurfaceTable] = []
+    sources: dict[str, str] = {}
+    scene: SceneTables = msgspec.field(default_factory=SceneTables)
+    band_correlation: Number = 0.0
+    material_correlation: list[Correlation] = []
+    area_sigma: Number | str | list[Number | str] | dict[str, Number | str] = 0.0
+
+
+def air(table: AirTable | None) -> Air | None:
+    """Return the air of a table; None for None."""
+    return None if table is None else Air(**msgspec.structs.asdict(table))
+
+
+def _common(file: _Common) -> dict[str, Any]:
+    """Return the arguments of `Room` that a file and plain values state alike."""
+    record = file.calibration
+    return {
+        **{field: getattr(file, field) for field in _Common.__struct_fields__},
+        "air": air(file.air),
+        "calibration": record and CalibrationRecord(**msgspec.structs.asdict(record)),
+    }
+
+
+def _surfaces(tables: list[SurfaceTable]) -> list[Surface]:
+    return [
+        Surface(s.name or f"surface {i}", s.material, s.area, s.axis)
+        for i, s in enumerate(tables, start=1)
+    ]
+
+
+def _correlations(tables: list[Correlation]) -> dict[tuple[str, str], float]:
+    return {c.materials: c.value for c in tables}
+
+
+def of_plain(data: PlainRoom) -> dict[str, Any]:
+    """Return the arguments of `Room` of its plain values."""
+    return {
+        **{field: getattr(data, field) for field in PlainRoom.__struct_fields__},
+        **_common(data),
+        "scene": Scene.of(data.scene),
+        "surfaces": _surfaces(data.surfaces),
+        "material_correlation": _correlations(data.material_correlation),
+    }
+
+
+def _of_text(text: str) -> dict[str, Any]:
+    """Return the arguments of `Room` of a TOML text; DataError names place, value and rule."""
+    content = toml_table(text)
+    if content and set(content) <= set(SceneTables.__struct_fields__):
+        raise DataError(
+            f"{' and '.join(content)} are tables of the room's file: copy them to the end of room.toml"
+        )
+    file = read(RoomFile, content)
+    frequencies = bands.as_bands(file.centre_frequencies)
+    surfaces = _surfaces(file.surface)
+    covered = {surface.material for surface in surfaces}
+    refuse_repeats(file.material)
+    for m in file.material:
+        if m.area is not None and m.name in covered:
+            raise DataError(f'area["{m.name}"] is given, and its surfaces too; give one')
+        if m.area is not None:
+            surfaces.append(Surface(name=m.name, material=m.name, area=m.area))
+        elif m.name not in covered:
+            raise DataError(f'area["{m.name}"] is missing, and no [[surface]] has it')
+    materials = [material(m, frequencies, file.prior) for m in file.material]
+    area_sigma = {
+        name: file.area_sigma.get(name, 0.0)
+        if isinstance(file.area_sigma, dict)
+        else file.area_sigma
+        for name in (m.name for m in file.material)
+    }
+    return {
+        **_common(file),
+        **stacked(surfaces, materials, frequencies),
+        "scene": Scene.of(file),
+        "band_correlation": 0.0 if file.prior is None else file.prior.band_correlation,
+        "material_correlation": _correlations(file.correlation),
+        "area_sigma": area_sigma | {m.name: m.area_sigma for m in file.material if m.area_sigma},
+    }
+
+
+def refuse_repeats(materials: Sequence[Any]) -> None:
+    """Raise DataError for two materials of a file with one name."""
+    names = [m.name for m in materials]
+    if twice := next((name for name in names if names.count(name) > 1), None):
+        raise DataError(f'material "{twice}" is given twice')
+
+
+def material(table: MaterialTable, frequencies: Array, prior: PriorTable | None) -> Material:
+    """Return the material of a ``[[material]]``; ``prior`` derives a sigma that is not stated.
+
+    Raises DataError, which names the material, for another number of values than bands.
+    """
+
+    def per_band(key: str, stated: PerBand) -> list[float]:
+        if not isinstance(stated, list):
+            return [stated] * len(frequencies)
+        if len(stated) != len(frequencies):
+            raise DataError(
+                f'material "{table.name}": {key} has {len(stated)} values; the room has '
+                f"{len(frequencies)} bands"
+            )
+        return stated
+
+    alpha, sigma = per_band("alpha", table.alpha), table.sigma
+    if sigma is None:
+        if prior is None:
+            raise DataError(
+                f'material "{table.name}" states no sigma, and the file has no [prior] to derive it '
+                "from; if in doubt, write [prior] with relative = 0.3 and minimum = 0.01"
+            )
+        sigma = _prior_sigma(prior, alpha, frequencies)
+    return Material(
+        name=table.name,
+        alpha=alpha,
+        sigma=per_band("sigma", TIERS[sigma] if isinstance(sigma, str) else sigma),
+        alpha_min=per_band("alpha_min", table.alpha_min) if table.alpha_min else 0.0,
+        scattering=None if table.scattering is None else per_band("scattering", table.scattering),
+        source=table.source,
+    )
+
+
+def _prior_sigma(prior: PriorTable, alpha: list[float], frequencies: Array) -> list[float]:
+    """Return sigma by the file's [prior], for materials that state none."""
+    limited = np.clip(alpha, 0, 2)  # the rules' limits; the room refuses or cuts what lies above 1
+    sigma = sigma_relative(limited, prior.relative, prior.minimum)
+    if prior.iso_12999_2:
+        sigma = np.maximum(sigma, sigma_iso_12999_2(limited, frequencies))
+    return list(map(float, in_situ(sigma, prior.in_situ_factor)))
+
+
+def _plain(room: Room) -> dict[str, Any]:
+    """Return a `Room` as plain values for JSON, without fields that are not stated."""
+    stated: dict[str, Any] = {
+        name: json_numbers(values)
+        for name in ("alpha_min", "scattering", "dimensions")
+        if (values := getattr(room, name)) is not None
+    }
+    more: dict[str, Any] = {
+        "surfaces": [vars(surface).copy() for surface in room.surfaces],
+        "sources": dict(room.sources),
+        "material_correlation": [
+            {"materials": list(pair), "value": float(value)}
+            for pair, value in room.material_correlation.items()
+        ],
+        "calibration": room.calibration and vars(room.calibration).copy(),
+        "scattering_model": room.scattering_model if room.scattering_model != "random" else None,
+        "scene": room.scene.to_dict(),
+        "author": room.author,
+        "clipped": list(room.clipped),
+        **{name: getattr(room, name) for name in RELATIVE},
+        "area_sigma": json_numbers(room.area_sigma) if room.area_sigma.any() else None,
+        "climate_sigma": list(room.climate_sigma) if any(room.climate_sigma) else None,
+    }
+    return {
+        "name": room.name,
+        "volume": room.volume,
+        "materials": list(room.materials),
+        **{name: json_numbers(getattr(room, name)) for name in ("areas", "alpha", "sigma")},
+        "band_correlation": float(room.band_correlation),
+        "centre_frequencies": json_numbers(room.centre_frequencies),
+        "air": None if room.air is None else vars(room.air).copy(),
+        **stated,
+        **{name: value for name, value in more.items() if value},
+    }
+
+
+def _text_of(room: Room) -> str:
+    """Return a `Room` as the text of its TOML file."""
+    data = _plain(room)
+    surfaces = data.get("surfaces", [])
+    covered = {surface["material"] for surface in surfaces}
+    materials = []
+    for i, name in enumerate(room.materials):
+        stated: dict[str, Any] = {
+            "name": name,
+            "area": None if name in covered else data["areas"][i],
+            **{k: data[k][i] for k in ("alpha", "sigma", "alpha_min", "scattering") if k in data},
+            "area_sigma": float(room.area_sigma[i]),
+            "source": room.sources.get(name),
+        }
+        materials.append({k: v for k, v in stated.items() if v})
+    top = (
+        "name",
+        "author",
+        "volume",
+        "centre_frequencies",
+        "dimensions",
+        "clipped",
+        "scattering_model",
+        *RELATIVE,
+        "climate_sigma",
+    )
+    tables = {
+        **data.get("scene", {}),
+        "prior": {k: data[k] for k in ("band_correlation",) if data[k]},
+        "air": {k: float(v) for k, v in sorted((data["air"] or {}).items())},
+        "calibration": data.get("calibration"),
+        "material": materials,
+        "correlation": data.get("material_correlation"),
+        "surface": [{k: v for k, v in s.items() if v is not None} for s in surfaces],
+    }
+    return toml_text(
+        {k: data[k] for k in top if k in data} | {k: v for k, v in tables.items() if v}
+    )

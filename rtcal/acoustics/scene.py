@@ -18,8 +18,8 @@ from rtcal.acoustics.directivity import (
     directivity_of,
     plain_directivities,
 )
-from rtcal.acoustics.materials import text_name
 from rtcal.support import checks
+from rtcal.support.checks import text_name
 from rtcal.support.errors import DataError
 from rtcal.support.schema import FileTable, Number, Point
 

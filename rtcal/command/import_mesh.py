@@ -18,8 +18,7 @@ from rtcal.support.speed import bar
 from rtcal.support.text import rounded, shortened
 
 if TYPE_CHECKING:
-    from rtcal.acoustics.materials import Surface
-    from rtcal.acoustics.room import Room
+    from rtcal.acoustics.room import Room, Surface
     from rtcal.io.mend import Mended, MeshError, Unclosed
 
 _LEAST_UNCERTAINTY = 1e-3
@@ -125,7 +124,7 @@ def geometry(
 
     ``names`` are those of the list's materials, for the message where the options lack them.
     """
-    from rtcal.acoustics.materials import Surface
+    from rtcal.acoustics.room import Surface
     from rtcal.finder.positions.surfaces import stated_surfaces
     from rtcal.io import mesh as meshes
     from rtcal.io.mend import MeshError

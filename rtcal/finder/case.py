@@ -40,12 +40,12 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from rtcal.acoustics import bands, room_files
+from rtcal.acoustics import bands
 from rtcal.acoustics.directions import enough_known, facing
 from rtcal.acoustics.equations import mean_equation
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.repeats import refuse_repeated_data
-from rtcal.acoustics.room import Room
+from rtcal.acoustics.room import PlainRoom, Room, of_plain
 from rtcal.calibration.problem_data import times_in_room
 from rtcal.finder.configuration import (
     LEVELS,
@@ -85,7 +85,7 @@ def checked_climate_uncertainty(value: object) -> tuple[float, float]:
     return kelvin, percent
 
 
-class _RoomOfCase(room_files.PlainRoom):
+class _RoomOfCase(PlainRoom):
     """The room of a saved case: with the directions of its materials."""
 
     facing: list[list[Number]] | None = None
@@ -219,7 +219,7 @@ class Case:
         Raises DataError for an unknown key, for a value of the wrong kind, and as `Case` does.
         """
         case = read(_CaseData, data)
-        room = Room(**room_files.of_plain(case.room))
+        room = Room(**of_plain(case.room))
         return cls(
             room=room,
             equation=case.equation,

@@ -13,13 +13,14 @@ from typing import Annotated, Any
 import msgspec
 import numpy as np
 
-from rtcal.acoustics import band_conversion, bands, room_files
+from rtcal.acoustics import band_conversion, bands
 from rtcal.acoustics.air import Air
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.measurement_files import MeasurementData
 from rtcal.acoustics.observables import observable
-from rtcal.acoustics.room import Room, text_name
+from rtcal.acoustics.room import AirTable, Room, air
 from rtcal.support import checks
+from rtcal.support.checks import text_name
 from rtcal.support.errors import DataError, OtherBandsWarning
 from rtcal.support.files import json_numbers
 from rtcal.support.schema import FileTable, Number
@@ -44,7 +45,7 @@ class ConfigurationTable(FileTable):
     name: str | None = None
     changes: dict[str, ChangedTable] | None = None
     suspect_removed: bool = False
-    air: room_files.AirTable | None = None
+    air: AirTable | None = None
     distances: list[Number] | None = None
     distance: list[Number] | None = None
 
@@ -217,7 +218,7 @@ class Configuration:
                 for name, c in changes.items()
             },
             suspect_removed=table.suspect_removed,
-            air=room_files.air(table.air),
+            air=air(table.air),
             distances=None if distances is None else np.array(distances),
             planned=planned,
         )

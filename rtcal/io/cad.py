@@ -24,12 +24,12 @@ from typing import Any
 
 import numpy as np
 
-from rtcal.acoustics.materials import text_name
 from rtcal.io import budget, units
 from rtcal.io.mend import Faces
 from rtcal.io.mend.polygons import axes_of, normal_of, polygon_of, shapely
 from rtcal.io.text import decode, number, shown
 from rtcal.support import library
+from rtcal.support.checks import text_name
 from rtcal.support.errors import DataError
 from rtcal.support.types import Array
 

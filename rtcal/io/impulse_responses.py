@@ -39,7 +39,6 @@ from scipy.signal import sosfilt
 from rtcal.acoustics import bands as _bands
 from rtcal.acoustics import decay
 from rtcal.acoustics.decay import MARGIN_DB, bent_decays
-from rtcal.acoustics.materials import text_name
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.observables import (
     EARLY,
@@ -60,6 +59,7 @@ from rtcal.acoustics.repeats import (
 from rtcal.io import sofa, sound
 from rtcal.io.analysis import MOST_NAMED, Analysis, Floor, spread
 from rtcal.support import checks, library
+from rtcal.support.checks import text_name
 from rtcal.support.errors import DataError
 from rtcal.support.text import first_of
 from rtcal.support.types import Array

@@ -18,11 +18,11 @@ import numpy as np
 from rtcal.acoustics import band_conversion, bands, priors, quality, repeats
 from rtcal.acoustics.air import Air
 from rtcal.acoustics.equations import Eyring, LinearEquation
-from rtcal.acoustics.materials import above_one_hint, text_name
-from rtcal.acoustics.room import Material, Room, Surface
+from rtcal.acoustics.room import Material, Room, Surface, above_one_hint
 from rtcal.acoustics.scene import POSITION, Scene
 from rtcal.io.text import MAX_TEXT, Text, number
 from rtcal.support import checks, text
+from rtcal.support.checks import text_name
 from rtcal.support.errors import DataError
 from rtcal.support.files import read_bytes, write_bytes
 from rtcal.support.types import Array

@@ -21,13 +21,13 @@ from collections import Counter
 
 import numpy as np
 
-from rtcal.acoustics.materials import text_name
 from rtcal.io import budget
 from rtcal.io.mend import Faces
 from rtcal.io.text import MAX_TEXT, decode, lines, number, shown
 from rtcal.io.units import check_volume
 from rtcal.simulators.geometry import Polyhedron
 from rtcal.support import checks
+from rtcal.support.checks import text_name
 from rtcal.support.errors import DataError
 from rtcal.support.files import read_bytes
 

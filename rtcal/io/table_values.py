@@ -6,7 +6,6 @@ import re
 from collections.abc import Collection, Iterator, Mapping, Sequence
 
 from rtcal.acoustics import bands
-from rtcal.acoustics.materials import text_name
 from rtcal.acoustics.observables import OBSERVABLES, SUMMARY, parameter_label
 from rtcal.acoustics.repeats import names_of_repeats
 from rtcal.io.table_columns import (
@@ -33,6 +32,7 @@ from rtcal.io.table_words import (
     statistic_of,
 )
 from rtcal.io.text import number, shown, unit_of
+from rtcal.support.checks import text_name
 from rtcal.support.errors import DataError
 
 _NUMBER = re.compile(

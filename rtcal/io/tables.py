@@ -511,7 +511,7 @@ def _measurement(values: Values, place: str) -> Measurement:
     for key, numbers in values.items():
         _check_statistics(key, numbers, f"{place} on")
     try:
-        return Measurement.from_dict(measurement_files.of_single_values(values))
+        return Measurement(**measurement_files.of_single_values(values))
     except DataError as error:
         raise DataError(f"{place} on: {error}") from error
 

@@ -10,9 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtcal.acoustics import bands
-from rtcal.acoustics.materials import CalibrationRecord
 from rtcal.acoustics.quality import Plausibility, plausibility
-from rtcal.acoustics.room import Room
+from rtcal.acoustics.room import CalibrationRecord, Room
 from rtcal.acoustics.room_errors import prior_covariance
 from rtcal.acoustics.trust import TrustMark, explained, implausible_modes_mark, uncarried_mark
 from rtcal.calibration.certificate import Certificate

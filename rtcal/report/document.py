@@ -17,9 +17,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rtcal.acoustics.materials import LONGEST_NAME, short_name
 from rtcal.report import figures
 from rtcal.support import __version__
+from rtcal.support.checks import LONGEST_NAME, short_name
 from rtcal.support.errors import DataError, MissingDependencyError
 from rtcal.support.files import write_text
 from rtcal.support.text import shortened

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from rtcal.acoustics import room_files
 from rtcal.acoustics.equations import mean_equation
+from rtcal.acoustics.room import MAX_BYTES
 from rtcal.calibration.methods import calibrate
 from rtcal.finder.claim import CLAIMED, SAID
 from rtcal.finder.means.evidence import QUANTILE
@@ -289,7 +289,7 @@ def _reproduce(finding: MeansFinding, reproduction: Reproduction | None) -> dict
     """
     if reproduction is None:
         case = finding.case.to_json().encode()
-        return None if len(case) > room_files.MAX_BYTES else {"case": data_of(case)}
+        return None if len(case) > MAX_BYTES else {"case": data_of(case)}
     return {
         "case": "",
         "command": reproduction.command,

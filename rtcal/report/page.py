@@ -7,8 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from rtcal.acoustics import bands, room_files
+from rtcal.acoustics import bands
 from rtcal.acoustics.quality import CalibrationVerdict
+from rtcal.acoustics.room import MAX_BYTES
 from rtcal.acoustics.trust import letters
 from rtcal.calibration import table
 from rtcal.calibration.result import CalibrationResult
@@ -274,7 +275,7 @@ def _inputs(calibration: CalibrationResult) -> dict[str, str] | None:
     """Return the two files as data URIs; None if the room exceeds the largest size of a file."""
     inputs = table.inputs(calibration.prior, calibration.measured_data)
     texts = {key: text.encode() for key, text in inputs.items()}
-    if len(texts["room"]) > room_files.MAX_BYTES:
+    if len(texts["room"]) > MAX_BYTES:
         return None
     return {key: data_of(text) for key, text in texts.items()}
 

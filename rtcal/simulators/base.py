@@ -17,10 +17,9 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 
 from rtcal.acoustics import bands, repeats
-from rtcal.acoustics.materials import in_order
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.observables import TARGET
-from rtcal.acoustics.room import Room
+from rtcal.acoustics.room import Room, in_order
 from rtcal.support import checks
 from rtcal.support.errors import DataError, RtcalError, SimulatorError, of_bands
 from rtcal.support.text import as_sentence, shortened

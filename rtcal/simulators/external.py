@@ -20,12 +20,12 @@ import numpy as np
 
 from rtcal.acoustics.bands import label
 from rtcal.acoustics.equations import Equation
-from rtcal.acoustics.materials import text_name
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.observables import TARGET
 from rtcal.acoustics.room import Room
 from rtcal.simulators.base import RoomSimulator, check_alpha
 from rtcal.support import checks, files
+from rtcal.support.checks import text_name
 from rtcal.support.errors import DataError, SimulatorError, of_bands
 from rtcal.support.text import printable
 from rtcal.support.types import Array

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import sys
+import unicodedata
 from collections.abc import Collection, Iterable, Mapping
 from pathlib import Path
 from typing import Any, TypeVar
@@ -216,3 +217,28 @@ def shown(value: object) -> str:
     except (ValueError, RecursionError):  # an integer of thousands of digits, lists without an end
         text = f"a {type(value).__name__} that is too long to show"
     return text if len(text) <= 60 else text[:57] + "..."
+
+
+LONGEST_NAME = 200
+"""Largest length of an author, and of what stands at the head of a page, in characters."""
+_BIDIRECTIONAL = frozenset("\u202a\u202b\u202c\u202d\u202e\u2066\u2067\u2068\u2069")
+"""Characters that turn the direction of what follows: a name could be read as another."""
+
+
+def text_name(place: str, value: object) -> str:
+    """Return a name; DataError unless it is text without characters that control how it is shown."""
+    if not isinstance(value, str):
+        raise DataError(f"{place} has {value!r}, which is not a text")
+    if any(
+        unicodedata.category(c) in ("Cc", "Cs", "Zl", "Zp") or c in _BIDIRECTIONAL for c in value
+    ):
+        raise DataError(f"{place} has {value!r}; a name has no control characters")
+    return value
+
+
+def short_name(place: str, value: object) -> str:
+    """Return a name of at most `LONGEST_NAME` characters, as stands at the head of a page."""
+    name = text_name(place, value)
+    if len(name) > LONGEST_NAME:
+        raise DataError(f"{place} has {len(name)} characters; at most {LONGEST_NAME} are allowed")
+    return name

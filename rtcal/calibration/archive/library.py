@@ -10,8 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtcal.acoustics import bands
-from rtcal.acoustics.materials import ARCHIVE, CalibrationRecord
-from rtcal.acoustics.room import Material, Room
+from rtcal.acoustics.room import ARCHIVE, CalibrationRecord, Material, Room
 from rtcal.calibration.archive.likelihood import Spread
 from rtcal.support import __version__, checks, text
 from rtcal.support.errors import DataError

@@ -11,8 +11,7 @@ import numpy as np
 
 from rtcal.acoustics import bands
 from rtcal.acoustics.air import Air
-from rtcal.acoustics.materials import LARGEST
-from rtcal.acoustics.room import Room
+from rtcal.acoustics.room import LARGEST, Room
 from rtcal.finder.model import RoomState, covered
 from rtcal.support import checks
 from rtcal.support.errors import DataError

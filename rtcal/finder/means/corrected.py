@@ -18,10 +18,9 @@ from rtcal.acoustics import bands
 from rtcal.acoustics.air import Air
 from rtcal.acoustics.changes import Further, new_name, with_materials
 from rtcal.acoustics.equations import mean_equation
-from rtcal.acoustics.materials import Material, Surface
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.priors import NORMAL_90
-from rtcal.acoustics.room import Room
+from rtcal.acoustics.room import Material, Room, Surface
 from rtcal.finder.case import Case
 from rtcal.finder.configuration import Configuration
 from rtcal.finder.effects.checks import AppliedEffect

@@ -15,8 +15,7 @@ import numpy as np
 
 from rtcal.acoustics import bands, decay
 from rtcal.acoustics.equations import Eyring, mean_equation
-from rtcal.acoustics.materials import Surface
-from rtcal.acoustics.room import Room
+from rtcal.acoustics.room import Room, Surface
 from rtcal.finder.case import Case
 from rtcal.finder.model import FEATURES, RoomState, predict
 from rtcal.finder.prior import by_name

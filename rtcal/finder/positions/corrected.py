@@ -18,8 +18,7 @@ import numpy as np
 
 from rtcal.acoustics.changes import Further, new_name, with_materials
 from rtcal.acoustics.directivity import DirectivityFile
-from rtcal.acoustics.materials import Material
-from rtcal.acoustics.room import Room
+from rtcal.acoustics.room import Material, Room
 from rtcal.acoustics.scene import Scene
 from rtcal.finder.finding import Candidate
 from rtcal.finder.positions.case import PositionsCase

@@ -21,7 +21,7 @@ from itertools import count
 import numpy as np
 from numpy.typing import NDArray
 
-from rtcal.acoustics.materials import Surface
+from rtcal.acoustics.room import Surface
 from rtcal.simulators import facets
 from rtcal.simulators.facets import WELD
 from rtcal.simulators.geometry import Plane, Polyhedron, convex_parts

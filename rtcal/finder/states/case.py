@@ -21,12 +21,11 @@ from rtcal.acoustics import band_conversion, bands
 from rtcal.acoustics.changes import Further, new_name, with_materials
 from rtcal.acoustics.directivity import Directivity
 from rtcal.acoustics.equations import Eyring, LinearEquation
-from rtcal.acoustics.materials import CHANGED, Material
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.observables import MATCH, REVERBERATION, SUMMARY, parameter_label
 from rtcal.acoustics.priors import NORMAL_90
 from rtcal.acoustics.repeats import same_values
-from rtcal.acoustics.room import Room
+from rtcal.acoustics.room import CHANGED, Material, Room
 from rtcal.acoustics.scene import Scene
 from rtcal.calibration.methods import calibrate
 from rtcal.calibration.problem_data import notes_of_bands
