@@ -203,10 +203,10 @@ def of_single_values(
         of_bands[name] = {p: np.fmax.reduce(table) for p, table in tables[name].items()}
         for p, table in tables[name].items():
             if (differing := np.fmin.reduce(table) < of_bands[name][p]).any():
-                band = bands.label(list(frequencies)[int(np.argmax(differing))])
+                label = bands.label(list(frequencies)[int(np.argmax(differing))])
                 raise DataError(
-                    f"{name} of {parameter_label(p)} at {band} has several values; all pairs of a band "
-                    "share one"
+                    f"{name} of {parameter_label(p)} at {label} has several values; all pairs of a "
+                    "band share one"
                 )
     return {
         "centre_frequencies": np.array(list(frequencies)),
