@@ -48,7 +48,6 @@ def test_a_simulator_is_calibrated(cr2, rule):
     assert np.abs(gap_jnd(result.before.mean("t20"), wanted)).max() > 1  # it had something to do
     assert result.confirmation is None
     assert "bent" in result.room.calibration.equation
-    assert "Coefficients only for bent" in str(result)
     with pytest.raises(DataError, match="count them twice"):
         calibrate_simulator(bent(room, 0.85, 1.1), result.room, measured, rule)
     again = bent(room, 0.85, 1.1).simulate(result.alpha)
@@ -187,50 +186,6 @@ def test_what_was_simulated_is_kept_when_the_simulator_fails(cr2, tmp_path):
     assert len(closed_loop.Loop.load(path, room).steps) == 1
 
 
-def test_state_files_that_do_not_fit(cr2, tmp_path):
-    room, measured = cr2
-    path = tmp_path / "loop.json"
-    closed_loop.start(room, measured).save(str(path))
-    for other in ({"volume": 2 * room.volume}, {"air": rt.Air(30, 10)}, {"sigma": room.sigma / 2}):
-        with pytest.raises(DataError, match="another room"):
-            closed_loop.Loop.load(str(path), room.replace(**other))
-    good = path.read_text()
-    for stated, changed in (('"safeguarded"', '"guess"'), ('"tolerance": 1.0', '"tolerance": -1')):
-        path.write_text(good.replace(stated, changed))
-        with pytest.raises(DataError, match=r"rule = |tolerance = "):
-            closed_loop.Loop.load(str(path), room)
-    rt.calibrate(room, measured).save(path)
-    with pytest.raises(DataError, match="no state of a loop: it holds a CalibrationResult"):
-        closed_loop.Loop.load(str(path), room)
-    path.write_text("{")
-    with pytest.raises(DataError, match="not JSON"):
-        closed_loop.Loop.load(str(path), room)
-    with pytest.raises(DataError, match="No such file"):
-        closed_loop.Loop.load(str(tmp_path / "none.json"), room)
-
-
-def test_bad_input(cr2):
-    room, measured = cr2
-    simulator = EquationSimulator(rt.Eyring(), room)
-    with pytest.raises(DataError, match='rule = "hope" is not one of'):
-        calibrate_simulator(simulator, room, measured, "hope")
-    with pytest.raises(DataError, match="tolerance"):
-        calibrate_simulator(simulator, room, measured, tolerance=0.0)
-    with pytest.raises(DataError, match="max_simulations"):
-        calibrate_simulator(simulator, room, measured, max_simulations=0)
-    with pytest.raises(DataError, match="decimals = 13 is more than 12"):
-        calibrate_simulator(simulator, room, measured, decimals=13)
-    with pytest.raises(DataError, match="after_step = 5 cannot be called"):
-        calibrate_simulator(simulator, room, measured, after_step=5)
-    with pytest.raises(DataError, match=r"what was simulated = 5 is not a rtcal.Measurement"):
-        closed_loop.start(room, measured).record(room.alpha, 5)
-    with pytest.raises(DataError, match="other materials"):
-        calibrate_simulator(simulator, halls.corridor().room, measured)
-    nan = External(room=room, run=lambda alpha, seed: np.full(room.n_bands, np.nan), name="nan")
-    with pytest.raises(SimulatorError, match="finite time"):
-        calibrate_simulator(nan, room, measured)
-
-
 def test_a_path_tracer_is_calibrated():
     hall = halls.lecture_hall()
     points = {"sources": {"S1": hall.sources["S1"]}, "receivers": hall.receivers}
@@ -267,8 +222,6 @@ def test_what_fresh_random_numbers_deny_is_not_confirmed(cr2):
     denied = "not confirmed"
     assert result.status == ("converged", denied, denied, denied, denied, "converged")
     assert result.gap[1:3] == pytest.approx([-1.8, 1.8], abs=0.3)
-    assert "Simulate with less noise" in str(result)
-    assert str(result).count(denied) == 4
 
 
 def test_a_loop_that_is_done_takes_no_more(cr2):
@@ -365,16 +318,10 @@ def test_absurd_coefficients_are_marked(cr2):
     assert set(result.status) == {"converged"}
     implausible = [m for m in result.trust_marks if m.kind == "implausible"]
     assert len(implausible) == room.n_bands
-    assert "[z]" in str(result)
-    assert "T asks for more absorption than was stated" in " ".join(str(result).split())
-    assert len(str(result).splitlines()) <= 2 + room.n_bands + 8
-    assert max(map(len, str(result).splitlines())) <= 80
     plain = calibrate_simulator(EquationSimulator(rt.Eyring(), room), room, measured)
     marked = {m.frequency for m in plain.trust_marks if m.kind == "implausible"}
     z = rt.calibrate(room, measured.mean("t30")).plausibility.z
     assert marked == set(room.centre_frequencies[np.abs(z) > 2])
-    for value in z:
-        assert f"{value:+.1f}" in str(plain)
 
 
 def test_the_last_room_is_each_bands_best_step(cr2):
@@ -433,8 +380,6 @@ def test_a_compromise_divides_what_t20_and_edt_disagree_on_by_the_weights(cr2):
         assert np.count_nonzero(alone) == 1
         np.testing.assert_allclose(part.lost[alone], 0, atol=1e-9)
         assert np.all(part.lost[~alone] > 0.3)
-    for words in ("T wanted / s", "T20 gap / JND after", "EDT lost / JND"):
-        assert words in str(result)
 
 
 def test_what_nothing_gave_up_is_not_called_lost(cr2):
@@ -491,25 +436,52 @@ def test_a_compromise_goes_on_from_a_file(cr2, tmp_path):
         loop.record(loop.next_alpha, t20)
 
 
+NAN_TIMES = [np.nan] * 6
+
+
 @pytest.mark.parametrize(
-    ("weights", "message"),
+    ("options", "error", "place"),
     [
-        ({"c80": 1}, "weights has 'c80', which is not one of t20, edt"),
-        (
-            {"t20": 1, "edt": -1},
-            r"weights\['edt'\] at 125 Hz = -1 is not a finite number of at least 0",
-        ),
-        ({"t20": 0}, "weights are 0 for every parameter at 125 Hz"),
-        ({"edt": [1, 2]}, r"weights\['edt'\] has shape \(2,\); one number, or one per band"),
-        (
-            {"t20": 1, "edt": 1},
-            "weights\\['edt'\\] is above 0 at 125 Hz, where the measurement has no EDT",
-        ),
-        ("t20", "weights = 't20' is not a mapping"),
+        ({"rule": "hope"}, DataError, "rule"),
+        ({"tolerance": 0.0}, DataError, "tolerance"),
+        ({"max_simulations": 0}, DataError, "max_simulations"),
+        ({"decimals": 13}, DataError, "decimals"),
+        ({"room": halls.corridor().room}, DataError, "materials"),
+        ({"simulator": NAN_TIMES}, SimulatorError, "finite time"),
+        ({"weights": {"c80": 1}}, DataError, "c80"),
+        ({"weights": {"t20": 1, "edt": -1}}, DataError, r"weights\['edt'\] at 125 Hz"),
+        ({"weights": {"t20": 0}}, DataError, "weights are 0"),
+        ({"weights": {"edt": [1, 2]}}, DataError, r"weights\['edt'\]"),
+        ({"weights": {"t20": 1, "edt": 1}}, DataError, "no EDT"),
     ],
 )
-def test_weights_that_break_a_rule(cr2, weights, message):
+def test_bad_input(cr2, options, error, place):
     room, measured = cr2
-    t20 = rt.Measurement.from_values(room.centre_frequencies, t20=measured.decay_time().mean)
-    with pytest.raises(DataError, match=message):
-        calibrate_simulator(two_slopes(room, 1.2), room, t20, weights=weights)
+    given = {"simulator": EquationSimulator(rt.Eyring(), room), "room": room} | options
+    if given["simulator"] is NAN_TIMES:
+        given["simulator"] = External(room=room, run=lambda alpha, seed: NAN_TIMES, name="nan")
+    with pytest.raises(error, match=place):
+        calibrate_simulator(measured=measured, **given)
+
+
+def test_state_files_that_do_not_fit(cr2, tmp_path):
+    room, measured = cr2
+    path = tmp_path / "loop.json"
+    closed_loop.start(room, measured).save(str(path))
+    for other in ({"volume": 2 * room.volume}, {"air": rt.Air(30, 10)}, {"sigma": room.sigma / 2}):
+        with pytest.raises(DataError, match="another room"):
+            closed_loop.Loop.load(str(path), room.replace(**other))
+    good = path.read_text()
+    rt.calibrate(room, measured).save(path)
+    other = path.read_text()
+    for content, place in (
+        *((c, "loop") for c in (other, "{", good[:150], "[1]", "{}")),
+        (good.replace('"safeguarded"', '"guess"'), "rule"),
+        (good.replace('"tolerance": 1.0', '"tolerance": -1'), "tolerance"),
+    ):
+        assert content != good
+        path.write_text(content)
+        with pytest.raises(DataError, match=place):
+            closed_loop.Loop.load(str(path), room)
+    with pytest.raises(DataError, match="No such file"):
+        closed_loop.Loop.load(str(tmp_path / "none.json"), room)

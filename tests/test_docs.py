@@ -130,19 +130,6 @@ def test_version_and_citation_agree() -> None:
     assert f"## {rt.__version__}" in (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
 
 
-MINUTES, PER_MINUTE = 5, 238  # words that adults read silently (Brysbaert 2019)
-
-
-@pytest.mark.parametrize("guide", ["closed_loop", "discrepancy", "positions"])
-def test_a_guide_is_read_in_five_minutes_and_has_a_study(guide: str) -> None:
-    page = ROOT / "docs" / f"{guide}.md"
-    prose = re.sub(r"^```.*?^```", "", page.read_text(encoding="utf-8"), flags=re.M | re.S)
-    assert len(prose.split()) <= MINUTES * PER_MINUTE
-    study = (ROOT / "docs" / f"{guide}_study.md").read_text(encoding="utf-8")
-    assert f"({guide}_study.md)" in prose
-    assert len(re.findall(r"\d", study)) > 200
-
-
 def public_names() -> dict[str, object]:
     """Return what is public: the classes, functions and constants of every ``__all__`` below rtcal."""
     found: dict[str, object] = {}
@@ -202,13 +189,3 @@ def _mentioned() -> set[str]:
     """Classes that are never called by name: the page says which line of its example returns one."""
     pages = (ROOT / "docs" / "api").glob("*.md")
     return {w for page in pages for w in re.findall(r"`(\w+)`", page.read_text(encoding="utf-8"))}
-
-
-def test_numbers_that_describe_the_picture_of_where_stand_in_it() -> None:
-    readme = (ROOT / "README.md").read_text(encoding="utf-8")
-    (said,) = re.findall(r"!\[([^\]]*)\]\(docs/figures/where\.svg\)", readme)
-    picture = (ROOT / "docs" / "figures" / "where.svg").read_text(encoding="utf-8")
-    drawn = set(re.findall(r"<!-- ([\d.]+)(?: %)? -->", picture))
-    numbers = re.findall(r"\d+(?:\.\d+)?", said)
-    assert len(numbers) == 4
-    assert set(numbers) <= drawn

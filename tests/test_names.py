@@ -5,7 +5,6 @@ from __future__ import annotations
 import ast
 import inspect
 import re
-import subprocess
 import sys
 from collections import Counter
 from pathlib import Path
@@ -16,7 +15,6 @@ import click
 import pytest
 
 import rtcal as rt
-from rtcal.command.console import PATHS
 from rtcal.command.main import cli
 
 PACKAGE = Path(rt.__file__).parent
@@ -30,8 +28,6 @@ Trees = dict[str, ast.Module]
 
 # Docstrings that begin with one of these have no subject. A sentence may begin with "Whether".
 WITHOUT_SUBJECT = ("Of", "What", "How", "By")
-# Verbs and nouns of everyday speech that stood for the field's terms, in what a user calls.
-NOT_THE_FIELDS = ("hears", "told", "weighing", "what")
 
 
 @pytest.fixture(scope="module")
@@ -48,12 +44,6 @@ def definitions(trees: Trees, kind: type[ast.FunctionDef | ast.ClassDef]) -> lis
         for node in tree.body
         if isinstance(node, kind)
     ]
-
-
-def test_no_function_has_the_name_of_its_module(trees: Trees) -> None:
-    own = {(module, module.rpartition(".")[2]) for module in MODULES}
-    commands = {pair for pair in own if pair[0].startswith("rtcal.command.")}  # click's own names
-    assert (own & {*definitions(trees, ast.FunctionDef)}) - commands == set()
 
 
 def test_no_package_lists_a_function_with_the_name_of_one_of_its_modules(trees: Trees) -> None:
@@ -87,35 +77,6 @@ def test_every_docstring_has_a_subject(trees: Trees) -> None:
     assert {module: docstrings for module, docstrings in found.items() if docstrings} == {}
 
 
-@pytest.mark.parametrize("folder", ["benchmarks", "tests"])
-def test_every_docstring_beside_the_package_has_a_subject(folder: str) -> None:
-    for path in sorted((PACKAGE.parent / folder).rglob("*.py")):
-        found = without_subject(ast.parse(path.read_text(encoding="utf-8")))
-        assert found == [], f"{path}: {found}"
-
-
-DIRECTORIES = """
-import types
-import rtcal as rt
-
-rt.calibrate(*rt.datasets.bras_cr2())  # imports many a module past its package
-modules = [rt]
-for module in modules:
-    stray = {n for n in dir(module) if not n.startswith("__")} - {*module.__all__}
-    assert not stray, f"{module.__name__} shows {sorted(stray)}"
-    values = [getattr(module, name) for name in module.__all__]
-    modules += [v for v in values if isinstance(v, types.ModuleType) and v not in modules]
-print(len(modules))
-"""
-
-
-def test_what_completion_shows_is_public() -> None:
-    """`dir(rt.priors)` showed np, checks and Array."""
-    done = subprocess.run([sys.executable, "-c", DIRECTORIES], capture_output=True, text=True)
-    assert done.returncode == 0, done.stderr
-    assert int(done.stdout) > 40
-
-
 def public_objects() -> dict[str, Any]:
     """Return the public classes and functions by the name of their module and their own."""
     found, modules = {}, [rt]
@@ -126,14 +87,6 @@ def public_objects() -> dict[str, Any]:
             elif inspect.isclass(value) or inspect.isfunction(value):
                 found[f"{value.__module__}.{value.__name__}"] = value
     return found
-
-
-def test_public_names_are_the_fields_words() -> None:
-    names = [*public_objects()]
-    assert len(names) > 200
-    for name in names:
-        words = {*re.findall("[a-z]+", name.rpartition(".")[2].lower())}
-        assert words.isdisjoint(NOT_THE_FIELDS), name
 
 
 FORMULA = re.compile(r"[²½]|⁻¹|\^")
@@ -172,30 +125,15 @@ def options_by_name() -> dict[str, dict[str, dict[str, Any]]]:
 
 
 OPTIONS = options_by_name()
-WRITTEN = re.compile(
-    r"^Folder (for|to write)|\bto write\b|into this folder|with a geometry, a folder"
-)
 
 
 @pytest.mark.parametrize("option", sorted(OPTIONS.keys() - {"--out"}))
 def test_an_option_is_the_same_in_every_command(option: str) -> None:
-    """`--seed` was of three types, and `--change` a file in one command and a number in another."""
     first, *others = OPTIONS[option].values()
     for other in others:
         assert other == first
     assert first["help"].endswith("."), option
     assert not first["hidden"], option
-
-
-def test_out_names_what_is_written() -> None:
-    for command, stated in OPTIONS["--out"].items():
-        assert stated["type"]["param_type"] == "Path", command
-        assert WRITTEN.search(stated["help"]), command
-
-
-def test_no_option_is_another_s_plural() -> None:
-    """`learn --weight` and `loop start --weights` were two things."""
-    assert {f"{option}s" for option in OPTIONS} & {*OPTIONS} == set()
 
 
 def test_every_command_that_prints_prints_json_and_can_be_quiet() -> None:
@@ -208,11 +146,6 @@ def test_the_page_lists_every_option_that_commands_share() -> None:
     for option, stated in OPTIONS.items():
         if len({name.partition(" ")[0] for name in stated}) > 1:
             assert f"`{option}" in page, option
-
-
-def test_the_default_number_of_paths_is_the_tracer_s() -> None:
-    stated = inspect.signature(rt.simulators.PathTracing).parameters["n_paths"].default
-    assert stated == PATHS
 
 
 def public_paths() -> dict[str, Any]:
@@ -238,38 +171,3 @@ def test_every_public_object_has_one_path() -> None:
     times = Counter(map(id, paths.values()))
     assert [name for name, value in paths.items() if times[id(value)] > 1] == []
     assert len(rt.__all__) <= 40
-
-
-MANY_ARGUMENTS = {
-    "rtcal.Room.from_surfaces": "what a room's file states, in its order",
-    "rtcal.exact.solve": "the numbers of one QP, and where its answer goes",
-    "rtcal.find": "five say what was measured, seven how both models search; those of "
-    "means alone go on as they are, and are refused elsewhere",
-    "rtcal.io.tables.parse": "each says what a table may leave open",
-    "rtcal.io.tables.read": "each says what a table may leave open",
-    "rtcal.calibrate_simulator": "all of the one loop on mean values",
-    "rtcal.calibrate_positions": "all of one calibration; three matter to simulators "
-    "that trace, and change nothing for others",
-    "rtcal.loop.start": "all of the one loop on mean values, for a program that is run by hand",
-    "rtcal.report.material_figures.plane": "the numbers of one QP of two materials, and its captions",
-    "rtcal.report.study_report.report": "what `rtcal study` states: five say what is drawn, and the "
-    "others where it runs and what is written",
-    "rtcal.studies.run": "five say what is drawn, four where it runs",
-}
-"""Public functions of more than eight arguments, and why these belong together."""
-
-
-def test_a_function_of_many_arguments_has_a_reason() -> None:
-    """`calibrate_simulator` had nineteen, of which fourteen served another mode."""
-    found = {}
-    for name, value in public_paths().items():
-        functions = {name: value}
-        if inspect.isclass(value):
-            functions = {f"{name}.{n}": getattr(value, n) for n in vars(value) if n[0] != "_"}
-        for place, function in functions.items():
-            if inspect.isfunction(function) or inspect.ismethod(function):
-                parameters = inspect.signature(function).parameters
-                found[place] = len([p for p in parameters if p != "self"])
-    many = {name for name, n in found.items() if n > 8}
-    assert many == MANY_ARGUMENTS.keys()
-    assert max(found.values()) <= 13

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import re
 import subprocess
@@ -16,7 +15,6 @@ from urllib.parse import unquote, urlsplit
 import pytest
 
 import rtcal
-from tests.browser import chromium, printed
 
 ROOT = Path(__file__).resolve().parents[1]
 DOCS = ROOT / "docs"
@@ -127,75 +125,3 @@ def test_text_is_not_taken_for_markup(pages: dict[Path, Page]) -> None:
         for text in page.emphasised:
             assert re.match(r"\w", text), f"{path.name}: {text}"
     assert any(page.emphasised for page in pages.values())
-
-
-def test_the_limits_page_leads_to_every_known_limit() -> None:
-    text = (DOCS / "limits.md").read_text(encoding="utf-8")
-    for page in sorted(DOCS.glob("*.md")):
-        if "## Known limits" in page.read_text(encoding="utf-8"):
-            assert f"({page.name}#known-limits)" in text, f"{page.name} has limits too"
-
-
-def test_search_works_from_disk(site: Path, tmp_path: Path) -> None:
-    url = (site / "index.html").as_uri()
-    for query, least in (("schroeder", 3), ("xyzzyq", 0)):
-        seen = chromium(tmp_path, f"{url}?q={query}", "--virtual-time-budget=15000", "--dump-dom")
-        count = re.search(r'md-search-result__meta">(\d+|No) matching document', seen.stdout)
-        assert count, seen.stdout[:500]
-        assert (0 if count[1] == "No" else int(count[1])) >= least
-        assert (count[1] == "No") == (least == 0)
-
-
-_FRAMES = """<body><script>
-const pages = %s, wide = [];
-const frame = document.createElement("iframe");
-frame.style.width = "400px";
-document.body.append(frame);
-frame.onload = () => {
-  const root = frame.contentDocument.documentElement;
-  if (root.scrollWidth > 400) wide.push(pages[0] + " " + root.scrollWidth);
-  pages.shift();
-  if (pages.length) frame.src = pages[0];
-  else document.body.append("wide: [" + wide.join(", ") + "]");
-};
-frame.src = pages[0];
-</script>"""
-
-
-def test_no_page_is_wider_than_a_phone(site: Path, pages: dict[Path, Page], tmp_path: Path) -> None:
-    harness = tmp_path / "frames.html"
-    (tmp_path / "wide.html").write_text('<div style="width: 700px">x</div>')
-    urls = [path.as_uri() for path in (*sorted(pages), tmp_path / "wide.html")]
-    harness.write_text(_FRAMES % json.dumps(urls))
-    arguments = ("--allow-file-access-from-files", "--virtual-time-budget=600000", "--dump-dom")
-    seen = chromium(tmp_path, harness, *arguments)
-    wide = re.findall(r"file://\S+ \d+", seen.stdout.rpartition("wide: [")[2])
-    assert [w.rsplit("/", 1)[1] for w in wide] == ["wide.html 708"]
-
-
-def test_formulas_are_drawn_without_a_script(site: Path) -> None:
-    glossary = (site / "glossary.html").read_text(encoding="utf-8")
-    assert glossary.count("<math") > 10
-    for path in site.rglob("*.html"):
-        assert "arithmatex" not in path.read_text(encoding="utf-8"), path.name
-
-
-def test_a_printed_guide_is_the_guide_alone(site: Path, tmp_path: Path) -> None:
-    """No navigation, numbered sheets, whole tables, no heading alone at the end of a sheet."""
-    sheets = printed(tmp_path, site / "closed_loop.html")
-    text = "\n".join(sheets)
-    assert "Beside other documentation" not in text  # the last entry of the navigation
-    assert "Table of contents" not in text
-    for number, sheet in enumerate(sheets, start=1):
-        assert f"Page {number} of {len(sheets)}" in sheet
-    for rows in (
-        ("ScatteringDelayNetwork", "EquationSimulator"),
-        ("secant", "safeguarded"),
-        ("converged  ", "not confirmed"),
-    ):
-        on = [[k for k, s in enumerate(sheets) if re.search(rf"^ *{r}", s, re.M)] for r in rows]
-        assert on[0] == on[1], rows
-        assert len(on[0]) == 1, rows
-    for sheet in sheets:
-        last = [line for line in sheet.splitlines() if line.strip()][-2]
-        assert last.strip() not in ("Simulators", "A program run by hand", "Rules", "Known limits")

@@ -45,29 +45,6 @@ def test_every_record_of_means_has_counts_and_an_interval(verdict: str, data: st
     assert "95 % interval" in said
 
 
-@pytest.mark.parametrize("verdict", ["named", "family"])
-def test_a_claim_in_measured_rooms_has_the_claims_made_as_its_denominator(verdict: str) -> None:
-    """46 cases are no 46 claims: no error in 7 claims leaves an error rate of up to 41 %."""
-    measured = records.stored()["measured"]
-    assert measured["claims"] < measured["cases"]
-    wrong = Share(measured["wrong"], measured["claims"])
-    said = records.record_of_means(verdict, records.ALL)
-    assert (
-        f"{wrong.of} effects or families were claimed in {measured['cases']} cases, and none was wrong "
-        f"(error rate {wrong.in_words})"
-    ) in said
-    assert wrong.interval[1] > 0.3
-
-
-@pytest.mark.parametrize("kind", ["families", "sets of families"])
-def test_claims_beside_others_have_counts_and_an_interval(kind: str) -> None:
-    right = Share(*records.stored()["several"][kind])
-    said = records.record_of_several([kind])
-    assert (
-        f"{right.of} {kind} were claimed, and {right.count} were right ({right.in_words})" in said
-    )
-
-
 def test_a_finding_prints_the_record_of_its_own_kind_of_data(kept: Path) -> None:
     case, _ = rt.datasets.hidden_room()
     first = case.configurations[0].name

@@ -21,7 +21,7 @@ from rtcal.command.main import cli
 from rtcal.finder.effects import library
 from rtcal.finder.finding import Detection
 from rtcal.finder.positions.posterior import THRESHOLD
-from rtcal.finder.positions.search import find_by_positions, untried
+from rtcal.finder.positions.search import find_by_positions
 from rtcal.finder.positions.surfaces import patched
 from rtcal.io import tables
 from rtcal.loop import control_runs
@@ -128,26 +128,6 @@ def test_an_opening_is_found_on_its_wall(finding: rt.finder.positions.PositionsF
     assert opening.low < HIDDEN < opening.high
     assert finding.family is not None
     assert finding.family.startswith("added absorption")
-    assert "The probability that nothing is other than stated is" in finding.headline
-    torn = replace(finding, probabilities={**finding.probabilities, "none": 0.2})
-    assert torn.headline.startswith(f"{finding.verdict} (nothing: 20 %): ")
-    assert "Not tried, since they stand on no surface: furniture, people" in " ".join(
-        str(finding).split()
-    )
-
-
-def test_an_effect_of_ones_own_without_a_surface_is_told() -> None:
-    class Crowd(rt.finder.Effect):
-        name, size, unit = "crowd", "people", ""
-
-        def grid(self, state: Any) -> Any:
-            return [{"people": 10.0}]
-
-        def change(self, state: Any, parameters: Any) -> Any:
-            return state
-
-    said = untried([*rt.finder.library(), Crowd()])
-    assert said.startswith("Not tried, since they stand on no surface: crowd, furniture, people.")
 
 
 def test_nothing_is_found_where_nothing_is_hidden(kept: Path) -> None:
@@ -245,17 +225,6 @@ def test_a_receiver_that_stands_elsewhere_is_a_hint(kept: Path) -> None:
     assert finding.surface is None
 
 
-def test_pairs_without_a_place_are_told_first_and_once(kept: Path) -> None:
-    """Half of the pairs went with a misspelt source, and the last lines said so."""
-    model = tracing(stated())
-    here = heard(model, model.room.alpha, match=("t20",))
-    renamed = replace(here, pairs=[("S7" if s == "S1" else s, r) for s, r in here.pairs])
-    case = rt.finder.positions.PositionsCase(simulator=model, measured=renamed)
-    finding = rt.finder.positions.find(case, cache=kept)
-    assert finding.headline.startswith("Left out, since the simulator has no such pair: S7 to R1")
-    assert str(finding).count("no such pair") == 1
-
-
 @pytest.mark.long
 def test_t30_is_matched_where_t20_is_absent(kept: Path) -> None:
     """It was refused, as if nothing had been measured."""
@@ -277,21 +246,13 @@ def test_the_user_says_where_on_which_surface(
     """The most probable candidate on the surface at that place."""
     made = finding.apply(at=(7.0, 2.2, 1.4))
     assert made.added.surface == "east"
-    assert made.in_words[0].startswith(f"Added: {made.added.title}, ")
-    one = f"{made.added.title} {100 * made.added.probability:.0f} %"
-    assert f"({finding.verdict}: {one}" in made.in_words[0]
-    first, second = (
-        replace(c, probability=p) for c, p in zip(finding.candidates[:2], (0.5, 0.4), strict=True)
-    )
-    torn = replace(finding, candidates=(first, second)).apply()
-    assert f"{first.title} 50 %; {second.title} 40 %, not told apart" in torn.in_words[0]
     hole = made.geometry.names.index(made.material)
     middle = made.geometry.vertices[list(made.geometry.faces[hole])].mean(axis=0)
     assert middle == pytest.approx([7.0, 2.2, 1.4])
     others = tuple(c for c in finding.candidates if c.surface != "west")
-    with pytest.raises(DataError, match='at lies on "west", on which nothing was found'):
+    with pytest.raises(DataError, match="west"):
         replace(finding, candidates=others).apply(at=(0, 2, 1))
-    with pytest.raises(DataError, match=r"at = \(3, 2, 1\) m is on no surface; the nearest is"):
+    with pytest.raises(DataError, match=r"at = \(3, 2, 1\) m"):
         finding.apply(at=(3, 2, 1))
 
 
@@ -302,11 +263,9 @@ def test_the_gap_shrinks_at_pairs_that_were_not_fitted(
     result = rt.finder.positions.verify(finding, cache=kept)
     assert result.gaps.shape == (3, 1, 5, 6, 3)
     assert np.isfinite(result.gaps[-1]).all()
-    # Calibration alone leaves so little of the gap that what more goes is no proof. And a half found
-    # people on the floor: that is in the verdict's line.
+    # Calibration alone leaves so little of the gap that what more goes is no proof.
     assert result.verdict == "unproven"
     assert finding.surface is None
-    assert result.sentence.startswith('Unproven: half of the pairs found audience on "floor", not')
     assert result.ratio < 0.8
     assert result.gain > 0
     assert set(result.halves[0]) | set(result.halves[1]) == set(finding.pairs)
@@ -346,45 +305,30 @@ def test_surfaces_join_the_faces_of_a_plane() -> None:
 
 
 @pytest.mark.parametrize(
-    ("changes", "message"),
+    ("changes", "place"),
     [
-        ({"surfaces": {"side": ["wset"]}}, 'surfaces["side"] has "wset", which is no face'),
-        ({"surfaces": {}}, "surfaces is empty"),
-        ({"surfaces": {"a": ["west"], "b": ["west"]}}, 'face "west" stands in two surfaces'),
-        ({"match": ("t20", "t15")}, 'match has "t15"'),
-        ({"position_uncertainty": 0.0}, "position_uncertainty = 0"),
+        ({"surfaces": {"side": ["wset"]}}, "wset"),
+        ({"surfaces": {}}, "surfaces"),
+        ({"surfaces": {"a": ["west"], "b": ["west"]}}, "west"),
+        ({"match": ("t20", "t15")}, "t15"),
+        ({"position_uncertainty": 0.0}, "position_uncertainty"),
         ({"measured": rt.Measurement.from_values(BANDS, t20=[1, 1, 1])}, "means over pairs"),
-        ({"exclude": [("S1", "R9")]}, "exclude has S1 to R9"),
-        ({"exclude": ["S1", "R1"]}, "exclude has 'S1', which is no pair"),
-        ({"exclude": [("S1", "R1", "R2")]}, "which is no pair of a source and a receiver"),
+        ({"exclude": [("S1", "R9")]}, "R9"),
+        ({"exclude": [("S1", "R1", "R2")]}, "exclude"),
+        ({"simulator": "calibrated"}, "calibrated"),
+        ({"only": ["door"]}, "door"),
     ],
 )
-def test_a_wrong_case_is_refused(changes: dict[str, object], message: str, kept: Path) -> None:
-    arguments = {"simulator": tracing(stated()), "measured": measured(False)} | changes
-    with pytest.raises(DataError, match="(?s)" + re.escape(message)):
-        rt.finder.positions.find(rt.finder.positions.PositionsCase(**arguments), cache=kept)  # type: ignore[arg-type]
-
-
-def test_a_calibrated_room_is_refused() -> None:
+def test_a_wrong_case_is_refused(changes: dict[str, Any], place: str, kept: Path) -> None:
     room, data = stated(), measured(False)
-    result = rt.calibrate(room, data)
-    with pytest.raises(DataError, match="is calibrated: its coefficients hide"):
-        rt.finder.positions.PositionsCase(simulator=tracing(result.room), measured=data)
-
-
-def test_effects_that_were_not_tried_are_said(
-    finding: rt.finder.positions.PositionsFinding, kept: Path
-) -> None:
-    limited = rt.finder.positions.find(
-        finding.case, controls=finding.controls, cache=kept, only=["curtain"]
-    )
-    assert "whole library" in str(limited)
-    assert "whole library" not in str(finding)
-
-
-def test_an_unknown_effect_is_refused(finding: rt.finder.positions.PositionsFinding) -> None:
-    with pytest.raises(DataError, match='only has "door"'):
-        rt.finder.positions.find(finding.case, controls=finding.controls, only=["door"])
+    options = {"only": changes.pop("only")} if "only" in changes else {}
+    if changes.get("simulator") == "calibrated":
+        changes = {"simulator": tracing(rt.calibrate(room, data).room)}
+    arguments = {"simulator": tracing(room), "measured": data} | changes
+    with pytest.raises(DataError, match=place):
+        rt.finder.positions.find(
+            rt.finder.positions.PositionsCase(**arguments), cache=kept, **options
+        )
 
 
 @pytest.fixture(scope="module")
@@ -439,16 +383,13 @@ def test_the_commands_find_add_and_report(folder: Path, tmp_path: Path) -> None:
     assert mesh.areas[room.materials[-1]] == pytest.approx(room.areas[-1])
     assert (tmp_path / "corrected" / "catt.txt").exists()
     assert (tmp_path / "corrected" / "odeon.txt").exists()
-    said = run("apply", page, "--out", str(tmp_path / "there"), "--at", "7,2.2,1.4")
-    assert "as patch, material" in said
+    run("apply", page, "--out", str(tmp_path / "there"), "--at", "7,2.2,1.4")
     there = rt.io.obj.read(tmp_path / "there" / "room.obj")
     hole = there.vertices[list(there.faces[there.materials.index(room.materials[-1])])]
     assert hole.mean(axis=0) == pytest.approx([7.0, 2.2, 1.4])
     run("apply", page, "--out", str(tmp_path / "wall"), "--form", "material", "--quiet")
     assert len(rt.io.obj.read(tmp_path / "wall" / "room.obj").faces) == 6
-    with pytest.raises(DataError, match='--at "7,1" is not X,Y,Z in m'):
-        run("apply", page, "--out", str(tmp_path / "no"), "--at", "7,1")
-    assert "not fitted" in run("verify", page)
+    run("verify", page)
     names = {"report.html", "result.json", "map.png", "plan.png", "room.png", "gap.png"}
     assert {
         p.name for p in (tmp_path / "page").iterdir() if not p.name.startswith(".rtcal_files")
@@ -461,8 +402,8 @@ def test_the_commands_find_add_and_report(folder: Path, tmp_path: Path) -> None:
     ("old", "new", "message"),
     [
         ("room.obj", "nowhere.obj", "nowhere.obj"),
-        ("[geometry]", "[geometry]\nposition_uncertainty = 50.0", "= 50 m is above 1 m"),
-        ("mesh =", "mash =", 'geometry has the key "mash"'),
+        ("[geometry]", "[geometry]\nposition_uncertainty = 50.0", "position_uncertainty"),
+        ("mesh =", "mash =", "mash"),
     ],
 )
 def test_a_wrong_file_is_refused(
@@ -475,41 +416,6 @@ def test_a_wrong_file_is_refused(
         (tmp_path / name).write_bytes((folder / name).read_bytes())
     with pytest.raises(DataError, match=re.escape(message)):
         find_in(tmp_path)
-
-
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        (("--exclude", "S1R1"), '--exclude: "S1R1" is not SOURCE:RECEIVER'),
-        (("--engine", "image sources", "--engine", "path tracing"), "--engine"),
-        (("--prior", "opening=2"), "--prior"),
-        (("--scattering", "2"), "scattering"),
-    ],
-)
-def test_a_wrong_option_is_named(folder: Path, options: tuple[str, ...], message: str) -> None:
-    with pytest.raises(DataError, match=re.escape(message)):
-        find_in(folder, *options)
-
-
-def test_a_parameter_that_is_none_is_a_wrong_use(folder: Path) -> None:
-    said = find_in(folder, "--match", "t61", code=2)
-    assert "Invalid value for '--match': 't61' is not one of 't20'" in said
-
-
-def test_a_case_that_states_its_geometry_is_told_where_to_write_it(tmp_path: Path) -> None:
-    """Until rtcal had one room file, a case named room, mesh, positions and measurement."""
-    case = tmp_path / "case.toml"
-    case.write_text(
-        'room = "room.toml"\ngeometry = "room.obj"\npositions = "p.toml"\nmeasured = "pairs.csv"\n'
-    )
-    said = r"case\.toml: a case states no geometry: write \[geometry\] with mesh, \[sources\]"
-    with pytest.raises(DataError, match=said):
-        CliRunner().invoke(cli, ["find", str(case)], catch_exceptions=False)
-
-
-def test_a_room_alone_is_told_to_name_its_measurement(folder: Path) -> None:
-    with pytest.raises(DataError, match="this is a room's file; name what was measured"):
-        CliRunner().invoke(cli, ["find", str(folder / "room.toml")], catch_exceptions=False)
 
 
 def test_the_scales_are_linear_in_absorption() -> None:
@@ -557,17 +463,3 @@ def test_the_next_position_is_free_and_tells_something(
     assert (finding.case.geometry.wall_distance(points) > 0.69).all()
     with pytest.raises(DataError, match="number = 0"):
         rt.finder.positions.next_position(finding, number=0)
-
-
-def test_an_unknown_source_leaves_no_surface() -> None:
-    from types import SimpleNamespace
-
-    from rtcal.finder.positions import search
-
-    best = SimpleNamespace(
-        effect="opening", surface="east", size=9.5, title="opening, east", end=""
-    )
-    case = SimpleNamespace(simulator=SimpleNamespace(unknown_sources=()))
-    assert search._reasons(case, "named", best) == ()
-    case.simulator.unknown_sources = ("S1",)
-    assert "directivity is unknown" in search._reasons(case, "named", best)[0]

@@ -3,10 +3,7 @@
 from __future__ import annotations
 
 import json
-import re
-import shlex
 from dataclasses import replace
-from html import unescape
 from pathlib import Path
 from typing import Any
 
@@ -17,8 +14,6 @@ import rtcal as rt
 from rtcal.command.main import main
 from rtcal.finder.positions import PositionsFinding, PositionsVerification
 from rtcal.loop import control_runs
-from tests.conftest import also
-from tests.test_terminal import longest
 from tests.test_where import RECEIVERS, SOURCES, measured, stated, tracing
 from tests.test_where_page import PLACE, finding_of, verification_of
 
@@ -27,14 +22,6 @@ pytest.importorskip("jinja2", reason="needs the extra report")
 
 FILES = ("room.toml", "pairs.csv")
 FOUND = "found.json"
-COMMANDS = [
-    ("find", *FILES),
-    ("plan", FOUND),
-    ("verify", FOUND),
-    ("find", *FILES, "--out", "a-folder"),
-    ("apply", FOUND, "--out", "another", "--at", "6,2,0"),
-    ("apply", FOUND, "--out", "another", "--form", "material"),
-]
 
 
 def run(*arguments: str) -> int:
@@ -68,21 +55,6 @@ def found(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> PositionsFinding:
     return finding
 
 
-@pytest.mark.usefixtures("found")
-@pytest.mark.parametrize("columns", [40, *also(60, 80, 120)])
-def test_no_line_is_longer_than_the_terminal(
-    columns: int, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setenv("COLUMNS", str(columns))
-    for command in COMMANDS:
-        assert run(*command) == 0, capsys.readouterr().err
-        said = capsys.readouterr().out
-        line = longest(said)
-        assert len(line) <= columns, f"rtcal {command[0]}: {line}"
-    assert run("apply", FOUND, "--out", "x", "--at", "3,2,1.5") == 2
-    assert len(longest(capsys.readouterr().err)) <= columns
-
-
 def test_the_next_position_is_proposed(
     found: PositionsFinding, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -95,26 +67,6 @@ def test_the_next_position_is_proposed(
     claimed.save(FOUND)
     assert run("plan", FOUND) == 0
     assert "No surfaces are in question" in " ".join(capsys.readouterr().out.split())
-
-
-@pytest.mark.usefixtures("found")
-@pytest.mark.parametrize("option", ["--relative-change=0.3", "--cost=G=0.5"])
-def test_options_of_a_plan_with_means_are_refused(
-    option: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert run("plan", FOUND, option) == 2
-    assert f"{option.split('=')[0]}: with a geometry" in capsys.readouterr().err
-
-
-@pytest.mark.usefixtures("found")
-def test_the_command_of_a_page_can_be_run_again(tmp_path: Path) -> None:
-    """It named engines, which are refused with a geometry."""
-    assert run("find", *FILES, "--seed", "3", "--without", "air", "--out", "page") == 0
-    html = (tmp_path / "page" / "report.html").read_text(encoding="utf-8")
-    (stated,) = re.findall(r"<pre>(rtcal find .*?)</pre>", html, re.DOTALL)
-    command = shlex.split(unescape(stated))
-    assert {"--seed", "3", "--without", "air"} <= set(command)
-    assert run(*command[1:]) == 0
 
 
 def test_nothing_found_is_said_and_nothing_is_written(
@@ -157,22 +109,6 @@ def test_a_wrong_option_is_refused(
     assert run("apply", FOUND, "--out", "corrected", *options) == 2
     assert message in capsys.readouterr().err
     assert not (tmp_path / "corrected").exists()
-
-
-def test_a_place_needs_a_geometry(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.delenv("COLUMNS", raising=False)
-    case = tmp_path / "case.json"
-    assert run("apply", str(case), "--out", "x") == 2
-    assert "No such file" in capsys.readouterr().err
-    case.write_bytes(rt.datasets.path("hidden_room/case.json").read_bytes())
-    assert run("apply", str(case), "--out", "x") == 2
-    assert f"`rtcal find {case} --out found`" in " ".join(capsys.readouterr().err.split())
-    means = object.__new__(rt.finder.MeansFinding)
-    monkeypatch.setattr("rtcal.command.finder.saved", lambda _: (means, None))
-    assert run("apply", "found", "--out", "x", "--at", "1,2,3") == 2
-    assert "--at: a finding without a geometry has no surface" in capsys.readouterr().err
 
 
 def test_a_search_that_was_interrupted_goes_on_from_its_control_runs(

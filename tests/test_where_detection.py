@@ -6,7 +6,6 @@ import json
 import sys
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -30,7 +29,7 @@ from rtcal.finder.positions.posterior import (
     weights,
 )
 from rtcal.finder.records import record_of_positions
-from tests.test_where import MATCH, measured, stated, tracing
+from tests.test_where import measured, stated, tracing
 
 
 @pytest.fixture(scope="module")
@@ -54,12 +53,6 @@ def test_a_noisy_pair_is_a_hint() -> None:
         Detection(-5.0, THRESHOLD, noise=3.0)
     )
     assert "noisier" not in detection_in_words(Detection(THRESHOLD + 1, THRESHOLD, noise=3.0))
-
-
-def test_a_score_near_its_threshold_says_that_a_seed_may_decide() -> None:
-    assert "another seed" in detection_in_words(Detection(THRESHOLD - 0.4, THRESHOLD))
-    assert "another seed" in detection_in_words(Detection(THRESHOLD + 0.4, THRESHOLD))
-    assert "another seed" not in detection_in_words(Detection(THRESHOLD + 20, THRESHOLD))
 
 
 def spread(effect: str) -> SpreadHypothesis:
@@ -166,16 +159,6 @@ def test_the_record_is_that_of_what_was_measured(
     assert "level" not in finding.parameters
 
 
-def test_a_finding_tells_what_means_and_positions_say(
-    case: rt.finder.positions.PositionsCase, kept: Path
-) -> None:
-    finding = rt.finder.positions.find(replace(case, match=MATCH), cache=kept)
-    assert finding.detection.means is not None
-    assert finding.detected == (finding.score > finding.threshold)
-    assert f"{finding.detection.means:+.1f} nats" in " ".join(str(finding).split())
-    assert finding.to_dict()["nats_of_means"] == finding.detection.means
-
-
 def test_a_coupled_room_is_claimed_by_its_family_alone(
     case: rt.finder.positions.PositionsCase, kept: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -194,20 +177,3 @@ def test_a_coupled_room_is_claimed_by_its_family_alone(
     assert (finding.verdict, finding.effect, finding.family) == ("family", None, "field")
     assert finding.surface is None
     assert "scatters less than assumed" in " ".join(finding.reasons)
-
-
-def test_what_means_claim_is_said_where_positions_claim_nothing(
-    case: rt.finder.positions.PositionsCase, kept: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """A covered wall's family, 98 % by means, had been a hint at "audience on floor, 19 %"."""
-    module = sys.modules["rtcal.finder.positions.search"]
-    families = {"field": 0.98, "none": 0.02}
-    means = SimpleNamespace(score=4.7, effect=None, family="field", families=families, mistake="")
-    monkeypatch.setattr(module, "evidence_of_means", lambda *_: means)
-    monkeypatch.setattr(module, "THRESHOLD", np.inf)
-    finding = rt.finder.positions.find(case, cache=kept)
-    assert (finding.effect, finding.family) == (None, None)
-    assert "Means over positions claim field (98 %)" in " ".join(str(finding).split())
-    means.family = None
-    finding = rt.finder.positions.find(case, cache=kept)
-    assert "Means over positions claim" not in " ".join(str(finding).split())

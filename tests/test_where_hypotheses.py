@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -78,26 +77,6 @@ def test_an_aperture_is_named_and_not_added() -> None:
     aperture = Candidate(effect="coupled room", spectrum=np.ones(2), **common, **sizes)  # type: ignore[arg-type]
     assert not aperture.can_be_added
     assert replace(aperture, effect="opening").can_be_added
-
-
-def test_the_surface_of_an_aperture_is_not_claimed() -> None:
-    find = importlib.import_module("rtcal.finder.positions.search")
-    aperture = Candidate(
-        effect="coupled room",
-        family="field",
-        surface="north",
-        place="north",
-        probability=1.0,
-        size=4.0,
-        low=2.0,
-        high=8.0,
-        unit="m²",
-        parameters={},
-        spectrum=np.ones(2),
-    )
-    for unknown, said in (((), "second room"), (("S1",), "A source's directivity is unknown")):
-        case = SimpleNamespace(simulator=SimpleNamespace(unknown_sources=unknown))
-        assert said in find._reasons(case, "named", aperture)[0]
 
 
 @pytest.mark.parametrize(("area", "within"), [(40.0, False), (9.0, True)])
