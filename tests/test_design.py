@@ -418,31 +418,6 @@ def test_a_treatment_that_cannot_be_is_refused(treatment: dict[str, float], rule
         )
 
 
-def test_a_room_is_no_result() -> None:
-    result, panel, target = a_seminar_room()
-    with pytest.raises(DataError, match="is not a calibration's result"):
-        rt.design(result.room, [panel], target)  # type: ignore[arg-type]
-
-
-@pytest.mark.parametrize(
-    ("low", "high", "rule"),
-    [
-        ([1.0] * 6, [0.5] * 6, "low = 1 s is not below high = 0.5 s"),
-        (-1.0, 2.0, "low = -1 s is not finite and above 0"),
-        ([1.0] * 6, [2.0] * 5, "high has shape"),
-    ],
-)
-def test_a_range_that_is_none_has_no_probability(low: object, high: object, rule: str) -> None:
-    predicted = a_seminar_room()[0].predict(rt.prediction.Cover("ceiling", BOARD, 20))
-    with pytest.raises(DataError, match=rule):
-        predicted.probability(low, high)  # type: ignore[arg-type]
-
-
-def test_a_volume_that_no_room_of_these_surfaces_has_is_refused() -> None:
-    with pytest.raises(DataError, match="volume = 1e-09 m³ is not from"):
-        a_seminar_room()[0].predict(rt.prediction.NewVolume(1e-9))
-
-
 def test_rounding_draws_the_same_samples() -> None:
     """A covariance that is another in its last digits, as on another processor, changes no sample."""
     from rtcal.support.sampler import samples_of_normal

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import ast
 import json
-import re
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -23,7 +21,6 @@ from rtcal.finder import (
     Case,
     ChangedMaterial,
     Configuration,
-    Effect,
     Threshold,
     library,
     plan,
@@ -35,7 +32,7 @@ from rtcal.finder.effects.whole_room import CoupledDecay, WrongArea, WrongVolume
 from rtcal.finder.means import hypotheses
 from rtcal.finder.means.corrected import not_in_room
 from rtcal.finder.means.engines import ControlRooms, recentred
-from rtcal.finder.means.evidence import control_rooms, evaluate
+from rtcal.finder.means.evidence import evaluate
 from rtcal.finder.means.features import (
     ModelDiscrepancy,
     distances,
@@ -48,7 +45,7 @@ from rtcal.finder.means.likelihood import MeansProblem, alpha_covariance
 from rtcal.finder.model import DirectionalDecay, RoomState, predict, sensitivities
 from rtcal.finder.search import find
 from rtcal.support.errors import DataError
-from tests.conftest import also, candidates_of
+from tests.conftest import also
 
 F = 125.0 * 2.0 ** np.arange(7)
 AREAS = np.array([60.0, 60.0, 30.0, 50.0])
@@ -335,16 +332,6 @@ def opened(area: float = 15.0) -> Case:
     return case_with(times, edt=times, t30=times)
 
 
-def test_an_observable_that_means_do_not_use_is_told() -> None:
-    case = opened()
-    t20 = case.configurations[0].measured.values["t20"]
-    told = case_with(t20[0], d50=np.full(7, 0.5))
-    (note,) = (n for n in find(told, controls=controls_of(told)).notes if "D50" in n)
-    assert note.startswith(
-        '"as built": D50 not used: means over positions have a model of T20, EDT'
-    )
-
-
 def test_what_the_measurement_denies_is_calibrated_away() -> None:
     """T is longer than the prior's: no furniture is left, and no size divides by it."""
     case = case_with(1.3 * 6 * np.log(10) / made().rate)
@@ -463,35 +450,13 @@ def test_an_effect_of_one_s_own_is_a_small_class() -> None:
     assert "organ" in finding.names
 
 
-def test_a_probability_is_printed_once() -> None:
-    """The headline and the line below it had the same list."""
-    case = opened()
-    finding = find(case, controls=controls_of(case))
-    assert finding.verdict in ("family", "ambiguous")
-    said = " ".join(str(finding).split())
-    for name in finding.names:
-        title = re.escape(finding.title_of(name))
-        assert len(re.findall(rf"{title} \(?{finding.percent(name)}", said)) == 1, name
-    others = [k for k, p in finding.probabilities.items() if p >= 0.03]
-    assert all(name in said for name in others)
-
-
 def test_the_plan_knows_what_cannot_be_told_apart() -> None:
     case = opened()
     made_plan = plan(case.only("t20"))
     assert made_plan.separations["opening", "coupled room"] < 2.3
     assert made_plan.separations["noise floor", "opening"] > 2.3
-    seen = {
-        line.split("  ")[0]: line.split()[-1]
-        for line in str(made_plan).splitlines()
-        if line.endswith((" yes", " no"))
-    }
-    assert {n: "yes" if made_plan.separations[n, "none"] >= 2.3 else "no" for n in seen} == seen
-    assert set(seen) == set(made_plan.reached)
-    taken = " ".join(str(made_plan).split("What each may be taken for")[1].split())
     for name in ("furniture", "people"):
         assert made_plan.separations[name, "opening"] < 2.3
-        assert re.search(rf" {name}: (opening|all but (?!opening))", taken)
     with_level = made_plan.more["C80 and G"]
     assert with_level["volume", "opening"] > made_plan.separations["volume", "opening"] + 1
     json.dumps(made_plan.to_dict())
@@ -511,27 +476,9 @@ def test_the_plan_says_what_change_of_t_each_size_makes() -> None:
         nearest = offs[np.argmin(np.abs(offs - change))]
         assert planned.reached["volume"] == pytest.approx(nearest, rel=1e-6)
         assert planned.to_dict()["reached"] == planned.reached
-        text = str(planned)
-        assert f"nearest to {100 * change:g} %" in text
-        for name, reached in planned.reached.items():
-            row = next(line for line in text.splitlines() if line.startswith(name + " "))
-            assert row.removeprefix(name).split()[:2] == [f"{100 * reached:.1f}", "%"]
         assert planned.reached["direct sound"] == 0
         # An effect that can be taken away has its size from where it is there.
         assert 0.01 < planned.reached["opening"] < 1
-
-
-@pytest.mark.parametrize("change", [-1, 0, 1.01, 1e9, float("nan"), float("inf"), "a", None, True])
-def test_a_plan_s_change_is_a_share_of_t(change: object) -> None:
-    with pytest.raises(DataError, match=r"^change = .* is not (a number|above 0 and at most 1)"):
-        plan(opened(), change=change)  # type: ignore[arg-type]
-
-
-def test_two_engines_are_the_least() -> None:
-    with pytest.raises(DataError, match="at least two engines"):
-        control_rooms(opened(), engines=["image sources"])
-    with pytest.raises(DataError, match='engine "horn" is not one of'):
-        control_rooms(opened(), engines=["image sources", "horn"])
 
 
 def test_a_threshold_may_be_given() -> None:
@@ -560,7 +507,6 @@ def test_what_no_effect_explains_is_said_so() -> None:
     tenfold = replace(case, configurations=[replace(case.configurations[0], measured=wrong)])
     finding = find(tenfold, controls=controls_of(tenfold))
     assert finding.verdict not in ("named", "family")
-    assert "times the model's: look for a mistake" in finding.reasons[0]
     assert finding.mistake == finding.reasons[0]
 
 
@@ -582,9 +528,6 @@ def test_much_absorption_is_claimed_after_a_doubt_about_what_is_stated(share: fl
     finding = absorbing_room(share, alike=False, shape=False)
     assert finding.verdict == "family"
     assert str(finding.family).startswith("added absorption")
-    assert finding.sentence.startswith(f"{finding.reasons[0]}. If there is none: ")
-    assert "look for a mistake in volume, areas, coefficients and units first" in finding.reasons[0]
-    assert finding.reasons[0] not in finding.in_words
     assert finding.mistake == finding.reasons[0]
     assert finding.reason_for_none is None
 
@@ -637,53 +580,10 @@ def test_surprise_is_chi_square_s() -> None:
     assert probability == pytest.approx(chi2.sf(square, len(off)), rel=1e-9)
 
 
-def test_what_is_stated_is_wrong_and_what_is_not_is_missing() -> None:
-    case = opened()
-    finding = find(case, controls=controls_of(case))
-    assert "opening" in finding.names
-    for names, words in (
-        (("opening",), "Missing from the model"),
-        (("volume", "area"), "Not as stated"),
-        (("air",), "Not as stated"),
-        (("opening", "volume"), "Missing from the model, or not as stated"),
-    ):
-        assert replace(finding, candidates=candidates_of(*names)).kind == words
-    dry = replace(case, room=case.room.replace(air=None))
-    assert (
-        replace(finding, case=dry, candidates=candidates_of("air")).kind == "Missing from the model"
-    )
-
-
 def test_a_field_of_walls_that_absorb_nothing_decays() -> None:
     decay = DirectionalDecay(0.1)(made(alpha=np.zeros_like(ALPHA)))
     assert np.isfinite(decay.weights).all()
     assert (decay.rates > 0).all()
-
-
-def test_control_rooms_of_another_case_are_refused() -> None:
-    case = opened()
-    good = controls_of(case)
-    one_band = [ControlRooms(c.engine, c.errors[..., :1]) for c in good]
-    for controls, words in (
-        (one_band, "they are of another case"),
-        (good[:1], "at least two engines"),
-        ((), "no engine"),
-        ("abc", "is not a list"),
-        ([1, 2], "is not a rtcal.finder.means.engines.ControlRooms"),
-    ):
-        with pytest.raises(DataError, match=words):
-            find(case, controls=controls)  # type: ignore[arg-type]
-    for seed in (-1, 1.5, None):
-        with pytest.raises(DataError, match="seed"):
-            find(case, seed=seed)  # type: ignore[arg-type]
-    with pytest.raises(DataError, match="case = None"):
-        find(None)  # type: ignore[arg-type]
-    for engines in (None, (["image sources"], "rays")):
-        with pytest.raises(DataError, match="engine"):
-            find(case, engines=engines)  # type: ignore[arg-type]
-    for threshold in (-5.0, "5", np.inf):
-        with pytest.raises(DataError, match="threshold"):
-            find(case, controls=good, threshold=threshold)  # type: ignore[arg-type]
 
 
 def test_what_a_room_cannot_hold_is_said() -> None:
@@ -724,138 +624,40 @@ def test_bands_without_a_trustworthy_t_are_dropped_and_named() -> None:
     assert any("250 Hz dropped: T is known to 50 %" in n for n in notes)
 
 
+TWICE = [{"name": "A", "t20": [1] * 7}] * 2
+BAD = {"alpha": [0] * 7, "sigma": [0] * 7}
+
+
 @pytest.mark.parametrize(
-    ("change", "message"),
+    ("change", "place"),
     [
-        ({"equation": "norris"}, "equation = 'norris' is not one of"),
-        ({"configurations": []}, "configurations is empty"),
-        ({"room": {"volume": 3}}, "room lacks materials"),
-        ({"room": None}, "room = None is not a mapping"),
-        ({"uncertainty": 3}, "uncertainty = 3 is not a mapping"),
-        ({"uncertainty": {"time": "a"}}, "uncertainty: time"),
-        ({"uncertainty": {"time": -1}}, "uncertainty: time"),
-        ({"uncertainty": {"noise": 1}}, 'uncertainty has the key "noise"'),
-        ({"configurations": [3]}, r"configurations\[0\] = 3 is not a mapping"),
-        ({"configurations": [{"name": "A", "t20": [1] * 7, "air": 3}]}, "air = 3 is not an object"),
-        (
-            {"configurations": [{"name": "A", "t20": [1] * 7, "air": {"wind": 3}}]},
-            'air has the key "wind"',
-        ),
-        ({"configurations": [{"name": "A", "t20": [1] * 7, "distances": "far"}]}, "distances"),
+        ({"equation": "norris"}, "equation"),
+        ({"configurations": []}, "configurations"),
+        ({"room": {"volume": 3}}, "materials"),
+        ({"room": None}, "room"),
+        ({"uncertainty": {"time": -1}}, "time"),
+        ({"uncertainty": {"noise": 1}}, "noise"),
+        ({"configurations": [3]}, "configurations"),
+        ({"configurations": [{"name": "A", "t20": [1] * 7, "air": {"wind": 3}}]}, "wind"),
+        ({"configurations": [{"name": "A", "t20": [1] * 7, "distances": [-1]}]}, "distances|above"),
         (
             {"configurations": [{"name": "A", "t20": [1] * 7, "changes": {"a": {"alpha": 1}}}]},
-            "lacks sigma",
+            "sigma",
         ),
-        ({"configurations": [{"name": "A"}]}, "has none of t20"),
-        ({"configurations": [{"name": "A", "t20": [1, 2]}]}, r"t20\[0\] has 2 values; it needs 7"),
-        ({"configurations": [{"name": "A", "t20": [1] * 7, "snr": 3}]}, 'has the key "snr"'),
-        ({"configurations": [{"name": "A", "edt": [1] * 7}]}, "has neither t20 nor t30"),
-        (
-            {"configurations": [{"name": "A", "t20": ["x"] * 7}]},
-            r"t20\[0\]\[0\] = 'x' is not a number",
-        ),
-        (
-            {
-                "configurations": [
-                    {
-                        "name": "A",
-                        "t20": [1] * 7,
-                        "changes": {"z": {"alpha": [0] * 7, "sigma": [0] * 7}},
-                    }
-                ]
-            },
-            '"z" is no material',
-        ),
-        (
-            {"configurations": [{"name": "A", "t20": [1] * 7}, {"name": "A", "t20": [1] * 7}]},
-            "each has a name of its own",
-        ),
-        ({"configurations": [{"name": "A", "t20": [1] * 7, "distances": [-1]}]}, "above 0"),
+        ({"configurations": [{"name": "A"}]}, "t20"),
+        ({"configurations": [{"name": "A", "t20": [1, 2]}]}, "t20"),
+        ({"configurations": [{"name": "A", "t20": ["x"] * 7}]}, "t20"),
+        ({"configurations": [{"name": "A", "t20": [1] * 7, "snr": 3}]}, "snr"),
+        ({"configurations": [{"name": "A", "edt": [1] * 7}]}, "t20"),
+        ({"configurations": [{"name": "A", "t20": [1] * 7, "changes": {"z": BAD}}]}, "z"),
+        ({"configurations": TWICE}, "name"),
+        ({"present": [{"effect": "ghost", "parameters": {"size": 1.0}}]}, "ghost"),
     ],
 )
-def test_bad_cases_are_refused_by_name(change: dict[str, object], message: str) -> None:
+def test_bad_cases_are_refused_by_name(change: dict[str, object], place: str) -> None:
     data = opened().to_dict() | change
-    with pytest.raises(DataError, match=message):
+    with pytest.raises(DataError, match=place):
         Case.from_dict(data)
-
-
-def test_a_case_s_file(tmp_path: Path) -> None:
-    case = opened()
-    case.room.save(str(tmp_path / "room.toml"))
-    case.configurations[0].measured.save(str(tmp_path / "t.csv"))
-    text = 'room = "room.toml"\n[[configuration]]\nname = "as built"\nmeasured = "t.csv"\n'
-    (tmp_path / "case.toml").write_text(text)
-    again = Case.from_file(str(tmp_path / "case.toml"))
-    np.testing.assert_allclose(
-        again.configurations[0].measured.mean("t20"),
-        case.configurations[0].measured.mean("t20"),
-        rtol=1e-3,
-    )
-    (tmp_path / "case.toml").write_text(text.replace("measured =", "measurd ="))
-    with pytest.raises(DataError, match="a configuration has no measured"):
-        Case.from_file(str(tmp_path / "case.toml"))
-    (tmp_path / "case.toml").write_text("rom = 1\n" + text)
-    with pytest.raises(DataError, match='has the key "rom", which is not one of'):
-        Case.from_file(str(tmp_path / "case.toml"))
-    (tmp_path / "case.json").write_text("{")
-    with pytest.raises(DataError, match=r"case\.json"):
-        Case.from_file(str(tmp_path / "case.json"))
-
-
-def test_what_was_added_must_be_in_the_library() -> None:
-    with pytest.raises(DataError, match='effect "ghost" is not in the library'):
-        AppliedEffect("ghost", {"size": 1.0})
-    data = opened().to_dict() | {"present": [{"effect": "ghost", "parameters": {"size": 1.0}}]}
-    with pytest.raises(DataError, match='effect "ghost" is not in the library'):
-        Case.from_dict(data)
-    with pytest.raises(DataError, match='"opening" has no "area"; it has area'):
-        AppliedEffect("opening", {})
-
-
-def test_nothing_outside_an_effect_asks_for_its_name() -> None:
-    folder = Path(rt.finder.__file__).parent
-    names = {effect.name for effect in library()}
-    words = names - {"air", "area", "volume"}  # also quantities of a room
-    for path in [*folder.glob("*.py"), *folder.parent.glob("report/gap*.py")]:
-        tree = ast.parse(path.read_text(encoding="utf-8"))
-        compared = [
-            node for c in ast.walk(tree) if isinstance(c, ast.Compare) for node in ast.walk(c)
-        ]
-        for nodes, forbidden in ((ast.walk(tree), words), (compared, names)):
-            texts = {node.value for node in nodes if isinstance(node, ast.Constant)}
-            assert not texts & forbidden, path
-
-
-def test_a_finding_and_what_follows_show_as_one_line_and_as_a_table() -> None:
-    case = opened()
-    finding = find(case, controls=controls_of(case))
-    result = verify(finding)
-    made = (finding, result, result.corrected, result.plain, plan(case))
-    for thing in made:
-        assert "\n" not in repr(thing)
-        assert len(repr(thing)) < 200
-    assert f"{finding.verdict}: {finding.best_effect} {finding.percent(finding.names[0])}" in (
-        repr(finding)
-    )
-    assert str(finding.best_effect) in repr(result.corrected)
-    for thing in (finding, result):
-        text = thing._repr_html_()
-        assert text.count("<table") == 1
-        assert "opening" in text
-        assert text.count("<tr") > 2
-    assert "candidate" in finding._repr_html_()
-
-
-@pytest.mark.parametrize("effect", library(), ids=lambda e: e.name)
-def test_an_effect_says_what_it_is(effect: Effect) -> None:
-    case = case_with(np.ones(7))
-    parameters = effect.grid(state(case, case.configurations[0]))[0]
-    assert effect.title(parameters, case.room).startswith(effect.name)
-    described = effect.describe(parameters)
-    if effect.name != "area":  # its material is in its title
-        for name in set(parameters) - set(effect.discrete):
-            assert name.replace("_", " ") in described
-    assert effect.size.replace("_", " ") not in effect.describe(parameters, without=effect.size)
 
 
 def test_the_search_holds_blas_to_one_thread() -> None:

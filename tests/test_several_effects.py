@@ -407,55 +407,6 @@ def test_a_decay_that_the_second_room_decides_can_be_calibrated() -> None:
     np.testing.assert_allclose(rt.finder.recalibrate(case).alpha, ALPHA, atol=0.01)
 
 
-def test_sets_of_a_single_effect_are_refused() -> None:
-    case, _ = rt.datasets.hidden_room()
-    first = case.only("t20", configurations=["A"])
-    with pytest.raises(DataError, match="most = 3, and 1 effect is tried"):
-        rt.find(first, only=("opening",), most=3)
-
-
-def test_what_of_the_added_set_is_claimed_is_said() -> None:
-    finding = sought(case_with(*BOTH))
-    both = finding.members
-    finding = replace(finding, named=both)
-    assert finding.added(both).endswith("It is claimed.")
-    less = replace(finding, named=("volume",), named_families=("scale",), named_set=())
-    assert less.added(both).endswith("Of it, volume is claimed.")
-    family = replace(less, named=())
-    assert family.added(both).endswith("Of it, the family scale is claimed.")
-    assert replace(family, named_families=()).added(both).endswith("Nothing of it is claimed.")
-
-
-def test_prior_odds_of_none_are_refused_for_several_effects() -> None:
-    case, _ = rt.datasets.hidden_room()
-    with pytest.raises(DataError, match=r'prior has odds of "none".*expected'):
-        rt.find(case, prior={"none": 2.0}, most=3)
-
-
-@pytest.mark.parametrize(
-    ("options", "words"),
-    [
-        (("--expected", "1"), "expected = 1.0 is of more than one effect: state most"),
-        (("--prior", "air=1", "--prior", "air=2"), '--prior: "air" is given twice'),
-        (("--most", "3", "--prior", "none=2"), 'prior has odds of "none"'),
-    ],
-)
-def test_options_of_several_effects_that_would_do_nothing_are_refused(
-    options: tuple[str, ...], words: str, tmp_path: Path
-) -> None:
-    case_with().save(str(tmp_path / "case.json"))
-    done = CliRunner().invoke(cli, ["find", str(tmp_path / "case.json"), *options])
-    assert isinstance(done.exception, DataError | SystemExit)
-    assert words in " ".join(f"{done.output} {done.exception}".split())
-
-
-def test_a_library_that_was_cut_is_said(kept: Path) -> None:
-    case, _ = rt.datasets.hidden_room()
-    first = case.only("t20", configurations=["A"])
-    cut = rt.find(first, only=("opening",), cache=kept)
-    assert any("weighted by hand" in note for note in cut.notes)
-
-
 @pytest.mark.parametrize(
     ("of", "families", "together"),
     [("size", {"scale", "measurement"}, ("measurement", "scale")), ("effect", set(), ())],
