@@ -49,16 +49,16 @@ from benchmarks.judging import (
     stated_probabilities,
 )
 from benchmarks.second_world import truth_of
+from benchmarks.studies.hidden_world import populations as first_world
+from benchmarks.studies.second_world import rooms as second_world
+from benchmarks.studies.third_world import generate as third_world_stored
+from benchmarks.studies.third_world import rooms as third_world
 from rtcal.finder import Case
 from rtcal.finder.claim import too_weak
 from rtcal.finder.means import likelihood
 from rtcal.finder.means.engines import ControlRooms
 from rtcal.finder.prior import NO_EFFECT
 from rtcal.finder.search import find
-from tests.hidden_world import populations as first_world
-from tests.second_world import rooms as second_world
-from tests.third_world import generate as third_world_stored
-from tests.third_world import rooms as third_world
 
 POPULATIONS = {1: 21, 2: 19, 3: 13}
 """Populations that no finder had read on 2026-11-27; of the rows "chosen, earlier" 11, 9 and 3."""

@@ -54,6 +54,8 @@ from benchmarks import second_world
 from benchmarks.judging import one
 from benchmarks.positions import MATCH
 from benchmarks.real_cases import every_case
+from benchmarks.studies.geometric_world import load as geometric
+from benchmarks.studies.position_rooms import load as positions
 from rtcal.acoustics.equations import EQUATIONS
 from rtcal.calibration.methods import METHODS
 from rtcal.command.main import main as rtcal_command
@@ -62,8 +64,6 @@ from rtcal.finder import Case, control_rooms, verify
 from rtcal.finder.means.engines import ControlRooms
 from rtcal.finder.means.set_posterior import MOST
 from rtcal.finder.search import find
-from tests.geometric_world import load as geometric
-from tests.position_rooms import load as positions
 from tests.test_modes import BOX, TRUTH, heard
 from tests.test_modes import ROOM as BOX_ROOM
 from tests.test_modes import times as times_of_box

@@ -1,4 +1,4 @@
-"""The finder on the frozen rooms in which an effect is hidden (tests/hidden_world).
+"""The finder on the frozen rooms in which an effect is hidden (benchmarks/studies/hidden_world).
 
     python -m benchmarks.hidden_effects run --folder out      # an hour or so; can be resumed
     python -m benchmarks.hidden_effects table                 # of the stored run, or --folder out
@@ -21,6 +21,8 @@ from typing import Any
 import numpy as np
 
 from benchmarks.judging import FLAGS, NOTHING, first_of, kept_controls, one, rate, row_of
+from benchmarks.studies.hidden_world.generate import read
+from benchmarks.studies.hidden_world.populations import DOUBLE, TOGGLED, TWINS
 from rtcal.finder import (
     Case,
     verify,
@@ -29,10 +31,8 @@ from rtcal.finder.effects.absorbers import AT_1_KHZ
 from rtcal.finder.means.engines import ControlRooms
 from rtcal.finder.means.evidence import MINIMUM
 from rtcal.finder.search import find
-from tests.hidden_world.generate import read
-from tests.hidden_world.populations import DOUBLE, TOGGLED, TWINS
 
-STORED = Path(__file__).parents[1] / "tests" / "hidden_world" / "population_1_findings.jsonl.gz"
+STORED = Path(__file__).parent / "studies" / "hidden_world" / "population_1_findings.jsonl.gz"
 NAMES = {
     1: "air",
     2: "opening",

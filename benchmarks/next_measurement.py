@@ -24,6 +24,7 @@ from benchmarks.judging import first_of, interval, one
 from benchmarks.second_world import place
 from benchmarks.several_effects import wide
 from benchmarks.several_effects_rooms import Room, judged_alone, rooms
+from benchmarks.studies.hidden_world.populations import Hidden, make, measure
 from rtcal.finder import Case, library, plan
 from rtcal.finder.means.engines import ControlRooms
 from rtcal.finder.means.features import estimate_discrepancy, observe
@@ -34,7 +35,6 @@ from rtcal.finder.means.set_posterior import MOST, posterior_of_sets
 from rtcal.finder.means.sets import compare
 from rtcal.finder.prior import prior_of
 from rtcal.finder.search import find
-from tests.hidden_world.populations import Hidden, make, measure
 
 BASE = ("t20", "edt", "t30")
 KINDS = ("C80", "G", "more positions", "planned", "removed")

@@ -6,7 +6,7 @@
     python -m benchmarks.positions bound                            # what a perfect simulator reaches
     python -m benchmarks.positions speed --folder out               # traces and seconds
 
-tests/position_rooms describes the rooms. `run` fits all pairs for alpha, and those of three receivers
+studies/position_rooms describes the rooms. `run` fits all pairs for alpha, and those of three receivers
 for the gaps at the other three. A method is "t20" (the loop of `rtcal.calibrate_simulator`) or
 "positions" (the same with ``match``). The gaps of the stated and of the true alpha stand beside them.
 
@@ -38,6 +38,16 @@ from benchmarks.positions_table import (
     stored_run,
     table,
 )
+from benchmarks.studies.position_rooms.generate import order
+from benchmarks.studies.position_rooms.load import (
+    PositionRoom,
+    at,
+    load,
+    stored,
+    true_alpha,
+    without_noise,
+)
+from benchmarks.studies.position_rooms.rooms import PRIORS
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.quality import gap_jnd
 from rtcal.acoustics.room_errors import prior_covariance
@@ -47,9 +57,6 @@ from rtcal.loop.positions import MORE_PATHS, precise
 from rtcal.simulators import PathTracing, paths
 from rtcal.simulators.observations import Observations
 from rtcal.simulators.tracer import ScatteringModel
-from tests.position_rooms.generate import order
-from tests.position_rooms.load import PositionRoom, at, load, stored, true_alpha, without_noise
-from tests.position_rooms.rooms import PRIORS
 
 MATCH = ("t20", "edt", "c80", "ts", "level")
 FITTED, HELD_OUT = ("R1", "R2", "R3"), ("R4", "R5", "R6")

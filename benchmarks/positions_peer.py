@@ -1,7 +1,7 @@
 """acoustic-spaces beside the calibration to every position: `python -m benchmarks.positions_peer run`.
 
 acoustic-spaces 4.0.0 (GPL-3, PyPI) fits T20, EDT and C80 of every pair in JND by weighing its rays
-anew. It takes at most 16 materials: of the judging rooms (tests/position_rooms), the first six boxes
+anew. It takes at most 16 materials: of the judging rooms (studies/position_rooms), the first six boxes
 and the first six polyhedra that have no more, in the order in which they were built. Both programs get
 the same room, the wide prior and scattering 0.4. Its search box is 0.01 to 0.99, and what it takes for
 the prior is where it starts: the stated alpha. The processor time includes all traces, and for every
@@ -24,9 +24,15 @@ import numpy as np
 
 from benchmarks.positions import error, rounded
 from benchmarks.positions_table import median_ratio, read, share, stored_run
-from tests.position_rooms.generate import HERE, order
-from tests.position_rooms.load import SCATTERING, PositionRoom, load, stored, true_alpha
-from tests.position_rooms.parameters import OCTAVES
+from benchmarks.studies.position_rooms.generate import HERE, order
+from benchmarks.studies.position_rooms.load import (
+    SCATTERING,
+    PositionRoom,
+    load,
+    stored,
+    true_alpha,
+)
+from benchmarks.studies.position_rooms.parameters import OCTAVES
 
 STORED = HERE / "population_1_peer.jsonl"
 FITTED = ("t20", "edt", "c80")

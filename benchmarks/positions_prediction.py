@@ -5,7 +5,7 @@
     python -m benchmarks.positions_prediction told --rows third.jsonl   # what is stored
 
 The rule stands in docs/prediction_study.md and was written first. The hidden tracer is that of
-`tests.position_rooms`, which shares no code with rtcal: all states of a room weigh the same rays.
+`studies.position_rooms`, which shares no code with rtcal: all states of a room weigh the same rays.
 """
 
 from __future__ import annotations
@@ -19,14 +19,14 @@ from pathlib import Path
 import numpy as np
 
 import rtcal as rt
+from benchmarks.studies.position_rooms import parameters, rooms, shapes
+from benchmarks.studies.position_rooms.tracer import Scene, trace
 from rtcal.acoustics.observables import observable
 from rtcal.loop.positions_result import PositionsPrediction, predict_positions
 from rtcal.prediction import Cover, Variant
 from rtcal.simulators import PathTracing, Polyhedron
 from rtcal.simulators.observations import observe
 from rtcal.support.types import Array
-from tests.position_rooms import parameters, rooms, shapes
-from tests.position_rooms.tracer import Scene, trace
 
 WORLDS = {"development": 0, "first": 1, "second": 2, "third": 3}
 BANDS = parameters.OCTAVES[3:6]

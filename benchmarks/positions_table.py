@@ -10,9 +10,9 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.studies.position_rooms.generate import HERE
+from benchmarks.studies.position_rooms.rooms import PRIORS
 from rtcal.finder.records import Share
-from tests.position_rooms.generate import HERE
-from tests.position_rooms.rooms import PRIORS
 
 GAPS = ("edt", "c80", "g")
 JUDGED = 2

@@ -21,6 +21,7 @@ from typing import Any
 from benchmarks import real_rooms, where
 from benchmarks.judging import FLAGS
 from benchmarks.real_cases import every_case
+from benchmarks.studies.geometric_world import rooms
 from benchmarks.where_figures import (
     ABSORBERS,
     DATA,
@@ -31,7 +32,6 @@ from benchmarks.where_figures import (
     right_families,
 )
 from rtcal.finder import records
-from tests.geometric_world import rooms
 
 ROOT = Path(__file__).parents[1]
 STUDY = ROOT / "docs" / "discrepancy_study.md"

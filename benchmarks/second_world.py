@@ -1,4 +1,4 @@
-"""The finder on the second hidden world (tests/second_world), and on the others beside it.
+"""The finder on the second hidden world (benchmarks/studies/second_world), and on the others beside it.
 
     python -m benchmarks.second_world controls --folder out --population 1   # hours; can be resumed
     python -m benchmarks.second_world run --folder out --population 1        # with what stands there
@@ -13,7 +13,7 @@
 A case is judged as it is stated ("all": T20, EDT, T30, C80 and G, every second room in two
 configurations) and cut down to T20, EDT and T30 in one configuration ("one"). Rows of the first world
 that `hidden_effects run` made have the same keys, and `table` reads them as well. The third world
-(tests/third_world) is another group's engine; a material that is another one counts as "coefficients".
+(studies/third_world) is another group's engine; another material counts as "coefficients".
 """
 
 from __future__ import annotations
@@ -46,6 +46,11 @@ from benchmarks.judging import (
     rate,
     row_of,
 )
+from benchmarks.studies.hidden_world import generate as first_world
+from benchmarks.studies.hidden_world.populations import TOGGLED
+from benchmarks.studies.second_world import generate as second_world
+from benchmarks.studies.second_world.rooms import KINDS
+from benchmarks.studies.third_world import generate as third_world
 from rtcal.acoustics.room_errors import POWER
 from rtcal.finder import AppliedEffect, Case, library
 from rtcal.finder.means import evidence as bootstrap
@@ -57,11 +62,6 @@ from rtcal.finder.means.likelihood import MeansProblem
 from rtcal.finder.model import FEATURES
 from rtcal.finder.prior import NULL_POWER, prior_of
 from rtcal.finder.search import find
-from tests.hidden_world import generate as first_world
-from tests.hidden_world.populations import TOGGLED
-from tests.second_world import generate as second_world
-from tests.second_world.rooms import KINDS
-from tests.third_world import generate as third_world
 
 WORLDS = {1: first_world, 2: second_world, 3: third_world}
 SAID_AS = {"nothing": NOTHING, "material": "coefficients"}

@@ -1,4 +1,4 @@
-"""Several effects at once, on the rooms of the first hidden world that lack two (tests/hidden_world).
+"""Several effects at once, on the rooms of the first hidden world that lack two (studies/hidden_world).
 
     python -m benchmarks.several_effects controls --folder out --population 1   # can be resumed
     python -m benchmarks.several_effects bound --folder out --population 1      # what any test could do
@@ -43,6 +43,8 @@ from benchmarks.several_effects_rooms import (
     rooms,
     true_effects,
 )
+from benchmarks.studies.hidden_world.generate import read
+from benchmarks.studies.hidden_world.populations import DOUBLE
 from rtcal.finder import Case, recalibrate
 from rtcal.finder.means.engines import ControlRooms
 from rtcal.finder.means.features import ModelDiscrepancy, estimate_discrepancy, observe
@@ -52,8 +54,6 @@ from rtcal.finder.means.recalibration import plain
 from rtcal.finder.means.set_posterior import MOST
 from rtcal.finder.means.sets import averaged_alpha, compare, covariance_with_alpha, moments
 from rtcal.finder.search import find
-from tests.hidden_world.generate import read
-from tests.hidden_world.populations import DOUBLE
 
 LEVEL = 0.05
 """Of Neyman and Pearson's test: one effect taken for two."""

@@ -12,11 +12,11 @@ import numpy as np
 from benchmarks.hidden_effects import name_of
 from benchmarks.judging import first_of, kept_controls, one
 from benchmarks.second_world import place
+from benchmarks.studies.hidden_world.generate import read
+from benchmarks.studies.hidden_world.populations import COUNTS, DOUBLE, TOGGLED, build
 from rtcal.finder import AppliedEffect, Case
 from rtcal.finder.effects.absorbers import AT_1_KHZ
 from rtcal.finder.means.engines import ControlRooms
-from tests.hidden_world.generate import read
-from tests.hidden_world.populations import COUNTS, DOUBLE, TOGGLED, build
 
 DATA = {"one": "T20, EDT, T30; one configuration", "all": "two configurations, C80, G as well"}
 ORDER = (9, 7, 8, 1, 2, 3, 4, 5, 6, 10, 11, 12)

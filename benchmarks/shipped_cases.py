@@ -3,7 +3,7 @@
     python -m benchmarks.shipped_cases            # writes rtcal/datasets/hidden_room; some minutes
     python -m benchmarks.shipped_cases --dry      # prints the table alone
 
-The rooms are of `tests/hidden_world`: a tracer of its own, coefficients drawn about the stated ones
+The rooms are of `studies/hidden_world`: a tracer of its own, coefficients drawn about the stated ones
 with the stated sigma and correlation. Nothing of rtcal is in them. The rule, written down before any
 was run: one room of each kind of hidden effect, index 0 of population 4, which nothing else uses; the
 kinds in an order shuffled with `ORDER`. The first room in which `find` names one effect is shipped,
@@ -21,9 +21,9 @@ from typing import Any
 import numpy as np
 
 from benchmarks.hidden_effects import NAMES
+from benchmarks.studies.hidden_world.populations import KINDS, build
 from rtcal.finder import Case
 from rtcal.finder.search import find
-from tests.hidden_world.populations import KINDS, build
 
 POPULATION = 4
 ORDER = 37

@@ -9,8 +9,8 @@
     python -m benchmarks.where store --folder out                # the run that the study shows
     python -m benchmarks.where speed --folder out                # first and second run of one room
 
-tests/geometric_world describes the rooms. Each is judged on T20, EDT, C80 and Ts ("without level") and
-with G beside them ("level"). Control runs and weighings are kept in the folder's `controls`, so that
+studies/geometric_world describes the rooms. Each is judged on T20, EDT, C80 and Ts ("without
+level"), and with G beside them ("level"). Control runs and weighings are kept in the folder's `controls`, so that
 another run of a room takes seconds. `means` is `rtcal.find` on the same values, without
 a geometry.
 
@@ -36,17 +36,9 @@ import numpy as np
 
 import rtcal as rt
 from benchmarks.judging import FLAGS, rounded, row_of
-from benchmarks.where_figures import DATA, LARGE, MODELS, ROOMS, chosen, table
-from rtcal.acoustics.quality import gap_jnd
-from rtcal.finder import library
-from rtcal.finder.positions.posterior import PositionsHypotheses, of_means
-from rtcal.finder.positions.problem import PositionsProblem, problem_of
-from rtcal.finder.positions.responses import responses_of
-from rtcal.finder.positions.search import controls_of, every_hypothesis
-from rtcal.finder.search import find
-from tests.geometric_world import rooms
-from tests.geometric_world.generate import HERE
-from tests.geometric_world.load import (
+from benchmarks.studies.geometric_world import rooms
+from benchmarks.studies.geometric_world.generate import HERE
+from benchmarks.studies.geometric_world.load import (
     HANDBOOK,
     IN_SITU,
     GeometricRoom,
@@ -55,6 +47,14 @@ from tests.geometric_world.load import (
     truth,
     without_noise,
 )
+from benchmarks.where_figures import DATA, LARGE, MODELS, ROOMS, chosen, table
+from rtcal.acoustics.quality import gap_jnd
+from rtcal.finder import library
+from rtcal.finder.positions.posterior import PositionsHypotheses, of_means
+from rtcal.finder.positions.problem import PositionsProblem, problem_of
+from rtcal.finder.positions.responses import responses_of
+from rtcal.finder.positions.search import controls_of, every_hypothesis
+from rtcal.finder.search import find
 
 PATHS = 8000
 """From each source: the default of `PathTracing`."""

@@ -14,11 +14,11 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
+from benchmarks.studies.geometric_world.rooms import NOTHING
 from benchmarks.where import read
 from benchmarks.where_figures import DATA
 from benchmarks.where_temper import STORED
 from rtcal.finder.positions.posterior import THRESHOLD
-from tests.geometric_world.rooms import NOTHING
 
 Row = dict[str, Any]
 FLAGGED = 1

@@ -10,8 +10,8 @@ import numpy as np
 
 from benchmarks.judging import FLAGS, NOTHING, families_of
 from benchmarks.positions_table import bootstrap, share
-from tests.geometric_world import rooms
-from tests.geometric_world.load import truth
+from benchmarks.studies.geometric_world import rooms
+from benchmarks.studies.geometric_world.load import truth
 
 DATA = {"without": "without level", "level": "with level"}
 ABSORBERS = rooms.ON_A_SURFACE

@@ -25,6 +25,7 @@ import numpy as np
 from scipy.special import logsumexp
 
 from benchmarks.positions_table import bootstrap
+from benchmarks.studies.geometric_world.load import IN_SITU, load
 from benchmarks.where import case_of, prepared
 from benchmarks.where_figures import ABSORBERS, DATA
 from rtcal.finder.positions.evidence import (
@@ -38,14 +39,13 @@ from rtcal.finder.positions.finding import LIKELY
 from rtcal.finder.positions.hypotheses import COUPLED, uneven_amount
 from rtcal.finder.positions.posterior import PositionsHypotheses, evaluate, scores, weights
 from rtcal.finder.positions.problem import PositionsProblem
-from tests.geometric_world.load import IN_SITU, load
 
 STORED = Path(__file__).with_name("where_ideal.json.gz")
 DRAWS = 12
 """Rooms of each kind, with and without something hidden, that are drawn in one geometry."""
 FALSE_ALARMS = 0.05
 HIDDEN = (*ABSORBERS, COUPLED.name, POSITION)
-"""Effects that are drawn: those that tests/geometric_world hides."""
+"""Effects that are drawn: those that benchmarks/studies/geometric_world hides."""
 Likelihoods = tuple[Likelihood, list[Likelihood], list[Likelihood]]
 Row = dict[str, Any]
 

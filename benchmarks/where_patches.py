@@ -2,7 +2,7 @@
 
     python -m benchmarks.where_patches --number 6
 
-Walls of development boxes (population 0 of tests/geometric_world) are divided into nine. A patch
+Walls of development boxes (population 0 of studies/geometric_world) are divided into nine. A patch
 covers one to three adjoining ninths, and the same paths are weighed with it and with the same
 absorption spread over its wall. Printed are the deviation of a shift per pair from the spread one's,
 over the mean shift: its part common to all pairs, and each pair's own, by parameter.
@@ -17,11 +17,11 @@ from itertools import product
 
 import numpy as np
 
+from benchmarks.studies.geometric_world.load import IN_SITU, load, stored
 from benchmarks.where import case_of
 from rtcal.acoustics.observables import MATCH, observable
 from rtcal.finder.positions.weighing import Weighing
 from rtcal.simulators import Polyhedron
-from tests.geometric_world.load import IN_SITU, load, stored
 
 PARTS, PATHS, SHARE, PATCHES = 3, 12_000, 0.8, 12
 """Parts of a wall along each axis, paths per source, the step of alpha towards 1, patches per room."""

@@ -2,7 +2,7 @@
 
     python -m benchmarks.where_patterns --population 1 --rooms 49 61 153
 
-A room of tests/geometric_world is traced with what is hidden in it and without, by its own tracer and
+A room of studies/geometric_world is traced with what is hidden in it and without, by its own tracer and
 twice with other random numbers. Each time both share their paths. Prints by parameter the mean change
 over the pairs, the standard deviation of the pairs' differences from it, and the correlation of these
 differences between the two repetitions: 1 where they are the room's, 0 where they are noise. The rooms
@@ -17,10 +17,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from tests.geometric_world.load import truth
-from tests.geometric_world.rooms import WIDTH, Room, decay_time, draw
-from tests.position_rooms import parameters
-from tests.position_rooms.tracer import Scene, trace
+from benchmarks.studies.geometric_world.load import truth
+from benchmarks.studies.geometric_world.rooms import WIDTH, Room, decay_time, draw
+from benchmarks.studies.position_rooms import parameters
+from benchmarks.studies.position_rooms.tracer import Scene, trace
 
 LOGARITHMIC = ("t20", "edt", "ts")
 

@@ -18,10 +18,10 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks.studies.geometric_world.load import IN_SITU, load
 from benchmarks.where import PATHS, case_of
 from rtcal.finder.effects import library
 from rtcal.finder.positions.search import controls_of, find_by_positions
-from tests.geometric_world.load import IN_SITU, load
 
 
 def scores(

@@ -23,6 +23,8 @@ from typing import Any
 import numpy as np
 from scipy.special import logsumexp
 
+from benchmarks.studies.geometric_world.load import IN_SITU, load, truth
+from benchmarks.studies.geometric_world.rooms import NOTHING
 from benchmarks.where import case_of, prepared, read
 from benchmarks.where_figures import ABSORBERS, DATA, family_of, right_families
 from benchmarks.where_threshold import numbers_of
@@ -38,8 +40,6 @@ from rtcal.finder.positions.posterior import (
     weights,
 )
 from rtcal.finder.prior import COEFFICIENTS, NONE, UNKNOWN
-from tests.geometric_world.load import IN_SITU, load, truth
-from tests.geometric_world.rooms import NOTHING
 
 STORED = Path(__file__).with_name("where_temper.jsonl.gz")
 TEMPERS = (1.25, 1.5, 2.0, 3.0, 4.0)

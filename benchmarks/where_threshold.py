@@ -2,7 +2,7 @@
 
     python -m benchmarks.where_threshold --cache out --statement "in situ" --rooms 0-11
 
-They are drawn in the development rooms of tests/geometric_world. Their simulator's error is that of
+They are drawn in the development rooms of studies/geometric_world. Their simulator's error is that of
 control runs that the covariance has not seen. What catalogues err by in common has heavy tails
 (Student's t), and their measurement errs as assumed. `TEMPER` is the mean square of a hypothesis'
 standardised projection. `python -m benchmarks.where_decides` has the scores of what was measured.
@@ -18,12 +18,12 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.studies.geometric_world.load import HANDBOOK, IN_SITU, load, truth
 from benchmarks.where import case_of, prepared
 from benchmarks.where_figures import DATA
 from rtcal.finder.positions.evidence import Likelihood, Residuals, ShiftHypothesis
 from rtcal.finder.positions.posterior import TEMPER, PositionsHypotheses, evaluate, scores, weights
 from rtcal.finder.positions.problem import PositionsProblem
-from tests.geometric_world.load import HANDBOOK, IN_SITU, load, truth
 
 FOLDS, DRAWS = 4, 25
 """Groups of control runs that are left out in turn, and rooms that are drawn from each."""

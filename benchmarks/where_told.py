@@ -2,7 +2,7 @@
 
     python -m benchmarks.where_told --rooms 2.21 --folder out
 
-For a room of tests/geometric_world, in situ and with level: the score as it is, the score of what is
+For a room of studies/geometric_world, in situ and with level: the score as it is, the score of what is
 heard without the measurement's noise, and the score where the shift by the true coefficients, by the
 true scattering or by the true positions is taken off. Each is traced with `PATHS` thinned paths per
 source. So it says which part of the truth makes a score. `at nothing` is the log density with nothing
@@ -19,13 +19,13 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks.studies.geometric_world.load import IN_SITU, load, truth, without_noise
 from benchmarks.where import case_of, prepared
 from rtcal.acoustics.observables import observable
 from rtcal.finder.positions.evidence import flat
 from rtcal.finder.positions.posterior import evaluate, scores, weights
 from rtcal.finder.positions.responses import BASE, responses_of
 from rtcal.simulators.observations import Observations
-from tests.geometric_world.load import IN_SITU, load, truth, without_noise
 
 SEED = 77
 """Of the tracings that are told."""

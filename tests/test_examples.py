@@ -10,13 +10,13 @@ from pathlib import Path
 import pytest
 
 import rtcal as rt
+from benchmarks.studies.position_rooms import shipped as where_room
+from benchmarks.studies.position_rooms.shapes import area
 from rtcal.command.files import _PURPOSES
 from rtcal.command.main import main
 from rtcal.datasets import examples
 from rtcal.finder.positions import PositionsCase
 from rtcal.support.errors import DataError
-from tests.position_rooms import shipped as where_room
-from tests.position_rooms.shapes import area
 
 
 def run(*arguments: str) -> int:

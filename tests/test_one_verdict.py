@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 
 import rtcal as rt
+from benchmarks.studies.hidden_world import populations as first_world
+from benchmarks.studies.second_world import rooms as second_world
 from rtcal.finder import Case, control_rooms
 from rtcal.finder.claim import too_weak
 from rtcal.finder.means.engines import draw_alpha
 from rtcal.finder.means.gap import GapCheck, gap_against
-from tests.hidden_world import populations as first_world
-from tests.second_world import rooms as second_world
 
 SEEDS = range(8)
 POPULATION = 57

@@ -10,8 +10,8 @@ from scipy import stats
 
 import rtcal as rt
 from benchmarks.shipped_cases import POPULATION, kinds
-from tests.hidden_world.populations import build
-from tests.position_rooms import shipped as where_room
+from benchmarks.studies.hidden_world.populations import build
+from benchmarks.studies.position_rooms import shipped as where_room
 
 ROOMS = {"named": rt.datasets.named_room, "not_told": rt.datasets.untold_room}
 

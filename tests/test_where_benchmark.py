@@ -10,10 +10,10 @@ import pytest
 
 import rtcal as rt
 from benchmarks import where, where_figures
+from benchmarks.studies.geometric_world import rooms
+from benchmarks.studies.geometric_world.load import stored, truth
 from benchmarks.where_threshold import folds
 from rtcal.acoustics.quality import gap_jnd
-from tests.geometric_world import rooms
-from tests.geometric_world.load import stored, truth
 
 KINDS = rooms.order(0)
 

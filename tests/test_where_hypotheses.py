@@ -171,10 +171,10 @@ def test_decays_together_have_the_values_of_each() -> None:
 def test_the_hidden_worlds_tracer_hears_the_same_second_room() -> None:
     # Room 14 of development: 3.3 m² of 48 m² to a room of 1.7 times the volume. T20 falls by 12 %; an
     # opening of that area would take 15 %.
+    from benchmarks.studies.geometric_world.load import IN_SITU, load, truth, without_noise
     from rtcal.acoustics.observables import MATCH
     from rtcal.finder.positions.weighing import Weighing
     from rtcal.simulators.observations import Observations
-    from tests.geometric_world.load import IN_SITU, load, truth, without_noise
 
     index = 14
     true, case = truth(0, index), load(0, index, IN_SITU)

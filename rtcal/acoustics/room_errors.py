@@ -101,8 +101,8 @@ HANDBOOK_SIGMA = 0.3
 COMMON, TILT = 0.15, 0.10
 """Usual standard deviations of ln alpha, of coefficients from a handbook (sigma 30 %): of a factor
 common to all materials, and of a tilt per octave from 1 kHz. Development rooms of
-tests/second_world have 0.13 and 0.05. In a measured room (BRAS CR2, T of seven octaves) the tilt is
--0.18."""
+benchmarks/studies/second_world have 0.13 and 0.05. In a measured room (BRAS CR2, T of seven octaves)
+the tilt is -0.18."""
 OWN, OWN_TILT = 0.25, 0.07
 """The same of each material's own factor and tilt: what two catalogues differ by. Carpets, plasters
 and glass of one name differ by 20 to 60 % between tables (`rtcal.datasets.catalogue` and its

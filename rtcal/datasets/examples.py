@@ -51,8 +51,8 @@ def hidden_room(*, closed: bool = False) -> tuple[Case, dict[str, Any]]:
     """Return a case with a hidden effect, and the truth: the effect and ``alpha``.
 
     It is a simulated room of six materials. The tracer is separate from rtcal's
-    (`tests/hidden_world`). Configuration A is the room as it is. In B one material is covered with
-    another one. In C everything that can be closed or taken out is closed or taken out.
+    (`benchmarks/studies/hidden_world`). Configuration A is the room as it is. In B one material is
+    covered with another one. In C everything that can be closed or taken out is closed or taken out.
 
     Parameters
     ----------
@@ -160,7 +160,8 @@ _EXAMPLES: Mapping[str, tuple[Mapping[str, str], tuple[str, ...]]] = {
         {"named.json": "hidden_room/named.json", "not_told.json": "hidden_room/not_told.json"},
         ("rtcal find named.json", "rtcal find not_told.json"),
     ),
-    # A room with a curtain that its model lacks: `tests/position_rooms/shipped.py` measures it.
+    # A room with a curtain that its model lacks, measured by
+    # `benchmarks/studies/position_rooms/shipped.py`.
     "where": (
         {name: f"where_room/{name}" for name in ("room.toml", "room.obj", "pairs.csv")},
         (

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 import rtcal as rt
+from benchmarks.studies.geometric_world.load import IN_SITU, load, truth
 from rtcal.finder import library
 from rtcal.finder.claim import CLAIMED
 from rtcal.finder.finding import Candidate
@@ -29,7 +30,6 @@ from rtcal.finder.positions.problem import PositionsProblem, problem_of
 from rtcal.finder.positions.responses import responses_of
 from rtcal.finder.positions.search import controls_of, every_hypothesis
 from rtcal.finder.prior import NONE, UNKNOWN
-from tests.geometric_world.load import IN_SITU, load, truth
 from tests.test_where import MATCH, measured, stated, tracing
 from tests.test_where_corrected import candidate
 from tests.test_where_page import finding_of, verification_of

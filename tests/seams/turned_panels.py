@@ -1,7 +1,7 @@
 """A laboratory, mostly a box, whose absorbing panels were turned to their hard side.
 
-The world is that of `tests/hidden_world`: another tracer than any in rtcal. Nothing is chosen but the
-room: true coefficients are drawn from the stated prior, and one seed draws all.
+The world is that of `benchmarks/studies/hidden_world`: another tracer than any in rtcal. Nothing is
+chosen but the room: true coefficients are drawn from the stated prior, and one seed draws all.
 """
 
 from __future__ import annotations
@@ -10,8 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from rtcal.finder import Case
-from tests.hidden_world.populations import (
+from benchmarks.studies.hidden_world.populations import (
     BANDS,
     Hidden,
     air,
@@ -21,7 +20,8 @@ from tests.hidden_world.populations import (
     plain,
     wall_areas,
 )
-from tests.hidden_world.tracer import World
+from benchmarks.studies.hidden_world.tracer import World
+from rtcal.finder import Case
 
 SIZE = np.array([8.4, 6.2, 3.6])
 MATERIALS = ("concrete", "linoleum", "panels")

@@ -47,7 +47,8 @@ class Effect(ABC):
     size_error : float
         Standard deviation of ln size that the effect's physics leaves open (of the size itself where
         it can be negative): where an opening is, how an object scatters. Chosen on the development
-        rooms (tests/hidden_world, population 0), so that 90 % intervals hold the true size.
+        rooms (benchmarks/studies/hidden_world, population 0), so that 90 % intervals hold the true
+        size.
     parameter_units : mapping of str to str
         Units of the parameters, as text that follows the value.
     parameter_values : mapping of str to sequence of str
@@ -56,8 +57,8 @@ class Effect(ABC):
         The effects that change the measurement alike; "added absorption, ..." names three of one kind.
     alone : bool
         Whether the effect is claimed by its own name. Otherwise its family is: in development rooms of
-        tests/second_world, a coupled room and a non-diffuse field pass for each other at any
-        probability, since both formulas are rough.
+        benchmarks/studies/second_world, a coupled room and a non-diffuse field pass for each other at
+        any probability, since both formulas are rough.
     odds : float
         Prior odds against the other effects of the library, most of which have 1.
     spectrum_error : (float, float, float)

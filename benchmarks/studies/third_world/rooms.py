@@ -6,7 +6,7 @@ scattering differ by band. It shares no code with rtcal, which imports nothing o
 licence is for research (PolyForm Noncommercial 1.0.0), so it has an environment of its own:
 
     python -m venv misuka && misuka/bin/pip install misuka==0.1.0 numpy numba scipy
-    misuka/bin/python -m tests.third_world.generate 1
+    misuka/bin/python -m benchmarks.studies.third_world.generate 1
 
 It needs LLVM 16 or later (``DRJIT_LIBLLVM_PATH``). The catalogue, the measuring noise and the way in
 which parameters are read off an echogram are the second world's.
@@ -24,8 +24,17 @@ from typing import Any
 
 import numpy as np
 
-from tests.second_world import rooms as second
-from tests.second_world.rooms import BANDS, CEILINGS, COMMON, FLOORS, PARAMETERS, PARTS, WALLS, N
+from benchmarks.studies.second_world import rooms as second
+from benchmarks.studies.second_world.rooms import (
+    BANDS,
+    CEILINGS,
+    COMMON,
+    FLOORS,
+    PARAMETERS,
+    PARTS,
+    WALLS,
+    N,
+)
 
 KINDS = ("nothing", "porous", "opening", "coupled room", "noise floor", "material")
 COUNTS = {
@@ -262,7 +271,7 @@ def measured(
     made: Made, alpha: np.ndarray, seed: int, rng: np.random.Generator
 ) -> dict[str, np.ndarray]:
     """Return parameters (3 pairs, n_bands) with noise, and distances in m."""
-    from tests.third_world.engine import echogram
+    from benchmarks.studies.third_world.engine import echogram
 
     source, receivers = places(made, np.random.default_rng([seed, 7]))
     c, air = second.speed_of_sound(made.climate[0]), second.attenuation(*made.climate)

@@ -1,4 +1,6 @@
-"""Write a population of position rooms: ``python -m tests.position_rooms.generate 1 [number]``.
+"""Write a population of position rooms.
+
+    python -m benchmarks.studies.position_rooms.generate 1 [number]
 
 Two files per population: what a calibration may read and, apart from it, the truth. It takes 7 s of
 processor time per room.
@@ -14,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from tests.position_rooms.rooms import COUNTS, build
+from benchmarks.studies.position_rooms.rooms import COUNTS, build
 
 HERE = Path(__file__).parent
 DIGITS = 5

@@ -1,9 +1,9 @@
 """Measurements in the room of `rtcal example where`: by this folder's tracer, not by rtcal's.
 
-    python -m tests.position_rooms.shipped    # writes rtcal/datasets/where_room; a minute
+    python -m benchmarks.studies.position_rooms.shipped    # writes rtcal/datasets/where_room; a minute
 
 The room is L-shaped, with a curtain on its west wall. It differs from its model further, as in
-`tests.position_rooms.rooms`. The coefficients are drawn about the stated ones with the stated sigma.
+`studies.position_rooms.rooms`. The coefficients are drawn about the stated ones with the stated sigma.
 The scattering is another, and sources and receivers stand 0.05 m from where they are stated. Half of
 the differences between teams is common to all pairs. Nothing is chosen: it is the one draw of `SEED`.
 """
@@ -15,15 +15,15 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.studies.position_rooms import parameters
+from benchmarks.studies.position_rooms.rooms import OFF, REFLECTIONS, WIDTH, attenuation
+from benchmarks.studies.position_rooms.tracer import Scene, trace
 from rtcal.acoustics.air import Air
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.room import Room
 from rtcal.acoustics.scene import Scene as StatedScene
 from rtcal.datasets.examples import path
 from rtcal.simulators.geometry import Polyhedron
-from tests.position_rooms import parameters
-from tests.position_rooms.rooms import OFF, REFLECTIONS, WIDTH, attenuation
-from tests.position_rooms.tracer import Scene, trace
 
 SEED = 37
 SHARE = 0.5

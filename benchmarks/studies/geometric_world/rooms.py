@@ -8,7 +8,7 @@ drawn as those for judging; the first 40 are built. Population 3 is for judging 
 rooms were frozen on 2026-11-23, before any finder was tried on them. Population 4 is for judging the
 rule that other scattering lacks nothing, at 8,000 paths: frozen on 2026-11-23, not built yet.
 
-- Shapes: half are boxes, the others polyhedra of 6 to 10 surfaces (`tests.position_rooms.shapes`), 90
+- Shapes: half are boxes, the others polyhedra of 6 to 10 surfaces (`studies.position_rooms.shapes`), 90
   to 3,000 m³. In half of the rooms every surface has a material of its own; in the others walls share.
 - Coefficients: a catalogue's (`tables`), stated with a handbook's sigma: 30 %, at least 0.02. The true
   ones differ by a factor and a tilt common to all, by a heavy-tailed factor per material, and by a
@@ -16,7 +16,7 @@ rule that other scattering lacks nothing, at 8,000 paths: frozen on 2026-11-23, 
 - Scattering 0.1 to 0.8 of either published meaning, not stated. In half of the judging rooms the
   surfaces' coefficients have nothing in common.
 - Two sources and six receivers, each 0.05 m from where it is stated.
-- Measurement: `tests.position_rooms.parameters`; T20, EDT, C80, Ts and G per pair. No uncertainty is
+- Measurement: `studies.position_rooms.parameters`; T20, EDT, C80, Ts and G per pair. No uncertainty is
   stated. The errors common to all pairs are 0.3 to 0.8 of those between teams.
 - Hidden (`KINDS`, `hidden`): their absorption in the three bands where they absorb most is 0.08 to 0.6
   of the room's, log-uniform, as far as the surface is large enough. Spectra are rows of tables, with a
@@ -30,11 +30,11 @@ from typing import Any
 
 import numpy as np
 
-from tests.geometric_world import hidden, tables
-from tests.position_rooms import parameters, shapes
-from tests.position_rooms.rooms import WIDTH, attenuation, eyring, moved, scattering
-from tests.position_rooms.tracer import Scene, planes, sees, trace
-from tests.position_rooms.tracer import _next_surface as next_surface
+from benchmarks.studies.geometric_world import hidden, tables
+from benchmarks.studies.position_rooms import parameters, shapes
+from benchmarks.studies.position_rooms.rooms import WIDTH, attenuation, eyring, moved, scattering
+from benchmarks.studies.position_rooms.tracer import Scene, planes, sees, trace
+from benchmarks.studies.position_rooms.tracer import _next_surface as next_surface
 
 SEED = 20261122
 NOTHING = "nothing"
@@ -69,7 +69,7 @@ FROZEN = {
     3: "853d857976c1f5e67e587daa9fc294eeb48e5c045bbd9f6e55a8beaa5b1818d6",
     4: "e34d9b315afbae29afe2d0cba0806b20acaf967928ba738d6e39faf764b9de0f",
 }
-"""`tests.geometric_world.generate.digest` of the first twelve rooms of each population."""
+"""`benchmarks.studies.geometric_world.generate.digest` of the first twelve rooms of each population."""
 LARGEST = 0.9  # share of a surface that something may take
 
 

@@ -12,7 +12,7 @@ import hashlib
 import numpy as np
 from numpy.typing import ArrayLike
 
-from tests.geometric_world.rooms import SEED
+from benchmarks.studies.geometric_world.rooms import SEED
 
 FROZEN = {
     0: "b577e1279222860b0142cadf7afe9e9cd4b324220e7f73fc2d2eb7dc7fa1b62d",

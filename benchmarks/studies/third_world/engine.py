@@ -10,8 +10,8 @@ from typing import Any
 import misuka
 import numpy as np
 
-from tests.second_world.rooms import BANDS
-from tests.third_world.rooms import HIDDEN, PATHS, RADIUS, WIDTH, Made
+from benchmarks.studies.second_world.rooms import BANDS
+from benchmarks.studies.third_world.rooms import HIDDEN, PATHS, RADIUS, WIDTH, Made
 
 misuka.set_variant("llvm_ad_acoustic")
 

@@ -1,4 +1,4 @@
-"""Write a population of the third world: ``python -m tests.third_world.generate 1``.
+"""Write a population of the third world: ``python -m benchmarks.studies.third_world.generate 1``.
 
 Rooms are kept one by one in a folder beside the population's files while they are made, so that an
 interrupted run goes on.
@@ -11,8 +11,8 @@ import sys
 from functools import partial
 from pathlib import Path
 
-from tests.second_world import generate as second
-from tests.third_world.rooms import COUNTS, KINDS, build
+from benchmarks.studies.second_world import generate as second
+from benchmarks.studies.third_world.rooms import COUNTS, KINDS, build
 
 HERE = Path(__file__).parent
 read = partial(second.read, folder=HERE)

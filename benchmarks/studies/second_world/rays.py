@@ -1,6 +1,6 @@
 """The second measured world: rays in convex rooms of any shape, alone or joined.
 
-It shares no code with rtcal or with `tests/hidden_world`. A room is a set of half-spaces
+It shares no code with rtcal or with `benchmarks/studies/hidden_world`. A room is a set of half-spaces
 n . x <= d. A wall may hold two strips beside its main material, each beyond a straight cut: one of
 a second material, one of whatever was hidden. Boxes stand on the floor for people and furniture.
 Scattering is either drawn (probability s, Lambert) or mixed as vectors, with its own s per wall.

@@ -1,4 +1,4 @@
-"""Write the frozen populations: ``python -m tests.hidden_world.generate 1``.
+"""Write the frozen populations: ``python -m benchmarks.studies.hidden_world.generate 1``.
 
 Two files a population: what a finder may read and, apart from it, the truth.
 """
@@ -12,7 +12,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from tests.hidden_world.populations import COUNTS, build
+from benchmarks.studies.hidden_world.populations import COUNTS, build
 
 HERE = Path(__file__).parent
 

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from tests.hidden_world.tracer import World, trace
+from benchmarks.studies.hidden_world.tracer import World, trace
 
 BANDS = 125.0 * 2.0 ** np.arange(7)
 C = 343.2

@@ -11,8 +11,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from tests.position_rooms import shapes
-from tests.position_rooms.tracer import MOST_CORNERS
+from benchmarks.studies.position_rooms import shapes
+from benchmarks.studies.position_rooms.tracer import MOST_CORNERS
 
 BLOCK = 0.6  # height of an audience in m
 MARGIN = 0.02  # between a patch and its surface's edges in m

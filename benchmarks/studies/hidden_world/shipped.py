@@ -1,6 +1,6 @@
 """The room that ships with rtcal, measured again with its opening closed.
 
-    python -m tests.hidden_world.shipped    # writes rtcal/datasets/hidden_room/closed.json
+    python -m benchmarks.studies.hidden_world.shipped    # writes rtcal/datasets/hidden_room/closed.json
 
 case.json there is room 8 of kind 2, population 0. Its opening is closed here, and the world's tracer
 measures it once more, with noise of its own. Nothing is chosen: it is the one draw of this seed.
@@ -15,10 +15,10 @@ from typing import Any
 
 import numpy as np
 
-from tests.hidden_world.populations import make, measure, plain
+from benchmarks.studies.hidden_world.populations import make, measure, plain
 
 SEED = (0, 2, 8)
-FOLDER = Path(__file__).parents[2] / "rtcal" / "datasets" / "hidden_room"
+FOLDER = Path(__file__).parents[3] / "rtcal" / "datasets" / "hidden_room"
 
 
 def closed() -> dict[str, Any]:

@@ -1,6 +1,6 @@
 """The second hidden world: rooms of many shapes, catalogue coefficients, errors that catalogues have.
 
-It shares no code and no distribution with `tests/hidden_world`, and imports nothing of rtcal. It was
+It shares no code and no distribution with `studies/hidden_world`, and imports nothing of rtcal. It was
 frozen on 2026-11-22, before the finder's priors were made. A room is drawn from the seed
 (population, kind, index). Population 0 is for development, population 1 for judging.
 
@@ -24,7 +24,7 @@ from typing import Any
 
 import numpy as np
 
-from tests.second_world.rays import HIDDEN, Scene, Walls, trace
+from benchmarks.studies.second_world.rays import HIDDEN, Scene, Walls, trace
 
 BANDS = np.array([125.0, 250.0, 500.0, 1000.0, 2000.0, 4000.0])
 N = len(BANDS)

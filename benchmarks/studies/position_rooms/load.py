@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 
 import rtcal as rt
+from benchmarks.studies.position_rooms.generate import read
+from benchmarks.studies.position_rooms.parameters import PARAMETERS
+from benchmarks.studies.position_rooms.rooms import sigma_of
 from rtcal.acoustics.measurement import Measurement
 from rtcal.simulators import PathTracing, Polyhedron
-from tests.position_rooms.generate import read
-from tests.position_rooms.parameters import PARAMETERS
-from tests.position_rooms.rooms import sigma_of
 
 SCATTERING = 0.4
 """Assumed of every surface, since nothing is stated. The truth has 0.1 to 0.8."""

@@ -9,11 +9,17 @@ from typing import Any
 import numpy as np
 
 import rtcal as rt
+from benchmarks.studies.geometric_world import in_situ
+from benchmarks.studies.geometric_world.generate import read
+from benchmarks.studies.position_rooms.load import (
+    RECEIVERS,
+    SCATTERING,
+    SOURCES,
+    PositionRoom,
+    as_measurement,
+)
 from rtcal.acoustics.measurement import Measurement
 from rtcal.simulators import Polyhedron
-from tests.geometric_world import in_situ
-from tests.geometric_world.generate import read
-from tests.position_rooms.load import RECEIVERS, SCATTERING, SOURCES, PositionRoom, as_measurement
 
 
 @dataclass(frozen=True)

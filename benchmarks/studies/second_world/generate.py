@@ -1,4 +1,4 @@
-"""Write a population of the second world: ``python -m tests.second_world.generate 1``.
+"""Write a population of the second world: ``python -m benchmarks.studies.second_world.generate 1``.
 
 Two files per population: what a finder may read and, apart from it, the truth.
 """
@@ -13,7 +13,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from tests.second_world.rooms import COUNTS, KINDS, build
+from benchmarks.studies.second_world.rooms import COUNTS, KINDS, build
 
 HERE = Path(__file__).parent
 

@@ -1,4 +1,6 @@
-"""Write a population of geometric rooms: ``python -m tests.geometric_world.generate 1 [number]``.
+"""Write a population of geometric rooms.
+
+    python -m benchmarks.studies.geometric_world.generate 1 [number]
 
 Two files per population: what a finder may read and, apart from it, the truth. It takes a few seconds
 of processor time per room, and goes on where it was stopped.
@@ -13,8 +15,8 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from tests.geometric_world.rooms import build, draw, order
-from tests.position_rooms.generate import plain, stored
+from benchmarks.studies.geometric_world.rooms import build, draw, order
+from benchmarks.studies.position_rooms.generate import plain, stored
 
 HERE = Path(__file__).parent
 PARTS = {"rooms": ("stated", "measured"), "truth": ("truth",)}

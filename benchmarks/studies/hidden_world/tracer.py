@@ -1,6 +1,6 @@
 """The measured world: a Monte-Carlo tracer of its own for one box, or two joined by an aperture.
 
-It stands apart on purpose: nothing of rtcal is imported (`test_hidden_world.py` reads the imports),
+It stands apart on purpose: nothing of rtcal is imported (`tests/test_worlds.py` reads the imports),
 so that a finding cannot owe its success to sharing the finder's physics. Particles carry their
 energy per band; walls absorb, and scatter after Lambert with probability ``scattering``; objects
 spread through the first box are met at the rate c S / 4V and scatter to all sides. A receiver is a

@@ -12,7 +12,7 @@ boxes of six surfaces, odd ones polyhedra of 10 to 30. Every surface has a mater
 - Two truths per room, each drawn from its prior around the stated alpha: sigma = 0.3 alpha, and
   sigma = 0.01 + 0.07 alpha; normal in each surface and band, within [0, 1].
 - Two sources and six receivers. Each stands 0.05 m from where it is stated, in a random direction.
-- Measurement: `tests.position_rooms.parameters`. No uncertainty is stated. The errors common to all
+- Measurement: `studies.position_rooms.parameters`. No uncertainty is stated. The errors common to all
   pairs are half of those between teams; in the judging rooms 0.3 to 0.8 of them, drawn per room.
 """
 
@@ -23,9 +23,9 @@ from typing import Any
 
 import numpy as np
 
-from tests.position_rooms import parameters, shapes
-from tests.position_rooms.tracer import Scene, planes, sees, trace
-from tests.position_rooms.tracer import _next_surface as next_surface
+from benchmarks.studies.position_rooms import parameters, shapes
+from benchmarks.studies.position_rooms.tracer import Scene, planes, sees, trace
+from benchmarks.studies.position_rooms.tracer import _next_surface as next_surface
 
 COUNTS = {0: 10, 1: 60, 2: 60}
 PRIORS = ("wide", "narrow")

@@ -1,0 +1,1 @@
+"""Studies: worlds that simulate what is hidden from rtcal, their stored rooms, what judges by them."""

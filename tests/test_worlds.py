@@ -1,0 +1,226 @@
+"""The worlds of `benchmarks/studies`: beside theory, their stored rooms, and rtcal told the truth."""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import rtcal as rt
+from benchmarks import studies
+from benchmarks.studies.geometric_world import generate as geometric
+from benchmarks.studies.geometric_world import in_situ
+from benchmarks.studies.geometric_world import load as geometric_rooms
+from benchmarks.studies.geometric_world import rooms as drawn_geometric
+from benchmarks.studies.hidden_world import generate as hidden
+from benchmarks.studies.hidden_world import populations, shipped, tracer
+from benchmarks.studies.position_rooms import generate as positions
+from benchmarks.studies.position_rooms import load as position_rooms
+from benchmarks.studies.position_rooms import parameters, rooms, shapes
+from benchmarks.studies.position_rooms.tracer import Scene, trace
+from benchmarks.studies.second_world import rays
+from benchmarks.studies.second_world import rooms as second
+from benchmarks.studies.third_world import generate as third
+from benchmarks.studies.third_world.rooms import COUNTS, KINDS
+from rtcal.finder import Case
+from rtcal.simulators import PathTracing
+from tests.imports import imported_by
+
+FOLDER = Path(studies.__file__).parent
+C, SIDE, WIDTH = 343.2, 6.0, 0.002
+SOURCE = np.array([1.5, 2.0, 1.2])
+RECEIVERS = np.array([[4.0, 4.5, 1.5], [4.5, 1.5, 3.0], [1.5, 4.5, 4.2]])
+FIRST = 12
+"""Rooms of a geometric population whose draw is frozen by a digest."""
+
+
+@pytest.mark.parametrize(
+    ("world", "others"),
+    [
+        ("hidden_world", ()),
+        ("second_world", ()),
+        ("third_world", ("second_world",)),
+        ("position_rooms", ()),
+        ("geometric_world", ("position_rooms",)),
+    ],
+)
+def test_a_world_imports_nothing_of_the_package(world: str, others: tuple[str, ...]) -> None:
+    """So that a finding cannot owe its success to sharing the finder's physics."""
+    allowed = tuple(f"benchmarks.studies.{name}" for name in (world, *others))
+    names = list(imported_by(FOLDER / world, besides=["load.py", "shipped.py"]))
+    assert names
+    assert not [n for n in names if n.split(".")[0] in ("rtcal", ".", "tests")]
+    assert all(n.startswith(allowed) for n in names if n.startswith("benchmarks"))
+
+
+# A cube of Lambert walls. Its path lengths scatter by gamma² = 0.4 (Kuttruff), which lengthens
+# Eyring's T. T20 has a noise of 1 %.
+
+
+def by_first(alpha: float) -> np.ndarray:
+    world = tracer.World(
+        size=np.full(3, SIDE),
+        alpha=np.full((6, 1), alpha),
+        air=np.zeros(1),
+        scattering=1.0,
+        source=SOURCE,
+        receivers=RECEIVERS,
+    )
+    return tracer.trace(world, 20000, 1)[:, 0]
+
+
+def by_second(alpha: float) -> np.ndarray:
+    normals = np.array([[-1, 0, 0], [1, 0, 0], [0, -1, 0], [0, 1, 0], [0, 0, -1], [0, 0, 1.0]])
+    cuts = np.zeros((6, 2, 4))
+    cuts[:, :, 3] = 1.0
+    offsets = np.array([0, SIDE] * 3)
+    walls = rays.Walls(normals, offsets, cuts, np.full((6, 3, 1), alpha), np.ones(6))
+    scene = rays.Scene(walls, np.zeros(1), SOURCE, RECEIVERS, SIDE**3, False)
+    return rays.trace(scene, 12000, 3, radius=0.6, width=WIDTH, length=4.0, c=C)[:, 0]
+
+
+def by_positions(alpha: float) -> np.ndarray:
+    plan = np.array([[0, 0], [SIDE, 0], [SIDE, SIDE], [0, SIDE]])
+    polygons = shapes.prism(plan, np.full(4, SIDE))
+    scene = Scene(
+        polygons, np.full((6, 1), alpha), np.ones(6), np.zeros(1), C, RECEIVERS, 0.6, True
+    )
+    return trace(scene, SOURCE, 20000, 1, width=WIDTH, length=3.0)[:, 0]
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("world", [by_first, by_second, by_positions])
+@pytest.mark.parametrize("alpha", [0.1, 0.3])
+def test_a_diffuse_cube_decays_after_kuttruff(world: Any, alpha: float) -> None:
+    t20 = parameters.evaluate(world(alpha).sum(0), WIDTH)["t20"]
+    exponent = -np.log(1 - alpha)
+    kuttruff = 24 * np.log(10) / C * SIDE / 6 / (exponent * (1 - 0.2 * exponent))
+    np.testing.assert_allclose(t20, kuttruff, rtol=0.03)
+
+
+# What is stored is what the code draws, and what a finder may read holds nothing of the truth.
+
+
+def test_the_first_world_draws_its_stored_rooms(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Renaming every kind leaves the case as it is: it holds nothing of the truth."""
+    seed = (1, 2, 0)
+    real = populations.make
+
+    def renamed(*numbers: int) -> populations.Hidden:
+        made = real(*numbers)
+        made.truth = [{"kind": 99, "size": -1.0}]
+        return made
+
+    monkeypatch.setattr(populations, "make", renamed)
+    case = populations.build(*seed)["case"]
+    assert case == hidden.read(1, "case")[hidden.numbers(1).index(seed)]
+    words = {*populations.KINDS.values()} - {"air", "area", "volume"}  # a room's own words
+    for stated in hidden.read(1, "case"):
+        assert not [word for word in words if word in json.dumps(stated)]
+
+
+@pytest.mark.long
+def test_the_shipped_room_with_its_opening_closed_is_the_first_worlds() -> None:
+    stored = json.loads((shipped.FOLDER / "closed.json").read_text(encoding="utf-8"))
+    assert shipped.closed() == stored
+
+
+@pytest.mark.long
+def test_a_seed_of_the_second_world_gives_one_room() -> None:
+    opening = second.KINDS.index("opening")
+    first, again = second.build(0, opening, 1), second.build(0, opening, 1)
+    assert first == again
+    assert set(first["case"]) == {"room", "equation", "configurations"}
+    assert Case.from_dict(first["case"]).room.n_bands == second.N
+
+
+def test_the_third_world_has_the_rooms_that_were_frozen() -> None:
+    """Where nothing is hidden, Eyring's equation fits another engine's rooms within a tenth."""
+    ratios = []
+    for population, counts in COUNTS.items():
+        cases, truths = (third.read(population, part) for part in ("case", "truth"))
+        assert Counter(t["kind"] for t in truths) == Counter({k: counts[k] for k in KINDS})
+        for stated, truth in zip(cases, truths, strict=True):
+            case = Case.from_dict(stated)
+            assert set(case.configurations[0].measured.values) == {"t20", "edt", "t30", "c80", "g"}
+            if truth["kind"] == "nothing":
+                room = case.room.replace(alpha=np.clip(truth["alpha"], 0, 1))
+                t = np.nanmean(case.configurations[0].measured.values["t20"], axis=0)
+                ratios.append(np.exp(np.nanmean(np.log(t / rt.Eyring().reverberation_time(room)))))
+    assert np.median(ratios) == pytest.approx(1, abs=0.03)
+    assert 0.9 < min(ratios) < max(ratios) < 1.11
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(("population", "digest"), sorted(drawn_geometric.FROZEN.items()))
+def test_the_geometric_rooms_are_the_frozen_ones(population: int, digest: str) -> None:
+    assert geometric.digest(population, FIRST) == digest
+    true = [geometric_rooms.truth(population, i)["alpha"] for i in range(FIRST)]
+    assert in_situ.digest(population, true) == in_situ.FROZEN[population]
+
+
+@pytest.mark.parametrize(("population", "index"), [(0, 1), (1, 31), (2, 6)])
+def test_a_position_room_is_what_its_seed_draws(population: int, index: int) -> None:
+    stated, _, sources, truths = rooms.draw(population, index)
+    frozen = positions.read(population, "rooms")[index]["stated"]
+    assert positions.stored({"stated": stated})["stated"] == frozen
+    for prior, truth in zip(rooms.PRIORS, truths, strict=True):
+        stored = position_rooms.true_alpha(population, index, prior)
+        np.testing.assert_allclose(stored, truth, rtol=1e-4)
+    off = np.linalg.norm(np.array(frozen["sources"]) - sources, axis=1)
+    np.testing.assert_allclose(off, rooms.OFF, atol=0.001)
+
+
+# Two tracers that share nothing, one scene: the package's, told the truth, beside the world's.
+# Bounds: four times the noise of the mean over pairs.
+
+
+def told(load: Any, case: Any, truth: dict[str, Any], n_paths: int) -> PathTracing:
+    return PathTracing(
+        geometry=case.geometry,
+        room=case.room,
+        sources=dict(zip(load.SOURCES, truth["sources"], strict=True)),
+        receivers=dict(zip(load.RECEIVERS, truth["receivers"], strict=True)),
+        scattering=np.array(truth["scattering"]),
+        scattering_model="vector" if truth["vectors"] else "random",
+        n_paths=n_paths,
+    )
+
+
+BOUNDS = {"t20": 0.03, "edt": 0.03, "ts": 0.03, "c80": 0.25, "level": 0.15}
+
+
+def compare(simulated: Any, exact: rt.Measurement) -> None:
+    for name, bound in BOUNDS.items():
+        true = exact.values["g" if name == "level" else name]
+        difference = simulated.natural(name) - true
+        if name in ("t20", "edt", "ts"):
+            difference = difference / true
+        assert np.abs(difference.mean(axis=0)).max() < bound, name
+
+
+@pytest.mark.parametrize("index", [0, 3])
+def test_told_the_truth_of_a_position_room_the_package_simulates_the_same(index: int) -> None:
+    truth = positions.read(0, "truth")[index]["truth"]
+    case = position_rooms.load(0, index, "wide")
+    alpha = position_rooms.true_alpha(0, index, "wide")
+    simulated = told(position_rooms, case, truth, 4000).observe(alpha, tuple(BOUNDS))
+    compare(simulated, position_rooms.without_noise(0, index, "wide"))
+
+
+@pytest.mark.long
+def test_told_the_truth_of_a_geometric_room_the_package_simulates_the_same() -> None:
+    """In a room of 430 m³ in which nothing is hidden and every surface has its own material."""
+    for index, kind in enumerate(drawn_geometric.order(0)):
+        case = geometric_rooms.load(0, index)
+        if kind == drawn_geometric.NOTHING and case.room.n_materials == len(case.geometry.faces):
+            break
+    truth = geometric_rooms.truth(0, index)
+    simulated = told(geometric_rooms, case, truth, 16000).observe(
+        np.array(truth["alpha"]), tuple(BOUNDS)
+    )
+    compare(simulated, geometric_rooms.without_noise(0, index))
