@@ -11,7 +11,8 @@
 
 studies/geometric_world describes the rooms. Each is judged on T20, EDT, C80 and Ts ("without level"),
 and with G beside them ("level"). Control runs and weighings are kept in the folder's `controls`, so
-that another run of a room takes seconds. `means` is `rtcal.find` on the same values, without a geometry.
+that another run of a room takes seconds. `means` is `rtcal.find` on the same values, without
+a geometry.
 
 The gap is at held-out pairs, in JND: `positions.verify` fits on half of the pairs and predicts the
 other half, and the other way round. It is judged where the effect changes T by over 10 % and something
