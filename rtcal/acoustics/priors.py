@@ -149,7 +149,8 @@ class TruncatedNormal:
         flip = low + high > 0  # the upper tail: mirror it
         start, end = np.where(flip, -high, low), np.where(flip, -low, high)
         below, above = log_ndtr(start), log_ndtr(end)
-        u = rng.random(tuple(size) + np.shape(self.mu))
+        shape = tuple(checks.whole("size", n, 0) for n in checks.listed("size", size))
+        u = rng.random(shape + np.shape(self.mu))
         # log(P(start) + u (P(end) - P(start))), counted from the larger one, P(end).
         z = ndtri_exp(above + np.log(u + (1 - u) * np.exp(below - above)))
         drawn = np.asarray(self.mu) + np.asarray(self.sigma) * np.where(flip, -z, z)

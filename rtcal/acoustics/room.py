@@ -478,6 +478,8 @@ class Room:
         Raises DataError for a value that is no relative one nor a text in m², or an unknown material.
         """
         stated: Any = self.area_sigma
+        if isinstance(stated, np.ndarray):
+            stated = stated.tolist()
         if isinstance(stated, Mapping):
             if unknown := [name for name in stated if name not in self.materials]:
                 raise DataError(
@@ -485,12 +487,12 @@ class Room:
                     f"{', '.join(self.materials)}"
                 )
             listed = [stated.get(name, 0.0) for name in self.materials]
-        elif isinstance(stated, str) or np.ndim(stated) == 0:
+        elif not isinstance(stated, list | tuple):
             listed = [stated] * self.n_materials
-        elif not np.any(listed := list(stated)):
-            for value in listed:
-                _relative("area_sigma", value)
+        elif all(type(v) in (int, float) and v == 0 for v in stated):
             listed = [0.0] * self.n_materials  # also of a room that had other materials
+        else:
+            listed = list(stated)
         if len(listed) != self.n_materials:
             raise DataError(
                 f"area_sigma has {len(listed)} values; there are {self.n_materials} materials"
