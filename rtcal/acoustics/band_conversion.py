@@ -20,6 +20,7 @@ bandwidth (ISO 3382-2:2008, Eqs. 4 and 5): a third has sqrt(3) times the octave'
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from dataclasses import replace
 
 import numpy as np
 
@@ -248,10 +249,10 @@ def measurement(measured: Measurement, wanted: Iterable[float]) -> Measurement:
     """
     checks.instance("measured", measured, Measurement)
     stated, centres = measured.centre_frequencies, bands.as_bands(wanted)
-    return Measurement(
+    return replace(
+        measured,
         centre_frequencies=centres,
         values={p: parameter(v, stated, centres, p) for p, v in measured.values.items()},
-        pairs=measured.pairs,
         standard_deviation={
             p: parameter_uncertainty(s, measured.values[p][0], stated, centres, p)
             for p, s in measured.standard_deviation.items()
@@ -264,8 +265,6 @@ def measurement(measured: Measurement, wanted: Iterable[float]) -> Measurement:
             p: parameter_uncertainty(u, measured.mean(p), stated, centres, p)
             for p, u in measured.common_uncertainty.items()
         },
-        n_sources=measured.n_sources,
-        n_receivers=measured.n_receivers,
     )
 
 
@@ -296,16 +295,9 @@ def measurement_in_room_bands(measured: Measurement, wanted: Iterable[float]) ->
             wide[parameter][..., columns] = table
         return wide
 
-    return Measurement(
-        centre_frequencies=centres,
-        values=widened(converted.values),
-        pairs=converted.pairs,
-        standard_deviation=widened(converted.standard_deviation),
-        uncertainty=widened(converted.uncertainty),
-        common_uncertainty=widened(converted.common_uncertainty),
-        n_sources=converted.n_sources,
-        n_receivers=converted.n_receivers,
-    )
+    tables = ("values", "standard_deviation", "uncertainty", "common_uncertainty")
+    wide = {name: widened(getattr(converted, name)) for name in tables}
+    return replace(converted, centre_frequencies=centres, **wide)  # type: ignore[arg-type]
 
 
 def _averaged(scale: Scale, values: Array, columns: _Columns) -> Array:

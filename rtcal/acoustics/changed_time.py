@@ -34,7 +34,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtr, ndtri
 
-from rtcal.acoustics.changes import DIRECTIONS, FREE, UNKNOWN, Placed, placed
+from rtcal.acoustics.changes import DIRECTIONS, FREE, UNKNOWN, Placed, least_alpha, placed
 from rtcal.acoustics.equations import LinearEquation
 from rtcal.acoustics.room import Room
 from rtcal.acoustics.room_errors import (
@@ -147,11 +147,6 @@ class KnownRoom:
             exact=False,
             log_uncertainty=np.full(room.n_bands, np.nan),
         )
-
-
-def least_alpha(room: Room) -> Array:
-    """Return the lower bounds of alpha, (n_materials, n_bands)."""
-    return np.zeros_like(room.alpha) if room.alpha_min is None else room.alpha_min
 
 
 def correlation_of(covariance: Array) -> tuple[Array, Array]:

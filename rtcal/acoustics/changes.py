@@ -527,7 +527,7 @@ def with_materials(
         "area_sigma": [*room.area_sigma[rows], *(f.area_sigma for f in further)],
         "alpha": joined("alpha", room.alpha),
         "sigma": joined("sigma", room.sigma),
-        "alpha_min": joined("alpha_min", _least(room)) if bounded else None,
+        "alpha_min": joined("alpha_min", least_alpha(room)) if bounded else None,
         "scattering": None if scatter is None else joined("scattering", scatter),
         "material_correlation": {
             pair: r for pair, r in room.material_correlation.items() if {*pair} <= {*names}
@@ -540,7 +540,8 @@ def with_materials(
     return room.replace(**(stated | changes))
 
 
-def _least(room: Room) -> Array:
+def least_alpha(room: Room) -> Array:
+    """Return the lower bounds of alpha, (n_materials, n_bands)."""
     return np.zeros_like(room.alpha) if room.alpha_min is None else room.alpha_min
 
 

@@ -301,17 +301,21 @@ _WIDE_SIGMA = 0.5
 """The standard deviation of a coefficient of which nothing is known, uniform from 0 to 1, is 0.29."""
 
 
+def mark(kind: str, frequency: float | None, text: str, advised: str = "") -> TrustMark:
+    """Return the mark of a kind; ``advised`` is the kind whose advice it has, by default its own."""
+    letter, advice = _ADVICE[advised or kind]
+    return TrustMark(kind, letter, frequency, text, advice)
+
+
 def bent_marks(bent: Sequence[BentDecay]) -> tuple[TrustMark, ...]:
     """Return the trust marks of bands whose decay is bent."""
-    letter, advice = _ADVICE["bent"]
-    return tuple(TrustMark("bent", letter, band.frequency, band.text, advice) for band in bent)
+    return tuple(mark("bent", band.frequency, band.text) for band in bent)
 
 
 def typing_marks(room: Room, measured: Sequence[TypingError]) -> tuple[TrustMark, ...]:
     """Return the trust marks of likely typing errors, measured and in the room."""
-    letter, advice = _ADVICE["typing_error"]
     return tuple(
-        TrustMark(kind, letter, error.frequency, error.text, advice)
+        mark(kind, error.frequency, error.text, "typing_error")
         for kind, errors in (("typing_error", measured), ("alpha_typing_error", in_room(room)))
         for error in errors
     )
@@ -361,8 +365,7 @@ def uneven_marks(room: Room, shares: Array) -> tuple[TrustMark, ...]:
         f"the absorption is uneven: Arau-Puchades' equation gives {arau[k]:.2f} s for Eyring's "
         f"{times[-1, k]:.2f} s at {room.centre_frequencies[k]:g} Hz, {differ[k]:.1f} JND apart"
     )
-    letter, advice = _ADVICE["equations_differ"]
-    return (TrustMark("equations_differ", letter, None, text, advice),)
+    return (mark("equations_differ", None, text),)
 
 
 def uncarried_mark(frequency: float, low: float, high: float) -> TrustMark:
@@ -374,8 +377,7 @@ def uncarried_mark(frequency: float, low: float, high: float) -> TrustMark:
         "below the Schroeder frequency, and fewer than three of the modes used lie from "
         f"{low:.0f} to {high:.0f} Hz, or none in the band itself"
     )
-    letter, advice = _ADVICE["below_schroeder"]
-    return TrustMark("below_schroeder", letter, float(frequency), text, advice)
+    return mark("below_schroeder", float(frequency), text)
 
 
 def implausible_modes_mark(
@@ -391,8 +393,7 @@ def implausible_modes_mark(
         f"most; together they are {factor:.2g} times as fast as stated coefficients make them "
         f"(z = {z:.1f})"
     )
-    letter, advice = _ADVICE["implausible_modes"]
-    return TrustMark("implausible_modes", letter, None, text, advice)
+    return mark("implausible_modes", None, text)
 
 
 def trust_marks(
@@ -429,58 +430,57 @@ def trust_marks(
         raise DataError(f"measured has shape {measured.shape}, not (n_bands,) = ({room.n_bands},)")
     marks: list[TrustMark] = []
 
-    def mark(kind: str, frequency: float | None, text: str, advised: str = "") -> None:
-        letter, advice = _ADVICE[advised or kind]
-        marks.append(TrustMark(kind, letter, frequency, text, advice))
+    def add(*stated: Any) -> None:
+        marks.append(mark(*stated))
 
     if room.air is None:
-        mark("no_air", None, "no air is stated")
+        add("no_air", None, "no air is stated")
     if (doubt := surface_doubt(room)) is not None:
-        mark(doubt[0], None, doubt[1])
+        add(doubt[0], None, doubt[1])
     if room.dimensions is not None:
         box = float(np.prod(room.dimensions))
         if abs(room.volume / box - 1) > OFF_VOLUME:
             sides = " x ".join(f"{side:g}" for side in room.dimensions)
             text = f"volume = {room.volume:g} m³, but the dimensions {sides} m hold {box:g} m³"
-            mark("dimensions", None, text)
+            add("dimensions", None, text)
     wide = np.argwhere(room.sigma > _WIDE_SIGMA)
     if len(wide):
         i, k = wide[0].tolist()
         text = f"{room.place('sigma', i, k)} = {room.sigma[i, k]:g} is above {_WIDE_SIGMA:g}"
         others = f", and {len(wide) - 1} more" if len(wide) > 1 else ""
-        mark("wide_sigma", None, text + others)
+        add("wide_sigma", None, text + others)
     if room.clipped:
-        mark("clipped", None, f"cut to 1: {'; '.join(room.clipped)}")
+        add("clipped", None, f"cut to 1: {'; '.join(room.clipped)}")
     has_t = np.isfinite(measured)
     if has_t.any() and not np.isfinite(uncertainty[has_t]).any():
-        mark("no_uncertainty", None, "the uncertainty of T is not known")
+        add("no_uncertainty", None, "the uncertainty of T is not known")
     middle = mid_frequency_time(measured, room.centre_frequencies)
     limit = float(schroeder_frequency(np.array(middle), room.volume))
     for k, frequency in enumerate(room.centre_frequencies):
         f = float(frequency)
         if np.isnan(measured[k]):
-            mark("missing", f, "not calibrated, no T was measured")
+            add("missing", f, "not calibrated, no T was measured")
         elif f < limit:
-            mark("below_schroeder", f, f"below the Schroeder frequency, {limit:.0f} Hz")
+            add("below_schroeder", f, f"below the Schroeder frequency, {limit:.0f} Hz")
         if f in unreachable:
-            mark("unreachable", f, "no coefficients within the bounds give this T")
+            add("unreachable", f, "no coefficients within the bounds give this T")
         marks += bent_marks([band for band in bent if band.frequency == f])
         if air_share[k] > _AIR_SHARE:
-            mark("air", f, "the air absorbs more than the surfaces")
+            add("air", f, "the air absorbs more than the surfaces")
         if uncertainty[k] > _ODD_UNCERTAINTY * measured[k]:
             over = f"{100 * _ODD_UNCERTAINTY:.0f} %"
-            mark("uncertain", f, f"T is uncertain by over {over}: is it stated in percent, not s?")
+            add("uncertain", f, f"T is uncertain by over {over}: is it stated in percent, not s?")
         elif uncertainty[k] > TARGET.jnd_of(measured[k]) and not abs(z[k]) > LARGE_Z:
-            mark("uncertain", f, "T is uncertain by more than one JND")
+            add("uncertain", f, "T is uncertain by more than one JND")
         # A single coefficient at 1 says nothing of the others, which may still give the T.
         spent = bool((active[:, k] > 0)[room.sigma[:, k] > 0].all())
         upper = "all_at_upper_bound" if spent else "at_upper_bound"
         for i in np.flatnonzero(active[:, k]).tolist():
             side, advised = ("lower", "") if active[i, k] < 0 else ("upper", upper)
-            mark("at_bound", f, f"{room.materials[i]} stands at its {side} bound", advised)
+            add("at_bound", f, f"{room.materials[i]} stands at its {side} bound", advised)
         if abs(z[k]) > LARGE_Z:
             side = "more" if z[k] > 0 else "less"
-            mark("implausible", f, f"T asks for {side} absorption than was stated, |z| over 2")
+            add("implausible", f, f"T asks for {side} absorption than was stated, |z| over 2")
     return tuple(marks)
 
 
