@@ -82,9 +82,6 @@ def calibrate(tracer, measured, match=("t20", "c80"), **options):
 
 SHAPE = (len(HALL.sources) * len(HALL.receivers), ROOM.n_bands)
 SURE = {p: np.full(SHAPE, 1e-9) for p in ("t20", "c80")}
-    p: np.full((len(HALL.sources) * len(HALL.receivers), ROOM.n_bands), 1e-9)
-    for p in ("t20", "c80")
-}
 
 
 @pytest.mark.parametrize(

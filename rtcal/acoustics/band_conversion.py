@@ -339,7 +339,8 @@ def _parts(old: Array, new: Array) -> list[list[float]]:
     """Return for each new band the old bands that it is made from, present or not."""
     is_thirds, are_thirds = _in_thirds(old), _in_thirds(new)
     if are_thirds and not is_thirds:
-        return [[_octave_of(f)] for f in new.tolist()]
+        octave = {f: float(o) for o in bands.OCTAVES for f in _thirds_of(o)}
+        return [[octave.get(f, f)] for f in new.tolist()]
     if is_thirds and not are_thirds:
         return [_thirds_of(f) for f in new.tolist()]
     return [[f] for f in new.tolist()]
@@ -355,10 +356,6 @@ def _thirds_of(octave: float) -> list[float]:
         return [octave]
     place = bands.THIRD_OCTAVES.index(octave)
     return [float(f) for f in bands.THIRD_OCTAVES[place - 1 : place + 2]]
-
-
-def _octave_of(third: float) -> float:
-    return next((float(f) for f in bands.OCTAVES if third in _thirds_of(f)), third)
 
 
 def _listed(frequencies: list[float]) -> str:

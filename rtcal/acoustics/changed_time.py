@@ -413,10 +413,17 @@ def _independent(known: KnownRoom, assumptions: Assumptions, band: int) -> Unkno
     sigma = _factor_sigma(known.alpha[:, here], _area_sigma(known, assumptions), assumptions)
     factors = np.array([normal_of(f"factor of {name}", number) for name in names])
     alpha = _alpha((root @ own)[:, np.newaxis], known.quantiles[:, here])
+    # u is normal, cut to 0 to 2.
+    even, mean, spread = (
+        one("evenness"),
+        assumptions.evenness,
+        max(assumptions.evenness_sigma, 1e-9),
+    )
+    low, high = (np.full(even.shape, (end - mean) / spread) for end in (0.0, 2.0))
     return Unknowns(
         alpha=alpha.swapaxes(0, 1),
         factor=(sigma * factors)[np.newaxis],
-        evenness=_evenness(one("evenness"), assumptions),
+        evenness=mean + spread * truncated_normal(low, high, ndtr(even)),
         air=one("air"),
         volume=one("volume"),
         alone=one("place") > ndtri(1 - assumptions.one_surface),
@@ -511,13 +518,6 @@ def _area_sigma(known: KnownRoom, assumptions: Assumptions) -> Array:
         rows = [known.materials.index(m) for m in room.materials]
         of_area[rows] = np.maximum(of_area[rows], room.area_sigma)
     return of_area
-
-
-def _evenness(normal: Array, assumptions: Assumptions) -> Array:
-    """Return u of a normal variable: a normal density cut to 0 to 2."""
-    mean, sigma = assumptions.evenness, max(assumptions.evenness_sigma, 1e-9)
-    low, high = (np.full(normal.shape, (end - mean) / sigma) for end in (0.0, 2.0))
-    return np.asarray(mean + sigma * truncated_normal(low, high, ndtr(normal)))
 
 
 @functools.lru_cache(16)

@@ -151,15 +151,15 @@ def kind_of(name: str) -> str | None:
         kind
         for kind, listed in _WORDS.items()
         for word in words
-        if word in listed.split() or (_compound(word, kind) and word not in _NO_COMPOUNDS)
+        if word in listed.split()
+        or (
+            word not in _NO_COMPOUNDS
+            and (word.startswith(_COMPOUNDS[kind]) or word.endswith(_COMPOUNDS[kind]))
+        )
     }
     if kinds == {FLOOR, CEILING} and not _TO.intersection(words):
         return LEVEL
     return kinds.pop() if len(kinds) == 1 else None
-
-
-def _compound(word: str, kind: str) -> bool:
-    return word.startswith(_COMPOUNDS[kind]) or word.endswith(_COMPOUNDS[kind])
 
 
 def _kind(surface: Surface) -> str | None:
@@ -248,8 +248,12 @@ def _ways(areas: Array, face: Array, left: Array) -> Iterator[tuple[float, Array
 
     The counts (n_surfaces, 3) are numbers of faces along each axis, 0 of a surface that is no faces.
     """
+    # One material is usually on floor and ceiling, or on walls but for a corner of two, or on floor or
+    # ceiling with all walls.
     every = np.array(list(product(range(3), repeat=3)))[1:]
-    combinations = every[[_usual(*counts) for counts in every.tolist()]]
+    x, y, z = every.T
+    walls = (z == 0) & ((x != 1) | (y != 1))
+    combinations = every[(x + y == 0) | (x + y == 4) | walls]
 
     def further(place: int, left: Array, counts: list[Array]) -> Iterator[list[Array]]:
         if place == len(areas):
@@ -267,14 +271,6 @@ def _ways(areas: Array, face: Array, left: Array) -> Iterator[tuple[float, Array
         rest = float(areas[(table == 0).all(axis=1)].sum())
         if remaining <= _NEAR * face.sum() or abs(rest / remaining - 1) <= _OF_REST:
             yield rest, table
-
-
-def _usual(x: int, y: int, z: int) -> bool:
-    """Return whether one material is usually on so many faces.
-
-    These are floor and ceiling, or walls but for a corner of two; floor or ceiling with all walls.
-    """
-    return x + y == 0 or x + y == 4 or (z == 0 and (x, y) != (1, 1))
 
 
 _OF_REST = 0.1

@@ -31,12 +31,6 @@ MAX_POSITIONS = 12
 precision method of ISO 3382-2:2008, Table 1, requires."""
 
 
-def _mean_text(mean: float, uncertainty: float) -> str:
-    if not np.isfinite(mean):
-        return "–"
-    return f"{mean:.3g}" + (f" ± {uncertainty:.2g}" if np.isfinite(uncertainty) else "")
-
-
 @dataclass(frozen=True, kw_only=True)
 class DecayTime:
     """The reverberation time to match: mean over pairs, which parameter, how uncertain.
@@ -229,8 +223,11 @@ class Measurement:
         rows = []
         for parameter in self.values:
             unit = f" / {OBSERVABLES[parameter].unit}".removesuffix(" / ")
-            means = zip(self.mean(parameter), self.mean_uncertainty(parameter), strict=True)
-            rows.append([parameter_label(parameter) + unit, *(_mean_text(m, u) for m, u in means)])
+            cells = []
+            for m, u in zip(self.mean(parameter), self.mean_uncertainty(parameter), strict=True):
+                plus = f" ± {u:.2g}" if np.isfinite(u) else ""
+                cells.append(f"{m:.3g}{plus}" if np.isfinite(m) else "–")
+            rows.append([parameter_label(parameter) + unit, *cells])
         labels = bands.labels(self.centre_frequencies)
         return text.html_table(self._description, ["mean ± u", *labels], rows)
 

@@ -192,15 +192,6 @@ class ControlRuns:
         common = self.errors.mean(axis=2, keepdims=True)
         return replace(self, errors=self.errors - (1 - factor) * common)
 
-    def with_own(self, factor: Array) -> ControlRuns:
-        """Return the errors with each pair's difference from the mean over pairs times a factor.
-
-        ``factor`` (n_parameters,).
-        """
-        common = self.errors.mean(axis=2, keepdims=True)
-        own = (self.errors - common) * factor[:, np.newaxis, np.newaxis]
-        return replace(self, errors=common + own)
-
 
 _LEAST = 0.1
 """Share of a variance that is left at least where noise is taken off."""
@@ -282,9 +273,13 @@ def simulated_controls(
     # What is not known is drawn alike for every seed, as the nodes of a quadrature: the paths alone
     # depend on the seed.
     rng = np.random.default_rng(20)
-    drawn = [
-        (_varied(base, rng, run, uncertainty, n_paths), _draw(room, rng)) for run in range(RUNS)
-    ]
+    correlation = bands.correlation(room.centre_frequencies, room.band_correlation)
+    root = np.linalg.cholesky(correlation + 1e-10 * np.eye(room.n_bands)).T
+    drawn = []
+    for run in range(RUNS):
+        varied = _varied(base, rng, run, uncertainty, n_paths)
+        alpha = room.alpha + room.sigma * (rng.standard_normal(room.alpha.shape) @ root)
+        drawn.append((varied, np.clip(alpha, 0.001, 0.99)))
     names = (*match, *(name for named, _ in after for name in named))
     shape = (len(names), len(base.pairs), base.room.n_bands)
 
@@ -458,14 +453,6 @@ def _moved(
         if geometry.contains([trial])[0] and geometry.wall_distance([trial])[0] > 0.01:
             return np.asarray(trial)
     return point
-
-
-def _draw(room: Room, rng: np.random.Generator) -> Array:
-    """Draw alpha from the prior, in [0.001, 0.99]."""
-    correlation = bands.correlation(room.centre_frequencies, room.band_correlation)
-    factor = np.linalg.cholesky(correlation + 1e-10 * np.eye(room.n_bands))
-    z = rng.standard_normal(room.alpha.shape) @ factor.T
-    return np.asarray(np.clip(room.alpha + room.sigma * z, 0.001, 0.99))
 
 
 def _key(
@@ -713,12 +700,19 @@ def errors_by_scattering(controls: ControlRuns, noise: Array) -> ErrorsByScatter
     if line is None:
         return None
     left = replace(controls, errors=line.left)
-    coefficients, share = _pooled(line.coefficients, line.left, np.array(np.diag(line.spread)))
+    # Coefficients of all pairs are drawn towards their mean, as far as noise makes them differ.
+    common = line.coefficients.mean(axis=2, keepdims=True)
+    mean = line.left.mean(axis=2, keepdims=True)
+    off = np.diag(line.spread)[:, np.newaxis] * ((line.left - mean) ** 2).mean(axis=0).sum(
+        axis=(1, 2)
+    )
+    share = share_of_signal(((line.coefficients - common) ** 2).sum(axis=(2, 3)), off)
+    own = np.sqrt(share.mean(axis=0))[:, np.newaxis, np.newaxis]
     return ErrorsByScattering(
-        coefficients[1],
+        (common + share[..., np.newaxis, np.newaxis] * (line.coefficients - common))[1],
         line,
         left.without_noise(noise).with_common(COMMON_LEFT**0.5).covariance(),
-        left.with_own(np.sqrt(share.mean(axis=0))).covariance(),
+        replace(left, errors=mean + (line.left - mean) * own).covariance(),
     )
 
 
@@ -777,32 +771,6 @@ def _line(errors: Array, levels: Array, models: Sequence[ScatteringModel]) -> _L
         power = np.clip(power, *_POWERS)
         weight = (_FREEDOM + 1) / (_FREEDOM + square / weight)
     return _Line(coefficients, spread, left, power, middle)
-
-
-def _pooled(coefficients: Array, left: Array, spread: Array) -> tuple[Array, Array]:
-    """Draw the coefficients of all pairs towards their mean, as far as noise makes them differ.
-
-    Parameters
-    ----------
-    coefficients : array (3, n_parameters, n_pairs, n_bands)
-    left : array (n_runs, n_parameters, n_pairs, n_bands)
-        What the coefficients leave of the errors.
-    spread : array (3,)
-        Variance of each coefficient over that of what is left.
-
-    Returns
-    -------
-    coefficients : array (3, n_parameters, n_pairs, n_bands)
-    share : array (3, n_parameters)
-        Of the differences between pairs that is kept: signal over signal and noise (James & Stein
-        1961, with the variances estimated).
-    """
-    common = coefficients.mean(axis=2, keepdims=True)
-    noise = ((left - left.mean(axis=2, keepdims=True)) ** 2).mean(axis=0).sum(axis=(1, 2))
-    noise = spread[:, np.newaxis] * noise
-    differences = ((coefficients - common) ** 2).sum(axis=(2, 3))
-    share = share_of_signal(differences, noise)
-    return common + share[..., np.newaxis, np.newaxis] * (coefficients - common), share
 
 
 def log_likelihood(residual: Array, covariance: Array) -> float:

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.stats import chi2, norm
+from scipy.stats import norm
 
 from rtcal.acoustics import band_conversion, bands
 from rtcal.acoustics.bands import label
@@ -307,7 +307,10 @@ def _covariance(
     shape = observations.values.shape
     _, n_pairs, n_bands = shape
     full = np.zeros((*shape, *shape))
-    times = _decay_times(observations, measured)
+    times = np.full(n_bands, np.nan)
+    for name, kind in OBSERVABLES.items():  # the first that tells it
+        times = np.where(np.isfinite(times), times, kind.decay_time(measured.mean(name)))
+    times = np.where(np.isfinite(times), times, 1.0)
     assumed = _COMMON * np.array([observable(p).between_teams(frequencies) for p in parameters])
     alone = _stated(observations, measured, measured.uncertainty)
     common = _stated(observations, measured, measured.common_uncertainty)
@@ -359,15 +362,6 @@ def _stated(
             each = each[rows] if each.ndim == 2 else each
             stated[p] = kind.of_observed(each, measured.values[key][rows])
     return stated
-
-
-def _decay_times(observations: Observations, measured: Measurement) -> Array:
-    """Return a T per band for the noise of a response, (n_bands,), by the first that tells it."""
-    times = np.full(len(observations.centre_frequencies), np.nan)
-    for name, kind in OBSERVABLES.items():
-        mean = kind.decay_time(measured.mean(name))
-        times = np.where(np.isfinite(times), times, mean)
-    return np.where(np.isfinite(times), times, 1.0)
 
 
 def response_noise(
@@ -529,32 +523,6 @@ def rows_of_pairs(used: NDArray[np.bool_]) -> list[Any]:
     """Return the rows of each pair among the values used; ``used`` (n_parameters, n_pairs, n_bands)."""
     pair = np.broadcast_to(np.arange(used.shape[1])[:, np.newaxis], used.shape)[used]
     return [np.flatnonzero(pair == i) for i in range(used.shape[1])]
-
-
-def chi_square(innovation: Array, covariance: Array, rows: list[Any]) -> tuple[Array, Array]:
-    """Return the chi-square of each pair given all others, and its degrees of freedom, (n_pairs,).
-
-    ``innovation`` (n_used,) is what was measured less what is expected, ``covariance`` its covariance.
-    """
-    precision = np.linalg.inv(covariance)
-    pull = precision @ innovation
-    values = [float(pull[r] @ np.linalg.solve(precision[np.ix_(r, r)], pull[r])) for r in rows]
-    return np.array(values), np.array([max(len(r), 1) for r in rows])
-
-
-def relative_misfit(square: Array, degrees: Array) -> Array:
-    """Return chi-square over its degrees of freedom, relative to the upper quartile above 1.
-
-    What a simulator misses differs between pairs; up to a quarter may be wrong.
-    """
-    ratio = square / degrees
-    return np.asarray(ratio / max(1.0, float(np.quantile(ratio, 0.75, method="lower"))))
-
-
-def contradicting(misfit: Array, degrees: Array) -> list[int]:
-    """Return the pairs that contradict all others, the worst first."""
-    chance = chi2.sf(misfit * degrees, degrees)
-    return [int(i) for i in np.argsort(-misfit) if chance[i] < CONTRADICTION / len(misfit)]
 
 
 _REACH = 2.0

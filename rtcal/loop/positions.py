@@ -451,7 +451,14 @@ class PositionsFit:
             scattering, before = self._stated_scattering(), errors.unexplained
             errors, answer = self._errors(here, scattering), path.steps[-1].model.answer
             begins_right = guarded and _keeps(answer, self.room.alpha)
-            if begins_right and not self._is_nearer(here, errors, answer):
+            now, start = (
+                _misfit(errors.factor, residual) + _others(answer, alpha)
+                for residual, alpha in (
+                    (here.residual(), here.alpha),
+                    (self._residual, self.room.alpha),
+                )
+            )
+            if begins_right and not (now <= start and (here.gaps() <= self._limit).all()):
                 here.alpha, here.simulated = self.room.alpha, self._simulated
             limit = self._limit if begins_right else self._no_limit
             path = self._steps(here, errors, scattering, limit)
@@ -609,17 +616,6 @@ class PositionsFit:
         values = residual + matrix @ at.ravel()
         numbers = Observed(matrix=matrix, values=values, covariance=covariance)
         return self._problem.solve(self._times, observed={POSITIONS: numbers}, method="positions")
-
-    def _is_nearer(self, here: Linearisation, errors: FitErrors, answer: CalibrationResult) -> bool:
-        """Return whether a here with the scattering stated is nearer than the start."""
-        values = [
-            _misfit(errors.factor, residual) + _others(answer, alpha)
-            for residual, alpha in (
-                (here.residual(), here.alpha),
-                (self._residual, self.room.alpha),
-            )
-        ]
-        return values[0] <= values[1] and bool((here.gaps() <= self._limit).all())
 
     def _better(
         self, best: Fitted | None, other: Fitted, scattering: FittedScattering

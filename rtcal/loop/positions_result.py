@@ -34,6 +34,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtri
+from scipy.stats import chi2
 
 from rtcal.acoustics import bands
 from rtcal.acoustics.change_files import Variant, refuse_repeated_names
@@ -70,15 +71,13 @@ from rtcal.loop.control_runs import (
 )
 from rtcal.loop.matched import Beside, left, sentences
 from rtcal.loop.measured_pairs import (
+    CONTRADICTION,
     BeyondPrior,
     Linearisation,
     MeasuredPairs,
     Pair,
     by_band,
-    chi_square,
-    contradicting,
     of_level,
-    relative_misfit,
     rows_of_pairs,
 )
 from rtcal.prediction import words
@@ -1268,21 +1267,30 @@ class PositionsResult(Result):
         chi-square over its degrees of freedom, relative to the upper quartile over the pairs where that
         is above 1. What the simulator misses differs between pairs; up to a quarter may be wrong.
         """
-        return relative_misfit(*self._chi_square)
+        square, degrees = self._chi_square
+        ratio = square / degrees
+        return np.asarray(ratio / max(1.0, float(np.quantile(ratio, 0.75, method="lower"))))
 
     @property
     def contradictions(self) -> tuple[Pair, ...]:
         """Pairs that contradict all others. Check their positions and names, or ``exclude`` them."""
-        return tuple(self.pairs[i] for i in contradicting(self.misfit, self._chi_square[1]))
+        degrees = self._chi_square[1]
+        chance = chi2.sf(self.misfit * degrees, degrees)
+        worst_first = np.argsort(-self.misfit).tolist()
+        return tuple(self.pairs[i] for i in worst_first if chance[i] < CONTRADICTION / len(chance))
 
     @cached_property
     def _chi_square(self) -> tuple[Array, Array]:
+        """The chi-square of each pair given all others, and its degrees of freedom, (n_pairs,)."""
         matrix = self.steps[-1].matrix
         # One wrong pair makes the unexplained error larger, and would then be explained by it.
         deviation = self.measured.in_values(self.unexplained)
         stated = self.covariance - np.diag(deviation**2)
         expected = matrix @ self.prior_covariance @ matrix.T + stated
-        return chi_square(self.innovation, expected, rows_of_pairs(self.measured.used))
+        precision, rows = np.linalg.inv(expected), rows_of_pairs(self.measured.used)
+        pull = precision @ self.innovation
+        values = [float(pull[r] @ np.linalg.solve(precision[np.ix_(r, r)], pull[r])) for r in rows]
+        return np.array(values), np.array([max(len(r), 1) for r in rows])
 
     @cached_property
     def learned(self) -> tuple[tuple[str, float, float], ...]:

@@ -388,12 +388,6 @@ class Loop(Result):
         return target
 
     @property
-    def stated_target(self) -> Array:
-        """T in s that the equation gives for the stated coefficients, (n_bands,), as `next_target`."""
-        target = np.clip(self.equation.reverberation_time(self.room), *self._target_limits)
-        return np.where(np.isfinite(self.wanted), target, np.nan)
-
-    @property
     def next_alpha(self) -> Array:
         """Coefficients to simulate next, (n_materials, n_bands), as the program reads them.
 
@@ -468,8 +462,12 @@ class Loop(Result):
             if checks.whole("without_t20", band, 0) >= len(time):
                 raise DataError(f"without_t20 has {band}; the bands are 0 to {len(time) - 1}")
             time[band] = np.nan
+        target = self.next_target
+        if checks.flag("stated", stated):
+            own = np.clip(self.equation.reverberation_time(self.room), *self._target_limits)
+            target = np.where(np.isfinite(self.wanted), own, np.nan)
         step = Step(
-            target=self.stated_target if checks.flag("stated", stated) else self.next_target,
+            target=target,
             alpha=check_alpha(self.room, alpha),
             simulated=time,
             noise=self.matched.noise(simulated),
