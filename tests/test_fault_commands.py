@@ -74,6 +74,12 @@ def with_variants(folder: Path) -> None:
     (folder / "variants.toml").write_text(variant)
 
 
+def with_treatments(folder: Path) -> None:
+    inputs(folder)
+    assert call("example change --out @change", folder) == 0
+    shutil.copy(folder / "change" / "treatments.toml", folder)
+
+
 def an_archive(folder: Path) -> None:
     room, _ = rt.datasets.bras_cr2()
     for name in ("a", "b"):
@@ -198,6 +204,9 @@ WRITERS = {
     "predict": Writer(
         with_variants, "predict @room.toml @t.csv --change @variants.toml --out @made"
     ),
+    "design": Writer(
+        with_treatments, "design @room.toml @t.csv --treatments @treatments.toml --out @made"
+    ),
     "learn": Writer(an_archive, "learn @rooms --apply @room.toml --out @library"),
     "report": Writer(calibrated, "report @made"),
     "fit": Writer(box_with_pairs, f"{FIT} --out @made", ahead=".rtcal_cache"),
@@ -293,8 +302,8 @@ def test_a_geometry_is_written_whole_or_refused(
     "name",
     [
         *("loop start", "loop next", "loop back", "import", "export", "measure", "table"),
-        *("predict", "learn"),
-        pytest.param("fit", marks=pytest.mark.long),
+        *("predict", "design", "learn", "study"),
+        *(pytest.param(name, marks=pytest.mark.long) for name in ("fit", "study with pieces")),
     ],
 )
 def test_a_command_writes_a_whole_set_or_one_that_is_refused(name: str, tmp_path: Path) -> None:
@@ -326,6 +335,13 @@ def computed_once(monkeypatch: pytest.MonkeyPatch) -> None:
     for module in (figures, gap_report, study_report):
         if hasattr(module, "rendered"):
             once(monkeypatch, module, "rendered")
+
+
+@pytest.mark.long
+@pytest.mark.usefixtures("computed_once")
+def test_a_finding_and_its_page_are_a_whole_set_or_one_that_is_refused(tmp_path: Path) -> None:
+    tried, _ = attempt("gap report", tmp_path, BETWEEN)
+    assert tried >= 3
 
 
 @pytest.mark.study
