@@ -215,3 +215,78 @@ def test_what_is_no_model_of_a_room_is_refused(tmp_path) -> None:
     path.write_bytes(b"\x00\x01 nonsense")
     with pytest.raises(DataError, match=r"cannot be read as IFC|has no space"):
         mesh.room(path)
+
+
+def changed(folder: Path, old: str, new: str) -> Path:
+    path = written(folder)
+    text = path.read_text(encoding="utf-8")
+    assert old in text
+    path.write_text(text.replace(old, new, 1), encoding="utf-8")
+    return path
+
+
+OF_FACTOR = (
+    "#9=IFCSIUNIT(*,.LENGTHUNIT.,$,.METRE.);\n#80=IFCDIMENSIONALEXPONENTS(1,0,0,0,0,0,0);\n"
+    "#81=IFCMEASUREWITHUNIT(IFCLENGTHMEASURE(0.),#9);\n"
+    "#6=IFCCONVERSIONBASEDUNIT(#80,.LENGTHUNIT.,'X',#81);"
+)
+SHAPE = "#17=IFCSHAPEREPRESENTATION(#5,'Body','SweptSolid',(#16));"
+PLACED = "#12=IFCLOCALPLACEMENT($,#11);"
+MILLI = "#6=IFCSIUNIT(*,.LENGTHUNIT.,.MILLI.,.METRE.);"
+DEEP = "\n".join(
+    [f"#{1000 + i}=IFCLOCALPLACEMENT(#{1001 + i},#11);" for i in range(20000)]
+    + ["#21000=IFCLOCALPLACEMENT($,#11);"]
+)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "rule"),
+    [
+        # The process ended with a fault in the library, or never.
+        (PLACED, "#12=IFCLOCALPLACEMENT(#12,#11);", "#12 .IfcLocalPlacement. refers to itself"),
+        (
+            PLACED,
+            "#12=IFCLOCALPLACEMENT(#90,#11);\n#90=IFCLOCALPLACEMENT(#12,#11);",
+            "#12 .IfcLocalPlacement. refers to itself",
+        ),
+        (PLACED, f"#12=IFCLOCALPLACEMENT(#1000,#11);\n{DEEP}", "has too many above it"),
+        (
+            SHAPE,
+            "#91=IFCBOOLEANRESULT(.UNION.,#91,#16);\n"
+            "#17=IFCSHAPEREPRESENTATION(#5,'Body','CSG',(#91));",
+            "#91 .IfcBooleanResult. refers to itself",
+        ),
+        (
+            SHAPE,
+            "#92=IFCREPRESENTATIONMAP(#4,#17);\n"
+            "#93=IFCCARTESIANTRANSFORMATIONOPERATOR3D($,$,#1,$,$);\n#94=IFCMAPPEDITEM(#92,#93);\n"
+            "#17=IFCSHAPEREPRESENTATION(#5,'Body','MappedRepresentation',(#94));",
+            "refers to itself",
+        ),
+        (MILLI, OF_FACTOR.replace("(0.),#9", "(2.),#6"), "refers to itself"),
+        # A traceback.
+        (MILLI, OF_FACTOR, "its unit of length is 0 m; it must be above 0"),
+        # A room without what stood in the part that is lost.
+        ("ENDSEC;\nEND-ISO-10303-21;", "", "it lacks its last line"),
+    ],
+    ids=["self", "two", "deep", "boolean", "mapped", "unit", "zero", "cut off"],
+)
+def test_content_that_ends_the_process_or_is_lost_is_refused(
+    tmp_path, old: str, new: str, rule: str
+) -> None:
+    with pytest.raises(DataError, match=rule):
+        mesh.room(changed(tmp_path, old, new))
+
+
+def test_a_boundary_that_has_lost_its_element_is_no_opening(tmp_path) -> None:
+    """13.2 m² of brick became an opening in silence."""
+    done = mesh.room(changed(tmp_path, "#19,#20,#37,", "#19,#999,#37,"))
+    assert done.geometry.areas["opening"] == pytest.approx(12)
+    assert any(note.startswith("1 boundaries") for note in done.notes)
+
+
+@pytest.mark.parametrize("name", ["<script>alert(1)</script>", "x" * 100_000, "\\X2\\D800\\X0\\"])
+def test_no_name_moves_a_room(tmp_path, name: str) -> None:
+    done = mesh.room(written(tmp_path, name=name))
+    assert done.geometry.volume == pytest.approx(60)
+    assert all(len(note) < 100 for note in done.notes)

@@ -18,7 +18,7 @@ from __future__ import annotations
 import os
 import re
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -168,16 +168,23 @@ def ifc_faces(path: str, unit: float | None, space: str | None, weld: float) -> 
     except OSError as error:
         raise DataError(f"{path}: {error.strerror or error}") from error
     budget.require(size, MAX_IFC, "bytes", path, "export one storey, or the room alone")
+    _require_end(path)
     try:
         model = ifcopenshell.open(path)
+        _require_ends(path, model.by_type("IfcUnitAssignment"))
         length = float(ifcopenshell.util.unit.calculate_unit_scale(model))
         spaces = {_title(s): s for s in model.by_type("IfcSpace")}
+    except DataError:
+        raise
     except Exception as error:  # ifcopenshell raises what its parser raises
         raise DataError(
             f"{path}: cannot be read as IFC: it is damaged, or no IFC 2x3 or 4. Export the model "
             "again, or glTF of the room"
         ) from error
+    if not 0 < length < np.inf:
+        raise DataError(f"{path}: its unit of length is {length:g} m; it must be above 0")
     chosen = _chosen(path, spaces, space)
+    _require_ends(path, [spaces[chosen], *(spaces[chosen].BoundedBy or ())])
     place = f'{path}: space "{shown(chosen)}"'
     gap, open_by = _close_outlines(spaces[chosen], length, weld, place)
     try:
@@ -209,7 +216,7 @@ def ifc_faces(path: str, unit: float | None, space: str | None, weld: float) -> 
     if open_by:
         notes.append(f"an edge closes its outline, which is {_open(open_by)}")
     if unknown:
-        notes.append(f"{unknown} boundaries have a form that is not read")
+        notes.append(f"{unknown} boundaries have a form that is not read, or no element")
     if not boundaries:
         notes.append("the model does not say what bounds it: faces are floor, ceiling and wall")
     return Faces(path, polygons, materials, names, tuple(notes), length)
@@ -307,6 +314,60 @@ def _join_ends(curve: Any) -> None:
         curve.Points.CoordList = (*listed[:-1], listed[0])
 
 
+_END = b"END-ISO-10303-21;"
+_DEEPEST = 1000
+"""Most entities that refer to each other in a row: ifcopenshell follows them on the stack."""
+
+
+def _require_end(path: str) -> None:
+    """Raise DataError for a file without its last line: what it lost would be missing in silence."""
+    with open(path, "rb") as file:
+        file.seek(max(os.stat(path).st_size - 1000, 0))
+        if _END not in file.read().upper().replace(b" ", b""):
+            raise DataError(
+                f"{path}: cannot be read as IFC: it lacks its last line, {_END.decode()}: it is cut "
+                "off, or no IFC 2x3 or 4. Copy or export the model again"
+            )
+
+
+def _require_ends(path: str, entities: Iterable[Any]) -> None:
+    """Raise DataError where an entity refers to itself by way of others, or very many follow another.
+
+    ifcopenshell would follow them until the process ends.
+    """
+    done: set[int] = set()
+    for root in entities:
+        above, stack = {root.id()}, [(root, _references(root))]
+        while stack:
+            entity, references = stack[-1]
+            try:
+                following = next(references)
+            except StopIteration:
+                stack.pop()
+                above.discard(entity.id())
+                done.add(entity.id())
+                continue
+            if following.id() in above or len(stack) > _DEEPEST:
+                which = "refers to itself" if following.id() in above else "has too many above it"
+                raise DataError(
+                    f"{path}: #{following.id()} ({following.is_a()}) {which}. Export the model again"
+                )
+            if following.id() not in done:
+                above.add(following.id())
+                stack.append((following, _references(following)))
+
+
+def _references(entity: Any) -> Iterator[Any]:
+    """Yield the numbered entities to which one refers."""
+    values = [*entity]
+    while values:
+        value = values.pop()
+        if isinstance(value, tuple):
+            values += value
+        elif hasattr(value, "is_a") and value.id():
+            yield value
+
+
 def _triangles(ifcopenshell: Any, space: Any) -> Array:
     """Return the triangles of a space in m, (n, 3, 3)."""
     settings = ifcopenshell.geom.settings()
@@ -328,6 +389,9 @@ def _boundaries(ifcopenshell: Any, space: Any, length: float) -> tuple[list[_Bou
             continue
         element = relation.RelatedBuildingElement
         virtual = relation.PhysicalOrVirtualBoundary == "VIRTUAL"
+        if element is None and relation.PhysicalOrVirtualBoundary == "PHYSICAL":
+            unknown += 1
+            continue
         corners = (np.column_stack([local, np.ones(len(local))]) @ placement.T)[:, :3] * length
         found.append(
             _Boundary(
