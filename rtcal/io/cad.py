@@ -372,7 +372,8 @@ def _triangles(ifcopenshell: Any, space: Any) -> Array:
     """Return the triangles of a space in m, (n, 3, 3)."""
     settings = ifcopenshell.geom.settings()
     settings.set("use-world-coords", True)
-    shape = ifcopenshell.geom.create_shape(settings, space).geometry
+    element = ifcopenshell.geom.create_shape(settings, space)
+    shape = element.geometry  # 0.8.1 frees it with the element
     points = np.array(shape.verts, dtype=float).reshape(-1, 3)
     return np.asarray(points[np.array(shape.faces, dtype=int).reshape(-1, 3)])
 
