@@ -109,7 +109,7 @@ def material_list_holds(result: MaterialList) -> None:
         assert result.with_room(room)[0] == Path(result.path).read_bytes()
 
 
-def table_holds(result: tables.Table) -> None:
+def table_holds(result: tables.MeasuredTable) -> None:
     native.measurement_holds(result.measurement)
 
 

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 import rtcal as rt
-from rtcal.calibration.table import html_table, text_table
+from rtcal.calibration.table import blocks_of
+from rtcal.support import blocks
 
 
 @pytest.fixture(scope="module")
@@ -39,11 +40,11 @@ def test_line_tells_the_method_and_the_gaps(result) -> None:
 
 def test_printed_table_comes_from_the_record_alone(result) -> None:
     record = result.to_dict()
-    assert str(result) == text_table(record)
+    assert str(result) == "\n".join(blocks.lines(blocks_of(record)))
     record["measured"]["reverberation_time"][0] = None
     record["air"] = None
     record["matches_measured_time"] = False
-    text = text_table(record)
+    text = "\n".join(blocks.lines(blocks_of(record)))
     assert re.search(r"measured T / s +- +1\.720", text)
     assert "no air stated" in text
     assert "T30 NOT matched" in text
@@ -60,10 +61,11 @@ def test_signs_are_said_below_the_numbers(result) -> None:
 
 def test_notebook_table_says_in_text_what_it_shades(result) -> None:
     page = result._repr_html_()
-    assert page == html_table(result.to_dict())
-    assert page.count("<tr>") == 1 + 9 + 5  # header, quantities, materials
+    assert page == blocks.notebook("", blocks_of(result.to_dict()))
+    assert page.count("<tr>") == 4 + 9 + 3 * 5  # headers, quantities, materials in three tables
     assert 'background: rgba(230, 159, 0, 0.45)">+15.6</td>' in page  # the gap before at 125 Hz
-    assert "0.097 (+3.1)" in page  # concrete at 125 Hz
+    assert re.search(r"rgba\(230, 159, 0, 0.45\)\">\+3\.1</td>", page)  # concrete at 125 Hz
+    assert page.count(">0.097</td>") == 1
     assert "p = 1.7e-05); at 125 and 4000 Hz the measurement asks" in page
 
 
@@ -76,7 +78,7 @@ def test_coefficients_at_a_bound_are_marked() -> None:
     assert (result.active == 1).any()
     at_bound = np.argwhere(result.active == 1)[0]
     assert f"{result.alpha[tuple(at_bound)]:.3f}*" in str(result)
-    assert f"{result.alpha[tuple(at_bound)]:.3f}* (" in result._repr_html_()
+    assert f"{result.alpha[tuple(at_bound)]:.3f}*</td>" in result._repr_html_()
     assert (
         "There is no p-value for all bands together, because a coefficient stands at a bound"
         in " ".join(str(result).split())

@@ -336,7 +336,7 @@ def test_a_renamed_copy_is_told(decimals: int, changed: float, said: bool) -> No
         values={"t20": table},
         pairs=[("S1", "R1"), ("S1", "R2"), ("S1", "R3")],
     )
-    doubts = " ".join(tables.Table(measured, ()).doubts)
+    doubts = " ".join(tables.MeasuredTable(measured, ()).doubts)
     assert ("the same values in every band: S1 to R3 and S1 to R1. If one" in doubts) == said
 
 

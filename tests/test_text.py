@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 
 from rtcal.support import text
+from rtcal.support.blocks import Row, Table, notebook
 
 
 @pytest.fixture(autouse=True)
@@ -51,7 +52,8 @@ def test_no_terminal_obeys_what_is_printed() -> None:
 
 
 def test_an_html_table_escapes_and_shades() -> None:
-    page = text.html_table("<T>", ["", "125"], [["a & b", text.Cell("<3", -2.0)]], notes=["x < y"])
+    table = Table(["125"], [Row("a & b", ["<3"], shade=[-2.0])], note="x < y")
+    page = notebook("<T>", [table])
     assert "&lt;T&gt;" in page
     assert "a &amp; b" in page
     assert "rgba(0, 114, 178, 0.45)" in page

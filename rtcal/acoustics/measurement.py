@@ -19,7 +19,8 @@ from rtcal.acoustics.observables import (
     observable,
     parameter_label,
 )
-from rtcal.support import checks, text
+from rtcal.support import blocks, checks
+from rtcal.support.blocks import Row, Table
 from rtcal.support.checks import text_name
 from rtcal.support.errors import DataError
 from rtcal.support.files import write_text
@@ -227,9 +228,9 @@ class Measurement:
             for m, u in zip(self.mean(parameter), self.mean_uncertainty(parameter), strict=True):
                 plus = f" ± {u:.2g}" if np.isfinite(u) else ""
                 cells.append(f"{m:.3g}{plus}" if np.isfinite(m) else "–")
-            rows.append([parameter_label(parameter) + unit, *cells])
+            rows.append(Row(parameter_label(parameter) + unit, cells))
         labels = bands.labels(self.centre_frequencies)
-        return text.html_table(self._description, ["mean ± u", *labels], rows)
+        return blocks.notebook(self._description, [Table(labels, rows, corner="mean ± u")])
 
     def refuse_large_uncertainty(self) -> None:
         """Raise DataError if a stated uncertainty is larger than the value, or than its whole range.

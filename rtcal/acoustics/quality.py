@@ -416,7 +416,7 @@ def remaining_gap(record: Mapping[str, Any]) -> str:
     """Return that the calibrated room lacks the measured T, where it does, and to what the gap belongs.
 
     "" where T is met in every band that has one, and where nothing asks for T. ``record`` is as for
-    `rtcal.calibration.table.text_table`.
+    `rtcal.calibration.table.blocks_of`.
     """
     after, before = (np.abs(numbers(record[key])) for key in ("gap_after_jnd", "gap_before_jnd"))
     left = after >= MET  # not where there is no T

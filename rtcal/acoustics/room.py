@@ -85,7 +85,8 @@ from rtcal.acoustics.air import Air
 from rtcal.acoustics.directivity import Lobe
 from rtcal.acoustics.priors import TIERS, in_situ, sigma_iso_12999_2, sigma_relative
 from rtcal.acoustics.scene import GeometryTable, Places, Scene, SceneTables
-from rtcal.support import checks, text
+from rtcal.support import blocks, checks
+from rtcal.support.blocks import Row, Table
 from rtcal.support.checks import short_name, text_name
 from rtcal.support.errors import DataError
 from rtcal.support.files import json_numbers, read_text, write_text
@@ -524,19 +525,13 @@ class Room:
 
     def _repr_html_(self) -> str:
         """Return a table of alpha ± sigma per material and band, darker where more is absorbed."""
-        rows: list[list[str | text.Cell]] = [
-            [
-                name,
-                f"{area:.4g}",
-                *(
-                    text.Cell(f"{alpha:.3f} ± {sigma:.3f}", float(alpha))
-                    for alpha, sigma in zip(self.alpha[i], self.sigma[i], strict=True)
-                ),
-            ]
-            for i, (name, area) in enumerate(zip(self.materials, self.areas, strict=True))
-        ]
-        labels = bands.labels(self.centre_frequencies)
-        return text.html_table(self._description, ["α ± σ", "S / m²", *labels], rows)
+        rows = []
+        for i, (name, area) in enumerate(zip(self.materials, self.areas, strict=True)):
+            pairs = zip(self.alpha[i], self.sigma[i], strict=True)
+            cells = [f"{area:.4g}", *(f"{alpha:.3f} ± {sigma:.3f}" for alpha, sigma in pairs)]
+            rows.append(Row(name, cells, shade=[0.0, *self.alpha[i]]))
+        columns = ["S / m²", *bands.labels(self.centre_frequencies)]
+        return blocks.notebook(self._description, [Table(columns, rows, corner="α ± σ")])
 
     @property
     def _description(self) -> str:

@@ -27,9 +27,9 @@ from rtcal.calibration.joint_solution import JointSolution
 from rtcal.calibration.posterior import Optimality, exact_interval
 from rtcal.calibration.posterior.density import CoupledBands, IndependentBands
 from rtcal.calibration.problem_data import MeasuredTimes, ProblemData, data_history
-from rtcal.calibration.table import html_table, text_table
+from rtcal.calibration.table import blocks_of
 from rtcal.prediction.predicted import Prediction, predict
-from rtcal.support import __version__
+from rtcal.support import __version__, blocks
 from rtcal.support.errors import ModelError
 from rtcal.support.files import json_numbers
 from rtcal.support.saved import Result
@@ -397,11 +397,11 @@ class CalibrationResult(Result):
         )
 
     def __str__(self) -> str:
-        return text_table(self.to_dict())
+        return "\n".join(blocks.lines(blocks_of(self.to_dict())))
 
     def _repr_html_(self) -> str:
-        """Return a table of the bands and the coefficients, shaded by gap and by shift."""
-        return html_table(self.to_dict())
+        """Return the tables of the bands and the coefficients, shaded by gap and by shift."""
+        return blocks.notebook("", blocks_of(self.to_dict()))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)

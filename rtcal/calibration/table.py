@@ -23,6 +23,7 @@ from rtcal.calibration.certificate import Certificate
 from rtcal.calibration.convex_program import RawSolution
 from rtcal.calibration.problem_data import MeasuredTimes
 from rtcal.support import __version__, text
+from rtcal.support.blocks import Block, Note, Row, Table
 from rtcal.support.files import json_numbers
 from rtcal.support.types import Array
 
@@ -162,71 +163,55 @@ _SIGNS = (
 _BOUNDS = {"lower": "*", "upper": "*", "": " "}
 
 
-def text_table(record: Mapping[str, Any]) -> str:
-    """Return the text that ``print(result)`` shows: verdict, cautions, bands, materials, certificate.
+def blocks_of(record: Mapping[str, Any]) -> list[Block]:
+    """Return what a calibration says: verdict, cautions, bands, materials, certificate.
 
     Parameters
     ----------
     record : mapping
         As `CalibrationResult.to_dict` returns it.
     """
-    header = ("", _band_labels(record))
-    return "\n".join(
-        [
-            *(line for sentence in _header(record) for line in text.wrapped(sentence)),
-            "",
-            *(
-                line
-                for sentence, indent in _notes(record)
-                for line in text.wrapped(sentence, indent)
-            ),
-            "",
-            *text.table(_band_rows(record), header=header),
-            *text.wrapped(_SIGNS),
-            "",
+    labels, materials = bands.labels(record["centre_frequencies"]), record["materials"]
+    named = [(_area(material), material) for material in materials]
+    return [
+        *map(Note, _header(record)),
+        Note(""),
+        *(Note(sentence, indent) for sentence, indent in _notes(record)),
+        Table(labels, band_rows(record), note=_SIGNS),
+        Table(
+            labels,
+            [Row(name, [f"{alpha:.3f} " for alpha in m["alpha_before"]]) for name, m in named],
             "stated alpha",
-            *text.table(_stated_rows(record), header=header),
-            "",
+        ),
+        Table(
+            labels,
+            [
+                Row(
+                    name,
+                    [
+                        f"{alpha:.3f}{_BOUNDS[bound]}"
+                        for alpha, bound in zip(m["alpha_after"], m["at_bound"], strict=True)
+                    ],
+                )
+                for name, m in named
+            ],
             "calibrated alpha (* at a bound)",
-            *text.table(_alpha_rows(record), header=header),
-            "",
-            *text.wrapped(_SHIFT),
-            *text.table(_shift_rows(record), header=header),
-            "",
-            *text.wrapped(_certificate(record)),
-        ]
-    )
-
-
-def html_table(record: Mapping[str, Any]) -> str:
-    """Return the HTML table of a notebook: gaps and coefficients, shaded by gap and by shift."""
-    rows: list[list[str | text.Cell]] = []
-    for label, cells in _band_rows(record):
-        shades = np.zeros(len(cells))
-        if label.startswith("gap"):
-            key = "gap_before_jnd" if "before" in label else "gap_after_jnd"
-            shades = np.nan_to_num(numbers(record[key])) / _STRONG_SHIFT
-        rows.append([label, *map(text.Cell, cells, shades)])
-    for material in record["materials"]:
-        shifts = numbers(material["shift_in_sigmas"])
-        cells = [
-            f"{alpha:.3f}{_BOUNDS[bound].strip()} ({text.number(shift, '+.1f')})"
-            for alpha, bound, shift in zip(
-                material["alpha_after"], material["at_bound"], shifts, strict=True
-            )
-        ]
-        rows.append([_area(material), *map(text.Cell, cells, shifts / _STRONG_SHIFT)])
-    title, settings = _header(record)
-    return text.html_table(
-        f"{title}; {settings}. alpha after (shift in sigmas of the prior; * at a bound)",
-        ["", *_band_labels(record)],
-        rows,
-        [*(sentence for sentence, _ in _notes(record)), _SIGNS, _certificate(record)],
-    )
-
-
-def _band_labels(record: Mapping[str, Any]) -> list[str]:
-    return bands.labels(record["centre_frequencies"])
+        ),
+        Table(
+            labels,
+            [
+                Row(
+                    m["name"],
+                    [f"{cell} " for cell in text.numbers(shifts, "+.1f")],
+                    shade=shifts / _STRONG_SHIFT,
+                )
+                for m in materials
+                for shifts in [numbers(m["shift_in_sigmas"])]
+            ],
+            _SHIFT,
+        ),
+        Note(_certificate(record)),
+    ]
 
 
 def _header(record: Mapping[str, Any]) -> tuple[str, str]:
@@ -247,63 +232,32 @@ def _parameters(record: Mapping[str, Any]) -> list[str]:
     return sorted({parameter_label(p) for p in record["measured"]["parameter"] if p})
 
 
-def _band_rows(record: Mapping[str, Any]) -> list[text.Row]:
-    """One row per quantity of the bands, and one for the parameter if T20 and T30 are mixed."""
-    marks = _trust_marks(record)
-    parameters = [parameter_label(p) or "-" for p in record["measured"]["parameter"]]
-    quantities = [
-        ("measured T / s", record["measured"]["reverberation_time"], ".3f"),
-        ("  its uncertainty / s", record["measured"]["uncertainty"], ".3f"),
-        ("T before (model) / s", record["reverberation_time_before"], ".3f"),
-        ("T after (model) / s", record["reverberation_time_after"], ".3f"),
-        ("gap before / JND", record["gap_before_jnd"], "+.1f"),
-        ("gap after / JND", record["gap_after_jnd"], "+.1f"),
-        ("z", record["plausibility"]["z"], "+.1f"),
-        ("air's share / %", 100 * numbers(record["air_share"]), ".0f"),
+def band_rows(record: Mapping[str, Any]) -> list[Row]:
+    """Return one row per quantity of the bands, and one for the parameter if T20 and T30 are mixed."""
+    measured, parameters = record["measured"], record["measured"]["parameter"]
+    shades = [
+        np.nan_to_num(numbers(record[key])) / _STRONG_SHIFT
+        for key in ("gap_before_jnd", "gap_after_jnd")
     ]
-    trust = [letters(marks, f) or "." for f in record["centre_frequencies"]]
-    return [
-        *([("matched", parameters)] if len(_parameters(record)) > 1 else []),
-        *((label, text.numbers(numbers(values), form)) for label, values, form in quantities),
-        ("do not trust, see above", trust),
+    trust = [letters(_trust_marks(record), f) or "." for f in record["centre_frequencies"]]
+    rows = [
+        Row("measured T / s", measured["reverberation_time"], ".3f"),
+        Row("  its uncertainty / s", measured["uncertainty"], ".3f"),
+        Row("T before (model) / s", record["reverberation_time_before"], ".3f"),
+        Row("T after (model) / s", record["reverberation_time_after"], ".3f"),
+        Row("gap before / JND", record["gap_before_jnd"], "+.1f", shades[0]),
+        Row("gap after / JND", record["gap_after_jnd"], "+.1f", shades[1]),
+        Row("z", record["plausibility"]["z"], "+.1f"),
+        Row("air's share / %", 100 * numbers(record["air_share"]), ".0f"),
+        Row("reservations", trust),
     ]
+    if len(_parameters(record)) > 1:
+        rows.insert(0, Row("matched", [parameter_label(p) or "-" for p in parameters]))
+    return rows
 
 
 def _area(material: Mapping[str, Any]) -> str:
     return f"{material['name']}, {material['area']:g} m²"
-
-
-def _stated_rows(record: Mapping[str, Any]) -> list[text.Row]:
-    """One row per material."""
-    return [
-        (_area(material), [f"{alpha:.3f} " for alpha in material["alpha_before"]])
-        for material in record["materials"]
-    ]
-
-
-def _alpha_rows(record: Mapping[str, Any]) -> list[text.Row]:
-    """One row per material."""
-    return [
-        (
-            _area(material),
-            [
-                f"{alpha:.3f}{_BOUNDS[bound]}"
-                for alpha, bound in zip(material["alpha_after"], material["at_bound"], strict=True)
-            ],
-        )
-        for material in record["materials"]
-    ]
-
-
-def _shift_rows(record: Mapping[str, Any]) -> list[text.Row]:
-    """One row per material."""
-    return [
-        (
-            material["name"],
-            [f"{cell} " for cell in text.numbers(numbers(material["shift_in_sigmas"]), "+.1f")],
-        )
-        for material in record["materials"]
-    ]
 
 
 def _trust_marks(record: Mapping[str, Any]) -> list[TrustMark]:

@@ -38,7 +38,7 @@ from rtcal.support.files import spare, write_text
 
 if TYPE_CHECKING:
     from rtcal.io.analysis import Analysis
-    from rtcal.io.tables import Table
+    from rtcal.io.tables import MeasuredTable
     from rtcal.report.document import Heading
 
 
@@ -215,7 +215,7 @@ def table(
 
 
 def _write_and_tell(
-    analysis: Analysis | Table,
+    analysis: Analysis | MeasuredTable,
     notes: dict[str, Any],
     out: str | None,
 ) -> None:

@@ -165,7 +165,8 @@ def next_(
     from rtcal.loop.matched import sentences
     from rtcal.loop.state import Loop
     from rtcal.report.loop_page import beside_rows, lost_rows, statuses
-    from rtcal.support import text
+    from rtcal.support import blocks, text
+    from rtcal.support.blocks import Table
 
     spare([state, out], [room, simulated])
     before = Loop.load(state, Room.from_file(room))
@@ -185,12 +186,7 @@ def next_(
     lines = text.table(rows, header=header)
     more = [*lost_rows(after.compromise), *beside_rows(after)]
     if more:
-        cells = [
-            (name, text.numbers(values, f"+.{digits}f" if sign else f".{digits}f"))
-            for name, values, digits, sign in more
-        ]
-        header = [("", bands.labels(frequencies))]
-        lines += ["", *text.table(cells, header=header)]
+        lines += ["", *blocks.lines([Table(bands.labels(frequencies), more)])]
     for sentence in sentences(after.gaps_beside, frequencies):
         lines += text.wrapped(sentence)
     lines += explained(after.trust_marks)
@@ -202,7 +198,7 @@ def next_(
         "centre_frequencies": frequencies,
         "gap_jnd": after.gap,
         "status": shown,
-        "beside": {name: values for name, values, _, _ in more},
+        "beside": {row.name: row.values for row in more},
         "farther": after.farther,
         "trust_marks": [vars(mark) for mark in after.trust_marks],
     }

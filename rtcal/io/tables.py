@@ -49,7 +49,7 @@ from rtcal.support.errors import DataError
 from rtcal.support.files import read_bytes
 from rtcal.support.text import first_of
 
-__all__ = ["FORMATS", "Table", "measurement", "parse", "read", "write"]
+__all__ = ["FORMATS", "MeasuredTable", "measurement", "parse", "read", "write"]
 __dir__ = __all__.copy
 
 MAX_PAIRS = 5000
@@ -66,7 +66,7 @@ FORMATS: list[Any] = [workbook, text_tables]
 
 
 @dataclass(frozen=True)
-class Table:
+class MeasuredTable:
     """A measurement read from a table, and how each column was read."""
 
     measurement: Measurement
@@ -93,7 +93,7 @@ def read(
     n_receivers: int | None = None,
     repeats: bool = False,
     sheets: Collection[str] = (),
-) -> Table:
+) -> MeasuredTable:
     """Return the measurement of a table, or of several: one per position, as REW exports them.
 
     Parameters
@@ -149,7 +149,7 @@ def parse(
     n_receivers: int | None = None,
     repeats: bool = False,
     sheets: Collection[str] = (),
-) -> Table:
+) -> MeasuredTable:
     """Return the measurement of a table's content, or of several by their names; see `read`."""
     checks.text("path", path)
     contents = {path: content} if isinstance(content, bytes) else checks.mapped("content", content)
@@ -210,7 +210,7 @@ def parse(
     return _table(readers, where, notes, repeats)
 
 
-def measurement(path: str | os.PathLike[str]) -> Table:
+def measurement(path: str | os.PathLike[str]) -> MeasuredTable:
     """Return the measurement of a native CSV file, of a workbook or of REW's text.
 
     Text of any other kind is refused as `rtcal.Measurement.from_file` refuses it: its columns are to
@@ -219,7 +219,7 @@ def measurement(path: str | os.PathLike[str]) -> Table:
     content = read_bytes(path, MAX_BYTES)
     if any(module.claims(content) for module in FORMATS):
         return read(path)
-    return Table(Measurement.from_file(os.fspath(path)), ())
+    return MeasuredTable(Measurement.from_file(os.fspath(path)), ())
 
 
 def write(measurement: Measurement, path: str | os.PathLike[str]) -> None:
@@ -462,7 +462,7 @@ def _position(sheet: Sheet) -> tuple[str, str]:
 
 def _table(
     readers: Sequence[Reader], where: Mapping[str, str], notes: list[str], repeats: bool
-) -> Table:
+) -> MeasuredTable:
     """Return the measurement of all tables' values, and the reports of how they were read."""
     single: Values = {}
     of_several: Values = {}
@@ -501,7 +501,7 @@ def _table(
     report[1:1] = notes if len(readers) == 1 else []
     report += [] if len(readers) == 1 else notes
     report += in_words(placed)
-    return Table(_measurement(values, places), tuple(report))
+    return MeasuredTable(_measurement(values, places), tuple(report))
 
 
 def _measurement(values: Values, place: str) -> Measurement:

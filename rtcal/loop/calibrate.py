@@ -37,7 +37,8 @@ from rtcal.loop.rules import Rule
 from rtcal.loop.state import LEFT_ALONE, Loop, start
 from rtcal.modes.result import ModesResult
 from rtcal.simulators.base import Simulator, at_places, check_fits, lost_paths, run
-from rtcal.support import checks, text
+from rtcal.support import blocks, checks, text
+from rtcal.support.blocks import Block, Note, Table
 from rtcal.support.errors import (
     CopiedPairsWarning,
     DataError,
@@ -192,54 +193,28 @@ class LoopResult(Result):
         return {**self.loop.to_dict(), "result": self.ends()}
 
     def __str__(self) -> str:
-        lines = [f"Coefficients only for {self.simulator}; {self.simulations} simulations"]
-        for header, rows in filter(all, (self._table(), self._compromise(), self._beside())):
-            lines += text.table([(row[0], row[1:]) for row in rows], header=(header[0], header[1:]))
-        for note in self._notes():
-            lines += text.wrapped(note, hanging="       " if note.startswith(" ") else "    ")
-        return "\n".join(lines)
+        return "\n".join(blocks.lines(self._blocks()))
 
     def _repr_html_(self) -> str:
-        """Return the table with shaded gaps: orange for a T that is too long, blue for too short."""
-        header, rows = self._table()
-        for more, rows_beside in (self._compromise(), self._beside()):
-            header += more[1:]
-            for row, beside in zip(rows, rows_beside, strict=bool(more)):
-                row.extend(beside[1:])
-        column = header.index("gap / JND")
-        shaded: list[list[str | text.Cell]] = [[*row] for row in rows]
-        for cells, gap in zip(shaded, np.nan_to_num(self.gap), strict=True):
-            shade = float(np.clip(gap / _STRONGEST_SHADE, -1, 1))
-            cells[column] = text.Cell(str(cells[column]), shade)
-        return text.html_table(self._description, header, shaded, self._notes())
+        """Return the tables with shaded gaps: orange for a T that is too long, blue for too short."""
+        return blocks.notebook(self._description, self._blocks()[1:])
 
-    def _table(self) -> tuple[list[str], list[list[str]]]:
-        """Return the header and one row per band."""
-        columns: dict[str, Sequence[str]] = {
-            "": labels(self.room.centre_frequencies),
+    def _blocks(self) -> list[Block]:
+        shades = np.nan_to_num(self.gap) / _STRONGEST_SHADE
+        outcome = {
             "T wanted / s": text.numbers(self.loop.wanted, ".3f"),
             "simulated / s": text.numbers(self.loop.matched.combined(self.final.mean), ".3f"),
             "gap / JND": text.numbers(self.gap, "+.2f"),
             "z": text.numbers(self.loop.outcome.plausibility.z, "+.1f"),
             "status": self.status,
         }
-        return list(columns), [list(row) for row in zip(*columns.values(), strict=True)]
-
-    def _compromise(self) -> tuple[list[str], list[list[str]]]:
-        """Return header and rows of the gaps of what is matched together; nothing for T20 alone."""
-        if len(self.compromise) == 1:
-            return [], []
-        columns: dict[str, Sequence[str]] = {"": labels(self.room.centre_frequencies)}
-        for parameter, part in self.compromise.items():
+        compromise: dict[str, Sequence[str]] = {}  # of what is matched together
+        for parameter, part in self.compromise.items() if len(self.compromise) > 1 else ():
             name = parameter_label(parameter)
-            columns[f"{name} gap / JND before"] = text.numbers(part.before, "+.1f")
-            columns[f"{name} gap / JND after"] = text.numbers(part.after, "+.1f")
-            columns[f"{name} lost / JND"] = text.numbers(part.lost, ".1f")
-        return list(columns), [list(row) for row in zip(*columns.values(), strict=True)]
-
-    def _beside(self) -> tuple[list[str], list[list[str]]]:
-        """Return header and rows of EDT, C50 and C80: measured, before and after the loop."""
-        columns: dict[str, Sequence[str]] = {"": labels(self.room.centre_frequencies)}
+            compromise[f"{name} gap / JND before"] = text.numbers(part.before, "+.1f")
+            compromise[f"{name} gap / JND after"] = text.numbers(part.after, "+.1f")
+            compromise[f"{name} lost / JND"] = text.numbers(part.lost, ".1f")
+        beside: dict[str, Sequence[str]] = {}  # EDT, C50 and C80
         for parameter in (p for p in SHOWN if p != TARGET.key and p in self.before.values):
             name = f"{parameter_label(parameter)} / {observable(parameter).unit}"
             measured = self.measured and self.measured.values
@@ -249,10 +224,17 @@ class LoopResult(Result):
                 ("after", self.final),
             ):
                 if of is not None:
-                    columns[f"{name} {when}"] = text.numbers(of.mean(parameter), ".2f")
-        if len(columns) == 1:
-            return [], []
-        return list(columns), [list(row) for row in zip(*columns.values(), strict=True)]
+                    beside[f"{name} {when}"] = text.numbers(of.mean(parameter), ".2f")
+        by_band = labels(self.room.centre_frequencies)
+        return [
+            Note(f"Coefficients only for {self.simulator}; {self.simulations} simulations"),
+            *(
+                Table.of_columns(by_band, columns, {"gap / JND": shades})
+                for columns in (outcome, compromise, beside)
+                if columns
+            ),
+            *(Note(n, hanging="       " if n.startswith(" ") else "    ") for n in self._notes()),
+        ]
 
     def _notes(self) -> list[str]:
         notes = explained(self.trust_marks)

@@ -88,7 +88,8 @@ from rtcal.simulators.facets import WELD
 from rtcal.simulators.geometry import Plane, Polyhedron, convex_parts
 from rtcal.simulators.observations import Observations, checked_parameters, jacobian, observe
 from rtcal.simulators.path_tracing import PathTracing
-from rtcal.support import checks, text
+from rtcal.support import blocks, checks, text
+from rtcal.support.blocks import Block, Note, Row, Table
 from rtcal.support.errors import DataError
 from rtcal.support.files import json_numbers
 from rtcal.support.saved import Result
@@ -266,34 +267,34 @@ class PositionsPrediction(Result):
 
     def __str__(self) -> str:
         labels = bands.labels(self.before.centre_frequencies)
+        first = self.parameters[0]
+        of_first = f"the interval of {parameter_label(first)}"
+        return "\n".join(
+            blocks.lines(
+                [
+                    Note(f"{self.before.name}: {self.name}"),
+                    Note(f"Mean over {len(self.pairs)} pairs, by {self.simulator}"),
+                    Table(labels, self.rows),
+                    words.made_of(of_first, self.parts(first), labels),
+                    *map(Note, self.sentences),
+                ]
+            )
+        )
+
+    @property
+    def rows(self) -> list[Row]:
+        """Each parameter before and after with its interval, means over the pairs by band."""
         rows = []
         for i, p in enumerate(self.parameters):
             of, (low, high) = observable(p), self.interval(p)
-            unit = f" / {of.unit}" if of.unit else ""
-            before = of.natural(self.simulated_before[i, -1])
-            for name, values in (
-                ("before", before),
-                ("after", self.mean(p)),
-                ("90 %: from", low),
-                ("to", high),
-            ):
-                shown = text.numbers(values, f".{of.decimals}f")
-                rows.append((f"{of.label} {name}{unit}", shown))
-        first = self.parameters[0]
-        return "\n".join(
-            [
-                *text.wrapped(f"{self.before.name}: {self.name}"),
-                *text.wrapped(f"Mean over {len(self.pairs)} pairs, by {self.simulator}"),
-                "",
-                *text.table(rows, header=("", labels)),
-                "",
-                *words.made_of(
-                    f"the interval of {parameter_label(first)}", self.parts(first), labels
-                ),
-                "",
-                *(line for sentence in self.sentences for line in text.wrapped(sentence)),
+            unit, form = f" / {of.unit}" if of.unit else "", f".{of.decimals}f"
+            rows += [
+                Row(f"{of.label} before{unit}", of.natural(self.simulated_before[i, -1]), form),
+                Row(f"{of.label} after{unit}", self.mean(p), form),
+                Row(f"{of.label} 90 %: from{unit}", low, form),
+                Row(f"{of.label} to{unit}", high, form),
             ]
-        )
+        return rows
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -349,10 +350,6 @@ def quantiles(
     return low, high, sampled
 
 
-Table = tuple[list[str], list[list[str]]]
-"""Header and rows."""
-
-
 def gap_rows(
     pairs: Sequence[Pair], before: Array, after: Array
 ) -> list[tuple[str, list[tuple[float, float]]]]:
@@ -378,12 +375,12 @@ def gap_table(
     after: Array,
     title: str = "rms gap / JND",
 ) -> Table:
-    """Return the header and rows of `gap_rows`."""
+    """Return the table of `gap_rows`."""
     rows = [
-        [name, *(" to ".join(text.number(x, ".1f") for x in ends) for ends in cells)]
+        Row(name, [" to ".join(text.number(x, ".1f") for x in ends) for ends in cells])
         for name, cells in gap_rows(pairs, before, after)
     ]
-    return [title, *(parameter_label(p) for p in parameters)], rows
+    return Table([parameter_label(p) for p in parameters], rows, corner=title)
 
 
 _FLAT = 0.05
@@ -1308,34 +1305,27 @@ class PositionsResult(Result):
         )
 
     def __str__(self) -> str:
-        lines = [*text.wrapped(self.warning, hanging="    "), ""] if self.warning else []
-        lines.append(f"Coefficients only for {self.simulator}")
-        tables = [gap_table(self.parameters, self.pairs, self.gap_before, self.gap_after)]
-        if more := self.beside.parameters:
-            ends = self.beside.gap_before, self.beside.gap_after
-            tables.append(gap_table(more, self.pairs, *ends, title="not matched: gap / JND"))
-        for header, rows in (*tables, self._material_table()):
-            lines += [
-                "",
-                *text.table([(r[0], r[1:]) for r in rows], header=(header[0], header[1:])),
-            ]
-        lines.append("")
-        for note in self.every_note[bool(self.warning) :]:  # the warning leads
-            lines += text.wrapped(note, hanging="    ")
-        return "\n".join(lines)
+        return "\n".join(blocks.lines(self._blocks()))
 
     def _repr_html_(self) -> str:
-        """Return the table of the materials, darker where more was learned."""
-        header, rows = self._material_table()
-        cells: list[list[str | text.Cell]] = [[*row] for row in rows]
-        for row, (_, before, after) in zip(cells, self.learned, strict=True):
-            share = 1 - after / before if before > 0 else 0.0
-            row[2] = text.Cell(str(row[2]), float(np.clip(share, 0, 1)))
-        return text.html_table(self._description, header, cells, self.every_note)
+        """Return the tables; that of the materials is darker where more was learned."""
+        return blocks.notebook(self._description, self._blocks()[bool(self.warning) :])
+
+    def _blocks(self) -> list[Block]:
+        ends = self.beside.gap_before, self.beside.gap_after
+        more = self.beside.parameters
+        return [
+            *([Note(self.warning, hanging="    "), Note("")] if self.warning else []),
+            Note(f"Coefficients only for {self.simulator}"),
+            gap_table(self.parameters, self.pairs, self.gap_before, self.gap_after),
+            *([gap_table(more, self.pairs, *ends, "not matched: gap / JND")] if more else []),
+            self._material_table(),
+            *(Note(note, hanging="    ") for note in self.every_note[bool(self.warning) :]),
+        ]
 
     def _material_table(self) -> Table:
-        """Return what was learned of each material, most first."""
-        header = ["", "sigma before", "after", "shift / sigma", "pulled most by"]
+        """Return what was learned of each material, most first, shaded by how much."""
+        columns = ["sigma before", "after", "shift / sigma", "pulled most by"]
         strength = np.abs(self.pulls).mean(axis=2)
         moved = np.sqrt((self.shift**2).mean(axis=1))
         rows = []
@@ -1344,12 +1334,13 @@ class PositionsResult(Result):
             pair = "-"
             if strength[:, i].any():
                 pair = " to ".join(self.pairs[int(np.argmax(strength[:, i]))])
-            row = [name, f"{before:.3f}", f"{after:.3f}", f"{moved[i]:.1f}", pair]
+            cells = [f"{before:.3f}", f"{after:.3f}", f"{moved[i]:.1f}", pair]
             if (fitted := self.scattering) is not None:
                 s, sigma = (a[i].mean() for a in (fitted.coefficients, fitted.sigma))
-                row.append(f"{s:.2f} ± {sigma:.2f}")
-            rows.append(row)
-        return header + ["scattering"] * (self.scattering is not None), rows
+                cells.append(f"{s:.2f} ± {sigma:.2f}")
+            share = max(1 - after / before, 0.0) if before > 0 else 0.0
+            rows.append(Row(name, cells, shade=[0.0, share, *[0.0] * (len(cells) - 2)]))
+        return Table(columns + ["scattering"] * (self.scattering is not None), rows)
 
     @property
     def warning(self) -> str:

@@ -20,7 +20,8 @@ from rtcal.calibration.result import CalibrationResult
 from rtcal.calibration.table import coefficients
 from rtcal.modes.measured import MeasuredModes
 from rtcal.modes.room_modes import DECAY
-from rtcal.support import __version__, text
+from rtcal.support import __version__, blocks, text
+from rtcal.support.blocks import Block, Note, Row, Table
 from rtcal.support.files import json_numbers
 from rtcal.support.saved import Result
 from rtcal.support.types import Array
@@ -247,17 +248,18 @@ class ModesResult(Result):
             for row in zip(*parts, strict=True)
         ]
         low = bands.labels(self.prior.centre_frequencies[self.below])
-        of_materials = list(zip(self.prior.materials, cells, strict=True))
-        lines = text.table(self.mode_rows, header=(_HEADER[0], _HEADER[1:]))
-        lines += ["", *text.table(of_materials, header=("alpha (90 %)", low)), ""]
-        for note in self.every_note:
-            lines += text.wrapped(note, hanging="    ")
-        return "\n".join(lines)
+        rows = [Row(m, c) for m, c in zip(self.prior.materials, cells, strict=True)]
+        first, *rest = self._blocks()
+        return "\n".join(blocks.lines([first, Table(low, rows, corner="alpha (90 %)"), *rest]))
 
     def _repr_html_(self) -> str:
         """Return the table of the modes."""
-        cells: list[list[str | text.Cell]] = [[name, *row] for name, row in self.mode_rows]
-        return text.html_table(self._description, _HEADER, cells, self.every_note)
+        return blocks.notebook(self._description, self._blocks())
+
+    def _blocks(self) -> list[Block]:
+        rows = [Row(name, cells) for name, cells in self.mode_rows]
+        notes = [Note(note, hanging="    ") for note in self.every_note]
+        return [Table(_HEADER[1:], rows, corner=_HEADER[0]), *notes]
 
     @property
     def every_note(self) -> list[str]:

@@ -16,7 +16,7 @@ plane cuts off. Where there are any, the areas are split in two parts, each with
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, ClassVar
@@ -33,7 +33,8 @@ from rtcal.acoustics.room_errors import Assumptions
 from rtcal.acoustics.targets import Target
 from rtcal.prediction import words
 from rtcal.prediction.predicted import Calibrated, Prediction, known_room, predict
-from rtcal.support import checks, text
+from rtcal.support import blocks, checks
+from rtcal.support.blocks import Block, Note, Row, Table
 from rtcal.support.errors import DataError, InfeasibleError, SolverError
 from rtcal.support.files import json_numbers
 from rtcal.support.saved import Result
@@ -597,58 +598,63 @@ class Design(Result):
         )
 
     def __str__(self) -> str:
-        return text_of(self.to_dict())
+        return "\n".join(blocks.lines(blocks_of(self.to_dict())))
 
 
-def text_of(record: dict[str, Any]) -> str:
-    """Return the text that ``print(design)`` shows, from `Design.to_dict`."""
-    labels = bands.labels(record["prediction"]["centre_frequencies"])
-    put = []
-    for t in record["treatments"]:
-        panels = "-" if t["panels"] is None else f"{t['panels']:d}"
-        put.append((t["name"], [f"{t['area']:.1f}", panels, f"{t['cost']:.0f}"]))
-    low, high = record["prediction"]["interval_90"]
+def treatments_of(record: Mapping[str, Any]) -> Table:
+    """Return the table of the treatments, from `Design.to_dict`."""
     rows = [
-        ("target from / s", record["target"]["low"], ".2f"),
-        ("       to / s", record["target"]["high"], ".2f"),
-        ("T before / s", record["prediction"]["reverberation_time_before"], ".2f"),
-        ("T after / s", record["prediction"]["reverberation_time"], ".2f"),
-        ("change / s", record["prediction"]["change_seconds"], "+.2f"),
-        ("change / %", record["prediction"]["change_percent"], "+.0f"),
-        ("90 %: from / s", low, ".2f"),
-        ("      to / s", high, ".2f"),
-        ("probability", record["probability"], ".2f"),
+        Row(
+            t["name"],
+            [
+                t["covers"] or "free-standing",
+                f"{t['area']:.1f}",
+                f"{t['largest']:.1f}",
+                "-" if t["panels"] is None else f"{t['panels']:d}",
+                f"{t['cost']:.0f}",
+            ],
+        )
+        for t in record["treatments"]
     ]
-    numbers = [
-        (name, [text.number(np.nan if v is None else v, form) for v in values])
-        for name, values, form in rows
-    ]
-    nothing = text.wrapped(
-        "Nothing is needed: T is in its range in every band with the probability asked for."
+    return Table(
+        ["covers", "area / m²", "largest / m²", "panels", "cost"], rows, corner="treatment"
     )
-    nothing = nothing if not any(t["area"] for t in record["treatments"]) else []
+
+
+def blocks_of(record: Mapping[str, Any]) -> list[Block]:
+    """Return what a design says, from `Design.to_dict`."""
+    prediction, target = record["prediction"], record["target"]
+    low, high = prediction["interval_90"]
+    rows = [
+        Row("target from / s", target["low"], ".2f"),
+        Row("       to / s", target["high"], ".2f"),
+        Row("T before / s", prediction["reverberation_time_before"], ".2f"),
+        Row("T after / s", prediction["reverberation_time"], ".2f"),
+        Row("change / s", prediction["change_seconds"], "+.2f"),
+        Row("change / %", prediction["change_percent"], "+.0f"),
+        Row("90 %: from / s", low, ".2f"),
+        Row("      to / s", high, ".2f"),
+        Row("probability", record["probability"], ".2f"),
+    ]
+    nothing = "Nothing is needed: T is in its range in every band with the probability asked for."
     frontier = ", ".join(
         f"{p}: {'not to be had' if cost is None else f'{cost:.0f}'}"
         for p, cost in record["frontier"].items()
     )
-    return "\n".join(
-        [
-            *text.wrapped(f"{record['room']}: {record['target']['source']}"),
-            *nothing,
-            "",
-            *text.table(put, header=("", ["m²", "panels", "cost"])),
-            "",
-            *text.table(numbers, header=("", labels)),
-            "",
-            *text.wrapped(f"Cost {record['cost']:.0f}. Cost by probability: {frontier}."),
-            *text.wrapped(
-                f"Probability that all bands are in range at once: "
-                f"{record['probability_together']:.2f}. The probabilities are means over draws"
-                + ("." if record["prediction"]["measured_states"] > 1 else ", at most 0.01 off.")
-            ),
-            *(line for each in record["prediction"]["sentences"] for line in text.wrapped(each)),
-        ]
+    together = (
+        f"Probability that all bands are in range at once: {record['probability_together']:.2f}. The "
+        "probabilities are means over draws"
     )
+    drawn = "." if prediction["measured_states"] > 1 else ", at most 0.01 off."
+    return [
+        Note(f"{record['room']}: {target['source']}"),
+        *([] if any(t["area"] for t in record["treatments"]) else [Note(nothing)]),
+        treatments_of(record),
+        Table(bands.labels(prediction["centre_frequencies"]), rows),
+        Note(f"Cost {record['cost']:.0f}. Cost by probability: {frontier}."),
+        Note(together + drawn),
+        *map(Note, prediction["sentences"]),
+    ]
 
 
 def design(

@@ -23,7 +23,8 @@ from rtcal.acoustics.room import Room
 from rtcal.acoustics.room_errors import Assumptions
 from rtcal.acoustics.targets import Target
 from rtcal.prediction import words
-from rtcal.support import checks, sampler, text
+from rtcal.support import blocks, checks, sampler
+from rtcal.support.blocks import Block, Note, Row, Table
 from rtcal.support.errors import DataError
 from rtcal.support.files import json_numbers
 from rtcal.support.saved import Result
@@ -353,7 +354,7 @@ class Prediction(Result):
         )
 
     def __str__(self) -> str:
-        return words.text_of(self.to_dict())
+        return "\n".join(blocks.lines(words.blocks_of(self.to_dict())))
 
 
 def predict(
@@ -457,25 +458,34 @@ class Predictions(Result):
         return record
 
     def __str__(self) -> str:
-        return "\n\n\n".join([*map(str, self.predictions), *self._side_by_side()])
+        beside = blocks.lines(self.side_by_side())
+        return "\n\n\n".join(
+            [*map(str, self.predictions), *(["\n".join(beside)] if beside else [])]
+        )
 
-    def _side_by_side(self) -> list[str]:
+    def side_by_side(self) -> list[Block]:
         """Return a table of the variants' T, and of cost and probability where they are known."""
         if len(self.predictions) == 1 and self.target is None:
             return []
         labels = bands.labels(self.predictions[0].after.centre_frequencies)
-        rows = [(p.name, [f"{t:.2f}" for t in p.mean]) for p in self.predictions]
-        lines = ["side by side: T / s", *text.table(rows, header=("", labels))]
-        columns = {"cost": ["-" if c is None else f"{c:.0f}" for c in self.costs]}
-        if self.target is not None:
-            lines += ["", *text.wrapped(f"Target: {self.target.source}")]
-            least, together = zip(*self.chances(), strict=True)
-            columns["least band"] = [f"{p:.2f}" for p in least]
-            columns["all bands"] = [f"{p:.2f}" for p in together]
-        elif all(cost is None for cost in self.costs):
-            return ["\n".join(lines)]
-        each = [(p.name, [c[i] for c in columns.values()]) for i, p in enumerate(self.predictions)]
-        return ["\n".join([*lines, *text.table(each, header=("", list(columns)))])]
+        rows = [Row(p.name, p.mean, ".2f") for p in self.predictions]
+        target = [] if self.target is None else [Note(f"Target: {self.target.source}")]
+        costs = [] if (table := self.costs_and_chances) is None else [table]
+        return [Table(labels, rows, "side by side: T / s"), *target, *costs]
+
+    @property
+    def costs_and_chances(self) -> Table | None:
+        """The table of cost and probability of the target by variant; None if neither is known."""
+        costs = ["-" if c is None else f"{c:.0f}" for c in self.costs]
+        if self.target is None and all(cost is None for cost in self.costs):
+            return None
+        chances: list[tuple[float, ...]] = [*self.chances()] or [()] * len(costs)
+        rows = [
+            Row(p.name, [cost, *(f"{chance:.2f}" for chance in each)])
+            for p, cost, each in zip(self.predictions, costs, chances, strict=True)
+        ]
+        columns = ["cost", "least band", "all bands"][: len(rows[0].values)]
+        return Table(columns, rows, corner="variant")
 
     def chances(self) -> list[tuple[float, float]]:
         """Return of each variant the least probability of a band of the target, and that of all.

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from rtcal.acoustics import bands
-from rtcal.support import text
+from rtcal.support.blocks import Block, Note, Row, Table
 from rtcal.support.types import Array
 
 ALPHA = 'alpha of "{}"'
@@ -96,49 +96,35 @@ def gained(without: Array, half_width: Array) -> str:
     )
 
 
-def made_of(interval: str, parts: Mapping[str, Iterable[float]], labels: list[str]) -> list[str]:
-    """Return the table of the parts of an interval, shares of its variance (n_bands,), as lines."""
-    rows = [
-        (name, [text.number(100 * share, ".0f") for share in part]) for name, part in parts.items()
-    ]
-    return [
-        f"what {interval} is made of / % of the variance",
-        *text.table(rows, header=("", labels)),
-    ]
+def made_of(interval: str, parts: Mapping[str, Iterable[float]], labels: Sequence[str]) -> Table:
+    """Return the table of the parts of an interval, shares of its variance (n_bands,)."""
+    rows = [Row(name, [100 * share for share in part], ".0f") for name, part in parts.items()]
+    return Table(labels, rows, f"what {interval} is made of / % of the variance")
 
 
-def _known(values: Iterable[float | None]) -> list[float]:
-    """Return values of a record, NaN where one is missing."""
-    return [float("nan") if value is None else value for value in values]
-
-
-def text_of(record: Mapping[str, Any]) -> str:
-    """Return the text that ``print(prediction)`` shows, from `Prediction.to_dict`."""
-    labels = bands.labels(record["centre_frequencies"])
+def rows_of(record: Mapping[str, Any]) -> list[Row]:
+    """Return T before and after with its interval and change, from `Prediction.to_dict`."""
     low, high = record["interval_90"]
-    rows = [
-        (f"T before ({record['before_is']}) / s", record["reverberation_time_before"], ".2f"),
-        ("    ± / s", record["uncertainty_before"], ".2f"),
-        ("T after / s", record["reverberation_time"], ".2f"),
-        ("90 %: from / s", low, ".2f"),
-        ("      to / s", high, ".2f"),
-        ("change / s", record["change_seconds"], "+.2f"),
-        ("change / %", record["change_percent"], "+.1f"),
-        ("change / JND", record["change_jnd"], "+.1f"),
-        ("half width / %", record["half_width_percent"], ".1f"),
-        ("half width / JND", record["half_width_jnd"], ".1f"),
+    return [
+        Row(f"T before ({record['before_is']}) / s", record["reverberation_time_before"], ".2f"),
+        Row("its standard uncertainty / s", record["uncertainty_before"], ".2f"),
+        Row("T after / s", record["reverberation_time"], ".2f"),
+        Row("90 % interval: from / s", low, ".2f"),
+        Row("               to / s", high, ".2f"),
+        Row("change / s", record["change_seconds"], "+.2f"),
+        Row("change / %", record["change_percent"], "+.1f"),
+        Row("change / JND", record["change_jnd"], "+.1f"),
+        Row("half width / %", record["half_width_percent"], ".1f"),
+        Row("half width / JND", record["half_width_jnd"], ".1f"),
     ]
-    return "\n".join(
-        [
-            *text.wrapped(f"{record['room']}: {record['name']}"),
-            "",
-            *text.table(
-                [(name, text.numbers(_known(values), form)) for name, values, form in rows],
-                header=("", labels),
-            ),
-            "",
-            *made_of("the interval", record["parts"], labels),
-            "",
-            *(line for sentence in record["sentences"] for line in text.wrapped(sentence)),
-        ]
-    )
+
+
+def blocks_of(record: Mapping[str, Any]) -> list[Block]:
+    """Return what a prediction says, from `Prediction.to_dict`."""
+    labels = bands.labels(record["centre_frequencies"])
+    return [
+        Note(f"{record['room']}: {record['name']}"),
+        Table(labels, rows_of(record)),
+        made_of("the interval", record["parts"], labels),
+        *map(Note, record["sentences"]),
+    ]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +11,6 @@ import numpy as np
 
 from rtcal.acoustics import bands
 from rtcal.acoustics.observables import parameter_label
-from rtcal.finder.claim import SAID
 from rtcal.finder.means.corrected import corrected_room, not_in_room
 from rtcal.finder.means.finding import MeansFinding
 from rtcal.finder.means.recalibration import recalibrate
@@ -24,6 +23,7 @@ from rtcal.report import document, gap_report, room_view, where_figures
 from rtcal.report.document import Heading, blocks, render, source
 from rtcal.report.figures import BLACK, BLUE, ORANGE, band_axis, new_figure, rendered
 from rtcal.report.page import FINDING_FIGURES
+from rtcal.support.blocks import Row
 from rtcal.support.files import make_folder, write_all
 from rtcal.support.saved import NUMBERS
 
@@ -126,7 +126,6 @@ def where_page(
         }
         for name, figure in figures.items()
     }
-    said = [c for c in finding.candidates if c.probability >= SAID][:8]
     values = {
         "finding": finding,
         "verification": verification,
@@ -134,7 +133,7 @@ def where_page(
         "models": TITLES,
         "parameters": [parameter_label(p) for p in finding.parameters],
         "pairs": [" to ".join(pair) for pair in finding.pairs],
-        "candidates": said if finding.verdict != "none" else [],
+        "candidates": replace(finding.probable, title="Candidates"),
         "bars": pictures.get(GAP),
         "plan": pictures[PLAN],
         "map": pictures[MAP],
@@ -180,9 +179,9 @@ def states_page(finding: StatesFinding, heading: Heading, step: Callable[[], Non
     mean, low, high = finding.change[:, measured]
     tried, digits = bool(np.isfinite(finding.size.mean)), decimals(finding.change)
     of_change = [
-        ("change / m²", mean, digits, True),
-        ("90 % interval: from / m²", low, digits, True),
-        ("to / m²", high, digits, True),
+        Row("change / m²", mean, f"+.{digits}f"),
+        Row("90 % interval: from / m²", low, f"+.{digits}f"),
+        Row("to / m²", high, f"+.{digits}f"),
     ]
     name = finding.case.room.name
     return render(
@@ -202,9 +201,9 @@ def states_page(finding: StatesFinding, heading: Heading, step: Callable[[], Non
                 if finding.best is not None
             ],
             "rows": [
-                ("T before / s", found.before[measured], 2, False),
-                ("T after / s", found.after[measured], 2, False),
-                ("absorption area before / m²", finding.area[measured], 1, False),
+                Row("T before / s", found.before[measured], ".2f"),
+                Row("T after / s", found.after[measured], ".2f"),
+                Row("absorption area before / m²", finding.area[measured], ".1f"),
                 *(of_change if tried else ()),
             ],
             "blocks": blocks(len(frequencies)),

@@ -19,6 +19,7 @@ from rtcal.report import words
 from rtcal.report.document import Heading, blocks, material_rows, render, source
 from rtcal.report.figures import BLACK, BLUE, ORANGE, band_axis, jnd_band, new_figure, shown
 from rtcal.report.words import hertz
+from rtcal.support.blocks import Row
 from rtcal.support.errors import DataError
 
 __all__ = ["page", "path"]
@@ -108,7 +109,7 @@ def weights_option(loop: Loop) -> str | None:
     return "".join(f" --weight {p}={share[0]:.3g}" for p, share in shares.items())
 
 
-def lost_rows(compromise: Mapping[str, ParameterGap]) -> list[tuple[str, Any, int, bool]]:
+def lost_rows(compromise: Mapping[str, ParameterGap]) -> list[Row]:
     """Return the rows of what each parameter lost in a compromise; none for T20 alone."""
     if len(compromise) == 1:
         return []
@@ -116,22 +117,21 @@ def lost_rows(compromise: Mapping[str, ParameterGap]) -> list[tuple[str, Any, in
         row
         for parameter, part in compromise.items()
         for row in (
-            (f"{parameter_label(parameter)}, share of the weights", part.share, 2, False),
-            (f"{parameter_label(parameter)}, first gap / JND", part.before, 1, True),
-            (f"{parameter_label(parameter)}, gap left / JND", part.after, 1, True),
-            (f"{parameter_label(parameter)}, lost / JND", part.lost, 1, False),
+            Row(f"{parameter_label(parameter)}, share of the weights", part.share, ".2f"),
+            Row(f"{parameter_label(parameter)}, first gap / JND", part.before, "+.1f"),
+            Row(f"{parameter_label(parameter)}, gap left / JND", part.after, "+.1f"),
+            Row(f"{parameter_label(parameter)}, lost / JND", part.lost, ".1f"),
         )
     ]
 
 
-def beside_rows(loop: Loop) -> list[tuple[str, Any, int, bool]]:
+def beside_rows(loop: Loop) -> list[Row]:
     """Return the rows of what was measured and not matched: measured, in the first and nearest run."""
     return [
-        (
+        Row(
             f"{parameter_label(p)}, {when} / {observable(p).unit}",
             values,
-            observable(p).decimals,
-            False,
+            f".{observable(p).decimals}f",
         )
         for p, wanted in loop.beside.items()
         for when, values in (
@@ -142,21 +142,22 @@ def beside_rows(loop: Loop) -> list[tuple[str, Any, int, bool]]:
     ]
 
 
-def bands_table(loop: Loop, status: Sequence[str]) -> dict[str, Any]:
+def band_rows(loop: Loop) -> list[Row]:
     """Return the rows of the table by band."""
     nearest = np.array([loop.steps[b].simulated[k] for k, b in enumerate(loop.best)])
-    return {
-        "numbers": [
-            ("measured T / s", loop.wanted, 3, False),
-            ("first simulated / s", loop.steps[0].simulated, 3, False),
-            ("nearest simulated / s", nearest, 3, False),
-            ("first gap / JND", gap_jnd(loop.steps[0].simulated, loop.wanted), 1, True),
-            ("gap left / JND", loop.gap, 2, True),
-            ("z", loop.outcome.plausibility.z, 1, True),
-        ],
-        "nearest": [int(b) + 1 for b in loop.best],
-        "status": status,
-    }
+    return [
+        Row("measured T / s", loop.wanted, ".3f"),
+        Row("first simulated / s", loop.steps[0].simulated, ".3f"),
+        Row("nearest simulated / s", nearest, ".3f"),
+        Row("first gap / JND", gap_jnd(loop.steps[0].simulated, loop.wanted), "+.1f"),
+        Row("gap left / JND", loop.gap, "+.2f"),
+        Row("z", loop.outcome.plausibility.z, "+.1f"),
+    ]
+
+
+def nearest_simulations(loop: Loop) -> list[int]:
+    """Return the number of each band's nearest simulation, from 1."""
+    return [int(b) + 1 for b in loop.best]
 
 
 def at_ends(loop: Loop) -> list[str]:
@@ -199,11 +200,10 @@ def ends(result: LoopResult) -> dict[str, Any]:
         ("with the coefficients returned", result.final),
     )
     rows = [
-        (
+        Row(
             f"{parameter_label(name)}, {when} / {kind.unit}",
             measurement.mean(name),
-            kind.decimals,
-            False,
+            f".{kind.decimals}f",
         )
         for name, kind in OBSERVABLES.items()
         for when, measurement in columns
@@ -214,7 +214,7 @@ def ends(result: LoopResult) -> dict[str, Any]:
     ]
     matched = result.loop.matched
     of = "its gap" if len(matched.shares) == 1 else f"gap of {matched.label}"
-    rows.insert(2, (f"{of} / JND", result.gap, 1, True))
+    rows.insert(2, Row(f"{of} / JND", result.gap, "+.1f"))
     return {
         "simulator": result.simulator,
         "confirmed": result.confirmation is not None,
@@ -320,10 +320,11 @@ def page(
     if final is not None:
         said.append(confirmed(loop, final))
     said += matched.sentences(result.gaps_beside, loop.room.centre_frequencies)
-    by_band = bands_table(loop, status)
-    by_band["numbers"] += lost_rows(result.compromise)
+    by_band = [*band_rows(loop), *lost_rows(result.compromise)]
     if final is None:
-        by_band["numbers"] += beside_rows(loop)
+        by_band += beside_rows(loop)
+    by_band.append(Row("nearest simulation", [str(n) for n in nearest_simulations(loop)]))
+    by_band.append(Row("status", list(status)))
     figure = path(loop)
     drawn = source(figure, progress or (lambda: None))
     return render(
@@ -340,7 +341,7 @@ def page(
                 "caption": f"By band: {loop.matched.label}, and how far each simulation was off. "
                 "One JND is 5 %.",
             },
-            "bands": by_band,
+            "by_band": by_band,
             "ends": final,
             "blocks": blocks(loop.room.n_bands),
             "labels": bands.labels(loop.room.centre_frequencies),

@@ -10,7 +10,6 @@ import numpy as np
 from rtcal.acoustics import bands
 from rtcal.acoustics.quality import CalibrationVerdict
 from rtcal.acoustics.room import MAX_BYTES
-from rtcal.acoustics.trust import letters
 from rtcal.calibration import table
 from rtcal.calibration.result import CalibrationResult
 from rtcal.modes.result import ModesResult
@@ -23,6 +22,7 @@ from rtcal.report import (
 )
 from rtcal.report.document import Heading, blocks, data_of, material_rows, render, source
 from rtcal.report.figures import BLACK, BLUE, ORANGE, new_figure
+from rtcal.support.blocks import Row
 from rtcal.support.types import Array
 
 __all__ = ["calibration_page", "finding_page"]
@@ -151,9 +151,6 @@ def _calibration(
         "blocks": blocks(len(calibration.prior.centre_frequencies)),
         "labels": bands.labels(calibration.prior.centre_frequencies),
         "band_rows": _band_rows(calibration),
-        "band_letters": [
-            letters(calibration.trust_marks, f) for f in calibration.prior.centre_frequencies
-        ],
         "materials": _materials(calibration),
         "interval_note": _interval_note(calibration),
         "assumed": words.assumed(calibration),
@@ -219,24 +216,11 @@ def _figures(calibration: CalibrationResult, step: Callable[[], None]) -> dict[s
     return encoded | ({} if "plane" in encoded else {"plane": {}})
 
 
-def _band_rows(calibration: CalibrationResult) -> list[tuple[str, Any, int, bool]]:
-    """Return each row of the band table: name, values, decimals, and whether to show the sign."""
-    return [
-        ("measured T / s", calibration.measured, 3, False),
-        ("its uncertainty / s", calibration.measured_uncertainty, 3, False),
-        ("T before calibration (model) / s", calibration.reverberation_time_before, 3, False),
-        ("T after calibration (model) / s", calibration.reverberation_time_after, 3, False),
-        ("gap before / JND", calibration.gap_before, 1, True),
-        ("gap after / JND", calibration.gap_after, 1, True),
-        ("z", calibration.plausibility.z, 1, True),
-        (
-            "absorption area of the surfaces / m²",
-            calibration.prior.areas @ calibration.alpha,
-            2,
-            False,
-        ),
-        ("air's share / %", 100 * calibration.air_share, 0, False),
-    ]
+def _band_rows(calibration: CalibrationResult) -> list[Row]:
+    """Return the rows of the table by band: those that are printed, and the absorption area."""
+    rows = table.band_rows(calibration.to_dict())
+    area = calibration.prior.areas @ calibration.alpha
+    return [*rows[:-2], Row("absorption area of the surfaces / m²", area, ".2f"), *rows[-2:]]
 
 
 def _materials(calibration: CalibrationResult) -> list[dict[str, Any]]:
@@ -302,7 +286,9 @@ def modes_page(result: ModesResult, heading: Heading, step: Callable[[], None]) 
             else "rtcal.calibrate_modes(room, modes)",
             "labels": bands.labels(room.centre_frequencies),
             "blocks": blocks(room.n_bands),
-            "carries": np.where(result.below | measured, carries, "–"),
+            "carries": [
+                Row("carried by", np.where(result.below | measured, carries, "–").tolist())
+            ],
             "materials": material_rows(
                 room.materials,
                 room.areas,

@@ -125,15 +125,14 @@ def _of_loop(result: Loop | LoopResult) -> dict[str, Any]:
     """Return a loop's record with the numbers of its room, which its file holds as text."""
     loop = result.loop if isinstance(result, LoopResult) else result
     room, status = loop.room, loop_page.statuses(loop)
-    by_band = loop_page.bands_table(loop, status)
     return {
         "rtcal": result.record_kind,
         "room": room.name,
         "simulations": len(loop.steps),
         "status": ", ".join(dict.fromkeys(status)),
         _BANDS: json_numbers(room.centre_frequencies),
-        "bands": {name: json_numbers(values) for name, values, _, _ in by_band["numbers"]},
-        "nearest simulation": by_band["nearest"],
+        "bands": {row.name: json_numbers(row.values) for row in loop_page.band_rows(loop)},
+        "nearest simulation": loop_page.nearest_simulations(loop),
         "materials": [
             {
                 "name": name,

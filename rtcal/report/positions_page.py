@@ -19,6 +19,7 @@ from rtcal.report.figures import BLACK, ORANGE, ROOM, new_figure, shown, write_w
 from rtcal.simulators.geometry import Polyhedron
 from rtcal.simulators.observations import Observations
 from rtcal.simulators.path_tracing import PathTracing
+from rtcal.support.blocks import Row
 from rtcal.support.errors import DataError
 from rtcal.support.saved import NUMBERS
 from rtcal.support.text import first_of
@@ -153,7 +154,7 @@ def _times(before: Observations, after: Observations, measured: Observations) ->
         heard = measured.natural(key)
         for name, model in (("measured", measured), ("before", before), ("after", after)):
             values = np.where(np.isfinite(heard), model.natural(key), np.nan)
-            rows.append((f"{parameter_label(key)} {name} / s", _mean(values), 2, False))
+            rows.append(Row(f"{parameter_label(key)} {name} / s", _mean(values), ".2f"))
     return rows
 
 

@@ -11,10 +11,12 @@ import numpy as np
 from rtcal.acoustics import bands
 from rtcal.acoustics.observables import observable, parameter_label
 from rtcal.loop.positions_result import PositionsPrediction, PositionsPredictions
-from rtcal.prediction.designed import Design
+from rtcal.prediction import words
+from rtcal.prediction.designed import Design, treatments_of
 from rtcal.prediction.predicted import Prediction, Predictions
 from rtcal.report.document import Heading, blocks, render, source
 from rtcal.report.figures import BLACK, BLUE, GREEN, ORANGE, band_axis, new_figure, shown
+from rtcal.support.blocks import Row, Table
 from rtcal.support.types import Array
 
 _STYLES = ((ORANGE, "o"), (BLUE, "s"), (GREEN, "^"), ("#CC79A7", "D"), ("#E69F00", "v"))
@@ -155,9 +157,10 @@ def page(
         "prediction.html",
         {
             "design": None if found is None else found.to_dict(),
+            "treatments": None if found is None else treatments_of(found.to_dict()),
             "variants": [_variant(v, target, step) for v in variants],
             "compared": _compared(result),
-            "times_rows": [(v.name, v.mean, 2, False) for v in variants]
+            "times_rows": [Row(v.name, v.mean, ".2f") for v in variants]
             if len(variants) > 1
             else [],
             "aim": "" if aim is None else aim.source,
@@ -188,7 +191,7 @@ def page_at_positions(
     frequencies, t = first.before.centre_frequencies, first.parameters[0]
     before = observable(t).natural(first.simulated_before[0, -1])
     drawn = times(frequencies, before, [(v.name, v.mean(t), v.interval(t)) for v in variants])
-    means = [(v.name, v.mean(t), 2, False) for v in variants]
+    means = [Row(v.name, v.mean(t), ".2f") for v in variants]
     return render(
         "prediction.html",
         {
@@ -214,23 +217,12 @@ def page_at_positions(
 
 
 def _at_positions(variant: PositionsPrediction, step: Callable[[], None]) -> dict[str, Any]:
-    rows = []
-    for i, parameter in enumerate(variant.parameters):
-        of, (low, high) = observable(parameter), variant.interval(parameter)
-        unit = f" / {of.unit}" if of.unit else ""
-        before = of.natural(variant.simulated_before[i, -1])
-        rows += [
-            (f"{of.label} before{unit}", before, of.decimals, False),
-            (f"{of.label} after{unit}", variant.mean(parameter), of.decimals, False),
-            ("90 % interval: from", low, of.decimals, False),
-            ("to", high, of.decimals, False),
-        ]
     drawn = parts(variant.before.centre_frequencies, variant.parts(variant.parameters[0]))
     return {
         "name": variant.name,
         "changes": [str(change) for change in variant.changes],
         "sentences": variant.sentences,
-        "rows": rows,
+        "rows": variant.rows,
         "parts": {
             "source": source(drawn, step),
             "alt": f"{variant.name}: what the interval is made of, by band",
@@ -240,68 +232,41 @@ def _at_positions(variant: PositionsPrediction, step: Callable[[], None]) -> dic
     }
 
 
-def _compared(result: Prediction | Predictions | Design) -> dict[str, Any] | None:
-    """Return what is compared side by side: the header and rows of text; None of one prediction."""
-    if isinstance(result, Design):
-        names = [t.name for t in result.model.treatments]
-        rows = []
-        for p, design in result.alternatives.items():
-            if design is None:
-                rows.append([f"{p:g}", *["–"] * len(names), "not to be had", "–", "–"])
-                continue
-            bounded = design.model.target.bounded
-            rows.append(
-                [
-                    f"{p:g}" + (" (this design)" if p == result.promised else ""),
-                    *(f"{area:.1f}" for area in design.areas),
-                    f"{design.cost:.0f}",
-                    f"{design.probability[bounded].min():.2f}",
-                    f"{design.probability_together:.2f}",
-                ]
-            )
-        header = ["Asked", *(f"{name} / m²" for name in names), "Cost", "Least band", "All bands"]
-        return {"header": header, "rows": rows, "title": "Cost by probability, side by side"}
+def _compared(result: Prediction | Predictions | Design) -> Table | None:
+    """Return what is compared side by side; None of one prediction."""
     if isinstance(result, Prediction):
         return None
-    chances = result.chances()
-    if not chances and all(cost is None for cost in result.costs):
-        return None
-    rows = [
-        [made.name, "–" if cost is None else f"{cost:.0f}"]
-        for made, cost in zip(result.predictions, result.costs, strict=True)
-    ]
-    header = ["Variant", "Cost"]
-    if chances:
-        header += ["Least band", "All bands"]
-        rows = [
-            [*row, *(f"{p:.2f}" for p in each)] for row, each in zip(rows, chances, strict=True)
+    if isinstance(result, Predictions):
+        return result.costs_and_chances
+    names = [t.name for t in result.model.treatments]
+    rows = []
+    for p, design in result.alternatives.items():
+        if design is None:
+            rows.append(Row(f"{p:g}", [*["–"] * len(names), "not to be had", "–", "–"]))
+            continue
+        bounded = design.model.target.bounded
+        cells = [
+            *(f"{area:.1f}" for area in design.areas),
+            f"{design.cost:.0f}",
+            f"{design.probability[bounded].min():.2f}",
+            f"{design.probability_together:.2f}",
         ]
-    return {"header": header, "rows": rows, "title": "Cost and probability of the target"}
+        rows.append(Row(f"{p:g}" + (" (this design)" if p == result.promised else ""), cells))
+    columns = [*(f"{name} / m²" for name in names), "cost", "least band", "all bands"]
+    return Table(columns, rows, "Cost by probability, side by side", corner="asked")
 
 
 def _variant(
     variant: Prediction, target: tuple[Array, Array] | None, step: Callable[[], None]
 ) -> dict[str, Any]:
-    low, high = variant.interval
-    rows = [
-        (f"T before ({variant.before_is}) / s", variant.time_before, 2, False),
-        ("its standard uncertainty / s", variant.uncertainty_before, 2, False),
-        ("T after / s", variant.mean, 2, False),
-        ("90 % interval: from / s", low, 2, False),
-        ("to / s", high, 2, False),
-        ("change / s", variant.mean - variant.time_before, 2, True),
-        ("change / %", 100 * (variant.mean / variant.time_before - 1), 1, True),
-        ("change / JND", variant.change, 1, True),
-        ("half width / %", 5 * variant.half_width, 1, False),
-        ("half width / JND", variant.half_width, 1, False),
-    ]
+    record = variant.to_dict()
+    rows = words.rows_of(record)
     if target is not None:
         rows += [
-            ("target: from / s", target[0], 2, False),
-            ("to / s", target[1], 2, False),
-            ("probability", variant.probability(*target), 2, False),
+            Row("target: from / s", target[0], ".2f"),
+            Row("to / s", target[1], ".2f"),
+            Row("probability", variant.probability(*target), ".2f"),
         ]
-    record = variant.to_dict()
     drawn = parts(variant.after.centre_frequencies, variant.parts)
     return {
         "name": variant.name,

@@ -78,7 +78,7 @@ def test_variants_have_cost_and_probability_of_a_target(result, tmp_path: Path) 
         together = prediction.probability_together(target.low, target.high)
         assert f"<td>{each.min():.2f}</td><td>{together:.2f}</td>" in html
         assert f"{each.min():.2f}" in str(found)
-    assert "<td>two</td><td>100</td>" in html
+    assert '<th scope="row">two</th><td>100</td>' in html
     assert "grey: the target." in html
     assert html.count('<th scope="row">probability</th>') == 2
 

@@ -26,8 +26,30 @@ from rtcal.loop.positions_result import PositionsResult
 from rtcal.report import positions_page
 from rtcal.simulators import EquationSimulator, Polyhedron
 from rtcal.support.errors import DataError
-from tests.test_saved_results import same
 from tests.test_where_corrected import candidate
+
+
+def same(one: Any, other: Any) -> bool:
+    """Return whether two objects hold the same, arrays bit by bit."""
+    if type(one) is not type(other):
+        return False
+    if isinstance(one, np.ndarray):
+        return (
+            one.dtype == other.dtype
+            and one.shape == other.shape
+            and one.tobytes() == other.tobytes()
+        )
+    if isinstance(one, float):
+        return np.float64(one).tobytes() == np.float64(other).tobytes()
+    if isinstance(one, tuple | list):
+        return len(one) == len(other) and all(map(same, one, other))
+    if isinstance(one, dict):
+        return same(list(one.items()), list(other.items()))
+    if dataclasses.is_dataclass(one):
+        names = [f.name for f in dataclasses.fields(one)]
+        return all(same(getattr(one, n), getattr(other, n)) for n in names)
+    return bool(one == other)
+
 
 FORMATS = {"catt": catt, "odeon": odeon, "pyroomacoustics": pyroomacoustics, "bras": bras}
 OCTAVES = [63.0, 125.0, 250.0, 500.0, 1000.0, 2000.0, 4000.0, 8000.0]

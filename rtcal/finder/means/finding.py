@@ -19,7 +19,8 @@ from rtcal.finder.means.features import ModelDiscrepancy
 from rtcal.finder.means.verdict import Fit
 from rtcal.finder.prior import COEFFICIENTS, NONE, UNKNOWN, OffTogether, Prior
 from rtcal.finder.records import data_of, record_of_means, record_of_several
-from rtcal.support import text
+from rtcal.support import blocks, text
+from rtcal.support.blocks import Note, Row, Table
 from rtcal.support.errors import DataError
 from rtcal.support.files import json_numbers
 from rtcal.support.text import as_sentence, listed
@@ -354,25 +355,22 @@ class MeansFinding(SetsFinding):
     def _repr_html_(self) -> str:
         """Return probabilities and evidence as a table, candidates and threshold in words."""
         rows = [
-            [
+            Row(
                 name,
-                self.percent(name),
-                f"{self.evidence.get(name, 0.0):+.1f}",
-                "candidate" if name in self.names else "",
-            ]
+                [
+                    self.percent(name),
+                    f"{self.evidence.get(name, 0.0):+.1f}",
+                    "candidate" if name in self.names else "",
+                ],
+            )
             for name in self.probabilities
         ]
-        return text.html_table(
+        said = [*self.in_words, *self.sets_in_words, *self.not_judged_in_words, self.track_record]
+        return blocks.notebook(
             f"{self.headline}; threshold {self.threshold:.1f} nats",
-            ["effect", "probability", "evidence / nats", ""],
-            rows,
             [
-                *self.in_words,
-                *self.sets_in_words,
-                *self.not_judged_in_words,
-                self.track_record,
-                f"Next: {self.advice}",
-                *self.notes,
+                Table(["probability", "evidence / nats", ""], rows, corner="effect"),
+                *map(Note, (*said, f"Next: {self.advice}", *self.notes)),
             ],
         )
 

@@ -34,7 +34,8 @@ from rtcal.finder.means.gap import LITTLE
 from rtcal.finder.means.hypotheses import predict_hypotheses
 from rtcal.finder.means.likelihood import MeansProblem
 from rtcal.finder.model import FEATURES, predict
-from rtcal.support import __version__, text
+from rtcal.support import __version__, blocks, text
+from rtcal.support.blocks import Row, Table
 from rtcal.support.files import json_numbers
 from rtcal.support.saved import Result
 from rtcal.support.text import as_sentence, listed
@@ -485,16 +486,10 @@ class MeansVerification(Verification):
 
     def _repr_html_(self) -> str:
         """Return the mean gaps before and after as a table, the verdict in words."""
-        rows = [
-            [
-                _named(g),
-                f"{g.before:.2f}",
-                f"{g.after:.2f}",
-            ]
-            for g in self.quantities
-        ]
-        header = ["mean gap / JND", "plain", f"with {self.finding.title}"]
-        return text.html_table(f"Verification: {self.verdict}", header, rows, [self.sentence])
+        rows = [Row(_named(g), [g.before, g.after], ".2f") for g in self.quantities]
+        columns = ["plain", f"with {self.finding.title}"]
+        table = Table(columns, rows, corner="mean gap / JND", note=self.sentence)
+        return blocks.notebook(f"Verification: {self.verdict}", [table])
 
     def __str__(self) -> str:
         """Return the sentence, the gaps and the coefficients."""

@@ -17,7 +17,8 @@ from rtcal.finder.positions.weighing import Weighing
 from rtcal.finder.prior import NONE, UNKNOWN
 from rtcal.loop.control_runs import ControlRuns
 from rtcal.loop.measured_pairs import without_place
-from rtcal.support import checks, text
+from rtcal.support import blocks, checks
+from rtcal.support.blocks import Block, Note, Row, Table
 from rtcal.support.errors import DataError
 from rtcal.support.files import json_numbers
 from rtcal.support.text import listed
@@ -316,27 +317,26 @@ class PositionsFinding(Finding):
         return [f"{e} ({100 * self.probabilities[e]:.0f} %)" for e in every]
 
     def __str__(self) -> str:
-        lines = text.wrapped(self.headline)
-        said = [c for c in self.candidates if c.probability >= SAID][:8]
-        if said and self.verdict != "none":
-            header = ("", ["probability", "size"])
-            rows = [(c.title, [f"{100 * c.probability:.0f} %", c.in_words]) for c in said]
-            lines += ["", *text.table(rows, header=header), ""]
-        for group in self.groups:
-            lines += text.wrapped(f"Not told apart by these positions: {listed(group, last='or')}.")
-        lines += text.wrapped(self.detection_in_words)
-        for note in (*self.reasons, *self.notes):
-            lines += text.wrapped(note)
-        return "\n".join(lines)
+        return "\n".join(blocks.lines(self._blocks()))
 
     def _repr_html_(self) -> str:
-        rows: list[list[str | text.Cell]] = [
-            [c.title, f"{100 * c.probability:.0f} %", c.in_words]
-            for c in self.candidates
-            if c.probability >= SAID
-        ]
-        header = ["", "probability", "size"]
-        return text.html_table(self.headline, header, rows, [*self.reasons, *self.notes])
+        return blocks.notebook(self.headline, self._blocks()[1:])
+
+    def _blocks(self) -> list[Block]:
+        apart = (
+            f"Not told apart by these positions: {listed(group, last='or')}."
+            for group in self.groups
+        )
+        notes = (*apart, self.detection_in_words, *self.reasons, *self.notes)
+        table = [self.probable] if self.probable.rows else []
+        return [Note(self.headline), *table, *map(Note, notes)]
+
+    @property
+    def probable(self) -> Table:
+        """The most probable candidates with their sizes, as a table; no row if nothing is found."""
+        said = [c for c in self.candidates if c.probability >= SAID and self.verdict != "none"]
+        rows = [Row(c.title, [f"{100 * c.probability:.0f} %", c.in_words]) for c in said[:8]]
+        return Table(["probability", "size"], rows)
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain values for JSON."""

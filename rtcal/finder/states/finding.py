@@ -24,7 +24,8 @@ from rtcal.finder.finding import (
 from rtcal.finder.prior import NONE
 from rtcal.finder.states.case import SecondState, StatesCase, changed_room
 from rtcal.finder.states.evidence import ADDED
-from rtcal.support import text
+from rtcal.support import blocks, text
+from rtcal.support.blocks import Block, Note, Table
 from rtcal.support.errors import DataError
 from rtcal.support.files import json_numbers
 from rtcal.support.text import as_sentence, listed
@@ -248,40 +249,24 @@ class StatesFinding(Finding):
         said = (self.not_told_apart, self.climate_in_words, self.not_told_where, score, *self.notes)
         return tuple(filter(None, said))
 
-    def _rows(self) -> list[tuple[str, list[str]]]:
-        found = self.case.differences
-        rows = []
-        digits = decimals(self.change)
-        for k in np.flatnonzero(found.measured).tolist():
-            rows.append(
-                (
-                    bands.label(found.centre_frequencies[k]),
-                    [
-                        f"{found.before[k]:.2f}",
-                        f"{found.after[k]:.2f}",
-                        f"{self.area[k]:.1f}",
-                        interval(self.change[:, k], digits),
-                    ],
-                )
-            )
-        return rows
-
-    _header: ClassVar[tuple[str, list[str]]] = (
-        "",
-        ["T / s", "after / s", "area / m²", "change / m² (90 %)"],
-    )
+    def _blocks(self) -> list[Block]:
+        found, digits = self.case.differences, decimals(self.change)
+        measured = np.flatnonzero(found.measured).tolist()
+        columns = {
+            "T / s": [f"{found.before[k]:.2f}" for k in measured],
+            "after / s": [f"{found.after[k]:.2f}" for k in measured],
+            "area / m²": [f"{self.area[k]:.1f}" for k in measured],
+            "change / m² (90 %)": [interval(self.change[:, k], digits) for k in measured],
+        }
+        names = bands.labels(found.centre_frequencies[measured])
+        notes = (*self.sentences, as_sentence(NATS))
+        return [Note(self.headline), Table.of_columns(names, columns), *map(Note, notes)]
 
     def __str__(self) -> str:
-        lines = text.wrapped(self.headline)
-        lines += ["", *text.table(self._rows(), header=self._header), ""]
-        for sentence in (*self.sentences, as_sentence(NATS)):
-            lines += text.wrapped(sentence)
-        return "\n".join(lines)
+        return "\n".join(blocks.lines(self._blocks()))
 
     def _repr_html_(self) -> str:
-        rows: list[list[str | text.Cell]] = [[band, *cells] for band, cells in self._rows()]
-        header = [self._header[0], *self._header[1]]
-        return text.html_table(self.headline, header, rows, [*self.sentences, as_sentence(NATS)])
+        return blocks.notebook(self.headline, self._blocks()[1:])
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain values for JSON."""

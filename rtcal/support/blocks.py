@@ -1,0 +1,170 @@
+"""Tables and notes of a result, stated once: terminal, notebook and page are readings of them."""
+
+from __future__ import annotations
+
+import html
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from numpy.typing import NDArray
+
+from rtcal.support import text
+
+# Orange and blue of Okabe and Ito's palette (jfly.uni-koeln.de/color, 2008), which readers with any
+# colour vision can distinguish.
+_ABOVE, _BELOW = "230, 159, 0", "0, 114, 178"
+_STRONGEST = 0.45  # opacity that keeps the text readable in light and in dark notebooks
+
+
+@dataclass(frozen=True, eq=False)
+class Row:
+    """A row of a table.
+
+    Parameters
+    ----------
+    name : str
+    values : sequence (n_columns,)
+        Numbers, None and NaN where there is none; or texts.
+    form : str
+        Format of the numbers, such as ".3f"; with "+", 0 has no sign.
+    shade : sequence of float (n_columns,)
+        From -1 (blue) over 0 (none) to 1 (orange), which repeats the text; () for none.
+    """
+
+    name: str
+    values: Sequence[Any] | NDArray[Any]
+    form: str = ""
+    shade: Sequence[float] | NDArray[Any] = ()
+
+    @property
+    def cells(self) -> list[str]:
+        """The values as they are printed.
+
+        Examples
+        --------
+        >>> Row("gap / JND", [1.26, -0.04, None], "+.1f").cells
+        ['+1.3', '0.0', '-']
+        """
+        return [
+            v if isinstance(v, str) else text.number(float("nan") if v is None else v, self.form)
+            for v in self.values
+        ]
+
+    @property
+    def typeset(self) -> list[str]:
+        """The values as a page has them, with a minus and a dash.
+
+        Examples
+        --------
+        >>> Row("gap / JND", [-1.26, None, "1 to 2"], "+.1f").typeset
+        ['−1.3', '–', '1 to 2']
+        """
+        return [
+            cell if isinstance(v, str) else "–" if cell == "-" else cell.replace("-", "−")
+            for v, cell in zip(self.values, self.cells, strict=True)
+        ]
+
+
+@dataclass(frozen=True, eq=False)
+class Table:
+    """Rows by column, with a title above and a note below; ``corner`` is the head of the names."""
+
+    columns: Sequence[str]
+    rows: Sequence[Row]
+    title: str = ""
+    corner: str = ""
+    note: str = ""
+
+    @classmethod
+    def of_columns(
+        cls,
+        names: Sequence[str],
+        columns: Mapping[str, Sequence[str]],
+        shades: Mapping[str, NDArray[Any]] | None = None,
+    ) -> Table:
+        """Return the table of some columns of texts (n_rows,), with the names of its rows."""
+        shaded = [(shades or {}).get(c, [0.0] * len(names)) for c in columns]
+        cells = zip(
+            names, zip(*columns.values(), strict=True), zip(*shaded, strict=True), strict=True
+        )
+        return cls([*columns], [Row(name, list(row), shade=shade) for name, row, shade in cells])
+
+
+@dataclass(frozen=True)
+class Note:
+    """A sentence of its own; the terminal indents it, and "" is an empty line there."""
+
+    text: str
+    indent: str = ""
+    hanging: str | None = None
+
+
+Block = Table | Note
+
+
+def lines(blocks: Sequence[Block]) -> list[str]:
+    r"""Return blocks as lines that fit the terminal; empty lines stand around a table.
+
+    Examples
+    --------
+    >>> print("\n".join(lines([Table(["125 Hz"], [Row("T / s", [1.5], ".2f")]), Note("One band.")])))
+           125 Hz
+    T / s    1.50
+    <BLANKLINE>
+    One band.
+    """
+    out: list[str] = []
+    before: Block | None = None
+    for block in blocks:
+        if isinstance(block, Table):
+            out += [""] if out else []
+            out += text.wrapped(block.title)
+            rows = [(row.name, row.cells) for row in block.rows]
+            out += text.table(rows, header=(block.corner, list(block.columns)))
+            out += text.wrapped(block.note)
+        else:
+            out += [""] if isinstance(before, Table) or not block.text else []
+            out += text.wrapped(block.text, block.indent, block.hanging)
+        before = block
+    return out
+
+
+def notebook(caption: str, blocks: Sequence[Block]) -> str:
+    """Return blocks as HTML for a notebook: shaded tables and paragraphs; every text is escaped.
+
+    Examples
+    --------
+    >>> notebook("T", [Table(["1 kHz"], [Row("gap / JND", [2.1], "+.1f", [0.5])])]).count("<td")
+    1
+    """
+    out, first = "", caption
+    for block in blocks:
+        if isinstance(block, Note):
+            out += f"<p>{html.escape(block.text)}</p>" if block.text else ""
+            continue
+        head = "".join(_cell("th", "col", c) for c in (block.corner, *block.columns))
+        body = "".join(f"<tr>{_cells(row)}</tr>" for row in block.rows)
+        title = ". ".join(filter(None, (first, block.title)))
+        out += (
+            f'<table><caption style="text-align: left">{html.escape(title)}</caption>'
+            f"<thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"
+        )
+        out += f"<p>{html.escape(block.note)}</p>" if block.note else ""
+        first = ""
+    return out
+
+
+def _cells(row: Row) -> str:
+    shades = row.shade if len(row.shade) else [0.0] * len(row.values)
+    cells = zip(row.cells, shades, strict=True)
+    return _cell("th", "row", row.name) + "".join(_cell("td", "", c, s) for c, s in cells)
+
+
+def _cell(tag: str, scope: str, content: str, shade: float = 0.0) -> str:
+    style = f"text-align: {'left' if scope == 'row' else 'right'}"
+    if shade == shade and shade:  # not of NaN
+        colour = _ABOVE if shade > 0 else _BELOW
+        style += f"; background: rgba({colour}, {_STRONGEST * min(abs(shade), 1.0):.2f})"
+    attribute = f' scope="{scope}"' if scope else ""
+    return f'<{tag}{attribute} style="{style}">{html.escape(content.strip())}</{tag}>'
