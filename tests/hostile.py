@@ -25,7 +25,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from matplotlib.figure import Figure
 
 import rtcal as rt
 from rtcal.calibration.posterior import distribution
@@ -45,7 +44,7 @@ from rtcal.simulators.external import EquationSimulator
 from rtcal.simulators.geometry import SHOEBOX_WALLS, Polyhedron
 from rtcal.simulators.path_tracing import PathTracing
 from rtcal.simulators.shoebox import ImageSource
-from rtcal.support.errors import ModelError, RtcalError
+from rtcal.support.errors import RtcalError
 
 LIMIT = 10.0
 """s of processor time per call, so that a busy machine changes nothing. `find` takes some 3 s."""
@@ -229,7 +228,6 @@ def instances(folder: Path, *, searched: bool = True) -> tuple[dict[str, Any], d
         "uncertainty": np.array([0.1, 0.1]),
         "energy": 10 ** (-6 * np.arange(4000) * 1e-3 / 0.5)[None, None],
         "bin_width": 1e-3,
-        "limit": 0.05,
         "name": "t20",
         "parameter": "t20",
         "path": str(folder / "x.txt"),
@@ -262,19 +260,13 @@ def instances(folder: Path, *, searched: bool = True) -> tuple[dict[str, Any], d
         "z": np.zeros(2),
         "marks": result.trust_marks,
         "per_octave": 0.5,
-        "lowest": 125.0,
-        "highest": 4000.0,
         "content": b"",
-        "polyhedron": geometry,
         "case": case,
         "finding": finding,
-        "loop": loop,
         "verification": verification,
         "result": result,
         "simulator": simulator,
         "equation": rt.Eyring(),
-        "calibration": calibration,
-        "configurations": configurations,
         "rooms": [room],
         "sigma_r": 0.05,
         "realisations": 10,
@@ -282,8 +274,6 @@ def instances(folder: Path, *, searched: bool = True) -> tuple[dict[str, Any], d
         "text": "text",
         "place": "place",
         "probability": 0.5,
-        "level": np.array([0.0, -10.0, -30.0]),
-        "objective": rt.terms.PriorDeviation(),
         "material": "wall",
         "band": 0,
         "points": [[1.0, 1.0, 1.0]],
@@ -291,8 +281,6 @@ def instances(folder: Path, *, searched: bool = True) -> tuple[dict[str, Any], d
         "pairs": [("S", "R")],
         "signals": np.random.default_rng(1).standard_normal(8000) * np.exp(-np.arange(8000) / 500),
         "sampling_rate": 8000.0,
-        "distances": np.array([2.0]),
-        "make": lambda r: EquationSimulator(rt.Eyring(), r),
         "effects": None,
         "data": room.to_dict(),
         "simulated": measured,
@@ -304,20 +292,11 @@ def instances(folder: Path, *, searched: bool = True) -> tuple[dict[str, Any], d
         "folder": folder / "out",
         "changes": {"wall": change},
         "parameters": {"area": 2.0},
-        "temperature": 20.0,
-        "humidity": 50.0,
         "run": lambda alpha, seed: np.array([0.5, 0.5]),
-        "width": 7.0,
         "title": "title",
         "p_value": 0.3,
-        "vertices": geometry.vertices,
-        "faces": geometry.faces,
         "area": 2.0,
         "key": "eyring",
-        "axes": Figure().subplots(),
-        "error": ModelError("text"),
-        "bands": [0],
-        "most": 3,
         "protocol": rt.terms.ObjectiveTerm,
     }
     return by_class, by_name
