@@ -21,6 +21,12 @@ _GOLDEN = np.uint64(0x9E3779B97F4A7C15)
 _FIRST = np.uint64(0xBF58476D1CE4E5B9)
 _SECOND = np.uint64(0x94D049BB133111EB)
 _S30, _S27, _S31, _S11 = (np.uint64(s) for s in (30, 27, 31, 11))
+Batch = tuple[Any, Any, Any, Any]
+"""Events, starts, lengths and weights of paths; see `rtcal.simulators.paths.Batch`."""
+Weighing = tuple[Array, Array, Array, float]
+"""ln(1 - alpha) of every code of a wall hit, (n_codes, n_bands); air attenuation, (n_bands,), in 1/m;
+length of each receiver's first sound, (n_receivers,), and of a bin, in m."""
+
 _DISTANCES = 4096
 """Distances from paths to planes that are computed together, by vector instructions."""
 
@@ -256,22 +262,14 @@ def trace(
 
 
 @compiled(reorder=False)
-def histogram(
-    events: Any,
-    starts: Any,
-    lengths: Any,
-    weights: Any,
-    log_reflection: Array,
-    attenuation: Array,
-    first: Array,
-    bin_length: float,
-    out: Array,
-) -> None:
+def histogram(batch: Batch, weighing: Weighing, out: Array) -> None:
     """Add the energy that the receivers hear to ``out``, (n_receivers, n_bands, n_bins).
 
     The air's attenuation is that to the middle of a bin, times a series within the bin. So no reception
     takes an exponential.
     """
+    events, starts, lengths, weights = batch
+    log_reflection, attenuation, first, bin_length = weighing
     n_codes, n_bands = log_reflection.shape
     n_receivers, _, n_bins = out.shape
     reflection = np.exp(log_reflection)
@@ -307,14 +305,8 @@ def histogram(
 
 @compiled(reorder=False)
 def histogram_gradient(
-    events: Any,
-    starts: Any,
-    lengths: Any,
-    weights: Any,
-    log_reflection: Array,
-    attenuation: Array,
-    first: Array,
-    bin_length: float,
+    batch: Batch,
+    weighing: Weighing,
     groups: Any,
     counts: Array,
     out: Array,
@@ -326,6 +318,8 @@ def histogram_gradient(
     adds to the sum. ``out`` (n_receivers, n_bands, n_bins), ``gradient`` (n_receivers, n_bins,
     n_groups, n_bands).
     """
+    events, starts, lengths, weights = batch
+    log_reflection, attenuation, first, bin_length = weighing
     n_codes, n_bands = log_reflection.shape
     n_bins, n_groups = out.shape[2], gradient.shape[2]
     level, energy, sums = np.empty(n_bands), np.empty(n_bands), np.empty(n_groups)
@@ -373,14 +367,8 @@ def most_hits(events: Any, starts: Any, held: Any) -> int:
 
 @compiled(reorder=False)
 def histogram_changed(
-    events: Any,
-    starts: Any,
-    lengths: Any,
-    weights: Any,
-    log_reflection: Array,
-    attenuation: Array,
-    first: Array,
-    bin_length: float,
+    batch: Batch,
+    weighing: Weighing,
     held: Any,
     powers: Array,
     out: Array,
@@ -391,6 +379,8 @@ def histogram_changed(
     (n_groups, n_hits, n_changes, n_bands) multiply the energy after as many hits on a group. ``out``
     (n_groups, n_receivers, n_bins, n_changes, n_bands).
     """
+    events, starts, lengths, weights = batch
+    log_reflection, attenuation, first, bin_length = weighing
     n_codes, n_bands = log_reflection.shape
     n_groups, n_receivers, n_bins, n_changes, _ = out.shape
     n_hits = powers.shape[1]

@@ -233,11 +233,8 @@ class Paths:
         for s, source in enumerate(self.batches):
             for b, batch in enumerate(source):
                 kernels.histogram(
-                    *batch.arrays,
-                    log_reflection,
-                    attenuation,
-                    self.first[s],
-                    float(bin_length),
+                    batch.arrays,
+                    (log_reflection, attenuation, self.first[s], float(bin_length)),
                     out[b * number // n_batches, s],
                 )
             out[:, s] *= number / self._kept(s)
@@ -359,11 +356,8 @@ class Paths:
         gradient = np.zeros((n_receivers, n_bins, int(groups.max()) + 1, n_bands))
         for batch in batches:
             kernels.histogram_gradient(
-                *batch.arrays,
-                log_reflection,
-                attenuation,
-                self.first[source],
-                float(bin_length),
+                batch.arrays,
+                (log_reflection, attenuation, self.first[source], float(bin_length)),
                 groups,
                 counts,
                 energy,
@@ -457,11 +451,8 @@ class Paths:
             together = max(len(source) * _TOGETHER // max(receptions, 1), 1)
             for start in range(0, len(source), together):
                 kernels.histogram_changed(
-                    *joined(source[start : start + together]),
-                    log_reflection,
-                    attenuation,
-                    self.first[s],
-                    float(bin_length),
+                    joined(source[start : start + together]),
+                    (log_reflection, attenuation, self.first[s], float(bin_length)),
                     held,
                     powers,
                     heard,

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtcal.simulators.facets import first_hit
+from rtcal.simulators.kernels import Batch, Weighing
 from rtcal.support.types import Array
 
 _GOLDEN = np.uint64(0x9E3779B97F4A7C15)
@@ -126,34 +127,16 @@ def trace(
     )
 
 
-def histogram(
-    events: NDArray[np.uint16],
-    starts: NDArray[np.int64],
-    lengths: NDArray[np.float32],
-    weights: NDArray[np.float32],
-    log_reflection: Array,
-    attenuation: Array,
-    first: Array,
-    bin_length: float,
-    out: Array,
-) -> None:
+def histogram(batch: Batch, weighing: Weighing, out: Array) -> None:
     """Add the energy that the receivers hear to ``out``, (n_receivers, n_bands, n_bins)."""
     shape = (out.shape[0], out.shape[2])
-    _, _, energy, flat, in_bins = _heard(
-        events, starts, lengths, weights, log_reflection, attenuation, first, bin_length, shape
-    )
+    _, _, energy, flat, in_bins = _heard(batch, weighing, shape)
     out += np.moveaxis(_sums(flat, energy, in_bins, shape), 2, 1)
 
 
 def histogram_gradient(
-    events: NDArray[np.uint16],
-    starts: NDArray[np.int64],
-    lengths: NDArray[np.float32],
-    weights: NDArray[np.float32],
-    log_reflection: Array,
-    attenuation: Array,
-    first: Array,
-    bin_length: float,
+    batch: Batch,
+    weighing: Weighing,
     groups: NDArray[np.int64],
     counts: Array,
     out: Array,
@@ -161,12 +144,11 @@ def histogram_gradient(
 ) -> None:
     """Add energy and derivatives as `rtcal.simulators.kernels.histogram_gradient` does."""
     shape = (out.shape[0], out.shape[2])
-    heard, begin, energy, flat, in_bins = _heard(
-        events, starts, lengths, weights, log_reflection, attenuation, first, bin_length, shape
-    )
+    heard, begin, energy, flat, in_bins = _heard(batch, weighing, shape)
     sums = _sums(flat, energy, in_bins, shape)
     out += np.moveaxis(sums, 2, 1)
-    wall = events < len(log_reflection)
+    events = batch[0]
+    wall = events < len(weighing[0])
     code = np.where(wall, events, 0)
     group = np.where(wall, groups[code], -1)
     for j in range(gradient.shape[2]):
@@ -184,14 +166,8 @@ def most_hits(
 
 
 def histogram_changed(
-    events: NDArray[np.uint16],
-    starts: NDArray[np.int64],
-    lengths: NDArray[np.float32],
-    weights: NDArray[np.float32],
-    log_reflection: Array,
-    attenuation: Array,
-    first: Array,
-    bin_length: float,
+    batch: Batch,
+    weighing: Weighing,
     held: NDArray[np.int64],
     powers: Array,
     out: Array,
@@ -199,18 +175,8 @@ def histogram_changed(
     """Add energies as `rtcal.simulators.kernels.histogram_changed` does."""
     n_groups, n_receivers, n_bins = out.shape[:3]
     n_hits = powers.shape[1]
-    heard, begin, energy, flat, in_bins = _heard(
-        events,
-        starts,
-        lengths,
-        weights,
-        log_reflection,
-        attenuation,
-        first,
-        bin_length,
-        (n_receivers, n_bins),
-    )
-    every = _hits(events, held)
+    heard, begin, energy, flat, in_bins = _heard(batch, weighing, (n_receivers, n_bins))
+    every = _hits(batch[0], held)
     for j in range(n_groups):
         at = flat * n_hits + every[heard, j] - every[begin, j]
         sums = _sums(at, energy, in_bins, (n_receivers * n_bins, n_hits))
@@ -234,20 +200,16 @@ def _sums(
 
 
 def _heard(
-    events: NDArray[np.uint16],
-    starts: NDArray[np.int64],
-    lengths: NDArray[np.float32],
-    weights: NDArray[np.float32],
-    log_reflection: Array,
-    attenuation: Array,
-    first: Array,
-    bin_length: float,
+    batch: Batch,
+    weighing: Weighing,
     shape: tuple[int, int],
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], Array, NDArray[np.int64], NDArray[np.bool_]]:
     """Return each reception's event, its path's first event, energy, bin, and whether it has a bin.
 
     Energies are (n, n_bands). Bins are counted over all receivers. ``shape`` is (n_receivers, n_bins).
     """
+    events, starts, lengths, weights = batch
+    log_reflection, attenuation, first, bin_length = weighing
     n_codes, n_bands = log_reflection.shape
     heard = np.flatnonzero(events >= n_codes)
     receiver = events[heard].astype(np.int64) - n_codes
