@@ -790,30 +790,28 @@ def calibrate_positions(
         low = BelowSchroeder.of(modes, room, measured)
         room, measured = low.room, low.above(measured)
         repeated = (*repeated, low.note)
-    tracer = simulator
-    wanted = with_t30(match, measured)
-    if isinstance(simulator, PathTracing):  # data that were used before are told before the paths
-        kept = [p for p in measured.pairs if p in simulator.pairs and p not in exclude]
-        refuse_known(room, measured, wanted, kept)
-    simulator = precise(simulator, more_paths)
-    trace_ahead(simulator, room.alpha, seed)
+    given, wanted = simulator, with_t30(match, measured)
     replaced = wanted != tuple(match)
-    if isinstance(simulator, PathTracing):
-        wanted = simulator.trusted(wanted)
+    of_paths: tuple[str, ...] = ()
+    tracer = simulator if isinstance(simulator, PathTracing) else None
+    if tracer is not None:
+        # Data that were used before are told before the paths.
+        kept = [p for p in measured.pairs if p in tracer.pairs and p not in exclude]
+        refuse_known(room, measured, wanted, kept)
+        simulator = dense = precise(tracer, more_paths)
+        trace_ahead(dense, room.alpha, seed)
+        wanted, of_paths = dense.trusted(wanted), (*dense.notes, *dense.source_notes)
     match, notes = _given(simulator, room.alpha, wanted, seed)
-    if isinstance(simulator, PathTracing):
-        notes = (*notes, *simulator.notes, *simulator.source_notes)
-    if replaced:
-        notes = (T30_ALONE, *notes)
+    notes = (*([T30_ALONE] if replaced else []), *notes, *of_paths)
     first, not_simulated = _first(simulator, room.alpha, match, measured, seed)
     data = pairs_to_match(room, measured, match, first, exclude)
     notes = (*without_place(measured, first.pairs), *notes, *not_simulated, *repeated)
     if stated := in_words(room):
         notes = (*notes, f"The room is uncertain, and that counts: {stated}.")
     _refuse_one_place(simulator, data.observations.pairs, position_uncertainty)
-    if isinstance(tracer, PathTracing) and isinstance(simulator, PathTracing):
+    if tracer is not None:
         # Too few paths are told before the control runs.
-        groups = simulator.observe_in_groups(room.alpha, GROUPS, match, seed=seed)
+        groups = dense.observe_in_groups(room.alpha, GROUPS, match, seed=seed)
         _tell_noise(groups, match, tracer)
     if controls is None:
         told: list[int] = []
@@ -851,23 +849,23 @@ def calibrate_positions(
     ).run()
     here, path = fit.here, fit.path
     last = path.steps[-1].model.matrix
-    scattering, start = None, tracer.scattering if isinstance(tracer, PathTracing) else None
-    if fit.scattering is not None and isinstance(tracer, PathTracing):
+    scattering, start = None, None if tracer is None else tracer.scattering
+    if fit.scattering is not None and tracer is not None:
         weighed, materials = fit.scattering.tracer, fit.scattering.materials
-        tracer = replace(
+        given = tracer = replace(
             tracer, scattering=weighed.scattering, scattering_model=weighed.scattering_model
         )
         unknown = fit.errors.covariance + last @ prior @ last.T
         posterior = materials.posterior(here.used, unknown)
         scattering = fitted(tracer, materials.traced, posterior)
-    elif fit_scattering and isinstance(tracer, PathTracing):
+    elif fit_scattering and tracer is not None:
         notes = (*notes, _kept(tracer, beyond))
     return PositionsResult(
         prior=room,
-        room=room if fit.refused else _calibrated(room, tracer, scattering, fit, data, controls),
-        simulator=_named(tracer, scattering),
-        tracer=tracer,
-        weighed=precise(tracer, more_paths),
+        room=room if fit.refused else _calibrated(room, given, scattering, fit, data, controls),
+        simulator=_named(given, scattering),
+        tracer=given,
+        weighed=precise(given, more_paths),
         seed=seed,
         scattering=scattering,
         start=start,
