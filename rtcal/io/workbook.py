@@ -19,6 +19,7 @@ import zipfile
 import zlib
 from collections.abc import Iterable, Mapping, Sequence
 from functools import reduce
+from pathlib import Path
 from typing import Any
 
 from rtcal.io import budget
@@ -267,8 +268,21 @@ def content(
         for k, width in enumerate(_widths(rows), start=1):
             sheet.column_dimensions[openpyxl.utils.get_column_letter(k)].width = width
     stream = io.BytesIO()
-    book.save(stream)
+    with _Undated(stream, "w", zipfile.ZIP_DEFLATED) as archive:
+        openpyxl.writer.excel.ExcelWriter(book, archive).save()
     return stream.getvalue()
+
+
+class _Undated(zipfile.ZipFile):
+    """A zip whose files have no date of their own: it has no place for one before 1980."""
+
+    def writestr(self, zinfo_or_arcname: Any, data: Any, *_: Any, **__: Any) -> None:
+        info = zipfile.ZipInfo(getattr(zinfo_or_arcname, "filename", zinfo_or_arcname))
+        info.compress_type = self.compression
+        super().writestr(info, data)
+
+    def write(self, filename: Any, arcname: Any = None, *_: Any, **__: Any) -> None:
+        self.writestr(str(arcname or filename), Path(filename).read_bytes())
 
 
 def _plain(value: Any) -> Any:
@@ -295,4 +309,4 @@ def _widths(rows: Iterable[Sequence[Any]]) -> list[int]:
 
 def _library() -> Any:
     needed = "workbooks (xlsx) need openpyxl: pip install 'rtcal[tables]'"
-    return library(needed, "openpyxl", "openpyxl.styles", "openpyxl.utils")
+    return library(needed, "openpyxl", "openpyxl.styles", "openpyxl.utils", "openpyxl.writer.excel")
