@@ -65,10 +65,8 @@ mutate: $(STAMP)  ## 300 deliberate faults: which does no test see?
 
 bench: $(STAMP)  ## speed, as ratios in one run
 	$(BIN)/python benchmarks/resolve.py
-	$(BIN)/python benchmarks/composed.py
 	$(BIN)/python benchmarks/path_tracing.py
 	$(BIN)/python benchmarks/shoebox_simulators.py
-	$(BIN)/python benchmarks/exact_batch.py
 	$(BIN)/python -m benchmarks.solvers run --short
 
 clean:

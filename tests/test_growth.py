@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 import rtcal as rt
-from benchmarks import crossings
 from rtcal import terms
 from rtcal.calibration import joint_solution, uncertainty
 from rtcal.io import mend
@@ -112,11 +111,3 @@ def test_time_of_mending_grows_with_the_faces_not_with_their_square() -> None:
     seconds_of_mending(20)  # imports
     small, large = (min(seconds_of_mending(n) for _ in range(2)) for n in (200, 800))
     assert np.log(large / small) / np.log(4) < 1.5
-
-
-@pytest.mark.long
-def test_a_search_at_every_pair_is_followed_in_few_files() -> None:
-    """A loop over hypotheses, pairs or bands stands in one file, and takes all of them at once."""
-    calls, files = crossings.search()
-    assert 1000 < calls.total() <= 26_000
-    assert len(files) <= 73

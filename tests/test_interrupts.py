@@ -8,7 +8,6 @@ import subprocess
 import sys
 import time
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -67,70 +66,6 @@ def check(tmp_path: Path, times: int, longest: float) -> list[int]:
     return codes
 
 
-LOCKED = """
-from concurrent.futures import Future
-
-def result(self, timeout=None):
-    self._condition.acquire()
-    raise KeyboardInterrupt
-
-Future.result = result
-"""
-"""The state that Ctrl-C leaves where it strikes between taking a lock and the block that lets it go."""
-
-
-def test_an_interrupt_within_a_futures_lock_does_not_hang() -> None:
-    """A worker waits for ever for the lock; one of 200 interrupted studies hung so."""
-    done = subprocess.run(
-        [sys.executable, "-c", LOCKED + STARTED, "study", "--realisations", "300", "--trials", "9"],
-        capture_output=True,
-        text=True,
-        timeout=60,
-        check=False,
-    )
-    assert done.returncode == 130
-    assert done.stderr.strip() == NOTHING.strip()
-
-
-SWALLOWED = """
-import os, signal
-from rtcal.report import study_report
-
-def report(*arguments, **options):
-    try:
-        os.kill(os.getpid(), signal.SIGINT)
-        while True:
-            pass
-    except BaseException as error:
-        raise ImportError("a library that loads") from error
-
-study_report.report = report
-"""
-"""An interrupt that a library turns into another exception, as one does while it loads."""
-
-
-@pytest.mark.parametrize("of_the_tests", [signal.default_int_handler, signal.SIG_IGN])
-def test_an_interrupt_that_a_library_swallows_ends_the_command(of_the_tests: Any) -> None:
-    """Also where the tests run in the background."""
-    before = signal.signal(signal.SIGINT, of_the_tests)
-    try:
-        done = swallowed()
-    finally:
-        signal.signal(signal.SIGINT, before)
-    assert done.returncode == 130
-    assert done.stderr.strip() == NOTHING.strip()
-
-
-def swallowed() -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [sys.executable, "-c", SWALLOWED + STARTED, "study"],
-        capture_output=True,
-        text=True,
-        timeout=60,
-        check=False,
-    )
-
-
 WRITTEN = """
 import os, signal
 from rtcal.support import files
@@ -172,10 +107,3 @@ def test_a_command_that_has_written_names_its_files(arguments: list[str], tmp_pa
 
 def test_interrupts_at_random_moments(tmp_path: Path) -> None:
     assert 130 in check(tmp_path, 3, 0.8)
-
-
-@pytest.mark.study
-def test_200_interrupts_at_random_moments(tmp_path: Path) -> None:
-    codes = check(tmp_path, 200, 3.0)
-    print({code: codes.count(code) for code in set(codes)})
-    assert codes.count(130) > 50

@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 
-from benchmarks import real_cases, real_data
-from benchmarks.judging import Judged, calibration_error, interval, stated_probabilities
+from benchmarks.judging import calibration_error, interval
 from benchmarks.real_cases import RealCase, every_case
 from benchmarks.real_rooms import outcome
 
@@ -34,15 +31,6 @@ def test_calibration_error_is_the_mean_distance_over_the_bins() -> None:
     assert error == pytest.approx(0.5 * 0.05 + 0.5 * 0.05)
     assert [(n, round(f, 2)) for n, _, f in bins] == [(10, 0.5), (10, 0.9)]
     assert calibration_error([1.0, 0.0], [True, False])[0] == 0  # 1.0 is in the last bin
-
-
-def test_the_most_probable_answer_is_what_is_judged() -> None:
-    table = {"none": 0.2, "air": 0.7, "volume": 0.1}
-    rooms = [
-        Judged(frozenset({name}), row("named", "air", probabilities=table))
-        for name in ("air", "volume", "none")
-    ]
-    assert stated_probabilities(rooms, "probabilities") == ([0.7] * 3, [True, False, False])
 
 
 @pytest.mark.parametrize(
@@ -78,32 +66,3 @@ def test_the_real_cases_are_enough_and_none_is_of_a_room_kept_for_judging_from_o
         "pyFDN",
     }
     assert not [c for c in judging if c.name.startswith("CR2")]
-
-
-def test_the_real_cases_can_be_made(shared_data: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(real_data, "DATA", shared_data)
-    made = {}
-    for case in every_case():
-        if case.name.startswith(("PTB", "dEchorate")):
-            made[case.name] = case.make(Path())
-    assert len(made) == 46
-    pair = made["PTB open and closed, as stated"]
-    area = pair.room.areas
-    open_, closed = pair.room.alpha, pair.configurations[1].changes[real_cases.CLOSED].alpha
-    i = pair.room.material_index(real_cases.CLOSED)
-    # Both sides of 13.92 and 57.41 m² (materials.csv), at 1 kHz.
-    assert area[i] * open_[i, 3] == pytest.approx(2 * 13.92 * 0.7)
-    assert area[i] * closed[3] == pytest.approx(2 * 57.41 * 0.4)
-
-
-def test_the_panels_coefficients_explain_the_measured_times(
-    shared_data: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(real_data, "DATA", shared_data)
-    times = real_data.dechorate_times()
-    assert len(times) == 10
-    alpha = real_data.dechorate_alpha(list(times))
-    assert (alpha[1] > 4 * alpha[2]).all()  # what absorbs, and what reflects
-    room = real_data.dechorate_room("011111")
-    assert room.materials == ("floor", "reflecting panels")
-    assert float(np.sum(room.areas)) == pytest.approx(float(real_data.PANEL_AREAS.sum()))

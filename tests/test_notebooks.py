@@ -6,7 +6,6 @@ import contextlib
 import io
 import json
 import re
-import subprocess
 import sys
 from pathlib import Path
 from typing import Any
@@ -217,16 +216,3 @@ def test_the_pages_quote_the_stored_run(page: str, study: str) -> None:
             for number in re.findall(r"[\d.]+%?", " ".join(values)):
                 assert number in lines[name], f"{page}: {name}: {number}"
     assert quoted >= 3
-
-
-@pytest.mark.study
-def test_the_benchmark_of_composed_calibrations_runs() -> None:
-    done = subprocess.run(
-        [sys.executable, str(ROOT / "benchmarks" / "composed.py"), "--quick"],
-        capture_output=True,
-        text=True,
-        cwd=ROOT,
-        check=False,
-    )
-    assert done.returncode == 0, done.stderr
-    assert "slope" in done.stdout

@@ -87,14 +87,6 @@ def test_a_piece_that_is_another_is_computed_again(
     tracemalloc.stop()
 
 
-def test_a_pipe_in_place_of_a_piece_does_not_hang(folder: Path) -> None:
-    piece = folder / "piece-00000001.sums"
-    piece.unlink()
-    os.mkfifo(piece)
-    assert run(folder) == run(None)
-    assert piece.is_file()
-
-
 @pytest.mark.long
 def test_a_study_goes_on_after_a_fault_at_any_event(tmp_path: Path) -> None:
     whole = run(None)

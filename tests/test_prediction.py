@@ -413,19 +413,23 @@ def test_what_a_room_states_of_its_areas_and_climate_counts() -> None:
     assert (air[1].half_width > 1.02 * air[0].half_width)[-1]
 
 
-def test_rooms_that_do_not_fit_are_refused(result) -> None:
-    with pytest.raises(DataError, match="one prior"):
-        result.predict(result.prior.replace(sigma=0.5 * result.prior.sigma))
-    with pytest.raises(DataError, match="neither a calibration's result nor a Room"):
-        predict(3, [])
-    with pytest.raises(ModelError, match="gives no T"):
-        result.predict([Open(m) for m in result.prior.materials])
-    with pytest.raises(DataError, match=r"factor = 2"):
-        Assumptions(factor=2)
-    with pytest.raises(DataError, match="the calibration's is Eyring"):
-        predict(result, [], equation=rt.Sabine())
-    with pytest.raises(DataError, match="is not a state that was calibrated"):
-        predict(result, [], before=a_room(7))
+@pytest.mark.parametrize(
+    ("call", "error", "place"),
+    [
+        (lambda r: r.predict(r.prior.replace(sigma=0.5 * r.prior.sigma)), DataError, "prior"),
+        (lambda r: predict(3, []), DataError, "3"),
+        (lambda r: r.predict([Open(m) for m in r.prior.materials]), ModelError, "T"),
+        (lambda r: Assumptions(factor=2), DataError, "factor"),
+        (lambda r: predict(r, [], equation=rt.Sabine()), DataError, "Eyring"),
+        (lambda r: predict(r, [], before=a_room(7)), DataError, "before"),
+        (lambda r: r.predict(NewVolume(1e-9)), DataError, "volume"),
+        (lambda r: r.predict([]).probability([1.0] * 3, [0.5] * 3), DataError, "low"),
+        (lambda r: r.predict([]).probability([1.0] * 3, [2.0] * 2), DataError, "high"),
+    ],
+)
+def test_what_does_not_fit_is_refused(result, call, error, place: str) -> None:
+    with pytest.raises(error, match=place):
+        call(result)
 
 
 def test_no_measured_t_counts_twice() -> None:

@@ -14,7 +14,6 @@ from rtcal.calibration import exact
 pytest.importorskip("qpbenchmark")
 pytest.importorskip("piqp")
 
-from benchmarks.solvers import cases as solver_cases
 from benchmarks.solvers import measure, render, results, routes, truth
 from benchmarks.solvers.cases import Case, Rooms
 
@@ -143,14 +142,6 @@ def test_a_warm_start_that_is_ignored(feasible: Case, test_set: Rooms) -> None:
     assert used.status == cold.status == "solved"
 
 
-def test_a_slow_solver_is_seen_in_the_mean(feasible: Case, test_set: Rooms) -> None:
-    """Hundredfold on every third problem: a mean with a shift of seconds would not show it."""
-    row = dataclasses.replace(judged(feasible, test_set), microseconds=20.0)
-    slow = dataclasses.replace(row, microseconds=2000.0)
-    assert float(render._mean([row] * 3)) == pytest.approx(20, abs=0.5)
-    assert float(render._mean([row, row, slow])) > 60
-
-
 @pytest.mark.long
 def test_the_truth_is_that_of_rational_arithmetic(cases: dict[str, Case]) -> None:
     """Two ways to it that share nothing: band by band, and from the matrices of all bands."""
@@ -202,19 +193,6 @@ def test_a_wrong_active_set_does_not_become_the_truth(monkeypatch) -> None:
         said = qpsolvers.Solution(problem, found=True, x=np.array([0.4, 0.6]), z=claimed)
         monkeypatch.setattr(qpsolvers, "solve_problem", lambda *a, said=said, **k: said)
         np.testing.assert_allclose(truth.of_matrices(problem).x, [0.5, 0.5], rtol=0, atol=1e-16)
-
-
-def test_the_real_rooms_that_are_not_there_are_said(monkeypatch, tmp_path: Path) -> None:
-    monkeypatch.setattr(solver_cases, "BRAS", tmp_path / "none")
-    short = Rooms("short")
-    assert "their data are not here" in short.left_out
-    assert [c.name for c in short._real()] == ["CR2 mle", "CR2 lse"]
-
-
-def test_the_real_rooms_that_are_there(shared_data: Path) -> None:
-    found = {c.name: c for c in Rooms("short")._real()}
-    assert found["CR3 thirds mle"].unknowns == 7 * 24
-    assert found["CR3 thirds lse"].alpha is not None
 
 
 @pytest.mark.long

@@ -2,18 +2,13 @@
 
 from __future__ import annotations
 
-from types import SimpleNamespace
 from typing import Any
 
-import numpy as np
 import pytest
 
-import rtcal as rt
-from benchmarks import where, where_figures
+from benchmarks import where_figures
 from benchmarks.studies.geometric_world import rooms
 from benchmarks.studies.geometric_world.load import stored, truth
-from benchmarks.where_threshold import folds
-from rtcal.acoustics.quality import gap_jnd
 
 KINDS = rooms.order(0)
 
@@ -80,32 +75,3 @@ def test_every_line_counts_the_rooms_that_it_is_about() -> None:
         assert (lines[name][0], lines[name][3]) == (pytest.approx(value), n), name
     assert set(where_figures.asked("level")) <= set(lines)
     assert where_figures.summary(found, means, 0, "level")["detected"][3] == 0
-
-
-def test_a_gap_to_what_was_measured_becomes_that_to_what_is_heard() -> None:
-    rng = np.random.default_rng(1)
-    pairs, bands = [("S", "A"), ("S", "B")], np.array([500.0, 1000.0])
-    names = ("t20", "edt", "c80", "ts", "g")
-    model, measured, heard = ({p: rng.uniform(0.5, 2.0, (2, 2)) for p in names} for _ in range(3))
-
-    def as_measurement(values: dict[str, Any]) -> rt.Measurement:
-        return rt.Measurement(centre_frequencies=bands, values=values, pairs=pairs)
-
-    finding = SimpleNamespace(
-        parameters=("t20", "edt", "c80", "ts", "level"),
-        pairs=pairs[::-1],
-        case=SimpleNamespace(measured=as_measurement(measured)),
-    )
-    gap = np.array([gap_jnd(model[p], measured[p], p)[::-1] for p in names])
-    expected = np.array([gap_jnd(model[p], heard[p], p)[::-1] for p in names])
-    found = where.to_heard(gap, where.noise(finding, as_measurement(heard)))
-    np.testing.assert_allclose(found, expected, rtol=1e-9)
-
-
-def test_groups_of_control_runs_have_little_and_much_scattering_and_both_models() -> None:
-    groups = folds(16)
-    assert sorted(run for group in groups for run in group) == list(range(16))
-    for group in groups:
-        assert min(group) < 4
-        assert max(group) >= 12
-        assert {int(run) % 2 for run in group} == {0, 1}

@@ -102,7 +102,7 @@ def end_tolerance(data: ProblemData) -> Array:
 
     b of a T at an end is an end only up to rounding. A sum of n products has an error of at most
     n eps / 2 times the sum of their absolute values (Higham 2002, Sect. 3.1). From alpha to T and back,
-    b has at most 1.5 eps sum S (benchmarks/end_rounding.py). So 16 n is eight times their sum or more.
+    b has at most 1.5 eps sum S. So 16 n is eight times their sum or more.
     """
     upper = data.alpha(data.reachable_box[1])
     n = data.areas.shape[1]

@@ -5,12 +5,9 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-import click
 import pytest
 
 import rtcal as rt
-from rtcal.calibration.methods import METHODS
-from rtcal.command import console
 from rtcal.command.finder import NOTHING_TO_ADD
 from rtcal.command.main import EXIT_CODES, cli
 from rtcal.datasets.examples import example
@@ -73,20 +70,6 @@ def commands():
             yield name, command
 
 
-@pytest.mark.parametrize(("name", "command"), list(commands()), ids=lambda v: str(v))
-def test_every_command_has_the_same_manners(name, command, capsys) -> None:
-    options = {o for p in command.params for o in p.opts}
-    assert {"--json", "--quiet", "-q"} <= options
-    unsaid = [p.name for p in command.params if isinstance(p, click.Option) and not p.help]
-    assert not unsaid, f"{name}: options without help"
-    assert run(*name.split(), "--help") == 0
-    text = capsys.readouterr().out
-    assert f"Example: rtcal {name} " in " ".join(text.split())
-    assert len(command.short_help or "") <= 65
-    assert run(*name.split(), "--nonsense") == 2
-    assert len(capsys.readouterr().err.splitlines()) == 1
-
-
 def test_help_names_the_exit_codes(capsys) -> None:
     assert run("--help") == 0
     assert NOTHING_TO_ADD in EXIT_CODES
@@ -140,38 +123,6 @@ def test_quiet_and_json(result, loop, tmp_path, monkeypatch, capsys) -> None:
     assert "rtcal: --sigma-r = -1 is not above 0" in capsys.readouterr().err
     assert {r["method"] for r in rows} == {"none", "scaling", "lse", "mle"}
     assert rows[3]["score"] > rows[1]["score"] > 0
-
-
-def test_progress_bars_only_where_someone_looks(tmp_path, monkeypatch, capsys, evil) -> None:
-    assert not console.bar_wanted()  # standard error is caught here, no terminal
-    (tmp_path / "result.json").write_text(evil.to_json(), encoding="utf-8")
-    monkeypatch.setattr(page, "source", lambda _, step: step() or "data:,")
-    monkeypatch.setattr("rtcal.command.files.bar_wanted", lambda: not console.is_quiet())
-    monkeypatch.setattr("rtcal.support.speed.DELAY", 1000.0)
-    assert run("report", tmp_path) == 0
-    assert capsys.readouterr().err == ""  # done before the delay is over
-    monkeypatch.setattr("rtcal.support.speed.DELAY", 0.0)
-    assert run("report", tmp_path) == 0
-    assert "5/5" in capsys.readouterr().err
-    assert run("report", tmp_path, "--quiet") == 0
-    assert capsys.readouterr().err == ""
-    monkeypatch.setattr("sys.stderr.isatty", lambda: True)
-    assert console.bar_wanted()
-    with click.Context(cli) as context:
-        context.meta["rtcal.quiet"] = True
-        assert not console.bar_wanted()
-
-
-def test_the_commands_offer_every_method_of_one_configuration() -> None:
-    """They name the methods themselves: asking `presets` would import the QP for every `--help`."""
-    for path in (("calibrate",), ("loop", "start")):
-        command: click.Command = cli
-        for name in path:
-            assert isinstance(command, click.Group)
-            command = command.commands[name]
-        (method,) = (p for p in command.params if p.name == "method")
-        assert isinstance(method.type, click.Choice)
-        assert set(method.type.choices) == set(METHODS) - {"joint"}
 
 
 def test_report_finds_the_mesh_from_any_folder(tmp_path: Path, monkeypatch, capsys) -> None:

@@ -9,7 +9,6 @@ import numpy as np
 
 import rtcal as rt
 from rtcal.report import loop_page, pages
-from tests.report.pages import run
 
 
 def test_a_loops_page(loop, tmp_path) -> None:
@@ -41,28 +40,3 @@ def test_a_loop_results_page(loop_result, tmp_path) -> None:
     ]
     text = loop_page.page(replace(loop_result.loop, steps=tuple(steps)))
     assert "windows: α = 1 at 125 and 2000 Hz" in text
-
-
-def test_a_loops_page_says_what_the_terminal_says(
-    loop_result, tmp_path, capsys, monkeypatch
-) -> None:
-    """It lacked z, the reservations, and called a band of an unfinished loop "not converging"."""
-    text = loop_page.page(loop_result)
-    for mark in loop_result.trust_marks:
-        assert mark.advice in text
-    row = text.split('<th scope="row">z</th>')[1].split("</tr>")[0]
-    shown = [float(v.replace("−", "-")) for v in re.findall(r"<td[^>]*>([-−+\d.]+)</td>", row)]
-    assert shown == loop_result.loop.outcome.plausibility.z.round(1).tolist()
-    monkeypatch.chdir(tmp_path)
-    room, measured = rt.datasets.bras_cr2()
-    room.save("room.toml")
-    measured.save("t.csv")
-    rt.Measurement.from_values(room.centre_frequencies, t20=[1.0] * 6).save("simulated.csv")
-    files = ["--state", "loop.json", "--out", "next.toml"]
-    assert run("loop", "start", "room.toml", "t.csv", *files, "--quiet") == 0
-    assert run("loop", "next", "room.toml", "simulated.csv", *files) == 0
-    said = capsys.readouterr().out
-    unfinished = pages.page_of("loop.json")
-    assert said.count("not yet") == 6
-    assert len(re.findall(r"<td[^>]*>not yet</td>", unfinished)) == 6
-    assert "not converging" not in unfinished

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import base64
 import re
-from dataclasses import replace
 from xml.etree import ElementTree
 
 import numpy as np
@@ -13,46 +12,18 @@ import pytest
 import rtcal as rt
 from rtcal.report import (
     document,
-    loop_page,
     page,
-    pages,
     words,
 )
 from rtcal.support.errors import DataError
-from tests.report.pages import FINDING, evil_room, no_figures, run
+from tests.report.pages import evil_room, no_figures, run
 
 
-def test_the_page_says_what_it_must(html, result) -> None:
-    for text in (
-        "Summary",
-        "15.6 JND at worst: at 125 Hz it had 2.49 s where 1.40 s were measured",
-        "proves nothing",
-        "p = 1.7e-05",
-        "What not to believe",
-        "below the Schroeder frequency",
-        "What could not be met",
-        "What was assumed",
-        "19.5 °C",
-        "Certificate",
-        "rtcal calibrate room.toml t.csv --method mle --equation eyring",
-        "cvxpy",
-        result.measured_data.fingerprint,
-        "250, 500, 1000 and 2000 Hz",
-    ):
+def test_the_page_has_its_numbers_and_pictures(html, result) -> None:
+    for text in ("15.6", "2.49", "1.40", "1.7e-05", "19.5 °C", result.measured_data.fingerprint):
         assert text in html, text
     assert len(html.encode()) < document.MAX_BYTES
     assert html.count("data:image/svg+xml") == 5
-
-
-@pytest.mark.parametrize(
-    ("stated", "words_of_it"),
-    [({}, "those of the exact posterior"), ({"volume_sigma": 0.05}, "those of a normal density")],
-)
-def test_the_page_says_what_its_intervals_are(stated, words_of_it, monkeypatch) -> None:
-    monkeypatch.setattr(page, "_figures", no_figures)
-    room, measured = rt.datasets.bras_cr2()
-    text = page.calibration_page(rt.calibrate(room.replace(**stated), measured))
-    assert f"The intervals are {words_of_it}" in " ".join(text.split())
 
 
 def test_the_page_needs_nothing_else(html, evil_html) -> None:
@@ -79,14 +50,6 @@ def test_names_are_text_in_page_and_pictures(evil_html) -> None:
         }
         assert "path" in tags
         assert not tags & {"script", "image", "foreignObject", "b"}
-
-
-def test_what_was_not_measured_or_met_is_said(evil_html) -> None:
-    text = evil_html
-    assert "beyond reach" in text
-    assert "1000 Hz: no T was measured" in text
-    assert "--unreachable nearest" in text
-    assert "No coefficient moved by more than" not in text
 
 
 def test_the_page_reproduces_itself(html, result, tmp_path, monkeypatch) -> None:
@@ -129,107 +92,6 @@ def test_verdicts() -> None:
     assert shifts[0].sigmas >= shifts[-1].sigmas > 2
 
 
-def test_a_gap_that_nobody_hears_is_met_and_printed() -> None:
-    room = evil_room().replace(common_area_sigma=0.03)
-    result = rt.calibrate(room, 0.95 * rt.Eyring().reverberation_time(room))
-    gap = np.nanmax(np.abs(result.gap_after))
-    assert 0.05 < gap < 0.5
-    n = int(np.isfinite(result.gap_after).sum())
-    assert f"in all {n} bands, to within {gap:.1f} JND." in " ".join(
-        words.summary(result, result.verdict)
-    )
-    assert "bands" not in words.lead(result, result.verdict)["headline"]
-    assert not any("gap remains" in sentence for sentence in words.not_met(result))
-
-
-def test_a_calibrations_page_opens_with_a_headline_three_sentences_and_a_figure(html) -> None:
-    lead = html.split("<main>")[1].split("<h2")[0]
-    said = "The model has the measured reverberation time, but not with its materials as they were"
-    assert said in lead
-    summary = html.split('id="summary"')[1].split("<h2")[0]
-    sentences = re.findall(r"<p[^>]*>(.*?)</p>", summary)
-    assert len(sentences) == 3
-    assert all(len(re.findall(r"\.(?: |$)", sentence)) == 1 for sentence in sentences)
-    assert summary.count("<img") == 1
-
-
-def test_title_author_and_date_are_settable(result, loop, tmp_path, capsys) -> None:
-    """They are text, also in the style sheet that prints them on each sheet."""
-    heading = document.Heading('Hall "A" </style><b>', "B & Sons", "2026-11-22")
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(page, "_figures", no_figures)
-        texts = [
-            page.calibration_page(result, heading=heading),
-            loop_page.page(loop, heading=heading),
-            page.finding_page(result, FINDING, {}, heading=heading),
-        ]
-        assert page.calibration_page(result) == page.calibration_page(result)
-        assert "2026" not in page.calibration_page(result).split("<main>")[0]
-        (tmp_path / "result.json").write_text(result.to_json(), encoding="utf-8")
-        options = ["--title", "Hall B", "--author", "C", "--date", "today"]
-        assert run("report", tmp_path, *options, "--quiet") == 0
-        (tmp_path / "empty").mkdir()
-        assert run("report", tmp_path / "empty") == 2
-        assert "has no result.json" in capsys.readouterr().err
-        assert run("report", tmp_path, "--title", "two\nlines") == 2
-        assert "title has 'two\\nlines'" in capsys.readouterr().err
-    for text in texts:
-        assert "<h1>Hall &#34;A&#34; &lt;/style&gt;&lt;b&gt;</h1>" in text
-        assert "· 2026-11-22 · B &amp; Sons" in text
-        assert '"Hall \\22 A\\22  \\3c \\2f style\\3e \\3c b\\3e , 2026-11-22"' in text
-        assert text.count("</style>") == 1
-    written = (tmp_path / "report.html").read_text(encoding="utf-8")
-    assert "<h1>Hall B</h1>" in written
-    assert "· today · C" in written
-    assert "BRAS CR2, seminar room: calibration" in written
-
-
-def test_the_author_of_a_room_stands_on_its_pages(loop, tmp_path) -> None:
-    room, measured = rt.datasets.bras_cr2()
-    signed = rt.Room.from_text(room.replace(author="B & Sons").to_text(), "room.toml")
-    assert signed.author == "B & Sons"
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(page, "_figures", no_figures)
-        result = rt.calibrate(signed, measured)
-        (tmp_path / "result.json").write_text(result.to_json(), encoding="utf-8")
-        heading = document.Heading(author="C")
-        for text in (
-            page.calibration_page(result),
-            pages.page_of(tmp_path),
-            loop_page.page(replace(loop, room=signed)),
-        ):
-            assert "· B &amp; Sons" in text
-        assert "· C" in page.calibration_page(result, heading=heading)
-        assert "Sons" not in page.calibration_page(result, heading=heading).split("<main>")[0]
-    with pytest.raises(DataError, match="author has"):
-        room.replace(author="two\nlines")
-
-
-def test_the_page_names_the_bands_that_were_compared() -> None:
-    room = rt.Room(
-        name="box",
-        volume=60,
-        materials=["wall"],
-        areas=[94],
-        alpha=[[0.3] * 8],
-        sigma=[[0.1] * 8],
-        centre_frequencies=[125, 250, 500, 1000, 2000, 4000, 8000, 16000],
-    )
-    measured = rt.Measurement.from_values([250, 500, 1000, 2000, 4000, 8000], t20=[0.35] * 6)
-    calibration = rt.calibrate(room, measured)
-    assert words.compared(calibration) == "6 bands, 250 to 8000 Hz"
-
-
-def test_half_a_surrogate_pair_is_refused_before_a_page_is_begun(result, tmp_path, capsys) -> None:
-    text = result.to_json().replace("BRAS CR2", "BRAS \\ud800", 1)
-    (tmp_path / "result.json").write_text(text, encoding="utf-8")
-    assert run("report", tmp_path) == 2
-    assert "half of a surrogate pair" in capsys.readouterr().err
-    assert [p.name for p in tmp_path.iterdir() if not p.name.startswith(".rtcal_files")] == [
-        "result.json"
-    ]
-
-
 def test_large_rooms_stay_below_the_limit(monkeypatch) -> None:
     """The table takes a hundred materials; a page beyond the limit is refused."""
     n, f = 130, [500.0, 1000.0]
@@ -250,3 +112,14 @@ def test_large_rooms_stay_below_the_limit(monkeypatch) -> None:
     monkeypatch.setattr(document, "MAX_BYTES", 1000)
     with pytest.raises(DataError, match="more than 1000"):
         page.calibration_page(rt.calibrate(room, [1.0, 1.0]))
+
+
+def test_title_author_and_date_are_text(result, monkeypatch) -> None:
+    """Also in the style sheet that prints them on each sheet."""
+    monkeypatch.setattr(page, "_figures", no_figures)
+    heading = document.Heading('Hall "A" </style><b>', "B & Sons", "2026-11-22")
+    text = page.calibration_page(result, heading=heading)
+    assert "<h1>Hall &#34;A&#34; &lt;/style&gt;&lt;b&gt;</h1>" in text
+    assert "· 2026-11-22 · B &amp; Sons" in text
+    assert text.count("</style>") == 1
+    assert page.calibration_page(result) == page.calibration_page(result)

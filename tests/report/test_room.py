@@ -105,11 +105,6 @@ def test_a_mesh_that_is_gone_is_said_and_the_page_is_there(tmp_path) -> None:
     assert "room.obj" in said["no_room"]
 
 
-def test_a_mesh_of_too_many_faces_is_left_out_and_said(result, monkeypatch) -> None:
-    monkeypatch.setattr(room_view, "MOST_FACES", 3)
-    assert "more than 3 faces" in room_view.of_calibration(result)["no_room"]
-
-
 @pytest.mark.parametrize(
     ("tilt", "seen"), [(room_still.ABOVE, "floor"), (room_still.BELOW, "ceiling")]
 )
