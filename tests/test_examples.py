@@ -16,7 +16,6 @@ from rtcal.command.files import _PURPOSES
 from rtcal.command.main import main
 from rtcal.datasets import examples
 from rtcal.finder.positions import PositionsCase
-from rtcal.support.errors import DataError
 
 
 def run(*arguments: str) -> int:
@@ -97,11 +96,6 @@ def test_nothing_is_written_over(
         path.name for path in tmp_path.iterdir() if not path.name.startswith(".rtcal_files")
     ] == ["t.csv"]
     assert (tmp_path / "t.csv").read_text() == "mine"
-
-
-def test_an_unknown_name_is_refused() -> None:
-    with pytest.raises(DataError, match='example "church" is none of room, change, responses'):
-        examples.example("church")
 
 
 def test_the_command_offers_every_example() -> None:

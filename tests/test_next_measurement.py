@@ -5,8 +5,6 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -16,9 +14,7 @@ from scipy.stats import norm
 
 from rtcal.command.main import cli
 from rtcal.finder import Case, plan
-from rtcal.finder.effects.checks import library
 from rtcal.finder.means import likelihood
-from rtcal.finder.means.gap import next_measurement
 from rtcal.finder.means.measurements import COSTS, Information, extended, possible
 from rtcal.finder.means.sets import Moments
 from rtcal.finder.search import find
@@ -73,24 +69,6 @@ def test_what_is_measured_already_says_the_noise_of_what_is_to_come() -> None:
     assert of[1] > 2 * of[0]
     nothing = Information(two(1.0), half, np.arange(2), FIRST, values)
     assert nothing.of(FIRST) == 0.0
-
-
-@pytest.mark.parametrize("removed", [False, True])
-def test_advice_is_not_what_was_done_and_has_no_article_before_a_name(removed: bool) -> None:
-    configuration = SimpleNamespace(suspect_removed=removed)
-    effects = {effect.name: effect for effect in library()}
-    problem = SimpleNamespace(
-        case=SimpleNamespace(configurations=[configuration]),
-        predicted=SimpleNamespace(effects=effects),
-    )
-    rows = {name: np.array([i]) for i, name in enumerate(effects)}
-    evidence: Any = SimpleNamespace(
-        problem=problem, rows=rows, by_hypothesis=lambda: np.zeros(len(effects))
-    )
-    for name, effect in effects.items():
-        said = next_measurement(evidence, [name])
-        assert said.endswith(f"({name})")
-        assert ("measure once without" in said) == (effect.removable and not removed)
 
 
 def test_hypotheses_of_one_set_are_not_told_apart() -> None:

@@ -136,8 +136,6 @@ def test_a_doubt_near_its_limit_is_a_probability(
     gap = GapCheck(before, after, uncertainty, 0.0)
     doubts = gap_against("furniture", gap)
     assert [doubt.of for doubt in doubts] == ([] if of is None else [of])
-    if of == "fit":
-        assert f"with a probability of {100 * gap.growth:.0f} %" in doubts[0].words
 
 
 @pytest.mark.parametrize(
@@ -166,7 +164,4 @@ def test_a_weak_finding_is_a_hint_and_advises_nothing() -> None:
     assert found.probabilities["none"] > 1 / 3
     assert found.verdict == "hint"
     assert not found.detected
-    assert found.reasons[0].startswith("that nothing is missing has a probability of")
-    assert "do not show that anything is missing" in found.advice
-    assert "So it is a hint of" in found.headline
     assert not found.can_be_added
