@@ -45,7 +45,7 @@ from benchmarks.judging import (
     row_of,
 )
 from rtcal.finder import Case, Configuration, MeansFinding, verify
-from rtcal.finder.configuration import ChangedMaterial
+from rtcal.finder.case import ChangedMaterial
 from rtcal.finder.search import find
 from rtcal.support.files import json_numbers
 

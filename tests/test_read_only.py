@@ -10,8 +10,7 @@ import pytest
 
 import rtcal as rt
 from rtcal import terms
-from rtcal.finder.case import Case
-from rtcal.finder.configuration import Configuration
+from rtcal.finder.case import Case, Configuration
 from rtcal.finder.effects.base import Effect
 from rtcal.finder.effects.checks import changed_states
 from rtcal.finder.means.features import state

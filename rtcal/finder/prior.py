@@ -20,8 +20,7 @@ import numpy as np
 from rtcal.acoustics.bands import is_middle
 from rtcal.acoustics.room import Room
 from rtcal.acoustics.room_errors import HANDBOOK_SIGMA, POWER, common_error_columns
-from rtcal.finder.case import Case
-from rtcal.finder.configuration import ChangedMaterial
+from rtcal.finder.case import Case, ChangedMaterial
 from rtcal.finder.effects import Effect, Parameters
 from rtcal.finder.model import RoomState
 from rtcal.support import checks

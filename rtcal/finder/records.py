@@ -17,8 +17,7 @@ from scipy.stats import beta
 
 from rtcal.acoustics.observables import LEVEL
 from rtcal.acoustics.room import Room
-from rtcal.finder.case import Case
-from rtcal.finder.configuration import LEVELS
+from rtcal.finder.case import LEVELS, Case
 from rtcal.finder.prior import relative_sigma
 
 TIMES, ALL = "T20, EDT and T30 of one configuration", "several configurations, C80 or G"

@@ -9,8 +9,7 @@ from typing import Any, TypeAlias, overload
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.room import Room
 from rtcal.finder import positions, states
-from rtcal.finder.case import Case
-from rtcal.finder.configuration import Configuration
+from rtcal.finder.case import Case, Configuration
 from rtcal.finder.effects import Effect
 from rtcal.finder.means.engines import ControlRooms
 from rtcal.finder.means.finding import MeansFinding

@@ -21,8 +21,7 @@ from rtcal.acoustics.equations import mean_equation
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.priors import NORMAL_90
 from rtcal.acoustics.room import Material, Room, Surface
-from rtcal.finder.case import Case
-from rtcal.finder.configuration import Configuration
+from rtcal.finder.case import Case, Configuration
 from rtcal.finder.effects.checks import AppliedEffect
 from rtcal.finder.finding import amount
 from rtcal.finder.means.features import distances, state, with_applied

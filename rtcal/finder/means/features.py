@@ -17,8 +17,7 @@ from rtcal.acoustics.air import Air
 from rtcal.acoustics.bands import correlation
 from rtcal.acoustics.measurement import MAX_POSITIONS, Measurement
 from rtcal.acoustics.observables import observable, parameter_label
-from rtcal.finder.case import Case
-from rtcal.finder.configuration import Configuration
+from rtcal.finder.case import Case, Configuration
 from rtcal.finder.effects.checks import AppliedEffect, changed_states
 from rtcal.finder.means.engines import ControlRooms, bias_estimates
 from rtcal.finder.model import FEATURES, Predicted, RoomState, sensitivities

@@ -15,8 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from rtcal.finder.case import Case
-from rtcal.finder.configuration import LEVELS
+from rtcal.finder.case import LEVELS, Case
 from rtcal.finder.effects import Effect
 from rtcal.finder.means.evidence import evaluate
 from rtcal.finder.means.features import ObservedFeatures, observe

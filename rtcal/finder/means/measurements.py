@@ -19,9 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtcal.acoustics.air import Air
-from rtcal.finder.case import Case
+from rtcal.finder.case import Case, ChangedMaterial, Configuration
 from rtcal.finder.claim import DISTINCT_NATS
-from rtcal.finder.configuration import ChangedMaterial, Configuration
 from rtcal.finder.effects.absorbers import Porous
 from rtcal.finder.means.features import ModelDiscrepancy, ObservedFeatures
 from rtcal.finder.means.gap import (

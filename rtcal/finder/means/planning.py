@@ -9,9 +9,8 @@ from typing import Any, ClassVar
 import numpy as np
 
 from rtcal.acoustics.observables import parameter_label
-from rtcal.finder.case import Case
+from rtcal.finder.case import Case, Configuration
 from rtcal.finder.claim import DISTINCT_NATS
-from rtcal.finder.configuration import Configuration
 from rtcal.finder.effects import Effect
 from rtcal.finder.effects.checks import AppliedEffect, checked_effects, judged_effects
 from rtcal.finder.means.features import (

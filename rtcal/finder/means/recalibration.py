@@ -27,8 +27,7 @@ from rtcal.calibration.methods import calibrate, gauss_newton
 from rtcal.calibration.problem import Calibration
 from rtcal.calibration.result import JointResult
 from rtcal.calibration.terms import AddedAbsorption, PriorDeviation, SoftMatch
-from rtcal.finder.case import Case
-from rtcal.finder.configuration import Configuration
+from rtcal.finder.case import Case, Configuration
 from rtcal.finder.effects.checks import AppliedEffect
 from rtcal.finder.means.corrected import seen
 from rtcal.finder.means.features import (

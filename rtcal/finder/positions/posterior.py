@@ -29,9 +29,8 @@ from rtcal.acoustics.directions import facing
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.observables import observable
 from rtcal.acoustics.priors import NORMAL_90
-from rtcal.finder.case import Case, spread_where_unknown
+from rtcal.finder.case import PARAMETERS, Case, Configuration, spread_where_unknown
 from rtcal.finder.claim import most_probable_first, with_added
-from rtcal.finder.configuration import PARAMETERS, Configuration
 from rtcal.finder.effects import Effect
 from rtcal.finder.finding import Candidate
 from rtcal.finder.means.finding import MeansFinding
