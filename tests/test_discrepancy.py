@@ -624,42 +624,6 @@ def test_bands_without_a_trustworthy_t_are_dropped_and_named() -> None:
     assert any("250 Hz dropped: T is known to 50 %" in n for n in notes)
 
 
-TWICE = [{"name": "A", "t20": [1] * 7}] * 2
-BAD = {"alpha": [0] * 7, "sigma": [0] * 7}
-
-
-@pytest.mark.parametrize(
-    ("change", "place"),
-    [
-        ({"equation": "norris"}, "equation"),
-        ({"configurations": []}, "configurations"),
-        ({"room": {"volume": 3}}, "materials"),
-        ({"room": None}, "room"),
-        ({"uncertainty": {"time": -1}}, "time"),
-        ({"uncertainty": {"noise": 1}}, "noise"),
-        ({"configurations": [3]}, "configurations"),
-        ({"configurations": [{"name": "A", "t20": [1] * 7, "air": {"wind": 3}}]}, "wind"),
-        ({"configurations": [{"name": "A", "t20": [1] * 7, "distances": [-1]}]}, "distances|above"),
-        (
-            {"configurations": [{"name": "A", "t20": [1] * 7, "changes": {"a": {"alpha": 1}}}]},
-            "sigma",
-        ),
-        ({"configurations": [{"name": "A"}]}, "t20"),
-        ({"configurations": [{"name": "A", "t20": [1, 2]}]}, "t20"),
-        ({"configurations": [{"name": "A", "t20": ["x"] * 7}]}, "t20"),
-        ({"configurations": [{"name": "A", "t20": [1] * 7, "snr": 3}]}, "snr"),
-        ({"configurations": [{"name": "A", "edt": [1] * 7}]}, "t20"),
-        ({"configurations": [{"name": "A", "t20": [1] * 7, "changes": {"z": BAD}}]}, "z"),
-        ({"configurations": TWICE}, "name"),
-        ({"present": [{"effect": "ghost", "parameters": {"size": 1.0}}]}, "ghost"),
-    ],
-)
-def test_bad_cases_are_refused_by_name(change: dict[str, object], place: str) -> None:
-    data = opened().to_dict() | change
-    with pytest.raises(DataError, match=place):
-        Case.from_dict(data)
-
-
 def test_the_search_holds_blas_to_one_thread() -> None:
     seen: list[set[int]] = []
 

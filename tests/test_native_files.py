@@ -394,6 +394,40 @@ def test_only_numbers_are_numbers(value: str, tmp_path: Path) -> None:
             Case.from_file(str(path))
 
 
+@pytest.mark.parametrize(
+    ("change", "place"),
+    [
+        ({"room": None}, "room = None is not a table"),
+        ({"room": {"volume": 1}}, "room lacks centre_frequencies"),
+        ({"uncertainty": 3}, "uncertainty = 3 is not a table"),
+        ({"uncertainty": {"noise": 1}}, 'uncertainty has the key "noise"'),
+        ({"climate_uncertainty": [1.0, -1.0]}, "climate_uncertainty = (1.0, -1.0)"),
+        ({"configurations": []}, "configurations is empty"),
+        ({"configurations": [{"name": "A", "t20": [1] * 7}] * 2}, "each has a name of its own"),
+        ({"configurations": [3]}, "configurations 1 = 3 is not a table"),
+        ({"air": 3}, 'configurations "A": air = 3 is not a table'),
+        ({"air": {"wind": 3}}, 'configurations "A": air has the key "wind"'),
+        ({"changes": {"a": {"alpha": 1}}}, 'configurations "A": changes["a"] lacks sigma'),
+        ({"changes": {"z": {"alpha": [0.0] * 7, "sigma": [0.0] * 7}}}, '"z" is no material'),
+        ({"t20": None}, "has none of t20"),
+        ({"t20": None, "edt": [1] * 7}, "has neither t20 nor t30"),
+        ({"t20": [1, 2]}, "measurement values[t20] has shape (1, 2), not (1, 7)"),
+        ({"t20": ["x"] * 7}, "configurations \"A\": t20[0] = 'x' is not"),
+        ({"t20": [["x"] * 7]}, "configurations \"A\": t20[0][0] = 'x' is not a number"),
+        ({"snr": 3}, 'configurations "A" has the key "snr"'),
+        ({"distances": "far"}, "distances = 'far' is not a list of numbers"),
+        ({"distances": [-1]}, "distances is not 1 values above 0"),
+    ],
+)
+def test_what_is_no_case_is_refused_with_its_place(change: dict[str, Any], place: str) -> None:
+    data = opened().to_dict()
+    keys = {"room", "uncertainty", "climate_uncertainty", "configurations"}
+    of_configuration = {"name": "A", "t20": [1] * 7} | change
+    data |= change if change.keys() <= keys else {"configurations": [of_configuration]}
+    with pytest.raises(DataError, match=re.escape(place)):
+        Case.from_dict(data)
+
+
 @pytest.mark.parametrize("name", READERS)
 def test_other_encodings_are_refused(name: str, tmp_path: Path) -> None:
     """A guess would change names in silence."""
