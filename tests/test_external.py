@@ -160,43 +160,6 @@ def test_what_a_command_writes_is_no_measurement(cr2, written, message):
     assert "rtcal-" not in str(caught.value)  # the folder is gone
 
 
-def test_what_a_program_is_called_and_started_with(cr2):
-    room, _ = cr2
-    for arguments, message in (
-        ([], "names no program"),
-        ([3], "has 3, which is not a text"),
-        ("prog", "is not a list"),
-    ):
-        with pytest.raises(DataError, match=message):
-            command(arguments, room)
-    for limit in (-1, 0, np.nan, "x"):
-        with pytest.raises(DataError, match="time_limit"):
-            command(["prog"], room, time_limit=limit)
-    for name in ("", " ", "two\nlines", 5):
-        with pytest.raises(DataError, match="name"):
-            External(room=room, run=lambda alpha, seed: alpha[0], name=name)
-    with pytest.raises(DataError, match="deterministic = 'no' is not true or false"):
-        external(room, lambda alpha, seed: alpha[0], deterministic="no")
-
-
-def test_times_that_are_no_times(cr2):
-    room, _ = cr2
-    n = room.n_bands
-    for answer, message in (
-        (np.full(n, 1 + 5j), "complex128"),
-        ([True] * n, "bool"),
-        (np.full(n, 1400.0), "is it in seconds"),
-    ):
-        with pytest.raises(SimulatorError, match=message):
-            external(room, lambda alpha, seed, answer=answer: answer).simulate(room.alpha)
-
-    def fails(alpha, seed):
-        raise RuntimeError("first\nsecond")
-
-    with pytest.raises(SimulatorError, match="raised RuntimeError: first second"):
-        base.run(external(room, fails), room.alpha)
-
-
 def test_a_callable_cannot_change_the_coefficients_of_its_caller(cr2):
     """It scaled alpha in place: the loop then said "converged" with other coefficients."""
     room, _ = cr2
@@ -282,13 +245,6 @@ def test_error_output_is_cut(cr2):
     most = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert most < 5e6  # of 100 MB written
-
-
-def test_error_output_does_not_steer_the_terminal(cr2):
-    room, _ = cr2
-    program = "import sys; sys.exit('gone' + chr(27) + '[2J')"
-    with pytest.raises(SimulatorError, match=r"status 1: gone\\x1b\[2J"):
-        command([sys.executable, "-c", program], room)(room.alpha, 0)
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="asks for a process by its number")

@@ -13,7 +13,6 @@ import pytest
 import rtcal as rt
 from rtcal.command.main import main
 from rtcal.io import geometry_files
-from rtcal.support.errors import DataError
 from tests import fuzz
 
 
@@ -107,16 +106,6 @@ def test_no_command_writes_over_what_it_reads(tmp_path: Path, monkeypatch, capsy
     assert {p: p.read_bytes() for p in tmp_path.iterdir()} == before
 
 
-def test_an_area_is_stated_once_and_what_is_left_out_is_said(tmp_path: Path, capsys) -> None:
-    hall, room = tmp_path / "hall.geo", tmp_path / "room.toml"
-    hall.write_bytes(b"ABS wood = <10 10 10 10 10 10>\r\nABS felt = <2 2 2 2 2 2>\r\n")
-    command = ("import", "catt", hall, "--volume", 5, "--out", room, "--area", "wood=3")
-    assert run(*command, "--area", "wood=4") == 2
-    assert '"wood" is given twice' in capsys.readouterr().err
-    assert run(*command) == 0
-    assert "Left out, without area: felt" in capsys.readouterr().out
-
-
 @pytest.mark.parametrize(
     ("command", "written"),
     [
@@ -165,18 +154,6 @@ def test_a_table_without_a_header_is_not_taken_for_one(tmp_path: Path, capsys) -
     assert run("table", path, "--parameter", "t20") == 0
 
 
-def test_a_range_is_0_db_or_more(tmp_path: Path, capsys) -> None:
-    pytest.importorskip("pyfar")
-    pytest.importorskip("pyrato")
-    path = tmp_path / "S1_R1.wav"
-    path.write_bytes(fuzz.READERS["wav"].seeds[0])
-    for value in ("-5", "inf"):
-        assert run("measure", path, "--minimum-range", f"t30={value}") == 2
-        assert "dB is not finite and 0 or more" in capsys.readouterr().err
-    assert run("measure", tmp_path) == 2
-    assert "not a file" in capsys.readouterr().err
-
-
 def test_a_measurement_without_any_value_is_not_written(tmp_path: Path, capsys) -> None:
     """It had been a CSV of empty values, with exit code 0."""
     pytest.importorskip("pyfar")
@@ -199,17 +176,6 @@ def imported(folder: Path, *options: object, content: bytes = LIST) -> rt.Room:
     out = folder / "room.toml"
     assert run("import", "catt", folder / "hall.geo", "--out", out, *options) == 0
     return rt.Room.from_file(str(out))
-
-
-def test_import_says_what_the_list_does_not(tmp_path: Path, capsys) -> None:
-    """Sigma of 30 % and no air were taken in silence."""
-    room = imported(tmp_path, *BOTH)
-    shown = capsys.readouterr().out
-    assert "sigma = max(0.3 alpha, 0.01)" in shown
-    assert "state --temperature and --humidity" in " ".join(shown.split())
-    assert "scattering left out, since wood state none" in shown
-    assert room.air is None
-    assert room.scattering is None
 
 
 def test_import_takes_sigma_air_bands_and_scattering(tmp_path: Path, capsys) -> None:
@@ -259,17 +225,6 @@ def test_import_takes_sigma_air_bands_and_scattering(tmp_path: Path, capsys) -> 
     assert '"glass" is no material of the room' in capsys.readouterr().err
 
 
-def test_a_material_that_is_used_by_its_alias_is_not_left_out(tmp_path: Path, capsys) -> None:
-    """Seven materials that were used were said to be left out."""
-    path = tmp_path / "hall.Li8"
-    path.write_bytes(
-        b"103 Rough concrete\n.02 .02 .03 .03 .03 .04 .05 .05\n7 Felt\n.1 .1 .1 .1 .1 .1 .1 .1\n"
-    )
-    command = ("import", "odeon", path, "--volume", 60, "--out", tmp_path / "room.toml")
-    assert run(*command, "--area", "Rough concrete=90") == 0
-    assert "Left out, without area: 7 Felt\n" in capsys.readouterr().out
-
-
 def test_materials_are_proposed_from_the_catalogue_and_never_guessed(
     tmp_path: Path, capsys
 ) -> None:
@@ -296,20 +251,6 @@ def test_materials_are_proposed_from_the_catalogue_and_never_guessed(
     program = ("import", "catalogue", "--volume", 60, "--area", "material=90", *out)
     assert run(*program) == 2
     assert '--catalogue "material=carpet" names the entries' in capsys.readouterr().err
-
-
-def test_a_perforated_board_is_proposed_for_a_plain_one_and_not_taken(
-    tmp_path: Path, capsys
-) -> None:
-    """ "gypsum_board" of a mesh had been taken as a board with 19.6 % holes, alpha 1.00 at 500 Hz."""
-    pytest.importorskip("pyroomacoustics")
-    out = tmp_path / "room.toml"
-    command = ("import", "catalogue", "--volume", 60, "--area", "gypsum_board=90", "--out", out)
-    assert run(*command) == 2
-    said = " ".join(capsys.readouterr().err.split())
-    assert "gypsum_board_perforated: Gypsum board, perforation 19.6%" in said
-    assert "plasterboard: 2 * 13 mm plasterboard" in said
-    assert not out.exists()
 
 
 def test_an_entry_that_has_an_equals_sign_is_stated_after_the_first_one(tmp_path: Path) -> None:
@@ -349,79 +290,6 @@ def test_a_description_of_an_odeon_library_can_be_stated(tmp_path: Path, capsys)
     for entry in ("doors", "102 doors"):
         assert run(*command, "--as", f"wall={entry}") == 0
         assert (rt.Room.from_file(out).alpha == 0.2).all()
-
-
-def test_a_material_that_the_list_lacks_is_named_with_the_list(tmp_path: Path, capsys) -> None:
-    """A mistyped name was sent to the catalogue, and a decimal comma was "not NAME=M2"."""
-    hall, mesh = tmp_path / "hall.geo", tmp_path / "hall.obj"
-    hall.write_bytes("ABS Wände = <10 10 10 10 10 10>\r\n".encode())
-    mesh.write_bytes(fuzz.OBJ[0])
-    command = ("import", "catt", hall, "--out", tmp_path / "room.toml")
-    assert run(*command, "--volume", 60, "--area", "wande=174") == 2
-    said = capsys.readouterr().err
-    assert "--area: not in " in said
-    assert 'hall.geo: - "wande"' in " ".join(said.split())
-    assert 'The list has: Wände. State one of its names (--as "wande=NAME"), or an entry' in said
-    assert run(*command, "--mesh", mesh) == 2
-    assert re.search(r'hall\.obj: not in .*hall\.geo: - "wood"', capsys.readouterr().err)
-    assert run(*command, "--volume", 60, "--area", "Wände=174,5") == 2
-    said = capsys.readouterr().err
-    assert "is not NAME=M2, which has a decimal point: Wände=174.5" in said
-    chosen = ("--catalogue", "Decke=plasterboard")
-    assert run(*command, "--volume", 60, "--area", "Wände=174", *chosen) == 2
-    assert '"Decke" is no material of the room; --area has Wände' in capsys.readouterr().err
-
-
-def test_a_volume_that_the_areas_cannot_enclose_is_told_at_import(tmp_path: Path, capsys) -> None:
-    """620 m² around 2,900,000 m³ had been imported without a word."""
-    out = tmp_path / "room.toml"
-    command = ("import", "catt", tmp_path / "hall.geo", "--area", "wood=620", "--out", out)
-    (tmp_path / "hall.geo").write_bytes(b"ABS wood = <1 2 3 4 5 6>\n")
-    assert run(*command, "--volume", 2_900_000) == 0
-    said = " ".join(capsys.readouterr().out.split())
-    assert "620 m² of surface cannot enclose 2.9e+06 m³" in said
-    assert run(*command, "--volume", 900) == 0
-    assert "cannot enclose" not in capsys.readouterr().out
-
-
-def test_a_mesh_that_does_not_suit_the_room_is_named(tmp_path: Path) -> None:
-    """It had said that "Wood" is no material of the room, and not where it stands."""
-    mesh = tmp_path / "bad.obj"
-    mesh.write_bytes(fuzz.OBJ[0])
-    room = rt.Room(
-        name="Kirche",
-        volume=2,
-        materials=["brick"],
-        areas=[10],
-        alpha=[[0.1]],
-        sigma=[[0.02]],
-        centre_frequencies=[500],
-    )
-    with pytest.raises(
-        DataError,
-        match=r'bad\.obj, face "[^"]+": "wood" is no material of room "Kirche"; it has brick',
-    ):
-        geometry_files.read(room.replace(scene=rt.Scene(mesh=mesh)))
-
-
-def test_the_message_of_many_missing_materials_is_short(tmp_path: Path, capsys) -> None:
-    """That of eight had 2,700 characters."""
-    pytest.importorskip("pyroomacoustics")
-    names = ["vinyl floor", "timber door", "heavy curtain", "painted brick", "gypsum board"]
-    names += [f"carpet {i}" for i in range(20)]
-    areas = [part for name in names for part in ("--area", f"{name}=20")]
-    out = ("--volume", 200, "--out", tmp_path / "room.toml")
-    assert run("import", "catalogue", *areas, *out) == 2
-    said = capsys.readouterr().err
-    assert len(said) < 1600
-    assert '"timber door" is like wooden_door, ' in said
-    assert "13 more, which are named once these are stated" in said
-    assert "and so on, for 25 materials" in said
-    assert '--catalogue "vinyl floor=vinyl floor" describes the entries' in said
-    assert run("import", "catalogue", *areas, "--catalogue", "vinyl floor=vinyl floor", *out) == 2
-    described = capsys.readouterr().err
-    assert '"vinyl floor" is no material of the catalogue; it is like lino' in described
-    assert "alpha 0.03 ± 0.02 at 500 Hz" in described
 
 
 def test_a_mesh_alone_takes_its_materials_from_the_catalogue(tmp_path: Path, capsys) -> None:
@@ -468,26 +336,6 @@ def test_odeon_without_63_hz_on_request(tmp_path: Path, capsys) -> None:
     assert run("export", "bras", *command[2:], "--missing-bands", "nearest") == 2
 
 
-def test_messages_name_the_option_and_not_the_argument(tmp_path: Path, capsys) -> None:
-    path = tmp_path / "in.csv"
-    path.write_text("position,500,1k\nA,1.5,1.4\n")
-    for arguments, message in (
-        (("table", path), "state it: --parameter t20, for instance"),
-        (
-            ("table", path, "--parameter", "t99"),
-            "Invalid value for '--parameter': 't99' is not one of 't20', ",
-        ),
-    ):
-        assert run(*arguments) == 2
-        assert message in capsys.readouterr().err
-    path.write_text("Frequency,Sound level\n500,1.5\n")
-    assert run("table", path) == 2
-    assert 'leave it out with --ignore "Sound level"' in capsys.readouterr().err
-    path.write_text("Frequency,T20\n500,1.5\n")
-    assert run("table", path) == 0
-    assert "state --sources and --receivers" in " ".join(capsys.readouterr().out.split())
-
-
 def test_a_file_name_that_is_no_text_is_refused(tmp_path: Path, capsys) -> None:
     pytest.importorskip("pyfar")
     path = tmp_path / "S1_\udce9.wav"
@@ -507,17 +355,6 @@ def test_a_message_is_of_the_header_and_not_of_a_title_with_a_comma(tmp_path: Pa
     shown = capsys.readouterr().out
     assert "the header is line 2" in shown
     assert re.search(r"^T20 / s +1\.250$", shown, re.M)
-
-
-@pytest.mark.parametrize("options", [(), ("--volume", "200"), ("--area", "wood=80")])
-def test_an_import_without_areas_names_the_materials(tmp_path: Path, capsys, options) -> None:
-    """It had said "no areas; a room has at least one surface", and not of which materials."""
-    hall = tmp_path / "hall.geo"
-    hall.write_bytes(b"ABS wood = <10 10 10 10 10 10>\r\nABS felt = <20 20 20 20 20 20>\r\n")
-    assert run("import", "catt", hall, *options, "--out", tmp_path / "room.toml") == 2
-    said = capsys.readouterr().err
-    assert "--volume M3 and --area MATERIAL=M2 for each material" in said
-    assert "The list has: wood, felt" in said
 
 
 def test_a_room_goes_back_into_the_list_that_as_took_it_from(tmp_path: Path, capsys) -> None:

@@ -9,12 +9,10 @@ import pytest
 
 import rtcal as rt
 from rtcal import studies
-from rtcal.calibration.configurations import Configurations
 from rtcal.calibration.posterior import distribution
-from rtcal.command import main as cli
 from rtcal.simulators.geometry import SHOEBOX_WALLS, Polyhedron
 from rtcal.simulators.path_tracing import PathTracing
-from rtcal.support.errors import DataError, InfeasibleError, ModelError, RtcalError
+from rtcal.support.errors import DataError, InfeasibleError, RtcalError
 from tests.test_bad_input import ROOM, TIMES, run  # noqa: F401
 
 AIR = rt.Air()
@@ -43,19 +41,6 @@ def test_a_result_can_be_pickled_and_one_without_t_be_printed(cr2) -> None:
         rt.calibrate(cr2[0], None)
 
 
-def test_a_class_is_no_term() -> None:
-    with pytest.raises(ModelError, match=r"write PriorDeviation\(\)"):
-        rt.Calibration(rt.terms.PriorDeviation)
-    with pytest.raises(ModelError, match=r"write ExactMatch\(\)"):
-        rt.Calibration(rt.terms.PriorDeviation(), [rt.terms.ExactMatch])
-
-
-@pytest.mark.parametrize("equation", [{}, [], "", 0, False])
-def test_what_is_false_is_no_equation(equation) -> None:
-    with pytest.raises(RtcalError):
-        rt.calibrate(room(), [0.8, 0.75], equation=equation)
-
-
 def test_an_endless_uncertainty_is_no_datum() -> None:
     endless = [np.inf, 1e200, 1.0]
     answer = rt.exact.solve([0.4, 0.3], [0.1, 0.1], [20, 74], 30.0, uncertainty=endless)
@@ -66,13 +51,6 @@ def test_an_endless_uncertainty_is_no_datum() -> None:
 def test_what_t_alone_determines_has_no_uncertainty_of_rounding(t: float) -> None:
     one = room(materials=["a"], areas=[94], alpha=[[0.3, 0.3]], sigma=[[0.1, 0.1]], volume=60)
     np.testing.assert_array_equal(rt.calibrate(one, [t, t]).room.sigma, 0)
-
-
-def test_a_misspelt_parameter_is_not_one_that_was_not_measured(cr2) -> None:
-    _, measured = cr2
-    assert np.isnan(measured.mean("edt")).all()
-    with pytest.raises(DataError, match='parameter "T30" is unknown; known are t20'):
-        measured.mean("T30")
 
 
 def test_z_is_of_what_t_asks_not_of_the_nearest_end() -> None:
@@ -173,76 +151,6 @@ def test_measurement(changes: dict, message: str) -> None:
         rt.Measurement(**{**values, **changes})
 
 
-def test_third_octave_t_on_octave_coefficients_is_said() -> None:
-    thirds = rt.Measurement.from_values([400, 500, 630, 800, 1000, 1250], t20=[0.8] * 6)
-    page = str(rt.calibrate(room(), thirds))
-    assert "T is converted from third-octaves to octaves: the mean of 1/T" in page
-    octaves = rt.Measurement.from_values([250, 500, 1000], t20=[0.8] * 3)
-    assert "is converted" not in str(rt.calibrate(room(), octaves))
-
-
-def test_t20_and_t30_in_one_measurement_are_told_apart() -> None:
-    mixed = rt.Measurement.from_values([500, 1000], t20=[0.8, np.nan], t30=[0.8, 0.75])
-    line = next(x for x in str(rt.calibrate(room(), mixed)).splitlines() if x.startswith("matched"))
-    assert line.split()[1:] == ["T20", "T30"]
-
-
-BAD_CALLS = [
-    (lambda: rt.calibrate("room.toml", "t.csv"), "is not a rtcal.Room"),
-    (lambda: rt.calibrate(room(), [0.8, 0.7], equation="sabine"), "is not an equation such as"),
-    (lambda: rt.calibrate(room(), [0.8, 0.7], equation=rt.Sabine), "is not an equation such as"),
-    (lambda: rt.calibrate(room(), [0.8, 0.7], solver=None), "solver = None is not a name"),
-    (lambda: rt.calibrate(room(), [0.8, 0.7], settings="x"), "is not a mapping"),
-    (lambda: rt.calibrate(room(), [0.8, 0.7], warm_start="x"), "warm_start = 'x' is not"),
-    (lambda: rt.calibrate(room(), [0.8, 0.7], unreachable="x"), "unreachable = 'x' is not one of"),
-    (lambda: rt.calibrate(room(), [0.8, 0.7], settings={"nonsense": 1}), 'no setting "nonsense"'),
-    (lambda: rt.calibrate(room(), [0.8, 0.7], settings={"max_iter": "x"}), "refuses the settings"),
-    (lambda: rt.calibrate(room(), [0.8, 0.7], solver="osqp", settings={"nonsense": 1}), "refuses"),
-    (lambda: rt.calibrate(room(), [0.8, 0.7], solver="scs", settings={"nonsense": 1}), "refuses"),
-    (lambda: room(alpha=None), "alpha is missing"),
-    (lambda: room(materials=None), "materials is missing"),
-    (lambda: room(surfaces=["x"]), "no rtcal.Surface"),
-    (lambda: room(air="x"), "air = 'x' is not a rtcal Air"),
-    (lambda: room(calibration="x"), "calibration = 'x' is not"),
-    (lambda: room(name=None), "name has None, which is not a text"),
-    (lambda: room(materials=["a", "b\x1b[31m"]), "a name has no control characters"),
-    (lambda: room(centre_frequencies=[500, 501]), "501 Hz after 500 Hz"),
-    (lambda: room().replace(foo=1), "cannot be changed so"),
-    (lambda: rt.Surface("s", "a", "x"), "is not a number"),
-    (lambda: rt.Surface("s", "a", float("nan")), "nan m² is not finite and above 0"),
-    (lambda: rt.Room.from_file(None), "not a path"),
-    (lambda: rt.Room.from_file("a\0b"), "not a path"),
-    (lambda: room().save("/nowhere/at/all.toml"), "cannot be written"),
-]
-
-
-@pytest.mark.parametrize(("call", "message"), BAD_CALLS, ids=[m for _, m in BAD_CALLS])
-def test_misuse_raises_typed_errors(call, message: str) -> None:
-    with pytest.raises(RtcalError, match=message):
-        call()
-
-
-def test_from_surfaces_refuses_what_it_cannot_use() -> None:
-    wall = rt.Material("wall", [0.1], [0.1])
-
-    def build(*materials: rt.Material) -> rt.Room:
-        return rt.Room.from_surfaces(
-            name="r",
-            volume=100,
-            centre_frequencies=[500],
-            materials=materials,
-            surfaces=[rt.Surface("s", "wall", 10)],
-        )
-
-    assert build(wall).areas.tolist() == [10]
-    with pytest.raises(DataError, match='material "wall" is given twice'):
-        build(wall, rt.Material("wall", [0.2], [0.1]))
-    with pytest.raises(DataError, match=r'sigma\["wall"\] is not a list'):
-        build(rt.Material("wall", [0.1], 0.1))
-    with pytest.raises(DataError, match="alpha_min"):
-        build(rt.Material("wall", [0.1], [0.1], alpha_min=[0, 0]))
-
-
 def test_output_is_all_or_none(run, tmp_path) -> None:  # noqa: F811
     (tmp_path / "made" / "result.json").mkdir(parents=True)
     done = run(ROOM, TIMES, "--out", "made")
@@ -251,12 +159,6 @@ def test_output_is_all_or_none(run, tmp_path) -> None:  # noqa: F811
     assert [
         p.name for p in (tmp_path / "made").iterdir() if not p.name.startswith(".rtcal_files")
     ] == ["result.json"]
-
-
-def test_usage_errors_are_one_line(run) -> None:  # noqa: F811
-    done = run(ROOM, TIMES, "--equation", "nonsense")
-    assert done.returncode == 2
-    assert len(done.stderr.strip().splitlines()) == 1
 
 
 def test_tiny_sigmas_pass_the_certificate() -> None:
@@ -284,18 +186,6 @@ def test_a_soft_match_is_not_made_exact_behind_ones_back() -> None:
     np.testing.assert_allclose(default.alpha, stated.alpha, rtol=0, atol=1e-12)
     assert np.abs(default.gap_after).max() > 1
     assert np.abs(exact.gap_after).max() < 1e-9
-
-
-@pytest.mark.parametrize("seed", [None, -1, 1.5, "a"])
-def test_a_study_has_a_seed_of_its_own(seed) -> None:
-    with pytest.raises(DataError, match="is not a whole number of at least 0"):
-        studies.run([35, 20], 0.05, 3, 3, seed).scores()
-    with pytest.raises(DataError, match="is not a whole number of at least 0"):
-        studies.analytic_scores([35, 20], 0.05, 3, seed)
-
-
-def two_rooms() -> Configurations:
-    return Configurations([room(), room(name="y")])
 
 
 def solved(*more, **given) -> rt.calibration.result.CalibrationResult:
@@ -449,79 +339,3 @@ def test_a_raw_answer_at_an_end_is_not_charged_with_what_was_never_asked() -> No
     assert result.raw.certificate.worst < 1e-9
     assert np.all(result.raw.multipliers.lower >= 0)
     assert result.raw.multipliers.rows.max() > 1e-3
-
-
-def test_a_model_error_is_no_data_error() -> None:
-    assert not issubclass(ModelError, ValueError)
-    assert issubclass(DataError, ValueError)
-
-
-@pytest.mark.parametrize(("sampling", "most"), [("sigma_r", 0.25), ("sigma_n", 10.0)])
-def test_a_study_of_no_sense_is_refused(sampling: studies.paper.Sampling, most: float) -> None:
-    for sigma_r in (1e-300, 1e9, 1e300):
-        with pytest.raises(DataError, match=f"is not from 1e-09 to {most:g}"):
-            studies.analytic_scores([35, 20], sigma_r, 3, sampling=sampling)
-    for end in (1e-9, most):
-        table = studies.analytic_scores([35, 20], end, 30, sampling=sampling)
-        assert 0 < table["score"][-1] < 1
-
-
-def test_the_study_command_writes_where_it_is_told(tmp_path, monkeypatch, capsys) -> None:
-    monkeypatch.chdir(tmp_path)
-
-    def command(*arguments: str) -> int:
-        with pytest.raises(SystemExit) as stopped:
-            cli.main(["study", "--realisations", "5", "--sigma-r", "0.05", *arguments])
-        return int(stopped.value.code)
-
-    for option in ("--out", "--folder"):
-        assert command(option, "") == 2
-        assert f"{option} is empty" in capsys.readouterr().err
-    assert list(tmp_path.iterdir()) == []
-    pytest.importorskip("matplotlib")
-    assert command("--trials", "0", "--out", "made") == 0
-    text = (tmp_path / "made" / "shoebox-0.05-analytic-scores.csv").read_text()
-    assert text.startswith("method,bounded,aace,score,standard_error\nnone,False,")
-
-
-def test_what_would_have_no_end_is_refused() -> None:
-    hall = rt.datasets.halls.corridor()
-    tracer = rt.simulators.PathTracing(
-        geometry=hall.geometry,
-        room=hall.room,
-        sources=hall.sources,
-        receivers=hall.receivers,
-        n_paths=32,
-    )
-    with pytest.raises(DataError, match=r"seconds = 1e\+300 s is above 60 s"):
-        tracer.traced(0, 1e300)
-    with pytest.raises(DataError, match="seconds = 61 s is above 60 s"):
-        tracer.energy(hall.room.alpha, 61)
-    with pytest.raises(DataError, match="band = 99 is not from 0 to 6"):
-        tracer.traced(99, 0.1)
-    with pytest.raises(DataError, match="Observations: parameters = None is not a list"):
-        rt.simulators.Observations(
-            parameters=None, pairs=(), centre_frequencies=np.ones(1), values=np.ones(1)
-        )
-    with pytest.raises(DataError, match=r"by = .* is not .*material"):
-        tracer.jacobian(hall.room.alpha, by=np.ones(3))
-    for scores in (
-        lambda n: rt.studies.analytic_scores([10, 20], 0.05, n),
-        lambda n: rt.studies.run([10, 20], 0.05, n, 10).scores(),
-    ):
-        with pytest.raises(DataError, match=r"realisations = .* is above 2\*\*53"):
-            scores(10**400)
-
-
-def test_the_figures_and_names_of_places_are_checked() -> None:
-    figures, room = rt.report.figures, rt.datasets.bras_cr2()[0]
-    with pytest.raises(DataError, match="height = -1"):
-        figures.new_figure(height=-1)
-    with pytest.raises(DataError, match="text: a figure ends with"):
-        figures.rendered(figures.new_figure()[0], "text")
-    with pytest.raises(DataError, match="band = 99 is not from 0 to 5"):
-        room.place("alpha", 0, 99)
-    with pytest.raises(DataError, match="is none of rtcal's errors"):
-        rt.errors.of_bands(None, [1])
-    with pytest.raises(DataError, match="is not a list of whole numbers"):
-        rt.errors.of_bands(rt.errors.ModelError("no T"), ["a"])

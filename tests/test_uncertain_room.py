@@ -314,32 +314,6 @@ def test_a_missing_band_and_a_coefficient_that_is_known() -> None:
     assert np.abs(apart.shift[:, 1]).max() < 1e-12
 
 
-def test_the_file_says_it_and_is_read_back() -> None:
-    room = room_of(
-        0,
-        air=rt.Air(),
-        volume_sigma=0.05,
-        area_sigma={"floor": 0.03, "door": "1.5 m²"},
-        common_area_sigma=0.02,
-        common_alpha_sigma=0.1,
-        climate_sigma=(2, 10),
-    )
-    assert room.area_sigma.tolist() == [0.03, 0, 0, 0.1]
-    again = rt.Room.from_text(room.to_text(), "room.toml")
-    assert {**again.to_dict(), "surfaces": 0} == {**room.to_dict(), "surfaces": 0}
-    assert again.area_sigma.tolist() == room.area_sigma.tolist()
-    assert rt.Room.from_dict(room.to_dict()).to_dict() == room.to_dict()
-    text = room_of(0).to_text().replace("volume =", "area_sigma = 0.04\nvolume =")
-    text = text.replace('name = "door"', 'name = "door"\narea_sigma = "3 m²"')
-    assert rt.Room.from_text(text, "room.toml").area_sigma.tolist() == [0.04, 0.04, 0.04, 0.2]
-    assert "sigma = " in text
-    assert "volume_sigma" not in room_of(0).to_text()
-    result = rt.calibrate(room, times(room, 0), equation=SABINE)
-    words = "volume 5 %, areas 0 to 10 %, areas together 2 %, temperature 2 K, humidity 10 %"
-    assert result.to_dict()["room_uncertainty"] == f"{words}, coefficients together 10 %"
-    assert "The room is uncertain as stated" in str(result)
-
-
 @pytest.mark.parametrize(
     ("stated", "message"),
     [
