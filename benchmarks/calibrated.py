@@ -26,8 +26,7 @@ from rtcal.finder import Case, library
 from rtcal.finder.claim import posterior
 from rtcal.finder.means import likelihood
 from rtcal.finder.means.evidence import evaluate
-from rtcal.finder.means.features import estimate_discrepancy, observe
-from rtcal.finder.means.hypotheses import predict_hypotheses
+from rtcal.finder.means.hypotheses import estimate_discrepancy, observe, predict_hypotheses
 from rtcal.finder.means.likelihood import MeansProblem
 from rtcal.finder.prior import Prior, prior_of, relative_sigma
 from rtcal.support.speed import single_threaded_blas

@@ -34,11 +34,14 @@ from rtcal.finder import Case, library
 from rtcal.finder.claim import by_family_sets, families_of, numbers_of
 from rtcal.finder.means import search
 from rtcal.finder.means.engines import ControlRooms
-from rtcal.finder.means.features import ObservedFeatures, estimate_discrepancy, observe
-from rtcal.finder.means.hypotheses import predict_hypotheses
+from rtcal.finder.means.hypotheses import (
+    ObservedFeatures,
+    estimate_discrepancy,
+    observe,
+    predict_hypotheses,
+)
 from rtcal.finder.means.likelihood import MeansProblem
-from rtcal.finder.means.set_posterior import posterior_of_sets
-from rtcal.finder.means.sets import Rows, acting_order, compare, moments, shapes
+from rtcal.finder.means.sets import Rows, acting_order, compare, moments, posterior_of_sets, shapes
 from rtcal.finder.means.verdict import TWO
 from rtcal.finder.prior import UNKNOWN, Prior, prior_of
 from rtcal.support.errors import DataError

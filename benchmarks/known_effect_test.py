@@ -26,8 +26,13 @@ from rtcal.finder import Case, library
 from rtcal.finder.means import likelihood
 from rtcal.finder.means.engines import ControlRooms
 from rtcal.finder.means.evidence import evaluate, score
-from rtcal.finder.means.features import distances, estimate_discrepancy, observe, state
-from rtcal.finder.means.hypotheses import predict_hypotheses
+from rtcal.finder.means.hypotheses import (
+    distances,
+    estimate_discrepancy,
+    observe,
+    predict_hypotheses,
+    state,
+)
 from rtcal.finder.means.likelihood import DEGREES, MeansProblem, alpha_covariance
 from rtcal.finder.model import predict
 from rtcal.finder.prior import prior_of

@@ -27,12 +27,10 @@ from benchmarks.several_effects_rooms import Room, judged_alone, rooms
 from benchmarks.studies.hidden_world.populations import Hidden, make, measure
 from rtcal.finder import Case, library, plan
 from rtcal.finder.means.engines import ControlRooms
-from rtcal.finder.means.features import estimate_discrepancy, observe
-from rtcal.finder.means.hypotheses import predict_hypotheses
+from rtcal.finder.means.hypotheses import estimate_discrepancy, observe, predict_hypotheses
 from rtcal.finder.means.likelihood import MeansProblem
-from rtcal.finder.means.measurements import COSTS
-from rtcal.finder.means.set_posterior import MOST, posterior_of_sets
-from rtcal.finder.means.sets import compare
+from rtcal.finder.means.planning import COSTS
+from rtcal.finder.means.sets import MOST, compare, posterior_of_sets
 from rtcal.finder.prior import prior_of
 from rtcal.finder.search import find
 

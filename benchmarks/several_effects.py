@@ -47,12 +47,15 @@ from benchmarks.studies.hidden_world.generate import read
 from benchmarks.studies.hidden_world.populations import DOUBLE
 from rtcal.finder import Case, recalibrate
 from rtcal.finder.means.engines import ControlRooms
-from rtcal.finder.means.features import ModelDiscrepancy, estimate_discrepancy, observe
-from rtcal.finder.means.hypotheses import predict_hypotheses
+from rtcal.finder.means.hypotheses import (
+    ModelDiscrepancy,
+    estimate_discrepancy,
+    observe,
+    predict_hypotheses,
+)
 from rtcal.finder.means.likelihood import MeansProblem, alpha_covariance
 from rtcal.finder.means.recalibration import plain
-from rtcal.finder.means.set_posterior import MOST
-from rtcal.finder.means.sets import averaged_alpha, compare, covariance_with_alpha, moments
+from rtcal.finder.means.sets import MOST, averaged_alpha, compare, covariance_with_alpha, moments
 from rtcal.finder.search import find
 
 LEVEL = 0.05

@@ -28,16 +28,19 @@ from benchmarks.positions_table import bootstrap
 from benchmarks.studies.geometric_world.load import IN_SITU, load
 from benchmarks.where import case_of, prepared
 from benchmarks.where_figures import ABSORBERS, DATA
-from rtcal.finder.positions.evidence import (
+from rtcal.finder.positions.finding import LIKELY
+from rtcal.finder.positions.hypotheses import COUPLED, uneven_amount
+from rtcal.finder.positions.posterior import (
     MEASUREMENT,
     POSITION,
     Likelihood,
+    PositionsHypotheses,
     ShiftHypothesis,
     SpreadHypothesis,
+    evaluate,
+    scores,
+    weights,
 )
-from rtcal.finder.positions.finding import LIKELY
-from rtcal.finder.positions.hypotheses import COUPLED, uneven_amount
-from rtcal.finder.positions.posterior import PositionsHypotheses, evaluate, scores, weights
 from rtcal.finder.positions.problem import PositionsProblem
 
 STORED = Path(__file__).with_name("where_ideal.json.gz")

@@ -33,7 +33,7 @@ from benchmarks.real_data import DATA, OCTAVES, PTB_AIR, handbook_sigma, lines
 from benchmarks.where import PATHS, plain, said
 from benchmarks.where_figures import MODELS, first
 from rtcal.acoustics.observables import observable
-from rtcal.finder.positions.evidence import flat
+from rtcal.finder.positions.posterior import flat
 from rtcal.finder.positions.problem import PositionsProblem, problem_of
 from rtcal.finder.positions.responses import BASE, parameters, responses_of
 from rtcal.finder.positions.search import controls_of

@@ -30,10 +30,10 @@ from benchmarks.where_figures import ABSORBERS, DATA, family_of, right_families
 from benchmarks.where_threshold import numbers_of
 from rtcal.finder.claim import CLAIMED
 from rtcal.finder.positions import search
-from rtcal.finder.positions.evidence import MEASUREMENT
 from rtcal.finder.positions.hypotheses import COUPLED
 from rtcal.finder.positions.posterior import (
     LEAST_BY_MEANS,
+    MEASUREMENT,
     THRESHOLD,
     evaluate,
     evidence_of_means,

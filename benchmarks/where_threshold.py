@@ -21,8 +21,16 @@ import numpy as np
 from benchmarks.studies.geometric_world.load import HANDBOOK, IN_SITU, load, truth
 from benchmarks.where import case_of, prepared
 from benchmarks.where_figures import DATA
-from rtcal.finder.positions.evidence import Likelihood, Residuals, ShiftHypothesis
-from rtcal.finder.positions.posterior import TEMPER, PositionsHypotheses, evaluate, scores, weights
+from rtcal.finder.positions.posterior import (
+    TEMPER,
+    Likelihood,
+    PositionsHypotheses,
+    Residuals,
+    ShiftHypothesis,
+    evaluate,
+    scores,
+    weights,
+)
 from rtcal.finder.positions.problem import PositionsProblem
 
 FOLDS, DRAWS = 4, 25

@@ -22,8 +22,7 @@ import numpy as np
 from benchmarks.studies.geometric_world.load import IN_SITU, load, truth, without_noise
 from benchmarks.where import case_of, prepared
 from rtcal.acoustics.observables import observable
-from rtcal.finder.positions.evidence import flat
-from rtcal.finder.positions.posterior import evaluate, scores, weights
+from rtcal.finder.positions.posterior import evaluate, flat, scores, weights
 from rtcal.finder.positions.responses import BASE, responses_of
 from rtcal.simulators.observations import Observations
 

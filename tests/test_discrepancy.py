@@ -33,14 +33,14 @@ from rtcal.finder.means import hypotheses
 from rtcal.finder.means.corrected import not_in_room
 from rtcal.finder.means.engines import ControlRooms, recentred
 from rtcal.finder.means.evidence import evaluate
-from rtcal.finder.means.features import (
+from rtcal.finder.means.hypotheses import (
     ModelDiscrepancy,
     distances,
     estimate_discrepancy,
     observe,
+    predict_hypotheses,
     state,
 )
-from rtcal.finder.means.hypotheses import predict_hypotheses
 from rtcal.finder.means.likelihood import MeansProblem, alpha_covariance
 from rtcal.finder.model import DirectionalDecay, RoomState, predict, sensitivities
 from rtcal.finder.search import find

@@ -29,7 +29,7 @@ from rtcal.finder import (
 )
 from rtcal.finder.effects.absorbers import Opening
 from rtcal.finder.means.engines import ControlRooms, Engine
-from rtcal.finder.means.features import ModelDiscrepancy, state
+from rtcal.finder.means.hypotheses import ModelDiscrepancy, state
 from rtcal.finder.model import Decay, RoomState
 from rtcal.finder.search import find
 from rtcal.support.errors import DataError, OtherBandsWarning, RtcalError

@@ -15,7 +15,7 @@ from scipy.stats import norm
 from rtcal.command.main import cli
 from rtcal.finder import Case, plan
 from rtcal.finder.means import likelihood
-from rtcal.finder.means.measurements import COSTS, Information, extended, possible
+from rtcal.finder.means.planning import COSTS, Information, extended, possible
 from rtcal.finder.means.sets import Moments
 from rtcal.finder.search import find
 from rtcal.support.errors import DataError

@@ -21,8 +21,7 @@ from rtcal.finder.effects.whole_room import CoupledRoom, WrongVolume
 from rtcal.finder.means import evidence as bootstrap
 from rtcal.finder.means.engines import ControlRooms
 from rtcal.finder.means.evidence import MeansEvidence, draw_null_features
-from rtcal.finder.means.features import distances, observe, state
-from rtcal.finder.means.hypotheses import LowRank, predict_hypotheses
+from rtcal.finder.means.hypotheses import LowRank, distances, observe, predict_hypotheses, state
 from rtcal.finder.model import predict
 from rtcal.finder.prior import SHARPER, log_mixture, prior_of, probability_off
 from rtcal.finder.search import find

@@ -13,7 +13,7 @@ from rtcal import terms
 from rtcal.finder.case import Case, Configuration
 from rtcal.finder.effects.base import Effect
 from rtcal.finder.effects.checks import changed_states
-from rtcal.finder.means.features import state
+from rtcal.finder.means.hypotheses import state
 from rtcal.finder.model import RoomState
 from rtcal.support.errors import DataError, SimulatorError
 

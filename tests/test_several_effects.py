@@ -29,18 +29,19 @@ from rtcal.finder.claim import numbers_of
 from rtcal.finder.means import hypotheses, likelihood
 from rtcal.finder.means.engines import ControlRooms
 from rtcal.finder.means.evidence import evaluate
-from rtcal.finder.means.features import estimate_discrepancy, observe
 from rtcal.finder.means.gap import Objection
-from rtcal.finder.means.hypotheses import predict_hypotheses
+from rtcal.finder.means.hypotheses import estimate_discrepancy, observe, predict_hypotheses
 from rtcal.finder.means.likelihood import DEGREES, MeansProblem, alpha_covariance
-from rtcal.finder.means.set_posterior import Kept, log_prior, posterior_of_sets
 from rtcal.finder.means.sets import (
+    Kept,
     Screen,
     acting_order,
     averaged_alpha,
     compare,
     evaluate_sets,
+    log_prior,
     moments,
+    posterior_of_sets,
 )
 from rtcal.finder.model import FEATURES
 from rtcal.finder.prior import UNKNOWN, prior_of
@@ -299,7 +300,7 @@ def test_likely_pairs_are_evaluated_deeply_enough(monkeypatch: pytest.MonkeyPatc
     c = compared_case(case, [e for e in library() if e.name in ("volume", "coupled room", "air")])
     prior = prior_of(case.room, list(c.predicted.effects.values()), {})
     some = posterior_of_sets(c, prior, most=2).sets
-    monkeypatch.setattr("rtcal.finder.means.set_posterior.KEPT", (Kept(0.0, 1.0, 10_000),))
+    monkeypatch.setattr("rtcal.finder.means.sets.KEPT", (Kept(0.0, 1.0, 10_000),))
     every = posterior_of_sets(c, prior, most=2).sets
     assert sum(abs(p - some[s]) for s, p in every.items()) < 0.02
 

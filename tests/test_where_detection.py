@@ -14,14 +14,16 @@ import pytest
 import rtcal as rt
 from rtcal.finder.effects import library
 from rtcal.finder.finding import Detection
-from rtcal.finder.positions.evidence import NOISE, POSITION, SpreadHypothesis
 from rtcal.finder.positions.finding import detection_in_words
 from rtcal.finder.positions.hypotheses import shifts
 from rtcal.finder.positions.posterior import (
+    NOISE,
     OF_PROGRAMS,
+    POSITION,
     THRESHOLD,
     PositionsEvidence,
     PositionsHypotheses,
+    SpreadHypothesis,
     Summary,
     evidence_of_means,
     of_means,

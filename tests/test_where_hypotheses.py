@@ -11,9 +11,13 @@ import pytest
 import rtcal as rt
 from rtcal.acoustics import decay
 from rtcal.finder.finding import Candidate
-from rtcal.finder.positions.evidence import Likelihood, ScatteringLevels, ShiftHypothesis
 from rtcal.finder.positions.hypotheses import uneven_amount, uneven_columns, unevenness
-from rtcal.finder.positions.posterior import _candidate
+from rtcal.finder.positions.posterior import (
+    Likelihood,
+    ScatteringLevels,
+    ShiftHypothesis,
+    _candidate,
+)
 from rtcal.finder.positions.weighing import Aperture
 from rtcal.simulators.observations import values_of_decays
 from rtcal.support.errors import DataError

@@ -16,7 +16,6 @@ from scipy.stats import multivariate_normal
 import rtcal as rt
 from benchmarks import where_ideal, where_temper
 from rtcal.finder.effects import library
-from rtcal.finder.positions.evidence import ScatteringLevels
 from rtcal.finder.positions.hypotheses import shifts
 from rtcal.finder.positions.posterior import (
     LEAST_BY_MEANS,
@@ -25,6 +24,7 @@ from rtcal.finder.positions.posterior import (
     TOLD_TEMPER,
     PositionsEvidence,
     PositionsHypotheses,
+    ScatteringLevels,
     weights,
     with_families,
 )

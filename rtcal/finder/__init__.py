@@ -32,9 +32,9 @@ if TYPE_CHECKING:
     from rtcal.finder.means.planning import Plan as Plan
     from rtcal.finder.means.planning import Proposal as Proposal
     from rtcal.finder.means.planning import plan as plan
+    from rtcal.finder.means.recalibration import Recalibrated as Recalibrated
     from rtcal.finder.means.recalibration import recalibrate as recalibrate
     from rtcal.finder.means.verification import MeansVerification as MeansVerification
-    from rtcal.finder.means.verification import Recalibrated as Recalibrated
     from rtcal.finder.search import verify as verify
 else:
     __getattr__, __dir__, __all__ = support.exports(__name__, __file__)

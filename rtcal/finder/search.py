@@ -13,9 +13,9 @@ from rtcal.finder.case import Case, Configuration
 from rtcal.finder.effects import Effect
 from rtcal.finder.means.engines import ControlRooms
 from rtcal.finder.means.finding import MeansFinding
-from rtcal.finder.means.held_out import verify as verify_by_means
 from rtcal.finder.means.search import find as find_by_means
 from rtcal.finder.means.verification import MeansVerification
+from rtcal.finder.means.verification import verify as verify_by_means
 from rtcal.io import geometry_files
 from rtcal.loop.control_runs import ControlRuns
 from rtcal.simulators.path_tracing import PathTracing

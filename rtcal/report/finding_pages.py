@@ -13,8 +13,7 @@ from rtcal.acoustics import bands
 from rtcal.acoustics.observables import parameter_label
 from rtcal.finder.means.corrected import corrected_room, not_in_room
 from rtcal.finder.means.finding import MeansFinding
-from rtcal.finder.means.recalibration import recalibrate
-from rtcal.finder.means.verification import table
+from rtcal.finder.means.recalibration import recalibrate, table
 from rtcal.finder.positions.finding import Place, PositionsFinding, strongest
 from rtcal.finder.positions.verification import MODELS, TITLES, PositionsVerification
 from rtcal.finder.states.finding import StatesFinding, decimals

@@ -5,8 +5,16 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from rtcal.finder.positions.evidence import NOISE, POSITION, ShiftHypothesis, SpreadHypothesis
-from rtcal.finder.positions.posterior import PositionsEvidence, PositionsHypotheses, scores, weights
+from rtcal.finder.positions.posterior import (
+    NOISE,
+    POSITION,
+    PositionsEvidence,
+    PositionsHypotheses,
+    ShiftHypothesis,
+    SpreadHypothesis,
+    scores,
+    weights,
+)
 
 ODDS = {"porous": 1.0, NOISE: 0.5, POSITION: 0.5}
 

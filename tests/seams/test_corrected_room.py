@@ -21,7 +21,7 @@ from rtcal.finder import AppliedEffect, Case, corrected_room, recalibrate, simul
 from rtcal.finder.effects import Effect, library
 from rtcal.finder.effects.checks import checked_grid
 from rtcal.finder.means.corrected import not_in_room
-from rtcal.finder.means.features import distances, state
+from rtcal.finder.means.hypotheses import distances, state
 from rtcal.finder.model import FEATURES, RoomState, predict
 from rtcal.simulators.external import EquationSimulator
 from rtcal.support.errors import DataError

@@ -11,7 +11,7 @@ import rtcal as rt
 from rtcal.finder import AppliedEffect, Case
 from rtcal.finder.effects import Effect, library
 from rtcal.finder.effects.checks import checked_grid
-from rtcal.finder.means.features import state
+from rtcal.finder.means.hypotheses import state
 from rtcal.finder.model import RoomState, covered
 from rtcal.support.errors import DataError
 

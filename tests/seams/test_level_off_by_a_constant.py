@@ -11,8 +11,7 @@ import pytest
 
 import rtcal as rt
 from rtcal.finder import Case, library
-from rtcal.finder.means.features import observe
-from rtcal.finder.means.hypotheses import predict_hypotheses
+from rtcal.finder.means.hypotheses import observe, predict_hypotheses
 from rtcal.finder.means.search import _off_levels
 
 

@@ -12,9 +12,8 @@ from rtcal.finder.effects import Effect
 from rtcal.finder.effects.absorbers import Opening, Porous
 from rtcal.finder.effects.checks import checked_grid
 from rtcal.finder.effects.whole_room import NoiseFloor, NonDiffuse, WrongArea
-from rtcal.finder.means.features import state
 from rtcal.finder.means.gap import Objection
-from rtcal.finder.means.hypotheses import predict_hypotheses
+from rtcal.finder.means.hypotheses import predict_hypotheses, state
 from rtcal.finder.means.verdict import doubted
 from rtcal.finder.positions.hypotheses import LEAST, RATIO, areas_tried
 from rtcal.finder.search import find

@@ -24,7 +24,7 @@ from rtcal.acoustics.room import Material, Room, Surface
 from rtcal.finder.case import Case, Configuration
 from rtcal.finder.effects.checks import AppliedEffect
 from rtcal.finder.finding import amount
-from rtcal.finder.means.features import distances, state, with_applied
+from rtcal.finder.means.hypotheses import distances, state, with_applied
 from rtcal.finder.model import FEATURES, RoomState, highest, mean_contributions, predict
 from rtcal.simulators.base import RoomSimulator, Simulator, check_alpha, run
 from rtcal.simulators.geometry import Polyhedron

@@ -52,16 +52,18 @@ from rtcal.finder.means.engines import (
     draw_alpha,
     recentred,
 )
-from rtcal.finder.means.features import (
+from rtcal.finder.means.hypotheses import (
+    LowRank,
+    MeansHypotheses,
     ModelDiscrepancy,
     ObservedFeatures,
     distances,
     estimate_discrepancy,
+    predict_hypotheses,
     state,
     states,
     steps,
 )
-from rtcal.finder.means.hypotheses import LowRank, MeansHypotheses, predict_hypotheses
 from rtcal.finder.means.likelihood import Factorization, MeansProblem, log_densities
 from rtcal.finder.model import predict
 from rtcal.finder.prior import (

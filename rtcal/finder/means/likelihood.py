@@ -12,8 +12,13 @@ from scipy.linalg.lapack import dpotrf, dtrtrs
 from scipy.special import chdtrc, gammaln, logsumexp
 
 from rtcal.finder.case import Case
-from rtcal.finder.means.features import ModelDiscrepancy, ObservedFeatures
-from rtcal.finder.means.hypotheses import LowRank, MeansHypotheses, misfit
+from rtcal.finder.means.hypotheses import (
+    LowRank,
+    MeansHypotheses,
+    ModelDiscrepancy,
+    ObservedFeatures,
+    misfit,
+)
 from rtcal.finder.prior import SCALES
 from rtcal.support.types import Array
 

@@ -24,13 +24,24 @@ from rtcal.finder.means.evidence import (
     evaluate_beyond,
 )
 from rtcal.finder.means.evidence import score as evidence_of_something
-from rtcal.finder.means.features import LEVELS, observe, steps
 from rtcal.finder.means.finding import MeansFinding
 from rtcal.finder.means.gap import NO_STEP, next_measurement, schroeder_limit
-from rtcal.finder.means.hypotheses import MeansHypotheses, predict_hypotheses
+from rtcal.finder.means.hypotheses import (
+    LEVELS,
+    MeansHypotheses,
+    observe,
+    predict_hypotheses,
+    steps,
+)
 from rtcal.finder.means.likelihood import MeansProblem
-from rtcal.finder.means.set_posterior import MOST, posterior_of_sets, single_posterior
-from rtcal.finder.means.sets import Rows, averaged_alpha, compare
+from rtcal.finder.means.sets import (
+    MOST,
+    Rows,
+    averaged_alpha,
+    compare,
+    posterior_of_sets,
+    single_posterior,
+)
 from rtcal.finder.means.verdict import Fit, of_sets, of_single
 from rtcal.finder.model import FEATURES
 from rtcal.finder.prior import (

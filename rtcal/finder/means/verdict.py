@@ -27,7 +27,6 @@ from rtcal.finder.effects import Effect, Parameters
 from rtcal.finder.effects.checks import AppliedEffect, changed_states
 from rtcal.finder.finding import End, Size
 from rtcal.finder.means.evidence import NEGLIGIBLE, MeansEvidence
-from rtcal.finder.means.features import state
 from rtcal.finder.means.gap import (
     GapCheck,
     Objection,
@@ -40,8 +39,8 @@ from rtcal.finder.means.gap import (
     too_large,
     unexplained,
 )
-from rtcal.finder.means.hypotheses import predict_hypotheses
-from rtcal.finder.means.set_posterior import SetPosterior
+from rtcal.finder.means.hypotheses import predict_hypotheses, state
+from rtcal.finder.means.sets import SetPosterior
 from rtcal.finder.model import rates
 from rtcal.finder.prior import COEFFICIENTS, NONE, SCALES, UNKNOWN, OffTogether
 from rtcal.support.types import Array

@@ -1,194 +1,55 @@
-"""The calibrated coefficients of a case, and the verdict on a finding by data that were held out.
+"""The verdict on a finding by data that were held out.
 
 Plain calibration changes alpha until T20 fits, whatever effect is missing. So a smaller gap in T20
 proves nothing, and a smaller gap in what the effect was fitted to proves little. The two models are
-compared at data that were held out (`rtcal.finder.means.held_out`): the level (C80, G), and further
+compared at data that were held out: the level (C80, G), and further
 configurations (another absorber, another humidity, the suspect removed). A gap that shrinks there
 shows that the model is better, not that the name is right: a rival that does the same would shrink it
 too.
+
+A finding by means is fitted to all that was measured, so none of it proves the finding. Of the case
+that was searched a part is therefore held out: C80 and G, and each configuration but the first. The
+effect is fitted anew to the rest, both models are calibrated to the rest, and the part is predicted.
+T20, EDT and T30 of one configuration leave nothing to hold out: the shape of a decay fits a coupled
+room, a field that is not diffuse and a noise floor alike. Of a case with further parameters or bands
+these are held out, and the effect stays as it was found.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from functools import cached_property
 from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rtcal.acoustics.observables import TARGET, observable
-from rtcal.acoustics.priors import NORMAL_90
-from rtcal.acoustics.room import CalibrationRecord, Room
-from rtcal.calibration.problem_data import data_history, times_in_room
-from rtcal.calibration.result import JointResult
-from rtcal.finder.case import Case
+from rtcal.finder.case import LEVELS, Case
 from rtcal.finder.claim import DISTINCT_NATS
-from rtcal.finder.effects.checks import AppliedEffect
-from rtcal.finder.finding import LEAST_SHRINKAGE, Miss, Verification, amount, is_miss
-from rtcal.finder.means.corrected import corrected_room
-from rtcal.finder.means.features import ObservedFeatures, distances, observe, state
+from rtcal.finder.effects import Effect
+from rtcal.finder.finding import LEAST_SHRINKAGE, Miss, Verification, is_miss
+from rtcal.finder.means.evidence import evaluate
 from rtcal.finder.means.finding import MeansFinding, feature_names
-from rtcal.finder.means.gap import LITTLE
-from rtcal.finder.means.hypotheses import predict_hypotheses
+from rtcal.finder.means.gap import LITTLE, GapCheck, gap_check
+from rtcal.finder.means.hypotheses import (
+    ObservedFeatures,
+    distances,
+    observe,
+    predict_hypotheses,
+    state,
+)
 from rtcal.finder.means.likelihood import MeansProblem
+from rtcal.finder.means.recalibration import Recalibrated, plain, recalibrate, table
+from rtcal.finder.means.verdict import Fit, fit
 from rtcal.finder.model import FEATURES, predict
-from rtcal.support import __version__, blocks, text
+from rtcal.finder.prior import SCALES, probability_off
+from rtcal.support import blocks, text
 from rtcal.support.blocks import Row, Table
+from rtcal.support.errors import DataError
 from rtcal.support.files import json_numbers
-from rtcal.support.saved import Result
+from rtcal.support.speed import single_threaded_blas
 from rtcal.support.text import as_sentence, listed
 from rtcal.support.types import Array
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class Recalibrated(Result):
-    """The calibrated coefficients of a case, and the model's prediction with them.
-
-    Attributes
-    ----------
-    case : Case
-        With the effects' sizes as calibrated.
-    alpha : array (n_materials, n_bands)
-        The room's coefficients; those that a configuration changes are in ``changed``.
-    changed : mapping of (configuration, material) to array (n_bands,)
-    sizes : mapping of str to float
-        Sizes of the effects that have one, in the effect's unit.
-    features : array (n_configurations, n_features, n_bands)
-        Predicted: ln T20, ln EDT/T20, ln T30/T20, C80 and G in dB, the model's bias left out.
-    off : float
-        Root mean square of the fitted ln T less the measured one, over its standard deviation.
-    joint : JointResult
-        The QP's answer, in which a configuration's changed materials have names of their own.
-    """
-
-    record_kind: ClassVar[str] = "recalibration 1"
-
-    case: Case
-    alpha: Array
-    changed: Mapping[tuple[str, str], Array]
-    sizes: Mapping[str, float]
-    features: Array
-    off: float
-    joint: JointResult
-
-    @cached_property
-    def sigma(self) -> Array:
-        """Standard deviation of alpha, (n_materials, n_bands): the QP's `posterior_sigma`.
-
-        It holds if the effects in the model are right, with their parameters. Only the sizes that are
-        unknowns of the QP contribute their uncertainty.
-        """
-        by_name = dict(zip(self.joint.materials, self.joint.posterior_sigma, strict=True))
-        room = self.case.room
-        return np.array([by_name.get(m, room.sigma[i]) for i, m in enumerate(room.materials)])
-
-    @property
-    def interval(self) -> tuple[Array, Array]:
-        """Ends of alpha's 90 % interval, each (n_materials, n_bands): alpha ± 1.645 sigma in 0 to 1."""
-        spread = NORMAL_90 * self.sigma
-        return np.clip(self.alpha - spread, 0, 1), np.clip(self.alpha + spread, 0, 1)
-
-    @cached_property
-    def room(self) -> Room:
-        """`corrected_room` with the calibrated coefficients, their sigma, and the record of it."""
-        stated = self.case.room
-        data = [times_in_room(stated, c.measured) for c in self.case.configurations]
-        calibrated = stated.replace(
-            alpha=self.alpha,
-            sigma=self.sigma,
-            calibration=CalibrationRecord(
-                method="gap",
-                equation=self.joint.equation.name,
-                solver=self.joint.solver,
-                measured=" ".join(
-                    [data_history(stated, data[0]), *(d.fingerprint for d in data[1:])]
-                ),
-                version=__version__,
-            ),
-        )
-        return corrected_room(replace(self.case, room=calibrated))
-
-    @property
-    def effects(self) -> list[dict[str, Any]]:
-        """The effects with their sizes, and the 90 % interval from all data.
-
-        The size of a ``calibrated`` effect was an unknown of the QP, which uses T20 only. Other effects
-        have the size with which they were added.
-        """
-        return [
-            p.to_dict()
-            | {
-                "size": self.sizes.get(p.name),
-                "unit": p.effect.unit,
-                "material": p.effect.material(p.parameters, self.case.room),
-                "calibrated": p.name in self.joint.effects,
-            }
-            for p in self.case.applied
-        ]
-
-    @property
-    def effects_in_words(self) -> list[str]:
-        """A line per effect: its size, and the data from which the size follows."""
-        return [self._in_words(p) for p in self.case.applied]
-
-    def _in_words(self, p: AppliedEffect) -> str:
-        name = p.effect.title(p.parameters, self.case.room)
-        size, ends = self.sizes.get(p.name), p.size_interval
-        if size is None:
-            return f"{name}: {p.effect.describe(p.parameters)}"
-        time = self.case.configurations[0].measured.time_label
-        source = f", calibrated to {time} alone" if p.name in self.joint.effects else ""
-        return f"{name}{source}: {amount(size, p.effect.unit, ends)}"
-
-    def __repr__(self) -> str:
-        """Return one line: the room, and the effects with their sizes."""
-        sizes = (
-            p.name if p.name not in self.sizes else f"{p.name} {self.sizes[p.name]:.3g}"
-            for p in self.case.applied
-        )
-        effects = text.shortened(", ".join(sizes)) or "no effect"
-        name = text.shortened(self.case.room.name)
-        return f'<Recalibrated "{name}": {len(self.alpha)} materials, with {effects}>'
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return plain values for JSON."""
-        low, high = self.interval
-        return {
-            "effects": self.effects,
-            "materials": [
-                {
-                    "name": m,
-                    "alpha": self.alpha[i].tolist(),
-                    "sigma": self.sigma[i].tolist(),
-                    "low": low[i].tolist(),
-                    "high": high[i].tolist(),
-                }
-                for i, m in enumerate(self.case.room.materials)
-            ],
-            "changed": [
-                {"configuration": c, "material": m, "alpha": v.tolist()}
-                for (c, m), v in self.changed.items()
-            ],
-        }
-
-
-def table(room: Room, columns: Mapping[str, Recalibrated]) -> list[str]:
-    """Return lines with each material's alpha, as stated and as calibrated, and the effects."""
-    named = {"prior": (room.alpha, NORMAL_90 * room.sigma)}
-    named |= {k: (c.alpha, np.subtract(*c.interval[::-1]) / 2) for k, c in columns.items()}
-    rows = []
-    for i, material in enumerate(room.materials):
-        cells = [f"{a[i].mean():.3f} ± {half[i].mean():.3f}" for a, half in named.values()]
-        rows.append((f"  {material}", cells))
-    lines = ["alpha ± half its 90 % interval, means over bands"]
-    lines += text.table(rows, header=("", list(named)))
-    for c in columns.values():
-        for line in c.effects_in_words:
-            lines += text.wrapped(line, indent="  ")
-    return lines
-
 
 EXACT = 0.005
 """Gap in JND that is printed as 0.00."""
@@ -488,8 +349,8 @@ class MeansVerification(Verification):
         """Return the mean gaps before and after as a table, the verdict in words."""
         rows = [Row(_named(g), [g.before, g.after], ".2f") for g in self.quantities]
         columns = ["plain", f"with {self.finding.title}"]
-        table = Table(columns, rows, corner="mean gap / JND", note=self.sentence)
-        return blocks.notebook(f"Verification: {self.verdict}", [table])
+        gaps = Table(columns, rows, corner="mean gap / JND", note=self.sentence)
+        return blocks.notebook(f"Verification: {self.verdict}", [gaps])
 
     def __str__(self) -> str:
         """Return the sentence, the gaps and the coefficients."""
@@ -547,3 +408,162 @@ def gap_in_jnd(feature: int, measured: Array, modelled: Array) -> Array:
     if feature < 3:  # relative, from logarithms
         return np.asarray((np.exp(modelled - measured) - 1) / jnd)
     return np.asarray((modelled - measured) / jnd)
+
+
+_LEVEL_ROWS = [FEATURES.index(name) for name in LEVELS]
+
+
+@dataclass(frozen=True, eq=False)
+class HeldOut:
+    """A part of the data that the effect is not fitted to.
+
+    Attributes
+    ----------
+    words : str
+    hidden, counted : array (n_configurations, n_features, n_bands)
+        What the effect is not fitted to, and what of it counts.
+    configurations : tuple of int
+        Numbers of the configurations that no model is calibrated to.
+    refitted : bool
+        Whether the effect is fitted anew without it.
+    """
+
+    words: str
+    hidden: NDArray[np.bool_]
+    counted: NDArray[np.bool_]
+    configurations: tuple[int, ...] = ()
+    refitted: bool = True
+
+
+def parts_of(case: Case, observed: ObservedFeatures, fitted: ObservedFeatures) -> list[HeldOut]:
+    """Return the parts of the data that can be held out; none where there are none.
+
+    ``fitted`` is what the finding was fitted to.
+    """
+    used = np.array(observed.used, dtype=bool)
+    further = used & ~np.array(fitted.used, dtype=bool)
+    further[0, 0] = False  # alpha fits T20 of the first configuration, whatever is missing
+    if further.any():
+        return [HeldOut("what was not in the search", further, further, refitted=False)]
+    out = []
+    levels = np.zeros_like(used)
+    levels[:, _LEVEL_ROWS] = used[:, _LEVEL_ROWS]
+    if levels[0].any():
+        counted = np.zeros_like(used)
+        counted[0] = levels[0]
+        names = [
+            n.upper() for n, row in zip(LEVELS, _LEVEL_ROWS, strict=True) if used[0, row].any()
+        ]
+        out.append(HeldOut(" and ".join(names), levels, counted))
+    for c, configuration in enumerate(case.configurations[1:], 1):
+        whole = np.zeros_like(used)
+        whole[c] = used[c]
+        out.append(HeldOut(f'configuration "{configuration.name}"', whole, whole, (c,)))
+    return out
+
+
+@single_threaded_blas()
+def verify(finding: MeansFinding, case: Case | None = None) -> MeansVerification:
+    """Compare the model with and without the best effect by data that the effect is not fitted to.
+
+    Parameters
+    ----------
+    finding : MeansFinding
+    case : Case, optional
+        With further parameters or bands of the same configurations, which are then held out; by default
+        the finding's own, parts of which are held out in turn.
+
+    Raises
+    ------
+    DataError
+        If the verdict names no effect ("none", "hint", "unknown"), if two or more effects were found
+        together, or ``case`` has other configurations or bands.
+    """
+    if not finding.can_be_added:
+        raise DataError(f'the verdict is "{finding.verdict}"; there is no effect to add')
+    if len(finding.members) > 1:
+        raise DataError(
+            f"{len(finding.members)} effects were found together; the gap is compared for one: search "
+            "with most = 1"
+        )
+    case = finding.case if case is None else case
+    observed, _ = observe(case)
+    before, after = plain(case), recalibrate(finding.with_effects(case), finding.discrepancy)
+    fitted = observe(finding.case)[0]
+    if fitted.used.shape != observed.used.shape:
+        raise DataError(
+            f"case has {len(case.configurations)} configurations in {case.room.n_bands} bands; the "
+            f"finding has {len(finding.case.configurations)} in {finding.case.room.n_bands}"
+        )
+    bias = finding.discrepancy.bias.reshape(observed.features.shape)
+    every = np.array(observed.used, dtype=bool)
+    quantities = quantities_of(case, observed, bias, before, after, every, held_out=False)
+    parts = parts_of(case, observed, fitted)
+    held, uncertainty, predictive = [], 0.0, 0.0
+    for part in parts:
+        judged = _judged(finding, case, observed, part, before)
+        held += judged.quantities
+        uncertainty += judged.check.uncertainty * len(judged.quantities)
+        predictive += judged.check.predictive
+    by_name = {(g.configuration, g.quantity): g for g in quantities}
+    by_name |= {(g.configuration, g.quantity): g for g in held}
+    return MeansVerification(
+        finding=finding,
+        quantities=tuple(by_name.values()),
+        held_out=tuple(part.words for part in parts),
+        uncertainty=uncertainty / len(held) if held else float("nan"),
+        predictive=predictive,
+        missed=misses_of(case, observed, bias, after),
+        plain=before,
+        corrected=after,
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Judged:
+    """The gaps at one part, and the linear model's standard error of their change and evidence."""
+
+    quantities: list[Gap]
+    check: GapCheck
+
+
+def _judged(
+    finding: MeansFinding,
+    case: Case,
+    observed: ObservedFeatures,
+    part: HeldOut,
+    before: Recalibrated,
+) -> _Judged:
+    """Return what becomes of the gap at a part of the data."""
+    name = str(finding.best_effect)
+    effects = [finding.effects[name]] if name in finding.effects else []
+    found = finding.fits[name]
+    if part.refitted:
+        found = _refitted(finding, case, observed, part, effects)
+    bias = finding.discrepancy.bias.reshape(observed.features.shape)
+
+    with_it = finding.with_effects(case, fits={name: found})
+    after = recalibrate(with_it, finding.discrepancy, left_out=part.configurations)
+    quantities = quantities_of(case, observed, bias, before, after, part.counted, held_out=True)
+    predicted = predict_hypotheses(case, effects, [[found.parameters]] if effects else None)
+    problem = MeansProblem(case, observed, predicted, finding.discrepancy)
+    scale = SCALES[0][0] if found.coefficients is not None else 1.0
+    check = gap_check(problem, 1 if effects else 0, scale, part.counted[observed.used])
+    return _Judged(quantities, check)
+
+
+def _refitted(
+    finding: MeansFinding,
+    case: Case,
+    observed: ObservedFeatures,
+    part: HeldOut,
+    effects: list[Effect],
+) -> Fit:
+    """Return the best effect as the data without a part have it."""
+    used: Array = np.logical_and(observed.used, np.logical_not(part.hidden))
+    kept = used[observed.used]
+    rest = replace(observed, used=used, covariance=observed.covariance[np.ix_(kept, kept)])
+    predicted = predict_hypotheses(case, effects)
+    problem = MeansProblem(case, rest, predicted, finding.discrepancy)
+    evidence = evaluate(problem, probability_off(case.room))
+    return fit(evidence, str(finding.best_effect), precise=True)

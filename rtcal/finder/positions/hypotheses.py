@@ -26,7 +26,7 @@ from rtcal.finder.effects.base import Effect, Parameters, middle_absorption
 from rtcal.finder.effects.whole_room import HARD, CoupledRoom, OmittedAir, WrongVolume
 from rtcal.finder.model import RoomState
 from rtcal.finder.positions.case import PositionsCase
-from rtcal.finder.positions.evidence import (
+from rtcal.finder.positions.posterior import (
     NOISE,
     ODDS,
     POSITION,

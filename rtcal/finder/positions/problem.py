@@ -24,7 +24,8 @@ from rtcal.acoustics.observables import Observable, observable
 from rtcal.acoustics.room_errors import alike_alpha, common_error_columns, prior_covariance
 from rtcal.finder.case import CLIMATE_UNCERTAINTY
 from rtcal.finder.positions.case import PositionsCase, covariances_of_gains
-from rtcal.finder.positions.evidence import (
+from rtcal.finder.positions.hypotheses import uneven_amount, uneven_columns
+from rtcal.finder.positions.posterior import (
     Likelihood,
     Likelihoods,
     ScatteringLevels,
@@ -33,7 +34,6 @@ from rtcal.finder.positions.evidence import (
     interpolation,
     reordered,
 )
-from rtcal.finder.positions.hypotheses import uneven_amount, uneven_columns
 from rtcal.finder.positions.responses import AIR, STEP, TRACED, TRACINGS, PairShifts
 from rtcal.finder.prior import SCALES
 from rtcal.loop.control_runs import COMMON as OF_ROOM

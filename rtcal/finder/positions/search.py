@@ -27,7 +27,6 @@ from rtcal.finder.positions.case import (
     lobes_in_words,
     with_index,
 )
-from rtcal.finder.positions.evidence import NOISE, POSITION, Likelihood, ShiftHypothesis
 from rtcal.finder.positions.finding import MOST, PositionsFinding
 from rtcal.finder.positions.hypotheses import (
     COUPLED,
@@ -38,11 +37,15 @@ from rtcal.finder.positions.hypotheses import (
     spreads,
 )
 from rtcal.finder.positions.posterior import (
+    NOISE,
     OF_PROGRAMS,
+    POSITION,
     THRESHOLD,
     TOLD_TEMPER,
+    Likelihood,
     PositionsEvidence,
     PositionsHypotheses,
+    ShiftHypothesis,
     Summary,
     either,
     evaluate,
