@@ -1,6 +1,7 @@
 """What was measured of a case, and what the model predicts under each hypothesis.
 
-A hypothesis is an effect with a set of its parameters, in each configuration of the room. The errors of what the model predicts are its own, as control rooms show them, and those of alpha.
+A hypothesis is an effect with a set of its parameters, in each configuration of the room. The
+errors of what the model predicts are its own, as control rooms show them, and those of alpha.
 """
 
 from __future__ import annotations

@@ -23,8 +23,8 @@ prior of alpha and the error of d_h are integrated. All values are ordered (band
 A shift of band k is a mixture of the shifts at the nodes of one response, and no parameter of a band
 depends on another band. So each hypothesis needs products of nodes alone: N' K⁻¹ N and N' K⁻¹ r.
 
-How much the room scatters is integrated, too: what it changes is no straight line, so it is simulated at
-several levels, and every density is their mean (`ScatteringLevels`).
+How much the room scatters is integrated, too: what it changes is no straight line, so it is simulated
+at several levels, and every density is their mean (`ScatteringLevels`).
 
 The error of d_h has two parts. Each band's shift is larger or smaller by a factor
 (`ShiftHypothesis.error`), and reaches pairs more or less than if it were spread evenly
