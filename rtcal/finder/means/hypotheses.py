@@ -1,4 +1,4 @@
-"""What was measured of a case, and what the model predicts under each hypothesis.
+"""The measured features of a case, and what the model predicts under each hypothesis.
 
 A hypothesis is an effect with a set of its parameters, in each configuration of the room. The
 errors of what the model predicts are its own, as control rooms show them, and those of alpha.
