@@ -177,7 +177,21 @@ def matched_times(
             f"weights has {checks.shown(unknown[0])}, which is not one of {', '.join(PARAMETERS)}"
         )
     frequencies = room.centre_frequencies
-    by_parameter = {p: _weight(p, stated.get(p, 0.0), frequencies) for p in PARAMETERS}
+    by_parameter = {}
+    for p in PARAMETERS:
+        place, weight = f"weights[{p!r}]", checks.array(f"weights[{p!r}]", stated.get(p, 0.0))
+        if weight.shape not in ((), frequencies.shape):
+            raise DataError(
+                f"{place} has shape {weight.shape}; one number, or one per band, is needed: "
+                f"({len(frequencies)},)"
+            )
+        by_parameter[p] = weight = np.broadcast_to(weight, frequencies.shape)
+        if (bad := ~(np.isfinite(weight) & (weight >= 0))).any():
+            k = int(np.argmax(bad))
+            raise DataError(
+                f"{place} at {label(frequencies[k])} = {weight[k]:g} is not a finite number of at "
+                "least 0"
+            )
     largest = np.max(list(by_parameter.values()), axis=0)
     by_parameter = {
         p: np.divide(w, largest, out=np.zeros_like(w), where=largest > 0)
@@ -203,23 +217,6 @@ def matched_times(
         shares={p: by_parameter[p] / total for p in kept},
         time_label=measured.time_label,
     )
-
-
-def _weight(parameter: str, value: object, frequencies: Array) -> Array:
-    place = f"weights[{parameter!r}]"
-    weight = checks.array(place, value)
-    if weight.shape not in ((), frequencies.shape):
-        raise DataError(
-            f"{place} has shape {weight.shape}; one number, or one per band, is needed: "
-            f"({len(frequencies)},)"
-        )
-    weight = np.broadcast_to(weight, frequencies.shape)
-    if (bad := ~(np.isfinite(weight) & (weight >= 0))).any():
-        k = int(np.argmax(bad))
-        raise DataError(
-            f"{place} at {label(frequencies[k])} = {weight[k]:g} is not a finite number of at least 0"
-        )
-    return weight
 
 
 SHOWN = tuple(key for key, kind in OBSERVABLES.items() if kind.shown)
@@ -409,18 +406,14 @@ class BelowSchroeder:
 
     @property
     def note(self) -> str:
-        """The room modes stand in place of what was measured, and their doubts: this as sentences."""
-        told = "No band lies below the Schroeder frequency; the modes are part of the prior."
-        return " ".join([self._of_bands if self.below.any() else told, *self.doubts])
-
-    @property
-    def _of_bands(self) -> str:
-        bands = labels(self.room.centre_frequencies[self.below])
-        without = [label(mark.frequency) for mark in self.trust_marks if mark.frequency]
-        doubt = (
-            f" Fewer than three carry {', '.join(without)}: do not use these." if without else ""
-        )
-        return (
-            f"Below the Schroeder frequency ({', '.join(bands)}) {len(self.modes.used)} room modes "
-            f"stand in place of what was measured there.{doubt}"
-        )
+        """Sentences: the room modes stand in place of what was measured, and their doubts."""
+        said = "No band lies below the Schroeder frequency; the modes are part of the prior."
+        if self.below.any():
+            bands = labels(self.room.centre_frequencies[self.below])
+            said = (
+                f"Below the Schroeder frequency ({', '.join(bands)}) {len(self.modes.used)} room "
+                "modes stand in place of what was measured there."
+            )
+            if without := [label(mark.frequency) for mark in self.trust_marks if mark.frequency]:
+                said += f" Fewer than three carry {', '.join(without)}: do not use these."
+        return " ".join([said, *self.doubts])
