@@ -13,6 +13,7 @@ import hashlib
 import re
 import warnings
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, ClassVar
@@ -364,25 +365,17 @@ def calibrate_simulator(
         )
     result = _run(simulator, loop, max_simulations, seed, after_step, exclude)
     of_bands = notes(measured.centre_frequencies, room.centre_frequencies)
-    of_data = map(as_sentence, [*of_bands, *measured.copies])
+    notes_of_data = [*map(as_sentence, [*of_bands, *measured.copies])]
+    parameters = times_in_room(room, measured).parameter
+    named = zip(room.centre_frequencies, parameters, strict=True)
+    if in_place := [label(f) for f, p in named if p not in ("", TARGET.key)]:
+        where = f" at {', '.join(in_place)}" if TARGET.key in parameters else ""
+        notes_of_data.append(f"T30 is matched{where} in place of T20, which was not measured.")
     return replace(
         result,
         measured=measurement_in_room_bands(measured, room.centre_frequencies),
-        notes=(*repeated, *of_data, *_with_t30(room, measured), *result.notes),
+        notes=(*repeated, *notes_of_data, *result.notes),
     )
-
-
-def _with_t30(room: Room, measured: Measurement) -> tuple[str, ...]:
-    """Return a note of the bands in which T30 stands for T20, which was not measured."""
-    parameters = times_in_room(room, measured).parameter
-    in_place = [
-        label(f)
-        for f, p in zip(room.centre_frequencies, parameters, strict=True)
-        if p not in ("", TARGET.key)
-    ]
-    where = f" at {', '.join(in_place)}" if TARGET.key in parameters else ""
-    note = f"T30 is matched{where} in place of T20, which was not measured."
-    return (note,) if in_place else ()
 
 
 def _run(
@@ -562,7 +555,20 @@ def record(loop: Loop, table: str, state: str, out: str, *, again: bool = False)
         )
     simulated = Measurement.from_file(table)
     alpha = loop.next_alpha
-    _refuse_other_coefficients(alpha, table, state, out)
+    # Two files may show that a table belongs to other coefficients: it may repeat the room's line
+    # "# Coefficients ...", and the room at ``out`` holds the coefficients themselves.
+    asked = _digest(alpha)
+    stated = _COEFFICIENTS.search(read_text(table, MAX_BYTES))
+    if stated is not None and stated[1] != asked:
+        raise DataError(f"{table}: it is of the coefficients {stated[1]}; {state} asks for {asked}")
+    written = None
+    with suppress(DataError):  # another name than last time, or no room: it shows nothing
+        written = Room.from_file(out)
+    if written is not None and _digest(written.alpha) != asked:
+        raise DataError(
+            f"{out}: it has other coefficients than {state} asks for, so {table} may be of those: "
+            f"rtcal loop back writes what to simulate; or delete {out} if it was not simulated"
+        )
     if not again and not loop.steps and loop.matched.gives(simulated, loop.wanted):
         raise DataError(
             f"{table}: every T20 is the measured one to the last digit: is it the measurement itself, "
@@ -603,27 +609,6 @@ def conclusion(loop: Loop, out: str) -> str:
         f"Done{missed}. {out} has the coefficients, those of each band's best step: give it to the "
         "program a last time."
     )
-
-
-def _refuse_other_coefficients(alpha: Array, table: str, state: str, out: str) -> None:
-    """Raise DataError if the table belongs to other coefficients, as far as the files show.
-
-    Two files may show it: the room at ``out`` holds the coefficients themselves, and a table may repeat
-    the room's line "# Coefficients ...".
-    """
-    asked = _digest(alpha)
-    stated = _COEFFICIENTS.search(read_text(table, MAX_BYTES))
-    if stated is not None and stated[1] != asked:
-        raise DataError(f"{table}: it is of the coefficients {stated[1]}; {state} asks for {asked}")
-    try:
-        last_written = Room.from_file(out)
-    except DataError:
-        return  # another name than last time, or no room: it shows nothing
-    if _digest(last_written.alpha) != asked:
-        raise DataError(
-            f"{out}: it has other coefficients than {state} asks for, so {table} may be of those: "
-            f"rtcal loop back writes what to simulate; or delete {out} if it was not simulated"
-        )
 
 
 def _digest(alpha: Array) -> str:
