@@ -10,8 +10,10 @@ import pytest
 
 import rtcal as rt
 from rtcal.finder import Case, Configuration
+from rtcal.finder.case import ChangedMaterial
 from rtcal.finder.effects.whole_room import WrongVolume
 from rtcal.finder.means.finding import MeansFinding
+from rtcal.finder.means.hypotheses import predict_hypotheses
 from rtcal.finder.model import RoomState, volume_sigma_of
 from rtcal.finder.prior import grid_weights
 from rtcal.simulators.geometry import Polyhedron
@@ -182,3 +184,21 @@ def test_t_that_is_longer_in_every_band_is_said_as_what_it_most_often_is() -> No
     assert "the equation then gives too little T for this room" in said
     shorter = str(rt.calibrate(room, heard(room, 0.7)).to_dict()["verdict"])
     assert "T is longer in every band" not in shorter
+
+
+def test_a_volume_of_a_thousandth_is_tried_only_where_every_state_has_sound_for_it() -> None:
+    """A further configuration, with an absorber, had no C80 then: a DataError instead of a finding."""
+    room = hall(0.1, volume=413.0, areas=[105, 110, 105, 59], alpha=np.full((4, len(F)), 0.03))
+    measured = heard(room, 1.0)
+    hung = ChangedMaterial(np.full(len(F), 0.6), np.full(len(F), 0.03))
+    both = [
+        Configuration(name="A", measured=measured),
+        Configuration(name="B", measured=measured, changes={"stage": hung}),
+    ]
+    tried = [
+        predict_hypotheses(Case(room=room, configurations=some), [WrongVolume()])
+        for some in (both[:1], both)
+    ]
+    assert all(np.isfinite(of.features).all() for of in tried)
+    least = [min(theta["ratio"] for theta in of.parameters if theta) for of in tried]
+    assert least[0] < 0.0015 < least[1]

@@ -22,6 +22,7 @@ from rtcal.acoustics.observables import observable, parameter_label
 from rtcal.finder.case import Case, Configuration
 from rtcal.finder.effects import Effect, Parameters
 from rtcal.finder.effects.checks import AppliedEffect, changed_states, checked_grid
+from rtcal.finder.effects.whole_room import WrongVolume
 from rtcal.finder.means.engines import ControlRooms, bias_estimates
 from rtcal.finder.model import FEATURES, Predicted, RoomState, predict, sensitivities
 from rtcal.finder.prior import NONE, directions, factors, grid_weights
@@ -109,7 +110,7 @@ def predict_hypotheses(
     """
     base = [state(case, c) for c in case.configurations]
     if grids is None:
-        grids = [checked_grid(effect, base[0], case.room) for effect in effects]
+        grids = [_grid(effect, base, case) for effect in effects]
         weights = [grid_weights(e, grid, base[0]) for e, grid in zip(effects, grids, strict=True)]
     else:
         weights = [np.full(len(grid), 1 / len(grid)) for grid in grids]
@@ -157,6 +158,20 @@ def predict_hypotheses(
         applied=_applied(case),
         effects={e.name: e for e in effects},
     )
+
+
+def _grid(effect: Effect, states: Sequence[RoomState], case: Case) -> Sequence[Parameters]:
+    """Return the effect's grid in the first configuration, without volumes too small for a further one.
+
+    What is added there may leave a room that is much smaller no sound after 80 ms.
+    """
+    grid = checked_grid(effect, states[0], case.room)
+    if not isinstance(effect, WrongVolume):
+        return grid
+    for other in states[1:]:
+        possible = checked_grid(effect, other, case.room)
+        grid = [theta for theta in grid if theta in possible]
+    return grid
 
 
 def check_size(case: Case, n_hypotheses: int) -> None:
