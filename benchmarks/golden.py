@@ -50,11 +50,11 @@ from typing import Any
 import numpy as np
 
 import rtcal as rt
-from benchmarks import second_world
-from benchmarks.judging import one
-from benchmarks.positions import MATCH
-from benchmarks.real_cases import every_case
+from benchmarks.studies.fits.positions import MATCH
 from benchmarks.studies.geometric_world import load as geometric
+from benchmarks.studies.means import second_world
+from benchmarks.studies.means.judging import one
+from benchmarks.studies.means.real_cases import every_case
 from benchmarks.studies.position_rooms import load as positions
 from rtcal.acoustics.equations import EQUATIONS
 from rtcal.calibration.methods import METHODS

@@ -1,12 +1,13 @@
 """Counts of the finder's right claims, as every finding prints them: rtcal/finder/records.json.
 
-    python -m benchmarks.records           # print the counts
-    python -m benchmarks.records write     # write the file
+    python -m benchmarks.records   # print the counts
+    python -m benchmarks.records write  # write the file
 
 Means over positions: the table "Both worlds together" and the tables of several effects of
-docs/discrepancy_study.md, whose rows are not stored (`benchmarks.second_world both`,
-`benchmarks.several_effects table`). Measured rooms: the judging cases of `benchmarks.real_rooms`.
-Positions: the stored rows of `benchmarks.where`. Every judged room of a statement counts once.
+docs/discrepancy_study.md, whose rows are not stored (`benchmarks.studies.means.second_world both`,
+`benchmarks.studies.means.several_effects table`). Measured rooms: the judging cases of
+`benchmarks.studies.means.real_rooms`. Positions: the stored rows of
+`benchmarks.studies.pairs.where`. Every judged room of a statement counts once.
 """
 
 from __future__ import annotations
@@ -18,11 +19,12 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
-from benchmarks import real_rooms, where
-from benchmarks.judging import FLAGS
-from benchmarks.real_cases import every_case
 from benchmarks.studies.geometric_world import rooms
-from benchmarks.where_figures import (
+from benchmarks.studies.means import real_rooms
+from benchmarks.studies.means.judging import FLAGS
+from benchmarks.studies.means.real_cases import every_case
+from benchmarks.studies.pairs import where
+from benchmarks.studies.pairs.where_figures import (
     ABSORBERS,
     DATA,
     HIDDEN,
@@ -41,7 +43,8 @@ OF_STATEMENT = {
     records.HANDBOOK: (where.HANDBOOK, ("first",)),
 }
 """By the coefficients' source its name in the rows, and the stored rooms that count
-(`benchmarks.where_figures.ROOMS`). Each was judged by one finder, and no room is in two of them."""
+(`benchmarks.studies.pairs.where_figures.ROOMS`). Each was judged by one finder, and no room is in
+two of them."""
 Counts = tuple[int, int]
 """A number of rooms or claims, and of how many it is."""
 

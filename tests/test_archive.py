@@ -10,7 +10,7 @@ import pytest
 from click.testing import CliRunner
 
 import rtcal as rt
-from benchmarks import archive as study
+from benchmarks.studies.archives import archive as study
 from rtcal.calibration.archive import likelihood
 from rtcal.calibration.archive.likelihood import Evidence, RoomData, Spread
 from rtcal.command.main import cli, main

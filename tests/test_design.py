@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 import rtcal as rt
-from benchmarks import designs
+from benchmarks.studies.predictions import designs
 from rtcal.prediction import (
     Target,
     Treatment,

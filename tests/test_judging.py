@@ -6,9 +6,9 @@ from typing import Any
 
 import pytest
 
-from benchmarks.judging import calibration_error, interval
-from benchmarks.real_cases import RealCase, every_case
-from benchmarks.real_rooms import outcome
+from benchmarks.studies.means.judging import calibration_error, interval
+from benchmarks.studies.means.real_cases import RealCase, every_case
+from benchmarks.studies.means.real_rooms import outcome
 
 
 def row(verdict: str, effect: str | None, **more: Any) -> dict[str, Any]:

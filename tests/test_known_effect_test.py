@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from benchmarks.known_effect_test import best_powers, drawn_ratios
-from benchmarks.second_world import WORLDS, true_effect, truth_of
+from benchmarks.studies.means.known_effect_test import best_powers, drawn_ratios
+from benchmarks.studies.means.second_world import WORLDS, true_effect, truth_of
 from rtcal.finder import library
 
 

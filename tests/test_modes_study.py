@@ -5,13 +5,14 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-from benchmarks.modes import summary
+from benchmarks.studies.room_modes.modes import summary
 
 ROOT = Path(__file__).parents[1]
 
 
 def test_page_shows_the_judged_rooms():
-    lines = (ROOT / "benchmarks" / "modes_judged.jsonl").read_text().splitlines()
+    stored = ROOT / "benchmarks" / "studies" / "room_modes" / "modes_judged.jsonl"
+    lines = stored.read_text().splitlines()
     rows = [json.loads(line) for line in lines]
     seeds = [r["seed"] for r in rows]
     assert sorted(set(seeds)) == seeds

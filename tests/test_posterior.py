@@ -64,7 +64,7 @@ def test_marginals_of_two_against_quadrature(target: float, uncertainty: float) 
 
 @pytest.mark.parametrize("seed", range(24))
 def test_random_bands_against_quadrature(seed: int) -> None:
-    """The first of the bands of benchmarks/posterior_accuracy.py."""
+    """The first of the bands of benchmarks/studies/calibrations/posterior_accuracy.py."""
     rng = np.random.default_rng(seed)
     band = random_band(rng)
     _, sigma, width, correlation = errors(band, rng)

@@ -9,8 +9,8 @@ import pytest
 from scipy import stats
 
 import rtcal as rt
-from benchmarks.shipped_cases import POPULATION, kinds
 from benchmarks.studies.hidden_world.populations import build
+from benchmarks.studies.means.shipped_cases import POPULATION, kinds
 from benchmarks.studies.position_rooms import shipped as where_room
 
 ROOMS = {"named": rt.datasets.named_room, "not_told": rt.datasets.untold_room}
@@ -43,7 +43,7 @@ def test_the_true_coefficients_are_as_far_off_as_is_stated(name: str) -> None:
 
 @pytest.mark.long
 def test_one_is_named_and_one_is_not_told() -> None:
-    """It fails where the finder is changed: run `benchmarks/shipped_cases.py`, and the pages."""
+    """It fails where the finder is changed: run `benchmarks.studies.means.shipped_cases`."""
     case, truth = rt.datasets.named_room()
     finding = rt.find(case)
     assert (finding.verdict, finding.effect) == ("named", truth["hidden"])

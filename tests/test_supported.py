@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks import supported
+from benchmarks.studies.means import supported
 
 PAGE = (Path(__file__).parents[1] / "docs" / "discrepancy_study.md").read_text(encoding="utf-8")
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import rtcal as rt
-from benchmarks import uncertain_room
+from benchmarks.studies.calibrations import uncertain_room
 from rtcal import terms
 from rtcal.acoustics.changes import Change
 from rtcal.acoustics.room_errors import target_changes
@@ -207,7 +207,7 @@ def test_intervals_hold_the_answer_and_stay_in_the_box() -> None:
 def test_scores_of_the_study(
     case: str, score: tuple[float, float], coverage: tuple[float, float]
 ) -> None:
-    """A hundred rooms; `benchmarks/uncertain_room.py` judges a thousand."""
+    """A hundred rooms; `benchmarks/studies/calibrations/uncertain_room.py` judges a thousand."""
     row = uncertain_room.judge(case, 100)
     assert score[0] < row["score"] < score[1]
     assert coverage[0] < row["coverage"] < coverage[1]

@@ -1,4 +1,4 @@
-"""The figures of benchmarks/where.py, on rows whose figures are known."""
+"""The figures of benchmarks/studies/pairs/where.py, on rows whose figures are known."""
 
 from __future__ import annotations
 
@@ -6,9 +6,9 @@ from typing import Any
 
 import pytest
 
-from benchmarks import where_figures
 from benchmarks.studies.geometric_world import rooms
 from benchmarks.studies.geometric_world.load import stored, truth
+from benchmarks.studies.pairs import where_figures
 
 KINDS = rooms.order(0)
 

@@ -14,7 +14,7 @@ import pytest
 from scipy.stats import multivariate_normal
 
 import rtcal as rt
-from benchmarks import where_ideal, where_temper
+from benchmarks.studies.pairs import where_ideal, where_temper
 from rtcal.finder.effects import library
 from rtcal.finder.positions.hypotheses import shifts
 from rtcal.finder.positions.posterior import (

@@ -65,8 +65,8 @@ def hidden_room(*, closed: bool = False) -> tuple[Case, dict[str, Any]]:
 def named_room() -> tuple[Case, dict[str, Any]]:
     """Return a case in which the finder names what is hidden, and the truth.
 
-    It is the first such room by the rule of `benchmarks/shipped_cases.py`. The tracer is not rtcal's,
-    and the coefficients are drawn about the stated ones with the stated sigma.
+    It is the first such room by the rule of `benchmarks/studies/means/shipped_cases.py`. The tracer
+    is not rtcal's, and the coefficients are drawn about the stated ones with the stated sigma.
     """
     return _hidden("named", "named_truth")
 
@@ -155,7 +155,7 @@ _EXAMPLES: Mapping[str, tuple[Mapping[str, str], tuple[str, ...]]] = {
             "rtcal verify gap",
         ),
     ),
-    # Two cases that `benchmarks/shipped_cases.py` drew by a rule: one is named, one is not.
+    # Two cases that `benchmarks/studies/means/shipped_cases.py` drew: one is named, one is not.
     "told": (
         {"named.json": "hidden_room/named.json", "not_told.json": "hidden_room/not_told.json"},
         ("rtcal find named.json", "rtcal find not_told.json"),

@@ -42,9 +42,9 @@ EXPECTED = 0.7
 SHARPER = 0.4
 """How much the power of the probabilities grows towards a sigma of 0: it is 1 at a handbook's sigma,
 and 1.4 at 0. Where coefficients were measured, the most probable answer is right more often than
-evidence times prior says: rooms err less than the evidence assumes, and the library has effects that
-they do not have. Chosen on development rooms (`python -m benchmarks.calibrated probabilities`), as the
-temperature of a classifier is (Guo, Pleiss, Sun & Weinberger 2017)."""
+evidence times prior says: rooms err less than the evidence assumes, and the library has effects
+that they do not have. Chosen on development rooms (`python -m benchmarks.studies.means.calibrated
+probabilities`), as the temperature of a classifier is (Guo, Pleiss, Sun & Weinberger 2017)."""
 
 
 @dataclass(frozen=True)
@@ -193,7 +193,7 @@ NULL_POWER = 4.0
 """The power with which errors in common fall in the rooms that set the threshold; in the evidence it is
 `room_errors.POWER`. The evidence allows for more than is likely, so that a common error is not taken
 for an effect. The threshold is right only if its rooms err as real ones do.
-`python -m benchmarks.second_world null` shows it on development rooms of both worlds
+`python -m benchmarks.studies.means.second_world null` shows it on development rooms of both worlds
 (docs/discrepancy_study.md)."""
 SCALES = ((2.0, 0.6), (4.0, 0.4))
 """Where coefficients are off together: factors on these standard deviations, with probabilities."""

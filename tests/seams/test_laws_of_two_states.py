@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 
 import rtcal as rt
-from benchmarks import real_data, two_states
+from benchmarks.studies.means import real_data
+from benchmarks.studies.states import two_states
 from rtcal.finder.states import StatesCase, StatesFinding
 from rtcal.report.document import Heading
 from rtcal.report.finding_pages import states_page

@@ -10,7 +10,7 @@ import pytest
 from scipy import stats
 
 import rtcal as rt
-from benchmarks import interval_coverage
+from benchmarks.studies.calibrations import interval_coverage
 from rtcal import terms
 from rtcal.calibration.posterior import distribution
 from rtcal.report.material_figures import intervals
@@ -173,7 +173,7 @@ def test_an_unknown_uncertainty_counts_as_none() -> None:
 
 @pytest.mark.parametrize("method", ["soft", *also("mle")])
 def test_the_interval_covers(method: str) -> None:
-    """The first 160 rooms of benchmarks/interval_coverage.py: 0.9 ± 0.013."""
+    """The first 160 rooms of benchmarks/studies/calibrations/interval_coverage.py: 0.9 ± 0.013."""
     with patch.object(interval_coverage, "METHODS", (method,)):
         found = list(interval_coverage.rows(160))
     weight, share = np.array([[row[1], row[4]] for row in found]).T

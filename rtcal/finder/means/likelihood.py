@@ -92,7 +92,7 @@ COARSENING = 50.0
 No model is exact, and the covariance of its errors is estimated from few control rooms, so n features
 say less than n independent ones would. A density of the data being near the model's, instead of equal
 to them, has this power (Miller & Dunson 2019, the coarsened posterior). Chosen by
-`python -m benchmarks.calibrated likelihood` on development rooms of both worlds."""
+`python -m benchmarks.studies.means.calibrated likelihood` on development rooms of both worlds."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -361,7 +361,7 @@ class PositionsFinding(Finding):
 
 BY_SEED = 0.5
 """Standard deviation in nats of the score by random numbers, in a development room in which something
-is detected (`python -m benchmarks.where_seeds --rooms 0.7 --seeds 0,1,2,3`)."""
+is detected (`python -m benchmarks.studies.pairs.where_seeds --rooms 0.7 --seeds 0,1,2,3`)."""
 
 
 def detection_in_words(detection: Detection) -> str:

@@ -3,11 +3,12 @@
 An effect gives its alpha here, and its whole state to means (`rtcal.finder.means.hypotheses`): what
 stands on a surface is traced, not calculated.
 
-A hypothesis spreads an absorber over its surface. In truth it hangs somewhere: receivers near it lose
-more than others, and T changes by more or less. Neither is known before the place is, so it is an error
-of the hypothesis, in proportion to its change of the absorption. The shares come from patches on walls
-of development boxes, which are weighed on the same paths (`python -m benchmarks.where_patches`). They
-are over sqrt(1 / s - 1), s being the part of the surface that is covered.
+A hypothesis spreads an absorber over its surface. In truth it hangs somewhere: receivers near it
+lose more than others, and T changes by more or less. Neither is known before the place is, so it is
+an error of the hypothesis, in proportion to its change of the absorption. The shares come from
+patches on walls of development boxes, which are weighed on the same paths (`python -m
+benchmarks.studies.pairs.where_patches`). They are over sqrt(1 / s - 1), s being the part of the
+surface that is covered.
 """
 
 from __future__ import annotations

@@ -65,15 +65,16 @@ from rtcal.support.types import Array
 
 TEMPER = 1.25
 """Divisor of log evidences: the mean square of a hypothesis' standardised projection in control rooms
-(`python -m benchmarks.where_threshold`). It would be 1 if few control runs told their covariance
-without error."""
+(`python -m benchmarks.studies.pairs.where_threshold`). It would be 1 if few control runs told their
+covariance without error."""
 TOLD_TEMPER = 2.0
 """Divisor of log evidences where effects and surfaces are told apart. Their probabilities are then as
-often right as they say (`python -m benchmarks.where_temper`). The shifts of two surfaces differ by less
-than the simulator errs by, in ways that control runs do not show."""
+often right as they say (`python -m benchmarks.studies.pairs.where_temper`). The shifts of two
+surfaces differ by less than the simulator errs by, in ways that control runs do not show."""
 MEANS_POWER = 0.5
 """Power of the families' probabilities by means over positions, which are multiplied into those of the
-positions (`python -m benchmarks.where_temper`). Both see the same T, so neither counts in full."""
+positions (`python -m benchmarks.studies.pairs.where_temper`). Both see the same T, so neither
+counts in full."""
 LEAST_BY_MEANS = 1e-3
 """Least probability of a family by means: they have other effects, and err by more than they know."""
 _NEGLIGIBLE = 15.0
@@ -294,7 +295,7 @@ def with_families(
 
 THRESHOLD = 2.5
 """Of the evidence of the positions, in nats. In situ 1 of 23 rooms for development with nothing hidden
-exceeds it without level, and 1 with it (`python -m benchmarks.where_decides`)."""
+exceeds it without level, and 1 with it (`python -m benchmarks.studies.pairs.where_decides`)."""
 OF_PROGRAMS = 13.0
 """The same where another program's values are compared, which errs in ways that control runs do not
 show. Of 17 participants' models of PTB's studio as it was, an earlier version flagged one."""

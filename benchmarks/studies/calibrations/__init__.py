@@ -1,0 +1,1 @@
+"""Calibrations of rooms that are not as stated, and their posteriors."""

@@ -1,0 +1,1 @@
+"""Calibrations to every position beside what else there is."""

@@ -1,0 +1,406 @@
+"""The calibration to every position beside T20 alone, on the frozen position rooms.
+
+    python -m benchmarks.studies.fits.positions run --folder out --number 20  # can be resumed
+    python -m benchmarks.studies.fits.positions table  # of the stored run, or --folder out
+    python -m benchmarks.studies.fits.positions before  # the version before, same rooms
+    python -m benchmarks.studies.fits.positions bound  # what a perfect simulator reaches
+    python -m benchmarks.studies.fits.positions speed --folder out  # traces and seconds
+
+studies/position_rooms describes the rooms. `run` fits all pairs for alpha, and those of three receivers
+for the gaps at the other three. A method is "t20" (the loop of `rtcal.calibrate_simulator`) or
+"positions" (the same with ``match``). The gaps of the stated and of the true alpha stand beside them.
+
+The other program is in benchmarks/studies/fits/positions_peer.py, a real room in
+benchmarks/studies/fits/positions_cr2.py.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import time
+import warnings
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import rtcal as rt
+from benchmarks.studies.fits.positions_table import (
+    FITTING,
+    GAPS,
+    JUDGED,
+    complete,
+    print_before,
+    print_bound,
+    read,
+    stored_run,
+    table,
+)
+from benchmarks.studies.position_rooms.generate import order
+from benchmarks.studies.position_rooms.load import (
+    PositionRoom,
+    at,
+    load,
+    stored,
+    true_alpha,
+    without_noise,
+)
+from benchmarks.studies.position_rooms.rooms import PRIORS
+from rtcal.acoustics.measurement import Measurement
+from rtcal.acoustics.quality import gap_jnd
+from rtcal.acoustics.room_errors import prior_covariance
+from rtcal.loop.control_runs import ControlRuns, simulated_controls, trace_ahead
+from rtcal.loop.measured_pairs import Linearisation, pairs_to_match
+from rtcal.loop.positions import MORE_PATHS, precise
+from rtcal.simulators import PathTracing, paths
+from rtcal.simulators.observations import Observations
+from rtcal.simulators.tracer import ScatteringModel
+
+MATCH = ("t20", "edt", "c80", "ts", "level")
+FITTED, HELD_OUT = ("R1", "R2", "R3"), ("R4", "R5", "R6")
+PATHS = 8000
+"""Of the simulator that is calibrated to every position, which weighs `MORE_PATHS` times as many. The
+loop on T20 alone gets as many as are weighed."""
+JUDGING_PATHS = 32000
+"""Of the simulations that judge. With 8000, EDT of a pair has a noise of some 6 %: more than a JND."""
+SEED = 100
+"""Of the simulations that judge; a calibration uses others."""
+
+
+class Traces:
+    """Counts the traces of the path tracer while it is entered."""
+
+    def __enter__(self) -> Traces:
+        self.number, self._trace = 0, paths.trace
+
+        def counted(*args: Any, **options: Any) -> Any:
+            self.number += 1
+            return self._trace(*args, **options)
+
+        paths.trace = counted
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        paths.trace = self._trace
+
+
+class KeptTraces:
+    """Keeps a room's traces while it is entered: they do not depend on alpha, nor on its prior."""
+
+    def __enter__(self) -> KeptTraces:
+        self._trace, self._kept = paths.trace, dict[tuple[Any, ...], paths.Paths]()
+
+        def kept(geometry: Any, *points: np.ndarray, **options: Any) -> paths.Paths:
+            key = (
+                geometry.vertices.tobytes(),
+                *(x.tobytes() for x in points),
+                *(
+                    x.tobytes() if isinstance(x, np.ndarray) else x
+                    for name, x in sorted(options.items())
+                    if name not in ("longest", "workers")
+                ),
+            )
+            if key not in self._kept or self._kept[key].longest < options["longest"]:
+                self._kept[key] = self._trace(geometry, *points, **options)
+            return self._kept[key]
+
+        paths.trace = kept
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        paths.trace = self._trace
+
+
+def calibrate(
+    method: str,
+    simulator: PathTracing,
+    room: rt.Room,
+    measured: Measurement,
+    controls: ControlRuns | None = None,
+    cache: Path | None = None,
+) -> Any:
+    """Return the result of "t20" or "positions", which may have its control runs already."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        if method == "t20":
+            return rt.calibrate_simulator(simulator, room, measured)
+        return rt.calibrate_positions(
+            simulator, room, measured, match=MATCH, controls=controls, cache=cache
+        )
+
+
+def simulated(simulator: PathTracing, alpha: np.ndarray, like: Measurement) -> Measurement:
+    """Return what a tracer hears at the pairs of a measurement; G is that of a source of unit power."""
+    return predicted(simulator.observe(alpha, ("edt", "c80", "level"), seed=SEED), like)
+
+
+def predicted(observations: Observations, like: Measurement) -> Measurement:
+    """Return what is heard at the pairs of a measurement."""
+    rows = [observations.pairs.index(pair) for pair in like.pairs]
+    return Measurement(
+        centre_frequencies=like.centre_frequencies,
+        values={p: observations.natural("level" if p == "g" else p)[rows] for p in GAPS},
+        pairs=like.pairs,
+    )
+
+
+def mean_gaps(model: Measurement, measured: Measurement) -> dict[str, float]:
+    """Return the mean absolute gap over pairs and bands per parameter, in JND."""
+    return {
+        p: float(np.nanmean(np.abs(gap_jnd(model.values[p], measured.values[p], p)))) for p in GAPS
+    }
+
+
+def mean_gap(simulator: PathTracing, alpha: np.ndarray, measured: Measurement) -> float:
+    """Return the mean of `mean_gaps` over the parameters, of what a tracer hears, in JND."""
+    return float(np.mean(list(mean_gaps(simulated(simulator, alpha, measured), measured).values())))
+
+
+def error(room: rt.Room, alpha: np.ndarray, truth: np.ndarray) -> float:
+    """Return the area-weighted RMSE of alpha over surfaces and bands."""
+    return float(np.sqrt(np.average(((alpha - truth) ** 2).mean(1), weights=room.areas)))
+
+
+def judged(
+    population: int, index: int, prior: str, methods: Sequence[str], folder: Path
+) -> list[dict[str, Any]]:
+    """Return a row per method for one room and prior."""
+    case = load(population, index, prior)
+    truth = true_alpha(population, index, prior)
+    held_out = case.measured_at(HELD_OUT), at(without_noise(population, index, prior), HELD_OUT)
+    judge = case.simulator(HELD_OUT, n_paths=JUDGING_PATHS, workers=1)
+    rows = []
+    for method in methods:
+        row: dict[str, Any] = {
+            "index": index,
+            "prior": prior,
+            "method": method,
+            "surfaces": case.room.n_materials,
+            "bands": case.room.n_bands,
+            "volume": round(case.room.volume),
+            "prior_error": error(case.room, case.room.alpha, truth),
+        }
+        tracer = judge
+        if method in FITTING:
+            figures, half = fitted(method, case, truth, folder / "controls")
+            row |= figures
+            alpha = half.alpha
+            tracer = calibrated(judge, half) if method == "positions" else judge
+        else:
+            alpha = case.room.alpha if method == "stated" else truth
+            tracer = knowing(judge, population, index) if method == "perfect" else judge
+        heard = simulated(tracer, alpha, held_out[0])
+        row["gap"], row["gap_without_noise"] = (mean_gaps(heard, m) for m in held_out)
+        if method == "positions":
+            foretold = predicted(half.predicted, held_out[0])
+            row["predicted"], row["predicted_without_noise"] = (
+                mean_gaps(foretold, m) for m in held_out
+            )
+        rows.append(row)
+    return rows
+
+
+def knowing(tracer: PathTracing, population: int, index: int) -> PathTracing:
+    """Return the tracer with the room's true scattering."""
+    hidden = stored(population, "truth")[index]["truth"]
+    model: ScatteringModel = "vector" if hidden["vectors"] else "random"
+    return replace(tracer, scattering=np.array(hidden["scattering"]), scattering_model=model)
+
+
+def calibrated(judge: PathTracing, result: Any) -> PathTracing:
+    """Return the judging tracer with the scattering that a calibration fitted."""
+    tracer = result.tracer
+    return replace(judge, scattering=tracer.scattering, scattering_model=tracer.scattering_model)
+
+
+def fitted(
+    method: str, case: PositionRoom, truth: np.ndarray, cache: Path
+) -> tuple[dict[str, Any], Any]:
+    """Return the figures of a fit to all pairs, and the result of a fit to half of them.
+
+    Times and traces are without those of the control runs, which ``cache`` has; see `charged`.
+    """
+    n_paths = PATHS if method == "positions" else MORE_PATHS * PATHS
+    simulator = case.simulator(n_paths=n_paths)
+    with Traces() as traces:
+        clock, processor = time.perf_counter(), time.process_time()
+        result = calibrate(method, simulator, case.room, case.measured, cache=cache)
+        row: dict[str, Any] = {
+            "seconds": time.perf_counter() - clock,
+            "processor": time.process_time() - processor,
+            "traces": traces.number,
+            "error": error(case.room, result.alpha, truth),
+        }
+    if method == "t20":  # it takes the mean over all of the simulator's pairs
+        simulator = case.simulator(FITTED, n_paths=n_paths)
+    controls = getattr(result, "controls", None)
+    half = calibrate(method, simulator, case.room, case.measured_at(FITTED), controls)
+    if method == "positions" and result.interval is not None:
+        low, high = result.interval
+        row["covered"] = int(((low <= truth) & (truth <= high)).sum())
+        row["coefficients"] = int(truth.size)
+    return row, half
+
+
+def make_controls(folder: Path, population: int, index: int) -> None:
+    """Make the control runs of a room for both priors, and write how long those of the first took.
+
+    They do not depend on how a calibration uses them.
+    """
+    target = folder / "controls.jsonl"
+    if index in {r["index"] for r in read(target)}:
+        return
+    rows = []
+    for prior in PRIORS:
+        case = load(population, index, prior)
+        simulator = precise(case.simulator(n_paths=PATHS))
+        trace_ahead(simulator, case.room.alpha, 0)
+        clock, processor = time.perf_counter(), time.process_time()
+        with Traces() as traces:
+            simulated_controls(simulator, case.room, MATCH, cache=folder / "controls")
+        rows.append(
+            {
+                "index": index,
+                "seconds": time.perf_counter() - clock,
+                "processor": time.process_time() - processor,
+                "traces": traces.number,
+            }
+        )
+    with target.open("a", encoding="utf-8") as file:
+        file.write(json.dumps(rounded(rows[0])) + "\n")
+
+
+def charged(rows: list[dict[str, Any]], controls: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Return the rows; those of every position with times and traces of the control runs, too."""
+    of_room = {r["index"]: r for r in controls}
+    costs = ("seconds", "processor", "traces")
+    return [
+        row | {c: row[c] + of_room[row["index"]][c] for c in costs}
+        if row["method"] == "positions"
+        else row
+        for row in rows
+    ]
+
+
+def run(folder: Path, population: int, indices: Sequence[int], methods: Sequence[str]) -> None:
+    """Judge the rooms that are not in the folder's results yet; written after each."""
+    folder.mkdir(parents=True, exist_ok=True)
+    target = folder / "results.jsonl"
+    done = {(r["index"], r["prior"], r["method"]) for r in read(target)}
+    for index in indices:
+        with KeptTraces():
+            make_controls(folder, population, index)
+            for prior in PRIORS:
+                missing = [m for m in methods if (index, prior, m) not in done]
+                if not missing:
+                    continue
+                rows = judged(population, index, prior, missing, folder)
+                rows = charged(rows, read(folder / "controls.jsonl"))
+                with target.open("a", encoding="utf-8") as file:
+                    file.writelines(json.dumps(rounded(row)) + "\n" for row in rows)
+                errors = (f"{r['method']} {r.get('error', 0):.4f}" for r in rows)
+                print(index, prior, *errors, flush=True)
+
+
+def rounded(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {k: rounded(v) for k, v in value.items()}
+    return float(f"{value:.4g}") if isinstance(value, float) else value
+
+
+def speed(population: int) -> None:
+    """Print the seconds and traces of a first and of a second calibration of one room.
+
+    The room: 12 pairs, 8 bands, and as near to 10 surfaces as there is one.
+    """
+    cases = [load(population, i, "wide") for i in stored(population, "rooms")]
+    eight = [c for c in cases if c.room.n_bands == 8 and c.room.n_materials >= 10]
+    case = min(eight, key=lambda c: c.room.n_materials)
+    warm = load(0, 0, "wide")
+    for method in ("t20", "positions"):
+        calibrate(method, warm.simulator(n_paths=PATHS), warm.room, warm.measured)  # compiles
+        simulator = case.simulator(n_paths=PATHS)
+        controls = None
+        for which in ("first", "second"):
+            with Traces() as traces:
+                clock, processor = time.perf_counter(), time.process_time()
+                result = calibrate(method, simulator, case.room, case.measured, controls)
+                print(
+                    f"{case.room.n_materials} surfaces, {case.room.n_bands} bands, 12 pairs: {method}, "
+                    f"{which}: {time.perf_counter() - clock:.1f} s, "
+                    f"{time.process_time() - processor:.1f} s of processor, {traces.number} traces",
+                    flush=True,
+                )
+            controls = getattr(result, "controls", None)
+
+
+def bound(population: int, indices: Sequence[int], target: Path) -> None:
+    """Write the expected error of alpha with a perfect simulator, for the rooms that have none yet.
+
+    The simulator knows how the room scatters and has no error. The linear estimate is then the best
+    there is: prior and the measurement's noise alone limit it.
+    """
+    done = {(r["index"], r["prior"]) for r in read(target)}
+    for index in indices:
+        with KeptTraces():
+            for prior in PRIORS:
+                if (index, prior) not in done:
+                    least = least_error(population, index, prior)
+                    row = rounded({"index": index, "prior": prior, "least_error": least})
+                    with target.open("a", encoding="utf-8") as file:
+                        file.write(json.dumps(row) + "\n")
+
+
+def least_error(population: int, index: int, prior: str) -> float:
+    """Return the error of alpha that the measurement's noise leaves a perfect simulator."""
+    case = load(population, index, prior)
+    tracer = knowing(case.simulator(n_paths=MORE_PATHS * PATHS), population, index)
+    heard = tracer.observe(case.room.alpha, MATCH)
+    data = pairs_to_match(case.room, case.measured, MATCH, heard)
+    matrix = Linearisation(tracer, data, heard, case.room.alpha, 0).linearised()
+    before = prior_covariance(case.room)
+    across = before @ matrix.T
+    gain = np.linalg.solve(matrix @ across + data.covariance, across.T)
+    variance = np.diag(before - across @ gain).reshape(case.room.alpha.shape)
+    return error(case.room, np.sqrt(variance), np.zeros_like(variance))
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("command", choices=["run", "table", "before", "bound", "speed"])
+    parser.add_argument("--folder", type=Path)
+    parser.add_argument("--population", type=int, default=JUDGED)
+    parser.add_argument(
+        "--number", type=int, default=60, help="the first rooms, as they were built"
+    )
+    parser.add_argument("--methods", default="stated,truth,perfect,t20,positions")
+    arguments = parser.parse_args()
+    population = arguments.population
+
+    def file_of(part: str) -> Path:
+        """Return where a part of a run is: in the folder, or else stored."""
+        return (
+            arguments.folder / f"{part}.jsonl" if arguments.folder else stored_run(population, part)
+        )
+
+    if arguments.command == "run":
+        indices = order(population)[: arguments.number]
+        folder = arguments.folder or Path("positions_run")
+        run(folder, population, indices, arguments.methods.split(","))
+    elif arguments.command == "table":
+        table(read(file_of("results")))
+        print_bound(read(file_of("bound")), complete(read(file_of("results"))))
+    elif arguments.command == "before":
+        print_before(read(file_of("results")), read(file_of("before")))
+    elif arguments.command == "bound":
+        bound(population, order(population)[: arguments.number], file_of("bound"))
+        print_bound(read(file_of("bound")), read(file_of("results")))
+    else:
+        speed(population)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,1 @@
+"""The closed loop, in invented halls and beside other programs."""

@@ -1,0 +1,1 @@
+"""The finder at every pair: verdicts, thresholds, trust."""

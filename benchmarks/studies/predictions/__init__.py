@@ -1,0 +1,1 @@
+"""Predictions and designs in rooms of other tracers."""

@@ -1,0 +1,1 @@
+"""Calibrations to room modes in a wave world."""

@@ -1,0 +1,1 @@
+"""Two states of a room: real ones and a hidden world."""
