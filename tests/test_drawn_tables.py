@@ -12,8 +12,8 @@ import pytest
 
 import rtcal as rt
 from benchmarks import drawn_tables
-from rtcal.io import library, table_layout, table_values, tables
-from rtcal.io.table_words import statistic_of
+from rtcal.io import library, table_layout, tables
+from rtcal.io.table_columns import statistic_of
 from rtcal.support.errors import DataError
 from tests.corpus import book
 
@@ -51,7 +51,7 @@ def test_a_fault_of_a_reader_would_be_noticed(
     elif kind == "role":
         monkeypatch.setattr(library, "_role", lambda _: "")
     else:
-        for module in (table_layout, table_values, tables):
+        for module in (table_layout, tables):
             monkeypatch.setattr(module, "statistic_of", lambda _: None)
     found = Counter(drawn_tables.judged(seed, tmp_path)[0] for seed in range(7000, 7120))
     assert found["silent"] > 0

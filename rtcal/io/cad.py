@@ -26,7 +26,7 @@ import numpy as np
 
 from rtcal.io import budget, units
 from rtcal.io.mend import Faces
-from rtcal.io.mend.polygons import axes_of, normal_of, polygon_of, shapely
+from rtcal.io.mend.faces import axes_of, normal_of, polygon_of, shapely
 from rtcal.io.text import decode, number, shown
 from rtcal.support import library
 from rtcal.support.checks import text_name

@@ -28,17 +28,21 @@ from rtcal.acoustics import bands
 from rtcal.acoustics.observables import TARGET, DecaySlope, of_kind
 from rtcal.io import workbook
 from rtcal.io.material_list import ListedMaterial, MaterialList
-from rtcal.io.table_columns import LEAST_BAND, MAX_HEADER, frequency_of, name_and_unit, nearest_band
-from rtcal.io.table_layout import Row, Sheet
-from rtcal.io.table_words import (
+from rtcal.io.table_columns import (
     COLUMNS,
     DOUBTFUL,
+    LEAST_BAND,
+    MAX_HEADER,
     OPEN_DECAY_TIMES,
+    frequency_of,
     is_missing,
+    name_and_unit,
+    nearest_band,
     parameters,
     plain,
     statistic_of,
 )
+from rtcal.io.table_layout import Row, Sheet
 from rtcal.io.text import MAX_TEXT, Text, decode, number, shown
 from rtcal.io.text_tables import sheet_of_text
 from rtcal.support import checks

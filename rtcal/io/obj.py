@@ -37,40 +37,14 @@ __dir__ = __all__.copy
 MAX_FACES = 1500
 """A room for geometrical acoustics has tens to hundreds of faces; checking more takes too long."""
 
-_IGNORED = {
-    "vt",
-    "vn",
-    "vp",
-    "mtllib",
-    "s",
-    "p",
-    "l",
-    "cstype",
-    "deg",
-    "bmat",
-    "step",
-    "curv",
-    "curv2",
-    "surf",
-    "parm",
-    "trim",
-    "hole",
-    "scrv",
-    "sp",
-    "end",
-    "con",
-    "mg",
-    "bevel",
-    "c_interp",
-    "d_interp",
-    "lod",
-    "shadow_obj",
-    "trace_obj",
-    "ctech",
-    "stech",
-    "maplib",
-    "usemap",
-}
+_IGNORED = frozenset(
+    re.findall(
+        r"\w+",
+        "vt vn vp mtllib s p l cstype deg bmat step curv curv2 surf parm trim hole scrv sp end con mg "
+        "bevel c_interp d_interp lod shadow_obj trace_obj ctech stech maplib usemap",
+    )
+)
+"""Texture, normals, curves, material libraries and smoothing."""
 
 
 def read(path: str | os.PathLike[str], *, unit: float = 1.0) -> Polyhedron:

@@ -8,22 +8,20 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 
 from rtcal.io.table_columns import (
+    DOUBTFUL,
     UNIT_WORDS,
+    WHOLE_RANGES,
     Column,
     column_of,
     frequency_of,
+    is_count,
+    is_missing,
     is_unused,
     name_and_unit,
     parameter_of,
+    plain,
     position_of,
     repeat_of,
-)
-from rtcal.io.table_words import (
-    DOUBTFUL,
-    WHOLE_RANGES,
-    is_count,
-    is_missing,
-    plain,
     statistic_of,
 )
 from rtcal.io.text import shown

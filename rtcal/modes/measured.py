@@ -25,9 +25,15 @@ from numpy.typing import NDArray
 from rtcal.acoustics.observables import LIMITS, TARGET
 from rtcal.acoustics.repeats import fingerprint
 from rtcal.io import workbook
-from rtcal.io.table_columns import name_and_unit
+from rtcal.io.table_columns import (
+    COLUMNS,
+    DOUBTFUL,
+    OPEN_DECAY_TIMES,
+    name_and_unit,
+    plain,
+    statistic_of,
+)
 from rtcal.io.table_layout import Headers, Sheet
-from rtcal.io.table_words import COLUMNS, DOUBTFUL, OPEN_DECAY_TIMES, plain, statistic_of
 from rtcal.io.text import MAX_TEXT, decode, number, shown
 from rtcal.io.text_tables import sheet_of_text
 from rtcal.modes.room_modes import DECAY

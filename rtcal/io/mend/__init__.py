@@ -43,14 +43,11 @@ from rtcal.io.mend.faces import (
     MeshError,
     Unclosed,
     Work,
-    numbered,
-)
-from rtcal.io.mend.objects import tell_loose, tell_turned, unclosed_room, with_others, within
-from rtcal.io.mend.polygons import (
     area_of,
     axes_of,
     extent_of,
     normal_of,
+    numbered,
     parts_of,
     polygon_of,
     polygons_of,
@@ -58,7 +55,17 @@ from rtcal.io.mend.polygons import (
     shell_of,
     without_holes,
 )
-from rtcal.io.mend.walls import COVERED, Cut, cut, lifted
+from rtcal.io.mend.walls import (
+    COVERED,
+    Cut,
+    cut,
+    lifted,
+    tell_loose,
+    tell_turned,
+    unclosed_room,
+    with_others,
+    within,
+)
 from rtcal.io.mend.welding import flattened, joined, settled, snapped, welded, without_repetitions
 from rtcal.simulators import facets
 from rtcal.simulators.geometry import Polyhedron

@@ -15,8 +15,16 @@ import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from rtcal.io.mend.faces import MOST_PLACES, Defect, Faces, Mending, MeshError, Work
-from rtcal.io.mend.polygons import edges_of, sorted_edge
+from rtcal.io.mend.faces import (
+    MOST_PLACES,
+    Defect,
+    Faces,
+    Mending,
+    MeshError,
+    Work,
+    edges_of,
+    sorted_edge,
+)
 from rtcal.io.mend.welding import welded
 from rtcal.simulators import facets
 from rtcal.simulators.geometry import Polyhedron

@@ -11,8 +11,14 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.spatial import cKDTree
 
-from rtcal.io.mend.faces import ANY_SHARE, CONTACT, SAME, Edge, Face, Mending, Work
-from rtcal.io.mend.polygons import (
+from rtcal.io.mend.faces import (
+    ANY_SHARE,
+    CONTACT,
+    SAME,
+    Edge,
+    Face,
+    Mending,
+    Work,
     area_of,
     edges_of,
     extent_of,
