@@ -10,11 +10,12 @@ import io
 import os
 import textwrap
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rtcal.acoustics.observables import TARGET
 from rtcal.acoustics.trust import letters
@@ -24,6 +25,7 @@ from rtcal.support import checks
 from rtcal.support.errors import DataError, MissingDependencyError
 from rtcal.support.files import make_folder, write_all, write_bytes
 from rtcal.support.saved import NUMBERS
+from rtcal.support.text import number
 from rtcal.support.types import Array
 
 if TYPE_CHECKING:
@@ -70,6 +72,10 @@ def wireframe(mesh: Polyhedron | Faces, open_edges: Array | None = None) -> Any:
 
 
 BLACK, ORANGE, BLUE, GREEN = "#000000", "#D55E00", "#0072B2", "#009E73"
+MEASURED: dict[str, Any] = {"color": BLACK, "marker": "o", "linestyle": "none"}
+BEFORE: dict[str, Any] = {"color": ORANGE, "marker": "s", "linestyle": "--"}
+AFTER: dict[str, Any] = {"color": BLUE, "marker": "o", "markersize": 10, "markerfacecolor": "none"}
+"""Lines of what was measured, and of a model before and after its calibration."""
 _LONGEST_NAME = 40
 _MANY_BANDS = 10
 MOST_PANELS = 12
@@ -149,6 +155,37 @@ def band_axis(axes: Axes, frequencies: Array, below: list[str] | None = None) ->
     axes.set_xlabel("Band centre frequency / Hz")
 
 
+def band_places(axes: Axes, frequencies: Array) -> NDArray[np.int64]:
+    """Make x an axis with one place per band, of bars or cells; return the places."""
+    places = np.arange(len(frequencies))
+    turn = 90 if len(places) > _MANY_BANDS else 0
+    axes.set_xticks(places, [f"{f:g}" for f in frequencies], rotation=turn)
+    axes.set_xlabel("Band centre frequency / Hz")
+    return places
+
+
+def number_map(
+    axes: Axes,
+    table: Array,
+    rows: Sequence[str],
+    ends: tuple[float, float],
+    colours: str,
+    form: str,
+) -> Any:
+    """Draw numbers (n_rows, n_columns), each on a ground of its colour, and return the image.
+
+    Rows have names. The colours saturate at the ``ends``. An empty ``form`` prints no number.
+    """
+    image = axes.imshow(table, cmap=colours, vmin=ends[0], vmax=ends[1], aspect="auto")
+    axes.set_yticks(range(len(rows)), rows, fontsize=9)
+    for (i, k), value in np.ndenumerate(table):
+        if form and np.isfinite(value):
+            colour = "white" if abs(value) > 0.6 * ends[1] else BLACK
+            style: dict[str, Any] = {"ha": "center", "va": "center", "color": colour, "fontsize": 9}
+            axes.text(k, i, number(value, form), **style)
+    return image
+
+
 def jnd_band(axes: Axes, frequencies: Array, measured: Array) -> None:
     """Draw T ± one JND in grey; bands without T interrupt it."""
     low, high = (1 - TARGET.jnd) * measured, (1 + TARGET.jnd) * measured
@@ -169,29 +206,12 @@ def reverberation_time(result: CalibrationResult) -> Any:
         f[has_t],
         measured[has_t],
         yerr=np.nan_to_num(result.measured_uncertainty)[has_t],
-        color=BLACK,
-        marker="o",
+        **MEASURED,
         capsize=3,
-        linestyle="none",
         label="measured, ± standard uncertainty",
     )
-    axes.plot(
-        f,
-        result.reverberation_time_before,
-        color=ORANGE,
-        marker="s",
-        linestyle="--",
-        label="model before calibration",
-    )
-    axes.plot(
-        f,
-        result.reverberation_time_after,
-        color=BLUE,
-        marker="o",
-        markersize=10,
-        markerfacecolor="none",
-        label="model after calibration",
-    )
+    axes.plot(f, result.reverberation_time_before, **BEFORE, label="model before calibration")
+    axes.plot(f, result.reverberation_time_after, **AFTER, label="model after calibration")
     band_axis(axes, f, [letters(result.trust_marks, v) for v in f])
     marks = [f"{m.letter} {m.title}".strip() for m in result.trust_marks]
     if marks:
@@ -208,32 +228,13 @@ def reverberation_time(result: CalibrationResult) -> Any:
 def gap(result: CalibrationResult) -> Any:
     """Return the figure of the gap to the measured T, before and after, in JND by band."""
     figure, axes = new_figure(7.0, 3.2)
-    at = np.arange(len(result.prior.centre_frequencies))
+    at = band_places(axes, result.prior.centre_frequencies)
     axes.axhspan(-1, 1, color="0.85", label="within 1 JND (5 %)")
     axes.axhline(0, color=BLACK, linewidth=0.8)
-    axes.bar(
-        at,
-        result.gap_before,
-        0.5,
-        facecolor="#F5C9A6",
-        edgecolor=ORANGE,
-        hatch="//",
-        label="model before calibration",
-    )
-    axes.plot(
-        at,
-        result.gap_after,
-        color=BLUE,
-        marker="o",
-        linestyle="none",
-        markersize=8,
-        label="model after calibration",
-    )
-    many = len(at) > _MANY_BANDS
-    axes.set_xticks(
-        at, [f"{f:g}" for f in result.prior.centre_frequencies], rotation=90 if many else 0
-    )
-    axes.set_xlabel("Band centre frequency / Hz")
+    bars = {"facecolor": "#F5C9A6", "edgecolor": ORANGE, "hatch": "//"}
+    axes.bar(at, result.gap_before, 0.5, **bars, label="model before calibration")
+    dots = {"color": BLUE, "marker": "o", "linestyle": "none", "markersize": 8}
+    axes.plot(at, result.gap_after, **dots, label="model after calibration")
     axes.set_ylabel("Gap of T (model - measured) / JND")
     axes.set_title(shown(result.prior.name, 70))
     axes.legend()

@@ -22,12 +22,13 @@ from rtcal.report.figures import (
     MOST_PANELS,
     ORANGE,
     band_axis,
+    band_places,
     jnd_band,
     new_figure,
+    number_map,
     panels,
     shown,
 )
-from rtcal.support.text import number
 from rtcal.support.types import Array
 
 __all__ = [
@@ -94,27 +95,14 @@ def residuals(finding: MeansFinding, verification: MeansVerification | None = No
     figure, axes = new_figure(6.4, 1.9 + 0.36 * len(rows) * len(maps), rows=len(maps))
     for axis, (title, table) in zip(np.atleast_1d(axes), maps, strict=True):
         cells = np.array([table[c, k] for c, k in rows])
-        image = axis.imshow(cells, cmap="PuOr", vmin=-_STRONG, vmax=_STRONG, aspect="auto")
-        for i, row in enumerate(cells):
-            for j, value in enumerate(row):
-                if np.isfinite(value):
-                    strong = abs(value) > 0.6 * _STRONG
-                    axis.text(
-                        j,
-                        i,
-                        number(value, "+.1f"),
-                        ha="center",
-                        va="center",
-                        fontsize=9,
-                        color="white" if strong else "black",
-                    )
         labels = [
             feature_names(finding.case.configurations[c].measured)[k]
             + (f" of {shown(names[c], 20)}" if several else "")
             for c, k in rows
         ]
-        axis.set_yticks(range(len(rows)), labels, fontsize=9)
-        axis.set_xticks(range(len(f)), [f"{v:g}" for v in f], rotation=90 if len(f) > 10 else 0)
+        image = number_map(axis, cells, labels, (-_STRONG, _STRONG), "PuOr", "+.1f")
+        band_places(axis, f)
+        axis.set_xlabel("")  # it stands below the last map alone
         axis.set_title(shown(title), fontsize=9)
     # One colour bar for all maps, below them, since its label does not fit beside a flat map.
     all_cells = np.array([[table[c, k] for c, k in rows] for _, table in maps])

@@ -17,7 +17,7 @@ from rtcal.loop.matched import ParameterGap
 from rtcal.loop.state import Loop
 from rtcal.report import words
 from rtcal.report.document import Heading, blocks, material_rows, render, source
-from rtcal.report.figures import BLACK, BLUE, ORANGE, band_axis, jnd_band, new_figure, shown
+from rtcal.report.figures import AFTER, BEFORE, BLACK, band_axis, jnd_band, new_figure, shown
 from rtcal.report.words import hertz
 from rtcal.support.blocks import Row
 from rtcal.support.errors import DataError
@@ -254,24 +254,11 @@ def path(loop: Loop) -> Any:
     above.plot(f, wanted, color=BLACK, marker="o", markersize=4, label="measured")
     simulated = np.array([step.simulated for step in loop.steps])
     for number, times in enumerate(simulated[1:-1], start=2):
-        above.plot(
-            f,
-            times,
-            color="0.45",
-            linestyle=":",
-            linewidth=1,
-            label="in between" if number == 2 else None,
-        )
-    above.plot(f, simulated[0], color=ORANGE, marker="s", linestyle="--", label="first simulation")
-    above.plot(
-        f,
-        simulated[loop.best, np.arange(len(f))],
-        color=BLUE,
-        marker="o",
-        markersize=10,
-        markerfacecolor="none",
-        label="nearest, by band",
-    )
+        label = "in between" if number == 2 else None
+        above.plot(f, times, color="0.45", linestyle=":", linewidth=1, label=label)
+    above.plot(f, simulated[0], **BEFORE, label="first simulation")
+    nearest = simulated[loop.best, np.arange(len(f))]
+    above.plot(f, nearest, **AFTER, label="nearest, by band")
     band_axis(above, f)
     above.set_ylabel(f"{loop.matched.label.removeprefix('the ')} / s")
     above.set_ylim(bottom=0)
@@ -284,14 +271,9 @@ def path(loop: Loop) -> Any:
     greys = np.linspace(0.0, 0.6, len(f))
     for k, frequency in enumerate(f):
         blue = (greys[k], 0.25 + 0.65 * greys[k], 0.45 + 0.35 * greys[k])
-        below.plot(
-            steps,
-            gaps[:, k],
-            color=blue,
-            marker=_MARKERS[k % len(_MARKERS)],
-            linestyle=_STYLES[(k + k // len(_MARKERS)) % len(_STYLES)],
-            label=f"{frequency:g} Hz",
-        )
+        marker = _MARKERS[k % len(_MARKERS)]
+        line = {"linestyle": _STYLES[(k + k // len(_MARKERS)) % len(_STYLES)], "marker": marker}
+        below.plot(steps, gaps[:, k], color=blue, **line, label=f"{frequency:g} Hz")
     below.set_xticks(steps)
     below.set_xlim(0.7, len(steps) + 0.3)
     reach = 1.2 * max(1.5, float(np.nanmax(np.abs(gaps), initial=0.0)))

@@ -7,7 +7,17 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from rtcal.acoustics.priors import NORMAL_90
-from rtcal.report.figures import BLACK, BLUE, GREEN, MOST_PANELS, ORANGE, new_figure, panels, shown
+from rtcal.report.figures import (
+    BEFORE,
+    BLACK,
+    BLUE,
+    GREEN,
+    MOST_PANELS,
+    band_places,
+    new_figure,
+    panels,
+    shown,
+)
 from rtcal.support.errors import DataError
 from rtcal.support.types import Array
 
@@ -42,48 +52,20 @@ def coefficients(result: CalibrationResult) -> Any:
     figure, small = panels(len(drawn), f)
     apart = float(f[1] / f[0]) ** 0.08 if len(f) > 1 else 1.0
     for axes, i in zip(small, drawn, strict=True):
-        prior, after, bound = (
-            result.prior.alpha[i],
-            result.alpha[i],
-            result.active[i] != 0,
-        )
+        prior, after, bound = result.prior.alpha[i], result.alpha[i], result.active[i] != 0
         spread = NORMAL_90 * result.prior.sigma[i]
         ends = np.clip([prior - spread, prior + spread], 0, 1)
-        axes.errorbar(
-            f / apart,
-            prior,
-            yerr=np.abs(ends - prior),
-            color=ORANGE,
-            marker="s",
-            markersize=4,
-            markerfacecolor="white",
-            linestyle="none",
-            capsize=2,
-            label="before (prior), 90 %",
-        )
-        axes.errorbar(
-            f * apart,
-            after,
-            yerr=np.maximum([after - low[i], high[i] - after], 0),
-            color=BLUE,
-            marker="o",
-            markersize=5,
-            linestyle="none",
-            capsize=3,
-            linewidth=1.8,
-            label="calibrated, 90 %",
-        )
-        (stars,) = axes.plot(
-            f[bound] * apart,
-            after[bound],
-            color=BLACK,
-            marker="*",
-            markersize=11,
-            linestyle="none",
-            label="at a bound",
-            clip_on=False,
-            zorder=5,
-        )
+        error = np.abs(ends - prior)
+        style = {"markersize": 4, "markerfacecolor": "white", "capsize": 2}
+        style |= {**BEFORE, "linestyle": "none"}
+        axes.errorbar(f / apart, prior, yerr=error, **style, label="before (prior), 90 %")
+        error = np.maximum([after - low[i], high[i] - after], 0)
+        style = {"color": BLUE, "marker": "o", "markersize": 5, "linestyle": "none"}
+        style |= {"capsize": 3, "linewidth": 1.8}
+        axes.errorbar(f * apart, after, yerr=error, **style, label="calibrated, 90 %")
+        style = {"color": BLACK, "marker": "*", "markersize": 11, "linestyle": "none", "zorder": 5}
+        at = f[bound] * apart, after[bound]
+        (stars,) = axes.plot(*at, **style, clip_on=False, label="at a bound")
         stars.set_in_layout(False)
         axes.set_ylabel("α", fontsize=9)
         axes.set_ylim(0, None)
@@ -112,27 +94,13 @@ def shares(result: CalibrationResult) -> Any:
     """
     names, parts = absorption_shares(result, len(_SHARES))
     figure, axes = new_figure(6.4, 4.4)
-    at = np.arange(len(result.prior.centre_frequencies))
+    at = band_places(axes, result.prior.centre_frequencies)
     below = np.zeros(len(at))
     styles = [*_SHARES[: len(names) - 1], ("#FFFFFF", "")]
     for name, part, (color, hatch) in zip(names, parts, styles, strict=True):
-        axes.bar(
-            at,
-            part,
-            0.75,
-            bottom=below,
-            facecolor=color,
-            hatch=hatch,
-            edgecolor=BLACK,
-            linewidth=0.6,
-            label=shown(name, 26),
-        )
+        style = {"facecolor": color, "hatch": hatch, "edgecolor": BLACK, "linewidth": 0.6}
+        axes.bar(at, part, 0.75, bottom=below, **style, label=shown(name, 26))
         below = below + part
-    many = len(at) > 10
-    axes.set_xticks(
-        at, [f"{f:g}" for f in result.prior.centre_frequencies], rotation=90 if many else 0
-    )
-    axes.set_xlabel("Band centre frequency / Hz")
     axes.set_ylabel("Share of the absorption / %")
     axes.set_ylim(0, 100)
     handles, labels = axes.get_legend_handles_labels()
@@ -273,25 +241,13 @@ def plane(
     reach = np.maximum(reach, 0.02)
     low, high = np.maximum(mu - reach, -0.02), np.minimum(mu + reach, 1.02)
     across = np.linspace(low[0], high[0], 2)
-    axes.plot(
-        across,
-        (target - areas[0] * across) / areas[1],
-        color=BLACK,
-        linewidth=1.8,
-        label="gives the measured T",
-    )
+    line = (target - areas[0] * across) / areas[1]
+    axes.plot(across, line, color=BLACK, linewidth=1.8, label="gives the measured T")
     axes.annotate(
         "", xy=alpha, xytext=mu, arrowprops={"arrowstyle": "->", "color": BLUE, "linewidth": 1.5}
     )
-    axes.plot(
-        *mu,
-        color=ORANGE,
-        marker="s",
-        markersize=8,
-        markerfacecolor="white",
-        linestyle="none",
-        label="before (prior)",
-    )
+    square = {**BEFORE, "linestyle": "none", "markersize": 8, "markerfacecolor": "white"}
+    axes.plot(*mu, **square, label="before (prior)")
     axes.plot(*alpha, color=BLUE, marker="o", markersize=8, linestyle="none", label="calibrated")
     if truth is not None:
         axes.plot(

@@ -15,7 +15,16 @@ from rtcal.acoustics.quality import rms
 from rtcal.loop.positions_result import PositionsResult, gap_rows
 from rtcal.report import room_view
 from rtcal.report.document import Heading, blocks, material_rows, render, source
-from rtcal.report.figures import BLACK, ORANGE, ROOM, new_figure, shown, write_with_figures
+from rtcal.report.figures import (
+    BLACK,
+    ORANGE,
+    ROOM,
+    band_places,
+    new_figure,
+    number_map,
+    shown,
+    write_with_figures,
+)
 from rtcal.simulators.geometry import Polyhedron
 from rtcal.simulators.observations import Observations
 from rtcal.simulators.path_tracing import PathTracing
@@ -368,23 +377,10 @@ def draw_shifts(moved: Array, materials: Sequence[str], frequencies: Array) -> A
     n_materials, n_bands = moved.shape
     figure, axes = new_figure(2.4 + 0.55 * n_bands, 1.6 + 0.32 * n_materials)
     reach = max(2.0, float(np.max(np.abs(moved))))
-    image = axes.imshow(moved, cmap="RdBu_r", vmin=-reach, vmax=reach, aspect="auto")
-    axes.set_yticks(range(n_materials), [shown(m, 30) for m in materials])
-    labels = [f"{f:g}" for f in frequencies]
-    axes.set_xticks(range(n_bands), labels, rotation=90 if n_bands > 10 else 0)
-    axes.set_xlabel("Band centre frequency / Hz")
-    if moved.size <= _MOST_NUMBERS:
-        for (i, k), value in np.ndenumerate(moved):
-            dark = abs(value) > 0.6 * reach
-            axes.text(
-                k,
-                i,
-                f"{value:+.1f}",
-                ha="center",
-                va="center",
-                fontsize=9,
-                color="white" if dark else BLACK,
-            )
+    form = "+.1f" if moved.size <= _MOST_NUMBERS else ""
+    names = [shown(m, 30) for m in materials]
+    image = number_map(axes, moved, names, (-reach, reach), "RdBu_r", form)
+    band_places(axes, frequencies)
     figure.colorbar(image, ax=axes, label="Shift of α / prior σ")
     return figure
 

@@ -53,16 +53,8 @@ def times(
     for i, (name, mean, (low, high)) in enumerate(variants):
         colour, marker = _STYLES[i % len(_STYLES)]
         moved = frequencies * 1.03 ** (i - (len(variants) - 1) / 2)
-        axes.errorbar(
-            moved,
-            mean,
-            yerr=np.array([mean - low, high - mean]),
-            color=colour,
-            marker=marker,
-            capsize=3,
-            linestyle="-",
-            label=shown(name),
-        )
+        style = {"color": colour, "marker": marker, "capsize": 3, "linestyle": "-"}
+        axes.errorbar(moved, mean, yerr=[mean - low, high - mean], **style, label=shown(name))
     band_axis(axes, frequencies)
     axes.set_ylim(0, top)
     axes.set_ylabel("T / s")
@@ -80,16 +72,8 @@ def parts(frequencies: Array, shares: Mapping[str, Array]) -> Any:
     drawn = named[:_MOST_PARTS] + ([("the rest", rest)] if len(named) > _MOST_PARTS else [])
     greys = np.linspace(0.35, 0.95, len(drawn))
     for i, (name, share) in enumerate(drawn):
-        axes.bar(
-            places,
-            100 * share,
-            bottom=bottom,
-            color=str(greys[i]),
-            hatch=_HATCHES[i % len(_HATCHES)],
-            edgecolor=BLACK,
-            linewidth=0.5,
-            label=shown(name),
-        )
+        style = {"color": str(greys[i]), "hatch": _HATCHES[i % len(_HATCHES)], "linewidth": 0.5}
+        axes.bar(places, 100 * share, bottom=bottom, edgecolor=BLACK, **style, label=shown(name))
         bottom = bottom + 100 * share
     axes.set_xticks(places, [f"{f:g}" for f in frequencies])
     axes.set_xlabel("Band centre frequency / Hz")

@@ -14,7 +14,7 @@ from rtcal.acoustics.quality import rms
 from rtcal.finder.positions.finding import Place, PositionsFinding
 from rtcal.finder.positions.surfaces import Faces, kind
 from rtcal.finder.positions.verification import MODELS, PositionsVerification
-from rtcal.report.figures import BLACK, BLUE, GREEN, ORANGE, new_figure, shown
+from rtcal.report.figures import BLACK, BLUE, GREEN, ORANGE, new_figure, number_map, shown
 from rtcal.report.room_still import ABOVE, TURNS, axes_of
 from rtcal.simulators.geometry import Polyhedron
 from rtcal.support.types import Array
@@ -298,14 +298,8 @@ def disagreement(finding: PositionsFinding) -> Any:
 
 def _table(axes: Any, z: Array, rows: Sequence[str], columns: Sequence[str], most: float) -> Any:
     """Draw a table of numbers, each on a ground that is as dark as it is large."""
-    image = axes.imshow(z, cmap="cividis_r", vmin=0, vmax=most, aspect="auto")
-    axes.set_yticks(range(len(rows)), rows, fontsize=_SIZE)
+    image = number_map(axes, z, rows, (0, most), "cividis_r", ".1f")
     axes.set_xticks(range(len(columns)), columns, fontsize=_SIZE)
-    for (i, k), value in np.ndenumerate(z):
-        if np.isfinite(value):
-            colour = "white" if value > 0.6 * most else BLACK
-            style = {"ha": "center", "va": "center", "color": colour, "fontsize": _SIZE}
-            axes.text(k, i, f"{value:.1f}", **style)
     return image
 
 
