@@ -138,7 +138,7 @@ class LoopResult(Result):
     def farther(self) -> tuple[str, ...]:
         """Parameters that are not fitted and whose gap grew by more than one JND, in some band.
 
-        The mean T20 is fitted; what it costs in EDT, C50 and C80 is told here. `compromise` tells it
+        The mean T20 is fitted; what it costs in EDT, C50 and C80 stands here; `compromise` has that
         of what is matched.
         """
         return left(self.gaps_beside)
@@ -276,7 +276,7 @@ def calibrate_simulator(
     """Calibrate a room's coefficients so that a simulator has the measured mean T20.
 
     The stated coefficients are simulated first, so that no band ends farther away than it began.
-    `calibrate_positions` matches what every position heard.
+    `calibrate_positions` matches the values at every position.
 
     Parameters
     ----------
@@ -350,8 +350,8 @@ def calibrate_simulator(
         repeated = (*repeated, left_out(exclude))
     # The result's notes and marks say it.
     with warnings.catch_warnings():
-        for told in (OtherBandsWarning, CopiedPairsWarning):
-            warnings.simplefilter("ignore", told)
+        for noted in (OtherBandsWarning, CopiedPairsWarning):
+            warnings.simplefilter("ignore", noted)
         loop = start(
             room,
             measured,

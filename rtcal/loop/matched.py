@@ -6,7 +6,7 @@ T_c leaves the smallest weighted sum of squares of log(T_p / measured T_p). The 
 the disagreement of T20 and EDT is divided.
 
 No simulator of rays has room modes, and below the Schroeder frequency T is no equation's. With room
-modes the loop is not told what was measured there: coefficients stay as the modes' decays left them.
+modes the loop does not match what was measured there: coefficients stay as the modes' decays left them.
 """
 
 from __future__ import annotations

@@ -795,7 +795,7 @@ def calibrate_positions(
     of_paths: tuple[str, ...] = ()
     tracer = simulator if isinstance(simulator, PathTracing) else None
     if tracer is not None:
-        # Data that were used before are told before the paths.
+        # Data that were used before are refused before the paths are traced.
         kept = [p for p in measured.pairs if p in tracer.pairs and p not in exclude]
         refuse_known(room, measured, wanted, kept)
         simulator = dense = precise(tracer, more_paths)
@@ -810,14 +810,14 @@ def calibrate_positions(
         notes = (*notes, f"The room is uncertain, and that counts: {stated}.")
     _refuse_one_place(simulator, data.observations.pairs, position_uncertainty)
     if tracer is not None:
-        # Too few paths are told before the control runs.
+        # Of too few paths a warning comes before the control runs.
         groups = dense.observe_in_groups(room.alpha, GROUPS, match, seed=seed)
         _tell_noise(groups, match, tracer)
     if controls is None:
-        told: list[int] = []
+        finished: list[int] = []
 
         def tell(done: int, total: int) -> None:
-            told.append(done)
+            finished.append(done)
             if progress is not None:
                 progress(done, total)
 
@@ -830,7 +830,7 @@ def calibrate_positions(
             cache=cache,
             progress=tell,
         )
-        if controls is not None and not told:  # they were kept
+        if controls is not None and not finished:  # they were kept
             tell(control_runs.RUNS, control_runs.RUNS)
     in_room = measurement_in_room_bands(measured, room.centre_frequencies)
     here = Linearisation(simulator, data, first, room.alpha, seed)
@@ -900,10 +900,10 @@ def _predicted(fit: Fitted, *, with_error: bool) -> Observations:
     """
     simulated, values = fit.here.simulated, fit.here.everywhere()
     if with_error:
-        told = fit.errors.simulator @ fit.pull
+        error = fit.errors.simulator @ fit.pull
         if fit.scattering is not None:
-            told = told + fit.scattering.materials.back
-        values = values + told.reshape(values.shape)
+            error = error + fit.scattering.materials.back
+        values = values + error.reshape(values.shape)
     return Observations(
         parameters=fit.here.data.observations.parameters,
         pairs=simulated.pairs,

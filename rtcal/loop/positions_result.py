@@ -779,14 +779,14 @@ class Changed:
         off = groups - groups.mean(axis=0)
         own = replace(controls, errors=off / np.sqrt(GROUPS - 1), levels=None, models=())
         slopes = [slope for _, slope in states if slope is not None]
-        told = errors_by_scattering(controls, noise) if slopes else None
-        if told is None or not isinstance(tracer, PathTracing):
+        by_scattering = errors_by_scattering(controls, noise) if slopes else None
+        if by_scattering is None or not isinstance(tracer, PathTracing):
             return controls.without_noise(noise).covariance() + own.covariance()
         of_materials = MaterialScattering(
             slope=np.vstack(slopes), traced=np.zeros(slopes[0].shape[1])
         )
         at = level(tracer.scattering, tracer.room.areas)
-        of_runs = told.covariance(at, tracer.scattering_model)
+        of_runs = by_scattering.covariance(at, tracer.scattering_model)
         return of_runs + of_materials.covariance + own.covariance()
 
     @property
@@ -822,8 +822,8 @@ class Changed:
         prior, by_alpha, by_room = self.prior, self.by_alpha, self.known.by_room
         of_alpha = prior[:, :n_old] @ matrix.T
         unknown = matrix @ of_alpha[:n_old] + by_room.T @ by_room + before + measured
-        told = by_alpha @ of_alpha + self.by_room.T @ by_room + across
-        gain = np.asarray(np.linalg.solve(unknown, told.T).T, dtype=np.float64)
+        shared = by_alpha @ of_alpha + self.by_room.T @ by_room + across
+        gain = np.asarray(np.linalg.solve(unknown, shared.T).T, dtype=np.float64)
 
         values = self.simulated(self.alpha)
         at_prior = by_alpha[:, :n_old] @ (result.prior.alpha - result.alpha).ravel()

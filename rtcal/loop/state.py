@@ -91,7 +91,7 @@ class Step:
         Simulated T in s of what is matched, NaN if these coefficients give none.
     noise : array (n_bands,)
         Standard error of it in s; 0 if the simulator states none, NaN if it is unknown.
-    heard : dict of parameter to array (n_bands,)
+    means : dict of parameter to array (n_bands,)
         Means of all parameters that are shown, as simulated, matched or not.
     """
 
@@ -99,7 +99,7 @@ class Step:
     alpha: Array
     simulated: Array
     noise: Array
-    heard: Mapping[str, Array] = field(default_factory=dict)
+    means: Mapping[str, Array] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         for name in ("target", "alpha", "simulated", "noise"):
@@ -107,13 +107,13 @@ class Step:
             object.__setattr__(self, name, values)
         n = self.target.shape
         shapes = {"simulated": self.simulated.shape, "noise": self.noise.shape}
-        heard = {
-            checks.text("step: a parameter of heard", parameter): checks.array(
-                f"step: heard[{checks.shown(parameter)}]", values
+        found = {
+            checks.text("step: a parameter of means", parameter): checks.array(
+                f"step: means[{checks.shown(parameter)}]", values
             )
-            for parameter, values in checks.mapped("step: heard", self.heard).items()
+            for parameter, values in checks.mapped("step: means", self.means).items()
         }
-        shapes |= {f"heard[{checks.shown(p)}]": values.shape for p, values in heard.items()}
+        shapes |= {f"means[{checks.shown(p)}]": values.shape for p, values in found.items()}
         if len(n) != 1 or self.alpha.ndim != 2 or self.alpha.shape[1:] != n:
             raise DataError(
                 f"step: target has shape {n} and alpha {self.alpha.shape}; they are (n_bands,) and "
@@ -122,7 +122,7 @@ class Step:
         for name, shape in shapes.items():
             if shape != n:
                 raise DataError(f"step: {name} has shape {shape}; that of target is {n}")
-        object.__setattr__(self, "heard", heard)
+        object.__setattr__(self, "means", found)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -250,18 +250,18 @@ class Loop(Result):
 
     def first(self, parameter: str) -> Array:
         """Return a parameter's mean in the first simulation, (n_bands,), NaN where it has none."""
-        return np.asarray(self._heard(parameter)[0])
+        return np.asarray(self._means(parameter)[0])
 
     def nearest(self, parameter: str) -> Array:
         """Return a parameter's mean in each band's best simulation, (n_bands,)."""
-        return np.asarray(self._heard(parameter)[self.best, np.arange(self.room.n_bands)])
+        return np.asarray(self._means(parameter)[self.best, np.arange(self.room.n_bands)])
 
-    def _heard(self, parameter: str) -> Array:
+    def _means(self, parameter: str) -> Array:
         checks.text("parameter", parameter)
         if not self.steps:
             raise DataError("the loop has no simulation yet, and so no means")
         none = np.full(self.room.n_bands, np.nan)
-        return np.stack([step.heard.get(parameter, none) for step in self.steps])
+        return np.stack([step.means.get(parameter, none) for step in self.steps])
 
     @property
     def best_alpha(self) -> Array:
@@ -471,7 +471,7 @@ class Loop(Result):
             alpha=check_alpha(self.room, alpha),
             simulated=time,
             noise=self.matched.noise(simulated),
-            heard=means(simulated),
+            means=means(simulated),
         )
         return replace(self, steps=(*self.steps, step))
 
@@ -602,7 +602,7 @@ def start(
     refuse_repeated_data(room, data.fingerprint)
     tell_data(room, stated)
     what = matched_times(room, measured, data.reverberation_time, weights)
-    heard = means(measurement_in_room_bands(measured, room.centre_frequencies))
+    measured_means = means(measurement_in_room_bands(measured, room.centre_frequencies))
     loop = Loop(
         room=room,
         matched=what,
@@ -613,7 +613,7 @@ def start(
         decimals=decimals,
         tolerance=tolerance,
         bent=data.bent,
-        beside={p: mean for p, mean in heard.items() if p not in what.shares},
+        beside={p: mean for p, mean in measured_means.items() if p not in what.shares},
         low=low,
     )
     loop._problem()  # warns of a room without air
