@@ -416,20 +416,3 @@ def test_a_treatment_that_cannot_be_is_refused(treatment: dict[str, float], rule
         rt.design(
             result, [Treatment("a", BOARD, **{"cost": 9, **treatment}, covers="ceiling")], target
         )
-
-
-def test_rounding_draws_the_same_samples() -> None:
-    """A covariance that is another in its last digits, as on another processor, changes no sample."""
-    from rtcal.support.sampler import samples_of_normal
-
-    rng = np.random.default_rng(4)
-    n = 9
-    factor = rng.standard_normal((n, 4))
-    covariance = 0.01 * np.eye(n) + factor @ factor.T  # five eigenvalues are one: any basis will do
-    bounds = np.full(n, -1.0), np.full(n, 5.0)
-    other = covariance * (1 + 1e-12 * rng.standard_normal((n, n)))
-    a, b = (
-        samples_of_normal(np.ones(n), (c + c.T) / 2, bounds, np.ones(n), 400, 0)
-        for c in (covariance, other)
-    )
-    np.testing.assert_allclose(a, b, atol=1e-6)

@@ -1,18 +1,20 @@
-"""The posterior: FFT against quadrature and against samples; sensitivity against re-solving."""
+"""The posterior: its engine against quadrature and plain draws; sensitivity against re-solving."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 from scipy import stats
+from scipy.special import log_ndtr
 
 import rtcal as rt
 from rtcal import terms
 from rtcal.calibration.configurations import Configurations
 from rtcal.calibration.posterior import distribution, sensitivity
-from rtcal.calibration.posterior.marginals import marginal_distributions
+from rtcal.calibration.truncated import Density, draws, samples
+from rtcal.support.normal import NORMAL, quantile_and_mass, truncated_normal
 from tests.conftest import also, random_room, true_times
-from tests.quadrature import errors, random_band
+from tests.quadrature import Band, density_of, errors, random_band
 
 EYRING = rt.Eyring()
 PRIOR = terms.PriorDeviation()
@@ -36,8 +38,7 @@ def test_marginals_of_two_against_quadrature(target: float, uncertainty: float) 
     """Two coefficients, one of them cut by its bound; the target up to far in the tail."""
     mu, sigma, areas = np.array([0.05, 0.3]), np.array([0.05, 0.06]), np.array([20.0, 30.0])
     box = np.zeros(2), np.ones(2)
-    d = (areas @ mu - target) / (areas**2 @ sigma**2 + uncertainty**2)
-    found = marginal_distributions(mu, sigma, *box, areas, target, uncertainty, d)
+    (found,) = draws(density_of(Band(mu, sigma, *box, areas, target, uncertainty)))
     a = np.linspace(0, 1, 4001)
     prior = [stats.norm(m, s).logpdf(a) for m, s in zip(mu, sigma, strict=True)]
     if uncertainty:
@@ -50,27 +51,26 @@ def test_marginals_of_two_against_quadrature(target: float, uncertainty: float) 
         for i, j in ((0, 1), (1, 0)):
             other = (target - areas[i] * a) / areas[j]
             log = prior[i] + stats.norm(mu[j], sigma[j]).logpdf(other)
-            density.append(np.where((other >= 0) & (other <= 1), np.exp(log - log.max()), 0))
+            density.append(np.where((other >= -1e-12) & (other <= 1), np.exp(log - log.max()), 0))
     for i in range(2):
         own = density[i] / np.trapezoid(density[i], a)
-        mean = np.trapezoid(a * own, a)
-        spread = np.sqrt(np.trapezoid((a - mean) ** 2 * own, a))
-        assert found.mean[i] == pytest.approx(mean, abs=0.01 * spread)
-        assert np.sqrt(found.covariance[i, i]) == pytest.approx(spread, rel=0.01)
+        below = np.append(0.0, np.cumsum(own[1:] + own[:-1]))
+        below /= below[-1]
+        for z in (-1.6449, 0.0, 1.6449):
+            end = np.interp(z, NORMAL, found.quantiles[i])
+            assert np.interp(end, a, below) == pytest.approx(stats.norm.cdf(z), abs=0.003)
+        assert found.effective > 900
     if not uncertainty:  # the sum is fixed: whatever one gains the other loses
-        pair = found.covariance[0, 1] / np.sqrt(np.prod(np.diag(found.covariance)))
-        assert pair == pytest.approx(-1, abs=0.02)
+        np.testing.assert_allclose(found.values @ areas, target, rtol=1e-9)
 
 
 @pytest.mark.parametrize("seed", range(24))
 def test_random_bands_against_quadrature(seed: int) -> None:
-    """The first of the bands of benchmarks/studies/calibrations/posterior_accuracy.py."""
+    """Scales over six decades, T up to hundreds of sigma off; of 150 bands the worst errs by 0.039."""
     rng = np.random.default_rng(seed)
-    band = random_band(rng)
-    _, sigma, width, correlation = errors(band, rng)
-    assert sigma < 0.0005
-    assert width < 0.001
-    assert correlation < 0.001
+    _, sigma, width = errors(random_band(rng), rng)
+    assert sigma < 0.03
+    assert width < 0.03
 
 
 def single_band(areas: list[float], alpha: float, sigma: list[float]) -> rt.Room:
@@ -99,11 +99,11 @@ def test_a_posterior_much_narrower_than_its_prior(small: float) -> None:
     others = (s[1:] ** 2 @ variance[1:]) / s[0] ** 2
     covariance[0, 0] = others * variance[0] / (variance[0] + others)
     sigma = np.sqrt(np.diag(covariance))
-    np.testing.assert_allclose(found.sigma[:, 0], sigma, rtol=1e-4)
+    np.testing.assert_allclose(found.sigma[:, 0], sigma, rtol=1e-3)
     low, high = found.interval(0.9)
     np.testing.assert_allclose((high - low)[:, 0], 3.28971 * sigma, rtol=5e-4)
     correlation = covariance / np.outer(sigma, sigma)
-    np.testing.assert_allclose(found.correlation[0], correlation, atol=1e-4)
+    np.testing.assert_allclose(found.correlation[0], correlation, atol=0.02)
     assert np.abs(found.correlation).max() <= 1
 
 
@@ -111,7 +111,7 @@ def test_two_coefficients_with_one_sum_have_correlation_minus_one() -> None:
     room = single_band([2.0, 200.0], 0.5, [0.01, 0.2])
     found = distribution(rt.calibrate(room, EYRING.time(room, room.absorption_area)))
     np.testing.assert_allclose(found.correlation[0], [[1, -1], [-1, 1]], atol=1e-9)
-    np.testing.assert_allclose(found.sigma[:, 0], [0.01, 0.0001], rtol=1e-4)
+    np.testing.assert_allclose(found.sigma[:, 0], [0.01, 0.0001], rtol=1e-3)
 
 
 @pytest.mark.parametrize("sigma", [[0.05, 0.0, 0.0], [0.0, 0.0, 0.0]])
@@ -136,24 +136,10 @@ def test_an_unreachable_target_leaves_one_answer(target: float) -> None:
     result = rt.calibrate(room, time, equation=rt.Sabine(), unreachable="nearest")
     np.testing.assert_array_equal(result.alpha, 0.1 if target == 1 else 1.0)
     found = distribution(result)
-    np.testing.assert_array_equal(found.interval(0.9)[0], result.alpha)
-    np.testing.assert_array_equal(found.interval(0.9)[1], result.alpha)
+    for end in found.interval(0.9):
+        np.testing.assert_allclose(end, result.alpha, rtol=1e-14)
     np.testing.assert_array_equal(found.sigma, 0)
     assert np.isfinite(found.identifiability).all()
-
-
-@pytest.mark.parametrize("end", [0, 1])
-def test_a_target_within_rounding_of_an_end_is_that_end(end: int) -> None:
-    mu, sigma, areas = np.full(3, 0.3), np.full(3, 0.05), np.array([30.0, 20.0, 10.0])
-    box = np.full(3, 0.1), np.full(3, 0.7)
-    sign = 1 - 2 * end
-    for relative, width in ((6e-15, 0.0), (1e-9, 1e-10)):
-        target = float(areas @ box[end]) * (1 + sign * relative)
-        found = marginal_distributions(mu, sigma, *box, areas, target, 0.0, 0.0)
-        np.testing.assert_allclose(found.mean, box[end], rtol=3 * relative)
-        spread = np.ptp(found.points, axis=1)
-        assert (spread > width / 10).all() if width else (spread == 0).all()
-        assert np.isfinite(found.cumulative).all()
 
 
 def test_intervals_of_many_materials_are_those_of_the_posterior() -> None:
@@ -181,10 +167,10 @@ def test_posterior_is_gaussian_far_from_the_box() -> None:
     t[1] = np.nan
     result = rt.calibrate(room, t, method="soft")
     found = distribution(result)
-    np.testing.assert_allclose(found.mean, result.alpha, atol=1e-6)
-    np.testing.assert_allclose(found.sigma, result.posterior_sigma, rtol=1e-4)
-    np.testing.assert_allclose(found.sigma[:, 1], room.sigma[:, 1], rtol=1e-4)
-    np.testing.assert_allclose(found.identifiability[:, 1], 0, atol=1e-4)
+    np.testing.assert_allclose(found.mean, result.alpha, atol=1e-5)
+    np.testing.assert_allclose(found.sigma, result.posterior_sigma, rtol=1e-3)
+    np.testing.assert_allclose(found.sigma[:, 1], room.sigma[:, 1], rtol=1e-3)
+    np.testing.assert_allclose(found.identifiability[:, 1], 0, atol=1e-3)
     assert (found.identifiability[:, [0, 2]] > 1e-4).all()
     low, high = found.interval(0.9)
     np.testing.assert_allclose(high - low, 2 * 1.6449 * found.sigma, rtol=2e-3)
@@ -193,7 +179,7 @@ def test_posterior_is_gaussian_far_from_the_box() -> None:
         room.areas**2 @ prior + result.target_uncertainty[k] ** 2
     )
     wanted = cov / np.sqrt(np.outer(np.diag(cov), np.diag(cov)))
-    np.testing.assert_allclose(found.correlation[k], wanted, atol=1e-4)
+    np.testing.assert_allclose(found.correlation[k], wanted, atol=0.02)
 
 
 def test_at_a_small_alpha_the_gaussian_interval_is_wrong() -> None:
@@ -207,29 +193,6 @@ def test_at_a_small_alpha_the_gaussian_interval_is_wrong() -> None:
     assert (high - low < 2 * 1.645 * result.posterior_sigma).all()
 
 
-def test_samples_agree_with_the_fft() -> None:
-    """A constraint that never binds sends the same problem to the sampler."""
-    rng = np.random.default_rng(4)
-    room = random_room(rng, 5, 2)
-    room = room.replace(alpha=np.clip(room.alpha - 0.2, 0.02, 1))
-    t = true_times(rng, room, EYRING)
-    soft = PRIOR + terms.SoftMatch(0.05)
-    exact = distribution(rt.Calibration(soft, []).build(room).solve(t))
-    loose = [terms.GroupAbsorption(["m0"], most=10_000.0)]
-    drawn = distribution(rt.Calibration(soft, loose).build(room).solve(t), n_samples=6400)
-    assert exact.samples is None
-    assert drawn.samples is not None
-    assert drawn.samples.shape == (6400, 5, 2)
-    error = exact.sigma / np.sqrt(6400 / 4)  # as if every fourth sample counted
-    np.testing.assert_array_less(np.abs(drawn.mean - exact.mean), 4 * error)
-    np.testing.assert_allclose(drawn.sigma, exact.sigma, rtol=0.08)
-    np.testing.assert_allclose(drawn.quantile(0.05), exact.quantile(0.05), atol=0.01)
-    np.testing.assert_allclose(drawn.correlation, exact.correlation, atol=0.1)
-    np.testing.assert_allclose(drawn.identifiability, exact.identifiability, atol=0.15)
-    again = distribution(rt.Calibration(soft, loose).build(room).solve(t), n_samples=6400)
-    np.testing.assert_array_equal(again.samples, drawn.samples)
-
-
 def test_samples_keep_to_every_constraint() -> None:
     rng = np.random.default_rng(6)
     room = random_room(rng, 4, 3)
@@ -241,7 +204,6 @@ def test_samples_keep_to_every_constraint() -> None:
     )
     result = calibration.build(room).solve(t)
     found = distribution(result, n_samples=1280)
-    assert found.samples is not None
     area = np.einsum("i,sik->sk", room.areas, found.samples) + found.effects["opening"][:, None]
     np.testing.assert_allclose(area, np.tile(result.target, (1280, 1)), rtol=1e-9)
     assert (found.samples[:, 0] <= found.samples[:, 1] + 1e-9).all()
@@ -259,7 +221,7 @@ def test_several_configurations_are_sampled() -> None:
     times = [EYRING.time(r, np.atleast_1d(r.areas @ truth)) for r in (a, b)]
     both = rt.calibrate(Configurations([a, b]), times, method="joint")
     one = distribution(rt.calibrate(a, times[0], method="soft"))
-    found = distribution(both, n_samples=3200)
+    found = distribution(both)
     np.testing.assert_allclose(found.sigma, both.posterior_sigma, rtol=0.15)
     assert found.identifiability.sum() > one.identifiability.sum()
 
@@ -304,16 +266,6 @@ def test_constraint_that_does_not_bind_changes_no_sensitivity() -> None:
     )
 
 
-def test_multiplier_of_a_soft_match_balances_the_prior() -> None:
-    """u_b is below 1 m² here, and D = (mu - alpha) / (S sigma²) for every coefficient."""
-    room = room_with(0.3, 0.05, n=2)
-    result = rt.calibrate(room, EYRING.time(room, np.array([14.0])), method="soft")
-    bands = result.joint.density()
-    assert bands.noise[0] < 1
-    wanted = (room.alpha - result.alpha) / (room.areas[:, np.newaxis] * room.sigma**2)
-    np.testing.assert_allclose(wanted, np.broadcast_to(bands.multiplier, (2, 1)), rtol=1e-9)
-
-
 def test_posterior_sigma_of_any_composition_against_draws() -> None:
     """Truth and noise drawn 4,000 times, the composed estimate solved for each."""
     rng = np.random.default_rng(1)
@@ -353,3 +305,170 @@ def test_what_is_no_density_has_no_posterior() -> None:
     for probability in (0, 1):
         with pytest.raises(rt.errors.DataError, match=f"probability = {probability} "):
             found.quantile(probability)
+
+
+def coupled(seed: int = 0, **keywords: object) -> tuple[rt.Room, np.ndarray]:
+    """Three coefficients in two bands, pressed against their bounds by T."""
+    room = random_room(np.random.default_rng(seed), 3, 2, air=rt.Air(20, 50))
+    room = room.replace(alpha=room.alpha / 20, **keywords)
+    return room, EYRING.time(room, room.absorption_area * 0.6)
+
+
+def whole(parts: list, size: int) -> np.ndarray:
+    """Quantiles of all unknowns, (size, 201)."""
+    table = np.empty((size, len(NORMAL)))
+    for part in parts:
+        table[part.unknowns] = part.quantiles
+    return table
+
+
+@pytest.mark.parametrize("exact", [True, False])
+def test_a_coupled_density_is_that_of_plain_draws(exact: bool) -> None:
+    """Bands correlate: the normal density is drawn, and what breaks a bound is left out."""
+    room, t = coupled()
+    prior = terms.PriorDeviation(band_correlation=0.8)
+    objective, match = (
+        (prior, [terms.ExactMatch()]) if exact else (prior + terms.SoftMatch(0.1), [])
+    )
+    density = rt.Calibration(objective, match).build(room).solve(t).density().posterior
+    covariance = np.linalg.inv(density.curvature.toarray())
+    mean = density.point - covariance @ density.gradient
+    if exact:
+        rows = np.asarray(density.matrix @ np.eye(6))
+        gain = covariance @ rows.T @ np.linalg.inv(rows @ covariance @ rows.T)
+        mean = mean + gain @ (density.row_lower - rows @ mean)
+        covariance = covariance - gain @ rows @ covariance
+    value, vector = np.linalg.eigh(covariance)
+    root = vector * np.sqrt(np.maximum(value, 0))
+    plain = mean + np.random.default_rng(1).standard_normal((400_000, 6)) @ root.T
+    plain = plain[((plain >= density.lower) & (plain <= density.upper)).all(axis=1)]
+    assert 2_000 < len(plain) < 200_000
+    parts = draws(density)
+    assert [len(part.unknowns) for part in parts] == [6]
+    assert parts[0].effective > 500
+    spread, found = plain.std(axis=0), whole(parts, 6)
+    for p in (0.05, 0.5, 0.95):
+        got = [np.interp(stats.norm.ppf(p), NORMAL, row) for row in found]
+        error = 0.02 + 4 * np.sqrt(p * (1 - p) / len(plain)) / 0.1
+        np.testing.assert_allclose(got / spread, np.quantile(plain, p, axis=0) / spread, atol=error)
+    of_samples = samples(density, parts, 4096, 0)
+    np.testing.assert_allclose(np.cov(of_samples.T), np.cov(plain.T), atol=0.1 * spread.max() ** 2)
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_no_coupled_room_is_refused(seed: int) -> None:
+    """Coefficients and sigmas span decades, and T is far from its prediction."""
+    rng = np.random.default_rng(seed)
+    n, k = int(rng.integers(3, 8)), int(rng.integers(1, 5))
+    room = random_room(rng, n, k, air=rt.Air(20, 50))
+    alpha = np.clip(room.alpha * 10 ** -rng.uniform(0, 2, (n, 1)), 0.005, 1)
+    room = room.replace(alpha=alpha, sigma=room.sigma * 10 ** -rng.uniform(0, 2, (n, 1)))
+    t = true_times(rng, room, EYRING) * 10 ** rng.uniform(-0.1, 0.1)
+    prior = terms.PriorDeviation(band_correlation=float(rng.uniform(0.3, 0.95)))
+    match = terms.SoftMatch(10 ** rng.uniform(-4, -1))
+    calibration = (
+        rt.Calibration(prior, [terms.ExactMatch()])
+        if seed % 2
+        else rt.Calibration(prior + match + terms.BandSmoothness(), [])
+    )
+    result = calibration.build(room).solve(t, unreachable="nearest")
+    found = distribution(result)
+    assert found.samples.min() >= 0
+    assert found.samples.max() <= 1
+    assert found.effective_samples.min() > 300
+    if seed % 2:
+        area = np.einsum("i,sik->sk", room.areas, found.samples)
+        np.testing.assert_allclose(area, np.tile(result.target, (len(area), 1)), rtol=1e-9)
+
+
+def test_draws_are_the_same_twice_and_follow_names_not_places() -> None:
+    room, t = coupled()
+    one, again = (distribution(rt.calibrate(room, t)) for _ in range(2))
+    np.testing.assert_array_equal(one.samples, again.samples)
+    turned = room.replace(
+        materials=room.materials[::-1],
+        areas=room.areas[::-1],
+        alpha=room.alpha[::-1],
+        sigma=room.sigma[::-1],
+    )
+    other = distribution(rt.calibrate(turned, t))
+    np.testing.assert_allclose(other.points[::-1], one.points, rtol=1e-6, atol=1e-9)
+    assert (distribution(rt.calibrate(room, t), seed=1).samples != one.samples).any()
+
+
+def test_a_band_at_the_end_of_its_reach_is_held_and_the_other_drawn() -> None:
+    """Bounds that the match makes equalities leave no volume: they are taken as equalities."""
+    rng = np.random.default_rng(3)
+    room = random_room(rng, 4, 2, air=rt.Air(20, 50))
+    room = room.replace(alpha_min=np.full((4, 2), 0.1))
+    t = EYRING.time(room, room.absorption_area)
+    t[0] = EYRING.time(room, 0.05 * room.areas.sum() * np.ones(2))[0]
+    calibration = rt.Calibration(terms.PriorDeviation(band_correlation=0.7), [terms.ExactMatch()])
+    result = calibration.build(room).solve(t, unreachable="nearest")
+    found = distribution(result)
+    np.testing.assert_allclose(found.samples[:, :, 0], 0.1, atol=1e-9)
+    np.testing.assert_array_equal(found.sigma[:, 0], 0)
+    np.testing.assert_array_equal(found.correlation[0], np.eye(4))
+    assert found.correlation[1].min() < -0.1
+    assert (found.sigma[:, 1] > 0.01).all()
+    area = found.samples[:, :, 1] @ room.areas
+    np.testing.assert_allclose(area, result.target[1], rtol=1e-9)
+
+
+def test_too_many_unknowns_are_refused() -> None:
+    size = 2001
+    zeros, ones, none = np.zeros(size), np.ones(size), np.zeros(0)
+    density = Density(
+        point=zeros,
+        gradient=zeros,
+        curvature=ones,
+        scale=ones,
+        lower=-ones,
+        upper=ones,
+        matrix=np.zeros((0, size)),
+        row_lower=none,
+        row_upper=none,
+        row_noise=none,
+    )
+    with pytest.raises(rt.errors.ModelError, match="2001 unknowns are too many"):
+        draws(density)
+
+
+@pytest.mark.parametrize(
+    ("lower", "upper"),
+    [
+        (-np.inf, np.inf),
+        (-1.0, 2.0),
+        (-3.0, -1.0),
+        (0.5, np.inf),
+        (7.9, np.inf),
+        (8.1, np.inf),
+        (26.0, 1e300),
+        (-1e300, 1e300),
+        (30.0, 30.01),
+        (-40.0, -26.0),
+        (-np.inf, -300.0),
+        (1e4, np.inf),
+    ],
+)
+def test_truncated_normal_quantiles(lower: float, upper: float) -> None:
+    """The logarithm of the tail at each quantile, where the distribution function has no digits."""
+    uniform = np.linspace(0.01, 0.99, 25)
+    x, mass = quantile_and_mass(np.full(25, lower), np.full(25, upper), uniform)
+    assert ((x >= lower) & (x <= upper)).all()
+    sign = -1 if lower + upper > 0 else 1
+    a, b = (lower, upper) if sign == 1 else (-upper, -lower)
+    share = uniform if sign == 1 else 1 - uniform
+    # log of (1 - share) Phi(a) + share Phi(b), on the side of the smaller tail.
+    ratio = np.exp(log_ndtr(a) - log_ndtr(b))
+    wanted = log_ndtr(b) + np.log(share + (1 - share) * ratio)
+    np.testing.assert_allclose(log_ndtr(sign * x), wanted, rtol=1e-9, atol=2e-5)
+    np.testing.assert_allclose(mass, log_ndtr(b) + np.log1p(-ratio), rtol=1e-9, atol=1e-9)
+
+
+def test_a_very_far_tail_is_exponential() -> None:
+    uniform = np.linspace(0.01, 0.99, 25)
+    start, width = np.full(25, 1e6), 2e-6
+    inside = truncated_normal(start, start + width, uniform) - start
+    share = -np.log1p(-uniform * -np.expm1(-width * 1e6)) / 1e6
+    np.testing.assert_allclose(inside, share, rtol=1e-2, atol=1e-9)

@@ -45,15 +45,13 @@ from rtcal.acoustics.room_errors import (
 )
 from rtcal.support import checks
 from rtcal.support.errors import DataError, ModelError
-from rtcal.support.sampler import truncated_normal
+from rtcal.support.normal import NORMAL, truncated_normal
 from rtcal.support.types import Array
 
 Flags = NDArray[np.bool_]
 
 DRAWS = 8192
 """Number of draws of every unknown."""
-NORMAL = np.linspace(-5.0, 5.0, 201)
-"""Standard normal values at which the coefficients' quantiles are tabulated."""
 _LEAST_UNCERTAINTY = 0.02
 """Least standard uncertainty of ln T before as a weight of the draws: enough of them must be left."""
 _KERNEL = 0.1

@@ -8,10 +8,8 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import ndtr
 
 from rtcal.acoustics.changed_time import (
-    NORMAL,
     KnownRoom,
     MeasuredState,
     correlation_of,
@@ -23,8 +21,7 @@ from rtcal.calibration.certificate import Certificate
 from rtcal.calibration.configurations import Assembler, Configurations
 from rtcal.calibration.convex_program import Solution
 from rtcal.calibration.feasibility import where_valid
-from rtcal.calibration.posterior import Optimality, exact_posterior
-from rtcal.calibration.posterior.density import CoupledBands, IndependentBands
+from rtcal.calibration.posterior import Densities, Optimality, correlations, intervals
 from rtcal.calibration.problem_data import MeasuredTimes, ProblemData
 from rtcal.calibration.terms import (
     LinearObservations,
@@ -35,6 +32,7 @@ from rtcal.calibration.terms import (
     RoomMatch,
     SoftMatch,
 )
+from rtcal.calibration.truncated import Draws, draws
 from rtcal.calibration.uncertainty import (
     density,
     estimate_covariance,
@@ -125,7 +123,7 @@ class JointSolution:
         sizes = data.further(self.solution.unknowns)
         return dict(zip(data.layout.further, sizes.tolist(), strict=True))
 
-    def density(self) -> IndependentBands | CoupledBands:
+    def density(self) -> Densities:
         """Return the density of the unknowns, for `rtcal.posterior.distribution`.
 
         Raises ModelError if the method has none (`lse`, `robust`).
@@ -256,23 +254,32 @@ class JointSolution:
         )
 
     @cached_property
-    def _distribution(self) -> tuple[Array, Array]:
-        """Quantiles of the coefficients at `changed_time.NORMAL`, and their correlation per band.
-
-        The posterior's where it is exact; else that of the linear estimate's error, cut at the bounds,
-        which every method has.
-        """
+    def _separate(self) -> tuple[Densities, list[Draws]] | None:
+        """The density and its draws where each band stands for itself; None else."""
         try:
-            density = self.density()
+            known = self.density()
         except ModelError:  # lse, robust
-            density = None
-        if isinstance(density, IndependentBands):
-            found = exact_posterior(density)
-            levels = ndtr(NORMAL)
-            quantiles = np.empty((*found.mean.shape, len(levels)))
-            for place in np.ndindex(*found.mean.shape):
-                quantiles[place] = np.interp(levels, found.cumulative[place], found.points[place])
-            return quantiles, found.correlation
+            return None
+        return (known, draws(known.posterior)) if known.separate else None
+
+    @property
+    def interval(self) -> tuple[Array, Array] | None:
+        """Ends of the coefficients' 90 % interval where each band stands for itself; None else."""
+        if self._separate is None:
+            return None
+        known, parts = self._separate
+        return intervals(self.alpha, known.quantiles(parts), 0.9)
+
+    @cached_property
+    def _distribution(self) -> tuple[Array, Array]:
+        """Quantiles of the coefficients at `NORMAL`, and their correlation per band.
+
+        The posterior's where each band stands for itself; else that of the linear estimate's error, cut
+        at the bounds, which every method has.
+        """
+        if self._separate is not None:
+            known, parts = self._separate
+            return known.quantiles(parts), correlations(known, parts)
         solution, layout = self.solution, self.solution.model.data.layout
         covariance = estimate_covariance(
             solution, self.configurations, self.equation, self.measured_times, self.assemble

@@ -24,8 +24,7 @@ from rtcal.calibration.certificate import Certificate
 from rtcal.calibration.convex_program import RawSolution
 from rtcal.calibration.feasibility import Unreachable, where_valid
 from rtcal.calibration.joint_solution import JointSolution
-from rtcal.calibration.posterior import Optimality, exact_interval
-from rtcal.calibration.posterior.density import CoupledBands, IndependentBands
+from rtcal.calibration.posterior import Densities, Optimality
 from rtcal.calibration.problem_data import MeasuredTimes, ProblemData, data_history
 from rtcal.calibration.table import blocks_of
 from rtcal.prediction.predicted import Prediction, predict
@@ -274,19 +273,20 @@ class CalibrationResult(Result):
         """
         if len(self.joint.configurations.rooms) > 1:
             return None
-        try:
-            density = self.joint.density()
-        except ModelError:  # the method has no posterior
-            return None
         if self.joint.has_shared_errors:
-            low, high = self.joint.gaussian_interval
-            return low[self._rows], high[self._rows]
-        if not isinstance(density, IndependentBands):
+            try:
+                self.density()
+            except ModelError:  # the method has no posterior
+                return None
+            ends = self.joint.gaussian_interval
+        elif self.joint.interval is None:
             return None
-        low, high = exact_interval(density, 0.9)
+        else:
+            ends = self.joint.interval
+        low, high = ends
         return low[self._rows], high[self._rows]
 
-    def density(self) -> IndependentBands | CoupledBands:
+    def density(self) -> Densities:
         """Return the density of the coefficients, for `rtcal.posterior.distribution`.
 
         Raises ModelError if the method has none (`lse`, `robust`).

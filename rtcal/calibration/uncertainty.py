@@ -14,8 +14,7 @@ from rtcal.acoustics.equations import LinearEquation
 from rtcal.calibration.configurations import Configurations
 from rtcal.calibration.convex_program import Solution
 from rtcal.calibration.numpy_model import NumpyModel
-from rtcal.calibration.posterior import Optimality, linear_estimate_sigma
-from rtcal.calibration.posterior.density import CoupledBands, IndependentBands
+from rtcal.calibration.posterior import Densities, Optimality, linear_estimate_sigma
 from rtcal.calibration.problem_data import MeasuredTimes, ProblemData
 from rtcal.calibration.terms import (
     ExactMatch,
@@ -25,8 +24,8 @@ from rtcal.calibration.terms import (
     SoftMatch,
     match_matrix,
 )
+from rtcal.calibration.truncated import Density
 from rtcal.support.errors import ModelError
-from rtcal.support.sampler import JointTruncatedNormal
 from rtcal.support.types import Array
 
 Assemble = Callable[[Sequence[MeasuredTimes]], ProblemData]
@@ -35,8 +34,8 @@ _STEP = 1e-5
 """Relative step of T in central differences: their error is of the order of its square."""
 
 
-def density(solution: Solution) -> IndependentBands | CoupledBands:
-    """Return the density of the unknowns given the measurement.
+def density(solution: Solution) -> Densities:
+    """Return the densities of the unknowns with the measurement and without it.
 
     Raises ModelError if the objective is not a log-density.
     """
@@ -47,17 +46,16 @@ def density(solution: Solution) -> IndependentBands | CoupledBands:
             f"{prior!r} is no log-density of what is known of alpha: it has no posterior. Use "
             'method "soft" or "mle"'
         )
-    if _independent(model, prior):
-        return _independent_bands(solution)
     data, layout = model.data, model.data.layout
     missing = np.full_like(data.target, np.nan)
     unmeasured = replace(data, target=missing, time=missing)
-    return CoupledBands(
+    return Densities(
         rows=layout.rows,
         n_bands=layout.n_bands,
         further=layout.further,
-        posterior=_truncated_normal(model, solution.unknowns),
-        prior=_truncated_normal(
+        separate=_independent(model, prior),
+        posterior=_density(model, solution.unknowns),
+        prior=_density(
             NumpyModel(unmeasured, model.objective, model.row_constraints), solution.unknowns
         ),
     )
@@ -283,71 +281,20 @@ def _independent(model: NumpyModel, prior: PriorDeviation) -> bool:
     )
 
 
-def _independent_bands(solution: Solution) -> IndependentBands:
-    data, u = solution.model.data, solution.unknowns
-    alpha, sigma = data.alpha(u), data.alpha(data.scale)
-    areas, target = data.areas[0], data.target[0]
-    multiplier = np.nan_to_num(solution.match_multipliers[0])
-    noise = np.nan_to_num(data.target_uncertainty[0])
-    exact = any(isinstance(row, ExactMatch) for row in solution.model.row_constraints)
-    weights = [
-        weight
-        for term, weight in zip(solution.model.objective.terms, data.weights, strict=True)
-        if isinstance(term, SoftMatch)
-    ]
-    for weight in weights:
-        # A weight w is equivalent to u_b / sqrt(w); with weight 0 the match has no influence.
-        noise = noise / np.sqrt(max(weight, 1e-300))
-        residual = areas @ alpha - np.nan_to_num(target)
-        multiplier = np.divide(residual, noise**2, out=np.zeros_like(residual), where=noise > 0)
-    return IndependentBands(
-        rows=data.layout.rows,
-        mu=data.alpha(data.mu),
-        sigma=sigma,
-        lower=data.alpha(data.lower),
-        upper=data.alpha(data.upper),
-        alpha=alpha,
-        areas=areas,
-        target=target,
-        noise=noise,
-        exact=exact,
-        multiplier=multiplier,
-    )
-
-
-def _truncated_normal(model: NumpyModel, u: Array) -> JointTruncatedNormal:
-    """Return the density as a normal one within bounds and rows.
-
-    Where an exact match has an uncertain b, the sum S'u is normal about b in place of equal to it,
-    whatever the objective says of it: the objective's own part along the sum, as it is without
-    bounds, is taken off first.
-    """
-    gradient, curvature = model.gradient(u), model.curvature(u).whole()
-    row_lower, row_upper = model.row_lower, model.row_upper
-    noise = _row_noise(model)
-    uncertain = (row_lower == row_upper) & (model.row_norm > 0) & (noise > 0)
-    if uncertain.any():
-        free = model.movable
-        rows = _dense(model.matrix[uncertain][:, free])
-        dense = _dense(curvature)
-        across = np.linalg.solve(dense[np.ix_(free, free)], rows.T)
-        along = np.linalg.pinv(rows @ across)
-        gradient, dense = gradient.copy(), dense.copy()
-        gradient[free] -= rows.T @ along @ (across.T @ gradient[free])
-        dense[np.ix_(free, free)] += rows.T @ (np.diag(noise[uncertain] ** -2) - along) @ rows
-        curvature = sp.csr_array(dense)
-        row_lower = np.where(uncertain, -np.inf, row_lower)
-        row_upper = np.where(uncertain, np.inf, row_upper)
-    return JointTruncatedNormal(
+def _density(model: NumpyModel, u: Array) -> Density:
+    """The density of the unknowns: a match with an uncertain b gives its sum to within u_b."""
+    equal = model.row_lower == model.row_upper
+    return Density(
         point=u,
-        gradient=gradient,
-        curvature=curvature,
+        gradient=model.gradient(u),
+        curvature=model.curvature(u).whole(),
         scale=model.sigma,
         lower=model.lower,
         upper=model.upper,
         matrix=model.matrix,
-        row_lower=row_lower,
-        row_upper=row_upper,
+        row_lower=model.row_lower,
+        row_upper=model.row_upper,
+        row_noise=np.where(equal, _row_noise(model), 0.0),
     )
 
 

@@ -56,7 +56,7 @@ def test_far_from_the_bounds_all_say_the_same(n: int, method: str, relative: flo
     np.testing.assert_allclose(
         (low + high) / 2, result.alpha, atol=0.01 * result.posterior_sigma.max()
     )
-    # 1e-3: quantiles are read from 801 points.
+    # Quantiles are read from 201 points.
     np.testing.assert_allclose((high - low) / 2, 1.6449 * result.posterior_sigma, rtol=5e-3)
     known = distribution(result)
     np.testing.assert_allclose(known.sigma, result.posterior_sigma, rtol=2e-3)
@@ -138,13 +138,12 @@ def test_between_bounds_the_distribution_is_a_mean_over_the_sum() -> None:
 
 
 def test_samples_have_the_uncertainty_of_time_too() -> None:
-    """A constraint that never binds sends the same problem to the sampler."""
+    """A constraint that never binds leaves the same distribution."""
     stated = room(4)
     t = measured(EYRING.time(stated, 1.05 * stated.absorption_area), 0.1)
     loose = [terms.ExactMatch(), terms.GroupAbsorption(["m0"], most=10_000.0)]
     drawn = rt.Calibration(terms.PriorDeviation(), loose).build(stated).solve(t)
     known, exact = distribution(drawn), distribution(rt.calibrate(stated, t))
-    assert known.samples is not None
     np.testing.assert_allclose(known.sigma, exact.sigma, rtol=0.06)
     np.testing.assert_allclose(known.mean, exact.mean, atol=0.1 * exact.sigma.max())
     np.testing.assert_allclose(known.correlation, exact.correlation, atol=0.1)

@@ -22,7 +22,7 @@ from dataclasses import dataclass
 import numpy as np
 
 import rtcal as rt
-from rtcal.support.sampler import truncated_normal
+from rtcal.support.normal import truncated_normal
 
 METHODS = ("mle", "soft")
 MOST = 8

@@ -1,8 +1,4 @@
-"""The posterior distribution of the coefficients, and their sensitivity to T.
-
-Marginals are exact, by FFT, if the priors are independent and each band has one matched sum. In all
-other cases they come from samples.
-"""
+"""The posterior distribution of the coefficients, and their sensitivity to T."""
 
 from __future__ import annotations
 
@@ -11,22 +7,20 @@ from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import ndtr, ndtri
 
-from rtcal.calibration.posterior.density import POINTS, CoupledBands, IndependentBands, Marginals
-from rtcal.calibration.posterior.marginals import marginal_distributions, passed_on, unmatched
+from rtcal.calibration.truncated import Density, Draws, draws, samples
 from rtcal.support import checks, kkt
 from rtcal.support.errors import DataError
 from rtcal.support.kkt import Hessian
-from rtcal.support.sampler import sample
+from rtcal.support.normal import NORMAL
 from rtcal.support.types import Array
 
 __all__ = ["Posterior", "distribution", "sensitivity"]
 __dir__ = __all__.copy
 
-Rows = NDArray[np.intp]
-
 _ROUNDING = 1e-13
-"""Coefficients whose samples differ by less than this have a single value."""
+"""A coefficient whose quantiles differ by less than this has a single value."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,15 +35,14 @@ class Posterior:
         Posterior mean and standard deviation.
     correlation : array (n_bands, n_materials, n_materials)
         Correlations between the materials, per band.
-    points, cumulative : array (n_materials, n_bands, n_points)
-        The distribution function of every coefficient.
+    points : array (n_materials, n_bands, 201)
+        Quantiles of every coefficient at the normal values `rtcal.support.normal.NORMAL`.
     prior_sigma : array (n_materials, n_bands)
         Standard deviation of the truncated prior.
-    samples : array (n_samples, n_materials, n_bands), optional
-        Only if sampling was needed.
-    effective_samples : array (n_materials, n_bands), optional
-        Number of independent samples with the same standard error of the mean, which is
-        sigma / sqrt(effective_samples).
+    samples : array (n_samples, n_materials, n_bands)
+        Draws of equal weight.
+    effective_samples : array (n_materials, n_bands)
+        Number of draws of equal weight that are worth those that the distribution rests on.
     effects : dict of str to array (n_samples,)
         Samples of the sizes of further unknowns.
     """
@@ -59,10 +52,9 @@ class Posterior:
     sigma: Array
     correlation: Array
     points: Array
-    cumulative: Array
     prior_sigma: Array
-    samples: Array | None = None
-    effective_samples: Array | None = None
+    samples: Array
+    effective_samples: Array
     effects: dict[str, Array] = field(default_factory=dict)
 
     def quantile(self, probability: float) -> Array:
@@ -73,7 +65,8 @@ class Posterior:
         checks.number("probability", probability)
         if not 0 < probability < 1:
             raise DataError(f"probability = {probability:g} is not between 0 and 1")
-        return _quantile(self.points, self.cumulative, probability)
+        z = ndtri(probability)
+        return np.apply_along_axis(lambda x: np.interp(z, NORMAL, x), -1, self.points)
 
     def interval(self, level: float = 0.9) -> tuple[Array, Array]:
         """Return the ends of the credible interval, both (n_materials, n_bands).
@@ -86,7 +79,7 @@ class Posterior:
         checks.number("level", level)
         if not 0 < level < 1:
             raise DataError(f"level = {level:g} is not between 0 and 1")
-        return _interval(self.alpha, self.points, self.cumulative, level)
+        return intervals(self.alpha, self.points, level)
 
     @property
     def identifiability(self) -> Array:
@@ -101,15 +94,53 @@ class Posterior:
         return np.asarray(1 - ratio)
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Densities:
+    """The densities of a calibration's unknowns with the measurement and without it.
+
+    The unknowns are the coefficients, row by row with the bands last, and then the further ones.
+
+    Attributes
+    ----------
+    rows : tuple of int (n_materials,)
+        The row of coefficients of each material; several materials may share a row.
+    n_bands : int
+    further : tuple of str
+        Names of the further unknowns.
+    separate : bool
+        Whether each band stands for itself: independent priors, and one matched sum.
+    posterior, prior : Density
+    """
+
+    rows: tuple[int, ...]
+    n_bands: int
+    further: tuple[str, ...]
+    separate: bool
+    posterior: Density
+    prior: Density
+
+    def of_materials(self, values: NDArray[Any]) -> NDArray[Any]:
+        """Return the coefficients' entries of values (size, ...), (n_materials, n_bands, ...)."""
+        n = (max(self.rows) + 1) * self.n_bands
+        return values[:n].reshape(-1, self.n_bands, *values.shape[1:])[list(self.rows)]
+
+    def quantiles(self, parts: list[Draws]) -> Array:
+        """Return the coefficients' quantiles at `NORMAL`, (n_materials, n_bands, 201)."""
+        table = np.repeat(self.posterior.point[:, np.newaxis], len(NORMAL), axis=1)
+        for part in parts:
+            table[part.unknowns] = part.quantiles
+        return self.of_materials(table)
+
+
 @runtime_checkable
 class HasDensity(Protocol):
     """A result that has a posterior density."""
 
-    def density(self) -> IndependentBands | CoupledBands:
+    def density(self) -> Densities:
         """Return the density of the coefficients given the measurement."""
 
 
-def distribution(result: HasDensity, n_samples: int = 4000, seed: int = 0) -> Posterior:
+def distribution(result: HasDensity, n_samples: int = 1024, seed: int = 0) -> Posterior:
     """Return the posterior distribution of a calibration's coefficients.
 
     The prior is normal with the room's sigma, truncated to the bounds. The error of b is normal with
@@ -120,9 +151,9 @@ def distribution(result: HasDensity, n_samples: int = 4000, seed: int = 0) -> Po
     ----------
     result : CalibrationResult or JointResult
     n_samples : int
-        Number of samples if sampling is needed.
+        Number of samples, and at least as many draws are made.
     seed : int
-        Seed of the sampler.
+        Seed of the evenly spread points from which they come.
 
     Raises
     ------
@@ -130,7 +161,7 @@ def distribution(result: HasDensity, n_samples: int = 4000, seed: int = 0) -> Po
         If the objective is not a log-density: a prior with one sigma for all (`lse`) or a
         `HuberDeviation` (`robust`).
     SolverError
-        If sampling was needed and no point inside the constraints was found.
+        If no point inside the constraints was found.
     DataError
         If ``result`` is not the result of a calibration, ``n_samples`` not a whole number of at
         least 2, or ``seed`` not one of at least 0.
@@ -147,131 +178,69 @@ def distribution(result: HasDensity, n_samples: int = 4000, seed: int = 0) -> Po
         raise DataError(f"result = {result!r} is not the result of a calibration")
     checks.whole("n_samples", n_samples, 2)
     checks.whole("seed", seed, 0)
-    density = result.density()
-    if isinstance(density, IndependentBands):
-        return exact_posterior(density)
-    return _sampled(density, n_samples, seed)
-
-
-def exact_posterior(bands: IndependentBands) -> Posterior:
-    """Return the posterior of independent priors with one matched sum per band."""
-    shape = bands.mu.shape
-    points = np.repeat(bands.alpha[:, :, np.newaxis], POINTS, axis=2)
-    cumulative = np.broadcast_to(np.linspace(0, 1, POINTS), points.shape).copy()
-    mean, sigma, prior_sigma = bands.alpha.copy(), np.zeros(shape), np.zeros(shape)
-    correlation = np.tile(np.eye(shape[0]), (shape[1], 1, 1))
-    for k in _bands_with_freedom(bands):
-        free = np.flatnonzero(bands.sigma[:, k] > 0)
-        prior_sigma[free, k] = np.sqrt(np.diag(unmatched(*_prior(bands, free, k)).covariance))
-        band = _band(bands, free, k, covariances=True)
-        points[free, k], cumulative[free, k] = band.points, band.cumulative
-        mean[free, k] = band.mean
-        spread = sigma[free, k] = np.sqrt(np.diag(band.covariance))
-        product = np.outer(spread, spread)
-        between = np.divide(band.covariance, product, out=np.eye(len(free)), where=product > 0)
-        # Variances and covariances come from two quadratures, which agree to 1e-4.
-        correlation[k][np.ix_(free, free)] = np.clip(between, -1, 1)
-    rows = list(bands.rows)
+    known = result.density()
+    parts = draws(known.posterior, 2 ** max(10, (n_samples - 1).bit_length()), seed)
+    points, prior = known.quantiles(parts), known.quantiles(draws(known.prior, seed=seed))
+    every = samples(known.posterior, parts, n_samples, seed)
+    effective = np.full(len(known.posterior.point), float(n_samples))
+    for part in parts:
+        effective[part.unknowns] = part.effective
+    mean, sigma = _moments(points)
     return Posterior(
-        bands.alpha[rows],
-        mean[rows],
-        sigma[rows],
-        correlation[:, rows][:, :, rows],
-        points[rows],
-        cumulative[rows],
-        prior_sigma[rows],
+        alpha=known.of_materials(known.posterior.point),
+        mean=mean,
+        sigma=sigma,
+        correlation=correlations(known, parts),
+        points=points,
+        prior_sigma=_moments(prior)[1],
+        samples=np.moveaxis(known.of_materials(every.T), -1, 0),
+        effective_samples=known.of_materials(effective),
+        effects={
+            name: every[:, every.shape[1] - len(known.further) + i]
+            for i, name in enumerate(known.further)
+        },
     )
 
 
-def exact_interval(bands: IndependentBands, level: float) -> tuple[Array, Array]:
-    """Return the ends of `Posterior.interval`, both (n_materials, n_bands).
-
-    They equal those of `exact_posterior`, but take less time, since no correlations are computed.
-    """
-    ends = bands.alpha.copy(), bands.alpha.copy()
-    for k in _bands_with_freedom(bands):
-        free = np.flatnonzero(bands.sigma[:, k] > 0)
-        band = _band(bands, free, k, covariances=False)
-        of_band = _interval(bands.alpha[free, k], band.points, band.cumulative, level)
-        for end, values in zip(ends, of_band, strict=True):
-            end[free, k] = values
-    rows = list(bands.rows)
-    return ends[0][rows], ends[1][rows]
-
-
-def _bands_with_freedom(bands: IndependentBands) -> list[int]:
-    """The bands in which a coefficient may move."""
-    return np.flatnonzero((bands.sigma > 0).any(axis=0)).tolist()
-
-
-def _prior(bands: IndependentBands, free: Rows, k: int) -> tuple[Array, Array, Array, Array]:
-    """mu, sigma, lower and upper bound of the free rows in band k."""
-    return bands.mu[free, k], bands.sigma[free, k], bands.lower[free, k], bands.upper[free, k]
-
-
-def _band(bands: IndependentBands, free: Rows, k: int, *, covariances: bool) -> Marginals:
-    """The marginals of the free rows in band k."""
-    if not np.isfinite(bands.target[k]):
-        return unmatched(*_prior(bands, free, k))
-    held = np.where(bands.sigma[:, k] > 0, 0.0, bands.alpha[:, k])
-    of_sum = passed_on if bands.exact and bands.noise[k] > 0 else marginal_distributions
-    return of_sum(
-        *_prior(bands, free, k),
-        bands.areas[free],
-        float(bands.target[k] - bands.areas @ held),
-        float(bands.noise[k]),
-        float(bands.multiplier[k]),
-        covariances=covariances,
-    )
-
-
-def _interval(alpha: Array, points: Array, cumulative: Array, level: float) -> tuple[Array, Array]:
-    """The ends of `Posterior.interval` of distribution functions (..., n_points), shape (...)."""
-    low, high = np.empty(alpha.shape), np.empty(alpha.shape)
-    for place in np.ndindex(*alpha.shape):
-        x, of_x, own = points[place], cumulative[place], alpha[place]
-        below = float(np.interp(own, x, of_x))
-        start = min(max((1 - level) / 2, below - level), below)
-        low[place] = np.minimum(np.interp(start, of_x, x), own)
-        high[place] = np.maximum(np.interp(start + level, of_x, x), own)
-    return low, high
-
-
-def _quantile(points: Array, cumulative: Array, probability: float) -> Array:
-    """The quantiles of distribution functions (..., n_points), shape (...)."""
-    out = np.empty(points.shape[:-1])
-    for place in np.ndindex(*out.shape):
-        out[place] = np.interp(probability, cumulative[place], points[place])
+def correlations(known: Densities, parts: list[Draws]) -> Array:
+    """Return the correlations between the materials, (n_bands, n_materials, n_materials)."""
+    place = known.of_materials(np.arange(len(known.posterior.point)))
+    n = len(place)
+    out = np.tile(np.eye(n), (known.n_bands, 1, 1))
+    for part in parts:
+        centred = part.values - part.weights @ part.values
+        covariance = (centred.T * part.weights) @ centred
+        spread = np.sqrt(np.diag(covariance))
+        scaled = np.divide(1.0, spread, out=np.zeros_like(spread), where=spread > _ROUNDING)
+        between = np.clip(covariance * np.outer(scaled, scaled), -1, 1)
+        for k in range(known.n_bands):
+            at = np.searchsorted(part.unknowns, place[:, k])
+            at[at == len(part.unknowns)] = 0
+            own = np.flatnonzero((part.unknowns[at] == place[:, k]) & (scaled[at] > 0))
+            out[k][np.ix_(own, own)] = between[np.ix_(at[own], at[own])]
+    out[:, range(n), range(n)] = 1.0
     return out
 
 
-def _sampled(bands: CoupledBands, n_samples: int, seed: int) -> Posterior:
-    rows, n_alpha = list(bands.rows), (max(bands.rows) + 1) * bands.n_bands
-    drawn = sample(bands.posterior, n_samples, seed)
-    unknowns = drawn.values
-    alpha = unknowns[:, :n_alpha].reshape(len(unknowns), -1, bands.n_bands)[:, rows]
-    ordered = np.moveaxis(np.sort(alpha, axis=0), 0, -1)
-    levels = (np.arange(len(alpha)) + 0.5) / len(alpha)
-    sigma = alpha.std(axis=0, ddof=1)
-    sigma[np.ptp(alpha, axis=0) < _ROUNDING] = 0.0
-    scaled = (alpha - alpha.mean(axis=0)) / np.where(sigma > 0, sigma, np.inf)
-    correlation = np.einsum("sik,sjk->kij", scaled, scaled) / (len(alpha) - 1)
-    correlation[:, range(len(rows)), range(len(rows))] = 1.0
-    prior = sample(bands.prior, n_samples, seed + 1).values
-    prior_sigma = prior[:, :n_alpha].std(axis=0, ddof=1)
-    calibrated = bands.posterior.point[:n_alpha].reshape(-1, bands.n_bands)[rows]
-    return Posterior(
-        alpha=calibrated,
-        mean=alpha.mean(axis=0),
-        sigma=sigma,
-        correlation=correlation,
-        points=ordered,
-        cumulative=np.broadcast_to(levels, ordered.shape),
-        prior_sigma=prior_sigma.reshape(-1, bands.n_bands)[rows],
-        samples=alpha,
-        effective_samples=drawn.effective[:n_alpha].reshape(-1, bands.n_bands)[rows],
-        effects={name: unknowns[:, n_alpha + p] for p, name in enumerate(bands.further)},
-    )
+def intervals(alpha: Array, points: Array, level: float) -> tuple[Array, Array]:
+    """Return the ends of `Posterior.interval` of quantiles (..., 201), shape (...)."""
+    low, high = np.empty(alpha.shape), np.empty(alpha.shape)
+    for place in np.ndindex(*alpha.shape):
+        x, own = points[place], alpha[place]
+        below = float(ndtr(np.interp(own, x, NORMAL)))
+        start = min(max((1 - level) / 2, below - level), below)
+        ends = np.interp(ndtri([start, start + level]), NORMAL, x)
+        low[place], high[place] = np.minimum(ends[0], own), np.maximum(ends[1], own)
+    return low, high
+
+
+def _moments(points: Array) -> tuple[Array, Array]:
+    """Means and standard deviations of quantiles at `NORMAL`."""
+    weight = np.exp(-(NORMAL**2) / 2)
+    weight /= weight.sum()
+    mean = points @ weight
+    spread = np.sqrt((points - mean[..., np.newaxis]) ** 2 @ weight)
+    return mean, np.where(np.ptp(points, axis=-1) > _ROUNDING, spread, 0.0)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

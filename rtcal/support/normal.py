@@ -1,0 +1,67 @@
+"""The normal distribution cut to an interval: its quantiles, its mass and its moments."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.special import log_ndtr, ndtr, ndtri, ndtri_exp
+
+from rtcal.support.types import Array, read_only
+
+NORMAL = read_only(np.linspace(-5.0, 5.0, 201))
+"""Standard normal values at which quantiles are tabulated."""
+_FAR = 8.0
+"""Distance in standard deviations from which logarithms are used: the distribution function of a
+shorter one has 15 digits left of its tail."""
+_TAIL = 64.0
+"""A density counts up to where it is exp(-_TAIL / 2) = 1e-14 of its highest value."""
+_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(24)
+
+
+def truncated_normal(lower: Array, upper: Array, uniform: Array) -> Array:
+    """Return the quantiles ``uniform`` of the standard normal distribution cut to [lower, upper]."""
+    return quantile_and_mass(lower, upper, uniform)[0]
+
+
+def quantile_and_mass(lower: Array, upper: Array, uniform: Array) -> tuple[Array, Array]:
+    """Return `truncated_normal` and the logarithm of the standard normal's probability of the interval.
+
+    The logarithm is -inf where the interval is empty.
+    """
+    # The interval is mirrored to the lower side, where the tails keep all digits.
+    turned = upper > -lower
+    a, b = np.where(turned, -upper, lower), np.where(turned, -lower, upper)
+    share = np.where(turned, 1 - uniform, uniform)
+    of_a, of_b = ndtr(a), ndtr(b)
+    mass = of_b - of_a
+    far = b < -_FAR
+    with np.errstate(divide="ignore"):
+        x, mass = ndtri(of_a + share * mass), np.log(mass)
+        if far.any():
+            a, b, share = a[far], b[far], share[far]
+            of_b = log_ndtr(b)
+            ratio = np.exp(log_ndtr(a) - of_b)
+            x[far] = np.clip(ndtri_exp(of_b + np.log(share + (1 - share) * ratio)), a, b)
+            mass[far] = of_b + np.log1p(-ratio)
+    return np.where(turned, -x, x), mass
+
+
+def truncated_moments(
+    mean: Array, variance: Array, lower: Array, upper: Array
+) -> tuple[Array, Array]:
+    """Return mean and variance of a normal distribution cut to bounds, however far in its tail.
+
+    Gauss's rule about the density's peak, so that a density much narrower than the normal one keeps all
+    digits.
+    """
+    sigma = np.sqrt(variance)
+    peak = np.clip(mean, lower, upper)
+    slope = (peak - mean) / variance
+    steepness = np.abs(slope) * sigma
+    reach = sigma * _TAIL / (np.sqrt(steepness**2 + _TAIL) + steepness)
+    low, high = np.maximum(lower - peak, -reach), np.minimum(upper - peak, reach)
+    t = low[..., np.newaxis] + 0.5 * (high - low)[..., np.newaxis] * (1 + _NODES)
+    exponent = slope[..., np.newaxis] * t + 0.5 * t**2 / variance[..., np.newaxis]
+    weight = _WEIGHTS * np.exp(-exponent)
+    weight /= weight.sum(axis=-1, keepdims=True)
+    shift = np.sum(weight * t, axis=-1)
+    return peak + shift, np.sum(weight * (t - shift[..., np.newaxis]) ** 2, axis=-1)
