@@ -201,6 +201,7 @@ def density_of(band: Band) -> Density:
         row_lower=limit,
         row_upper=limit,
         row_noise=np.zeros(len(limit)),
+        rank=np.arange(len(point)),
     )
 
 

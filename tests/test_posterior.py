@@ -429,6 +429,7 @@ def test_too_many_unknowns_are_refused() -> None:
         row_lower=none,
         row_upper=none,
         row_noise=none,
+        rank=np.arange(size),
     )
     with pytest.raises(rt.errors.ModelError, match="2001 unknowns are too many"):
         draws(density)

@@ -49,7 +49,8 @@ _SLICES, _PER_STEP = 16, 16
 """Slices of a stated sum's distribution; and draws in each step of it, which get its probability."""
 _BLOCK = 128
 """Pieces that are drawn side by side, so that NumPy does the loop."""
-_FAR = 8.0
+_FAR, _REACH = 8.0, 9.0
+"""Distances in standard deviations: where logarithms begin, and where nothing is left."""
 _POINTS = ndtr(np.linspace(-3.2, 3.2, 29))
 """Probabilities at whose values, among the draws, a mixture of several densities is calculated."""
 
@@ -79,6 +80,9 @@ class Density:
         Limits of ``matrix @ u``; equal for an equality.
     row_noise : array (n_rows,)
         Standard uncertainty of what each equality is equal to.
+    rank : array (size,)
+        The order of drawing where bounds change unknowns alike: that of their names, so that places
+        change no draw.
     """
 
     point: Array
@@ -91,6 +95,7 @@ class Density:
     row_lower: Array
     row_upper: Array
     row_noise: Array
+    rank: Integers
 
 
 @dataclass(frozen=True, eq=False)
@@ -141,6 +146,7 @@ class _Part:
     """
 
     unknowns: Integers
+    rank: Integers
     mean: Array
     covariance: Array
     lower: Array
@@ -226,6 +232,7 @@ def _parts(density: Density) -> list[_Part]:
         parts.append(
             _part(
                 free[own],
+                density.rank[free[own]],
                 curvature[np.ix_(own, own)],
                 gradient[own],
                 [bound[own] for bound in box],
@@ -246,6 +253,7 @@ def _dense(matrix: Any) -> Array:
 
 def _part(
     unknowns: Integers,
+    rank: Integers,
     curvature: Array,
     gradient: Array,
     box: Sequence[Array],
@@ -271,7 +279,7 @@ def _part(
         gain = cross @ np.linalg.pinv(exact @ cross, rcond=1e-12, hermitian=True)
         mean = mean + gain @ (value - exact @ mean)
         covariance = covariance - gain @ cross.T + (gain * spread**2) @ gain.T
-    # Bounds of one value hold through the equalities; rounding must not put the value outside. And where
+    # Bounds of one value hold through the equalities; rounding must not put the value outside. Where
     # one unknown determines all, its bounds are those of all: counted twice they would be too narrow.
     idle = held.copy()
     if (~held).sum() - (equal & ~loose).sum() == 1:
@@ -285,8 +293,10 @@ def _part(
     sums = np.zeros((int(equal.sum()), len(seen)))
     sums[:, n_stated : n_stated + len(mean)] = np.where(held, 0.0, rows[equal])
     sums[loose[equal], :n_stated] = -np.eye(n_stated)
+    after = rank.max() + 1 + np.arange(len(seen) - n_stated - len(mean))
     return _Part(
         unknowns,
+        np.concatenate([np.full(n_stated, -1), rank, after]),
         seen @ mean,
         seen @ covariance @ seen.T,
         lower,
@@ -362,7 +372,7 @@ def _drawn(parts: Sequence[_Part], even: Sequence[Array]) -> list[tuple[Array, A
     free = np.isnan(stated[0])
     factors = np.where(free, precision, 0.0), np.where(free, shift, 0.0)
     cut = np.where(free, precision * np.einsum("knn->kn", covariance), np.inf)
-    order = np.argsort(-cut, axis=1, kind="stable")
+    order = np.lexsort((np.array([part.rank for part in parts]), -cut.round(6)), axis=1)
     points = np.array(even)
     values, logs = _sequence(mean, covariance, factors, (lower, upper), stated, sums, order, points)
     drawn = []
@@ -533,6 +543,7 @@ def _marginals(values: Array, weight: Array, part: _Part) -> Array:
         covariance = covariance - gain @ covariance[:first]
     spread = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     unit = np.sqrt(np.maximum(np.diag(part.covariance), 0.0))
+    gap = np.minimum(values - part.lower, part.upper - values).min(axis=0)
     out = np.empty((len(part.unknowns), len(NORMAL)))
     for row, i in zip(out, range(first, part.size), strict=False):
         if spread[i] <= _HELD:
@@ -541,11 +552,13 @@ def _marginals(values: Array, weight: Array, part: _Part) -> Array:
         # Along this line the normal density is that of the unknown alone: what stays as it is does not
         # depend on it.
         slope = covariance[:, i] / spread[i] ** 2
-        used = np.abs(slope) * spread[i] > 1e-9 * unit
+        # A bound that is farther than the density reaches counts for nothing.
+        reach = np.abs(slope) * (np.abs(values[:, i] - mean[:, i]).max() + _REACH * spread[i])
+        used = (np.abs(slope) * spread[i] > 1e-9 * unit) & (gap < reach)
         at, slope = values[:, used], slope[used]
         ends = (part.lower[used] - at) / slope, (part.upper[used] - at) / slope
-        low = np.minimum(np.minimum(*ends).max(axis=1), 0.0) + values[:, i]
-        high = np.maximum(np.maximum(*ends).min(axis=1), 0.0) + values[:, i]
+        low = np.minimum(np.minimum(*ends).max(axis=1, initial=-np.inf), 0.0) + values[:, i]
+        high = np.maximum(np.maximum(*ends).min(axis=1, initial=np.inf), 0.0) + values[:, i]
         m, s = mean[:, i], spread[i]
         turned = -1.0 if weight @ values[:, i] > m[0] else 1.0
         ends = turned * (low - m) / s, turned * (high - m) / s
@@ -574,7 +587,7 @@ def _mixture_of_several(
     points = _weighted_quantiles(values, weight, _POINTS)
     peak = np.clip(mean, lower, upper)
     ends = [
-        f(end, peak + sign * 9 * spread)
+        f(end, peak + sign * _REACH * spread)
         for f, end, sign in ((np.maximum, lower, -1), (np.minimum, upper, 1))
     ]
     ends = [ends[0].min(), ends[1].max()]

@@ -284,6 +284,9 @@ def _independent(model: NumpyModel, prior: PriorDeviation) -> bool:
 def _density(model: NumpyModel, u: Array) -> Density:
     """The density of the unknowns: a match with an uncertain b gives its sum to within u_b."""
     equal = model.row_lower == model.row_upper
+    layout = model.data.layout
+    names = np.argsort(np.argsort([layout.materials[i] for i in layout.first]))
+    rank = (names[:, np.newaxis] * layout.n_bands + np.arange(layout.n_bands)).ravel()
     return Density(
         point=u,
         gradient=model.gradient(u),
@@ -295,6 +298,7 @@ def _density(model: NumpyModel, u: Array) -> Density:
         row_lower=model.row_lower,
         row_upper=model.row_upper,
         row_noise=np.where(equal, _row_noise(model), 0.0),
+        rank=np.append(rank, np.arange(layout.n_alpha, len(u))),
     )
 
 

@@ -1,6 +1,6 @@
 """The share of `result.interval` that holds the true coefficient: 2,000 rooms with noise in T.
 
-    # 2,000 rooms; prints the table, about 15 minutes
+    # 2,000 rooms; prints the table, about 8 minutes
     python -m benchmarks.studies.calibrations.interval_coverage
     python -m benchmarks.studies.calibrations.interval_coverage --rooms 200
 
