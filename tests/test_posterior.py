@@ -11,8 +11,8 @@ import rtcal as rt
 from rtcal import terms
 from rtcal.calibration.configurations import Configurations
 from rtcal.calibration.posterior import distribution, sensitivity
-from rtcal.calibration.truncated import Density, draws, samples
 from rtcal.support.normal import NORMAL, quantile_and_mass, truncated_normal
+from rtcal.support.truncated import Density, draws, samples
 from tests.conftest import also, random_room, true_times
 from tests.quadrature import Band, density_of, errors, random_band
 

@@ -32,7 +32,6 @@ from rtcal.calibration.terms import (
     RoomMatch,
     SoftMatch,
 )
-from rtcal.calibration.truncated import Draws, draws
 from rtcal.calibration.uncertainty import (
     density,
     estimate_covariance,
@@ -44,6 +43,7 @@ from rtcal.calibration.uncertainty import (
 )
 from rtcal.support import checks
 from rtcal.support.errors import DataError, ModelError
+from rtcal.support.truncated import Draws, draws
 from rtcal.support.types import Array
 
 _SAME_TIME = 1e-6

@@ -9,11 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtr, ndtri
 
-from rtcal.calibration.truncated import Density, Draws, draws, samples
 from rtcal.support import checks, kkt
 from rtcal.support.errors import DataError
 from rtcal.support.kkt import Hessian
 from rtcal.support.normal import NORMAL
+from rtcal.support.truncated import Density, Draws, draws, samples
 from rtcal.support.types import Array
 
 __all__ = ["Posterior", "distribution", "sensitivity"]

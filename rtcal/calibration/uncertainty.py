@@ -24,8 +24,8 @@ from rtcal.calibration.terms import (
     SoftMatch,
     match_matrix,
 )
-from rtcal.calibration.truncated import Density
 from rtcal.support.errors import ModelError
+from rtcal.support.truncated import Density
 from rtcal.support.types import Array
 
 Assemble = Callable[[Sequence[MeasuredTimes]], ProblemData]
