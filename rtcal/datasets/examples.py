@@ -166,7 +166,7 @@ _EXAMPLES: Mapping[str, tuple[Mapping[str, str], tuple[str, ...]]] = {
         {name: f"where_room/{name}" for name in ("room.toml", "room.obj", "pairs.csv")},
         (
             "rtcal find room.toml pairs.csv --out page",
-            "rtcal apply page --out corrected",
+            "rtcal apply page --effect curtain --out corrected",
         ),
     ),
 }
