@@ -35,15 +35,3 @@ def chromium(place: Path, url: Path | str, *arguments: str) -> subprocess.Comple
         check=True,
         cwd=place,
     )
-
-
-def printed(place: Path, page: Path) -> list[str]:
-    """The text of each sheet of a printed page, as poppler reads it."""
-    program = shutil.which("pdftotext")
-    if program is None:
-        pytest.skip("needs Debian's poppler-utils, which is not installed here")
-    pdf = place / "printed.pdf"
-    chromium(place, page, "--no-pdf-header-footer", f"--print-to-pdf={pdf}")
-    command = [program, "-layout", str(pdf), "-"]
-    done = subprocess.run(command, capture_output=True, text=True, check=True)
-    return done.stdout.removesuffix("\f").split("\f")

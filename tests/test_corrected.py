@@ -7,7 +7,6 @@ import re
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -243,43 +242,6 @@ def test_a_geometric_simulator_takes_the_absorber_on_its_walls() -> None:
     np.testing.assert_allclose(
         run(sim, done.room.alpha).mean("t20"), measured.mean("t20"), rtol=0.05
     )
-
-
-def other_bands(room: rt.Room) -> rt.Room:
-    """The room with its first two columns of coefficients at 250 and 500 Hz."""
-    return room.replace(
-        alpha=room.alpha[:, :2], sigma=room.sigma[:, :2], centre_frequencies=[250, 500]
-    )
-
-
-def test_what_a_simulator_cannot_have_is_refused() -> None:
-    case = boxed()
-    for effect, message in (("coupled room", "second room"), ("noise floor", "take the noise off")):
-        (added,) = (p for p in SHAPES if p.name == effect)
-        with pytest.raises(DataError, match=message):
-            simulator(replace(case, applied=[added]), images)
-    other = rt.Room(
-        name="other",
-        volume=105,
-        materials=["all"],
-        areas=[142],
-        alpha=[[0.1, 0.1]],
-        sigma=[[0.1, 0.1]],
-        centre_frequencies=[500, 1000],
-        dimensions=SIDES,
-    )
-    with pytest.raises(DataError, match="has the materials all; the case has"):
-        simulator(case, lambda room: images(other))
-    with pytest.raises(DataError, match="2 bands, 250 to 500 Hz; the case has "):
-        simulator(case, lambda room: images(other_bands(room)))
-    moved = replace(case, applied=[AppliedEffect("volume", {"ratio": 1.2})])
-    with pytest.raises(DataError, match="states no dimensions"):
-        simulator(moved, images)  # the box's sides are not known any more
-    for interval, message in ((3, "is not a list of 2 numbers"), ("x", "size_interval")):
-        data: dict[str, Any] = case.to_dict()
-        data["present"][0]["size_interval"] = interval
-        with pytest.raises(DataError, match=message):
-            Case.from_dict(data)
 
 
 @dataclass(frozen=True)

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import struct
 import tracemalloc
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
-from scipy.io import wavfile
 
 from rtcal.io import budget
 from rtcal.io import impulse_responses as ir
@@ -22,15 +22,6 @@ pytest.importorskip("pyrato")
 soundfile = pytest.importorskip("soundfile")
 
 RATE = 44100
-
-
-class NotFinite:
-    """A signal that pyfar would refuse to make."""
-
-    sampling_rate = 8000.0
-
-    def __init__(self, samples: np.ndarray) -> None:
-        self.time = samples[np.newaxis]
 
 
 def decay(t: float, rate: int = RATE, length: float = 3.0) -> np.ndarray:
@@ -470,19 +461,6 @@ def test_what_is_no_impulse_response_is_not_evaluated(kind: str, noise: int, t: 
     assert len(analysis.notes) == 1
 
 
-def test_no_table_is_written_of_what_is_no_decay(tmp_path: Path, capsys) -> None:
-    """A carpet's alpha went from 0.5 to 0.09, to T that interrupted noise had."""
-    recorded = no_impulse_response("interrupted noise", 0.8, np.random.default_rng(28))
-    path, out = tmp_path / "S1-R1.wav", tmp_path / "t.csv"
-    soundfile.write(path, 0.9 * recorded / np.abs(recorded).max(), 16000)
-    assert run("measure", path, "--out", out) == 2
-    assert not out.exists()
-    assert (
-        "the energy arrives late, as in a recording of a sweep, of interrupted noise"
-        in " ".join(capsys.readouterr().err.split())
-    )
-
-
 @pytest.mark.parametrize("t", [0.3, 1.2])
 @pytest.mark.parametrize("kind", ["direct sound", "late reflection", "slow rise", "nothing"])
 def test_an_unusual_impulse_response_is_evaluated(kind: str, t: float) -> None:
@@ -508,13 +486,6 @@ def test_decays_are_not_taken_for_clipped() -> None:
             rounded = np.round(samples / np.abs(samples).max() * 2**bits) / 2**bits
             assert clipped_samples(rounded) == 0
             assert clipped_samples(np.clip(rounded, -0.5, 0.5)) > 3
-
-
-def test_short_decays_are_noted() -> None:
-    rng = np.random.default_rng(5)
-    analysis = ir.analyse(pyfar.Signal(response(0.04, rng)[:4000], 16000), bands=[63, 125, 1000])
-    assert any("125 Hz: B T = " in note and "below 4" in note for note in analysis.notes)
-    assert not any("1000 Hz" in note for note in analysis.notes)
 
 
 def test_files(tmp_path: Path) -> None:
@@ -569,60 +540,35 @@ def test_channels_are_no_receivers_unless_stated(tmp_path: Path) -> None:
     assert pairs == (("S1", "R1-1"), ("S1", "R1-2"))
 
 
-def test_a_file_that_cannot_be_used_is_named_first(tmp_path: Path) -> None:
-    """A NaN was "cannot be read as WAV", and a silent file "silent, or a sample is not finite"."""
-    good = wav(np.exp(-np.arange(8000) / 800))
-    for name, content in (("a", good), ("b", wav(np.zeros(99))), ("c", wav(np.zeros(9)))):
-        (tmp_path / f"{name}.wav").write_bytes(content)
-    done: list[None] = []
-    with pytest.raises(DataError, match=r"b\.wav, .*c\.wav: silent, .* leave them out$"):
-        ir.read(sorted(tmp_path.iterdir()), progress=lambda: done.append(None))
-    assert not done
-    samples = np.exp(-np.arange(8000) / 800).astype("f4")
-    for value, rule in ((np.nan, "nan"), (np.inf, "inf")):
-        samples[41] = value
-        wavfile.write(tmp_path / "n.wav", 8000, samples)
-        with pytest.raises(
-            DataError, match=rf"n\.wav: sample 42 of 8000 is {rule}, not a finite number$"
-        ):
-            ir.read(tmp_path / "n.wav")
-        with pytest.raises(
-            DataError, match=f"^impulse response S1/R1: sample 42 of 8000 is {rule}"
-        ):
-            ir.analyse(NotFinite(samples))
-
-
-def test_bad_input(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("damage", "place"),
+    [
+        (lambda good: b"", "a.wav"),
+        (lambda good: good[:36], "a.wav"),
+        (lambda good: good[:22] + struct.pack("<H", 0) + good[24:], "a.wav"),
+        (lambda good: good[:24] + struct.pack("<I", 500) + good[28:], "500 Hz"),
+        (lambda good: wav(np.zeros(8000)), "silent"),
+        (lambda good: wav(np.ones(2**22 + 1)), "4194305 samples"),
+    ],
+)
+def test_bad_files(tmp_path: Path, damage: Callable[[bytes], bytes], place: str) -> None:
     path = tmp_path / "a.wav"
-    good = wav(np.exp(-np.arange(8000) / 800))
-    for content, rule in (
-        (b"", r"a\.wav: cannot be read as sound: it is damaged"),
-        (good[:36], "cannot be read as sound"),
-        (
-            good.replace(struct.pack("<HH", 1, 1), struct.pack("<HH", 2, 1), 1),
-            "cannot be read as sound",
-        ),
-        (good[:22] + struct.pack("<H", 0) + good[24:], "cannot be read as sound"),
-        (good[:24] + struct.pack("<I", 500) + good[28:], "a sampling rate of 500 Hz"),
-        (wav(np.zeros(8000)), r"a\.wav: silent, every sample is 0; leave it out"),
-        (
-            wav(np.ones(2**22 + 1)),
-            "declares 4194305 samples in each channel; at most 4194304 are read: that is 524 s",
-        ),
-    ):
-        path.write_bytes(content)
-        with pytest.raises(DataError, match=rule):
-            ir.read(path)
-    path.write_bytes(good)
-    for arguments, rule in (
-        ({"bands": "half"}, 'bands = "half"'),
-        ({"bands": [8000]}, "8000 Hz; it is no octave below half"),
-        ({"bands": [440]}, "440 Hz; it is no octave"),
-        ({"minimum_range": {"t99": 3.0}}, r"minimum_range\[t99\]"),
-    ):
-        with pytest.raises(DataError, match=rule):
-            ir.read(path, **arguments)  # type: ignore[arg-type]
-    with pytest.raises(DataError, match="no such file"):
-        ir.read(tmp_path / "none.wav")
-    with pytest.raises(DataError, match="no file of an impulse response"):
-        ir.read([])
+    path.write_bytes(damage(wav(np.exp(-np.arange(8000) / 800))))
+    with pytest.raises(DataError, match=place):
+        ir.read(path)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "place"),
+    [
+        ({"bands": "half"}, "bands"),
+        ({"bands": [8000]}, "8000 Hz"),
+        ({"bands": [440]}, "440 Hz"),
+        ({"minimum_range": {"t99": 3.0}}, "t99"),
+    ],
+)
+def test_bad_arguments(tmp_path: Path, arguments: dict, place: str) -> None:
+    path = tmp_path / "a.wav"
+    path.write_bytes(wav(np.exp(-np.arange(8000) / 800)))
+    with pytest.raises(DataError, match=place):
+        ir.read(path, **arguments)

@@ -106,32 +106,6 @@ def test_no_command_writes_over_what_it_reads(tmp_path: Path, monkeypatch, capsy
     assert {p: p.read_bytes() for p in tmp_path.iterdir()} == before
 
 
-@pytest.mark.parametrize(
-    ("command", "written"),
-    [
-        ("table t.csv --out d.pdf", ".csv and .xlsx"),
-        ("measure s1.wav --out d.html", ".csv and .xlsx"),
-        ("report calibrated --out c.PDF", ".html and .htm and .xlsx"),
-        ("import check hall.obj --mended m.stl", ".obj"),
-        ("import catt hall.geo --mesh hall.obj --out r.toml --mended m.stl", ".obj"),
-        ("import catt hall.geo --area a=9 --volume 9 --out y.geo", ".toml"),
-    ],
-)
-def test_no_file_ends_as_one_of_another_format(
-    tmp_path: Path, monkeypatch, capsys, command: str, written: str
-) -> None:
-    """A page was written as c.pdf, and a table as d.pdf."""
-    monkeypatch.chdir(tmp_path)
-    Path("t.csv").write_text("band,T20\n500,1.5\n")
-    assert run(*command.split()) == 2
-    said = " ".join(capsys.readouterr().err.split())
-    assert f"is not written; written are {written}" in said
-    assert [
-        path.name for path in tmp_path.iterdir() if not path.name.startswith(".rtcal_files")
-    ] == ["t.csv"]
-    assert run("table", "t.csv", "--out", "d.txt") == 0
-
-
 def test_a_table_is_written_before_it_is_shown(tmp_path: Path, monkeypatch) -> None:
     """Into ``| head`` the page may end half-way; the file must not."""
     path, out = tmp_path / "in.csv", tmp_path / "t.csv"
@@ -375,27 +349,3 @@ def test_a_room_goes_back_into_the_list_that_as_took_it_from(tmp_path: Path, cap
     assert Path(out).read_bytes() == listed.read_bytes()
     assert run(*back, "--as", "wall=4002 Gypsum board") == 2
     assert '--as: "wall" is no material of the room' in capsys.readouterr().err
-
-
-def test_a_new_list_has_the_names_that_are_stated(tmp_path: Path, capsys) -> None:
-    room, out = tmp_path / "room.toml", tmp_path / "new.geo"
-    areas = ["--area", "painted brickwork=120", "--volume", "100"]
-    assert (
-        run(
-            "import",
-            "catalogue",
-            *areas,
-            "--catalogue",
-            "painted brickwork=brickwork",
-            "--out",
-            room,
-        )
-        == 0
-    )
-    capsys.readouterr()
-    assert run("export", "catt", room, out, "--as", "painted brickwork=my brick") == 2
-    assert 'material "my brick": a name for CATT-Acoustic is ASCII' in capsys.readouterr().err
-    assert run("export", "catt", room, tmp_path / "renamed.geo") == 0
-    assert '"painted brickwork" is painted_brickwork' in capsys.readouterr().out
-    assert run("export", "catt", room, out, "--as", "painted brickwork=brick") == 0
-    assert "ABS brick = <" in out.read_text(encoding="ascii")

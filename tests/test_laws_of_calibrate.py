@@ -10,12 +10,8 @@ import pytest
 
 import rtcal as rt
 from rtcal.acoustics.quality import MET
-from rtcal.finder.means.finding import feature_names
-from rtcal.loop.calibrate import calibrate_simulator
-from rtcal.report import loop_page
 from rtcal.report import page as page_module
 from rtcal.report.page import calibration_page
-from rtcal.simulators import EquationSimulator
 from rtcal.support.errors import DataError
 from tests.conftest import also
 from tests.report.pages import no_figures
@@ -164,24 +160,3 @@ def test_one_verdict_decides_what_text_page_and_record_say(monkeypatch) -> None:
             assert "agrees" not in plain
             assert "of 5 bands" in plain or "in no band" in plain
     assert levels == {"agrees", "open", "contradicts"}
-
-
-def test_t30_is_called_t30() -> None:
-    """No text about T30 alone names T20 as what was measured or matched."""
-    given = room()
-    t = 1.1 * rt.Eyring().reverberation_time(given)
-    measured = rt.Measurement.from_values(BANDS, t30=t)
-    assert measured.time_label == "T30"
-    assert rt.Measurement.from_values(BANDS, t20=t, t30=t).time_label == "T20"
-    mixed = rt.Measurement.from_values(BANDS, t20=[*t[:2], *[np.nan] * 3], t30=t)
-    assert mixed.time_label == "T20 and T30"
-    assert feature_names(measured)[:2] == ("T30", "EDT/T30")
-    result = rt.calibrate(given, measured)
-    for said in (str(result), result._repr_html_(), calibration_page(result)):
-        assert "T30" in said
-        assert "T20" not in re.sub(r"base64,[A-Za-z0-9+/=]+", "", said)
-    looped = calibrate_simulator(EquationSimulator(rt.Kuttruff(), given), given, measured)
-    assert looped.loop.matched.label == "T30"
-    page = loop_page.page(looped)
-    assert "so that T30 comes nearer to what was measured" in page
-    assert "Only T30 was fitted" in page

@@ -23,12 +23,6 @@ FORMATS: dict[str, Any] = {
 FILES = [(name, i) for name in FORMATS for i in range(len(fuzz.READERS[name].seeds))]
 
 
-def room_of(listed: Any) -> rt.Room:
-    return listed.room(
-        name="hall", volume=500, areas={n: 40.0 + i for i, n in enumerate(listed.names)}
-    )
-
-
 @pytest.mark.parametrize(("name", "i"), FILES)
 def test_nothing_changed_is_the_same_bytes(name: str, i: int, tmp_path: Path) -> None:
     content = fuzz.READERS[name].seeds[i]
@@ -70,30 +64,6 @@ def test_only_calibrated_values_change(name: str, i: int, tmp_path: Path) -> Non
     assert again[1] == pytest.approx(number, rel=1e-14)
     assert again[:1] + again[2:] == first.alpha[:1] + first.alpha[2:]
     assert report.room.alpha[0, 1] == pytest.approx(number, rel=1e-14)
-
-
-@pytest.mark.parametrize("program", ["catt", "odeon", "pyroomacoustics", "bras"])
-def test_an_export_says_whether_the_list_is_new(program: str, tmp_path: Path) -> None:
-    """A mistyped name made a new list, with the same output as for a changed one."""
-    module = getattr(rt.io, program)
-    alpha = np.full((1, 8), 0.1)
-    frequencies = (63, 125, 250, 500, 1000, 2000, 4000, 8000)
-    room = rt.Room(
-        name="",
-        volume=60,
-        materials=["wall"],
-        areas=[90],
-        alpha=alpha,
-        sigma=alpha / 5,
-        centre_frequencies=frequencies,
-    )
-    path, copy = tmp_path / "list", tmp_path / "copy"
-    first, second = module.write(room, path), module.write(room, path)
-    third = module.write(room, copy, template=path)
-    assert (first.template, second.template, third.template) == (None, str(path), str(path))
-    assert str(first).startswith(f"{path}: new list, since there was no such file\nT by Eyring")
-    assert str(second).startswith(f"{path}: changed list\n")
-    assert str(third).startswith(f"{copy}: changed {path}\n")
 
 
 def test_rounding_is_told_as_a_change_of_t(tmp_path: Path) -> None:
@@ -404,47 +374,3 @@ PANEL = {
     ),
     "bras": (b"125,250,500\n0.3,%s,0.5\n", 1.0),
 }
-ROOM = b"""name = "office"
-volume = 90
-centre_frequencies = [500, 1000]
-[[material]]
-name = "panel"
-area = 100
-alpha = [%s, 0.9]
-sigma = 0.1
-"""
-
-
-@pytest.mark.parametrize("alpha", [1.01, 1.2, 1.5, 1.9, 2.5, 40.0])
-@pytest.mark.parametrize("name", [*PANEL, "room", "python"])
-def test_a_laboratorys_alpha_above_one_is_refused_with_what_takes_it(
-    name: str, alpha: float, tmp_path: Path
-) -> None:
-    """The message was "1.05 is not in [0, 1]" alone."""
-    path = tmp_path / ("room.toml" if name == "room" else "list.csv")
-    content, unit = PANEL.get(name, (ROOM, 1.0))
-    path.write_bytes(content % f"{unit * alpha:g}".encode())
-    with pytest.raises(DataError) as refused:
-        if name == "python":
-            rt.Room(
-                name="office",
-                volume=90,
-                centre_frequencies=[500],
-                materials=["panel"],
-                areas=[100.0],
-                alpha=[[alpha]],
-                sigma=[[0.1]],
-            )
-        elif name == "room":
-            rt.Room.from_file(path)
-        else:
-            FORMATS[name].read(path)
-    said = str(refused.value)
-    assert f"{unit * alpha:g} is not in [0, {unit:g}]" in said
-    is_of_a_laboratory = alpha <= 2
-    assert ('above_one = "clip"' in said) == is_of_a_laboratory
-    assert ("rtcal import library" in said) == is_of_a_laboratory
-    assert (f"in this list write {unit:g}" in said) == (is_of_a_laboratory and name in PANEL)
-    if name == "room" and is_of_a_laboratory:  # what it says is so
-        path.write_bytes(b'above_one = "clip"\n' + path.read_bytes())
-        assert rt.Room.from_file(path).alpha[0, 0] == 1

@@ -743,26 +743,6 @@ def test_the_pictures_legend_is_in_the_picture() -> None:
         assert 0 <= box.y0 < box.y1 <= figure.bbox.height
 
 
-def test_a_size_that_hardly_any_room_has_is_told_in_other_units(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """1.6e7 m³ of a model in inches and 93,150 m³ of one in feet were taken in silence."""
-    path = tmp_path / "room.obj"
-    for unit, told in ((1.0, False), (0.0254, True)):
-        said = said_by(capsys, "check", obj([(n, p / unit) for n, p in walls()], path))
-        assert ("it is 280 m³ in inches (--unit 0.0254)" in said) == told
-    hall = block((0, 0, 0), np.array((22, 15, 8)) / 0.3048)
-    more = "more than most halls have; it is 2640 m³ in feet (--unit 0.3048)"
-    for drawn, options in ((hall, ()), (hall[:-1], ("--open",))):
-        said = said_by(capsys, "check", obj(drawn, path), *options)
-        assert (more if not options else "m³ in feet (--unit 0.3048)") in said
-        assert "x × y × z = 72.2 × 49.2 × 26.2 m" in said
-    for unit, box in ((0.3048, "22 × 15 × 8 m"), (1.0, "72.2 × 49.2 × 26.2 m")):
-        said = said_by(capsys, "check", obj(hall, path), "--unit", unit)
-        assert "in feet" not in said  # the user has said so
-        assert box in said
-
-
 def test_a_refused_mesh_in_another_unit_says_so_first(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -3,20 +3,16 @@
 from __future__ import annotations
 
 import json
-import re
 from collections.abc import Sequence
 from dataclasses import replace
 from itertools import combinations
 from math import exp, factorial
-from pathlib import Path
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 from scipy.stats import multivariate_t
 
 import rtcal as rt
-from rtcal.command.main import cli
 from rtcal.finder import (
     AppliedEffect,
     Case,
@@ -351,54 +347,6 @@ def test_bad_numbers_of_effects_are_refused(argument: str, value: float, words: 
     case = case_with()
     with pytest.raises(DataError, match=words):
         sought(case, **{argument: value})
-
-
-def test_the_command_finds_and_adds_the_set(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    case = case_with(*BOTH)
-    monkeypatch.setattr(
-        "rtcal.finder.means.search.control_rooms", lambda *_a, **_k: controls_of(case)
-    )
-    case.save(str(tmp_path / "case.json"))
-
-    def run(*arguments: str) -> str:
-        done = CliRunner().invoke(cli, [*arguments], catch_exceptions=False)
-        assert done.exit_code == 0, done.output
-        return done.stdout
-
-    only = [x for name in FEW for x in ("--only", name)]
-    path, out = str(tmp_path / "case.json"), str(tmp_path / "corrected.json")
-    said = json.loads(run("find", path, *only, "--most", "3", "--json"))
-    assert set(said["members"]) == {"volume", "noise floor"}
-    words = " ".join(run("find", path, *only, "--most", "3").split())
-    assert re.search(r"number of effects: (one with \d+ %, )?two with \d+ %", words), words
-    assert "candidates" in json.loads(run("find", path, *only, "--json"))
-    found = str(tmp_path / "found.json")
-    run("find", path, *only, "--most", "3", "--out", found)
-    added = run("apply", found, "--out", out)
-    assert "the most probable set" in added
-    assert "; verdict" not in added
-    assert "It is claimed." in " ".join(added.split())
-    assert {a.name for a in Case.from_file(out).applied} == {"volume", "noise floor"}
-    pytest.importorskip("jinja2", reason="needs the extra report")
-    pytest.importorskip("matplotlib", reason="needs the extra report")
-    run("find", path, *only, "--most", "3", "--out", str(tmp_path / "page"))
-    text = (tmp_path / "page" / "report.html").read_text(encoding="utf-8")
-    # The set and its probabilities come first, then what to do, then the calibration with the set.
-    order = [
-        "The model lacks",
-        "without the others",
-        "Number of effects",
-        "rtcal plan",
-        "in the model, calibrated to T20",
-        "Sets of effects, the most probable first",
-        "noise floor + volume" if "noise floor + volume" in text else "volume + noise floor",
-        "From here on, text, tables and pictures are of the plain calibration",
-    ]
-    assert [text.index(words) for words in order] == sorted(map(text.index, order))
-    assert "--most 3 --out" in text
-    assert (tmp_path / "page" / "probabilities.png").is_file()
 
 
 def test_a_decay_that_the_second_room_decides_can_be_calibrated() -> None:

@@ -218,34 +218,6 @@ def test_too_short_images_are_refused() -> None:
         images.simulate(ALPHA)
 
 
-@pytest.mark.parametrize("simulator", [ScatteringDelayNetwork, ImageSource])
-def test_bad_input(simulator: type) -> None:
-    more = {"duration": 0.05} if simulator is ImageSource else {}
-
-    def build(room: rt.Room, source: tuple = (4.5, 3.5, 2), receiver: tuple = (2, 2, 1)) -> None:
-        simulator(room=room, sources={"S": source}, receivers={"R": receiver}, **more)
-
-    with pytest.raises(DataError, match=r'source "S" = \(6, 1, 1\) m is outside the room'):
-        build(box(), (6, 1, 1))
-    with pytest.raises(DataError, match=r'receiver "R" = \(5, 1, 1\) m is outside the room'):
-        build(box(), receiver=(5, 1, 1))
-    with pytest.raises(DataError, match="at the same place"):
-        build(box(), receiver=(4.5, 3.5, 2.0))
-    with pytest.raises(DataError, match="states no dimensions"):
-        build(box().replace(dimensions=None))
-    with pytest.raises(DataError, match='has no surface "west"'):
-        build(box().replace(surfaces=()))
-    with pytest.raises(DataError, match=r'areas\["west"\] = 40 m²'):
-        build(box().replace(areas=[40, *box().areas[1:]]))
-    good = simulator(room=box(), sources=SOURCE, receivers=RECEIVER, **more)
-    with pytest.raises(DataError, match=r'alpha\["east", 4000 Hz\] = 1.2 is not in'):
-        bad = ALPHA.copy()
-        bad[1, 1] = 1.2
-        good.simulate(bad)
-    with pytest.raises(DataError, match="alpha has shape"):
-        good.simulate(ALPHA[:, :1])
-
-
 def test_too_many_images_are_refused() -> None:
     with pytest.raises(DataError, match="million image sources"):
         ImageSource(room=box(), sources=SOURCE, receivers=RECEIVER, duration=8.0)

@@ -11,48 +11,6 @@ from tests.test_io_commands import run
 
 
 @pytest.mark.parametrize(
-    ("content", "options", "rule"),
-    [
-        (
-            "Frequency,T20\n500,1\n",
-            ("--ignore", "Foo"),
-            '--ignore Foo is no column; they are "Freq',
-        ),
-        (
-            "f,T20 [s]\n500,1\n",
-            ("--ignore", "T20"),
-            '--ignore T20 is no column; they are "f", "T20 [s]"',
-        ),
-        (
-            "f,T20 [s]\n500,1\n",
-            ("--parameter", "edt"),
-            '--parameter edt is not used, since the table names its own ("T20 [s]")',
-        ),
-        (
-            "f,T20 [s]\n500,1\n",
-            ("--decay-time", "t30"),
-            "--decay-time t30 is not used, since nothing",
-        ),
-        (
-            "parameter,500\nT20,1\n",
-            ("--parameter", "edt"),
-            'names its own ("parameter")',
-        ),
-        ("parameter,500\nT20,1\n", ("--decay-time", "t30"), "--decay-time t30 is not used"),
-        ("f,RT60\n500,1\n", ("--decay-time", "edt"), "'edt' is not one of 't20', 't30'"),
-    ],
-)
-def test_an_option_that_a_table_has_no_use_for_is_refused(
-    tmp_path: Path, capsys, content: str, options: tuple[str, str], rule: str
-) -> None:
-    """A column that is not there, and a parameter that the headings override, were dropped."""
-    path = tmp_path / "in.csv"
-    path.write_text(content)
-    assert run("table", path, *options) == 2
-    assert rule in capsys.readouterr().err
-
-
-@pytest.mark.parametrize(
     "content",
     ["RT60 500 Hz,1k\n1,2\n", "Position,RT60,\n,500,1000\nA,1,2\n", "parameter,500\nRT60,1\n"],
 )

@@ -301,29 +301,6 @@ def test_sheets_of_other_parameters_are_no_repeats(repeats: bool) -> None:
 
 
 @pytest.mark.parametrize(
-    ("sheet", "odd", "usual", "said_as"),
-    [
-        ("C80", 72.9, 12.9, "C80 of 72.9 dB"),
-        ("T20", 41.0, 4.1, "T20 of 41 s"),
-        ("Ts", 9.0, 0.9, "Ts of 9 s"),  # in ms, as a small room has it, without the unit
-        ("EDT", 0.002, 0.2, "EDT of 0.002 s"),
-        ("G", 94.0, 24.0, "G of 94 dB"),  # a level
-    ],
-)
-def test_a_value_that_hardly_any_room_has_is_told(
-    sheet: str, odd: float, usual: float, said_as: str, tmp_path: Path
-) -> None:
-    rows = [["Hz", "S1R1", "S1R2"], [500, odd, usual], [1000, usual, usual]]
-    read = tables.parse(book({sheet: rows}), "room.xlsx")
-    said = f"hardly any room has {said_as} (S1 to R1 at 500 Hz): look whether"
-    assert said in " ".join(str(read).split())
-    rows[1][1] = usual
-    assert tables.parse(book({sheet: rows}), "room.xlsx").doubts == ()
-    tables.write(read.measurement, tmp_path / "t.csv")  # the native table is read without a word
-    assert tables.measurement(tmp_path / "t.csv").doubts == read.doubts
-
-
-@pytest.mark.parametrize(
     ("decimals", "changed", "said"), [(3, 0.0, True), (3, 0.002, False), (1, 0.0, False)]
 )
 def test_a_renamed_copy_is_told(decimals: int, changed: float, said: bool) -> None:

@@ -2,20 +2,15 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 
 import rtcal as rt
-from rtcal.command.main import cli
 from rtcal.finder.states import StatesFinding
 from rtcal.finder.states.surfaces import sets_of
-from rtcal.io import obj
 from rtcal.simulators import PathTracing
 from rtcal.support.types import Array
 from tests.test_where import heard, stated, tracing
@@ -173,28 +168,3 @@ def test_a_simulator_of_another_room_is_refused(
 ) -> None:
     with pytest.raises(rt.errors.DataError, match="simulator is of another room"):
         rt.find(stated(), states[1], simulator({}), before=states[0])
-
-
-@pytest.mark.long
-def test_scattering_that_the_room_does_not_state_is_given_to_the_command(
-    finding: StatesFinding, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """The message named an option that the command refused."""
-    case, model = finding.case, finding.case.simulator
-    assert model is not None
-    monkeypatch.chdir(tmp_path)
-    Path("box.obj").write_bytes(obj.text(model.geometry).encode())
-    scene = rt.Scene(
-        mesh="box.obj", sources=PLACES, receivers=model.receivers, directivity=model.directivity
-    )
-    case.room.replace(scene=scene, scattering=None).save("room.toml")
-    case.before.save("before.csv")
-    case.after.save("after.csv")
-    command = ["find", "room.toml", "after.csv", "--before", "before.csv"]
-    refused = CliRunner().invoke(cli, command)
-    assert "give --scattering NUMBER" in str(refused.exception)
-    done = CliRunner().invoke(cli, [*command, "--scattering", "0.3", "--json"])
-    assert done.exit_code == 0, done.output
-    assert json.loads(done.stdout)["surfaces"]
-    refused = CliRunner().invoke(cli, [*command, "--paths", "500"])
-    assert "--paths is not of" in str(refused.exception)

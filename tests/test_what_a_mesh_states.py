@@ -130,26 +130,6 @@ def test_a_unit_that_is_not_stated_is_said_with_the_box_that_it_gives(tmp_path: 
         assert not any("states no unit" in note for note in mesh.room(path, unit=1.0).notes)
 
 
-@pytest.mark.parametrize(
-    ("size", "doubt"),
-    [
-        ((1.6, 1.6, 1.6), "less than nearly any room has"),
-        ((150, 150, 60), "more than nearly any room has"),
-        ((8, 8, 1.2), "a height of 1.2 m is less than any room has"),
-        ((2.0, 1.5, 2.2), ""),
-        ((9, 7, 3), ""),
-    ],
-)
-def test_a_size_that_no_room_has_is_doubted_first(
-    size: tuple[float, ...], doubt: str, tmp_path: Path
-) -> None:
-    path = tmp_path / "room.dxf"
-    path.write_text(dxf(6, 1.0).replace("5.0", repr(size[0])).replace("4.0", repr(size[1])))
-    path.write_text(path.read_text().replace("3.0\n", f"{size[2]!r}\n"))
-    notes = mesh.room(path).notes
-    assert (doubt in notes[0]) if doubt else not notes
-
-
 def ply(order: str, *, colours: bool = True, triangles: int = 1) -> bytes:
     """A box of quads, the first few of them as two triangles."""
     faces = []

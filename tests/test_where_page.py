@@ -18,7 +18,7 @@ from rtcal.finder.positions import Place, PositionsFinding, PositionsVerificatio
 from rtcal.loop.control_runs import ControlRuns
 from rtcal.report import finding_pages, where_figures
 from rtcal.report.room_still import ABOVE, axes_of
-from tests.test_figures import LEAST, PHONE, texts
+from tests.test_figures import texts
 from tests.test_where_corrected import L_PLAN, candidate, case_in, prism, triangulated
 from tests.typed import wrongly_typed
 
@@ -186,25 +186,6 @@ def test_what_is_predicted_scatters_as_it_was_calibrated(
     assert not np.array_equal(
         heard.values, tracer.observe(alpha, finding.parameters, seed=0).values
     )
-
-
-def test_the_figures_are_legible_and_show_the_groups(finding: PositionsFinding) -> None:
-    drawn = finding_pages.drawn(
-        finding, verification_of(finding, {"before": 3, "plain": 2, "corrected": 1}), PLACE
-    )
-    assert set(drawn) == {"room.png", "plan.png", "map.png", "gap.png"}
-    for name, figure in drawn.items():
-        size = min(t.get_fontsize() for t in texts(figure)) / 72 * PHONE / figure.get_figwidth()
-        assert size >= LEAST, name
-    for name in ("room.png", "plan.png"):
-        said = "\n".join(t.get_text() for t in texts(drawn[name]))
-        assert "(A) not told apart by these positions" in said
-        assert "(B)" not in said  # of no surface in question
-        assert re.search(r"wall 5 \(A\):?\s60 %", said)
-        assert re.search(r"wall 0 \(A\):?\s25 %", said)
-        assert "ceiling: 15 %" in said
-        assert "measure here" in said
-    assert "measure here" not in "".join(t.get_text() for t in texts(where_figures.plan(finding)))
 
 
 @pytest.mark.parametrize("surface", [f"wall {i}" for i in range(6)])
