@@ -18,7 +18,7 @@ coefficients on a wall. Each room is judged with four sets of data (`DATA`).
 
 "Supported" is right if something is hidden, the family of the effect that was added is that of what is
 hidden, and the mean gap at the data that were held out is smaller with it. Population 0 is for
-development; population 1 is run once, with a rule that was frozen before.
+development; each other population is run once, with a rule that was frozen before. Stored is 2.
 """
 
 from __future__ import annotations
