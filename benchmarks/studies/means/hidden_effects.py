@@ -2,6 +2,8 @@
 
     python -m benchmarks.studies.means.hidden_effects run --folder out  # an hour or so; can be resumed
     python -m benchmarks.studies.means.hidden_effects table  # of the stored run, or --folder out
+    python -m benchmarks.studies.means.hidden_effects sample --folder out  # random rooms anew
+    python -m benchmarks.studies.means.hidden_effects judge  # of the stored sample, or --folder out
 
 "one": T20, EDT and T30 in one configuration; "all": two configurations, C80 and G as well.
 """
@@ -25,6 +27,7 @@ from benchmarks.studies.hidden_world.populations import DOUBLE, TOGGLED, TWINS
 from benchmarks.studies.means.judging import (
     FLAGS,
     NOTHING,
+    families_of,
     first_of,
     kept_controls,
     one,
@@ -41,6 +44,8 @@ from rtcal.finder.means.evidence import MINIMUM
 from rtcal.finder.search import find
 
 STORED = Path(__file__).parents[1] / "hidden_world" / "population_1_findings.jsonl.gz"
+SAMPLE = STORED.with_name("population_1_sample.jsonl.gz")
+"""Rooms of population 1 in random order, with the finder of 2026-11-28; the stored run is earlier."""
 NAMES = {
     1: "air",
     2: "opening",
@@ -206,6 +211,49 @@ def rows_of(folder: str | None) -> list[dict[str, Any]]:
 def store(folder: str) -> None:
     text = "\n".join(json.dumps(r, separators=(",", ":")) for r in rows_of(folder))
     STORED.write_bytes(gzip.compress(text.encode(), mtime=0))
+
+
+def sampled(index: int, folder: Path) -> dict[str, Any]:
+    """Search a room of population 1 with T20, EDT and T30, and with all data."""
+    case, truth = Case.from_dict(ROOMS[1][index]), TRUTHS[1][index]
+    controls = kept_controls(case, folder / "controls" / f"{index}.npz")
+    row = {"index": index, "kind": truth["seed"][1], "truth": truth["effects"]}
+    row["one"] = row_of(find(one(case), controls=first_of(controls)))
+    if len(case.configurations) > 1:
+        row["all"] = row_of(find(case, controls=controls))
+    return row
+
+
+def sample(folder: Path, number: int) -> None:
+    """Search the first rooms of a random order; what is there is kept."""
+    load(1)
+    warnings.simplefilter("ignore")
+    (folder / "rows").mkdir(parents=True, exist_ok=True)
+    for index in np.random.default_rng(57).permutation(len(ROOMS[1]))[:number].tolist():
+        path = folder / "rows" / f"{index}.json"
+        if not path.exists():
+            path.write_text(json.dumps(sampled(index, folder)), encoding="utf-8")
+
+
+def sample_rows(folder: str | None = None) -> list[dict[str, Any]]:
+    """Return the rows of the sample, or of a run."""
+    if folder is not None:
+        return rows_of(folder)
+    return [json.loads(line) for line in gzip.decompress(SAMPLE.read_bytes()).splitlines()]
+
+
+def judge(folder: str | None) -> None:
+    """Print flagged and detected rooms, and claims that were right, of the sample."""
+    for data in ("one", "all"):
+        rows = [(r, r[data]) for r in sample_rows(folder) if data in r]
+        hidden = [(hidden_in(r), x) for r, x in rows if 1 <= r["kind"] <= 12]
+        print(data, "flagged ", rate(found(x) for r, x in rows if r["kind"] == 0))
+        print(data, "detected", rate(found(x) for _, x in hidden))
+        names = [x["effect"] == n for n, x in hidden if x["verdict"] == "named"]
+        families = [x["family"] in families_of([n]) for n, x in hidden if x["verdict"] == "family"]
+        sets = [n in x["candidates"] for n, x in hidden if x["verdict"] == "ambiguous"]
+        for words, hits in (("names", names), ("families", families), ("sets", sets)):
+            print(data, f"{words} right", rate(hits))
 
 
 def found(row: dict[str, Any]) -> bool:
@@ -413,7 +461,8 @@ def inside(right: list[Any]) -> list[bool]:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("what", choices=("run", "table", "store"))
+    parser.add_argument("what", choices=("run", "table", "store", "sample", "judge"))
+    parser.add_argument("--number", type=int, default=60, help="rooms of a sample")
     parser.add_argument("--folder")
     parser.add_argument("--population", type=int, default=1)
     parser.add_argument("--step", type=int, default=1, help="every so many rooms")
@@ -424,6 +473,10 @@ def main() -> None:
         run(chosen.population, chosen.folder, chosen.step, chosen.workers, chosen.kept)
     elif chosen.what == "store":
         store(chosen.folder)
+    elif chosen.what == "sample":
+        sample(Path(chosen.folder), chosen.number)
+    elif chosen.what == "judge":
+        judge(chosen.folder)
     else:
         table(chosen.folder)
 
