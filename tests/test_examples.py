@@ -86,17 +86,5 @@ def test_the_case_with_a_geometry_is_read(tmp_path: Path, monkeypatch: pytest.Mo
     assert Path("where/room.toml").read_text() == where_room.stated_room(geometry).to_text()
 
 
-def test_nothing_is_written_over(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    (tmp_path / "t.csv").write_text("mine")
-    assert run("example", "room", "--out", str(tmp_path)) == 2
-    assert "t.csv exists" in capsys.readouterr().err
-    assert [
-        path.name for path in tmp_path.iterdir() if not path.name.startswith(".rtcal_files")
-    ] == ["t.csv"]
-    assert (tmp_path / "t.csv").read_text() == "mine"
-
-
 def test_the_command_offers_every_example() -> None:
     assert tuple(_PURPOSES) == examples.NAMES

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -56,12 +57,34 @@ def test_a_right_answer_is_caught_by_nothing(feasible: Case, test_set: Rooms) ->
     assert 0 <= row.error < 1e-7
 
 
-def test_infeasible_point_called_solved(feasible: Case, test_set: Rooms) -> None:
-    """The primal residual sees it even where the error in alpha is not known."""
-    x = right(feasible, test_set).x + 0.5
-    row = judged(feasible, test_set, x=x)
-    assert row.primal > 1e-3
-    assert row.wrong
+@pytest.mark.parametrize(
+    ("broken", "seen"),
+    [
+        # The primal residual sees it even where the error in alpha is not known.
+        (lambda good: {"x": good.x + 0.5}, lambda row: row.primal > 1e-3 and row.wrong),
+        (lambda good: {"y": -good.y}, lambda row: row.dual > 1e-3 and row.gap > 1e-3),
+        (lambda good: {"z": None}, lambda row: np.isnan(row.dual)),
+        (lambda good: {"x": np.full(len(good.x), np.nan)}, lambda row: row.wrong),
+        (
+            lambda good: {"status": "infeasible"},
+            lambda row: row.failed and not row.wrong and not row.detected,
+        ),
+        # As much on both sides of the box: stationarity holds, and only the gap can see it.
+        (
+            lambda good: {"z": good.z + np.tile(np.eye(len(good.x))[0], 2)},
+            lambda row: max(row.primal, row.dual) < 1e-8 and row.error < 1e-7 and row.gap > 1e-3,
+        ),
+    ],
+    ids=["infeasible", "wrong duals", "no duals", "nan", "claimed", "not complementary"],
+)
+def test_a_broken_solver_is_caught(
+    broken: Callable[[routes.Found], dict[str, object]],
+    seen: Callable[[measure.Row], bool],
+    feasible: Case,
+    test_set: Rooms,
+) -> None:
+    row = judged(feasible, test_set, **broken(right(feasible, test_set)))
+    assert seen(row)
     assert not row.passes
 
 
@@ -82,52 +105,12 @@ def test_feasible_point_that_is_not_optimal(feasible: Case, test_set: Rooms) -> 
     assert row.wrong
 
 
-def test_wrong_duals(feasible: Case, test_set: Rooms) -> None:
-    row = judged(feasible, test_set, y=-right(feasible, test_set).y)
-    assert row.error < 1e-7
-    assert row.dual > 1e-3
-    assert row.gap > 1e-3
-    assert not row.passes
-
-
-def test_missing_duals_do_not_pass(feasible: Case, test_set: Rooms) -> None:
-    row = judged(feasible, test_set, z=None)
-    assert np.isnan(row.dual)
-    assert not row.passes
-
-
-def test_nan_called_solved(feasible: Case, test_set: Rooms) -> None:
-    row = judged(feasible, test_set, x=np.full(len(right(feasible, test_set).x), np.nan))
-    assert row.wrong
-    assert not row.passes
-
-
-def test_infeasible_claimed_of_a_feasible_problem(feasible: Case, test_set: Rooms) -> None:
-    row = judged(feasible, test_set, status="infeasible")
-    assert row.failed
-    assert not row.wrong
-    assert not row.detected
-
-
 def test_solved_claimed_of_an_infeasible_problem(impossible: Case, test_set: Rooms) -> None:
     row = judged(impossible, test_set, status="solved")
     assert not row.feasible
     assert row.wrong
     assert not row.detected
     assert judged(impossible, test_set, status="infeasible").detected
-
-
-def test_duals_that_balance_but_are_not_complementary(feasible: Case, test_set: Rooms) -> None:
-    """As much on both sides of the box: stationarity holds, and only the gap can see it."""
-    good = right(feasible, test_set)
-    n = len(good.x)
-    z = good.z + np.tile(np.eye(n)[0], 2)
-    row = judged(feasible, test_set, z=z)
-    assert row.error < 1e-7
-    assert row.primal < 1e-8
-    assert row.dual < 1e-8
-    assert row.gap > 1e-3
-    assert not row.passes
 
 
 def test_a_warm_start_that_is_ignored(feasible: Case, test_set: Rooms) -> None:

@@ -9,7 +9,7 @@ import pytest
 
 import rtcal as rt
 from rtcal.command.main import main
-from rtcal.io import catt, obj, odeon
+from rtcal.io import obj, odeon
 from rtcal.simulators.geometry import Polyhedron
 from tests.fuzz import wav
 
@@ -107,46 +107,3 @@ def test_a_table_of_thirds_and_an_odeon_list(tmp_path: Path, capsys) -> None:
     run("export", "odeon", tmp_path / "calibrated" / "room.toml", library)
     written = odeon.read(library).listed("Rough concrete").alpha[3]
     assert written == pytest.approx(room.alpha[0, 3], abs=5e-6)
-
-
-def test_a_catt_file(tmp_path: Path, capsys) -> None:
-    hall = tmp_path / "hall.geo"
-    hall.write_bytes(
-        b"; Saal f\xfcr Proben\r\nABS plaster = <14 10 6 5 4 3>\r\nABS carpet = <8 24 57 69 71 73>\r\n"
-        b"CORNERS\r\n1 0 0 0\r\n"
-    )
-    (tmp_path / "t20.csv").write_text(
-        "Position,Parameter,125 Hz,250 Hz,500 Hz,1 kHz,2 kHz,4 kHz\n"
-        "P1,T20,1.21,1.05,0.82,0.80,0.78,0.70\nP2,T20,1.27,1.01,0.85,0.78,0.77,0.71\n"
-    )
-    run(
-        "import",
-        "catt",
-        hall,
-        "--volume",
-        216,
-        "--area",
-        "plaster=170",
-        "--area",
-        "carpet=54",
-        "--temperature",
-        21,
-        "--humidity",
-        40,
-        "--iso-12999-2",
-        "--in-situ-factor",
-        1.5,
-        "--out",
-        tmp_path / "room.toml",
-    )
-    run("table", tmp_path / "t20.csv", "--out", tmp_path / "t.csv")
-    page, room = to_the_page(tmp_path)
-    assert rt.Eyring().reverberation_time(room)[3] == pytest.approx(0.79, rel=1e-9)
-    assert "plaster" in page
-    capsys.readouterr()
-    run("export", "catt", tmp_path / "calibrated" / "room.toml", hall)
-    assert "change / JND" in capsys.readouterr().out
-    content = hall.read_bytes()
-    assert content.startswith(b"; Saal f\xfcr Proben\r\nABS plaster = <")
-    assert content.endswith(b">\r\nCORNERS\r\n1 0 0 0\r\n")
-    assert catt.read(hall).materials[1].alpha == pytest.approx(room.alpha[1], abs=5.01e-4)

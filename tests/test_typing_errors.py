@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 import numpy as np
@@ -11,12 +10,9 @@ import pytest
 import rtcal as rt
 from rtcal.acoustics.trust import far_from_neighbours, in_measurement, in_room
 from rtcal.io import tables
-from rtcal.report.page import calibration_page
-from rtcal.support.errors import InfeasibleError
 
 BANDS = [125, 250, 500, 1000, 2000, 4000]
 USUAL = [1.1, 1.3, 1.24, 1.2, 1.05, 0.84]
-METHODS = ("mle", "lse", "soft", "smooth", "robust")
 
 
 def room(**stated: object) -> rt.Room:
@@ -59,27 +55,6 @@ def test_what_rooms_do_is_no_typing_error() -> None:
     assert np.flatnonzero(far_from_neighbours(some)).tolist() == [3]
     _, measured = rt.datasets.bras_cr2()
     assert in_measurement(measured) == []
-
-
-@pytest.mark.parametrize("method", METHODS)
-@pytest.mark.parametrize("factor", [1 / 20, 20])
-def test_calibrate_names_it_first(method: str, factor: float) -> None:
-    t = np.array(USUAL)
-    t[2] *= factor
-    if factor > 1:
-        far = t * np.where(np.arange(6) == 2, 10, 1)  # longer than the air alone allows
-        with pytest.raises(InfeasibleError, match=r"^likely a typing error at 500 Hz: T = 248 s"):
-            rt.calibrate(room(), far, "mle")
-    result = rt.calibrate(room(), t, method, unreachable="nearest")
-    first, *_ = result.trust_marks
-    assert (first.kind, first.letter, first.frequency) == ("typing_error", "t", 500)
-    assert result.verdict.level == "contradicts"
-    assert result.verdict.heading.startswith("Likely a typing error at 500 Hz")
-    assert json.loads(result.to_json())["verdict"]["heading"] == result.verdict.heading
-    text = str(result)
-    assert text.index("Likely a typing error") < text.index("measured T / s")
-    page = calibration_page(result)
-    assert page.index("Likely a typing error") < page.index("Summary")
 
 
 def test_one_pair_of_many_is_found_though_the_mean_hides_it(tmp_path: Path) -> None:

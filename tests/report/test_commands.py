@@ -8,8 +8,7 @@ from pathlib import Path
 import pytest
 
 import rtcal as rt
-from rtcal.command.finder import NOTHING_TO_ADD
-from rtcal.command.main import EXIT_CODES, cli
+from rtcal.command.main import cli
 from rtcal.datasets.examples import example
 from rtcal.report import (
     document,
@@ -19,8 +18,6 @@ from rtcal.report import (
 from rtcal.support.errors import MissingDependencyError
 from tests.report.pages import no_figures, run
 from tests.report.rooms import MEASURED
-
-ROOT = Path(__file__).resolve().parents[2]
 
 
 def test_report_command(result, evil, tmp_path, capsys, monkeypatch) -> None:
@@ -68,20 +65,6 @@ def commands():
             yield from ((f"{name} {n}", c) for n, c in command.commands.items())
         else:
             yield name, command
-
-
-def test_help_names_the_exit_codes(capsys) -> None:
-    assert run("--help") == 0
-    assert NOTHING_TO_ADD in EXIT_CODES
-    text = capsys.readouterr().out
-    assert "..." not in text.split("Commands:")[1]
-    for code, meaning in EXIT_CODES.items():
-        assert f"{code:3d}  {meaning}" in text
-    page_text = (ROOT / "docs" / "command_line.md").read_text(encoding="utf-8")
-    for code, meaning in EXIT_CODES.items():
-        assert f"| {code} | {meaning} |" in page_text
-    for name, _ in commands():
-        assert f"`rtcal {name}`" in page_text
 
 
 def test_quiet_and_json(result, loop, tmp_path, monkeypatch, capsys) -> None:
