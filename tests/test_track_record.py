@@ -12,8 +12,7 @@ import rtcal as rt
 from benchmarks import records as benchmark
 from rtcal.acoustics.observables import LEVEL
 from rtcal.finder import records
-from rtcal.finder.claim import HANDBOOK
-from rtcal.finder.records import IN_SITU, Share, TrackRecord
+from rtcal.finder.records import HANDBOOK, IN_SITU, Share, TrackRecord
 
 VERDICTS = ("none", "hint", "named", "family", "ambiguous", "unknown")
 
