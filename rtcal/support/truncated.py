@@ -560,17 +560,15 @@ def _marginals(values: Array, weight: Array, part: _Part) -> Array:
         low = np.minimum(np.minimum(*ends).max(axis=1, initial=-np.inf), 0.0) + values[:, i]
         high = np.maximum(np.maximum(*ends).min(axis=1, initial=np.inf), 0.0) + values[:, i]
         m, s = mean[:, i], spread[i]
-        turned = -1.0 if weight @ values[:, i] > m[0] else 1.0
+        turned = (
+            -1 if weight @ values[:, i] > m[0] else 1
+        )  # to the side where tails keep all digits
         ends = turned * (low - m) / s, turned * (high - m) / s
         if len(m) > 1 or np.maximum(*ends).min() < -_FAR:
             row[:] = _mixture_of_several(m, s, low, high, values[:, i], weight)
         else:
-            row[:] = (
-                m
-                + turned
-                * s
-                * _mixture(np.minimum(*ends), np.maximum(*ends), weight)[:: int(turned)]
-            )
+            alike = _mixture(np.minimum(*ends), np.maximum(*ends), weight)[::turned]
+            row[:] = m + turned * s * alike
     return out
 
 
