@@ -114,7 +114,7 @@ def predict(
 
     Example: rtcal predict room.toml t20.csv --change variants.toml
     """
-    from rtcal.acoustics.change_files import read_target, read_variants
+    from rtcal.acoustics.changes import read_target, read_variants
     from rtcal.acoustics.measurement import Measurement
     from rtcal.acoustics.room import Room
     from rtcal.datasets import catalogue
@@ -259,7 +259,7 @@ def design(
 
     Example: rtcal design room.toml t20.csv --treatments treatments.toml
     """
-    from rtcal.acoustics.change_files import read_treatments
+    from rtcal.acoustics.changes import read_treatments
     from rtcal.datasets import catalogue
     from rtcal.prediction.designed import design as cheapest
 

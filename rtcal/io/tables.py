@@ -24,8 +24,8 @@ from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-from rtcal.acoustics import bands, measurement_files
-from rtcal.acoustics.measurement import Measurement
+from rtcal.acoustics import bands
+from rtcal.acoustics.measurement import Measurement, csv_rows, of_single_values
 from rtcal.acoustics.observables import OBSERVABLES, SUMMARY, TARGET, parameter_label
 from rtcal.acoustics.repeats import in_words, names_of_repeats, places_of, require_repeats
 from rtcal.io import text_tables, workbook
@@ -696,7 +696,7 @@ def write(measurement: Measurement, path: str | os.PathLike[str]) -> None:
     """Write the native table, one value per row: CSV, or a workbook if the name ends in .xlsx."""
     checks.instance("measurement", measurement, Measurement)
     if checks.path("path", path).suffix.lower() == workbook.ENDING:
-        workbook.write({"measurement": measurement_files.rows(measurement.to_dict())}, path)
+        workbook.write({"measurement": csv_rows(measurement.to_dict())}, path)
     else:
         measurement.save(os.fspath(path))
 
@@ -981,7 +981,7 @@ def _measurement(values: Values, place: str) -> Measurement:
     for key, numbers in values.items():
         _check_statistics(key, numbers, f"{place} on")
     try:
-        return Measurement(**measurement_files.of_single_values(values))
+        return Measurement(**of_single_values(values))
     except DataError as error:
         raise DataError(f"{place} on: {error}") from error
 

@@ -23,8 +23,7 @@ import numpy as np
 from rtcal.acoustics.band_conversion import measurement_in_room_bands, notes
 from rtcal.acoustics.bands import label, labels
 from rtcal.acoustics.equations import LinearEquation
-from rtcal.acoustics.measurement import Measurement
-from rtcal.acoustics.measurement_files import MAX_BYTES
+from rtcal.acoustics.measurement import MAX_BYTES, Measurement
 from rtcal.acoustics.observables import TARGET, observable, parameter_label
 from rtcal.acoustics.quality import gap_jnd, rms
 from rtcal.acoustics.room import Room

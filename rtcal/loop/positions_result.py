@@ -37,8 +37,15 @@ from scipy.special import ndtri
 from scipy.stats import chi2
 
 from rtcal.acoustics import bands
-from rtcal.acoustics.change_files import Variant, refuse_repeated_names
-from rtcal.acoustics.changes import Change, Climate, Cover, Open, changed
+from rtcal.acoustics.changes import (
+    Change,
+    Climate,
+    Cover,
+    Open,
+    Variant,
+    changed,
+    refuse_repeated_names,
+)
 from rtcal.acoustics.observables import (
     LEVEL,
     MATCH,

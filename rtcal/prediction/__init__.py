@@ -5,10 +5,6 @@ from typing import TYPE_CHECKING
 from rtcal import support
 
 if TYPE_CHECKING:
-    from rtcal.acoustics.change_files import Treatment as Treatment
-    from rtcal.acoustics.change_files import Variant as Variant
-    from rtcal.acoustics.change_files import read_treatments as read_treatments
-    from rtcal.acoustics.change_files import read_variants as read_variants
     from rtcal.acoustics.changed_time import KnownRoom as KnownRoom
     from rtcal.acoustics.changes import Add as Add
     from rtcal.acoustics.changes import Climate as Climate
@@ -16,7 +12,11 @@ if TYPE_CHECKING:
     from rtcal.acoustics.changes import NewVolume as NewVolume
     from rtcal.acoustics.changes import Open as Open
     from rtcal.acoustics.changes import Remove as Remove
+    from rtcal.acoustics.changes import Treatment as Treatment
+    from rtcal.acoustics.changes import Variant as Variant
     from rtcal.acoustics.changes import changed as changed
+    from rtcal.acoustics.changes import read_treatments as read_treatments
+    from rtcal.acoustics.changes import read_variants as read_variants
     from rtcal.acoustics.room_errors import Assumptions as Assumptions
     from rtcal.acoustics.targets import Target as Target
     from rtcal.acoustics.targets import ansi_s12_60 as ansi_s12_60

@@ -26,8 +26,8 @@ from numpy.typing import NDArray
 from scipy.special import ndtri
 
 from rtcal.acoustics import bands
-from rtcal.acoustics.change_files import LEAST, Treatment, check_treatments
 from rtcal.acoustics.changed_time import KnownRoom
+from rtcal.acoustics.changes import LEAST, Treatment, check_treatments
 from rtcal.acoustics.room import Room
 from rtcal.acoustics.room_errors import Assumptions
 from rtcal.acoustics.targets import Target

@@ -16,9 +16,8 @@ from scipy.special import ndtri
 from scipy.stats import multivariate_normal
 
 from rtcal.acoustics import bands
-from rtcal.acoustics.change_files import Variant, refuse_repeated_names
 from rtcal.acoustics.changed_time import KnownRoom, TimeChange, probability_within
-from rtcal.acoustics.changes import Change, Placed, placed
+from rtcal.acoustics.changes import Change, Placed, Variant, placed, refuse_repeated_names
 from rtcal.acoustics.equations import Eyring, LinearEquation
 from rtcal.acoustics.room import Room
 from rtcal.acoustics.room_errors import Assumptions

@@ -10,7 +10,7 @@ import pytest
 from click.testing import CliRunner
 
 import rtcal as rt
-from rtcal.acoustics.change_files import Variant
+from rtcal.acoustics.changes import Variant
 from rtcal.command.main import cli
 from rtcal.loop import ControlRuns, PositionsPredictions, PositionsResult, predict_positions
 from rtcal.prediction import Add, Climate, Cover, Open
