@@ -591,7 +591,7 @@ def _mixture_of_several(
     ends = [ends[0].min(), ends[1].max()]
     points = np.unique(np.concatenate([ends, points]))
     a, b = (lower - mean) / spread, (upper - mean) / spread
-    turned = np.where(a + b > 0, -1.0, 1.0)  # to the lower side, where the tail keeps all digits
+    turned = np.where(a > -b, -1.0, 1.0)  # to the lower side, where the tail keeps all digits
     a, b = np.minimum(turned * a, turned * b), np.maximum(turned * a, turned * b)
     x = np.multiply.outer(points, turned / spread) - turned * mean / spread
     np.clip(x, a, b, out=x)
