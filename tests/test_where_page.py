@@ -17,7 +17,7 @@ from rtcal.finder.finding import Detection
 from rtcal.finder.positions import Place, PositionsFinding, PositionsVerification, verification
 from rtcal.loop.control_runs import ControlRuns
 from rtcal.report import finding_pages, where_figures
-from rtcal.report.room_still import ABOVE, axes_of
+from rtcal.report.room_view import ABOVE, axes_of
 from tests.test_figures import texts
 from tests.test_where_corrected import L_PLAN, candidate, case_in, prism, triangulated
 from tests.typed import wrongly_typed

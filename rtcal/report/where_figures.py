@@ -15,7 +15,7 @@ from rtcal.finder.positions.finding import Place, PositionsFinding
 from rtcal.finder.positions.surfaces import Faces, kind
 from rtcal.finder.positions.verification import MODELS, PositionsVerification
 from rtcal.report.figures import BLACK, BLUE, GREEN, ORANGE, new_figure, number_map, shown
-from rtcal.report.room_still import ABOVE, TURNS, axes_of
+from rtcal.report.room_view import ABOVE, TURNS, axes_of
 from rtcal.simulators.geometry import Polyhedron
 from rtcal.support.types import Array
 

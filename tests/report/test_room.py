@@ -12,7 +12,7 @@ import pytest
 
 import rtcal as rt
 from rtcal.loop.matched import Beside
-from rtcal.report import page, room_still, room_view
+from rtcal.report import page, room_view
 from rtcal.simulators.geometry import Polyhedron
 from rtcal.simulators.observations import Observations
 from tests.report.pages import EVIL, no_figures
@@ -106,16 +106,16 @@ def test_a_mesh_that_is_gone_is_said_and_the_page_is_there(tmp_path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("tilt", "seen"), [(room_still.ABOVE, "floor"), (room_still.BELOW, "ceiling")]
+    ("tilt", "seen"), [(room_view.ABOVE, "floor"), (room_view.BELOW, "ceiling")]
 )
 def test_a_still_shows_three_walls_of_a_box_from_inside(tilt, seen) -> None:
     """Its area on paper is the projected one: area times the cosine, times the scale squared."""
-    look = room_still.look(BOX, np.arange(6), np.ones(6), tilt)
+    look = room_view.look(BOX, np.arange(6), np.ones(6), tilt)
     shapes = look.shapes()
     names = {BOX.names[part] for _, part, _ in shapes["polygons"]}
     assert seen in names
     assert len(names) == 3
-    into = room_still.axes_of(look.turn, tilt)[2]
+    into = room_view.axes_of(look.turn, tilt)[2]
     for points, part, _ in shapes["polygons"]:
         x, y = np.array([p.split(",") for p in points.split()], dtype=float).T
         area = abs(x @ np.roll(y, 1) - y @ np.roll(x, 1)) / 2
@@ -138,7 +138,7 @@ def test_what_is_nearer_is_drawn_later() -> None:
         ]
         both = Polyhedron.from_polygons([*walls, *inside])
         owners = np.array([m == "box" for m in both.materials], dtype=int)
-        look = room_still.look(both, owners, np.ones(len(both.faces)))
+        look = room_view.look(both, owners, np.ones(len(both.faces)))
         parts = [part for _, part, _ in look.shapes()["polygons"]]
         assert parts == [0, 0, 0, 1, 1, 1]
 

@@ -1,6 +1,6 @@
 "use strict";
 // The room of a page, turned by plain WebGL. All it draws is in the page's own #room-data.
-// It projects as rtcal/report/room_still.py does. An address may end in #turn=120&tilt=20&part=3,
+// It projects as rtcal/report/room_view.py does. An address may end in #turn=120&tilt=20&part=3,
 // in degrees and rows of the table counted from 0; quantity, column and when are those of the lists.
 (() => {
   const find = id => document.getElementById(id);
