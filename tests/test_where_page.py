@@ -208,7 +208,7 @@ def test_pairs_and_bands_that_were_not_measured_are_left_out(finding: PositionsF
 
 def test_the_page_begins_with_the_three_bars(finding: PositionsFinding, tmp_path: Path) -> None:
     result = verification_of(finding, {"before": 3.0, "plain": 2.0, "corrected": 1.99}, 1.0)
-    finding_pages.write_where(finding, result, tmp_path, command="rtcal find", place=PLACE)
+    finding_pages.write(finding, result, tmp_path, place=PLACE)
     page = (tmp_path / "report.html").read_text(encoding="utf-8")
     body = page[page.index("<main>") :]
     assert body.index("<img") < body.index("Unproven") < body.index("What was found")
