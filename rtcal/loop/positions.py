@@ -607,7 +607,10 @@ class PositionsFit:
         if not weight:
             return errors.covariance
         information = np.linalg.inv(errors.covariance) + np.diag(weight / self._unit**2)
-        return np.asarray(np.linalg.inv(information))
+        found = np.asarray(np.linalg.inv(information))
+        return (
+            found + found.T
+        ) / 2  # symmetric but for rounding, which large references make large
 
     def _answer(
         self, at: Array, matrix: Array, residual: Array, covariance: Array
