@@ -64,7 +64,7 @@ SURVIVORS: dict[tuple[str, str], str] = {
         "+ weights = [grid_weights(e, grid, base) for e, grid in zip(effects, grids, )]",
     ): "equivalent: every effect has one grid",
     (
-        "rtcal.calibration.certificate.x__row_gap",
+        "rtcal.calibration.qp.x__row_gap",
         "+ slack = np.where(rows >= 0, model.row_upper - values, values - model.row_lower)",
     ): "equivalent: a row whose multiplier is 0 counts as an equality, whose gap is 0",
     (
@@ -80,11 +80,11 @@ SURVIVORS: dict[tuple[str, str], str] = {
         "+ for room, measured in zip(configurations.rooms, measured_times, strict=None)",
     ): "equivalent: there is one measurement per configuration, checked before the solve",
     (
-        "rtcal.calibration.certificate.x__box",
+        "rtcal.calibration.qp.x__box",
         "+ rising, falling = (np.isfinite(width) & (signed > 0), np.isfinite(width) & (signed <= 0))",
     ): "equivalent: an entry of 0 has no finite width",
     (
-        "rtcal.calibration.certificate.x__at_bounds",
+        "rtcal.calibration.qp.x__at_bounds",
         "+ step = np.divide(force, diagonal, out=np.zeros_like(force), where=diagonal > 1)",
     ): "looser, not wrong: the step chooses where to look for a better bound, and 1/sigma² is above 1",
     (

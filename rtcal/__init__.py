@@ -45,9 +45,9 @@ if TYPE_CHECKING:
     from rtcal.calibration import posterior as posterior
     from rtcal.calibration import terms as terms
     from rtcal.calibration.archive import learn as learn
-    from rtcal.calibration.configurations import Configurations as Configurations
     from rtcal.calibration.methods import calibrate as calibrate
     from rtcal.calibration.problem import Calibration as Calibration
+    from rtcal.calibration.unknowns import Configurations as Configurations
     from rtcal.finder.search import find as find
     from rtcal.loop.calibrate import calibrate_simulator as calibrate_simulator
     from rtcal.loop.positions import calibrate_positions as calibrate_positions

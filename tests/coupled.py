@@ -12,10 +12,9 @@ import numpy as np
 
 import rtcal as rt
 from rtcal import terms
-from rtcal.calibration.configurations import Configurations
-from rtcal.calibration.convex_program import Solution
-from rtcal.calibration.numpy_model import NumpyModel
-from rtcal.calibration.problem import JointProblem
+from rtcal.calibration.problem import CalibrationProblem
+from rtcal.calibration.result import JointResult
+from rtcal.calibration.unknowns import Configurations
 
 FREQUENCIES = (500.0, 1000.0)
 MOST = 20.0
@@ -31,12 +30,12 @@ _ROUNDS = 50
 
 
 @cache
-def compiled(n_configurations: int, n_materials: int, kind: int) -> JointProblem:
+def compiled(n_configurations: int, n_materials: int, kind: int) -> CalibrationProblem[JointResult]:
     """Return the problem of a shape, compiled once."""
     alpha = np.full((n_materials, len(FREQUENCIES)), 0.2)
     configurations = _configurations(np.ones((n_configurations, n_materials)), alpha, alpha / 2)
     calibration = rt.Calibration(terms.PriorDeviation(), list(CONSTRAINTS[kind]))
-    return JointProblem(calibration, configurations, EYRING)
+    return calibration.build(configurations, EYRING)
 
 
 def _configurations(areas: np.ndarray, alpha: np.ndarray, sigma: np.ndarray) -> Configurations:
@@ -57,7 +56,7 @@ def _configurations(areas: np.ndarray, alpha: np.ndarray, sigma: np.ndarray) -> 
     )
 
 
-def solution(seed: int, solver: str = "clarabel") -> Solution:
+def solution(seed: int, solver: str = "clarabel") -> JointResult:
     """Solve a random problem that some coefficients within the box and the constraints fulfil.
 
     Areas are from 0.1 to 300 m² and standard deviations from 1e-3 to 1, some 0.
@@ -82,49 +81,61 @@ def solution(seed: int, solver: str = "clarabel") -> Solution:
     times = [
         EYRING.time(room, s @ true) for room, s in zip(configurations.rooms, areas, strict=True)
     ]
-    return compiled(c, n, kind).solve(times, configurations, solver=solver).solution
+    return compiled(c, n, kind).solve(times, configurations, solver=solver)
 
 
-def optimum(answer: Solution) -> np.ndarray | None:
+def optimum(answer: JointResult) -> np.ndarray | None:
     """Return the exact optimum as the nearest floats, (size,), None where the rows are dependent.
 
-    The active set of the polished answer is the first guess. A set is accepted where bounds, rows
-    and the signs of all multipliers hold exactly.
+    The active set of the answer is the first guess. A set is accepted where bounds, rows and the signs
+    of all multipliers hold exactly. Rows and limits are stated here anew, from areas and targets.
     """
-    model = answer.model
-    n_bands = model.data.layout.n_bands
-    out = model.data.centre.copy()
-    matrix = np.asarray(model.matrix)
+    n_bands = len(FREQUENCIES)
+    out = answer.numbers.mu.copy()
     for k in range(n_bands):
-        unknowns = np.arange(k, len(out), n_bands)
-        rows = np.flatnonzero(model.row_band == k)
-        exact = _band(model, matrix, unknowns, rows, answer)
+        exact = _band(answer, k, np.arange(k, len(out), n_bands))
         if exact is None:
             return None
-        out[unknowns] = [float(a) for a in exact]
+        out[k::n_bands] = [float(a) for a in exact]
     return out
 
 
-def _band(
-    model: NumpyModel,
-    matrix: np.ndarray,
-    unknowns: np.ndarray,
-    rows: np.ndarray,
-    answer: Solution,
-) -> list[Fraction] | None:
+def _rows(answer: JointResult, k: int) -> list[tuple[np.ndarray, float, float]]:
+    """Return coefficients and limits of each row of a band."""
+    numbers, rows = answer.numbers, []
+    for term in answer.composition.rows:
+        if isinstance(term, terms.ExactMatch):
+            low, high = term.target_limits(numbers)
+            rows += [(s, low[c, k], high[c, k]) for c, s in enumerate(numbers.areas)]
+        elif isinstance(term, terms.AtMost):
+            order = np.zeros(numbers.areas.shape[1])
+            order[:2] = 1, -1
+            rows.append((order, -np.inf, 0.0))
+        else:
+            own = np.zeros(numbers.areas.shape[1])
+            own[[0, 2]] = numbers.areas[0, [0, 2]]
+            rows.append((own, -np.inf, MOST))
+    return rows
+
+
+def _band(answer: JointResult, k: int, unknowns: np.ndarray) -> list[Fraction] | None:
+    numbers, stated = answer.numbers, _rows(answer, k)
     mu, lower, upper = (
         [Fraction(v) for v in values[unknowns]]
-        for values in (model.data.mu, model.lower, model.upper)
+        for values in (numbers.mu, numbers.lower, numbers.upper)
     )
-    weight = [Fraction(v) ** 2 for v in model.sigma[unknowns]]
-    lines = [[Fraction(v) for v in matrix[r, unknowns]] for r in rows]
-    ends = [(model.row_lower[r], model.row_upper[r]) for r in rows]
+    rows = range(len(stated))
+    lines = [[Fraction(v) for v in line] for line, _, _ in stated]
+    ends = [(low, high) for _, low, high in stated]
     equal = [low == high for low, high in ends]
-    at = [int(a) for a in answer.active[unknowns]]
+    at = [int(a) for a in answer.solution.active[unknowns]]
+    sums = [float(line @ answer.solution.unknowns[unknowns]) for line, _, _ in stated]
+    near = [1e-9 * (1 + np.abs(line).sum()) for line, _, _ in stated]
     side = [
-        1 if fixed else int(np.sign(y))
-        for fixed, y in zip(equal, answer.multipliers.rows[rows], strict=True)
+        1 if e or total > high - tiny else -1 if total < low + tiny else 0
+        for e, total, (low, high), tiny in zip(equal, sums, ends, near, strict=True)
     ]
+    weight = [Fraction(v) ** 2 for v in numbers.sigma[unknowns]]
     for _ in range(_ROUNDS):
         used = [r for r in range(len(rows)) if side[r]]
         free = [i for i, a in enumerate(at) if a == 0]

@@ -29,7 +29,7 @@ import numpy as np
 import rtcal as rt
 from rtcal.calibration.posterior import distribution
 from rtcal.calibration.problem import CalibrationProblem, JointProblem
-from rtcal.calibration.solvers import SolveKeywords
+from rtcal.calibration.qp import SolveKeywords
 from rtcal.finder import (
     AppliedEffect,
     Case,

@@ -8,8 +8,8 @@ from scipy import stats
 
 import rtcal as rt
 from rtcal import terms
-from rtcal.calibration.configurations import Configurations
 from rtcal.calibration.methods import METHODS
+from rtcal.calibration.unknowns import Configurations
 
 
 def room_of(**changes) -> rt.Room:

@@ -9,8 +9,8 @@ from scipy.special import log_ndtr
 
 import rtcal as rt
 from rtcal import terms
-from rtcal.calibration.configurations import Configurations
 from rtcal.calibration.posterior import distribution, sensitivity
+from rtcal.calibration.unknowns import Configurations
 from rtcal.support.normal import NORMAL, quantile_and_mass, truncated_normal
 from rtcal.support.truncated import Density, draws, samples
 from tests.conftest import also, random_room, true_times
@@ -281,8 +281,10 @@ def test_posterior_sigma_of_any_composition_against_draws() -> None:
     t = EYRING.time(room, room.absorption_area)
     base = problem.solve(t)
     u = base.posterior_sigma
-    layout = base.joint.solution.model.data.layout
-    factor = np.linalg.cholesky(terms.PriorDeviation(band_correlation=0.5).correlation(layout))
+    layout = base.joint.composition.layout
+    factor = np.linalg.cholesky(
+        terms.PriorDeviation(band_correlation=0.5).correlate(np.eye(layout.n_alpha), layout)
+    )
     b_slope = EYRING.target_sensitivity(room, t)
     gain = sensitivity(base.joint)[:, :, 0] / b_slope
     x = rng.standard_normal((4000, 8)) @ factor.T

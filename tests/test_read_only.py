@@ -124,20 +124,19 @@ def test_the_arrays_of_a_state_are_read_only(cr2: Any, name: str) -> None:
         values *= 1.0
 
 
-@pytest.mark.parametrize("method", ["gradient", "curvature"])
-@pytest.mark.parametrize("what", ["u", "mu", "sigma", "areas", "target", "centre"])
-def test_a_term_cannot_change_the_unknowns_or_the_data(cr2: Any, method: str, what: str) -> None:
+@pytest.mark.parametrize("what", ["mu", "sigma", "areas", "target", "lower"])
+def test_a_term_cannot_change_the_numbers(cr2: Any, what: str) -> None:
+    def meddling(m: terms.Model) -> Any:
+        """A term of one's own whose parameter changes what it is computed of."""
+
+        def meddle(numbers: Any) -> Any:
+            values = getattr(numbers, what)
+            values *= 1.01
+            return 1.0
+
+        return m.parameter((), meddle) * m.deviation[0, 0]
+
     room, measured = cr2
-
-    class Meddling(terms.PriorDeviation):
-        """A prior of one's own that changes what it is given in one of its methods."""
-
-    def meddles(self: Any, u: Any, data: Any) -> Any:
-        values = u if what == "u" else getattr(data, what)
-        values *= 1.01
-        return getattr(terms.PriorDeviation, method)(self, u, data)
-
-    setattr(Meddling, method, meddles)
-    problem = rt.Calibration(Meddling(), [terms.ExactMatch()]).build(room)
+    problem = rt.Calibration(terms.PriorDeviation() + meddling, [terms.ExactMatch()]).build(room)
     with pytest.raises(ValueError, match="read-only"):
         problem.solve(measured)

@@ -1,51 +1,39 @@
-"""Every term: its cvxpy expression against plain NumPy, its derivatives, what it refuses."""
+"""Every term: its cvxpy expression against plain NumPy at random points, and what it refuses."""
 
 from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
 
 import cvxpy as cp
 import numpy as np
 import pytest
-import scipy.sparse as sp
 
 import rtcal as rt
 from rtcal import terms
-from rtcal.calibration.compiled_qp import Context
-from rtcal.calibration.configurations import Assembler, Configurations, layout_of
+from rtcal.calibration.composition import Composition
 from rtcal.calibration.feasibility import reach
-from rtcal.calibration.problem_data import ProblemData, times_in_room
-from rtcal.support.kkt import Hessian
+from rtcal.calibration.measured import times_in_room
+from rtcal.calibration.unknowns import Configurations, Layout, Numbers
+from rtcal.support.errors import DataError, ModelError
 from tests.conftest import random_room, true_times
 
 EYRING = rt.Eyring()
+N, K = 4, 4
 GAIN = [0.5, 1.0, 2.0, 1.5]
-OBJECTIVE = {
-    "prior": terms.PriorDeviation(),
-    "correlated": terms.PriorDeviation(
-        band_correlation={"m0": 0.7, "m2": 0.4}, material_correlation={("m1", "m3"): 0.5}
-    ),
-    "together": terms.PriorDeviation(common=True),
-    "together and correlated": terms.PriorDeviation(
-        band_correlation=0.6, material_correlation={("m1", "m3"): 0.5}, common=True
-    ),
-    "huber": terms.HuberDeviation(threshold=0.8),
-    "soft": terms.SoftMatch(0.05),
-    "uncertain room": terms.RoomMatch(0.05),
-    "smooth": terms.BandSmoothness(),
-    "effect": terms.AddedAbsorption("opening", GAIN, sigma=2.0, mean=0.5),
-}
-ROWS = {
-    "exact": terms.ExactMatch(),
-    "within": terms.MatchWithin(1.0),
-    "at most": terms.AtMost("m1", "m3"),
-    "group": terms.GroupAbsorption(["m0", "m2"], least=5.0, most=50.0),
-    "group at one band": terms.GroupAbsorption(["m0", "m1"], most=30.0, band=250),
-}
+CORRELATED = terms.PriorDeviation(
+    band_correlation={"m0": 0.7, "m2": 0.4}, material_correlation={("m1", "m3"): 0.5}
+)
+BOTH = terms.PriorDeviation(
+    band_correlation=0.6, material_correlation={("m1", "m3"): 0.5}, common=True
+)
+SEEN = terms.LinearObservations()
 
 
-def made(seed: int, term: object = None) -> tuple[Context, ProblemData, rt.Room]:
-    """Problem data with a missing T, a coefficient with sigma = 0 and one that is pinned."""
+def numbers_of(seed: int, *objective: Any) -> Numbers:
+    """Return the numbers of a room with a missing T, one sigma of 0 and a second configuration."""
     rng = np.random.default_rng(seed)
-    room = random_room(rng, 4, 4)
+    room = random_room(rng, N, K)
     sigma = room.sigma.copy()
     sigma[0, 1] = 0.0
     room = room.replace(
@@ -57,279 +45,346 @@ def made(seed: int, term: object = None) -> tuple[Context, ProblemData, rt.Room]
         common_alpha_sigma=0.1,
         climate_sigma=(2, 10),
     )
-    t = true_times(rng, room, EYRING)
-    t[2] = np.nan
-    objective = terms.as_objective(terms.PriorDeviation())
-    if isinstance(term, terms.ObjectiveTerm):
-        objective = terms.Objective((term,), (2.5,))
-    configurations = Configurations([room])
-    layout = layout_of(configurations, objective, [])
-    assembler = Assembler(layout, EYRING, objective, (), 0, None)
-    data = assembler.problem_data(configurations, [times_in_room(room, t)], None)
-    where = np.zeros(layout.size, dtype=bool)
-    where[5] = True
-    return Context(layout), data.pin(where, np.full(layout.size, 0.9)), room
+    both = Configurations([room, room.replace(name="other", areas=room.areas[::-1], surfaces=())])
+    terms_ = [terms.PriorDeviation(), *objective]
+    composed = Composition.of(both, EYRING, sum(map(terms.as_objective, terms_)), [])  # type: ignore[arg-type]
+    times = [true_times(rng, r, EYRING) for r in both.rooms]
+    times[0][2] = np.nan
+    seen = terms.Observed(
+        matrix=rng.standard_normal((5, N * K)), values=rng.standard_normal(5), covariance=np.eye(5)
+    )
+    measured = [times_in_room(r, t) for r, t in zip(both.rooms, times, strict=True)]
+    return composed.numbers(both, measured, {SEEN: seen} if SEEN in objective else None)
 
 
-def point(data: ProblemData, seed: int) -> tuple[np.ndarray, np.ndarray]:
-    x = np.random.default_rng(seed + 1).standard_normal(data.layout.size)
-    return x, data.centre + data.scale * x
+def model_at(numbers: Numbers, x: np.ndarray) -> terms.Model:
+    """Return a model whose unknowns have the deviations x, (size,)."""
+    m = terms.Model(numbers.layout)
+    m.deviation.value = x[: N * K].reshape(N, K)
+    if m.effects is not None:
+        m.effects.value = x[N * K :]
+    return m
+
+
+def filled(m: terms.Model, numbers: Numbers) -> None:
+    for parameter, compute in m.parameters:
+        parameter.value = np.reshape(compute(numbers), parameter.shape)
+
+
+def value_of(term: Any, numbers: Numbers, x: np.ndarray) -> float:
+    """Return a term's expression at the deviations x, minimised over the variables of its own.
+
+    Where sigma = 0 the deviation is free: the coefficient is known, whatever it is.
+    """
+    m = model_at(numbers, x)
+    expression = term(m)
+    filled(m, numbers)
+    held = numbers.alpha(numbers.sigma) > 0
+    at = [m.deviation[held] == m.deviation.value[held]]
+    at += [] if m.effects is None else [m.effects == m.effects.value]
+    problem = cp.Problem(cp.Minimize(expression), [*m.definitions, *at])
+    problem.solve(solver="CLARABEL", tol_gap_abs=1e-12, tol_gap_rel=1e-12, tol_feas=1e-12)
+    return float(problem.value)
+
+
+def u_of(numbers: Numbers, x: np.ndarray) -> np.ndarray:
+    return numbers.mu + numbers.sigma * x
+
+
+def left(numbers: Numbers, x: np.ndarray) -> np.ndarray:
+    """S'alpha - b of all configurations and bands, in m², 0 without T."""
+    u = u_of(numbers, x)
+    area = numbers.areas @ numbers.alpha(u) + numbers.gains @ numbers.further(u)
+    return np.where(numbers.matched, area - numbers.target, 0.0)
+
+
+def gaussian(numbers: Numbers, x: np.ndarray, r: np.ndarray) -> float:
+    """½ x'R⁻¹x over the coefficients with sigma > 0: others are integrated out."""
+    moves = numbers.sigma[: N * K] > 0
+    return 0.5 * float(
+        x[: N * K][moves] @ np.linalg.solve(r[np.ix_(moves, moves)], x[: N * K][moves])
+    )
+
+
+def correlation(numbers: Numbers, by_band: list[float], *, common: bool = False) -> np.ndarray:
+    """R by its definition: bands by octaves apart, m1 and m3 by 0.5, and q q' of a common part."""
+    octaves = np.log2(np.array(numbers.layout.centre_frequencies))
+    distance = np.abs(octaves[:, None] - octaves)
+    roots = [np.linalg.cholesky(np.where(distance == 0, 1.0, r**distance)) for r in by_band]
+    between = np.eye(N)
+    between[1, 3] = between[3, 1] = 0.5
+    r = np.einsum("ij,iab,jcb->iajc", between, np.array(roots), np.array(roots)).reshape(
+        N * K, N * K
+    )
+    q = (0.1 * numbers.mu / np.where(numbers.sigma > 0, numbers.sigma, np.inf))[: N * K]
+    return r + np.outer(q, q) if common else r
+
+
+def huber(x: np.ndarray, t: float, e: float) -> float:
+    a = np.abs(x)
+    return float(np.sum(e * a**2 / 2 + (1 - e) * np.where(a <= t, a**2 / 2, t * a - t**2 / 2)))
+
+
+def uncertain(numbers: Numbers, x: np.ndarray) -> float:
+    used = numbers.matched.ravel()
+    noise = np.diag(np.nan_to_num(numbers.target_uncertainty).ravel() ** 2)
+    covariance = (noise + numbers.room_changes.T @ numbers.room_changes)[np.ix_(used, used)]
+    r = left(numbers, x).ravel()[used]
+    return 0.5 * float(r @ np.linalg.solve(covariance, r))
+
+
+def smooth(numbers: Numbers, x: np.ndarray) -> float:
+    moves = numbers.alpha(numbers.sigma) > 0
+    both = moves[:, 1:] & moves[:, :-1]
+    steps = np.diff(numbers.alpha(x), axis=1) ** 2
+    return 0.5 * float(np.sum(steps * both / np.diff(np.log2(numbers.layout.centre_frequencies))))
+
+
+def free(numbers: Numbers, x: np.ndarray) -> np.ndarray:
+    return x[: N * K][numbers.sigma[: N * K] > 0]
+
+
+def observed(numbers: Numbers, x: np.ndarray) -> float:
+    seen = numbers.observed[SEEN]
+    residual = np.linalg.qr(seen.matrix)[0].T @ (seen.values - seen.matrix @ u_of(numbers, x))
+    return 0.5 * float(residual @ residual)
+
+
+Value = Callable[[Numbers, np.ndarray], float]
+OBJECTIVE: dict[str, tuple[Any, Value]] = {
+    "prior": (terms.PriorDeviation(), lambda of, x: 0.5 * float(free(of, x) @ free(of, x))),
+    "correlated": (
+        CORRELATED,
+        lambda of, x: gaussian(of, x, correlation(of, [0.7, 0.0, 0.4, 0.0])),
+    ),
+    "correlated and together": (
+        BOTH,
+        lambda of, x: gaussian(of, x, correlation(of, [0.6] * 4, common=True)),
+    ),
+    "huber": (terms.HuberDeviation(0.8, 0.1), lambda of, x: huber(free(of, x), 0.8, 0.1)),
+    "soft": (
+        terms.SoftMatch(0.05),
+        lambda of, x: 0.5 * float(np.nansum((left(of, x) / of.target_uncertainty) ** 2)),
+    ),
+    "uncertain room": (terms.RoomMatch(0.05), uncertain),
+    "smooth": (terms.BandSmoothness(), smooth),
+    "effect": (
+        terms.AddedAbsorption("opening", GAIN, sigma=2.0, mean=0.5),
+        lambda of, x: 0.5 * float(x[N * K] ** 2),
+    ),
+    "observations": (SEEN, observed),
+}
 
 
 @pytest.mark.parametrize("name", OBJECTIVE)
-@pytest.mark.parametrize("seed", range(4))
-def test_expression_equals_the_numpy_twin(name: str, seed: int) -> None:
-    """Up to a constant: what is held contributes one, and x of what is held is free."""
-    term = OBJECTIVE[name]
-    context, data, _ = made(seed, term)
-    expression = term.expression(context, 0)
-    context.update(data)
-    values, numpy_values = [], []
-    loose = (data.scale == 0) & (np.arange(data.layout.size) < data.layout.n_alpha)
-    for s in (seed, seed + 50):
-        x, u = point(data, s)
-        # The helper unknowns of a term and the x of held coefficients take their best value.
-        problem = cp.Problem(cp.Minimize(expression), [context.x[~loose] == x[~loose]])
-        problem.solve(solver="CLARABEL", tol_gap_abs=1e-12, tol_gap_rel=1e-12, tol_feas=1e-12)
-        values.append(problem.value)
-        numpy_values.append(data.weights[0] * term.value(u, data))
-    assert abs(numpy_values[1] - numpy_values[0]) > 1e-3
-    assert values[1] - values[0] == pytest.approx(numpy_values[1] - numpy_values[0], rel=1e-6)
+@pytest.mark.parametrize("seed", range(3))
+def test_an_objective_term_has_its_value(name: str, seed: int) -> None:
+    term, by_numpy = OBJECTIVE[name]
+    numbers = numbers_of(seed, *([] if getattr(term, "is_prior", False) else [term]))
+    rng = np.random.default_rng(seed + 100)
+    for scale in (0.5, 3.0):
+        x = scale * rng.standard_normal(numbers.layout.size)
+        wanted = by_numpy(numbers, x)
+        assert wanted > 1e-3
+        assert value_of(term, numbers, x) == pytest.approx(wanted, rel=1e-6)
 
 
-@pytest.mark.parametrize("name", OBJECTIVE)
-def test_gradient_and_curvature_are_derivatives_of_the_value(name: str) -> None:
-    term = OBJECTIVE[name]
-    _, data, _ = made(3, term)
-    rng = np.random.default_rng(0)
-    u = data.centre + 0.02 * rng.standard_normal(data.layout.size)
-    curvature = Hessian.total([(1.0, term.curvature(u, data))], len(u)).whole()
-    curvature = curvature.toarray() if sp.issparse(curvature) else np.diag(curvature)
-    gradient = term.gradient(u, data)
-    h = 1e-6
-    for i in range(len(u)):
-        step = np.zeros_like(u)
-        step[i] = h
-        slope = (term.value(u + step, data) - term.value(u - step, data)) / (2 * h)
-        assert gradient[i] == pytest.approx(slope, rel=1e-5, abs=1e-5)
-        bend = (term.gradient(u + step, data) - term.gradient(u - step, data)) / (2 * h)
-        np.testing.assert_allclose(curvature[i], bend, rtol=1e-5, atol=1e-3)
-    assert np.abs(gradient).max() > 1e-4
-    # The claimed convexity holds: curvature - diag(m / sigma²) has no negative eigenvalue.
-    sigma = data.sigma
-    moves = sigma > 0
-    scaled = (curvature * np.outer(sigma, sigma))[np.ix_(moves, moves)]
-    m = term.convexity(data)[moves]
-    assert np.linalg.eigvalsh(scaled - np.diag(m)).min() > -1e-9 * max(1, np.abs(scaled).max())
+def within(numbers: Numbers) -> tuple[np.ndarray, np.ndarray]:
+    """The excess of S'alpha over b in m² of T 5 % longer and shorter, 0 without T."""
+    ends = (
+        np.array(
+            [EYRING.target(r, f * t) for r, t in zip(numbers.rooms, numbers.time, strict=True)]
+        )
+        for f in (1.05, 0.95)
+    )
+    return tuple(np.nan_to_num(end - numbers.target) for end in ends)  # type: ignore[return-value]
+
+
+def group(numbers: Numbers, x: np.ndarray, members: list[int]) -> np.ndarray:
+    return numbers.areas[0, members] @ numbers.alpha(u_of(numbers, x))[members]
+
+
+ROWS: dict[str, tuple[Any, Callable[[Numbers, np.ndarray], np.ndarray]]] = {
+    "exact": (terms.ExactMatch(), lambda of, x: np.abs(left(of, x)).ravel()),
+    "within": (
+        terms.MatchWithin(1.0),
+        lambda of, x: np.maximum.reduce(
+            [within(of)[0] - left(of, x), left(of, x) - within(of)[1], 0 * left(of, x)]
+        ).ravel(),
+    ),
+    "at most": (
+        terms.AtMost("m1", "m3"),
+        lambda of, x: np.maximum(-np.diff(of.alpha(u_of(of, x))[[1, 3]], axis=0)[0], 0.0),
+    ),
+    "group": (
+        terms.GroupAbsorption(["m0", "m2"], least=15.0, most=20.0),
+        lambda of, x: np.maximum(np.abs(group(of, x, [0, 2]) - 17.5) - 2.5, 0.0),
+    ),
+    "group at one band": (
+        terms.GroupAbsorption(["m0", "m1"], least=20.0, most=20.0, band=250),
+        lambda of, x: np.abs(group(of, x, [0, 1])[[2]] - 20.0),
+    ),
+}
 
 
 @pytest.mark.parametrize("name", ROWS)
-@pytest.mark.parametrize("seed", range(4))
-def test_constraint_expressions_equal_the_rows_of_the_twin(name: str, seed: int) -> None:
-    term = ROWS[name]
-    context, data, _ = made(seed)
-    constraints = term.constraints(context)
-    context.update(data)
-    x, u = point(data, seed)
-    context.x.value = x
-    rows, scale = term.rows(data), term.row_scale(data)
-    at = rows.matrix @ u
-    applies = scale > 0
-    for constraint, sign in constraints:
-        got = np.asarray(constraint.args[0].value - (constraint.args[1].value))
-        limit = rows.upper if sign > 0 else rows.lower
-        if name == "exact":
-            limit = np.where(applies, rows.lower, 0.0)
-        wanted = (at - np.where(applies, limit, 0.0)) * scale
-        # cvxpy writes a >= b as b - a <= 0.
-        got = got if sign > 0 else -got
-        np.testing.assert_allclose(np.abs(got[applies]), np.abs(wanted[applies]), atol=1e-12)
-        assert np.abs(wanted[applies]).max() > 1e-3
-        excess = wanted[applies] * sign
-        np.testing.assert_array_equal(got[applies] * sign > 0, excess > 0)
+@pytest.mark.parametrize("seed", range(3))
+def test_a_constraint_is_violated_by_as_much_as_it_should(name: str, seed: int) -> None:
+    term, by_numpy = ROWS[name]
+    numbers = numbers_of(seed)
+    x = 3 * np.random.default_rng(seed + 50).standard_normal(numbers.layout.size)
+    m = model_at(numbers, x)
+    stated = term(m)
+    filled(m, numbers)
+    violations = [np.broadcast_to(c.violation(), c.shape).ravel() for c in stated]
+    wanted = by_numpy(numbers, x)
+    assert np.max(wanted) > 1e-3
+    np.testing.assert_allclose(np.sum(violations, axis=0), wanted, atol=1e-9)
 
 
-def test_correlated_prior_is_the_gaussian_with_that_correlation() -> None:
-    """Dense algebra, the unknown with sigma = 0 integrated out."""
-    term = OBJECTIVE["correlated"]
-    _, data, room = made(1, term)
-    layout = data.layout
-    r = term.correlation(layout)
-    octaves = np.log2(room.centre_frequencies)
-    assert r[0, 3] == pytest.approx(0.7 ** (octaves[3] - octaves[0]))
-    assert r[4, 5] == 0
-    assert r[4, 12] == pytest.approx(0.5)  # the same band of two materials
-    moves = data.sigma > 0
-    x = np.random.default_rng(2).standard_normal(layout.size)
-    u = data.mu + data.sigma * x
-    inverse = np.linalg.inv(r[np.ix_(moves, moves)])
-    wanted = 0.5 * x[moves] @ inverse @ x[moves]
-    assert term.value(u, data) == pytest.approx(wanted, rel=1e-10)
-    columns = np.random.default_rng(3).standard_normal((layout.size, 2))
-    np.testing.assert_allclose(term.correlate(columns, layout), r @ columns, atol=1e-12)
-
-
-def test_a_term_is_priced_by_hand() -> None:
-    _, data, room = made(0, terms.SoftMatch(0.05))
-    u = data.mu.copy()
-    u[:4] += 0.1
-    miss = (room.areas @ data.alpha(u) - data.target[0])[[0, 1, 3]]
-    t = data.time[0]
+def test_a_soft_match_weighs_by_the_derivative_of_b() -> None:
+    numbers = numbers_of(0, terms.SoftMatch(0.05))
+    t, room = numbers.time[1], numbers.rooms[1]
     slope = (EYRING.target(room, t * 1.001) - EYRING.target(room, t * 0.999)) / 0.002
-    u_b = np.abs(0.05 * slope)[[0, 1, 3]]
-    assert terms.SoftMatch(0.05).value(u, data) == pytest.approx(
-        0.5 * np.sum((miss / u_b) ** 2), rel=1e-4
-    )
-    x = np.array([0.5, -3.0])
-    h = terms.HuberDeviation(threshold=1.0, convex=0.1)
-    u = data.mu.copy()
-    u[2:4] += data.sigma[2:4] * x
-    wanted = 0.1 * (0.125 + 4.5) + 0.9 * (0.125 + 3.0 - 0.5)
-    assert h.value(u, data) == pytest.approx(wanted, rel=1e-12)
-    smooth = terms.BandSmoothness()
-    # Row 0 has sigma = 0 in band 1, so only bands 2 and 3 are neighbours there.
-    assert smooth.value(u, data) == pytest.approx(0.5 * (3.5**2), rel=1e-12)
+    np.testing.assert_allclose(numbers.target_uncertainty[1], np.abs(0.05 * slope), rtol=1e-4)
 
 
-@pytest.mark.parametrize(
-    ("make", "says"),
-    [
-        (lambda: terms.PriorDeviation(sigma=0.0), "must be finite and above 0"),
-        (lambda: terms.HuberDeviation(threshold=-1), "must be finite and above 0"),
-        (lambda: terms.HuberDeviation(convex=0), r"in \(0, 1\]"),
-        (lambda: terms.SoftMatch(-0.1), "above 0"),
-        (lambda: terms.MatchWithin(20), "from 0 to below 20"),
-        (lambda: terms.AddedAbsorption("x", [1, np.nan], 1.0), "not finite"),
-        (lambda: terms.AddedAbsorption("x", [1, 1], 0.0), "above"),
-        (lambda: terms.AtMost("a", "a"), "both sides"),
-        (lambda: terms.GroupAbsorption(["a"]), "one of them at least"),
-        (lambda: terms.GroupAbsorption([], least=1), "needs a material"),
-        (lambda: terms.GroupAbsorption(["a"], least=3, most=2), "least <= most"),
-        (lambda: terms.Shared("a"), "two different"),
-        (lambda: -1 * terms.BandSmoothness(), "not convex"),
-    ],
-)
-def test_terms_refuse_what_makes_no_sense(make, says: str) -> None:
-    with pytest.raises(rt.errors.ModelError, match=says):
-        make()
-
-
-@pytest.mark.parametrize(
-    ("term", "error", "says"),
-    [
-        (terms.PriorDeviation(band_correlation=1.0), "ModelError", r"not in \[0, 1\)"),
-        (terms.PriorDeviation(band_correlation={"no": 0.5}), "DataError", "is no material"),
-        (terms.PriorDeviation(band_correlation=np.ones((2, 2))), "ModelError", "shape"),
-        (terms.PriorDeviation(band_correlation=np.ones((4, 4))), "ModelError", "definite"),
-        (
-            terms.PriorDeviation(material_correlation={("m0", "m1"): 1.5}),
-            "ModelError",
-            "not positive definite",
-        ),
-    ],
-)
-def test_correlations_that_are_none_are_refused(term, error: str, says: str) -> None:
-    room = random_room(np.random.default_rng(0), 4, 4)
-    with pytest.raises(getattr(rt.errors, error), match=says):
-        rt.Calibration(term).build(room)
-
-
-@pytest.mark.parametrize(
-    ("make", "says"),
-    [
-        (lambda: terms.Bounds(material=5), "Bounds: 5 is not the name of a material"),
-        (lambda: terms.Bounds(band=-1), "Bounds: band = -1 Hz is not finite and above 0"),
-        (lambda: terms.Fixed(5), "Fixed: 5 is not the name of a material"),
-        (lambda: terms.Fixed("a", band=0), "Fixed: band = 0 Hz is not finite and above 0"),
-        (lambda: terms.Shared("a", 5), "Shared: 5 is not the name of a material"),
-        (lambda: terms.AtMost(5, "a"), "AtMost: 5 is not the name of a material"),
-        (lambda: terms.AtMost("a", 5), "AtMost: 5 is not the name of a material"),
-        (lambda: terms.AtMost("a", "b", band=0), "AtMost: band = 0 Hz is not finite and above 0"),
-        (
-            lambda: terms.GroupAbsorption(["a", 5], most=1),
-            "GroupAbsorption: 5 is not the name of a material",
-        ),
-        (
-            lambda: terms.GroupAbsorption(["a"], most=1, band=0),
-            "GroupAbsorption: band = 0 Hz is not finite and above 0",
-        ),
-    ],
-)
-def test_names_and_bands_of_terms_are_checked(make, says: str) -> None:
-    with pytest.raises(rt.errors.DataError) as error:
-        make()
-    assert str(error.value) == says
-
-
-def test_a_soft_match_names_its_argument() -> None:
-    with pytest.raises(rt.errors.ModelError, match=r"^SoftMatch: relative\b"):
-        terms.SoftMatch("much")
-
-
-def test_target_limits_are_those_of_the_longest_and_the_shortest_time() -> None:
-    _, data, room = made(0)
-    low, high = terms.MatchWithin(2.0).target_limits(data)
-    matched = [0, 1, 3]
-    t = data.time[0]
-    np.testing.assert_allclose(low[0, matched], EYRING.target(room, 1.1 * t)[matched], rtol=1e-12)
-    np.testing.assert_allclose(high[0, matched], EYRING.target(room, 0.9 * t)[matched], rtol=1e-12)
-
-
-def made_with_effects(gains: dict[str, list[float]]) -> ProblemData:
-    """Problem data with further unknowns, whose prior sigma is 3."""
-    room = random_room(np.random.default_rng(2), 4, 4)
-    effects = tuple(terms.AddedAbsorption(name, gain, sigma=3.0) for name, gain in gains.items())
-    objective = terms.Objective((terms.PriorDeviation(), *effects), (1.0,) * (1 + len(effects)))
-    configurations = Configurations([room])
-    layout = layout_of(configurations, objective, [])
-    t = EYRING.time(room, room.areas @ room.alpha)
-    assembler = Assembler(layout, EYRING, objective, (), 0, None)
-    return assembler.problem_data(configurations, [times_in_room(room, t)], None)
+@pytest.mark.parametrize("term", [CORRELATED, BOTH, terms.HuberDeviation(convex=0.2)])
+def test_a_prior_is_as_convex_as_it_claims(term: Any) -> None:
+    numbers = numbers_of(1)
+    of_bands = [0.7, 0.0, 0.4, 0.0] if term is CORRELATED else [0.6] * 4
+    r = correlation(numbers, of_bands, common=term is BOTH)
+    least = 0.2 if isinstance(term, terms.HuberDeviation) else 1 / np.linalg.eigvalsh(r).max()
+    claimed = term.convexity(numbers)
+    assert 0.5 * least < claimed <= least * (1 + 1e-12)
 
 
 def test_effects_widen_the_reach_of_their_own_band_and_side() -> None:
-    data = made_with_effects({"opening": [1.0, 0, 0, 0], "correction": [0, 0, -2.0, 0]})
-    least, most = reach(data)
-    total = data.areas[0].sum()
-    np.testing.assert_allclose(least[0], [0, 0, -np.inf, 0])
-    np.testing.assert_allclose(most[0], [np.inf, total, total, total])
-
-
-def test_a_row_is_scaled_by_all_that_can_move_in_it() -> None:
-    data = made_with_effects({"opening": GAIN})
-    variance = data.areas[0] ** 2 @ data.alpha(data.sigma) ** 2 + np.square(GAIN) * 3.0**2
-    np.testing.assert_allclose(terms.ExactMatch().row_scale(data), variance**-0.5, rtol=1e-12)
-
-
-@pytest.mark.parametrize("correlation", [0.0, 0.5])
-def test_the_prior_is_as_convex_as_its_correlation_allows(correlation: float) -> None:
-    data = made_with_effects({"opening": GAIN})
-    prior = terms.PriorDeviation(
-        band_correlation=correlation, material_correlation={("m1", "m3"): correlation}
-    )
-    least = 1 / np.linalg.eigvalsh(prior.correlation(data.layout)).max()
-    convexity = prior.convexity(data)
-    np.testing.assert_allclose(convexity, [least] * data.layout.n_alpha + [0.0], rtol=1e-12)
-
-
-def test_the_huber_prior_is_not_convex_in_what_it_does_not_weigh() -> None:
-    data = made_with_effects({"opening": GAIN})
-    convexity = terms.HuberDeviation(convex=0.2).convexity(data)
-    np.testing.assert_array_equal(convexity, [0.2] * data.layout.n_alpha + [0.0])
-
-
-def test_a_pinned_unknown_has_its_value_as_centre() -> None:
-    _, data, _ = made(0)
-    where = np.arange(data.layout.size) == 7
-    pinned = data.pin(where, np.full(data.layout.size, 0.25))
-    np.testing.assert_array_equal(pinned.centre, np.where(where, 0.25, data.centre))
-    np.testing.assert_array_equal(pinned.pinned, where | data.pinned)
+    effects = [
+        terms.AddedAbsorption(name, gain, sigma=3.0)
+        for name, gain in (("opening", [1.0, 0, 0, 0]), ("correction", [0, 0, -2.0, 0]))
+    ]
+    numbers = numbers_of(2, *effects)
+    least, most = reach(numbers)
+    known = numbers.areas[0, 0] * numbers.mu[1]  # the coefficient with sigma = 0, in band 1
+    total = numbers.areas[0].sum()
+    np.testing.assert_allclose(least[0], [0, known, -np.inf, 0])
+    full = total - numbers.areas[0, 0] + known
+    np.testing.assert_allclose(most[0], [np.inf, full, total, total])
 
 
 def test_groups_of_shared_materials_stay_apart() -> None:
     room = random_room(np.random.default_rng(0), 5, 2)
-    objective = terms.as_objective(terms.PriorDeviation())
+    room = room.replace(alpha=np.full((5, 2), 0.3), sigma=np.full((5, 2), 0.1))
     shared = [terms.Shared("m1", "m3"), terms.Shared("m4", "m0")]
-    assert layout_of(Configurations([room]), objective, shared).rows == (0, 1, 2, 1, 0)
-    joined = [*shared, terms.Shared("m3", "m0")]
-    assert layout_of(Configurations([room]), objective, joined).rows == (0, 0, 1, 0, 0)
+
+    def layout(*constraints: Any) -> Layout:
+        return rt.Calibration(terms.PriorDeviation(), constraints).build(room).composition.layout
+
+    assert layout(*shared).rows == (0, 1, 2, 1, 0)
+    assert layout(*shared, terms.Shared("m3", "m0")).rows == (0, 0, 1, 0, 0)
+
+
+P = terms.PriorDeviation
+REFUSED: list[tuple[Callable[[], Any], type[Exception], str]] = [
+    (lambda: P(sigma=0.0), ModelError, "PriorDeviation"),
+    (lambda: terms.HuberDeviation(threshold=-1), ModelError, "threshold"),
+    (lambda: terms.HuberDeviation(convex=0), ModelError, "convex"),
+    (lambda: terms.SoftMatch(-0.1), ModelError, "SoftMatch"),
+    (lambda: terms.SoftMatch("much"), ModelError, "SoftMatch: relative"),
+    (lambda: terms.SoftMatch(5), ModelError, "percent"),
+    (lambda: terms.MatchWithin(20), ModelError, "MatchWithin"),
+    (lambda: terms.AddedAbsorption("x", [1, np.nan], 1.0), ModelError, '"x"'),
+    (lambda: terms.AddedAbsorption("x", [1, 1], 0.0), ModelError, "sigma"),
+    (lambda: terms.AtMost("a", "a"), ModelError, '"a"'),
+    (lambda: terms.AtMost("a", 5), DataError, "AtMost: 5"),
+    (lambda: terms.AtMost("a", "b", band=0), DataError, "band = 0"),
+    (lambda: terms.GroupAbsorption(["a"]), ModelError, "one of them"),
+    (lambda: terms.GroupAbsorption([], least=1), ModelError, "material"),
+    (lambda: terms.GroupAbsorption(["a"], least=3, most=2), ModelError, "least"),
+    (lambda: terms.GroupAbsorption(["a", 5], most=1), DataError, "5"),
+    (lambda: terms.Shared("a"), ModelError, "two"),
+    (lambda: terms.Shared("a", 5), DataError, "5"),
+    (lambda: terms.Bounds(material=5), DataError, "Bounds: 5"),
+    (lambda: terms.Bounds(band=-1), DataError, "band = -1"),
+    (lambda: terms.Fixed("a", band=0), DataError, "band = 0"),
+    (lambda: -1 * terms.BandSmoothness(), ModelError, "-1"),
+    (lambda: P() + 5, ModelError, "5"),
+    (lambda: P() + terms.BandSmoothness, ModelError, r"BandSmoothness\(\)"),
+    (lambda: rt.Calibration(P(), [terms.ExactMatch]), ModelError, r"ExactMatch\(\)"),
+    (lambda: rt.Calibration(P(), [5]), ModelError, "5"),
+    (lambda: rt.Calibration(P(), [terms.SoftMatch()]), ModelError, "no constraint"),
+    (lambda: rt.Calibration(P() + terms.HuberDeviation()), ModelError, "2 prior"),
+    (lambda: rt.Calibration(0 * P() + terms.SoftMatch()), ModelError, "weight 0"),
+    (lambda: rt.Calibration(P() + P()), ModelError, "2 prior"),
+    (lambda: rt.Calibration(P(), [terms.ExactMatch()] * 2), ModelError, "twice"),
+    (
+        lambda: rt.Calibration(P() + terms.SoftMatch(0.05) + terms.SoftMatch(0.1)),
+        ModelError,
+        "two soft",
+    ),
+]
+
+
+@pytest.mark.parametrize(("make", "error", "place"), REFUSED)
+def test_what_makes_no_sense_is_refused(make: Any, error: type[Exception], place: str) -> None:
+    with pytest.raises(error, match=place):
+        make()
+
+
+def two(m: terms.Model) -> list[Any]:
+    return [m.deviation, m.deviation]
+
+
+def not_dpp(m: terms.Model) -> Any:
+    first, second = (m.parameter(m.deviation.shape, lambda of: of.alpha(of.mu)) for _ in range(2))
+    return cp.sum_squares(cp.multiply(cp.multiply(first, second), m.deviation))
+
+
+SHARE = terms.Shared("m0", "m1")
+BUILT: list[tuple[Any, list[Any], type[Exception], str]] = [
+    (P(band_correlation=1.0), [], ModelError, "band_correlation"),
+    (P(band_correlation={"no": 0.5}), [], DataError, '"no"'),
+    (P(band_correlation=np.ones((2, 2))), [], ModelError, "shape"),
+    (P(band_correlation=np.ones((4, 4))), [], ModelError, "definite"),
+    (P(material_correlation={("m0", "m1"): 1.5}), [], ModelError, "definite"),
+    (P(), [terms.Shared("m0", "no")], DataError, '"no"'),
+    (P(), [terms.AtMost("m0", "no")], DataError, '"no"'),
+    (P(), [terms.AtMost("m0", "m1", band=8000)], DataError, "8000 Hz"),
+    (P(), [terms.Shared("m2", "m3"), terms.GroupAbsorption(["m2"], most=5)], ModelError, '"m3"'),
+    (P(), [terms.GroupAbsorption(["m2"], most=5, configuration=1)], ModelError, "configuration=1"),
+    (P() + not_dpp, [], ModelError, "not DPP"),
+    (P() + (lambda m: cp.norm(m.deviation[0])), [], ModelError, "no QP"),
+    (P() + (lambda m: -cp.sum_squares(m.deviation)), [], ModelError, "not convex"),
+    (P() + (lambda m: m.deviation), [], ModelError, "no objective term"),
+    (P(), [two], ModelError, "no constraint"),
+    (
+        P() + terms.AddedAbsorption("x", GAIN, 1.0) + terms.AddedAbsorption("x", [1.0] * 4, 1.0),
+        [],
+        ModelError,
+        "one name",
+    ),
+]
+
+
+@pytest.mark.parametrize(("objective", "constraints", "error", "place"), BUILT)
+def test_terms_that_do_not_fit_the_room_are_refused_when_built(
+    objective: Any, constraints: list[Any], error: type[Exception], place: str
+) -> None:
+    room = random_room(np.random.default_rng(0), N, K)
+    with pytest.raises(error, match=place):
+        rt.Calibration(objective, constraints).build(room)
+
+
+def test_numbers_that_do_not_fit_are_refused_when_solved() -> None:
+    room = random_room(np.random.default_rng(0), N, K)
+    t = true_times(np.random.default_rng(0), room, EYRING)
+    for objective, constraints, error, place in (
+        (P(), [SHARE], DataError, "have one prior"),
+        (P() + terms.SoftMatch(), [], DataError, r"u_T\[63 Hz\] is unknown or 0"),
+        (P() + terms.SoftMatch(1e-9), [], DataError, r"u_T\[63 Hz\] is below"),
+        (P() + terms.AddedAbsorption("x", [1, 1], 1.0), [], ModelError, "shape"),
+        (P(), [terms.Bounds(0.6, 1), terms.Bounds(0, 0.5)], DataError, "contradict each other"),
+    ):
+        with pytest.raises(error, match=place):
+            rt.Calibration(objective, constraints).build(room).solve(t)

@@ -7,6 +7,7 @@ import warnings
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 import qpbenchmark
@@ -16,10 +17,9 @@ import rtcal as rt
 from benchmarks.solvers import truth
 from rtcal import terms
 from rtcal.acoustics.bands import third_octaves
-from rtcal.calibration.compiled_qp import WhitenedQP
-from rtcal.calibration.configurations import Configurations
 from rtcal.calibration.methods import preset
-from rtcal.calibration.problem import CalibrationProblem, JointProblem
+from rtcal.calibration.problem import CalibrationProblem, measured_times
+from rtcal.calibration.unknowns import Configurations, Layout
 from rtcal.datasets.halls import lecture_hall
 from rtcal.studies.paper import SHOEBOX, SIGMA_R, TABLE_1_MU, TABLE_1_SIGMA, realisations
 from rtcal.support.types import Array
@@ -52,6 +52,57 @@ class Separable:
         return rt.exact.solve(self.mu.T, self.sigma.T, self.areas, self.target, self.lower.T)
 
 
+class Matrices(NamedTuple):
+    """minimise ½ x'Px + q'x subject to A x = b (the first n_equal rows) and A x <= b."""
+
+    P: Any
+    q: Array
+    A: Any
+    b: Array
+    n_equal: int
+
+
+@dataclass(frozen=True, eq=False)
+class Whitened:
+    """The QP of a calibration for any solver: alpha = centre + scale x; then helper variables."""
+
+    matrices: Matrices
+    centre: Array
+    scale: Array
+    layout: Layout
+
+    @classmethod
+    def of(cls, built: CalibrationProblem[Any], measured: Any, room: Any) -> Whitened:
+        """Return the QP of a measurement, unsolved and unchecked: it may have no answer."""
+        alone = isinstance(built.room, rt.Room)
+        rooms = Configurations([room or built.room]) if alone else room or built.room
+        times = measured_times(rooms, [measured] if alone else measured)
+        numbers = built.composition.numbers(rooms, times)
+        qp = built.composition.qp(numbers)
+        order = qp.compiled.unknowns
+        order = np.concatenate([order, np.setdiff1d(np.arange(len(qp.c)), order)])
+        quadratic, rows = (part.tocsc()[:, order] for part in qp.matrices)
+        low, high = qp.lower[order], qp.upper[order]
+        one = sp.eye_array(len(order), format="csr")
+        bounded = [np.flatnonzero(np.isfinite(end)) for end in (low, high)]
+        every = sp.csr_array(sp.vstack([rows, -one[bounded[0]], one[bounded[1]]]))
+        limits = np.concatenate([qp.b, -low[bounded[0]], high[bounded[1]]])
+        size = np.sqrt(np.asarray(every.power(2).sum(axis=1)).ravel())
+        unit = np.divide(1.0, size, out=np.ones_like(size), where=size > 0)
+        matrices = Matrices(
+            sp.csc_matrix(quadratic.tocsr()[order]),
+            qp.c[order],
+            sp.csc_matrix(sp.diags_array(unit) @ every),
+            unit * limits,
+            int(qp.equal.sum()),
+        )
+        return cls(matrices, numbers.mu, numbers.sigma, numbers.layout)
+
+    def alpha(self, x: Array) -> Array:
+        """Return the absorption coefficients of a point x, (n_materials, n_bands)."""
+        return self.layout.expand(self.centre + self.scale * x[: len(self.centre)])
+
+
 class Case(qpbenchmark.Problem):
     """A problem with its exact answer.
 
@@ -62,14 +113,14 @@ class Case(qpbenchmark.Problem):
         self,
         name: str,
         family: str,
-        built: CalibrationProblem | JointProblem,
+        built: CalibrationProblem[Any],
         measured: object,
         room: object,
         separable: Separable | None,
     ) -> None:
         self.family, self.built, self.measured, self.room = family, built, measured, room
         self.separable = separable
-        self.whitened: WhitenedQP = built.whitened(measured, room)
+        self.whitened = Whitened.of(built, measured, room)
         qp = self.whitened.matrices
         rows = sp.csr_matrix(qp.A)
         n = qp.n_equal
@@ -104,7 +155,7 @@ class Case(qpbenchmark.Problem):
 def _single(
     name: str,
     family: str,
-    built: CalibrationProblem,
+    built: CalibrationProblem[Any],
     room: rt.Room,
     times: Array,
     sigma: Array | None = None,
@@ -340,7 +391,7 @@ class Rooms(qpbenchmark.TestSet):
             yield self._two(n, THIRDS, "sizes")
 
 
-def _times(built: CalibrationProblem, measured: rt.Measurement, room: rt.Room) -> Array:
+def _times(built: CalibrationProblem[Any], measured: rt.Measurement, room: rt.Room) -> Array:
     return np.array(built.solve(measured).joint.measured_times[0].reverberation_time)
 
 

@@ -166,9 +166,8 @@ def iterations(count: int, seed: int = 7) -> Iterator[Count]:
                     case.measured,
                     case.room,
                     solver="osqp",
-                    warm_start="closed_form",
                     settings={**settings["osqp"], "polishing": False},
-                ).joint.solution.raw
+                ).raw
                 yield Count(n, box, "osqp", "closed form, held", held.iterations)
                 yield Count(n, box, "clarabel", "cold", by_clarabel(case, settings, "").iterations)
                 previous = answer

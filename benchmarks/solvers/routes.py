@@ -23,7 +23,6 @@ from qpbenchmark.solver_settings import SolverSettings
 
 import rtcal as rt
 from benchmarks.solvers.cases import Case
-from rtcal.calibration.problem import JointProblem
 from rtcal.support.types import Array
 
 EPS = {"low_accuracy": 1e-3, "mid_accuracy": 1e-6, "high_accuracy": 1e-9}
@@ -79,7 +78,9 @@ def by_clarabel(case: Case, settings: SolverSettings, setting: str) -> Found:
         setattr(chosen, key, value)
     cones = [clarabel.ZeroConeT(qp.n_equal), clarabel.NonnegativeConeT(len(qp.b) - qp.n_equal)]
     began = time.perf_counter()
-    result = clarabel.DefaultSolver(qp.P_upper, qp.q, qp.A, qp.b, cones, chosen).solve()
+    result = clarabel.DefaultSolver(
+        sp.triu(qp.P, format="csc"), qp.q, qp.A, qp.b, cones, chosen
+    ).solve()
     seconds = time.perf_counter() - began
     word = str(result.status)
     status = "solved" if word == "Solved" else "infeasible" if "Infeasible" in word else "failed"
@@ -207,18 +208,18 @@ def by_rtcal(
     except rt.errors.SolverError:
         return Found("failed", time.perf_counter() - began)
     seconds = time.perf_counter() - began
-    joint = result if isinstance(case.built, JointProblem) else result.joint
-    given = joint.solution if polished else joint.solution.raw
+    joint = getattr(result, "joint", result)
+    given = joint if polished else joint.raw
     c = given.certificate
     residuals = (c.primal_residual, c.dual_residual, c.duality_gap)
-    word = "solved" if polished else joint.solution.raw.status.lower()
+    word = "solved" if polished else joint.raw.status.lower()
     status = word if word == "solved" else "infeasible" if "infeasible" in word else "failed"
     return Found(
         status,
         seconds if polished else given.seconds,
-        alpha=case.whitened.layout.expand(given.unknowns),
+        alpha=given.alpha,
         own=tuple(float(np.max(r)) for r in residuals),
-        iterations=joint.solution.raw.iterations,
+        iterations=joint.raw.iterations,
     )
 
 

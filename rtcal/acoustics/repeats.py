@@ -48,9 +48,9 @@ def fingerprint(kind: str, values: Mapping[str, float]) -> str:
     return f"{kind}:" + ",".join(f"{k}={v:.5f}" for k, v in values.items() if math.isfinite(v))
 
 
-def of_times(room: Room, times: Array) -> str:
-    """Return the name of T in s, (n_bands,), in the room's bands."""
-    labels = (f"{f:g}" for f in room.centre_frequencies.tolist())
+def of_times(centre_frequencies: Array, times: Array) -> str:
+    """Return the name of T in s, (n_bands,), in these bands in Hz."""
+    labels = (f"{f:g}" for f in centre_frequencies.tolist())
     return fingerprint("T", dict(zip(labels, times.tolist(), strict=True)))
 
 

@@ -5,9 +5,8 @@ from typing import TYPE_CHECKING
 from rtcal import support
 
 if TYPE_CHECKING:
-    from rtcal.calibration.convex_program import forget as forget
     from rtcal.calibration.problem import CalibrationProblem as CalibrationProblem
-    from rtcal.calibration.problem import JointProblem as JointProblem
+    from rtcal.calibration.qp import forget as forget
     from rtcal.calibration.result import CalibrationResult as CalibrationResult
     from rtcal.calibration.result import JointResult as JointResult
 else:

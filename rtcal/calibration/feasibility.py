@@ -6,17 +6,18 @@ Constraints that contradict each other are explained by the smallest relaxation 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import scipy.sparse as sp
+from numpy.typing import NDArray
 
 from rtcal.acoustics import bands
-from rtcal.acoustics.equations import LinearEquation
 from rtcal.acoustics.room import Room
 from rtcal.acoustics.trust import surface_doubt
-from rtcal.calibration.numpy_model import NumpyModel
-from rtcal.calibration.problem_data import Flags, ProblemData
+from rtcal.calibration.composition import Composition
+from rtcal.calibration.qp import COMPILING, QP, Compiled
+from rtcal.calibration.unknowns import Flags, Numbers
 from rtcal.support.errors import InfeasibleError, ModelError
 from rtcal.support.types import Array
 
@@ -79,75 +80,86 @@ def where_valid(
         return np.where(outside, np.nan, inside)
 
 
-def reach(data: ProblemData) -> tuple[Array, Array]:
+def reach(numbers: Numbers) -> tuple[Array, Array]:
     """Return the least and the most S'alpha in m² within the box, each (n_configurations, n_bands).
 
     Fixed unknowns count with their value. The sizes of effects add the range of their bounds.
     """
-    lower, upper = data.reachable_box
-    least = data.areas @ data.alpha(lower)
-    most = data.areas @ data.alpha(upper)
-    if data.gains.size:
+    lower, upper = numbers.box
+    least = numbers.areas @ numbers.alpha(lower)
+    most = numbers.areas @ numbers.alpha(upper)
+    if numbers.gains.size:
         with np.errstate(invalid="ignore"):  # 0 times an unlimited size
-            ends = data.gains[..., np.newaxis] * np.stack(
-                [data.further(lower), data.further(upper)], axis=-1
+            ends = numbers.gains[..., np.newaxis] * np.stack(
+                [numbers.further(lower), numbers.further(upper)], axis=-1
             )
         ends = np.nan_to_num(ends, nan=0.0, posinf=np.inf, neginf=-np.inf)
         least, most = least + ends.min(axis=-1).sum(axis=-1), most + ends.max(axis=-1).sum(axis=-1)
     return least, most
 
 
-def end_tolerance(data: ProblemData) -> Array:
+def end_tolerance(numbers: Numbers) -> Array:
     """Return the distance in m² up to which b counts as an end, (n_configurations, n_bands).
 
     b of a T at an end is an end only up to rounding. A sum of n products has an error of at most
     n eps / 2 times the sum of their absolute values (Higham 2002, Sect. 3.1). From alpha to T and back,
     b has at most 1.5 eps sum S. So 16 n is eight times their sum or more.
     """
-    upper = data.alpha(data.reachable_box[1])
-    n = data.areas.shape[1]
-    return np.asarray(16 * n * np.finfo(float).eps * (data.areas @ np.abs(upper)))
+    upper = numbers.alpha(numbers.box[1])
+    n = numbers.areas.shape[1]
+    return np.asarray(16 * n * np.finfo(float).eps * (numbers.areas @ np.abs(upper)))
+
+
+@dataclass(frozen=True, eq=False)
+class Reach:
+    """The matched targets within reach of the bounds.
+
+    ``target`` is b in m², (n_configurations, n_bands), an unreachable one moved to the nearest end.
+    ``at`` (size,) is -1 or 1 for unknowns that a target at an end forces to their lower or upper bound,
+    else 0. ``beyond`` are the unreachable bands.
+    """
+
+    target: Array
+    at: NDArray[np.int8]
+    beyond: tuple[Unreachable, ...] = ()
 
 
 def restrict_to_reach(
-    data: ProblemData,
-    rooms: Sequence[Room],
-    wanted: tuple[Array, Array],
-    equation: LinearEquation,
-    unreachable: str,
-) -> tuple[ProblemData, Flags, Flags, tuple[Unreachable, ...]]:
-    """Check every exactly matched target and pin the bands that stand at an end.
+    numbers: Numbers, matches: Sequence[tuple[Array, Array]], unreachable: str
+) -> Reach:
+    """Check every exactly matched target, and hold the bands that stand at an end there.
 
     Parameters
     ----------
-    data : ProblemData
-    rooms : sequence of Room
-        One per configuration.
-    wanted : two arrays (n_configurations, n_bands)
-        The least and the most S'alpha in m² that the match allows.
-    equation : LinearEquation
+    numbers : Numbers
+    matches : sequence of two arrays (n_configurations, n_bands)
+        The least and the most S'alpha in m² that each match allows.
     unreachable : {"raise", "nearest"}
-
-    Returns
-    -------
-    data : ProblemData
-        Unreachable targets moved to the nearest end, and coefficients at an end pinned there.
-    at_lower, at_upper : array (size,) of bool
-        Unknowns that an end forces to a bound.
-    unreachable : tuple of Unreachable
 
     Raises
     ------
     InfeasibleError
-        With ``unreachable="raise"``, naming every band that cannot be reached.
+        With ``unreachable="raise"``, naming every band that cannot be reached; in a problem without a
+        match, for a T that is too short for any absorption.
     """
-    times = data.time
+    times, rooms, equation = numbers.time, numbers.rooms, numbers.equation
+    free = np.zeros(numbers.layout.size, dtype=np.int8)
+    if not matches:
+        lost = np.isfinite(times) & ~np.isfinite(numbers.target)
+        if lost.any():
+            row = int(np.flatnonzero(lost.ravel())[0])
+            raise InfeasibleError(
+                f"T[{numbers.layout.band_label(row)}] = {times.ravel()[row]:.4g} s is "
+                "too short for any absorption"
+            )
+        return Reach(numbers.target, free)
     asked = np.isfinite(times)
-    low, high = reach(data)
-    tolerance = end_tolerance(data)
-    top = np.minimum(high, data.largest_target)
-    _refuse_invalid(equation, rooms, asked & (low > (1 + _MARGIN) * data.largest_target), low)
-    wanted_low, wanted_high = wanted
+    low, high = reach(numbers)
+    tolerance, largest = end_tolerance(numbers), numbers.largest_target
+    top = np.minimum(high, largest)
+    _refuse_invalid(numbers, asked & (low > (1 + _MARGIN) * largest), low)
+    wanted_low = np.max([least for least, _ in matches], axis=0)
+    wanted_high = np.min([most for _, most in matches], axis=0)
     # Where the match has a tolerance, the target becomes the reachable value nearest to it.
     highest = np.where(np.isnan(wanted_high), np.inf, wanted_high)
     target = np.minimum(
@@ -180,116 +192,148 @@ def restrict_to_reach(
     reached = np.where(at_low, low, np.where(at_high, top, target))
     moved = too_low | too_high | at_low | at_high
     if not moved.any():
-        nothing = np.zeros(data.layout.size, dtype=bool)
-        return data, nothing, nothing, ()
+        return Reach(numbers.target, free)
     at_high &= top >= high - tolerance  # a limit of the equation is no end of the box
-    at_lower, at_upper = _forced(data, at_low, at_high)
-    pinned = data.pin(at_lower | at_upper, np.where(at_lower, data.lower, data.upper))
-    target = np.where(moved | np.isnan(data.target), reached, data.target)
-    return replace(pinned, target=target), at_lower, at_upper, tuple(beyond)
+    target = np.where(moved | np.isnan(numbers.target), reached, numbers.target)
+    return Reach(target, _forced(numbers, at_low, at_high), tuple(beyond))
 
 
-def _refuse_invalid(
-    equation: LinearEquation, rooms: Sequence[Room], where: Flags, least: Array
-) -> None:
+def _refuse_invalid(numbers: Numbers, where: Flags, least: Array) -> None:
     """Raise InfeasibleError where every coefficient within the bounds is beyond the equation."""
     if where.any():
         c, k = (int(v) for v in np.argwhere(where)[0])
+        room, equation = numbers.rooms[c], numbers.equation
         raise InfeasibleError(
-            f"{bands.label(rooms[c].centre_frequencies[k])}: the bounds allow mean coefficients "
-            f"from {least[c, k] / rooms[c].total_area:.3f}, but {equation.name}'s equation holds up "
+            f"{bands.label(room.centre_frequencies[k])}: the bounds allow mean coefficients "
+            f"from {least[c, k] / room.total_area:.3f}, but {equation.name}'s equation holds up "
             f"to {equation.largest_mean:.3f}"
         )
 
 
-def _forced(data: ProblemData, at_low: Flags, at_high: Flags) -> tuple[Flags, Flags]:
-    """Unknowns that a target at the end of its range forces to their lower and upper bound."""
-    moves = data.scale > 0
-    has_area = data.areas[:, :, np.newaxis] > 0
+def _forced(numbers: Numbers, at_low: Flags, at_high: Flags) -> NDArray[np.int8]:
+    """Return -1 or 1 for the unknowns that a target at the end of its range forces to a bound."""
+    has_area = numbers.areas[:, :, np.newaxis] > 0
     sides = []
     for end, other in ((at_low, at_high), (at_high, at_low)):
         alpha = np.any(end[:, np.newaxis, :] & has_area, axis=0).ravel()
         further = np.any(
-            (end[..., np.newaxis] & (data.gains > 0)) | (other[..., np.newaxis] & (data.gains < 0)),
+            (end[..., np.newaxis] & (numbers.gains > 0))
+            | (other[..., np.newaxis] & (numbers.gains < 0)),
             axis=(0, 1),
         )
-        sides.append(moves & np.concatenate([alpha, further]))
+        sides.append(numbers.movable & np.concatenate([alpha, further]))
     at_lower, at_upper = sides
-    return at_lower, at_upper & ~at_lower & np.isfinite(data.upper)
+    at_upper &= ~at_lower & np.isfinite(numbers.upper)
+    return np.asarray(at_upper.astype(np.int8) - at_lower.astype(np.int8))
+
+
+@dataclass(frozen=True)
+class _Limit:
+    """The limit of a row that a term states; ``flipped`` if it falls as the row's b rises."""
+
+    row: int
+    label: str
+    value: float
+    flipped: bool
+
+
+def _limits(of: Compiled, numbers: Numbers) -> list[_Limit]:
+    """Return the limits of all rows that terms state."""
+    limits: list[_Limit] = []
+    with COMPILING:  # the problem has one value of each parameter
+        for parameter, compute in of.model.parameters:
+            parameter.save_value(np.reshape(compute(numbers), parameter.shape))
+        for (term, stated), rows_of in zip(of.stated, of.rows_of, strict=True):
+            label = getattr(term, "label", lambda row, _, term=term: f"{term!r}, row {row + 1}")
+            for constraint, rows in zip(stated, rows_of, strict=True):
+                left, right = constraint.args
+                flipped = not right.is_constant()
+                values = left.value if flipped and left.is_constant() else right.value
+                values = np.broadcast_to(0.0 if values is None else values, constraint.shape)
+                limits += [
+                    _Limit(int(row), label(i, of.layout), float(value), flipped)
+                    for i, (row, value) in enumerate(zip(rows, np.ravel(values), strict=True))
+                    if row >= 0
+                ]
+    return limits
 
 
 _NOTHING = 1e-9
 
 
-def explain(model: NumpyModel) -> None:
+def explain(composition: Composition, numbers: Numbers, program: QP) -> None:
     """Raise InfeasibleError, with the smallest relaxation, if the constraints contradict each other.
 
     An elastic linear programme (Chinneck 2008, ch. 6): minimise the sum of all relaxations, subject to
-    every row and every bound of a term, relaxed. Relaxations are in absorption coefficients; a row's is
-    divided by the sum of its coefficients of one sign. 0 <= alpha <= 1 and fixed unknowns are not
-    relaxed.
+    every row of a constraint and every bound, relaxed. Relaxations are in absorption coefficients; a
+    row's is divided by the sum of its coefficients of one sign. 0 <= alpha <= 1 and fixed unknowns are
+    not relaxed.
     """
     from scipy.optimize import linprog
 
-    data, layout = model.data, model.data.layout
-    matrix = sp.csr_array(model.matrix)
-    n_rows, size = matrix.shape
-    sides = [np.asarray(part.maximum(0).sum(axis=1)).ravel() for part in (matrix, -matrix)]
-    norm = np.maximum(*sides)
-    norm[norm == 0] = 1.0
-    scaled = sp.diags_array(1 / norm) @ matrix
-    # Unknowns, then relaxations of rows up and down, then of the box down and up.
-    low, high = model.row_lower / norm, model.row_upper / norm
-    identity, none = sp.eye_array(n_rows), sp.csr_array((n_rows, size))
-    square, empty = sp.eye_array(size), sp.csr_array((size, n_rows))
-    above = sp.hstack([scaled, identity * 0, -identity, none, none])
-    below = sp.hstack([-scaled, -identity, identity * 0, none, none])
-    floor = sp.hstack([-square, empty, empty, -square, square * 0])
-    ceiling = sp.hstack([square, empty, empty, square * 0, -square])
-    limits = np.concatenate([high, -low, -model.lower, model.upper])
-    system = sp.csr_array(sp.vstack([above, below, floor, ceiling]))
-    used = np.isfinite(limits)
-    held = ~model.movable
-    hard_upper = np.where(np.arange(size) < layout.n_alpha, 1.0, np.inf)
-    bounds = np.concatenate(
-        [
-            np.column_stack(
-                [np.where(held, data.centre, 0.0), np.where(held, data.centre, hard_upper)]
-            ),
-            np.column_stack(
-                [np.zeros(2 * n_rows + 2 * size), np.full(2 * n_rows + 2 * size, np.inf)]
-            ),
-        ]
+    of, place, moves = composition.compiled, composition.compiled.unknowns, numbers.movable
+    # In the unknowns' own units, alpha = mu + sigma x. What cannot move goes to the limits.
+    held = np.where(moves, 0.0, numbers.box[0])
+    unit, offset = np.ones(len(program.c)), np.zeros(len(program.c))
+    unit[place] = np.where(moves, numbers.inverse_sigma, 0.0)
+    offset[place] = (held - numbers.mu) * numbers.inverse_sigma
+    matrix = sp.csr_array(program.matrices[1] @ sp.diags_array(unit))
+    own = matrix[:, place]
+    sides = [np.asarray((sign * own).maximum(0).sum(axis=1)).ravel() for sign in (1, -1)]
+    size = np.maximum(*sides)
+    size[size == 0] = 1.0
+    limits = _limits(of, numbers)
+    rows, soft = np.array([limit.row for limit in limits], dtype=int), place[moves]
+    n_rows, n = matrix.shape
+    give = sp.csr_array((size[rows], (rows, np.arange(len(rows)))), shape=(n_rows, len(rows)))
+    pick = sp.csr_array((np.ones(len(soft)), (np.arange(len(soft)), soft)), (len(soft), n))
+    bounds = np.array([program.lower, program.upper])
+    bounds[:, place] = numbers.box
+    one = sp.eye_array(len(soft))
+    # The variables of the QP; relaxations of rows, up and down; of bounds, down and up.
+    lines = sp.csr_array(
+        sp.block_array(
+            [
+                [matrix, -give, give, None, None],
+                [-pick, None, None, -one, None],
+                [pick, None, None, None, -one],
+            ]
+        )
     )
-    cost = np.concatenate([np.zeros(size), np.ones(2 * n_rows + 2 * size)])
-    program = linprog(cost, A_ub=system[used], b_ub=limits[used], bounds=bounds, method="highs")
-    if program.status != 0 or program.fun <= _NOTHING:
+    right = np.concatenate([program.b - program.rows(offset), -bounds[0][soft], bounds[1][soft]])
+    equal = np.concatenate([program.equal, np.zeros(2 * len(soft), dtype=bool)])
+    used = np.isfinite(right) & ~equal
+    n_alpha = composition.layout.n_alpha
+    bounds[0, place] = held
+    bounds[1, place] = np.where(moves, 1.0, held)
+    bounds[1, place[n_alpha:]] = np.inf
+    extra = np.zeros(2 * (len(rows) + len(soft)))
+    answer = linprog(
+        np.concatenate([np.zeros(n), extra + 1]),
+        A_ub=lines[used],
+        b_ub=right[used],
+        A_eq=lines[equal],
+        b_eq=right[equal],
+        bounds=np.concatenate([bounds.T, np.column_stack([extra, extra + np.inf])]),
+        method="highs",
+    )
+    if answer.status != 0 or answer.fun <= _NOTHING:
         return
-    relaxed = program.x[size:]
+    up, down, low, high = np.split(answer.x[n:], np.cumsum([len(rows), len(rows), len(soft)]))
+    out = []
+    for given, rises in ((down, False), (up, True)):
+        for i in np.flatnonzero(given > _NOTHING):
+            limit, word = limits[i], "higher" if rises != limits[i].flipped else "lower"
+            by = given[i] * size[rows[i]]
+            out.append(f"{limit.label}: {limit.value:.4g} has to be {by:.4g} {word}")
+    for given, limit_of, words in (
+        (low, numbers.lower, "lower bound {:.4g} has to be {:.4g} lower"),
+        (high, numbers.upper, "upper bound {:.4g} has to be {:.4g} higher"),
+    ):
+        for i in np.flatnonzero(given > _NOTHING):
+            u = int(np.flatnonzero(moves)[i])
+            out.append(f"{composition.layout.place(u)}: " + words.format(limit_of[u], given[i]))
     raise InfeasibleError(
         "the constraints contradict each other. The smallest relaxation that removes it: "
-        + "; ".join(_named(model, relaxed, norm))
+        + "; ".join(out)
     )
-
-
-def _named(model: NumpyModel, relaxed: Array, norm: Array) -> list[str]:
-    layout = model.data.layout
-    n_rows, size = len(norm), layout.size
-    labels = [
-        term.label(row, layout)
-        for term in model.row_constraints
-        for row in range(len(term.row_scale(model.data)))
-    ]
-    out = []
-    for side, (start, word) in enumerate(((0, "lower"), (n_rows, "higher"))):
-        for row in np.flatnonzero(relaxed[start : start + n_rows] > _NOTHING):
-            limit = (model.row_lower, model.row_upper)[side][row]
-            by = relaxed[start + row] * norm[row]
-            out.append(f"{labels[row]}: {limit:.4g} has to be {by:.4g} {word}")
-    for start, limits, word in (
-        (2 * n_rows, model.lower, "lower bound {:.4g} has to be {:.4g} lower"),
-        (2 * n_rows + size, model.upper, "upper bound {:.4g} has to be {:.4g} higher"),
-    ):
-        for u in np.flatnonzero(relaxed[start : start + size] > _NOTHING):
-            out.append(f"{layout.place(int(u))}: " + word.format(limits[u], relaxed[start + u]))
-    return out

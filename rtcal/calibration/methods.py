@@ -18,7 +18,7 @@ from __future__ import annotations
 import functools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, Generic, Protocol, TypeVar, Unpack, overload
+from typing import Any, Generic, Protocol, TypeVar, overload
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,10 +26,8 @@ from numpy.typing import NDArray
 from rtcal.acoustics.equations import Equation
 from rtcal.acoustics.quality import rms
 from rtcal.acoustics.room import Room
-from rtcal.calibration.configurations import Configurations
 from rtcal.calibration.problem import Calibration, Times
 from rtcal.calibration.result import CalibrationResult, JointResult
-from rtcal.calibration.solvers import SolveKeywords
 from rtcal.calibration.terms import (
     BandSmoothness,
     ExactMatch,
@@ -38,6 +36,7 @@ from rtcal.calibration.terms import (
     RoomMatch,
     SoftMatch,
 )
+from rtcal.calibration.unknowns import Configurations
 from rtcal.support.errors import DataError, ModelError
 from rtcal.support.types import Array
 
@@ -121,7 +120,7 @@ def calibrate(
     measured: Times,
     method: str = "mle",
     equation: Equation | None = None,
-    **options: Unpack[SolveKeywords],
+    **options: Any,
 ) -> CalibrationResult: ...
 
 
@@ -131,7 +130,7 @@ def calibrate(
     measured: Sequence[Times],
     method: str = "mle",
     equation: Equation | None = None,
-    **options: Unpack[SolveKeywords],
+    **options: Any,
 ) -> JointResult: ...
 
 
@@ -140,7 +139,7 @@ def calibrate(
     measured: Any,
     method: str = "mle",
     equation: Equation | None = None,
-    **options: Unpack[SolveKeywords],
+    **options: Any,
 ) -> CalibrationResult | JointResult:
     """Calibrate a room's absorption coefficients to its measured reverberation time.
 
@@ -161,11 +160,11 @@ def calibrate(
     equation : Equation, optional
         `rtcal.Eyring` with the room's air if not given.
     **options
-        ``solver``: ``"clarabel"`` (the default), ``"osqp"``, another solver of cvxpy's, or
-        ``"qpsolvers:NAME"``. ``unreachable``: ``"raise"`` (the default), or ``"nearest"`` to take
-        the nearest T within reach and list the band in the result. ``warm_start``: ``"auto"``
-        (the default), ``"closed_form"`` or ``"none"``; see `rtcal.calibration.solvers.SolveOptions`.
-        ``settings``: a mapping of the solver's own settings.
+        ``solver``: ``"clarabel"`` (the default), ``"osqp"``, or another solver of cvxpy's.
+        ``unreachable``: ``"raise"`` (the default), or ``"nearest"`` to take the nearest T within
+        reach and list the band in the result. ``warm_start``: whether OSQP starts from the closed
+        form; see `rtcal.calibration.qp.SolveOptions`. ``settings``: a mapping of the solver's own
+        settings.
 
     Returns
     -------
@@ -174,7 +173,7 @@ def calibrate(
     Raises
     ------
     DataError, ModelError, InfeasibleError, SolverError
-        As `CalibrationProblem.solve`.
+        As `rtcal.calibration.problem.CalibrationProblem.solve`.
 
     Warns
     -----

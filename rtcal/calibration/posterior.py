@@ -9,9 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtr, ndtri
 
-from rtcal.support import checks, kkt
+from rtcal.support import checks
 from rtcal.support.errors import DataError
-from rtcal.support.kkt import Hessian
 from rtcal.support.normal import NORMAL
 from rtcal.support.truncated import Density, Draws, draws, samples
 from rtcal.support.types import Array
@@ -243,65 +242,12 @@ def _moments(points: Array) -> tuple[Array, Array]:
     return mean, np.where(np.ptp(points, axis=-1) > _ROUNDING, spread, 0.0)
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Optimality:
-    """The optimality conditions at the answer, and their derivatives with respect to T.
-
-    H du + A' dy = -dg and A du = dc, over the free unknowns u and the active rows A.
-
-    Attributes
-    ----------
-    rows : tuple of int (n_materials,)
-        The row of coefficients of each material.
-    n_bands, n_configurations : int
-    curvature : Hessian
-        H.
-    matrix : array or sparse array (n_rows, size)
-    scale : array (size,)
-        The scale of each unknown.
-    free : array (size,) of bool
-        Unknowns that may move.
-    active : array (n_rows,) of bool
-        Rows that hold with equality.
-    gradient_by_time : array (size, n_times)
-        d gradient / d T in 1/s, one T per configuration and band.
-    limit_by_time : array (n_rows, n_times)
-        d limit / d T in m²/s.
-    """
-
-    rows: tuple[int, ...]
-    n_bands: int
-    n_configurations: int
-    curvature: Hessian
-    matrix: Any
-    scale: Array
-    free: NDArray[np.bool_]
-    active: NDArray[np.bool_]
-    gradient_by_time: Array
-    limit_by_time: Array
-
-    def derivative(self) -> Array:
-        """Return du / dT in 1/s, (size, n_times); 0 for unknowns that are not free."""
-        import scipy.sparse as sp
-
-        scale = self.scale[self.free]
-        rows = sp.csr_array(self.matrix)[self.active][:, self.free] * scale
-        norm = np.sqrt(np.asarray((rows**2).sum(axis=1)).ravel())
-        rows = sp.csr_array(sp.diags_array(1 / norm) @ rows)
-        force = -self.gradient_by_time[self.free] * scale[:, np.newaxis]
-        limit = self.limit_by_time[self.active] / norm[:, np.newaxis]
-        step, _ = kkt.solve(self.curvature.part(self.free, scale), rows, force, limit)
-        out = np.zeros((len(self.scale), force.shape[1]))
-        out[self.free] = scale[:, np.newaxis] * step
-        return out
-
-
 @runtime_checkable
 class Optimal(Protocol):
-    """A result that has optimality conditions."""
+    """A result that has optimality conditions, and so derivatives."""
 
-    def optimality(self) -> Optimality:
-        """Return the optimality conditions at the answer."""
+    def by_time(self) -> Array:
+        """Return d alpha / dT in 1/s, (n_materials, n_bands, n_configurations, n_bands)."""
 
 
 def sensitivity(result: Optimal) -> Array:
@@ -330,11 +276,7 @@ def sensitivity(result: Optimal) -> Array:
     """
     if not isinstance(result, Optimal):
         raise DataError(f"result = {result!r} is not the result of a calibration")
-    conditions = result.optimality()
-    n_rows = max(conditions.rows) + 1
-    by_time = conditions.derivative()[: n_rows * conditions.n_bands]
-    shape = (n_rows, conditions.n_bands, conditions.n_configurations, conditions.n_bands)
-    return np.asarray(by_time.reshape(shape)[list(conditions.rows)])
+    return result.by_time()
 
 
 _SHARE_OF_ROUNDING = 1e-7

@@ -3,50 +3,48 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
-from typing import Unpack, overload
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Generic, TypeVar, cast, overload
 
+import numpy as np
+
+from rtcal.acoustics import bands
 from rtcal.acoustics.equations import Equation, Eyring, LinearEquation
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.repeats import refuse_repeated_data
 from rtcal.acoustics.room import Room
-from rtcal.calibration.compiled_qp import WhitenedQP
-from rtcal.calibration.configurations import (
-    Assembler,
-    Configurations,
-    layout_of,
-    require_same_shape,
-)
-from rtcal.calibration.convex_program import ConvexProgram
-from rtcal.calibration.layout import Layout
-from rtcal.calibration.problem_data import MeasuredTimes, no_times, times_in_room
+from rtcal.calibration import feasibility, qp
+from rtcal.calibration.composition import Composition
+from rtcal.calibration.measured import MeasuredTimes, no_times, times_in_room
+from rtcal.calibration.qp import Iterate, SolveOptions
 from rtcal.calibration.result import CalibrationResult, JointResult
-from rtcal.calibration.solvers import SolveKeywords, SolveOptions
+from rtcal.calibration.solution import Solution
 from rtcal.calibration.terms import (
+    AddedAbsorption,
     BoundConstraint,
     ExactMatch,
     LinearObservations,
     Objective,
-    ObjectiveTerm,
     Observed,
-    RowConstraint,
     SharedMaterials,
     SoftMatch,
+    Term,
     as_objective,
-    lacking,
 )
+from rtcal.calibration.unknowns import Configurations, Numbers
 from rtcal.support import checks
-from rtcal.support.errors import DataError, InfeasibleError, MissingAirWarning, ModelError
+from rtcal.support.errors import (
+    DataError,
+    InfeasibleError,
+    MissingAirWarning,
+    ModelError,
+    SolverError,
+)
 from rtcal.support.types import Array
 
-Constraint = RowConstraint | BoundConstraint | SharedMaterials
 Times = Measurement | Sequence[float] | Array
-
-
-_MOST_PAIRS = 20_000_000
-"""Largest number of curvature entries of linear observations. Polishing holds six copies of them; at
-12 bytes each these take 1.5 GB."""
+R = TypeVar("R", CalibrationResult, JointResult)
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,26 +54,26 @@ class Calibration:
     Parameters
     ----------
     objective : term or sum of terms
-        It holds one prior (`rtcal.terms.PriorDeviation` or `rtcal.terms.HuberDeviation`), which
+        Terms of `rtcal.terms`, or functions of a `rtcal.terms.Model` that return a cvxpy expression.
+        One of them is a prior (`rtcal.terms.PriorDeviation` or `rtcal.terms.HuberDeviation`), which
         makes the answer unique.
     constraints : sequence, optional
-        Constraints of `rtcal.terms`. If not given, `ExactMatch`, unless the objective has a
-        `SoftMatch`, which an exact match would make useless.
+        Constraints of `rtcal.terms`, or functions of a model that return cvxpy constraints. If not
+        given, `ExactMatch`, unless the objective has a `SoftMatch`, which an exact match would make
+        useless.
 
     Raises
     ------
     ModelError
-        If there is no prior or more than one, if a term lacks a method, or if a term occurs twice.
+        If there is no prior or more than one, or if a term occurs twice.
     """
 
-    objective: ObjectiveTerm | Objective
-    constraints: Sequence[Constraint] | None = None
+    objective: Any
+    constraints: Sequence[Any] | None = None
 
     def __post_init__(self) -> None:
-        _refuse_classes([self.objective])
         objective = as_objective(self.objective)
-        _refuse_classes(objective.terms)
-        priors = [t for t in objective.terms if t.is_prior]
+        priors = [t for t in objective.terms if getattr(t, "is_prior", False)]
         if len(priors) != 1:
             raise ModelError(
                 f"the objective has {len(priors)} prior deviations; it needs one: without it the "
@@ -84,36 +82,46 @@ class Calibration:
         _refuse_repeated(objective.terms, "objective")
         if sum(isinstance(t, SoftMatch) for t in objective.terms) > 1:
             raise ModelError("the objective has two soft matches; T has one uncertainty per band")
-        if objective.weights[objective.terms.index(priors[0])] == 0:
-            raise ModelError(
-                "the prior deviation has weight 0; without it the answer is not unique"
-            )
+        for term, weight in zip(objective.terms, objective.weights, strict=True):
+            if weight == 0 and (term is priors[0] or isinstance(term, AddedAbsorption)):
+                raise ModelError(
+                    f"{term!r} has weight 0; without it the answer is not unique. Leave the term out "
+                    "instead"
+                )
         constraints = self.constraints
         if constraints is None:
             soft = any(isinstance(t, SoftMatch) for t in objective.terms)
             constraints = () if soft else (ExactMatch(),)
         if not isinstance(constraints, Iterable):
             raise ModelError(f"constraints = {constraints!r} is not a list of constraints")
-        _refuse_classes(constraints)
         for constraint in constraints:
-            if not isinstance(constraint, (RowConstraint, BoundConstraint, SharedMaterials)):
+            if isinstance(constraint, type):
+                name = constraint.__name__
+                raise ModelError(f"{name} is a class and no term: write {name}()")
+            if isinstance(constraint, (BoundConstraint, SharedMaterials)):
+                continue
+            if not callable(constraint) or isinstance(constraint, Term | Objective):
                 raise ModelError(
-                    f"{constraint!r} is no constraint of rtcal.terms"
-                    f"{lacking(constraint, RowConstraint, BoundConstraint, SharedMaterials)}"
+                    f"{constraint!r} is no constraint of rtcal.terms, and no function of a "
+                    "rtcal.terms.Model that returns one"
                 )
         _refuse_repeated(tuple(constraints), "constraints")
         object.__setattr__(self, "objective", objective)
         object.__setattr__(self, "constraints", tuple(constraints))
 
     @overload
-    def build(self, room: Room, equation: Equation | None = None) -> CalibrationProblem: ...
+    def build(
+        self, room: Room, equation: Equation | None = None
+    ) -> CalibrationProblem[CalibrationResult]: ...
 
     @overload
-    def build(self, room: Configurations, equation: Equation | None = None) -> JointProblem: ...
+    def build(
+        self, room: Configurations, equation: Equation | None = None
+    ) -> CalibrationProblem[JointResult]: ...
 
     def build(
         self, room: Room | Configurations, equation: Equation | None = None
-    ) -> CalibrationProblem | JointProblem:
+    ) -> CalibrationProblem[CalibrationResult] | CalibrationProblem[JointResult]:
         """Compile the calibration for rooms of this shape, or for several configurations of one.
 
         Raises
@@ -131,69 +139,140 @@ class Calibration:
         """
         if not isinstance(room, Room | Configurations):
             raise DataError(f"room = {room!r} is not a rtcal.Room, nor Configurations of one")
-        rooms = [room] if isinstance(room, Room) else room.rooms
-        if airless := [r.name for r in rooms if r.air is None]:
-            warnings.warn(
-                f'room "{airless[0]}" states no air: its surfaces are made to absorb what the air '
-                "does. Give it air=rtcal.Air(temperature, humidity)",
-                MissingAirWarning,
-                stacklevel=checks.stack_level(),
-            )
-        if isinstance(room, Configurations):
-            return JointProblem(self, room, Eyring() if equation is None else equation)
+        for one in [room] if isinstance(room, Room) else room.rooms:
+            if one.air is None:
+                warnings.warn(
+                    f'room "{one.name}" states no air: its surfaces are made to absorb what the air '
+                    "does. Give it air=rtcal.Air(temperature, humidity)",
+                    MissingAirWarning,
+                    stacklevel=checks.stack_level(),
+                )
+                break
         return CalibrationProblem(self, room, Eyring() if equation is None else equation)
 
 
-def _refuse_classes(terms: Iterable[object]) -> None:
-    for term in terms:
-        if isinstance(term, type):
-            raise ModelError(f"{term.__name__} is a class and no term: write {term.__name__}()")
-
-
 def _refuse_repeated(terms: Sequence[object], place: str) -> None:
-    """Raise ModelError for a term that occurs twice: ``weights`` could not distinguish the two."""
+    """Raise ModelError for a term that occurs twice."""
     for i, term in enumerate(terms):
         if any(term == other for other in terms[:i]):
             raise ModelError(f"{place}: {term!r} stands there twice; give it once")
 
 
-def _compiled(
-    calibration: Calibration, configurations: Configurations, equation: Equation
-) -> tuple[Assembler, ConvexProgram]:
-    checks.instance("calibration", calibration, Calibration)
-    checks.instance("configurations", configurations, Configurations)
-    if not isinstance(equation, LinearEquation):
-        if not isinstance(equation, Equation) or isinstance(equation, type):
-            raise ModelError(f"equation = {equation!r} is not an equation such as rtcal.Eyring()")
-        raise ModelError(
-            f"{equation.name} is not a function of the mean absorption coefficient, so it gives "
-            "no linear target; calibrate it in the closed loop with calibrate_simulator"
+class CalibrationProblem(Generic[R]):
+    """A calibration that is compiled for rooms of one shape: solve it for many measurements.
+
+    Built for a room it returns a `CalibrationResult`, built for `Configurations` of one a
+    `JointResult`. One room is one of several: only the arguments of `solve` differ.
+    """
+
+    def __init__(
+        self, calibration: Calibration, room: Room | Configurations, equation: Equation
+    ) -> None:
+        checks.instance("calibration", calibration, Calibration)
+        if not isinstance(equation, LinearEquation):
+            if not isinstance(equation, Equation) or isinstance(equation, type):
+                raise ModelError(
+                    f"equation = {equation!r} is not an equation such as rtcal.Eyring()"
+                )
+            raise ModelError(
+                f"{equation.name} is not a function of the mean absorption coefficient, so it gives "
+                "no linear target; calibrate it in the closed loop with calibrate_simulator"
+            )
+        self.room = room
+        self.equation = equation
+        self.composition = Composition.of(
+            _configurations(room), equation, calibration.objective, calibration.constraints or ()
         )
-    objective = as_objective(calibration.objective)
-    constraints = calibration.constraints or ()
-    rows = [c for c in constraints if isinstance(c, RowConstraint)]
-    boxes = [c for c in constraints if isinstance(c, BoundConstraint)]
-    shared = [c for c in constraints if isinstance(c, SharedMaterials)]
-    layout = layout_of(configurations, objective, shared)
-    _refuse_too_large(layout, objective)
-    place, prior = next((i, t) for i, t in enumerate(objective.terms) if t.is_prior)
-    sigma: float | None = getattr(prior, "sigma", None)
-    assembler = Assembler(layout, equation, objective, tuple(boxes), place, sigma)
-    return assembler, ConvexProgram(layout, objective, rows)
+        _ = self.composition.compiled
 
+    def __repr__(self) -> str:
+        return f"<CalibrationProblem with {self.equation.name}'s equation for {self.room!r}>"
 
-def _refuse_too_large(layout: Layout, objective: Objective) -> None:
-    """Raise ModelError if linear observations would not fit into memory."""
-    pairs = layout.n_alpha**2
-    if pairs > _MOST_PAIRS and any(isinstance(t, LinearObservations) for t in objective.terms):
-        raise ModelError(
-            f"LinearObservations couple every two of {layout.n_rows} materials in {layout.n_bands} "
-            f"bands: {pairs:.2g} pairs, and at most {_MOST_PAIRS:.2g} fit. Merge materials, use fewer "
-            "bands, or match T alone"
+    def solve(
+        self,
+        measured: Any,
+        room: Room | Configurations | None = None,
+        *,
+        observed: Mapping[LinearObservations, Observed] | None = None,
+        method: str = "composed",
+        **options: Any,
+    ) -> R:
+        """Solve for one measurement, without compiling again.
+
+        Parameters
+        ----------
+        measured : Measurement, or T in s, (n_bands,), or None
+            A band with NaN keeps its prior. None if no T was measured. Of several configurations, a
+            list with one entry for each.
+        room : Room or Configurations, optional
+            Other numbers for the same materials and bands; by default the room built with.
+        observed : mapping of `rtcal.terms.LinearObservations` to `rtcal.terms.Observed`, optional
+            The numbers of each such term.
+        method : str
+            The name that the result carries.
+        **options
+            ``solver``, ``unreachable``, ``warm_start`` and ``settings``; see
+            `rtcal.calibration.qp.SolveOptions`.
+
+        Raises
+        ------
+        DataError
+            If the measurement or the room does not fit.
+        InfeasibleError
+            If a band cannot be reached, with ``unreachable="raise"``, or the constraints contradict
+            each other: then the message names the smallest relaxation that removes it.
+        SolverError
+            If no answer passes the certificate.
+        """
+        chosen = SolveOptions(**options)
+        used = _configurations(self.room if room is None else room)
+        if room is not None:
+            _require_same_shape(self.room, room)
+        alone = isinstance(self.room, Room)
+        times = measured_times(used, [measured] if alone else measured)
+        for one, of_room in zip(used.rooms, times, strict=True):
+            if one.calibration is not None:
+                refuse_repeated_data(one, of_room.fingerprint)
+        numbers = self.composition.numbers(used, times, observed)
+        try:
+            solution = solved(self.composition, numbers, chosen)
+        except InfeasibleError as error:
+            mistyped = [e for of_room in times for e in of_room.mistyped]
+            if mistyped:
+                error.args = (f"{mistyped[0].sentence}. {error}",)
+            raise
+        joint = JointResult(
+            configurations=used,
+            composition=self.composition,
+            solution=solution,
+            method=method,
+            solver=chosen.solver,
+            measured_times=tuple(times),
+            observed=observed,
         )
+        return cast(R, joint.results[0] if alone else joint)
 
 
-def _measured_times(
+def _configurations(room: Room | Configurations) -> Configurations:
+    return Configurations([room]) if isinstance(room, Room) else room
+
+
+def _require_same_shape(built: Room | Configurations, asked: Room | Configurations) -> None:
+    """Raise DataError unless ``asked`` has the shape that the problem was built with."""
+    kind = Room if isinstance(built, Room) else Configurations
+    checks.instance("room", asked, kind)
+    old, new = _configurations(built).rooms, _configurations(asked).rooms
+    if len(old) != len(new):
+        raise DataError(f"{len(new)} configurations; the problem was built with {len(old)}")
+    for before, after in zip(old, new, strict=True):
+        if after.materials != before.materials:
+            raise DataError(f"room has materials {after.materials}; built with {before.materials}")
+        if not np.array_equal(after.centre_frequencies, before.centre_frequencies):
+            has = ", ".join(bands.labels(after.centre_frequencies))
+            raise DataError(f"room has other bands than the one built with: {has}")
+
+
+def measured_times(
     configurations: Configurations, measured: Sequence[Times | None]
 ) -> list[MeasuredTimes]:
     """One measurement per configuration, each in its room's bands."""
@@ -213,142 +292,63 @@ def _measured_times(
     ]
 
 
-class CalibrationProblem:
-    """A calibration that is compiled for a room's shape: solve it for many measurements."""
+def solved(composition: Composition, numbers: Numbers, options: SolveOptions) -> Solution:
+    """Return the certified answer for some numbers.
 
-    def __init__(self, calibration: Calibration, room: Room, equation: Equation) -> None:
-        self.room = room
-        self.equation = equation
-        self._joint = JointProblem(calibration, Configurations([room]), equation)
-
-    def __repr__(self) -> str:
-        return f"<CalibrationProblem with {self.equation.name}'s equation for {self.room!r}>"
-
-    def solve(
-        self,
-        measured: Times | None,
-        room: Room | None = None,
-        weights: Mapping[ObjectiveTerm, float] | None = None,
-        *,
-        observed: Mapping[LinearObservations, Observed] | None = None,
-        method: str = "composed",
-        **options: Unpack[SolveKeywords],
-    ) -> CalibrationResult:
-        """Solve for one measurement, without compiling again.
-
-        Parameters
-        ----------
-        measured : Measurement, or T in s, (n_bands,), or None
-            A band with NaN keeps its prior. None if no T was measured.
-        room : Room, optional
-            Other numbers for the same materials and bands; by default the room built with.
-        weights : mapping of objective term to weight, optional
-            In place of the weights built with.
-        observed : mapping of `rtcal.terms.LinearObservations` to `rtcal.terms.Observed`, optional
-            The numbers of each such term.
-        method : str
-            The name that the result carries.
-        **options
-            ``solver``, ``unreachable``, ``warm_start`` and ``settings``; see
-            `rtcal.calibration.solvers.SolveOptions`.
-
-        Raises
-        ------
-        DataError
-            If the measurement or the room does not fit.
-        InfeasibleError
-            If a band cannot be reached, with ``unreachable="raise"``, or the constraints contradict
-            each other: then the message names the smallest relaxation that removes it.
-        SolverError
-            If the solver's answer does not pass the certificate.
-        """
-        room = self.room if room is None else room
-        return self._joint.solve(
-            [measured],
-            Configurations([room]),
-            weights,
-            observed=observed,
-            method=method,
-            **options,
-        ).results[0]
-
-    def whitened(self, measured: Times, room: Room | None = None) -> WhitenedQP:
-        """Return the QP of one measurement, as `JointProblem.whitened` does."""
-        rooms = Configurations([self.room if room is None else room])
-        return self._joint.whitened([measured], rooms)
-
-
-class JointProblem:
-    """A calibration that is compiled for several configurations of one room."""
-
-    def __init__(
-        self, calibration: Calibration, configurations: Configurations, equation: Equation
-    ) -> None:
-        self.configurations = configurations
-        self.equation = equation
-        self._assembler, self._program = _compiled(calibration, configurations, equation)
-
-    def __repr__(self) -> str:
-        return f"<JointProblem with {self.equation.name}'s equation for {self.configurations!r}>"
-
-    def solve(
-        self,
-        measured: Sequence[Times | None],
-        configurations: Configurations | None = None,
-        weights: Mapping[ObjectiveTerm, float] | None = None,
-        *,
-        observed: Mapping[LinearObservations, Observed] | None = None,
-        method: str = "composed",
-        **options: Unpack[SolveKeywords],
-    ) -> JointResult:
-        """Solve for one measurement per configuration, without compiling again.
-
-        Parameters and errors as in `CalibrationProblem.solve`; ``measured`` and ``configurations``
-        have one entry per configuration.
-        """
-        chosen = SolveOptions(**options)
-        used = self.configurations
-        if configurations is not None:
-            used = require_same_shape(self.configurations, configurations)
-        times = _measured_times(used, measured)
-        for room, of_room in zip(used.rooms, times, strict=True):
-            refuse_repeated_data(room, of_room.fingerprint)
-        assembler = self._assembler
-        data = assembler.problem_data(used, times, weights, observed)
-        try:
-            solution = self._program.solve(data, used.rooms, assembler.equation, chosen)
-        except InfeasibleError as error:
-            mistyped = [e for of_room in times for e in of_room.mistyped]
-            if mistyped:
-                error.args = (f"{mistyped[0].sentence}. {error}",)
-            raise
-        return JointResult(
-            configurations=used,
-            solution=solution,
-            equation=assembler.equation,
-            method=method,
-            solver=chosen.solver,
-            measured_times=tuple(times),
-            assembler=assembler,
-            weights=weights,
-            observed=observed,
+    Raises
+    ------
+    InfeasibleError
+        If a band cannot be reached, or the constraints contradict each other.
+    SolverError
+        If no answer passes the certificate.
+    """
+    matches = [match.target_limits(numbers) for match in composition.matches]
+    reach = feasibility.restrict_to_reach(numbers, matches, options.unreachable)
+    numbers = replace(numbers, target=reach.target)
+    program = composition.qp(numbers)
+    at = np.zeros(len(program.c), dtype=np.int8)
+    at[composition.compiled.unknowns] = reach.at
+    try:
+        raw = qp.solve(program, at, options)
+    except SolverError as error:
+        raw = qp.SolverAnswer(Iterate.of(program, at), str(error), 0, np.nan)
+    convexity = composition.convexity(numbers)
+    for point in _candidates(program, at, raw):
+        certificate = qp.certify(program, point, convexity)
+        if certificate.accepted:
+            break
+    else:
+        feasibility.explain(composition, numbers, program)
+        raise SolverError(
+            f'solver "{options.solver}" says {raw.status}, but its answer does not pass: primal '
+            f"residual {np.max(certificate.primal_residual):.1e}, dual residual "
+            f"{np.max(certificate.dual_residual):.1e}, gap {np.max(certificate.duality_gap):.1e}"
         )
+    u = program.unknowns(numbers, point.v)
+    place = composition.compiled.unknowns
+    active = np.where(numbers.movable, point.at[place], 0).astype(np.int8)
+    # Exactly at its bound, and within it in spite of the rounding of mu + sigma x.
+    u = np.where(active < 0, numbers.lower, np.where(active > 0, numbers.upper, u))
+    return Solution(
+        unknowns=np.clip(u, *numbers.box),
+        active=active,
+        target=numbers.target,
+        point=replace(point, system=None),
+        certificate=certificate,
+        raw=raw,
+        polished=point is not raw.point,
+        settings=options.all_settings,
+        unreachable=reach.beyond,
+    )
 
-    def whitened(
-        self, measured: Sequence[Times], configurations: Configurations | None = None
-    ) -> WhitenedQP:
-        """Return the QP of the measurements, unsolved and unchecked: it may have no answer.
 
-        minimise ½ x'Px + q'x  subject to  A x = b (the first n_equal rows), A x <= b (the others);
-        x = (alpha - mu) / sigma. It serves to compare another solver with `solve`.
-
-        Raises
-        ------
-        DataError
-            If a measurement or a room does not fit.
-        """
-        used = self.configurations
-        if configurations is not None:
-            used = require_same_shape(self.configurations, configurations)
-        times = _measured_times(used, measured)
-        return self._program.whitened(self._assembler.problem_data(used, times, None))
+def _candidates(program: qp.QP, at: qp.Active, raw: qp.SolverAnswer) -> Iterator[Iterate]:
+    """Yield the polished answer of the solver, that of the closed form, and the solver's own."""
+    guessed, side = raw.active(program)
+    polished = qp.polish(program, np.where(at != 0, at, guessed).astype(np.int8), side)
+    if polished is not None:
+        yield polished
+    started = qp.closed_form(program, at)
+    if started is not None:
+        yield started
+    yield raw.point

@@ -8,10 +8,14 @@ from functools import cached_property
 from typing import Any, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rtcal.acoustics import room_errors
-from rtcal.acoustics.changed_time import KnownRoom
+from rtcal.acoustics.changed_time import (
+    KnownRoom,
+    MeasuredState,
+    correlation_of,
+    normal_quantiles,
+)
 from rtcal.acoustics.changes import Change
 from rtcal.acoustics.directions import facing
 from rtcal.acoustics.equations import LinearEquation
@@ -19,21 +23,234 @@ from rtcal.acoustics.quality import CalibrationVerdict, Plausibility, gap_jnd, p
 from rtcal.acoustics.room import CalibrationRecord, Room
 from rtcal.acoustics.room_errors import Assumptions, of_absorption
 from rtcal.acoustics.trust import TrustMark, trust_marks, typing_marks, uneven_marks
-from rtcal.calibration import table
-from rtcal.calibration.certificate import Certificate
-from rtcal.calibration.convex_program import RawSolution
+from rtcal.calibration import table, uncertainty
 from rtcal.calibration.feasibility import Unreachable, where_valid
-from rtcal.calibration.joint_solution import JointSolution
-from rtcal.calibration.posterior import Densities, Optimality
-from rtcal.calibration.problem_data import MeasuredTimes, ProblemData, data_history
+from rtcal.calibration.measured import MeasuredTimes, data_history
+from rtcal.calibration.posterior import Densities, correlations, intervals
+from rtcal.calibration.qp import Active, Certificate
+from rtcal.calibration.solution import JointSolution, RawSolution
 from rtcal.calibration.table import blocks_of
+from rtcal.calibration.terms import (
+    LinearObservations,
+    PriorDeviation,
+    RoomMatch,
+)
 from rtcal.prediction.predicted import Prediction, predict
-from rtcal.support import __version__, blocks
-from rtcal.support.errors import ModelError
+from rtcal.support import __version__, blocks, checks
+from rtcal.support.errors import DataError, ModelError
 from rtcal.support.files import json_numbers
 from rtcal.support.saved import Result
 from rtcal.support.text import shortened
+from rtcal.support.truncated import Draws, draws
 from rtcal.support.types import Array, read_only_view
+
+_SAME_TIME = 1e-6
+"""Relative difference of T below which the calibrated T is the measured one."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class JointResult(JointSolution, Result):
+    """One calibration of several configurations of a room: shared alpha, one T per configuration."""
+
+    record_kind: ClassVar[str] = "joint 1"
+
+    @cached_property
+    def results(self) -> tuple[CalibrationResult, ...]:
+        """The result of each configuration."""
+        return tuple(
+            CalibrationResult(joint=self, configuration=c)
+            for c in range(len(self.configurations.rooms))
+        )
+
+    def density(self) -> Densities:
+        """Return the density of the unknowns, for `rtcal.posterior.distribution`.
+
+        Raises ModelError if the method has none (`lse`, `robust`).
+        """
+        return uncertainty.density(self)
+
+    def by_time(self) -> Array:
+        """Return d alpha / dT in 1/s, (n_materials, n_bands, n_configurations, n_bands).
+
+        Coefficients at a bound stay there.
+        """
+        layout = self.composition.layout
+        slopes = uncertainty.by_time(self, bounds=True)[: layout.n_alpha]
+        shape = (layout.n_rows, layout.n_bands, layout.n_configurations, layout.n_bands)
+        return np.asarray(slopes.reshape(shape)[list(layout.rows)])
+
+    @cached_property
+    def innovation(self) -> tuple[Array, Array]:
+        """b - S'mu and its covariance, over configurations and bands."""
+        return uncertainty.innovation(self)
+
+    @cached_property
+    def _estimate_sigma(self) -> Array:
+        return uncertainty.estimate_sigma(self)
+
+    @cached_property
+    def gaussian_interval(self) -> tuple[Array, Array]:
+        """Ends of the coefficients' normal 90 % interval, (n_materials, n_bands) each."""
+        layout = self.composition.layout
+        low, high = uncertainty.gaussian_interval(self, self._estimate_sigma, 0.9)
+        return layout.expand(low), layout.expand(high)
+
+    @property
+    def matches_uncertain_room(self) -> bool:
+        """Whether T was matched within the uncertainty of volume, areas and climate."""
+        return any(isinstance(t, RoomMatch) for t in self.composition.objective.terms)
+
+    def gap_shares(self, configuration: int) -> dict[str, float]:
+        """Return the shares of the remaining b - S'alpha that each uncertainty takes up, 1 in all.
+
+        By "volume", "areas", "climate" and "T". With C = U + D'D the difference is C times its pull:
+        U pull is what T's own uncertainty takes up, D' D pull what volume, areas and climate do. {}
+        where no room is uncertain, or nothing remains.
+        """
+        data = self.numbers
+        if not self.matches_uncertain_room:
+            return {}
+        left = np.nan_to_num(data.target).ravel() - data.match_matrix @ self.solution.unknowns
+        pull = data.match_whitener.T @ (data.match_whitener @ left)
+        d = data.room_changes
+        n = 2 + len(self.configurations.materials)
+        of_time = np.nan_to_num(data.target_uncertainty).ravel() ** 2 * pull
+        groups = {"volume": d[:1], "areas": d[1:n], "climate": d[n:]}
+        parts = {name: g.T @ (g @ pull) for name, g in groups.items()} | {"T": of_time}
+        k = data.layout.n_bands
+        own = slice(configuration * k, (configuration + 1) * k)
+        total = np.sum([part[own] for part in parts.values()], axis=0)
+        square = float(total @ total)
+        return (
+            {name: float(part[own] @ total) / square for name, part in parts.items()}
+            if square
+            else {}
+        )
+
+    @property
+    def has_shared_errors(self) -> bool:
+        """Whether T was matched with errors that all bands share: of the room, or of the tables."""
+        terms = self.composition.objective.terms
+        tables = any(isinstance(t, PriorDeviation) and t.common for t in terms)
+        return tables or self.matches_uncertain_room
+
+    def known_room(self, configuration: int) -> KnownRoom:
+        """Return what is known of a configuration before it is changed, for `rtcal.prediction`.
+
+        Raises DataError for a configuration that there is not, and ModelError if the calibration has
+        further unknowns or observations, which a prediction does not know of, or if its equation gives
+        no T for the calibrated room.
+        """
+        last = len(self.configurations.rooms) - 1
+        if checks.whole("configuration", configuration, 0) > last:
+            raise DataError(
+                f"configuration = {checks.shown(configuration)} is not from 0 to {last}"
+            )
+        if configuration not in self._known_rooms:
+            self._known_rooms[configuration] = self._known_room(configuration)
+        return self._known_rooms[configuration]
+
+    @cached_property
+    def _known_rooms(self) -> dict[int, KnownRoom]:
+        """One of each configuration: what is drawn of it is kept by its identity."""
+        return {}
+
+    def _known_room(self, configuration: int) -> KnownRoom:
+        terms = self.composition.objective.terms
+        if self.effects or any(isinstance(t, LinearObservations) for t in terms):
+            raise ModelError(
+                "a prediction knows of T alone: calibrate without effects and other observations, such "
+                "as the corrected room of `rtcal apply`"
+            )
+        rooms = self.configurations.rooms
+        room = rooms[configuration]
+        rows = [self.materials.index(m) for m in room.materials]
+        time = where_valid(self.equation.time, room, room.areas @ self.alpha[rows])
+        if not np.isfinite(time).all():
+            raise ModelError(f"{self.equation.name}'s equation gives no T for the calibrated room")
+        states = [
+            MeasuredState(name, other, m.reverberation_time, m.uncertainty / m.reverberation_time)
+            for name, other, m in zip(
+                self.configurations.names, rooms, self.measured_times, strict=True
+            )
+        ]
+        own = states.pop(configuration)
+        with np.errstate(invalid="ignore"):
+            same = np.abs(time / own.time - 1) < _SAME_TIME
+        measured = np.isfinite(own.time) & self.asks_for_measured_time
+        quantiles, correlation = self._distribution
+        return KnownRoom(
+            room=room,
+            equation=self.equation,
+            materials=self.materials,
+            alpha=self.alpha,
+            quantiles=quantiles,
+            correlation=correlation,
+            time=time,
+            measured=measured,
+            exact=bool(same[measured].all()),
+            log_uncertainty=own.log_uncertainty,
+            others=tuple(states),
+        )
+
+    @cached_property
+    def _separate(self) -> tuple[Densities, list[Draws]] | None:
+        """The density and its draws where each band stands for itself; None else."""
+        try:
+            known = self.density()
+        except ModelError:  # lse, robust
+            return None
+        return (known, draws(known.posterior)) if known.separate else None
+
+    @property
+    def interval(self) -> tuple[Array, Array] | None:
+        """Ends of the coefficients' 90 % interval where each band stands for itself; None else."""
+        if self._separate is None:
+            return None
+        known, parts = self._separate
+        return intervals(self.alpha, known.quantiles(parts), 0.9)
+
+    @cached_property
+    def _distribution(self) -> tuple[Array, Array]:
+        """Quantiles of the coefficients at `NORMAL`, and their correlation per band.
+
+        The posterior's where each band stands for itself; else that of the linear estimate's error, cut
+        at the bounds, which every method has.
+        """
+        if self._separate is not None:
+            known, parts = self._separate
+            return known.quantiles(parts), correlations(known, parts)
+        layout = self.composition.layout
+        covariance = uncertainty.estimate_covariance(self)
+        centre = layout.expand(uncertainty.unbounded(self, self._estimate_sigma))
+        lower = layout.expand(self.numbers.lower)
+        sigma, correlation = correlation_of(covariance)
+        quantiles = normal_quantiles(centre, sigma, lower)
+        return np.where(
+            sigma[:, :, np.newaxis] > 0, quantiles, self.alpha[:, :, np.newaxis]
+        ), correlation
+
+    @property
+    def posterior_sigma(self) -> Array:
+        """Standard deviation of the calibrated coefficients, (n_materials, n_bands)."""
+        return self.composition.layout.expand(self._estimate_sigma)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return each configuration's `CalibrationResult.to_dict` by name."""
+        names = self.configurations.names
+        by_name = zip(names, self.results, strict=True)
+        return {"configurations": [{"name": n, **r.to_dict()} for n, r in by_name]}
+
+    def __str__(self) -> str:
+        parts = zip(self.configurations.names, self.results, strict=True)
+        return "\n\n".join(f"configuration: {name}\n{result}" for name, result in parts)
+
+    def __repr__(self) -> str:
+        rooms = self.configurations.rooms
+        return (
+            f'<JointResult of "{shortened(rooms[0].name)}": {len(rooms)} '
+            f"configuration{'s' * (len(rooms) > 1)}, method {self.method}>"
+        )
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -101,36 +318,33 @@ class CalibrationResult(Result):
     @property
     def target(self) -> Array:
         """b in m², (n_bands,), NaN where missing."""
-        return np.asarray(self._problem_data.target[self.configuration])
+        return np.asarray(self.joint.numbers.target[self.configuration])
 
     @property
     def target_uncertainty(self) -> Array:
         """Standard uncertainty of b in m², (n_bands,), NaN where unknown."""
-        return np.asarray(self._problem_data.target_uncertainty[self.configuration])
-
-    @property
-    def _problem_data(self) -> ProblemData:
-        return self.joint.solution.model.data
+        return np.asarray(self.joint.numbers.target_uncertainty[self.configuration])
 
     @property
     def multipliers(self) -> Array:
         """D in 1/m², (n_bands,): free coefficients are mu - D S sigma² (Eq. 25)."""
-        return read_only_view(self.joint.solution.match_multipliers[self.configuration])
+        return read_only_view(self.joint.match_multipliers[self.configuration])
 
     @cached_property
-    def active(self) -> NDArray[np.int8]:
+    def active(self) -> Active:
         """-1 at the lower bound, 1 at the upper, 0 free, (n_materials, n_bands)."""
         return read_only_view(self.joint.active[self._rows])
 
     @cached_property
     def certificate(self) -> Certificate:
         """Error bounds of the answer: its distance from the optimum."""
-        return replace(self.joint.solution.certificate, materials=tuple(self._rows))
+        of_all = self.joint.certificate
+        return replace(of_all, alpha_error_bound=of_all.alpha_error_bound[self._rows])
 
     @property
     def raw(self) -> RawSolution:
         """The solver's own answer."""
-        return self.joint.solution.raw
+        return self.joint.raw
 
     @property
     def polished(self) -> bool:
@@ -151,7 +365,7 @@ class CalibrationResult(Result):
     @cached_property
     def added_absorption(self) -> Array:
         """Absorption area in m² that effects add to the room's S'alpha, (n_bands,)."""
-        data = self._problem_data
+        data = self.joint.numbers
         sizes = data.further(self.joint.solution.unknowns)
         return read_only_view(np.asarray(data.gains[self.configuration] @ sizes))
 
@@ -210,7 +424,7 @@ class CalibrationResult(Result):
         bands = slice(
             self.configuration * self.prior.n_bands, (self.configuration + 1) * self.prior.n_bands
         )
-        further = self._problem_data.further(self.joint.solution.active.astype(float))
+        further = self.joint.numbers.further(self.joint.solution.active.astype(float))
         at_bound = bool(self.active[:, self.matched].any() or further.any())
         room = self.prior
         together = of_absorption(room.areas, room.alpha, room.sigma, room.centre_frequencies)
@@ -293,13 +507,13 @@ class CalibrationResult(Result):
         """
         return self.joint.density()
 
-    def optimality(self) -> Optimality:
-        """Return the optimality conditions at the answer, for `rtcal.posterior.sensitivity`."""
-        return self.joint.optimality()
+    def by_time(self) -> Array:
+        """Return `JointResult.by_time`."""
+        return self.joint.by_time()
 
     @property
     def known(self) -> KnownRoom:
-        """The room as a prediction takes it; ModelError as `JointSolution.known_room`."""
+        """The room as a prediction takes it; ModelError as `JointResult.known_room`."""
         return self.joint.known_room(self.configuration)
 
     def predict(
@@ -313,7 +527,7 @@ class CalibrationResult(Result):
 
         See `rtcal.prediction.predict`. Of several configurations all measured T count.
 
-        Raises ModelError as `JointSolution.known_room`, and as `rtcal.prediction.predict`.
+        Raises ModelError as `JointResult.known_room`, and as `rtcal.prediction.predict`.
         """
         return predict(self, changes, assumptions=assumptions, name=name)
 
@@ -323,7 +537,7 @@ class CalibrationResult(Result):
         ``inputs`` holds the room and the mean T as the texts of their files, so that the record
         suffices to repeat the calibration.
         """
-        room, model = self.prior, self.joint.solution.model
+        room, composed = self.prior, self.joint.composition
         record = {
             "rtcal": table.KIND,
             "versions": dict(self.joint.versions),
@@ -331,8 +545,8 @@ class CalibrationResult(Result):
             "method": self.method,
             "equation": self.equation.name,
             "equation_parameters": table.equation_parameters(self.equation),
-            "objective": [repr(term) for term in model.objective.terms],
-            "constraints": [repr(row) for row in model.row_constraints],
+            "objective": [repr(term) for term in composed.objective.terms],
+            "constraints": [repr(row) for row in composed.rows],
             "matches_measured_time": self.joint.asks_for_measured_time,
             "volume": room.volume,
             "air": None if room.air is None else vars(room.air),
@@ -378,7 +592,15 @@ class CalibrationResult(Result):
             "multipliers": json_numbers(self.multipliers),
             "unreachable": [str(band) for band in self.unreachable],
             "certificate": table.residuals(self.certificate),
-            "solver": table.solver(self.solver, self.raw, self.polished),
+            "solver": {
+                "name": self.solver,
+                "status": self.raw.status,
+                "iterations": self.raw.iterations,
+                "seconds": None if np.isnan(self.raw.seconds) else self.raw.seconds,
+                "polished": self.polished,
+                "raw_certificate": table.residuals(self.raw.certificate),
+                "raw_alpha": json_numbers(self.raw.alpha),
+            },
             "inputs": table.inputs(room, self.measured_data),
         }
         return {**record, "verdict": verdict(record)._asdict()}
@@ -402,35 +624,3 @@ class CalibrationResult(Result):
     def _repr_html_(self) -> str:
         """Return the tables of the bands and the coefficients, shaded by gap and by shift."""
         return blocks.notebook("", blocks_of(self.to_dict()))
-
-
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class JointResult(JointSolution, Result):
-    """One calibration of several configurations of a room: shared alpha, one T per configuration."""
-
-    record_kind: ClassVar[str] = "joint 1"
-
-    @cached_property
-    def results(self) -> tuple[CalibrationResult, ...]:
-        """The result of each configuration."""
-        return tuple(
-            CalibrationResult(joint=self, configuration=c)
-            for c in range(len(self.configurations.rooms))
-        )
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return each configuration's `CalibrationResult.to_dict` by name."""
-        names = self.configurations.names
-        by_name = zip(names, self.results, strict=True)
-        return {"configurations": [{"name": n, **r.to_dict()} for n, r in by_name]}
-
-    def __str__(self) -> str:
-        parts = zip(self.configurations.names, self.results, strict=True)
-        return "\n\n".join(f"configuration: {name}\n{result}" for name, result in parts)
-
-    def __repr__(self) -> str:
-        rooms = self.configurations.rooms
-        return (
-            f'<JointResult of "{shortened(rooms[0].name)}": {len(rooms)} '
-            f"configuration{'s' * (len(rooms) > 1)}, method {self.method}>"
-        )

@@ -19,9 +19,8 @@ from rtcal.acoustics.observables import TARGET, parameter_label
 from rtcal.acoustics.quality import numbers, verdict
 from rtcal.acoustics.room import Room
 from rtcal.acoustics.trust import TrustMark, explained, letters
-from rtcal.calibration.certificate import Certificate
-from rtcal.calibration.convex_program import RawSolution
-from rtcal.calibration.problem_data import MeasuredTimes
+from rtcal.calibration.measured import MeasuredTimes
+from rtcal.calibration.qp import Certificate
 from rtcal.support import __version__, text
 from rtcal.support.blocks import Block, Note, Row, Table
 from rtcal.support.files import json_numbers
@@ -30,19 +29,15 @@ from rtcal.support.types import Array
 KIND = "calibration 1"
 """The value of the key ``rtcal`` in a saved calibration."""
 
-_LIBRARIES = ("numpy", "scipy", "cvxpy", "clarabel", "osqp", "qpsolvers")
+_LIBRARIES = ("numpy", "scipy", "cvxpy", "clarabel", "osqp")
 _ENDS = {-1: "lower", 0: "", 1: "upper"}
 
 
-def versions() -> dict[str, str]:
+@functools.cache  # metadata.version reads and parses a file
+def versions() -> Mapping[str, str]:
     """Return the versions of rtcal, Python and the required libraries."""
     rtcal_and_python = {"rtcal": __version__, "Python": platform.python_version()}
-    return rtcal_and_python | {name: _version(name) for name in _LIBRARIES}
-
-
-@functools.cache
-def _version(library: str) -> str:
-    return metadata.version(library)  # it reads and parses a file
+    return rtcal_and_python | {name: metadata.version(name) for name in _LIBRARIES}
 
 
 def inputs(room: Room, measured: MeasuredTimes) -> dict[str, Any]:
@@ -111,19 +106,6 @@ def coefficients(
         }
         for i, name in enumerate(prior.materials)
     ]
-
-
-def solver(name: str, raw: RawSolution, polished: bool) -> dict[str, Any]:
-    """Return the solver's name, status, iterations and time, and whether polishing succeeded."""
-    return {
-        "name": name,
-        "status": raw.status,
-        "iterations": raw.iterations,
-        "seconds": None if np.isnan(raw.seconds) else raw.seconds,
-        "polished": polished,
-        "raw_certificate": residuals(raw.certificate),
-        "raw_alpha": json_numbers(raw.alpha),
-    }
 
 
 def residuals(certificate: Certificate) -> dict[str, list[float | None]]:

@@ -52,7 +52,7 @@ from rtcal.support.files import make_folder, spare, write_all
     "--solver",
     default="clarabel",
     show_default=True,
-    help="clarabel, osqp, another solver of cvxpy's, or qpsolvers:NAME.",
+    help="clarabel, osqp or another solver of cvxpy's.",
 )
 @click.option(
     "--unreachable",

@@ -83,7 +83,7 @@ def start(
         --state loop.json --out next.toml --decimals 3
     """  # noqa: D301 (click's mark for lines that are not to be wrapped)
     from rtcal.acoustics.room import Room
-    from rtcal.calibration.problem_data import times_in_room
+    from rtcal.calibration.measured import times_in_room
     from rtcal.loop import calibrate
     from rtcal.loop.state import start as begin
     from rtcal.support import text

@@ -182,7 +182,7 @@ def calibrated_to_positions(
     file: Path, room: Room, heard: Measurement, paths: int
 ) -> PositionsResult:
     """Return the calibration to every position."""
-    from rtcal.calibration.problem_data import tell_data
+    from rtcal.calibration.measured import tell_data
     from rtcal.finder.means.evidence import FOLDER
     from rtcal.io import geometry_files
     from rtcal.loop.control_runs import RUNS
@@ -206,9 +206,9 @@ def calibrated(
 ) -> CalibrationResult:
     """Return the calibration of a room to its measured T, and to that of further states."""
     from rtcal.acoustics.room import Room
-    from rtcal.calibration.configurations import Configurations
+    from rtcal.calibration.measured import tell_data
     from rtcal.calibration.methods import calibrate
-    from rtcal.calibration.problem_data import tell_data
+    from rtcal.calibration.unknowns import Configurations
 
     if Path(room).is_dir():
         raise DataError(f"{room} is a folder; give the room (TOML) that was calibrated and its T")

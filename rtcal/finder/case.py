@@ -49,7 +49,7 @@ from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.observables import observable
 from rtcal.acoustics.repeats import refuse_repeated_data
 from rtcal.acoustics.room import AirTable, PlainRoom, Room, air, of_plain
-from rtcal.calibration.problem_data import times_in_room
+from rtcal.calibration.measured import times_in_room
 from rtcal.finder.effects.checks import AppliedEffect, check_parameters
 from rtcal.io import geometry_files
 from rtcal.support import checks

@@ -29,7 +29,7 @@ from rtcal.acoustics.quality import gap_jnd, rms
 from rtcal.acoustics.room import Room
 from rtcal.acoustics.room_errors import in_words
 from rtcal.acoustics.trust import TrustMark, explained
-from rtcal.calibration.problem_data import times_in_room
+from rtcal.calibration.measured import times_in_room
 from rtcal.calibration.result import CalibrationResult
 from rtcal.loop.matched import SHOWN, Gaps, ParameterGap, Weights, left, sentences
 from rtcal.loop.measured_pairs import Pair, left_out, refuse_unknown

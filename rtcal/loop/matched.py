@@ -25,7 +25,7 @@ from rtcal.acoustics.observables import EARLY, LEVEL, OBSERVABLES, TARGET, param
 from rtcal.acoustics.quality import gap_jnd, rms
 from rtcal.acoustics.room import Room
 from rtcal.acoustics.trust import TrustMark
-from rtcal.calibration.problem_data import times_in_room
+from rtcal.calibration.measured import times_in_room
 from rtcal.modes.calibrate import above_schroeder, below_schroeder
 from rtcal.modes.result import ModesResult
 from rtcal.simulators.observations import Observations

@@ -32,7 +32,7 @@ from rtcal.acoustics.observables import (
 from rtcal.acoustics.quality import gap_jnd, rms
 from rtcal.acoustics.repeats import fingerprint, of_pairs, refuse_repeated_data
 from rtcal.acoustics.room import Room
-from rtcal.calibration.problem_data import copied, times_in_room
+from rtcal.calibration.measured import copied, times_in_room
 from rtcal.loop.control_runs import ahead_factor, level
 from rtcal.simulators.base import Simulator
 from rtcal.simulators.observations import Observations, checked_parameters, jacobian, observe

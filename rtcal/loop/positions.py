@@ -658,7 +658,7 @@ def _misfit(factor: Array, residual: Array) -> float:
 
 def _unknowns(answer: CalibrationResult, alpha: Array) -> Array:
     """Return the unknowns of a problem with other coefficients."""
-    layout = answer.joint.solution.model.data.layout
+    layout = answer.joint.composition.layout
     u = answer.joint.solution.unknowns.copy()
     u[: layout.n_alpha] = alpha[layout.first].ravel()
     return np.asarray(u)
@@ -666,25 +666,14 @@ def _unknowns(answer: CalibrationResult, alpha: Array) -> Array:
 
 def _others(answer: CalibrationResult, alpha: Array) -> float:
     """Return the value of the objective's terms other than the positions."""
-    model, u = answer.joint.solution.model, _unknowns(answer, alpha)
-    terms = zip(model.objective.terms, model.data.weights, strict=True)
-    return sum(w * t.value(u, model.data) for t, w in terms if t != POSITIONS)
-
-
-_KEPT = 1e-9
-"""By how much coefficients may miss a constraint that they keep, over the size of its row."""
+    others = answer.joint.composition.without(POSITIONS)
+    return others.value(answer.joint.numbers, _unknowns(answer, alpha))
 
 
 def _keeps(answer: CalibrationResult, alpha: Array) -> bool:
     """Return whether coefficients keep the bounds and constraints of a problem."""
-    model, u = answer.joint.solution.model, _unknowns(answer, alpha)
-    slack = _KEPT * (1 + np.abs(u))
-    if (u < model.lower - slack).any() or (u > model.upper + slack).any():
-        return False
-    values = np.asarray(model.matrix @ u)
-    slack = _KEPT * (1 + np.abs(values))
-    inside = (values >= model.row_lower - slack) & (values <= model.row_upper + slack)
-    return bool(inside.all())
+    others = answer.joint.composition.without(POSITIONS)
+    return others.keeps(answer.joint.numbers, _unknowns(answer, alpha))
 
 
 MORE_PATHS = 4

@@ -59,8 +59,8 @@ from rtcal.acoustics.quality import rms
 from rtcal.acoustics.room import Room
 from rtcal.acoustics.room_errors import Assumptions, value_changes
 from rtcal.acoustics.scene import POSITION, checked_uncertainty
-from rtcal.calibration.certificate import Certificate
 from rtcal.calibration.methods import gain, learned_materials
+from rtcal.calibration.qp import Certificate
 from rtcal.calibration.result import CalibrationResult
 from rtcal.calibration.table import coefficients
 from rtcal.loop.control_runs import (

@@ -26,9 +26,9 @@ from rtcal.acoustics.quality import gap_jnd
 from rtcal.acoustics.repeats import refuse_repeated_data
 from rtcal.acoustics.room import Room
 from rtcal.acoustics.trust import TrustMark, bent_marks, of_row, typing_marks
+from rtcal.calibration.measured import data_history, tell_data, times_in_room
 from rtcal.calibration.methods import preset
 from rtcal.calibration.problem import CalibrationProblem
-from rtcal.calibration.problem_data import data_history, tell_data, times_in_room
 from rtcal.calibration.result import CalibrationResult
 from rtcal.loop import rules
 from rtcal.loop.matched import (
@@ -182,7 +182,9 @@ class Loop(Result):
     bent: tuple[BentDecay, ...] = ()
     beside: Mapping[str, Array] = field(default_factory=dict)
     low: BelowSchroeder | None = None
-    _problems: list[CalibrationProblem] = field(default_factory=list, metadata=NOT_SAVED)
+    _problems: list[CalibrationProblem[CalibrationResult]] = field(
+        default_factory=list, metadata=NOT_SAVED
+    )
 
     def __post_init__(self) -> None:
         if not isinstance(self.rule, str) or self.rule not in RULES:
@@ -214,7 +216,7 @@ class Loop(Result):
         """
         return self._problem().solve(target, unreachable="nearest", method=self.method)
 
-    def _problem(self) -> CalibrationProblem:
+    def _problem(self) -> CalibrationProblem[CalibrationResult]:
         if not self._problems:
             room = self.room.as_exact
             self._problems.append(preset(self.method, room).build(room, self.equation))

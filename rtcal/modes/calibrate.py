@@ -31,9 +31,9 @@ from rtcal.acoustics.equations import Eyring, LinearEquation
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.repeats import refuse_repeated_data
 from rtcal.acoustics.room import Room
+from rtcal.calibration.measured import MeasuredTimes, no_times, times_in_room
 from rtcal.calibration.methods import gauss_newton, preset
 from rtcal.calibration.problem import Calibration, CalibrationProblem, Times
-from rtcal.calibration.problem_data import MeasuredTimes, no_times, times_in_room
 from rtcal.calibration.result import CalibrationResult
 from rtcal.calibration.terms import LinearObservations, Observed, as_objective
 from rtcal.io.sofa import Responses
@@ -168,7 +168,7 @@ class _Linearised:
     ``covariance`` is that of measured less modelled decays in 1/s², with the prior's slopes.
     """
 
-    problem: CalibrationProblem
+    problem: CalibrationProblem[CalibrationResult]
     model: RoomPoles
     measured: Array
     covariance: Array

@@ -14,8 +14,8 @@ from rtcal.acoustics.quality import Plausibility, plausibility
 from rtcal.acoustics.room import CalibrationRecord, Room
 from rtcal.acoustics.room_errors import prior_covariance
 from rtcal.acoustics.trust import TrustMark, explained, implausible_modes_mark, uncarried_mark
-from rtcal.calibration.certificate import Certificate
-from rtcal.calibration.problem_data import MeasuredTimes, data_history
+from rtcal.calibration.measured import MeasuredTimes, data_history
+from rtcal.calibration.qp import Certificate
 from rtcal.calibration.result import CalibrationResult
 from rtcal.calibration.table import coefficients
 from rtcal.modes.measured import MeasuredModes

@@ -274,8 +274,8 @@ def _parameters(calibration: CalibrationResult) -> str:
 
 def composed(calibration: CalibrationResult) -> str:
     """Return the terms and constraints of the calibration."""
-    model = calibration.joint.solution.model
-    return "; ".join(map(repr, (*model.objective.terms, *model.row_constraints)))
+    composed = calibration.joint.composition
+    return "; ".join(map(repr, (*composed.objective.terms, *composed.rows)))
 
 
 def _correlated(calibration: CalibrationResult) -> str:

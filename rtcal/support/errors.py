@@ -28,7 +28,6 @@ __all__ = [
     "RtcalWarning",
     "SimulatorError",
     "SolverError",
-    "TermError",
     "TooShortError",
 ]
 __dir__ = __all__.copy
@@ -56,10 +55,6 @@ class TooShortError(DataError):
 
 class ModelError(RtcalError):
     """The model, as composed of terms and constraints, cannot be calibrated."""
-
-
-class TermError(ModelError):
-    """A term's NumPy description disagrees with its cvxpy expression: mend the term."""
 
 
 class InfeasibleError(RtcalError):

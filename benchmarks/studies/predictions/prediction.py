@@ -28,7 +28,7 @@ from benchmarks.studies.means.real_data import (
     ptb_room,
 )
 from rtcal.acoustics.changes import placed
-from rtcal.calibration.problem_data import times_in_room
+from rtcal.calibration.measured import times_in_room
 from rtcal.prediction import Assumptions, Cover, Prediction, predict
 from rtcal.support.types import Array
 

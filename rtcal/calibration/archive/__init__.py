@@ -17,9 +17,9 @@ from rtcal.acoustics.room import Room
 from rtcal.calibration.archive import likelihood
 from rtcal.calibration.archive.library import Archive, Lesson, Suspect, is_one_material
 from rtcal.calibration.archive.likelihood import Evidence, RoomData, Spread
-from rtcal.calibration.configurations import Configurations
-from rtcal.calibration.problem_data import data_history
+from rtcal.calibration.measured import data_history
 from rtcal.calibration.result import CalibrationResult, JointResult
+from rtcal.calibration.unknowns import Configurations
 from rtcal.support import checks
 from rtcal.support.errors import DataError
 from rtcal.support.saved import NUMBERS, load

@@ -24,12 +24,12 @@ from rtcal.acoustics.equations import LinearEquation, mean_equation
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.priors import NORMAL_90
 from rtcal.acoustics.room import CalibrationRecord, Room
-from rtcal.calibration.configurations import Configurations
+from rtcal.calibration.measured import data_history, times_in_room
 from rtcal.calibration.methods import calibrate, gauss_newton
 from rtcal.calibration.problem import Calibration
-from rtcal.calibration.problem_data import data_history, times_in_room
 from rtcal.calibration.result import JointResult
 from rtcal.calibration.terms import AddedAbsorption, PriorDeviation, SoftMatch
+from rtcal.calibration.unknowns import Configurations
 from rtcal.finder.case import Case, Configuration
 from rtcal.finder.effects.checks import AppliedEffect
 from rtcal.finder.finding import amount

@@ -27,8 +27,8 @@ from rtcal.acoustics.priors import NORMAL_90
 from rtcal.acoustics.repeats import same_values
 from rtcal.acoustics.room import CHANGED, Material, Room
 from rtcal.acoustics.scene import Scene
+from rtcal.calibration.measured import notes_of_bands
 from rtcal.calibration.methods import calibrate
-from rtcal.calibration.problem_data import notes_of_bands
 from rtcal.finder.case import CLIMATE_UNCERTAINTY, checked_climate_uncertainty
 from rtcal.finder.positions import surfaces as of_room
 from rtcal.io import obj

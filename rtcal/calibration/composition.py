@@ -1,0 +1,282 @@
+"""A calibration composed for the rooms of one layout: its order of unknowns, its numbers, its QP."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from rtcal.acoustics.equations import LinearEquation
+from rtcal.acoustics.room import Room
+from rtcal.calibration.measured import MeasuredTimes
+from rtcal.calibration.qp import QP, Compiled, closed_form, compiled
+from rtcal.calibration.terms import (
+    BoundConstraint,
+    ExactMatch,
+    LinearObservations,
+    Objective,
+    Observed,
+    SharedMaterials,
+    SoftMatch,
+)
+from rtcal.calibration.unknowns import Configurations, Integers, Layout, Numbers, Whitened
+from rtcal.support import checks
+from rtcal.support.errors import DataError, ModelError, SolverError
+from rtcal.support.types import Array
+
+_KEPT = 1e-9
+"""By how much coefficients may miss a constraint that they keep, over the size of its row."""
+
+
+@dataclass(frozen=True, eq=False)
+class Composition:
+    """An objective and constraints for the rooms of one layout.
+
+    Attributes
+    ----------
+    layout : Layout
+    equation : LinearEquation
+        It turns T into b.
+    objective : Objective
+    constraints : tuple
+        All but those that share materials, which the layout has taken in.
+    """
+
+    layout: Layout
+    equation: LinearEquation
+    objective: Objective
+    constraints: tuple[Any, ...]
+
+    @classmethod
+    def of(
+        cls,
+        configurations: Configurations,
+        equation: LinearEquation,
+        objective: Objective,
+        constraints: Sequence[Any],
+    ) -> Composition:
+        """Return the composition for some rooms; ModelError or DataError for terms that do not fit."""
+        materials = configurations.materials
+        row_of = {m: m for m in materials}
+        for group in (
+            g for c in constraints if isinstance(c, SharedMaterials) for g in c.groups(materials)
+        ):
+            for name in group:
+                if name not in materials:
+                    raise DataError(
+                        f'"{name}" is no material of the room; it has {", ".join(materials)}'
+                    )
+            merged = {row_of[m] for m in group}
+            head = next(m for m in materials if row_of[m] in merged)
+            row_of = {m: head if r in merged else r for m, r in row_of.items()}
+        heads = list(dict.fromkeys(row_of.values()))
+        further = tuple(t.name for t in objective.further)
+        if len(set(further)) < len(further):
+            raise ModelError(f"two further unknowns have one name: {', '.join(further)}")
+        layout = Layout(
+            materials=materials,
+            rows=tuple(heads.index(row_of[m]) for m in materials),
+            centre_frequencies=tuple(float(f) for f in configurations.union.centre_frequencies),
+            n_configurations=len(configurations.rooms),
+            further=further,
+        )
+        left = tuple(c for c in constraints if not isinstance(c, SharedMaterials))
+        return cls(layout, equation, objective, left)
+
+    @property
+    def rows(self) -> list[Any]:
+        """The constraints that are rows of the QP, functions of a model; the others narrow the box."""
+        return [c for c in self.constraints if not isinstance(c, BoundConstraint)]
+
+    @property
+    def boxes(self) -> list[BoundConstraint]:
+        """The constraints that narrow the box."""
+        return [c for c in self.constraints if isinstance(c, BoundConstraint)]
+
+    @property
+    def matches(self) -> list[ExactMatch]:
+        """The constraints that hold S'alpha to the measured T."""
+        return [c for c in self.constraints if isinstance(c, ExactMatch)]
+
+    @cached_property
+    def prior(self) -> Any:
+        """The term that makes alpha unique."""
+        return next(t for t in self.objective.terms if getattr(t, "is_prior", False))
+
+    @cached_property
+    def weights(self) -> tuple[float, ...]:
+        """The terms' weights, divided by the prior's, which changes no answer."""
+        every = self.objective.weights
+        prior = every[self.objective.terms.index(self.prior)]
+        return tuple(w / prior for w in every)
+
+    @cached_property
+    def compiled(self) -> Compiled:
+        """The compiled problem, which compositions of equal terms and layout share."""
+        return compiled(self.layout, self.objective.terms, self.weights, self.rows)
+
+    @property
+    def rows_of(self) -> list[tuple[Any, list[Integers]]]:
+        """Each constraint with the rows of the QP that it states; -1 for one that became a bound."""
+        return list(zip(self.rows, self.compiled.rows_of, strict=True))
+
+    def qp(self, numbers: Numbers) -> QP:
+        """Return the QP of some numbers."""
+        return self.compiled.filled(numbers)
+
+    def without(self, term: Any) -> Composition:
+        """Return the composition without a term of the objective."""
+        pairs = zip(self.objective.terms, self.objective.weights, strict=True)
+        left = [(t, w) for t, w in pairs if t != term]
+        terms, weights = zip(*left, strict=True)
+        return replace(self, objective=Objective(terms, weights))
+
+    def value(self, numbers: Numbers, u: Array) -> float:
+        """Return the objective at some unknowns, (size,), other variables at their best values."""
+        program, v = self._at(numbers, u)
+        return float(v @ (program.gradient(v) + program.c)) / 2
+
+    def keeps(self, numbers: Numbers, u: Array) -> bool:
+        """Return whether unknowns keep the bounds and the constraints."""
+        low, high = (u - end for end in numbers.box)
+        slack = _KEPT * (1 + np.abs(u))
+        if (low < -slack).any() or (high > slack).any():
+            return False
+        program, v = self._at(numbers, u)
+        left = program.b - program.rows(v)
+        slack = _KEPT * (1 + program.magnitudes.rows(np.abs(v)))
+        return bool(
+            (left >= -slack)[~program.equal].all() and (abs(left) <= slack)[program.equal].all()
+        )
+
+    def _at(self, numbers: Numbers, u: Array) -> tuple[QP, Array]:
+        """Return the QP with its unknowns held at u, and its optimum."""
+        program, places = self.qp(numbers), self.compiled.unknowns[numbers.sigma > 0]
+        held = program.lower.copy(), program.upper.copy()
+        for bound in held:
+            bound[places] = ((u - numbers.mu) * numbers.inverse_sigma)[numbers.sigma > 0]
+        program = replace(program, lower=held[0], upper=held[1])
+        point = closed_form(program)
+        if point is None:
+            raise SolverError("the objective has no value at these coefficients")
+        return program, point.v
+
+    def convexity(self, numbers: Numbers) -> float:
+        """Return m with f - m |x|² / 2 convex, x the deviations of all unknowns; 0 claims nothing."""
+        of_prior = getattr(self.prior, "convexity", None)
+        weights = [
+            w
+            for t, w in zip(self.objective.terms, self.weights, strict=True)
+            if t in self.objective.further
+        ]
+        return min([of_prior(numbers) if of_prior else 0.0, *weights])
+
+    def numbers(
+        self,
+        configurations: Configurations,
+        measured: Sequence[MeasuredTimes],
+        observed: Mapping[LinearObservations, Observed] | None = None,
+    ) -> Numbers:
+        """Return the numbers of a solve; DataError where priors, bounds or data break a rule."""
+        room, layout, equation = configurations.union, self.layout, self.equation
+        alpha, sigma = room.alpha, room.sigma
+        stated: float | None = getattr(self.prior, "sigma", None)
+        if stated is not None:  # a coefficient with sigma = 0 stays fixed
+            sigma = np.where(sigma > 0, stated, 0.0)
+        areas, floors = configurations.areas, room.alpha_min
+        floors = np.zeros(alpha.shape) if floors is None else floors
+        if layout.n_rows < len(layout.materials):
+            self._check_shared(room)
+            alpha, sigma = alpha[layout.first], sigma[layout.first]
+            rows = [np.flatnonzero(np.array(layout.rows) == row) for row in range(layout.n_rows)]
+            floors = np.array([floors[r].max(axis=0) for r in rows])
+            areas = np.stack([areas[:, r].sum(axis=1) for r in rows], axis=1)
+        mu, lower = alpha.ravel(), floors.ravel()
+        upper = np.ones(mu.shape)
+        for box in self.boxes:
+            lower, upper = box.narrow(layout, mu, lower, upper)
+        self._check_box(mu, sigma.ravel(), lower, upper, floors.ravel())
+        further = self.objective.further
+        times = np.array([d.reverberation_time for d in measured])
+        c, k = times.shape
+        gains = np.zeros((c, k, len(further)))
+        for p, term in enumerate(further):
+            gains[:, :, p] = term.gains(c, k)
+        pairs = [*zip(configurations.rooms, times, strict=True)]
+        sensitivity = np.abs([equation.target_sensitivity(r, t) for r, t in pairs])
+        with np.errstate(invalid="ignore"):
+            uncertainty = np.array([d.uncertainty for d in measured]) * sensitivity
+
+        def flat(values: Array, more: list[float]) -> Array:
+            return np.concatenate([values.ravel(), more])
+
+        numbers = Numbers(
+            layout=layout,
+            mu=flat(mu, [t.mean for t in further]),
+            sigma=flat(sigma, [t.sigma for t in further]),
+            lower=flat(lower, [0.0] * len(further)),
+            upper=flat(upper, [np.inf] * len(further)),
+            areas=areas,
+            gains=gains,
+            time=times,
+            target=np.array([equation.target(r, t) for r, t in pairs]),
+            target_uncertainty=uncertainty,
+            target_sensitivity=sensitivity,
+            equation=equation,
+            rooms=tuple(configurations.rooms),
+            observed=self._observed(observed or {}),
+            room_changes=configurations.target_changes(equation, times),
+            common=room.common_alpha_sigma,
+        )
+        for match in self.objective.terms:
+            if isinstance(match, SoftMatch):
+                numbers = replace(numbers, target_uncertainty=match.uncertainty(numbers))
+        return numbers
+
+    def _observed(self, observed: Mapping[LinearObservations, Observed]) -> dict[object, Whitened]:
+        """Return the numbers of each term of linear observations; DataError unless each has some."""
+        terms = [t for t in self.objective.terms if isinstance(t, LinearObservations)]
+        for term, given in checks.mapped("observed", observed).items():
+            if term not in terms:
+                raise DataError(f"observed has {term!r}, which is no term of the objective")
+            checks.instance(f"observed[{term!r}]", given, Observed)
+        if missing := [t for t in terms if t not in observed]:
+            raise DataError(f"observed lacks {missing[0]!r}: it needs its numbers to be solved")
+        return {term: observed[term].over(self.layout) for term in terms}
+
+    def _check_shared(self, room: Room) -> None:
+        for material, row in enumerate(self.layout.rows):
+            first = int(self.layout.first[row])
+            for name in ("alpha", "sigma"):
+                values = getattr(room, name)
+                if not np.array_equal(values[material], values[first]):
+                    k = int(np.flatnonzero(values[material] != values[first])[0])
+                    raise DataError(
+                        f"{room.place(name, material, k)} = {values[material, k]:g}, but "
+                        f"{room.place(name, first, k)} = {values[first, k]:g}; materials that "
+                        "share their coefficients have one prior"
+                    )
+
+    def _check_box(
+        self, mu: Array, sigma: Array, lower: Array, upper: Array, floors: Array
+    ) -> None:
+        outside = (mu < lower) | (mu > upper)
+        for bad, rule in (
+            (lower > upper, "the bounds contradict each other"),
+            (outside & (sigma == 0), "sigma is 0, but alpha is outside its bounds"),
+        ):
+            if not bad.any():
+                continue
+            u = int(np.argmax(bad))
+            names = ["the room's alpha_min"] if floors[u] == lower[u] > 0 else []
+            for box in self.boxes:
+                low, high = box.narrow(self.layout, mu, np.zeros_like(mu), np.ones_like(mu))
+                if low[u] == lower[u] > 0 or high[u] == upper[u] < 1:
+                    names.append(repr(box))
+            raise DataError(
+                f"{self.layout.place(u)} = {mu[u]:g}, bounds {lower[u]:g} to {upper[u]:g}: {rule}; "
+                f"they come from {' and '.join(names)}"
+            )

@@ -1,0 +1,206 @@
+"""The measured T in a room's bands, as a calibration takes it."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from rtcal.acoustics import band_conversion, bands, repeats, trust
+from rtcal.acoustics.decay import BentDecay, bent_decays
+from rtcal.acoustics.measurement import Measurement
+from rtcal.acoustics.observables import REVERBERATION, TARGET, parameter_label
+from rtcal.acoustics.room import Room
+from rtcal.acoustics.trust import TypingError
+from rtcal.support import checks
+from rtcal.support.errors import CopiedPairsWarning, DataError, OtherBandsWarning
+from rtcal.support.text import shortened
+from rtcal.support.types import Array
+
+_FEW_VALUES = 4
+"""Fewer values of T20 and T30 may be equal by rounding."""
+
+
+@dataclass(frozen=True, repr=False, eq=False)
+class MeasuredTimes:
+    """Measured T in a room's bands.
+
+    Attributes
+    ----------
+    centre_frequencies : array (n_bands,)
+        The room's, in Hz.
+    reverberation_time, uncertainty : array (n_bands,)
+        In s; NaN where missing or unknown.
+    parameter : tuple of str (n_bands,)
+        ``"t20"``, ``"t30"`` or ``""``.
+    measured : Measurement, optional
+        What was measured, in its own bands; None of a list of T.
+    """
+
+    centre_frequencies: Array
+    reverberation_time: Array
+    uncertainty: Array
+    parameter: tuple[str, ...]
+    measured: Measurement | None = None
+
+    def __repr__(self) -> str:
+        n, data = np.count_nonzero(np.isfinite(self.reverberation_time)), self.fingerprint
+        return f"<MeasuredTimes: {n} of {len(self.parameter)} bands, data {shortened(data)}>"
+
+    @cached_property
+    def ignored(self) -> tuple[float, ...]:
+        """The measured bands in Hz that the room lacks."""
+        if self.measured is None:
+            return ()
+        stated = self.measured.centre_frequencies
+        return tuple(band_conversion.unused(stated, self.centre_frequencies).tolist())
+
+    @cached_property
+    def fingerprint(self) -> str:
+        """The names of the data: of T, and of T20 and T30 at every pair; "" without any T."""
+        if not np.isfinite(self.reverberation_time).any():
+            return ""
+        names = [repeats.of_times(self.centre_frequencies, self.reverberation_time)]
+        if self.measured is not None and not self.measured.is_summary:
+            at_pairs = _in_bands(self.measured, self.centre_frequencies)
+            names += [
+                repeats.of_pairs(
+                    o.key, at_pairs.pairs, at_pairs.values[o.key], self.centre_frequencies
+                )
+                for o in REVERBERATION
+                if o.key in at_pairs.values
+            ]
+        return " ".join(names)
+
+    @cached_property
+    def caution(self) -> str:
+        """Whether T was converted from bands of another width, T30 is a copy of T20, or a pair one."""
+        if self.measured is None:
+            return ""
+        stated = self.measured.centre_frequencies
+        rule = band_conversion.rule(stated, self.centre_frequencies, "T")
+        return ". ".join(filter(None, (rule, copied(self.measured), *self.measured.copies)))
+
+    @cached_property
+    def bent(self) -> tuple[BentDecay, ...]:
+        """The bands whose decay is not straight."""
+        if self.measured is None:
+            return ()
+        return bent_decays(_in_bands(self.measured, self.centre_frequencies))
+
+    @cached_property
+    def mistyped(self) -> tuple[TypingError, ...]:
+        """Likely typing errors of T, with the room's nearest band: of values, or else of their mean."""
+        frequencies, times, measured = (
+            self.centre_frequencies,
+            self.reverberation_time,
+            self.measured,
+        )
+        if measured is None:
+            return tuple(trust.of_row(frequencies, times, "T", " s"))
+        matched = {p: v for p, v in measured.values.items() if p in self.parameter}
+        found = [
+            replace(error, frequency=float(frequencies[k]))
+            for error in trust.in_measurement(
+                Measurement(
+                    centre_frequencies=measured.centre_frequencies,
+                    values=matched,
+                    pairs=measured.pairs,
+                )
+            )
+            for k in [int(np.argmin(np.abs(np.log(frequencies / error.frequency))))]
+        ]
+        return tuple(found or trust.of_row(frequencies, times, "the mean T", " s"))
+
+
+def _in_bands(measured: Measurement, frequencies: Array) -> Measurement:
+    """Return a measurement in a room's bands; itself, where it has these."""
+    if np.array_equal(measured.centre_frequencies, frequencies):
+        return measured
+    return band_conversion.measurement_in_room_bands(measured, frequencies)
+
+
+def times_in_room(room: Room, measured: Measurement | Sequence[float] | Array) -> MeasuredTimes:
+    """Return the measured T in the room's bands; NaN where a band has none.
+
+    Raises
+    ------
+    DataError
+        For a wrong shape, a T that is not above 0, an uncertainty above the value, or no band in
+        common.
+    """
+    frequencies = room.centre_frequencies
+    if isinstance(measured, Measurement):
+        measured.refuse_large_uncertainty()
+        decay = _in_bands(measured, frequencies).decay_time()
+        if not np.isfinite(decay.mean).any():
+            parameters = ", ".join(parameter_label(p) for p in measured.values)
+            raise DataError(
+                f"the measurement has {parameters}, but no T20 and no T30 in any band of the room"
+            )
+        return MeasuredTimes(frequencies, decay.mean, decay.uncertainty, decay.parameter, measured)
+    try:
+        times = checks.array("measured", measured).copy()
+    except DataError as error:
+        raise DataError(f"measured is not a list of T in s: {error}") from error
+    if times.shape != (room.n_bands,):
+        raise DataError(f"measured T has shape {times.shape}; the room asks for ({room.n_bands},)")
+    if (bad := np.isinf(times) | (times <= 0)).any():
+        k = int(np.argmax(bad))
+        raise DataError(
+            f"T[{bands.label(frequencies[k])}] = {times[k]:g} s is not finite and above 0"
+        )
+    if not np.isfinite(times).any():
+        raise DataError("measured T is missing in every band; there is nothing to calibrate to")
+    parameter = tuple(TARGET.key if finite else "" for finite in np.isfinite(times))
+    return MeasuredTimes(frequencies, times, np.full(times.shape, np.nan), parameter)
+
+
+def notes_of_bands(room: Room, measured: Measurement) -> list[str]:
+    """Return what bands are converted or left out, and in which bands of the room no T was measured.
+
+    Raises DataError without a band in common.
+    """
+    wanted = room.centre_frequencies
+    in_room = band_conversion.measurement_in_room_bands(measured, wanted)
+    told = band_conversion.notes(measured.centre_frequencies, wanted)
+    lacking = wanted[np.isnan(in_room.decay_time().mean)]
+    if lacking.size:
+        told.append(f"no T was measured at {', '.join(bands.labels(lacking))}")
+    return told
+
+
+def tell_data(room: Room, measured: Measurement) -> None:
+    """Warn of bands that are converted, left out or without T, and of pairs that are copies."""
+    if told := notes_of_bands(room, measured):
+        warnings.warn("; ".join(told), OtherBandsWarning, stacklevel=checks.stack_level())
+    for note in measured.copies:
+        warnings.warn(note, CopiedPairsWarning, stacklevel=checks.stack_level())
+
+
+def copied(measured: Measurement) -> str:
+    """Return a caution if T20 and T30 are the same numbers; "" else."""
+    t20, t30 = (measured.values.get(o.key, np.full(1, np.nan)) for o in REVERBERATION)
+    both = (
+        np.isfinite(t20) & np.isfinite(t30) if t20.shape == t30.shape else np.zeros(1, dtype=bool)
+    )
+    if both.sum() < _FEW_VALUES or not np.array_equal(t20[both], t30[both]):
+        return ""
+    return (
+        "T30 is T20 in every value, so one of them is a copy: whether the decay is bent is unknown"
+    )
+
+
+def no_times(room: Room) -> MeasuredTimes:
+    """Return that no T was measured in any band: other observations alone are matched."""
+    nothing = np.full(room.n_bands, np.nan)
+    return MeasuredTimes(room.centre_frequencies, nothing, nothing, ("",) * room.n_bands)
+
+
+def data_history(room: Room, data: MeasuredTimes) -> str:
+    """Return the fingerprints of all data that the room was calibrated to, with these data."""
+    before = [] if room.calibration is None else [room.calibration.measured]
+    return " ".join([*before, data.fingerprint])

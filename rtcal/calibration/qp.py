@@ -1,0 +1,943 @@
+"""The QP: compiled once by cvxpy, solved with Clarabel or OSQP, polished and certified.
+
+    minimise ½ v'Pv + c'v  subject to  A v = b,  A v <= b (the last rows),  lower <= v <= upper
+
+v has the deviations x = (alpha - mu) / sigma of the unknowns, and what terms define beside them.
+
+1. `Compiled` has cvxpy compile the terms once per structure, and fills the matrices with numbers:
+   cvxpy's maps are affine in the parameters.
+2. A solver finds which bounds and inequalities are active. OSQP starts at the closed form: without its
+   inequalities the QP is one linear system, which for an independent prior with an exact match is the
+   paper's (Bellows & Katz 2025, Eqs. 22 to 25).
+3. `polish` solves the optimality (KKT) conditions on the active set, one sparse linear system, by
+   SuperLU with refinement. It corrects the set until no bound is violated and no multiplier has the
+   wrong sign.
+4. `certify` computes residuals and gap anew from P, c, A and b. Nothing that a solver states is used.
+"""
+
+from __future__ import annotations
+
+import functools
+import threading
+import time
+import warnings
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from types import SimpleNamespace
+from typing import Any, NamedTuple
+
+import cvxpy as cp
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
+from scipy.sparse.linalg import splu
+
+from rtcal.calibration.terms import AnyTerm, Model, Term
+from rtcal.calibration.unknowns import Flags, Integers, Layout, Numbers
+from rtcal.support import checks
+from rtcal.support.errors import MissingDependencyError, ModelError, SolverError
+from rtcal.support.types import Array
+
+_EPS = np.finfo(float).eps
+Active = NDArray[np.int8]
+
+
+@dataclass(frozen=True, kw_only=True)
+class SolveOptions:
+    """The options of one solve; DataError or ModelError for a value that is not allowed.
+
+    Parameters
+    ----------
+    solver : str
+        ``"clarabel"``, ``"osqp"``, or another solver of cvxpy's.
+    unreachable : {"raise", "nearest"}
+        What to do where no coefficients within the bounds give the measured T. ``"raise"`` raises
+        InfeasibleError; ``"nearest"`` takes the nearest T within reach and lists the band in the
+        result.
+    warm_start : bool
+        Whether OSQP starts from the closed form. No other solver takes a start.
+    settings : mapping, optional
+        The solver's own settings by name, beside `SETTINGS`.
+    """
+
+    solver: str = "clarabel"
+    unreachable: str = "raise"
+    warm_start: bool = True
+    settings: Mapping[str, Any] | None = None
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.solver, str):
+            raise ModelError(f'solver = {self.solver!r} is not a name such as "clarabel"')
+        checks.choice("unreachable", self.unreachable, ("raise", "nearest"))
+        checks.flag("warm_start", self.warm_start)
+        if not isinstance(self.settings, Mapping | None):
+            raise ModelError(f"settings = {self.settings!r} is not a mapping of name to value")
+        for key in self.settings or {}:
+            if not isinstance(key, str):
+                raise ModelError(f"settings has {key!r}, which is no setting's name")
+
+    @property
+    def all_settings(self) -> dict[str, Any]:
+        """The settings that a solve runs with: these override those of `SETTINGS`."""
+        return {**SETTINGS.get(self.solver.lower(), {}), **(self.settings or {})}
+
+
+SETTINGS: dict[str, dict[str, Any]] = {
+    # Polishing asks for the active set alone, to which Clarabel's own tolerance of 1e-8 suffices. The
+    # whitened problem needs no equilibration.
+    "clarabel": {"equilibrate_enable": False, "iterative_refinement_enable": False},
+    # At its default 1e-3, every second answer has an error above 1e-6. Feasibility is checked before,
+    # and with its default 1e-4 OSQP calls feasible targets infeasible.
+    "osqp": {
+        "eps_abs": 1e-8,
+        "eps_rel": 1e-8,
+        "max_iter": 20_000,
+        "polishing": True,
+        "eps_prim_inf": 1e-14,
+        # At its default of 25 iterations, a start at the optimum is noticed 20 iterations late.
+        "check_termination": 5,
+    },
+    "scs": {"eps_abs": 1e-9, "eps_rel": 1e-9, "max_iters": 100_000},
+}
+"""Settings by solver, beside its own defaults."""
+
+
+class _Pattern:
+    """A sparse matrix by columns whose entries are given anew; entries of one place are added up."""
+
+    def __init__(self, rows: Integers, columns: Integers, shape: tuple[int, int]) -> None:
+        key, self._place = np.unique(columns * shape[0] + rows, return_inverse=True)
+        starts = np.searchsorted(key // shape[0], np.arange(shape[1] + 1))
+        # scipy copies indices of any other kind.
+        self._rows, self._starts = (key % shape[0]).astype(np.int32), starts.astype(np.int32)
+        self._shape = shape
+
+    def filled(self, entries: Array) -> Any:
+        """Return the matrix with these entries."""
+        data = np.bincount(self._place, entries, minlength=len(self._rows))
+        return sp.csc_matrix((data, self._rows, self._starts), shape=self._shape)
+
+
+class Compiled:
+    """A calibration that cvxpy has compiled for rooms of one layout.
+
+    Parameters
+    ----------
+    layout : Layout
+    terms : sequence of functions of a `Model`
+        The objective.
+    weights : sequence of float
+    constraints : sequence of functions of a `Model`
+
+    Raises
+    ------
+    ModelError
+        If a term is no convex quadratic expression, a constraint is not linear, or the problem is not
+        DPP, so that every solve would compile anew.
+    """
+
+    def __init__(
+        self,
+        layout: Layout,
+        terms: Sequence[AnyTerm],
+        weights: Sequence[float],
+        constraints: Sequence[AnyTerm],
+    ) -> None:
+        self.layout, self._given = layout, (layout, terms, weights, constraints)
+        m = self.model = Model(layout)
+        pairs = zip(terms, weights, strict=True)
+        objective = sum(weight * _expression(term, m) for term, weight in pairs)
+        stated = [_constraints(term, m) for term in constraints]
+        self.stated = list(zip(constraints, stated, strict=True))
+        """Each term with its cvxpy constraints."""
+        rows = [constraint for of_term in stated for constraint in of_term]
+        problem = cp.Problem(cp.Minimize(objective), [*rows, *m.definitions, *m.box()])
+        if not problem.is_dcp(dpp=True):
+            raise ModelError(
+                "the composed problem is not DPP, a convex problem that cvxpy compiles once: a term is "
+                "not convex, or it multiplies parameters or divides by one. m.parameter gives a "
+                "product of numbers as one parameter, m.defined makes an expression a variable"
+            )
+        for parameter, _ in m.parameters:  # cvxpy compiles none without a value
+            parameter.save_value(np.ones(parameter.shape))
+        data, chain, inverse = problem.get_problem_data(cp.CLARABEL, solver_opts={})
+        if data["dims"].soc or data["dims"].exp or data["dims"].psd or data["dims"].p3d:
+            raise ModelError(
+                "the composed problem is no QP: a term is neither linear nor quadratic"
+            )
+        self._read(data)
+        # cvxpy unpacks the numbers of the rows once: where it puts them is where the multipliers go.
+        numbered = np.arange(len(self._row_of), dtype=float)
+        answer = SimpleNamespace(x=np.zeros(self.size), z=numbered, s=numbered, status="Solved")
+        answer.obj_val, answer.solve_time, answer.iterations = 0.0, 0.0, 0
+        problem.unpack_results(answer, chain, inverse)
+        self.rows_of = [
+            [self._row_of[np.abs(np.ravel(c.dual_value)).astype(int)] for c in of_term]
+            for of_term in stated
+        ]
+        """The rows of A of each term's constraints; -1 for one that became a bound."""
+
+    def __reduce__(self) -> Any:
+        """Pickle what it is compiled of."""
+        return compiled, self._given
+
+    def _read(self, data: Mapping[str, Any]) -> None:
+        """Keep cvxpy's maps from the parameters to the matrices, and the places of their entries."""
+        program = data["param_prob"]
+        program.reduced_A.cache()
+        program.reduced_P.cache()
+        size, n_equal, n_rows = len(data["c"]), int(data["dims"].zero), len(data["b"])
+        place = program.param_id_to_col
+        self._filled = [
+            (place[p.id], compute) for p, compute in self.model.parameters if p.id in place
+        ]
+        self._theta = np.ones(program.total_param_size + 1)  # its last entry is the maps' constant
+        rows, starts, _ = program.reduced_A.problem_data_index
+        columns = np.repeat(np.arange(size + 1), np.diff(starts))
+        # cvxpy's rows are -A x + b = 0 and -A x + b >= 0; here they are A x = b and A x <= b.
+        sign = np.where(columns < size, -1.0, 1.0)
+        every = sp.csr_array(sp.diags_array(sign) @ program.reduced_A.reduced_mat)
+        is_A = columns < size
+        b = sp.csr_array(
+            (np.ones((~is_A).sum()), (rows[~is_A], np.flatnonzero(~is_A))), (n_rows, len(rows))
+        )
+        # An inequality of one variable with a constant factor is a bound of it.
+        constant = np.diff(sp.csr_array(every[:, :-1]).indptr) == 0
+        alone = (np.bincount(rows[is_A], minlength=n_rows) == 1) & (np.arange(n_rows) >= n_equal)
+        single = is_A & constant & alone[rows]
+        factor = every[:, [-1]].toarray().ravel()
+        self._bounds = [
+            (rows[e], columns[e], factor[e])
+            for e in (np.flatnonzero(single & (side * factor > 0)) for side in (-1, 1))
+        ]
+        self._general = np.setdiff1d(np.arange(n_rows), rows[single])
+        self._row_of = np.full(n_rows, -1)
+        self._row_of[self._general] = np.arange(len(self._general))
+        entries = np.flatnonzero(is_A & ~single)
+        self.A_rows, self.A_columns = self._row_of[rows[entries]], columns[entries]
+        self.P_rows, starts, _ = program.reduced_P.problem_data_index
+        self.P_columns = np.repeat(np.arange(size), np.diff(starts))
+        parts = [
+            program.reduced_P.reduced_mat,
+            sp.csr_array(program.q)[:size],
+            every[entries],
+            b @ every,
+        ]
+        self._map = sp.csr_array(sp.vstack([sp.csr_array(part) for part in parts]))
+        self._map.eliminate_zeros()
+        self._parts = np.cumsum([0, *(part.shape[0] for part in parts)]).tolist()
+        self.size, self.n_rows, self.equal = size, len(self._general), self._general < n_equal
+        m, n = self.model, self.layout.n_alpha
+        column = np.arange(n).reshape(m.deviation.shape, order="F").ravel()  # cvxpy's order
+        self.unknowns = column + program.var_id_to_col[m.deviation.id]
+        if m.effects is not None:
+            sizes = program.var_id_to_col[m.effects.id] + np.arange(m.effects.size)
+            self.unknowns = np.concatenate([self.unknowns, sizes])
+        """The places of the unknowns u among the variables, (size,)."""
+        self.band = np.full(size, -1)
+        self.band[self.unknowns[:n]] = np.arange(n) % self.layout.n_bands
+        self.row_band = np.full(self.n_rows, -1)
+        known = self.band[self.A_columns] >= 0
+        self.row_band[self.A_rows[known]] = self.band[self.A_columns[known]]
+        n, A = size + self.n_rows, (self.A_rows, self.A_columns)
+        self.kkt_rows = np.concatenate([self.P_rows, size + A[0], A[1], np.arange(n)])
+        self.kkt_columns = np.concatenate([self.P_columns, A[1], size + A[0], np.arange(n)])
+        self.kkt = _Pattern(self.kkt_rows, self.kkt_columns, (n, n))
+        self.limited = [columns for _, columns, _ in self._bounds]
+        bounds = np.concatenate(self.limited)
+        self.solver_A = _Pattern(
+            np.concatenate([A[0], self.n_rows + np.arange(len(bounds))]),
+            np.concatenate([A[1], bounds]),
+            (self.n_rows + len(bounds), size),
+        )
+        self.upper = np.flatnonzero(self.P_rows <= self.P_columns)
+        diagonal = np.arange(size)
+        self.solver_P = _Pattern(
+            np.concatenate([self.P_rows[self.upper], diagonal]),
+            np.concatenate([self.P_columns[self.upper], diagonal]),
+            (size, size),
+        )
+
+    def filled(self, numbers: Numbers) -> QP:
+        """Return the QP of a set of numbers."""
+        theta = self._theta.copy()
+        for place, compute in self._filled:
+            value = np.ravel(compute(numbers), order="F")
+            theta[place : place + len(value)] = value
+        values = self._map @ theta
+        P, c, A, b = (values[start:stop] for start, stop in pairwise(self._parts))
+        bounds = np.full(self.size, -np.inf), np.full(self.size, np.inf)
+        tighter = np.maximum, np.minimum
+        for bound, (rows, columns, factor), narrow in zip(
+            bounds, self._bounds, tighter, strict=True
+        ):
+            narrow.at(bound, columns, b[rows] / factor)
+        scale = np.ones(self.size)
+        scale[self.unknowns] = numbers.sigma
+        held = float(numbers.areas.max(axis=0).sum()) if (numbers.sigma == 0).any() else 0.0
+        return QP(self, P, c, A, b[self._general], *bounds, scale, held)
+
+
+def _expression(term: AnyTerm, m: Model) -> Any:
+    """Return an objective term's expression; ModelError unless it is one number."""
+    expression = term(m)
+    if not isinstance(expression, cp.Expression) or not expression.is_scalar():
+        raise ModelError(
+            f"{term!r} is no objective term: it returns {expression!r} in place of a cvxpy expression "
+            "of one number"
+        )
+    return expression
+
+
+def _constraints(term: AnyTerm, m: Model) -> list[Any]:
+    """Return a term's constraints; ModelError unless they are."""
+    stated = term(m)
+    stated = list(stated) if isinstance(stated, list | tuple) else [stated]
+    for constraint in stated:
+        if not isinstance(constraint, cp.constraints.constraint.Constraint):
+            raise ModelError(f"{term!r} is no constraint: it returns {constraint!r}")
+    return stated
+
+
+_KEPT = 16
+_cached = functools.lru_cache(_KEPT)(Compiled)
+COMPILING = threading.RLock()
+
+
+def compiled(
+    layout: Layout,
+    terms: Sequence[AnyTerm],
+    weights: Sequence[float],
+    constraints: Sequence[AnyTerm],
+) -> Compiled:
+    """Return the compiled problem of these terms, an earlier one if nothing it depends on differs.
+
+    The 16 used last are kept. A term that cannot be hashed is compiled anew. What a function refers to
+    must not change: its numbers are constants of the compiled problem.
+    """
+    structure = tuple(t.structure() if isinstance(t, Term) else t for t in terms)
+    key = layout, structure, tuple(weights), tuple(constraints)
+    with COMPILING:  # two threads that ask at once share one
+        try:
+            hash(key)
+        except TypeError:
+            return Compiled(*key)
+        return _cached(*key)
+
+
+def forget() -> None:
+    """Forget the compiled problems that later calibrations of equal shape would use again.
+
+    Examples
+    --------
+    >>> import rtcal as rt
+    >>> rt.calibration.forget()
+    """
+    _cached.cache_clear()
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class QP:
+    """minimise ½ v'Pv + c'v  subject to  A v = b or A v <= b,  lower <= v <= upper.
+
+    Attributes
+    ----------
+    compiled : Compiled
+        It has the places of the entries of P and A, and which rows are equalities.
+    P, A : array
+        The entries.
+    c, b : array (size,), (n_rows,)
+    lower, upper : array (size,)
+    scale : array (size,)
+        Change of an unknown by its deviation: the prior's sigma; 1 for other variables.
+    held : float
+        m² of the materials if b has some of sigma 0, which no row of A has; 0 otherwise.
+    """
+
+    compiled: Compiled
+    P: Array
+    c: Array
+    A: Array
+    b: Array
+    lower: Array
+    upper: Array
+    scale: Array
+    held: float
+
+    def __repr__(self) -> str:
+        n_equal = np.count_nonzero(self.equal)
+        counts = f"{n_equal} equalities, {len(self.b) - n_equal} inequalities"
+        return f"<QP: {len(self.c)} variables, {counts}>"
+
+    def unknowns(self, numbers: Numbers, v: Array) -> Array:
+        """Return the unknowns u = mu + sigma x of a point v, (size,)."""
+        return np.asarray(numbers.mu + numbers.sigma * v[self.compiled.unknowns])
+
+    @property
+    def equal(self) -> Flags:
+        """Which rows are equalities."""
+        return self.compiled.equal
+
+    @functools.cached_property
+    def fixed(self) -> Flags:
+        """Variables whose bounds are equal."""
+        return np.asarray(self.lower == self.upper)
+
+    @functools.cached_property
+    def row_size(self) -> Array:
+        """Sum of each row's coefficients by the unknowns: for the match of a band the area."""
+        unit = np.divide(1.0, self.scale, out=np.zeros_like(self.scale), where=self.scale > 0)
+        return self.rows(unit, np.abs(self.A))
+
+    @functools.cached_property
+    def matrices(self) -> tuple[Any, Any]:
+        """P and A as sparse arrays."""
+        of = self.compiled
+        return (
+            sp.csc_array((self.P, (of.P_rows, of.P_columns)), (len(self.c), len(self.c))),
+            sp.csr_array((self.A, (of.A_rows, of.A_columns)), (len(self.b), len(self.c))),
+        )
+
+    def rows(self, v: Array, entries: Array | None = None) -> Array:
+        """Return A v, (n_rows,), of A or of other entries at its places."""
+        of, entries = self.compiled, self.A if entries is None else entries
+        products = entries * v[of.A_columns]
+        return np.asarray(np.bincount(of.A_rows, products, minlength=len(self.b)), float)
+
+    def line(self, row: int) -> Array:
+        """Return the coefficients of one row, (size,)."""
+        of, line = self.compiled, np.zeros(len(self.c))
+        line[of.A_columns[of.A_rows == row]] = self.A[of.A_rows == row]
+        return line
+
+    def gradient(self, v: Array) -> Array:
+        """Return P v + c, (size,)."""
+        of = self.compiled
+        return self.c + np.bincount(of.P_rows, self.P * v[of.P_columns], minlength=len(self.c))
+
+    def force(self, v: Array, y: Array) -> Array:
+        """Return P v + c + A'y, which the multipliers of the bounds balance, (size,)."""
+        of = self.compiled
+        pull = np.bincount(of.A_columns, self.A * y[of.A_rows], minlength=len(self.c))
+        return self.gradient(v) + pull
+
+    @functools.cached_property
+    def magnitudes(self) -> QP:
+        """The QP of the absolute values of P, c, A and b: its sums bound the rounding of this one's."""
+        return replace(self, **{name: np.abs(getattr(self, name)) for name in "PcAb"})
+
+    def at_bounds(self, at: Active) -> Array:
+        """Return v with what is at a bound there, and 0, the prior, elsewhere."""
+        held = np.where((at < 0) | self.fixed, self.lower, np.where(at > 0, self.upper, 0.0))
+        return np.where(np.isfinite(held), held, 0.0)
+
+
+class System:
+    """The optimality (KKT) conditions on an active set, factored.
+
+        P dv + A'dy = force,  A dv = limit
+
+    over the free variables and the active rows; the rows are scaled to unit length there. A little
+    regularisation lets rows be dependent, and refinement removes its effect.
+    """
+
+    _SHIFT = 1e-11
+    _REFINEMENTS = 4
+
+    def __init__(self, qp: QP, free: Flags, active: Flags) -> None:
+        of = self._of = qp.compiled
+        norm = np.sqrt(qp.rows(free.astype(float), qp.A**2))
+        self.used = active & (norm > 0)
+        self._unit = np.divide(1.0, norm, out=np.zeros_like(norm), where=self.used)
+        self._on = np.concatenate([free, self.used])
+        scaled = qp.A * self._unit[of.A_rows]
+        entries = np.concatenate([qp.P, scaled, scaled, np.zeros(len(self._on))])
+        self._entries = np.where(self._on[of.kkt_rows] & self._on[of.kkt_columns], entries, 0.0)
+        shifted = self._entries.copy()
+        shift = np.where(np.arange(len(self._on)) < len(free), self._SHIFT, -self._SHIFT)
+        shifted[-len(shift) :] = np.where(self._on, shift, 1.0)
+        try:
+            self._factors = splu(
+                of.kkt.filled(shifted),
+                permc_spec="MMD_AT_PLUS_A",
+                options={"SymmetricMode": True},
+            )
+        except RuntimeError as error:
+            raise SolverError("the optimality conditions are singular") from error
+
+    def solve(self, force: Array, limit: Array, refine: bool = True) -> tuple[Array, Array]:
+        """Return dv (size,) and dy (n_rows,), 0 for what is not free or not active."""
+        of, n = self._of, len(self._on)
+        right = np.where(self._on, np.concatenate([force, limit * self._unit]), 0.0)
+        solution, off = np.zeros(n), np.inf
+        residual = right
+        for _ in range(1 + self._REFINEMENTS):
+            solution = solution + np.where(self._on, self._factors.solve(residual), 0.0)
+            if not refine:
+                break
+            product = self._entries * solution[of.kkt_columns]
+            residual = right - np.bincount(of.kkt_rows, product, minlength=n)
+            before, off = off, np.max(np.abs(residual), initial=0.0)
+            if not off < before / 2:
+                break
+        return solution[: len(force)], solution[len(force) :] * self._unit
+
+
+@dataclass(frozen=True, eq=False)
+class Iterate:
+    """A point of a QP: v, the rows' multipliers y, and -1, 0, 1 for lower bound, free, upper bound.
+
+    ``system`` is that of its active set, None of a solver's own answer.
+    """
+
+    v: Array
+    y: Array
+    at: Active
+    lower: Array
+    upper: Array
+    system: System | None = None
+
+    @classmethod
+    def of(cls, qp: QP, at: Active) -> Iterate:
+        """Return the prior, with what is at a bound there, without multipliers."""
+        nothing = np.zeros(len(at))
+        return cls(qp.at_bounds(at), np.zeros(len(qp.b)), at, nothing, nothing)
+
+
+_ROUNDS = 100
+_AT_ONCE = 20
+"""Rounds in which the active set changes by all that is wrong at once; then by the worst alone."""
+_ROUNDING = 1e-13
+
+
+def polish(qp: QP, at: Active, side: Flags) -> Iterate | None:
+    """Return the optimum, by the active-set method from a first guess; None if it does not converge.
+
+    Each round solves the optimality conditions on the active set from the prior on, so that the
+    answer depends on the final set alone, to the last bit. What is violated joins the set; only if
+    nothing is, what has a multiplier of the wrong sign leaves it.
+
+    Parameters
+    ----------
+    qp : QP
+    at : array (size,)
+        Variables guessed at their lower bound (-1) or upper bound (1).
+    side : array (n_rows,) of bool
+        Inequalities guessed to hold with equality.
+    """
+    at, side = at.copy(), side | qp.equal
+    at[qp.fixed] = 0
+    near = 8 * _EPS / np.where(qp.scale > 0, qp.scale, 1.0)
+    for round_ in range(_ROUNDS):
+        free = (at == 0) & ~qp.fixed
+        start = qp.at_bounds(at)
+        try:
+            system = System(qp, free, side)
+        except SolverError:
+            return None
+        dv, y = system.solve(-qp.gradient(start), qp.b - qp.rows(start))
+        v = start + dv
+        if not (np.isfinite(v).all() and np.isfinite(y).all()):
+            return None
+        inside = np.minimum(np.maximum(v, qp.lower), qp.upper)
+        v = np.where(free & (abs(v - inside) <= near + 4 * _EPS * abs(inside)), inside, v)
+        below, above = free & (v < qp.lower), free & (v > qp.upper)
+        slack = qp.b - qp.rows(v)
+        rounding = _ROUNDING * (qp.magnitudes.rows(np.abs(v)) + qp.magnitudes.b)
+        beyond = ~side & (slack < -rounding)
+        if below.any() or above.any() or beyond.any():
+            if round_ >= _AT_ONCE:
+                below, above, beyond = _worst(
+                    (below, qp.lower - v), (above, v - qp.upper), (beyond, -slack)
+                )
+            at = np.where(below, -1, np.where(above, 1, at)).astype(np.int8)
+            side = side | beyond
+            continue
+        alone = side & ~system.used & (qp.row_size > 0)
+        unmet = alone & (abs(slack) > rounding)
+        if unmet.any():
+            released = _released(qp, v, unmet, slack, at)
+            if released.any():
+                at = np.where(released, 0, at).astype(np.int8)
+                continue
+        if alone.any():
+            y = _nearest_to_zero(qp, v, y, alone, at)
+        force = qp.force(v, y)
+        tolerance = _ROUNDING * (1 + qp.magnitudes.force(np.abs(v), np.abs(y)))
+        wrong = ((at < 0) & (force < -tolerance)) | ((at > 0) & (force > tolerance))
+        slack_rows = side & ~qp.equal & (y < 0)
+        if not (wrong.any() or slack_rows.any()):
+            return Iterate(v, y, at, *_of_bounds(force, at), system)
+        if round_ >= _AT_ONCE:
+            wrong, slack_rows = _worst((wrong, abs(force)), (slack_rows, -y))
+        at = np.where(wrong, 0, at).astype(np.int8)
+        side = side & ~slack_rows
+    return None
+
+
+def _of_bounds(force: Array, at: Active) -> tuple[Array, Array]:
+    """Return the multipliers of the lower and upper bounds that balance a force."""
+    lower = np.where(at < 0, np.maximum(force, 0.0), 0.0)
+    return lower, np.where(at > 0, np.maximum(-force, 0.0), 0.0)
+
+
+def _worst(*parts: tuple[Flags, Array]) -> list[Flags]:
+    """Return of flags with their sizes only the one of the largest size."""
+    sizes = [np.where(flags, size, -np.inf) for flags, size in parts]
+    largest = max(np.max(size, initial=-np.inf) for size in sizes)
+    return [size == largest for size in sizes]
+
+
+def _released(qp: QP, v: Array, unmet: Flags, slack: Array, at: Active) -> Flags:
+    """Choose a variable at a bound to release, for each unmet row without a free one.
+
+    Near an end of the row's range its last free variable is easily mistaken for one at a bound. The
+    one released is the first to move as the row's multiplier leaves its interval.
+    """
+    release = np.zeros(len(v), dtype=bool)
+    gradient = qp.gradient(v)
+    for row in np.flatnonzero(unmet).tolist():
+        line = qp.line(row)
+        wanted = np.sign(slack[row]) * np.sign(line)  # the direction that reduces the residual
+        able = ((wanted > 0) & (at < 0)) | ((wanted < 0) & (at > 0))
+        cost = np.full(len(v), np.inf)
+        cost[able] = (gradient * wanted)[able] / np.abs(line[able])
+        if able.any():
+            release[np.argmin(cost)] = True
+    return release
+
+
+def _nearest_to_zero(qp: QP, v: Array, y: Array, rows: Flags, at: Active) -> Array:
+    """Give rows without a free variable their multiplier.
+
+    It may lie anywhere in an interval: each variable at its lower bound requires at least
+    -gradient / coefficient, each at its upper bound at most that. The value nearest 0 is returned.
+    """
+    y = np.where(rows, 0.0, y)
+    gradient = qp.force(v, y)
+    for row in np.flatnonzero(rows).tolist():
+        line = qp.line(row)
+        pull = -at * line
+        ends = np.divide(-gradient, line, out=np.zeros_like(line), where=pull != 0)
+        at_least = ends[pull > 0].max(initial=-np.inf)
+        at_most = ends[pull < 0].min(initial=np.inf)
+        if at_least <= at_most:
+            y[row] = np.clip(0.0, at_least, at_most)
+    return y
+
+
+def closed_form(qp: QP, at: Active | None = None) -> Iterate | None:
+    """Return the optimum without inequalities, with violated bounds held and the form taken again.
+
+    Without its inequalities the QP is one linear system. For an independent prior with an exact match
+    that is the paper's closed form (Bellows & Katz 2025, Eqs. 22 to 25). Variables of a term's own that
+    have a bound, such as the parts beyond a threshold, begin there. ``at`` is that of `polish`.
+    """
+    own = np.isfinite(qp.lower)
+    own[qp.compiled.unknowns] = False
+    start = np.where(own, -1, 0 if at is None else at).astype(np.int8)
+    return polish(qp, start, qp.equal)
+
+
+@dataclass(frozen=True, eq=False)
+class SolverAnswer:
+    """A solver's answer: the point, how the solver names its status, its iterations and time in s."""
+
+    point: Iterate
+    status: str
+    iterations: int
+    seconds: float
+
+    def active(self, qp: QP) -> tuple[Active, Flags]:
+        """Return which bounds and which rows are active: of a slack and its multiplier one is 0."""
+        p = self.point
+        at = (p.upper > qp.upper - p.v).astype(np.int8) - (p.lower > p.v - qp.lower)
+        square = qp.rows(np.ones(len(p.v)), qp.A**2)
+        return at, p.y * square > qp.b - qp.rows(p.v)
+
+
+def solve(qp: QP, at: Active, options: SolveOptions) -> SolverAnswer:
+    """Return a solver's answer to a QP.
+
+    Variables that stand at a bound by ``at`` (-1, 1), or whose bounds are equal, are left out. The rows
+    have unit length, so that no band weighs more than another.
+
+    Raises
+    ------
+    ModelError
+        If the solver refuses a setting.
+    MissingDependencyError
+        If the solver is not installed.
+    SolverError
+        If it returns no values.
+    """
+    of = qp.compiled
+    held = (at != 0) | qp.fixed
+    start = qp.at_bounds(at)
+    on = ~held
+    entries = qp.A * on[of.A_columns]
+    norm = np.sqrt(qp.rows(1.0 * on, qp.A**2))
+    unit = np.divide(1.0, norm, out=np.zeros_like(norm), where=norm > 0)
+    bounds = [
+        (end - start)[where] for end, where in zip((qp.lower, qp.upper), of.limited, strict=True)
+    ]
+    limited = [np.isfinite(end) & on[where] for end, where in zip(bounds, of.limited, strict=True)]
+    # A row that says nothing reads 0 <= 1, which leaves the solver an interior.
+    limits = np.concatenate(
+        [
+            np.where(unit > 0, (qp.b - qp.rows(start)) * unit, np.where(qp.equal, 0.0, 1.0)),
+            np.where(limited[0], -bounds[0], 1.0),
+            np.where(limited[1], bounds[1], 1.0),
+        ]
+    )
+    matrix = of.solver_A.filled(
+        np.concatenate([entries * unit[of.A_rows], -1.0 * limited[0], 1.0 * limited[1]])
+    )
+    moves = on[of.P_rows] & on[of.P_columns]
+    upper = np.where(moves, qp.P, 0.0)[of.upper]
+    quadratic = of.solver_P.filled(np.concatenate([upper, 1.0 * held]))
+    linear = qp.gradient(start) * on
+    name = options.solver.lower()
+    began = time.perf_counter()
+    first = None
+    if name == "osqp" and options.warm_start and (form := closed_form(qp)) is not None:
+        duals = form.y * norm, form.lower[of.limited[0]], form.upper[of.limited[1]]
+        first = (form.v - start) * on, np.concatenate(duals)
+    given = _Given(quadratic, linear, matrix, limits, int(of.equal.sum()), options.all_settings)
+    if name == "clarabel":
+        x, z, status, iterations = _clarabel(given)
+    elif name == "osqp":
+        x, z, status, iterations = _osqp(given, first)
+    else:
+        x, z, status, iterations = _through_cvxpy(name, given)
+    seconds = time.perf_counter() - began
+    if x is None or z is None or not (np.isfinite(x).all() and np.isfinite(z).all()):
+        raise SolverError(f'solver "{name}" returned no values; its status is {status}')
+    y, *sides = np.split(np.asarray(z), [of.n_rows, of.n_rows + len(of.limited[0])])
+    lower, upper = np.zeros(len(qp.c)), np.zeros(len(qp.c))
+    for side, where, applies, values in zip(
+        (lower, upper), of.limited, limited, sides, strict=True
+    ):
+        side[where] = np.where(applies, np.maximum(values, 0.0), 0.0)
+    v, y = np.where(on, start + x, start), y * unit
+    if (at != 0).any():  # what was left out has multipliers, too
+        y = _nearest_to_zero(qp, v, y, (norm == 0) & (qp.row_size > 0), at)
+        of_held = _of_bounds(qp.force(v, y), at)
+        lower, upper = (
+            np.where(at != 0, side, own) for side, own in zip(of_held, (lower, upper), strict=True)
+        )
+    return SolverAnswer(Iterate(v, y, at, lower, upper), status, iterations, seconds)
+
+
+class _Given(NamedTuple):
+    """minimise ½ x'Px + c'x subject to A x = b (the first rows), A x <= b; P's upper triangle."""
+
+    P: Any
+    c: Array
+    A: Any
+    b: Array
+    n_equal: int
+    settings: dict[str, Any]
+
+
+_Result = tuple[Any, Any, str, int]  # x, the rows' multipliers, status, iterations
+
+
+def _clarabel(qp: _Given) -> _Result:
+    import clarabel
+
+    chosen = clarabel.DefaultSettings()
+    chosen.verbose = False
+    for key, value in qp.settings.items():
+        if not hasattr(chosen, key):
+            raise ModelError(f'solver "clarabel" has no setting "{key}"')
+        try:
+            setattr(chosen, key, value)
+        except (TypeError, OverflowError) as error:
+            raise _refused("clarabel", qp, error) from error
+    cones = [clarabel.ZeroConeT(qp.n_equal), clarabel.NonnegativeConeT(len(qp.b) - qp.n_equal)]
+    result = clarabel.DefaultSolver(qp.P, qp.c, qp.A, qp.b, cones, chosen).solve()
+    return np.array(result.x), np.array(result.z), str(result.status), int(result.iterations)
+
+
+def _osqp(qp: _Given, first: tuple[Array, Array] | None) -> _Result:
+    import osqp
+
+    low = np.where(np.arange(len(qp.b)) < qp.n_equal, qp.b, -np.inf)
+    settings = {"verbose": False, **qp.settings}
+    if qp.n_equal == 0:
+        # Without active rows OSQP's polishing prints a message, even with verbose=False.
+        settings["polishing"] = False
+    solver = osqp.OSQP()
+    try:
+        solver.setup(qp.P, qp.c, qp.A, low, qp.b, **settings)
+    except Exception as error:  # TypeError, ValueError or osqp's own, by version
+        raise _refused("osqp", qp, error) from error
+    if first is not None:
+        solver.warm_start(x=first[0], y=first[1])
+    result = solver.solve(raise_error=False)
+    return result.x, result.y, str(result.info.status), int(result.info.iter)
+
+
+def _through_cvxpy(name: str, qp: _Given) -> _Result:
+    """Solve with any other solver of cvxpy's, which is given the matrices as a problem."""
+    installed = _installed()
+    if name not in installed:
+        raise MissingDependencyError(
+            f'solver "{name}" is not installed; cvxpy here has {", ".join(sorted(installed))}'
+        )
+    x, rows, n = cp.Variable(len(qp.c)), sp.csr_array(qp.A), qp.n_equal
+    whole = cp.psd_wrap(sp.csc_array(qp.P + sp.triu(qp.P, 1).T))
+    constraints = [rows[:n] @ x == qp.b[:n]] if n else []
+    constraints.append(rows[n:] @ x <= qp.b[n:])
+    problem = cp.Problem(cp.Minimize(0.5 * cp.quad_form(x, whole) + qp.c @ x), constraints)
+    with warnings.catch_warnings():
+        # cvxpy warns of an inaccurate answer; here the certificate judges every answer.
+        warnings.simplefilter("ignore", UserWarning)
+        try:
+            problem.solve(solver=installed[name], **qp.settings)
+        except cp.SolverError as error:
+            raise SolverError(f'solver "{name}" failed: {error}') from error
+        except (TypeError, ValueError, AttributeError, KeyError) as error:
+            raise _refused(name, qp, error) from error
+    duals = [constraint.dual_value for constraint in constraints]
+    missing = x.value is None or any(dual is None for dual in duals)
+    z = None if missing else np.concatenate([np.ravel(dual) for dual in duals])
+    return x.value, z, str(problem.status), int(problem.solver_stats.num_iters or 0)
+
+
+@functools.cache
+def _installed() -> dict[str, str]:
+    """cvxpy's installed solvers by small name, cached since the query takes milliseconds."""
+    return {str(s).lower(): str(s) for s in cp.installed_solvers()}
+
+
+def _refused(name: str, qp: _Given, error: Exception) -> ModelError:
+    stated = ", ".join(f"{key}={value!r}" for key, value in qp.settings.items())
+    return ModelError(f'solver "{name}" refuses the settings {stated}: {error}')
+
+
+_ACCEPTED = 1e-9
+"""Largest residual of an answer that is returned. The primal residual is relative. In the dual residual
+and the gap, a shift of one sigma counts as 1."""
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Certificate:
+    """Residuals of the optimality conditions, each (n_bands,), computed from P, c, A and b.
+
+    Attributes
+    ----------
+    primal_residual : array
+        The larger of |S'alpha - b| / sum S and the violation of the box.
+    dual_residual : array
+        max |sigma (gradient + S D - z_lower + z_upper)|.
+    duality_gap : array
+        sum z_lower (alpha - lower) + z_upper (upper - alpha).
+    alpha_error_bound : array (n_materials, n_bands)
+        No coefficient is farther than this from the optimum; see `certify`.
+    accepted : bool
+        Whether the residuals are at most 1e-9, relative to the parts of which they are differences.
+    """
+
+    primal_residual: Array
+    dual_residual: Array
+    duality_gap: Array
+    alpha_error_bound: Array
+    accepted: bool
+
+    @property
+    def worst(self) -> float:
+        """The largest of the three residuals over all bands."""
+        residuals = (self.primal_residual, self.dual_residual, self.duality_gap)
+        return float(max(np.max(r) for r in residuals))
+
+    def __repr__(self) -> str:
+        return (
+            f"<Certificate: worst residual {self.worst:.1e}, alpha within "
+            f"{np.max(self.alpha_error_bound):.1e} of the optimum>"
+        )
+
+
+def certify(qp: QP, point: Iterate, convexity: float) -> Certificate:
+    """Return the certificate of a point.
+
+    The error bound. f - m |x|²/2 is convex, with x the deviations and m the ``convexity`` of the prior.
+    From a point of dual residual r and gap g that keeps its rows, the optimum x* is within
+
+        m |x - x*|² <= |r| |x - x*| + g.
+
+    The step that the optimality conditions on the active set still ask for, which removes residuals of
+    the rows and their rounding, counts in addition.
+
+    Parameters
+    ----------
+    qp : QP
+    point : Iterate
+    convexity : float
+        m; with 0 the box alone bounds the error.
+    """
+    of, layout, v = qp.compiled, qp.compiled.layout, point.v
+    force = qp.force(v, point.y)
+    magnitude = 1 + qp.magnitudes.force(np.abs(v), np.abs(point.y))
+    unbalanced = np.where(qp.fixed, 0.0, force - point.lower + point.upper)
+    slack = qp.b - qp.rows(v)
+    missed = np.where(qp.equal, abs(slack), np.maximum(-slack, 0.0))
+    missed = np.divide(missed, qp.row_size, out=missed.copy(), where=qp.row_size > 0)
+    outside = np.maximum(np.maximum(qp.lower - v, v - qp.upper), 0.0) * qp.scale
+    to_lower, to_upper = (
+        np.where(np.isfinite(room), room, 0.0) for room in (v - qp.lower, qp.upper - v)
+    )
+    gap = abs(point.lower * to_lower + point.upper * to_upper)
+    row_gap = np.where(qp.equal, 0.0, abs(point.y * slack))
+
+    def by_band(reduce: Any, *parts: tuple[Array, Integers]) -> Array:
+        """Reduce values by band; those of no band count in every one."""
+        out = np.zeros(layout.n_bands)
+        for values, of_band in parts:
+            reduce.at(out, of_band[of_band >= 0], values[of_band >= 0])
+            out = reduce(out, reduce.reduce(values[of_band < 0], initial=0.0))
+        return out
+
+    primal = by_band(np.maximum, (outside, of.band), (missed, of.row_band))
+    dual = by_band(np.maximum, (abs(unbalanced), of.band))
+    total = by_band(np.add, (gap, of.band), (row_gap, of.row_band))
+    relative = np.max(abs(unbalanced) / magnitude, initial=0.0), total.sum() / magnitude.max()
+    moved, left, g = np.zeros(len(v)), unbalanced, gap.sum() + row_gap.sum()
+    if point.system is not None:  # what is not active has no multiplier, and so no gap
+        moved, left, g = *_step_left(qp, point, point.system, force, slack), 0.0
+    bound = np.maximum(to_lower, to_upper)
+    if convexity > 0:
+        r, m = np.linalg.norm(left), convexity
+        bound = np.minimum(bound, moved + (r + np.sqrt(r**2 + 4 * m * g)) / (2 * m))
+    bound = np.where(qp.fixed, 0.0, bound * qp.scale)
+    return Certificate(
+        primal_residual=primal,
+        dual_residual=dual,
+        duality_gap=total,
+        alpha_error_bound=layout.expand(bound[of.unknowns]),
+        accepted=bool(primal.max() <= _ACCEPTED and max(relative) <= _ACCEPTED),
+    )
+
+
+def _step_left(
+    qp: QP, point: Iterate, system: System, force: Array, slack: Array
+) -> tuple[Array, Array]:
+    """Return how far the optimality conditions still move each variable, and what they leave.
+
+    Two more right sides have the size of the residuals' own rounding errors.
+    """
+    free = (point.at == 0) & ~qp.fixed
+    dv, dy = system.solve(-force, slack)
+    left = force + qp.force(dv, dy) - qp.c
+    v, y, absolute = np.abs(point.v), np.abs(point.y), qp.magnitudes
+    # b is a difference of sums, such as b - S'mu, which are at most as large as the row at alpha = 1.
+    sums = absolute.rows(v) + absolute.b + np.maximum(qp.row_size, qp.held)
+    errors = _EPS * absolute.force(v, y), 16 * _EPS * sums
+    moved = np.abs(dv)
+    for sign in (1.0, -1.0):
+        each, row = (error * sign ** np.arange(len(error)) for error in errors)
+        moved = moved + np.abs(system.solve(each, row, refine=False)[0])
+    wrong = np.where(point.at < 0, np.minimum(left, 0.0), np.maximum(left, 0.0))
+    return moved, np.where(free, left, np.where(point.at != 0, wrong, 0.0))

@@ -1,0 +1,1091 @@
+"""The parts of a calibration, each as its cvxpy expression: objective terms and constraints.
+
+Every calibration is a QP: a weighted quadratic objective, the equality S'alpha = b of the absorption
+area, and the box 0 <= alpha <= 1. A term is a function of a `Model`, or an object that is called as
+one. It returns an expression to be minimised, or a list of constraints, as in the paper:
+
+    def prior_deviation(m):  return 0.5 * cp.sum_squares(m.deviation)
+    def exact_match(m):      return [m.absorption_area == m.target]
+
+That is all that a term states. Solver, polish and certificate read the QP that cvxpy compiles of it
+(`rtcal.calibration.qp`).
+
+The numbers of a room and a measurement are parameters, so that a problem is compiled once for rooms
+of one shape. A product of two parameters is not DPP (disciplined parametrised programming): cvxpy would
+compile anew for every solve. So the unknown is the deviation x = (alpha - mu) / sigma, in which the
+prior has no parameter. What else is linear in x has coefficients that are multiplied beforehand, such
+as S sigma of the absorption area.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, ClassVar, Protocol, runtime_checkable
+
+import cvxpy as cp
+import numpy as np
+import scipy.sparse as sp
+
+from rtcal.acoustics import bands
+from rtcal.acoustics.observables import TARGET
+from rtcal.calibration.unknowns import Integers, Layout, Numbers
+from rtcal.calibration.unknowns import Observed as Observed
+from rtcal.support import checks
+from rtcal.support.errors import DataError, ModelError
+from rtcal.support.types import Array
+
+__all__ = [
+    "AddedAbsorption",
+    "AtMost",
+    "BandSmoothness",
+    "BoundConstraint",
+    "Bounds",
+    "ExactMatch",
+    "Fixed",
+    "GroupAbsorption",
+    "HuberDeviation",
+    "LinearObservations",
+    "MatchWithin",
+    "Model",
+    "Objective",
+    "Observed",
+    "PriorDeviation",
+    "RoomMatch",
+    "Shared",
+    "SharedMaterials",
+    "SoftMatch",
+    "Term",
+    "as_objective",
+]
+__dir__ = __all__.copy
+
+SMALLEST_UNCERTAINTY = 1e-6
+"""Of T, relative. Below it the soft match dwarfs the prior, and rounding decides alpha."""
+
+_BLOCK = 256
+"""Number of factors compiled together: 0.5 MB of memory, and few enough blocks to compile quickly."""
+
+
+class Model:
+    """The unknowns, and the numbers of room and measurement, as cvxpy expressions for terms.
+
+    Attributes
+    ----------
+    layout : Layout
+        The materials, bands, configurations and effects.
+    deviation : variable (n_materials, n_bands)
+        x = (alpha - mu) / sigma. Materials that share their coefficients have one row. Where sigma = 0
+        the coefficient is mu, whatever x is.
+    """
+
+    def __init__(self, layout: Layout) -> None:
+        self.layout = layout
+        self.deviation = cp.Variable((layout.n_rows, layout.n_bands), name="deviation")
+        self.effects = cp.Variable(len(layout.further), name="effects") if layout.further else None
+        self.parameters: list[tuple[Any, Callable[[Numbers], Any]]] = []
+        self.definitions: list[Any] = []
+
+    def parameter(self, shape: Any, compute: Callable[[Numbers], Any]) -> Any:
+        """Return a cvxpy parameter that has the value ``compute(numbers)`` in every solve."""
+        parameter = cp.Parameter(shape)
+        self.parameters.append((parameter, compute))
+        return parameter
+
+    def defined(self, expression: Any) -> Any:
+        """Return a variable that equals an expression, so that it may be multiplied by a parameter."""
+        variable = cp.Variable(expression.shape)
+        self.definitions.append(variable == expression)
+        return variable
+
+    @cached_property
+    def alpha(self) -> Any:
+        """The absorption coefficients, (n_materials, n_bands)."""
+        shape = self.deviation.shape
+        sigma = self.parameter(shape, lambda of: of.alpha(of.sigma))
+        mu = self.parameter(shape, lambda of: of.alpha(of.mu))
+        return times(sigma, self.deviation) + mu
+
+    def box(self) -> list[Any]:
+        """Return the bounds: 0 <= alpha <= 1, or tighter; the size of an effect is at least 0.
+
+        Where sigma = 0 there are none, as alpha is mu whatever x is.
+        """
+
+        def limit(variable: Any, side: int, part: slice) -> Any:
+            def compute(of: Numbers) -> Array:
+                distance = ((of.lower, of.upper)[side] - of.mu) * of.inverse_sigma
+                none = (-np.inf, np.inf)[side]
+                return np.where(of.sigma > 0, distance, none)[part].reshape(variable.shape)
+
+            return self.parameter(variable.shape, compute)
+
+        x, alpha = self.deviation, slice(self.layout.n_alpha)
+        box = [x >= limit(x, 0, alpha), x <= limit(x, 1, alpha)]
+        if self.effects is not None:
+            sizes = slice(self.layout.n_alpha, None)
+            box.append(self.effects >= limit(self.effects, 0, sizes))
+        return box
+
+    def flat(self, of_alpha: Any) -> Any:
+        """Return an expression (n_materials, n_bands) as a vector, row by row."""
+        return cp.vec(of_alpha, order="C")
+
+    def effect(self, name: str) -> Any:
+        """Return the deviation of an effect's size, (size - mean) / sigma."""
+        sizes: Any = self.effects
+        return sizes[self.layout.further.index(name)]
+
+    @cached_property
+    def absorption_area(self) -> Any:
+        """S'alpha and what effects add, in m², (n_configurations, n_bands); 0 in bands without T."""
+        return self._area(lambda of: np.where(of.matched, 1.0, 0.0))
+
+    @cached_property
+    def target(self) -> Any:
+        """b of the measured T in m², (n_configurations, n_bands); 0 in bands without T."""
+        shape = (self.layout.n_configurations, self.layout.n_bands)
+        return self.parameter(shape, lambda of: np.where(of.matched, of.target, 0.0))
+
+    @cached_property
+    def misfit(self) -> Any:
+        """(S'alpha - b) / u_b, (n_configurations, n_bands); 0 in bands without T."""
+        shape = (self.layout.n_configurations, self.layout.n_bands)
+
+        def steep(of: Numbers) -> Array:
+            u = np.where(of.matched, np.nan_to_num(of.target_uncertainty), 0.0)
+            return np.divide(1.0, u, out=np.zeros_like(u), where=u > 0)
+
+        target = self.parameter(shape, lambda of: np.nan_to_num(of.target) * steep(of))
+        return self.defined(self._area(steep) - target)
+
+    def _area(self, scale: Callable[[Numbers], Array]) -> Any:
+        """S'alpha and the effects' absorption area, each band and configuration times a scale."""
+
+        def of_one(c: int) -> Any:
+            area = self.group_area(range(self.layout.n_rows), c, lambda of: scale(of)[c])
+            if self.effects is None:
+                return area
+            gains = self.parameter(
+                (self.layout.n_bands, self.effects.size),
+                lambda of: of.gains[c] * of.further(of.sigma) * scale(of)[c, :, np.newaxis],
+            )
+            stated = self.parameter(
+                self.layout.n_bands, lambda of: of.gains[c] @ of.further(of.mu) * scale(of)[c]
+            )
+            return area + gains @ self.effects + stated
+
+        return cp.vstack([of_one(c) for c in range(self.layout.n_configurations)])
+
+    def group_area(
+        self,
+        rows: Sequence[int],
+        configuration: int,
+        scale: Callable[[Numbers], Any] = lambda _: 1.0,
+    ) -> Any:
+        """Return the absorption area of some rows of unknowns, (n_bands,), in m² times a scale."""
+        chosen = list(rows)
+        x = self.deviation if len(chosen) == self.layout.n_rows else self.deviation[chosen]
+
+        def area(of: Numbers, values: Array) -> Array:
+            areas = of.areas[configuration, chosen, np.newaxis]
+            return np.asarray(areas * of.alpha(values)[chosen] * scale(of))
+
+        steep = self.parameter(x.shape, lambda of: area(of, of.sigma))
+        stated = self.parameter(x.shape[1], lambda of: area(of, of.mu).sum(axis=0))
+        return cp.sum(times(steep, x), axis=0) + stated
+
+
+def times(factors: Any, x: Any) -> Any:
+    """Return the elementwise product of a parameter and an expression, both (n, k).
+
+    cvxpy compiles a product of n factors with memory for n² numbers, so long ones are cut.
+    """
+    if x.size <= _BLOCK:
+        return cp.multiply(factors, x)
+    flat = [cp.vec(part, order="F") for part in (factors, x)]
+    parts = [cp.multiply(*(f[i : i + _BLOCK] for f in flat)) for i in range(0, x.size, _BLOCK)]
+    return cp.reshape(cp.hstack(parts), x.shape, order="F")
+
+
+def half_squares(expression: Any) -> Any:
+    """Return half the sum of squares of an expression."""
+    return 0.5 * cp.sum_squares(expression)
+
+
+class Term:
+    """Base of the objective terms: it adds with ``+`` and scales with ``*``.
+
+    A function of a `Model` is a term as well; it is added to one of these.
+    """
+
+    is_prior: ClassVar[bool] = False
+    """Whether it makes alpha unique; a calibration has exactly one such term."""
+
+    def __call__(self, m: Model) -> Any:
+        """Return the cvxpy expression to be minimised."""
+        raise NotImplementedError
+
+    def convexity(self, numbers: Numbers) -> float:
+        """Return m, at most the curvature by each deviation x; 0 claims nothing."""
+        return 0.0
+
+    def structure(self) -> Term:
+        """Return a term of the same compiled problem, one for all whose numbers are parameters."""
+        return self
+
+    def __add__(self, other: Any) -> Objective:
+        return as_objective(self).__add__(other)
+
+    def __radd__(self, other: Any) -> Objective:
+        return as_objective(self).__radd__(other)
+
+    def __rmul__(self, factor: float) -> Objective:
+        return as_objective(self) * factor
+
+    __mul__ = __rmul__
+
+
+AnyTerm = Callable[[Model], Any]
+
+
+@dataclass(frozen=True)
+class Objective:
+    """A weighted sum of objective terms."""
+
+    terms: tuple[AnyTerm, ...]
+    weights: tuple[float, ...]
+
+    @property
+    def further(self) -> list[AddedAbsorption]:
+        """The terms that bring an unknown of their own."""
+        return [t for t in self.terms if isinstance(t, AddedAbsorption)]
+
+    def __add__(self, other: Any) -> Objective:
+        other = as_objective(other)
+        return Objective(self.terms + other.terms, self.weights + other.weights)
+
+    def __radd__(self, other: Any) -> Objective:
+        """Add to 0, with which `sum` begins, or to a function; anything else raises ModelError."""
+        return self if isinstance(other, int) and other == 0 else as_objective(other) + self
+
+    def __rmul__(self, factor: float) -> Objective:
+        checks.number("weight", factor, ModelError)
+        if not (np.isfinite(factor) and factor >= 0):
+            raise ModelError(f"a weight of {factor:g} is not finite and 0 or more: not convex")
+        return Objective(self.terms, tuple(float(factor) * w for w in self.weights))
+
+    __mul__ = __rmul__
+
+
+def as_objective(term: Any) -> Objective:
+    """Return a term, or a sum of them, as an `Objective`; ModelError for anything else."""
+    if isinstance(term, Objective):
+        return term
+    if isinstance(term, type):
+        raise ModelError(f"{term.__name__} is a class and no term: write {term.__name__}()")
+    if callable(term):
+        return Objective((term,), (1.0,))
+    raise ModelError(f"{term!r} is not an objective term, a function of rtcal.terms.Model")
+
+
+@runtime_checkable
+class BoundConstraint(Protocol):
+    """A constraint that narrows the box; it costs nothing."""
+
+    def narrow(self, layout: Layout, mu: Array, lower: Array, upper: Array) -> tuple[Array, Array]:
+        """Return the narrowed bounds of the coefficients, both (n_alpha,), as their means ``mu``."""
+        ...
+
+
+@runtime_checkable
+class SharedMaterials(Protocol):
+    """A constraint that makes materials one unknown; it costs nothing either."""
+
+    def groups(self, materials: tuple[str, ...]) -> Iterable[tuple[str, ...]]:
+        """Return the groups of materials that share their coefficients."""
+        ...
+
+
+def _positive(what: str, value: float | None) -> None:
+    if value is None:
+        return
+    given = checks.number(what.replace("(", ": "), value, ModelError)
+    if not (np.isfinite(given) and given > 0):
+        raise ModelError(f"{what}={given:g}): it must be finite and above 0")
+
+
+@dataclass(frozen=True)
+class PriorDeviation(Term):
+    """½ x'R⁻¹x, x = (alpha - mu) / sigma: half the squared shift from the prior mean in sigmas.
+
+    When to use it: always (or `HuberDeviation`); it makes the answer unique. The paper's
+    maximum-likelihood estimate (Bellows & Katz 2025, Eq. 19) is this term, independent (R = 1),
+    and `ExactMatch`; its least-squares estimate (Eq. 7) is the same with every sigma equal,
+    ``PriorDeviation(sigma=1)``. Give correlations where errors go together: a data sheet that is
+    too low at 500 Hz is likely too low at 1 kHz; two boards of one maker err alike. They change
+    nothing with an exact match, no coefficient at a bound, one correlation for all materials, and
+    sigmas that are a material's factor times a band's (see docs/modelling.md).
+
+    Parameters
+    ----------
+    sigma : float, optional
+        One standard deviation for every coefficient in place of the room's (but 0 stays 0), above 0.
+    band_correlation : float, matrix (n_bands, n_bands), or a mapping of material to either
+        A number r below 1 is the correlation of two bands an octave apart: r ** octaves. Materials
+        that a mapping lacks are uncorrelated.
+    material_correlation : matrix (n_materials, n_materials) or mapping of pairs to float
+        Between the same bands of two materials: ``{("door", "panel"): 0.7}``.
+    common : bool
+        Whether all coefficients may be off together, by the room's ``common_alpha_sigma`` t: then the
+        covariance is sigma R sigma + t² mu mu' over all materials and bands.
+
+    Raises
+    ------
+    ModelError
+        When built, for a correlation that is none (not symmetric with unit diagonal, not positive
+        definite).
+    """
+
+    sigma: float | None = None
+    band_correlation: float | Sequence[Sequence[float]] | Mapping[str, Any] = 0.0
+    material_correlation: Sequence[Sequence[float]] | Mapping[tuple[str, str], float] = ()
+    common: bool = False
+
+    is_prior: ClassVar[bool] = True
+
+    def __post_init__(self) -> None:
+        checks.flag("PriorDeviation: common", self.common)
+        _positive("PriorDeviation(sigma", self.sigma)
+        # Kept as tuples: a term is hashable, so that its compiled problem is found again.
+        given, pairs = self.band_correlation, self.material_correlation
+        frozen: Any = _frozen("band_correlation", given)
+        if isinstance(given, Mapping):
+            frozen = tuple(
+                (str(m), _frozen(f'band_correlation of "{m}"', r)) for m, r in given.items()
+            )
+        between: Any = _frozen("material_correlation", pairs)
+        if isinstance(pairs, Mapping):
+            between = tuple(_pair(names, r) for names, r in pairs.items())
+        object.__setattr__(self, "band_correlation", frozen)
+        object.__setattr__(self, "material_correlation", between)
+
+    @property
+    def correlated(self) -> bool:
+        """Whether any correlation was stated, or a part that all coefficients have in common."""
+        return bool(self.band_correlation or self.material_correlation or self.common)
+
+    def __call__(self, m: Model) -> Any:
+        """½ |W x|² with W'W = R⁻¹; with a common part t, ½ |W (x - q t)|² + ½ t²."""
+        if not self.correlated:
+            return half_squares(m.deviation)
+        x, layout = m.flat(m.deviation), m.layout
+        whitener = None
+        if self.band_correlation or self.material_correlation:
+            whitener = self._whitener(layout)
+            x = whitener @ x
+        if not self.common:
+            return half_squares(x)
+
+        def shift(of: Numbers) -> Array:
+            q = (of.common_shift * of.inverse_sigma)[: layout.n_alpha]
+            return q if whitener is None else whitener @ q
+
+        together = cp.Variable()
+        return half_squares(x - m.parameter(layout.n_alpha, shift) * together) + half_squares(
+            together
+        )
+
+    def convexity(self, numbers: Numbers) -> float:
+        """Return the least eigenvalue of the inverse correlation."""
+        q = numbers.common_shift * numbers.inverse_sigma
+        largest = _largest(self, numbers.layout) if self.correlated else 1.0
+        return float(1 / (largest + (q @ q if self.common else 0.0)))
+
+    def factors(self, layout: Layout) -> tuple[list[Array], Array]:
+        """Return Cholesky factors of R = B (C x 1) B': B per row of alpha (n_bands, n_bands), C's.
+
+        Raises ModelError as the class says.
+        """
+        return _factors(self, layout)
+
+    def correlate(self, columns: Array, layout: Layout) -> Array:
+        """Return R @ columns, (size, n); further unknowns are independent."""
+        within, between = self.factors(layout)
+        stacked = np.array(within)
+        alpha = columns[: layout.n_alpha].reshape(layout.n_rows, layout.n_bands, -1)
+        alpha = np.einsum("iab,ia...->ib...", stacked, alpha)
+        alpha = np.einsum("ij,jb...->ib...", between @ between.T, alpha)
+        alpha = np.einsum("iab,ib...->ia...", stacked, alpha).reshape(layout.n_alpha, -1)
+        return np.concatenate([alpha, columns[layout.n_alpha :]])
+
+    def _whitener(self, layout: Layout) -> Any:
+        within, between = self.factors(layout)
+        own = sp.block_diag([sp.csr_array(np.linalg.inv(b)) for b in within])
+        across = sp.kron(np.linalg.inv(between), sp.eye_array(layout.n_bands))
+        whitener = sp.csr_array(across @ own)
+        whitener.eliminate_zeros()
+        return whitener
+
+
+def _frozen(what: str, value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return ()
+    array = checks.array(what, value, ModelError)
+    if array.ndim == 0:
+        return float(array)
+    if array.size and array.ndim != 2:
+        raise ModelError(f"{what} has shape {array.shape}; it is a number, a matrix or a mapping")
+    return tuple(map(tuple, array.tolist()))
+
+
+def _pair(names: Any, r: Any) -> tuple[str, str, float]:
+    if not isinstance(names, tuple) or len(names) != 2:
+        raise ModelError(f"material_correlation: {names!r} is not a pair of materials")
+    a, b = str(names[0]), str(names[1])
+    return a, b, checks.number(f'material_correlation["{a}", "{b}"]', r, ModelError)
+
+
+def _by_name(given: Any) -> bool:
+    """Whether a frozen correlation was given by names."""
+    return isinstance(given, tuple) and bool(given) and isinstance(given[0][0], str)
+
+
+@functools.lru_cache(maxsize=16)
+def _factors(term: PriorDeviation, layout: Layout) -> tuple[list[Array], Array]:
+    given: Any = term.band_correlation
+    by_material = dict(given) if _by_name(given) else None
+    for name in by_material or ():
+        layout.index(name)
+    within = []
+    for name in (layout.materials[i] for i in layout.first):
+        r = given if by_material is None else by_material.get(name, 0.0)
+        if isinstance(r, float):
+            if not 0 <= r < 1:
+                raise ModelError(f"band_correlation {r:g} is not in [0, 1)")
+            table = bands.correlation(np.array(layout.centre_frequencies), r)
+        else:
+            table = np.array(r)
+        within.append(_cholesky(table, layout.n_bands, f'band_correlation of "{name}"'))
+    between = np.eye(layout.n_rows)
+    pairs: Any = term.material_correlation
+    if _by_name(pairs):
+        for a, b, r in pairs:
+            i, j = (layout.index(m)[0] // layout.n_bands for m in (a, b))
+            if i == j:
+                raise ModelError(f'material_correlation: "{a}" and "{b}" are one unknown')
+            between[i, j] = between[j, i] = r
+    elif pairs:
+        between = np.array(pairs)
+    return within, _cholesky(between, layout.n_rows, "material_correlation")
+
+
+@functools.lru_cache(maxsize=16)
+def _largest(term: PriorDeviation, layout: Layout) -> float:
+    """The largest eigenvalue of the correlation."""
+    within, between = _factors(term, layout)
+    return float(np.linalg.norm(between, 2) ** 2 * max(np.linalg.norm(b, 2) ** 2 for b in within))
+
+
+def _cholesky(table: Array, n: int, what: str) -> Array:
+    if table.shape != (n, n):
+        raise ModelError(f"{what} has shape {table.shape}; it must be ({n}, {n})")
+    if not np.allclose(table, table.T, rtol=0, atol=1e-12) or not np.allclose(np.diag(table), 1):
+        raise ModelError(f"{what} is not symmetric with ones on its diagonal")
+    try:
+        return np.asarray(np.linalg.cholesky(table))
+    except np.linalg.LinAlgError as error:
+        raise ModelError(f"{what} is not positive definite") from error
+
+
+@dataclass(frozen=True)
+class HuberDeviation(Term):
+    """sum of e x²/2 + (1 - e) h(x): like `PriorDeviation` near mu, but straight beyond t sigmas.
+
+    h(x) = x²/2 for |x| <= t, t |x| - t²/2 beyond (Huber 1964, Eq. 2.4).
+
+    When to use it: when some stated sigma may be plain wrong (a material taken for another): one
+    coefficient may then move far at a bounded price, and the others need not follow. Huber's own
+    minimiser is not unique, so a small strictly convex part, e = 0.01 of the square, is mixed in.
+
+    Parameters
+    ----------
+    threshold : float
+        t, in sigmas, above 0; beyond it a coefficient counts as an outlier.
+    convex : float
+        e, above 0 and at most 1.
+    sigma : float, optional
+        One standard deviation for every coefficient in place of the room's.
+    """
+
+    threshold: float = 1.5
+    convex: float = 0.01
+    sigma: float | None = None
+
+    is_prior: ClassVar[bool] = True
+
+    def __post_init__(self) -> None:
+        _positive("HuberDeviation(sigma", self.sigma)
+        _positive("HuberDeviation(threshold", self.threshold)
+        checks.number("HuberDeviation: convex", self.convex, ModelError)
+        if not 0 < self.convex <= 1:
+            raise ModelError(f"HuberDeviation(convex={self.convex:g}): it must be in (0, 1]")
+
+    def __call__(self, m: Model) -> Any:
+        """½ e |x|² + (1 - e) (½ |x - p + q|² + t sum(p + q)), p and q >= 0 the parts beyond t."""
+        above, below = (cp.Variable(m.deviation.shape, nonneg=True) for _ in range(2))
+        # A defined sum: cvxpy compiles an objective that is linear in n variables with memory for n
+        # numbers per parameter.
+        beyond = m.defined(cp.sum(above) + cp.sum(below))
+        near = half_squares(m.deviation - above + below) + self.threshold * beyond
+        return self.convex * half_squares(m.deviation) + (1 - self.convex) * near
+
+    def convexity(self, numbers: Numbers) -> float:
+        """Return e."""
+        return self.convex
+
+
+@dataclass(frozen=True)
+class ExactMatch:
+    """S'alpha = b in every band that has a measured T (Bellows & Katz 2025, Eq. 4).
+
+    When to use it: as the paper does, or when the uncertainty of T is not known. It forces the
+    noise of T into alpha; `SoftMatch` does not.
+    """
+
+    def __call__(self, m: Model) -> list[Any]:
+        """One equality per configuration and band."""
+        return [m.absorption_area == m.target]
+
+    def target_limits(self, numbers: Numbers) -> tuple[Array, Array]:
+        """Return the least and the most S'alpha in m², (n_configurations, n_bands): b twice."""
+        return numbers.target, numbers.target
+
+    def label(self, row: int, layout: Layout) -> str:
+        """Return the band that a row matches."""
+        return f"exact match of T at {layout.band_label(row)} (m² of absorption)"
+
+
+@dataclass(frozen=True)
+class MatchWithin(ExactMatch):
+    """|T - T measured| <= tolerance, in just noticeable differences of 5 %.
+
+    When to use it: when nobody would hear a smaller gap, so that coefficients should not move for
+    it. The answer is the nearest to the prior that is within the tolerance. A tolerance of 0 is
+    `ExactMatch`.
+
+    Parameters
+    ----------
+    jnd : float
+        0 or more, below 20 (where T would have to be 0).
+    """
+
+    jnd: float = 1.0
+
+    def __post_init__(self) -> None:
+        checks.number("MatchWithin: jnd", self.jnd, ModelError)
+        if not 0 <= self.jnd < 1 / TARGET.jnd:
+            raise ModelError(f"MatchWithin({self.jnd:g}): the tolerance must be from 0 to below 20")
+
+    def __call__(self, m: Model) -> list[Any]:
+        """Two inequalities per band, or one equality if the tolerance is 0."""
+        if self.jnd == 0:
+            return super().__call__(m)
+        shape = (m.layout.n_configurations, m.layout.n_bands)
+
+        def limit(side: int) -> Any:
+            # A band without T reads -1 <= 0 <= 1, which leaves the solver an interior.
+            return m.parameter(
+                shape,
+                lambda of: np.where(of.matched, self.target_limits(of)[side], 2.0 * side - 1),
+            )
+
+        return [m.absorption_area >= limit(0), m.absorption_area <= limit(1)]
+
+    def target_limits(self, numbers: Numbers) -> tuple[Array, Array]:
+        """Return b of the longest and of the shortest T in the tolerance.
+
+        A target that was moved to the end of its reach widens the tolerance to that end.
+        """
+        if self.jnd == 0:
+            return super().target_limits(numbers)
+        tolerance = TARGET.jnd * self.jnd
+        low = numbers.target_of(numbers.time * (1 + tolerance))
+        high = numbers.target_of(numbers.time * (1 - tolerance))
+        # A T so short that no b gives it: the equation's largest b is the limit.
+        beyond = np.isfinite(numbers.time) & np.isnan(high)
+        high = np.where(beyond, numbers.largest_target, high)
+        return np.fmin(low, numbers.target), np.fmax(high, numbers.target)
+
+    def label(self, row: int, layout: Layout) -> str:
+        """Return the band that a row matches."""
+        return f"match of T within {self.jnd:g} JND at {layout.band_label(row)} (m² of absorption)"
+
+
+@dataclass(frozen=True)
+class SoftMatch(Term):
+    """½ sum ((S'alpha - b) / u_b)²: match T as far as its own uncertainty deserves.
+
+    u_b = |db/dT| u_T. docs/modelling.md compares it with other terms.
+
+    When to use it: whenever the uncertainty of T is known, or can be stated; with several
+    configurations always. It keeps the noise of T out of alpha. Weight 1 is the right one: then
+    with `PriorDeviation` the answer is the most probable one.
+
+    Parameters
+    ----------
+    relative : float, optional
+        u_T / T, at most 1, for bands whose measurement states no uncertainty. Without it those are
+        refused.
+    """
+
+    relative: float | None = None
+
+    def __post_init__(self) -> None:
+        if self.relative is not None:
+            relative = checks.number("SoftMatch: relative", self.relative, ModelError)
+            if not 0 < relative <= 1:
+                percent = ": is it in percent?" if 1 < relative <= 100 else ""
+                raise ModelError(
+                    f"SoftMatch(relative={relative:g}): it is not above 0 and at most 1{percent}"
+                )
+
+    def __call__(self, m: Model) -> Any:
+        """½ |(S'alpha - b) / u_b|²."""
+        return half_squares(m.misfit)
+
+    def structure(self) -> Term:
+        """Return the term without ``relative``, which enters through the parameters."""
+        return type(self)()
+
+    def uncertainty(self, numbers: Numbers) -> Array:
+        """Return u_b in m², (n_configurations, n_bands); DataError where it is none."""
+        u, name = numbers.target_uncertainty, type(self).__name__
+        unknown = numbers.matched & ~np.isfinite(u)
+        if self.relative is not None and unknown.any():
+            u = np.where(unknown, self.relative * numbers.time * numbers.target_sensitivity, u)
+        for bad, message in (
+            (
+                np.isinf(u),
+                "T[{band}] = {time:.4g} s is the shortest that the equation gives: there T does not "
+                "determine the absorption. Take another equation, or leave out the band",
+            ),
+            (
+                ~(u > 0),
+                "u_T[{band}] is unknown or 0, and {name} weighs by it: state it in the measurement, or "
+                "leave out what is 0 and give {name}(relative=...), as the methods do",
+            ),
+            (
+                u < SMALLEST_UNCERTAINTY * np.abs(numbers.target),
+                "u_T[{band}] is below a millionth of T, which no measurement reaches: state it as "
+                "measured, or leave it out and take method mle",
+            ),
+        ):
+            if (wrong := numbers.matched & bad).any():
+                row = int(np.flatnonzero(wrong.ravel())[0])
+                band, time = numbers.layout.band_label(row), numbers.time.ravel()[row]
+                raise DataError(message.format(band=band, time=time, name=name))
+        return np.where(numbers.matched, u, np.nan)
+
+
+@dataclass(frozen=True)
+class RoomMatch(SoftMatch):
+    """½ r'C⁻¹r, r = b - S'alpha: match T as far as T, volume, areas and climate deserve.
+
+    C is the covariance of r over all bands: u_b² on its diagonal, and what the room states of its
+    volume, areas and climate (`rtcal.acoustics.room_errors.target_changes`). It is the QP with
+    A_ik = alpha_ik S_i, every S_i and the volume unknown and shared by all bands, after these are
+    minimised out. Eyring's and Kuttruff's b is linearised in them (docs/uncertain_room.md).
+
+    When to use it: when the room states a ``volume_sigma``, an ``area_sigma`` or a ``climate_sigma``;
+    `rtcal.calibrate` then uses it for every method but ``lse``. An error of the volume then changes
+    all bands alike, and goes less into the coefficients.
+
+    Parameters
+    ----------
+    relative : float, optional
+        As for `SoftMatch`.
+
+    Examples
+    --------
+    >>> import rtcal as rt
+    >>> room, measured = rt.datasets.bras_cr2()
+    >>> objective = rt.terms.PriorDeviation() + RoomMatch()
+    >>> problem = rt.Calibration(objective).build(room.replace(volume_sigma=0.05))
+    >>> problem.solve(measured).gap_after.round(1)
+    array([1.9, 0.3, 0.4, 0.4, 0.4, 0.3])
+    """
+
+    def __call__(self, m: Model) -> Any:
+        """½ |W (S'alpha - b)|², W'W = C⁻¹; the misfit's own unit u_b is in the matrix."""
+        n = m.layout.n_configurations * m.layout.n_bands
+
+        def whitener(of: Numbers) -> Array:
+            return of.match_whitener * np.nan_to_num(of.target_uncertainty).ravel()
+
+        return half_squares(m.parameter((n, n), whitener) @ m.flat(m.misfit))
+
+
+@dataclass(frozen=True)
+class LinearObservations(Term):
+    """½ (y - J alpha)' C⁻¹ (y - J alpha): linear observations y of alpha; C is the errors' covariance.
+
+    The numbers are an `Observed`, and are given to `rtcal.Calibration`'s problem when it is solved:
+    ``problem.solve(measured, observed={term: Observed(...)})``. So the problem is compiled once,
+    whatever the number of observations, and solved for each of them.
+
+    When to use it: where measurements tell more of alpha than one T per band does. J and y come from
+    a simulator's derivatives in `rtcal.calibrate_positions`; weight 1 is then the right one.
+
+    Parameters
+    ----------
+    name : str
+        Tells several of them apart.
+
+    References
+    ----------
+    Aitken 1935, generalised least squares.
+    """
+
+    name: str = "observations"
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.name, str):
+            raise ModelError(f"LinearObservations: name = {self.name!r} is not a text")
+
+    def __call__(self, m: Model) -> Any:
+        """½ |R x - z|², R the upper triangle of the QR of the whitened J sigma.
+
+        R has as many rows as there are coefficients, however many observations there are. Those of
+        its rows that lack observations are 0. What J alpha cannot reach of y is a constant.
+        """
+        n = m.layout.n_alpha
+
+        @functools.lru_cache(maxsize=1)
+        def triangle(of: Numbers) -> Array:
+            seen = of.observed[self]
+            mu, sigma = of.mu[:n], of.sigma[:n]
+            values = seen.values - seen.matrix @ mu
+            factor = np.linalg.qr(np.column_stack([seen.matrix * sigma, values]), mode="r")
+            full = np.zeros((n, n + 1))
+            full[: min(len(factor), n)] = factor[:n]
+            return full
+
+        matrix = m.parameter((n, n), lambda of: triangle(of)[:, :n])
+        values = m.parameter(n, lambda of: triangle(of)[:, n])
+        return half_squares(matrix @ m.flat(m.deviation) - values)
+
+
+@dataclass(frozen=True)
+class BandSmoothness(Term):
+    """½ sum (x_k+1 - x_k)² / d_k, x = (alpha - mu) / sigma, d_k octaves from band k to k+1.
+
+    When to use it: with `SoftMatch` or bands without T, when a material's error is expected to
+    change slowly over frequency. It smooths the *shift* in sigmas, not alpha: a resonant absorber
+    keeps its peak. With an exact match and separable sigma it changes nothing (see
+    docs/modelling.md).
+    """
+
+    def __call__(self, m: Model) -> Any:
+        """½ |differences|²; coefficients with sigma = 0 stand apart."""
+        layout = m.layout
+        if layout.n_bands < 2:
+            raise ModelError("BandSmoothness needs two bands or more")
+        octaves = np.diff(np.log2(np.array(layout.centre_frequencies)))
+
+        def steep(of: Numbers) -> Array:
+            moves = of.alpha(of.sigma) > 0
+            return np.asarray((moves[:, 1:] & moves[:, :-1]) / np.sqrt(octaves))
+
+        factor = m.parameter((layout.n_rows, layout.n_bands - 1), steep)
+        x = m.deviation
+        return half_squares(times(factor, x[:, 1:] - x[:, :-1]))
+
+
+@dataclass(frozen=True)
+class AddedAbsorption(Term):
+    """A further unknown theta >= 0: an effect that adds theta times its gain to S'alpha.
+
+    ½ ((theta - mean) / sigma)² is its prior in the objective (docs/modelling.md).
+
+    When to use it: when something other than the listed surfaces absorbs (an opening, furniture, an
+    audience) and its spectrum is known but not its amount. theta comes out beside alpha.
+
+    Parameters
+    ----------
+    name : str
+    gain : sequence (n_bands,) or (n_configurations, n_bands)
+        m² of absorption that theta = 1 adds in each band.
+    sigma : float
+        Prior standard deviation of theta, above 0.
+    mean : float
+        Prior mean of theta.
+    """
+
+    name: str
+    gain: Sequence[Any]
+    sigma: float
+    mean: float = 0.0
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.name, str):
+            raise ModelError(f"AddedAbsorption: name = {self.name!r} is not a text")
+        for what in ("sigma", "mean"):
+            checks.number(
+                f'AddedAbsorption("{self.name}"): {what}', getattr(self, what), ModelError
+            )
+        if not (np.isfinite(self.sigma) and self.sigma > 0 and np.isfinite(self.mean)):
+            raise ModelError(
+                f'AddedAbsorption("{self.name}"): sigma = {self.sigma:g} must be finite and above '
+                f"0, mean = {self.mean:g} finite"
+            )
+        gain = checks.array(f'AddedAbsorption("{self.name}"): gain', self.gain, ModelError)
+        if gain.ndim not in (1, 2) or not np.isfinite(gain).all():
+            raise ModelError(f'AddedAbsorption("{self.name}"): gain is not finite numbers by band')
+        frozen: Any = tuple(map(tuple, np.atleast_2d(gain).tolist()))
+        object.__setattr__(self, "gain", frozen)
+
+    def __call__(self, m: Model) -> Any:
+        """½ ((theta - mean) / sigma)²."""
+        return half_squares(m.effect(self.name))
+
+    def structure(self) -> Term:
+        """Return an effect of the same name: gain, sigma and mean enter through the parameters."""
+        return AddedAbsorption(self.name, [0.0], sigma=1.0)
+
+    def gains(self, n_configurations: int, n_bands: int) -> Array:
+        """Return the gain by configuration and band in m²; ModelError if it does not fit."""
+        gain = np.array(self.gain)
+        if gain.shape[1] != n_bands or gain.shape[0] not in (1, n_configurations):
+            raise ModelError(
+                f'AddedAbsorption("{self.name}"): gain has shape {gain.shape}; there are '
+                f"{n_configurations} configurations and {n_bands} bands"
+            )
+        return np.broadcast_to(gain, (n_configurations, n_bands))
+
+
+@dataclass(frozen=True)
+class Bounds:
+    """lower <= alpha <= upper, for all materials and bands or for some.
+
+    When to use it: where physics or a data sheet gives limits tighter than 0 to 1.
+
+    Parameters
+    ----------
+    lower, upper : float
+    material : str, optional
+        Only this material.
+    band : float, optional
+        Only this band, by its centre frequency in Hz.
+    """
+
+    lower: float = 0.0
+    upper: float = 1.0
+    material: str | None = None
+    band: float | None = None
+
+    def __post_init__(self) -> None:
+        checks.number("Bounds: lower", self.lower)
+        checks.number("Bounds: upper", self.upper)
+        _named("Bounds", self.material, self.band)
+        if not 0 <= self.lower <= self.upper <= 1:
+            raise DataError(
+                f"Bounds({self.lower:g}, {self.upper:g}) is not within 0 <= lower <= upper <= 1"
+            )
+
+    def narrow(self, layout: Layout, mu: Array, lower: Array, upper: Array) -> tuple[Array, Array]:
+        """Return the box cut to these bounds."""
+        return _cut(layout.index(self.material, self.band), lower, upper, self.lower, self.upper)
+
+
+@dataclass(frozen=True)
+class Fixed:
+    """alpha = value (its prior mean if not given): a coefficient that the measurement may not move.
+
+    When to use it: for a material that was measured in the laboratory, or whose answer must stay
+    comparable. Alpha is as with sigma = 0 in the room. Unlike there, its stated sigma still counts in z
+    and Q, in correlations with other bands, and in the coefficients' uncertainty.
+
+    Parameters
+    ----------
+    material : str
+    value : float, optional
+    band : float, optional
+        Only this band, by its centre frequency in Hz.
+    """
+
+    material: str
+    value: float | None = None
+    band: float | None = None
+
+    def __post_init__(self) -> None:
+        _named("Fixed", self.material, self.band)
+        if self.value is not None and not 0 <= checks.number("Fixed: value", self.value) <= 1:
+            raise DataError(f'Fixed("{self.material}", {self.value:g}) is not in [0, 1]')
+
+    def narrow(self, layout: Layout, mu: Array, lower: Array, upper: Array) -> tuple[Array, Array]:
+        """Return the box with both sides at the value."""
+        where = layout.index(self.material, self.band)
+        value = mu[where] if self.value is None else self.value
+        return _cut(where, lower, upper, value, value)
+
+
+def _cut(where: Integers, lower: Array, upper: Array, least: Any, most: Any) -> tuple[Array, Array]:
+    lower, upper = lower.copy(), upper.copy()
+    lower[where], upper[where] = np.maximum(lower[where], least), np.minimum(upper[where], most)
+    return lower, upper
+
+
+@dataclass(frozen=True)
+class Shared:
+    """The coefficients of several materials are the same unknowns: ``Shared("wall", "wall 2")``.
+
+    When to use it: when one material goes by several names. Their rows become one, with the sum of
+    their areas; their common prior counts once.
+    """
+
+    materials: tuple[str, ...]
+
+    def __init__(self, *materials: str) -> None:
+        for name in materials:
+            _named("Shared", name)
+        if len(set(materials)) < 2:
+            raise ModelError("Shared needs two different materials or more")
+        object.__setattr__(self, "materials", tuple(materials))
+
+    def groups(self, materials: tuple[str, ...]) -> Iterable[tuple[str, ...]]:
+        """Return the one group."""
+        return [self.materials]
+
+
+@dataclass(frozen=True)
+class AtMost:
+    """alpha of one material <= alpha of another: ``AtMost("glazing", "curtain")``.
+
+    When to use it: when the order is certain though neither value is.
+
+    Parameters
+    ----------
+    lesser, greater : str
+        Materials.
+    band : float, optional
+        Only this band, by its centre frequency in Hz.
+    """
+
+    lesser: str
+    greater: str
+    band: float | None = None
+
+    def __post_init__(self) -> None:
+        _named("AtMost", self.lesser, self.band)
+        _named("AtMost", self.greater)
+        if self.lesser == self.greater:
+            raise ModelError(f'AtMost: "{self.lesser}" stands on both sides')
+
+    def __call__(self, m: Model) -> list[Any]:
+        """One inequality per band."""
+        alpha = m.flat(m.alpha)
+        lesser, greater = (alpha[places] for places in self._places(m.layout))
+        return [lesser - greater <= np.zeros(lesser.size)]
+
+    def label(self, row: int, layout: Layout) -> str:
+        """Return the order and its band."""
+        lesser, greater = self._places(layout)
+        return f"{layout.place(int(lesser[row]))} at most {layout.place(int(greater[row]))}"
+
+    def _places(self, layout: Layout) -> tuple[Integers, Integers]:
+        return layout.index(self.lesser, self.band), layout.index(self.greater, self.band)
+
+
+@dataclass(frozen=True)
+class GroupAbsorption:
+    """least <= S'alpha over a group of materials <= most, in m².
+
+    When to use it: when the total of a group is known better than its members, such as all seating
+    from a table of audience absorption.
+
+    Parameters
+    ----------
+    materials : sequence of str
+    least, most : float, optional
+        m²; at least one of them.
+    band : float, optional
+        Only this band, by its centre frequency in Hz.
+    configuration : int
+        Whose areas count.
+    """
+
+    materials: Sequence[str]
+    least: float | None = None
+    most: float | None = None
+    band: float | None = None
+    configuration: int = 0
+
+    def __post_init__(self) -> None:
+        if isinstance(self.materials, str) or not isinstance(self.materials, Iterable):
+            raise ModelError(
+                f"GroupAbsorption: materials = {self.materials!r} is not a list of names"
+            )
+        object.__setattr__(self, "materials", tuple(self.materials))
+        for name in self.materials:
+            _named("GroupAbsorption", name, self.band)
+        given = [
+            checks.number(f"GroupAbsorption: {name}", v, ModelError)
+            for name, v in (("least", self.least), ("most", self.most))
+            if v is not None
+        ]
+        checks.whole("GroupAbsorption: configuration", self.configuration, 0, ModelError)
+        if not given or min(given) < 0 or given != sorted(given) or not np.isfinite(given).all():
+            raise ModelError(
+                f"GroupAbsorption: least = {self.least}, most = {self.most} m²; it needs "
+                "0 <= least <= most, one of them at least"
+            )
+        if not self.materials:
+            raise ModelError("GroupAbsorption needs a material")
+
+    def __call__(self, m: Model) -> list[Any]:
+        """One or two inequalities per band, or one equality if the two limits are the same."""
+        layout = m.layout
+        if self.configuration >= layout.n_configurations:
+            raise ModelError(
+                f"GroupAbsorption(configuration={self.configuration}): there are "
+                f"{layout.n_configurations}"
+            )
+        area = m.group_area(self._members(layout), self.configuration)[self._bands(layout)]
+        limits = [
+            None if limit is None else np.full(area.size, limit)
+            for limit in (self.least, self.most)
+        ]
+        if self.least == self.most:
+            return [area == limits[0]]
+        return [
+            *([area >= limits[0]] if limits[0] is not None else []),
+            *([area <= limits[1]] if limits[1] is not None else []),
+        ]
+
+    def label(self, row: int, layout: Layout) -> str:
+        """Return the group and the band."""
+        band = bands.label(layout.centre_frequencies[self._bands(layout)[row]])
+        return f"absorption of {', '.join(self.materials)} at {band} (m²)"
+
+    def _bands(self, layout: Layout) -> Integers:
+        return layout.index(layout.materials[0], self.band) % layout.n_bands
+
+    def _members(self, layout: Layout) -> list[int]:
+        members = sorted({int(layout.index(m)[0]) // layout.n_bands for m in self.materials})
+        for name, row in zip(layout.materials, layout.rows, strict=True):
+            if row in members and name not in self.materials:
+                raise ModelError(
+                    f'GroupAbsorption: "{name}" shares its coefficients with a member; name it too'
+                )
+        return members
+
+
+def _named(term: str, material: object, band: object = None) -> None:
+    """Raise DataError if a material is no text or a band no frequency; None is all of them."""
+    if material is not None and not isinstance(material, str):
+        raise DataError(f"{term}: {material!r} is not the name of a material")
+    if band is not None and not 0 < checks.number(f"{term}: band", band) < np.inf:
+        raise DataError(f"{term}: band = {band} Hz is not finite and above 0")

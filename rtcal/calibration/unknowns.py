@@ -1,0 +1,527 @@
+"""The unknowns of a calibration: the rooms that share them, their order, and the numbers of a solve.
+
+The unknowns u are one flat vector: alpha row by row with the bands last, then the sizes of effects. One
+room is one of several configurations, which share the coefficients of their materials.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
+from scipy.linalg import solve_triangular
+
+from rtcal.acoustics import bands
+from rtcal.acoustics.changed_time import refuse_other_priors
+from rtcal.acoustics.equations import LinearEquation
+from rtcal.acoustics.room import Room
+from rtcal.acoustics.room_errors import target_changes
+from rtcal.support import checks
+from rtcal.support.errors import DataError
+from rtcal.support.text import shortened
+from rtcal.support.types import Array, read_only
+
+Integers = NDArray[np.intp]
+Flags = NDArray[np.bool_]
+
+
+@dataclass(frozen=True, eq=False)
+class Configurations:
+    """Several configurations of one room, which share their materials' coefficients.
+
+    Parameters
+    ----------
+    rooms : sequence of Room
+        One per configuration, each with its volume, air and areas. Materials of the same name are
+        one unknown, so all rooms must state the same alpha and sigma for them.
+    names : sequence of str, optional
+        Names of the configurations; the rooms' names if not stated.
+
+    Raises
+    ------
+    DataError
+        If the bands differ, or a material's prior does.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> room = Room(name="bare", volume=60, materials=["wall", "floor"], areas=[74, 20],
+    ...             alpha=[[0.1], [0.3]], sigma=[[0.02], [0.1]], centre_frequencies=[1000])
+    >>> covered = Room(name="mat on floor", volume=60, materials=["wall", "mat"], areas=[74, 20],
+    ...             alpha=[[0.1], [0.6]], sigma=[[0.02], [0.01]], centre_frequencies=[1000])
+    >>> Configurations([room, covered]).areas.tolist()
+    [[74.0, 20.0, 0.0], [74.0, 0.0, 20.0]]
+    """
+
+    rooms: Sequence[Room]
+    names: Sequence[str] = ()
+
+    def __repr__(self) -> str:
+        materials = {material for room in self.rooms for material in room.materials}
+        return (
+            f"<Configurations: {shortened(', '.join(self.names))}, {len(materials)} materials, "
+            f"{bands.span(self.rooms[0].centre_frequencies)}>"
+        )
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.rooms, Iterable):
+            raise DataError(f"rooms = {self.rooms!r} is not a list of rtcal.Room")
+        rooms = tuple(self.rooms)
+        if not rooms:
+            raise DataError("rooms is empty; there is at least one configuration")
+        for i, room in enumerate(rooms):
+            if not isinstance(room, Room):
+                raise DataError(f"rooms[{i}] = {room!r} is not a rtcal.Room")
+        if isinstance(self.names, str) or not isinstance(self.names, Iterable):
+            raise DataError(f"names = {self.names!r} is not a list of texts")
+        names = tuple(str(n) for n in self.names) or tuple(r.name for r in rooms)
+        if len(names) != len(rooms):
+            raise DataError(f"{len(names)} names for {len(rooms)} configurations")
+        object.__setattr__(self, "rooms", rooms)
+        object.__setattr__(self, "names", names)
+        if len(rooms) > 1:
+            refuse_other_priors(rooms, [f'configuration "{name}"' for name in names])
+            self._compare_priors()
+
+    def _compare_priors(self) -> None:
+        pairs = self._pairs()
+        for name, room in zip(self.names, self.rooms, strict=True):
+            if room.band_correlation != self.rooms[0].band_correlation:
+                raise DataError(
+                    f'configuration "{name}": band_correlation = {room.band_correlation:g}, but '
+                    f'"{self.names[0]}" says {self.rooms[0].band_correlation:g}'
+                )
+            for key in ("volume_sigma", "common_area_sigma", "common_alpha_sigma"):
+                stated, other = getattr(room, key), getattr(self.rooms[0], key)
+                if stated != other:
+                    raise DataError(
+                        f'configuration "{name}": {key} = {stated:g}, but "{self.names[0]}" says '
+                        f"{other:g}; it is one room"
+                    )
+            for (a, b), value in pairs.items():
+                stated = room.material_correlation.get(
+                    (a, b), room.material_correlation.get((b, a), 0.0)
+                )
+                if a in room.materials and b in room.materials and stated != value:
+                    raise DataError(
+                        f'configuration "{name}": material_correlation["{a}", "{b}"] = {stated:g}, but '
+                        f"another configuration says {value:g}"
+                    )
+
+    def _pairs(self) -> dict[tuple[str, str], float]:
+        """The correlations of two materials, from all configurations."""
+        pairs: dict[tuple[str, str], float] = {}
+        for room in self.rooms:
+            for (a, b), value in room.material_correlation.items():
+                pairs.setdefault((b, a) if (b, a) in pairs else (a, b), value)
+        return pairs
+
+    @property
+    def materials(self) -> tuple[str, ...]:
+        """Every material of any configuration, in order of appearance."""
+        return tuple(dict.fromkeys(m for room in self.rooms for m in room.materials))
+
+    @cached_property
+    def areas(self) -> Array:
+        """Areas in m², (n_configurations, n_materials); 0 where a configuration lacks a material."""
+        if len(self.rooms) == 1:
+            return self.rooms[0].areas[np.newaxis]
+        materials = self.materials
+        areas = np.zeros((len(self.rooms), len(materials)))
+        for c, room in enumerate(self.rooms):
+            areas[c, [materials.index(m) for m in room.materials]] = room.areas
+        return areas
+
+    def target_changes(self, equation: LinearEquation, times: Array) -> Array:
+        """Return `rtcal.acoustics.room_errors.target_changes`, (n_changes, n_configurations n_bands).
+
+        Configurations share the volume and the areas; each has a climate of its own. Without any change
+        where no room is uncertain. ``times`` is (n_configurations, n_bands) in s.
+        """
+        checks.instance("equation", equation, LinearEquation)
+        times = checks.array("times", times)
+        if times.shape != (shape := (len(self.rooms), self.rooms[0].alpha.shape[1])):
+            raise DataError(
+                f"times has shape {times.shape}; (n_configurations, n_bands) is {shape}"
+            )
+        if not any(room.is_uncertain for room in self.rooms):
+            return np.zeros((0, times.size))
+        n, (c, k) = len(self.materials), times.shape
+        changes = np.zeros((2 + n + 2 * c, c, k))
+        for i, (room, t) in enumerate(zip(self.rooms, times, strict=True)):
+            of_room = target_changes(equation, room, t)
+            changes[:2, i] = of_room[:2]
+            changes[[2 + self.materials.index(m) for m in room.materials], i] = of_room[2:-2]
+            changes[2 + n + 2 * i : 4 + n + 2 * i, i] = of_room[-2:]
+        return changes.reshape(len(changes), c * k)
+
+    @cached_property
+    def union(self) -> Room:
+        """A room with every material once: its prior, its largest area and the largest error of it."""
+        if len(self.rooms) == 1:
+            return self.rooms[0]
+        first = self.rooms[0]
+        owners = [next(r for r in self.rooms if m in r.materials) for m in self.materials]
+        rows = [r.materials.index(m) for r, m in zip(owners, self.materials, strict=True)]
+        floors = [
+            np.max(
+                [
+                    np.zeros(first.n_bands)
+                    if r.alpha_min is None
+                    else r.alpha_min[r.materials.index(m)]
+                    for r in self.rooms
+                    if m in r.materials
+                ],
+                axis=0,
+            )
+            for m in self.materials
+        ]
+        return Room(
+            name=first.name,
+            volume=first.volume,
+            materials=self.materials,
+            areas=self.areas.max(axis=0),
+            alpha=np.array([r.alpha[i] for r, i in zip(owners, rows, strict=True)]),
+            sigma=np.array([r.sigma[i] for r, i in zip(owners, rows, strict=True)]),
+            centre_frequencies=first.centre_frequencies,
+            air=next((r.air for r in self.rooms if r.air is not None), None),
+            alpha_min=np.array(floors),
+            band_correlation=first.band_correlation,
+            material_correlation=self._pairs(),
+            volume_sigma=first.volume_sigma,
+            area_sigma=np.array(
+                [
+                    max(r.area_sigma[r.materials.index(m)] for r in self.rooms if m in r.materials)
+                    for m in self.materials
+                ]
+            ),
+            common_area_sigma=first.common_area_sigma,
+            common_alpha_sigma=first.common_alpha_sigma,
+            climate_sigma=tuple(np.max([r.climate_sigma for r in self.rooms], axis=0).tolist()),
+        )
+
+
+@dataclass(frozen=True, repr=False)
+class Layout:
+    """The unknowns: one flat vector, alpha row by row with the bands last, then further ones.
+
+    Attributes
+    ----------
+    materials : tuple of str
+        All materials.
+    rows : tuple of int
+        For each material its row of unknowns; materials that share a coefficient have one row.
+    centre_frequencies : tuple of float
+        Hz.
+    n_configurations : int
+    further : tuple of str
+        Names of the unknowns beside alpha (sizes of effects).
+    """
+
+    materials: tuple[str, ...]
+    rows: tuple[int, ...]
+    centre_frequencies: tuple[float, ...]
+    n_configurations: int = 1
+    further: tuple[str, ...] = ()
+
+    def __repr__(self) -> str:
+        return (
+            f"<Layout: {self.n_rows} rows of coefficients, {self.n_bands} bands, "
+            f"{len(self.further)} further unknowns, {self.n_configurations} configurations>"
+        )
+
+    @cached_property
+    def n_rows(self) -> int:
+        """Number of unknown rows of alpha."""
+        return max(self.rows) + 1
+
+    @property
+    def n_bands(self) -> int:
+        """Number of bands."""
+        return len(self.centre_frequencies)
+
+    @cached_property
+    def n_alpha(self) -> int:
+        """Number of unknowns that are absorption coefficients."""
+        return self.n_rows * self.n_bands
+
+    @property
+    def size(self) -> int:
+        """Number of unknowns."""
+        return self.n_alpha + len(self.further)
+
+    @cached_property
+    def first(self) -> Integers:
+        """Index of the first material of each row, (n_rows,)."""
+        return np.array([self.rows.index(row) for row in range(self.n_rows)])
+
+    def index(self, material: str | None = None, band: float | None = None) -> Integers:
+        """Return the indices of the coefficients of one material in one band; None stands for all.
+
+        Raises DataError for a material or a band that the layout lacks.
+        """
+        rows, columns = np.arange(self.n_rows), np.arange(self.n_bands)
+        if material is not None:
+            if material not in self.materials:
+                raise DataError(
+                    f'"{material}" is no material of the room; it has {", ".join(self.materials)}'
+                )
+            rows = np.array([self.rows[self.materials.index(material)]])
+        if band is not None:
+            place = bands.index(np.array(self.centre_frequencies), band)
+            if place is None:
+                has = ", ".join(bands.labels(self.centre_frequencies))
+                raise DataError(f"band {bands.label(band)} is no band of the room; it has {has}")
+            columns = np.array([place])
+        return np.asarray((rows[:, np.newaxis] * self.n_bands + columns).ravel())
+
+    def place(self, unknown: int) -> str:
+        """Return the name of an unknown in messages: ``alpha["carpet", 500 Hz]``."""
+        if unknown >= self.n_alpha:
+            return f'size of "{self.further[unknown - self.n_alpha]}"'
+        row, band = divmod(int(unknown), self.n_bands)
+        names = " = ".join(m for m, r in zip(self.materials, self.rows, strict=True) if r == row)
+        return f'alpha["{names}", {bands.label(self.centre_frequencies[band])}]'
+
+    def band_label(self, row: int) -> str:
+        """Return the name of a matched row: its band, and its configuration if there are several."""
+        configuration, band = divmod(int(row), self.n_bands)
+        label = bands.label(self.centre_frequencies[band])
+        return (
+            label if self.n_configurations == 1 else f"{label}, configuration {configuration + 1}"
+        )
+
+    def expand(self, values: Array) -> Array:
+        """Return flat values of the unknowns as (n_materials, n_bands)."""
+        return np.asarray(values[: self.n_alpha].reshape(self.n_rows, -1)[list(self.rows)])
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Observed:
+    """Numbers of a `LinearObservations`: values = matrix @ alpha and an error of zero mean.
+
+    Parameters
+    ----------
+    matrix : array (n_observations, n_materials * n_bands)
+        Alpha row by row, the bands last. Materials that share a coefficient have their own columns.
+    values : array (n_observations,)
+    covariance : array (n_observations, n_observations)
+        Of the errors; positive definite.
+
+    Raises
+    ------
+    DataError
+        For shapes that do not fit, a number that is not finite, or a covariance that is none.
+    """
+
+    matrix: Array
+    values: Array
+    covariance: Array
+    factor: Array = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        for name in ("matrix", "values", "covariance"):
+            array = read_only(checks.array(f"observed {name}", getattr(self, name)))
+            if not np.isfinite(array).all():
+                raise DataError(f"observed {name} has a number that is not finite")
+            object.__setattr__(self, name, array)
+        n = self.values.size
+        for name, shape in (("values", (n,)), ("covariance", (n, n))):
+            if getattr(self, name).shape != shape:
+                raise DataError(
+                    f"observed {name} has shape {getattr(self, name).shape}, not {shape}"
+                )
+        if n == 0 or self.matrix.ndim != 2 or len(self.matrix) != n:
+            raise DataError(
+                f"observed matrix has shape {self.matrix.shape}; it has a row for each of the {n} "
+                "values, of which there is at least one"
+            )
+        # Beside the diagonal: a covariance near 0 may be the rounding of a difference.
+        sigma = np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
+        if (np.abs(self.covariance - self.covariance.T) > 1e-9 * np.outer(sigma, sigma)).any():
+            raise DataError("observed covariance is not symmetric")
+        try:
+            factor = np.linalg.cholesky(self.covariance)
+        except np.linalg.LinAlgError as error:
+            raise DataError("observed covariance is not positive definite") from error
+        object.__setattr__(self, "factor", read_only(factor))
+
+    def __repr__(self) -> str:
+        return f"<Observed: {self.values.size} observations of {self.matrix.shape[1]} coefficients>"
+
+    def over(self, layout: Layout) -> Whitened:
+        """Return the numbers over the unknowns of a problem, those of shared materials added up.
+
+        Raises DataError if the matrix has columns of other materials or bands.
+        """
+        n = len(layout.materials) * layout.n_bands
+        if self.matrix.shape[1] != n:
+            raise DataError(
+                f"observed matrix has {self.matrix.shape[1]} columns; {len(layout.materials)} "
+                f"materials in {layout.n_bands} bands have {n}"
+            )
+        by_material = self.matrix.reshape(len(self.matrix), -1, layout.n_bands)
+        summed = np.zeros((len(self.matrix), layout.n_rows, layout.n_bands))
+        for material, row in enumerate(layout.rows):
+            summed[:, row] += by_material[:, material]
+        both = np.column_stack([summed.reshape(len(self.matrix), -1), self.values])
+        white = solve_triangular(self.factor, both, lower=True)
+        return Whitened(white[:, :-1], white[:, -1])
+
+
+@dataclass(frozen=True, eq=False)
+class Whitened:
+    """Matrix over the unknowns, and values, in units in which the errors are independent."""
+
+    matrix: Array
+    values: Array
+
+    @cached_property
+    def information(self) -> Array:
+        """J' C⁻¹ J, (n_alpha, n_alpha)."""
+        return np.asarray(self.matrix.T @ self.matrix)
+
+
+@dataclass(frozen=True, kw_only=True, repr=False, eq=False)
+class Numbers:
+    """The numbers of one solve, by which the parameters of a compiled problem are filled.
+
+    Attributes
+    ----------
+    layout : Layout
+    mu, sigma, lower, upper : array (size,)
+        The prior and the box. An unknown with sigma = 0 stays at mu, one whose bounds are equal there.
+    areas : array (n_configurations, n_rows)
+        m²; 0 if a configuration lacks the material.
+    gains : array (n_configurations, n_bands, n_further)
+        m² of absorption that one unit of each further unknown adds.
+    time : array (n_configurations, n_bands)
+        Measured T in s, NaN where missing.
+    target, target_uncertainty : array (n_configurations, n_bands)
+        b and its standard uncertainty in m², NaN where missing.
+    target_sensitivity : array (n_configurations, n_bands)
+        |db/dT| in m²/s, infinite where T does not determine b (the peak of Kuttruff's equation).
+    equation : LinearEquation
+        It turned T into b.
+    rooms : tuple of Room
+        One per configuration.
+    observed : mapping of term to Whitened
+        The numbers of each `rtcal.terms.LinearObservations`.
+    room_changes : array (n_changes, n_configurations * n_bands)
+        `rtcal.acoustics.room_errors.target_changes` of all configurations, in m².
+    common : float
+        Relative standard deviation that all coefficients have in common.
+    """
+
+    layout: Layout
+    mu: Array
+    sigma: Array
+    lower: Array
+    upper: Array
+    areas: Array
+    gains: Array
+    time: Array
+    target: Array
+    target_uncertainty: Array
+    target_sensitivity: Array
+    equation: LinearEquation
+    rooms: tuple[Room, ...]
+    observed: Mapping[object, Whitened] = field(default_factory=dict)
+    room_changes: Array = field(default_factory=lambda: np.zeros((0, 0)))
+    common: float = 0.0
+
+    def __post_init__(self) -> None:
+        for name, value in vars(self).items():
+            if isinstance(value, np.ndarray) and value.flags.writeable:
+                vars(self)[name] = view = value.view()
+                view.flags.writeable = False
+
+    def __repr__(self) -> str:
+        return f"<Numbers: {self.layout!r}>"
+
+    @cached_property
+    def matched(self) -> Flags:
+        """Where there is a target, (n_configurations, n_bands)."""
+        return np.isfinite(self.target)
+
+    @cached_property
+    def movable(self) -> Flags:
+        """Unknowns that the calibration may change, (size,)."""
+        return (self.sigma > 0) & (self.lower < self.upper)
+
+    @cached_property
+    def inverse_sigma(self) -> Array:
+        """1 / sigma, 0 where sigma = 0, (size,)."""
+        return np.divide(1.0, self.sigma, out=np.zeros_like(self.sigma), where=self.sigma > 0)
+
+    @cached_property
+    def box(self) -> tuple[Array, Array]:
+        """The box, (size,) each, in which an unknown with sigma = 0 has mu as both sides."""
+        exact = self.sigma == 0
+        return np.where(exact, self.mu, self.lower), np.where(exact, self.mu, self.upper)
+
+    @property
+    def largest_target(self) -> Array:
+        """The largest b in m² that the equation can invert, (n_configurations, 1)."""
+        return np.array([[self.equation.largest_mean * room.total_area] for room in self.rooms])
+
+    def target_of(self, times: Array) -> Array:
+        """Return b in m² for any T in s, both (n_configurations, n_bands)."""
+        pairs = zip(self.rooms, times, strict=True)
+        return np.array([self.equation.target(room, t) for room, t in pairs])
+
+    @cached_property
+    def match_matrix(self) -> Any:
+        """S' over the unknowns, sparse, one row per configuration and band, 0 without T."""
+        layout = self.layout
+        c, n, k = layout.n_configurations, layout.n_rows, layout.n_bands
+        areas = np.where(self.matched[:, :, np.newaxis], self.areas[:, np.newaxis, :], 0.0)
+        columns = np.arange(n) * k + np.arange(k)[:, np.newaxis]
+        columns = np.broadcast_to(columns, (c, k, n)).ravel()
+        starts = np.arange(0, c * k * n + 1, n)
+        gains = np.where(self.matched[:, :, np.newaxis], self.gains, 0.0).reshape(c * k, -1)
+        alpha = sp.csr_array((areas.ravel(), columns, starts), shape=(c * k, n * k))
+        return sp.csr_array(sp.hstack([alpha, sp.csr_array(gains)]))
+
+    @cached_property
+    def target_covariance(self) -> Array:
+        """Covariance of b - S'alpha in m⁴, (n_matches, n_matches); an unknown u_b counts as 0.
+
+        The sum of that of b, through T, and of that through volume, areas and climate.
+        """
+        noise = np.diag(np.nan_to_num(self.target_uncertainty).ravel() ** 2)
+        changes = self.room_changes
+        return noise + changes.T @ changes if changes.size else noise
+
+    @cached_property
+    def match_whitener(self) -> Array:
+        """W, lower triangular, with W'W the inverse of `target_covariance` over what is matched.
+
+        Rows and columns without a match are 0. (n_matches, n_matches) in 1/m².
+        """
+        used = np.flatnonzero(self.matched.ravel())
+        whitener = np.zeros_like(self.target_covariance)
+        block = np.ix_(used, used)
+        factor = np.linalg.cholesky(self.target_covariance[block])
+        whitener[block] = np.tril(np.linalg.inv(factor))
+        return whitener
+
+    @cached_property
+    def common_shift(self) -> Array:
+        """Change of the unknowns by one standard deviation of all coefficients together, (size,)."""
+        shift = np.where(self.sigma > 0, self.common * self.mu, 0.0)
+        shift[self.layout.n_alpha :] = 0.0
+        return shift
+
+    def alpha(self, u: Array) -> Array:
+        """Return the absorption coefficients among the unknowns, (n_rows, n_bands)."""
+        return u[: self.layout.n_alpha].reshape(self.layout.n_rows, self.layout.n_bands)
+
+    def further(self, u: Array) -> Array:
+        """Return the further unknowns, (n_further,)."""
+        return u[self.layout.n_alpha :]
