@@ -203,7 +203,8 @@ def saved(path: str) -> tuple[Any, Any]:
     from rtcal.finder.finding import Finding, Verification
 
     place, one = Path(path), "found"
-    if place.suffix == ".toml" or (place.suffix == ".json" and b'"rtcal"' not in _start(place)):
+    given = place.suffix == ".toml" or (place.suffix == ".json" and b'"rtcal"' not in _start(place))
+    if not place.is_dir() and given:
         raise DataError(
             f"{path} is no finding: `rtcal find {path} --out {one}` searches and writes it; then give "
             f"{one}"
