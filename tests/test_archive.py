@@ -370,14 +370,9 @@ def test_the_command_reads_a_folder_and_writes_a_room(
     # A name of the next room alone.
     renamed = rooms[0].prior.replace(materials=["gypsum", *rooms[0].prior.materials[1:]])
     renamed.replace(sources={}).save(str(tmp_path / "renamed.toml"))
-    folders = [
-        str(tmp_path / "rooms"),
-        "--apply",
-        str(tmp_path / "renamed.toml"),
-        "--out",
-        str(out),
-    ]
-    run = CliRunner().invoke(cli, ["learn", *folders, "--as", "gypsum=plaster", "--json"])
+    stated = ["learn", str(tmp_path / "rooms"), "--as", "gypsum=plaster", "--json"]
+    applied = ["--apply", str(tmp_path / "renamed.toml"), "--out", str(out)]
+    run = CliRunner().invoke(cli, [*stated, *applied])
     assert run.exit_code == 0, run.output
     assert json.loads(run.output)["left_as_stated"] == []
 

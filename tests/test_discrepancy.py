@@ -545,9 +545,7 @@ def test_the_same_large_factor_in_every_band_is_no_more_than_a_hint(
 
 def test_a_box_that_is_entered_twice_as_large_is_doubted() -> None:
     """Its T is twice what was measured, or a little less: added absorption had been claimed."""
-    room = opened().room
-    times = rt.Eyring().reverberation_time(room) / 1.95
-    case = case_with(times)
+    case = case_with(rt.Eyring().reverberation_time(opened().room) / 1.95)
     finding = find(case, controls=controls_of(case))
     assert finding.verdict not in ("named", "family")
     assert "before any effect is believed" in finding.reasons[0]

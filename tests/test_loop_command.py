@@ -18,32 +18,22 @@ def unwrapped(output: str) -> str:
 
 def test_a_program_run_by_hand_is_calibrated(cr2, tmp_path):
     room, measured = cr2
-    names = {
-        n: str(tmp_path / n) for n in ("room.toml", "t.csv", "loop.json", "next.toml", "s.csv")
-    }
-    room.save(names["room.toml"])
-    measured.save(names["t.csv"])
-    files = ["--state", names["loop.json"], "--out", names["next.toml"]]
-    runner = CliRunner()
-    done = runner.invoke(
-        cli, ["loop", "start", names["room.toml"], names["t.csv"], "--decimals", "2", *files]
-    )
+    done, runner, command, files = begun(room, measured, tmp_path, "--decimals", "2")
     assert done.exit_code == 0, done.output
     for _ in range(5):
-        simulated = rt.Room.from_file(names["next.toml"])
+        simulated = rt.Room.from_file(str(tmp_path / "next.toml"))
         assert np.array_equal(simulated.alpha, np.round(simulated.alpha, 2))
-        times = 1.3 * rt.Eyring().reverberation_time(simulated)  # the program
-        rt.Measurement.from_values(room.centre_frequencies, t20=times).save(names["s.csv"])
-        done = runner.invoke(cli, ["loop", "next", names["room.toml"], names["s.csv"], *files])
+        table = simulate(tmp_path, 1.3)
+        done = runner.invoke(cli, [*command, table, *files])
         assert done.exit_code == 0, done.output
         if "Done." in unwrapped(done.output):
             break
     assert done.output.count("converged") == room.n_bands
     kept = [(tmp_path / n).read_bytes() for n in ("loop.json", "next.toml")]
-    again = runner.invoke(cli, ["loop", "next", names["room.toml"], names["s.csv"], *files])
+    again = runner.invoke(cli, [*command, table, *files])
     assert "the loop is done" in str(again.exception)
     assert [(tmp_path / n).read_bytes() for n in ("loop.json", "next.toml")] == kept
-    final = 1.3 * rt.Eyring().reverberation_time(rt.Room.from_file(names["next.toml"]))
+    final = 1.3 * rt.Eyring().reverberation_time(rt.Room.from_file(str(tmp_path / "next.toml")))
     wanted = measured.decay_time().mean
     assert np.abs(final / wanted - 1).max() < 0.05
     assert np.abs(1.3 * rt.Eyring().reverberation_time(room) / wanted - 1).max() > 0.2
@@ -226,17 +216,14 @@ def test_t_of_other_coefficients_is_refused(cr2, tmp_path):
 @pytest.mark.parametrize("name", ["sabine", "kuttruff"])
 def test_the_equation_of_the_loop_is_chosen_at_its_start(name: str, cr2, tmp_path):
     room, measured = cr2
-    room.save(str(tmp_path / "room.toml"))
-    measured.save(str(tmp_path / "t.csv"))
-    state, out = tmp_path / "loop.json", tmp_path / "next.toml"
-    files = ["--state", str(state), "--out", str(out)]
-    tables = [str(tmp_path / "room.toml"), str(tmp_path / "t.csv")]
-    done = CliRunner().invoke(cli, ["loop", "start", *tables, "--equation", name, *files])
+    done, *_ = begun(room, measured, tmp_path, "--equation", name)
     assert done.exit_code == 0, done.output
-    assert json.loads(state.read_text(encoding="utf-8"))["equation"]["name"].lower() == name
+    assert json.loads((tmp_path / "loop.json").read_text())["equation"]["name"].lower() == name
     equation = {"sabine": rt.Sabine(), "kuttruff": rt.Kuttruff()}[name]
     expected = rt.calibrate(room, measured, equation=equation, unreachable="nearest").alpha
-    np.testing.assert_allclose(rt.Room.from_file(str(out)).alpha, expected, rtol=0, atol=1e-9)
-    refused = CliRunner().invoke(cli, ["loop", "start", *tables, "--equation", "fitzroy", *files])
+    np.testing.assert_allclose(
+        rt.Room.from_file(str(tmp_path / "next.toml")).alpha, expected, rtol=0, atol=1e-9
+    )
+    refused, *_ = begun(room, measured, tmp_path, "--equation", "fitzroy")
     assert refused.exit_code == 2
     assert "fitzroy" in refused.output

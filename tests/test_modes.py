@@ -462,9 +462,3 @@ def test_command(tmp_path):
     calibrated = [str(tmp_path / "out" / "room.toml"), files[1]]
     again = CliRunner().invoke(cli, ["calibrate", *calibrated, *of_modes])
     assert "already calibrated on these data" in str(again.exception)
-    state = ["--state", str(tmp_path / "loop.json"), "--out", str(tmp_path / "next.toml")]
-    looped = ["loop", "start", *calibrated, *state]
-    again = CliRunner().invoke(cli, [*looped, *of_modes])
-    assert "already calibrated on these data" in str(again.exception)
-    refused = CliRunner().invoke(cli, ["calibrate", *files, *of_modes, "--method", "soft"])
-    assert "method of its own" in str(refused.exception)

@@ -26,9 +26,6 @@ MODULES = {
 }
 Trees = dict[str, ast.Module]
 
-# Docstrings that begin with one of these have no subject. A sentence may begin with "Whether".
-WITHOUT_SUBJECT = ("Of", "What", "How", "By")
-
 
 @pytest.fixture(scope="module")
 def trees() -> Trees:
@@ -63,18 +60,6 @@ def test_no_package_lists_a_function_with_the_name_of_one_of_its_modules(trees: 
 def test_no_two_classes_have_one_name(trees: Trees) -> None:
     names = (name for _, name in definitions(trees, ast.ClassDef) if not name.startswith("_"))
     assert {name for name, n in Counter(names).items() if n > 1} == set()
-
-
-def without_subject(tree: ast.Module) -> list[str]:
-    """Return the docstrings that begin with a word of `WITHOUT_SUBJECT`."""
-    kinds = (ast.Module, ast.ClassDef, ast.FunctionDef)
-    texts = [ast.get_docstring(node) for node in ast.walk(tree) if isinstance(node, kinds)]
-    return [text for text in texts if text and text.split()[0] in WITHOUT_SUBJECT]
-
-
-def test_every_docstring_has_a_subject(trees: Trees) -> None:
-    found = {module: without_subject(tree) for module, tree in trees.items()}
-    assert {module: docstrings for module, docstrings in found.items() if docstrings} == {}
 
 
 def public_objects() -> dict[str, Any]:

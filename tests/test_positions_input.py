@@ -164,31 +164,22 @@ def test_stated_uncertainties_replace_the_assumed_ones(tracer, measured):
     assert np.diag(of_team - made) == pytest.approx(0.01 / t**2 - made[0, 1])
 
 
+def traced(receivers):
+    places = {"sources": {"S1": PLACES["sources"]["S1"]}, "receivers": receivers}
+    return PathTracing(geometry=HALL.geometry, room=ROOM, **places, n_paths=160, scattering=0.5)
+
+
 def test_all_pairs_at_one_place_are_refused(measured):
     x, y, z = PLACES["receivers"]["R1"]
     close = {f"R{i}": (x + 0.01 * i, y, z) for i in (1, 2, 3)}
-    tracer = PathTracing(
-        geometry=HALL.geometry,
-        room=ROOM,
-        sources={"S1": PLACES["sources"]["S1"]},
-        receivers=close,
-        n_paths=160,
-        scattering=0.5,
-    )
+    tracer = traced(close)
     with pytest.raises(DataError, match="pairs stand at one place"):
         calibrate(tracer, only(measured, [0, 1, 2], [("S1", f"R{i}") for i in (1, 2, 3)]))
 
 
 def test_control_runs_of_another_simulator_are_refused(tracer, measured):
     controls = calibrate(tracer, only(measured, [0, 1])).controls
-    one = PathTracing(
-        geometry=HALL.geometry,
-        room=ROOM,
-        sources={"S1": PLACES["sources"]["S1"]},
-        receivers={"new": PLACES["receivers"]["R1"]},
-        n_paths=160,
-        scattering=0.5,
-    )
+    one = traced({"new": PLACES["receivers"]["R1"]})
     with pytest.raises(DataError, match="the control runs lack S1 to new"):
         calibrate(one, only(measured, [0], [("S1", "new")]), controls=controls)
     with pytest.raises(DataError, match="at least 2 runs"):
