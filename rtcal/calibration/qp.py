@@ -936,6 +936,10 @@ def _step_left(
     sums = absolute.rows(v) + absolute.b + np.maximum(qp.row_size, qp.held)
     errors = _EPS * absolute.force(v, y), 16 * _EPS * sums
     moved = np.abs(dv)
+    # A row that keeps no variable free is met within rounding; one variable alone can make up for it.
+    unmet = np.where(qp.equal & ~system.used, np.abs(slack), 0.0)[qp.compiled.A_rows]
+    alone = np.divide(unmet, np.abs(qp.A), out=np.zeros_like(unmet), where=qp.A != 0)
+    np.maximum.at(moved, qp.compiled.A_columns, alone)
     for sign in (1.0, -1.0):
         each, row = (error * sign ** np.arange(len(error)) for error in errors)
         moved = moved + np.abs(system.solve(each, row, refine=False)[0])
