@@ -28,8 +28,8 @@ import numpy as np
 
 import rtcal as rt
 from rtcal.calibration.posterior import distribution
-from rtcal.calibration.problem import CalibrationProblem, JointProblem
-from rtcal.calibration.qp import SolveKeywords
+from rtcal.calibration.problem import CalibrationProblem
+from rtcal.calibration.qp import SolveOptions
 from rtcal.finder import (
     AppliedEffect,
     Case,
@@ -178,7 +178,6 @@ def instances(folder: Path, *, searched: bool = True) -> tuple[dict[str, Any], d
         "Loop": loop,
         "LoopResult": rt.calibrate_simulator(simulator, room, measured),
         "CalibrationProblem": CalibrationProblem(calibration, room, rt.Eyring()),
-        "JointProblem": JointProblem(calibration, configurations, rt.Eyring()),
         "Posterior": distribution(result),
         "Calibrated": result,
         "Optimal": result,
@@ -207,7 +206,7 @@ def instances(folder: Path, *, searched: bool = True) -> tuple[dict[str, Any], d
         "Plan": plan(case),
         "Recalibrated": rt.finder.recalibrate(case),
         "Generator": np.random.default_rng(1),
-        "ObjectiveTerm": rt.terms.PriorDeviation(),
+        "Term": rt.terms.PriorDeviation(),
         "ModelDiscrepancy": finding.discrepancy if finding is not None else None,
     }
     by_class = {name: example for name, example in by_class.items() if example is not None}
@@ -297,7 +296,7 @@ def instances(folder: Path, *, searched: bool = True) -> tuple[dict[str, Any], d
         "p_value": 0.3,
         "area": 2.0,
         "key": "eyring",
-        "protocol": rt.terms.ObjectiveTerm,
+        "protocol": rt.terms.Term,
     }
     return by_class, by_name
 
@@ -389,7 +388,9 @@ def wrong_calls(
     for p in inspect.signature(function).parameters.values():
         names = [p.name]
         if p.kind in (p.VAR_KEYWORD, p.VAR_POSITIONAL):
-            names = [*SolveKeywords.__annotations__, "unknown"] * ("SolveKeywords" in str(p))
+            module = function.__module__.removeprefix("rtcal.calibration.")
+            solves = module in ("methods", "problem")
+            names = [*SolveOptions.__annotations__, "unknown"] * (solves and p.name == "options")
         for name in names:
             for wrong in (*WRONG, (member for member in ("a", "b"))):
                 if p.default is not wrong or isinstance(wrong, float):
