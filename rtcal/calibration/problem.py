@@ -254,7 +254,9 @@ class CalibrationProblem(Generic[R]):
 
 
 def _configurations(room: Room | Configurations) -> Configurations:
-    return Configurations([room]) if isinstance(room, Room) else room
+    if isinstance(room, Room):
+        return Configurations([room])
+    return checks.instance("room", room, Configurations)
 
 
 def _require_same_shape(built: Room | Configurations, asked: Room | Configurations) -> None:

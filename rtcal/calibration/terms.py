@@ -82,7 +82,7 @@ class Model:
     """
 
     def __init__(self, layout: Layout) -> None:
-        self.layout = layout
+        self.layout = checks.instance("layout", layout, Layout)
         self.deviation = cp.Variable((layout.n_rows, layout.n_bands), name="deviation")
         self.effects = cp.Variable(len(layout.further), name="effects") if layout.further else None
         self.parameters: list[tuple[Any, Callable[[Numbers], Any]]] = []

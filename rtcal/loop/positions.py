@@ -607,10 +607,9 @@ class PositionsFit:
         if not weight:
             return errors.covariance
         information = np.linalg.inv(errors.covariance) + np.diag(weight / self._unit**2)
-        found = np.asarray(np.linalg.inv(information))
-        return (
-            found + found.T
-        ) / 2  # symmetric but for rounding, which large references make large
+        found = np.linalg.inv(information)
+        # Rounding, which large references make large, leaves it asymmetric.
+        return np.asarray(found + found.T) / 2
 
     def _answer(
         self, at: Array, matrix: Array, residual: Array, covariance: Array
