@@ -198,8 +198,7 @@ def by_slsqp(case: Case, settings: SolverSettings, setting: str) -> Found:
 def by_rtcal(
     name: str, polished: bool, case: Case, settings: SolverSettings, setting: str
 ) -> Found:
-    full = None if polished else {}  # a raw answer is that of rtcal's full settings
-    chosen = full if setting == "default" else settings[name]
+    chosen = None if setting == "default" else settings[name]
     began = time.perf_counter()
     try:
         result: Any = case.built.solve(case.measured, case.room, solver=name, settings=chosen)
