@@ -1,4 +1,8 @@
-"""A calibration composed for the rooms of one layout: its order of unknowns, its numbers, its QP."""
+"""A calibration composed for the rooms of one layout: its order of unknowns, its numbers, its QP.
+
+`Composition.of` lays out the unknowns, `numbers` brings a room and its T into that order, and `qp` puts
+them into the compiled problem.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +16,7 @@ import numpy as np
 from rtcal.acoustics.equations import LinearEquation
 from rtcal.acoustics.room import Room
 from rtcal.calibration.measured import MeasuredTimes
-from rtcal.calibration.qp import QP, Compiled, closed_form, compiled
+from rtcal.calibration.qp import QP, CompiledProblem, closed_form, compile_once
 from rtcal.calibration.terms import (
     BoundConstraint,
     ExactMatch,
@@ -114,9 +118,9 @@ class Composition:
         return tuple(w / prior for w in every)
 
     @cached_property
-    def compiled(self) -> Compiled:
+    def compiled(self) -> CompiledProblem:
         """The compiled problem, which compositions of equal terms and layout share."""
-        return compiled(self.layout, self.objective.terms, self.weights, self.rows)
+        return compile_once(self.layout, self.objective.terms, self.weights, self.rows)
 
     @property
     def rows_of(self) -> list[tuple[Any, list[Integers]]]:

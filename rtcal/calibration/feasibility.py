@@ -16,7 +16,7 @@ from rtcal.acoustics import bands
 from rtcal.acoustics.room import Room
 from rtcal.acoustics.trust import surface_doubt
 from rtcal.calibration.composition import Composition
-from rtcal.calibration.qp import COMPILING, QP, Compiled
+from rtcal.calibration.qp import COMPILING, QP, CompiledProblem
 from rtcal.calibration.unknowns import Flags, Numbers
 from rtcal.support.errors import InfeasibleError, ModelError
 from rtcal.support.types import Array
@@ -237,13 +237,13 @@ class _Limit:
     flipped: bool
 
 
-def _limits(of: Compiled, numbers: Numbers) -> list[_Limit]:
+def _limits(compiled: CompiledProblem, numbers: Numbers) -> list[_Limit]:
     """Return the limits of all rows that terms state."""
     limits: list[_Limit] = []
     with COMPILING:  # the problem has one value of each parameter
-        for parameter, compute in of.model.parameters:
+        for parameter, compute in compiled.model.parameters:
             parameter.save_value(np.reshape(compute(numbers), parameter.shape))
-        for (term, stated), rows_of in zip(of.stated, of.rows_of, strict=True):
+        for (term, stated), rows_of in zip(compiled.stated, compiled.rows_of, strict=True):
             label = getattr(term, "label", lambda row, _, term=term: f"{term!r}, row {row + 1}")
             for constraint, rows in zip(stated, rows_of, strict=True):
                 left, right = constraint.args
@@ -251,7 +251,7 @@ def _limits(of: Compiled, numbers: Numbers) -> list[_Limit]:
                 values = left.value if flipped and left.is_constant() else right.value
                 values = np.broadcast_to(0.0 if values is None else values, constraint.shape)
                 limits += [
-                    _Limit(int(row), label(i, of.layout), float(value), flipped)
+                    _Limit(int(row), label(i, compiled.layout), float(value), flipped)
                     for i, (row, value) in enumerate(zip(rows, np.ravel(values), strict=True))
                     if row >= 0
                 ]
@@ -271,7 +271,7 @@ def explain(composition: Composition, numbers: Numbers, program: QP) -> None:
     """
     from scipy.optimize import linprog
 
-    of, place, moves = composition.compiled, composition.compiled.unknowns, numbers.movable
+    compiled, place, moves = composition.compiled, composition.compiled.unknowns, numbers.movable
     # In the unknowns' own units, alpha = mu + sigma x. What cannot move goes to the limits.
     held = np.where(moves, 0.0, numbers.box[0])
     unit, offset = np.ones(len(program.c)), np.zeros(len(program.c))
@@ -282,7 +282,7 @@ def explain(composition: Composition, numbers: Numbers, program: QP) -> None:
     sides = [np.asarray((sign * own).maximum(0).sum(axis=1)).ravel() for sign in (1, -1)]
     size = np.maximum(*sides)
     size[size == 0] = 1.0
-    limits = _limits(of, numbers)
+    limits = _limits(compiled, numbers)
     rows, soft = np.array([limit.row for limit in limits], dtype=int), place[moves]
     n_rows, n = matrix.shape
     give = sp.csr_array((size[rows], (rows, np.arange(len(rows)))), shape=(n_rows, len(rows)))

@@ -77,7 +77,7 @@ class MeasuredTimes:
 
     @cached_property
     def caution(self) -> str:
-        """Whether T was converted from bands of another width, T30 is a copy of T20, or a pair one."""
+        """That T was converted from other bands, or T30 or a pair is a copy; "" without a caution."""
         if self.measured is None:
             return ""
         stated = self.measured.centre_frequencies
@@ -195,7 +195,7 @@ def copied(measured: Measurement) -> str:
 
 
 def no_times(room: Room) -> MeasuredTimes:
-    """Return that no T was measured in any band: other observations alone are matched."""
+    """Return measured times without any T, NaN in every band: other observations alone are matched."""
     nothing = np.full(room.n_bands, np.nan)
     return MeasuredTimes(room.centre_frequencies, nothing, nothing, ("",) * room.n_bands)
 

@@ -1,12 +1,14 @@
 """The calibration methods by name, `calibrate` (the main path), and Gauss-Newton around the QP.
 
-Each Gauss-Newton step linearises the model at a point, solves the QP of the linearised one, and goes
-towards its answer: the whole way, or half of it and half again as long as the model itself gets farther
-from what was measured. The QP certifies its own answer (`certificate`), and the last step's is that of
-the whole.
+`calibrate` takes the terms of a method (`preset`), has them compiled for the room (`Calibration.build`)
+and solves the QP for what was measured (`CalibrationProblem.solve`): one QP, without any step below.
 
-The calibration to every position (`rtcal.loop.positions`) and that of a case with effects
-(`rtcal.finder.means.recalibration`) use these steps.
+`gauss_newton` is for models that are not linear in the unknowns: the calibration to every position
+(`rtcal.loop.positions`), to modes (`rtcal.modes.calibrate`), and that of a case with effects
+(`rtcal.finder.means.recalibration`). Each step linearises the model at a point, solves the QP of the
+linearised one, and goes towards its answer: the whole way, or half of it and half again as long as the
+model itself gets farther from what was measured. The QP certifies its own answer (`certificate`), and
+the last step's is that of the whole.
 
 References
 ----------
@@ -40,32 +42,31 @@ from rtcal.calibration.unknowns import Configurations
 from rtcal.support.errors import DataError, ModelError
 from rtcal.support.types import Array
 
-_RELATIVE = 0.05
+_TIME_UNCERTAINTY = 0.05
 """u_T / T where the measurement states no uncertainty: one just noticeable difference."""
 _SMOOTHING = 0.3
 """Weight of the smoothness: small enough to cost under 1 % where the truth is uncorrelated over
 bands (notebooks/studies/smoothing.ipynb)."""
 
-_EXACT = 1e-4
+_NEARLY_EXACT = 1e-4
 """u_T / T where T is matched exactly but the room is uncertain: a hundredth of what is measured."""
 
-_INDEPENDENT = PriorDeviation()
-
 Match = Callable[[float], SoftMatch]
+"""The class `SoftMatch`, or `RoomMatch` in a room whose volume, areas or climate are uncertain."""
 
 METHODS: dict[str, Callable[[PriorDeviation, Match], Calibration]] = {
     "mle": lambda prior, match: (
         Calibration(prior, [ExactMatch()])
         if match is SoftMatch
-        else Calibration(prior + match(_EXACT), [])
+        else Calibration(prior + match(_NEARLY_EXACT), [])
     ),
     "lse": lambda prior, match: Calibration(PriorDeviation(sigma=1.0), [ExactMatch()]),
-    "soft": lambda prior, match: Calibration(prior + match(_RELATIVE), []),
+    "soft": lambda prior, match: Calibration(prior + match(_TIME_UNCERTAINTY), []),
     "smooth": lambda prior, match: Calibration(
-        prior + match(_RELATIVE) + _SMOOTHING * BandSmoothness(), []
+        prior + match(_TIME_UNCERTAINTY) + _SMOOTHING * BandSmoothness(), []
     ),
-    "robust": lambda prior, match: Calibration(HuberDeviation() + match(_RELATIVE), []),
-    "joint": lambda prior, match: Calibration(prior + match(_RELATIVE), []),
+    "robust": lambda prior, match: Calibration(HuberDeviation() + match(_TIME_UNCERTAINTY), []),
+    "joint": lambda prior, match: Calibration(prior + match(_TIME_UNCERTAINTY), []),
 }
 """The calibration methods by name.
 
@@ -89,7 +90,7 @@ def preset(method: str, room: Room | None = None) -> Calibration:
     """
     if not isinstance(method, str) or method not in METHODS:
         raise ModelError(f'method "{method}" is unknown; known are {", ".join(METHODS)}')
-    prior = _INDEPENDENT
+    prior = PriorDeviation()
     match: Match = SoftMatch
     if room is not None:
         common = room.common_alpha_sigma > 0
@@ -105,12 +106,12 @@ def preset(method: str, room: Room | None = None) -> Calibration:
                 common=common,
             )
         match = RoomMatch if room.is_uncertain else SoftMatch
-    return _stated(method, prior, match)
+    return _checked_once(method, prior, match)
 
 
 @functools.lru_cache(maxsize=16)
-def _stated(method: str, prior: PriorDeviation, match: Match) -> Calibration:
-    """Return a method's calibration, whose terms are checked once."""
+def _checked_once(method: str, prior: PriorDeviation, match: Match) -> Calibration:
+    """Return a method's calibration, kept so that its terms are checked once."""
     return METHODS[method](prior, match)
 
 
@@ -195,8 +196,6 @@ def calibrate(
     if measured is None:
         raise DataError("measured = None: there is no T to calibrate to")
     calibration = preset(method, room if isinstance(room, Room) else room.union)
-    if isinstance(room, Configurations):
-        return calibration.build(room, equation).solve(measured, method=method, **options)
     return calibration.build(room, equation).solve(measured, method=method, **options)
 
 
@@ -253,40 +252,40 @@ class Linearised(Protocol[Point]):
         ...
 
 
-Model = TypeVar("Model", bound=Linearised[Any])
+LinearisedModel = TypeVar("LinearisedModel", bound=Linearised[Any])
 
 
 @dataclass(frozen=True, eq=False)
-class Taken(Generic[Model]):
+class Taken(Generic[LinearisedModel]):
     """A step: the ``model`` that was linearised, and the shares of the way that were gone.
 
     ``share`` (n_groups,) is 0 where a step was refused, and the groups are what is shortened alone,
     such as bands.
     """
 
-    model: Model
+    model: LinearisedModel
     share: Array
 
 
 @dataclass(frozen=True, eq=False)
-class Steps(Generic[Point, Model]):
+class Steps(Generic[Point, LinearisedModel]):
     """Where the steps ended, the steps, and whether the last one settled."""
 
     end: Point
-    steps: tuple[Taken[Model], ...]
+    steps: tuple[Taken[LinearisedModel], ...]
     settled: bool
 
 
 def gauss_newton(
     start: Point,
-    linearised: Callable[[Point], Model],
+    linearised: Callable[[Point], LinearisedModel],
     *,
     groups: int = 1,
     most: int,
     halvings: int,
-    settled: Callable[[Taken[Model]], bool] = lambda _: False,
+    settled: Callable[[Taken[LinearisedModel]], bool] = lambda _: False,
     refuse: bool = False,
-) -> Steps[Point, Model]:
+) -> Steps[Point, LinearisedModel]:
     """Take Gauss-Newton steps until one settles.
 
     Parameters
@@ -325,7 +324,7 @@ def gauss_newton(
     >>> print(path.end.round(9), len(path.steps))
     [1.41421356] 6
     """
-    point, steps = start, list[Taken[Model]]()
+    point, steps = start, list[Taken[LinearisedModel]]()
     while len(steps) < most:
         model = linearised(point)
         share = np.ones(groups)

@@ -1,4 +1,8 @@
-"""`Calibration` states a problem, `build` compiles it once, `solve` solves it for a measurement."""
+"""`Calibration` states a problem, `build` compiles it once, `solve` solves it for a measurement.
+
+`CalibrationProblem.solve` brings T into the room's bands (`measured_times`), makes the numbers of the
+solve (`Composition.numbers`) and a certified answer (`certified_solution`), and wraps it as a result.
+"""
 
 from __future__ import annotations
 
@@ -230,14 +234,14 @@ class CalibrationProblem(Generic[R]):
             _require_same_shape(self.room, room)
         alone = isinstance(self.room, Room)
         times = measured_times(used, [measured] if alone else measured)
-        for one, of_room in zip(used.rooms, times, strict=True):
+        for one, measured_there in zip(used.rooms, times, strict=True):
             if one.calibration is not None:
-                refuse_repeated_data(one, of_room.fingerprint)
+                refuse_repeated_data(one, measured_there.fingerprint)
         numbers = self.composition.numbers(used, times, observed)
         try:
-            solution = solved(self.composition, numbers, chosen)
+            solution = certified_solution(self.composition, numbers, chosen)
         except InfeasibleError as error:
-            mistyped = [e for of_room in times for e in of_room.mistyped]
+            mistyped = [error for measured_there in times for error in measured_there.mistyped]
             if mistyped:
                 error.args = (f"{mistyped[0].sentence}. {error}",)
             raise
@@ -277,7 +281,7 @@ def _require_same_shape(built: Room | Configurations, asked: Room | Configuratio
 def measured_times(
     configurations: Configurations, measured: Sequence[Times | None]
 ) -> list[MeasuredTimes]:
-    """One measurement per configuration, each in its room's bands."""
+    """Return one measurement per configuration, each in its room's bands."""
     if isinstance(measured, str | Measurement) or not isinstance(measured, Iterable):
         raise DataError(
             f"measured = {measured!r} is not a list of measurements, one per configuration"
@@ -294,8 +298,14 @@ def measured_times(
     ]
 
 
-def solved(composition: Composition, numbers: Numbers, options: SolveOptions) -> Solution:
+def certified_solution(
+    composition: Composition, numbers: Numbers, options: SolveOptions
+) -> Solution:
     """Return the certified answer for some numbers.
+
+    1. `feasibility.restrict_to_reach`: is T within reach, and which unknowns does a T at an end hold?
+    2. `Composition.qp` fills the compiled matrices; `qp.solve` asks the solver.
+    3. The first of `_candidates` that `qp.certify` accepts is the answer.
 
     Raises
     ------
@@ -346,8 +356,8 @@ def solved(composition: Composition, numbers: Numbers, options: SolveOptions) ->
 
 def _candidates(program: qp.QP, at: qp.Active, raw: qp.SolverAnswer) -> Iterator[Iterate]:
     """Yield the polished answer of the solver, that of the closed form, and the solver's own."""
-    guessed, side = raw.active(program)
-    polished = qp.polish(program, np.where(at != 0, at, guessed).astype(np.int8), side)
+    guessed, tight = raw.active(program)
+    polished = qp.polish(program, np.where(at != 0, at, guessed).astype(np.int8), tight)
     if polished is not None:
         yield polished
     started = qp.closed_form(program, at)

@@ -4,11 +4,11 @@
 
 v has the deviations x = (alpha - mu) / sigma of the unknowns, and what terms define beside them.
 
-1. `Compiled` has cvxpy compile the terms once per structure, and fills the matrices with numbers:
-   cvxpy's maps are affine in the parameters.
-2. A solver finds which bounds and inequalities are active. OSQP starts at the closed form: without its
-   inequalities the QP is one linear system, which for an independent prior with an exact match is the
-   paper's (Bellows & Katz 2025, Eqs. 22 to 25).
+1. `compile_once` has cvxpy compile the terms once per structure; `CompiledProblem.filled` puts numbers
+   into the matrices: cvxpy's maps are affine in the parameters.
+2. `solve` asks a solver which bounds and inequalities are active. OSQP starts at `closed_form`: without
+   its inequalities the QP is one linear system, which for an independent prior with an exact match is
+   the paper's (Bellows & Katz 2025, Eqs. 22 to 25).
 3. `polish` solves the optimality (KKT) conditions on the active set, one sparse linear system, by
    SuperLU with refinement. It corrects the set until no bound is violated and no multiplier has the
    wrong sign.
@@ -41,6 +41,7 @@ from rtcal.support.types import Array
 
 _EPS = np.finfo(float).eps
 Active = NDArray[np.int8]
+"""The active bounds: -1 at the lower bound, 1 at the upper, 0 between them. In this module ``at``."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -119,8 +120,10 @@ class _Pattern:
         return sp.csc_matrix((data, self._rows, self._starts), shape=self._shape)
 
 
-class Compiled:
-    """A calibration that cvxpy has compiled for rooms of one layout.
+class CompiledProblem:
+    """A calibration that cvxpy has compiled for rooms of one layout: `filled` makes a `QP` of it.
+
+    It keeps cvxpy's affine map from the parameters to P, c, A and b, and where their entries stand.
 
     Parameters
     ----------
@@ -144,7 +147,7 @@ class Compiled:
         weights: Sequence[float],
         constraints: Sequence[AnyTerm],
     ) -> None:
-        self.layout, self._given = layout, (layout, terms, weights, constraints)
+        self.layout, self._arguments = layout, (layout, terms, weights, constraints)
         m = self.model = Model(layout)
         pairs = zip(terms, weights, strict=True)
         objective = sum(weight * _expression(term, m) for term, weight in pairs)
@@ -180,7 +183,7 @@ class Compiled:
 
     def __reduce__(self) -> Any:
         """Pickle what it is compiled of."""
-        return compiled, self._given
+        return compile_once, self._arguments
 
     def _read(self, data: Mapping[str, Any]) -> None:
         """Keep cvxpy's maps from the parameters to the matrices, and the places of their entries."""
@@ -301,16 +304,16 @@ def _constraints(term: AnyTerm, m: Model) -> list[Any]:
 
 
 _KEPT = 16
-_cached = functools.lru_cache(_KEPT)(Compiled)
+_cached = functools.lru_cache(_KEPT)(CompiledProblem)
 COMPILING = threading.RLock()
 
 
-def compiled(
+def compile_once(
     layout: Layout,
     terms: Sequence[AnyTerm],
     weights: Sequence[float],
     constraints: Sequence[AnyTerm],
-) -> Compiled:
+) -> CompiledProblem:
     """Return the compiled problem of these terms, an earlier one if nothing it depends on differs.
 
     The 16 used last are kept. A term that cannot be hashed is compiled anew. What a function refers to
@@ -322,7 +325,7 @@ def compiled(
         try:
             hash(key)
         except TypeError:
-            return Compiled(*key)
+            return CompiledProblem(*key)
         return _cached(*key)
 
 
@@ -343,7 +346,7 @@ class QP:
 
     Attributes
     ----------
-    compiled : Compiled
+    compiled : CompiledProblem
         It has the places of the entries of P and A, and which rows are equalities.
     P, A : array
         The entries.
@@ -355,7 +358,7 @@ class QP:
         m² of the materials if b has some of sigma 0, which no row of A has; 0 otherwise.
     """
 
-    compiled: Compiled
+    compiled: CompiledProblem
     P: Array
     c: Array
     A: Array
@@ -393,33 +396,39 @@ class QP:
     @functools.cached_property
     def matrices(self) -> tuple[Any, Any]:
         """P and A as sparse arrays."""
-        of = self.compiled
+        compiled = self.compiled
         return (
-            sp.csc_array((self.P, (of.P_rows, of.P_columns)), (len(self.c), len(self.c))),
-            sp.csr_array((self.A, (of.A_rows, of.A_columns)), (len(self.b), len(self.c))),
+            sp.csc_array(
+                (self.P, (compiled.P_rows, compiled.P_columns)), (len(self.c), len(self.c))
+            ),
+            sp.csr_array(
+                (self.A, (compiled.A_rows, compiled.A_columns)), (len(self.b), len(self.c))
+            ),
         )
 
     def rows(self, v: Array, entries: Array | None = None) -> Array:
         """Return A v, (n_rows,), of A or of other entries at its places."""
-        of, entries = self.compiled, self.A if entries is None else entries
-        products = entries * v[of.A_columns]
-        return np.asarray(np.bincount(of.A_rows, products, minlength=len(self.b)), float)
+        compiled, entries = self.compiled, self.A if entries is None else entries
+        products = entries * v[compiled.A_columns]
+        return np.asarray(np.bincount(compiled.A_rows, products, minlength=len(self.b)), float)
 
     def line(self, row: int) -> Array:
         """Return the coefficients of one row, (size,)."""
-        of, line = self.compiled, np.zeros(len(self.c))
-        line[of.A_columns[of.A_rows == row]] = self.A[of.A_rows == row]
+        compiled, line = self.compiled, np.zeros(len(self.c))
+        line[compiled.A_columns[compiled.A_rows == row]] = self.A[compiled.A_rows == row]
         return line
 
     def gradient(self, v: Array) -> Array:
         """Return P v + c, (size,)."""
-        of = self.compiled
-        return self.c + np.bincount(of.P_rows, self.P * v[of.P_columns], minlength=len(self.c))
+        compiled = self.compiled
+        return self.c + np.bincount(
+            compiled.P_rows, self.P * v[compiled.P_columns], minlength=len(self.c)
+        )
 
     def force(self, v: Array, y: Array) -> Array:
         """Return P v + c + A'y, which the multipliers of the bounds balance, (size,)."""
-        of = self.compiled
-        pull = np.bincount(of.A_columns, self.A * y[of.A_rows], minlength=len(self.c))
+        compiled = self.compiled
+        pull = np.bincount(compiled.A_columns, self.A * y[compiled.A_rows], minlength=len(self.c))
         return self.gradient(v) + pull
 
     @functools.cached_property
@@ -446,20 +455,22 @@ class System:
     _REFINEMENTS = 4
 
     def __init__(self, qp: QP, free: Flags, active: Flags) -> None:
-        of = self._of = qp.compiled
+        compiled = self._compiled = qp.compiled
         norm = np.sqrt(qp.rows(free.astype(float), qp.A**2))
         self.used = active & (norm > 0)
         self._unit = np.divide(1.0, norm, out=np.zeros_like(norm), where=self.used)
         self._on = np.concatenate([free, self.used])
-        scaled = qp.A * self._unit[of.A_rows]
+        scaled = qp.A * self._unit[compiled.A_rows]
         entries = np.concatenate([qp.P, scaled, scaled, np.zeros(len(self._on))])
-        self._entries = np.where(self._on[of.kkt_rows] & self._on[of.kkt_columns], entries, 0.0)
+        self._entries = np.where(
+            self._on[compiled.kkt_rows] & self._on[compiled.kkt_columns], entries, 0.0
+        )
         shifted = self._entries.copy()
         shift = np.where(np.arange(len(self._on)) < len(free), self._SHIFT, -self._SHIFT)
         shifted[-len(shift) :] = np.where(self._on, shift, 1.0)
         try:
             self._factors = splu(
-                of.kkt.filled(shifted),
+                compiled.kkt.filled(shifted),
                 permc_spec="MMD_AT_PLUS_A",
                 options={"SymmetricMode": True},
             )
@@ -468,7 +479,7 @@ class System:
 
     def solve(self, force: Array, limit: Array, refine: bool = True) -> tuple[Array, Array]:
         """Return dv (size,) and dy (n_rows,), 0 for what is not free or not active."""
-        of, n = self._of, len(self._on)
+        compiled, n = self._compiled, len(self._on)
         right = np.where(self._on, np.concatenate([force, limit * self._unit]), 0.0)
         solution, off = np.zeros(n), np.inf
         residual = right
@@ -476,8 +487,8 @@ class System:
             solution = solution + np.where(self._on, self._factors.solve(residual), 0.0)
             if not refine:
                 break
-            product = self._entries * solution[of.kkt_columns]
-            residual = right - np.bincount(of.kkt_rows, product, minlength=n)
+            product = self._entries * solution[compiled.kkt_columns]
+            residual = right - np.bincount(compiled.kkt_rows, product, minlength=n)
             before, off = off, np.max(np.abs(residual), initial=0.0)
             if not off < before / 2:
                 break
@@ -486,9 +497,20 @@ class System:
 
 @dataclass(frozen=True, eq=False)
 class Iterate:
-    """A point of a QP: v, the rows' multipliers y, and -1, 0, 1 for lower bound, free, upper bound.
+    """A point of a QP with its multipliers and its active set.
 
-    ``system`` is that of its active set, None of a solver's own answer.
+    Attributes
+    ----------
+    v : array (size,)
+        The variables.
+    y : array (n_rows,)
+        The rows' multipliers.
+    at : array (size,)
+        -1 at the lower bound, 1 at the upper, 0 between them.
+    lower, upper : array (size,)
+        The multipliers of the bounds, 0 or more. (Those of a `QP` are the bounds themselves.)
+    system : System, optional
+        The optimality conditions on the active set; None of a solver's own answer.
     """
 
     v: Array
@@ -500,9 +522,9 @@ class Iterate:
 
     @classmethod
     def of(cls, qp: QP, at: Active) -> Iterate:
-        """Return the prior, with what is at a bound there, without multipliers."""
-        nothing = np.zeros(len(at))
-        return cls(qp.at_bounds(at), np.zeros(len(qp.b)), at, nothing, nothing)
+        """Return the prior, with what is at a bound there, and all multipliers 0."""
+        zero = np.zeros(len(at))
+        return cls(qp.at_bounds(at), np.zeros(len(qp.b)), at, zero, zero)
 
 
 _ROUNDS = 100
@@ -511,7 +533,7 @@ _AT_ONCE = 20
 _ROUNDING = 1e-13
 
 
-def polish(qp: QP, at: Active, side: Flags) -> Iterate | None:
+def polish(qp: QP, at: Active, tight: Flags) -> Iterate | None:
     """Return the optimum, by the active-set method from a first guess; None if it does not converge.
 
     Each round solves the optimality conditions on the active set from the prior on, so that the
@@ -523,17 +545,17 @@ def polish(qp: QP, at: Active, side: Flags) -> Iterate | None:
     qp : QP
     at : array (size,)
         Variables guessed at their lower bound (-1) or upper bound (1).
-    side : array (n_rows,) of bool
+    tight : array (n_rows,) of bool
         Inequalities guessed to hold with equality.
     """
-    at, side = at.copy(), side | qp.equal
+    at, tight = at.copy(), tight | qp.equal
     at[qp.fixed] = 0
     near = 8 * _EPS / np.where(qp.scale > 0, qp.scale, 1.0)
     for round_ in range(_ROUNDS):
         free = (at == 0) & ~qp.fixed
         start = qp.at_bounds(at)
         try:
-            system = System(qp, free, side)
+            system = System(qp, free, tight)
         except SolverError:
             return None
         dv, y = system.solve(-qp.gradient(start), qp.b - qp.rows(start))
@@ -545,16 +567,16 @@ def polish(qp: QP, at: Active, side: Flags) -> Iterate | None:
         below, above = free & (v < qp.lower), free & (v > qp.upper)
         slack = qp.b - qp.rows(v)
         rounding = _ROUNDING * (qp.magnitudes.rows(np.abs(v)) + qp.magnitudes.b)
-        beyond = ~side & (slack < -rounding)
+        beyond = ~tight & (slack < -rounding)
         if below.any() or above.any() or beyond.any():
             if round_ >= _AT_ONCE:
                 below, above, beyond = _worst(
                     (below, qp.lower - v), (above, v - qp.upper), (beyond, -slack)
                 )
             at = np.where(below, -1, np.where(above, 1, at)).astype(np.int8)
-            side = side | beyond
+            tight = tight | beyond
             continue
-        alone = side & ~system.used & (qp.row_size > 0)
+        alone = tight & ~system.used & (qp.row_size > 0)
         unmet = alone & (abs(slack) > rounding)
         if unmet.any():
             released = _released(qp, v, unmet, slack, at)
@@ -566,13 +588,13 @@ def polish(qp: QP, at: Active, side: Flags) -> Iterate | None:
         force = qp.force(v, y)
         tolerance = _ROUNDING * (1 + qp.magnitudes.force(np.abs(v), np.abs(y)))
         wrong = ((at < 0) & (force < -tolerance)) | ((at > 0) & (force > tolerance))
-        slack_rows = side & ~qp.equal & (y < 0)
-        if not (wrong.any() or slack_rows.any()):
+        released_rows = tight & ~qp.equal & (y < 0)
+        if not (wrong.any() or released_rows.any()):
             return Iterate(v, y, at, *_of_bounds(force, at), system)
         if round_ >= _AT_ONCE:
-            wrong, slack_rows = _worst((wrong, abs(force)), (slack_rows, -y))
+            wrong, released_rows = _worst((wrong, abs(force)), (released_rows, -y))
         at = np.where(wrong, 0, at).astype(np.int8)
-        side = side & ~slack_rows
+        tight = tight & ~released_rows
     return None
 
 
@@ -628,11 +650,12 @@ def _nearest_to_zero(qp: QP, v: Array, y: Array, rows: Flags, at: Active) -> Arr
 
 
 def closed_form(qp: QP, at: Active | None = None) -> Iterate | None:
-    """Return the optimum without inequalities, with violated bounds held and the form taken again.
+    """Return the optimum by `polish`, with no inequality and only the bounds of ``at`` guessed active.
 
-    Without its inequalities the QP is one linear system. For an independent prior with an exact match
-    that is the paper's closed form (Bellows & Katz 2025, Eqs. 22 to 25). Variables of a term's own that
-    have a bound, such as the parts beyond a threshold, begin there. ``at`` is that of `polish`.
+    Its first round has no inequalities, so the QP is one linear system: for an independent prior with
+    an exact match the paper's closed form (Bellows & Katz 2025, Eqs. 22 to 25). Where that violates
+    bounds, these are held and the system is solved again. Variables of a term's own that have a bound,
+    such as the parts beyond a threshold, begin there. ``at`` is that of `polish`.
     """
     own = np.isfinite(qp.lower)
     own[qp.compiled.unknowns] = False
@@ -672,17 +695,20 @@ def solve(qp: QP, at: Active, options: SolveOptions) -> SolverAnswer:
     SolverError
         If it returns no values.
     """
-    of = qp.compiled
+    compiled = qp.compiled
     held = (at != 0) | qp.fixed
     start = qp.at_bounds(at)
     on = ~held
-    entries = qp.A * on[of.A_columns]
+    entries = qp.A * on[compiled.A_columns]
     norm = np.sqrt(qp.rows(1.0 * on, qp.A**2))
     unit = np.divide(1.0, norm, out=np.zeros_like(norm), where=norm > 0)
     bounds = [
-        (end - start)[where] for end, where in zip((qp.lower, qp.upper), of.limited, strict=True)
+        (end - start)[where]
+        for end, where in zip((qp.lower, qp.upper), compiled.limited, strict=True)
     ]
-    limited = [np.isfinite(end) & on[where] for end, where in zip(bounds, of.limited, strict=True)]
+    limited = [
+        np.isfinite(end) & on[where] for end, where in zip(bounds, compiled.limited, strict=True)
+    ]
     # A row that says nothing reads 0 <= 1, which leaves the solver an interior.
     limits = np.concatenate(
         [
@@ -691,33 +717,37 @@ def solve(qp: QP, at: Active, options: SolveOptions) -> SolverAnswer:
             np.where(limited[1], bounds[1], 1.0),
         ]
     )
-    matrix = of.solver_A.filled(
-        np.concatenate([entries * unit[of.A_rows], -1.0 * limited[0], 1.0 * limited[1]])
+    matrix = compiled.solver_A.filled(
+        np.concatenate([entries * unit[compiled.A_rows], -1.0 * limited[0], 1.0 * limited[1]])
     )
-    moves = on[of.P_rows] & on[of.P_columns]
-    upper = np.where(moves, qp.P, 0.0)[of.upper]
-    quadratic = of.solver_P.filled(np.concatenate([upper, 1.0 * held]))
+    moves = on[compiled.P_rows] & on[compiled.P_columns]
+    upper = np.where(moves, qp.P, 0.0)[compiled.upper]
+    quadratic = compiled.solver_P.filled(np.concatenate([upper, 1.0 * held]))
     linear = qp.gradient(start) * on
     name = options.solver.lower()
     began = time.perf_counter()
     first = None
     if name == "osqp" and options.warm_start and (form := closed_form(qp)) is not None:
-        duals = form.y * norm, form.lower[of.limited[0]], form.upper[of.limited[1]]
+        duals = form.y * norm, form.lower[compiled.limited[0]], form.upper[compiled.limited[1]]
         first = (form.v - start) * on, np.concatenate(duals)
-    given = _Given(quadratic, linear, matrix, limits, int(of.equal.sum()), options.all_settings)
+    matrices = _SolverInput(
+        quadratic, linear, matrix, limits, int(compiled.equal.sum()), options.all_settings
+    )
     if name == "clarabel":
-        x, z, status, iterations = _clarabel(given)
+        x, z, status, iterations = _clarabel(matrices)
     elif name == "osqp":
-        x, z, status, iterations = _osqp(given, first)
+        x, z, status, iterations = _osqp(matrices, first)
     else:
-        x, z, status, iterations = _through_cvxpy(name, given)
+        x, z, status, iterations = _through_cvxpy(name, matrices)
     seconds = time.perf_counter() - began
     if x is None or z is None or not (np.isfinite(x).all() and np.isfinite(z).all()):
         raise SolverError(f'solver "{name}" returned no values; its status is {status}')
-    y, *sides = np.split(np.asarray(z), [of.n_rows, of.n_rows + len(of.limited[0])])
+    y, *sides = np.split(
+        np.asarray(z), [compiled.n_rows, compiled.n_rows + len(compiled.limited[0])]
+    )
     lower, upper = np.zeros(len(qp.c)), np.zeros(len(qp.c))
     for side, where, applies, values in zip(
-        (lower, upper), of.limited, limited, sides, strict=True
+        (lower, upper), compiled.limited, limited, sides, strict=True
     ):
         side[where] = np.where(applies, np.maximum(values, 0.0), 0.0)
     v, y = np.where(on, start + x, start), y * unit
@@ -730,8 +760,11 @@ def solve(qp: QP, at: Active, options: SolveOptions) -> SolverAnswer:
     return SolverAnswer(Iterate(v, y, at, lower, upper), status, iterations, seconds)
 
 
-class _Given(NamedTuple):
-    """minimise ½ x'Px + c'x subject to A x = b (the first rows), A x <= b; P's upper triangle."""
+class _SolverInput(NamedTuple):
+    """What a solver is given, scaled and with the bounds among the rows of A.
+
+    minimise ½ x'Px + c'x subject to A x = b (the first rows), A x <= b; P is its upper triangle.
+    """
 
     P: Any
     c: Array
@@ -741,10 +774,10 @@ class _Given(NamedTuple):
     settings: dict[str, Any]
 
 
-_Result = tuple[Any, Any, str, int]  # x, the rows' multipliers, status, iterations
+_SolverOutput = tuple[Any, Any, str, int]  # x, the rows' multipliers, status, iterations
 
 
-def _clarabel(qp: _Given) -> _Result:
+def _clarabel(qp: _SolverInput) -> _SolverOutput:
     import clarabel
 
     chosen = clarabel.DefaultSettings()
@@ -761,7 +794,7 @@ def _clarabel(qp: _Given) -> _Result:
     return np.array(result.x), np.array(result.z), str(result.status), int(result.iterations)
 
 
-def _osqp(qp: _Given, first: tuple[Array, Array] | None) -> _Result:
+def _osqp(qp: _SolverInput, first: tuple[Array, Array] | None) -> _SolverOutput:
     import osqp
 
     low = np.where(np.arange(len(qp.b)) < qp.n_equal, qp.b, -np.inf)
@@ -780,7 +813,7 @@ def _osqp(qp: _Given, first: tuple[Array, Array] | None) -> _Result:
     return result.x, result.y, str(result.info.status), int(result.info.iter)
 
 
-def _through_cvxpy(name: str, qp: _Given) -> _Result:
+def _through_cvxpy(name: str, qp: _SolverInput) -> _SolverOutput:
     """Solve with any other solver of cvxpy's, which is given the matrices as a problem."""
     installed = _installed()
     if name not in installed:
@@ -813,7 +846,7 @@ def _installed() -> dict[str, str]:
     return {str(s).lower(): str(s) for s in cp.installed_solvers()}
 
 
-def _refused(name: str, qp: _Given, error: Exception) -> ModelError:
+def _refused(name: str, qp: _SolverInput, error: Exception) -> ModelError:
     stated = ", ".join(f"{key}={value!r}" for key, value in qp.settings.items())
     return ModelError(f'solver "{name}" refuses the settings {stated}: {error}')
 
@@ -878,7 +911,7 @@ def certify(qp: QP, point: Iterate, convexity: float) -> Certificate:
     convexity : float
         m; with 0 the box alone bounds the error.
     """
-    of, layout, v = qp.compiled, qp.compiled.layout, point.v
+    compiled, layout, v = qp.compiled, qp.compiled.layout, point.v
     force = qp.force(v, point.y)
     magnitude = 1 + qp.magnitudes.force(np.abs(v), np.abs(point.y))
     unbalanced = np.where(qp.fixed, 0.0, force - point.lower + point.upper)
@@ -900,9 +933,9 @@ def certify(qp: QP, point: Iterate, convexity: float) -> Certificate:
             out = reduce(out, reduce.reduce(values[of_band < 0], initial=0.0))
         return out
 
-    primal = by_band(np.maximum, (outside, of.band), (missed, of.row_band))
-    dual = by_band(np.maximum, (abs(unbalanced), of.band))
-    total = by_band(np.add, (gap, of.band), (row_gap, of.row_band))
+    primal = by_band(np.maximum, (outside, compiled.band), (missed, compiled.row_band))
+    dual = by_band(np.maximum, (abs(unbalanced), compiled.band))
+    total = by_band(np.add, (gap, compiled.band), (row_gap, compiled.row_band))
     relative = np.max(abs(unbalanced) / magnitude, initial=0.0), total.sum() / magnitude.max()
     moved, left, g = np.zeros(len(v)), unbalanced, gap.sum() + row_gap.sum()
     if point.system is not None:  # what is not active has no multiplier, and so no gap
@@ -916,7 +949,7 @@ def certify(qp: QP, point: Iterate, convexity: float) -> Certificate:
         primal_residual=primal,
         dual_residual=dual,
         duality_gap=total,
-        alpha_error_bound=layout.expand(bound[of.unknowns]),
+        alpha_error_bound=layout.expand(bound[compiled.unknowns]),
         accepted=bool(primal.max() <= _ACCEPTED and max(relative) <= _ACCEPTED),
     )
 

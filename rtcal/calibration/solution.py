@@ -1,4 +1,9 @@
-"""A certified answer, and the numbers and the QP that it belongs to."""
+"""A certified answer, and the numbers and the QP that it belongs to.
+
+`Solution` is the answer over the unknowns, `RawSolution` the solver's own before polishing.
+`JointSolution` ties a `Solution` to its rooms and measurements: what `uncertainty` reads.
+`rtcal.calibration.result.JointResult` adds what `uncertainty` derives of it.
+"""
 
 from __future__ import annotations
 
@@ -60,7 +65,8 @@ class Solution:
     raw : SolverAnswer
         The solver's own.
     polished : bool
-        Whether the answer is the polished one; else the solver's own passed the certificate.
+        Whether the answer is that of the active-set method (from the solver's guess, or from the closed
+        form); else the solver's own passed the certificate.
     settings : mapping
         Those that the solver ran with.
     unreachable : tuple of Unreachable

@@ -104,9 +104,9 @@ class Model:
     def alpha(self) -> Any:
         """The absorption coefficients, (n_materials, n_bands)."""
         shape = self.deviation.shape
-        sigma = self.parameter(shape, lambda of: of.alpha(of.sigma))
-        mu = self.parameter(shape, lambda of: of.alpha(of.mu))
-        return times(sigma, self.deviation) + mu
+        sigma = self.parameter(shape, lambda numbers: numbers.alpha(numbers.sigma))
+        mu = self.parameter(shape, lambda numbers: numbers.alpha(numbers.mu))
+        return product(sigma, self.deviation) + mu
 
     def box(self) -> list[Any]:
         """Return the bounds: 0 <= alpha <= 1, or tighter; the size of an effect is at least 0.
@@ -115,10 +115,12 @@ class Model:
         """
 
         def limit(variable: Any, side: int, part: slice) -> Any:
-            def compute(of: Numbers) -> Array:
-                distance = ((of.lower, of.upper)[side] - of.mu) * of.inverse_sigma
+            def compute(numbers: Numbers) -> Array:
+                distance = (
+                    (numbers.lower, numbers.upper)[side] - numbers.mu
+                ) * numbers.inverse_sigma
                 none = (-np.inf, np.inf)[side]
-                return np.where(of.sigma > 0, distance, none)[part].reshape(variable.shape)
+                return np.where(numbers.sigma > 0, distance, none)[part].reshape(variable.shape)
 
             return self.parameter(variable.shape, compute)
 
@@ -141,39 +143,46 @@ class Model:
     @cached_property
     def absorption_area(self) -> Any:
         """S'alpha and what effects add, in m², (n_configurations, n_bands); 0 in bands without T."""
-        return self._area(lambda of: np.where(of.matched, 1.0, 0.0))
+        return self._area(lambda numbers: np.where(numbers.matched, 1.0, 0.0))
 
     @cached_property
     def target(self) -> Any:
         """b of the measured T in m², (n_configurations, n_bands); 0 in bands without T."""
         shape = (self.layout.n_configurations, self.layout.n_bands)
-        return self.parameter(shape, lambda of: np.where(of.matched, of.target, 0.0))
+        return self.parameter(shape, lambda numbers: np.where(numbers.matched, numbers.target, 0.0))
 
     @cached_property
     def misfit(self) -> Any:
         """(S'alpha - b) / u_b, (n_configurations, n_bands); 0 in bands without T."""
         shape = (self.layout.n_configurations, self.layout.n_bands)
 
-        def steep(of: Numbers) -> Array:
-            u = np.where(of.matched, np.nan_to_num(of.target_uncertainty), 0.0)
+        def steep(numbers: Numbers) -> Array:
+            u = np.where(numbers.matched, np.nan_to_num(numbers.target_uncertainty), 0.0)
             return np.divide(1.0, u, out=np.zeros_like(u), where=u > 0)
 
-        target = self.parameter(shape, lambda of: np.nan_to_num(of.target) * steep(of))
+        target = self.parameter(
+            shape, lambda numbers: np.nan_to_num(numbers.target) * steep(numbers)
+        )
         return self.defined(self._area(steep) - target)
 
     def _area(self, scale: Callable[[Numbers], Array]) -> Any:
         """S'alpha and the effects' absorption area, each band and configuration times a scale."""
 
         def of_one(c: int) -> Any:
-            area = self.group_area(range(self.layout.n_rows), c, lambda of: scale(of)[c])
+            area = self.group_area(range(self.layout.n_rows), c, lambda numbers: scale(numbers)[c])
             if self.effects is None:
                 return area
             gains = self.parameter(
                 (self.layout.n_bands, self.effects.size),
-                lambda of: of.gains[c] * of.further(of.sigma) * scale(of)[c, :, np.newaxis],
+                lambda numbers: (
+                    numbers.gains[c]
+                    * numbers.further(numbers.sigma)
+                    * scale(numbers)[c, :, np.newaxis]
+                ),
             )
             stated = self.parameter(
-                self.layout.n_bands, lambda of: of.gains[c] @ of.further(of.mu) * scale(of)[c]
+                self.layout.n_bands,
+                lambda numbers: numbers.gains[c] @ numbers.further(numbers.mu) * scale(numbers)[c],
             )
             return area + gains @ self.effects + stated
 
@@ -189,16 +198,16 @@ class Model:
         chosen = list(rows)
         x = self.deviation if len(chosen) == self.layout.n_rows else self.deviation[chosen]
 
-        def area(of: Numbers, values: Array) -> Array:
-            areas = of.areas[configuration, chosen, np.newaxis]
-            return np.asarray(areas * of.alpha(values)[chosen] * scale(of))
+        def area(numbers: Numbers, values: Array) -> Array:
+            areas = numbers.areas[configuration, chosen, np.newaxis]
+            return np.asarray(areas * numbers.alpha(values)[chosen] * scale(numbers))
 
-        steep = self.parameter(x.shape, lambda of: area(of, of.sigma))
-        stated = self.parameter(x.shape[1], lambda of: area(of, of.mu).sum(axis=0))
-        return cp.sum(times(steep, x), axis=0) + stated
+        steep = self.parameter(x.shape, lambda numbers: area(numbers, numbers.sigma))
+        stated = self.parameter(x.shape[1], lambda numbers: area(numbers, numbers.mu).sum(axis=0))
+        return cp.sum(product(steep, x), axis=0) + stated
 
 
-def times(factors: Any, x: Any) -> Any:
+def product(factors: Any, x: Any) -> Any:
     """Return the elementwise product of a parameter and an expression, both (n, k).
 
     cvxpy compiles a product of n factors with memory for n² numbers, so long ones are cut.
@@ -389,8 +398,8 @@ class PriorDeviation(Term):
         if not self.common:
             return half_squares(x)
 
-        def shift(of: Numbers) -> Array:
-            q = (of.common_shift * of.inverse_sigma)[: layout.n_alpha]
+        def shift(numbers: Numbers) -> Array:
+            q = (numbers.common_shift * numbers.inverse_sigma)[: layout.n_alpha]
             return q if whitener is None else whitener @ q
 
         together = cp.Variable()
@@ -599,7 +608,9 @@ class MatchWithin(ExactMatch):
             # A band without T reads -1 <= 0 <= 1, which leaves the solver an interior.
             return m.parameter(
                 shape,
-                lambda of: np.where(of.matched, self.target_limits(of)[side], 2.0 * side - 1),
+                lambda numbers: np.where(
+                    numbers.matched, self.target_limits(numbers)[side], 2.0 * side - 1
+                ),
             )
 
         return [m.absorption_area >= limit(0), m.absorption_area <= limit(1)]
@@ -722,8 +733,8 @@ class RoomMatch(SoftMatch):
         """½ |W (S'alpha - b)|², W'W = C⁻¹; the misfit's own unit u_b is in the matrix."""
         n = m.layout.n_configurations * m.layout.n_bands
 
-        def whitener(of: Numbers) -> Array:
-            return of.match_whitener * np.nan_to_num(of.target_uncertainty).ravel()
+        def whitener(numbers: Numbers) -> Array:
+            return numbers.match_whitener * np.nan_to_num(numbers.target_uncertainty).ravel()
 
         return half_squares(m.parameter((n, n), whitener) @ m.flat(m.misfit))
 
@@ -764,17 +775,17 @@ class LinearObservations(Term):
         n = m.layout.n_alpha
 
         @functools.lru_cache(maxsize=1)
-        def triangle(of: Numbers) -> Array:
-            seen = of.observed[self]
-            mu, sigma = of.mu[:n], of.sigma[:n]
+        def triangle(numbers: Numbers) -> Array:
+            seen = numbers.observed[self]
+            mu, sigma = numbers.mu[:n], numbers.sigma[:n]
             values = seen.values - seen.matrix @ mu
             factor = np.linalg.qr(np.column_stack([seen.matrix * sigma, values]), mode="r")
             full = np.zeros((n, n + 1))
             full[: min(len(factor), n)] = factor[:n]
             return full
 
-        matrix = m.parameter((n, n), lambda of: triangle(of)[:, :n])
-        values = m.parameter(n, lambda of: triangle(of)[:, n])
+        matrix = m.parameter((n, n), lambda numbers: triangle(numbers)[:, :n])
+        values = m.parameter(n, lambda numbers: triangle(numbers)[:, n])
         return half_squares(matrix @ m.flat(m.deviation) - values)
 
 
@@ -795,13 +806,13 @@ class BandSmoothness(Term):
             raise ModelError("BandSmoothness needs two bands or more")
         octaves = np.diff(np.log2(np.array(layout.centre_frequencies)))
 
-        def steep(of: Numbers) -> Array:
-            moves = of.alpha(of.sigma) > 0
+        def steep(numbers: Numbers) -> Array:
+            moves = numbers.alpha(numbers.sigma) > 0
             return np.asarray((moves[:, 1:] & moves[:, :-1]) / np.sqrt(octaves))
 
         factor = m.parameter((layout.n_rows, layout.n_bands - 1), steep)
         x = m.deviation
-        return half_squares(times(factor, x[:, 1:] - x[:, :-1]))
+        return half_squares(product(factor, x[:, 1:] - x[:, :-1]))
 
 
 @dataclass(frozen=True)
