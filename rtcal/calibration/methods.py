@@ -26,7 +26,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtcal.acoustics.equations import Equation
-from rtcal.acoustics.quality import rms
 from rtcal.acoustics.room import Room
 from rtcal.calibration.problem import Calibration, Times
 from rtcal.calibration.result import CalibrationResult, JointResult
@@ -197,44 +196,6 @@ def calibrate(
         raise DataError("measured = None: there is no T to calibrate to")
     calibration = preset(method, room if isinstance(room, Room) else room.union)
     return calibration.build(room, equation).solve(measured, method=method, **options)
-
-
-def gain(prior: Array, matrix: Array, covariance: Array) -> Array:
-    """Return K J' (J K J' + C)⁻¹, (n_unknowns, n_values): the change of the estimate by each value.
-
-    Parameters
-    ----------
-    prior : array (n_unknowns, n_unknowns)
-        K, the prior's covariance.
-    matrix : array (n_values, n_unknowns)
-        J, the derivatives of the values.
-    covariance : array (n_values, n_values)
-        C, of the values' errors.
-
-    References
-    ----------
-    Tarantola (2005), Inverse Problem Theory, Sect. 3.2.
-
-    Examples
-    --------
-    >>> print(gain(np.eye(1), np.ones((1, 1)), np.eye(1)))
-    [[0.5]]
-    """
-    across = prior @ matrix.T
-    return np.asarray(across @ np.linalg.solve(matrix @ across + covariance, np.eye(len(matrix))))
-
-
-def learned_materials(room: Room, sigma: Array) -> tuple[tuple[str, float, float], ...]:
-    """Return materials with prior and posterior sigma (rms over the bands), most learned first.
-
-    ``sigma`` (n_materials, n_bands) is the posterior's.
-    """
-    before, after = (rms(s, axis=1) for s in (room.sigma, sigma))
-    share = np.divide(after, before, out=np.ones_like(after), where=before > 0)
-    return tuple(
-        (room.materials[i], float(before[i]), float(after[i]))
-        for i in np.argsort(share, kind="stable")
-    )
 
 
 Point = TypeVar("Point")

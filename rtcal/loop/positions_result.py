@@ -59,7 +59,6 @@ from rtcal.acoustics.quality import rms
 from rtcal.acoustics.room import Room
 from rtcal.acoustics.room_errors import Assumptions, value_changes
 from rtcal.acoustics.scene import POSITION, checked_uncertainty
-from rtcal.calibration.methods import gain, learned_materials
 from rtcal.calibration.qp import Certificate
 from rtcal.calibration.result import CalibrationResult
 from rtcal.calibration.table import coefficients
@@ -1252,9 +1251,13 @@ class PositionsResult(Result):
     def pulls(self) -> Array:
         """Change of each coefficient by each pair, in prior sigmas, (n_pairs, n_materials, n_bands).
 
-        Of the linear estimate without bounds: the sum over the pairs is its whole shift.
+        Of the linear estimate without bounds: the sum over the pairs is its whole shift. The change by
+        the values is K J' (J K J' + C)⁻¹, with K the prior's covariance, J their derivatives and C that
+        of their errors (Tarantola 2005, Inverse Problem Theory, Sect. 3.2).
         """
-        of_values = gain(self.prior_covariance, self.steps[-1].matrix, self.covariance)
+        matrix = self.steps[-1].matrix
+        across, n = self.prior_covariance @ matrix.T, len(matrix)
+        of_values = across @ np.linalg.solve(matrix @ across + self.covariance, np.eye(n))
         sigma = np.where(self.prior.sigma > 0, self.prior.sigma, np.inf).ravel()
         shape = self.prior.alpha.shape
         return np.stack(
@@ -1299,7 +1302,12 @@ class PositionsResult(Result):
     @cached_property
     def learned(self) -> tuple[tuple[str, float, float], ...]:
         """Materials with prior and posterior sigma (rms over bands), most learned first."""
-        return learned_materials(self.prior, self.sigma)
+        before, after = (rms(s, axis=1) for s in (self.prior.sigma, self.sigma))
+        share = np.divide(after, before, out=np.ones_like(after), where=before > 0)
+        return tuple(
+            (self.prior.materials[i], float(before[i]), float(after[i]))
+            for i in np.argsort(share, kind="stable")
+        )
 
     def __repr__(self) -> str:
         return f"<{self._description}>"
