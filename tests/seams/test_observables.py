@@ -202,12 +202,12 @@ def named(path: Path) -> set[str]:
 
 
 THE_MEANS_HAVE_FIVE = {
-    *(f"finder/{name}.py" for name in ("case", "configuration", "model")),
+    *(f"finder/{name}.py" for name in ("case", "model")),
     *(
         f"finder/means/{name}.py"
         for name in (
-            *("corrected", "engines", "features", "gap", "hypotheses", "measurements"),
-            *("planning", "recalibration", "search"),
+            *("corrected", "engines", "gap", "hypotheses", "planning"),
+            *("recalibration", "search"),
         )
     ),
 }
