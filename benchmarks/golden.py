@@ -15,8 +15,9 @@ Kinds, by what their names begin with:
 - ``example``: the numbers (not the words) that the commands of ``rtcal example`` print as text and as
   JSON, and those of every file that they write.
 
-A number has moved where it differs by more than the `TOLERANCE` of its kind; smaller differences are
-counted below the list, with the largest. Stored numbers have every bit. Nothing that judges is read.
+A number has moved where it differs by more than the `TOLERANCE` of its kind and by more than
+`ROUNDING`; smaller differences are counted below the list, with the largest. Stored numbers have every
+bit. Nothing that judges is read.
 `store` replaces the figures of the tasks that it ran.
 """
 
@@ -95,9 +96,14 @@ TOLERANCE = {
 }
 """Of each kind: the difference, as a share of a table's largest number, from which on it has moved.
 
+The numbers of a text and of a file are no table: each is compared with itself.
+
 A calibration is a certified QP, alpha within 1e-12 of the optimum. The others search, iterate or
 sample from there, which enlarges rounding. One machine gives the same bits twice.
 """
+TEXTS = ("example", "export")
+ROUNDING = 1e-12
+"""A difference below this is none: alpha is certified to it, and a gap that is closed is rounding."""
 SHIPPED_CASES = {
     "case": lambda: rt.datasets.hidden_room()[0],
     "closed": lambda: rt.datasets.hidden_room(closed=True)[0],
@@ -152,7 +158,9 @@ def of_finding(finding: Any, gaps: bool) -> dict[str, Any]:
         seen = verify(finding)
         row |= {
             "verification": seen.verdict,
-            "gaps": [[g.configuration, g.quantity, g.before, g.after] for g in seen.quantities],
+            "gaps": {
+                f"{g.configuration}, {g.quantity}": [g.before, g.after] for g in seen.quantities
+            },
             "alpha": seen.corrected.alpha,
             "plain alpha": seen.plain.alpha,
         }
@@ -573,9 +581,11 @@ def numbers_in(text: str) -> list[float]:
 
 
 def numbers_of(record: Any) -> list[float]:
-    """Return the numbers of a record that JSON keeps, in order; not those of versions."""
+    """Return the numbers of a record that JSON keeps, in order; not those of versions and clocks."""
     if isinstance(record, Mapping):
-        return [n for k, v in record.items() if k != "versions" for n in numbers_of(v)]
+        return [
+            n for k, v in record.items() if k not in ("versions", "seconds") for n in numbers_of(v)
+        ]
     if isinstance(record, (list, tuple)):
         return [n for v in record for n in numbers_of(v)]
     return [float(record)] if isinstance(record, (int, float)) else []
@@ -761,8 +771,12 @@ def write(figures: Mapping[str, dict[str, Any]]) -> None:
 
 @dataclass
 class Differences:
-    """What moved, a line each, and how many numbers differ by less, with the largest difference."""
+    """What moved, a line each, and how many numbers differ by less, with the largest difference.
 
+    ``alone`` compares each number with itself, not with the largest of its table.
+    """
+
+    alone: bool = False
     lines: list[str] = field(default_factory=list)
     within: int = 0
     largest: float = 0.0
@@ -803,9 +817,9 @@ class Differences:
         if not unlike.any():
             return
         by = np.abs(new - old)
-        scale = np.nanmax(np.abs(old), initial=0.0)
+        scale = np.abs(old) if self.alone else np.nanmax(np.abs(old), initial=0.0)
         # A difference of NaN: a number came or went.
-        far = unlike & ~(by <= tolerance * scale)
+        far = unlike & ~(by <= np.maximum(tolerance * scale, ROUNDING))
         small = by[unlike & ~far]
         self.within += small.size
         self.largest = max(self.largest, float(small.max(initial=0.0)))
@@ -867,7 +881,7 @@ def compare(stored: Mapping[str, Any], now: Mapping[str, Any]) -> int:
     small: dict[str, list[Differences]] = {}
     for name, figures in now.items():
         kind = kind_of(name)
-        found = Differences()
+        found = Differences(alone=kind in TEXTS)
         if name in stored:
             found.add(stored[name], figures, TOLERANCE[kind])
         else:

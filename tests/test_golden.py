@@ -48,6 +48,12 @@ def test_rounding_is_counted_and_has_not_moved() -> None:
     assert found.largest == pytest.approx(5e-8)
     found.add({"x": [1.0, 100.0]}, {"x": [1.0 + 5e-7, 100.0]}, 1e-9)
     assert found.lines == ["x: 1 of 2 numbers, by 5e-07 at most"]
+    alone = golden.Differences(alone=True)
+    alone.add({"x": [1.0, 1000.0]}, {"x": [1.0 + 5e-7, 1000.0 + 5e-7]}, 1e-9)
+    assert (alone.lines, alone.within) == (["x: 1 of 2 numbers, by 5e-07 at most"], 1)
+    # A gap that is closed is rounding, whatever it is a share of.
+    assert lines({"gap": [1e-15, 5e-15]}, {"gap": [7e-15, 2e-15]}) == []
+    assert lines({"gap": [1e-15, 5e-15]}, {"gap": [2e-12, 5e-15]}) != []
 
 
 @pytest.mark.parametrize(
@@ -60,6 +66,11 @@ def test_rounding_is_counted_and_has_not_moved() -> None:
 )
 def test_numbers_of_a_text(text: str, numbers: list[float]) -> None:
     assert golden.numbers_in(text) == numbers
+
+
+def test_no_clock_is_among_the_numbers_of_a_record() -> None:
+    record = {"versions": {"x": 1}, "solver": {"seconds": 0.1, "iterations": 9}, "T": [1.5, None]}
+    assert golden.numbers_of(record) == [9.0, 1.5]
 
 
 def test_figures_are_kept_to_the_last_bit(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
