@@ -190,6 +190,7 @@ class CompiledProblem:
         program = data["param_prob"]
         program.reduced_A.cache()
         program.reduced_P.cache()
+        linear = program.q if hasattr(program, "q") else program.c  # c in cvxpy 1.7
         size, n_equal, n_rows = len(data["c"]), int(data["dims"].zero), len(data["b"])
         place = program.param_id_to_col
         self._filled = [
@@ -223,7 +224,7 @@ class CompiledProblem:
         self.P_columns = np.repeat(np.arange(size), np.diff(starts))
         parts = [
             program.reduced_P.reduced_mat,
-            sp.csr_array(program.q)[:size],
+            sp.csr_array(linear)[:size],
             every[entries],
             b @ every,
         ]
