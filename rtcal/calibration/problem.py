@@ -141,9 +141,7 @@ class Calibration:
         MissingAirWarning
             If a room states no air.
         """
-        if not isinstance(room, Room | Configurations):
-            raise DataError(f"room = {room!r} is not a rtcal.Room, nor Configurations of one")
-        for one in [room] if isinstance(room, Room) else room.rooms:
+        for one in _configurations(room).rooms:
             if one.air is None:
                 warnings.warn(
                     f'room "{one.name}" states no air: its surfaces are made to absorb what the air '
@@ -229,10 +227,12 @@ class CalibrationProblem(Generic[R]):
             If no answer passes the certificate.
         """
         chosen = SolveOptions(**options)
-        used = _configurations(self.room if room is None else room)
-        if room is not None:
-            _require_same_shape(self.room, room)
         alone = isinstance(self.room, Room)
+        used = built = _configurations(self.room)
+        if room is not None:
+            checks.instance("room", room, Room if alone else Configurations)
+            used = _configurations(room)
+            _require_same_shape(built, used)
         times = measured_times(used, [measured] if alone else measured)
         for one, measured_there in zip(used.rooms, times, strict=True):
             if one.calibration is not None:
@@ -258,16 +258,17 @@ class CalibrationProblem(Generic[R]):
 
 
 def _configurations(room: Room | Configurations) -> Configurations:
+    """Return a room as one of several; DataError for anything else."""
     if isinstance(room, Room):
         return Configurations([room])
-    return checks.instance("room", room, Configurations)
+    if not isinstance(room, Configurations):
+        raise DataError(f"room = {room!r} is not a rtcal.Room, nor Configurations of one")
+    return room
 
 
-def _require_same_shape(built: Room | Configurations, asked: Room | Configurations) -> None:
+def _require_same_shape(built: Configurations, asked: Configurations) -> None:
     """Raise DataError unless ``asked`` has the shape that the problem was built with."""
-    kind = Room if isinstance(built, Room) else Configurations
-    checks.instance("room", asked, kind)
-    old, new = _configurations(built).rooms, _configurations(asked).rooms
+    old, new = built.rooms, asked.rooms
     if len(old) != len(new):
         raise DataError(f"{len(new)} configurations; the problem was built with {len(old)}")
     for before, after in zip(old, new, strict=True):

@@ -202,9 +202,8 @@ def saved(path: str) -> tuple[Any, Any]:
     """
     from rtcal.finder.finding import Finding, Verification
 
-    place, one = Path(path), "found"
-    given = place.suffix == ".toml" or (place.suffix == ".json" and b'"rtcal"' not in _start(place))
-    if not place.is_dir() and given:
+    one = "found"
+    if not _is_saved(Path(path)) and Path(path).suffix in (".toml", ".json"):
         raise DataError(
             f"{path} is no finding: `rtcal find {path} --out {one}` searches and writes it; then give "
             f"{one}"
@@ -217,24 +216,26 @@ def saved(path: str) -> tuple[Any, Any]:
     raise DataError(f'{path} holds no finding but a result of the kind "{result.record_kind}"')
 
 
-def _start(path: Path) -> bytes:
-    """Return the beginning of a file; nothing of one that cannot be read, which `load` says."""
+def _is_saved(path: Path) -> bool:
+    """Return whether a path is that of a saved result, a folder or its file, and not of a case.
+
+    A file that cannot be read counts as one: `load` says why.
+    """
+    if path.is_dir() or path.suffix != ".json":
+        return path.is_dir()
     try:
         with path.open("rb") as file:
-            return file.read(200)
+            return b'"rtcal"' in file.read(200)
     except OSError:
-        return b'"rtcal"'
+        return True
 
 
-def verified(finding: Any, cache: Path, seed: int | None = None) -> Any:
+def verified(finding: Any, cache: Path) -> Any:
     """Return the gaps before and after; at pairs that were not fitted over `SEEDS`."""
     from rtcal import finder
-    from rtcal.finder.means.finding import MeansFinding
-    from rtcal.finder.states import StatesFinding
+    from rtcal.finder.positions import PositionsFinding
 
-    if isinstance(finding, StatesFinding):
-        return finder.verify(finding) if seed is None else finder.verify(finding, seed=seed)
-    if isinstance(finding, MeansFinding):
+    if not isinstance(finding, PositionsFinding):
         return finder.verify(finding)
     with _progress("model") as progress:
         return finder.verify(finding, seeds=SEEDS, cache=cache, progress=progress)
@@ -511,8 +512,8 @@ def plan(case: str, change: float | None, further: str | None, costs: tuple[str,
     from rtcal.finder import plan as planned_with
     from rtcal.finder.means.finding import MeansFinding
 
-    place, finding = Path(case), None
-    if place.is_dir() or (place.suffix == ".json" and b'"rtcal"' in _start(place)):
+    finding = None
+    if _is_saved(Path(case)):
         finding, _ = saved(case)
         if not isinstance(finding, MeansFinding):
             refused = {"relative-change": change, "cost": costs or None, "case": further}

@@ -16,7 +16,7 @@ from rtcal.finder.means.finding import MeansFinding
 from rtcal.finder.means.recalibration import recalibrate, table
 from rtcal.finder.positions.finding import Place, PositionsFinding, strongest
 from rtcal.finder.positions.verification import MODELS, TITLES, PositionsVerification
-from rtcal.finder.states.finding import StatesFinding, decimals
+from rtcal.finder.states.finding import StatesFinding, StatesVerification, decimals
 from rtcal.finder.states.search import verify
 from rtcal.report import document, gap_report, room_view, where_figures
 from rtcal.report.document import Heading, blocks, render, source
@@ -37,6 +37,31 @@ WRITTEN = (NUMBERS, PAGE, MAP, PLAN, ROOM, GAP, *(f"{name}.png" for name in FIND
 """The files of a finding, each kind some of them."""
 
 
+def page(
+    finding: MeansFinding | PositionsFinding | StatesFinding,
+    verification: Any,
+    heading: Heading,
+    reproduction: gap_report.Reproduction | None = None,
+    place: Place | None = None,
+    step: Callable[[], None] = lambda: None,
+) -> tuple[str, dict[str, Any]]:
+    """Return the page of a finding of any kind, and its figures by the names of their files.
+
+    ``verification`` is the finding's, or None. ``reproduction`` is printed on the page. ``place`` is a
+    further receiver that would tell the surfaces apart. Without jinja2 or matplotlib it raises
+    MissingDependencyError.
+    """
+    if isinstance(finding, MeansFinding):
+        drawings = gap_report.figures(finding, verification)
+        figures = {f"{name}.png": figure for name, (figure, _) in drawings.items()}
+        return gap_report.page(finding, verification, drawings, reproduction, heading), figures
+    if isinstance(finding, StatesFinding):
+        return states_page(finding, heading, step, verification), {}
+    figures = drawn(finding, verification, place)
+    command = "" if reproduction is None else reproduction.command
+    return where_page(finding, verification, figures, heading, command, place), figures
+
+
 def write(
     finding: MeansFinding | PositionsFinding | StatesFinding,
     verification: Any,
@@ -44,11 +69,8 @@ def write(
     heading: Heading | None = None,
     reproduction: gap_report.Reproduction | None = None,
     place: Place | None = None,
-) -> list[Path]:
-    """Write page, numbers and figures, all or none, and return their paths.
-
-    ``verification`` is the finding's, or None. ``reproduction`` is printed on the page. ``place`` is a
-    further receiver that would tell the surfaces apart.
+) -> None:
+    """Write `page`, numbers and figures, all or none; the arguments are those of `page`.
 
     Raises
     ------
@@ -57,22 +79,14 @@ def write(
     DataError
         If the folder cannot be made, or a file cannot be written.
     """
-    saved, figures = finding if verification is None else verification, dict[str, Any]()
-    if isinstance(finding, MeansFinding):
-        drawings = gap_report.figures(finding, verification)
-        figures = {f"{name}.png": figure for name, (figure, _) in drawings.items()}
-        text = gap_report.page(finding, verification, drawings, reproduction, heading)
-    elif isinstance(finding, StatesFinding):
-        saved, text = finding, states_page(finding, heading or Heading(), lambda: None)
-    else:
-        figures = drawn(finding, verification, place)
-        command = "" if reproduction is None else reproduction.command
-        text = where_page(finding, verification, figures, heading or Heading(), command, place)
+    text, figures = page(finding, verification, heading or Heading(), reproduction, place)
+    # A page of two states is made of the finding alone.
+    alone = verification is None or isinstance(finding, StatesFinding)
+    saved = finding if alone else verification
     contents = {folder / PAGE: text.encode(), folder / NUMBERS: saved.to_json(folder).encode()}
     contents |= {folder / name: rendered(figure, "png") for name, figure in figures.items()}
     make_folder(folder)
     write_all(contents)
-    return list(contents)
 
 
 def drawn(
@@ -170,8 +184,15 @@ def _said(name: str, finding: PositionsFinding, verification: PositionsVerificat
     return f"{view} with sources and receivers; {what}."
 
 
-def states_page(finding: StatesFinding, heading: Heading, step: Callable[[], None]) -> str:
-    """Return the page as HTML; raises as `rtcal.report.page.page`."""
+def states_page(
+    finding: StatesFinding,
+    heading: Heading,
+    step: Callable[[], None],
+    verification: StatesVerification | None = None,
+) -> str:
+    """Return the page as HTML; without a ``verification`` it is made. Raises as `page`."""
+    if verification is None and finding.can_be_verified:
+        verification = verify(finding)
     found = finding.case.differences
     measured = found.measured
     frequencies = found.centre_frequencies[measured]
@@ -187,7 +208,7 @@ def states_page(finding: StatesFinding, heading: Heading, step: Callable[[], Non
         "states.html",
         {
             "headline": finding.headline,
-            "verified": verify(finding).sentence if finding.can_be_verified else None,
+            "verified": None if verification is None else verification.sentence,
             "sentences": list(finding.sentences),
             "surfaces": [
                 (name, 100 * p, "claimed" if name in finding.claimed_surfaces else "")

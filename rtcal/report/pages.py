@@ -31,7 +31,7 @@ from rtcal.loop.state import Loop
 from rtcal.modes.result import ModesResult
 from rtcal.prediction.designed import Design
 from rtcal.prediction.predicted import Prediction, Predictions
-from rtcal.report import finding_pages, gap_report, loop_page, positions_page, prediction_page
+from rtcal.report import finding_pages, loop_page, positions_page, prediction_page
 from rtcal.report.document import Heading
 from rtcal.report.page import calibration_page, modes_page
 from rtcal.support.errors import DataError
@@ -60,29 +60,21 @@ def page_of(
         For a folder that has no result, a file that is none, or a result that has no page.
     """
     result = load(path)
-    if isinstance(result, MeansFinding | MeansVerification):
-        verified = result if isinstance(result, MeansVerification) else None
-        found = result if isinstance(result, MeansFinding) else result.finding
-        return gap_report.page(
-            found, verified, gap_report.figures(found, verified), heading=heading
-        )
     if isinstance(result, Loop | LoopResult):
         return loop_page.page(result, heading=heading, progress=progress)
     if isinstance(result, CalibrationResult):
         return calibration_page(result, heading=heading, progress=progress)
     head, step = heading or Heading(), progress or (lambda: None)
-    if isinstance(result, PositionsFinding | PositionsVerification):
-        proved = result if isinstance(result, PositionsVerification) else None
-        where = result if isinstance(result, PositionsFinding) else result.finding
-        return finding_pages.where_page(where, proved, finding_pages.drawn(where, proved), head)
+    if isinstance(result, MeansFinding | PositionsFinding | StatesFinding):
+        return finding_pages.page(result, None, head, step=step)[0]
+    if isinstance(result, MeansVerification | PositionsVerification):
+        return finding_pages.page(result.finding, result, head, step=step)[0]
     if isinstance(result, PositionsResult):
         return positions_page.page(result, head, step)
     if isinstance(result, ModesResult):
         return modes_page(result, head, step)
     if isinstance(result, Prediction | Predictions | Design):
         return prediction_page.page(result, head, step)
-    if isinstance(result, StatesFinding):
-        return finding_pages.states_page(result, head, step)
     if isinstance(result, PositionsPrediction | PositionsPredictions):
         return prediction_page.page_at_positions(result, head, step)
     raise DataError(

@@ -9,7 +9,7 @@ from rtcal.support.types import Array, read_only
 
 NORMAL = read_only(np.linspace(-5.0, 5.0, 201))
 """Standard normal values at which quantiles are tabulated."""
-_FAR = 8.0
+FAR = 8.0
 """Distance in standard deviations from which logarithms are used: the distribution function of a
 shorter one has 15 digits left of its tail."""
 _TAIL = 64.0
@@ -33,7 +33,7 @@ def quantile_and_mass(lower: Array, upper: Array, uniform: Array) -> tuple[Array
     share = np.where(turned, 1 - uniform, uniform)
     of_a, of_b = ndtr(a), ndtr(b)
     mass = of_b - of_a
-    far = b < -_FAR
+    far = b < -FAR
     with np.errstate(divide="ignore"):
         x, mass = ndtri(of_a + share * mass), np.log(mass)
         if far.any():

@@ -29,7 +29,7 @@ from scipy.special import log_ndtr, ndtr, ndtri
 from scipy.stats import qmc
 
 from rtcal.support.errors import ModelError, SolverError
-from rtcal.support.normal import NORMAL, quantile_and_mass, truncated_moments
+from rtcal.support.normal import FAR, NORMAL, quantile_and_mass, truncated_moments
 from rtcal.support.types import Array, read_only
 
 Integers = NDArray[np.intp]
@@ -49,8 +49,8 @@ _SLICES, _PER_STEP = 16, 16
 """Slices of a stated sum's distribution; and draws in each step of it, which get its probability."""
 _BLOCK = 128
 """Pieces that are drawn side by side, so that NumPy does the loop."""
-_FAR, _REACH = 8.0, 9.0
-"""Distances in standard deviations: where logarithms begin, and where nothing is left."""
+_REACH = 9.0
+"""Distance in standard deviations beyond which nothing is left."""
 _POINTS = ndtr(np.linspace(-3.2, 3.2, 29))
 """Probabilities at whose values, among the draws, a mixture of several densities is calculated."""
 
@@ -309,10 +309,15 @@ def _part(
 
 def _sums(rows: Array, lower: Array, upper: Array) -> tuple[Array, Array]:
     """The least and the largest value of each row within the box, (n_rows,) each."""
+    least, most = _ends(rows, lower, upper)
+    return least.sum(axis=1), most.sum(axis=1)
+
+
+def _ends(rows: Array, lower: Array, upper: Array) -> list[Array]:
+    """The least and the largest value of each entry of rows times its coordinate."""
     with np.errstate(invalid="ignore"):
         ends = rows * lower, rows * upper
-    least, most = (np.where(rows != 0, end(*ends), 0.0) for end in (np.minimum, np.maximum))
-    return least.sum(axis=1), most.sum(axis=1)
+    return [np.where(rows != 0, end(*ends), 0.0) for end in (np.minimum, np.maximum)]
 
 
 def _implied(
@@ -509,11 +514,8 @@ def _sequence(
 
 def _sums_of_rest(rows: Array, lower: Array, upper: Array) -> list[Array]:
     """The least and most that the coordinates after each add to each sum, (k, n_sums, n) each."""
-    with np.errstate(invalid="ignore"):
-        ends = rows * lower, rows * upper
     both = []
-    for end in (np.minimum, np.maximum):
-        own = np.where(rows != 0, end(*ends), 0.0)
+    for own in _ends(rows, lower, upper):
         rest = np.cumsum(own[:, :, ::-1], axis=2)[:, :, ::-1]
         both.append(np.concatenate([rest[:, :, 1:], np.zeros_like(rest[:, :, :1])], axis=2))
     return both
@@ -564,7 +566,7 @@ def _marginals(values: Array, weight: Array, part: _Part) -> Array:
             -1 if weight @ values[:, i] > m[0] else 1
         )  # to the side where tails keep all digits
         ends = turned * (low - m) / s, turned * (high - m) / s
-        if len(m) > 1 or np.maximum(*ends).min() < -_FAR:
+        if len(m) > 1 or np.maximum(*ends).min() < -FAR:
             row[:] = _mixture_of_several(m, s, low, high, values[:, i], weight)
         else:
             alike = _mixture(np.minimum(*ends), np.maximum(*ends), weight)[::turned]
@@ -595,7 +597,7 @@ def _mixture_of_several(
     a, b = np.minimum(turned * a, turned * b), np.maximum(turned * a, turned * b)
     x = np.multiply.outer(points, turned / spread) - turned * mean / spread
     np.clip(x, a, b, out=x)
-    of_a, of_b, far = ndtr(a), ndtr(b), b < -_FAR
+    of_a, of_b, far = ndtr(a), ndtr(b), b < -FAR
     of_x = ndtr(x, out=x) if not far.any() else np.where(far, x, ndtr(x))
     if far.any():
         top = log_ndtr(b[far])
