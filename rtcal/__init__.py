@@ -48,12 +48,12 @@ if TYPE_CHECKING:
     from rtcal.calibration.methods import calibrate as calibrate
     from rtcal.calibration.problem import Calibration as Calibration
     from rtcal.calibration.unknowns import Configurations as Configurations
+    from rtcal.files.saved import load as load
     from rtcal.finder.search import find as find
     from rtcal.loop.calibrate import calibrate_simulator as calibrate_simulator
     from rtcal.loop.positions import calibrate_positions as calibrate_positions
     from rtcal.modes.calibrate import calibrate_modes as calibrate_modes
     from rtcal.prediction.designed import design as design
     from rtcal.support import errors as errors
-    from rtcal.support.saved import load as load
 else:
     __getattr__, __dir__, __all__ = support.exports(__name__, __file__)

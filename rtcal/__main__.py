@@ -33,7 +33,7 @@ def _interrupt(*_: object) -> None:
 
     An exception that may come anywhere does harm: libraries turn it into others while they load, and
     a lock that was just taken is never let go. Files are whole at any moment, also after a kill, and
-    `rtcal.support.files` holds the signal back while it writes.
+    `rtcal.files.disk` holds the signal back while it writes.
     """
     _end()
 
@@ -41,7 +41,7 @@ def _interrupt(*_: object) -> None:
 def _end() -> None:
     """Say so, and end the process now. Python would wait for threads that nobody needs any more."""
     # Nothing is imported here: the interrupt may have come while a library loads.
-    begun = getattr(sys.modules.get("rtcal.support.files"), "begun", ())
+    begun = getattr(sys.modules.get("rtcal.files.disk"), "begun", ())
     last = ", ".join(path.name for path in begun[-_LAST:])
     what = f"written last, or begun: {last}" if begun else "nothing was written"
     said = "".join(c if c.isprintable() else "?" for c in f"rtcal: interrupted; {what}")

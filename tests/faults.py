@@ -1,6 +1,6 @@
 """A file layer that fails: the nth event raises, or the process is killed there.
 
-Events are the calls of the operating system that `rtcal.support.files` makes to write.
+Events are the calls of the operating system that `rtcal.files.disk` makes to write.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from typing import Any
 
 import pytest
 
-from rtcal.support import files
+from rtcal.files import disk
 from rtcal.support.errors import DataError
 
 EVENTS = ("open", "write", "fsync", "replace", "chmod", "close")
@@ -62,7 +62,7 @@ def faulty(nth: int | None, fault: Callable[[str], None] = full) -> Iterator[Fau
     """Let the nth event fail in this process."""
     with pytest.MonkeyPatch.context() as patch:
         layer = FaultyOs(nth, fault)
-        patch.setattr(files, "os", layer)
+        patch.setattr(disk, "os", layer)
         yield layer
 
 
@@ -83,7 +83,7 @@ def snapshot(folder: Path) -> dict[str, bytes]:
     return {
         str(path.relative_to(folder)): path.read_bytes()
         for path in sorted(folder.rglob("*"))
-        if path.is_file() and path.name != files.RECORD and not path.name.endswith(files.NEW)
+        if path.is_file() and path.name != disk.RECORD and not path.name.endswith(disk.NEW)
     }
 
 
@@ -91,7 +91,7 @@ def refused(folder: Path) -> str:
     """Return the message of a reader that refuses a file below a folder as written in part, or ""."""
     for name in snapshot(folder):
         try:
-            files.read_bytes(folder / name, 2**28)
+            disk.read_bytes(folder / name, 2**28)
         except DataError as error:
             if "was not written whole" not in str(error):
                 raise

@@ -14,16 +14,16 @@ import numpy as np
 
 import rtcal as rt
 from rtcal import studies
+from rtcal.files import disk
+from rtcal.files.disk import read_text
+from rtcal.files.saved import MAX_BYTES, plain, restored
+from rtcal.files.schema import json_object
 from rtcal.finder import Case
 from rtcal.finder.effects.checks import AppliedEffect
 from rtcal.loop import Loop, start
 from rtcal.report import words
 from rtcal.studies.runner import ScoreMoments, _open, _Store
-from rtcal.support import files
 from rtcal.support.errors import DataError
-from rtcal.support.files import read_text
-from rtcal.support.saved import MAX_BYTES, plain, restored
-from rtcal.support.schema import json_object
 from tests.test_discrepancy import opened
 
 _ROOM, _MEASURED = rt.datasets.bras_cr2()
@@ -195,10 +195,10 @@ def read_record(path: str) -> bytes:
     folder = Path(path).parent / "folder"
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir()
-    Path(path).rename(folder / files.RECORD)
+    Path(path).rename(folder / disk.RECORD)
     (folder / "a").write_text("kept")
     try:
-        return files.read_bytes(folder / "a", 100)
+        return disk.read_bytes(folder / "a", 100)
     except DataError as error:
         if "was not written whole" not in str(error):
             raise
@@ -208,7 +208,7 @@ def read_record(path: str) -> bytes:
 def _kept_array() -> bytes:
     with tempfile.TemporaryDirectory() as folder:
         place = Path(folder) / "kept.array"
-        files.write(place, np.arange(12.0).reshape(2, 6))
+        disk.write(place, np.arange(12.0).reshape(2, 6))
         return place.read_bytes()
 
 
@@ -217,7 +217,7 @@ KEPT_ARRAY = (_kept_array(),)
 
 def read_kept_array(path: str) -> np.ndarray:
     """Read a file as an array that was kept under the name kept.array."""
-    array = files.read(Path(path).rename(Path(path).with_name("kept.array")))
+    array = disk.read(Path(path).rename(Path(path).with_name("kept.array")))
     if array is None:
         raise DataError(f"{path}: computed again")
     return array

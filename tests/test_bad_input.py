@@ -223,7 +223,7 @@ def test_an_empty_value_is_missing(run) -> None:
 
 
 def test_a_write_that_fails_leaves_nothing(tmp_path: Path, monkeypatch) -> None:
-    from rtcal.support import files
+    from rtcal.files import disk
 
     target = tmp_path / "room.toml"
     target.write_text("what was there before")
@@ -231,7 +231,7 @@ def test_a_write_that_fails_leaves_nothing(tmp_path: Path, monkeypatch) -> None:
     def fail(*_: object) -> None:
         raise OSError("disk full")
 
-    monkeypatch.setattr(files.os, "replace", fail)
+    monkeypatch.setattr(disk.os, "replace", fail)
     with pytest.raises(DataError, match="cannot be written: disk full"):
         rt.Room(**GOOD).save(target)
     assert target.read_text() == "what was there before"

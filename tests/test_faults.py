@@ -9,9 +9,9 @@ from pathlib import Path
 
 import pytest
 
-from rtcal.support import files
+from rtcal.files import disk
+from rtcal.files.disk import read_text, write_all, write_text
 from rtcal.support.errors import DataError
-from rtcal.support.files import read_text, write_all, write_text
 from tests import faults
 
 OLD, NEW = b"old " * 3000, b"new " * 4000
@@ -80,7 +80,7 @@ def test_a_full_disk_changes_no_file(tmp_path: Path) -> None:
         with faults.faulty(nth), pytest.raises(DataError, match="No space left on device"):
             write_all(contents)
         assert faults.snapshot(tmp_path) == BEFORE
-        assert not [*tmp_path.rglob(f"*{files.NEW}")]
+        assert not [*tmp_path.rglob(f"*{disk.NEW}")]
 
 
 def test_files_of_the_user_in_hidden_folders_are_left_alone(tmp_path: Path) -> None:
@@ -94,7 +94,7 @@ def test_files_of_the_user_in_hidden_folders_are_left_alone(tmp_path: Path) -> N
 
 def test_a_record_that_is_no_record_stops_nothing(tmp_path: Path) -> None:
     for content in (b"", b"{", b"[1]", b'{"sets": [{"command": 1}]}', b'{"sets": 7}'):
-        (tmp_path / files.RECORD).write_bytes(content)
+        (tmp_path / disk.RECORD).write_bytes(content)
         write_text(tmp_path / "one", "x")
         assert read_text(tmp_path / "one", 100) == "x"
 
@@ -104,18 +104,18 @@ def test_a_command_replaces_its_own_files_alone(tmp_path: Path) -> None:
     own, foreign = tmp_path / "own", tmp_path / "foreign"
     foreign.write_text("mine")
     write_text(own, "first")
-    with files.one_set("rtcal x"):
+    with disk.one_set("rtcal x"):
         write_text(own, "second")
         with pytest.raises(DataError, match="rtcal did not write it"):
             write_text(foreign, "theirs")
         with pytest.raises(DataError, match="rtcal did not write it"):
-            files.spare([foreign], [])
+            disk.spare([foreign], [])
     assert (own.read_text(), foreign.read_text()) == ("second", "mine")
     own.write_text("changed")
-    with files.one_set("rtcal x"), pytest.raises(DataError, match="was changed since"):
+    with disk.one_set("rtcal x"), pytest.raises(DataError, match="was changed since"):
         write_text(own, "third")
-    with files.one_set("rtcal x"):
-        files.may_replace()
+    with disk.one_set("rtcal x"):
+        disk.may_replace()
         write_text(own, "third")
         write_text(foreign, "theirs")
     assert (own.read_text(), foreign.read_text()) == ("third", "theirs")
@@ -123,13 +123,13 @@ def test_a_command_replaces_its_own_files_alone(tmp_path: Path) -> None:
 
 def test_what_a_command_writes_is_one_set(tmp_path: Path) -> None:
     one, two = tmp_path / "one", tmp_path / "two"
-    with files.one_set("rtcal x"):
+    with disk.one_set("rtcal x"):
         write_text(one, "1")
         write_text(two, "2")
         assert not one.exists()
-        assert files.commit() == [str(one), str(two)]
+        assert disk.commit() == [str(one), str(two)]
         assert two.exists()
-    with pytest.raises(ZeroDivisionError), files.one_set("rtcal x"):
+    with pytest.raises(ZeroDivisionError), disk.one_set("rtcal x"):
         write_text(one, "new")
         raise ZeroDivisionError
     assert one.read_text() == "1"
@@ -139,8 +139,8 @@ def test_a_torn_set_names_the_command_that_makes_it_anew(tmp_path: Path) -> None
     one, two = tmp_path / "one", tmp_path / "two"
 
     def write() -> None:
-        with files.one_set("rtcal make one"):
-            files.may_replace()
+        with disk.one_set("rtcal make one"):
+            disk.may_replace()
             write_text(one, "1")
             write_text(two, "2")
 

@@ -68,15 +68,15 @@ def check(tmp_path: Path, times: int, longest: float) -> list[int]:
 
 WRITTEN = """
 import os, signal
-from rtcal.support import files
+from rtcal.files import disk
 
-write = files._write_set
+write = disk._write_set
 
 def written(contents, command):
     write(contents, command)
     os.kill(os.getpid(), signal.SIGINT)
 
-files._write_set = written
+disk._write_set = written
 """
 """An interrupt at the end of a write."""
 

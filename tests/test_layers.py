@@ -17,6 +17,7 @@ PACKAGE = Path(rt.__file__).parent
 # From the ground up. A package imports itself and what stands before it: no two may import each other.
 ORDER = (
     "support",
+    "files",
     "acoustics",
     "prediction",
     "calibration",

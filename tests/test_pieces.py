@@ -16,8 +16,8 @@ import numpy as np
 import pytest
 
 from rtcal import studies
+from rtcal.files import disk
 from rtcal.studies.runner import _open
-from rtcal.support import files
 from rtcal.support.errors import DataError
 from tests import faults
 
@@ -104,8 +104,8 @@ def test_a_study_goes_on_after_a_fault_at_any_event(tmp_path: Path) -> None:
 def test_a_kept_array_that_is_damaged_or_another_counts_as_missing(tmp_path: Path) -> None:
     """A header that asks for 500 GB ended in a traceback, and a NaN was taken."""
     place = tmp_path / "folder" / "a.array"
-    files.write(place, np.arange(6.0).reshape(2, 3))
-    again = files.read(place)
+    disk.write(place, np.arange(6.0).reshape(2, 3))
+    again = disk.read(place)
     assert again is not None
     np.testing.assert_array_equal(again, [[0, 1, 2], [3, 4, 5]])
     good = place.read_bytes()
@@ -116,11 +116,11 @@ def test_a_kept_array_that_is_damaged_or_another_counts_as_missing(tmp_path: Pat
         b"",
     ):
         place.write_bytes(damaged)
-        assert files.read(place) is None
+        assert disk.read(place) is None
     other = place.with_name("b.array")
     other.write_bytes(good)
-    assert files.read(other) is None
+    assert disk.read(other) is None
     pipe = place.with_name("c.array")
     os.mkfifo(pipe)
-    assert files.read(pipe) is None
-    files.write(other / "no folder" / "a.array", np.zeros(3))
+    assert disk.read(pipe) is None
+    disk.write(other / "no folder" / "a.array", np.zeros(3))

@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 
 import rtcal as rt
+from rtcal.files.saved import NUMBERS, Result, plain, restored
 from rtcal.loop.control_runs import ControlRuns
 from rtcal.report.pages import page_of
 from rtcal.simulators import EquationSimulator
 from rtcal.support import __version__
 from rtcal.support.errors import DataError
-from rtcal.support.saved import NUMBERS, Result, plain, restored
 from tests.test_positions import HALL, MATCH, heard, tracing
 from tests.test_where_page import finding_of, verification_of
 from tests.typed import types_by_attribute
@@ -120,7 +120,7 @@ def test_an_object_of_no_class_of_rtcal_is_refused_and_its_numbers_are_written(
 
 BROKEN = [
     ("class", "os.system", "os.system"),
-    ("class", "rtcal.support.files.write_text", "write_text"),
+    ("class", "rtcal.files.disk.write_text", "write_text"),
     ("class", "rtcal.acoustics.air.Wind", "Wind"),
     ("fields", {"depth": 1.0}, "Result"),
     ("dtype", "|O", "array"),

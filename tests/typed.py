@@ -14,8 +14,8 @@ from typing import Any, ClassVar, Literal, get_args, get_origin
 import numpy as np
 from numpy.typing import ArrayLike
 
+from rtcal.files.saved import Result
 from rtcal.support import typing_imports
-from rtcal.support.saved import Result
 
 
 def _names(module: types.ModuleType) -> dict[str, Any]:

@@ -19,7 +19,7 @@ from benchmarks.solvers.figures import by_size, grouped
 from benchmarks.solvers.measure import ENOUGH, Row
 from benchmarks.solvers.results import TOO_SLOW, read
 from benchmarks.solvers.routes import CVXPY_LIMIT, DENSE_LIMIT, EPS, SLSQP_LIMIT
-from rtcal.support.files import write_bytes, write_text
+from rtcal.files.disk import write_bytes, write_text
 
 SHIFT = 10.0  # microseconds; qpbenchmark's ten seconds would hide every difference here
 DEFAULT, OTHER = "rtcal:clarabel", "rtcal:osqp"

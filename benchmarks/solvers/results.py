@@ -17,7 +17,7 @@ from pathlib import Path
 from benchmarks.solvers.cases import RANDOM, Rooms
 from benchmarks.solvers.measure import Row, iterations, judge, throughput, timed
 from benchmarks.solvers.routes import Route, available, fits, settings_of
-from rtcal.support.files import write_bytes, write_text
+from rtcal.files.disk import write_bytes, write_text
 
 COLUMNS = [f.name for f in fields(Row)]
 PACKAGES = (

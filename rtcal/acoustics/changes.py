@@ -81,9 +81,9 @@ from rtcal.acoustics.room import (
 )
 from rtcal.acoustics.scene import Scene
 from rtcal.acoustics.targets import Target, TargetTable, target_of
+from rtcal.files.schema import FileTable, Number, read, toml_table
 from rtcal.support import checks
 from rtcal.support.errors import DataError
-from rtcal.support.schema import FileTable, Number, read, toml_table
 from rtcal.support.text import without_looks
 from rtcal.support.types import Array
 

@@ -11,10 +11,10 @@ import msgspec
 import numpy as np
 from numpy.typing import ArrayLike
 
+from rtcal.files.schema import FileTable, Number, Point
 from rtcal.support import checks
 from rtcal.support.checks import text_name
 from rtcal.support.errors import DataError
-from rtcal.support.schema import FileTable, Number, Point
 from rtcal.support.types import Array, read_only
 
 LARGEST_INDEX = 25.0

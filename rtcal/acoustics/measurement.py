@@ -37,12 +37,12 @@ from rtcal.acoustics.observables import (
     observable,
     parameter_label,
 )
+from rtcal.files.disk import json_numbers, read_text, write_text
+from rtcal.files.schema import FileTable, Number, read
 from rtcal.support import blocks, checks
 from rtcal.support.blocks import Row, Table
 from rtcal.support.checks import text_name
 from rtcal.support.errors import DataError
-from rtcal.support.files import json_numbers, read_text, write_text
-from rtcal.support.schema import FileTable, Number, read
 from rtcal.support.types import Array
 
 MAX_POSITIONS = 12

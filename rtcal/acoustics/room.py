@@ -85,12 +85,12 @@ from rtcal.acoustics.air import Air
 from rtcal.acoustics.directivity import Lobe
 from rtcal.acoustics.priors import TIERS, in_situ, sigma_iso_12999_2, sigma_relative
 from rtcal.acoustics.scene import GeometryTable, Places, Scene, SceneTables
+from rtcal.files.disk import json_numbers, read_text, write_text
+from rtcal.files.schema import FileTable, Number, Share, read, toml_table, toml_text
 from rtcal.support import blocks, checks
 from rtcal.support.blocks import Row, Table
 from rtcal.support.checks import short_name, text_name
 from rtcal.support.errors import DataError
-from rtcal.support.files import json_numbers, read_text, write_text
-from rtcal.support.schema import FileTable, Number, Share, read, toml_table, toml_text
 from rtcal.support.text import LOOKS, look_alike, shortened
 from rtcal.support.types import Array, read_only
 

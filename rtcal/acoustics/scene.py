@@ -18,10 +18,10 @@ from rtcal.acoustics.directivity import (
     directivity_of,
     plain_directivities,
 )
+from rtcal.files.schema import FileTable, Number, Point
 from rtcal.support import checks
 from rtcal.support.checks import text_name
 from rtcal.support.errors import DataError
-from rtcal.support.schema import FileTable, Number, Point
 
 _POINTS = ("sources", "receivers")
 POSITION = 0.1

@@ -19,10 +19,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtcal.acoustics import bands
+from rtcal.files.disk import json_numbers
+from rtcal.files.schema import FileTable, Number
 from rtcal.support import checks
 from rtcal.support.errors import DataError
-from rtcal.support.files import json_numbers
-from rtcal.support.schema import FileTable, Number
 from rtcal.support.types import Array
 
 

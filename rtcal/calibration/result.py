@@ -35,11 +35,11 @@ from rtcal.calibration.terms import (
     PriorDeviation,
     RoomMatch,
 )
+from rtcal.files.disk import json_numbers
+from rtcal.files.saved import Result
 from rtcal.prediction.predicted import Prediction, predict
 from rtcal.support import __version__, blocks, checks
 from rtcal.support.errors import DataError, ModelError
-from rtcal.support.files import json_numbers
-from rtcal.support.saved import Result
 from rtcal.support.text import shortened
 from rtcal.support.truncated import Draws, draws
 from rtcal.support.types import Array, read_only_view

@@ -21,9 +21,9 @@ from rtcal.acoustics.room import Room
 from rtcal.acoustics.trust import TrustMark, explained, letters
 from rtcal.calibration.measured import MeasuredTimes
 from rtcal.calibration.qp import Certificate
+from rtcal.files.disk import json_numbers
 from rtcal.support import __version__, text
 from rtcal.support.blocks import Block, Note, Row, Table
-from rtcal.support.files import json_numbers
 from rtcal.support.types import Array
 
 KIND = "calibration 1"

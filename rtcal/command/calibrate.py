@@ -38,9 +38,9 @@ from rtcal.command.console import (
     without_air_warning,
     writing_options,
 )
+from rtcal.files.disk import make_folder, spare, write_all
 from rtcal.support import text
 from rtcal.support.errors import DataError
-from rtcal.support.files import make_folder, spare, write_all
 
 
 @click.command(short_help="Calibrate a room to measured reverberation times.")
@@ -290,7 +290,7 @@ def learn(
     """
     from rtcal.acoustics.room import Room
     from rtcal.calibration import archive
-    from rtcal.support.saved import NUMBERS
+    from rtcal.files.saved import NUMBERS
 
     target = output_folder("--out", out)
     if room is not None and target is None:

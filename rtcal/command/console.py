@@ -17,9 +17,9 @@ import click
 
 from rtcal.acoustics.equations import EQUATIONS, LinearEquation, equation_keys
 from rtcal.acoustics.observables import MATCH, OBSERVABLES
-from rtcal.support import files
+from rtcal.files import disk
+from rtcal.files.disk import json_text
 from rtcal.support.errors import DataError
-from rtcal.support.files import json_text
 from rtcal.support.text import fitted, printable, width
 
 if TYPE_CHECKING:
@@ -228,7 +228,7 @@ def _force(context: click.Context, parameter: click.Parameter, value: bool) -> N
     """Let the command replace files that rtcal did not write, and write what it advises against."""
     if value:
         context.meta["rtcal.force"] = True
-        files.may_replace()
+        disk.may_replace()
 
 
 def is_forced() -> bool:
@@ -368,7 +368,7 @@ def tell(text: str, record: Mapping[str, Any], then: str = "") -> None:
     (``| head``). ``then`` stands below the files' names. Raises CannotPrint where the output is closed
     or full.
     """
-    made = files.commit()
+    made = disk.commit()
     as_json = _flag("as_json")
     if is_quiet() and not as_json:
         return

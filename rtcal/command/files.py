@@ -31,10 +31,10 @@ from rtcal.command.console import (
     warn,
     writing_options,
 )
+from rtcal.files import disk
+from rtcal.files.disk import spare, write_text
 from rtcal.io.table_columns import DECAY_TIMES_OF_RT60
-from rtcal.support import files
 from rtcal.support.errors import DataError
-from rtcal.support.files import spare, write_text
 
 if TYPE_CHECKING:
     from rtcal.io.analysis import Analysis
@@ -283,7 +283,7 @@ def export(
         )
     options["entries"] = texts("--as", entries, "MATERIAL=ENTRY")
     if template is None:
-        files.may_replace(materials)  # its numbers are what is asked to be changed
+        disk.may_replace(materials)  # its numbers are what is asked to be changed
     with errors_name_options("missing_bands", "decimals"):
         done = module.write(Room.from_file(room), materials, **options)
     record = {
@@ -333,8 +333,8 @@ def example(
 ) -> None:
     """Write the files of a small project, and print the commands that use them."""
     from rtcal.datasets import examples
+    from rtcal.files.disk import make_folder, write_all
     from rtcal.support.errors import DataError
-    from rtcal.support.files import make_folder, write_all
     from rtcal.support.text import shell
 
     project = examples.example(name)

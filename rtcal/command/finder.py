@@ -34,10 +34,10 @@ from rtcal.command.console import (
     seed_option,
     tell,
 )
+from rtcal.files.disk import spare, write_all
+from rtcal.files.saved import Result, load
 from rtcal.support import text
 from rtcal.support.errors import DataError
-from rtcal.support.files import spare, write_all
-from rtcal.support.saved import Result, load
 from rtcal.support.speed import bar
 
 if TYPE_CHECKING:

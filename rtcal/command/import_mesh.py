@@ -12,8 +12,8 @@ import click
 from click.core import ParameterSource
 
 from rtcal.command.console import as_options, errors_name_options, fit_ending, numbers, said, tell
+from rtcal.files.disk import commit, spare
 from rtcal.support.errors import DataError
-from rtcal.support.files import commit, spare
 from rtcal.support.speed import bar
 from rtcal.support.text import rounded, shortened
 

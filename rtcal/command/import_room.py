@@ -26,8 +26,8 @@ from rtcal.command.import_mesh import (
     with_scene,
     with_uncertainty,
 )
+from rtcal.files.disk import spare
 from rtcal.support.errors import DataError, MissingDependencyError
-from rtcal.support.files import spare
 from rtcal.support.text import shortened
 
 if TYPE_CHECKING:

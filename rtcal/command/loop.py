@@ -17,7 +17,7 @@ from rtcal.command.console import (
     told_by_modes,
     writing_options,
 )
-from rtcal.support.files import spare
+from rtcal.files.disk import spare
 
 _state_option = click.option(
     "--state",

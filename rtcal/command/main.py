@@ -18,7 +18,8 @@ from rtcal.command.finder import NOTHING_TO_ADD, apply, find, plan, verify
 from rtcal.command.import_room import import_room
 from rtcal.command.loop import loop
 from rtcal.command.predict import design, predict
-from rtcal.support import __version__, files
+from rtcal.files import disk
+from rtcal.support import __version__
 from rtcal.support.errors import MissingDependencyError, RtcalError, SolverError
 from rtcal.support.text import shortened
 
@@ -105,7 +106,7 @@ def _run(arguments: Sequence[str] | None) -> int:
     """Run the command, print what is wrong, and return the exit code."""
     stated = sys.argv[1:] if arguments is None else arguments
     try:
-        with printing(), files.one_set(shlex.join(["rtcal", *map(str, stated)])):
+        with printing(), disk.one_set(shlex.join(["rtcal", *map(str, stated)])):
             code = cli.main(args=arguments, prog_name="rtcal", standalone_mode=False)
     except click.exceptions.Abort:
         return 130

@@ -21,15 +21,15 @@ from rtcal.command.console import (
     without_air_warning,
     writing_options,
 )
+from rtcal.files.disk import read_text
 from rtcal.support.errors import DataError
-from rtcal.support.files import read_text
 
 if TYPE_CHECKING:
     from rtcal.acoustics.measurement import Measurement
     from rtcal.acoustics.room import Room
     from rtcal.calibration.result import CalibrationResult
+    from rtcal.files.saved import Result
     from rtcal.loop.positions_result import PositionsResult
-    from rtcal.support.saved import Result
 
 
 MAX_BYTES = 2**18
@@ -156,8 +156,8 @@ def predict(
 
 def fitted_folder(room: str, measured: str | None) -> PositionsResult | None:
     """Return the calibration of an `rtcal fit` folder; None for a room's file."""
+    from rtcal.files.saved import load
     from rtcal.loop.positions_result import PositionsResult
-    from rtcal.support.saved import load
 
     if not Path(room).is_dir():
         return None

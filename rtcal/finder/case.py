@@ -50,13 +50,13 @@ from rtcal.acoustics.observables import observable
 from rtcal.acoustics.repeats import refuse_repeated_data
 from rtcal.acoustics.room import AirTable, PlainRoom, Room, air, of_plain
 from rtcal.calibration.measured import times_in_room
+from rtcal.files.disk import json_numbers, read_text, write_text
+from rtcal.files.schema import FileTable, Number, json_object, read, toml_table
 from rtcal.finder.effects.checks import AppliedEffect, check_parameters
 from rtcal.io import geometry_files
 from rtcal.support import checks
 from rtcal.support.checks import text_name
 from rtcal.support.errors import DataError, OtherBandsWarning
-from rtcal.support.files import json_numbers, read_text, write_text
-from rtcal.support.schema import FileTable, Number, json_object, read, toml_table
 from rtcal.support.text import shortened
 from rtcal.support.types import Array, read_only
 

@@ -14,11 +14,11 @@ from scipy import stats
 
 from rtcal.acoustics import bands
 from rtcal.acoustics.observables import DecaySlope, observable
+from rtcal.files.disk import json_numbers
+from rtcal.files.saved import Result
 from rtcal.finder.effects import Effect
 from rtcal.finder.effects.whole_room import CoupledRoom
 from rtcal.support.errors import DataError, ModelError
-from rtcal.support.files import json_numbers
-from rtcal.support.saved import Result
 from rtcal.support.text import first_of
 from rtcal.support.types import Array
 

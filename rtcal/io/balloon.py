@@ -20,10 +20,10 @@ import numpy as np
 
 from rtcal.acoustics import bands
 from rtcal.acoustics.directivity import UPWARDS, Directivity
+from rtcal.files.disk import read_bytes
 from rtcal.io import sofa, text
 from rtcal.support import checks
 from rtcal.support.errors import DataError
-from rtcal.support.files import read_bytes
 from rtcal.support.types import Array
 
 __all__ = ["read"]

@@ -26,13 +26,13 @@ from pathlib import Path
 
 from rtcal.acoustics import bands
 from rtcal.acoustics.room import Room
+from rtcal.files.disk import read_bytes
 from rtcal.io import material_list
 from rtcal.io.material_list import Format, ListedMaterial, MaterialList, Token
 from rtcal.io.table_columns import nearest_band
 from rtcal.io.text import MAX_TEXT, decode, lines, number, shown
 from rtcal.support import checks
 from rtcal.support.errors import DataError
-from rtcal.support.files import read_bytes
 
 __all__ = ["DECIMALS", "MAX_BANDS", "parse", "read", "write"]
 __dir__ = __all__.copy

@@ -26,6 +26,7 @@ from pathlib import Path
 
 from rtcal.acoustics import bands
 from rtcal.acoustics.observables import TARGET, DecaySlope, of_kind
+from rtcal.files.disk import read_bytes
 from rtcal.io import workbook
 from rtcal.io.material_list import ListedMaterial, MaterialList
 from rtcal.io.table_columns import (
@@ -47,7 +48,6 @@ from rtcal.io.text import MAX_TEXT, Text, decode, number, shown
 from rtcal.io.text_tables import sheet_of_text
 from rtcal.support import checks
 from rtcal.support.errors import DataError
-from rtcal.support.files import read_bytes
 from rtcal.support.text import first_of
 
 __all__ = ["read"]

@@ -20,11 +20,11 @@ from rtcal.acoustics.air import Air
 from rtcal.acoustics.equations import Eyring, LinearEquation
 from rtcal.acoustics.room import Material, Room, Surface, above_one_hint
 from rtcal.acoustics.scene import POSITION, Scene
+from rtcal.files.disk import read_bytes, write_bytes
 from rtcal.io.text import MAX_TEXT, Text, number
 from rtcal.support import checks, text
 from rtcal.support.checks import text_name
 from rtcal.support.errors import DataError
-from rtcal.support.files import read_bytes, write_bytes
 from rtcal.support.types import Array
 
 

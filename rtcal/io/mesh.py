@@ -26,6 +26,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 
+from rtcal.files.disk import read_bytes
 from rtcal.io import budget, cad, obj, units
 from rtcal.io.mend import OFFSET, WELD, Faces, Mended, MeshError, closed, mended
 from rtcal.io.mend.solids import room_between
@@ -33,7 +34,6 @@ from rtcal.io.text import decode, lines, number, shown
 from rtcal.support import checks, library
 from rtcal.support.checks import text_name
 from rtcal.support.errors import DataError, MissingDependencyError
-from rtcal.support.files import read_bytes
 from rtcal.support.text import listed
 from rtcal.support.types import Array
 

@@ -21,6 +21,7 @@ from collections import Counter
 
 import numpy as np
 
+from rtcal.files.disk import read_bytes
 from rtcal.io import budget
 from rtcal.io.mend import Faces
 from rtcal.io.text import MAX_TEXT, decode, lines, number, shown
@@ -29,7 +30,6 @@ from rtcal.simulators.geometry import Polyhedron
 from rtcal.support import checks
 from rtcal.support.checks import text_name
 from rtcal.support.errors import DataError
-from rtcal.support.files import read_bytes
 
 __all__ = ["MAX_FACES", "parse", "read", "text", "write"]
 __dir__ = __all__.copy

@@ -28,6 +28,7 @@ from rtcal.acoustics import bands
 from rtcal.acoustics.measurement import Measurement, csv_rows, of_single_values
 from rtcal.acoustics.observables import OBSERVABLES, SUMMARY, TARGET, parameter_label
 from rtcal.acoustics.repeats import in_words, names_of_repeats, places_of, require_repeats
+from rtcal.files.disk import read_bytes
 from rtcal.io import text_tables, workbook
 from rtcal.io.analysis import means, unusual
 from rtcal.io.table_columns import (
@@ -59,7 +60,6 @@ from rtcal.io.text import decode, number, shown, unit_of
 from rtcal.support import checks
 from rtcal.support.checks import text_name
 from rtcal.support.errors import DataError
-from rtcal.support.files import read_bytes
 from rtcal.support.text import first_of
 
 __all__ = ["FORMATS", "MeasuredTable", "measurement", "parse", "read", "write"]

@@ -22,12 +22,12 @@ from functools import reduce
 from pathlib import Path
 from typing import Any
 
+from rtcal.files.disk import write_bytes
 from rtcal.io import budget
 from rtcal.io.table_layout import Row, Sheet
 from rtcal.io.text import shown
 from rtcal.support import library
 from rtcal.support.errors import DataError
-from rtcal.support.files import write_bytes
 from rtcal.support.text import first_of
 
 ENDING = ".xlsx"

@@ -31,6 +31,8 @@ from rtcal.acoustics.room_errors import in_words
 from rtcal.acoustics.trust import TrustMark, explained
 from rtcal.calibration.measured import times_in_room
 from rtcal.calibration.result import CalibrationResult
+from rtcal.files.disk import json_numbers, read_text, write_all
+from rtcal.files.saved import Result
 from rtcal.loop.matched import SHOWN, Gaps, ParameterGap, Weights, left, sentences
 from rtcal.loop.measured_pairs import Pair, left_out, refuse_unknown
 from rtcal.loop.rules import Rule
@@ -46,8 +48,6 @@ from rtcal.support.errors import (
     RtcalError,
     SimulatorError,
 )
-from rtcal.support.files import json_numbers, read_text, write_all
-from rtcal.support.saved import Result
 from rtcal.support.text import as_sentence
 from rtcal.support.types import Array
 

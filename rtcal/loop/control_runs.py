@@ -37,15 +37,16 @@ from rtcal.acoustics.directivity import plain_directivities
 from rtcal.acoustics.observables import REVERBERATION
 from rtcal.acoustics.room import Room
 from rtcal.acoustics.scene import POSITION, checked_uncertainty
+from rtcal.files import disk
+from rtcal.files.disk import json_numbers
 from rtcal.simulators.base import Simulator
 from rtcal.simulators.geometry import SHOEBOX_WALLS, Polyhedron
 from rtcal.simulators.observations import Observations, observe
 from rtcal.simulators.path_tracing import DENSER, PathTracing
 from rtcal.simulators.shoebox import ShoeboxSimulator
 from rtcal.simulators.tracer import ScatteringModel, eyring_seconds
-from rtcal.support import __version__, checks, files
+from rtcal.support import __version__, checks
 from rtcal.support.errors import DataError, RtcalError, TooShortError
-from rtcal.support.files import json_numbers
 from rtcal.support.speed import Progress
 from rtcal.support.types import Array, read_only
 
@@ -294,7 +295,7 @@ def simulated_controls(
             more_paths=more_paths,
         )
 
-    kept = None if path is None else files.read(path)
+    kept = None if path is None else disk.read(path)
     if kept is not None and kept.shape == (RUNS, *shape):
         with suppress(RtcalError):  # another's file
             return runs(kept)
@@ -337,7 +338,7 @@ def simulated_controls(
             progress(run + 1, RUNS)
     made = np.array(errors)
     if path is not None:
-        files.write(path, made)
+        disk.write(path, made)
     return runs(made)
 
 

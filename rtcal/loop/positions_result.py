@@ -62,6 +62,8 @@ from rtcal.acoustics.scene import POSITION, checked_uncertainty
 from rtcal.calibration.qp import Certificate
 from rtcal.calibration.result import CalibrationResult
 from rtcal.calibration.table import coefficients
+from rtcal.files.disk import json_numbers
+from rtcal.files.saved import Result
 from rtcal.loop.control_runs import (
     GROUPS,
     ControlRuns,
@@ -97,8 +99,6 @@ from rtcal.simulators.path_tracing import PathTracing
 from rtcal.support import blocks, checks, text
 from rtcal.support.blocks import Block, Note, Row, Table
 from rtcal.support.errors import DataError
-from rtcal.support.files import json_numbers
-from rtcal.support.saved import Result
 from rtcal.support.speed import Progress
 from rtcal.support.types import Array
 

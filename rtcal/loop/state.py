@@ -30,6 +30,7 @@ from rtcal.calibration.measured import data_history, tell_data, times_in_room
 from rtcal.calibration.methods import preset
 from rtcal.calibration.problem import CalibrationProblem
 from rtcal.calibration.result import CalibrationResult
+from rtcal.files.saved import NOT_SAVED, Result, load
 from rtcal.loop import rules
 from rtcal.loop.matched import (
     BelowSchroeder,
@@ -47,7 +48,6 @@ from rtcal.modes.result import ModesResult
 from rtcal.simulators.base import check_alpha
 from rtcal.support import checks
 from rtcal.support.errors import DataError
-from rtcal.support.saved import NOT_SAVED, Result, load
 from rtcal.support.text import shortened
 from rtcal.support.types import Array, read_only
 

@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 
 from rtcal.acoustics.observables import LIMITS, TARGET
 from rtcal.acoustics.repeats import fingerprint
+from rtcal.files.disk import read_bytes
 from rtcal.io import workbook
 from rtcal.io.table_columns import (
     COLUMNS,
@@ -39,7 +40,6 @@ from rtcal.io.text_tables import sheet_of_text
 from rtcal.modes.room_modes import DECAY
 from rtcal.support import checks
 from rtcal.support.errors import DataError
-from rtcal.support.files import read_bytes
 from rtcal.support.types import Array, read_only
 
 __all__ = ["MeasuredModes", "read"]

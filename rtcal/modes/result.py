@@ -18,12 +18,12 @@ from rtcal.calibration.measured import MeasuredTimes, data_history
 from rtcal.calibration.qp import Certificate
 from rtcal.calibration.result import CalibrationResult
 from rtcal.calibration.table import coefficients
+from rtcal.files.disk import json_numbers
+from rtcal.files.saved import Result
 from rtcal.modes.measured import MeasuredModes
 from rtcal.modes.room_modes import DECAY
 from rtcal.support import __version__, blocks, text
 from rtcal.support.blocks import Block, Note, Row, Table
-from rtcal.support.files import json_numbers
-from rtcal.support.saved import Result
 from rtcal.support.types import Array
 
 KIND = "modes 1"

@@ -31,13 +31,13 @@ from rtcal.acoustics.changes import LEAST, Treatment, check_treatments
 from rtcal.acoustics.room import Room
 from rtcal.acoustics.room_errors import Assumptions
 from rtcal.acoustics.targets import Target
+from rtcal.files.disk import json_numbers
+from rtcal.files.saved import Result
 from rtcal.prediction import words
 from rtcal.prediction.predicted import Calibrated, Prediction, known_room, predict
 from rtcal.support import blocks, checks
 from rtcal.support.blocks import Block, Note, Row, Table
 from rtcal.support.errors import DataError, InfeasibleError, SolverError
-from rtcal.support.files import json_numbers
-from rtcal.support.saved import Result
 from rtcal.support.text import shortened
 from rtcal.support.types import Array
 

@@ -22,12 +22,12 @@ from rtcal.acoustics.equations import Eyring, LinearEquation
 from rtcal.acoustics.room import Room
 from rtcal.acoustics.room_errors import Assumptions
 from rtcal.acoustics.targets import Target
+from rtcal.files.disk import json_numbers
+from rtcal.files.saved import Result
 from rtcal.prediction import words
 from rtcal.support import blocks, checks
 from rtcal.support.blocks import Block, Note, Row, Table
 from rtcal.support.errors import DataError
-from rtcal.support.files import json_numbers
-from rtcal.support.saved import Result
 from rtcal.support.text import shortened
 from rtcal.support.types import Array
 

@@ -17,11 +17,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rtcal.files.disk import write_text
 from rtcal.report import figures
 from rtcal.support import __version__
 from rtcal.support.checks import LONGEST_NAME, short_name
 from rtcal.support.errors import DataError, MissingDependencyError
-from rtcal.support.files import write_text
 from rtcal.support.text import shortened
 from rtcal.support.types import Array
 

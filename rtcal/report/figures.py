@@ -19,12 +19,12 @@ from numpy.typing import NDArray
 
 from rtcal.acoustics.observables import TARGET
 from rtcal.acoustics.trust import letters
+from rtcal.files.disk import make_folder, write_all, write_bytes
+from rtcal.files.saved import NUMBERS
 from rtcal.io.mend import Faces
 from rtcal.simulators.geometry import Polyhedron
 from rtcal.support import checks
 from rtcal.support.errors import DataError, MissingDependencyError
-from rtcal.support.files import make_folder, write_all, write_bytes
-from rtcal.support.saved import NUMBERS
 from rtcal.support.text import number
 from rtcal.support.types import Array
 

@@ -11,6 +11,8 @@ import numpy as np
 
 from rtcal.acoustics import bands
 from rtcal.acoustics.observables import parameter_label
+from rtcal.files.disk import make_folder, write_all
+from rtcal.files.saved import NUMBERS
 from rtcal.finder.means.corrected import corrected_room, not_in_room
 from rtcal.finder.means.finding import MeansFinding
 from rtcal.finder.means.recalibration import recalibrate, table
@@ -23,8 +25,6 @@ from rtcal.report.document import Heading, blocks, render, source
 from rtcal.report.figures import BLACK, BLUE, ORANGE, band_axis, new_figure, rendered
 from rtcal.report.page import FINDING_FIGURES
 from rtcal.support.blocks import Row
-from rtcal.support.files import make_folder, write_all
-from rtcal.support.saved import NUMBERS
 
 PAGE, MAP, PLAN, ROOM, GAP = (
     "report.html",

@@ -19,6 +19,9 @@ from typing import Any
 
 from rtcal.acoustics import bands
 from rtcal.calibration.result import CalibrationResult
+from rtcal.files.disk import json_numbers, read_text
+from rtcal.files.saved import MAX_BYTES, NUMBERS, load
+from rtcal.files.schema import json_object
 from rtcal.finder.means.finding import MeansFinding
 from rtcal.finder.means.verification import MeansVerification
 from rtcal.finder.positions.finding import PositionsFinding
@@ -35,9 +38,6 @@ from rtcal.report import finding_pages, loop_page, positions_page, prediction_pa
 from rtcal.report.document import Heading
 from rtcal.report.page import calibration_page, modes_page
 from rtcal.support.errors import DataError
-from rtcal.support.files import json_numbers, read_text
-from rtcal.support.saved import MAX_BYTES, NUMBERS, load
-from rtcal.support.schema import json_object
 
 __all__ = ["page_of"]
 __dir__ = __all__.copy

@@ -12,6 +12,7 @@ import numpy as np
 from rtcal.acoustics import bands
 from rtcal.acoustics.observables import DecaySlope, of_kind, parameter_label
 from rtcal.acoustics.quality import rms
+from rtcal.files.saved import NUMBERS
 from rtcal.loop.positions_result import PositionsResult, gap_rows
 from rtcal.report import room_view
 from rtcal.report.document import Heading, blocks, material_rows, render, source
@@ -30,7 +31,6 @@ from rtcal.simulators.observations import Observations
 from rtcal.simulators.path_tracing import PathTracing
 from rtcal.support.blocks import Row
 from rtcal.support.errors import DataError
-from rtcal.support.saved import NUMBERS
 from rtcal.support.text import first_of
 from rtcal.support.types import Array
 

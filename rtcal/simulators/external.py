@@ -23,8 +23,9 @@ from rtcal.acoustics.equations import Equation
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.observables import TARGET
 from rtcal.acoustics.room import Room
+from rtcal.files import disk
 from rtcal.simulators.base import RoomSimulator, check_alpha
-from rtcal.support import checks, files
+from rtcal.support import checks
 from rtcal.support.checks import text_name
 from rtcal.support.errors import DataError, SimulatorError, of_bands
 from rtcal.support.text import printable
@@ -212,7 +213,7 @@ def command(
         checks.positive("time_limit", time_limit, "s")
 
     def run(alpha: Array, seed: int) -> Measurement:
-        with files.at_once(), tempfile.TemporaryDirectory(prefix="rtcal-") as folder:
+        with disk.at_once(), tempfile.TemporaryDirectory(prefix="rtcal-") as folder:
             room_file, measured_file = Path(folder, "room.toml"), Path(folder, "measured.csv")
             room.replace(alpha=alpha, calibration=None).save(str(room_file))
             line = [*map(os.fspath, started), str(room_file), str(measured_file), str(seed)]

@@ -16,12 +16,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtcal.acoustics.room import AXES, Surface
+from rtcal.files.disk import write_text
 from rtcal.simulators import facets
 from rtcal.simulators.facets import WELD, edge_owners
 from rtcal.support import checks
 from rtcal.support.checks import text_name
 from rtcal.support.errors import DataError
-from rtcal.support.files import write_text
 from rtcal.support.types import Array
 
 SHOEBOX_WALLS = ("west", "east", "south", "north", "floor", "ceiling")

@@ -27,11 +27,12 @@ from typing import Any
 
 import numpy as np
 
+from rtcal.files import disk
+from rtcal.files.disk import make_folder, read_text, write_bytes
+from rtcal.files.schema import json_object
 from rtcal.studies.paper import CALIBRATIONS, METHODS
-from rtcal.support import checks, files
+from rtcal.support import checks
 from rtcal.support.errors import DataError
-from rtcal.support.files import make_folder, read_text, write_bytes
-from rtcal.support.schema import json_object
 from rtcal.support.speed import bar as progress_bar
 from rtcal.support.speed import thread_pool
 from rtcal.support.types import Array
@@ -282,7 +283,7 @@ class _Store:
 
     def write(self, number: int, piece: ScoreMoments) -> None:
         packed = zlib.compress(piece.to_bytes())
-        files.replace_file(self._file(number), self._head(number, packed) + packed)
+        disk.replace_file(self._file(number), self._head(number, packed) + packed)
 
     def read(self, number: int) -> ScoreMoments | None:
         """Return a finished piece; None if it is missing, damaged or from another study."""
@@ -312,7 +313,7 @@ def _open(folder: Path, identity: dict[str, Any]) -> _Store:
     text = json.dumps(identity, sort_keys=True, indent=1) + "\n"
     store = _Store(folder, hashlib.sha256(text.encode()).hexdigest()[:16])
     if not store.record.exists():
-        files.replace_file(store.record, text.encode())
+        disk.replace_file(store.record, text.encode())
         return store
     try:
         stored = json_object(read_text(store.record, MAX_RECORD))

@@ -18,6 +18,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import ArrayLike
 
+from rtcal.files.saved import Result
 from rtcal.studies import paper
 from rtcal.studies.paper import (
     CALIBRATIONS,
@@ -31,7 +32,6 @@ from rtcal.studies.paper import (
 from rtcal.studies.runner import SAMPLED, ScoreMoments, run_pieces
 from rtcal.support import checks
 from rtcal.support.errors import DataError
-from rtcal.support.saved import Result
 from rtcal.support.types import Array
 
 _LEAST = 1e-9

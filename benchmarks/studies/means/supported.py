@@ -45,10 +45,10 @@ from benchmarks.studies.means.judging import (
     rate,
     row_of,
 )
+from rtcal.files.disk import json_numbers
 from rtcal.finder import Case, Configuration, MeansFinding, verify
 from rtcal.finder.case import ChangedMaterial
 from rtcal.finder.search import find
-from rtcal.support.files import json_numbers
 
 STORED = Path(__file__).with_name("supported.json.gz")
 BANDS = np.array([125.0, 250.0, 500.0, 1000.0, 2000.0, 4000.0])

@@ -20,9 +20,9 @@ from rtcal.calibration.archive.likelihood import Evidence, RoomData, Spread
 from rtcal.calibration.measured import data_history
 from rtcal.calibration.result import CalibrationResult, JointResult
 from rtcal.calibration.unknowns import Configurations
+from rtcal.files.saved import NUMBERS, load
 from rtcal.support import checks
 from rtcal.support.errors import DataError
-from rtcal.support.saved import NUMBERS, load
 from rtcal.support.types import Array
 
 __all__ = ["Archive", "Lesson", "Spread", "Suspect", "read_folder"]

@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 from rtcal.acoustics import bands
 from rtcal.acoustics.room import ARCHIVE, CalibrationRecord, Material, Room
 from rtcal.calibration.archive.likelihood import Spread
+from rtcal.files.disk import json_numbers
+from rtcal.files.saved import Result
 from rtcal.support import __version__, checks, text
 from rtcal.support.errors import DataError
-from rtcal.support.files import json_numbers
-from rtcal.support.saved import Result
 from rtcal.support.types import Array
 
 _OFF = 2.0

@@ -41,6 +41,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import logsumexp
 
+from rtcal.files import disk
 from rtcal.finder.case import Case
 from rtcal.finder.effects import Effect, Parameters
 from rtcal.finder.effects.checks import AppliedEffect, beyond
@@ -76,7 +77,7 @@ from rtcal.finder.prior import (
     drawn,
     grid_weights,
 )
-from rtcal.support import __version__, checks, files
+from rtcal.support import __version__, checks
 from rtcal.support.errors import DataError
 from rtcal.support.speed import TaskProgress, single_threaded_blas
 from rtcal.support.types import Array
@@ -329,7 +330,7 @@ def control_rooms(
         if controls is None:
             controls = ENGINES[name].run(case, seed, progress)
             if path is not None:
-                files.write(path, controls.errors)
+                disk.write(path, controls.errors)
         rooms.append(controls)
     return tuple(rooms)
 
@@ -340,7 +341,7 @@ def _key(case: Case, seed: int, engine: str) -> str:
 
 
 def _kept(path: Path, case: Case, engine: str) -> ControlRooms | None:
-    errors = files.read(path)
+    errors = disk.read(path)
     if errors is None:
         return None
     try:

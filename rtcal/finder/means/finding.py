@@ -10,6 +10,7 @@ import numpy as np
 
 from rtcal.acoustics import bands
 from rtcal.acoustics.measurement import Measurement
+from rtcal.files.disk import json_numbers
 from rtcal.finder.case import Case
 from rtcal.finder.claim import CLAIMED, SAID, Names, SetsFinding, after_doubt
 from rtcal.finder.effects.checks import AppliedEffect, checked_effects
@@ -22,7 +23,6 @@ from rtcal.finder.records import data_of, record_of_means, record_of_several
 from rtcal.support import blocks, text
 from rtcal.support.blocks import Note, Row, Table
 from rtcal.support.errors import DataError
-from rtcal.support.files import json_numbers
 from rtcal.support.text import as_sentence, listed
 from rtcal.support.types import Array
 

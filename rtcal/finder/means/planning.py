@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from rtcal.acoustics.air import Air
 from rtcal.acoustics.observables import parameter_label
+from rtcal.files.saved import Result
 from rtcal.finder.case import Case, ChangedMaterial, Configuration
 from rtcal.finder.claim import DISTINCT_NATS
 from rtcal.finder.effects import Effect
@@ -49,7 +50,6 @@ from rtcal.finder.model import FEATURES
 from rtcal.finder.prior import NONE, prior_of
 from rtcal.support import checks, text
 from rtcal.support.errors import DataError
-from rtcal.support.saved import Result
 from rtcal.support.speed import single_threaded_blas
 from rtcal.support.text import listed
 from rtcal.support.types import Array

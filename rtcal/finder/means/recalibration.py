@@ -30,6 +30,7 @@ from rtcal.calibration.problem import Calibration
 from rtcal.calibration.result import JointResult
 from rtcal.calibration.terms import AddedAbsorption, PriorDeviation, SoftMatch
 from rtcal.calibration.unknowns import Configurations
+from rtcal.files.saved import Result
 from rtcal.finder.case import Case, Configuration
 from rtcal.finder.effects.checks import AppliedEffect
 from rtcal.finder.finding import amount
@@ -44,7 +45,6 @@ from rtcal.finder.means.hypotheses import (
 from rtcal.finder.model import FEATURES, STEEPEST, RoomState, predict
 from rtcal.support import __version__, text
 from rtcal.support.errors import MissingAirWarning
-from rtcal.support.saved import Result
 from rtcal.support.speed import single_threaded_blas
 from rtcal.support.types import Array
 

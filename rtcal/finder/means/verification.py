@@ -24,6 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtcal.acoustics.observables import TARGET, observable
+from rtcal.files.disk import json_numbers
 from rtcal.finder.case import LEVELS, Case
 from rtcal.finder.claim import DISTINCT_NATS
 from rtcal.finder.effects import Effect
@@ -46,7 +47,6 @@ from rtcal.finder.prior import SCALES, probability_off
 from rtcal.support import blocks, text
 from rtcal.support.blocks import Row, Table
 from rtcal.support.errors import DataError
-from rtcal.support.files import json_numbers
 from rtcal.support.speed import single_threaded_blas
 from rtcal.support.text import as_sentence, listed
 from rtcal.support.types import Array

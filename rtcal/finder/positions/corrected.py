@@ -20,6 +20,8 @@ from rtcal.acoustics.changes import Further, new_name, with_materials
 from rtcal.acoustics.directivity import DirectivityFile
 from rtcal.acoustics.room import Material, Room
 from rtcal.acoustics.scene import Scene
+from rtcal.files import disk
+from rtcal.files.disk import make_folder, write_all
 from rtcal.finder.finding import Candidate
 from rtcal.finder.positions.case import PositionsCase
 from rtcal.finder.positions.surfaces import NEAR, face_at, patched
@@ -27,9 +29,8 @@ from rtcal.io import catt, obj, odeon
 from rtcal.io.material_list import ExportReport
 from rtcal.simulators.geometry import Polyhedron
 from rtcal.simulators.path_tracing import PathTracing
-from rtcal.support import checks, files
+from rtcal.support import checks
 from rtcal.support.errors import DataError
-from rtcal.support.files import make_folder, write_all
 from rtcal.support.types import Array
 
 SPECTRUM_ERROR = 0.15
@@ -182,7 +183,7 @@ class Corrected:
         """The lists of materials for CATT and ODEON, and their reports, by file name."""
         stated = self._with_scene(Path(MESH))
         # Their writers fill in a list that exists; these are new ones.
-        with files.at_once(), tempfile.TemporaryDirectory(prefix="rtcal-") as empty:
+        with disk.at_once(), tempfile.TemporaryDirectory(prefix="rtcal-") as empty:
             reports = {
                 CATT: catt.write(stated, Path(empty, CATT), missing_bands="nearest"),
                 ODEON: odeon.write(stated, Path(empty, ODEON), missing_bands="nearest"),

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
+from rtcal.files.disk import json_numbers
 from rtcal.finder.claim import SAID, after_doubt, credible_set
 from rtcal.finder.effects.whole_room import CoupledRoom
 from rtcal.finder.finding import LEAST_ADDED, LEAST_PAIRS, Candidate, Detection, Finding
@@ -20,7 +21,6 @@ from rtcal.loop.measured_pairs import without_place
 from rtcal.support import blocks, checks
 from rtcal.support.blocks import Block, Note, Row, Table
 from rtcal.support.errors import DataError
-from rtcal.support.files import json_numbers
 from rtcal.support.text import listed
 from rtcal.support.types import Array
 

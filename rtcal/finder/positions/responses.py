@@ -18,6 +18,7 @@ import numpy as np
 from rtcal.acoustics.air import Air
 from rtcal.acoustics.directivity import Directivity, plain_directivities
 from rtcal.acoustics.observables import MATCH
+from rtcal.files import disk
 from rtcal.finder.positions import surfaces as of_room
 from rtcal.finder.positions.case import (
     AIMS,
@@ -32,7 +33,7 @@ from rtcal.loop.control_runs import scattered, share_of_signal
 from rtcal.simulators.observations import LARGEST_ALPHA
 from rtcal.simulators.path_tracing import DENSER, LARGER, PathTracing
 from rtcal.simulators.tracer import LONGEST
-from rtcal.support import __version__, checks, files
+from rtcal.support import __version__, checks
 from rtcal.support.errors import DataError, TooShortError
 from rtcal.support.speed import Progress, TaskProgress
 from rtcal.support.types import Array
@@ -139,7 +140,7 @@ def responses_of(
             return kept
     made = _weighed(case, seed, progress)
     if path is not None:
-        files.write(path, _packed(made))
+        disk.write(path, _packed(made))
     return made
 
 
@@ -376,7 +377,7 @@ def _packed(made: PairShifts) -> Array:
 
 def _read(path: Path, case: PositionsCase) -> PairShifts | None:
     """Return the shifts that a file holds; None if it cannot be used."""
-    packed = files.read(path)
+    packed = disk.read(path)
     tracer, n_moves = case.simulator, 6
     names = [f"{k[:-1]} {n}" for k in ("receivers", "sources") for n in getattr(tracer, k)]
     n_materials = case.room.n_materials

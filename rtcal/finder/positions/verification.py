@@ -17,6 +17,8 @@ from typing import Any, ClassVar
 import numpy as np
 
 from rtcal.acoustics.observables import LEVEL, parameter_label
+from rtcal.files import disk
+from rtcal.files.disk import json_numbers
 from rtcal.finder.finding import Candidate, HeldOutVerification, check_pairs
 from rtcal.finder.positions.case import PositionsCase
 from rtcal.finder.positions.corrected import corrected_geometry
@@ -28,9 +30,8 @@ from rtcal.loop.measured_pairs import Pair, gap_at_pairs
 from rtcal.loop.positions import calibrate_positions
 from rtcal.simulators.observations import Observations, observe
 from rtcal.simulators.path_tracing import PathTracing
-from rtcal.support import checks, files, text
+from rtcal.support import checks, text
 from rtcal.support.errors import DataError
-from rtcal.support.files import json_numbers
 from rtcal.support.speed import TaskProgress
 from rtcal.support.text import listed
 from rtcal.support.types import Array
@@ -315,11 +316,11 @@ def verify(
     path, shape = None, (len(MODELS), len(chosen), *finding.map.shape)
     if cache is not None:
         path = checks.path("cache", cache) / f"{_key(finding, chosen, searched)}.array"
-    gaps = None if path is None else files.read(path)
+    gaps = None if path is None else disk.read(path)
     if gaps is None or gaps.shape != shape:
         gaps = _gaps(finding, halves, searched, chosen, progress)
         if path is not None:
-            files.write(path, gaps)
+            disk.write(path, gaps)
     return PositionsVerification(
         finding=finding,
         gaps=gaps,

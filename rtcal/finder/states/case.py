@@ -29,6 +29,7 @@ from rtcal.acoustics.room import CHANGED, Material, Room
 from rtcal.acoustics.scene import Scene
 from rtcal.calibration.measured import notes_of_bands
 from rtcal.calibration.methods import calibrate
+from rtcal.files.disk import make_folder, write_all
 from rtcal.finder.case import CLIMATE_UNCERTAINTY, checked_climate_uncertainty
 from rtcal.finder.positions import surfaces as of_room
 from rtcal.io import obj
@@ -37,7 +38,6 @@ from rtcal.simulators.geometry import Polyhedron
 from rtcal.simulators.path_tracing import PathTracing
 from rtcal.support import checks
 from rtcal.support.errors import DataError
-from rtcal.support.files import make_folder, write_all
 from rtcal.support.text import as_sentence, first_of, listed
 from rtcal.support.types import Array
 

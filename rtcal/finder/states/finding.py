@@ -12,6 +12,7 @@ import numpy as np
 from rtcal.acoustics import bands
 from rtcal.acoustics.observables import TARGET
 from rtcal.acoustics.priors import NORMAL_90
+from rtcal.files.disk import json_numbers
 from rtcal.finder.claim import CLAIMED, Names, over_frequency
 from rtcal.finder.finding import (
     LEAST_PAIRS,
@@ -27,7 +28,6 @@ from rtcal.finder.states.evidence import ADDED
 from rtcal.support import blocks, text
 from rtcal.support.blocks import Block, Note, Table
 from rtcal.support.errors import DataError
-from rtcal.support.files import json_numbers
 from rtcal.support.text import as_sentence, listed
 from rtcal.support.types import Array
 

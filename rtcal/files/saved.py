@@ -22,10 +22,10 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from rtcal.files.disk import json_text, make_folder, read_text, write_all
+from rtcal.files.schema import json_object
 from rtcal.support import __version__, checks
 from rtcal.support.errors import DataError
-from rtcal.support.files import json_text, make_folder, read_text, write_all
-from rtcal.support.schema import json_object
 
 NUMBERS = "result.json"
 """Name of a result's file in its folder."""

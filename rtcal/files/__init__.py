@@ -1,0 +1,1 @@
+"""rtcal's own files: written whole (`disk`), checked against types (`schema`), results (`saved`)."""
