@@ -1,4 +1,4 @@
-"""Posterior moments of one band by quadrature alone, to check `rtcal.support.truncated`.
+"""Posterior moments of one band by quadrature alone, to check `rtcal.calibration.posterior`.
 
 The density of a sum is built by adding one truncated normal after the other, the widest first, by
 Gauss-Legendre quadrature between cubic splines. No transform and no common grid.
@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from scipy import stats
 from scipy.interpolate import CubicSpline
 
+from rtcal.calibration.posterior import Density, draws
 from rtcal.support.normal import NORMAL
-from rtcal.support.truncated import Density, draws
 
 Array = NDArray[np.float64]
 LogDensity = Callable[[Array], Array]

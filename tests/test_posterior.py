@@ -9,10 +9,9 @@ from scipy.special import log_ndtr
 
 import rtcal as rt
 from rtcal import terms
-from rtcal.calibration.posterior import distribution, sensitivity
+from rtcal.calibration.posterior import Density, distribution, draws, samples, sensitivity
 from rtcal.calibration.unknowns import Configurations
 from rtcal.support.normal import NORMAL, quantile_and_mass, truncated_normal
-from rtcal.support.truncated import Density, draws, samples
 from tests.conftest import also, random_room, true_times
 from tests.quadrature import Band, density_of, errors, random_band
 

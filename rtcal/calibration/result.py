@@ -26,7 +26,7 @@ from rtcal.acoustics.trust import TrustMark, trust_marks, typing_marks, uneven_m
 from rtcal.calibration import table, uncertainty
 from rtcal.calibration.feasibility import Unreachable, where_valid
 from rtcal.calibration.measured import MeasuredTimes, data_history
-from rtcal.calibration.posterior import Densities, correlations, intervals
+from rtcal.calibration.posterior import Densities, Draws, correlations, draws, intervals
 from rtcal.calibration.qp import Active, Certificate
 from rtcal.calibration.solution import JointSolution, RawSolution
 from rtcal.calibration.table import blocks_of
@@ -41,7 +41,6 @@ from rtcal.prediction.predicted import Prediction, predict
 from rtcal.support import __version__, blocks, checks
 from rtcal.support.errors import DataError, ModelError
 from rtcal.support.text import shortened
-from rtcal.support.truncated import Draws, draws
 from rtcal.support.types import Array, read_only_view
 
 _SAME_TIME = 1e-6

@@ -10,7 +10,7 @@ import scipy.sparse as sp
 from scipy.stats import truncnorm
 
 from rtcal.calibration.measured import MeasuredTimes
-from rtcal.calibration.posterior import Densities, linear_estimate_sigma
+from rtcal.calibration.posterior import Densities, Density, linear_estimate_sigma
 from rtcal.calibration.qp import QP, System
 from rtcal.calibration.solution import JointSolution
 from rtcal.calibration.terms import (
@@ -21,7 +21,6 @@ from rtcal.calibration.terms import (
 )
 from rtcal.calibration.unknowns import Flags, Numbers
 from rtcal.support.errors import ModelError
-from rtcal.support.truncated import Density
 from rtcal.support.types import Array
 
 _STEP = 1e-5
