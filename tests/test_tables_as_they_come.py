@@ -300,23 +300,6 @@ def test_sheets_of_other_parameters_are_no_repeats(repeats: bool) -> None:
     assert len(read.measurement.pairs) == 2
 
 
-@pytest.mark.parametrize(
-    ("decimals", "changed", "said"), [(3, 0.0, True), (3, 0.002, False), (1, 0.0, False)]
-)
-def test_a_renamed_copy_is_told(decimals: int, changed: float, said: bool) -> None:
-    """Counted as positions, copies make the mean T surer than it is. Rounded values may agree."""
-    times = np.array([1.514, 1.411, 1.313, 1.212])
-    table = np.vstack([times, 1.02 * times, times]).round(decimals)
-    table[2, 1] += changed
-    measured = rt.Measurement(
-        centre_frequencies=[250, 500, 1000, 2000],
-        values={"t20": table},
-        pairs=[("S1", "R1"), ("S1", "R2"), ("S1", "R3")],
-    )
-    doubts = " ".join(tables.MeasuredTable(measured, ()).doubts)
-    assert ("the same values in every band: S1 to R3 and S1 to R1. If one" in doubts) == said
-
-
 PLACES = [["Position", 500, 1000], ["S1-R1", 1.5, 1.4], ["S2-R1", 1.6, 1.3]]
 
 

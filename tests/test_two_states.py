@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import rtcal as rt
-from rtcal.acoustics.repeats import times_of
+from rtcal.acoustics.room import times_of
 from rtcal.command.main import main
 from rtcal.finder.states import Differences, StatesCase, StatesFinding
 from tests.two_states import BANDS, measured, room, times
@@ -224,16 +224,6 @@ def test_the_changed_room_has_t_of_the_second_state(panels: StatesFinding) -> No
     np.testing.assert_allclose(
         rt.Eyring().reverberation_time(back.room), panels.case.differences.before, rtol=0.1
     )
-
-
-def test_pairs_that_were_copied_are_noted(panels: StatesFinding) -> None:
-    """Half of the pairs were the file of before, and what had changed was not found."""
-    before, after = panels.case.before, panels.case.after
-    table, half = after.values["t20"].copy(), len(before.pairs) // 2
-    table[:half] = before.values["t20"][:half] * 1.00001
-    notes = Differences.of(room(), before, replace(after, values={"t20": table})).notes
-    assert notes[0].startswith("The same values before and after: S0 to R1, S1 to R1, S2 to R1.")
-    assert "same values" not in " ".join(Differences.of(room(), before, after).notes)
 
 
 def test_what_does_not_fit_in_the_room_is_said(panels: StatesFinding) -> None:

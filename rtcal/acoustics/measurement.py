@@ -21,14 +21,14 @@ import io
 import os
 import re
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
 import msgspec
 import numpy as np
 
-from rtcal.acoustics import bands, repeats
+from rtcal.acoustics import bands
 from rtcal.acoustics.observables import (
     OBSERVABLES,
     REVERBERATION,
@@ -43,11 +43,105 @@ from rtcal.support import blocks, checks
 from rtcal.support.blocks import Row, Table
 from rtcal.support.checks import text_name
 from rtcal.support.errors import DataError
-from rtcal.support.types import Array
+from rtcal.support.text import LOOKS, first_of, look_alike
+from rtcal.support.types import Array, read_only
 
 MAX_POSITIONS = 12
 """Largest number of source-receiver pairs that the uncertainty of a mean counts: the number that the
 precision method of ISO 3382-2:2008, Table 1, requires."""
+
+
+Pair = tuple[str, str]
+
+SAME_PLACE = 0.01
+"""Distance in m within which two positions are one place: no microphone is put back more exactly."""
+MOST_REPEATS = 1000
+"""Largest number of repeats at one place that are numbered."""
+_NUMBERED = re.compile(r"(.*\S)\s*#\d+", re.ASCII | re.DOTALL)
+
+
+def of_names(names: Iterable[str]) -> dict[str, str]:
+    """Return the place of each name that repeats another: ``R1#2`` repeats ``R1``.
+
+    A number after # is a repeat's if a digit stands before it, or if the name without it is there,
+    too. Three seats "Seat #1", "Seat #2" and "Seat #3" stay three.
+
+    Examples
+    --------
+    >>> of_names(["R1", "R1#2", "Seat #1", "Seat #2"])
+    {'R1#2': 'R1'}
+    """
+    every = dict.fromkeys(names)
+    matches = {name: _NUMBERED.fullmatch(name) for name in every}
+    return {
+        name: match[1]
+        for name, match in matches.items()
+        if match and (match[1] in every or match[1][-1].isdigit())
+    }
+
+
+def names_of_repeats(receiver: str) -> Iterator[str]:
+    """Yield the names of a receiver's repeats: ``R1``, ``R1#2``, ``R1#3`` and so on.
+
+    Raises DataError after `MOST_REPEATS`.
+    """
+    yield receiver
+    for n in range(2, MOST_REPEATS + 1):
+        yield f"{receiver}#{n}"
+    raise DataError(f'receiver "{receiver}" has more than {MOST_REPEATS} repeats')
+
+
+def places_of(pairs: Sequence[Pair]) -> list[Pair]:
+    """Return the place of each pair, (n_pairs,), by the names of sources and receivers.
+
+    Raises DataError for names that look alike (`rtcal.support.text.look_alike`).
+    """
+    of_sources, of_receivers = (of_names(p[i] for p in pairs) for i in range(2))
+    placed = [(of_sources.get(s, s), of_receivers.get(r, r)) for s, r in pairs]
+    for kind, names in (("source", (s for s, _ in placed)), ("receiver", (r for _, r in placed))):
+        if alike := look_alike(names):
+            other, name = alike
+            raise DataError(
+                f'pairs has the {kind} "{other}" and the {kind} "{name}", {LOOKS}; repeats at one '
+                f'place are "{other}" and "{other}#2"'
+            )
+    return placed
+
+
+def _mean_by_place(table: Array, placed: Sequence[Pair], power: int) -> Array:
+    """Return a table (n_pairs, n_bands) with one row per place: the power mean of what is there."""
+    row_of = {pair: i for i, pair in enumerate(dict.fromkeys(placed))}
+    total, count = np.zeros((2, len(row_of), table.shape[1]))
+    for pair, values in zip(placed, table, strict=True):
+        there = np.isfinite(values)
+        total[row_of[pair], there] += values[there] ** power
+        count[row_of[pair]] += there
+    with np.errstate(invalid="ignore"):
+        return read_only((total / count) ** (1 / power))
+
+
+def note_of_repeats(placed: Iterable[Pair]) -> list[str]:
+    """Return a note on places that were measured several times; [] without any.
+
+    Examples
+    --------
+    >>> note_of_repeats([("S1", "R1"), ("S1", "R1"), ("S1", "R2")])
+    ['repeats of one place are averaged and count as one position: 2 of S1 to R1']
+    """
+    repeated = [(pair, n) for pair, n in Counter(placed).items() if n > 1]
+    if not repeated:
+        return []
+    each = first_of([f"{n} of {' to '.join(pair)}" for pair, n in repeated], 4)
+    return [f"repeats of one place are averaged and count as one position: {each}"]
+
+
+def require_repeats(placed: Sequence[Pair], place: str) -> None:
+    """Raise DataError for stated repeats where every place, (n_pairs,), is there once."""
+    if len({*placed}) == len(placed):
+        raise DataError(
+            f"{place}: repeats=True changes nothing, since every source and receiver is there once; "
+            "leave it out, or name a repeat after its place: S1-R1#2 repeats S1-R1"
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -130,7 +224,7 @@ class Measurement:
         ):
             checked = {p: self._checked(name, p, v, shape) for p, v in getattr(self, name).items()}
             put(name, checked)
-        for name, value in self._averaged(repeats.places_of(self.pairs)).items():
+        for name, value in self._averaged(places_of(self.pairs)).items():
             put(name, value)
         self._check_summary()
 
@@ -138,9 +232,12 @@ class Measurement:
         """Return the fields that differ if each row has the place ``placed``: a mean per place."""
         if tuple(placed) == self.pairs:
             return {}
-        rows = repeats.groups(placed)
-        fields = {n: repeats.averaged(getattr(self, n), rows, n) for n in ("values", "uncertainty")}
-        return {"pairs": tuple(rows), **fields}
+        # The repeats share the errors of their place: those have their root mean square.
+        means = {
+            name: {p: _mean_by_place(t, placed, power) for p, t in getattr(self, name).items()}
+            for name, power in (("values", 1), ("uncertainty", 2))
+        }
+        return {"pairs": tuple(dict.fromkeys(placed)), **means}
 
     def with_repeats(
         self,
@@ -281,11 +378,6 @@ class Measurement:
     def is_summary(self) -> bool:
         """Whether the values are means over several pairs."""
         return self.pairs == ((SUMMARY, SUMMARY),)
-
-    @property
-    def copies(self) -> list[str]:
-        """A note on pairs that have all values of another; [] without any."""
-        return repeats.copies(self.pairs, self.values.values())
 
     @classmethod
     def from_values(

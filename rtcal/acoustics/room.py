@@ -69,12 +69,15 @@ A room's file is TOML, with one ``[[material]]`` per material::
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import InitVar, dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Any, Literal, Protocol
+from urllib.parse import quote, unquote
 
 import msgspec
 import numpy as np
@@ -83,6 +86,7 @@ from numpy.typing import NDArray
 from rtcal.acoustics import bands
 from rtcal.acoustics.air import Air
 from rtcal.acoustics.directivity import Lobe
+from rtcal.acoustics.observables import OBSERVABLES, parameter_label
 from rtcal.acoustics.priors import TIERS, in_situ, sigma_iso_12999_2, sigma_relative
 from rtcal.acoustics.scene import GeometryTable, Places, Scene, SceneTables
 from rtcal.files.disk import json_numbers, read_text, write_text
@@ -91,7 +95,7 @@ from rtcal.support import blocks, checks
 from rtcal.support.blocks import Row, Table
 from rtcal.support.checks import short_name, text_name
 from rtcal.support.errors import DataError
-from rtcal.support.text import LOOKS, look_alike, shortened
+from rtcal.support.text import LOOKS, first_of, look_alike, shortened
 from rtcal.support.types import Array, read_only
 
 __all__ = ["AXES", "CalibrationRecord", "Material", "Room", "Surface"]
@@ -167,6 +171,8 @@ ARCHIVE = "archive"
 """Method in the record of a room whose coefficients come from an archive of other rooms."""
 CHANGED = "changed"
 """Method in the record of a room whose coefficients were changed after their calibration."""
+_SAME = 1e-4
+"""Largest difference of equal values, relative above 1: a program that converts changes less."""
 
 
 @dataclass(frozen=True)
@@ -866,6 +872,110 @@ def above_one_hint(alpha: float) -> str:
         ". Laboratories report such values (ISO 354, edge effect): a room that states above_one = "
         '"clip" takes them as 1 and says so, as `rtcal import library` does with product data'
     )
+
+
+def fingerprint(kind: str, values: Mapping[str, float]) -> str:
+    """Return the name of data as a room's record keeps it: the values themselves, NaN left out.
+
+    Examples
+    --------
+    >>> fingerprint("T", {"500": 1.92, "1000": 1.8801})
+    'T:500=1.92000,1000=1.88010'
+    """
+    return f"{kind}:" + ",".join(f"{k}={v:.5f}" for k, v in values.items() if math.isfinite(v))
+
+
+def of_pairs(
+    parameter: str, pairs: Sequence[tuple[str, str]], values: Array, centre_frequencies: Array
+) -> str:
+    """Return the name of a parameter's values at pairs, (n_pairs, n_bands)."""
+    cells = {
+        f"{'>'.join(quote(name, safe='') for name in pair)}@{f:g}": value
+        for pair, row in zip(pairs, values.tolist(), strict=True)
+        for f, value in zip(centre_frequencies.tolist(), row, strict=True)
+    }
+    return fingerprint(parameter, cells)
+
+
+def times_of(room: Room) -> Array:
+    """Return the T in s that a calibrated room's record names, (n_bands,); NaN where it names none.
+
+    A record with several T, as of several configurations, names none of the room alone; nor does that
+    of a room that was changed since.
+    """
+    record = room.calibration
+    every = [] if record is None or record.method == CHANGED else record.measured.split()
+    names = [name for name in every if name.partition(":")[0] not in OBSERVABLES]
+    cells = _cells(names[0]) if len(names) == 1 and names[0].startswith("T:") else {}
+    return np.array([cells.get(f"{f:g}", np.nan) for f in room.centre_frequencies.tolist()])
+
+
+def _cells(name: str) -> dict[str, float]:
+    """Return the values of a name of data by their labels; what is no number there is left out."""
+    cells = {}
+    for cell in name.partition(":")[2].split(","):
+        label, _, value = cell.partition("=")
+        with suppress(ValueError):  # a record that was written by hand
+            cells[label] = float(value)
+    return cells
+
+
+def _shared(one: str, other: str) -> list[str]:
+    """Return the labels of the values that two names of the same data share; [] for other data.
+
+    Names are of the same data if all values that both have are equal to 1e-4, relative above 1, and
+    these are at least two, or all that either has. Data that were rounded anew in between, or of which
+    a value was replaced, are other data.
+    """
+    if one.partition(":")[0] != other.partition(":")[0]:
+        return []
+    first, second = _cells(one), _cells(other)
+    if one == other:
+        return [*first] or [one]
+    both = [label for label in first if label in second]
+    values = [[cells[label] for label in both] for cells in (first, second)]
+    equal = np.isclose(*values, rtol=_SAME, atol=_SAME).all()
+    return both if equal and len(both) >= (1 if first.keys() == second.keys() else 2) else []
+
+
+def refuse_repeated_data(room: Room, *names: str) -> None:
+    """Raise DataError if the room was calibrated already on data of one of these names.
+
+    A name may hold several names of data, with blanks between. The message names the shared values.
+    """
+    before = [] if room.calibration is None else room.calibration.measured.split()
+    anew = [one for name in names for one in name.split()]
+    found = ((new, _shared(new, old)) for old in before for new in anew)
+    name, shared = next((each for each in found if each[1]), ("", []))
+    if not shared:
+        return
+    what = first_of([_value_in_words(name.partition(":")[0], label) for label in shared], 3)
+    if room.calibration is not None and room.calibration.method == ARCHIVE:
+        raise DataError(
+            f'room "{room.name}" has the coefficients of an archive that has learned from these '
+            f"data ({what}); calibrating to them would count them twice. Leave their room out of the "
+            "archive"
+        )
+    raise DataError(
+        f'room "{room.name}" was already calibrated on these data ({what}); doing so again would '
+        "count them twice. Take the room as it was before, or other data"
+    )
+
+
+def _value_in_words(kind: str, label: str) -> str:
+    """Return a value's label in a name of data as a message names it.
+
+    >>> _value_in_words("t20", "S1>R1@500"), _value_in_words("T", "500")
+    ('T20 of S1 to R1 at 500 Hz', 'T at 500 Hz')
+    """
+    pair, _, band = label.rpartition("@")
+    if pair:
+        places = " to ".join(unquote(name) for name in pair.split(">"))
+        return f"{parameter_label(kind)} of {places} at {band} Hz"
+    if kind == "pairs":
+        parameter, _, band = label.rpartition("-")
+        return f"mean {parameter_label(parameter)} at {band} Hz"
+    return f"{'mode' if kind == 'modes' else kind} at {band} Hz"
 
 
 MAX_BYTES = 2**18

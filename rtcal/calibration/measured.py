@@ -9,14 +9,14 @@ from functools import cached_property
 
 import numpy as np
 
-from rtcal.acoustics import band_conversion, bands, repeats, trust
+from rtcal.acoustics import band_conversion, bands, trust
 from rtcal.acoustics.decay import BentDecay, bent_decays
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.observables import REVERBERATION, TARGET, parameter_label
-from rtcal.acoustics.room import Room
+from rtcal.acoustics.room import Room, fingerprint, of_pairs
 from rtcal.acoustics.trust import TypingError
 from rtcal.support import checks
-from rtcal.support.errors import CopiedPairsWarning, DataError, OtherBandsWarning
+from rtcal.support.errors import DataError, OtherBandsWarning
 from rtcal.support.text import shortened
 from rtcal.support.types import Array
 
@@ -63,13 +63,12 @@ class MeasuredTimes:
         """The names of the data: of T, and of T20 and T30 at every pair; "" without any T."""
         if not np.isfinite(self.reverberation_time).any():
             return ""
-        names = [repeats.of_times(self.centre_frequencies, self.reverberation_time)]
+        labels = [f"{f:g}" for f in self.centre_frequencies.tolist()]
+        names = [fingerprint("T", dict(zip(labels, self.reverberation_time.tolist(), strict=True)))]
         if self.measured is not None and not self.measured.is_summary:
             at_pairs = _in_bands(self.measured, self.centre_frequencies)
             names += [
-                repeats.of_pairs(
-                    o.key, at_pairs.pairs, at_pairs.values[o.key], self.centre_frequencies
-                )
+                of_pairs(o.key, at_pairs.pairs, at_pairs.values[o.key], self.centre_frequencies)
                 for o in REVERBERATION
                 if o.key in at_pairs.values
             ]
@@ -77,12 +76,12 @@ class MeasuredTimes:
 
     @cached_property
     def caution(self) -> str:
-        """That T was converted from other bands, or T30 or a pair is a copy; "" without a caution."""
+        """That T was converted from other bands, or T30 is a copy; "" without a caution."""
         if self.measured is None:
             return ""
         stated = self.measured.centre_frequencies
         rule = band_conversion.rule(stated, self.centre_frequencies, "T")
-        return ". ".join(filter(None, (rule, copied(self.measured), *self.measured.copies)))
+        return ". ".join(filter(None, (rule, copied(self.measured))))
 
     @cached_property
     def bent(self) -> tuple[BentDecay, ...]:
@@ -174,11 +173,9 @@ def notes_of_bands(room: Room, measured: Measurement) -> list[str]:
 
 
 def tell_data(room: Room, measured: Measurement) -> None:
-    """Warn of bands that are converted, left out or without T, and of pairs that are copies."""
+    """Warn of bands that are converted, left out or without T."""
     if told := notes_of_bands(room, measured):
         warnings.warn("; ".join(told), OtherBandsWarning, stacklevel=checks.stack_level())
-    for note in measured.copies:
-        warnings.warn(note, CopiedPairsWarning, stacklevel=checks.stack_level())
 
 
 def copied(measured: Measurement) -> str:

@@ -16,8 +16,7 @@ import numpy as np
 from rtcal.acoustics import bands
 from rtcal.acoustics.equations import Equation, Eyring, LinearEquation
 from rtcal.acoustics.measurement import Measurement
-from rtcal.acoustics.repeats import refuse_repeated_data
-from rtcal.acoustics.room import Room
+from rtcal.acoustics.room import Room, refuse_repeated_data
 from rtcal.calibration import feasibility, qp
 from rtcal.calibration.composition import Composition
 from rtcal.calibration.measured import MeasuredTimes, no_times, times_in_room

@@ -146,7 +146,7 @@ def read_measured(path: str | os.PathLike[str], *, quietly: bool = False) -> Mea
             f"{len(measured.centre_frequencies)} bands; `rtcal table {path}` shows how it was read"
         )
     if told:
-        for doubt in (d for d in table.doubts if d not in table.measurement.copies):  # answers tell
+        for doubt in table.doubts:
             warn(f"{path}: {doubt}")
     return table.measurement
 

@@ -47,8 +47,7 @@ from rtcal.acoustics.directions import enough_known, facing
 from rtcal.acoustics.equations import mean_equation
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.observables import observable
-from rtcal.acoustics.repeats import refuse_repeated_data
-from rtcal.acoustics.room import AirTable, PlainRoom, Room, air, of_plain
+from rtcal.acoustics.room import AirTable, PlainRoom, Room, air, of_plain, refuse_repeated_data
 from rtcal.calibration.measured import times_in_room
 from rtcal.files.disk import json_numbers, read_text, write_text
 from rtcal.files.schema import FileTable, Number, json_object, read, toml_table

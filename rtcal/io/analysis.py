@@ -208,12 +208,8 @@ def spread(values: Sequence[float] | Array, form: str) -> str:
 
 
 def unusual(measurement: Measurement) -> tuple[str, ...]:
-    """Return notes on likely typing errors, and on values that hardly any room, or no other pair, has.
-
-    And one on pairs that have the values of another.
-    """
+    """Return notes on likely typing errors, and on values that hardly any room or no other pair has."""
     notes = [error.sentence for error in in_measurement(measurement)]
-    notes += measurement.copies
     for parameter, table in measurement.values.items():
         kind = observable(parameter)
         least, most = kind.usual

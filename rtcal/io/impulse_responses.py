@@ -39,7 +39,13 @@ from scipy.signal import sosfilt
 from rtcal.acoustics import bands as _bands
 from rtcal.acoustics import decay
 from rtcal.acoustics.decay import MARGIN_DB, bent_decays
-from rtcal.acoustics.measurement import Measurement
+from rtcal.acoustics.measurement import (
+    Measurement,
+    names_of_repeats,
+    note_of_repeats,
+    places_of,
+    require_repeats,
+)
 from rtcal.acoustics.observables import (
     EARLY,
     OBSERVABLES,
@@ -47,14 +53,6 @@ from rtcal.acoustics.observables import (
     DecaySlope,
     of_kind,
     parameter_label,
-)
-from rtcal.acoustics.repeats import (
-    copies,
-    groups,
-    in_words,
-    names_of_repeats,
-    places_of,
-    require_repeats,
 )
 from rtcal.io import sofa, sound
 from rtcal.io.analysis import MOST_NAMED, Analysis, Floor, spread
@@ -306,7 +304,7 @@ def _analysis(
             progress()
     measurement = Measurement(centre_frequencies=centres, pairs=tuple(responses), values=values)
     placed = places_of([*responses])
-    notes = in_words(placed) + copies([*responses], values.values()) + [*doubts]
+    notes = [*note_of_repeats(placed), *doubts]
     if bare:
         notes.append(
             f"hardly a decay: {first_of(bare, MOST_NAMED)} without any parameter. Look whether it is "
@@ -338,7 +336,8 @@ def _analysis(
         for band in bent_decays(measurement)
     ]
     # Of repeats, the one that reaches least deep.
-    least = [np.array(rows)[np.argmin(ratios[rows], axis=0)] for rows in groups(placed).values()]
+    repeats = [[i for i, at in enumerate(placed) if at == place] for place in dict.fromkeys(placed)]
+    least = [np.array(rows)[np.argmin(ratios[rows], axis=0)] for rows in repeats]
     bands_of = np.arange(len(centres))
     return Analysis(
         measurement=measurement,

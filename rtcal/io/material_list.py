@@ -15,10 +15,10 @@ from typing import Any
 
 import numpy as np
 
-from rtcal.acoustics import band_conversion, bands, priors, quality, repeats
+from rtcal.acoustics import band_conversion, bands, priors, quality
 from rtcal.acoustics.air import Air
 from rtcal.acoustics.equations import Eyring, LinearEquation
-from rtcal.acoustics.room import Material, Room, Surface, above_one_hint
+from rtcal.acoustics.room import Material, Room, Surface, above_one_hint, times_of
 from rtcal.acoustics.scene import POSITION, Scene
 from rtcal.files.disk import read_bytes, write_bytes
 from rtcal.io.text import MAX_TEXT, Text, number
@@ -724,7 +724,7 @@ def _without_measured_time(room: Room, equation: LinearEquation) -> list[str]:
     """Return a note where a calibrated room lacks the T that it was calibrated to, by half a JND."""
     if room.calibration is None or room.calibration.equation != equation.name:
         return []
-    gap = quality.gap_jnd(equation.reverberation_time(room), repeats.times_of(room))
+    gap = quality.gap_jnd(equation.reverberation_time(room), times_of(room))
     left = np.abs(gap) >= quality.MET
     if not left.any():
         return []

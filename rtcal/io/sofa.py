@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from rtcal.acoustics.repeats import SAME_PLACE
+from rtcal.acoustics.measurement import SAME_PLACE
 from rtcal.acoustics.scene import Scene
 from rtcal.io import budget
 from rtcal.support import checks, library

@@ -25,9 +25,16 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from rtcal.acoustics import bands
-from rtcal.acoustics.measurement import Measurement, csv_rows, of_single_values
+from rtcal.acoustics.measurement import (
+    Measurement,
+    csv_rows,
+    names_of_repeats,
+    note_of_repeats,
+    of_single_values,
+    places_of,
+    require_repeats,
+)
 from rtcal.acoustics.observables import OBSERVABLES, SUMMARY, TARGET, parameter_label
-from rtcal.acoustics.repeats import in_words, names_of_repeats, places_of, require_repeats
 from rtcal.files.disk import read_bytes
 from rtcal.io import text_tables, workbook
 from rtcal.io.analysis import means, unusual
@@ -970,7 +977,7 @@ def _table(
     # What stands after the first line of a single table's report is about the columns.
     report[1:1] = notes if len(readers) == 1 else []
     report += [] if len(readers) == 1 else notes
-    report += in_words(placed)
+    report += note_of_repeats(placed)
     return MeasuredTable(_measurement(values, places), tuple(report))
 
 

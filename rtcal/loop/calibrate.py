@@ -42,7 +42,6 @@ from rtcal.simulators.base import Simulator, at_places, check_fits, lost_paths, 
 from rtcal.support import blocks, checks, text
 from rtcal.support.blocks import Block, Note, Table
 from rtcal.support.errors import (
-    CopiedPairsWarning,
     DataError,
     OtherBandsWarning,
     RtcalError,
@@ -349,8 +348,7 @@ def calibrate_simulator(
         repeated = (*repeated, left_out(exclude))
     # The result's notes and marks say it.
     with warnings.catch_warnings():
-        for noted in (OtherBandsWarning, CopiedPairsWarning):
-            warnings.simplefilter("ignore", noted)
+        warnings.simplefilter("ignore", OtherBandsWarning)
         loop = start(
             room,
             measured,
@@ -364,7 +362,7 @@ def calibrate_simulator(
         )
     result = _run(simulator, loop, max_simulations, seed, after_step, exclude)
     of_bands = notes(measured.centre_frequencies, room.centre_frequencies)
-    notes_of_data = [*map(as_sentence, [*of_bands, *measured.copies])]
+    notes_of_data = [*map(as_sentence, of_bands)]
     parameters = times_in_room(room, measured).parameter
     named = zip(room.centre_frequencies, parameters, strict=True)
     if in_place := [label(f) for f, p in named if p not in ("", TARGET.key)]:

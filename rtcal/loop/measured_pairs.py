@@ -30,8 +30,7 @@ from rtcal.acoustics.observables import (
     parameter_label,
 )
 from rtcal.acoustics.quality import gap_jnd, rms
-from rtcal.acoustics.repeats import fingerprint, of_pairs, refuse_repeated_data
-from rtcal.acoustics.room import Room
+from rtcal.acoustics.room import Room, fingerprint, of_pairs, refuse_repeated_data
 from rtcal.calibration.measured import copied, times_in_room
 from rtcal.loop.control_runs import ahead_factor, level
 from rtcal.simulators.base import Simulator
@@ -193,7 +192,6 @@ def pairs_to_match(
         notes.append(f"Left out, since missing: {missing} of {observations.values.size} values.")
     if all(o.key in observations.parameters for o in REVERBERATION) and (copy := copied(measured)):
         notes.append(f"{copy}. Both are matched, and count twice: leave one out of match.")
-    notes += map(as_sentence, measured.copies)
     if LEVEL.key in absent:
         level = ""
     compared = observations

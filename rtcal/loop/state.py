@@ -23,8 +23,7 @@ from rtcal.acoustics.equations import Eyring, LinearEquation
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.observables import TARGET, parameter_label
 from rtcal.acoustics.quality import gap_jnd
-from rtcal.acoustics.repeats import refuse_repeated_data
-from rtcal.acoustics.room import Room
+from rtcal.acoustics.room import Room, refuse_repeated_data
 from rtcal.acoustics.trust import TrustMark, bent_marks, of_row, typing_marks
 from rtcal.calibration.measured import data_history, tell_data, times_in_room
 from rtcal.calibration.methods import preset
@@ -595,7 +594,7 @@ def start(
     """Return a loop before its first simulation; see `Loop` for the parameters.
 
     ``weights`` and ``modes`` are those of `calibrate_simulator`. Raises DataError if an argument breaks
-    its rule, or the room was calibrated to these data. Warns of other bands, copies and no air.
+    its rule, or the room was calibrated to these data. Warns of other bands and no air.
     """
     checks.instance("room", room, Room)
     stated, low = measured, None if modes is None else BelowSchroeder.of(modes, room, measured)

@@ -29,8 +29,7 @@ from rtcal.acoustics import band_conversion
 from rtcal.acoustics.bands import mid_frequency_time, schroeder_frequency
 from rtcal.acoustics.equations import Eyring, LinearEquation
 from rtcal.acoustics.measurement import Measurement
-from rtcal.acoustics.repeats import refuse_repeated_data
-from rtcal.acoustics.room import Room
+from rtcal.acoustics.room import Room, refuse_repeated_data
 from rtcal.calibration.measured import MeasuredTimes, no_times, times_in_room
 from rtcal.calibration.methods import gauss_newton, preset
 from rtcal.calibration.problem import Calibration, CalibrationProblem, Times

@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtcal.acoustics.observables import LIMITS, TARGET
-from rtcal.acoustics.repeats import fingerprint
+from rtcal.acoustics.room import fingerprint
 from rtcal.files.disk import read_bytes
 from rtcal.io import workbook
 from rtcal.io.table_columns import (

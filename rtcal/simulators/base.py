@@ -16,8 +16,8 @@ from typing import Protocol, runtime_checkable
 
 import numpy as np
 
-from rtcal.acoustics import bands, repeats
-from rtcal.acoustics.measurement import Measurement
+from rtcal.acoustics import bands
+from rtcal.acoustics.measurement import SAME_PLACE, Measurement, note_of_repeats
 from rtcal.acoustics.observables import TARGET
 from rtcal.acoustics.room import Room, in_order
 from rtcal.support import checks
@@ -170,10 +170,30 @@ def lost_paths(simulator: Simulator) -> tuple[str, ...]:
     )
 
 
+def _of_points(points: Mapping[str, Sequence[float]]) -> dict[str, str]:
+    """Return the place of each name whose point in m is that of an earlier name.
+
+    Examples
+    --------
+    >>> _of_points({"R1": (1, 2, 1.2), "R2": (1, 2, 1.2), "R3": (4, 2, 1.2)})
+    {'R2': 'R1'}
+    """
+    first: dict[str, Array] = {}
+    places = {}
+    for name, point in points.items():
+        here = np.asarray(point, dtype=float)
+        near = (n for n, p in first.items() if np.linalg.norm(p - here) <= SAME_PLACE)
+        if (place := next(near, None)) is None:
+            first[name] = here
+        else:
+            places[name] = place
+    return places
+
+
 def at_places(simulator: Simulator, measured: Measurement) -> tuple[Measurement, tuple[str, ...]]:
     """Return the measurement with the pairs at one place averaged, and a note of them.
 
-    Names that the simulator puts within `rtcal.acoustics.repeats.SAME_PLACE` of each other are repeats:
+    Names that the simulator puts within `SAME_PLACE` of each other are repeats:
     counted as positions, they would make their mean surer than it is.
     """
     checks.instance("measured", measured, Measurement)
@@ -182,12 +202,12 @@ def at_places(simulator: Simulator, measured: Measurement) -> tuple[Measurement,
         points = getattr(simulator, kind, None)
         names = dict.fromkeys(pair[i] for pair in measured.pairs)
         known = {n: points[n] for n in names if n in points} if isinstance(points, Mapping) else {}
-        same[kind] = repeats.of_points(known)
+        same[kind] = _of_points(known)
     if not any(same.values()):
         return measured, ()
     of_sources, of_receivers = same.values()
     placed = [(of_sources.get(s, s), of_receivers.get(r, r)) for s, r in measured.pairs]
-    return measured.with_repeats(**same), tuple(map(as_sentence, repeats.in_words(placed)))
+    return measured.with_repeats(**same), tuple(map(as_sentence, note_of_repeats(placed)))
 
 
 def check_fits(simulator: Simulator, room: Room) -> None:

@@ -16,7 +16,6 @@ from collections.abc import Iterable
 from typing import Any, TypeVar
 
 __all__ = [
-    "CopiedPairsWarning",
     "DataError",
     "FewPathsWarning",
     "InfeasibleError",
@@ -99,10 +98,6 @@ class RtcalWarning(UserWarning):
 
 class OtherBandsWarning(RtcalWarning):
     """A measurement is in other bands than its room: converted, left out, or without T in some."""
-
-
-class CopiedPairsWarning(RtcalWarning):
-    """Pairs of a measurement have the same values, as if one was copied of another."""
 
 
 class FewPathsWarning(RtcalWarning):

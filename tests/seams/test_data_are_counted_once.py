@@ -2,21 +2,16 @@
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 
 import rtcal as rt
-from rtcal.command.main import cli
 from rtcal.loop import positions
 from rtcal.loop.measured_pairs import fingerprints, pairs_to_match
 from rtcal.simulators.observations import Observations
-from rtcal.support.errors import CopiedPairsWarning, DataError
-from tests.conftest import program_of
-from tests.test_discrepancy import controls_of
+from rtcal.support.errors import DataError
 
 
 @pytest.fixture(scope="module")
@@ -145,83 +140,6 @@ def test_a_copied_decay_time_is_said_at_every_position(room_and_times, factor, s
     match = ("t20", "t30")
     data = pairs_to_match(room, heard, match, Observations.of_measurement(heard, match, pairs))
     assert any("leave one out of match" in note for note in data.notes) == said
-
-
-@pytest.mark.parametrize(("factor", "said"), [(1.0, True), (1.02, False)])
-def test_a_renamed_copy_is_said_by_every_answer(room_and_times, factor, said) -> None:
-    """It was said where a file is read, and not of a `Measurement` of a script."""
-    room, times = room_and_times
-    t20 = np.stack([times, 1.1 * times, factor * times]).round(4)
-    pairs = [("S1", "R1"), ("S1", "R2"), ("S1", "R3")]
-    heard = rt.Measurement(
-        centre_frequencies=room.centre_frequencies, values={"t20": t20}, pairs=pairs
-    )
-    configuration = rt.finder.Configuration(name="measured", measured=heard)
-    case = rt.finder.Case(room=room, configurations=[configuration])
-    seen = Observations.of_measurement(heard, ("t20",), pairs)
-    answers = {
-        "calibrate": str(rt.calibrate(room, heard)),
-        "fit": " ".join(pairs_to_match(room, heard, ("t20",), seen).notes),
-        "find": str(
-            rt.find(
-                case,
-                threshold=0.0,
-                controls=controls_of(case),
-                only=["opening"],
-            )
-        ),
-    }
-    copy = "the same values in every band: S1 to R3 and S1 to R1"
-    told = {
-        name: copy in " ".join(text.replace("The", "the").split()) for name, text in answers.items()
-    }
-    assert told == dict.fromkeys(answers, said)
-
-
-@pytest.mark.parametrize("command", ["calibrate", "loop start", "predict"])
-def test_a_command_says_a_renamed_copy_once(command: str, room_and_times, tmp_path) -> None:
-    """It was said where the file is read, and by the answer; a prediction said nothing."""
-    room, times = room_and_times
-    t20 = np.stack([times, 1.1 * times, times]).round(4)
-    pairs = [("S1", "R1"), ("S1", "R2"), ("S1", "R3")]
-    files = {
-        name: str(tmp_path / name) for name in ("room.toml", "t.csv", "loop.json", "next.toml")
-    }
-    room.save(files["room.toml"])
-    rt.Measurement(
-        centre_frequencies=room.centre_frequencies, values={"t20": t20}, pairs=pairs
-    ).save(files["t.csv"])
-    change = tmp_path / "change.toml"
-    change.write_text(
-        '[[variant]]\nname = "warm"\nchange = [{air = {temperature = 26, humidity = 60}}]\n',
-        encoding="utf-8",
-    )
-    also = {
-        "loop start": ["--state", files["loop.json"], "--out", files["next.toml"]],
-        "predict": ["--change", str(change)],
-    }.get(command, [])
-    arguments = [*command.split(), files["room.toml"], files["t.csv"], *also]
-    with warnings.catch_warnings(record=True) as told:
-        warnings.simplefilter("always")
-        done = CliRunner().invoke(cli, arguments)
-    assert done.exit_code == 0, done.output
-    said = " ".join([done.output, *(str(w.message) for w in told)]).split()
-    assert " ".join(said).count("S1 to R3 and S1 to R1") == 1
-
-
-def test_a_simulator_s_calibration_notes_a_renamed_copy(room_and_times) -> None:
-    room, times = room_and_times
-    heard = rt.Measurement(
-        centre_frequencies=room.centre_frequencies,
-        values={"t20": np.stack([times, times]).round(4)},
-        pairs=[("S1", "R1"), ("S1", "R2")],
-    )
-    with pytest.warns(CopiedPairsWarning, match="S1 to R2 and S1 to R1"):
-        rt.loop.start(room, heard)
-    with warnings.catch_warnings():
-        warnings.simplefilter("error", CopiedPairsWarning)
-        result = rt.calibrate_simulator(program_of(room), room, heard)
-    assert any("S1 to R2 and S1 to R1" in note for note in result.notes)
 
 
 def test_an_empty_calibration_is_refused() -> None:

@@ -316,7 +316,6 @@ def _notes(case: Case) -> list[str]:
                 f'"{c.name}": {", ".join(bands.labels(low))} under Schroeder\'s frequency '
                 f"({limit:.0f} Hz), where no field is diffuse"
             )
-        out += [f'"{c.name}": {note}' for note in c.measured.copies]
         if unused := [parameter_label(p) for p in c.measured.values if p not in FEATURES]:
             out.append(
                 f'"{c.name}": {", ".join(unused)} not used: means over positions have a model of '

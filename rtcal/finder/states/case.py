@@ -24,7 +24,6 @@ from rtcal.acoustics.equations import Eyring, LinearEquation
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.observables import MATCH, REVERBERATION, SUMMARY, parameter_label
 from rtcal.acoustics.priors import NORMAL_90
-from rtcal.acoustics.repeats import same_values
 from rtcal.acoustics.room import CHANGED, Material, Room
 from rtcal.acoustics.scene import Scene
 from rtcal.calibration.measured import notes_of_bands
@@ -64,7 +63,7 @@ class Differences:
     variance : array (n_pairs, n_bands)
         Of the noise of ``change``: of both states.
     notes : tuple of str
-        Bands and pairs that one state lacks, what is converted or copied, and where the uncertainties
+        Bands and pairs that one state lacks, what is converted, and where the uncertainties
         come from.
     states : two Measurement
         What is compared: the pairs that both have, in the room's bands.
@@ -105,16 +104,13 @@ class Differences:
                 "before and after have no source and receiver in common; two states are measured at "
                 f"the same positions, and these are {_pairs_of(before)} and {_pairs_of(after)}"
             )
-        paired = before.select(pairs), after.select(pairs)
         notes = [
             *_by_state(*("; ".join(notes_of_bands(room, m)) for m in (before, after))),
-            *_by_state(*("; ".join(m.copies) for m in paired)),
         ]
         for state, name in zip(states, ("before", "after"), strict=True):
             if others := [" to ".join(p) for p in state.pairs if p not in pairs]:
                 notes.append(f"Only {name} has {first_of(others, 1)}: left out.")
         chosen = [m.select(pairs) for m in states]
-        notes += _copied(*chosen)
         shape = (len(pairs), room.n_bands)
         change, variance = np.full(shape, np.nan), np.full(shape, np.nan)
         times, names = np.full((2, room.n_bands), np.nan), [""] * room.n_bands
@@ -196,22 +192,6 @@ def _pairs_of(measured: Measurement) -> str:
     if measured.is_summary:
         return "means over positions"
     return first_of([*map(" to ".join, measured.pairs)], 1)
-
-
-def _copied(before: Measurement, after: Measurement) -> list[str]:
-    """Return a note on pairs whose values are all equal in both states; [] if those of all pairs are.
-
-    Both have the same pairs and bands. A pair counts with three values at least (`same_values`).
-    """
-    shared = [name for name in before.values if name in after.values]
-    tables = (np.hstack([m.values[name] for name in shared]) for m in (before, after))
-    copied = [" to ".join(before.pairs[i]) for i in np.flatnonzero(same_values(*tables)).tolist()]
-    if not copied or len(copied) == len(before.pairs):
-        return []
-    return [
-        f"The same values before and after: {first_of(copied, 3)}. Leave them out if they were not "
-        "measured anew: else they count as pairs where nothing changed."
-    ]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
