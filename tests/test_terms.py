@@ -60,7 +60,7 @@ def numbers_of(seed: int, *objective: Any) -> Numbers:
 def model_at(numbers: Numbers, x: np.ndarray) -> terms.Model:
     """Return a model whose unknowns have the deviations x, (size,)."""
     m = terms.Model(numbers.layout)
-    m.deviation.value = x[: N * K].reshape(N, K)
+    m.x.value = x[: N * K]
     if m.effects is not None:
         m.effects.value = x[N * K :]
     return m

@@ -233,8 +233,7 @@ class CompiledProblem:
         self._parts = np.cumsum([0, *(part.shape[0] for part in parts)]).tolist()
         self.size, self.n_rows, self.equal = size, len(self._general), self._general < n_equal
         m, n = self.model, self.layout.n_alpha
-        column = np.arange(n).reshape(m.deviation.shape, order="F").ravel()  # cvxpy's order
-        self.unknowns = column + program.var_id_to_col[m.deviation.id]
+        self.unknowns = program.var_id_to_col[m.x.id] + np.arange(n)
         if m.effects is not None:
             sizes = program.var_id_to_col[m.effects.id] + np.arange(m.effects.size)
             self.unknowns = np.concatenate([self.unknowns, sizes])

@@ -76,14 +76,17 @@ class Model:
     ----------
     layout : Layout
         The materials, bands, configurations and effects.
-    deviation : variable (n_materials, n_bands)
-        x = (alpha - mu) / sigma. Materials that share their coefficients have one row. Where sigma = 0
-        the coefficient is mu, whatever x is.
+    x : variable (n_materials * n_bands,)
+        (alpha - mu) / sigma, row by row. Materials that share their coefficients have one row. Where
+        sigma = 0 the coefficient is mu, whatever x is.
+    deviation : expression (n_materials, n_bands)
+        The same by material and band.
     """
 
     def __init__(self, layout: Layout) -> None:
         self.layout = checks.instance("layout", layout, Layout)
-        self.deviation = cp.Variable((layout.n_rows, layout.n_bands), name="deviation")
+        self.x = cp.Variable(layout.n_alpha, name="x")
+        self.deviation = cp.reshape(self.x, (layout.n_rows, layout.n_bands), order="C")
         self.effects = cp.Variable(len(layout.further), name="effects") if layout.further else None
         self.parameters: list[tuple[Any, Callable[[Numbers], Any]]] = []
         self.definitions: list[Any] = []
@@ -124,7 +127,7 @@ class Model:
 
             return self.parameter(variable.shape, compute)
 
-        x, alpha = self.deviation, slice(self.layout.n_alpha)
+        x, alpha = self.x, slice(self.layout.n_alpha)
         box = [x >= limit(x, 0, alpha), x <= limit(x, 1, alpha)]
         if self.effects is not None:
             sizes = slice(self.layout.n_alpha, None)
@@ -387,25 +390,18 @@ class PriorDeviation(Term):
         return bool(self.band_correlation or self.material_correlation or self.common)
 
     def __call__(self, m: Model) -> Any:
-        """½ |W x|² with W'W = R⁻¹; with a common part t, ½ |W (x - q t)|² + ½ t²."""
-        if not self.correlated:
-            return half_squares(m.deviation)
-        x, layout = m.flat(m.deviation), m.layout
-        whitener = None
-        if self.band_correlation or self.material_correlation:
-            whitener = self._whitener(layout)
-            x = whitener @ x
-        if not self.common:
-            return half_squares(x)
-
-        def shift(numbers: Numbers) -> Array:
-            q = (numbers.common_shift * numbers.inverse_sigma)[: layout.n_alpha]
-            return q if whitener is None else whitener @ q
-
-        together = cp.Variable()
-        return half_squares(x - m.parameter(layout.n_alpha, shift) * together) + half_squares(
-            together
-        )
+        """½ x'R⁻¹x; with a common part t, ½ (x - q t)'R⁻¹(x - q t) + ½ t²."""
+        x, of_common, n = m.x, 0.0, m.layout.n_alpha
+        if self.common:
+            together = cp.Variable()
+            of_common = half_squares(together)
+            shift = m.parameter(
+                n, lambda numbers: (numbers.common_shift * numbers.inverse_sigma)[:n]
+            )
+            x = m.defined(x - shift * together)
+        if not (self.band_correlation or self.material_correlation):
+            return half_squares(x) + of_common
+        return 0.5 * cp.quad_form(x, self._inverse(m.layout), assume_PSD=True) + of_common
 
     def convexity(self, numbers: Numbers) -> float:
         """Return the least eigenvalue of the inverse correlation."""
@@ -430,13 +426,15 @@ class PriorDeviation(Term):
         alpha = np.einsum("iab,ib...->ia...", stacked, alpha).reshape(layout.n_alpha, -1)
         return np.concatenate([alpha, columns[layout.n_alpha :]])
 
-    def _whitener(self, layout: Layout) -> Any:
+    def _inverse(self, layout: Layout) -> Any:
+        """R⁻¹, sparse."""
         within, between = self.factors(layout)
         own = sp.block_diag([sp.csr_array(np.linalg.inv(b)) for b in within])
         across = sp.kron(np.linalg.inv(between), sp.eye_array(layout.n_bands))
         whitener = sp.csr_array(across @ own)
-        whitener.eliminate_zeros()
-        return whitener
+        inverse = sp.csr_array(whitener.T @ whitener)
+        inverse.eliminate_zeros()
+        return inverse
 
 
 def _frozen(what: str, value: Any) -> Any:
@@ -544,12 +542,12 @@ class HuberDeviation(Term):
 
     def __call__(self, m: Model) -> Any:
         """½ e |x|² + (1 - e) (½ |x - p + q|² + t sum(p + q)), p and q >= 0 the parts beyond t."""
-        above, below = (cp.Variable(m.deviation.shape, nonneg=True) for _ in range(2))
+        above, below = (cp.Variable(m.x.shape, nonneg=True) for _ in range(2))
         # A defined sum: cvxpy compiles an objective that is linear in n variables with memory for n
         # numbers per parameter.
         beyond = m.defined(cp.sum(above) + cp.sum(below))
-        near = half_squares(m.deviation - above + below) + self.threshold * beyond
-        return self.convex * half_squares(m.deviation) + (1 - self.convex) * near
+        near = half_squares(m.x - above + below) + self.threshold * beyond
+        return self.convex * half_squares(m.x) + (1 - self.convex) * near
 
     def convexity(self, numbers: Numbers) -> float:
         """Return e."""
@@ -786,7 +784,7 @@ class LinearObservations(Term):
 
         matrix = m.parameter((n, n), lambda numbers: triangle(numbers)[:, :n])
         values = m.parameter(n, lambda numbers: triangle(numbers)[:, n])
-        return half_squares(matrix @ m.flat(m.deviation) - values)
+        return half_squares(matrix @ m.x - values)
 
 
 @dataclass(frozen=True)
