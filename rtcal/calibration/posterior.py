@@ -15,7 +15,7 @@ functions of the unknowns. Unknowns that neither of them couples are parts of th
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from itertools import groupby
@@ -127,7 +127,9 @@ class Densities:
         Names of the further unknowns.
     separate : bool
         Whether each band stands for itself: independent priors, and one matched sum.
-    posterior, prior : Density
+    posterior : Density
+    prior : function
+        It returns the prior's.
     """
 
     rows: tuple[int, ...]
@@ -135,7 +137,7 @@ class Densities:
     further: tuple[str, ...]
     separate: bool
     posterior: Density
-    prior: Density
+    prior: Callable[[], Density]
 
     def of_materials(self, values: NDArray[Any]) -> NDArray[Any]:
         """Return the coefficients' entries of values (size, ...), (n_materials, n_bands, ...)."""
@@ -198,7 +200,7 @@ def distribution(result: HasDensity, n_samples: int = 1024, seed: int = 0) -> Po
     checks.whole("seed", seed, 0)
     known = result.density()
     parts = draws(known.posterior, 2 ** max(10, (n_samples - 1).bit_length()), seed)
-    points, prior = known.quantiles(parts), known.quantiles(draws(known.prior, seed=seed))
+    points, prior = known.quantiles(parts), known.quantiles(draws(known.prior(), seed=seed))
     every = samples(known.posterior, parts, n_samples, seed)
     effective = np.full(len(known.posterior.point), float(n_samples))
     for part in parts:

@@ -455,22 +455,20 @@ class System:
     _REFINEMENTS = 4
 
     def __init__(self, qp: QP, free: Flags, active: Flags) -> None:
-        compiled = self._compiled = qp.compiled
+        compiled = qp.compiled
         norm = np.sqrt(qp.rows(free.astype(float), qp.A**2))
         self.used = active & (norm > 0)
         self._unit = np.divide(1.0, norm, out=np.zeros_like(norm), where=self.used)
         self._on = np.concatenate([free, self.used])
         scaled = qp.A * self._unit[compiled.A_rows]
         entries = np.concatenate([qp.P, scaled, scaled, np.zeros(len(self._on))])
-        self._entries = np.where(
-            self._on[compiled.kkt_rows] & self._on[compiled.kkt_columns], entries, 0.0
-        )
-        shifted = self._entries.copy()
+        entries[~(self._on[compiled.kkt_rows] & self._on[compiled.kkt_columns])] = 0.0
+        self._matrix = compiled.kkt.filled(entries)
         shift = np.where(np.arange(len(self._on)) < len(free), self._SHIFT, -self._SHIFT)
-        shifted[-len(shift) :] = np.where(self._on, shift, 1.0)
+        entries[-len(shift) :] = np.where(self._on, shift, 1.0)
         try:
             self._factors = splu(
-                compiled.kkt.filled(shifted),
+                compiled.kkt.filled(entries),
                 permc_spec="MMD_AT_PLUS_A",
                 options={"SymmetricMode": True},
             )
@@ -478,21 +476,22 @@ class System:
             raise SolverError("the optimality conditions are singular") from error
 
     def solve(self, force: Array, limit: Array, refine: bool = True) -> tuple[Array, Array]:
-        """Return dv (size,) and dy (n_rows,), 0 for what is not free or not active."""
-        compiled, n = self._compiled, len(self._on)
-        right = np.where(self._on, np.concatenate([force, limit * self._unit]), 0.0)
-        solution, off = np.zeros(n), np.inf
-        residual = right
+        """Return dv (size, ...) and dy (n_rows, ...), 0 for what is not free or not active.
+
+        ``force`` (size,) and ``limit`` (n_rows,) may have a second axis, of several right sides.
+        """
+        right = np.concatenate([force, (limit.T * self._unit).T])
+        right[~self._on] = 0.0
+        solution, off, residual = np.zeros(right.shape), np.inf, right
         for _ in range(1 + self._REFINEMENTS):
-            solution = solution + np.where(self._on, self._factors.solve(residual), 0.0)
+            solution = solution + self._factors.solve(residual)
             if not refine:
                 break
-            product = self._entries * solution[compiled.kkt_columns]
-            residual = right - np.bincount(compiled.kkt_rows, product, minlength=n)
+            residual = right - self._matrix @ solution
             before, off = off, np.max(np.abs(residual), initial=0.0)
             if not off < before / 2:
                 break
-        return solution[: len(force)], solution[len(force) :] * self._unit
+        return solution[: len(force)], (solution[len(force) :].T * self._unit).T
 
 
 @dataclass(frozen=True, eq=False)

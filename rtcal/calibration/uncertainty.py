@@ -40,15 +40,18 @@ def density(joint: JointSolution) -> Densities:
             f"{prior!r} is no log-density of what is known of alpha: it has no posterior. Use "
             'method "soft" or "mle"'
         )
-    missing = np.full_like(numbers.target, np.nan)
-    unmeasured = replace(numbers, target=missing, time=missing)
+
+    def unmeasured() -> Density:
+        missing = np.full_like(numbers.target, np.nan)
+        return _density(joint, replace(numbers, target=missing, time=missing))
+
     return Densities(
         rows=layout.rows,
         n_bands=layout.n_bands,
         further=layout.further,
         separate=_independent(joint, prior),
         posterior=_density(joint, numbers),
-        prior=_density(joint, unmeasured),
+        prior=unmeasured,
     )
 
 
@@ -251,11 +254,10 @@ def _reduced(qp: QP, x: Array) -> tuple[Array, Array, Flags]:
     system = System(qp, other, defining)
     dv, y = system.solve(-qp.gradient(v), qp.b - qp.rows(v))
     gradient = qp.force(v + dv, y)[places]
-    curvature = np.empty((len(x), len(x)))
-    for column, place in enumerate(places):
-        one = _one(np.zeros(len(v)), place)
-        change, pull = system.solve(qp.c - qp.gradient(one), -qp.rows(one))
-        curvature[:, column] = (qp.force(one + change, pull) - qp.c)[places]
+    P, A = qp.matrices
+    across, rows = P[:, places].toarray(), A[:, places].toarray()
+    change, pull = system.solve(-across, -rows)
+    curvature = across[places] + P[places] @ change + A.T[places] @ pull
     return gradient, (curvature + curvature.T) / 2, ~defining & (qp.row_size > 0)
 
 
