@@ -25,7 +25,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from rtcal.acoustics import bands
-from rtcal.acoustics.observables import TARGET, DecaySlope, of_kind
+from rtcal.acoustics.observables import DecaySlope, of_kind
 from rtcal.files.disk import read_bytes
 from rtcal.io import workbook
 from rtcal.io.material_list import ListedMaterial, MaterialList
@@ -43,9 +43,8 @@ from rtcal.io.table_columns import (
     plain,
     statistic_of,
 )
-from rtcal.io.table_layout import Row, Sheet
+from rtcal.io.table_layout import Row, Sheet, sheet_of_text
 from rtcal.io.text import MAX_TEXT, Text, decode, number, shown
-from rtcal.io.text_tables import sheet_of_text
 from rtcal.support import checks
 from rtcal.support.errors import DataError
 from rtcal.support.text import first_of
@@ -180,7 +179,7 @@ def _materials(file: Path) -> Iterator[ListedMaterial]:
         sheets = workbook.sheets(content, os.fspath(file), {})
     else:
         text = decode(content, os.fspath(file))
-        sheets = [sheet_of_text(text, os.fspath(file), decay_time=TARGET.key)]
+        sheets = [sheet_of_text(text, os.fspath(file))]
     found = False
     for sheet in sheets:
         for material in _of_sheet(sheet, file.stem if len(sheets) == 1 else sheet.name):

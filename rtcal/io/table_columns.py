@@ -1,17 +1,18 @@
 """The columns of a table of measured values, and the words of their headers, rows and cells.
 
-A header names a parameter, a band, a position or a value, with or without its unit, in the usual
-English and German spellings; in Spanish, French, Italian and Portuguese as exports of measuring systems
-and of students' programs have them. A word is compared without case, blanks and punctuation (`plain`).
-"RT60" may be T20 or T30, which the user must state.
+A header names a parameter, a band, a position or a value, with or without its unit. A word is compared
+without case, blanks and punctuation (`plain`); the words are in ``words.toml``. "RT60" may be T20 or
+T30, which the user must state.
 """
 
 from __future__ import annotations
 
 import re
+import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from importlib import resources
 
 import numpy as np
 
@@ -24,281 +25,48 @@ from rtcal.acoustics.observables import (
     parameter_label,
 )
 from rtcal.io.text import shown
-from rtcal.support.errors import DataError
 from rtcal.support.types import Array
 
-
-def plain(text: str) -> str:
-    """Return a word as it is compared.
-
-    Examples
-    --------
-    >>> plain("Octave band"), plain("T-30"), plain("T60(20)")
-    ('octaveband', 't30', 't6020')
-    """
-    return re.sub(r"[\W_]+", "", text.lower())
-
-
-def _words(text: str) -> list[str]:
-    return text.split()
-
-
-def parameters() -> Mapping[str, str]:
-    """Return an observable's key by its spellings, of those that are registered by now."""
-    return _by_spelling(tuple(OBSERVABLES.values()))
-
-
-@lru_cache(maxsize=1)  # every cell of a table asks
-def _by_spelling(observables: tuple[Observable, ...]) -> Mapping[str, str]:
-    return {plain(word): o.key for o in observables for word in (o.key, o.label, *o.spellings)}
-
-
-OPEN_DECAY_TIMES = frozenset(
-    _words(
-        "rt rt60 rt60s t60 t tr tr60 reverberationtime reverbtime nachhallzeit tiempodereverberacion "
-        "tempsdereverberation tempsderéverbération tempodiriverbero tempoderiverbero "
-        "tempodiriverberazione tempodereverberação tempodereverberacao"
-    )
-)
+_WORDS: dict[str, dict[str, frozenset[str]]] = {
+    table: {name: frozenset(words.split()) for name, words in of_table.items()}
+    for table, of_table in tomllib.loads(
+        resources.files("rtcal.io").joinpath("words.toml").read_text("utf-8")
+    ).items()
+}
+COLUMNS = {word: kind for kind, words in _WORDS["columns"].items() for word in words}
+"""What a column holds (`Column.kind`) by its header."""
+OPEN_DECAY_TIMES = _WORDS["parameters"]["open"]
 """Names of a decay time that do not say over which range it was taken."""
-
-MEASURED = re.compile(r"measured|gemessene?|medido|mesuré|mesure")
-"""A word before a parameter's name, as in "measured T30"."""
-
-UNUSED_PARAMETERS = frozenset(
-    _words(
-        "t10 t15 t40 t50 topt toptstart toptend t60m tc tmid br bassratio treble brilliance "
-        "c20 c7 c30 ct edtt tt lf lfc lfcearly lj lg glg stearly stlate st1 st2 sttotal "
-        "spl lf80 lfc80 lg80 iacc iacce iaccearly iaccl iacclate tiacc wiacc inr snr itdg "
-        "r r2 correlation correltn curvature nonlinearity xi leq lmax lbk "
-        "lsg lno stg tus pks mscn imp signal noise tuser peakiness millisecs impulsivs "
-        "btt20 bkt20 nlt20 cut20 sdt20 btt30 bkt30 nlt30 cut30 sdt30"
-    )
-)
-"""Parameters and signs of quality that exports have beside those that are read. T10 is one of them: the
-slope from -5 to -15 dB is no EDT, and programs write both. StG is AcouPar's strength:
-its file does not say whether the level was calibrated. Nor does Aurora's, `UNCALIBRATED`."""
+UNUSED_PARAMETERS = _WORDS["parameters"]["unused"]
+"""Parameters and signs of quality that exports have beside those that are read."""
+WHOLE_RANGES = _WORDS["bands"]["whole"]
+"""What stands in a column of bands for the whole range."""
+_STATISTICS = _WORDS["statistics"]
 
 UNCALIBRATED = "strenGth"
-"""Aurora's spelling of its strength."""
-
-REMARKS = frozenset(
-    _words(
-        "remark remarks comment comments bemerkung bemerkungen kommentar kommentare observaciones"
-    )
-)
-"""Headers of columns of words on a row, which are left out."""
-
-WHOLE_RANGES = frozenset(
-    _words(
-        "full wideband broadband bb all global overall total lin linear a dba mid single wide "
-        "gesamt breitband bandaancha awtd aweighted cwtd"
-    )
-)
-"""What stands in a column of bands for the whole range."""
-
-COLUMNS = {
-    **dict.fromkeys(
-        _words(
-            "source src quelle sourceposition fuente schallquelle quellposition lautsprecher "
-            "loudspeaker speaker sender altavoz"
-        ),
-        "source",
-    ),
-    **dict.fromkeys(
-        _words(
-            "receiver rec mic microphone position pos empfänger empfaenger mikrofon receiverposition "
-            "measurement messposition posición posicion micrófono microfono receptor"
-        ),
-        "receiver",
-    ),
-    **dict.fromkeys(_words("parameter quantity metric parámetro parametro"), "parameter"),
-    **dict.fromkeys(
-        _words(
-            "band bands frequency frequencies freq freqs f fc frequenz frequenzen octaveband octave "
-            "octaves oktave terz oktavband terzband thirdoctaveband octavebandcentrefrequency "
-            "octavebandcenterfrequency mittenfrequenz centrefrequency centerfrequency "
-            "centrefrequencies centerfrequencies bandcentre bandcenter hz "
-            "frecuencia frecuencias fréquence fréquences frequence frequenza frequenze "
-            "frequência frequencia banda bandas bande frqband"
-        ),
-        "band",
-    ),
-    **dict.fromkeys(_words("value wert mean mittelwert measured gemessen valor valeur"), "value"),
-    **dict.fromkeys(_words("stat statistic statistik"), "statistic"),
-    **dict.fromkeys(_words("uncertainty unsicherheit"), "uncertainty"),
-    "commonuncertainty": "common_uncertainty",
-    **dict.fromkeys(
-        _words("standarddeviation stdev std sd standardabweichung"), "standard_deviation"
-    ),
-    **dict.fromkeys(_words("file filename datei dateiname fichier archivo"), "file"),
-    "sources": "sources",
-    "receivers": "receivers",
-    **dict.fromkeys(_words("unit einheit unidad unidade unité unità"), "unit"),
-}
-"""What a column holds (`rtcal.io.table_columns.Column.kind`) by its header."""
-
-_MEANS = frozenset(
-    _words(
-        "mean means meanvalue average averages averaged avg mittel mittelwert mittelwerte mw mittelung "
-        "gemittelt durchschnitt moyenne moyennes moy promedio media média medio medie gemiddelde "
-        "gesamt gesamtmittel gesamtmittelwert raummittel raummittelwert insgesamt total overall "
-        "ensemble ø ∅ µ x̄"
-    )
-)
-_DEVIATIONS = frozenset(
-    _words(
-        "sd std stdev stddev stdabw stabw standardabw standardabweichung stdabweichung abw sigma σ "
-        "deviation deviazione desviación desviacion desvio écart ecart dev"
-    )
-)
-_OTHER_STATISTICS = frozenset(
-    _words(
-        "min max minimum maximum median mediane médiane mediana range spannweite streuung variance "
-        "varianz standardfehler sem error cv percentile perzentil quantile uncertainty unsicherheit "
-        "messunsicherheit incertitude incertidumbre incertezza incerteza"
-    )
-)
-_COUNTS = frozenset(_words("n count anzahl nombre"))
-_NO_POSITIONS = frozenset(
-    _words(
-        "soll sollwert target limit grenzwert anforderung requirement toleranz tolerance result "
-        "ergebnis résultat resultado risultato summe sum somme suma summary zusammenfassung jnd"
-    )
-)
-"""What is no place either: a row called so is refused, since it may be anything."""
-_ALL = frozenset(_words("all alle every tous toutes todos todas tutti tutte"))
-_SHORT = frozenset(_words("mw moy sd std dev abw sigma σ µ"))
-"""Statistics that numbered places may be called, too: "MW 1" is a place, "Mean 1" is in doubt."""
-_BEFORE_COUNT = frozenset(
-    _words("n k of von aus over über ueber sur de des di dei del do da su sobre")
-)
-_OF_STATISTICS = frozenset(
-    _words(
-        "all alle aller allen every the der die das les la le el los las y and und et tous toutes "
-        "todos todas tutti tutte pos position positions positionen posiciones posición posicion "
-        "posizioni posições mic mics microphone microphones mikrofon mikrofone mikrofonen receiver "
-        "receivers empfänger receptores récepteurs source sources quelle quellen measurement "
-        "measurements messung messungen medidas mesures misure point points punkt punkte punkten "
-        "puntos punti value values wert werte valor valeur room raum spatial spatiale räumlich "
-        "räumliche räumlicher räumliches espacial spaziale arithmetic arithm arithmetisch "
-        "arithmetische arithmetischer arithmetisches arithmétique aritmética aritmetica number "
-        "standard estándar estandar padrão padrao type pairs paare combinations kombinationen s sec "
-        "ms"
-    )
-)
-_SEPARATORS = re.compile(r"[\s()\[\]{},;:=/_+.\-\u2013]+")
-_IN_BRACKETS = re.compile(r"[(\[]\s*(\d+)\s*[)\]]")
-_EXPANDED = re.compile(r"u\w?\s*[(\[]?\s*k\s*=.*")
-
-DOUBTFUL = "?"
-"""`statistic_of` a name that may be a statistic's, and may be a place's."""
-
-
-def statistic_of(name: str) -> str | None:
-    """Return the statistic over positions that a row, column or sheet is called after.
-
-    It is "value" for a mean, "standard_deviation", and "" for one that is not read (the least, the
-    median, a number of positions). `DOUBTFUL` is returned for a name with such a word and others, and
-    None for any other name.
-
-    Examples
-    --------
-    >>> [statistic_of(n) for n in ("Mean (n=2)", "T20 mean", "Mittel (alle)", "écart-type", "Max of 6")]
-    ['value', 'value', 'value', 'standard_deviation', '']
-    >>> [statistic_of(n) for n in ("Mean stalls", "Mean 2", "Mittelgang", "R2", "MW 2")]
-    ['?', '?', None, None, None]
-    """
-    name = name.strip().lower()
-    if not name or len(name) > _LONGEST_STATISTIC:
-        return None
-    if _EXPANDED.fullmatch(name):
-        return ""
-    in_brackets = _IN_BRACKETS.findall(name)
-    words = [w for token in _SEPARATORS.split(name) if token for w in _parts(token)]
-    if len(words) == 1 and words[0] in _COUNTS:
-        return ""
-    if words and all(w in _NO_POSITIONS or _is_parameter(w) for w in words):
-        return DOUBTFUL if any(w in _NO_POSITIONS for w in words) else None
-    if {"number", "nombre", "anzahl"} & {*words[:1]} and all(
-        w in _OF_STATISTICS | _BEFORE_COUNT | _COUNTS for w in words
-    ):
-        return ""
-    named = [w for w in words if w in _MEANS | _DEVIATIONS | _OTHER_STATISTICS]
-    if not named:
-        of_all = {*words} & _ALL and {*words} <= _OF_STATISTICS | _BEFORE_COUNT
-        return DOUBTFUL if of_all else None
-    bare = False
-    for i, word in enumerate(words):
-        if word.isdecimal():
-            before, after = words[i - 1] if i else "", words[i + 1] if i + 1 < len(words) else ""
-            bare |= not (word in in_brackets or before in _BEFORE_COUNT or after in _OF_STATISTICS)
-        elif word not in named and not (
-            word in _OF_STATISTICS | _BEFORE_COUNT or _is_parameter(word)
-        ):
-            return None if {*named} <= _OTHER_STATISTICS else DOUBTFUL
-    if bare:
-        return None if {*named} <= _SHORT | _OTHER_STATISTICS else DOUBTFUL
-    if any(w in _OTHER_STATISTICS for w in named):
-        return ""
-    return "standard_deviation" if any(w in _DEVIATIONS for w in named) else "value"
-
-
-def is_count(name: str) -> bool:
-    """Return whether a row is called after the number of positions, as a place to the north may be."""
-    return name.strip().lower() in _COUNTS
-
-
-_LONGEST_STATISTIC = 80
-
-
-def _parts(token: str) -> list[str]:
-    """Return the words of one that is written together, as "T20mean" and "Mean6" are."""
-    if token in _MEANS or _is_parameter(token):
-        return [token]
-    for word in sorted(_MEANS, key=len, reverse=True):
-        if len(word) > 2 and token != word and word in (token[: len(word)], token[-len(word) :]):
-            rest = token[len(word) :] if token.startswith(word) else token[: -len(word)]
-            if rest.isdecimal() or _is_parameter(rest):
-                return [word, rest] if token.startswith(word) else [rest, word]
-    return [token]
-
-
-def _is_parameter(word: str) -> bool:
-    return word in parameters() or word in OPEN_DECAY_TIMES or word in UNUSED_PARAMETERS
-
-
+"""Aurora's spelling of its strength, whose file does not say whether the level was calibrated."""
+MEASURED = re.compile(r"measured|gemessene?|medido|mesuré|mesure")
+"""A word before a parameter's name, as in "measured T30"."""
 FORMULA_ERRORS = ("#div/0!", "#wert!", "#value!")
 """What a spreadsheet shows for a formula that has no result."""
-
-_MISSING = frozenset(["k. a.", *_words("na n/a n.a. k.a. #n/a #nv"), *FORMULA_ERRORS])
+_MISSING = frozenset(["k. a.", *["na", "n/a", "n.a.", "k.a.", "#n/a", "#nv"], *FORMULA_ERRORS])
 _NO_DIGIT = re.compile(r"[-*.,\s\u2212\u2013\u2014]*")
-
-
-def is_missing(cell: str) -> bool:
-    """Return whether a cell has no value: it is empty, a dash of any kind or a word for it.
-
-    Examples
-    --------
-    >>> is_missing("--.--"), is_missing("N/A"), is_missing("-1.5")
-    (True, True, False)
-    """
-    return bool(_NO_DIGIT.fullmatch(cell)) or cell.lower() in _MISSING
-
 
 MAX_HEADER = 200
 """Largest length of a header in characters; the patterns are slow on longer ones."""
-
+_LONGEST_STATISTIC = 80
 LEAST_BAND = 10.0
 """Least centre frequency in Hz. A smaller number is no band but a value, so the line is no header."""
-
 BAND_TOLERANCE = 0.03
 """Largest relative difference of a stated frequency from the exact centre of its band. Neighbouring
 thirds are 26 % apart. BRAS's published tables write 155 Hz for the third of 158.5 Hz, which is
 called 160 Hz."""
-
+OPEN = "rt60"
+"""`Column.parameter` of a decay time that does not say which it is."""
 DECAY_TIMES_OF_RT60 = tuple(o.key for o in REVERBERATION)
 """What a column RT60 may hold (ISO 3382-2). An early decay time is never called so."""
+DOUBTFUL = "?"
+"""`statistic_of` a name that may be a statistic's, and may be a place's."""
 
 _SCALES: dict[str, dict[str, float]] = {
     "s": {"s": 1, "sec": 1, "ms": 1e-3},
@@ -331,6 +99,125 @@ _CORRELATION = re.compile(r"-?\s*r[\s(]*T\d+\s*\)?")
 """Of a decay with a straight line, as "r(T20)", "-r T30" and "rT30"; "RT30" is T30."""
 _OF_WHOLE_RANGE = re.compile(rf"(\S.*?)[\s_@:,]+(?:{'|'.join(sorted(WHOLE_RANGES))})", re.I)
 _FREQUENCY = re.compile(r"(\d{1,6}(?:[.,]\d{1,6})?)\s*(k?)(?:Hz)?", re.I | re.ASCII)
+_SEPARATORS = re.compile(r"[\s()\[\]{},;:=/_+.\-\u2013]+")
+_IN_BRACKETS = re.compile(r"[(\[]\s*(\d+)\s*[)\]]")
+_EXPANDED = re.compile(r"u\w?\s*[(\[]?\s*k\s*=.*")
+
+
+def plain(text: str) -> str:
+    """Return a word as it is compared.
+
+    Examples
+    --------
+    >>> plain("Octave band"), plain("T-30"), plain("T60(20)")
+    ('octaveband', 't30', 't6020')
+    """
+    return re.sub(r"[\W_]+", "", text.lower())
+
+
+def parameters() -> Mapping[str, str]:
+    """Return an observable's key by its spellings, of those that are registered by now."""
+    return _by_spelling(tuple(OBSERVABLES.values()))
+
+
+@lru_cache(maxsize=1)  # every cell of a table asks
+def _by_spelling(observables: tuple[Observable, ...]) -> Mapping[str, str]:
+    return {plain(word): o.key for o in observables for word in (o.key, o.label, *o.spellings)}
+
+
+def parameter_of(text: str) -> str:
+    """Return the parameter of a spelling: `OPEN` for "RT60", "" for an unknown one.
+
+    Examples
+    --------
+    >>> parameter_of("measured T30"), parameter_of("RT60"), parameter_of("Lw")
+    ('t30', 'rt60', '')
+    """
+    word = plain(text)
+    word = MEASURED.sub("", word, count=1) if MEASURED.match(word) else word
+    return parameters().get(word) or (OPEN if word in OPEN_DECAY_TIMES else "")
+
+
+def statistic_of(name: str) -> str | None:
+    """Return the statistic over positions that a row, column or sheet is called after.
+
+    It is "value" for a mean, "standard_deviation", and "" for one that is not read (the least, the
+    median, a number of positions). `DOUBTFUL` is returned for a name with such a word and others, and
+    None for any other name.
+
+    Examples
+    --------
+    >>> [statistic_of(n) for n in ("Mean (n=2)", "T20 mean", "Mittel (alle)", "écart-type", "Max of 6")]
+    ['value', 'value', 'value', 'standard_deviation', '']
+    >>> [statistic_of(n) for n in ("Mean stalls", "Mean 2", "Mittelgang", "R2", "MW 2")]
+    ['?', '?', None, None, None]
+    """
+    name = name.strip().lower()
+    if not name or len(name) > _LONGEST_STATISTIC:
+        return None
+    if _EXPANDED.fullmatch(name):
+        return ""
+    of = _STATISTICS
+    beside, others = of["beside"] | of["before_count"], of["other"]
+    words = [w for token in _SEPARATORS.split(name) if token for w in _parts(token)]
+    if len(words) == 1 and is_count(words[0]):
+        return ""
+    if words and all(w in of["no_position"] or _is_parameter(w) for w in words):
+        return DOUBTFUL if of["no_position"] & {*words} else None
+    if {"number", "nombre", "anzahl"} & {*words[:1]} and {*words} <= beside | of["count"]:
+        return ""
+    named = {*words} & (of["mean"] | of["deviation"] | others)
+    if not named:
+        return DOUBTFUL if {*words} & of["all"] and {*words} <= beside else None
+    if any(not (w.isdecimal() or w in named or w in beside or _is_parameter(w)) for w in words):
+        return None if named <= others else DOUBTFUL
+    in_brackets = _IN_BRACKETS.findall(name)
+    for before, word, after in zip(["", *words], words, [*words[1:], ""], strict=False):
+        if word.isdecimal() and not (
+            word in in_brackets or before in of["before_count"] or after in of["beside"]
+        ):
+            return None if named <= of["short"] | others else DOUBTFUL
+    if named & others:
+        return ""
+    return "standard_deviation" if named & of["deviation"] else "value"
+
+
+def is_count(name: str) -> bool:
+    """Return whether a row is called after the number of positions, as a place to the north may be."""
+    return name.strip().lower() in _STATISTICS["count"]
+
+
+def is_doubtful(name: str, values: Sequence[str]) -> bool:
+    """Return whether a row or column of these values may be of a statistic or of a place."""
+    counts = not is_count(name) or all(value.isdecimal() for value in values)
+    return statistic_of(name) == DOUBTFUL or not counts
+
+
+def _parts(token: str) -> list[str]:
+    """Return the words of one that is written together, as "T20mean" and "Mean6" are."""
+    if token in _STATISTICS["mean"] or _is_parameter(token):
+        return [token]
+    for word in sorted(_STATISTICS["mean"], key=len, reverse=True):
+        if len(word) > 2 and token != word and word in (token[: len(word)], token[-len(word) :]):
+            rest = token[len(word) :] if token.startswith(word) else token[: -len(word)]
+            if rest.isdecimal() or _is_parameter(rest):
+                return [word, rest] if token.startswith(word) else [rest, word]
+    return [token]
+
+
+def _is_parameter(word: str) -> bool:
+    return word in parameters() or word in OPEN_DECAY_TIMES or word in UNUSED_PARAMETERS
+
+
+def is_missing(cell: str) -> bool:
+    """Return whether a cell has no value: it is empty, a dash of any kind or a word for it.
+
+    Examples
+    --------
+    >>> is_missing("--.--"), is_missing("N/A"), is_missing("-1.5")
+    (True, True, False)
+    """
+    return bool(_NO_DIGIT.fullmatch(cell)) or cell.lower() in _MISSING
 
 
 @dataclass(frozen=True)
@@ -351,10 +238,12 @@ class Column:
         In Hz; NaN if each row names it.
     unit : str
         Empty if the header has none.
-    decay_time_open : bool
+    is_open : bool
         Whether the header, such as "RT60", does not say which decay time it is.
     source, receiver : str
         The position of all values of the column, such as "S1R2"; empty if each row names it.
+    wrong : str
+        What is wrong with the header: an unknown unit, a frequency that is no band; empty if nothing.
     """
 
     kind: str
@@ -362,14 +251,20 @@ class Column:
     parameter: str = ""
     band: float = np.nan
     unit: str = ""
-    decay_time_open: bool = False
+    is_open: bool = False
     source: str = ""
     receiver: str = ""
+    wrong: str = ""
 
     @property
     def has_band(self) -> bool:
         """Whether the header names a band."""
         return bool(np.isfinite(self.band))
+
+    @property
+    def has_values(self) -> bool:
+        """Whether the column's cells are measured values."""
+        return self.kind in ("data", "value")
 
     def completed(self, below: Column) -> Column | None:
         """Return the column of two merged headers, such as one with the parameter, one with the band.
@@ -378,20 +273,14 @@ class Column:
         """
         if self.kind != "data" or below.kind != "data":
             return None
-        both = [
-            (bool(c.parameter), c.has_band, bool(c.receiver)) for c in (self, below)
-        ]  # what each states
+        both = [(bool(c.parameter), c.has_band, bool(c.receiver)) for c in (self, below)]
         if not all(map(any, both)) or any(a and b for a, b in zip(*both, strict=True)):
             return None
-        named = self if self.parameter else below
-        placed = self if self.receiver else below
+        named, placed = (self if self.parameter else below), (self if self.receiver else below)
         return replace(
-            self,
+            named,
             header=f"{self.header}, {below.header}",
-            parameter=named.parameter,
             band=self.band if self.has_band else below.band,
-            unit=named.unit,
-            decay_time_open=named.decay_time_open,
             source=placed.source,
             receiver=placed.receiver,
         )
@@ -406,10 +295,94 @@ class Column:
                 content += f" at {bands.label(self.band)}"
             if self.receiver:
                 content += f" of {self.source or 'S1'} to {self.receiver}"
-            scale = scale_of(self.parameter, self.unit, "") if self.parameter else 1
+            scale = scale_of(self.parameter, self.unit) if self.parameter else 1
             if scale != 1:
                 content += f", times {scale:g}"
         return f'"{self.header}": {content}'
+
+
+def column_of(header: str) -> Column | None:
+    """Return the column of a header, None if the header is unknown.
+
+    Examples
+    --------
+    >>> column_of("T20 [s] 500 Hz").parameter, column_of("T20 [min]").wrong, column_of("Volume")
+    ('t20', 'T20 in "min"; known are s, sec, ms', None)
+    """
+    if len(header) > MAX_HEADER or "\t" in header or ";" in header:  # several cells
+        return None
+    name, unit = name_and_unit(header)
+    if unit.lower() not in UNIT_WORDS and plain(header) in parameters():  # as in "RT60 (T20)"
+        name, unit = header, ""
+    frequency = frequency_of(name if unit.lower() in ("", "hz", "khz") else header)
+    if frequency is not None:
+        frequency *= 1000 if unit.lower() == "khz" else 1
+        if frequency < LEAST_BAND:
+            wrong = "is no band; is the line with the names of the columns missing?"
+            return Column("data", header, wrong=f'column "{shown(header)}" {wrong}')
+        return _of_values(header, band=frequency)
+    if plain(name) in COLUMNS:
+        kind = COLUMNS[plain(name)]
+        units = {"band": ("", "hz", "khz"), "value": UNIT_WORDS | {""}, "": (unit.lower(),)}
+        known = unit.lower() in units.get(kind, ("",))
+        wrong = "" if known else f'column "{shown(header)}": the unit is not known'
+        return Column(kind, header, unit=unit, wrong=wrong)
+    if is_unused(header) or _is_of_whole_range(name):
+        return Column("", header)
+    if position := position_of(header):
+        return Column("data", header, source=position[0], receiver=position[1])
+    if parameter := parameter_of(name):
+        return _of_values(header, parameter, unit=unit)
+    both = _BOTH.fullmatch(name)
+    if both and (parameter := parameter_of(both[1])) and (frequency := frequency_of(both[2])):
+        in_khz, of_band = unit.lower() == "khz", unit.lower() in ("hz", "khz")
+        frequency *= 1000 if in_khz else 1
+        return _of_values(header, parameter, frequency, "" if of_band else unit)
+    return None
+
+
+def _of_values(header: str, parameter: str = "", band: float = np.nan, unit: str = "") -> Column:
+    """Return a column of values, and what is wrong with its unit or its band in Hz."""
+    wrong = "" if not parameter or scale_of(parameter, unit) else wrong_unit(parameter, unit)
+    if np.isfinite(band):
+        nearest = nearest_band(band)
+        wrong = wrong or ("" if nearest else no_band(band))
+        band = nearest or band
+    is_open = parameter == OPEN
+    return Column("data", header, parameter, band, unit, is_open=is_open, wrong=wrong)
+
+
+def wrong_unit(parameter: str, unit: str) -> str:
+    """Return what is wrong with a unit that a parameter cannot have."""
+    label = parameter_label(parameter) if parameter != OPEN else "a decay time"
+    return f'{label} in "{shown(unit)}"; known are {", ".join(_scales(parameter))}'
+
+
+def no_band(frequency: float) -> str:
+    """Return what is wrong with a frequency in Hz that is no band's."""
+    return f"{frequency:g} Hz is no octave or third-octave (IEC 61260-1)"
+
+
+def name_and_unit(header: str) -> tuple[str, str]:
+    """Return the parts of "T20 [s]", "T20 (s)", "T20 / s", "T20 in s", "T20 s" or "T20_s".
+
+    Of "T20 [s] 500 Hz" they are "T20 500 Hz" and "s".
+    """
+    if within := _UNIT_WITHIN.fullmatch(header):
+        return f"{within[1]} {within[3].strip('_ ')}", within[2]
+    match = _BRACKETS.fullmatch(header) or _SUFFIX.fullmatch(header)
+    if not match or (match[2].isdigit() and len(match[2]) > 1):  # "D(50)" has no unit
+        return header, ""
+    return match[1].strip(), match[2]
+
+
+def _scales(parameter: str) -> Mapping[str, float]:
+    return _SCALES["s" if parameter == OPEN else observable(parameter).unit]
+
+
+def scale_of(parameter: str, unit: str) -> float:
+    """Return the factor from a unit to the parameter's own; 0 for a unit that it cannot have."""
+    return _scales(parameter).get(unit.lower(), 0.0) if unit else 1.0
 
 
 def position_of(text: str) -> tuple[str, str] | None:
@@ -485,25 +458,6 @@ def channel_in(text: str) -> str | None:
     return match[1] if match else None
 
 
-def parameter_of(text: str, place: str, decay_time: str | None) -> str | None:
-    """Return the parameter of a spelling, None for an unknown one; DataError for "RT60"."""
-    if (word := _parameter_word(text)) in (known := parameters()):
-        return known[word]
-    if word in OPEN_DECAY_TIMES:
-        if decay_time is None:
-            raise DataError(
-                f'{place}: "{shown(text)}" does not say which decay time it is; state '
-                'decay_time="t20" or decay_time="t30"'
-            )
-        return decay_time
-    return None
-
-
-def leaves_decay_time_open(text: str) -> bool:
-    """Return whether a spelling, such as "RT60", does not say which decay time it is."""
-    return _parameter_word(text) in OPEN_DECAY_TIMES
-
-
 def is_unused(text: str) -> bool:
     """Return whether a spelling is a parameter that rtcal has no use for, such as IACC.
 
@@ -514,22 +468,15 @@ def is_unused(text: str) -> bool:
     """
     name = name_and_unit(text)[0]
     both = _BOTH.fullmatch(name)
-    if name.partition(" ")[0] == UNCALIBRATED:
+    if name.partition(" ")[0] == UNCALIBRATED or _CORRELATION.fullmatch(text.strip()):
         return True
-    if plain(name) in UNUSED_PARAMETERS or _CORRELATION.fullmatch(text.strip()):
-        return True
-    return bool(both and plain(both[1]) in UNUSED_PARAMETERS)
+    return any(plain(word) in UNUSED_PARAMETERS for word in (name, *([both[1]] if both else [])))
 
 
 def _is_of_whole_range(name: str) -> bool:
     """Return whether a header is of a parameter over the whole range, such as "T20_A"."""
     of = _OF_WHOLE_RANGE.fullmatch(name)
-    return bool(of and (is_unused(of[1]) or _parameter_word(of[1]) in parameters()))
-
-
-def _parameter_word(text: str) -> str:
-    word = plain(text)
-    return MEASURED.sub("", word, count=1) if MEASURED.match(word) else word
+    return bool(of and (is_unused(of[1]) or parameter_of(of[1]) not in ("", OPEN)))
 
 
 def frequency_of(text: str) -> float | None:
@@ -556,83 +503,3 @@ def nearest_band(frequency: float) -> float | None:
     if frequency not in nominal and abs(frequency / exact[nearest] - 1) > BAND_TOLERANCE:
         return None
     return float(nominal[nearest])
-
-
-def nominal_band(frequency: float, place: str) -> float:
-    """Return the nominal band of a frequency; DataError if it is none within 3 %."""
-    band = nearest_band(frequency)
-    if band is None:
-        raise DataError(f"{place}: {frequency:g} Hz is no octave or third-octave (IEC 61260-1)")
-    return band
-
-
-def column_of(header: str, place: str, decay_time: str | None) -> Column | None:
-    """Return the column of a header, None if the header is unknown.
-
-    Raises
-    ------
-    DataError
-        If the header is incomplete: an unknown unit, "RT60", a frequency that is no band.
-    """
-    if len(header) > MAX_HEADER:
-        return None
-    name, unit = name_and_unit(header)
-    if unit.lower() not in UNIT_WORDS and plain(header) in parameters():  # as in "RT60 (T20)"
-        name, unit = header, ""
-    frequency = frequency_of(name if unit.lower() in ("", "hz", "khz") else header)
-    if frequency is not None:
-        frequency *= 1000 if unit.lower() == "khz" else 1
-        if frequency < LEAST_BAND:
-            raise DataError(
-                f'{place}: column "{shown(header)}" is no band; is the line with the names of the '
-                "columns missing?"
-            )
-        return Column("data", header, band=nominal_band(frequency, place))
-    if plain(name) in COLUMNS:
-        kind = COLUMNS[plain(name)]
-        units = {"band": ("", "hz", "khz"), "value": UNIT_WORDS | {""}}
-        if unit.lower() not in units.get(kind, ("",)):
-            raise DataError(f'{place}: column "{shown(header)}": the unit is not known')
-        return Column(kind, header, unit=unit)
-    if is_unused(header) or _is_of_whole_range(name) or plain(header) in REMARKS:
-        return Column("", header)
-    if position := position_of(header):
-        return Column("data", header, source=position[0], receiver=position[1])
-    parameter = parameter_of(name, place, decay_time)
-    if parameter is not None:
-        scale_of(parameter, unit, place)
-        open_time = leaves_decay_time_open(name)
-        return Column("data", header, parameter, unit=unit, decay_time_open=open_time)
-    both = _BOTH.fullmatch(name)
-    if both:
-        parameter, frequency = parameter_of(both[1], place, decay_time), frequency_of(both[2])
-        if parameter is not None and frequency is not None:
-            frequency *= 1000 if unit.lower() == "khz" else 1
-            unit = unit if unit.lower() not in ("hz", "khz") else ""
-            scale_of(parameter, unit, place)
-            band, open_time = nominal_band(frequency, place), leaves_decay_time_open(both[1])
-            return Column("data", header, parameter, band, unit, decay_time_open=open_time)
-    return None
-
-
-def name_and_unit(header: str) -> tuple[str, str]:
-    """Return the parts of "T20 [s]", "T20 (s)", "T20 / s", "T20 in s", "T20 s" or "T20_s".
-
-    Of "T20 [s] 500 Hz" they are "T20 500 Hz" and "s".
-    """
-    if within := _UNIT_WITHIN.fullmatch(header):
-        return f"{within[1]} {within[3].strip('_ ')}", within[2]
-    match = _BRACKETS.fullmatch(header) or _SUFFIX.fullmatch(header)
-    if not match or (match[2].isdigit() and len(match[2]) > 1):  # "D(50)" has no unit
-        return header, ""
-    return match[1].strip(), match[2]
-
-
-def scale_of(parameter: str, unit: str, place: str) -> float:
-    """Return the factor from a unit to the parameter's own; DataError for another unit."""
-    scales = _SCALES[observable(parameter).unit]
-    if unit and unit.lower() not in scales:
-        raise DataError(
-            f'{place}: {parameter_label(parameter)} in "{shown(unit)}"; known are {", ".join(scales)}'
-        )
-    return scales[unit.lower()] if unit else 1.0

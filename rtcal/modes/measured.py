@@ -22,7 +22,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from rtcal.acoustics.observables import LIMITS, TARGET
+from rtcal.acoustics.observables import LIMITS
 from rtcal.acoustics.room import fingerprint
 from rtcal.files.disk import read_bytes
 from rtcal.io import workbook
@@ -34,9 +34,8 @@ from rtcal.io.table_columns import (
     plain,
     statistic_of,
 )
-from rtcal.io.table_layout import Headers, Sheet
+from rtcal.io.table_layout import Sheet, of_width, sheet_of_text, with_units
 from rtcal.io.text import MAX_TEXT, decode, number, shown
-from rtcal.io.text_tables import sheet_of_text
 from rtcal.modes.room_modes import DECAY
 from rtcal.support import checks
 from rtcal.support.errors import DataError
@@ -223,11 +222,9 @@ def read(path: str | os.PathLike[str]) -> MeasuredModes:
     (first, names), *below = sheet.rows
     while names and not names[-1]:
         names = names[:-1]
-    headers = Headers(place, None, ())
-    names, below, _ = headers.with_units(names, below, _UNIT_WORDS)
+    names, below, _ = with_units(names, below, _UNIT_WORDS)
     columns = _columns(names, f"{place}, line {first}")
-    of_width = headers.of_width
-    rows = [(line, of_width(cells, len(names), line)) for line, cells in below]
+    rows = [(line, of_width(cells, len(names), f"{place}, line {line}")) for line, cells in below]
     of = "decay" if "decay" in columns else "T"
     if not {"frequency", of} <= columns.keys() or {"decay", "T"} <= columns.keys():
         raise DataError(
@@ -290,7 +287,7 @@ def read(path: str | os.PathLike[str]) -> MeasuredModes:
 def _sheet(content: bytes, place: str) -> Sheet:
     """Return the cells of a table of modes: of a text, or of a workbook's only sheet with cells."""
     if not workbook.claims(content):
-        return sheet_of_text(decode(content, place), place, decay_time=TARGET.key)
+        return sheet_of_text(decode(content, place), place)
     sheets = workbook.sheets(content, place, {})
     if len(sheets) > 1:
         names = ", ".join(f'"{shown(sheet.name)}"' for sheet in sheets)
