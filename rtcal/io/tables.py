@@ -929,8 +929,7 @@ def _measured(readers: Sequence[_Reader], notes: list[str], options: _Options) -
         left_out += f": {first_of(quoted, _MOST_STATISTICS)}"
     notes = [*filter(None, [left_out]), *notes]
     # What stands after the first line of a single table's report is about the columns.
-from rtcal.files.disk import read_bytes
-from rtcal.io import instruments, workbook
+    report += note_of_repeats(placed)
     try:
         return MeasuredTable(Measurement(**of_single_values(values)), tuple(report))
     except DataError as error:
