@@ -86,8 +86,8 @@ class Counts:
             room.alpha.T, room.sigma.T, room.areas, target, room.alpha_min.T, 1.0
         ).alpha.T
         truth[:, missing] = room.alpha[:, missing]
-        raw_error = np.abs(result.raw.alpha - truth)
-        raw_bound = result.raw.certificate.alpha_error_bound
+        raw_error = np.abs(result.joint.raw_alpha - truth)
+        raw_bound = result.joint.raw_certificate.alpha_error_bound
         error = np.abs(result.alpha - truth)
         bound = result.certificate.alpha_error_bound
         if (raw_error > raw_bound + EXACT_ROUNDING).any():

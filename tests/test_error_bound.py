@@ -31,12 +31,12 @@ def answers(solver: str = "clarabel") -> Iterator[tuple[JointResult, np.ndarray]
 def test_the_bound_holds_for_raw_and_final_answers_and_is_small(solver: str) -> None:
     off, widest = 0, []
     for answer, truth in answers(solver):
-        for u, certificate in (
-            (answer.raw.unknowns, answer.raw.certificate),
-            (answer.solution.unknowns, answer.certificate),
+        for alpha, certificate in (
+            (answer.raw_alpha, answer.raw_certificate),
+            (answer.alpha, answer.certificate),
         ):
-            error = np.abs(u - truth)
-            assert (error <= certificate.alpha_error_bound.ravel() + 2e-16).all()
+            error = np.abs(alpha - answer.composition.layout.expand(truth))
+            assert (error <= certificate.alpha_error_bound + 2e-16).all()
             off += error.max() > 1e-9
         widest.append(np.max(answer.certificate.alpha_error_bound))
     assert off > (10 if solver == "clarabel" else 0)  # OSQP starts near the optimum

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 import rtcal as rt
-from rtcal.calibration import uncertainty
 from rtcal.calibration.composition import Composition
+from rtcal.calibration.solution import JointSolution
 from rtcal.io import mend
 from rtcal.simulators import Polyhedron
 
@@ -52,9 +52,9 @@ def test_what_configurations_share_is_calculated_once(monkeypatch: pytest.Monkey
     rooms = [large_room(4, seed, f"state {seed}") for seed in range(5)]
     times = [1.1 * rt.Eyring().reverberation_time(room) for room in rooms]
     joint = rt.calibrate(rt.Configurations(rooms), times, method="joint")
-    innovation, density = Mock(side_effect=uncertainty.innovation), Mock()
-    monkeypatch.setattr(uncertainty, "innovation", innovation)
-    monkeypatch.setattr(uncertainty, "density", density)
+    innovation, density = Mock(side_effect=JointSolution.innovation.func), Mock()
+    monkeypatch.setattr(JointSolution.innovation, "func", innovation)
+    monkeypatch.setattr(JointSolution, "density", density)
     records = [result.to_dict() for result in joint.results]
     assert innovation.call_count == 1
     assert density.call_count == 0
@@ -71,15 +71,15 @@ def test_derivative_with_respect_to_every_time_takes_two_assemblies(
     assembled = Mock(side_effect=Composition.numbers, autospec=True)
     joint.numbers  # noqa: B018 (those of the solve itself)
     monkeypatch.setattr(Composition, "numbers", lambda *given: assembled(*given))
-    derivative = uncertainty.by_time(joint, bounds=True)
+    derivative = joint.by_time()
     assert assembled.call_count == 2
     # Against calibrating again with one T changed.
     step = 1e-4
     changed = [t.copy() for t in times]
     changed[2][3] *= 1 + step
     again = rt.calibrate(rt.Configurations(rooms), changed, method="joint")
-    difference = (again.solution.unknowns - joint.solution.unknowns) / (step * times[2][3])
-    np.testing.assert_allclose(derivative[:, 2 * 6 + 3], difference, rtol=2e-3, atol=1e-7)
+    difference = (again.alpha - joint.alpha) / (step * times[2][3])
+    np.testing.assert_allclose(derivative[:, :, 2, 3], difference, rtol=2e-3, atol=1e-7)
 
 
 def seconds_of_mending(n: int) -> float:

@@ -289,7 +289,7 @@ def test_an_effect_is_found_beside_alpha() -> None:
     term = terms.AddedAbsorption("opening", gain, sigma=3.0)
     result = rt.Calibration(PRIOR + term).build(room).solve(t)
     size, joint = result.effects["opening"], result.joint
-    (spread,) = joint.numbers.further(joint._estimate_sigma)
+    (spread,) = joint.numbers.further(joint.estimate_sigma)
     assert size == pytest.approx(1.5, abs=0.02)
     assert 0 < spread < 0.1
     np.testing.assert_allclose(result.reverberation_time_after, t, rtol=1e-10)

@@ -267,10 +267,10 @@ def test_a_solver_that_stops_early_is_polished_to_the_same_answer(
     result = rt.calibrate(*cr2, method=method, solver=solver, warm_start=False, settings=settings)
     assert result.certificate.worst < 1e-10
     np.testing.assert_allclose(result.alpha, usual.alpha, rtol=0, atol=1e-12)
-    off = np.abs(result.raw.alpha - result.alpha)
+    off = np.abs(result.joint.raw_alpha - result.alpha)
     assert off.max() > 1e-9
-    assert (result.raw.certificate.alpha_error_bound >= off).all()
-    assert result.certificate.worst < result.raw.certificate.worst
+    assert (result.joint.raw_certificate.alpha_error_bound >= off).all()
+    assert result.certificate.worst < result.joint.raw_certificate.worst
 
 
 def test_an_answer_that_fails_the_certificate_is_not_returned(cr2, monkeypatch) -> None:

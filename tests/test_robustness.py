@@ -332,6 +332,6 @@ def test_a_raw_answer_at_an_end_is_not_charged_with_what_was_never_asked() -> No
     end = rt.Eyring().time(known, known.areas @ known.alpha_min)
     result = rt.calibrate(known, end)
     np.testing.assert_array_equal(result.alpha, known.alpha_min)
-    assert result.raw.certificate.worst < 1e-9
+    assert result.joint.raw_certificate.worst < 1e-9
     assert np.all(result.joint.solution.raw.point.lower >= 0)
     assert result.joint.solution.raw.point.y.max() > 1e-3

@@ -208,15 +208,14 @@ def by_rtcal(
         return Found("failed", time.perf_counter() - began)
     seconds = time.perf_counter() - began
     joint = getattr(result, "joint", result)
-    given = joint if polished else joint.raw
-    c = given.certificate
+    c = joint.certificate if polished else joint.raw_certificate
     residuals = (c.primal_residual, c.dual_residual, c.duality_gap)
     word = "solved" if polished else joint.raw.status.lower()
     status = word if word == "solved" else "infeasible" if "infeasible" in word else "failed"
     return Found(
         status,
-        seconds if polished else given.seconds,
-        alpha=given.alpha,
+        seconds if polished else joint.raw.seconds,
+        alpha=joint.alpha if polished else joint.raw_alpha,
         own=tuple(float(np.max(r)) for r in residuals),
         iterations=joint.raw.iterations,
     )

@@ -300,37 +300,6 @@ def sensitivity(result: Optimal) -> Array:
     return result.by_time()
 
 
-_SHARE_OF_ROUNDING = 1e-7
-"""Of the prior's sigma: what the difference of equal variances leaves. As an uncertainty it would let a
-coefficient that T alone determines contradict the next T by millions of standard deviations."""
-
-
-def linear_estimate_sigma(gain: Array, sigma: Array, cross: Array, innovation: Array) -> Array:
-    """Return the standard deviation of a linear estimate's error, (size,).
-
-    The estimate is mu + G (b - S'mu), its error (1 - G S')(mu - u) + G e, with e the error of b.
-    With the prior's covariance K and the covariance U of e the error's covariance is
-    (1 - G S') K (1 - G S')' + G U G'. It holds for any gain, also for one whose method assumes
-    another sigma.
-
-    Parameters
-    ----------
-    gain : array (size, n_rows)
-        G = du / db in 1/m².
-    sigma : array (size,)
-        Square root of the diagonal of K.
-    cross : array (size, n_rows)
-        K S.
-    innovation : array (n_rows, n_rows)
-        S'KS + U, the covariance of b - S'mu.
-    """
-    variance = (
-        sigma**2 - 2 * np.sum(gain * cross, axis=1) + np.sum((gain @ innovation) * gain, axis=1)
-    )
-    left = np.sqrt(np.maximum(variance, 0.0))
-    return np.where(left > _SHARE_OF_ROUNDING * sigma, left, 0.0)
-
-
 Integers = NDArray[np.intp]
 
 _LARGEST = 2_000

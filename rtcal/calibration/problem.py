@@ -349,7 +349,6 @@ def certified_solution(
         certificate=certificate,
         raw=raw,
         polished=point is not raw.point,
-        settings=options.all_settings,
         unreachable=reach.beyond,
     )
 

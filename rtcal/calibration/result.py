@@ -23,17 +23,15 @@ from rtcal.acoustics.quality import CalibrationVerdict, Plausibility, gap_jnd, p
 from rtcal.acoustics.room import CalibrationRecord, Room
 from rtcal.acoustics.room_errors import Assumptions, of_absorption
 from rtcal.acoustics.trust import TrustMark, trust_marks, typing_marks, uneven_marks
-from rtcal.calibration import table, uncertainty
+from rtcal.calibration import table
 from rtcal.calibration.feasibility import Unreachable, where_valid
 from rtcal.calibration.measured import MeasuredTimes, data_history
 from rtcal.calibration.posterior import Densities, Draws, correlations, draws, intervals
-from rtcal.calibration.qp import Active, Certificate
-from rtcal.calibration.solution import JointSolution, RawSolution
+from rtcal.calibration.qp import Active, Certificate, SolverAnswer
+from rtcal.calibration.solution import JointSolution
 from rtcal.calibration.table import blocks_of
 from rtcal.calibration.terms import (
     LinearObservations,
-    PriorDeviation,
-    RoomMatch,
 )
 from rtcal.files.disk import json_numbers
 from rtcal.files.saved import Result
@@ -60,78 +58,6 @@ class JointResult(JointSolution, Result):
             CalibrationResult(joint=self, configuration=c)
             for c in range(len(self.configurations.rooms))
         )
-
-    def density(self) -> Densities:
-        """Return the density of the unknowns, for `rtcal.posterior.distribution`.
-
-        Raises ModelError if the method has none (`lse`, `robust`).
-        """
-        return uncertainty.density(self)
-
-    def by_time(self) -> Array:
-        """Return d alpha / dT in 1/s, (n_materials, n_bands, n_configurations, n_bands).
-
-        Coefficients at a bound stay there.
-        """
-        layout = self.composition.layout
-        slopes = uncertainty.by_time(self, bounds=True)[: layout.n_alpha]
-        shape = (layout.n_rows, layout.n_bands, layout.n_configurations, layout.n_bands)
-        return np.asarray(slopes.reshape(shape)[list(layout.rows)])
-
-    @cached_property
-    def innovation(self) -> tuple[Array, Array]:
-        """b - S'mu and its covariance, over configurations and bands."""
-        return uncertainty.innovation(self)
-
-    @cached_property
-    def _estimate_sigma(self) -> Array:
-        return uncertainty.estimate_sigma(self)
-
-    @cached_property
-    def gaussian_interval(self) -> tuple[Array, Array]:
-        """Ends of the coefficients' normal 90 % interval, (n_materials, n_bands) each."""
-        layout = self.composition.layout
-        low, high = uncertainty.gaussian_interval(self, self._estimate_sigma, 0.9)
-        return layout.expand(low), layout.expand(high)
-
-    @property
-    def matches_uncertain_room(self) -> bool:
-        """Whether T was matched within the uncertainty of volume, areas and climate."""
-        return any(isinstance(t, RoomMatch) for t in self.composition.objective.terms)
-
-    def gap_shares(self, configuration: int) -> dict[str, float]:
-        """Return the shares of the remaining b - S'alpha that each uncertainty takes up, 1 in all.
-
-        By "volume", "areas", "climate" and "T". With C = U + D'D the difference is C times its pull:
-        U pull is what T's own uncertainty takes up, D' D pull what volume, areas and climate do. {}
-        where no room is uncertain, or nothing remains.
-        """
-        data = self.numbers
-        if not self.matches_uncertain_room:
-            return {}
-        left = np.nan_to_num(data.target).ravel() - data.match_matrix @ self.solution.unknowns
-        pull = data.match_whitener.T @ (data.match_whitener @ left)
-        d = data.room_changes
-        n = 2 + len(self.configurations.materials)
-        of_time = np.nan_to_num(data.target_uncertainty).ravel() ** 2 * pull
-        groups = {"volume": d[:1], "areas": d[1:n], "climate": d[n:]}
-        parts = {name: g.T @ (g @ pull) for name, g in groups.items()} | {"T": of_time}
-        k = data.layout.n_bands
-        own = slice(configuration * k, (configuration + 1) * k)
-        total = np.sum([part[own] for part in parts.values()], axis=0)
-        square = float(total @ total)
-        return (
-            {name: float(part[own] @ total) / square for name, part in parts.items()}
-            if square
-            else {}
-        )
-
-    @property
-    def has_shared_errors(self) -> bool:
-        """Whether T was matched with errors that all bands share: of the room, or of the tables."""
-        terms = self.composition.objective.terms
-        tables = any(isinstance(t, PriorDeviation) and t.common for t in terms)
-        return tables or self.matches_uncertain_room
 
     def known_room(self, configuration: int) -> KnownRoom:
         """Return what is known of a configuration before it is changed, for `rtcal.prediction`.
@@ -220,19 +146,14 @@ class JointResult(JointSolution, Result):
             known, parts = self._separate
             return known.quantiles(parts), correlations(known, parts)
         layout = self.composition.layout
-        covariance = uncertainty.estimate_covariance(self)
-        centre = layout.expand(uncertainty.unbounded(self, self._estimate_sigma))
+        covariance = self.estimate_covariance()
+        centre = layout.expand(self.unbounded(self.estimate_sigma))
         lower = layout.expand(self.numbers.lower)
         sigma, correlation = correlation_of(covariance)
         quantiles = normal_quantiles(centre, sigma, lower)
         return np.where(
             sigma[:, :, np.newaxis] > 0, quantiles, self.alpha[:, :, np.newaxis]
         ), correlation
-
-    @property
-    def posterior_sigma(self) -> Array:
-        """Standard deviation of the calibrated coefficients, (n_materials, n_bands)."""
-        return self.composition.layout.expand(self._estimate_sigma)
 
     def to_dict(self) -> dict[str, Any]:
         """Return each configuration's `CalibrationResult.to_dict` by name."""
@@ -341,7 +262,7 @@ class CalibrationResult(Result):
         return replace(of_all, alpha_error_bound=of_all.alpha_error_bound[self._rows])
 
     @property
-    def raw(self) -> RawSolution:
+    def raw(self) -> SolverAnswer:
         """The solver's own answer."""
         return self.joint.raw
 
@@ -597,8 +518,8 @@ class CalibrationResult(Result):
                 "iterations": self.raw.iterations,
                 "seconds": None if np.isnan(self.raw.seconds) else self.raw.seconds,
                 "polished": self.polished,
-                "raw_certificate": table.residuals(self.raw.certificate),
-                "raw_alpha": json_numbers(self.raw.alpha),
+                "raw_certificate": table.residuals(self.joint.raw_certificate),
+                "raw_alpha": json_numbers(self.joint.raw_alpha[self._rows]),
             },
             "inputs": table.inputs(room, self.measured_data),
         }
