@@ -929,6 +929,8 @@ def _measured(readers: Sequence[_Reader], notes: list[str], options: _Options) -
         left_out += f": {first_of(quoted, _MOST_STATISTICS)}"
     notes = [*filter(None, [left_out]), *notes]
     # What stands after the first line of a single table's report is about the columns.
+    at = 1 if len(readers) == 1 else len(report)
+    report[at:at] = notes
     report += note_of_repeats(placed)
     try:
         return MeasuredTable(Measurement(**of_single_values(values)), tuple(report))
