@@ -18,11 +18,11 @@ from rtcal.simulators import (
     PathTracing,
     Polyhedron,
     ScatteringDelayNetwork,
+    base,
     kernels,
-    observations,
 )
+from rtcal.simulators.base import differences, jacobian, observe
 from rtcal.simulators.geometry import SHOEBOX_WALLS
-from rtcal.simulators.observations import differences, jacobian, observe
 from rtcal.support.errors import DataError, SimulatorError
 from tests.reference import in_place_of
 from tests.reference import paths as reference
@@ -183,7 +183,7 @@ def test_what_scatters_nothing_or_everything_has_no_derivative_by_scattering(tra
 
 @pytest.mark.parametrize("kind", [ImageSource, ScatteringDelayNetwork])
 def test_shoebox_simulators_have_exact_derivatives(kind, monkeypatch):
-    monkeypatch.setattr(observations, "STEP", 1e-5)  # decays of one length, no curvature
+    monkeypatch.setattr(base, "STEP", 1e-5)  # decays of one length, no curvature
     areas = [21, 21, 15, 15, 35, 35]
     room = rt.Room(
         name="box",

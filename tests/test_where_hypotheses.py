@@ -19,7 +19,7 @@ from rtcal.finder.positions.posterior import (
     _candidate,
 )
 from rtcal.finder.positions.weighing import Aperture
-from rtcal.simulators.observations import values_of_decays
+from rtcal.simulators.base import values_of_decays
 from rtcal.support.errors import DataError
 
 WIDTH = 0.002
@@ -178,7 +178,7 @@ def test_the_hidden_worlds_tracer_hears_the_same_second_room() -> None:
     from benchmarks.studies.geometric_world.load import IN_SITU, load, truth, without_noise
     from rtcal.acoustics.observables import MATCH
     from rtcal.finder.positions.weighing import Weighing
-    from rtcal.simulators.observations import Observations
+    from rtcal.simulators.base import Observations
 
     index = 14
     true, case = truth(0, index), load(0, index, IN_SITU)

@@ -39,11 +39,9 @@ from rtcal.acoustics.room import Room
 from rtcal.acoustics.scene import POSITION, checked_uncertainty
 from rtcal.files import disk
 from rtcal.files.disk import json_numbers
-from rtcal.simulators.base import Simulator
-from rtcal.simulators.geometry import SHOEBOX_WALLS, Polyhedron
-from rtcal.simulators.observations import Observations, observe
+from rtcal.simulators.base import Observations, Simulator, complete, observe
+from rtcal.simulators.geometry import Polyhedron
 from rtcal.simulators.path_tracing import DENSER, PathTracing
-from rtcal.simulators.shoebox import ShoeboxSimulator
 from rtcal.simulators.tracer import ScatteringModel, eyring_seconds
 from rtcal.support import __version__, checks
 from rtcal.support.errors import DataError, RtcalError, TooShortError
@@ -259,13 +257,14 @@ def simulated_controls(
         Factor of the number of paths of the runs, and of a simulator that traces paths.
     """
     uncertainty = checked_uncertainty(position_uncertainty)
-    base = _tracing(simulator)
-    if base is None:
+    tracing = complete(simulator).tracing
+    if tracing is None:
         return None
-    base = base.denser()
+    base: PathTracing = tracing.denser()
     n_paths = more_paths * paths_of_a_run(base)
     base = base.denser(more_paths)
-    if isinstance(simulator, PathTracing):
+    traced = tracing is simulator
+    if traced:
         simulator = base
     path = None
     if cache is not None and not after:
@@ -304,8 +303,8 @@ def simulated_controls(
         control: PathTracing, alpha: Array, of_run: int, again: bool
     ) -> tuple[Observations, Array]:
         found = control.observe(alpha, match, seed=of_run, again=again)
-        if isinstance(simulator, PathTracing):
-            values = simulator.observe(alpha, match, seed=seed, again=again).values
+        if traced:
+            values = base.observe(alpha, match, seed=seed, again=again).values
         else:
             values = observe(simulator, alpha, match, seed=seed).values
         more = [
@@ -346,30 +345,14 @@ GROUPS = 4
 """Groups of paths whose differences tell the noise of a control run."""
 
 
-def groups_of_paths(
-    simulator: Simulator,
-    alpha: Array,
-    parameters: Sequence[str],
-    seed: int,
-    shape: tuple[int, int, int],
-) -> Array:
-    """Return the values of groups of the paths, (n_groups, p, i, k): their differences are noise.
-
-    It is 0 but for a `PathTracing`; ``shape`` is (n_parameters, n_pairs, n_bands).
-    """
-    if not isinstance(simulator, PathTracing):
-        return np.zeros((GROUPS, *shape))
-    return simulator.observe_in_groups(alpha, GROUPS, parameters, seed=seed)
-
-
-def noise_of_a_run(simulator: Simulator, groups: Array) -> Array:
+def noise_of_a_run(simulator: Any, groups: Array | None) -> Array:
     """Return the variance of a control run's values by its finite paths, (n_parameters, n_bands).
 
-    ``groups`` (n_groups, p, i, k) are the simulator's `groups_of_paths`.
+    ``groups`` (n_groups, p, i, k) are the values of groups of the simulator's paths; None for none.
     """
+    if groups is None:
+        return np.zeros(1)
     of_group = groups.var(axis=0, ddof=1).mean(axis=1)
-    if not isinstance(simulator, PathTracing):
-        return np.asarray(of_group)
     return np.asarray(of_group * simulator.n_paths / GROUPS / paths_of_a_run(simulator))
 
 
@@ -385,27 +368,7 @@ def ahead_factor(found: Observations, tracer: PathTracing, alpha: Array) -> floa
 
 def trace_ahead(simulator: Simulator, alpha: Array, seed: int) -> None:
     """Trace paths that are long enough for other draws of alpha, too."""
-    if isinstance(simulator, PathTracing):
-        simulator.trace_ahead(alpha, AHEAD, seed=seed)
-
-
-def _tracing(simulator: Simulator) -> PathTracing | None:
-    """Return a path tracing of the simulator's room."""
-    if isinstance(simulator, PathTracing):
-        return simulator
-    if isinstance(simulator, ShoeboxSimulator):
-        box = simulator.box
-        return PathTracing(
-            geometry=Polyhedron.shoebox(
-                box.dimensions.tolist(),
-                dict(zip(SHOEBOX_WALLS, (simulator.materials[w] for w in box.walls), strict=True)),
-            ),
-            room=simulator.room,
-            sources=simulator.sources,
-            receivers=simulator.receivers,
-            scattering=0.5,
-        )
-    return None
+    complete(simulator).trace_ahead(alpha, AHEAD, seed=seed)
 
 
 def _varied(

@@ -28,7 +28,7 @@ from rtcal.acoustics.trust import TrustMark
 from rtcal.calibration.measured import times_in_room
 from rtcal.modes.calibrate import above_schroeder, below_schroeder
 from rtcal.modes.result import ModesResult
-from rtcal.simulators.observations import Observations
+from rtcal.simulators.base import Observations
 from rtcal.support import checks
 from rtcal.support.errors import DataError
 from rtcal.support.types import Array, read_only

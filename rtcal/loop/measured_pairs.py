@@ -33,8 +33,7 @@ from rtcal.acoustics.quality import gap_jnd, rms
 from rtcal.acoustics.room import Room, fingerprint, of_pairs, refuse_repeated_data
 from rtcal.calibration.measured import copied, times_in_room
 from rtcal.loop.control_runs import ahead_factor, level
-from rtcal.simulators.base import Simulator
-from rtcal.simulators.observations import Observations, checked_parameters, jacobian, observe
+from rtcal.simulators.base import Observations, checked_parameters, jacobian, observe
 from rtcal.simulators.path_tracing import PathTracing
 from rtcal.support.errors import DataError
 from rtcal.support.text import as_sentence
@@ -415,7 +414,7 @@ class Linearisation:
         Which of the values were measured, counted over the measured parameters at all pairs.
     """
 
-    simulator: Simulator
+    simulator: Any
     data: MeasuredPairs
     simulated: Observations
     alpha: Array
@@ -455,10 +454,8 @@ class Linearisation:
             centre_frequencies=self.simulated.centre_frequencies,
             values=self.everywhere() + expected,
         )
-        less = 1.0  # times that it scatters less than the tracer at hand
-        if isinstance(self.simulator, PathTracing):
-            now, then = (level(of.scattering, of.room.areas) for of in (self.simulator, tracer))
-            less = max(now / max(then, _LEAST_SCATTERING), 1.0)
+        now, then = (level(of.scattering, of.room.areas) for of in (self.simulator, tracer))
+        less = max(now / max(then, _LEAST_SCATTERING), 1.0)  # times that it scatters less than now
         ahead = max(_AHEAD * less, ahead_factor(likely, tracer, self.alpha))
         tracer.trace_ahead(self.alpha, ahead, seed=self.seed)
         simulated = tracer.observe(self.alpha, self.simulated.parameters, seed=self.seed)

@@ -16,7 +16,7 @@ import warnings
 from collections.abc import Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
-from typing import Any, overload
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,7 +45,6 @@ from rtcal.loop.control_runs import (
     Scattering,
     errors_by_scattering,
     fitted,
-    groups_of_paths,
     level,
     log_likelihood,
     material_scattering,
@@ -71,9 +70,14 @@ from rtcal.loop.measured_pairs import (
 )
 from rtcal.loop.positions_result import GaussNewtonStep, PositionsResult
 from rtcal.modes.result import ModesResult
-from rtcal.simulators import base, observations
-from rtcal.simulators.base import Simulator
-from rtcal.simulators.observations import DifferentiableSimulator, Observations, observe
+from rtcal.simulators import base
+from rtcal.simulators.base import (
+    DifferentiableSimulator,
+    Observations,
+    Simulator,
+    complete,
+    observe,
+)
 from rtcal.simulators.path_tracing import PathTracing
 from rtcal.simulators.tracer import ScatteringModel
 from rtcal.support import __version__, checks
@@ -98,15 +102,11 @@ def simulator_error(
         variance = error[:, np.newaxis, np.newaxis] ** 2
         return np.diag(np.broadcast_to(variance, shape).ravel()), None
     controls, tracer = controls.at(parameters, simulated.pairs), here.simulator
-    groups = groups_of_paths(tracer, here.alpha, parameters, here.seed, shape)
+    able = complete(tracer)
+    groups = able.observe_in_groups(here.alpha, GROUPS, parameters, seed=here.seed)
     noise = noise_of_a_run(tracer, groups)
     whole = controls.without_noise(noise).covariance()
-    if (
-        not fit_scattering
-        or not isinstance(tracer, PathTracing)
-        or tracer.scattering_model != "random"
-        or np.isin(tracer.scattering, (0.0, 1.0)).all()
-    ):
+    if not fit_scattering or not able.fits_scattering:
         return whole, None
     return whole, errors_by_scattering(controls, noise)
 
@@ -531,7 +531,7 @@ class PositionsFit:
     def _stated_scattering(self) -> FittedScattering | None:
         """Return what the scattering stated does where the here is; None where it is not fitted."""
         tracer = self.here.simulator
-        if self.by_scattering is None or not isinstance(tracer, PathTracing):
+        if self.by_scattering is None:
             return None
         return FittedScattering(tracer, self._materials(self.here, tracer), self.by_scattering)
 
@@ -769,7 +769,7 @@ def calibrate_positions(
     modes = room if isinstance(room, ModesResult) else None
     room = room.prior if isinstance(room, ModesResult) else room
     base.check_fits(simulator, room)
-    match = observations.checked_parameters(match)
+    match = base.checked_parameters(match)
     exclude = checks.pairs("exclude", exclude)
     checks.whole("seed", seed, 0)
     checks.flag("fit_scattering", fit_scattering)
@@ -783,15 +783,15 @@ def calibrate_positions(
         repeated = (*repeated, low.note)
     given, wanted = simulator, with_t30(match, measured)
     replaced = wanted != tuple(match)
-    of_paths: tuple[str, ...] = ()
-    tracer = simulator if isinstance(simulator, PathTracing) else None
+    tracer = simulator if complete(simulator).tracing is simulator else None
     if tracer is not None:
         # Data that were used before are refused before the paths are traced.
         kept = [p for p in measured.pairs if p in tracer.pairs and p not in exclude]
         refuse_known(room, measured, wanted, kept)
-        simulator = dense = precise(tracer, more_paths)
-        trace_ahead(dense, room.alpha, seed)
-        wanted, of_paths = dense.trusted(wanted), (*dense.notes, *dense.source_notes)
+    simulator = precise(simulator, more_paths)
+    trace_ahead(simulator, room.alpha, seed)
+    able = complete(simulator)
+    wanted, of_paths = able.trusted(wanted), able.notes
     match, notes = _given(simulator, room.alpha, wanted, seed)
     notes = (*([T30_ALONE] if replaced else []), *notes, *of_paths)
     first, not_simulated = _first(simulator, room.alpha, match, measured, seed)
@@ -800,9 +800,9 @@ def calibrate_positions(
     if stated := in_words(room):
         notes = (*notes, f"The room is uncertain, and that counts: {stated}.")
     _refuse_one_place(simulator, data.observations.pairs, position_uncertainty)
-    if tracer is not None:
-        # Of too few paths a warning comes before the control runs.
-        groups = dense.observe_in_groups(room.alpha, GROUPS, match, seed=seed)
+    # Of too few paths a warning comes before the control runs.
+    groups = able.observe_in_groups(room.alpha, GROUPS, match, seed=seed)
+    if groups is not None and tracer is not None:
         _tell_noise(groups, match, tracer)
     if controls is None:
         finished: list[int] = []
@@ -924,7 +924,7 @@ def _calibrated(
         version=__version__,
     )
     sigma = room.sigma if controls is None else np.minimum(answer.posterior_sigma, 1.0)
-    if isinstance(simulator, PathTracing):
+    if complete(simulator).tracing is simulator:
         room = room.replace(
             scattering=simulator.scattering, scattering_model=simulator.scattering_model
         )
@@ -936,11 +936,11 @@ def _given(
     simulator: Simulator, alpha: Array, match: Sequence[str], seed: int
 ) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Return the parameters that the simulator gives, and a note of those that it does not."""
-    match = observations.checked_parameters(match)
+    match = base.checked_parameters(match)
     if isinstance(simulator, DifferentiableSimulator):
         return match, ()
     simulated = base.run(simulator, alpha, seed=seed)
-    given = tuple(p for p in match if p in observations.given(simulated))
+    given = tuple(p for p in match if p in base.given(simulated))
     if not given:
         raise SimulatorError(
             f"{simulator.name} gives none of {', '.join(map(parameter_label, match))}"
@@ -960,7 +960,7 @@ def _first(
     more = [p for p in measured_beside(measured) if p not in match]
     if not isinstance(simulator, DifferentiableSimulator):
         simulated = base.run(simulator, alpha, seed=seed)
-        given = [p for p in more if p in observations.given(simulated)]
+        given = [p for p in more if p in base.given(simulated)]
         return Observations.of_measurement(simulated, (*match, *given), simulated.pairs), ()
     try:
         return observe(simulator, alpha, (*match, *more), seed=seed), ()
@@ -985,16 +985,9 @@ def _refuse_one_place(simulator: Simulator, pairs: Sequence[Pair], uncertainty: 
         )
 
 
-@overload
-def precise(simulator: PathTracing, more_paths: int = MORE_PATHS) -> PathTracing: ...
-@overload
-def precise(simulator: Simulator, more_paths: int = MORE_PATHS) -> Simulator: ...
-def precise(simulator: Simulator, more_paths: int = MORE_PATHS) -> Simulator:
-    """Return a denser path tracing in `_BATCHES`, any other simulator as it is."""
-    if not isinstance(simulator, PathTracing):
-        return simulator
-    denser = simulator.denser(more_paths)
-    return denser if denser.n_batches == _BATCHES else replace(denser, n_batches=_BATCHES)
+def precise(simulator: Any, more_paths: int = MORE_PATHS) -> Any:
+    """Return the simulator with as many paths as are weighed, in `_BATCHES`."""
+    return complete(simulator).denser(more_paths, _BATCHES)
 
 
 NOISE = 0.5

@@ -71,7 +71,6 @@ from rtcal.loop.control_runs import (
     Scattering,
     Simulated,
     errors_by_scattering,
-    groups_of_paths,
     level,
     material_scattering,
     noise_of_a_run,
@@ -91,10 +90,16 @@ from rtcal.loop.measured_pairs import (
 from rtcal.prediction import words
 from rtcal.prediction.predicted import COVERAGE
 from rtcal.simulators import facets
-from rtcal.simulators.base import Simulator
+from rtcal.simulators.base import (
+    Observations,
+    Simulator,
+    checked_parameters,
+    complete,
+    jacobian,
+    observe,
+)
 from rtcal.simulators.facets import WELD
 from rtcal.simulators.geometry import Plane, Polyhedron, convex_parts
-from rtcal.simulators.observations import Observations, checked_parameters, jacobian, observe
 from rtcal.simulators.path_tracing import PathTracing
 from rtcal.support import blocks, checks, text
 from rtcal.support.blocks import Block, Note, Row, Table
@@ -635,13 +640,9 @@ class ChangedRoom:
 
     def simulator(self, simulator: Simulator) -> Simulator:
         """Return the simulator with the air after the change."""
-        if self.after.air == self.before.air or not isinstance(simulator, PathTracing):
-            if self.after.air != self.before.air:
-                raise DataError(
-                    "another climate takes a path tracing: the simulator keeps its own air"
-                )
+        if self.after.air is None or self.after.air == self.before.air:
             return simulator
-        return replace(simulator, room=simulator.room.with_air(self.after.air))
+        return complete(simulator).with_air(self.after.air)
 
 
 @dataclass(frozen=True, eq=False)
@@ -670,23 +671,23 @@ class Before:
         return np.asarray(self.at.residual() + self.at.linearised() @ change)
 
     def error(
-        self, of: Simulator, alpha: Array, match: Sequence[str]
-    ) -> tuple[Array, Array | None]:
+        self, of: Any, alpha: Array, match: Sequence[str]
+    ) -> tuple[Array | None, Array | None]:
         """Return the values of groups of paths, and the derivatives by each material's scattering.
 
-        (n_groups, p, i, k), and (n, n_materials), None where the scattering stated was kept.
+        (n_groups, p, i, k), None without paths; and (n, n_materials), None where the scattering stated
+        was kept.
         """
         result = self.result
-        shape = (len(match), len(self.pairs), result.prior.n_bands)
-        groups = groups_of_paths(of, alpha, match, result.seed, shape)
-        if result.scattering is None or not isinstance(of, PathTracing):
+        groups = complete(of).observe_in_groups(alpha, GROUPS, match, seed=result.seed)
+        if result.scattering is None:
             return groups, None
         random = replace(of, scattering_model="random")
         stated = np.zeros(result.prior.n_materials)
         return groups, material_scattering(random, alpha, match, stated, result.seed).slope
 
     @cached_property
-    def own_error(self) -> tuple[Array, Array | None]:
+    def own_error(self) -> tuple[Array | None, Array | None]:
         """The same of what was measured."""
         return self.error(self.result.weighed, self.result.alpha, self.result.parameters)
 
@@ -753,7 +754,7 @@ class Changed:
     @cached_property
     def by_places(self) -> Array:
         """Change of all rows by the places of the covers, (n_places, rows)."""
-        if not self.room.moves or not isinstance(self.after, PathTracing):
+        if not self.room.moves or complete(self.after).tracing is not self.after:
             return np.zeros((0, self.by_alpha.shape[0]))
         pieces = Pieces.of(self.after, self.room.moves)
         return pieces.differences(self.walls, self.alpha, self.match, self.result.seed)
@@ -780,13 +781,16 @@ class Changed:
         names = (*result.parameters, *self.names)
         controls = self.controls.at(names, self.controls.pairs)
         states = (self.known.own_error, self.known.error(self.after, self.walls, self.match))
-        groups = np.concatenate([of_groups for of_groups, _ in states], axis=1)
+        of_states = [groups for groups, _ in states if groups is not None]
+        if not of_states:  # without paths there is no noise
+            return controls.covariance()
+        groups = np.concatenate(of_states, axis=1)
         noise = noise_of_a_run(tracer, groups)
         off = groups - groups.mean(axis=0)
         own = replace(controls, errors=off / np.sqrt(GROUPS - 1), levels=None, models=())
         slopes = [slope for _, slope in states if slope is not None]
         by_scattering = errors_by_scattering(controls, noise) if slopes else None
-        if by_scattering is None or not isinstance(tracer, PathTracing):
+        if by_scattering is None:
             return controls.without_noise(noise).covariance() + own.covariance()
         of_materials = MaterialScattering(
             slope=np.vstack(slopes), traced=np.zeros(slopes[0].shape[1])
@@ -995,8 +999,7 @@ def predict_positions(
         room.simulator(simulator)  # raises where it cannot take the change, before anything is run
     match = tuple(dict.fromkeys([TARGET.key, *checked_parameters(wanted)]))
     checked_uncertainty(position_uncertainty)
-    if isinstance(simulator, PathTracing):
-        match = simulator.trusted(match)
+    match = complete(simulator).trusted(match)
 
     def after(room: ChangedRoom) -> Simulated:
         at_alpha: dict[bytes, Array] = {}

@@ -26,9 +26,8 @@ from rtcal.report.figures import (
     shown,
     write_with_figures,
 )
+from rtcal.simulators.base import Observations
 from rtcal.simulators.geometry import Polyhedron
-from rtcal.simulators.observations import Observations
-from rtcal.simulators.path_tracing import PathTracing
 from rtcal.support.blocks import Row
 from rtcal.support.errors import DataError
 from rtcal.support.text import first_of
@@ -192,7 +191,7 @@ def _held_out(result: PositionsResult) -> dict[str, Any] | None:
 def _command(result: PositionsResult) -> str | None:
     """Return the shell command that gives the same result; None for another simulator or terms."""
     tracer: Any = result.tracer
-    if not isinstance(tracer, PathTracing):
+    if result.start is None:
         return None
     chosen = [text for p in result.parameters for text in ("--match", p)]
     chosen += ["--paths", str(tracer.n_paths), "--seed", str(result.seed)]
@@ -201,7 +200,7 @@ def _command(result: PositionsResult) -> str | None:
             chosen += ["--exclude", f"{source_name}:{receiver}"]
     if result.scattering is None:
         chosen.append("--keep-scattering")
-    start = result.start if result.start is not None else tracer.scattering
+    start = result.start
     if result.prior.scattering is None or (start != result.prior.scattering).any():
         # it was stated to the simulator
         alike = np.ptp(start) == 0

@@ -11,13 +11,13 @@ from typing import TYPE_CHECKING
 from rtcal import support
 
 if TYPE_CHECKING:
+    from rtcal.simulators.base import DifferentiableSimulator as DifferentiableSimulator
+    from rtcal.simulators.base import Observations as Observations
     from rtcal.simulators.base import Simulator as Simulator
     from rtcal.simulators.external import EquationSimulator as EquationSimulator
     from rtcal.simulators.external import External as External
     from rtcal.simulators.external import command as command
     from rtcal.simulators.geometry import Polyhedron as Polyhedron
-    from rtcal.simulators.observations import DifferentiableSimulator as DifferentiableSimulator
-    from rtcal.simulators.observations import Observations as Observations
     from rtcal.simulators.path_tracing import PathTracing as PathTracing
     from rtcal.simulators.ray_tracing import RayTracing as RayTracing
     from rtcal.simulators.sdn import ScatteringDelayNetwork as ScatteringDelayNetwork

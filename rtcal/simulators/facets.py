@@ -104,7 +104,7 @@ def winding_number(points: Array, triangles: Array) -> Array:
     """
     corners = triangles[np.newaxis] - points[:, np.newaxis, np.newaxis, :]
     a, b, c = corners[:, :, 0], corners[:, :, 1], corners[:, :, 2]
-    la, lb, lc = (np.linalg.norm(v, axis=-1) for v in (a, b, c))
+    la, lb, lc = np.linalg.norm([a, b, c], axis=-1)
     volume = np.sum(a * np.cross(b, c), axis=-1)
     denominator = (
         la * lb * lc

@@ -6,17 +6,18 @@ from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from copy import copy
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from itertools import repeat
 from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
+from rtcal.acoustics.air import Air
 from rtcal.acoustics.directivity import Directivity, DirectivityFile, directivities
 from rtcal.acoustics.observables import MATCH, OBSERVABLES, longest
-from rtcal.simulators import observations, paths
-from rtcal.simulators.base import check_alpha
-from rtcal.simulators.observations import Observations
+from rtcal.simulators import base, paths
+from rtcal.simulators.base import Observations, check_alpha
 from rtcal.simulators.tracer import (
     LONGEST,
     Tracer,
@@ -139,11 +140,21 @@ class PathTracing(Tracer):
         return f"path tracing of {self.room.name} ({self.scattering_model} scattering)"
 
     @property
+    def tracing(self) -> PathTracing:
+        """The tracing itself, in which control runs are traced."""
+        return self
+
+    @property
+    def fits_scattering(self) -> bool:
+        """Whether paths of the model "random" hit materials that scatter in part."""
+        return self.scattering_model == "random" and not np.isin(self.scattering, (0.0, 1.0)).all()
+
+    @property
     def unknown_sources(self) -> tuple[str, ...]:
         """The sources whose directivity is stated to be unknown."""
         return tuple(name for name, of in self.directivity.items() if isinstance(of, str))
 
-    @property
+    @cached_property
     def aimed_sources(self) -> dict[int, Directivity]:
         """The directivities that are known, by the number of the source."""
         stated = {s: self.directivity.get(name) for s, name in enumerate(self.sources)}
@@ -155,7 +166,7 @@ class PathTracing(Tracer):
         Early sound depends on where a loudspeaker aims, and so does the level near it. T20 and T30
         depend on it little. DataError where none is left.
         """
-        names = observations.checked_parameters(match)
+        names = base.checked_parameters(match)
         if not self.unknown_sources:
             return names
         kept = tuple(name for name in names if OBSERVABLES[name].part == "late")
@@ -166,9 +177,9 @@ class PathTracing(Tracer):
         return kept
 
     @property
-    def source_notes(self) -> tuple[str, ...]:
-        """The assumption on the sources' directivities."""
-        notes = []
+    def notes(self) -> tuple[str, ...]:
+        """Areas that the geometry contradicts, and the assumption on the sources' directivities."""
+        notes = [*super().notes]
         if unknown := ", ".join(self.unknown_sources):
             notes.append(
                 f"The directivity of {unknown} is unknown. So reverberation times alone are used: the "
@@ -178,20 +189,28 @@ class PathTracing(Tracer):
             notes.append(f"Taken as omnidirectional: {taken}.")
         return tuple(notes)
 
-    def denser(self, factor: int = 1) -> PathTracing:
+    def with_air(self, air: Air) -> PathTracing:
+        """Return the tracing with another air."""
+        return replace(self, room=self.room.with_air(air))
+
+    def denser(self, factor: int = 1, n_batches: int | None = None) -> PathTracing:
         """Return the tracing with `DENSER` times ``factor`` as many paths, whose noise is lower.
 
         Paths are thinned as the sound dies away, so that they take about as long, and receivers without
         a stated radius have one of `LARGER` times the cube root of the volume. Where the tracing is
         thinned already, it has ``factor`` times its paths; with a factor of 1 it is this one, with the
-        paths that it has traced.
+        paths that it has traced. ``n_batches`` is another number of batches.
         """
         checks.whole("factor", factor, 1)
+        n_batches = n_batches or self.n_batches
         if self.thinned is not None:
-            return self if factor == 1 else replace(self, n_paths=factor * self.n_paths)
+            if factor == 1 and n_batches == self.n_batches:
+                return self
+            return replace(self, n_paths=factor * self.n_paths, n_batches=n_batches)
         return replace(
             self,
             n_paths=DENSER * factor * self.n_paths,
+            n_batches=n_batches,
             radius=self.radius or LARGER * self.geometry.volume ** (1 / 3),
             thinned=_THINNED * eyring_seconds(self.room, self.room.alpha),
         )
@@ -204,6 +223,8 @@ class PathTracing(Tracer):
         for name, of in checks.mapped("directivity", directivity).items():
             checks.instance(f"directivity[{checks.shown(name)}]", of, Directivity)
         changed = copy(self)
+        for name in ("aimed_sources", "_bands_of_paths"):
+            vars(changed).pop(name, None)
         # A key with a band, too, has the paths of its directivity.
         kept = {key: of for key, of in self._traced.items() if len(key) == 2}
         object.__setattr__(changed, "_traced", kept)
@@ -262,7 +283,7 @@ class PathTracing(Tracer):
         The level is G of a source whose power is known. Raises as `simulate` does, and
         `TooShortError` where paths that were traced end too early and are not to be traced ``again``.
         """
-        alpha, match = check_alpha(self, alpha), observations.checked_parameters(match)
+        alpha, match = check_alpha(self, alpha), base.checked_parameters(match)
         again = checks.flag("again", again)
         (energy,) = self._groups(alpha, match, 1, seed, None if again else self._followed(seed))
         return self._observed(energy, alpha, match)
@@ -281,7 +302,7 @@ class PathTracing(Tracer):
 
         Their differences are the noise of as many paths. ``number`` divides ``n_batches``.
         """
-        alpha, match = check_alpha(self, alpha), observations.checked_parameters(match)
+        alpha, match = check_alpha(self, alpha), base.checked_parameters(match)
         groups = self._groups(alpha, match, number, seed)
         return np.array([self._observed(energy, alpha, match).values for energy in groups])
 
@@ -308,7 +329,7 @@ class PathTracing(Tracer):
         cause = "too little is reflected"
         if np.max(self.room.areas @ alpha) < _REFLECTING * self.room.areas.sum():
             cause = f"{self.n_paths} paths per source are too few. Take a larger n_paths"
-        return observations.of_decays(
+        return base.of_decays(
             energy.reshape(len(self.pairs), *energy.shape[2:]),
             self.bin_width,
             match,
@@ -346,10 +367,10 @@ class PathTracing(Tracer):
         DataError, TooShortError
             As `simulate` does, and for another ``by``.
         """
-        alpha, match = check_alpha(self, alpha), observations.checked_parameters(match)
-        alpha = np.minimum(alpha, observations.LARGEST_ALPHA)
+        alpha, match = check_alpha(self, alpha), base.checked_parameters(match)
+        alpha = np.minimum(alpha, base.LARGEST_ALPHA)
         owners = self.room.material_rows(self.geometry.materials)
-        surface = observations.by_surface(by)
+        surface = base.by_surface(by)
         groups = np.arange(len(owners)) if surface else owners
         n_unknowns = len(owners) if surface else self.room.n_materials
         derivatives = self._derivatives(
@@ -389,7 +410,7 @@ class PathTracing(Tracer):
             As `observe` does, for a ``number`` that does not divide, and if ``scattering_model`` is
             not "random".
         """
-        alpha, match = check_alpha(self, alpha), observations.checked_parameters(match)
+        alpha, match = check_alpha(self, alpha), base.checked_parameters(match)
         checks.whole("number", number, 1)
         self._check_number(number)
         return self._derivatives(
@@ -436,7 +457,7 @@ class PathTracing(Tracer):
         for bands, sweep in zip(groups, sweeps, strict=True):
             for s, (_, of_groups) in enumerate(sweep):
                 for of_group, by_bin in zip(out, of_groups, strict=True):
-                    of_group[:, s][:, :, bands, : by_bin.shape[2]] = observations.chained(
+                    of_group[:, s][:, :, bands, : by_bin.shape[2]] = base.chained(
                         decays[s][:, bands], by_bin[:, : decays.shape[-1]], self.bin_width, match
                     )
         return out.reshape(number, len(match), len(self.pairs), self.room.n_bands, n_unknowns)
@@ -460,6 +481,10 @@ class PathTracing(Tracer):
 
     def bands_of_paths(self) -> list[NDArray[np.int64]]:
         """Return the bands' numbers in groups whose scattering and directivity are the same."""
+        return self._bands_of_paths
+
+    @cached_property
+    def _bands_of_paths(self) -> list[NDArray[np.int64]]:
         aimed = [of.pattern for of in self.aimed_sources.values()]
         return equal_columns(np.vstack([self.scattering, *aimed]))
 

@@ -175,9 +175,10 @@ class Paths:
         lost = sum(batch.lost for source in self.batches for batch in source)
         return lost / (self.n_paths * len(self.batches))
 
-    def _kept(self, source: int) -> int:
-        """Return the number of a source's paths that were not lost."""
-        return self.n_paths - sum(batch.lost for batch in self.batches[source])
+    @cached_property
+    def _kept(self) -> list[int]:
+        """Numbers of each source's paths that were not lost."""
+        return [self.n_paths - sum(batch.lost for batch in source) for source in self.batches]
 
     @property
     def mean_free_path(self) -> float:
@@ -237,7 +238,7 @@ class Paths:
                     (log_reflection, attenuation, self.first[s], float(bin_length)),
                     out[b * number // n_batches, s],
                 )
-            out[:, s] *= number / self._kept(s)
+            out[:, s] *= number / self._kept[s]
         out[..., 0] += self._direct_sound(attenuation)
         return out
 
@@ -457,7 +458,7 @@ class Paths:
                     powers,
                     heard,
                 )
-            out[:, :, s] = np.moveaxis(heard, (1, 2, 3, 4), (2, 4, 1, 3)) / self._kept(s)
+            out[:, :, s] = np.moveaxis(heard, (1, 2, 3, 4), (2, 4, 1, 3)) / self._kept[s]
         out[..., 0] += self._direct_sound(attenuation)
         return out
 

@@ -29,10 +29,10 @@ from rtcal.acoustics.decay import gradients
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.observables import MATCH
 from rtcal.acoustics.room import Room
-from rtcal.simulators import observations
-from rtcal.simulators.base import RoomSimulator, check_alpha
+from rtcal.simulators import base
+from rtcal.simulators.base import Observations, RoomSimulator, check_alpha
 from rtcal.simulators.geometry import SHOEBOX_WALLS, Polyhedron
-from rtcal.simulators.observations import Observations
+from rtcal.simulators.path_tracing import PathTracing
 from rtcal.support import checks
 from rtcal.support.errors import DataError
 from rtcal.support.types import Array
@@ -91,6 +91,20 @@ class ShoeboxSimulator(RoomSimulator, ABC):
     def name(self) -> str:
         """Name that calibrated coefficients belong to."""
 
+    @property
+    def tracing(self) -> PathTracing:
+        """A path tracing of the box, whose walls scatter half."""
+        return PathTracing(
+            geometry=Polyhedron.shoebox(
+                self.box.dimensions.tolist(),
+                dict(zip(SHOEBOX_WALLS, (self.materials[w] for w in self.box.walls), strict=True)),
+            ),
+            room=self.room,
+            sources=self.sources,
+            receivers=self.receivers,
+            scattering=0.5,
+        )
+
     @abstractmethod
     def decays(self, alpha: Array) -> tuple[Array, float]:
         """Return energy decays from the direct sound on, and the width of their bins in s.
@@ -105,9 +119,9 @@ class ShoeboxSimulator(RoomSimulator, ABC):
         The level is G of a source whose power is known. Raises as `simulate` does.
         """
         checks.whole("seed", seed, 0)
-        match = observations.checked_parameters(match)
+        match = base.checked_parameters(match)
         energy, width = self.decays(check_alpha(self, alpha))
-        return observations.of_decays(energy, width, match, self.box.pairs, self.centre_frequencies)
+        return base.of_decays(energy, width, match, self.box.pairs, self.centre_frequencies)
 
     def jacobian(
         self,
@@ -135,11 +149,11 @@ class ShoeboxSimulator(RoomSimulator, ABC):
         DataError, TooShortError
             As `observe` does, and for another ``by``.
         """
-        alpha = np.minimum(check_alpha(self, alpha), observations.LARGEST_ALPHA)
-        match = observations.checked_parameters(match)
-        surface = observations.by_surface(by)
+        alpha = np.minimum(check_alpha(self, alpha), base.LARGEST_ALPHA)
+        match = base.checked_parameters(match)
+        surface = base.by_surface(by)
         energy, width = self.decays(alpha)
-        observations.of_decays(energy, width, match, self.box.pairs, self.centre_frequencies)
+        base.of_decays(energy, width, match, self.box.pairs, self.centre_frequencies)
         out = np.empty((len(match), *energy.shape[:2], len(self.box.walls)))
         for pair, of_walls in enumerate(self._wall_gradients(alpha, energy.shape[-1])):
             by_bin = gradients(energy[pair], width, match)

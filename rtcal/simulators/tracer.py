@@ -5,7 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
+from functools import cached_property, partial
 from typing import Any, ClassVar, Literal
 
 import numpy as np
@@ -97,7 +97,7 @@ class Tracer(RoomSimulator, ABC):
     def name(self) -> str:
         """Name that calibrated coefficients belong to."""
 
-    @property
+    @cached_property
     def pairs(self) -> tuple[tuple[str, str], ...]:
         """Names of source and receiver of each pair, source by source."""
         return tuple((s, r) for s in self.sources for r in self.receivers)
@@ -269,10 +269,7 @@ def measurement(
 
 def eyring_seconds(room: Room, alpha: Array) -> float:
     """Return the longest of Eyring's T over the bands in s, from 0.2 to `LONGEST`."""
-    if not np.array_equal(alpha, room.alpha):
-        room = room.replace(alpha=alpha, calibration=None)
-    times = Eyring().reverberation_time(room)
-    return float(np.clip(np.max(times), 0.2, LONGEST))
+    return float(np.clip(np.max(Eyring().time(room, room.areas @ alpha)), 0.2, LONGEST))
 
 
 def decay_long_enough(

@@ -139,7 +139,7 @@ def array(place: str, value: object, error: type[RtcalError] = DataError) -> Arr
         raise error(f"{place} = None is not an array of real numbers")
     try:
         kind = np.asarray(value).dtype.kind
-        if kind not in "bc" and not _has_flags(value):
+        if kind not in "bc" and not (isinstance(value, list | tuple) and _has_flags(value)):
             return np.asarray(value, dtype=float)
     except (TypeError, ValueError, OverflowError) as cause:
         raise error(f"{place} is not an array of real numbers: {cause}") from cause
@@ -162,7 +162,11 @@ def listed(place: str, value: object) -> tuple[Any, ...]:
 
 def texts(place: str, value: object) -> tuple[str, ...]:
     """Return the members of a sequence of texts; DataError for one text and for anything else."""
-    return tuple(text(f"{place}[{i}]", each) for i, each in enumerate(listed(place, value)))
+    every = listed(place, value)
+    for i, each in enumerate(every):
+        if not isinstance(each, str):
+            text(f"{place}[{i}]", each)
+    return every
 
 
 def text_by_name(place: str, value: object) -> dict[str, str]:
@@ -181,13 +185,14 @@ def pairs(place: str, value: object) -> tuple[tuple[str, str], ...]:
         if not (
             isinstance(pair, list | tuple)
             and len(pair) == 2
-            and all(isinstance(name, str) for name in pair)
+            and isinstance(pair[0], str)
+            and isinstance(pair[1], str)
         ):
             raise DataError(
                 f"{place} has {shown(pair)}, which is no pair of a source and a receiver; "
                 f'{place} = [["S1", "R3"]] has one'
             )
-    return tuple((source, receiver) for source, receiver in every)
+    return tuple(map(tuple, every))
 
 
 def mapped(place: str, value: object) -> dict[Any, Any]:

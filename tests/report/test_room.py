@@ -13,8 +13,8 @@ import pytest
 import rtcal as rt
 from rtcal.loop.matched import Beside
 from rtcal.report import page, room_view
+from rtcal.simulators.base import Observations
 from rtcal.simulators.geometry import Polyhedron
-from rtcal.simulators.observations import Observations
 from tests.report.pages import EVIL, no_figures
 from tests.report.rooms import calibrated
 

@@ -10,7 +10,7 @@ import pytest
 import rtcal as rt
 from rtcal.loop import positions
 from rtcal.loop.measured_pairs import fingerprints, pairs_to_match
-from rtcal.simulators.observations import Observations
+from rtcal.simulators.base import Observations
 from rtcal.support.errors import DataError
 
 

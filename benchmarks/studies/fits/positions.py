@@ -56,7 +56,7 @@ from rtcal.loop.control_runs import ControlRuns, simulated_controls, trace_ahead
 from rtcal.loop.measured_pairs import Linearisation, pairs_to_match
 from rtcal.loop.positions import MORE_PATHS, precise
 from rtcal.simulators import PathTracing, paths
-from rtcal.simulators.observations import Observations
+from rtcal.simulators.base import Observations
 from rtcal.simulators.tracer import ScatteringModel
 
 MATCH = ("t20", "edt", "c80", "ts", "level")

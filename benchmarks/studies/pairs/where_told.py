@@ -24,7 +24,7 @@ from benchmarks.studies.pairs.where import case_of, prepared
 from rtcal.acoustics.observables import observable
 from rtcal.finder.positions.posterior import evaluate, flat, scores, weights
 from rtcal.finder.positions.responses import BASE, responses_of
-from rtcal.simulators.observations import Observations
+from rtcal.simulators.base import Observations
 
 SEED = 77
 """Of the tracings that are told."""

@@ -26,7 +26,7 @@ from rtcal.acoustics.observables import observable
 from rtcal.loop.positions_result import PositionsPrediction, predict_positions
 from rtcal.prediction import Cover, Variant
 from rtcal.simulators import PathTracing, Polyhedron
-from rtcal.simulators.observations import observe
+from rtcal.simulators.base import observe
 from rtcal.support.types import Array
 
 WORLDS = {"development": 0, "first": 1, "second": 2, "third": 3}

@@ -40,7 +40,7 @@ from rtcal.loop.control_runs import COMMON as OF_ROOM
 from rtcal.loop.control_runs import OWN as OF_MATERIAL
 from rtcal.loop.control_runs import ControlRuns, MaterialScattering
 from rtcal.loop.measured_pairs import MeasuredPairs, Pair, pairs_to_match
-from rtcal.simulators.observations import LARGEST_ALPHA, Observations
+from rtcal.simulators.base import LARGEST_ALPHA, Observations
 from rtcal.support.errors import DataError
 from rtcal.support.types import Array
 

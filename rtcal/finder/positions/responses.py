@@ -30,7 +30,7 @@ from rtcal.finder.positions.case import (
 )
 from rtcal.finder.positions.weighing import MOVE, SECOND_ROOMS, Weighing, displaced
 from rtcal.loop.control_runs import scattered, share_of_signal
-from rtcal.simulators.observations import LARGEST_ALPHA
+from rtcal.simulators.base import LARGEST_ALPHA
 from rtcal.simulators.path_tracing import DENSER, LARGER, PathTracing
 from rtcal.simulators.tracer import LONGEST
 from rtcal.support import __version__, checks

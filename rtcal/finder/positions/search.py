@@ -349,7 +349,7 @@ def _assumed(case: PositionsCase) -> tuple[str, ...]:
     together = "" if case.surfaces is not None else of_room.merged(case.geometry, case.faces)
     (instead,) = with_t30([TARGET.key], case.measured)
     alone = T30_ALONE if instead != TARGET.key and instead in case.match else ""
-    return tuple(note for note in (alone, *tracer.notes, *tracer.source_notes, together) if note)
+    return tuple(note for note in (alone, *tracer.notes, together) if note)
 
 
 def untried(effects: Sequence[Effect]) -> str:

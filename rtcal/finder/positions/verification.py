@@ -28,7 +28,7 @@ from rtcal.finder.positions.search import find_by_positions
 from rtcal.loop.control_runs import trace_ahead
 from rtcal.loop.measured_pairs import Pair, gap_at_pairs
 from rtcal.loop.positions import calibrate_positions
-from rtcal.simulators.observations import Observations, observe
+from rtcal.simulators.base import Observations, observe
 from rtcal.simulators.path_tracing import PathTracing
 from rtcal.support import checks, text
 from rtcal.support.errors import DataError

@@ -31,7 +31,7 @@ from rtcal.acoustics.room import Room
 from rtcal.finder.effects.whole_room import HARD
 from rtcal.finder.positions.case import PositionsCase
 from rtcal.finder.positions.surfaces import Faces
-from rtcal.simulators import observations, paths
+from rtcal.simulators import base, paths
 from rtcal.simulators.path_tracing import PathTracing
 from rtcal.simulators.tracer import LONGEST, decay_long_enough, eyring_seconds
 from rtcal.support.errors import DataError, TooShortError
@@ -165,7 +165,7 @@ class Weighing:
     def alpha(self) -> Array:
         """Alpha of each face as it is traced, (n_faces, n_bands): less than 1."""
         room = self.tracer.room
-        alpha = np.minimum(room.alpha, observations.LARGEST_ALPHA)
+        alpha = np.minimum(room.alpha, base.LARGEST_ALPHA)
         return np.asarray(alpha[room.material_rows(self.tracer.geometry.materials)])
 
     def observe(
@@ -248,9 +248,7 @@ class Weighing:
         (n_parameters, ..., n_pairs, n_bands).
         """
         pairs, frequencies = self._named
-        return observations.values_of_decays(
-            energy, self.tracer.bin_width, self.match, pairs, frequencies
-        )
+        return base.values_of_decays(energy, self.tracer.bin_width, self.match, pairs, frequencies)
 
     @cached_property
     def _named(self) -> tuple[Sequence[tuple[str, str]], Array]:

@@ -32,7 +32,7 @@ from rtcal.files.disk import make_folder, write_all
 from rtcal.finder.case import CLIMATE_UNCERTAINTY, checked_climate_uncertainty
 from rtcal.finder.positions import surfaces as of_room
 from rtcal.io import obj
-from rtcal.simulators import observations
+from rtcal.simulators import base
 from rtcal.simulators.geometry import Polyhedron
 from rtcal.simulators.path_tracing import PathTracing
 from rtcal.support import checks
@@ -254,8 +254,8 @@ class StatesCase:
         checks.instance("before", self.before, Measurement).refuse_large_uncertainty()
         checks.instance("after", self.after, Measurement).refuse_large_uncertainty()
         checks.instance("equation", self.equation, LinearEquation)
-        object.__setattr__(self, "match", observations.checked_parameters(self.match))
-        if self.simulator is None and self.match != observations.checked_parameters(MATCH):
+        object.__setattr__(self, "match", base.checked_parameters(self.match))
+        if self.simulator is None and self.match != base.checked_parameters(MATCH):
             raise DataError("match needs a simulator: without one T alone is compared")
         uncertain = checked_climate_uncertainty(self.climate_uncertainty)
         object.__setattr__(self, "climate_uncertainty", uncertain)

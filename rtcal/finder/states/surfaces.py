@@ -31,8 +31,8 @@ from rtcal.finder.positions.surfaces import Faces
 from rtcal.finder.positions.weighing import Weighing
 from rtcal.finder.prior import log_mixture
 from rtcal.finder.states.evidence import ANOTHER_CLIMATE
-from rtcal.simulators import observations
-from rtcal.simulators.observations import Observations
+from rtcal.simulators import base
+from rtcal.simulators.base import Observations
 from rtcal.simulators.path_tracing import PathTracing
 from rtcal.support.types import Array
 
@@ -252,7 +252,7 @@ def _scaled_to(
         constant = 24 * np.log(10) / room.speed_of_sound * room.volume
         damped = np.maximum(constant / np.array([wanted, simulated.mean(axis=0)]) - air, 1e-3)
         factor = np.where(np.isfinite(wanted), damped[0] / damped[1], 1.0)
-        alpha = -np.expm1(factor * np.log1p(-np.minimum(room.alpha, observations.LARGEST_ALPHA)))
+        alpha = -np.expm1(factor * np.log1p(-np.minimum(room.alpha, base.LARGEST_ALPHA)))
         scaled = replace(tracer, room=room.replace(alpha=np.clip(alpha, 1e-4, 0.99)))
         scaled._traced.update(tracer._traced)  # alpha weighs the same paths
         tracer = scaled
