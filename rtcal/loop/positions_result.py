@@ -638,7 +638,7 @@ class ChangedRoom:
         stated = self.after.sigma[self._new]
         return np.where(stated > 0, np.maximum(stated, self.assumptions.changed), stated)
 
-    def simulator(self, simulator: Simulator) -> Simulator:
+    def simulator(self, simulator: Any) -> Any:
         """Return the simulator with the air after the change."""
         if self.after.air is None or self.after.air == self.before.air:
             return simulator
@@ -777,7 +777,7 @@ class Changed:
         What control runs tell, what the materials' scattering does, and the noise of the paths that
         are weighed: all control runs have the same, so they do not tell it.
         """
-        result, tracer = self.result, self.result.weighed
+        result, tracer = self.result, self.known.at.simulator
         names = (*result.parameters, *self.names)
         controls = self.controls.at(names, self.controls.pairs)
         states = (self.known.own_error, self.known.error(self.after, self.walls, self.match))

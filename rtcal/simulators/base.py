@@ -94,9 +94,18 @@ class RoomSimulator:
     """
 
     room: Room
-    tracing: Any = None
-    fits_scattering: bool = False
-    notes: tuple[str, ...] = ()
+
+    @property
+    def tracing(self) -> Any:
+        return None
+
+    @property
+    def fits_scattering(self) -> bool:
+        return False
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        return ()
 
     def denser(self, factor: int = 1, n_batches: int | None = None) -> Any:
         """Return the simulator with less noise of its paths: itself, where it has none."""
@@ -108,7 +117,7 @@ class RoomSimulator:
     def observe_in_groups(
         self, alpha: Array, number: int, match: Sequence[str] = MATCH, *, seed: int = 0
     ) -> Array | None:
-        """Return the observations of groups of the paths, whose differences are noise; None for none."""
+        """Return observations of groups of the paths, whose differences are noise; None without."""
         return None
 
     def trusted(self, match: Sequence[str]) -> tuple[str, ...]:

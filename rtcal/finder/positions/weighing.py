@@ -383,12 +383,12 @@ def displaced(
             changes["directivity"] = aimed
         changed = replace(tracer.denser(), **changes)
         try:
-            heard = observations.observe(changed, case.room.alpha, match, seed=seed)
+            heard = base.observe(changed, case.room.alpha, match, seed=seed)
         except TooShortError:  # more paths would be as short
             raise
         except DataError:  # a decay with too few paths for its T20
             changed = replace(changed, n_paths=_MORE_PATHS * fewer)
-            heard = observations.observe(changed, case.room.alpha, match, seed=seed)
+            heard = base.observe(changed, case.room.alpha, match, seed=seed)
         values = heard.values
         axis = 1 if kind == "sources" else 2
         sizes = list(shape)
