@@ -718,7 +718,7 @@ class Changed:
         return observe(self.after, walls, self.match, seed=self.result.seed).values
 
     @cached_property
-    def after(self) -> Simulator:
+    def after(self) -> Any:
         """The simulator with the air after the change."""
         return self.room.simulator(self.result.weighed)
 

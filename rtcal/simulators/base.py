@@ -82,29 +82,23 @@ class RoomSimulator:
 
     What a calibration to every position asks of a simulator beyond `Simulator` has defaults here, those
     of a simulator without traced paths; `PathTracing` has its own.
-
-    Attributes
-    ----------
-    tracing : PathTracing or None
-        A path tracing of the same room, in which control runs are traced; None without a geometry.
-    fits_scattering : bool
-        Whether derivatives by the scattering of materials are known, so that it can be fitted.
-    notes : tuple of str
-        Doubts and assumptions about the geometry and the sources.
     """
 
     room: Room
 
     @property
     def tracing(self) -> Any:
+        """A path tracing of the same room, for control runs; None without a geometry."""
         return None
 
     @property
     def fits_scattering(self) -> bool:
+        """Whether derivatives by the scattering of materials are known, so that it can be fitted."""
         return False
 
     @property
     def notes(self) -> tuple[str, ...]:
+        """Doubts and assumptions about the geometry and the sources."""
         return ()
 
     def denser(self, factor: int = 1, n_batches: int | None = None) -> Any:

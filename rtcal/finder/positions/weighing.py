@@ -31,7 +31,8 @@ from rtcal.acoustics.room import Room
 from rtcal.finder.effects.whole_room import HARD
 from rtcal.finder.positions.case import PositionsCase
 from rtcal.finder.positions.surfaces import Faces
-from rtcal.simulators import base, paths
+from rtcal.simulators import paths
+from rtcal.simulators.base import LARGEST_ALPHA, observe, values_of_decays
 from rtcal.simulators.path_tracing import PathTracing
 from rtcal.simulators.tracer import LONGEST, decay_long_enough, eyring_seconds
 from rtcal.support.errors import DataError, TooShortError
@@ -165,7 +166,7 @@ class Weighing:
     def alpha(self) -> Array:
         """Alpha of each face as it is traced, (n_faces, n_bands): less than 1."""
         room = self.tracer.room
-        alpha = np.minimum(room.alpha, base.LARGEST_ALPHA)
+        alpha = np.minimum(room.alpha, LARGEST_ALPHA)
         return np.asarray(alpha[room.material_rows(self.tracer.geometry.materials)])
 
     def observe(
@@ -248,7 +249,7 @@ class Weighing:
         (n_parameters, ..., n_pairs, n_bands).
         """
         pairs, frequencies = self._named
-        return base.values_of_decays(energy, self.tracer.bin_width, self.match, pairs, frequencies)
+        return values_of_decays(energy, self.tracer.bin_width, self.match, pairs, frequencies)
 
     @cached_property
     def _named(self) -> tuple[Sequence[tuple[str, str]], Array]:
@@ -383,12 +384,12 @@ def displaced(
             changes["directivity"] = aimed
         changed = replace(tracer.denser(), **changes)
         try:
-            heard = base.observe(changed, case.room.alpha, match, seed=seed)
+            heard = observe(changed, case.room.alpha, match, seed=seed)
         except TooShortError:  # more paths would be as short
             raise
         except DataError:  # a decay with too few paths for its T20
             changed = replace(changed, n_paths=_MORE_PATHS * fewer)
-            heard = base.observe(changed, case.room.alpha, match, seed=seed)
+            heard = observe(changed, case.room.alpha, match, seed=seed)
         values = heard.values
         axis = 1 if kind == "sources" else 2
         sizes = list(shape)
