@@ -58,9 +58,8 @@ A file of treatments::
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import count
 from typing import Any
 
@@ -99,12 +98,41 @@ _ROUNDING = 1e-9
 """Relative difference below which an area is the whole area."""
 
 
-class Change(ABC):
-    """A change of a room; it makes the room that it leads to."""
+class Change:
+    """A change of a room: what goes out of it, and what comes in.
 
-    @abstractmethod
+    Another change than an exchange of areas has its own `apply`.
+    """
+
+    def goes(self, room: Room) -> tuple[str, float] | None:
+        """Return the material that goes out, and its area in m²; None if nothing does."""
+        return None
+
+    def comes(self, room: Room) -> Further | None:
+        """Return what comes in; None if nothing does."""
+        return None
+
     def apply(self, room: Room) -> Room:
-        """Return the changed room; DataError if the room does not allow the change."""
+        """Return the changed room; DataError if the room does not allow the change.
+
+        The errors of two areas of one material add up.
+        """
+        goes, comes = self.goes(room), self.comes(room)
+        areas, errors, further = room.areas.copy(), room.area_sigma.copy(), []
+        if goes is not None:
+            areas[room.material_index(goes[0])] -= goes[1]
+        if comes is not None and comes.material.name in room.materials:
+            row = room.material_index(comes.material.name)
+            sigma = errors[row] * areas[row] + comes.area_sigma * comes.area
+            areas[row] += comes.area
+            errors[row] = sigma / areas[row]
+        elif comes is not None:
+            further.append(comes)
+        kept = np.flatnonzero(areas > 0).tolist()
+        if not kept and not further:
+            raise DataError("the room would have no surface")
+        sigma = [*errors[kept], *(f.area_sigma for f in further)]
+        return with_materials(room, further, kept, areas[kept], area_sigma=sigma)
 
 
 @dataclass(frozen=True)
@@ -136,18 +164,46 @@ class Cover(Change):
     area: float | None = None
 
     def __post_init__(self) -> None:
-        checks.text("Cover: surface", self.surface)
-        _check_material("Cover: by", self.by)
-        _check_area("Cover", self.area)
+        _check(self, "surface", self.surface, self.area, self.by)
 
-    def apply(self, room: Room) -> Room:
-        """Return the room with the surface covered."""
-        area = _taken(room, self.surface, self.area)
-        left = _with_less(room, self.surface, area)
-        return _added(left, room, self.by, area, _area_sigma(room, self.surface))
+    def goes(self, room: Room) -> tuple[str, float]:
+        """Return the surface."""
+        return self.surface, _taken(room, self.surface, self.area)
+
+    def comes(self, room: Room) -> Further:
+        """Return what covers it."""
+        name, area = self.goes(room)
+        error = float(room.area_sigma[room.material_index(name)])
+        return Further(_material(room, self.by), area, error)
 
     def __str__(self) -> str:
         return f'cover {_amount(self.area)} of "{self.surface}" by "{_name(self.by)}"'
+
+
+@dataclass(frozen=True)
+class Open(Cover):
+    """A part of a surface is opened: alpha = 1 there, exactly.
+
+    Parameters
+    ----------
+    surface : str
+        A material of the room.
+    area : float, optional
+        m²; all of it if not given.
+
+    Examples
+    --------
+    >>> from rtcal.acoustics.room import Room
+    >>> room = Room(name="box", volume=60, materials=["wall"], areas=[94], alpha=[[0.1]],
+    ...             sigma=[[0.02]], centre_frequencies=[1000])
+    >>> print(Open("wall", 4).apply(room).absorption_area)
+    [13.]
+    """
+
+    by: Material | str = field(default=OPENING, init=False)
+
+    def __str__(self) -> str:
+        return f'open {_amount(self.area)} of "{self.surface}"'
 
 
 @dataclass(frozen=True)
@@ -175,20 +231,19 @@ class Add(Change):
     area: float
 
     def __post_init__(self) -> None:
-        _check_material("Add: material", self.material)
-        checks.positive("Add: area", self.area, "m²")
+        _check(self, "material", _name(self.material), self.area, self.material)
 
-    def apply(self, room: Room) -> Room:
-        """Return the room with what is added."""
+    def comes(self, room: Room) -> Further:
+        """Return what is added; DataError for more than `MOST_ADDED` times the room's surface."""
         most = MOST_ADDED * room.total_area
         if self.area > most:
             raise DataError(
                 f"area = {self.area:g} m² is more than {most:g} m², {MOST_ADDED:g} times the room's "
                 "surface"
             )
-        name = _name(self.material)
-        error = _area_sigma(room, name) if name in room.materials else 0.0
-        return _added(room, room, self.material, self.area, error)
+        new = _material(room, self.material)
+        errors = dict(zip(room.materials, room.area_sigma.tolist(), strict=True))
+        return Further(new, self.area, errors.get(new.name, 0.0))
 
     def __str__(self) -> str:
         return f'add {_amount(self.area)} of "{_name(self.material)}"'
@@ -218,58 +273,14 @@ class Remove(Change):
     area: float | None = None
 
     def __post_init__(self) -> None:
-        checks.text("Remove: material", self.material)
-        _check_area("Remove", self.area)
+        _check(self, "material", self.material, self.area)
 
-    def apply(self, room: Room) -> Room:
-        """Return the room without it."""
-        left = _with_less(room, self.material, _taken(room, self.material, self.area))
-        if left is None:
-            raise DataError("the room would have no surface")
-        return left
+    def goes(self, room: Room) -> tuple[str, float]:
+        """Return what is removed."""
+        return self.material, _taken(room, self.material, self.area)
 
     def __str__(self) -> str:
         return f'remove {_amount(self.area)} of "{self.material}"'
-
-
-@dataclass(frozen=True)
-class Open(Change):
-    """A part of a surface is opened: alpha = 1 there, exactly.
-
-    Parameters
-    ----------
-    surface : str
-        A material of the room.
-    area : float, optional
-        m²; all of it if not given.
-
-    Examples
-    --------
-    >>> from rtcal.acoustics.room import Room
-    >>> room = Room(name="box", volume=60, materials=["wall"], areas=[94], alpha=[[0.1]],
-    ...             sigma=[[0.02]], centre_frequencies=[1000])
-    >>> print(Open("wall", 4).apply(room).absorption_area)
-    [13.]
-    """
-
-    surface: str
-    area: float | None = None
-
-    def __post_init__(self) -> None:
-        checks.text("Open: surface", self.surface)
-        _check_area("Open", self.area)
-
-    def apply(self, room: Room) -> Room:
-        """Return the room with the opening."""
-        return self.cover(room).apply(room)
-
-    def cover(self, room: Room) -> Cover:
-        """Return the opening as what covers the surface, in the room's bands."""
-        opening = Material(OPENING, [1.0] * room.n_bands, [0.0] * room.n_bands)
-        return Cover(self.surface, opening, self.area)
-
-    def __str__(self) -> str:
-        return f'open {_amount(self.area)} of "{self.surface}"'
 
 
 @dataclass(frozen=True)
@@ -344,11 +355,7 @@ def changed(room: Room, changes: Change | Sequence[Change]) -> Room:
     >>> after.materials[-2:], round(after.total_area - room.total_area, 6)
     (('panel', 'opening'), 0.0)
     """
-    listed = (changes,) if isinstance(changes, Change) else tuple(changes)
-    after = _bare(room)
-    for change in listed:
-        after = _applied(change, after)
-    return after
+    return placed(room, (changes,) if isinstance(changes, Change) else tuple(changes)).room
 
 
 DIRECTIONS = ("x", "y", "z", "free", "unknown")
@@ -406,27 +413,24 @@ def placed(before: Room, changes: Sequence[Change] | Room, like: Placed | None =
     if isinstance(changes, Room):
         return placed(changes, (), start)
     faces = dict(zip(before.materials, start.areas, strict=True))
-    room = _bare(before)
+    room = before.replace(surfaces=(), scene=Scene(), dimensions=None, calibration=None)
     for change in changes:
-        after = _applied(change, room)
-        single = change.cover(room) if isinstance(change, Open) else change
-        if isinstance(single, Cover):
-            row = room.material_index(single.surface)
-            moved = faces[single.surface] * (
-                _taken(room, single.surface, single.area) / room.areas[row]
-            )
-            faces[single.surface] = faces[single.surface] - moved
-            by = _name(single.by)
+        if not isinstance(change, Change):
+            raise DataError(f"change = {checks.shown(change)} is not a rtcal Change")
+        try:
+            goes, comes = change.goes(room), change.comes(room)
+            after = change.apply(room)
+        except DataError as error:
+            raise DataError(f"{change}: {error}") from error
+        moved = np.zeros(len(DIRECTIONS))
+        moved[FREE] = 0.0 if comes is None else comes.area
+        if goes is not None:
+            name, area = goes
+            moved = faces[name] * (area / room.areas[room.material_index(name)])
+            faces[name] = faces[name] - moved
+        if comes is not None:
+            by = comes.material.name
             faces[by] = faces.get(by, 0.0) + moved
-        elif isinstance(single, Add):
-            by = _name(single.material)
-            free = np.zeros(len(DIRECTIONS))
-            free[FREE] = single.area
-            faces[by] = faces.get(by, 0.0) + free
-        elif isinstance(single, Remove):
-            row = room.material_index(single.material)
-            left = 1 - _taken(room, single.material, single.area) / room.areas[row]
-            faces[single.material] = faces[single.material] * left
         room = after
     rows = np.array([faces[name] for name in room.materials])
     # The room's own areas, to the last digit.
@@ -462,29 +466,15 @@ def _like(towards: Array, room: Room, unknown: Sequence[int], other: Placed) -> 
         towards[row, FREE] += 1 - covering
 
 
-def _bare(room: Room) -> Room:
-    return room.replace(surfaces=(), scene=Scene(), dimensions=None, calibration=None)
-
-
-def _applied(change: Change, room: Room) -> Room:
-    if not isinstance(change, Change):
-        raise DataError(f"change = {checks.shown(change)} is not a rtcal Change")
-    try:
-        return change.apply(room)
-    except DataError as error:
-        raise DataError(f"{change}: {error}") from error
-
-
 def _name(material: Material | str) -> str:
-    return material if isinstance(material, str) else material.name
+    return material.name if isinstance(material, Material) else material
 
 
-def _check_material(place: str, value: object) -> None:
-    if not isinstance(value, Material | str):
-        raise DataError(f"{place} = {checks.shown(value)} is no Material and no name of one")
-
-
-def _check_area(kind: str, area: object) -> None:
+def _check(change: Change, key: str, name: str, area: float | None, by: object = "") -> None:
+    kind = type(change).__name__
+    checks.text(f"{kind}: {key}", name)
+    if not isinstance(by, Material | str):
+        raise DataError(f"{kind}: by = {checks.shown(by)} is no Material and no name of one")
     if area is not None:
         checks.positive(f"{kind}: area", area, "m²")
 
@@ -501,44 +491,6 @@ def _taken(room: Room, surface: str, area: float | None) -> float:
     if area > has * (1 + _ROUNDING):
         raise DataError(f'area = {area:g} m² is more than the {has:g} m² of "{surface}"')
     return has if area > has * (1 - _ROUNDING) else area
-
-
-def _with_less(room: Room, surface: str, area: float) -> Room | None:
-    """Return the room with less of a surface; None if nothing is left."""
-    row = room.material_index(surface)
-    areas = np.array(room.areas)
-    areas[row] -= area
-    if areas[row] > 0:
-        return room.replace(areas=areas)
-    kept = [i for i in range(room.n_materials) if i != row]
-    return with_materials(room, (), kept) if kept else None
-
-
-def _area_sigma(room: Room, material: str) -> float:
-    return float(room.area_sigma[room.material_index(material)])
-
-
-def _added(
-    left: Room | None, before: Room, material: Material | str, area: float, area_sigma: float
-) -> Room:
-    """Return what is left of a room with more of a material, whose area has a relative error.
-
-    ``before`` has the str's coefficients. The errors of two areas of one material add up.
-    """
-    new = _material(before, material)
-    further = [Further(new, area, area_sigma)]
-    if left is None:
-        return with_materials(before, further, ())
-    if new.name in left.materials:
-        row, areas, errors = (
-            left.materials.index(new.name),
-            left.areas.copy(),
-            left.area_sigma.copy(),
-        )
-        errors[row] = (errors[row] * areas[row] + area_sigma * area) / (areas[row] + area)
-        areas[row] += area
-        return left.replace(areas=areas, area_sigma=errors)
-    return with_materials(left, further)
 
 
 @dataclass(frozen=True)
@@ -639,6 +591,8 @@ def _row(room: Room, material: str, name: str, values: float | Sequence[float]) 
 
 def _material(room: Room, material: Material | str) -> Material:
     """Return a material of the room by its name, or a new one after a check against the room's."""
+    if material == OPENING and OPENING not in room.materials:
+        return Material(OPENING, [1.0] * room.n_bands, [0.0] * room.n_bands)
     if isinstance(material, str):
         row = room.material_index(material)
         return Material(
@@ -798,15 +752,15 @@ def read_variants(
             raise DataError(f"{place}: {error}") from error
     if not variants:
         raise DataError("no [[variant]]; the file has at least one")
-    refuse_repeated_names(variants)
+    refuse_repeated_names("variants", variants)
     return tuple(variants)
 
 
-def refuse_repeated_names(variants: Sequence[Variant]) -> None:
-    """Raise DataError if two variants have one name."""
-    names = [variant.name for variant in variants]
+def refuse_repeated_names(place: str, listed: Sequence[Variant | Treatment]) -> None:
+    """Raise DataError if two variants or treatments have one name."""
+    names = [each.name for each in listed]
     if twice := next((name for name in names if names.count(name) > 1), None):
-        raise DataError(f'variants has "{twice}" twice; each has a name of its own')
+        raise DataError(f'{place} has "{twice}" twice; each has a name of its own')
 
 
 def read_target(content: str, room: Room) -> Target | None:
@@ -875,9 +829,6 @@ def _change(table: ChangeTable, room: Room, new: Mapping[str, Material]) -> Chan
     by = _material_name("by", stated["by"], room, new)
     return Cover(surface, new.get(by, by), table.area)
 
-
-LEAST = 0.8
-"""Least probability that a design takes: below it the areas that keep it may be no convex set."""
 
 MOST_COST = 1e9
 """Largest cost per m²: larger numbers are slips, and leave no digits to the others."""
@@ -990,20 +941,14 @@ def read_treatments(
 
 
 def check_treatments(treatments: Sequence[Treatment], room: Room) -> tuple[Treatment, ...]:
-    """Return the treatments, each once.
-
-    Raises DataError if there are none, two of a name that differ, or one that does not fit the room.
-    """
-    listed: tuple[Treatment, ...] = ()
-    for treatment in treatments:
+    """Return the treatments; DataError for none, two of one name, or one that does not fit the room."""
+    listed = tuple(treatments)
+    for treatment in listed:
         if not isinstance(treatment, Treatment):
             raise DataError(f"treatment = {checks.shown(treatment)} is not a rtcal Treatment")
-        same = next((t for t in listed if t.name == treatment.name), None)
-        if same is not None and _stated(same) != _stated(treatment):
-            raise DataError(f'treatments has two that are named "{same.name}", and they differ')
-        listed = listed if same is not None else (*listed, treatment)
     if not listed:
         raise DataError("treatments is empty; there is at least one")
+    refuse_repeated_names("treatments", listed)
     for treatment in listed:
         if treatment.covers is not None:
             has = float(room.areas[room.material_index(treatment.covers)])
@@ -1018,12 +963,3 @@ def check_treatments(treatments: Sequence[Treatment], room: Room) -> tuple[Treat
                 f"{most:g} m², {MOST_ADDED:g} times the room's surface"
             )
     return listed
-
-
-def _stated(treatment: Treatment) -> tuple[Any, ...]:
-    """Return what a treatment states, in a form that compares."""
-    material: Any = treatment.material
-    if isinstance(material, Material):
-        numbers = (material.alpha, material.sigma, material.alpha_min)
-        material = (material.name, *(np.asarray(n, dtype=float).tolist() for n in numbers))
-    return material, treatment.largest, treatment.cost, treatment.covers, treatment.unit

@@ -41,7 +41,6 @@ from rtcal.acoustics.changes import (
     Change,
     Climate,
     Cover,
-    Open,
     Variant,
     changed,
     refuse_repeated_names,
@@ -559,7 +558,7 @@ class ChangedRoom:
 
     def __post_init__(self) -> None:
         for change in self.changes:
-            if not isinstance(change, (Cover, Open, Climate)):
+            if not isinstance(change, Cover | Climate):
                 raise DataError(
                     f"{change}: a simulator does not know where; state the changed room's own mesh, or "
                     "predict T by an equation"
@@ -587,13 +586,12 @@ class ChangedRoom:
         mixture = np.eye(self.before.n_materials, len(self.materials))
         moves = []
         for change in self.changes:
-            cover = change.cover(self.before) if isinstance(change, Open) else change
-            if not isinstance(cover, Cover):
+            if not isinstance(change, Cover):
                 continue
-            name = cover.by if isinstance(cover.by, str) else cover.by.name
-            old, new = self.materials.index(cover.surface), self.materials.index(name)
+            name = change.by if isinstance(change.by, str) else change.by.name
+            old, new = self.materials.index(change.surface), self.materials.index(name)
             has = float(self.before.areas @ mixture[:, old])
-            share = 1.0 if cover.area is None else min(cover.area / has, 1.0)
+            share = 1.0 if change.area is None else min(change.area / has, 1.0)
             moved = share * mixture[:, old]
             mixture[:, new] += moved
             mixture[:, old] -= moved
@@ -990,7 +988,7 @@ def predict_positions(
     variants = checks.listed("variants", variants)
     for i, variant in enumerate(variants):
         checks.instance(f"variants[{i}]", variant, Variant)
-    refuse_repeated_names(variants)
+    refuse_repeated_names("variants", variants)
     assumed = Assumptions() if assumptions is None else assumptions
     every = (Variant(_BEFORE, ()), *variants)
     rooms = [ChangedRoom(result.prior, tuple(v.changes), assumed) for v in every]

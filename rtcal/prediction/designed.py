@@ -27,7 +27,7 @@ from scipy.special import ndtri
 
 from rtcal.acoustics import bands
 from rtcal.acoustics.changed_time import KnownRoom
-from rtcal.acoustics.changes import LEAST, Treatment, check_treatments
+from rtcal.acoustics.changes import Treatment, check_treatments
 from rtcal.acoustics.room import Room
 from rtcal.acoustics.room_errors import Assumptions
 from rtcal.acoustics.targets import Target
@@ -41,6 +41,8 @@ from rtcal.support.errors import DataError, InfeasibleError, SolverError
 from rtcal.support.text import shortened
 from rtcal.support.types import Array
 
+LEAST = 0.8
+"""Least probability that a design takes: below it the areas that keep it may be no convex set."""
 Margins = Callable[[Array], Array]
 """Margins (n_margins,) of areas in m² (n_treatments,); 0 or more keeps them."""
 
@@ -676,7 +678,7 @@ def design(
     result : CalibrationResult
         Of several configurations every measured T counts.
     treatments : sequence of Treatment
-        Their order changes nothing; one that is listed twice counts once.
+        Their order changes nothing; each has a name of its own.
     target : Target
         A stated range, or `din_18041` or `ansi_s12_60`.
     probability : float

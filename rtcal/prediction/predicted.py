@@ -529,7 +529,7 @@ def compare(
     >>> compare(result, [Variant("window open", (Open("windows", 2.0),))])
     <Predictions: window open>
     """
-    refuse_repeated_names(variants)
+    refuse_repeated_names("variants", variants)
     room_known = known_room(known, before, equation)
     made = tuple(
         predict(room_known, v.changes, assumptions=assumptions, name=v.name) for v in variants
