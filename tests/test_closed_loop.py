@@ -5,7 +5,7 @@ import pytest
 
 import rtcal as rt
 from rtcal import loop as closed_loop
-from rtcal.acoustics.quality import gap_jnd
+from rtcal.acoustics.marks import gap_jnd
 from rtcal.calibration.problem import Calibration
 from rtcal.datasets import halls
 from rtcal.loop import rules as loop_rules

@@ -7,7 +7,7 @@ import pytest
 
 import rtcal as rt
 from rtcal.acoustics import decay
-from rtcal.acoustics.decay import bent_decays, curvature_percent
+from rtcal.acoustics.marks import bent_decays, curvature_percent
 
 
 def test_curvature_is_that_of_iso_3382_2() -> None:

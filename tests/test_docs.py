@@ -155,7 +155,6 @@ NEEDS_NO_EXAMPLE = {
     "Proposal": "part of a discrepancy.Plan",
     "Rule": "a type: one of three names",
     "Threshold": "part of a Finding, never made by a user",
-    "bent_marks": "trust_marks calls it",
     "of_energy": "one response of impulse_responses.analyse",
     "finding_page": "`rtcal find --out` calls it; takes seconds",
     "page_of": "as page.page, from a folder",

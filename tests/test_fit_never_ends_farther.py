@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import rtcal as rt
-from rtcal.acoustics.quality import rms
+from rtcal.acoustics.marks import rms
 from rtcal.loop.control_runs import ControlRuns
 from rtcal.loop.positions import precise
 from rtcal.simulators import External, ImageSource, PathTracing, ScatteringDelayNetwork
@@ -280,7 +280,7 @@ def test_no_loop_ends_farther_than_the_stated_coefficients(name, factor):
     result = rt.calibrate_simulator(simulator, room, data)
     wanted = data.mean("t20")
     start, end = (
-        rms(rt.acoustics.quality.gap_jnd(simulator.simulate(a).mean("t20"), wanted))
+        rms(rt.acoustics.marks.gap_jnd(simulator.simulate(a).mean("t20"), wanted))
         for a in (room.alpha, result.alpha)
     )
     assert end <= start + 1e-9
@@ -303,6 +303,6 @@ def test_bands_that_depend_on_each_other_end_no_farther_than_a_step():
     result = rt.calibrate_simulator(
         simulator, room, rt.Measurement.from_values(BANDS, t20=wanted), max_simulations=6
     )
-    start = rms(rt.acoustics.quality.gap_jnd(run(room.alpha, 0), wanted))
-    end = rms(rt.acoustics.quality.gap_jnd(run(result.alpha, 0), wanted))
+    start = rms(rt.acoustics.marks.gap_jnd(run(room.alpha, 0), wanted))
+    end = rms(rt.acoustics.marks.gap_jnd(run(result.alpha, 0), wanted))
     assert end <= start + 1e-9

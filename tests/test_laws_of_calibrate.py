@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import rtcal as rt
-from rtcal.acoustics.quality import MET
+from rtcal.acoustics.marks import MET
 from rtcal.report import page as page_module
 from rtcal.report.page import calibration_page
 from rtcal.support.errors import DataError

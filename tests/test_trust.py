@@ -11,8 +11,7 @@ from scipy import stats
 
 import rtcal as rt
 from rtcal.acoustics.directions import facing
-from rtcal.acoustics.quality import plausibility
-from rtcal.acoustics.trust import trust_marks, uneven_marks
+from rtcal.acoustics.marks import plausibility, trust_marks, uneven_marks
 from rtcal.report.page import calibration_page
 from rtcal.simulators.geometry import Polyhedron
 from tests.conftest import also, random_room

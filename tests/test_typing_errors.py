@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import rtcal as rt
-from rtcal.acoustics.trust import far_from_neighbours, in_measurement, in_room
+from rtcal.acoustics.marks import far_from_neighbours, in_measurement, in_room
 from rtcal.io import tables
 
 BANDS = [125, 250, 500, 1000, 2000, 4000]

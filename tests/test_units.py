@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 import rtcal as rt
+from rtcal.acoustics.marks import agreement, plausibility
 from rtcal.acoustics.priors import TruncatedNormal, in_situ, sigma_iso_12999_2, sigma_relative
-from rtcal.acoustics.quality import agreement, plausibility
 from rtcal.calibration.terms import SoftMatch
 from rtcal.finder import ChangedMaterial, Configuration
 from rtcal.loop.state import start

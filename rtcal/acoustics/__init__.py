@@ -8,9 +8,8 @@ if TYPE_CHECKING:
     from rtcal.acoustics import band_conversion as band_conversion
     from rtcal.acoustics import bands as bands
     from rtcal.acoustics import decay as decay
+    from rtcal.acoustics import marks as marks
     from rtcal.acoustics import observables as observables
-    from rtcal.acoustics import quality as quality
-    from rtcal.acoustics import trust as trust
     from rtcal.acoustics.directivity import DirectivityFile as DirectivityFile
 else:
     __getattr__, __dir__, __all__ = support.exports(__name__, __file__)

@@ -933,8 +933,7 @@ def _shared(one: str, other: str) -> list[str]:
     if one == other:
         return [*first] or [one]
     both = [label for label in first if label in second]
-    values = [[cells[label] for label in both] for cells in (first, second)]
-    equal = np.isclose(*values, rtol=_SAME, atol=_SAME).all()
+    equal = all(np.isclose(first[k], second[k], rtol=_SAME, atol=_SAME) for k in both)
     return both if equal and len(both) >= (1 if first.keys() == second.keys() else 2) else []
 
 

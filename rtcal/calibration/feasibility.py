@@ -13,8 +13,8 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from rtcal.acoustics import bands
+from rtcal.acoustics.marks import surface_doubt
 from rtcal.acoustics.room import Room
-from rtcal.acoustics.trust import surface_doubt
 from rtcal.calibration.composition import Composition
 from rtcal.calibration.qp import COMPILING, QP, CompiledProblem
 from rtcal.calibration.unknowns import Flags, Numbers
@@ -185,7 +185,7 @@ def restrict_to_reach(
             )
         )
     if beyond and unreachable == "raise":
-        doubts = [doubt[1] for room in rooms if (doubt := surface_doubt(room)) is not None]
+        doubts = [doubt.text for room in rooms if (doubt := surface_doubt(room)) is not None]
         raise InfeasibleError("; ".join([*map(str, beyond), *doubts]))
     at_low = asked & (too_low | (np.abs(target - low) <= tolerance))
     at_high = asked & (too_high | (np.abs(target - top) <= tolerance)) & ~at_low

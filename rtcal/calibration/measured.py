@@ -9,12 +9,11 @@ from functools import cached_property
 
 import numpy as np
 
-from rtcal.acoustics import band_conversion, bands, trust
-from rtcal.acoustics.decay import BentDecay, bent_decays
+from rtcal.acoustics import band_conversion, bands, marks
+from rtcal.acoustics.marks import TrustMark, bent_decays
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.observables import REVERBERATION, TARGET, parameter_label
 from rtcal.acoustics.room import Room, fingerprint, of_pairs
-from rtcal.acoustics.trust import TypingError
 from rtcal.support import checks
 from rtcal.support.errors import DataError, OtherBandsWarning
 from rtcal.support.text import shortened
@@ -84,14 +83,14 @@ class MeasuredTimes:
         return ". ".join(filter(None, (rule, copied(self.measured))))
 
     @cached_property
-    def bent(self) -> tuple[BentDecay, ...]:
+    def bent(self) -> tuple[TrustMark, ...]:
         """The bands whose decay is not straight."""
         if self.measured is None:
             return ()
         return bent_decays(_in_bands(self.measured, self.centre_frequencies))
 
     @cached_property
-    def mistyped(self) -> tuple[TypingError, ...]:
+    def mistyped(self) -> tuple[TrustMark, ...]:
         """Likely typing errors of T, with the room's nearest band: of values, or else of their mean."""
         frequencies, times, measured = (
             self.centre_frequencies,
@@ -99,20 +98,26 @@ class MeasuredTimes:
             self.measured,
         )
         if measured is None:
-            return tuple(trust.of_row(frequencies, times, "T", " s"))
+            return tuple(marks.of_row(frequencies, times, "T", " s"))
         matched = {p: v for p, v in measured.values.items() if p in self.parameter}
         found = [
             replace(error, frequency=float(frequencies[k]))
-            for error in trust.in_measurement(
+            for error in marks.in_measurement(
                 Measurement(
                     centre_frequencies=measured.centre_frequencies,
                     values=matched,
                     pairs=measured.pairs,
                 )
             )
-            for k in [int(np.argmin(np.abs(np.log(frequencies / error.frequency))))]
+            for k in [
+                int(
+                    np.argmin(
+                        np.abs(np.log(frequencies / np.asarray(error.frequency, dtype=float)))
+                    )
+                )
+            ]
         ]
-        return tuple(found or trust.of_row(frequencies, times, "the mean T", " s"))
+        return tuple(found or marks.of_row(frequencies, times, "the mean T", " s"))
 
 
 def _in_bands(measured: Measurement, frequencies: Array) -> Measurement:

@@ -19,10 +19,17 @@ from rtcal.acoustics.changed_time import (
 from rtcal.acoustics.changes import Change
 from rtcal.acoustics.directions import facing
 from rtcal.acoustics.equations import LinearEquation
-from rtcal.acoustics.quality import CalibrationVerdict, Plausibility, gap_jnd, plausibility, verdict
+from rtcal.acoustics.marks import (
+    Plausibility,
+    TrustMark,
+    gap_jnd,
+    in_room,
+    plausibility,
+    trust_marks,
+    uneven_marks,
+)
 from rtcal.acoustics.room import CalibrationRecord, Room
 from rtcal.acoustics.room_errors import Assumptions, of_absorption
-from rtcal.acoustics.trust import TrustMark, trust_marks, typing_marks, uneven_marks
 from rtcal.calibration import table
 from rtcal.calibration.feasibility import Unreachable, where_valid
 from rtcal.calibration.measured import MeasuredTimes, data_history
@@ -33,6 +40,7 @@ from rtcal.calibration.table import blocks_of
 from rtcal.calibration.terms import (
     LinearObservations,
 )
+from rtcal.calibration.verdict import CalibrationVerdict, verdict
 from rtcal.files.disk import json_numbers
 from rtcal.files.saved import Result
 from rtcal.prediction.predicted import Prediction, predict
@@ -360,7 +368,8 @@ class CalibrationResult(Result):
     def trust_marks(self) -> tuple[TrustMark, ...]:
         """Reasons to doubt single bands or the whole room, with advice; likely typing errors first."""
         return (
-            *typing_marks(self.prior, self.measured_data.mistyped),
+            *self.measured_data.mistyped,
+            *in_room(self.prior),
             *uneven_marks(self.room, facing(self.room) if self.shares is None else self.shares),
             *trust_marks(
                 self.prior,

@@ -14,13 +14,13 @@ from numpy.typing import NDArray
 
 from rtcal.acoustics import bands
 from rtcal.acoustics.equations import LinearEquation
+from rtcal.acoustics.marks import TrustMark, explained, letters
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.observables import TARGET, parameter_label
-from rtcal.acoustics.quality import numbers, verdict
 from rtcal.acoustics.room import Room
-from rtcal.acoustics.trust import TrustMark, explained, letters
 from rtcal.calibration.measured import MeasuredTimes
 from rtcal.calibration.qp import Certificate
+from rtcal.calibration.verdict import numbers, verdict
 from rtcal.files.disk import json_numbers
 from rtcal.support import __version__, text
 from rtcal.support.blocks import Block, Note, Row, Table

@@ -91,7 +91,7 @@ def measure(
 
     Example: rtcal measure *.wav --out t.csv
     """
-    from rtcal.acoustics.trust import in_measurement
+    from rtcal.acoustics.marks import in_measurement
     from rtcal.io import impulse_responses
     from rtcal.io.analysis import with_uncertainty
     from rtcal.support.speed import bar

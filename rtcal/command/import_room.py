@@ -387,11 +387,11 @@ def _notes(
     room: Room, rule: object, sigma: dict[str, Any], scattering: dict[str, Any]
 ) -> list[str]:
     """Return the assumptions beyond the list, in words."""
-    from rtcal.acoustics.trust import surface_doubt
+    from rtcal.acoustics.marks import surface_doubt
 
     notes = [f"{rule}; stated: {', '.join(sigma)}" if sigma else f"Assumed: {rule}"]
     if doubt := surface_doubt(room):
-        notes.insert(0, f"{doubt[1]}: check areas, volume and their units")
+        notes.insert(0, f"{doubt.text}: check areas, volume and their units")
     if room.air is None:
         notes.append(
             "No air is stated, so alpha will include what the air absorbs: state --temperature and "

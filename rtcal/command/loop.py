@@ -159,8 +159,8 @@ def next_(
         --state loop.json --out next.toml
     """  # noqa: D301 (click's mark for lines that are not to be wrapped)
     from rtcal.acoustics import bands
+    from rtcal.acoustics.marks import explained
     from rtcal.acoustics.room import Room
-    from rtcal.acoustics.trust import explained
     from rtcal.loop import calibrate
     from rtcal.loop.matched import sentences
     from rtcal.loop.state import Loop

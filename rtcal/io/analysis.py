@@ -9,13 +9,13 @@ from enum import Enum
 import numpy as np
 
 from rtcal.acoustics import bands
+from rtcal.acoustics.marks import in_measurement
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.observables import (
     REVERBERATION,
     observable,
     parameter_label,
 )
-from rtcal.acoustics.trust import in_measurement
 from rtcal.support import text
 from rtcal.support.types import Array
 

@@ -38,7 +38,8 @@ from scipy.signal import sosfilt
 
 from rtcal.acoustics import bands as _bands
 from rtcal.acoustics import decay
-from rtcal.acoustics.decay import MARGIN_DB, bent_decays
+from rtcal.acoustics.decay import MARGIN_DB
+from rtcal.acoustics.marks import bent_decays
 from rtcal.acoustics.measurement import (
     Measurement,
     names_of_repeats,
@@ -332,7 +333,7 @@ def _analysis(
             "the measured decay contains that of the band filter"
         )
     notes += [
-        f"{_bands.label(band.frequency)}: {band.text}; one T does not describe it"
+        f"{band.frequency:g} Hz: {band.text}; one T does not describe it"
         for band in bent_decays(measurement)
     ]
     # Of repeats, the one that reaches least deep.

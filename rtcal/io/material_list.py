@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from rtcal.acoustics import band_conversion, bands, priors, quality
+from rtcal.acoustics import band_conversion, bands, marks, priors
 from rtcal.acoustics.air import Air
 from rtcal.acoustics.equations import Eyring, LinearEquation
 from rtcal.acoustics.room import Material, Room, Surface, above_one_hint, times_of
@@ -520,7 +520,7 @@ class ExportReport:
     @property
     def change(self) -> Array:
         """Change of T by the conversion and rounding, in JND, signed, (n_bands,)."""
-        return quality.gap_jnd(self.reverberation_time_as_read, self.reverberation_time)
+        return marks.gap_jnd(self.reverberation_time_as_read, self.reverberation_time)
 
     def __str__(self) -> str:
         if self.template is None:
@@ -724,8 +724,8 @@ def _without_measured_time(room: Room, equation: LinearEquation) -> list[str]:
     """Return a note where a calibrated room lacks the T that it was calibrated to, by half a JND."""
     if room.calibration is None or room.calibration.equation != equation.name:
         return []
-    gap = quality.gap_jnd(equation.reverberation_time(room), times_of(room))
-    left = np.abs(gap) >= quality.MET
+    gap = marks.gap_jnd(equation.reverberation_time(room), times_of(room))
+    left = np.abs(gap) >= marks.MET
     if not left.any():
         return []
     each = ", ".join(

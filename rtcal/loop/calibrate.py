@@ -23,12 +23,11 @@ import numpy as np
 from rtcal.acoustics.band_conversion import measurement_in_room_bands, notes
 from rtcal.acoustics.bands import label, labels
 from rtcal.acoustics.equations import LinearEquation
+from rtcal.acoustics.marks import TrustMark, explained, gap_jnd, rms
 from rtcal.acoustics.measurement import MAX_BYTES, Measurement
 from rtcal.acoustics.observables import TARGET, observable, parameter_label
-from rtcal.acoustics.quality import gap_jnd, rms
 from rtcal.acoustics.room import Room
 from rtcal.acoustics.room_errors import in_words
-from rtcal.acoustics.trust import TrustMark, explained
 from rtcal.calibration.measured import times_in_room
 from rtcal.calibration.result import CalibrationResult
 from rtcal.files.disk import json_numbers, read_text, write_all

@@ -20,11 +20,10 @@ from numpy.typing import NDArray
 
 from rtcal.acoustics import band_conversion
 from rtcal.acoustics.bands import label, labels
+from rtcal.acoustics.marks import TrustMark, gap_jnd, rms
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.observables import EARLY, LEVEL, OBSERVABLES, TARGET, parameter_label
-from rtcal.acoustics.quality import gap_jnd, rms
 from rtcal.acoustics.room import Room
-from rtcal.acoustics.trust import TrustMark
 from rtcal.calibration.measured import times_in_room
 from rtcal.modes.calibrate import above_schroeder, below_schroeder
 from rtcal.modes.result import ModesResult

@@ -19,6 +19,7 @@ from scipy.stats import norm
 from rtcal.acoustics import band_conversion, bands
 from rtcal.acoustics.bands import label
 from rtcal.acoustics.decay import gradients
+from rtcal.acoustics.marks import gap_jnd, rms
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.observables import (
     EARLY,
@@ -29,7 +30,6 @@ from rtcal.acoustics.observables import (
     observable,
     parameter_label,
 )
-from rtcal.acoustics.quality import gap_jnd, rms
 from rtcal.acoustics.room import Room, fingerprint, of_pairs, refuse_repeated_data
 from rtcal.calibration.measured import copied, times_in_room
 from rtcal.loop.control_runs import ahead_factor, level

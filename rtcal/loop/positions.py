@@ -24,9 +24,9 @@ from scipy.linalg import cho_factor, cho_solve, solve_triangular
 from scipy.optimize import minimize
 
 from rtcal.acoustics.band_conversion import measurement_in_room_bands
+from rtcal.acoustics.marks import gap_jnd, rms
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.observables import MATCH, observable, parameter_label
-from rtcal.acoustics.quality import gap_jnd, rms
 from rtcal.acoustics.room import CalibrationRecord, Room
 from rtcal.acoustics.room_errors import in_words, prior_covariance, value_changes
 from rtcal.acoustics.scene import POSITION, checked_uncertainty

@@ -45,6 +45,7 @@ from rtcal.acoustics.changes import (
     changed,
     refuse_repeated_names,
 )
+from rtcal.acoustics.marks import rms
 from rtcal.acoustics.observables import (
     LEVEL,
     MATCH,
@@ -54,7 +55,6 @@ from rtcal.acoustics.observables import (
     parameter_label,
 )
 from rtcal.acoustics.priors import NORMAL_90
-from rtcal.acoustics.quality import rms
 from rtcal.acoustics.room import Room
 from rtcal.acoustics.room_errors import Assumptions, value_changes
 from rtcal.acoustics.scene import POSITION, checked_uncertainty

@@ -18,13 +18,11 @@ from numpy.typing import NDArray
 
 from rtcal.acoustics.band_conversion import measurement_in_room_bands
 from rtcal.acoustics.bands import label, span
-from rtcal.acoustics.decay import BentDecay
 from rtcal.acoustics.equations import Eyring, LinearEquation
+from rtcal.acoustics.marks import TrustMark, gap_jnd, in_room, of_row
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.observables import TARGET, parameter_label
-from rtcal.acoustics.quality import gap_jnd
 from rtcal.acoustics.room import Room, refuse_repeated_data
-from rtcal.acoustics.trust import TrustMark, bent_marks, of_row, typing_marks
 from rtcal.calibration.measured import data_history, tell_data, times_in_room
 from rtcal.calibration.methods import preset
 from rtcal.calibration.problem import CalibrationProblem
@@ -149,7 +147,7 @@ class Loop(Result):
     tolerance : float
         In JND.
     steps : tuple of Step
-    bent : tuple of BentDecay
+    bent : tuple of TrustMark
         Bands whose measured decay is not straight.
     beside : dict of parameter to array (n_bands,)
         Measured means of what is shown and not matched.
@@ -178,7 +176,7 @@ class Loop(Result):
     decimals: int | None = None
     tolerance: float = 1.0
     steps: tuple[Step, ...] = ()
-    bent: tuple[BentDecay, ...] = ()
+    bent: tuple[TrustMark, ...] = ()
     beside: Mapping[str, Array] = field(default_factory=dict)
     low: BelowSchroeder | None = None
     _problems: list[CalibrationProblem[CalibrationResult]] = field(
@@ -302,9 +300,10 @@ class Loop(Result):
         label = self.matched.label.removeprefix("the ")
         mistyped = of_row(self.room.centre_frequencies, self.wanted, label, " s")
         return (
-            *typing_marks(self.room, mistyped),
+            *mistyped,
+            *in_room(self.room),
             *marks,
-            *bent_marks(self.bent),
+            *self.bent,
             *(self.low.trust_marks if self.low else ()),
         )
 

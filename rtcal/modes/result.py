@@ -10,10 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtcal.acoustics import bands
-from rtcal.acoustics.quality import Plausibility, plausibility
+from rtcal.acoustics.marks import Plausibility, TrustMark, explained, mark, plausibility
 from rtcal.acoustics.room import CalibrationRecord, Room
 from rtcal.acoustics.room_errors import prior_covariance
-from rtcal.acoustics.trust import TrustMark, explained, implausible_modes_mark, uncarried_mark
 from rtcal.calibration.measured import MeasuredTimes, data_history
 from rtcal.calibration.qp import Certificate
 from rtcal.calibration.result import CalibrationResult
@@ -199,7 +198,16 @@ class ModesResult(Result):
     def uncarried(self, chosen: NDArray[np.bool_]) -> tuple[TrustMark, ...]:
         """Return the marks of chosen bands, (n_bands,), which too few modes carry."""
         ends = zip(self.prior.centre_frequencies, *self.reach, strict=True)
-        return tuple(uncarried_mark(*of) for of, mark in zip(ends, chosen, strict=True) if mark)
+        return tuple(
+            mark(
+                "below_schroeder",
+                float(f),
+                "below the Schroeder frequency, and fewer than three of the modes used lie from "
+                f"{low:.0f} to {high:.0f} Hz, or none in the band itself",
+            )
+            for (f, low, high), few in zip(ends, chosen, strict=True)
+            if few
+        )
 
     @property
     def own_marks(self) -> tuple[TrustMark, ...]:
@@ -211,7 +219,12 @@ class ModesResult(Result):
         if found.p_value is None or (found.p_value >= P_MODES and abs(z) < _FACTOR_Z):
             return ()
         f, p = float(self.modes.frequencies[self.used[self.strangest]]), found.p_value
-        return (implausible_modes_mark(found.q, len(self.used), p, f, 1 + together, z),)
+        text = (
+            f"decays of {len(self.used)} modes have Q = {found.q:.1f}, p = {p:.1g}; {f:.1f} Hz "
+            f"contributes most; together they are {1 + together:.2g} times as fast as stated "
+            f"coefficients make them (z = {z:.1f})"
+        )
+        return (mark("implausible_modes", None, text),)
 
     def __repr__(self) -> str:
         return f"<{self._description}>"

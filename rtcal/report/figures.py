@@ -17,8 +17,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rtcal.acoustics.marks import letters
 from rtcal.acoustics.observables import TARGET
-from rtcal.acoustics.trust import letters
 from rtcal.files.disk import make_folder, write_all, write_bytes
 from rtcal.files.saved import NUMBERS
 from rtcal.io.mend import Faces

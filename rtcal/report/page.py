@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 
 from rtcal.acoustics import bands
-from rtcal.acoustics.quality import CalibrationVerdict
 from rtcal.acoustics.room import MAX_BYTES
 from rtcal.calibration import table
 from rtcal.calibration.result import CalibrationResult
+from rtcal.calibration.verdict import CalibrationVerdict
 from rtcal.modes.result import ModesResult
 from rtcal.modes.room_modes import DECAY
 from rtcal.report import (

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 
 from rtcal.acoustics import bands
+from rtcal.acoustics.marks import rms
 from rtcal.acoustics.observables import DecaySlope, of_kind, parameter_label
-from rtcal.acoustics.quality import rms
 from rtcal.files.saved import NUMBERS
 from rtcal.loop.positions_result import PositionsResult, gap_rows
 from rtcal.report import room_view

@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtcal.acoustics import bands
-from rtcal.acoustics.quality import rms
+from rtcal.acoustics.marks import rms
 from rtcal.io import geometry_files
 from rtcal.simulators.geometry import Polyhedron
 from rtcal.support.errors import DataError

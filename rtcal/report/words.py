@@ -11,12 +11,12 @@ import numpy as np
 from rtcal.acoustics import bands, room_errors
 from rtcal.acoustics.bands import hertz as hertz
 from rtcal.acoustics.equations import EQUATIONS
+from rtcal.acoustics.marks import MET, TrustMark, grouped
 from rtcal.acoustics.observables import parameter_label
-from rtcal.acoustics.quality import MET, CalibrationVerdict, remaining_gap
-from rtcal.acoustics.trust import TrustMark
 from rtcal.calibration.methods import METHODS
 from rtcal.calibration.result import CalibrationResult
 from rtcal.calibration.table import equation_parameters
+from rtcal.calibration.verdict import CalibrationVerdict, remaining_gap
 
 LARGE_SHIFT = 2.0
 """Shift in standard deviations of the prior above which T contradicts a material's stated alpha."""
@@ -166,17 +166,7 @@ def usable(calibration: CalibrationResult) -> tuple[list[float], list[float]]:
 
 def doubts(marks: Sequence[TrustMark]) -> list[Doubt]:
     """Return the trust marks, grouped by kind."""
-    out = []
-    for kind in dict.fromkeys(mark.kind for mark in marks):
-        of_kind = [mark for mark in marks if mark.kind == kind]
-        texts = []
-        for text in dict.fromkeys(mark.text for mark in of_kind):
-            frequencies = [
-                m.frequency for m in of_kind if m.text == text and m.frequency is not None
-            ]
-            texts.append(f"{hertz(frequencies)}: {text}" if frequencies else text)
-        out.append(Doubt(of_kind[0].title, of_kind[0].letter, tuple(texts), of_kind[0].advice))
-    return out
+    return [Doubt(m.title, m.letter, tuple(facts), m.advice) for m, facts in grouped(marks)]
 
 
 def large_shifts(calibration: CalibrationResult) -> tuple[list[Shift], int]:

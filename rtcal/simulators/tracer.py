@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 
 from rtcal.acoustics import decay
 from rtcal.acoustics.equations import Eyring
+from rtcal.acoustics.marks import OFF_VOLUME
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.observables import OBSERVABLES, TARGET, DecaySlope
 from rtcal.acoustics.room import Room
-from rtcal.acoustics.trust import OFF_VOLUME
 from rtcal.simulators.base import RoomSimulator, check_alpha
 from rtcal.simulators.geometry import Polyhedron
 from rtcal.support import checks

@@ -11,8 +11,8 @@ import pytest
 
 import rtcal as rt
 from rtcal.acoustics import decay
+from rtcal.acoustics.marks import gap_jnd
 from rtcal.acoustics.observables import MODULATIONS, OBSERVABLES, Observable, observable, register
-from rtcal.acoustics.quality import gap_jnd
 from rtcal.io import impulse_responses, tables
 from rtcal.io.analysis import means, with_uncertainty
 from rtcal.loop import control_runs

@@ -7,7 +7,7 @@ import pytest
 from scipy import stats
 
 import rtcal as rt
-from rtcal.acoustics.quality import agreement
+from rtcal.acoustics.marks import agreement
 from rtcal.finder import Case, Configuration
 from rtcal.finder.prior import directions
 

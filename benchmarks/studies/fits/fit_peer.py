@@ -29,7 +29,7 @@ import numpy as np
 
 import rtcal as rt
 from benchmarks.studies.fits.positions_peer import scene_of, values_of
-from rtcal.acoustics.quality import gap_jnd, rms
+from rtcal.acoustics.marks import gap_jnd, rms
 from rtcal.simulators.geometry import Polyhedron
 
 MATCH = ("t20", "edt", "c80")

@@ -49,8 +49,8 @@ from benchmarks.studies.position_rooms.load import (
     without_noise,
 )
 from benchmarks.studies.position_rooms.rooms import PRIORS
+from rtcal.acoustics.marks import gap_jnd
 from rtcal.acoustics.measurement import Measurement
-from rtcal.acoustics.quality import gap_jnd
 from rtcal.acoustics.room_errors import prior_covariance
 from rtcal.loop.control_runs import ControlRuns, simulated_controls, trace_ahead
 from rtcal.loop.measured_pairs import Linearisation, pairs_to_match

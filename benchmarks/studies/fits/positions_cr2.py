@@ -21,8 +21,8 @@ import numpy as np
 
 import rtcal as rt
 from benchmarks.studies.fits.positions import JUDGING_PATHS, PATHS, calibrated
+from rtcal.acoustics.marks import gap_jnd
 from rtcal.acoustics.measurement import Measurement
-from rtcal.acoustics.quality import gap_jnd
 from rtcal.loop.positions import precise
 from rtcal.simulators import PathTracing, Polyhedron
 

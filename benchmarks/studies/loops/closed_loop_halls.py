@@ -24,8 +24,8 @@ from dataclasses import dataclass
 import numpy as np
 
 import rtcal as rt
+from rtcal.acoustics.marks import gap_jnd
 from rtcal.acoustics.observables import TARGET
-from rtcal.acoustics.quality import gap_jnd
 from rtcal.datasets import halls
 from rtcal.loop.calibrate import calibrate_simulator
 from rtcal.simulators.path_tracing import PathTracing

@@ -52,7 +52,7 @@ from benchmarks.studies.geometric_world.load import (
 )
 from benchmarks.studies.means.judging import FLAGS, rounded, row_of
 from benchmarks.studies.pairs.where_figures import DATA, LARGE, MODELS, ROOMS, chosen, table
-from rtcal.acoustics.quality import gap_jnd
+from rtcal.acoustics.marks import gap_jnd
 from rtcal.finder import library
 from rtcal.finder.positions.posterior import PositionsHypotheses, of_means
 from rtcal.finder.positions.problem import PositionsProblem, problem_of

@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 from scipy.special import logsumexp
 
 from rtcal.acoustics import bands
+from rtcal.acoustics.marks import gap_jnd
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.observables import MATCH
-from rtcal.acoustics.quality import gap_jnd
 from rtcal.finder.claim import SAID, claimed, most_probable_first
 from rtcal.finder.effects import Effect
 from rtcal.finder.effects.checks import checked_effects

@@ -1,0 +1,669 @@
+"""Model and measurement compared: the gap in JND, its plausibility, and the marks of doubt.
+
+A mark is a reason to doubt a result, in one band or of the whole room. A shifted decimal point changes
+a value by ten, a lost digit by more; T differs between neighbouring bands by much less. A value that is
+far from those of the bands beside it is named before anything else, since all that follows from it is
+wrong.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rtcal.acoustics import bands
+from rtcal.acoustics.bands import hertz, mid_frequency_time, schroeder_frequency
+from rtcal.acoustics.directions import enough_known
+from rtcal.acoustics.equations import Eyring
+from rtcal.acoustics.measurement import Measurement
+from rtcal.acoustics.observables import (
+    OBSERVABLES,
+    REVERBERATION,
+    TARGET,
+    DecaySlope,
+    observable,
+    of_kind,
+)
+from rtcal.acoustics.room import Room
+from rtcal.support import checks
+from rtcal.support.errors import DataError
+from rtcal.support.types import Array
+
+__all__ = [
+    "Plausibility",
+    "TrustMark",
+    "agreement",
+    "bent_decays",
+    "explained",
+    "gap_jnd",
+    "plausibility",
+    "trust_marks",
+]
+__dir__ = __all__.copy
+
+
+def gap_jnd(model: Array, measured: Array, parameter: str = TARGET.key) -> Array:
+    """Return (model - measured) in JND, signed, same shape; NaN where either is missing.
+
+    One JND of a decay time is 5 % of the measured one (ISO 3382-1:2009, Table A.1).
+
+    Examples
+    --------
+    >>> print(gap_jnd(np.array([1.05, 0.9]), np.array([1.0, 1.0])).round(6))
+    [ 1. -2.]
+    """
+    unit_of = observable(parameter).jnd_of
+    model, measured = checks.array("model", model), checks.array("measured", measured)
+    return np.asarray((model - measured) / unit_of(measured))
+
+
+def rms(values: Array, axis: int | tuple[int, ...] | None = None) -> Any:
+    """Return the root mean square over some axes of what is known; NaN where nothing is."""
+    known = np.isfinite(values)
+    squares = np.where(known, values, 0.0) ** 2
+    with np.errstate(invalid="ignore"):
+        return np.sqrt(squares.sum(axis=axis) / known.sum(axis=axis))
+
+
+MET = 0.5
+"""Gap in JND below which the words count the measured T as met: half of what can be heard."""
+P_CONTRADICTION = 0.05
+"""Below this p-value, prior and measurement contradict each other: the usual level of 5 %."""
+LARGE_Z = 2.0
+"""z of a band that contradicts what was stated of the materials."""
+P_TOO_GOOD = 0.99
+"""Above this p-value, prior and measurement agree too well to be true.
+
+If prior and measurement are right, the p-value is uniform, so 1 room in 100 is marked by chance. If
+all standard deviations are f times too large, P(chi² < f² chi²_0.01) of the rooms are marked. In
+six octaves these are 25 % for f = 2 and 75 % for f = 3, in 18 thirds 94 % for f = 2."""
+
+
+@dataclass(frozen=True, eq=False)
+class Plausibility:
+    """Whether prior and measurement agree. The gap does not show it, since a calibration closes it.
+
+    Attributes
+    ----------
+    z : array (n_bands,)
+        b - S'mu over its standard deviation; NaN where nothing was matched.
+    q : float
+        z'R^-1 z, R the correlation of z between bands; the sum of z² where the bands are independent.
+    degrees_of_freedom : int
+        One per matched band, not one per coefficient.
+    p_value : float or None
+        The probability of a larger q if prior and measurement are right. None where a bound is
+        active, because then q is not chi-square.
+    p_together : float or None
+        The same if the coefficients may also be off together, as `rtcal.finder` assumes
+        (`rtcal.acoustics.room_errors`). None where these errors are not known.
+    """
+
+    z: Array
+    q: float
+    degrees_of_freedom: int
+    p_value: float | None
+    p_together: float | None = None
+
+    @property
+    def agreement(self) -> Agreement | None:
+        """The agreement that the p-values show: see `agreement`."""
+        return agreement(self.p_value, self.p_together)
+
+
+Agreement = Literal["contradicts", "agrees", "too good"]
+
+
+def agreement(p_value: float | None, p_together: float | None = None) -> Agreement | None:
+    """Return whether measurement and prior contradict, agree, or agree too well to be true.
+
+    Too well: S'mu is nearer to b than the stated uncertainties make likely. Then a sigma or u_T is
+    too large, or T was calculated from these coefficients. None without a p-value. What coefficients
+    that are off together explain (``p_together``, of `Plausibility`) is no contradiction.
+
+    Examples
+    --------
+    >>> agreement(0.001), agreement(0.4), agreement(1.0)
+    ('contradicts', 'agrees', 'too good')
+    >>> agreement(0.001, 0.2)
+    'agrees'
+    """
+    if p_value is None:
+        return None
+    if max(p_value, p_together or 0.0) < P_CONTRADICTION:
+        return "contradicts"
+    return "too good" if p_value > P_TOO_GOOD else "agrees"
+
+
+def plausibility(
+    difference: Array, covariance: Array, bound_active: bool, together: Array | None = None
+) -> Plausibility:
+    """Return z per band and Q over bands.
+
+    Parameters
+    ----------
+    difference : array (n_bands,)
+        b - S'mu in m², NaN where nothing was measured.
+    covariance : array (n_bands, n_bands)
+        Covariance of ``difference``, if prior and measurement are right.
+    bound_active : bool
+        Whether a coefficient stands at a bound: then there is no p-value.
+    together : array (n_errors, n_bands), optional
+        Changes of ``difference`` by one standard deviation each of what coefficients are off by
+        together.
+
+    Raises
+    ------
+    DataError
+        If the covariance is not finite or of another size.
+
+    Examples
+    --------
+    >>> result = plausibility(np.array([2.0, np.nan]), np.eye(2), bound_active=False)
+    >>> result.q, result.degrees_of_freedom, round(result.p_value, 4)
+    (4.0, 1, 0.0455)
+    """
+    n = difference.size
+    if difference.shape != (n,) or covariance.shape != (n, n):
+        raise DataError(
+            f"difference has shape {difference.shape} and covariance {covariance.shape}; they are "
+            "(n_bands,) and (n_bands, n_bands)"
+        )
+    if not np.isfinite(covariance).all():
+        raise DataError("covariance has a value that is not finite: is a sigma far too large?")
+    spread = np.sqrt(np.diag(covariance))
+    used = np.isfinite(difference) & (spread > 0)
+    z = np.full(n, np.nan)
+    z[used] = difference[used] / spread[used]
+    count, p_value, p_together = int(used.sum()), None, None
+    q = _chi_square(difference[used], covariance[np.ix_(used, used)])
+    if not bound_active and count:
+        from scipy.special import chdtrc
+
+        p_value = float(chdtrc(count, q))
+        if together is not None:
+            wider = (covariance + together.T @ together)[np.ix_(used, used)]
+            p_together = float(chdtrc(count, _chi_square(difference[used], wider)))
+    return Plausibility(z, q, count, p_value, p_together)
+
+
+def _chi_square(difference: Array, covariance: Array) -> float:
+    """Return d'C^-1 d, by way of the correlation; 0 of no value."""
+    spread = np.sqrt(np.diag(covariance))
+    z = difference / spread
+    return float(z @ np.linalg.solve(covariance / np.outer(spread, spread), z)) if len(z) else 0.0
+
+
+@dataclass(frozen=True)
+class TrustMark:
+    """A reason to doubt one band, with its ``frequency`` in Hz, or the whole room, with None.
+
+    ``kind`` names it, ``letter`` stands for it in tables, ``text`` states the fact and ``advice``
+    says what to do.
+    """
+
+    kind: str
+    letter: str
+    frequency: float | None
+    text: str
+    advice: str
+
+    @property
+    def title(self) -> str:
+        """Name of the kind in words."""
+        return self.kind.replace("_", " ").replace("schroeder", "Schroeder")
+
+    @property
+    def sentence(self) -> str:
+        """A likely typing error with what to do, for messages."""
+        return (
+            f"likely a typing error at {self.frequency:g} Hz: {self.text}. Check this value before "
+            "anything else"
+        )
+
+
+_ADVICE: dict[str, tuple[str, str]] = {
+    "typing_error": (
+        "t",
+        "likely a typing error: check this value before anything else, and calibrate again. What "
+        "follows is computed with it",
+    ),
+    "unreachable": (
+        "n",
+        "its coefficients are the ends of their bounds, which says nothing of the materials: check T, "
+        "volume and areas, give the materials wider bounds, or look for an effect that the model lacks",
+    ),
+    "missing": (
+        "m",
+        "alpha stays as stated there, unless other bands, terms or observations move it: measure the "
+        "band, or draw no conclusion from it",
+    ),
+    "below_schroeder": (
+        "s",
+        "a few room modes determine the decay, which no reverberation equation describes: do not use "
+        "these coefficients at other positions or in other rooms",
+    ),
+    "air": (
+        "a",
+        "an error of T, or of the stated climate, counts several times in alpha: measure "
+        "temperature and humidity with T",
+    ),
+    "uncertain": (
+        "u",
+        "the gap says nothing of the model: measure at more positions, or calibrate with method soft",
+    ),
+    "at_bound": (
+        "b",
+        "its sigma or another's is too small, or an effect is missing: state a lower limit (alpha_min) "
+        "for hard materials and look for the effect",
+    ),
+    "at_upper_bound": (
+        "b",
+        "the other materials supply what T asks for beyond it: this material's sigma, another "
+        "material's sigma or this material's area is stated too small, or an effect is missing",
+    ),
+    "all_at_upper_bound": (
+        "b",
+        "T asks for more absorption than these materials can have: look for absorption that the "
+        "model lacks, for a surface that is missing or too small, or a sigma that is too small",
+    ),
+    "implausible": (
+        "z",
+        "the measurement contradicts what was stated of the materials: check areas and volume, "
+        "then look for an effect that the model lacks, before using these coefficients",
+    ),
+    "bent": (
+        "c",
+        "one T does not describe the decay, and these coefficients follow one slope of it: look for "
+        "coupled spaces or absorption on one side, and do not use them at other positions or in other "
+        "rooms",
+    ),
+    "no_air": (
+        "",
+        "the surfaces are made to absorb what the air does, most of all above 1 kHz: state "
+        "temperature and humidity",
+    ),
+    "no_uncertainty": (
+        "",
+        "z and Q may be too large: state T per source and receiver, or its uncertainty",
+    ),
+    "implausible_modes": (
+        "",
+        "the modes contradict each other or what was stated of the materials: are T and "
+        "decays called so, and which modes are they? Then check the stated coefficients",
+    ),
+    "surface_missing": ("", "a surface is missing, or the volume is wrong: check both"),
+    "surface_beyond_sense": ("", "are the areas in m² and the volume in m³?"),
+    "clipped": (
+        "",
+        "a laboratory value above 1 counts the specimen's edges too, so the true one is not known: "
+        "state a larger sigma for these materials",
+    ),
+    "dimensions": (
+        "",
+        "one of them is wrong: the absorption that T asks for is proportional to the volume",
+    ),
+    "equations_differ": (
+        "",
+        "these coefficients, and each prediction with them, depend on the equation: calibrate by path "
+        "tracing (`rtcal fit` with a mesh, `rtcal loop` with a simulator), and predict a change of one "
+        "surface there",
+    ),
+    "wide_sigma": (
+        "",
+        "any T agrees with so large a sigma: is it relative to alpha, or in percent?",
+    ),
+}
+
+
+def mark(kind: str, frequency: float | None, text: str, advised: str = "") -> TrustMark:
+    """Return the mark of a kind; ``advised`` is the kind whose advice it has, by default its own."""
+    letter, advice = _ADVICE[advised or kind]
+    return TrustMark(kind, letter, frequency, text, advice)
+
+
+FAR = 4.0
+"""Ratio of T20 or T30 to both neighbouring bands from which on it counts as mistyped."""
+FAR_AT_END = 6.0
+"""The same of the first and of the last band, which have one neighbour."""
+FAR_ELSE = 10.0
+"""The same of EDT and Ts, which direct sound makes short, and of alpha: a resonator is a peak."""
+
+
+def far_from_neighbours(values: Array, *, late: bool = True) -> NDArray[np.bool_]:
+    """Return which values (n_bands,) are far above or below those of the bands beside them.
+
+    Each jump between neighbouring bands begins a new group, unless it leads back to an earlier one. The
+    largest group is right. None is flagged where two groups are equally large.
+
+    Parameters
+    ----------
+    values : array (n_bands,)
+        Above 0; others, and NaN, are missing.
+    late : bool
+        Whether they are T20 or T30. Others are not judged in the first and in the last band.
+
+    Examples
+    --------
+    >>> far_from_neighbours(np.array([1.4, 1.72, 2.02, 1.94, 0.05, 1.57])).tolist()
+    [False, False, False, False, True, False]
+    """
+    found = np.zeros(len(values), dtype=bool)
+    with np.errstate(invalid="ignore"):
+        places = np.flatnonzero(np.isfinite(values) & (values > 0))
+    level, far = np.log(values[places]), np.log(FAR if late else FAR_ELSE)
+    group = np.zeros(len(level), dtype=int)
+    last: list[float] = []
+    for i, value in enumerate(level):
+        near = [g for g, latest in enumerate(last) if abs(value - latest) < far]
+        group[i] = min(near, key=lambda g: abs(value - last[g])) if near else len(last)
+        last[group[i] : group[i] + 1] = [value]
+    sizes = np.bincount(group)
+    if len(sizes) < 2 or np.count_nonzero(sizes == sizes.max()) > 1:
+        return found
+    right = np.flatnonzero(group == np.argmax(sizes))
+    wrong = group != np.argmax(sizes)
+    for end, nearest in ((slice(right[0]), right[0]), (slice(right[-1] + 1, None), right[-1])):
+        jump = np.abs(level[end] - level[nearest])
+        wrong[end] &= late and bool((jump > np.log(FAR_AT_END)).all())
+    found[places[wrong]] = True
+    return found
+
+
+def of_row(
+    frequencies: Array, values: Array, name: str, unit: str = "", *, late: bool = True
+) -> list[TrustMark]:
+    """Return the marks of the values of one row (n_bands,) that are likely mistyped.
+
+    ``name`` is what is printed: "T30 (S1 to R2)", "alpha of floor".
+
+    Examples
+    --------
+    >>> of_row(np.array([500, 1000, 2000]), np.array([1.9, 19.4, 1.6]), "T20", " s")[0].text
+    'T20 = 19.4 s, beside 1.9 s at 500 Hz and 1.6 s at 2000 Hz'
+    """
+    wrong = far_from_neighbours(values, late=late)
+    right = np.flatnonzero(np.isfinite(values) & ~wrong)
+    out = []
+    for k in np.flatnonzero(wrong):
+        near = [*right[right < k][-1:], *right[right > k][:1]]
+        beside = [f"{values[j]:.3g}{unit} at {bands.label(frequencies[j])}" for j in near]
+        text = f"{name} = {values[k]:.3g}{unit}, beside {' and '.join(beside)}"
+        kind = "alpha_typing_error" if name.startswith("alpha") else "typing_error"
+        out.append(mark(kind, float(frequencies[k]), text, "typing_error"))
+    return out
+
+
+def in_measurement(measured: Measurement) -> list[TrustMark]:
+    """Return the marks of mistyped times of a measurement, T20 and T30 first."""
+    kinds = [OBSERVABLES[key] for key in measured.values]
+    late = [o for o in REVERBERATION if o in kinds]
+    out = []
+    for o in (*late, *(o for o in kinds if o not in late and o.unit == "s")):
+        for pair, row in zip(measured.pairs, measured.values[o.key], strict=True):
+            name = o.label if measured.is_summary else f"{o.label} ({' to '.join(pair)})"
+            out += of_row(measured.centre_frequencies, row, name, " s", late=o in late)
+    return out
+
+
+def in_room(room: Room) -> list[TrustMark]:
+    """Return the marks of mistyped coefficients of a room."""
+    return [
+        each
+        for name, row in zip(room.materials, room.alpha, strict=True)
+        for each in of_row(room.centre_frequencies, row, f'alpha of "{name}"', late=False)
+    ]
+
+
+_ALLOWED = 2.0
+"""Standard deviations of a straight decay's ratio that are allowed."""
+
+
+def curvature_percent(t20: Array, t30: Array) -> Array:
+    """Return C = 100 (T30 / T20 - 1) in percent, same shape (ISO 3382-2:2008, Annex B).
+
+    A straight decay has 0 to 5 %; above 10 % it is far from straight.
+
+    Examples
+    --------
+    >>> print(curvature_percent(np.array([0.73]), np.array([1.01])).round(1))
+    [38.4]
+    """
+    return np.asarray(100 * (np.asarray(t30, dtype=float) / np.asarray(t20, dtype=float) - 1))
+
+
+def bent_decays(measured: Measurement) -> tuple[TrustMark, ...]:
+    """Return the marks of bands whose mean decay over the positions is bent.
+
+    A band is bent if T30/T20 or EDT/T20 leaves 1 by more than its limit and twice the scatter of
+    the ratio in straight decays. Only positions that have both parameters count.
+
+    Examples
+    --------
+    >>> bent = Measurement.from_values([1000], edt=[0.42], t20=[0.73], t30=[1.01])
+    >>> [b.frequency for b in bent_decays(bent)]
+    [1000.0]
+    """
+    texts: dict[float, list[str]] = {}
+    for parameter, slope in of_kind(DecaySlope).items():
+        bend = slope.bend
+        if bend is None or not {TARGET.key, parameter} <= {*measured.values}:
+            continue
+        t20, other = measured.values[TARGET.key], measured.values[parameter]
+        both = np.isfinite(t20) & np.isfinite(other)
+        n_positions = np.sum(both, axis=0)
+        if measured.is_summary:
+            n_positions = n_positions * (measured.n_sources or 1) * (measured.n_receivers or 1)
+        width = bands.bandwidth_factor(measured.centre_frequencies) * measured.centre_frequencies
+        for k in np.flatnonzero(n_positions).tolist():
+            t, ratio = t20[both[:, k], k].mean(), other[both[:, k], k].mean()
+            percent = float(curvature_percent(t, ratio))
+            scatter = 100 * bend.scatter / np.sqrt(width[k] * t * n_positions[k])
+            if abs(percent) > bend.limit + _ALLOWED * scatter:
+                texts.setdefault(float(measured.centre_frequencies[k]), []).append(
+                    f"{bend.name} = {percent:+.0f} %"
+                )
+    return tuple(
+        mark("bent", f, f"the decay is bent, {', '.join(texts[f])}") for f in sorted(texts)
+    )
+
+
+_AIR_SHARE = 0.5
+_ODD_UNCERTAINTY = 0.3
+"""Of T, relative. Single decays of 0.3 s at 63 Hz, the least certain, scatter by 0.24."""
+OFF_VOLUME = 0.1
+"""Relative difference of the volume from that of the stated dimensions: plans are no more precise."""
+_WIDE_SIGMA = 0.5
+"""The standard deviation of a coefficient of which nothing is known, uniform from 0 to 1, is 0.29."""
+
+
+_SHORT_PATH = 0.3
+"""m. A reverberation chamber full of furniture keeps about 1 m."""
+
+
+def surface_doubt(room: Room) -> TrustMark | None:
+    """Return a mark if areas and volume do not fit, else None.
+
+    Examples
+    --------
+    >>> import rtcal as rt
+    >>> room, _ = rt.datasets.bras_cr2()
+    >>> surface_doubt(room.replace(volume=4000)).text
+    '202.5 m² of surface cannot enclose 4000 m³, which takes at least 1220 m²'
+    """
+    area, volume = room.total_area, room.volume
+    smallest = 4.84 * volume ** (2 / 3)  # the surface of the sphere of this volume
+    if area < smallest:
+        return mark(
+            "surface_missing",
+            None,
+            f"{area:.4g} m² of surface cannot enclose {volume:.4g} m³, which takes at least "
+            f"{smallest:.4g} m²",
+        )
+    if (path := 4 * volume / area) < _SHORT_PATH:
+        return mark(
+            "surface_beyond_sense",
+            None,
+            f"{area:.4g} m² of surface in {volume:.4g} m³ leave a mean free path of {path:.2g} m",
+        )
+    return None
+
+
+def uneven_marks(room: Room, shares: Array) -> tuple[TrustMark, ...]:
+    """Return the mark of a room whose absorption is so uneven that equations differ by over one JND.
+
+    Compared are Eyring's T, for which all surfaces count alike, and Arau-Puchades', for which the
+    surfaces of each axis count for themselves (`rtcal.acoustics.equations.ArauPuchades`).
+
+    Parameters
+    ----------
+    room : Room
+        With the coefficients to compare by.
+    shares : array (n_materials, 3)
+        Directions of each material, as `rtcal.acoustics.directions.facing` returns them. Where most of
+        the absorption has no known direction there is no mark; the rest counts a third each.
+
+    Examples
+    --------
+    >>> import rtcal as rt
+    >>> room = rt.Room(name="classroom", volume=180, materials=["ceiling", "floor", "walls"],
+    ...                areas=[60, 60, 96], alpha=[[0.8], [0.04], [0.03]],
+    ...                sigma=[[0.1], [0.01], [0.01]], centre_frequencies=[500])
+    >>> from rtcal.acoustics.directions import facing
+    >>> uneven_marks(room, facing(room))[0].text[:66]
+    "the absorption is uneven: Arau-Puchades' equation gives 0.89 s for"
+    """
+    if not enough_known(room, shares):
+        return ()
+    along = room.areas[:, np.newaxis] * np.where(np.isnan(shares), 1 / 3, shares)
+    areas = along.sum(axis=0)
+    along, areas = along[:, areas > 0], areas[areas > 0]
+    eyring = Eyring()
+    mean = np.minimum(along.T @ room.alpha / areas[:, np.newaxis], eyring.largest_mean)
+    exponents = np.vstack([eyring.exponent(mean), eyring.exponent(areas @ mean / areas.sum())])
+    absorbed = room.total_area * exponents + 4 * room.air_attenuation * room.volume
+    known = (absorbed > 0).all(axis=0)
+    times = eyring.room_constant(room) * room.volume / np.where(known, absorbed, np.nan)
+    arau: Array = np.exp(areas @ np.log(times[:-1]) / areas.sum())
+    differ = np.nan_to_num(np.abs(gap_jnd(arau, times[-1])))
+    k = int(np.argmax(differ))
+    if not differ[k] > 1:
+        return ()
+    text = (
+        f"the absorption is uneven: Arau-Puchades' equation gives {arau[k]:.2f} s for Eyring's "
+        f"{times[-1, k]:.2f} s at {room.centre_frequencies[k]:g} Hz, {differ[k]:.1f} JND apart"
+    )
+    return (mark("equations_differ", None, text),)
+
+
+def trust_marks(
+    room: Room,
+    measured: Array,
+    uncertainty: Array,
+    air_share: Array,
+    active: NDArray[Any],
+    z: Array,
+    unreachable: Sequence[float] = (),
+    bent: Sequence[TrustMark] = (),
+) -> tuple[TrustMark, ...]:
+    """Return every reason to doubt single bands or the room.
+
+    Parameters
+    ----------
+    room : Room
+    measured, uncertainty : array (n_bands,)
+        T and its standard uncertainty in s; NaN where missing or unknown.
+    air_share : array (n_bands,)
+        The air's share of the whole absorption.
+    active : array (n_materials, n_bands)
+        Where a coefficient stands at a bound: -1 for the lower, 1 for the upper one, else 0.
+    z : array (n_bands,)
+        See `Plausibility`.
+    unreachable : sequence of float
+        Centre frequencies in Hz of bands that were moved to the nearest end.
+    bent : sequence of TrustMark
+        Those of `bent_decays`.
+    """
+    marks: list[TrustMark] = []
+
+    def add(*stated: Any) -> None:
+        marks.append(mark(*stated))
+
+    if room.air is None:
+        add("no_air", None, "no air is stated")
+    if (doubt := surface_doubt(room)) is not None:
+        marks.append(doubt)
+    if room.dimensions is not None:
+        box = float(np.prod(room.dimensions))
+        if abs(room.volume / box - 1) > OFF_VOLUME:
+            sides = " x ".join(f"{side:g}" for side in room.dimensions)
+            text = f"volume = {room.volume:g} m³, but the dimensions {sides} m hold {box:g} m³"
+            add("dimensions", None, text)
+    wide = np.argwhere(room.sigma > _WIDE_SIGMA)
+    if len(wide):
+        i, k = wide[0].tolist()
+        text = f"{room.place('sigma', i, k)} = {room.sigma[i, k]:g} is above {_WIDE_SIGMA:g}"
+        others = f", and {len(wide) - 1} more" if len(wide) > 1 else ""
+        add("wide_sigma", None, text + others)
+    if room.clipped:
+        add("clipped", None, f"cut to 1: {'; '.join(room.clipped)}")
+    has_t = np.isfinite(measured)
+    if has_t.any() and not np.isfinite(uncertainty[has_t]).any():
+        add("no_uncertainty", None, "the uncertainty of T is not known")
+    middle = mid_frequency_time(measured, room.centre_frequencies)
+    limit = float(schroeder_frequency(np.array(middle), room.volume))
+    for k, frequency in enumerate(room.centre_frequencies):
+        f = float(frequency)
+        if np.isnan(measured[k]):
+            add("missing", f, "not calibrated, no T was measured")
+        elif f < limit:
+            add("below_schroeder", f, f"below the Schroeder frequency, {limit:.0f} Hz")
+        if f in unreachable:
+            add("unreachable", f, "no coefficients within the bounds give this T")
+        marks += [band for band in bent if band.frequency == f]
+        if air_share[k] > _AIR_SHARE:
+            add("air", f, "the air absorbs more than the surfaces")
+        if uncertainty[k] > _ODD_UNCERTAINTY * measured[k]:
+            over = f"{100 * _ODD_UNCERTAINTY:.0f} %"
+            add("uncertain", f, f"T is uncertain by over {over}: is it stated in percent, not s?")
+        elif uncertainty[k] > TARGET.jnd_of(measured[k]) and not abs(z[k]) > LARGE_Z:
+            add("uncertain", f, "T is uncertain by more than one JND")
+        # A single coefficient at 1 says nothing of the others, which may still give the T.
+        spent = bool((active[:, k] > 0)[room.sigma[:, k] > 0].all())
+        upper = "all_at_upper_bound" if spent else "at_upper_bound"
+        for i in np.flatnonzero(active[:, k]).tolist():
+            side, advised = ("lower", "") if active[i, k] < 0 else ("upper", upper)
+            add("at_bound", f, f"{room.materials[i]} stands at its {side} bound", advised)
+        if abs(z[k]) > LARGE_Z:
+            side = "more" if z[k] > 0 else "less"
+            add("implausible", f, f"T asks for {side} absorption than was stated, |z| over 2")
+    return tuple(marks)
+
+
+def letters(marks: Sequence[TrustMark], frequency: float) -> str:
+    """Return the letters of a band's marks, without repeats; empty if it has none."""
+    return "".join(dict.fromkeys(m.letter for m in marks if m.frequency == frequency))
+
+
+def grouped(marks: Sequence[TrustMark]) -> Iterator[tuple[TrustMark, list[str]]]:
+    """Yield the first mark of each kind and advice, and the facts of all of them."""
+    for kind, advice in dict.fromkeys((mark.kind, mark.advice) for mark in marks):
+        alike = [mark for mark in marks if (mark.kind, mark.advice) == (kind, advice)]
+        facts = []
+        for text in dict.fromkeys(mark.text for mark in alike):
+            where = hertz([m.frequency for m in alike if m.text == text and m.frequency])
+            facts.append(f"{where}: {text}" if where else text)
+        yield alike[0], facts
+
+
+def explained(marks: Sequence[TrustMark]) -> list[str]:
+    """Return the marks as lines of text, grouped by advice: the facts, then the advice."""
+    out = []
+    for first, facts in grouped(marks):
+        letter = f"[{first.letter}] " if first.letter else ""
+        out += [f"{letter}{'; '.join(facts)}", f"    -> {first.advice}"]
+    return out
