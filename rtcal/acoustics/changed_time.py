@@ -62,7 +62,6 @@ _FIRST = 16
 """Draws before T before is taken into account, over those after it."""
 _LEAST = 1e-9
 """Least absorption coefficient of a draw: its logarithm is taken."""
-_EVERY = slice(None)
 _EVEN = 0.01
 """Relative difference of T below which the equations for uneven absorption say the same."""
 _MOST_OF_AXIS = 0.6
@@ -204,17 +203,6 @@ class Unknowns:
 
 
 @dataclass(frozen=True, eq=False)
-class New:
-    """Materials that a state has beside those that are known, (n_new, n_bands) of each array."""
-
-    names: tuple[str, ...]
-    alpha: Array
-    sigma: Array
-    lower: Array
-    area_sigma: Array
-
-
-@dataclass(frozen=True, eq=False)
 class TimeChange:
     """T of a state of a room over T before, in draws of what is not known.
 
@@ -222,22 +210,20 @@ class TimeChange:
     ----------
     known : KnownRoom
     after : Placed
-        The changed room; `rtcal.acoustics.changes.placed` makes it.
+        The other state; `rtcal.acoustics.changes.placed` makes it.
     assumptions : Assumptions
-
-    Raises
-    ------
-    DataError
-        If the rooms differ in bands, or in the stated alpha or sigma of a material.
-    ModelError
-        If the equation gives no T before, or after.
     """
 
     known: KnownRoom
     after: Placed
     assumptions: Assumptions
 
-    def __post_init__(self) -> None:
+    def refuse(self) -> None:
+        """Raise for states that do not fit each other, or have no T.
+
+        DataError if the rooms differ in bands, or in stated alpha or sigma of a material; ModelError
+        if the equation gives no T before, or after.
+        """
         others = [state.room for state in self.known.others]
         rooms = [self.known.room, *others, self.after.room]
         refuse_other_priors(rooms, [f'room "{room.name}"' for room in rooms])
@@ -252,51 +238,89 @@ class TimeChange:
                 )
 
     @cached_property
-    def new(self) -> New:
-        """The materials that come in."""
-        room, known = self.after.room, self.known.materials
-        rows = [i for i, name in enumerate(room.materials) if name not in known]
-        return New(
-            names=tuple(room.materials[i] for i in rows),
-            alpha=room.alpha[rows],
-            sigma=room.sigma[rows],
-            lower=least_alpha(room)[rows],
-            area_sigma=room.area_sigma[rows],
-        )
-
-    @property
-    def materials(self) -> tuple[str, ...]:
-        """Every material: those that are known, and then the new ones."""
-        return (*self.known.materials, *self.new.names)
+    def _both(self) -> tuple[Placed, Placed]:
+        return _before(self.known), self.after
 
     @cached_property
-    def states(self) -> _States:
-        """The state before and the one after."""
-        return _States(self.known, (_before(self.known), self.after), self.materials)
+    def _new(self) -> list[int]:
+        """Rows of the materials that come in, in the room after."""
+        room = self.after.room
+        return [i for i, name in enumerate(room.materials) if name not in self.known.materials]
 
-    @property
-    def is_placed(self) -> bool:
-        """Whether the directions of all that is exchanged are known."""
-        return self.states.is_placed
+    @cached_property
+    def materials(self) -> tuple[str, ...]:
+        """Every material: those that are known, and then the new ones."""
+        return (*self.known.materials, *(self.after.room.materials[i] for i in self._new))
+
+    @cached_property
+    def areas(self) -> Array:
+        """Areas of each state in m² by material and direction, (2, n_materials, 5).
+
+        Directions are those of `Placed`.
+        """
+        out = np.zeros((2, len(self.materials), len(DIRECTIONS)))
+        for rows, state in zip(out, self._both, strict=True):
+            rows[[self.materials.index(m) for m in state.room.materials]] = state.areas
+        return out
+
+    @cached_property
+    def exchanged(self) -> Array:
+        """Area in m² of each material that the other state lacks, (2, n_materials)."""
+        whole = self.areas.sum(axis=2)
+        return np.asarray(whole - whole.min(axis=0))
 
     @property
     def changing(self) -> Flags:
         """Which materials have another area in the two states, (n_materials,) of bool."""
-        return self.states.changing
+        return np.asarray(self.exchanged.max(axis=0) > 0)
 
-    def log_ratio(self) -> Array:
-        """Return draws of ln (T after / T before), (n_bands, DRAWS).
+    @property
+    def is_placed(self) -> bool:
+        """Whether the directions of all that is exchanged are known."""
+        unknown = self.areas[:, :, UNKNOWN].max(axis=0)
+        return not (unknown[self.changing] > 0).any()
+
+    @cached_property
+    def unknowns(self) -> Unknowns:
+        """The draws of all unknowns, given every measured T."""
+        before, known, room = (
+            _drawn_before(self.known, self.assumptions),
+            self.known,
+            self.after.room,
+        )
+        if not self._new:
+            return before
+        names, rows = self.materials[len(known.materials) :], self._new
+        errors = _area_errors([*_rooms(known), room], names, self.assumptions)
+        quantiles = normal_quantiles(room.alpha[rows], room.sigma[rows], least_alpha(room)[rows])
+        alpha, factor = _draws(
+            names, room.alpha[rows], quantiles, errors, self.assumptions, np.eye(len(rows)), DRAWS
+        )
+        return replace(
+            before,
+            alpha=np.concatenate([before.alpha, alpha], axis=1),
+            factor=np.concatenate([before.factor, factor], axis=1),
+        )
+
+    def log_ratio(self, unknowns: Unknowns | None = None) -> Array:
+        """Return draws of ln (T of the other state / T before), (n_bands, n_draws).
 
         What is only added absorbs at least nothing, and what is only removed did so: a longer T that an
         equation has with a hard piece that stands free is not taken.
         """
-        before = _log_time_before(self.known, self.assumptions) if self.is_placed else None
-        return self.states.log_ratio(1, self.unknowns, self.assumptions, before)
-
-    @property
-    def unknowns(self) -> Unknowns:
-        """The draws of all unknowns, given the measured T."""
-        return _drawn(self.known, self.new, self.assumptions)
+        if unknowns is None and self.is_placed:
+            before = _log_time_before(self.known, self.assumptions)
+        else:
+            before = self.log_time(0, unknowns)
+        ratio = self.log_time(1, unknowns) - before
+        first, other = (state.room for state in self._both)
+        if first.volume == other.volume and first.air == other.air:
+            was, becomes = self.areas.sum(axis=2)
+            if (becomes >= was).all():
+                ratio = np.minimum(ratio, 0.0)
+            if (becomes <= was).all():
+                ratio = np.maximum(ratio, 0.0)
+        return np.asarray(ratio)
 
     def by_equation(self) -> dict[str, Array]:
         """Return T after in s by the equations alone, at the calibrated coefficients, (n_bands,) each.
@@ -304,13 +328,13 @@ class TimeChange:
         T before times the ratio of each. Arau-Puchades' and Fitzroy's stand there where the absorption
         is uneven, before or after.
         """
-        alpha = np.vstack([self.known.alpha, self.new.alpha]).T[:, :, np.newaxis]
+        new = self.after.room.alpha[self._new]
+        alpha = np.vstack([self.known.alpha, new]).T[:, :, np.newaxis]
         nothing = np.zeros((len(alpha), 1))
         found: dict[str, Array] = {}
         for u, name in enumerate((self.known.equation.name, "Arau-Puchades", "Fitzroy")):
             at = Unknowns(alpha, 0 * alpha, nothing + u, nothing, nothing, nothing > 0)
-            log_ratio = self.states.log_ratio(1, at, self.assumptions)[:, 0]
-            found[name] = self.known.time * np.exp(log_ratio)
+            found[name] = self.known.time * np.exp(self.log_ratio(at)[:, 0])
         own, *uneven = found.values()
         if all(np.abs(t / own - 1).max() < _EVEN for t in uneven):
             return {self.known.equation.name: own}
@@ -323,7 +347,7 @@ class TimeChange:
         together, and the equation's error of ln T in all states alike.
         """
         assumed, known, room = self.assumptions, self.known, self.known.room
-        drawn = self.states.log_time(0, self.unknowns, assumed)
+        drawn = self.log_time(0)
         sizes = (room.volume_sigma or assumed.volume) * normal_of(
             "volume before", DRAWS
         ) - room.common_area_sigma * normal_of("areas before", DRAWS)
@@ -332,255 +356,12 @@ class TimeChange:
         level = drawn - np.log(known.time)[:, np.newaxis] + of_walls[:, np.newaxis] * sizes + common
         return np.where(known.measured[:, np.newaxis], 0.0, level)
 
-
-@functools.lru_cache(4)
-def _drawn_before(known: KnownRoom, assumptions: Assumptions) -> Unknowns:
-    """Return draws of what is known, given every measured T; band by band, as memory allows."""
-    each = [_given(known, assumptions, k) for k in range(known.room.n_bands)]
-    drawn = Unknowns(
-        **{
-            field.name: np.concatenate([getattr(one, field.name) for one in each])
-            for field in fields(Unknowns)
-        }
-    )
-    return _given_others(known, assumptions, drawn) if known.others else drawn
-
-
-@functools.lru_cache(4)
-def _log_time_before(known: KnownRoom, assumptions: Assumptions) -> Array:
-    """Return draws of ln T before, (n_bands, DRAWS), where the directions of the exchange are known."""
-    before = _before(known)
-    states = _States(known, (before, before), known.materials)
-    return states.log_time(0, _drawn_before(known, assumptions), assumptions)
-
-
-def _drawn(known: KnownRoom, new: New, assumptions: Assumptions) -> Unknowns:
-    """Return draws of all unknowns: what the measured T have told, and new materials."""
-    before = _drawn_before(known, assumptions)
-    if not new.names:
-        return before
-    stated = _states_areas(known, new)
-    each = [
-        _new_material(
-            name,
-            tuple(
-                zip(*(row[i].tolist() for row in (new.alpha, new.sigma, new.lower)), strict=True)
-            ),
-            float(new.area_sigma[i]) if stated else assumptions.areas,
-            assumptions,
-        )
-        for i, name in enumerate(new.names)
-    ]
-    return replace(
-        before,
-        alpha=np.concatenate([before.alpha, *(alpha for alpha, _ in each)], axis=1),
-        factor=np.concatenate([before.factor, *(factor for _, factor in each)], axis=1),
-    )
-
-
-@functools.lru_cache(64)
-def _new_material(
-    name: str,
-    stated: tuple[tuple[float, float, float], ...],
-    of_area: float,
-    assumptions: Assumptions,
-) -> tuple[Array, Array]:
-    """Return draws of a new material's alpha and ln f, (n_bands, 1, DRAWS) each.
-
-    ``stated`` are its alpha, sigma and lower bound by band.
-    """
-    alpha, sigma, lower = np.array(stated).T[:, np.newaxis]
-    normal = normal_of(f"alpha of {name}", DRAWS)
-    own = _alpha(normal[np.newaxis, np.newaxis], normal_quantiles(alpha, sigma, lower))
-    spread = _factor_sigma(alpha, np.array([of_area]), assumptions)
-    factor = spread[:, :, np.newaxis] * normal_of(f"factor of {name}", DRAWS)
-    return own.swapaxes(0, 1), factor.swapaxes(0, 1)
-
-
-def _independent(known: KnownRoom, assumptions: Assumptions, band: int) -> Unknowns:
-    """Return draws of what is known in a band, before T counts but by the calibration."""
-    number, names = _FIRST * DRAWS, known.materials
-
-    def one(label: str) -> Array:
-        return normal_of(label, number)[np.newaxis]
-
-    own = np.array([normal_of(f"alpha of {name}", number) for name in names])
-    value, vector = np.linalg.eigh(known.correlation[band])
-    root = (vector * np.sqrt(np.maximum(value, 0))) @ vector.T
-    here = slice(band, band + 1)
-    sigma = _factor_sigma(known.alpha[:, here], _area_sigma(known, assumptions), assumptions)
-    factors = np.array([normal_of(f"factor of {name}", number) for name in names])
-    alpha = _alpha((root @ own)[:, np.newaxis], known.quantiles[:, here])
-    # u is normal, cut to 0 to 2.
-    even, mean, spread = (
-        one("evenness"),
-        assumptions.evenness,
-        max(assumptions.evenness_sigma, 1e-9),
-    )
-    low, high = (np.full(even.shape, (end - mean) / spread) for end in (0.0, 2.0))
-    return Unknowns(
-        alpha=alpha.swapaxes(0, 1),
-        factor=(sigma * factors)[np.newaxis],
-        evenness=mean + spread * truncated_normal(low, high, ndtr(even)),
-        air=one("air"),
-        volume=one("volume"),
-        alone=one("place") > ndtri(1 - assumptions.one_surface),
-    )
-
-
-def _given(known: KnownRoom, assumptions: Assumptions, band: int) -> Unknowns:
-    """Return as many draws as are kept, drawn by the likelihood of T before: systematic resampling.
-
-    ln T before is normal about that of the draw, with the uncertainty of the measured T. In a band
-    without a measured T every draw is as likely.
-    """
-    drawn, before = _independent(known, assumptions, band), _before(known)
-    off = np.zeros(_FIRST * DRAWS)
-    if known.measured[band]:
-        states = _States(known, (before, before), known.materials)
-        log_time = states.log_time(0, drawn, assumptions, slice(band, band + 1))[0]
-        u = float(np.nan_to_num(known.log_uncertainty[band], nan=assumptions.time))
-        off = (log_time - np.log(known.time[band])) / max(u, _LEAST_UNCERTAINTY)
-    weight = np.cumsum(np.exp(-(off**2 - (off**2).min()) / 2))
-    levels = (np.arange(DRAWS) + 0.5) / DRAWS
-    kept = np.minimum(np.searchsorted(weight / weight[-1], levels), len(weight) - 1)
-    return Unknowns(
-        **{each.name: getattr(drawn, each.name)[..., kept] for each in fields(Unknowns)}
-    )
-
-
-def _given_others(known: KnownRoom, assumptions: Assumptions, drawn: Unknowns) -> Unknowns:
-    """Return draws moved by T of further measured states, by a linear update of each draw.
-
-    ln f and u move. A state's own error grows with its distance from that before.
-
-    References
-    ----------
-    G. Evensen, Ocean Dynamics 53, 343-367 (2003).
-    """
-    before = _before(known)
-    heard = np.array(
-        [
-            _States(known, (before, placed(state.room, (), before)), known.materials).log_ratio(
-                1, drawn, assumptions
-            )
-            for state in known.others
-        ]
-    )
-    moved = np.concatenate([drawn.factor, drawn.evenness[:, np.newaxis]], axis=1)
-    u0 = np.nan_to_num(known.log_uncertainty, nan=assumptions.time)
-    errors = np.array([normal_of(f"T of {state.name}", DRAWS) for state in known.others])
-    for k in range(len(moved)):
-        change = np.array([np.log(state.time[k] / known.time[k]) for state in known.others])
-        used = np.isfinite(change)
-        if not used.any():
-            continue
-        u = np.array([state.log_uncertainty[k] for state in known.others])
-        own = np.hypot(np.nan_to_num(u, nan=assumptions.time), assumptions.own * change)[used]
-        noise = own[:, np.newaxis] * errors[used] + u0[k] * normal_of("T before", DRAWS)
-        h, x = heard[used, k], moved[k]
-        off, x_off = h - h.mean(axis=1, keepdims=True), x - x.mean(axis=1, keepdims=True)
-        spread = off @ off.T / DRAWS + np.diag(own**2) + u0[k] ** 2
-        gain = np.linalg.solve(spread, off @ x_off.T / DRAWS).T
-        moved[k] += gain @ (change[used, np.newaxis] + noise - h)
-    return replace(drawn, factor=moved[:, :-1], evenness=np.clip(moved[:, -1], 0.0, 2.0))
-
-
-def _alpha(normal: Array, quantiles: Array) -> Array:
-    """Return draws of alpha, (n, n_bands, n_draws), of normal ones (n, n_bands or 1, n_draws)."""
-    n, n_bands = quantiles.shape[:2]
-    out = np.empty((n, n_bands, normal.shape[2]))
-    for i, k in np.ndindex(n, n_bands):
-        out[i, k] = np.interp(normal[i, min(k, normal.shape[1] - 1)], NORMAL, quantiles[i, k])
-    return out
-
-
-def _factor_sigma(alpha: Array, of_area: Array, assumptions: Assumptions) -> Array:
-    """Return the standard deviation of ln f, (n, n_bands): the equation's, and the area's (n,)."""
-    least = assumptions.least / np.maximum(alpha, max(assumptions.least, _LEAST))
-    return np.sqrt(assumptions.factor**2 + least**2 + of_area[:, np.newaxis] ** 2)
-
-
-def _states_areas(known: KnownRoom, new: New | None = None) -> bool:
-    rooms = [known.room, *(state.room for state in known.others)]
-    of_new = new is not None and bool(new.area_sigma.any())
-    return of_new or any(room.area_sigma.any() for room in rooms)
-
-
-def _area_sigma(known: KnownRoom, assumptions: Assumptions) -> Array:
-    """Return the relative error of each known material's area, (n_materials,): stated or assumed."""
-    if not _states_areas(known):
-        return np.full(len(known.materials), assumptions.areas)
-    of_area = np.zeros(len(known.materials))
-    for room in (known.room, *(state.room for state in known.others)):
-        rows = [known.materials.index(m) for m in room.materials]
-        of_area[rows] = np.maximum(of_area[rows], room.area_sigma)
-    return of_area
-
-
-@functools.lru_cache(16)
-def _before(known: KnownRoom) -> Placed:
-    return placed(known.room, ())
-
-
-@dataclass(frozen=True, eq=False)
-class _States:
-    """The state before and another one, on common materials."""
-
-    known: KnownRoom
-    both: tuple[Placed, Placed]
-    materials: tuple[str, ...]
-
-    @cached_property
-    def areas(self) -> Array:
-        """Areas of each state in m² by material and direction, (2, n_materials, 5).
-
-        Directions are those of `Placed`.
-        """
-        out = np.zeros((2, len(self.materials), len(DIRECTIONS)))
-        for rows, state in zip(out, self.both, strict=True):
-            rows[[self.materials.index(m) for m in state.room.materials]] = state.areas
-        return out
-
-    @cached_property
-    def exchanged(self) -> Array:
-        """Area in m² of each material that the other state lacks, (2, n_materials)."""
-        whole = self.areas.sum(axis=2)
-        return np.asarray(whole - whole.min(axis=0))
-
-    @property
-    def changing(self) -> Flags:
-        return np.asarray(self.exchanged.max(axis=0) > 0)
-
-    @property
-    def is_placed(self) -> bool:
-        unknown = self.areas[:, :, UNKNOWN].max(axis=0)
-        return not (unknown[self.changing] > 0).any()
-
-    def log_ratio(
-        self, state: int, unknowns: Unknowns, assumed: Assumptions, before: Array | None = None
-    ) -> Array:
-        """Return draws of ln (T of the other state / T before), (n_bands, DRAWS).
-
-        ``before`` are those of ln T before, where they are known.
-        """
-        first, other = self.both[0].room, self.both[state].room
-        if before is None:
-            before = self.log_time(0, unknowns, assumed)
-        ratio = self.log_time(state, unknowns, assumed) - before
-        if first.volume == other.volume and first.air == other.air:
-            whole = self.areas.sum(axis=2)
-            if (whole[state] >= whole[0]).all():
-                ratio = np.minimum(ratio, 0.0)
-            if (whole[state] <= whole[0]).all():
-                ratio = np.maximum(ratio, 0.0)
-        return np.asarray(ratio)
-
     def log_time(
-        self, state: int, unknowns: Unknowns, assumed: Assumptions, bands: slice = _EVERY
+        self, state: int, unknowns: Unknowns | None = None, bands: slice = slice(None)
     ) -> Array:
-        """Return draws of ln T of a state in some bands, (n_bands, n_draws)."""
-        room, equation, first = self.both[state].room, self.known.equation, self.both[0].room
+        """Return draws of ln T in some bands, (n_bands, n_draws); state 0 is that before."""
+        unknowns, assumed = unknowns or self.unknowns, self.assumptions
+        room, equation, first = self._both[state].room, self.known.equation, self._both[0].room
         areas = self.areas[state].sum(axis=1)
         total = areas.sum()
         size = max(first.volume_sigma, room.volume_sigma) or assumed.volume
@@ -597,7 +378,7 @@ class _States:
     def _air_sigma(self) -> Array:
         """Relative error of the air's attenuation by the stated climate's, (n_bands,)."""
         found = np.zeros(self.known.room.n_bands)
-        for state in self.both:
+        for state in self._both:
             of_m = np.linalg.norm(
                 of_climate(state.room, lambda changed: changed.air_attenuation), axis=0
             )
@@ -669,6 +450,155 @@ class _States:
         left = (first - here.sum()) / rest.sum() if rest.sum() > 0 else 0.0
         spread = np.stack([here + left * rest, (1 - left) * rest], axis=1)
         return spread.sum(axis=0), np.einsum("na,knd->kad", spread, absorption)
+
+
+@functools.lru_cache(16)
+def _before(known: KnownRoom) -> Placed:
+    return placed(known.room, ())
+
+
+def _rooms(known: KnownRoom) -> list[Room]:
+    return [known.room, *(state.room for state in known.others)]
+
+
+@functools.lru_cache(4)
+def _drawn_before(known: KnownRoom, assumptions: Assumptions) -> Unknowns:
+    """Return draws of what is known, given every measured T; band by band, as memory allows."""
+    each = [_given(known, assumptions, k) for k in range(known.room.n_bands)]
+    drawn = Unknowns(
+        **{
+            field.name: np.concatenate([getattr(one, field.name) for one in each])
+            for field in fields(Unknowns)
+        }
+    )
+    return _given_others(known, assumptions, drawn) if known.others else drawn
+
+
+@functools.lru_cache(4)
+def _log_time_before(known: KnownRoom, assumptions: Assumptions) -> Array:
+    """Return draws of ln T before, (n_bands, DRAWS), where the directions of the exchange are known."""
+    return TimeChange(known, _before(known), assumptions).log_time(0)
+
+
+def _draws(
+    names: Sequence[str],
+    alpha: Array,
+    quantiles: Array,
+    area_errors: Array,
+    assumptions: Assumptions,
+    root: Array,
+    number: int,
+) -> tuple[Array, Array]:
+    """Return draws of materials' alpha and ln f, (n_bands, n, n_draws) each.
+
+    ``alpha`` is (n, n_bands) and ``root`` that of the materials' correlation. The sigma of ln f is the
+    equation's and the area's.
+    """
+    own, factors = (
+        np.array([normal_of(f"{what} of {name}", number) for name in names])
+        for what in ("alpha", "factor")
+    )
+    own, out = root @ own, np.empty((alpha.shape[1], *own.shape))
+    for k, i in np.ndindex(out.shape[:2]):
+        out[k, i] = np.interp(own[i], NORMAL, quantiles[i, k])
+    least = assumptions.least / np.maximum(alpha, max(assumptions.least, _LEAST))
+    sigma = np.sqrt(assumptions.factor**2 + least**2 + area_errors[:, np.newaxis] ** 2)
+    return out, sigma.T[:, :, np.newaxis] * factors
+
+
+def _independent(known: KnownRoom, assumptions: Assumptions, band: int) -> Unknowns:
+    """Return draws of what is known in a band, before T counts but by the calibration."""
+    number = _FIRST * DRAWS
+
+    def one(label: str) -> Array:
+        return normal_of(label, number)[np.newaxis]
+
+    value, vector = np.linalg.eigh(known.correlation[band])
+    here = slice(band, band + 1)
+    alpha, factor = _draws(
+        known.materials,
+        known.alpha[:, here],
+        known.quantiles[:, here],
+        _area_errors(_rooms(known), known.materials, assumptions),
+        assumptions,
+        (vector * np.sqrt(np.maximum(value, 0))) @ vector.T,
+        number,
+    )
+    # u is normal, cut to 0 to 2.
+    even, mean, spread = (
+        one("evenness"),
+        assumptions.evenness,
+        max(assumptions.evenness_sigma, 1e-9),
+    )
+    low, high = (np.full(even.shape, (end - mean) / spread) for end in (0.0, 2.0))
+    return Unknowns(
+        alpha=alpha,
+        factor=factor,
+        evenness=mean + spread * truncated_normal(low, high, ndtr(even)),
+        air=one("air"),
+        volume=one("volume"),
+        alone=one("place") > ndtri(1 - assumptions.one_surface),
+    )
+
+
+def _given(known: KnownRoom, assumptions: Assumptions, band: int) -> Unknowns:
+    """Return as many draws as are kept, drawn by the likelihood of T before: systematic resampling.
+
+    ln T before is normal about that of the draw, with the uncertainty of the measured T. In a band
+    without a measured T every draw is as likely.
+    """
+    drawn = _independent(known, assumptions, band)
+    off = np.zeros(_FIRST * DRAWS)
+    if known.measured[band]:
+        same = TimeChange(known, _before(known), assumptions)
+        log_time = same.log_time(0, drawn, slice(band, band + 1))[0]
+        u = float(np.nan_to_num(known.log_uncertainty[band], nan=assumptions.time))
+        off = (log_time - np.log(known.time[band])) / max(u, _LEAST_UNCERTAINTY)
+    weight = np.cumsum(np.exp(-(off**2 - (off**2).min()) / 2))
+    levels = (np.arange(DRAWS) + 0.5) / DRAWS
+    kept = np.minimum(np.searchsorted(weight / weight[-1], levels), len(weight) - 1)
+    return Unknowns(
+        **{each.name: getattr(drawn, each.name)[..., kept] for each in fields(Unknowns)}
+    )
+
+
+def _given_others(known: KnownRoom, assumptions: Assumptions, drawn: Unknowns) -> Unknowns:
+    """Return draws moved by T of further measured states, by a linear update of each draw.
+
+    ln f and u move. A state's own error grows with its distance from that before.
+
+    References
+    ----------
+    G. Evensen, Ocean Dynamics 53, 343-367 (2003).
+    """
+    before = _before(known)
+    states = [placed(state.room, (), before) for state in known.others]
+    simulated = np.array([TimeChange(known, s, assumptions).log_ratio(drawn) for s in states])
+    moved = np.concatenate([drawn.factor, drawn.evenness[:, np.newaxis]], axis=1)
+    u0 = np.nan_to_num(known.log_uncertainty, nan=assumptions.time)
+    errors = np.array([normal_of(f"T of {state.name}", DRAWS) for state in known.others])
+    for k in range(len(moved)):
+        change = np.array([np.log(state.time[k] / known.time[k]) for state in known.others])
+        used = np.isfinite(change)
+        if not used.any():
+            continue
+        u = np.array([state.log_uncertainty[k] for state in known.others])
+        own = np.hypot(np.nan_to_num(u, nan=assumptions.time), assumptions.own * change)[used]
+        noise = own[:, np.newaxis] * errors[used] + u0[k] * normal_of("T before", DRAWS)
+        h, x = simulated[used, k], moved[k]
+        off, x_off = h - h.mean(axis=1, keepdims=True), x - x.mean(axis=1, keepdims=True)
+        spread = off @ off.T / DRAWS + np.diag(own**2) + u0[k] ** 2
+        gain = np.linalg.solve(spread, off @ x_off.T / DRAWS).T
+        moved[k] += gain @ (change[used, np.newaxis] + noise - h)
+    return replace(drawn, factor=moved[:, :-1], evenness=np.clip(moved[:, -1], 0.0, 2.0))
+
+
+def _area_errors(rooms: Sequence[Room], names: Sequence[str], assumptions: Assumptions) -> Array:
+    """Return the relative error of each material's area, (n,): stated, or assumed where none is."""
+    if not any(room.area_sigma.any() for room in rooms):
+        return np.full(len(names), assumptions.areas)
+    stated = [dict(zip(room.materials, room.area_sigma.tolist(), strict=True)) for room in rooms]
+    return np.array([max(of.get(name, 0.0) for of in stated) for name in names])
 
 
 def probability_within(samples: Array, low: Array, high: Array) -> Array:

@@ -421,7 +421,7 @@ def predict(
         changes=made,
         assumptions=assumptions or Assumptions(),
     )
-    _ = prediction.model  # raises where the equation gives no T
+    prediction.model.refuse()
     return prediction
 
 
