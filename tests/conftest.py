@@ -56,10 +56,10 @@ def kept(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def runs_kept(kept: Path) -> Iterator[None]:
     """Let commands keep control rooms in `kept`, instead of beside each test's own files."""
-    from rtcal.finder.means import evidence
+    from rtcal.finder.means import engines
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(evidence, "FOLDER", str(kept))
+        patch.setattr(engines, "FOLDER", str(kept))
         yield
 
 

@@ -19,7 +19,7 @@ from rtcal.files.disk import read_text
 from rtcal.files.saved import MAX_BYTES, plain, restored
 from rtcal.files.schema import json_object
 from rtcal.finder import Case
-from rtcal.finder.effects.checks import AppliedEffect
+from rtcal.finder.effects import AppliedEffect
 from rtcal.loop import Loop, start
 from rtcal.report import words
 from rtcal.studies.runner import ScoreMoments, _open, _Store

@@ -14,7 +14,7 @@ import rtcal as rt
 from rtcal import terms
 from rtcal.calibration import qp
 from rtcal.finder import AppliedEffect, recalibrate, verify
-from rtcal.finder.effects.absorbers import Opening
+from rtcal.finder.effects import Opening
 from rtcal.finder.search import find
 from tests.conftest import random_room, true_times
 from tests.test_discrepancy import controls_of, opened

@@ -18,7 +18,7 @@ from rtcal.calibration.posterior import distribution
 from rtcal.command.main import cli
 from rtcal.finder import AppliedEffect, Case, corrected_room, recalibrate, simulator
 from rtcal.finder.means.corrected import not_in_room
-from rtcal.finder.means.hypotheses import distances, state
+from rtcal.finder.means.problem import distances, state
 from rtcal.finder.model import predict
 from rtcal.simulators.base import Simulator, run
 from rtcal.simulators.external import EquationSimulator

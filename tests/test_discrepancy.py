@@ -27,21 +27,21 @@ from rtcal.finder import (
     recalibrate,
     verify,
 )
-from rtcal.finder.effects.absorbers import Opening, Porous, Resonator
-from rtcal.finder.effects.whole_room import CoupledDecay, WrongArea, WrongVolume
-from rtcal.finder.means import hypotheses
+from rtcal.finder.effects import CoupledDecay, Opening, Porous, Resonator, WrongArea, WrongVolume
+from rtcal.finder.means import problem as problem_of_means
 from rtcal.finder.means.corrected import not_in_room
 from rtcal.finder.means.engines import ControlRooms, recentred
 from rtcal.finder.means.evidence import evaluate
-from rtcal.finder.means.hypotheses import (
+from rtcal.finder.means.problem import (
+    MeansProblem,
     ModelDiscrepancy,
+    alpha_covariance,
     distances,
     estimate_discrepancy,
     observe,
     predict_hypotheses,
     state,
 )
-from rtcal.finder.means.likelihood import MeansProblem, alpha_covariance
 from rtcal.finder.model import DirectionalDecay, RoomState, predict, sensitivities
 from rtcal.finder.search import find
 from rtcal.support.errors import DataError
@@ -239,7 +239,7 @@ def test_evidence_is_the_normal_density() -> None:
         covariance = (alpha_covariance(predicted, i) + error.covariance)[np.ix_(mask, mask)]
         # No distances are stated, which leaves C80 open.
         covariance = covariance + observed.covariance
-        covariance += predicted.applied.covariance[np.ix_(mask, mask)]
+        covariance += predicted.applied[np.ix_(mask, mask)]
         # An opening's error over bands: common, a tilt per octave, and rough; and one per feature.
         bands = np.tile(np.arange(7), 5)[mask]
         lag = np.abs(np.subtract.outer(bands, bands))
@@ -643,7 +643,6 @@ def test_the_search_holds_blas_to_one_thread() -> None:
 
 
 def test_covariances_of_many_configurations_are_those_of_their_pairs() -> None:
-    # Alone, 3 configurations have their covariances stored; with 40 more, only the factors.
     case = opened()
     (c,) = case.configurations
     change = ChangedMaterial(ALPHA[1] * 1.3, np.full(7, 0.02))
@@ -666,7 +665,7 @@ def test_hypotheses_predicted_in_parts_are_those_predicted_at_once(
 ) -> None:
     case = opened()
     whole = predict_hypotheses(case, library())
-    monkeypatch.setattr(hypotheses, "_ELEMENTS", 28 * 30)  # 30 at once
+    monkeypatch.setattr(problem_of_means, "_ELEMENTS", 28 * 30)  # 30 at once
     parts = predict_hypotheses(case, library())
     assert parts.names == whole.names
     assert parts.parameters == whole.parameters
@@ -692,6 +691,6 @@ def test_a_case_too_large_is_refused_before_the_work() -> None:
         with pytest.raises(DataError, match=r"48 configurations have 1008 values.* at most 1000"):
             call()
     fits = replace(large, configurations=large.configurations[:47])
-    hypotheses.check_size(fits, 500)
-    with pytest.raises(DataError, match=r"50001 sets of parameters .* at most 50000"):
-        hypotheses.check_size(case, 50_001)
+    problem_of_means.check_size(fits, 500)
+    with pytest.raises(DataError, match=r"10001 sets of parameters .* at most 10000"):
+        problem_of_means.check_size(case, 10_001)

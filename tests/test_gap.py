@@ -16,8 +16,8 @@ from rtcal.command.finder import Search
 from rtcal.command.main import cli
 from rtcal.finder import Case, MeansFinding, MeansVerification, verify
 from rtcal.finder.finding import Miss, Size
-from rtcal.finder.means.evidence import FOLDER
-from rtcal.finder.means.hypotheses import distances, state
+from rtcal.finder.means.engines import FOLDER
+from rtcal.finder.means.problem import distances, state
 from rtcal.finder.means.verification import Gap
 from rtcal.finder.model import predict
 from rtcal.finder.search import find

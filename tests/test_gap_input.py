@@ -27,9 +27,9 @@ from rtcal.finder import (
     simulator,
     verify,
 )
-from rtcal.finder.effects.absorbers import Opening
+from rtcal.finder.effects import Opening
 from rtcal.finder.means.engines import ControlRooms, Engine
-from rtcal.finder.means.hypotheses import ModelDiscrepancy, state
+from rtcal.finder.means.problem import ModelDiscrepancy, state
 from rtcal.finder.model import Decay, RoomState
 from rtcal.finder.search import find
 from rtcal.support.errors import DataError, OtherBandsWarning, RtcalError

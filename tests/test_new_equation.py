@@ -17,7 +17,7 @@ import pytest
 
 import rtcal as rt
 from rtcal.acoustics.equations import EQUATIONS, LinearEquation, equation_keys, register
-from rtcal.finder.means.hypotheses import state
+from rtcal.finder.means.problem import state
 from rtcal.finder.means.recalibration import plain, recalibrate
 from rtcal.finder.model import STEEPEST, sensitivities
 from rtcal.loop.state import Loop, start

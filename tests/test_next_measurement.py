@@ -14,7 +14,7 @@ from scipy.stats import norm
 
 from rtcal.command.main import cli
 from rtcal.finder import Case, plan
-from rtcal.finder.means import likelihood
+from rtcal.finder import evidence as densities
 from rtcal.finder.means.planning import COSTS, Information, extended, possible
 from rtcal.finder.means.sets import Moments
 from rtcal.finder.search import find
@@ -36,7 +36,7 @@ def two(apart: float, correlation: float = 0.0) -> Moments:
 @pytest.fixture
 def normal(monkeypatch: pytest.MonkeyPatch) -> None:
     """Normal densities, for which the information is an integral."""
-    monkeypatch.setattr(likelihood, "DEGREES", np.inf)
+    monkeypatch.setattr(densities, "DEGREES", np.inf)
 
 
 SECOND = np.array([False, True])

@@ -16,14 +16,14 @@ from rtcal.acoustics.room_errors import HANDBOOK_SIGMA
 from rtcal.command.main import cli
 from rtcal.finder import Case, ChangedMaterial, Configuration, library, recalibrate
 from rtcal.finder.claim import by_family, claimed
-from rtcal.finder.effects.absorbers import Audience, Opening, People
-from rtcal.finder.effects.whole_room import CoupledRoom, WrongVolume
+from rtcal.finder.effects import Audience, CoupledRoom, Opening, People, WrongVolume
+from rtcal.finder.evidence import log_mixture
 from rtcal.finder.means import evidence as bootstrap
 from rtcal.finder.means.engines import ControlRooms
 from rtcal.finder.means.evidence import MeansEvidence, draw_null_features
-from rtcal.finder.means.hypotheses import LowRank, distances, observe, predict_hypotheses, state
+from rtcal.finder.means.problem import distances, observe, predict_hypotheses, state
 from rtcal.finder.model import predict
-from rtcal.finder.prior import SHARPER, log_mixture, prior_of, probability_off
+from rtcal.finder.prior import SHARPER, prior_of, probability_off
 from rtcal.finder.search import find
 from rtcal.support.errors import DataError
 from tests.conftest import candidates_of
@@ -288,17 +288,17 @@ def test_distances_that_are_not_stated_err_by_configuration_and_in_the_null_room
     observed, _ = observe(case)
     applied = predict_hypotheses(case, []).applied
     shape = (*observed.used.shape, *observed.used.shape)
-    by_distance = applied.covariance.reshape(shape)
+    by_distance = applied.reshape(shape)
     assert (by_distance[0, 3, :, 0, 3] > 0).all()  # C80 of one configuration
     assert (by_distance[0, :, :, 1] == 0).all()  # another place in the other
     errors = [np.zeros((20, *observed.used.shape))]
     c80 = np.nonzero(observed.used)[1] == 3
     spread = []
-    for covariance in (applied, LowRank(0 * applied.factor, 0 * applied.diagonal)):
+    for covariance in (applied, 0 * applied):
         rng = np.random.default_rng(1)
         values = draw_null_features(case, observed, covariance, errors, rng, 4000)
         spread.append(values[:, c80].var(0).mean())
-    distance = np.diag(applied.covariance)[observed.used.ravel()][c80].mean()
+    distance = np.diag(applied)[observed.used.ravel()][c80].mean()
     assert spread[0] - spread[1] == pytest.approx(distance, rel=0.3)
 
 
@@ -313,7 +313,7 @@ def test_what_a_changed_material_moves_is_uncertain_as_an_effect_is() -> None:
     def applied(covered: Sequence[Configuration]) -> np.ndarray:
         case = replace(one, configurations=covered)
         shape = (len(covered), 5, 6)
-        return predict_hypotheses(case, []).applied.covariance.reshape(shape * 2)
+        return predict_hypotheses(case, []).applied.reshape(shape * 2)
 
     more = applied(configurations) - applied([replace(c, changes={}) for c in configurations])
     case = replace(one, configurations=configurations)

@@ -11,9 +11,8 @@ import pytest
 import rtcal as rt
 from rtcal import terms
 from rtcal.finder.case import Case, Configuration
-from rtcal.finder.effects.base import Effect
-from rtcal.finder.effects.checks import changed_states
-from rtcal.finder.means.hypotheses import state
+from rtcal.finder.effects import Effect, changed_states
+from rtcal.finder.means.problem import state
 from rtcal.finder.model import RoomState
 from rtcal.support.errors import DataError, SimulatorError
 

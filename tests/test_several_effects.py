@@ -21,13 +21,19 @@ from rtcal.finder import (
     MeansFinding,
     library,
 )
+from rtcal.finder import evidence as densities
 from rtcal.finder.claim import numbers_of
-from rtcal.finder.means import hypotheses, likelihood
+from rtcal.finder.evidence import DEGREES
+from rtcal.finder.means import problem
 from rtcal.finder.means.engines import ControlRooms
 from rtcal.finder.means.evidence import evaluate
-from rtcal.finder.means.gap import Objection
-from rtcal.finder.means.hypotheses import estimate_discrepancy, observe, predict_hypotheses
-from rtcal.finder.means.likelihood import DEGREES, MeansProblem, alpha_covariance
+from rtcal.finder.means.problem import (
+    MeansProblem,
+    alpha_covariance,
+    estimate_discrepancy,
+    observe,
+    predict_hypotheses,
+)
 from rtcal.finder.means.sets import (
     Kept,
     Screen,
@@ -39,6 +45,7 @@ from rtcal.finder.means.sets import (
     moments,
     posterior_of_sets,
 )
+from rtcal.finder.means.verdict import Objection
 from rtcal.finder.model import FEATURES
 from rtcal.finder.prior import UNKNOWN, prior_of
 from rtcal.finder.search import find
@@ -155,7 +162,7 @@ def test_what_lies_between_the_points_of_a_grid_is_no_second_effect() -> None:
 
 
 def test_a_set_of_one_is_the_single_hypothesis(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(likelihood, "COARSENING", np.inf)
+    monkeypatch.setattr(densities, "COARSENING", np.inf)
     c = compared(*BOTH)
     single = evaluate(c, 0.1)
     rows = [row(c, name) for name in ("opening", "air", "coupled room")]
@@ -166,8 +173,8 @@ def test_a_set_of_one_is_the_single_hypothesis(monkeypatch: pytest.MonkeyPatch) 
 
 def test_the_screen_is_the_density_where_effects_add(monkeypatch: pytest.MonkeyPatch) -> None:
     """The effects have errors smooth over bands; with or without one of them as the base."""
-    monkeypatch.setattr(likelihood, "COARSENING", np.inf)
-    monkeypatch.setattr(hypotheses, "SHAPE_CHANGE", (("edt", 0.0), ("t30", 0.0)))
+    monkeypatch.setattr(densities, "COARSENING", np.inf)
+    monkeypatch.setattr(problem, "SHAPE_CHANGE", (("edt", 0.0), ("t30", 0.0)))
     c = compared(*BOTH)
     smooth = c.predicted.spectrum_errors.copy()
     smooth[:, :, 2:] = 0

@@ -12,7 +12,7 @@ import rtcal as rt
 from rtcal.acoustics import band_conversion
 from rtcal.acoustics.observables import observable
 from rtcal.finder import Case, Configuration
-from rtcal.finder.means.hypotheses import _uncertainty, observe
+from rtcal.finder.means.problem import _uncertainty, observe
 from rtcal.io.analysis import with_uncertainty
 from rtcal.support.errors import DataError
 

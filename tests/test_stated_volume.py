@@ -11,9 +11,9 @@ import pytest
 import rtcal as rt
 from rtcal.finder import Case, Configuration
 from rtcal.finder.case import ChangedMaterial
-from rtcal.finder.effects.whole_room import WrongVolume
+from rtcal.finder.effects import WrongVolume
 from rtcal.finder.means.finding import MeansFinding
-from rtcal.finder.means.hypotheses import predict_hypotheses
+from rtcal.finder.means.problem import predict_hypotheses
 from rtcal.finder.model import RoomState, volume_sigma_of
 from rtcal.finder.prior import grid_weights
 from rtcal.simulators.geometry import Polyhedron

@@ -198,7 +198,7 @@ def fit(
     Example: rtcal fit room.toml pairs.csv --out fitted
     """
     from rtcal.acoustics.room import Room
-    from rtcal.finder.means.evidence import FOLDER
+    from rtcal.finder.means.engines import FOLDER
     from rtcal.io import geometry_files
     from rtcal.loop.control_runs import RUNS
     from rtcal.loop.positions import calibrate_positions

@@ -81,7 +81,7 @@ class Search:
     @property
     def cache(self) -> Path:
         """The folder in which simulations are kept, beside the case or room."""
-        from rtcal.finder.means.evidence import FOLDER
+        from rtcal.finder.means.engines import FOLDER
 
         return Path(self.case).parent / FOLDER
 
@@ -362,7 +362,7 @@ def verify(found: str, before: str | None, after: str | None) -> None:
     Example: rtcal verify found
     """
     from rtcal import finder
-    from rtcal.finder.means.evidence import FOLDER
+    from rtcal.finder.means.engines import FOLDER
     from rtcal.finder.means.finding import MeansFinding
     from rtcal.finder.states import StatesFinding
 

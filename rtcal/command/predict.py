@@ -183,7 +183,7 @@ def calibrated_to_positions(
 ) -> PositionsResult:
     """Return the calibration to every position."""
     from rtcal.calibration.measured import tell_data
-    from rtcal.finder.means.evidence import FOLDER
+    from rtcal.finder.means.engines import FOLDER
     from rtcal.io import geometry_files
     from rtcal.loop.control_runs import RUNS
     from rtcal.loop.positions import calibrate_positions

@@ -18,16 +18,16 @@ if TYPE_CHECKING:
     from rtcal.finder.case import ChangedMaterial as ChangedMaterial
     from rtcal.finder.case import Configuration as Configuration
     from rtcal.finder.effects import Absorber as Absorber
+    from rtcal.finder.effects import AppliedEffect as AppliedEffect
     from rtcal.finder.effects import Effect as Effect
     from rtcal.finder.effects import library as library
-    from rtcal.finder.effects.checks import AppliedEffect as AppliedEffect
     from rtcal.finder.finding import Candidate as Candidate
     from rtcal.finder.finding import Finding as Finding
     from rtcal.finder.finding import Verification as Verification
     from rtcal.finder.means.corrected import corrected_room as corrected_room
     from rtcal.finder.means.corrected import simulator as simulator
+    from rtcal.finder.means.engines import control_rooms as control_rooms
     from rtcal.finder.means.evidence import Threshold as Threshold
-    from rtcal.finder.means.evidence import control_rooms as control_rooms
     from rtcal.finder.means.finding import MeansFinding as MeansFinding
     from rtcal.finder.means.planning import Plan as Plan
     from rtcal.finder.means.planning import Proposal as Proposal

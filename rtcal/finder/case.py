@@ -51,7 +51,7 @@ from rtcal.acoustics.room import AirTable, PlainRoom, Room, air, of_plain, refus
 from rtcal.calibration.measured import times_in_room
 from rtcal.files.disk import json_numbers, read_text, write_text
 from rtcal.files.schema import FileTable, Number, json_object, read, toml_table
-from rtcal.finder.effects.checks import AppliedEffect, check_parameters
+from rtcal.finder.effects import AppliedEffect, check_parameters
 from rtcal.io import geometry_files
 from rtcal.support import checks
 from rtcal.support.checks import text_name

@@ -16,8 +16,7 @@ from rtcal.acoustics import bands
 from rtcal.acoustics.observables import DecaySlope, observable
 from rtcal.files.disk import json_numbers
 from rtcal.files.saved import Result
-from rtcal.finder.effects import Effect
-from rtcal.finder.effects.whole_room import CoupledRoom
+from rtcal.finder.effects import CoupledRoom, Effect
 from rtcal.support.errors import DataError, ModelError
 from rtcal.support.text import first_of
 from rtcal.support.types import Array

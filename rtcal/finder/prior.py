@@ -78,14 +78,6 @@ def probability_off(room: Room) -> float:
     return OFF_TOGETHER * relative_sigma(room) ** 2
 
 
-def log_mixture(one: Array, other: Array, share: float) -> Array:
-    """Return the log density where ``one`` holds, or with the probability ``share`` the other.
-
-    ``one`` and ``other`` are log densities of the same data, of one shape.
-    """
-    return np.asarray(np.logaddexp(np.log1p(-share) + one, np.log(share) + other))
-
-
 def sharpness(room: Room) -> float:
     """Return the power to which the probabilities are taken before they are made to sum to 1."""
     return 1.0 + SHARPER * (1.0 - relative_sigma(room))

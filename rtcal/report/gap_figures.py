@@ -11,7 +11,7 @@ from rtcal.acoustics.observables import DecaySlope, of_kind
 from rtcal.acoustics.priors import NORMAL_90
 from rtcal.finder.claim import CLAIMED, SAID
 from rtcal.finder.means.finding import MeansFinding, feature_names
-from rtcal.finder.means.hypotheses import state
+from rtcal.finder.means.problem import state
 from rtcal.finder.means.verification import MeansVerification, residual_map, reverberation_times
 from rtcal.finder.prior import NONE
 from rtcal.report.document import MOST, odds

@@ -12,7 +12,7 @@ import rtcal as rt
 from rtcal.acoustics.air import Air
 from rtcal.acoustics.room_errors import value_changes
 from rtcal.finder.positions.problem import _prior
-from rtcal.finder.positions.responses import AIR
+from rtcal.finder.positions.weighing import AIR
 from rtcal.prediction import Assumptions, predict
 from tests.conftest import also
 

@@ -16,11 +16,10 @@ import pytest
 
 import rtcal as rt
 from rtcal.finder import AppliedEffect, Case, corrected_room
-from rtcal.finder.effects import Effect, library
-from rtcal.finder.effects.checks import checked_grid
+from rtcal.finder.effects import Effect, checked_grid, library
 from rtcal.finder.means.corrected import not_in_room
 from rtcal.finder.means.finding import MeansFinding
-from rtcal.finder.means.hypotheses import state
+from rtcal.finder.means.problem import state
 from rtcal.finder.positions import PositionsFinding
 from rtcal.report import finding_pages, gap_report
 from rtcal.support.errors import DataError

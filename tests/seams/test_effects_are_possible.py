@@ -9,9 +9,8 @@ import pytest
 
 import rtcal as rt
 from rtcal.finder import AppliedEffect, Case
-from rtcal.finder.effects import Effect, library
-from rtcal.finder.effects.checks import checked_grid
-from rtcal.finder.means.hypotheses import state
+from rtcal.finder.effects import Effect, checked_grid, library
+from rtcal.finder.means.problem import state
 from rtcal.finder.model import RoomState, covered
 from rtcal.support.errors import DataError
 

@@ -11,7 +11,7 @@ import pytest
 
 import rtcal as rt
 from rtcal.finder import Case, library
-from rtcal.finder.means.hypotheses import observe, predict_hypotheses
+from rtcal.finder.means.problem import observe, predict_hypotheses
 from rtcal.finder.means.search import _off_levels
 
 

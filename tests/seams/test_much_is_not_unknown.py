@@ -27,8 +27,8 @@ from rtcal.finder.positions.posterior import (
     weights,
 )
 from rtcal.finder.positions.problem import PositionsProblem, problem_of
-from rtcal.finder.positions.responses import responses_of
 from rtcal.finder.positions.search import controls_of, every_hypothesis
+from rtcal.finder.positions.weighing import responses_of
 from rtcal.finder.prior import NONE, UNKNOWN
 from tests.test_where import MATCH, measured, stated, tracing
 from tests.test_where_corrected import candidate

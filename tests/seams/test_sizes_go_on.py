@@ -8,13 +8,17 @@ import numpy as np
 import pytest
 
 from rtcal.finder import Case
-from rtcal.finder.effects import Effect
-from rtcal.finder.effects.absorbers import Opening, Porous
-from rtcal.finder.effects.checks import checked_grid
-from rtcal.finder.effects.whole_room import NoiseFloor, NonDiffuse, WrongArea
-from rtcal.finder.means.gap import Objection
-from rtcal.finder.means.hypotheses import predict_hypotheses, state
-from rtcal.finder.means.verdict import doubted
+from rtcal.finder.effects import (
+    Effect,
+    NoiseFloor,
+    NonDiffuse,
+    Opening,
+    Porous,
+    WrongArea,
+    checked_grid,
+)
+from rtcal.finder.means.problem import predict_hypotheses, state
+from rtcal.finder.means.verdict import Objection, doubted
 from rtcal.finder.positions.hypotheses import LEAST, RATIO, areas_tried
 from rtcal.finder.search import find
 from tests.test_discrepancy import case_with, controls_of, opened

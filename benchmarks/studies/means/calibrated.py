@@ -23,15 +23,19 @@ import numpy as np
 from benchmarks.studies.means.judging import calibration_error, first_of, kept_controls, one
 from benchmarks.studies.means.second_world import WORLDS, place, truth_of
 from rtcal.finder import Case, library
+from rtcal.finder import evidence as densities
 from rtcal.finder.claim import posterior
-from rtcal.finder.means import likelihood
 from rtcal.finder.means.evidence import evaluate
-from rtcal.finder.means.hypotheses import estimate_discrepancy, observe, predict_hypotheses
-from rtcal.finder.means.likelihood import MeansProblem
+from rtcal.finder.means.problem import (
+    MeansProblem,
+    estimate_discrepancy,
+    observe,
+    predict_hypotheses,
+)
 from rtcal.finder.prior import Prior, prior_of, relative_sigma
 from rtcal.support.speed import single_threaded_blas
 
-CHOSEN = (likelihood.DEGREES, likelihood.COARSENING)
+CHOSEN = (densities.DEGREES, densities.COARSENING)
 SETTINGS = (
     *((degrees, 50.0) for degrees in (3.0, 10.0, np.inf)),
     *((5.0, power) for power in (np.inf, 200.0, 100.0, 25.0, 50.0)),
@@ -88,7 +92,7 @@ def rows_of(what: str, folder: str, world: int, step: int) -> Rows:
             prior = prior_of(case.room, library(), {})
             plain = replace(prior, sharpness=1.0)
             for degrees, power in SETTINGS if what == "likelihood" else [CHOSEN]:
-                with mock.patch.multiple(likelihood, DEGREES=degrees, COARSENING=power):
+                with mock.patch.multiple(densities, DEGREES=degrees, COARSENING=power):
                     evidence = evaluate(problem, prior.off)
                 table = {k: float(v) for k, v in evidence.by_effect().items()}
                 out[data, f"degrees {degrees:g}, n {power:g}"].append(row_of(table, plain, name))

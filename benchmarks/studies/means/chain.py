@@ -54,8 +54,8 @@ from benchmarks.studies.second_world import rooms as second_world
 from benchmarks.studies.third_world import generate as third_world_stored
 from benchmarks.studies.third_world import rooms as third_world
 from rtcal.finder import Case
+from rtcal.finder import evidence as densities
 from rtcal.finder.claim import too_weak
-from rtcal.finder.means import likelihood
 from rtcal.finder.means.engines import ControlRooms
 from rtcal.finder.prior import NO_EFFECT
 from rtcal.finder.search import find
@@ -71,11 +71,11 @@ CHAIN = {
 }
 SECOND = "and a second configuration"
 SETTINGS: dict[str, dict[str, float]] = {
-    "chosen": {"COARSENING": likelihood.COARSENING},
+    "chosen": {"COARSENING": densities.COARSENING},
     "full power": {"COARSENING": np.inf},
     "full power, normal": {"COARSENING": np.inf, "DEGREES": np.inf},
 }
-"""Values of `rtcal.finder.means.likelihood` that are tried."""
+"""Values of `rtcal.finder.evidence` that are tried."""
 TRIED = (
     "chosen",
     "chosen, earlier",
@@ -164,7 +164,7 @@ def run(folder: Path, setting: str, empty: int, each: int, only: Collection[int]
         if known is None:
             continue
         row: dict[str, Any] = {"truth": sorted(known[0]), "statement": known[1]}
-        with mock.patch.multiple(likelihood, **SETTINGS[setting]):
+        with mock.patch.multiple(densities, **SETTINGS[setting]):
             for name, some, theirs in data_sets(case, controls):
                 clock = time.process_time()
                 row[name] = row_of(find(some, controls=theirs))

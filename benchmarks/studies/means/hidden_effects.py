@@ -38,7 +38,7 @@ from rtcal.finder import (
     Case,
     verify,
 )
-from rtcal.finder.effects.absorbers import AT_1_KHZ
+from rtcal.finder.effects import AT_1_KHZ
 from rtcal.finder.means.engines import ControlRooms
 from rtcal.finder.means.evidence import MINIMUM
 from rtcal.finder.search import find

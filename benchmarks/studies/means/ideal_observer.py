@@ -35,13 +35,13 @@ from rtcal.finder import Case, library
 from rtcal.finder.claim import by_family_sets, families_of, numbers_of
 from rtcal.finder.means import search
 from rtcal.finder.means.engines import ControlRooms
-from rtcal.finder.means.hypotheses import (
+from rtcal.finder.means.problem import (
+    MeansProblem,
     ObservedFeatures,
     estimate_discrepancy,
     observe,
     predict_hypotheses,
 )
-from rtcal.finder.means.likelihood import MeansProblem
 from rtcal.finder.means.sets import Rows, acting_order, compare, moments, posterior_of_sets, shapes
 from rtcal.finder.means.verdict import TWO
 from rtcal.finder.prior import UNKNOWN, Prior, prior_of

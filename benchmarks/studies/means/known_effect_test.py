@@ -23,17 +23,19 @@ import numpy as np
 
 from benchmarks.studies.means.judging import families_of
 from rtcal.finder import Case, library
-from rtcal.finder.means import likelihood
+from rtcal.finder import evidence as densities
+from rtcal.finder.evidence import DEGREES
 from rtcal.finder.means.engines import ControlRooms
 from rtcal.finder.means.evidence import evaluate, score
-from rtcal.finder.means.hypotheses import (
+from rtcal.finder.means.problem import (
+    MeansProblem,
+    alpha_covariance,
     distances,
     estimate_discrepancy,
     observe,
     predict_hypotheses,
     state,
 )
-from rtcal.finder.means.likelihood import DEGREES, MeansProblem, alpha_covariance
 from rtcal.finder.model import predict
 from rtcal.finder.prior import prior_of
 from rtcal.support.types import Array
@@ -127,7 +129,7 @@ def drawn_scores(problem: MeansProblem, means: Sequence[Array], scale: Array) ->
     wide = np.sqrt((DEGREES - 2) / rng.chisquare(DEGREES, (SCORED, 1)))
     prior = prior_of(problem.case.room, library(), {})
     values = np.concatenate([mean + problem.bias + wide * z for mean in means])
-    with mock.patch.object(likelihood, "COARSENING", np.inf):
+    with mock.patch.object(densities, "COARSENING", np.inf):
         evidence = evaluate(problem, prior.off, values)
     return score(evidence, prior).reshape(len(means), SCORED)
 

@@ -28,9 +28,13 @@ from benchmarks.studies.means.several_effects import wide
 from benchmarks.studies.means.several_effects_rooms import Room, judged_alone, rooms
 from rtcal.finder import Case, library, plan
 from rtcal.finder.means.engines import ControlRooms
-from rtcal.finder.means.hypotheses import estimate_discrepancy, observe, predict_hypotheses
-from rtcal.finder.means.likelihood import MeansProblem
 from rtcal.finder.means.planning import COSTS
+from rtcal.finder.means.problem import (
+    MeansProblem,
+    estimate_discrepancy,
+    observe,
+    predict_hypotheses,
+)
 from rtcal.finder.means.sets import MOST, compare, posterior_of_sets
 from rtcal.finder.prior import prior_of
 from rtcal.finder.search import find

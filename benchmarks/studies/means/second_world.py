@@ -62,8 +62,12 @@ from rtcal.finder import AppliedEffect, Case, library
 from rtcal.finder.means import evidence as bootstrap
 from rtcal.finder.means.engines import ControlRooms, recentred
 from rtcal.finder.means.evidence import QUANTILE, evaluate
-from rtcal.finder.means.hypotheses import estimate_discrepancy, observe, predict_hypotheses
-from rtcal.finder.means.likelihood import MeansProblem
+from rtcal.finder.means.problem import (
+    MeansProblem,
+    estimate_discrepancy,
+    observe,
+    predict_hypotheses,
+)
 from rtcal.finder.model import FEATURES
 from rtcal.finder.prior import NULL_POWER, prior_of
 from rtcal.finder.search import find

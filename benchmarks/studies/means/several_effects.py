@@ -49,13 +49,14 @@ from benchmarks.studies.means.several_effects_rooms import (
 )
 from rtcal.finder import Case, recalibrate
 from rtcal.finder.means.engines import ControlRooms
-from rtcal.finder.means.hypotheses import (
+from rtcal.finder.means.problem import (
+    MeansProblem,
     ModelDiscrepancy,
+    alpha_covariance,
     estimate_discrepancy,
     observe,
     predict_hypotheses,
 )
-from rtcal.finder.means.likelihood import MeansProblem, alpha_covariance
 from rtcal.finder.means.recalibration import plain
 from rtcal.finder.means.sets import MOST, averaged_alpha, compare, covariance_with_alpha, moments
 from rtcal.finder.search import find

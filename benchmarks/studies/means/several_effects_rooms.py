@@ -15,7 +15,7 @@ from benchmarks.studies.means.hidden_effects import name_of
 from benchmarks.studies.means.judging import first_of, kept_controls, one
 from benchmarks.studies.means.second_world import place
 from rtcal.finder import AppliedEffect, Case
-from rtcal.finder.effects.absorbers import AT_1_KHZ
+from rtcal.finder.effects import AT_1_KHZ
 from rtcal.finder.means.engines import ControlRooms
 
 DATA = {"one": "T20, EDT, T30; one configuration", "all": "two configurations, C80, G as well"}

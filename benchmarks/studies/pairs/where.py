@@ -56,8 +56,8 @@ from rtcal.acoustics.marks import gap_jnd
 from rtcal.finder import library
 from rtcal.finder.positions.posterior import PositionsHypotheses, of_means
 from rtcal.finder.positions.problem import PositionsProblem, problem_of
-from rtcal.finder.positions.responses import responses_of
 from rtcal.finder.positions.search import controls_of, every_hypothesis
+from rtcal.finder.positions.weighing import responses_of
 from rtcal.finder.search import find
 
 PATHS = 8000

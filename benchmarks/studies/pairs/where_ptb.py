@@ -36,9 +36,8 @@ from benchmarks.studies.pairs.where_figures import MODELS, first
 from rtcal.acoustics.observables import observable
 from rtcal.finder.positions.posterior import flat
 from rtcal.finder.positions.problem import PositionsProblem, problem_of
-from rtcal.finder.positions.responses import BASE, parameters, responses_of
 from rtcal.finder.positions.search import controls_of
-from rtcal.finder.positions.weighing import Weighing
+from rtcal.finder.positions.weighing import BASE, Weighing, parameters, responses_of
 from rtcal.simulators import PathTracing, Polyhedron
 from rtcal.support.types import Array
 

@@ -23,7 +23,7 @@ from benchmarks.studies.geometric_world.load import IN_SITU, load, truth, withou
 from benchmarks.studies.pairs.where import case_of, prepared
 from rtcal.acoustics.observables import observable
 from rtcal.finder.positions.posterior import evaluate, flat, scores, weights
-from rtcal.finder.positions.responses import BASE, responses_of
+from rtcal.finder.positions.weighing import BASE, responses_of
 from rtcal.simulators.base import Observations
 
 SEED = 77

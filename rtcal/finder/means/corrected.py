@@ -22,9 +22,9 @@ from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.priors import NORMAL_90
 from rtcal.acoustics.room import Material, Room, Surface
 from rtcal.finder.case import Case, Configuration
-from rtcal.finder.effects.checks import AppliedEffect
+from rtcal.finder.effects import AppliedEffect
 from rtcal.finder.finding import amount
-from rtcal.finder.means.hypotheses import distances, state, with_applied
+from rtcal.finder.means.problem import distances, state, with_applied
 from rtcal.finder.model import FEATURES, RoomState, highest, mean_contributions, predict
 from rtcal.simulators.base import RoomSimulator, Simulator, check_alpha, run
 from rtcal.simulators.geometry import Polyhedron

@@ -7,8 +7,12 @@ alpha is drawn from the prior; positions and scattering are drawn at random.
 
 from __future__ import annotations
 
+import hashlib
+import json
+import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -16,6 +20,7 @@ import numpy as np
 from rtcal.acoustics import bands, decay
 from rtcal.acoustics.equations import Eyring, mean_equation
 from rtcal.acoustics.room import Room, Surface
+from rtcal.files import disk
 from rtcal.finder.case import Case
 from rtcal.finder.model import FEATURES, RoomState, predict
 from rtcal.finder.prior import by_name
@@ -24,9 +29,9 @@ from rtcal.simulators.path_tracing import PathTracing
 from rtcal.simulators.ray_tracing import RayTracing
 from rtcal.simulators.shoebox import ImageSource, mean_energy
 from rtcal.simulators.tracer import LONGEST, ScatteringModel, Tracer
-from rtcal.support import checks
+from rtcal.support import __version__, checks
 from rtcal.support.errors import DataError
-from rtcal.support.speed import TaskProgress
+from rtcal.support.speed import TaskProgress, single_threaded_blas
 from rtcal.support.types import Array
 
 _AXIS_OF_WALL = (0, 0, 1, 1, 2, 2)
@@ -130,7 +135,7 @@ def draw_alpha(case: Case, rng: np.random.Generator, n: int) -> Array:
     return out
 
 
-def box(case: Case) -> tuple[Room, Array]:
+def box(case: Case) -> tuple[Room, Polyhedron, Array]:
     """Return the control room, with one material per axis, and the share of each material by axis.
 
     With the shares (n_materials, 3), the case's alpha gives the mean alpha of the walls of an axis.
@@ -165,7 +170,8 @@ def box(case: Case) -> tuple[Room, Array]:
             for wall, a, area in zip(SHOEBOX_WALLS, _AXIS_OF_WALL, areas, strict=True)
         ],
     )
-    return control, share
+    walls = dict(zip(SHOEBOX_WALLS, (names[a] for a in _AXIS_OF_WALL), strict=True))
+    return control, Polyhedron.shoebox(control.dimensions or (), walls), share
 
 
 @dataclass(frozen=True)
@@ -173,6 +179,7 @@ class Setup:
     """A control room with source and receivers; ``share`` (n_materials, 3) as `box` returns it."""
 
     room: Room
+    geometry: Polyhedron
     share: Array
     source: tuple[float, ...]
     receivers: Mapping[str, tuple[float, ...]]
@@ -180,14 +187,6 @@ class Setup:
     scattering_model: ScatteringModel
     number: int
     seed: int
-
-    @property
-    def geometry(self) -> Polyhedron:
-        """The box."""
-        walls = [self.room.materials[a] for a in _AXIS_OF_WALL]
-        return Polyhedron.shoebox(
-            self.room.dimensions or (), dict(zip(SHOEBOX_WALLS, walls, strict=True))
-        )
 
     @property
     def positions(self) -> dict[str, Any]:
@@ -287,9 +286,9 @@ class Engine:
         alphas = draw_alpha(case, rng, self.setups * self.draws)
         models = [self.models[n // 2 % len(self.models)] for n in range(self.setups)]
         scattering = _scattering(models, rng) if self.scatters else [0.0] * self.setups
-        errors = []
+        errors, of_box = [], box(case)
         for number in range(self.setups):
-            setup = _setup(case, places[number], number, seed, scattering[number], models[number])
+            setup = _setup(of_box, places[number], number, seed, scattering[number], models[number])
             simulate = self.simulator(setup)
             duration = self.duration * float(_time(setup, case.room.alpha).max())
             rows = []
@@ -327,7 +326,7 @@ def _spread_evenly(rng: np.random.Generator, n: int, dimensions: int) -> Array:
 
 
 def _setup(
-    case: Case,
+    of_box: tuple[Room, Polyhedron, Array],
     places: Array,
     number: int,
     seed: int,
@@ -335,13 +334,15 @@ def _setup(
     model: ScatteringModel,
 ) -> Setup:
     """Return a control room; ``places``, from 0 to 1, give its source and receivers."""
-    room, share = box(case)
+    room, geometry, share = of_box
     sides = np.array(room.dimensions)
     source, *others = sides * (0.15 + 0.7 * places.reshape(-1, 3))
     receivers = {
         f"R{i}": tuple(_apart(source, place, sides).tolist()) for i, place in enumerate(others, 1)
     }
-    return Setup(room, share, tuple(source.tolist()), receivers, scattering, model, number, seed)
+    return Setup(
+        room, geometry, share, tuple(source.tolist()), receivers, scattering, model, number, seed
+    )
 
 
 def _apart(source: Array, place: Array, sides: Array) -> Array:
@@ -469,3 +470,60 @@ def checked_controls(case: Case, controls: object, least: int = 2) -> tuple[Cont
                 f"{', '.join(map(str, shape))}): they are of another case"
             )
     return every
+
+
+DEFAULT_ENGINES = ("path tracing", "image sources")
+"""Engines of the control rooms, unless others are stated."""
+FOLDER = ".rtcal_cache"
+"""Name of the folder beside a case's file."""
+
+
+@single_threaded_blas()
+def control_rooms(
+    case: Case,
+    seed: int = 0,
+    engines: Sequence[str] = DEFAULT_ENGINES,
+    progress: TaskProgress | None = None,
+    cache: str | os.PathLike[str] | None = None,
+) -> tuple[ControlRooms, ...]:
+    """Simulate the case's control rooms with at least two engines, or read them from a folder.
+
+    They are a fixed sequence: positions and scattering are spread evenly, and what is drawn for a
+    material belongs to its name. `rtcal.find` takes that of the seed 0. Another one shows how much a
+    verdict depends on it: ``find(case, controls=control_rooms(case, seed=1))``.
+
+    A file of the folder ``cache`` holds the rooms of one engine. Its name is a hash of everything that
+    they depend on: the case, the seed, the engine and the version of rtcal. The folder can be deleted
+    at any time. If a file cannot be read or written, the rooms are simulated without an error.
+
+    Raises
+    ------
+    DataError
+        For fewer than two engines, or an engine that rtcal lacks.
+    """
+    checks.whole("seed", seed, 0)
+    where, rooms = None if cache is None else checks.path("cache", cache), []
+    for name in checked_engines(engines):
+        path = None if where is None else where / f"{_key(case, seed, name)}.array"
+        controls = None if path is None else _kept(path, case, name)
+        if controls is None:
+            controls = ENGINES[name].run(case, seed, progress)
+            if path is not None:
+                disk.write(path, controls.errors)
+        rooms.append(controls)
+    return tuple(rooms)
+
+
+def _key(case: Case, seed: int, engine: str) -> str:
+    content = json.dumps([case.to_dict(), seed, engine, __version__], sort_keys=True)
+    return hashlib.sha256(content.encode()).hexdigest()[:32]
+
+
+def _kept(path: Path, case: Case, engine: str) -> ControlRooms | None:
+    errors = disk.read(path)
+    if errors is None:
+        return None
+    try:
+        return checked_controls(case, [ControlRooms(engine, errors)], least=1)[0]
+    except DataError:
+        return None

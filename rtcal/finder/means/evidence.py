@@ -29,43 +29,35 @@ divided.
 
 from __future__ import annotations
 
-import hashlib
-import json
-import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import logsumexp
 
-from rtcal.files import disk
 from rtcal.finder.case import Case
-from rtcal.finder.effects import Effect, Parameters
-from rtcal.finder.effects.checks import AppliedEffect, beyond
+from rtcal.finder.effects import AppliedEffect, Effect, Parameters, beyond
+from rtcal.finder.evidence import Factorization
 from rtcal.finder.means.engines import (
-    ENGINES,
     ControlRooms,
-    checked_controls,
-    checked_engines,
     draw_alpha,
     recentred,
 )
-from rtcal.finder.means.hypotheses import (
-    LowRank,
+from rtcal.finder.means.problem import (
     MeansHypotheses,
+    MeansProblem,
     ModelDiscrepancy,
     ObservedFeatures,
     distances,
     estimate_discrepancy,
+    log_densities,
     predict_hypotheses,
     state,
     states,
     steps,
 )
-from rtcal.finder.means.likelihood import Factorization, MeansProblem, log_densities
 from rtcal.finder.model import predict
 from rtcal.finder.prior import (
     COEFFICIENTS,
@@ -77,9 +69,6 @@ from rtcal.finder.prior import (
     drawn,
     grid_weights,
 )
-from rtcal.support import __version__, checks
-from rtcal.support.errors import DataError
-from rtcal.support.speed import TaskProgress, single_threaded_blas
 from rtcal.support.types import Array
 
 # Numbers without a study of their own date from the first version of the finder. Others were tried
@@ -250,7 +239,7 @@ def unknown_evidence(
     """Return the log evidence of an unknown effect: a change that is partly smooth over bands.
 
     (n_ends, n_draws), of the first so many features for each of ``ends``. ``coarsened`` as for
-    `likelihood.student`.
+    `rtcal.finder.evidence.student`.
     """
     count, kinds, bands = used.shape
     scale = np.array(UNKNOWN_FEATURES)
@@ -291,63 +280,6 @@ class Threshold:
     def engines(self) -> tuple[str, ...]:
         """The simulators of the control rooms."""
         return self.discrepancy.engines
-
-
-DEFAULT_ENGINES = ("path tracing", "image sources")
-"""Engines of the control rooms, unless others are stated."""
-FOLDER = ".rtcal_cache"
-"""Name of the folder beside a case's file."""
-
-
-@single_threaded_blas()
-def control_rooms(
-    case: Case,
-    seed: int = 0,
-    engines: Sequence[str] = DEFAULT_ENGINES,
-    progress: TaskProgress | None = None,
-    cache: str | os.PathLike[str] | None = None,
-) -> tuple[ControlRooms, ...]:
-    """Simulate the case's control rooms with at least two engines, or read them from a folder.
-
-    They are a fixed sequence: positions and scattering are spread evenly, and what is drawn for a
-    material belongs to its name. `rtcal.find` takes that of the seed 0. Another one shows how much a
-    verdict depends on it: ``find(case, controls=control_rooms(case, seed=1))``.
-
-    A file of the folder ``cache`` holds the rooms of one engine. Its name is a hash of everything that
-    they depend on: the case, the seed, the engine and the version of rtcal. The folder can be deleted
-    at any time. If a file cannot be read or written, the rooms are simulated without an error.
-
-    Raises
-    ------
-    DataError
-        For fewer than two engines, or an engine that rtcal lacks.
-    """
-    checks.whole("seed", seed, 0)
-    where, rooms = None if cache is None else checks.path("cache", cache), []
-    for name in checked_engines(engines):
-        path = None if where is None else where / f"{_key(case, seed, name)}.array"
-        controls = None if path is None else _kept(path, case, name)
-        if controls is None:
-            controls = ENGINES[name].run(case, seed, progress)
-            if path is not None:
-                disk.write(path, controls.errors)
-        rooms.append(controls)
-    return tuple(rooms)
-
-
-def _key(case: Case, seed: int, engine: str) -> str:
-    content = json.dumps([case.to_dict(), seed, engine, __version__], sort_keys=True)
-    return hashlib.sha256(content.encode()).hexdigest()[:32]
-
-
-def _kept(path: Path, case: Case, engine: str) -> ControlRooms | None:
-    errors = disk.read(path)
-    if errors is None:
-        return None
-    try:
-        return checked_controls(case, [ControlRooms(engine, errors)], least=1)[0]
-    except DataError:
-        return None
 
 
 def bootstrap_threshold(
@@ -415,7 +347,7 @@ def score(evidence: MeansEvidence, prior: Prior) -> Array:
 def draw_null_features(
     case: Case,
     observed: ObservedFeatures,
-    applied: LowRank,
+    applied: Array,
     errors: Sequence[Array],
     rng: np.random.Generator,
     n: int,
@@ -436,6 +368,6 @@ def draw_null_features(
     picked = np.stack([errors[e][rng.integers(len(errors[e]))] for e in engine])
     values = values + np.nan_to_num(picked)
     mask = observed.used.ravel()
-    covariance = observed.covariance + applied.covariance[np.ix_(mask, mask)]
+    covariance = observed.covariance + applied[np.ix_(mask, mask)]
     noise = rng.multivariate_normal(np.zeros(len(covariance)), covariance, n)
     return np.asarray(values[:, observed.used] + noise)

@@ -13,10 +13,9 @@ from rtcal.acoustics.measurement import Measurement
 from rtcal.files.disk import json_numbers
 from rtcal.finder.case import Case
 from rtcal.finder.claim import CLAIMED, SAID, Names, SetsFinding, after_doubt
-from rtcal.finder.effects.checks import AppliedEffect, checked_effects
-from rtcal.finder.effects.whole_room import WrongVolume
+from rtcal.finder.effects import AppliedEffect, WrongVolume, checked_effects
 from rtcal.finder.finding import LEAST_ADDED, NATS, Size
-from rtcal.finder.means.hypotheses import ModelDiscrepancy
+from rtcal.finder.means.problem import ModelDiscrepancy
 from rtcal.finder.means.verdict import Fit
 from rtcal.finder.prior import COEFFICIENTS, NONE, UNKNOWN, OffTogether, Prior
 from rtcal.finder.records import data_of, record_of_means, record_of_several

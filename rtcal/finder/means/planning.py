@@ -24,11 +24,20 @@ from rtcal.acoustics.observables import parameter_label
 from rtcal.files.saved import Result
 from rtcal.finder.case import Case, ChangedMaterial, Configuration
 from rtcal.finder.claim import DISTINCT_NATS
-from rtcal.finder.effects import Effect
-from rtcal.finder.effects.absorbers import Porous
-from rtcal.finder.effects.checks import AppliedEffect, checked_effects, judged_effects
+from rtcal.finder.effects import AppliedEffect, Effect, Porous, checked_effects, judged_effects
+from rtcal.finder.evidence import student
 from rtcal.finder.means.finding import MeansFinding
-from rtcal.finder.means.gap import (
+from rtcal.finder.means.problem import (
+    MeansHypotheses,
+    MeansProblem,
+    ModelDiscrepancy,
+    ObservedFeatures,
+    checked_discrepancy,
+    observe,
+    predict_hypotheses,
+)
+from rtcal.finder.means.sets import Moments, compare, moments
+from rtcal.finder.means.verdict import (
     _PARAMETERS,
     USUAL,
     _in_words,
@@ -36,16 +45,6 @@ from rtcal.finder.means.gap import (
     separation,
     with_features,
 )
-from rtcal.finder.means.hypotheses import (
-    MeansHypotheses,
-    ModelDiscrepancy,
-    ObservedFeatures,
-    checked_discrepancy,
-    observe,
-    predict_hypotheses,
-)
-from rtcal.finder.means.likelihood import MeansProblem, student
-from rtcal.finder.means.sets import Moments, compare, moments
 from rtcal.finder.model import FEATURES
 from rtcal.finder.prior import NONE, prior_of
 from rtcal.support import checks, text

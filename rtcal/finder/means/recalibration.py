@@ -32,10 +32,10 @@ from rtcal.calibration.terms import AddedAbsorption, PriorDeviation, SoftMatch
 from rtcal.calibration.unknowns import Configurations
 from rtcal.files.saved import Result
 from rtcal.finder.case import Case, Configuration
-from rtcal.finder.effects.checks import AppliedEffect
+from rtcal.finder.effects import AppliedEffect
 from rtcal.finder.finding import amount
 from rtcal.finder.means.corrected import corrected_room, seen
-from rtcal.finder.means.hypotheses import (
+from rtcal.finder.means.problem import (
     ModelDiscrepancy,
     checked_discrepancy,
     distances,

@@ -12,28 +12,29 @@ from rtcal.acoustics import bands
 from rtcal.acoustics.observables import parameter_label
 from rtcal.finder.case import Case
 from rtcal.finder.claim import by_family, credible_set, family_of, posterior, too_weak
-from rtcal.finder.effects import Effect
-from rtcal.finder.effects.checks import AppliedEffect, checked_effects, judged_effects
+from rtcal.finder.effects import AppliedEffect, Effect, checked_effects, judged_effects
 from rtcal.finder.finding import Candidate, Detection
-from rtcal.finder.means.engines import ControlRooms, checked_controls
-from rtcal.finder.means.evidence import (
+from rtcal.finder.means.engines import (
     DEFAULT_ENGINES,
+    ControlRooms,
+    checked_controls,
+    control_rooms,
+)
+from rtcal.finder.means.evidence import (
     Threshold,
     bootstrap_threshold,
-    control_rooms,
     evaluate_beyond,
 )
 from rtcal.finder.means.evidence import score as evidence_of_something
 from rtcal.finder.means.finding import MeansFinding
-from rtcal.finder.means.gap import NO_STEP, next_measurement, schroeder_limit
-from rtcal.finder.means.hypotheses import (
+from rtcal.finder.means.problem import (
     LEVELS,
     MeansHypotheses,
+    MeansProblem,
     observe,
     predict_hypotheses,
     steps,
 )
-from rtcal.finder.means.likelihood import MeansProblem
 from rtcal.finder.means.sets import (
     MOST,
     Rows,
@@ -42,7 +43,14 @@ from rtcal.finder.means.sets import (
     posterior_of_sets,
     single_posterior,
 )
-from rtcal.finder.means.verdict import Fit, of_sets, of_single
+from rtcal.finder.means.verdict import (
+    NO_STEP,
+    Fit,
+    next_measurement,
+    of_sets,
+    of_single,
+    schroeder_limit,
+)
 from rtcal.finder.model import FEATURES
 from rtcal.finder.prior import (
     EXPECTED,

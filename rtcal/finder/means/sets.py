@@ -31,20 +31,20 @@ from scipy.special import logsumexp
 from rtcal.acoustics.bands import correlation
 from rtcal.finder.case import Case
 from rtcal.finder.claim import Names, families_of, family_of, most_probable_first
-from rtcal.finder.effects import Effect
-from rtcal.finder.effects.checks import AppliedEffect, added, changed_states
+from rtcal.finder.effects import AppliedEffect, Effect, added, changed_states
+from rtcal.finder.evidence import Factorization, student
 from rtcal.finder.means.evidence import MeansEvidence, unknown_evidence
-from rtcal.finder.means.hypotheses import (
+from rtcal.finder.means.problem import (
     COMMON_CORRELATION,
     AlphaCovariance,
-    LowRank,
     MeansHypotheses,
+    MeansProblem,
     distances,
-    misfit,
+    log_densities,
+    misfit_columns,
     predict_hypotheses,
     state,
 )
-from rtcal.finder.means.likelihood import Factorization, MeansProblem, log_densities, student
 from rtcal.finder.model import RoomState, predict, sensitivities
 from rtcal.finder.prior import COEFFICIENTS, EXPECTED, NONE, UNKNOWN, Prior
 from rtcal.support.types import Array
@@ -60,9 +60,8 @@ def compare(problem: MeansProblem) -> MeansProblem:
         levels = (base.direct_db + 1.0, base.direct_db - 1.0)
         up, down = predict([replace(base, direct_db=level) for level in levels], at).features
         columns[i] = 0.5 * DIRECT_SOUND * (up - down)[:, :, None] * over_bands
-    applied = predicted.applied
-    factor = np.concatenate([applied.factor, columns.reshape(-1, columns.shape[-1])], axis=1)
-    predicted = replace(predicted, applied=LowRank(factor, applied.diagonal))
+    flat = columns.reshape(-1, columns.shape[-1])
+    predicted = replace(predicted, applied=predicted.applied + flat @ flat.T)
     return replace(problem, predicted=predicted, cells=_cells(problem))
 
 
@@ -145,18 +144,12 @@ class Screen:
         _, f, b = compared.places
         alpha, other = compared.covariance_of(0)
         smooth = predicted.spectrum_errors[:, :, :2].take(b, 1)
-        error = misfit(change, amount, f, smooth, 0.0)
+        error = misfit_columns(change, amount, f, smooth)
         residual = compared.residual(0)
         for i in base:
             residual = residual - change[i]
-            of_change = misfit(
-                change[i],
-                amount[i],
-                f,
-                predicted.spectrum_errors[i][b],
-                predicted.formula_errors[i],
-            )
-            other = other + of_change.covariance + compared.cells[i] @ compared.cells[i].T
+            other = other + compared.error_of_change(slice(i, i + 1))[0]
+            other = other + compared.cells[i] @ compared.cells[i].T
         factor = np.linalg.cholesky(alpha + other)
         self._half = float(np.log(np.diag(factor)).sum())
         self._m = len(factor)
@@ -167,7 +160,7 @@ class Screen:
 
         self._z = whitened(residual[None])[0]
         self._v = whitened(change)
-        self._w = whitened(np.concatenate([error.factor, compared.cells], axis=2).swapaxes(1, 2))
+        self._w = whitened(np.concatenate([error, compared.cells], axis=2).swapaxes(1, 2))
         self._own = self._w @ self._w.swapaxes(1, 2)
 
     def pairs(self, first: Indices, second: Indices) -> Array:
@@ -256,11 +249,7 @@ def moments(compared: MeansProblem, sets: Sequence[Rows]) -> Moments:
     covariance += compared.without_alpha
     for member in range(max(map(len, sets))):
         at = np.array([rows[member] if member < len(rows) else 0 for rows in sets])
-        errors = predicted.spectrum_errors[at].take(b, 1)
-        alone = predicted.formula_errors[at]
-        covariance += misfit(
-            compared.changes[at], compared.amounts[at], f, errors, alone
-        ).covariance
+        covariance += compared.error_of_change(at)
         cells = compared.cells[at]
         covariance += cells @ cells.swapaxes(1, 2)
     common = alpha.off_together(which).take(t20, 1) * slopes[:, :, None]

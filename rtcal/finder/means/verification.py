@@ -31,17 +31,16 @@ from rtcal.finder.effects import Effect
 from rtcal.finder.finding import LEAST_SHRINKAGE, Miss, Verification, is_miss
 from rtcal.finder.means.evidence import evaluate
 from rtcal.finder.means.finding import MeansFinding, feature_names
-from rtcal.finder.means.gap import LITTLE, GapCheck, gap_check
-from rtcal.finder.means.hypotheses import (
+from rtcal.finder.means.problem import (
+    MeansProblem,
     ObservedFeatures,
     distances,
     observe,
     predict_hypotheses,
     state,
 )
-from rtcal.finder.means.likelihood import MeansProblem
 from rtcal.finder.means.recalibration import Recalibrated, plain, recalibrate, table
-from rtcal.finder.means.verdict import Fit, fit
+from rtcal.finder.means.verdict import LITTLE, Fit, GapCheck, fit, gap_check
 from rtcal.finder.model import FEATURES, predict
 from rtcal.finder.prior import SCALES, probability_off
 from rtcal.support import blocks, text

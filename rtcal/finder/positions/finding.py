@@ -11,7 +11,7 @@ import numpy as np
 
 from rtcal.files.disk import json_numbers
 from rtcal.finder.claim import SAID, after_doubt, credible_set
-from rtcal.finder.effects.whole_room import CoupledRoom
+from rtcal.finder.effects import CoupledRoom
 from rtcal.finder.finding import LEAST_ADDED, LEAST_PAIRS, Candidate, Detection, Finding
 from rtcal.finder.positions.case import PositionsCase
 from rtcal.finder.positions.weighing import Weighing

@@ -1,6 +1,6 @@
 """Hypotheses by place: a surface or part of one, the whole room, one material, the measurement.
 
-An effect gives its alpha here, and its whole state to means (`rtcal.finder.means.hypotheses`): what
+An effect gives its alpha here, and its whole state to means (`rtcal.finder.means.problem`): what
 stands on a surface is traced, not calculated.
 
 A hypothesis spreads an absorber over its surface. In truth it hangs somewhere: receivers near it
@@ -23,8 +23,15 @@ from numpy.typing import NDArray
 from rtcal.acoustics import bands
 from rtcal.acoustics.air import Air
 from rtcal.acoustics.observables import observable
-from rtcal.finder.effects.base import Effect, Parameters, middle_absorption
-from rtcal.finder.effects.whole_room import HARD, CoupledRoom, OmittedAir, WrongVolume
+from rtcal.finder.effects import (
+    HARD,
+    CoupledRoom,
+    Effect,
+    OmittedAir,
+    Parameters,
+    WrongVolume,
+    middle_absorption,
+)
 from rtcal.finder.model import RoomState
 from rtcal.finder.positions.case import PositionsCase
 from rtcal.finder.positions.posterior import (
@@ -35,9 +42,8 @@ from rtcal.finder.positions.posterior import (
     SpreadHypothesis,
     interpolation,
 )
-from rtcal.finder.positions.responses import AIR, OPEN, SHARES, VOLUME
 from rtcal.finder.positions.surfaces import Part
-from rtcal.finder.positions.weighing import MOVE, SECOND_ROOMS
+from rtcal.finder.positions.weighing import AIR, MOVE, OPEN, SECOND_ROOMS, SHARES, VOLUME
 from rtcal.finder.prior import COEFFICIENTS, grid_weights, relative_sigma
 from rtcal.loop.measured_pairs import Pair
 from rtcal.support.types import Array

@@ -31,7 +31,7 @@ The error of d_h has two parts. Each band's shift is larger or smaller by a fact
 (`rtcal.finder.positions.hypotheses`).
 
 All hypotheses share one covariance and differ in a product. Those on means
-(`rtcal.finder.means.likelihood`) have a covariance each, since a closed form gives the derivatives by
+(`rtcal.finder.means.problem`) have a covariance each, since a closed form gives the derivatives by
 alpha of every one.
 """
 
@@ -53,13 +53,13 @@ from rtcal.acoustics.observables import observable
 from rtcal.acoustics.priors import NORMAL_90
 from rtcal.finder.case import PARAMETERS, Case, Configuration, spread_where_unknown
 from rtcal.finder.claim import most_probable_first, with_added
-from rtcal.finder.effects import Effect
-from rtcal.finder.effects.base import Parameters
+from rtcal.finder.effects import Effect, Parameters
+from rtcal.finder.evidence import log_mixture
 from rtcal.finder.finding import Candidate
 from rtcal.finder.means.finding import MeansFinding
 from rtcal.finder.means.search import find as find_by_means
 from rtcal.finder.positions.case import PositionsCase
-from rtcal.finder.prior import COEFFICIENTS, NO_EFFECT, NONE, SCALES, UNKNOWN, log_mixture
+from rtcal.finder.prior import COEFFICIENTS, NO_EFFECT, NONE, SCALES, UNKNOWN
 from rtcal.support.errors import DataError
 from rtcal.support.types import Array
 

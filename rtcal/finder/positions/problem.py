@@ -34,7 +34,7 @@ from rtcal.finder.positions.posterior import (
     interpolation,
     reordered,
 )
-from rtcal.finder.positions.responses import AIR, STEP, TRACED, TRACINGS, PairShifts
+from rtcal.finder.positions.weighing import AIR, STEP, TRACED, TRACINGS, PairShifts
 from rtcal.finder.prior import SCALES
 from rtcal.loop.control_runs import COMMON as OF_ROOM
 from rtcal.loop.control_runs import OWN as OF_MATERIAL

@@ -10,8 +10,7 @@ import numpy as np
 
 from rtcal.acoustics.observables import TARGET, observable
 from rtcal.finder.claim import CLAIMED, DISTINCT_NATS, claimed
-from rtcal.finder.effects import Effect, library
-from rtcal.finder.effects.checks import checked_effects
+from rtcal.finder.effects import Effect, checked_effects, library
 from rtcal.finder.finding import Candidate, Detection
 from rtcal.finder.means.finding import MeansFinding
 from rtcal.finder.means.search import CHOSEN
@@ -58,7 +57,7 @@ from rtcal.finder.positions.posterior import (
     with_families,
 )
 from rtcal.finder.positions.problem import PositionsProblem, problem_of
-from rtcal.finder.positions.responses import PairShifts, parameters, responses_of
+from rtcal.finder.positions.weighing import PairShifts, parameters, responses_of
 from rtcal.finder.prior import COEFFICIENTS, NONE, UNKNOWN, left_out_of, probability_off
 from rtcal.finder.records import record_of_positions
 from rtcal.loop.control_runs import ControlRuns, simulated_controls

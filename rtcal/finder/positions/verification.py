@@ -23,8 +23,8 @@ from rtcal.finder.finding import Candidate, HeldOutVerification, check_pairs
 from rtcal.finder.positions.case import PositionsCase
 from rtcal.finder.positions.corrected import corrected_geometry
 from rtcal.finder.positions.finding import PositionsFinding, kind
-from rtcal.finder.positions.responses import key_of
 from rtcal.finder.positions.search import find_by_positions
+from rtcal.finder.positions.weighing import key_of
 from rtcal.loop.control_runs import trace_ahead
 from rtcal.loop.measured_pairs import Pair, gap_at_pairs
 from rtcal.loop.positions import calibrate_positions

@@ -1,4 +1,7 @@
-"""The energies at each position when a surface, the air, the room's size or a position changes.
+"""The shifts of every parameter at every position if something of the room is other than stated.
+
+They come from two tracings of the room, so what differs between them is their noise. They are computed
+once per room and kept.
 
 The paths of a `PathTracing` do not depend on what the walls absorb. So every change weighs the same
 paths anew, and their random numbers cancel in the difference.
@@ -16,26 +19,44 @@ a source, convolved with h(t), is what comes back to all of them:
 
 from __future__ import annotations
 
+import hashlib
+import json
+import os
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import product
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
-from rtcal.acoustics.observables import TARGET, longest
+from rtcal.acoustics.air import Air
+from rtcal.acoustics.directivity import Directivity, plain_directivities
+from rtcal.acoustics.observables import MATCH, TARGET, longest
 from rtcal.acoustics.room import Room
-from rtcal.finder.effects.whole_room import HARD
-from rtcal.finder.positions.case import PositionsCase
+from rtcal.files import disk
+from rtcal.finder.effects import HARD
+from rtcal.finder.positions import surfaces as of_room
+from rtcal.finder.positions.case import (
+    AIMS,
+    INDEX_ERROR,
+    LOBE_INDEX,
+    OWN_INDEX_ERROR,
+    PositionsCase,
+    lobes,
+)
 from rtcal.finder.positions.surfaces import Faces
+from rtcal.loop.control_runs import scattered, share_of_signal
 from rtcal.simulators import paths
 from rtcal.simulators.base import LARGEST_ALPHA, observe, values_of_decays
-from rtcal.simulators.path_tracing import PathTracing
+from rtcal.simulators.path_tracing import DENSER, LARGER, PathTracing
 from rtcal.simulators.tracer import LONGEST, decay_long_enough, eyring_seconds
+from rtcal.support import __version__, checks
 from rtcal.support.errors import DataError, TooShortError
+from rtcal.support.speed import Progress, TaskProgress
 from rtcal.support.types import Array
 
 VOLUMES = (0.3, 0.9, 2.7)
@@ -416,3 +437,410 @@ def _inside(case: PositionsCase, points: Array, steps: Array) -> Array:
     free[..., -1] = True  # not moved
     first = np.argmax(free, axis=-1)[..., np.newaxis, np.newaxis]
     return np.asarray(np.take_along_axis(trials, first, axis=2).reshape(-1, 3))
+
+
+SHARES = (-1.0, -0.5, 0.08, 0.25, 0.55, 1.0)
+"""Nodes of a surface's alpha: from what it is towards 1, or (below 0) towards that of a hard wall. The
+shifts between them are interpolated; halving the distances changes a shift by less than 3 %."""
+AIR = (-1.0, -0.5, 0.7, 1.5, 3.0)
+"""Nodes of the air: attenuation more than stated, over that at 20 °C and 50 %."""
+VOLUME = (-0.5, -0.25, 0.25, 0.5)
+"""Nodes of ln volume over what is stated."""
+OPEN = tuple(share for share in SHARES if share > 0)
+"""Nodes of an aperture: shares of its surface."""
+
+
+TRACED = (-2.0, -1.0, 1.5)
+"""Changes of the log odds at which the whole room is traced, from what is stated or assumed. From 0.4
+they lead to 0.08, 0.2 and 0.75."""
+
+
+_FEW_PATHS = 1600
+"""Paths from each source that tell how long the others must be."""
+_SPARE = 1.15
+"""By how much longer they are, since a decay's length differs between few paths and many."""
+
+BASE = 8
+"""Factor of the number of paths that are weighed, besides that of `PathTracing.denser`. The shifts of
+T20, EDT and C80 differ little between the pairs: with 6000 paths per source, noise had five times the
+spread of what is there, and with 48,000 less than twice the spread."""
+TRACINGS = 2
+"""Independent tracings that are weighed. Where a surface changes, T20 changes by nearly as much at any
+pair: in four rooms of the geometric world what differed was noise. So a single tracing gave every
+surface a pattern over the pairs that no room has."""
+STEP = 0.08
+"""Share of the way to 1 by which a material's alpha moves for the derivatives by alpha."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class PairShifts:
+    """Shifts of the parameters at all pairs of a simulator.
+
+    Attributes
+    ----------
+    parameters : tuple of str
+    base : array (n_parameters, n_pairs, n_bands)
+        What the simulator hears as stated, with `TRACINGS` times `BASE` times its paths.
+    surfaces : array (n_surfaces, n_parameters, n_pairs, n_bands, n_nodes)
+        At the nodes `SHARES` of each surface.
+    parts : array (n_parts, n_parameters, n_pairs, n_bands, n_nodes)
+        At the nodes `SHARES` of each of the case's ``divided.parts``.
+    apertures : array (n_surfaces, n_parameters, n_pairs, n_bands, n_nodes)
+        At the nodes `OPEN` of each surface for each of `SECOND_ROOMS`; 0 for floors.
+    air, volume : array (n_parameters, n_pairs, n_bands, n_nodes)
+        At the nodes `AIR` and `VOLUME`.
+    moved : mapping of str to array (n_displacements, n_parameters, n_pairs, n_bands)
+        Where a source or receiver is displaced by `MOVE`, by its name.
+    levels : array (n_parameters, n_pairs, n_bands, n_levels)
+        Where the whole room scatters more or less, by `TRACED`.
+    aimed : array (n_parameters, n_pairs, n_bands, n_aims)
+        Where the sources have other lobes (`rtcal.finder.positions.case.lobes`).
+    materials : array (n_parameters, n_pairs, n_bands, n_materials)
+        Where a material's alpha is larger by `STEP` of the way to 1.
+    scattering : array (n_parameters, n_pairs, n_bands, n_materials)
+        Derivatives by the log odds of each material's scattering coefficient.
+    noise : array (n_groups, n_parameters, n_pairs, n_bands)
+        Deviations of what groups of paths hear from the mean of their tracing. Each group has as many
+        paths as the simulator in the control runs.
+    scattering_noise : array (n_groups, n_parameters, n_pairs, n_bands, n_materials)
+        The same of the derivatives.
+    """
+
+    parameters: tuple[str, ...]
+    base: Array
+    surfaces: Array
+    parts: Array
+    apertures: Array
+    air: Array
+    volume: Array
+    moved: Mapping[str, Array]
+    levels: Array
+    aimed: Array
+    materials: Array
+    scattering: Array
+    noise: Array
+    scattering_noise: Array
+
+
+def parameters(case: PositionsCase) -> tuple[str, ...]:
+    """Return the parameters that are computed: all usual ones, so that any choice of them is kept."""
+    return tuple(dict.fromkeys((*MATCH, *case.match)))
+
+
+def responses_of(
+    case: PositionsCase,
+    seed: int = 0,
+    cache: str | os.PathLike[str] | None = None,
+    progress: TaskProgress | None = None,
+) -> PairShifts:
+    """Return the shifts in a case's room, from a folder where they are kept or newly weighed."""
+    path = None
+    if cache is not None:
+        path = checks.path("cache", cache) / f"{key_of(case, seed)}.array"
+        if (kept := _read(path, case)) is not None:
+            return kept
+    made = _weighed(case, seed, progress)
+    if path is not None:
+        disk.write(path, _packed(made))
+    return made
+
+
+def _weighed(case: PositionsCase, seed: int, progress: TaskProgress | None) -> PairShifts:
+    match = parameters(case)
+
+    def telling(tracing: int) -> Progress:
+        def tell(done: int, total: int) -> None:
+            if progress is not None:
+                progress(f"surfaces, tracing {tracing} of {TRACINGS}", done, total)
+
+        return tell
+
+    seconds, aimed = _seconds(case, match, seed), lobes(case.simulator)
+    seeds = range(TRACINGS * seed, TRACINGS * (seed + 1))
+    return _mean(
+        [
+            _of_tracing(case, match, s, seconds, aimed, telling(t))
+            for t, s in enumerate(seeds, start=1)
+        ]
+    )
+
+
+def _of_tracing(
+    case: PositionsCase,
+    match: tuple[str, ...],
+    seed: int,
+    seconds: float,
+    directivities: Sequence[Mapping[str, Directivity]],
+    progress: Progress,
+) -> PairShifts:
+    """Return the shifts of one tracing, whose paths are followed for ``seconds`` at least."""
+    tracer = _retraced(case.simulator.denser(BASE), geometry=case.divided.geometry)
+    weighing = Weighing(tracer, match, seed, seconds)
+    energy = weighing.energy(weighing.alpha, number=BASE)
+    base = weighing.parameters(energy.mean(axis=0))
+    groups = np.ascontiguousarray(np.moveaxis(weighing.parameters(energy), 1, 0))
+    surfaces, parts, apertures, materials = _of_surfaces(case, weighing, base, progress)
+    room = case.room
+    reference = Air(20, 50).attenuation(room.centre_frequencies)
+    air = [
+        weighing.observe(weighing.alpha, np.maximum(room.air_attenuation + t * reference, 0.0))
+        for t in AIR
+    ]
+    volume = [weighing.observe(weighing.alpha, stretch=float(np.exp(t / 3))) for t in VOLUME]
+    aimed: list[Array] = []
+    for i, of in enumerate(directivities):
+        if (
+            i and of == directivities[i - 1]
+        ):  # only sources of which nothing is stated aim elsewhere
+            aimed.append(aimed[-1])
+        elif of:
+            aimed.append(replace(weighing, tracer=tracer.aimed(of)).observe(weighing.alpha))
+        else:
+            aimed.append(base)
+    # Only paths of the model "random" tell the derivatives.
+    if tracer.scattering_model != "random":
+        tracer = _retraced(tracer, scattering_model="random")
+    slopes = tracer.scattering_jacobian(room.alpha, match, number=BASE, seed=seed)
+    scattering = slopes.mean(axis=0)
+    return PairShifts(
+        parameters=match,
+        base=base,
+        surfaces=surfaces,
+        parts=parts,
+        apertures=apertures,
+        air=np.stack(air, axis=-1) - base[..., np.newaxis],
+        volume=np.stack(volume, axis=-1) - base[..., np.newaxis],
+        moved=displaced(case, match, base, seed),
+        levels=_at_levels(case, match, base, seed),
+        aimed=np.stack(aimed, axis=-1) - base[..., np.newaxis],
+        materials=materials,
+        scattering=scattering,
+        noise=groups - groups.mean(axis=0),
+        scattering_noise=slopes - scattering,
+    )
+
+
+def _at_levels(case: PositionsCase, match: Sequence[str], base: Array, seed: int) -> Array:
+    """Return the shifts where the room scatters more or less; see `PairShifts.levels`."""
+    shifts = []
+    for change in TRACED:
+        of_materials = np.full(case.room.n_materials, change)
+        tracer = scattered(case.simulator, of_materials, case.simulator.scattering_model)
+        heard = tracer.denser().observe(case.room.alpha, match, seed=seed)
+        shifts.append(heard.values - base)
+    return np.stack(shifts, axis=-1)
+
+
+def _mean(tracings: Sequence[PairShifts]) -> PairShifts:
+    """Return the mean of tracings, its shifts as far as they differ between the pairs by no noise."""
+    first = tracings[0]
+
+    def likely(name: str) -> Array:
+        return without_noise(np.array([getattr(made, name) for made in tracings]))
+
+    return PairShifts(
+        parameters=first.parameters,
+        base=np.mean([made.base for made in tracings], axis=0),
+        surfaces=likely("surfaces"),
+        parts=likely("parts") if len(first.parts) else first.parts,
+        apertures=likely("apertures"),
+        air=likely("air"),
+        volume=likely("volume"),
+        moved={
+            name: np.mean([made.moved[name] for made in tracings], axis=0) for name in first.moved
+        },
+        levels=np.mean([made.levels for made in tracings], axis=0),
+        aimed=np.mean([made.aimed for made in tracings], axis=0),
+        materials=likely("materials"),
+        scattering=likely("scattering"),
+        noise=np.concatenate([made.noise for made in tracings]),
+        scattering_noise=np.concatenate([made.scattering_noise for made in tracings]),
+    )
+
+
+def without_noise(shifts: Array) -> Array:
+    """Return the mean of shifts of tracings, their differences between pairs drawn to their mean.
+
+    They are drawn as far as they are noise, by parameter. ``shifts`` (n_tracings, ..., n_parameters,
+    n_pairs, n_bands, n_nodes).
+    """
+    mean = shifts.mean(axis=0)
+    common = mean.mean(axis=-3, keepdims=True)
+    off = shifts - mean
+    off = off - off.mean(axis=-3, keepdims=True)
+    n = len(shifts)
+
+    def square(values: Array) -> Array:
+        axes = tuple(a for a in range(mean.ndim) if a != mean.ndim - 4)
+        return np.asarray((values**2).mean(axis=axes, keepdims=True))
+
+    noise = np.mean([square(one) for one in off], axis=0) / (n - 1)
+    return np.asarray(common + share_of_signal(square(mean - common), noise) * (mean - common))
+
+
+def _seconds(case: PositionsCase, match: Sequence[str], seed: int) -> float:
+    """Return how long paths must be where any surface is hard, so that they are traced once."""
+    few = Weighing(_retraced(case.simulator, n_paths=_FEW_PATHS), match, seed)
+    for _ in few.of_groups([*case.faces.values()], [min(SHARES)]):
+        pass
+    return min(_SPARE * few.seconds, LONGEST)
+
+
+def _of_surfaces(
+    case: PositionsCase, weighing: Weighing, base: Array, progress: Progress
+) -> tuple[Array, Array, Array, Array]:
+    """Return the shifts by surfaces, parts, apertures and materials; see `PairShifts`."""
+    room, divided = case.room, case.divided
+    made_of = room.material_rows(divided.geometry.materials)
+    of_materials = [np.flatnonzero(made_of == row) for row in range(room.n_materials)]
+    of_parts = [part.faces for part in divided.parts]
+    groups = {frozenset(f.tolist()): f for f in (*divided.surfaces, *of_parts)}
+    by_surface = [frozenset(faces.tolist()) for faces in divided.surfaces]
+    names = dict(zip(by_surface, case.faces, strict=True))
+    # An alpha of 1 leaves no sound after the first reflection where a surface is all of the room.
+    shares = [*(min(t, 0.98) for t in SHARES), STEP]
+    shifts, apertures = {}, {}
+    for members, decays in zip(groups, weighing.of_groups([*groups.values()], shares), strict=True):
+        shifts[members] = _at_shares(weighing, decays) - base[..., np.newaxis]
+        if members in names:
+            apertures[members] = _apertures(case, weighing, names[members], decays, base)
+        progress(len(shifts), len(groups))
+    # Several surfaces together: paths would be followed for long where all of them are hard.
+    other = {frozenset(f.tolist()): f for f in of_materials if frozenset(f.tolist()) not in groups}
+    for members, (decay,) in zip(other, weighing.of_groups([*other.values()], [STEP]), strict=True):
+        shifts[members] = (weighing.parameters(decay) - base)[..., np.newaxis]
+    by_part = [shifts[frozenset(f.tolist())][..., :-1] for f in of_parts]
+    by_material = [shifts[frozenset(f.tolist())][..., -1] for f in of_materials]
+    return (
+        np.array([shifts[members][..., :-1] for members in by_surface]),
+        np.array(by_part),
+        np.array([apertures[members] for members in by_surface]),
+        np.stack(by_material, axis=-1),
+    )
+
+
+def _at_shares(weighing: Weighing, decays: Array) -> Array:
+    """Return the parameters of decays at rising shares, (n_parameters, n_pairs, n_bands, n_shares).
+
+    A surface that takes nearly all may leave a decay without EDT or T. Then the parameters are those
+    at the share before: more absorption is not told from it.
+    """
+    try:
+        return np.moveaxis(weighing.parameters(decays), 1, -1)
+    except DataError:
+        pass  # one by one
+    heard: list[Array] = []
+    for energy in decays:
+        try:
+            heard.append(weighing.parameters(energy))
+        except TooShortError:
+            raise
+        except DataError:
+            if not heard:
+                raise
+            heard.append(heard[-1])
+    return np.stack(heard, axis=-1)
+
+
+def _apertures(
+    case: PositionsCase, weighing: Weighing, name: str, decays: Array, base: Array
+) -> Array:
+    """Return the shifts with an aperture on a surface, from its decays at `SHARES`."""
+    if of_room.kind(case.geometry, case.faces[name]) == "floor":
+        return np.zeros((*base.shape, len(SECOND_ROOMS) * len(OPEN)))
+    opened = decays[[SHARES.index(share) for share in OPEN]]
+    return weighing.with_apertures(case.areas[name], opened, OPEN) - base[..., np.newaxis]
+
+
+def _retraced(tracer: PathTracing, **changes: object) -> PathTracing:
+    return replace(tracer, **changes)  # type: ignore[arg-type]
+
+
+def _packed(made: PairShifts) -> Array:
+    """Return all shifts as one array, (n_parameters, n_pairs, n_bands, n_columns)."""
+    moved = [np.moveaxis(shift, 0, -1) for shift in made.moved.values()]
+    surfaces = [*made.surfaces, *made.parts, *made.apertures]
+    columns = [
+        made.base[..., np.newaxis],
+        made.materials,
+        made.scattering,
+        made.air,
+        made.volume,
+        made.levels,
+        made.aimed,
+        np.moveaxis(made.noise, 0, -1),
+        np.moveaxis(made.scattering_noise, 0, -2).reshape(*made.base.shape, -1),
+        *surfaces,
+        *moved,
+    ]
+    return np.concatenate(columns, axis=-1)
+
+
+def _read(path: Path, case: PositionsCase) -> PairShifts | None:
+    """Return the shifts that a file holds; None if it cannot be used."""
+    packed = disk.read(path)
+    tracer, n_moves = case.simulator, 6
+    names = [f"{k[:-1]} {n}" for k in ("receivers", "sources") for n in getattr(tracer, k)]
+    n_materials = case.room.n_materials
+    n_groups = TRACINGS * BASE
+    sizes = [1, n_materials, n_materials, len(AIR), len(VOLUME), len(TRACED), len(AIMS)]
+    sizes += [n_groups, n_groups * n_materials]
+    n_surfaces, n_parts = len(case.faces), len(case.divided.parts)
+    sizes += [len(SHARES)] * (n_surfaces + n_parts)
+    sizes += [len(OPEN) * len(SECOND_ROOMS)] * n_surfaces + [n_moves] * len(names)
+    shape = (len(parameters(case)), len(tracer.pairs), case.room.n_bands, sum(sizes))
+    if packed is None or packed.shape != shape or not np.isfinite(packed).all():
+        return None
+    columns = iter(np.split(packed, np.cumsum(sizes)[:-1], axis=-1))
+    base, materials, scattering, air, volume, levels, aimed, noise, of_groups = (
+        next(columns) for _ in range(9)
+    )
+    surfaces, parts, apertures = (
+        [next(columns) for _ in range(number)] for number in (n_surfaces, n_parts, n_surfaces)
+    )
+    return PairShifts(
+        parameters=parameters(case),
+        base=base[..., 0],
+        materials=materials,
+        scattering=scattering,
+        noise=np.moveaxis(noise, -1, 0),
+        scattering_noise=np.moveaxis(
+            of_groups.reshape(*of_groups.shape[:-1], n_groups, n_materials), -2, 0
+        ),
+        air=air,
+        volume=volume,
+        levels=levels,
+        aimed=aimed,
+        surfaces=np.array(surfaces),
+        parts=np.array(parts),
+        apertures=np.array(apertures),
+        moved={n: np.moveaxis(m, -1, 0) for n, m in zip(names, columns, strict=True)},
+    )
+
+
+def key_of(case: PositionsCase, seed: int) -> str:
+    """Return a hash of all that the shifts depend on."""
+    tracer, room, geometry = case.simulator, case.room, case.geometry
+    content = [
+        "where, all paths",
+        tracer.name,
+        tracer.scattering_model,
+        [tracer.n_paths, tracer.n_batches, tracer.radius, tracer.bin_width],
+        [
+            np.minimum(room.alpha, LARGEST_ALPHA).tolist(),
+            *(room.to_dict()[name] for name in ("centre_frequencies", "air")),
+        ],
+        geometry.vertices.tolist(),
+        [list(map(int, face)) for face in geometry.faces],
+        list(geometry.materials),
+        {n: f.tolist() for n, f in case.faces.items()},
+        [part.faces.tolist() for part in case.divided.parts],
+        {name: list(map(float, p)) for name, p in {**tracer.sources, **tracer.receivers}.items()},
+        np.asarray(tracer.scattering).tolist(),
+        plain_directivities(tracer.directivity),
+        list(parameters(case)),
+        [TRACINGS, BASE, DENSER, LARGER, STEP, seed],
+        [LOBE_INDEX, INDEX_ERROR, OWN_INDEX_ERROR],
+        [SHARES, SECOND_ROOMS, AIR, VOLUME, TRACED, MOVE, __version__],
+    ]
+    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:32]

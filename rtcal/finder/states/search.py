@@ -20,8 +20,7 @@ from rtcal.acoustics.marks import gap_jnd
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.observables import MATCH
 from rtcal.finder.claim import SAID, claimed, most_probable_first
-from rtcal.finder.effects import Effect
-from rtcal.finder.effects.checks import checked_effects
+from rtcal.finder.effects import Effect, checked_effects
 from rtcal.finder.finding import Candidate, Detection, Size, check_pairs
 from rtcal.finder.prior import NO_EFFECT, NONE, UNKNOWN, left_out_of
 from rtcal.finder.states import evidence

@@ -26,10 +26,10 @@ from rtcal.acoustics.decay import gradients
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.observables import DB, EARLY, LEVEL, OBSERVABLES, TARGET
 from rtcal.finder.claim import most_probable_first
+from rtcal.finder.evidence import log_mixture
 from rtcal.finder.positions import surfaces as of_room
 from rtcal.finder.positions.surfaces import Faces
 from rtcal.finder.positions.weighing import Weighing
-from rtcal.finder.prior import log_mixture
 from rtcal.finder.states.evidence import ANOTHER_CLIMATE
 from rtcal.simulators import base
 from rtcal.simulators.base import Observations

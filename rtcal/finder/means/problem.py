@@ -1,4 +1,4 @@
-"""The measured features of a case, and what the model predicts under each hypothesis.
+"""The problem of a search by means: measured features, predictions, errors, and each likelihood.
 
 A hypothesis is an effect with a set of its parameters, in each configuration of the room. The
 errors of what the model predicts are its own, as control rooms show them, and those of alpha.
@@ -6,13 +6,14 @@ errors of what the model predicts are its own, as control rooms show them, and t
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
 from itertools import groupby
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import chdtrc, logsumexp
 
 from rtcal.acoustics import bands
 from rtcal.acoustics.air import Air
@@ -20,12 +21,18 @@ from rtcal.acoustics.bands import correlation
 from rtcal.acoustics.measurement import MAX_POSITIONS, Measurement
 from rtcal.acoustics.observables import observable, parameter_label
 from rtcal.finder.case import Case, Configuration
-from rtcal.finder.effects import Effect, Parameters
-from rtcal.finder.effects.checks import AppliedEffect, changed_states, checked_grid
-from rtcal.finder.effects.whole_room import WrongVolume
+from rtcal.finder.effects import (
+    AppliedEffect,
+    Effect,
+    Parameters,
+    WrongVolume,
+    changed_states,
+    checked_grid,
+)
+from rtcal.finder.evidence import Factorization, student, with_columns
 from rtcal.finder.means.engines import ControlRooms, bias_estimates
 from rtcal.finder.model import FEATURES, Predicted, RoomState, predict, sensitivities
-from rtcal.finder.prior import NONE, directions, factors, grid_weights
+from rtcal.finder.prior import NONE, SCALES, directions, factors, grid_weights
 from rtcal.support import checks
 from rtcal.support.errors import DataError
 from rtcal.support.types import Array, read_only
@@ -36,26 +43,10 @@ somewhere, so that the field is less even than its formula assumes. Chosen on de
 (docs/discrepancy.md): twice these values lose one of 12 detections, half of them change no count."""
 LARGEST_FEATURES = 1000
 """Values that can be compared. Time grows with their cube: 1000 take minutes (benchmarks/growth.py)."""
-LARGEST_HYPOTHESES = 50_000
-"""Sets of parameters: 12 per material and some 450 more, so that 4000 materials can be stated."""
+LARGEST_HYPOTHESES = 10_000
+"""Sets of parameters: 12 per material and some 450 more, so that 790 materials can be stated."""
 _ELEMENTS = 4_000_000
 """Numbers in an array by hypothesis, configuration, material and band: 32 MB."""
-
-
-@dataclass(frozen=True, eq=False)
-class LowRank:
-    """A covariance F F' + diag(v): ``factor`` F (..., m, r), ``diagonal`` v (..., m)."""
-
-    factor: Array
-    diagonal: Array
-
-    @property
-    def covariance(self) -> Array:
-        """The whole matrix, (..., m, m)."""
-        out = self.factor @ np.swapaxes(self.factor, -1, -2)
-        rows = np.arange(out.shape[-1])
-        out[..., rows, rows] += self.diagonal
-        return np.asarray(out)
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,7 +69,7 @@ class MeansHypotheses:
         Relative errors of the effect's change over bands, one standard deviation each.
     formula_errors : array (n,)
         Standard deviation of the relative error of the change of each feature by itself.
-    applied : LowRank
+    applied : array (size, size)
         Covariance over all features, raveled, from the uncertainty of the effects that the model has
         already, of stated changes of materials, and of distances that are not stated.
     effects : mapping of str to Effect
@@ -92,7 +83,7 @@ class MeansHypotheses:
     alpha_covariance: AlphaCovariance
     spectrum_errors: Array
     formula_errors: Array
-    applied: LowRank
+    applied: Array
     effects: Mapping[str, Effect] = field(default_factory=dict)
 
 
@@ -224,8 +215,8 @@ def _check_finite(
     )
 
 
-def _applied(case: Case) -> LowRank:
-    """Return the covariance over all features, raveled.
+def _applied(case: Case) -> Array:
+    """Return the covariance over all features, raveled, (size, size).
 
     Of distances, of stated changes, and of applied sizes and misfits.
     """
@@ -237,34 +228,30 @@ def _applied(case: Case) -> LowRank:
                 predict([state(changed, c)], distances(case, c)).features[0]
                 for c in case.configurations
             ]
-        ).ravel()
+        )
 
-    changed = _change_errors(case)
-    columns, diagonal = [_distance_errors(case), changed.factor], changed.diagonal
-    base = features(case.applied) if case.applied else np.zeros_like(diagonal)
+    covariance = _distance_errors(case) + _change_errors(case)
+    if not case.applied:
+        return covariance
+    base = features(case.applied)
     for i, a in enumerate(case.applied):
         if a.size_sigma > 0:
             most, larger = a.effect.size_limits(case.room)[1], a.size + a.size_sigma
             # Near the end of what is possible, the size by as much smaller: only the square counts.
             others = list(case.applied)
             others[i] = a.resized(larger if larger <= most else a.size - a.size_sigma)
-            columns.append((features(others) - base)[:, None])
-        without = features([other for other in case.applied if other is not a])
-        d = (base - without).reshape(len(case.configurations), len(FEATURES), -1)
-        amount = np.broadcast_to(d[:, :1], d.shape).ravel()
-        feature = np.broadcast_to(np.arange(len(FEATURES))[:, None], d.shape).ravel()
-        bands = np.broadcast_to(np.arange(d.shape[2]), d.shape).ravel()
-        errors = a.effect.errors_over_bands(case.room.centre_frequencies)[bands]
-        error = misfit(d.ravel(), amount, feature, errors, a.effect.formula_error)
-        columns.append(error.factor)
-        diagonal = diagonal + error.diagonal
-    return LowRank(np.concatenate(columns, axis=1), diagonal)
+            moved = (features(others) - base).ravel()
+            covariance = covariance + np.outer(moved, moved)
+        change = base - features([other for other in case.applied if other is not a])
+        errors = a.effect.errors_over_bands(case.room.centre_frequencies)
+        covariance = covariance + _misfit_of_all(change, errors, a.effect.formula_error)
+    return covariance
 
 
 def _distance_errors(case: Case) -> Array:
-    """Return the changes of all features, raveled, by the errors of distances that are not stated.
+    """Return the covariance of all features, raveled, by errors of distances that are not stated.
 
-    (n_features, n_configurations): positions may differ between configurations, so each has its own.
+    Positions may differ between configurations, so each has its own.
     """
     count = len(case.configurations)
     shift = np.zeros((count, len(FEATURES), case.room.n_bands, count))
@@ -274,47 +261,41 @@ def _distance_errors(case: Case) -> Array:
             s = [state(case, c)]
             far = predict(s, at * np.exp(DISTANCE_ERROR)).features[0]
             shift[i, ..., i] = far - predict(s, at).features[0]
-    return shift.reshape(-1, count)
+    columns = shift.reshape(-1, count)
+    return np.asarray(columns @ columns.T)
 
 
-def _change_errors(case: Case) -> LowRank:
-    """Return the covariance over all features, raveled, of what stated changes of materials cause.
+def _change_errors(case: Case) -> Array:
+    """Return the covariance of all features, raveled, by what stated changes of materials cause.
 
     A changed material stands somewhere, as an effect does, and the formula errs in proportion to what
     it changes, as for any effect. Configurations with the same changes share the common part.
     """
     made: dict[tuple[tuple[str, bytes], ...], Array] = {}
     shape = (len(case.configurations), len(FEATURES), case.room.n_bands)
-    diagonal = np.zeros(shape)
-    feature = np.repeat(np.arange(len(FEATURES)), case.room.n_bands)
-    common, _, _ = Effect.spectrum_error
-    errors = np.full((feature.size, 1), common)
     for i, c in enumerate(case.configurations):
-        if not c.changes:
-            continue
-        both = [state(case, replace(c, changes=changes)) for changes in ({}, c.changes)]
-        before, after = predict(both, distances(case, c)).features
-        d = after - before
-        amount = np.broadcast_to(d[:1], d.shape).ravel()
-        error = misfit(d.ravel(), amount, feature, errors, Effect.formula_error)
-        diagonal[i] = error.diagonal.reshape(d.shape)
-        key = tuple(sorted((m, change.alpha.tobytes()) for m, change in c.changes.items()))
-        columns = made.setdefault(key, np.zeros((*shape, error.factor.shape[1])))
-        columns[i] = error.factor.reshape(*d.shape, -1)
-    factor = [columns.reshape(diagonal.size, -1) for columns in made.values()]
-    return LowRank(
-        np.concatenate([np.zeros((diagonal.size, 0)), *factor], axis=1), diagonal.ravel()
-    )
+        if c.changes:
+            both = [state(case, replace(c, changes=changes)) for changes in ({}, c.changes)]
+            before, after = predict(both, distances(case, c)).features
+            key = tuple(sorted((m, change.alpha.tobytes()) for m, change in c.changes.items()))
+            made.setdefault(key, np.zeros(shape))[i] = after - before
+    size = int(np.prod(shape))
+    errors = np.full((shape[2], 1), Effect.spectrum_error[0])
+    each = [_misfit_of_all(change, errors, Effect.formula_error) for change in made.values()]
+    return np.asarray(sum(each, np.zeros((size, size))))
+
+
+def _misfit_of_all(change: Array, errors: Array, alone: float) -> Array:
+    """Return the `misfit` of a change of all features, (n_configurations, n_features, n_bands)."""
+    amount = np.broadcast_to(change[:, :1], change.shape)
+    _, feature, band = np.indices(change.shape).reshape(3, -1)
+    return misfit(change.ravel(), amount.ravel(), feature, errors[band], alone)
 
 
 def misfit(
-    d: Array,
-    amount: Array,
-    feature: NDArray[np.intp],
-    errors: Array,
-    alone: Array | float,
-) -> LowRank:
-    """Return the covariance of the error of an effect's formula.
+    d: Array, amount: Array, feature: NDArray[np.intp], errors: Array, alone: Array | float
+) -> Array:
+    """Return the covariance of the error of an effect's formula, (..., m, m).
 
     Parameters
     ----------
@@ -329,11 +310,22 @@ def misfit(
     alone : array (...) or float
         Standard deviation of the relative error that no two features share.
     """
+    columns = misfit_columns(d, amount, feature, errors)
+    own = columns[..., errors.shape[-1] :]  # of the decay's shape: half of it is each band's own
+    out = columns @ columns.swapaxes(-1, -2)
+    rows = np.arange(out.shape[-1])
+    out[..., rows, rows] += (own**2).sum(-1) + (np.asarray(alone)[..., None] * d) ** 2
+    return np.asarray(out)
+
+
+def misfit_columns(d: Array, amount: Array, feature: NDArray[np.intp], errors: Array) -> Array:
+    """Return the part of `misfit` that bands have in common, one standard deviation each.
+
+    (..., m, n_errors + 2): the last two are of the decay's shape (`SHAPE_CHANGE`).
+    """
     shape = [share * amount * (feature == FEATURES.index(name)) for name, share in SHAPE_CHANGE]
-    parts = np.sqrt(0.5) * np.stack(shape, axis=-1)  # half of it is common to all bands
-    factor = np.concatenate([d[..., None] * errors, parts], axis=-1)
-    diagonal = (parts**2).sum(-1) + (np.asarray(alone)[..., None] * d) ** 2
-    return LowRank(factor, diagonal)
+    parts = np.sqrt(0.5) * np.stack(shape, axis=-1)
+    return np.concatenate([d[..., None] * errors, parts], axis=-1)
 
 
 LARGEST_UNCERTAINTY = 0.15
@@ -611,78 +603,36 @@ def estimate_discrepancy(case: Case, controls: Sequence[ControlRooms]) -> ModelD
     return ModelDiscrepancy(bias.ravel(), shrunk, tuple(c.engine for c in controls))
 
 
-_SMALL = 64
-"""Rows of a covariance that is stored in any case."""
-
-
 class AlphaCovariance:
     """The prior's covariance of ln T20 under each hypothesis.
 
     d ln T20 = -(d k / d alpha) T20 / (6 ln 10) d alpha. A material that a configuration changed is
-    independent of its coefficients elsewhere. Of many materials the covariances are stored, of many
-    configurations their factors: memory grows with neither squared.
+    independent of its coefficients elsewhere.
     """
 
     def __init__(self, case: Case, n: int) -> None:
         room = case.room
-        self.count, self.n_bands = len(case.configurations), room.n_bands
         self._rho = correlation(room.centre_frequencies, room.band_correlation)
         self._sigma = np.stack([c.coefficients(room)[1] for c in case.configurations])
         changed = [[m in c.changes for m in room.materials] for c in case.configurations]
         self._changed = np.array(changed)[:, :, None]
         self._directions = directions(case)
         self._climate = _climate(case)
-        size = self.count * self.n_bands
-        whole = size <= max(room.n_materials, _SMALL)
-        self._stored = np.empty(
-            (n, size, size) if whole else (n, self.count, room.n_materials, self.n_bands)
-        )
-        self._air = np.empty((n, size, self._climate.shape[1]))
-        self._first = np.empty((2, *self._sigma.shape))
-        self._off = np.empty((n, size, min(size, 2 + 2 * room.n_materials))) if whole else None
+        self._slopes = np.empty((n, *self._sigma.shape))
+        self._air = np.empty((n, *self._climate.shape))
 
     def fill(
         self, rows: slice, states: Sequence[Sequence[RoomState]], predicted: Sequence[Predicted]
     ) -> None:
         """Store some hypotheses, from their states and predictions by configuration."""
-        slopes = np.empty((len(states[0]), *self._sigma.shape))
-        air = np.empty((len(states[0]), *self._climate.shape))
         for c, (column, p) in enumerate(zip(states, predicted, strict=True)):
             time = p.reverberation_time[:, None, :] / (6 * np.log(10))
-            slopes[:, c] = sensitivities(column) * time
-            air[:, c] = self._climate[c] * time
-        n = len(slopes)
-        if rows.start == 0:
-            self._first[: min(n, 2)] = slopes[:2]
-        self._air[rows] = air.swapaxes(2, 3).reshape(n, self._air.shape[1], -1)
-        if self._off is None:
-            self._stored[rows] = slopes
-        else:
-            self._stored[rows] = self._covariance(slopes)
-            self._off[rows] = factors(self._directions, slopes)
+            self._slopes[rows, c] = sensitivities(column) * time
+            self._air[rows, c] = self._climate[c] * time
 
     def of(self, part: slice | NDArray[np.intp]) -> Array:
         """Return the covariance of some hypotheses over configurations and bands, (n, size, size)."""
-        stored, together = self._stored[part], self.off_together(part)
-        parts = np.concatenate([self._air[part], together], axis=-1)
-        alone = self._covariance(stored) if self._off is None else stored
-        return np.asarray(alone + parts @ parts.swapaxes(1, 2))
-
-    def slopes(self, i: int) -> Array:
-        """Return -d ln T20 / d alpha of hypothesis 0 or 1, (n_configurations, n_materials, n_bands)."""
-        return np.asarray(self._first[i])
-
-    def off_together(self, part: slice | NDArray[np.intp]) -> Array:
-        """Return the usual changes of ln T20 in common, (n, size, n_directions).
-
-        See `rtcal.finder.prior.factors`.
-        """
-        if self._off is None:
-            return factors(self._directions, self._stored[part])
-        return self._off[part]
-
-    def _covariance(self, slopes: Array) -> Array:
-        factor = slopes * self._sigma
+        factor = self._slopes[part] * self._sigma
         n, count, _, n_bands = factor.shape
         size = count * n_bands
         common = np.where(self._changed, 0.0, factor).swapaxes(2, 3).reshape(n, size, -1)
@@ -690,7 +640,21 @@ class AlphaCovariance:
         own = np.where(self._changed, factor, 0.0)
         for c in np.flatnonzero(self._changed.any((1, 2))):
             full[:, c, :, c] += own[:, c].swapaxes(1, 2) @ own[:, c]
-        return np.asarray((full * self._rho[:, None, :]).reshape(n, size, size))
+        alone = (full * self._rho[:, None, :]).reshape(n, size, size)
+        air = self._air[part].swapaxes(2, 3).reshape(n, size, -1)
+        parts = np.concatenate([air, self.off_together(part)], axis=-1)
+        return np.asarray(alone + parts @ parts.swapaxes(1, 2))
+
+    def slopes(self, i: int) -> Array:
+        """Return -d ln T20 / d alpha of a hypothesis, (n_configurations, n_materials, n_bands)."""
+        return np.asarray(self._slopes[i])
+
+    def off_together(self, part: slice | NDArray[np.intp]) -> Array:
+        """Return the usual changes of ln T20 in common, (n, size, n_directions).
+
+        See `rtcal.finder.prior.factors`.
+        """
+        return factors(self._directions, self._slopes[part])
 
 
 def _climate(case: Case) -> Array:
@@ -728,3 +692,209 @@ def _attenuation_changes(
     return read_only(
         np.array([b.attenuation(frequencies) - a.attenuation(frequencies) for a, b in pairs])
     )
+
+
+@dataclass(frozen=True, eq=False)
+class MeansProblem:
+    """The problem of a search by means: what was measured, what each hypothesis predicts, the errors.
+
+    Attributes
+    ----------
+    case : Case
+    observed : ObservedFeatures
+    predicted : MeansHypotheses
+    discrepancy : ModelDiscrepancy
+    cells : array (n_hypotheses, n_used, n_parameters)
+        Of sets: changes of the features over the cell of the grid that a hypothesis stands for, one
+        standard deviation of each parameter (`rtcal.finder.means.sets.compare`).
+    """
+
+    case: Case
+    observed: ObservedFeatures
+    predicted: MeansHypotheses
+    discrepancy: ModelDiscrepancy
+    cells: Array = field(default_factory=lambda: np.zeros((0, 0, 0)))
+
+    @cached_property
+    def mask(self) -> NDArray[np.bool_]:
+        """Which of all features, raveled, are in use."""
+        return np.asarray(self.observed.used.ravel())
+
+    @cached_property
+    def places(self) -> tuple[NDArray[np.intp], ...]:
+        """Configurations, rows of `FEATURES` and bands of the features in use, (n_used,) each."""
+        return np.nonzero(self.observed.used)
+
+    @cached_property
+    def t20(self) -> NDArray[np.intp]:
+        """The row of each feature's ln T20 among configurations and bands, (n_used,)."""
+        c, _, b = self.places
+        return np.asarray(c * self.observed.used.shape[2] + b)
+
+    @cached_property
+    def changes(self) -> Array:
+        """Changes of the features in use by each hypothesis, (n_hypotheses, n_used)."""
+        c, f, b = self.places
+        return np.asarray((self.predicted.features - self.predicted.features[0])[:, c, f, b])
+
+    @cached_property
+    def amounts(self) -> Array:
+        """Change of ln T20 in the same band and configuration, (n_hypotheses, n_used)."""
+        c, _, b = self.places
+        return np.asarray((self.predicted.features - self.predicted.features[0])[:, c, 0, b])
+
+    @cached_property
+    def slopes(self) -> Array:
+        """The derivatives of the features in use by ln T20, (n_hypotheses, n_used)."""
+        c, f, b = self.places
+        return np.asarray(self.predicted.slopes[:, c, f, b])
+
+    @property
+    def bias(self) -> Array:
+        """The model's bias of the features in use, (n_used,)."""
+        return np.asarray(self.discrepancy.bias[self.mask])
+
+    def residual(self, i: int, values: Array | None = None) -> Array:
+        """Return the measured features, or ``values`` for them, less those of hypothesis ``i``."""
+        y = self.observed.values if values is None else values
+        return np.asarray(y - self.predicted.features[i].ravel()[self.mask] - self.bias)
+
+    def log_likelihood(
+        self, values: Array, ends: Sequence[int], *, off: bool
+    ) -> tuple[Array, Array]:
+        """Return log N(y; y_k + bias, C) of the first so many of ``values`` (n_draws, n), by ``ends``.
+
+        Two arrays (n_ends, n_hypotheses, n_draws), in nats. The first with the coefficients as stated,
+        the second with coefficients that are off together; -inf without ``off``.
+        """
+        c, f, b = self.places
+        centres = self.predicted.features[:, c, f, b] + self.bias
+        n, (draws, m) = len(centres), values.shape
+        stated, together = (np.full((len(ends), n, draws), -np.inf) for _ in range(2))
+        # A few hypotheses at a time, so that their covariances stay in the processor's cache.
+        step = max(1, min(_AT_ONCE, _ELEMENTS // (m + draws) ** 2))
+        for begin in range(0, n, step):
+            part = slice(begin, begin + step)
+            rows = values - centres[part, None]
+            if off:
+                common = self.predicted.alpha_covariance.off_together(part).take(self.t20, 1)
+                common = common * self.slopes[part, :, None]
+                rows = np.concatenate([rows, common.swapaxes(1, 2)], axis=1)
+            covariance = self._alpha(part)
+            covariance += self.without_alpha
+            covariance += self.error_of_change(part)
+            densities = log_densities(Factorization(covariance), rows, draws, ends)
+            for i, (as_stated, scaled) in enumerate(densities):
+                stated[i, part] = as_stated
+                if scaled is not None:
+                    together[i, part] = scaled
+        return stated, together
+
+    @cached_property
+    def without_alpha(self) -> Array:
+        """R + D + the covariance from the applied effects, of the features in use."""
+        both = self.discrepancy.covariance + self.predicted.applied
+        return np.asarray(self.observed.covariance + both[np.ix_(self.mask, self.mask)])
+
+    def _alpha(self, part: slice) -> Array:
+        """Return J Sigma J' of some hypotheses, (n, n_used, n_used)."""
+        out = self.predicted.alpha_covariance.of(part).take(self.t20, 2)
+        out *= self.slopes[part, None, :]
+        out = out.take(self.t20, 1)
+        return np.asarray(out * self.slopes[part, :, None])
+
+    def error_of_change(self, part: slice | NDArray[np.intp]) -> Array:
+        """Return the covariance of the error of some hypotheses' changes, (n, n_used, n_used)."""
+        _, f, b = self.places
+        errors = self.predicted.spectrum_errors[part]
+        errors = errors[:, :, errors.any((0, 1))].take(b, 1)
+        alone = self.predicted.formula_errors[part]
+        return misfit(self.changes[part], self.amounts[part], f, errors, alone)
+
+    def covariance_of(self, i: int, scale: float = 1.0) -> tuple[Array, Array]:
+        """Return the covariance of hypothesis ``i`` from the coefficients, and that from all else.
+
+        Both (n_used, n_used). ``scale`` multiplies the error that the coefficients have in common.
+        """
+        part = slice(i, i + 1)
+        alpha = self._alpha(part)[0]
+        if scale != 1:
+            common = self.spreading(i) @ self.predicted.alpha_covariance.off_together(part)[0]
+            alpha = alpha + (scale**2 - 1) * common @ common.T
+        return alpha, self.without_alpha + self.error_of_change(part)[0]
+
+    def spreading(self, i: int) -> Array:
+        """Return d feature / d ln T20, (n_used, n_configurations * n_bands)."""
+        count, _, bands = self.observed.used.shape
+        out = np.zeros((len(self.t20), count * bands))
+        out[np.arange(len(self.t20)), self.t20] = self.slopes[i]
+        return out
+
+    def goodness_of_fit(self, i: int, scale: float = 1.0) -> tuple[float, float]:
+        """Return the distance of the measurement from hypothesis ``i``, and its probability.
+
+        The distance is sqrt(r' C^-1 r / n), 1 on average. The probability is that of a larger
+        chi-square (Gelman, Meng & Stern 1996, without their draws, since C includes the prior).
+        ``scale`` as for `covariance_of`.
+        """
+        alpha, other = self.covariance_of(i, scale)
+        residual = self.residual(i)
+        square = float(residual @ np.linalg.solve(alpha + other, residual))
+        return float(np.sqrt(square / len(residual))), float(chdtrc(len(residual), square))
+
+    def standardized_residuals(self) -> Array:
+        """Return modelled less measured over its standard deviation, as `ObservedFeatures.features`."""
+        c = alpha_covariance(self.predicted, 0) + self.discrepancy.covariance
+        spread = np.sqrt(np.diag(c)[self.mask] + np.diag(self.observed.covariance))
+        out = np.full(self.mask.size, np.nan)
+        modelled = self.predicted.features[0].ravel()[self.mask] + self.bias
+        out[self.mask] = (modelled - self.observed.values) / spread
+        return out.reshape(self.observed.used.shape)
+
+
+_AT_ONCE = 32  # hypotheses
+
+
+def alpha_covariance(predicted: MeansHypotheses, i: int) -> Array:
+    """Return J Sigma J' of one hypothesis, over all features raveled."""
+    slopes = predicted.slopes[i]  # (configurations, features, bands)
+    count, kinds, bands = slopes.shape
+    variance = predicted.alpha_covariance.of(slice(i, i + 1)).reshape(count, bands, count, bands)
+    full = np.einsum("afk,akbl,bgl->afkbgl", slopes, variance, slopes)
+    return np.asarray(full.reshape(count * kinds * bands, -1))
+
+
+def log_density(residual: Array, covariance: Array) -> float:
+    """Return the log density of a residual (m,) under a covariance, in nats."""
+    factorization = Factorization(covariance[None].copy())
+    ((log, _),) = log_densities(factorization, residual[None, None].copy(), 1, [len(residual)])
+    return float(log[0, 0])
+
+
+def log_densities(
+    factorization: Factorization,
+    rows: Array,
+    draws: int,
+    ends: Sequence[int],
+    *,
+    coarsened: bool = True,
+) -> Iterator[tuple[Array, Array | None]]:
+    """Yield log densities (n, draws) of residuals under C: as stated, and off together.
+
+    They are of the first so many values, for each of ``ends``. ``rows`` (n, draws + r, m) are the
+    residuals, then F'; without F' the second is None. It is the mean density over `SCALES` under
+    C + (s² - 1) F F'. ``coarsened`` as for `student`.
+    """
+    scales = np.array(SCALES)
+    more, log_probability = (scales[:, 0] ** 2 - 1)[:, None, None], np.log(scales[:, 1])
+    for m, products in zip(ends, factorization.leading(rows, draws, ends), strict=True):
+        half, square, across, inner = products
+        stated = student(square, half, m, coarsened=coarsened)
+        if rows.shape[1] == draws:
+            yield stated, None
+            continue
+        off = with_columns(
+            square[:, None], half[:, None], np.sqrt(more) * across[:, None], more * inner[:, None]
+        )
+        log = student(*off, m, coarsened=coarsened)
+        yield stated, logsumexp(log_probability[:, None] + log, axis=1)
