@@ -10,10 +10,11 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache, partial
 from itertools import product
 from math import isfinite
+from operator import attrgetter, itemgetter
 from typing import Any, ClassVar, TypeVar
 
 import numpy as np
@@ -39,8 +40,6 @@ from rtcal.support.text import shortened
 from rtcal.support.types import Array, read_only_view
 
 Parameters = Mapping[str, float]
-Kind = tuple[tuple[str, float], ...]
-"""The parameters of an absorber but for its size."""
 Limits = Mapping[str, tuple[float, float]]
 """Least and largest possible value of each parameter."""
 
@@ -152,6 +151,8 @@ class Effect(ABC):
 
     def densities(self, grid: Sequence[Parameters], state: RoomState) -> Array:
         """Return the `density` of each set of parameters, (n,)."""
+        if type(self).density is Effect.density:
+            return np.ones(len(grid))
         return np.array([self.density(theta, state) for theta in grid], dtype=float)
 
     def limits(self, room: Room | None) -> Limits:
@@ -293,11 +294,12 @@ class Absorber(AbsorbingObject):
         """Return the room with the absorber in place of wall, for each set of parameters."""
         if type(self).change is not Absorber.change:
             return super().changes(state, grid)
-        spectra: dict[Kind, Array] = {}
-        kinds = [tuple((k, v) for k, v in theta.items() if k != self.size) for theta in grid]
-        for kind, theta in zip(kinds, grid, strict=True):
-            if kind not in spectra:
-                spectra[kind] = self._checked_alpha(state.frequencies, theta)
+        others = [name for name in grid[0] if name != self.size]
+        kinds = list(map(itemgetter(*others), grid)) if others else [()] * len(grid)
+        spectra = {
+            kind: self._checked_alpha(state.frequencies, theta)
+            for kind, theta in dict(zip(kinds, grid, strict=True)).items()
+        }
         areas = np.array([theta[self.size] for theta in grid])
         return covered([state] * len(grid), areas, np.array([spectra[kind] for kind in kinds]))
 
@@ -1117,19 +1119,19 @@ T = TypeVar("T")
 _TEXTS = ("name", "size", "unit")
 _RESERVED = ("none", "unknown")
 SURFACES = ("floor", "wall", "ceiling")
-_ARRAYS = {
+_RULES = {
     "areas": (0.0, np.inf),
     "alpha": (0.0, 1.0),
     "air": (0.0, np.inf),
     "covering": (-np.inf, np.inf),
     "objects": (-np.inf, np.inf),
-}
-_NUMBERS = {
     "volume": (1e-6, np.inf),
     "speed_of_sound": (1e-6, np.inf),
     "record": (1e-6, np.inf),
     "direct_db": (-np.inf, np.inf),
+    "floor_db": (-np.inf, np.inf),
 }
+"""Least and largest values of the fields of a state that are numbers."""
 
 
 def library() -> tuple[Effect, ...]:
@@ -1236,18 +1238,17 @@ def checked_grid(
     for theta in grid:
         if not isinstance(theta, Mapping) or set(theta) != names:
             raise DataError(f"{where} has {theta!r}; each of it has {', '.join(map(str, names))}")
-        for name, value in theta.items():
-            if not isinstance(value, float):
-                value = checks.number(f"{where}: {name}", value)
-            if not isfinite(value):
-                raise DataError(f"{where}: {name} = {value:g} is not finite")
+    within = np.ones(len(grid), dtype=bool)
     limits = _limits(effect, room)
-    possible = [
-        theta
-        for theta in grid
-        if all(least <= theta.get(k, least) <= most for k, (least, most) in limits.items())
-    ]
-    return possible or grid
+    for name in names:
+        values = np.array(list(map(itemgetter(name), grid)))
+        if values.dtype.kind not in "fiu":
+            values = checks.array(f"{where}: {name}", values)
+        if not np.isfinite(values).all():
+            raise DataError(f"{where}: {name} = {values[~np.isfinite(values)][0]:g} is not finite")
+        least, most = limits.get(name, (-np.inf, np.inf))
+        within &= (values >= least) & (values <= most)
+    return [grid[i] for i in np.flatnonzero(within)] or grid
 
 
 def beyond(
@@ -1312,17 +1313,21 @@ def _limits(effect: Effect, room: Room | None) -> Limits:
 def changed_states(effect: Effect, state: RoomState, grid: Sequence[Parameters]) -> list[RoomState]:
     """Return the state with the effect in it, by parameters; DataError if a state is impossible."""
     where = f'effect "{effect.name}": change'
+    state = state.locked()
     made = added(effect, state, grid)
     for after in made:
         if not isinstance(after, RoomState):
             raise DataError(f"{where} returns {type(after).__name__}; it returns a RoomState")
-    for name in _FIELDS:
-        before, values = getattr(state, name), [getattr(after, name) for after in made]
-        new = [i for i, value in enumerate(values) if value is not before]
-        if not _plainly_right(name, [values[i] for i in new], state):
+    for name in _RULES:
+        before, values = getattr(state, name), list(map(attrgetter(name), made))
+        new = [i for i, value in enumerate(values) if value is not before and value is not None]
+        if new and not _obey(name, [values[i] for i in new], state):
             for i in new:
-                _check_field(f"{where} with {_said(grid[i])}: {name}", name, values[i], state)
+                with_what = ", ".join(f"{k} {v:.3g}" for k, v in grid[i].items())
+                _check_field(f"{where} with {with_what}: {name}", name, values[i], state)
     for after in made:
+        if after.equation is not state.equation:
+            mean_equation(after.equation, f"{where}: equation")
         if after.shape is not state.shape and not hasattr(after.shape, "together"):
             _check_shape(effect.name, after)
     return made
@@ -1331,48 +1336,30 @@ def changed_states(effect: Effect, state: RoomState, grid: Sequence[Parameters])
 def added(effect: Effect, state: RoomState, grid: Sequence[Parameters]) -> list[RoomState]:
     """Return the state with the effect in it, by parameters, where `changed_states` passed it alone."""
     where = f'effect "{effect.name}": change'
-    return _run(where, partial(effect.changes, state, grid), grid[0])
+    return _run(where, partial(effect.changes, state.locked(), grid), grid[0])
 
 
-_FIELDS = tuple(f.name for f in fields(RoomState))
-
-
-def _plainly_right(name: str, values: Sequence[Any], state: RoomState) -> bool:
-    """Return whether all values of a field are plain and obey its rule: quicker than one by one."""
-    if name in _NUMBERS:
-        return all(type(v) is float for v in values) and _within(np.array(values), *_NUMBERS[name])
-    if name not in _ARRAYS:
+def _obey(name: str, values: Sequence[Any], state: RoomState) -> bool:
+    """Return whether all values of a field have its shape and are within its ends."""
+    try:
+        together = np.array(values)
+    except ValueError:  # of several shapes
         return False
-    shape = _shape(name, state)
-    return all(
-        type(v) is np.ndarray and v.dtype == float and v.shape == shape for v in values
-    ) and _within(np.array(values), *_ARRAYS[name])
-
-
-def _shape(name: str, state: RoomState) -> tuple[int, ...]:
-    return np.shape(getattr(state, name) if name in ("areas", "alpha") else state.air)
-
-
-def _within(array: Array, least: float, most: float) -> bool:
-    return bool((np.isfinite(array) & (array >= least) & (array <= most)).all())
+    either = name in ("covering", "objects")  # by band, or alike in all
+    shapes = [np.shape(state.air), ()] if either else [np.shape(getattr(state, name))]
+    least, most = _RULES[name]
+    if together.dtype.kind not in "fiu" or together.shape[1:] not in shapes:
+        return False
+    return bool((np.isfinite(together) & (together >= least) & (together <= most)).all())
 
 
 def _check_field(where: str, name: str, value: Any, state: RoomState) -> None:
-    if name in _ARRAYS:
-        array, shape = checks.array(where, value), _shape(name, state)
-        if array.shape != shape and not (array.shape == () and name in ("covering", "objects")):
-            raise DataError(f"{where} has shape {array.shape}; it is {shape}")
-        if not _within(array, *_ARRAYS[name]):
-            raise DataError(f"{where} is not {_rule(*_ARRAYS[name])} in every band")
-    elif name in _NUMBERS or (name == "floor_db" and value is not None):
-        least, most = _NUMBERS.get(name, (-np.inf, np.inf))
-        number = checks.number(where, value)
-        if not (np.isfinite(number) and least <= number <= most):
-            raise DataError(f"{where} = {number:g} is not {_rule(least, most)}")
-    elif name == "equation":
-        mean_equation(value, where)
-    elif name == "shape" and not (value is None or callable(value)):
-        raise DataError(f"{where} = {value!r} does not turn a state into a Decay")
+    """Raise DataError for a value that does not `_obey`, by its kind, its shape or its size."""
+    if not _obey(name, [value], state):
+        checks.array(where, value)
+        raise DataError(
+            f"{where} is not {_rule(*_RULES[name])}, in the shape that it has without the effect"
+        )
 
 
 def _rule(least: float, most: float) -> str:
@@ -1383,9 +1370,11 @@ def _rule(least: float, most: float) -> str:
 
 def _check_shape(name: str, made: RoomState) -> None:
     where = f'effect "{name}": shape'
-    shape = made.shape
+    shape: Any = made.shape
     if shape is None:
         return
+    if not callable(shape):
+        raise DataError(f"{where} = {shape!r} does not turn a state into a Decay")
     decay = _run(where, lambda: shape(made))
     if not isinstance(decay, Decay):
         raise DataError(f"{where} returns {type(decay).__name__}; it returns a Decay")
@@ -1399,10 +1388,6 @@ def _check_shape(name: str, made: RoomState) -> None:
         )
     if not (np.isfinite(weights).all() and np.isfinite(rates).all() and (rates > 0).all()):
         raise DataError(f"{where}: weights and rates are not finite, the rates above 0")
-
-
-def _said(parameters: Parameters) -> str:
-    return ", ".join(f"{k} {v:.3g}" for k, v in parameters.items())
 
 
 def _run(where: str, call: Callable[[], T], parameters: Parameters | None = None) -> T:

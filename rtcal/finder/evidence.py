@@ -130,7 +130,7 @@ class Factorization:
         if whitened.size:
             for matrix, right in zip(self._lower, whitened, strict=True):
                 dtrtrs(matrix.T, right.T, lower=0, trans=1, overwrite_b=1)
-        square, across, inner = (np.zeros(()) for _ in range(3))
+        square, across, inner = np.zeros(()), np.zeros(()), np.zeros(())
         for end in ends:
             z, w = whitened[:, :first, begin:end], whitened[:, first:, begin:end]
             square = square + np.einsum("ndm,ndm->nd", z, z)

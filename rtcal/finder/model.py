@@ -15,7 +15,7 @@ import numpy as np
 
 from rtcal.acoustics.equations import MeanEquation, mean_equation
 from rtcal.acoustics.room import Room
-from rtcal.support.types import Array
+from rtcal.support.types import Array, read_only_view
 
 FEATURES = ("t20", "edt", "t30", "c80", "g")
 """Rows of every feature table: ln T20 (s), ln EDT/T20, ln T30/T20, C80 and G in dB."""
@@ -23,6 +23,8 @@ _LN6 = 6 * np.log(10)
 _STEPS = 12
 _FROM_ENDS = 1e-6
 """Distance of the mean over the walls from 0 (absolute) and the equation's largest mean (relative)."""
+_ARRAYS = ("areas", "alpha", "facing", "air", "frequencies", "covering", "objects")
+"""The arrays of a state."""
 STEEPEST = 0.98
 """Largest coefficient at which a slope is computed. Above it, ln T is far from linear in alpha."""
 
@@ -79,13 +81,15 @@ class RoomState:
     direct_db: float = 0.0
     volume_sigma: float = 0.1
 
-    def __post_init__(self) -> None:
-        for name in ("areas", "alpha", "facing", "air", "frequencies", "covering", "objects"):
-            values = getattr(self, name)
-            if isinstance(values, np.ndarray) and values.flags.writeable:
-                locked = values.view()
-                locked.flags.writeable = False
-                object.__setattr__(self, name, locked)
+    def locked(self) -> RoomState:
+        """Return the state with arrays that code of one's own cannot change."""
+        arrays = {name: getattr(self, name) for name in _ARRAYS}
+        views = {
+            name: read_only_view(values)
+            for name, values in arrays.items()
+            if isinstance(values, np.ndarray) and values.flags.writeable
+        }
+        return replace(self, **views) if views else self
 
     @classmethod
     def of_room(cls, room: Room, facing: Array, equation: str = "eyring") -> RoomState:
@@ -130,7 +134,7 @@ class RoomState:
     def decay(self) -> Decay:
         """Return the decay: that of the state's ``shape``, else one exponential."""
         if self.shape is not None:
-            return self.shape(self)
+            return self.shape(self.locked())
         rate = self.rate[:, None]
         return Decay(np.full_like(rate, 1 / self.volume), rate)
 
@@ -197,7 +201,7 @@ def surface_absorption(states: Sequence[RoomState]) -> Array:
     out = np.empty((len(states), len(states[0].air)))
     for equation, where in _by_equation(states):
         group = [states[i] for i in where]
-        areas = np.array([s.total_area for s in group])[:, None]
+        areas = np.array([s.areas for s in group]).sum(1)[:, None]
         out[where] = areas * equation.exponent(mean_contributions(equation, group))
     return out
 
@@ -275,7 +279,7 @@ def _alike(states: Sequence[RoomState]) -> list[tuple[list[int], Decay]]:
     for i, s in enumerate(states):
         kind: object = type(s.shape)
         if s.shape is not None and not hasattr(s.shape, "together"):
-            alone[i] = s.shape(s)
+            alone[i] = s.shape(s.locked())
             kind = alone[i].rates.shape[1]
         groups.setdefault((kind, s.floor_db is not None), []).append(i)
     out = []

@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
-from itertools import groupby
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,7 +34,7 @@ from rtcal.finder.model import FEATURES, Predicted, RoomState, predict, sensitiv
 from rtcal.finder.prior import NONE, SCALES, directions, factors, grid_weights
 from rtcal.support import checks
 from rtcal.support.errors import DataError
-from rtcal.support.types import Array, read_only
+from rtcal.support.types import Array, read_only, read_only_view
 
 SHAPE_CHANGE = (("edt", 0.12), ("t30", 0.06))
 """Standard deviation of ln EDT/T20 and ln T30/T20 per unit of change of ln T20. An absorber stands
@@ -43,10 +42,8 @@ somewhere, so that the field is less even than its formula assumes. Chosen on de
 (docs/discrepancy.md): twice these values lose one of 12 detections, half of them change no count."""
 LARGEST_FEATURES = 1000
 """Values that can be compared. Time grows with their cube: 1000 take minutes (benchmarks/growth.py)."""
-LARGEST_HYPOTHESES = 10_000
-"""Sets of parameters: 12 per material and some 450 more, so that 790 materials can be stated."""
-_ELEMENTS = 4_000_000
-"""Numbers in an array by hypothesis, configuration, material and band: 32 MB."""
+LARGEST_HYPOTHESES = 5000
+"""Sets of parameters: 12 per material and some 450 more, so that 370 materials can be stated."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,47 +102,43 @@ def predict_hypotheses(
         weights = [grid_weights(e, grid, base[0]) for e, grid in zip(effects, grids, strict=True)]
     else:
         weights = [np.full(len(grid), 1 / len(grid)) for grid in grids]
-    n = 1 + sum(map(len, grids))
-    check_size(case, n)
-    every: list[tuple[Effect | None, Parameters]] = [(None, {})]
+    check_size(case, 1 + sum(map(len, grids)))
+    names, states = [NONE], [[b] for b in base]
+    parameters: list[Parameters] = [{}]
+    frequencies, n_bands = case.room.centre_frequencies, case.room.n_bands
+    errors, alone = [np.zeros((1, n_bands, n_bands + 2))], [0.0]
     for effect, grid in zip(effects, grids, strict=True):
-        every += [(effect, theta) for theta in grid]
-    shape = (n, len(base), len(FEATURES), case.room.n_bands)
-    features, slopes = np.empty(shape), np.empty(shape)
-    covariance = AlphaCovariance(case, n)
-    # So many hypotheses at once that the arrays by material stay small.
-    step = max(1, _ELEMENTS // (len(base) * case.room.alpha.size))
-    for begin in range(0, n, step):
-        part = every[begin : begin + step]
-        rows = slice(begin, begin + len(part))
-        states = [
-            _states(part, unchanged, c)
-            for c, unchanged in zip(case.configurations, base, strict=True)
+        names += [effect.name] * len(grid)
+        parameters += grid
+        alone += [effect.formula_error] * len(grid)
+        errors.append(np.repeat(effect.errors_over_bands(frequencies)[None], len(grid), axis=0))
+        for c, unchanged, column in zip(case.configurations, base, states, strict=True):
+            absent = c.suspect_removed and effect.removable
+            column += [unchanged] * len(grid) if absent else changed_states(effect, unchanged, grid)
+    with np.errstate(all="ignore"):  # values that are not finite get an error by name
+        predicted = [
+            predict(column, distances(case, c))
+            for c, column in zip(case.configurations, states, strict=True)
         ]
-        with np.errstate(all="ignore"):  # values that are not finite get an error by name
-            predicted = [
-                predict(column, distances(case, c))
-                for c, column in zip(case.configurations, states, strict=True)
-            ]
-        features[rows] = np.stack([p.features for p in predicted], axis=1)
-        slopes[rows] = np.stack([p.slopes for p in predicted], axis=1)
-        _check_finite(case, part, features[rows], slopes[rows])
-        covariance.fill(rows, states, predicted)
-    frequencies = case.room.centre_frequencies
-    nothing = np.zeros((1, case.room.n_bands, case.room.n_bands + 2))
-    errors = [
-        np.repeat(effect.errors_over_bands(frequencies)[None], len(grid), axis=0)
-        for effect, grid in zip(effects, grids, strict=True)
-    ]
+    features = np.stack([p.features for p in predicted], axis=1)
+    slopes = np.stack([p.slopes for p in predicted], axis=1)
+    finite = np.isfinite(features).all((1, 2, 3)) & np.isfinite(slopes).all((1, 2, 3))
+    if not finite.all():
+        i = int(np.argmin(finite))
+        culprit = "the case's model" if i == 0 else f'effect "{names[i]}" with {parameters[i]}'
+        raise DataError(
+            f"{culprit} has no finite T, C80 and G in a room of {case.room.volume:g} m³ with "
+            f"{case.room.total_area:g} m² of walls"
+        )
     return MeansHypotheses(
-        names=tuple(NONE if effect is None else effect.name for effect, _ in every),
-        parameters=tuple(theta for _, theta in every),
+        names=tuple(names),
+        parameters=tuple(parameters),
         weights=np.concatenate([np.ones(1), *weights]),
-        spectrum_errors=np.concatenate([nothing, *errors]),
-        formula_errors=np.array([0.0 if e is None else e.formula_error for e, _ in every]),
+        spectrum_errors=np.concatenate(errors),
+        formula_errors=np.array(alone),
         features=features,
         slopes=slopes,
-        alpha_covariance=covariance,
+        alpha_covariance=AlphaCovariance(case, states, predicted),
         applied=_applied(case),
         effects={e.name: e for e in effects},
     )
@@ -179,40 +172,6 @@ def check_size(case: Case, n_hypotheses: int) -> None:
             f"{n_hypotheses} sets of parameters are to be tried in a room of {room.n_materials} "
             f"materials; at most {LARGEST_HYPOTHESES} can be: state fewer effects or materials"
         )
-
-
-def _states(
-    part: Sequence[tuple[Effect | None, Parameters]],
-    unchanged: RoomState,
-    configuration: Configuration,
-) -> list[RoomState]:
-    """Return the states of hypotheses in one configuration."""
-    states: list[RoomState] = []
-    for effect, members in groupby(part, key=lambda member: member[0]):
-        grid = [theta for _, theta in members]
-        absent = effect is None or (configuration.suspect_removed and effect.removable)
-        if effect is None or absent:
-            states += [unchanged] * len(grid)
-        else:
-            states += changed_states(effect, unchanged, grid)
-    return states
-
-
-def _check_finite(
-    case: Case,
-    part: Sequence[tuple[Effect | None, Parameters]],
-    features: Array,
-    slopes: Array,
-) -> None:
-    finite = np.isfinite(features).all((1, 2, 3)) & np.isfinite(slopes).all((1, 2, 3))
-    if finite.all():
-        return
-    effect, parameters = part[int(np.argmin(finite))]
-    culprit = "the case's model" if effect is None else f'effect "{effect.name}" with {parameters}'
-    raise DataError(
-        f"{culprit} has no finite T, C80 and G in a room of {case.room.volume:g} m³ with "
-        f"{case.room.total_area:g} m² of walls"
-    )
 
 
 def _applied(case: Case) -> Array:
@@ -519,8 +478,8 @@ def states(case: Case, configuration: Configuration, alphas: Sequence[Array]) ->
         values = np.array(alpha)
         for row, of_material in changed.items():
             values[row] = of_material
-        made = replace(unchanged, alpha=values)
-        out.append(with_applied(made, case.applied, configuration))
+        made = replace(unchanged, alpha=read_only_view(values))
+        out.append(with_applied(made, case.applied, configuration) if case.applied else made)
     return out
 
 
@@ -610,25 +569,20 @@ class AlphaCovariance:
     independent of its coefficients elsewhere.
     """
 
-    def __init__(self, case: Case, n: int) -> None:
+    def __init__(
+        self, case: Case, states: Sequence[Sequence[RoomState]], predicted: Sequence[Predicted]
+    ) -> None:
+        """Take the states and the predictions of hypotheses, by configuration."""
         room = case.room
         self._rho = correlation(room.centre_frequencies, room.band_correlation)
         self._sigma = np.stack([c.coefficients(room)[1] for c in case.configurations])
         changed = [[m in c.changes for m in room.materials] for c in case.configurations]
         self._changed = np.array(changed)[:, :, None]
         self._directions = directions(case)
-        self._climate = _climate(case)
-        self._slopes = np.empty((n, *self._sigma.shape))
-        self._air = np.empty((n, *self._climate.shape))
-
-    def fill(
-        self, rows: slice, states: Sequence[Sequence[RoomState]], predicted: Sequence[Predicted]
-    ) -> None:
-        """Store some hypotheses, from their states and predictions by configuration."""
-        for c, (column, p) in enumerate(zip(states, predicted, strict=True)):
-            time = p.reverberation_time[:, None, :] / (6 * np.log(10))
-            self._slopes[rows, c] = sensitivities(column) * time
-            self._air[rows, c] = self._climate[c] * time
+        times = [p.reverberation_time[:, None, :] / (6 * np.log(10)) for p in predicted]
+        slopes = [sensitivities(s) * time for s, time in zip(states, times, strict=True)]
+        self._slopes = np.stack(slopes, axis=1)
+        self._air = _climate(case) * np.stack(times, axis=1)
 
     def of(self, part: slice | NDArray[np.intp]) -> Array:
         """Return the covariance of some hypotheses over configurations and bands, (n, size, size)."""
@@ -853,6 +807,7 @@ class MeansProblem:
 
 
 _AT_ONCE = 32  # hypotheses
+_ELEMENTS = 4_000_000  # numbers in an array of covariances: 32 MB
 
 
 def alpha_covariance(predicted: MeansHypotheses, i: int) -> Array:

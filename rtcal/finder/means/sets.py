@@ -22,6 +22,8 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 from math import factorial
+from operator import itemgetter
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -82,10 +84,11 @@ def _cells(problem: MeansProblem) -> Array:
         for k, parameter in enumerate(p for p in grid[0] if p not in effect.discrete):
             if k == len(steps):
                 steps.append(np.zeros_like(features))
-            lines: dict[tuple[float, ...], list[int]] = {}
-            for j in np.argsort([theta[parameter] for theta in grid]):
-                others = tuple(v for p, v in grid[j].items() if p != parameter)
-                lines.setdefault(others, []).append(rows[j])
+            others = [p for p in grid[0] if p != parameter]
+            keys = list(map(itemgetter(*others), grid)) if others else [()] * len(grid)
+            lines: dict[Any, list[int]] = {}
+            for j in np.argsort(list(map(itemgetter(parameter), grid))):
+                lines.setdefault(keys[j], []).append(rows[j])
             for line in lines.values():
                 if len(line) > 1:
                     steps[k][line] = np.gradient(features[line], axis=0)
@@ -241,8 +244,7 @@ def moments(compared: MeansProblem, sets: Sequence[Rows]) -> Moments:
             ]
         features = np.stack([p.features for p in made], axis=1)
         slopes = np.stack([p.slopes for p in made], axis=1)
-        alpha = AlphaCovariance(case, len(sets))
-        alpha.fill(slice(0, len(sets)), states, made)
+        alpha = AlphaCovariance(case, states, made)
     features, slopes = features[:, c, f, b], slopes[:, c, f, b]
     covariance = alpha.of(which).take(t20, 2) * slopes[:, None, :]
     covariance = covariance.take(t20, 1) * slopes[:, :, None]
