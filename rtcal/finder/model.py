@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache, cached_property
+from typing import Any
 
 import numpy as np
 
@@ -84,7 +85,7 @@ class RoomState:
     def locked(self) -> RoomState:
         """Return the state with arrays that code of one's own cannot change."""
         arrays = {name: getattr(self, name) for name in _ARRAYS}
-        views = {
+        views: dict[str, Any] = {
             name: read_only_view(values)
             for name, values in arrays.items()
             if isinstance(values, np.ndarray) and values.flags.writeable
