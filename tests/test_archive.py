@@ -11,8 +11,8 @@ from click.testing import CliRunner
 
 import rtcal as rt
 from benchmarks.studies.archives import archive as study
-from rtcal.calibration.archive import likelihood
-from rtcal.calibration.archive.likelihood import Evidence, RoomData, Spread
+from rtcal.calibration import archive as model
+from rtcal.calibration.archive import Evidence, RoomData, Spread
 from rtcal.command.main import cli, main
 from rtcal.report import pages
 from rtcal.support.errors import DataError
@@ -35,8 +35,8 @@ def small() -> tuple[list[RoomData], np.ndarray, np.ndarray, np.ndarray]:
 def test_plausible_spreads_have_the_covariance_that_the_cost_leaves() -> None:
     evidence = Evidence(*small())
     fitted = evidence.fitted()
-    centre = likelihood._point(fitted)
-    off = np.array([likelihood._point(each) for each in evidence.plausible(fitted)]) - centre
+    centre = model._point(fitted)
+    off = np.array([model._point(each) for each in evidence.plausible(fitted)]) - centre
     step = 0.02 * np.eye(len(centre))
     cost = lambda x: evidence._cost(centre + x, None)  # noqa: E731
     curvature = np.array(

@@ -125,15 +125,13 @@ def test_no_random_feasible_point_beats_the_optimum(seed: int, name: str) -> Non
     joint = composed(name).build(room).solve(true_times(rng, room, EYRING)).joint
     composition, numbers, u = joint.composition, joint.numbers, joint.solution.unknowns
     best = composition.value(numbers, u)
-    assert composition.keeps(numbers, u)
     exact = np.asarray(numbers.match_matrix.toarray()) * numbers.sigma
     for scale in (1e-3, 1e-1):
         step = rng.standard_normal(len(u))
         if composition.matches:
             step -= np.linalg.pinv(exact) @ (exact @ step)
         trial = u + scale * numbers.sigma * step
-        if composition.keeps(numbers, trial):
-            assert composition.value(numbers, trial) >= best - 1e-9
+        assert composition.value(numbers, trial) >= best - 1e-9
 
 
 @pytest.mark.parametrize("seed", range(6))

@@ -64,29 +64,20 @@ class Composition:
     ) -> Composition:
         """Return the composition for some rooms; ModelError or DataError for terms that do not fit."""
         materials = configurations.materials
-        row_of = {m: m for m in materials}
-        for group in (
-            g for c in constraints if isinstance(c, SharedMaterials) for g in c.groups(materials)
-        ):
-            for name in group:
-                if name not in materials:
-                    raise DataError(
-                        f'"{name}" is no material of the room; it has {", ".join(materials)}'
-                    )
-            merged = {row_of[m] for m in group}
-            head = next(m for m in materials if row_of[m] in merged)
-            row_of = {m: head if r in merged else r for m, r in row_of.items()}
-        heads = list(dict.fromkeys(row_of.values()))
         further = tuple(t.name for t in objective.further)
         if len(set(further)) < len(further):
             raise ModelError(f"two further unknowns have one name: {', '.join(further)}")
         layout = Layout(
             materials=materials,
-            rows=tuple(heads.index(row_of[m]) for m in materials),
+            rows=tuple(range(len(materials))),
             centre_frequencies=tuple(float(f) for f in configurations.union.centre_frequencies),
             n_configurations=len(configurations.rooms),
             further=further,
         )
+        for constraint in constraints:
+            if isinstance(constraint, SharedMaterials):
+                for group in constraint.groups(materials):
+                    layout = layout.sharing(group)
         left = tuple(c for c in constraints if not isinstance(c, SharedMaterials))
         return cls(layout, equation, objective, left)
 
@@ -139,34 +130,28 @@ class Composition:
         return replace(self, objective=Objective(terms, weights))
 
     def value(self, numbers: Numbers, u: Array) -> float:
-        """Return the objective at some unknowns, (size,), other variables at their best values."""
-        program, v = self._at(numbers, u)
-        return float(v @ (program.gradient(v) + program.c)) / 2
+        """Return the objective at some unknowns, (size,), other variables at their best values.
 
-    def keeps(self, numbers: Numbers, u: Array) -> bool:
-        """Return whether unknowns keep the bounds and the constraints."""
+        Infinite where the unknowns do not keep the bounds and the constraints.
+        """
         low, high = (u - end for end in numbers.box)
         slack = _KEPT * (1 + np.abs(u))
         if (low < -slack).any() or (high > slack).any():
-            return False
-        program, v = self._at(numbers, u)
-        left = program.b - program.rows(v)
-        slack = _KEPT * (1 + program.magnitudes.rows(np.abs(v)))
-        return bool(
-            (left >= -slack)[~program.equal].all() and (abs(left) <= slack)[program.equal].all()
-        )
-
-    def _at(self, numbers: Numbers, u: Array) -> tuple[QP, Array]:
-        """Return the QP with its unknowns held at u, and its optimum."""
+            return np.inf
         program, places = self.qp(numbers), self.compiled.unknowns[numbers.sigma > 0]
-        held = program.lower.copy(), program.upper.copy()
-        for bound in held:
-            bound[places] = ((u - numbers.mu) * numbers.inverse_sigma)[numbers.sigma > 0]
-        program = replace(program, lower=held[0], upper=held[1])
+        lower, upper = program.lower.copy(), program.upper.copy()
+        lower[places] = upper[places] = ((u - numbers.mu) * numbers.inverse_sigma)[
+            numbers.sigma > 0
+        ]
+        program = replace(program, lower=lower, upper=upper)
         point = closed_form(program)
         if point is None:
             raise SolverError("the objective has no value at these coefficients")
-        return program, point.v
+        left = program.b - program.rows(point.v)
+        slack = _KEPT * (1 + program.magnitudes.rows(np.abs(point.v)))
+        if (left < -slack).any() or (left > slack)[program.equal].any():
+            return np.inf
+        return float(point.v @ (program.gradient(point.v) + program.c)) / 2
 
     def convexity(self, numbers: Numbers) -> float:
         """Return m with f - m |x|² / 2 convex, x the deviations of all unknowns; 0 claims nothing."""

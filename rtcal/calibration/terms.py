@@ -20,6 +20,7 @@ as S sigma of the absorption area.
 from __future__ import annotations
 
 import functools
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -227,7 +228,7 @@ def half_squares(expression: Any) -> Any:
     return 0.5 * cp.sum_squares(expression)
 
 
-class Term:
+class Term(ABC):
     """Base of the objective terms: it adds with ``+`` and scales with ``*``.
 
     A function of a `Model` is a term as well; it is added to one of these.
@@ -236,9 +237,9 @@ class Term:
     is_prior: ClassVar[bool] = False
     """Whether it makes alpha unique; a calibration has exactly one such term."""
 
+    @abstractmethod
     def __call__(self, m: Model) -> Any:
         """Return the cvxpy expression to be minimised."""
-        raise NotImplementedError
 
     def convexity(self, numbers: Numbers) -> float:
         """Return m, at most the curvature by each deviation x; 0 claims nothing."""

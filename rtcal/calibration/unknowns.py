@@ -7,7 +7,7 @@ room is one of several configurations, which share the coefficients of their mat
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
@@ -279,6 +279,13 @@ class Layout:
                 raise DataError(f"band {bands.label(band)} is no band of the room; it has {has}")
             columns = np.array([place])
         return np.asarray((rows[:, np.newaxis] * self.n_bands + columns).ravel())
+
+    def sharing(self, group: Iterable[str]) -> Layout:
+        """Return the layout in which some materials, and all that share with them, are one row."""
+        merged = {int(self.index(name)[0]) // self.n_bands for name in group}
+        heads = [min(merged) if row in merged else row for row in self.rows]
+        order = list(dict.fromkeys(heads))
+        return replace(self, rows=tuple(order.index(head) for head in heads))
 
     def place(self, unknown: int) -> str:
         """Return the name of an unknown in messages: ``alpha["carpet", 500 Hz]``."""

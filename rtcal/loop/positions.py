@@ -404,9 +404,7 @@ class PositionsFit:
 
         residual, matrix = here.residual() + offset, here.linearised()
         least = objective(residual, start)
-        most = least + _INDISTINCT
-        if _keeps(model.answer, self.room.alpha):
-            most = min(most, objective(self._residual, self.room.alpha))
+        most = min(least + _INDISTINCT, objective(self._residual, self.room.alpha))
         covariance = self._weighted(errors, _GAP_WEIGHTS[0])
         way = self._answer(start, matrix, residual, covariance).alpha - start
         rise = objective(residual - matrix @ way.ravel(), start + way) - least
@@ -450,7 +448,6 @@ class PositionsFit:
         for _ in range(_PASSES):
             scattering, before = self._stated_scattering(), errors.unexplained
             errors, answer = self._errors(here, scattering), path.steps[-1].model.answer
-            begins_right = guarded and _keeps(answer, self.room.alpha)
             now, start = (
                 _misfit(errors.factor, residual) + _others(answer, alpha)
                 for residual, alpha in (
@@ -458,6 +455,7 @@ class PositionsFit:
                     (self._residual, self.room.alpha),
                 )
             )
+            begins_right = guarded and bool(np.isfinite(start))
             if begins_right and not (now <= start and (here.gaps() <= self._limit).all()):
                 here.alpha, here.simulated = self.room.alpha, self._simulated
             limit = self._limit if begins_right else self._no_limit
@@ -579,10 +577,9 @@ class PositionsFit:
             matrix = here.linearised()
             residual = here.residual() + offset
             answer = self._answer(at.alpha, matrix, residual, covariance)
-            now, most = np.inf, self._no_limit
-            if _keeps(answer, at.alpha):  # else the objective is no measure, nor is the gap
-                now = _misfit(errors.factor, residual) + _others(answer, at.alpha)
-                most = limit
+            now = _misfit(errors.factor, residual) + _others(answer, at.alpha)
+            # Else the objective is no measure, nor is the gap.
+            most = limit if np.isfinite(now) else self._no_limit
             return LinearisedSimulator(here, at, matrix, errors, offset, answer, now, most)
 
         def settled(step: Taken[LinearisedSimulator]) -> bool:
@@ -638,10 +635,9 @@ class PositionsFit:
 
         none = np.zeros(len(materials.traced))
         value = objective(here.residual(), here.alpha, materials.traced)
-        if _keeps(answer, self.room.alpha):
-            start = objective(self._residual, self.room.alpha, none)
-            if value > start or (here.gaps() > self._limit).any():
-                return best
+        start = objective(self._residual, self.room.alpha, none)
+        if np.isfinite(start) and (value > start or (here.gaps() > self._limit).any()):
+            return best
         if best is None or best.scattering is None:
             return other
         traced = best.scattering.materials.traced
@@ -655,24 +651,11 @@ def _misfit(factor: Array, residual: Array) -> float:
     return 0.5 * float(white @ white)
 
 
-def _unknowns(answer: CalibrationResult, alpha: Array) -> Array:
-    """Return the unknowns of a problem with other coefficients."""
-    layout = answer.joint.composition.layout
-    u = answer.joint.solution.unknowns.copy()
-    u[: layout.n_alpha] = alpha[layout.first].ravel()
-    return np.asarray(u)
-
-
 def _others(answer: CalibrationResult, alpha: Array) -> float:
-    """Return the value of the objective's terms other than the positions."""
-    others = answer.joint.composition.without(POSITIONS)
-    return others.value(answer.joint.numbers, _unknowns(answer, alpha))
-
-
-def _keeps(answer: CalibrationResult, alpha: Array) -> bool:
-    """Return whether coefficients keep the bounds and constraints of a problem."""
-    others = answer.joint.composition.without(POSITIONS)
-    return others.keeps(answer.joint.numbers, _unknowns(answer, alpha))
+    """Return the value of the objective's terms other than the positions; infinite beyond bounds."""
+    others, u = answer.joint.composition.without(POSITIONS), answer.joint.solution.unknowns.copy()
+    u[: others.layout.n_alpha] = alpha[others.layout.first].ravel()
+    return others.value(answer.joint.numbers, u)
 
 
 MORE_PATHS = 4

@@ -12,7 +12,7 @@ from scipy.linalg import block_diag
 
 import rtcal as rt
 from rtcal.acoustics.room_errors import target_changes
-from rtcal.calibration.archive.likelihood import MISNAMED
+from rtcal.calibration.archive import MISNAMED
 from rtcal.support.types import Array
 
 BANDS = np.array([125, 250, 500, 1000, 2000, 4000])

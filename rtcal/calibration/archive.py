@@ -1,0 +1,937 @@
+"""An archive of calibrated rooms, and what they say of the materials that they share.
+
+The model is Gaussian. In room r, material i has in band k the coefficient, in all states of the room,
+
+    alpha_rik = mu_ik + d_ik + h mu_ik + e_rik + g_r mu_ik,
+
+with the table's entry mu and its sigma. d is how far the entry is off in all rooms, h how far all
+tables are off together, e how far the material in this room differs from others of its name, and g_r a
+factor of this room. The absorption area b_rsk that the T of its state s asks for is
+sum S_rsi alpha_rik, with an error of the equation relative to b, and the errors of T, volume and areas.
+So the means follow in one linear step, and the marginal likelihood in closed form (`Evidence`).
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import cho_factor, cho_solve
+from scipy.optimize import minimize
+from scipy.stats import chi2
+
+from rtcal.acoustics import bands
+from rtcal.acoustics.room import ARCHIVE, CalibrationRecord, Material, Room
+from rtcal.calibration.measured import data_history
+from rtcal.calibration.result import CalibrationResult, JointResult
+from rtcal.calibration.unknowns import Configurations
+from rtcal.files.disk import json_numbers
+from rtcal.files.saved import NUMBERS, Result, load
+from rtcal.support import __version__, blocks, checks
+from rtcal.support.blocks import Block, Note, Row, Table
+from rtcal.support.errors import DataError
+from rtcal.support.types import Array
+
+__all__ = ["Archive", "Lesson", "Spread", "Suspect", "read_folder"]
+__dir__ = __all__.copy
+
+_MOST = 500
+"""Largest number of rooms: their T together are one matrix."""
+_OFF = 2.0
+"""Standard deviations from which a table's entry is printed as off."""
+_ALIKE = 1.0
+"""Largest difference of one material's tables: rms over the bands, in their standard deviations."""
+MISNAMED = 0.01
+"""Prior probability that one material of a room is another than it is named."""
+
+
+_USUAL = {
+    "table": (1.0, 0.5),
+    "between": (0.5, 0.7),
+    "room": (0.1, 0.7),
+    "together": (0.1, 0.7),
+    "equation": (0.03, 0.7),
+}
+"""Prior of each standard deviation: its median, and the standard deviation of its logarithm."""
+_LOGIT = (0.85, 1.0)
+"""Prior of the band correlation's logit, as mean and standard deviation: about 0.7."""
+_CENTRE, _WIDTH = np.array(
+    [*((np.log(median), width) for median, width in _USUAL.values()), _LOGIT]
+).T
+_STEP = 0.05
+"""Step of the cost's second differences, in logarithms."""
+_MEDIANS = {name: median for name, (median, _) in _USUAL.items()} | {"correlation": 0.7}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Spread:
+    """The spread of coefficients, found by marginal likelihood.
+
+    Attributes
+    ----------
+    table, between : float
+        In units of the stated sigma: how far an entry is off in all rooms, and how far a material of
+        one name differs between rooms.
+    room, together : float
+        Relative: the factor of a room, and of all tables together.
+    equation : float
+        Relative error of b, of each state and band on its own.
+    correlation : float
+        Of one material's errors an octave apart.
+    """
+
+    table: float
+    between: float
+    room: float
+    together: float
+    equation: float
+    correlation: float
+
+
+def _spread(x: Array) -> Spread:
+    """The spread of its logarithms, and of the logit of its correlation.
+
+    Each is at least 0.001: rooms without any noise would leave the covariance singular.
+    """
+    values = np.exp(np.clip(x[:-1], np.log(1e-3), 3)).tolist()
+    correlation = float(1 / (1 + np.exp(-np.clip(x[-1], -8, 4))))
+    return Spread(**dict(zip(_USUAL, values, strict=True)), correlation=correlation)
+
+
+def _point(spread: Spread) -> Array:
+    """The inverse of `_spread`."""
+    logit = np.log(spread.correlation / (1 - spread.correlation))
+    return np.append(np.log([getattr(spread, name) for name in _USUAL]), logit)
+
+
+@dataclass(frozen=True, eq=False)
+class RoomData:
+    """The evidence of a room: its absorption area by state and band, and how sure it is.
+
+    Attributes
+    ----------
+    areas : array (n_states, n_materials)
+        m² of each of the archive's materials.
+    target : array (n_states, n_bands)
+        b in m², NaN where there is no T.
+    covariance : array (n_states n_bands, n_states n_bands)
+        Of b through T, volume, areas and climate, in m⁴, the bands last.
+    weight : float
+        Above 0; 1 counts in full. With a weight w, what the room has of its own has 1 / w times its
+        usual variance.
+    """
+
+    areas: Array
+    target: Array
+    covariance: Array
+    weight: float = 1.0
+
+
+class Evidence:
+    """The rows b_rsk of all rooms, and the model's covariance of them."""
+
+    def __init__(self, rooms: Sequence[RoomData], mu: Array, sigma: Array, octaves: Array) -> None:
+        self.mu, self.sigma, self.rooms = mu, sigma, rooms
+        place = [(r, *at) for r, d in enumerate(rooms) for at in np.argwhere(d.target > 0).tolist()]
+        self.room, state, self.band = np.array(place, dtype=int).reshape(-1, 3).T
+        self.distance = np.abs(octaves[:, np.newaxis] - octaves)
+        self.areas = np.array([rooms[r].areas[s] for r, s, _ in place])
+        self.target = np.array([rooms[r].target[s, k] for r, s, k in place])
+        self.weight = np.array([rooms[r].weight for r in self.room])
+        self.same_room = self.room[:, np.newaxis] == self.room
+        self.noise = np.zeros_like(self.same_room, dtype=float)
+        for r, data in enumerate(rooms):
+            rows = np.flatnonzero(self.room == r)
+            used = state[rows] * len(octaves) + self.band[rows]
+            self.noise[np.ix_(rows, rows)] = data.covariance[np.ix_(used, used)]
+        self.expected = self.total(mu)
+        self.miss = self.target - self.expected
+        self.spreads = self.areas * sigma.T[self.band]  # S sigma of each row and material
+        self.shared = self.spreads @ self.spreads.T
+        # Noise that does not depend on the spread: else a room of little weight would still shape it.
+        self.noise = self.noise + (1 / self.weight - 1) * self.own(Spread(**_MEDIANS))
+
+    def total(self, alpha: Array) -> Array:
+        """Return S'alpha of each row in m²."""
+        return np.asarray(np.sum(self.areas * alpha.T[self.band], axis=1))
+
+    def covariance(self, spread: Spread) -> Array:
+        """Return the covariance of the rows about S'mu, in m⁴."""
+        together = np.outer(self.expected, self.expected)
+        shared = self.shared * self.correlation(spread)[np.ix_(self.band, self.band)]
+        common = spread.table**2 * shared + spread.together**2 * together
+        return np.asarray(common + self.own(spread))
+
+    def own(self, spread: Spread) -> Array:
+        """Return the part of the covariance that each room has of its own, in m⁴."""
+        shared = self.shared * self.correlation(spread)[np.ix_(self.band, self.band)]
+        of_room = spread.between**2 * shared
+        of_room = of_room + spread.room**2 * np.outer(self.expected, self.expected)
+        equation = np.diag((spread.equation * self.target) ** 2)
+        return np.asarray(np.where(self.same_room, of_room, 0.0) + equation + self.noise)
+
+    def correlation(self, spread: Spread) -> Array:
+        """Return that of one material's errors in two bands, (n_bands, n_bands)."""
+        return np.asarray(spread.correlation**self.distance)
+
+    def fitted(self, rows: NDArray[np.bool_] | None = None, start: Spread | None = None) -> Spread:
+        """Return the spread of the largest marginal likelihood of ``rows`` times `_USUAL`."""
+        first = _CENTRE if start is None else _point(start)
+        return _spread(minimize(self._cost, first, (rows,), method="L-BFGS-B").x)
+
+    def plausible(self, spread: Spread) -> list[Spread]:
+        """Return spreads of equal weight about the fitted one, as uncertain as the rows leave it.
+
+        Two along each axis of the normal density that has the cost's curvature there, so that mean and
+        covariance are its own (Julier & Uhlmann 1997, Proc. SPIE 3068, Eq. 12).
+        """
+        centre, size = _point(spread), len(_CENTRE)
+        steps = _STEP * np.eye(size)
+        curvature = np.array(
+            [
+                [
+                    sum(
+                        s * t * self._cost(centre + s * a + t * b, None)
+                        for s in (-1, 1)
+                        for t in (-1, 1)
+                    )
+                    for b in steps
+                ]
+                for a in steps
+            ]
+        ) / (4 * _STEP**2)
+        values, axes = np.linalg.eigh(curvature)
+        # Where the cost is flat, or rounds, the prior of the spread bounds it.
+        reach = np.sqrt(size / np.maximum(values, 1 / np.max(_WIDTH) ** 2))
+        ends = [sign * r * axis for r, axis in zip(reach, axes.T, strict=True) for sign in (-1, 1)]
+        return [_spread(centre + end) for end in ends]
+
+    def _cost(self, x: Array, rows: NDArray[np.bool_] | None) -> float:
+        """The negative logarithm of the marginal likelihood times the spread's prior."""
+        used = np.s_[:, :] if rows is None else np.ix_(rows, rows)
+        miss = self.miss if rows is None else self.miss[rows]
+        factor, low = cho_factor(self.covariance(_spread(x))[used], lower=True)
+        quadratic = miss @ cho_solve((factor, low), miss)
+        penalty = np.sum(((x - _CENTRE) / _WIDTH) ** 2)
+        return float(np.sum(np.log(np.diag(factor))) + 0.5 * quadratic + 0.5 * penalty)
+
+    def posterior(self, spread: Spread, rows: NDArray[np.bool_]) -> tuple[Array, Array]:
+        """Return the entries' means (n_materials, n_bands) from ``rows``, and their covariance.
+
+        An entry is mu + d + h mu: what all rooms have in common. Its covariance has shape
+        (n_materials n_bands, n_materials n_bands), the bands last.
+        """
+        n, k = self.mu.shape
+        correlation = self.correlation(spread)
+        sigma, mu = self.sigma.ravel(), self.mu.ravel()
+        same = np.kron(np.eye(n), np.ones((k, k)))
+        prior = spread.table**2 * same * np.tile(correlation, (n, n)) * np.outer(sigma, sigma)
+        prior = prior + spread.together**2 * np.outer(mu, mu)
+        matrix = self.matrix(self.areas[rows], self.band[rows])
+        whole = self.covariance(spread)[np.ix_(rows, rows)]
+        cross = prior @ matrix.T
+        factor = cho_factor(whole, lower=True)
+        mean = mu + cross @ cho_solve(factor, self.miss[rows])
+        return mean.reshape(n, k), prior - cross @ cho_solve(factor, cross.T)
+
+    def together(self, spread: Spread) -> tuple[float, float]:
+        """Return the mean and the variance of h, by which all tables are off together."""
+        cross = spread.together**2 * self.expected
+        gain = cho_solve(cho_factor(self.covariance(spread), lower=True), cross)
+        return float(gain @ self.miss), float(spread.together**2 - gain @ cross)
+
+    def matrix(self, areas: Array, band: NDArray[np.int_]) -> Array:
+        """Return areas over the entries, (n_rows, n_materials n_bands), from those of rows, in m²."""
+        out = np.zeros((len(areas), *self.mu.shape))
+        out[np.arange(len(out)), :, band] = areas
+        return out.reshape(len(out), -1)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Lesson:
+    """The contribution of one room, and its agreement with the others.
+
+    Attributes
+    ----------
+    room : str
+    factor, factor_sigma : float
+        The relative factor of all its coefficients, and its standard deviation.
+    q, degrees_of_freedom, p_value
+        Of its T beside what all other rooms predict: chi-square.
+    taught : float
+        By which share this room reduced the standard deviation of its materials' means.
+    """
+
+    room: str
+    factor: float
+    factor_sigma: float
+    q: float
+    degrees_of_freedom: int
+    p_value: float
+    taught: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class Suspect:
+    """A material of a room that is likely another than it is named.
+
+    Attributes
+    ----------
+    room, material : str
+    instead : str
+        The archive's material that it more likely is; "" for none of them.
+    probability : float
+        That it is another one; before the data 0.01.
+    """
+
+    room: str
+    material: str
+    instead: str
+    probability: float
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Archive(Result):
+    """The materials that calibrated rooms share, as `rtcal.learn` returns them.
+
+    Attributes
+    ----------
+    materials : tuple of str
+    centre_frequencies : array (n_bands,)
+    table, table_sigma : array (n_materials, n_bands)
+        What the rooms had stated: the mean of their entries, and the largest sigma.
+    alpha, sigma : array (n_materials, n_bands)
+        The library: mean and standard deviation of a coefficient in the next room.
+    mean_sigma : array (n_materials, n_bands)
+        Standard deviation of the mean itself: it falls with every room.
+    seen : array (n_materials,)
+        In how many rooms.
+    spread : Spread
+        The likeliest. Those above count what it leaves open.
+    together, together_sigma : float
+        How far all tables are off together, relative, and its standard deviation.
+    room_sigma : float
+        Relative standard deviation of the next room's common factor.
+    lessons : tuple of Lesson
+    suspects : tuple of Suspect
+        The likeliest first.
+    measured : tuple of str
+        Names of the measured T that it has learned from, as a `CalibrationRecord` keeps them.
+    """
+
+    record_kind: ClassVar[str] = "archive 1"
+
+    materials: tuple[str, ...]
+    centre_frequencies: Array
+    table: Array
+    table_sigma: Array
+    alpha: Array
+    sigma: Array
+    mean_sigma: Array
+    seen: NDArray[np.int_]
+    spread: Spread
+    together: float
+    together_sigma: float
+    room_sigma: float
+    lessons: tuple[Lesson, ...]
+    suspects: tuple[Suspect, ...]
+    measured: tuple[str, ...]
+
+    def material(self, name: str) -> Material:
+        """Return one entry with its sigma and its source; DataError if the archive lacks it."""
+        if name not in self.materials:
+            raise DataError(
+                f'"{name}" is no material of the archive; it has {", ".join(self.materials)}'
+            )
+        i = self.materials.index(name)
+        return Material(
+            name=name,
+            alpha=self.alpha[i].tolist(),
+            sigma=self.sigma[i].tolist(),
+            source=self._source(i),
+        )
+
+    def apply(self, room: Room, names: Mapping[str, str] | None = None) -> Room:
+        """Return a room with the library's alpha and sigma where the archive knows the material.
+
+        A material that it does not know keeps its table times the factor by which all tables are off
+        together, unless the table is exact or made by an archive. Other bands stay, and a material
+        whose table is too far from that of the archive's rooms to be one with it: ``names`` takes it
+        nevertheless. ``common_alpha_sigma`` becomes the factor by which rooms differ. An ``alpha_min``
+        above the new coefficient is kept, and the coefficient raised to it. The room's record names the
+        T that the archive has learned from, so that a calibration to one of them is refused.
+
+        Parameters
+        ----------
+        room : Room
+            Not calibrated yet.
+        names : mapping of str to str, optional
+            From the room's names of materials to the archive's. They may be alike.
+
+        Raises
+        ------
+        DataError
+            If no material or no band of the room is known, ``names`` has an unknown one, or the
+            archive's rooms differ so far that they say nothing of the next.
+        """
+        known, moved, columns = self._places(room, names)
+        if not known or not columns:
+            what = "materials" if not known else "bands"
+            raise DataError(f'the archive knows none of the {what} of room "{room.name}"')
+        if not self.room_sigma < 1:
+            raise DataError(
+                f"room_sigma = {self.room_sigma:.3g}: the archive's rooms differ from each other by a "
+                "factor whose standard deviation is not below 1, so they say nothing of the next; look "
+                "at those with a small p"
+            )
+        own, entry = np.ix_([*known], [*columns]), np.ix_([*known.values()], [*columns.values()])
+        alpha, sigma = room.alpha.copy(), room.sigma.copy()
+        alpha[own], sigma[own] = self.alpha[entry], self.sigma[entry]
+        other = np.ix_(moved, [*columns])
+        inexact = sigma[other] > 0
+        sigma[other] = np.hypot(sigma[other], inexact * self.together_sigma * alpha[other])
+        alpha[other] *= 1 + inexact * self.together
+        alpha, sigma = np.clip(alpha, 0.0, 1.0), np.minimum(sigma, 1.0)
+        if room.alpha_min is not None:
+            alpha = np.maximum(alpha, room.alpha_min)
+        sources = dict(room.sources)
+        rest = np.delete(room.centre_frequencies, [*columns])
+        for i in [*known, *moved]:
+            name = room.materials[i]
+            held = sources.get(name, "the room's table")
+            label = (
+                self._source(known[i]) if i in known else f"{held} times {1 + self.together:.2f}"
+            )
+            sources[name] = (
+                f"{label}; {', '.join(bands.labels(rest))}: {held}" if rest.size else label
+            )
+        before = [] if room.calibration is None else [room.calibration.measured]
+        record = CalibrationRecord(
+            method=ARCHIVE,
+            equation="that of each of its rooms",
+            measured=" ".join([*before, *self.measured]),
+            version=__version__,
+        )
+        return room.replace(
+            alpha=alpha,
+            sigma=sigma,
+            sources=sources,
+            common_alpha_sigma=self.room_sigma,
+            calibration=record,
+        )
+
+    def left_as_stated(self, room: Room, names: Mapping[str, str] | None = None) -> tuple[str, ...]:
+        """Return in sentences what `apply` takes from the room's own tables: materials, and bands.
+
+        DataError if ``names`` has an unknown one.
+        """
+        known, moved, columns = self._places(room, names)
+        left = [i for i in range(room.n_materials) if i not in known and i not in moved]
+        apart = [i for i in left if room.materials[i] in self.materials]
+        rest = np.delete(room.centre_frequencies, [*columns])
+        bands_left = [", ".join(bands.labels(rest))] if rest.size else []
+
+        def quoted(rows: list[int]) -> list[str]:
+            return [f'"{room.materials[i]}"' for i in rows]
+
+        kept, lacks = "Left as the room states them, since the archive", "does not know them"
+        factor = f"times {1 + self.together:.2f}, as all tables are off"
+        reasons = (
+            (f"The archive {lacks}, so the room's own tables count, {factor}", quoted(moved)),
+            (f"{kept} {lacks}", quoted([i for i in left if i not in apart])),
+            (f"{kept} has another material of that name, by its table", quoted(apart)),
+            (f"{kept} {lacks}", bands_left),
+        )
+        return tuple(f"{why}: {', '.join(these)}." for why, these in reasons if these)
+
+    def _places(
+        self, room: Room, names: Mapping[str, str] | None
+    ) -> tuple[dict[int, int], list[int], dict[int, int]]:
+        """The room's materials that are the archive's, with their places in it; likewise its bands.
+
+        Between the two are the materials whose tables are moved as all tables are.
+        """
+        mapped = checks.mapped("names", {} if names is None else names)
+        for own, entry in mapped.items():
+            if own not in room.materials or entry not in self.materials:
+                raise DataError(
+                    f'names: "{own}" = "{entry}": no material of the room, or none known'
+                )
+        found = [
+            (k, bands.index(self.centre_frequencies, float(f)))
+            for k, f in enumerate(room.centre_frequencies)
+        ]
+        columns = {k: place for k, place in found if place is not None}
+        own, entries = [*columns], [*columns.values()]
+        known, moved = {}, []
+        # A room that has a record states no table, but what data made of one.
+        stated = room.calibration is None
+        for i, m in enumerate(room.materials):
+            called = mapped.get(m, m)
+            if called in self.materials:
+                j = self.materials.index(called)
+                tables = (room.alpha[i, own], room.sigma[i, own])
+                entry = (self.table[j, entries], self.table_sigma[j, entries])
+                if m in mapped or not stated or not own or _is_one_material(*tables, *entry):
+                    known[i] = j
+            elif stated and (room.sigma[i] > 0).any():
+                moved.append(i)
+        return known, moved, columns
+
+    def _source(self, i: int) -> str:
+        return f"archive of {len(self.lessons)} rooms, in {self.seen[i]} of them"
+
+    @property
+    def off(self) -> Array:
+        """(alpha - table) / table, (n_materials, n_bands): how far each entry was off; NaN at 0."""
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return np.where(self.table > 0, self.alpha / self.table - 1, np.nan)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the library, the rooms' lessons and the suspects as plain values."""
+        return {
+            "centre_frequencies": json_numbers(self.centre_frequencies),
+            "materials": [
+                {
+                    "name": name,
+                    "rooms": int(self.seen[i]),
+                    "table": json_numbers(self.table[i]),
+                    "alpha": json_numbers(self.alpha[i]),
+                    "sigma": json_numbers(self.sigma[i]),
+                    "mean_sigma": json_numbers(self.mean_sigma[i]),
+                    "off": json_numbers(self.off[i]),
+                }
+                for i, name in enumerate(self.materials)
+            ],
+            "spread": asdict(self.spread),
+            "together": self.together,
+            "together_sigma": self.together_sigma,
+            "room_sigma": self.room_sigma,
+            "rooms": [asdict(lesson) for lesson in self.lessons],
+            "suspects": [asdict(suspect) for suspect in self.suspects],
+        }
+
+    def __repr__(self) -> str:
+        return f"<Archive of {len(self.lessons)} rooms, {len(self.materials)} materials>"
+
+    def __str__(self) -> str:
+        return "\n".join(blocks.lines(self._blocks()))
+
+    def _blocks(self) -> list[Block]:
+        """The materials, the rooms, and what they say of the tables."""
+        labels, spread = bands.labels(self.centre_frequencies), self.spread
+        shift = (self.alpha - self.table) / np.maximum(self.mean_sigma, 1e-12)
+        materials = [
+            Row(
+                f"{name} ({self.seen[i]})",
+                [
+                    f"{a:.3f}{'*' if abs(z) >= _OFF else ' '}"
+                    for a, z in zip(self.alpha[i], shift[i], strict=True)
+                ],
+            )
+            for i, name in enumerate(self.materials)
+        ]
+        rooms = [
+            Row(
+                lesson.room,
+                [
+                    f"{100 * lesson.factor:+.0f} %",
+                    f"{lesson.q:.1f}",
+                    f"{lesson.p_value:.2g}",
+                    f"{100 * lesson.taught:.0f} %",
+                ],
+            )
+            for lesson in self.lessons
+        ]
+        notes = [
+            f"An entry is off by {spread.table:.2g} of its stated sigma, a material differs between "
+            f"rooms by {spread.between:.2g} of it. Rooms differ by {100 * spread.room:.0f} %, the "
+            f"equation by {100 * spread.equation:.0f} % per band (standard deviations). All tables "
+            f"are off together by {100 * self.together:+.0f} ± {100 * self.together_sigma:.0f} %.",
+            *(
+                f'In room "{s.room}", "{s.material}" is likely '
+                + (f'"{s.instead}"' if s.instead else "none of the archive's materials")
+                + f" (p = {s.probability:.2f}): look, and correct its name or leave the room out."
+                for s in self.suspects
+            ),
+        ]
+        head = f"alpha (number of rooms; * off the table by {_OFF:g} standard deviations)"
+        return [
+            Note(f"{len(self.lessons)} rooms, {len(self.materials)} materials"),
+            Table(labels, materials, head),
+            Table(["factor", "Q", "p", "taught"], rooms, "what each room says beside all others"),
+            *map(Note, notes),
+        ]
+
+
+def _is_one_material(mu: Array, sigma: Array, other: Array, other_sigma: Array) -> bool:
+    """Whether two tables under one name are near enough to be of one material; (n_bands,) each."""
+    off, spread = np.abs(mu - other), np.hypot(sigma, other_sigma)
+    z = np.divide(off, spread, out=np.where(off > 0, np.inf, 0.0), where=spread > 0)
+    return bool(np.sqrt(np.mean(z**2)) <= _ALIKE)
+
+
+@dataclass(frozen=True, eq=False)
+class _Calibrated:
+    """A calibrated room, the results of its states, and how far it counts."""
+
+    results: Sequence[CalibrationResult]
+    weight: float = 1.0
+
+    @classmethod
+    def of(cls, result: CalibrationResult | JointResult, weight: float = 1.0) -> _Calibrated:
+        """The room of a result."""
+        return cls(result.results if isinstance(result, JointResult) else (result,), weight)
+
+    @cached_property
+    def states(self) -> Configurations:
+        """The states before the calibration."""
+        return Configurations([result.prior for result in self.results])
+
+    @property
+    def room(self) -> Room:
+        """The room before the calibration, with the materials of all states."""
+        return self.states.union
+
+    def data(self, places: Sequence[int], n_materials: int, columns: Sequence[int]) -> RoomData:
+        """What T asks for in some bands, by no method, with the archive's ``places`` of the materials.
+
+        T, volume, areas and climate count. A T without a stated uncertainty counts as exact: its error
+        is then part of the equation's, which the rooms tell.
+        """
+        equation = self.results[0].equation
+        t = np.array([result.measured for result in self.results])
+        each = list(zip(self.states.rooms, t, self.results, strict=True))
+        u = [r.measured_uncertainty * equation.target_sensitivity(room, t) for room, t, r in each]
+        changes = self.states.target_changes(equation, t)
+        covariance = np.diag(np.nan_to_num(np.ravel(u)) ** 2) + changes.T @ changes
+        target = np.array([equation.target(room, t) for room, t, _ in each])
+        areas = np.zeros((len(t), n_materials))
+        areas[:, places] = self.states.areas
+        used = (np.arange(len(t))[:, np.newaxis] * t.shape[1] + columns).ravel()
+        return RoomData(areas, target[:, columns], covariance[np.ix_(used, used)], self.weight)
+
+
+def learn(
+    rooms: Sequence[CalibrationResult | JointResult],
+    names: Mapping[str, str] | None = None,
+    weights: Mapping[str, float] | None = None,
+) -> Archive:
+    """Learn from calibrated rooms what the materials that they share absorb.
+
+    alpha of material i in room r is the material's mean, an error of the room's own and a factor of the
+    room, the same in all states of the room; see `rtcal.calibration.archive`. How
+    far a material differs between rooms, how far the tables are off, alone and together, follow by
+    marginal likelihood; the means by one linear step, cut to 0 to 1 after it. Only the rooms' stated
+    priors and measured T count, not how they were calibrated. Nothing leaves the machine.
+
+    Parameters
+    ----------
+    rooms : sequence of CalibrationResult or JointResult
+        Two or more, each with a name of its own: that of the first configuration of a `JointResult`,
+        whose configurations are states of one room. Their common bands are used.
+    names : mapping of str to str, optional
+        From a room's name of a material to the archive's, where the two differ. A name that it does not
+        give is one material where the rooms' tables are near; else the later room's name stands by it.
+    weights : mapping of room name to float, optional
+        Between 0 and 1: how far a room counts; 0 leaves it out. 1 if not given.
+
+    Returns
+    -------
+    Archive
+        The library, what each room taught, and materials that are likely misnamed.
+
+    Raises
+    ------
+    DataError
+        For fewer than two rooms, one that occurs twice, rooms without common bands, an unknown name in
+        ``names`` or ``weights``, or a room in which two materials get one name.
+
+    Examples
+    --------
+    >>> import rtcal as rt
+    >>> room, measured = rt.datasets.bras_cr2()
+    >>> t = 1.2 * rt.Eyring().reverberation_time(room)  # they absorb less than stated
+    >>> rooms = [rt.calibrate(room.replace(name=n), f * t) for n, f in (("A", 1.0), ("B", 0.97))]
+    >>> archive = learn(rooms)
+    >>> print(archive.seen, bool(archive.material("floor").alpha[2] < room.alpha[3, 2]))
+    [2 2 2 2 2] True
+    """
+    used = _counted(rooms, weights)
+    mapped = checks.mapped("names", {} if names is None else names)
+    known = {m for each in used for m in each.room.materials}
+    if unknown := [name for name in mapped if name not in known]:
+        raise DataError(
+            f'names: "{unknown[0]}" is a material of no room; there are {", ".join(sorted(known)[:20])}'
+        )
+    places = {
+        f: [bands.index(each.room.centre_frequencies, f) for each in used]
+        for f in used[0].room.centre_frequencies
+    }
+    common = {f: [i for i in at if i is not None] for f, at in places.items() if None not in at}
+    if not common:
+        raise DataError("the rooms have no band in common")
+    frequencies = np.array([*common])
+    columns = [list(of_room) for of_room in zip(*common.values(), strict=True)]
+    called = _named(used, mapped, columns)
+    materials = tuple(dict.fromkeys(m for row in called for m in row))
+    mu, sigma, seen = _tables(used, called, materials, columns)
+    data = [
+        each.data([materials.index(m) for m in row], len(materials), of_room)
+        for each, row, of_room in zip(used, called, columns, strict=True)
+    ]
+    if not any(np.isfinite(d.target).any() for d in data):
+        raise DataError("no room has a measured T in the common bands")
+    evidence = Evidence(data, mu, sigma, np.log2(frequencies))
+    spread = evidence.fitted()
+    every = np.ones(len(evidence.room), dtype=bool)
+    left = _sigma(evidence.posterior(spread, every)[1], mu.shape)
+    # The spread is uncertain itself: means and variances are those of the mixture.
+    mixed = [(each, *evidence.posterior(each, every)) for each in evidence.plausible(spread)]
+    mean = np.mean([m for _, m, _ in mixed], axis=0)
+    of_mean = np.mean([_sigma(c, mu.shape) ** 2 + (m - mean) ** 2 for _, m, c in mixed], axis=0)
+    off, off_variance = np.array([evidence.together(each) for each, _, _ in mixed]).T
+    of_rooms = np.mean([(each.between * sigma) ** 2 for each, _, _ in mixed], axis=0)
+    lessons: list[Lesson] = []
+    suspects: list[Suspect] = []
+    for r, (each, row) in enumerate(zip(used, called, strict=True)):
+        if not (evidence.room == r).any():
+            continue
+        lesson, suspicion = _judged(evidence, spread, r, each.room.name, left)
+        lessons.append(lesson)
+        by_material = suspicion.sum(axis=1)
+        suspects += [
+            Suspect(
+                room=each.room.name,
+                material=each.room.materials[row.index(materials[i])],
+                instead=[*materials, ""][int(np.argmax(suspicion[i]))],
+                probability=float(by_material[i]),
+            )
+            for i in np.flatnonzero(by_material > 0.5)
+        ]
+    return Archive(
+        materials=materials,
+        centre_frequencies=frequencies,
+        table=mu,
+        table_sigma=sigma,
+        alpha=np.clip(mean, 0.0, 1.0),
+        sigma=np.sqrt(of_mean + of_rooms),
+        mean_sigma=np.sqrt(of_mean),
+        seen=seen,
+        spread=spread,
+        together=float(off.mean()),
+        together_sigma=float(np.sqrt(off_variance.mean() + off.var())),
+        room_sigma=float(np.sqrt(np.mean([each.room**2 for each, _, _ in mixed]))),
+        lessons=tuple(lessons),
+        suspects=tuple(sorted(suspects, key=lambda s: -s.probability)),
+        measured=tuple(
+            data_history(result.prior, result.measured_data)
+            for each in used
+            for result in each.results
+        ),
+    )
+
+
+def _sigma(covariance: Array, shape: tuple[int, ...]) -> Array:
+    return np.sqrt(np.maximum(np.diag(covariance), 0.0)).reshape(shape)
+
+
+def _counted(
+    rooms: Sequence[CalibrationResult | JointResult], weights: Mapping[str, float] | None
+) -> list[_Calibrated]:
+    """The rooms that count."""
+    listed = checks.listed("rooms", rooms)
+    for i, room in enumerate(listed):
+        if not isinstance(room, CalibrationResult | JointResult):
+            raise DataError(f"rooms[{i}] = {checks.shown(room)} is no result of rtcal.calibrate")
+    names = [_Calibrated.of(result).room.name for result in listed]
+    if repeated := [n for i, n in enumerate(names) if n in names[:i]]:
+        raise DataError(f'room "{repeated[0]}" occurs twice; its T would count twice')
+    stated = checks.mapped("weights", {} if weights is None else weights)
+    for name, value in stated.items():
+        if name not in names:
+            raise DataError(f'weights: "{name}" is no room; there are {", ".join(names[:20])}')
+        if not 0 <= checks.number(f'weights["{name}"]', value) <= 1:
+            raise DataError(f'weights["{name}"] = {value:g} is not from 0 to 1')
+    each = [
+        _Calibrated.of(result, float(stated.get(name, 1.0)))
+        for result, name in zip(listed, names, strict=True)
+    ]
+    kept = [room for room in each if room.weight > 0]
+    if not 2 <= len(kept) <= _MOST:
+        raise DataError(f"rooms that count: {len(kept)}; an archive has from 2 to {_MOST}")
+    return kept
+
+
+def _named(
+    rooms: Sequence[_Calibrated], names: Mapping[str, str], columns: Sequence[Sequence[int]]
+) -> list[list[str]]:
+    """The archive's names of each room's materials, each for one table: of another one "name (room)".
+
+    Those in ``names`` are one. A room that has a record states no table, but what an archive or a
+    calibration made of one.
+    """
+    one = set(names.values())
+    tables: dict[str, list[tuple[str, tuple[Array, Array]]]] = {}
+
+    def entry(name: str, room: Room, table: tuple[Array, Array]) -> str:
+        known = tables.setdefault(name, [])
+        for found, other in known:
+            if name in one or room.calibration or _is_one_material(*table, *other):
+                return found
+        known.append((f"{name} ({room.name})" if known else name, table))
+        return known[-1][0]
+
+    called = []
+    for room, of_room in zip((each.room for each in rooms), columns, strict=True):
+        stated = [str(names.get(m, m)) for m in room.materials]
+        if repeated := [m for i, m in enumerate(stated) if m in stated[:i]]:
+            raise DataError(
+                f'room "{room.name}": two of its materials are "{repeated[0]}"; merge them there'
+            )
+        called.append(
+            [
+                entry(name, room, (room.alpha[i, of_room], room.sigma[i, of_room]))
+                for i, name in enumerate(stated)
+            ]
+        )
+    return called
+
+
+def _tables(
+    rooms: Sequence[_Calibrated],
+    called: Sequence[Sequence[str]],
+    materials: Sequence[str],
+    columns: Sequence[Sequence[int]],
+) -> tuple[Array, Array, NDArray[np.int_]]:
+    """The mean of the rooms' entries for each material, their largest sigma, and how many there are."""
+    mu, sigma, seen = [], [], []
+    for name in materials:
+        rows = [
+            (each.room.alpha[row.index(name), own], each.room.sigma[row.index(name), own])
+            for each, row, own in zip(rooms, called, columns, strict=True)
+            if name in row
+        ]
+        mu.append(np.mean([alpha for alpha, _ in rows], axis=0))
+        sigma.append(np.max([each for _, each in rows], axis=0))
+        seen.append(len(rows))
+    return np.array(mu), np.array(sigma), np.array(seen, dtype=int)
+
+
+def _judged(
+    evidence: Evidence, spread: Spread, room: int, name: str, left: Array
+) -> tuple[Lesson, Array]:
+    """Return what one room taught, and the probability that its materials are others of the archive.
+
+    The probability (n_materials, n_materials + 1) is that the first is the second; the last column is
+    none of the archive's. The spread of the other rooms is found without this one: a room that does not
+    fit would excuse itself. ``spread`` is that of all rooms, with which the search begins, and ``left``
+    (n_materials, n_bands) the standard deviation of the entries by all rooms.
+    """
+    own = evidence.room == room
+    n = len(evidence.mu)
+    # With the spread of all rooms, so that the difference is what this room taught of the means.
+    less = np.diag(evidence.posterior(spread, ~own)[1])
+    spread = evidence.fitted(~own, spread)
+    mean, covariance = evidence.posterior(spread, ~own)
+    band, stated = evidence.band[own], evidence.areas[own]
+    correlation = evidence.correlation(spread)[np.ix_(band, band)]
+    target = evidence.target[own]
+    noise = evidence.noise[np.ix_(own, own)] + np.diag((spread.equation * target) ** 2)
+    # A material that the archive lacks: like one of its entries, but nobody knows which.
+    other = mean.mean(axis=0)[band]
+    width = np.sqrt(mean.var(axis=0) + np.mean(evidence.sigma**2, axis=0))[band]
+
+    def predicted(covered: Array, alien: Array) -> tuple[Array, Array]:
+        """b and its covariance with ``covered`` m² of each entry and ``alien`` m² of none of them."""
+        matrix = evidence.matrix(covered, band)
+        total = matrix @ mean.ravel() + alien * other
+        sigma = evidence.sigma.T[band] * covered
+        between = spread.between**2 * (sigma @ sigma.T) + np.outer(alien * width, alien * width)
+        factor = spread.room**2 * np.outer(total, total)
+        return total, matrix @ covariance @ matrix.T + between * correlation + factor + noise
+
+    none = np.zeros(len(band))
+    total, whole = predicted(stated, none)
+    base = _log_density(target - total, whole)
+    found = np.flatnonzero(stated.any(axis=0))
+    ratio = np.full((n, n + 1), -np.inf)
+    for i in found:
+        without = np.where(np.arange(n) == i, 0.0, stated)
+        area = stated[:, i]
+        for j in range(n + 1):
+            if j == i:
+                continue
+            covered = without + np.where(np.arange(n) == j, area[:, np.newaxis], 0.0)
+            total_j, whole_j = predicted(covered, area if j == n else none)
+            ratio[i, j] = _log_density(target - total_j, whole_j) - base
+    odds = MISNAMED / n * np.exp(np.minimum(ratio, 600.0))
+    rest = 1 - MISNAMED * len(found)
+    pull = spread.room**2 * total
+    gain = np.linalg.solve(whole, pull)
+    miss = target - total
+    q = float(miss @ np.linalg.solve(whole, miss))
+    without = np.sqrt(np.maximum(less, 0.0)).reshape(n, -1)
+    known = np.flatnonzero(odds.sum(axis=1) > 0)
+    learnt = [1 - left[i] / without[i] for i in known if (without[i] > 0).all()]
+    lesson = Lesson(
+        room=name,
+        factor=float(gain @ miss),
+        factor_sigma=float(np.sqrt(np.maximum(spread.room**2 - gain @ pull, 0.0))),
+        q=q,
+        degrees_of_freedom=len(miss),
+        p_value=float(chi2.sf(q, len(miss))),
+        taught=float(np.mean(learnt)) if learnt else 0.0,
+    )
+    return lesson, odds / (rest + odds.sum())
+
+
+def _log_density(miss: Array, covariance: Array) -> float:
+    factor, low = cho_factor(covariance, lower=True)
+    quadratic = miss @ cho_solve((factor, low), miss)
+    return float(-0.5 * quadratic - np.sum(np.log(np.diag(factor))))
+
+
+def materials(result: CalibrationResult | JointResult) -> tuple[str, ...]:
+    """Return the names of the materials of all states of a calibrated room."""
+    return tuple(_Calibrated.of(result).room.materials)
+
+
+def read_folder(folder: str | os.PathLike[str]) -> list[CalibrationResult | JointResult]:
+    """Return the calibrations in a folder: each ``result.json`` of ``rtcal calibrate --out`` below it.
+
+    Raises DataError if there is none, one that cannot be read, or more than 500. Files of other results
+    are left out.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> import rtcal as rt
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     path = rt.calibrate(*rt.datasets.bras_cr2()).save(f"{folder}/seminar room")
+    ...     print([result.prior.name for result in read_folder(folder)])
+    ['BRAS CR2, seminar room']
+    """
+    if not checks.path("folder", folder).is_dir():
+        raise DataError(f"{folder}: no such folder")
+    files = sorted(Path(folder).rglob(NUMBERS))
+    if not files:
+        raise DataError(f"folder {folder} has no {NUMBERS}; rtcal calibrate --out writes one")
+    kept = []
+    for file in files:
+        result = load(file)
+        if isinstance(result, CalibrationResult | JointResult):
+            kept.append(result)
+        if len(kept) > _MOST:
+            raise DataError(
+                f"folder {folder} has more than {_MOST} calibrations: name a smaller one"
+            )
+    if not kept:
+        raise DataError(f"folder {folder} has results, but no calibration among them")
+    return kept
