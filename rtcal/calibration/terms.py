@@ -285,9 +285,8 @@ class Objective:
         return self if isinstance(other, int) and other == 0 else as_objective(other) + self
 
     def __rmul__(self, factor: float) -> Objective:
-        checks.number("weight", factor, ModelError)
-        if not (np.isfinite(factor) and factor >= 0):
-            raise ModelError(f"a weight of {factor:g} is not finite and 0 or more: not convex")
+        if not 0 <= checks.number("weight", factor) < np.inf:
+            raise DataError(f"a weight of {factor:g} is not finite and 0 or more: not convex")
         return Objective(self.terms, tuple(float(factor) * w for w in self.weights))
 
     __mul__ = __rmul__
@@ -320,14 +319,6 @@ class SharedMaterials(Protocol):
     def groups(self, materials: tuple[str, ...]) -> Iterable[tuple[str, ...]]:
         """Return the groups of materials that share their coefficients."""
         ...
-
-
-def _positive(what: str, value: float | None) -> None:
-    if value is None:
-        return
-    given = checks.number(what.replace("(", ": "), value, ModelError)
-    if not (np.isfinite(given) and given > 0):
-        raise ModelError(f"{what}={given:g}): it must be finite and above 0")
 
 
 @dataclass(frozen=True)
@@ -371,7 +362,8 @@ class PriorDeviation(Term):
 
     def __post_init__(self) -> None:
         checks.flag("PriorDeviation: common", self.common)
-        _positive("PriorDeviation(sigma", self.sigma)
+        if self.sigma is not None:
+            checks.positive("PriorDeviation: sigma", self.sigma)
         # Kept as tuples: a term is hashable, so that its compiled problem is found again.
         given, pairs = self.band_correlation, self.material_correlation
         frozen: Any = _frozen("band_correlation", given)
@@ -441,19 +433,19 @@ class PriorDeviation(Term):
 def _frozen(what: str, value: Any) -> Any:
     if isinstance(value, Mapping):
         return ()
-    array = checks.array(what, value, ModelError)
+    array = checks.array(what, value)
     if array.ndim == 0:
         return float(array)
     if array.size and array.ndim != 2:
-        raise ModelError(f"{what} has shape {array.shape}; it is a number, a matrix or a mapping")
+        raise DataError(f"{what} has shape {array.shape}; it is a number, a matrix or a mapping")
     return tuple(map(tuple, array.tolist()))
 
 
 def _pair(names: Any, r: Any) -> tuple[str, str, float]:
     if not isinstance(names, tuple) or len(names) != 2:
-        raise ModelError(f"material_correlation: {names!r} is not a pair of materials")
+        raise DataError(f"material_correlation: {names!r} is not a pair of materials")
     a, b = str(names[0]), str(names[1])
-    return a, b, checks.number(f'material_correlation["{a}", "{b}"]', r, ModelError)
+    return a, b, checks.number(f'material_correlation["{a}", "{b}"]', r)
 
 
 def _by_name(given: Any) -> bool:
@@ -535,11 +527,11 @@ class HuberDeviation(Term):
     is_prior: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
-        _positive("HuberDeviation(sigma", self.sigma)
-        _positive("HuberDeviation(threshold", self.threshold)
-        checks.number("HuberDeviation: convex", self.convex, ModelError)
-        if not 0 < self.convex <= 1:
-            raise ModelError(f"HuberDeviation(convex={self.convex:g}): it must be in (0, 1]")
+        if self.sigma is not None:
+            checks.positive("HuberDeviation: sigma", self.sigma)
+        checks.positive("HuberDeviation: threshold", self.threshold)
+        if not 0 < checks.number("HuberDeviation: convex", self.convex) <= 1:
+            raise DataError(f"HuberDeviation: convex = {self.convex:g} is not in (0, 1]")
 
     def __call__(self, m: Model) -> Any:
         """½ e |x|² + (1 - e) (½ |x - p + q|² + t sum(p + q)), p and q >= 0 the parts beyond t."""
@@ -593,9 +585,8 @@ class MatchWithin(ExactMatch):
     jnd: float = 1.0
 
     def __post_init__(self) -> None:
-        checks.number("MatchWithin: jnd", self.jnd, ModelError)
-        if not 0 <= self.jnd < 1 / TARGET.jnd:
-            raise ModelError(f"MatchWithin({self.jnd:g}): the tolerance must be from 0 to below 20")
+        if not 0 <= checks.number("MatchWithin: jnd", self.jnd) < 1 / TARGET.jnd:
+            raise DataError(f"MatchWithin: jnd = {self.jnd:g} is not from 0 to below 20")
 
     def __call__(self, m: Model) -> list[Any]:
         """Two inequalities per band, or one equality if the tolerance is 0."""
@@ -654,13 +645,10 @@ class SoftMatch(Term):
     relative: float | None = None
 
     def __post_init__(self) -> None:
-        if self.relative is not None:
-            relative = checks.number("SoftMatch: relative", self.relative, ModelError)
-            if not 0 < relative <= 1:
-                percent = ": is it in percent?" if 1 < relative <= 100 else ""
-                raise ModelError(
-                    f"SoftMatch(relative={relative:g}): it is not above 0 and at most 1{percent}"
-                )
+        u = self.relative
+        if u is not None and not 0 < checks.number("SoftMatch: relative", u) <= 1:
+            percent = ": is it in percent?" if 1 < u <= 100 else ""
+            raise DataError(f"SoftMatch: relative = {u:g} is not above 0 and at most 1{percent}")
 
     def __call__(self, m: Model) -> Any:
         """½ |(S'alpha - b) / u_b|²."""
@@ -762,8 +750,7 @@ class LinearObservations(Term):
     name: str = "observations"
 
     def __post_init__(self) -> None:
-        if not isinstance(self.name, str):
-            raise ModelError(f"LinearObservations: name = {self.name!r} is not a text")
+        checks.text("LinearObservations: name", self.name)
 
     def __call__(self, m: Model) -> Any:
         """½ |R x - z|², R the upper triangle of the QR of the whitened J sigma.
@@ -840,20 +827,13 @@ class AddedAbsorption(Term):
     mean: float = 0.0
 
     def __post_init__(self) -> None:
-        if not isinstance(self.name, str):
-            raise ModelError(f"AddedAbsorption: name = {self.name!r} is not a text")
-        for what in ("sigma", "mean"):
-            checks.number(
-                f'AddedAbsorption("{self.name}"): {what}', getattr(self, what), ModelError
-            )
-        if not (np.isfinite(self.sigma) and self.sigma > 0 and np.isfinite(self.mean)):
-            raise ModelError(
-                f'AddedAbsorption("{self.name}"): sigma = {self.sigma:g} must be finite and above '
-                f"0, mean = {self.mean:g} finite"
-            )
-        gain = checks.array(f'AddedAbsorption("{self.name}"): gain', self.gain, ModelError)
+        own = f'AddedAbsorption("{checks.text("AddedAbsorption: name", self.name)}")'
+        checks.positive(f"{own}: sigma", self.sigma)
+        if not np.isfinite(checks.number(f"{own}: mean", self.mean)):
+            raise DataError(f"{own}: mean = {self.mean:g} is not finite")
+        gain = checks.array(f"{own}: gain", self.gain)
         if gain.ndim not in (1, 2) or not np.isfinite(gain).all():
-            raise ModelError(f'AddedAbsorption("{self.name}"): gain is not finite numbers by band')
+            raise DataError(f"{own}: gain is not finite numbers by band")
         frozen: Any = tuple(map(tuple, np.atleast_2d(gain).tolist()))
         object.__setattr__(self, "gain", frozen)
 
@@ -962,7 +942,7 @@ class Shared:
         for name in materials:
             _named("Shared", name)
         if len(set(materials)) < 2:
-            raise ModelError("Shared needs two different materials or more")
+            raise DataError("Shared needs two different materials or more")
         object.__setattr__(self, "materials", tuple(materials))
 
     def groups(self, materials: tuple[str, ...]) -> Iterable[tuple[str, ...]]:
@@ -992,7 +972,7 @@ class AtMost:
         _named("AtMost", self.lesser, self.band)
         _named("AtMost", self.greater)
         if self.lesser == self.greater:
-            raise ModelError(f'AtMost: "{self.lesser}" stands on both sides')
+            raise DataError(f'AtMost: "{self.lesser}" stands on both sides')
 
     def __call__(self, m: Model) -> list[Any]:
         """One inequality per band."""
@@ -1034,26 +1014,22 @@ class GroupAbsorption:
     configuration: int = 0
 
     def __post_init__(self) -> None:
-        if isinstance(self.materials, str) or not isinstance(self.materials, Iterable):
-            raise ModelError(
-                f"GroupAbsorption: materials = {self.materials!r} is not a list of names"
-            )
-        object.__setattr__(self, "materials", tuple(self.materials))
-        for name in self.materials:
-            _named("GroupAbsorption", name, self.band)
+        materials = checks.texts("GroupAbsorption: materials", self.materials)
+        object.__setattr__(self, "materials", materials)
+        _named("GroupAbsorption", None, self.band)
         given = [
-            checks.number(f"GroupAbsorption: {name}", v, ModelError)
+            checks.number(f"GroupAbsorption: {name}", v)
             for name, v in (("least", self.least), ("most", self.most))
             if v is not None
         ]
-        checks.whole("GroupAbsorption: configuration", self.configuration, 0, ModelError)
+        checks.whole("GroupAbsorption: configuration", self.configuration, 0)
         if not given or min(given) < 0 or given != sorted(given) or not np.isfinite(given).all():
-            raise ModelError(
+            raise DataError(
                 f"GroupAbsorption: least = {self.least}, most = {self.most} m²; it needs "
                 "0 <= least <= most, one of them at least"
             )
-        if not self.materials:
-            raise ModelError("GroupAbsorption needs a material")
+        if not materials:
+            raise DataError("GroupAbsorption needs a material")
 
     def __call__(self, m: Model) -> list[Any]:
         """One or two inequalities per band, or one equality if the two limits are the same."""

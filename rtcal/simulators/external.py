@@ -113,7 +113,10 @@ class External(RoomSimulator):
                 f"{self.name} returned {type(answer).__name__} of {values.dtype}, neither a "
                 "Measurement nor times in s"
             )
-        times = checks.array(f"{self.name} returned T20, which", values, SimulatorError)
+        try:
+            times = checks.array(f"{self.name} returned T20, which", values)
+        except DataError as hidden:
+            raise SimulatorError(str(hidden)) from hidden
         if times.shape != (self.room.n_bands,):
             raise SimulatorError(
                 f"{self.name} returned T20 of shape {times.shape}; the room's bands ask for "

@@ -11,14 +11,14 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from rtcal.support.errors import DataError, RtcalError
+from rtcal.support.errors import DataError
 from rtcal.support.types import Array
 
 T = TypeVar("T")
 
 
-def number(place: str, value: object, error: type[RtcalError] = DataError) -> float:
-    """Return a real number as a float; ``error`` for anything else, also text and True.
+def number(place: str, value: object) -> float:
+    """Return a real number as a float; DataError for anything else, also text and True.
 
     Examples
     --------
@@ -29,11 +29,11 @@ def number(place: str, value: object, error: type[RtcalError] = DataError) -> fl
     if isinstance(value, np.ndarray) and value.ndim == 0:
         value = value.item()
     if isinstance(value, bool) or not isinstance(value, real):
-        raise error(f"{place} = {shown(value)} is not a number")
+        raise DataError(f"{place} = {shown(value)} is not a number")
     try:
         return float(value)
     except OverflowError as cause:
-        raise error(f"{place} = {shown(value)} is too large a number") from cause
+        raise DataError(f"{place} = {shown(value)} is too large a number") from cause
 
 
 def positive(place: str, value: object, unit: str = "") -> float:
@@ -50,8 +50,8 @@ def positive(place: str, value: object, unit: str = "") -> float:
     return real
 
 
-def whole(place: str, value: object, least: int, error: type[RtcalError] = DataError) -> int:
-    """Return a whole number of at least ``least``; ``error`` for anything else.
+def whole(place: str, value: object, least: int) -> int:
+    """Return a whole number of at least ``least``; DataError for anything else.
 
     Examples
     --------
@@ -59,7 +59,7 @@ def whole(place: str, value: object, least: int, error: type[RtcalError] = DataE
     4
     """
     if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < least:
-        raise error(f"{place} = {shown(value)} is not a whole number of at least {least}")
+        raise DataError(f"{place} = {shown(value)} is not a whole number of at least {least}")
     return int(value)
 
 
@@ -128,23 +128,25 @@ def public_name(thing: Any) -> str:
     return f"{next(own, packages[-1])}.{name}"
 
 
-def array(place: str, value: object, error: type[RtcalError] = DataError) -> Array:
+def array(place: str, value: object) -> Array:
     """Return real numbers as an array; a float array is not copied.
 
-    ``error`` for anything else, also true and false, and for a masked array with masked entries.
+    DataError for anything else, also true and false, and for a masked array with masked entries.
     """
     if np.ma.isMaskedArray(value) and np.ma.getmaskarray(value).any():
-        raise error(f"{place} is a masked array with hidden entries; numbers are needed for all")
+        raise DataError(
+            f"{place} is a masked array with hidden entries; numbers are needed for all"
+        )
     if value is None:
-        raise error(f"{place} = None is not an array of real numbers")
+        raise DataError(f"{place} = None is not an array of real numbers")
     try:
         kind = np.asarray(value).dtype.kind
         if kind not in "bc" and not (isinstance(value, list | tuple) and _has_flags(value)):
             return np.asarray(value, dtype=float)
     except (TypeError, ValueError, OverflowError) as cause:
-        raise error(f"{place} is not an array of real numbers: {cause}") from cause
+        raise DataError(f"{place} is not an array of real numbers: {cause}") from cause
     found = "complex ones" if kind == "c" else "true or false"
-    raise error(f"{place} is not an array of real numbers: it has {found}")
+    raise DataError(f"{place} is not an array of real numbers: it has {found}")
 
 
 def _has_flags(value: Any) -> bool:
