@@ -16,7 +16,7 @@ import rtcal as rt
 from benchmarks import defective_meshes
 from rtcal.command.main import main
 from rtcal.io import geometry_files, mend, mesh
-from rtcal.io.mend.faces import volume_by_rays
+from rtcal.io.mend.shell import volume_by_rays
 from rtcal.io.units import notes as unit_notes
 from rtcal.report import figures
 from rtcal.simulators.geometry import Polyhedron

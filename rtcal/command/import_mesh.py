@@ -19,7 +19,7 @@ from rtcal.support.text import rounded, shortened
 
 if TYPE_CHECKING:
     from rtcal.acoustics.room import Room, Surface
-    from rtcal.io.mend import Mended, MeshError, Unclosed
+    from rtcal.io.mend import Mended, MeshError
 
 _LEAST_UNCERTAINTY = 1e-3
 """Relative uncertainty of V or of an area that a room states: no T is measured as exactly."""
@@ -66,7 +66,6 @@ def check(
         raise DataError("which mesh? rtcal import check room.obj")
     fit_ending("--mended", mended, ".obj")
     spare([path for path in (mended, picture) if path is not None], [mesh])
-    done: Mended | Unclosed
     drawn: Any
     with errors_name_options("unit", "weld"), _patience(mesh):
         try:
@@ -119,7 +118,7 @@ def geometry(
     volume: float | None,
     areas: tuple[str, ...],
     names: Sequence[str],
-) -> tuple[Mended | Unclosed | None, float, Sequence[Surface]]:
+) -> tuple[Mended | None, float, Sequence[Surface]]:
     """Return the mesh's room, volume in m³ and surfaces, from the mesh or from the options.
 
     ``names`` are those of the list's materials, for the message where the options lack them.
@@ -138,8 +137,9 @@ def geometry(
             except MeshError as error:
                 if not as_drawn or error.unclosed is None:
                     raise _with_volume(error) from error
-                unclosed = error.unclosed
-                return unclosed, unclosed.volume, unclosed.surfaces
+                model = error.unclosed
+                drawn = [Surface(name, name, area) for name, area in model.areas.items()]
+                return model, model.volume, drawn
         return model, model.volume, stated_surfaces(model.geometry)
     if as_drawn:
         raise DataError("--open is for a mesh: state --mesh, or leave it out")
@@ -155,7 +155,7 @@ def geometry(
 def with_scene(
     room: Room,
     mesh: str,
-    model: Mended | Unclosed,
+    model: Mended,
     unit: float | None,
     out: str,
     mended: str | None,
@@ -163,9 +163,7 @@ def with_scene(
 ) -> Room:
     """Return the room with its mesh, which is written where it was mended, as its picture is."""
     from rtcal.acoustics.scene import Scene
-    from rtcal.io.mend import Unclosed
-
-    if isinstance(model, Unclosed):
+    if model.geometry is None:
         for option, path in (("--mended", mended), ("--picture", picture)):
             if path is not None:
                 raise DataError(f"{option}: the mesh was not closed; leave --open or {option} out")
@@ -180,16 +178,14 @@ def with_scene(
     return room.replace(scene=Scene(mesh=target or mesh, unit=stated))
 
 
-def with_uncertainty(room: Room, model: Mended | Unclosed) -> tuple[Room, list[str]]:
+def with_uncertainty(room: Room, model: Mended) -> tuple[Room, list[str]]:
     """Return the room with what a mesh leaves open of its volume and areas, and the notes on it."""
-    from rtcal.io.mend import Unclosed
-
     read = [as_options(note, ["unit"]) for note in model.notes]
     notes = [f"mesh: {note}" for note in (*read, *map(str, model.defects))]
     if model.volume_uncertainty > _LEAST_UNCERTAINTY * room.volume:
         sigma = float(f"{model.volume_uncertainty / room.volume:.2g}")
         room = room.replace(volume_sigma=sigma)
-        drawn = "drawn: its faces do not close" if isinstance(model, Unclosed) else "mended"
+        drawn = "drawn: its faces do not close" if model.geometry is None else "mended"
         notes.append(f"V is known to {100 * sigma:.2g} % (volume_sigma), by what was {drawn}")
     unsure = model.area_uncertainty
     of_room = zip(room.materials, room.areas.tolist(), strict=True)

@@ -26,7 +26,7 @@ import numpy as np
 
 from rtcal.io import budget, units
 from rtcal.io.mend import Faces
-from rtcal.io.mend.faces import axes_of, normal_of, polygon_of, shapely
+from rtcal.io.mend.faces import Plane, normal_of, shapely
 from rtcal.io.text import decode, number, shown
 from rtcal.support import library
 from rtcal.support.checks import text_name
@@ -448,36 +448,31 @@ def _named(ifcopenshell: Any, element: Any) -> str:
 
 def _material_at(corners: Array, boundaries: list[_Boundary]) -> str:
     """Return the material of a triangle: of what covers most of it, coverings and the nearest first."""
-    normal = normal_of(corners)
-    axes = axes_of(normal)
-    own = polygon_of(corners, axes)
-    best, name = (0, 0, 0.0), ""
+    plane, best, name = Plane(corners), (0, 0, 0.0), ""
     for boundary in boundaries:
-        if boundary.is_filling or not _beside(boundary.corners, corners, normal):
+        if boundary.is_filling or not _beside(boundary.corners, plane):
             continue
-        shared = own.intersection(polygon_of(boundary.corners, axes)).area / own.area
-        away = abs(float((boundary.corners.mean(axis=0) - corners[0]) @ normal))
+        shared = plane.shape.intersection(plane.polygon(boundary.corners)).area / plane.shape.area
+        away = abs(float(plane.away(boundary.corners).mean()))
         rank = (int(shared > 0.5), int(boundary.is_covering), shared - away)
         if shared > 0 and (not name or rank > best):
             best, name = rank, boundary.material
     if name:
         return name
-    if abs(normal[2]) < _STEEP:
+    if abs(plane.normal[2]) < _STEEP:
         return "wall"
-    return "ceiling" if normal[2] > 0 else "floor"
+    return "ceiling" if plane.normal[2] > 0 else "floor"
 
 
-def _beside(corners: Array, face: Array, normal: Array) -> bool:
+def _beside(corners: Array, plane: Plane) -> bool:
     """Return whether a polygon is parallel to a face and near its plane."""
-    away = np.abs((corners - face[0]) @ normal).max()
-    return bool(abs(normal_of(corners) @ normal) > 0.99 and away < _NEAR)
+    parallel = abs(normal_of(corners) @ plane.normal) > 0.99
+    return bool(parallel and plane.thickness(corners) < _NEAR)
 
 
 def _on_face(corners: Array, triangles: Array) -> Array:
     """Return a polygon moved onto the plane of the nearest face that is parallel to it."""
     normal = normal_of(corners)
-    near = [t for t in triangles if _beside(corners, t, normal_of(t))]
-    if not near:
-        return corners
-    away = min(((t[0] - corners.mean(axis=0)) @ normal for t in near), key=abs)
+    near = [t for t in triangles if _beside(corners, Plane(t))]
+    away = min(((t[0] - corners.mean(axis=0)) @ normal for t in near), key=abs, default=0.0)
     return np.asarray(corners + normal * away)

@@ -21,7 +21,7 @@ from rtcal.io.mend.faces import (
     Faces,
     Mending,
     MeshError,
-    Work,
+    Part,
     edges_of,
     sorted_edge,
 )
@@ -52,16 +52,16 @@ def room_between(drawn: Faces, weld: float) -> tuple[Faces, tuple[Defect]] | Non
     MissingDependencyError
         Without manifold3d.
     """
-    mend = Mending(drawn, weld, 0.0, None)
+    mend = Mending(drawn, weld)
     try:
-        work = welded(mend)
+        part = welded(mend)
     except DataError:  # a corner that is not finite, or nothing but slivers: `mended` says so
         return None
-    groups = _solids(work.faces)
+    groups = _solids(part.faces)
     if groups is None or len(groups) < 2:
         return None
     try:
-        solids = [_polyhedron(mend, work, group) for group in groups]
+        solids = [_polyhedron(part, group) for group in groups]
     except DataError:  # a solid that reaches through itself
         return None
     thin = [4 * s.volume < _THIN * float(np.sum(s.face_areas)) for s in solids]
@@ -80,12 +80,12 @@ def room_between(drawn: Faces, weld: float) -> tuple[Faces, tuple[Defect]] | Non
         )
     room, *others = cavities
     index = [groups[k][i] for k, i in room.faces]
-    materials, names = ([of[i] for i in index] for of in (work.materials, work.names))
+    materials, names = ([of[i] for i in index] for of in (part.materials, part.names))
     done = f"closed solids: the room is the cavity of {rounded(room.volume, 4)} m³ between them"
     if others:
         sizes = listed([f"{rounded(c.volume, 3)} m³" for c in others])
         done += f", the largest; {'another' if len(others) == 1 else 'others'} of {sizes} left out"
-    first = tuple(work.names[group[0]] for group in groups[:MOST_PLACES])
+    first = tuple(part.names[group[0]] for group in groups[:MOST_PLACES])
     defect = Defect("solids", len(groups), 0.0, 0.0, 0.0, 0.0, first, done)
     faces = Faces(drawn.path, room.triangles, materials, names, drawn.notes, drawn.unit)
     return faces, (defect,)
@@ -108,11 +108,9 @@ def _solids(faces: Sequence[Sequence[int]]) -> list[list[int]] | None:
     return None if solid else solids
 
 
-def _polyhedron(mend: Mending, work: Work, group: Sequence[int]) -> Polyhedron:
+def _polyhedron(part: Part, group: Sequence[int]) -> Polyhedron:
     """Return a solid; its faces have the order of the group."""
-    return Polyhedron.from_polygons(
-        [(str(i), work.materials[i], mend.points[work.faces[i]]) for i in group]
-    )
+    return Polyhedron.from_polygons([(str(i), part.materials[i], part.corners(i)) for i in group])
 
 
 @dataclass(frozen=True)

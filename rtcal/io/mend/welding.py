@@ -15,17 +15,16 @@ from rtcal.io.mend.faces import (
     ANY_SHARE,
     CONTACT,
     SAME,
-    Edge,
     Face,
     Mending,
-    Work,
+    Part,
     area_of,
+    best_plane,
     edges_of,
     extent_of,
+    is_flat,
+    loops_of,
     normal_of,
-    one_loop,
-    owners,
-    plane_of,
     simplified,
     sorted_edge,
 )
@@ -36,104 +35,7 @@ from rtcal.support.errors import DataError
 from rtcal.support.types import Array
 
 
-def cleaned(mend: Mending, work: Work) -> Work:
-    """Return the faces without repeated corners, and without slivers."""
-    kept, slivers, area, unsure = [], [], 0.0, []
-    for i, face in enumerate(work.faces):
-        work.faces[i] = face = simplified(face)
-        size = area_of(mend.points[face]) if len(face) > 2 else 0.0
-        narrow = len(face) < 3 or size < mend.weld * extent_of(mend.points[face]) / 2
-        kept.append(not narrow)
-        if narrow:
-            slivers.append(work.names[i])
-            area += size
-            unsure.append((work.materials[i], ANY_SHARE * size))
-    if slivers:
-        mend.found(
-            "sliver",
-            f"faces narrower than {mend.weld * 1000:g} mm are dropped",
-            slivers,
-            area,
-            surface=-area,
-            unsure=unsure,
-        )
-    if not any(kept):
-        corners = np.concatenate([np.asarray(p) for p in mend.drawn.polygons])
-        across = np.linalg.norm(np.ptp(corners, axis=0))
-        raise mend.refused(
-            f"every face is narrower than the weld distance of {mend.weld * 1000:g} mm: as read, "
-            f"the mesh is {across * 1000:.2g} mm across. State a larger --unit, such "
-            "as 1 for a mesh drawn in m, or a smaller --weld"
-        )
-    return work.kept(kept)
-
-
-def without_repetitions(mend: Mending, work: Work) -> Work:
-    """Return the faces without those that are drawn twice.
-
-    Of two closed objects that stand on each other both faces go.
-    """
-    seen: dict[frozenset[int], int] = {}
-    pairs = list[tuple[int, int]]()
-    for i, face in enumerate(work.faces):
-        first = seen.setdefault(frozenset(face), i)
-        if first != i:
-            pairs.append((first, i))
-    if not pairs:
-        return work
-    common = _between_objects(mend, work, pairs)
-    kept, twice, area, unsure = [True] * len(work.faces), [], 0.0, []
-    buried, hidden = [], 0.0
-    for first, i in pairs:
-        face, kept[i] = work.faces[i], False
-        size = area_of(mend.points[face])
-        if first in common:
-            kept[first] = False
-            hidden += size
-            buried.append(f'"{work.names[i]}" on "{work.names[first]}"')
-            mend.buried.append(mend.points[face].mean(axis=0))
-        else:
-            area += size
-            own, other = work.materials[i], work.materials[first]
-            if own != other:  # either may be the one that is meant
-                unsure += [(own, size / np.sqrt(2)), (other, size / np.sqrt(2))]
-            twice.append(work.names[i] + (f", {own} on {other}" if own != other else ""))
-    if buried:
-        mend.found("contact", CONTACT, buried, hidden, surface=-2 * hidden)
-    if twice:
-        done = "faces drawn twice are taken once"
-        mend.found("twice", done, twice, area, surface=-area, unsure=unsure)
-    return work.kept(kept)
-
-
-def _between_objects(mend: Mending, work: Work, pairs: Sequence[tuple[int, int]]) -> set[int]:
-    """Return the first of each two faces that two closed objects, or one and the room, have in common.
-
-    Faces that are drawn twice are joined where no other face meets their edge. They are in common if
-    an even number of other faces, and some, meet in each edge around them.
-    """
-    copies = Counter(first for first, _ in pairs)
-    first_of = {i: first for pair in pairs for first in pair[:1] for i in pair}
-    group = {first: {first} for first in copies}
-    around: dict[int, list[int]] = {first: [] for first in copies}
-    for sides in owners(mend, work.faces).values():
-        own = {first_of[i] for i in sides if i in first_of}
-        if len(own) > 1 and all(i in first_of for i in sides):
-            joined = set[int]().union(*(group[first] for first in own))
-            group.update(dict.fromkeys(joined, joined))
-            continue
-        for first in own:
-            around[first].append(sum(first_of.get(i) != first for i in sides))
-    common = set()
-    for first, members in group.items():
-        others = [n for member in members for n in around[member]]
-        once = all(copies[member] == 1 for member in members)
-        if once and others and all(n > 0 and n % 2 == 0 for n in others):
-            common.add(first)
-    return common
-
-
-def welded(mend: Mending) -> Work:
+def welded(mend: Mending) -> Part:
     """Return the faces with corners within ``weld`` of each other as one."""
     drawn = np.concatenate([np.asarray(p, dtype=float) for p in mend.drawn.polygons])
     if not np.isfinite(drawn).all():
@@ -149,18 +51,16 @@ def welded(mend: Mending) -> Work:
     mend.points = np.array([drawn[g].mean(axis=0) for g in groups])
     shifts = np.linalg.norm(mend.points[index] - drawn, axis=1)
     moved = [k for k, g in enumerate(groups) if shifts[g].max() > 1e-4]
-    work, first, spread, unsure = Work(), 0, 0.0, []
-    for polygon, material, name in zip(
-        mend.drawn.polygons, mend.drawn.materials, mend.drawn.names, strict=True
-    ):
-        corners = slice(first, first + len(polygon))
-        first += len(polygon)
+    part, first, spread, unsure = Part(mend), 0, 0.0, []
+    drawn_rows = zip(mend.drawn.polygons, mend.drawn.materials, mend.drawn.names, strict=True)
+    for polygon, material, name in drawn_rows:
+        corners = slice(first, first := first + len(polygon))
         points = np.asarray(polygon)
         spread += (area_of(points) * float(shifts[corners].mean())) ** 2
         # A corner moves the area by half of its neighbours' distance; none is drawn better than others.
         across = np.linalg.norm(np.roll(points, 1, axis=0) - np.roll(points, -1, axis=0)) / 2
         unsure.append((material, float(np.sqrt(np.mean(shifts**2)) * across)))
-        work.add(map(int, index[corners]), material, name)
+        part.add(map(int, index[corners]), material, name)
     if moved:
         mend.found(
             "joint",
@@ -169,35 +69,128 @@ def welded(mend: Mending) -> Work:
             uncertainty=float(np.sqrt(spread)),
             unsure=unsure,
         )
-    return cleaned(mend, work)
+    return cleaned(part)
 
 
-def snapped(mend: Mending, work: Work) -> Work:
+def cleaned(part: Part) -> Part:
+    """Return the faces without repeated corners, and without slivers."""
+    mend = part.mend
+    part = Part(mend, map(simplified, part.faces), part.materials, part.names)
+    narrow = [
+        len(f) < 3 or area_of(mend.points[f]) < mend.weld * extent_of(mend.points[f]) / 2
+        for f in part.faces
+    ]
+    slivers = part.kept(narrow)
+    if slivers.faces:
+        areas = [
+            area if len(f) > 2 else 0.0
+            for f, area in zip(slivers.faces, slivers.areas, strict=True)
+        ]
+        mend.found(
+            "sliver",
+            f"faces narrower than {mend.weld * 1000:g} mm are dropped",
+            slivers.names,
+            sum(areas),
+            surface=-sum(areas),
+            unsure=[(m, ANY_SHARE * a) for m, a in zip(slivers.materials, areas, strict=True)],
+        )
+    if all(narrow):
+        corners = np.concatenate([np.asarray(p) for p in mend.drawn.polygons])
+        across = np.linalg.norm(np.ptp(corners, axis=0))
+        raise mend.refused(
+            f"every face is narrower than the weld distance of {mend.weld * 1000:g} mm: as read, "
+            f"the mesh is {across * 1000:.2g} mm across. State a larger --unit, such "
+            "as 1 for a mesh drawn in m, or a smaller --weld"
+        )
+    return part.kept(np.logical_not(narrow).tolist())
+
+
+def without_repetitions(part: Part) -> Part:
+    """Return the faces without those that are drawn twice.
+
+    Of two closed objects that stand on each other both faces go.
+    """
+    mend = part.mend
+    seen: dict[frozenset[int], int] = {}
+    firsts = [seen.setdefault(frozenset(face), i) for i, face in enumerate(part.faces)]
+    pairs = [(first, i) for i, first in enumerate(firsts) if first != i]
+    common = _between_objects(part, firsts, Counter(first for first, _ in pairs)) if pairs else ()
+    kept = [first == i for i, first in enumerate(firsts)]
+    for first, i in pairs:
+        name, own, other = part.names[i], part.materials[i], part.materials[first]
+        area = area_of(part.corners(i))
+        if first in common:
+            kept[first] = False
+            mend.found(
+                "contact", CONTACT, [f'"{name}" on "{part.names[first]}"'], area, 0.0, -2 * area
+            )
+            mend.buried.append(part.corners(i).mean(axis=0))
+            continue
+        # Of two materials either may be the one that is meant.
+        unsure = [(m, area / np.sqrt(2)) for m in (own, other) if own != other]
+        name += f", {own} on {other}" if own != other else ""
+        mend.found(
+            "twice", "faces drawn twice are taken once", [name], area, 0.0, -area, 0.0, unsure
+        )
+    return part.kept(kept)
+
+
+def _between_objects(part: Part, firsts: Sequence[int], copies: Counter[int]) -> set[int]:
+    """Return the first of each two faces that two closed objects, or one and the room, have in common.
+
+    Faces that are drawn twice are joined where no other face meets their edge. They are in common if
+    an even number of other faces, and some, meet in each edge around them.
+    """
+    group = {first: {first} for first in copies}
+    around: dict[int, list[int]] = {first: [] for first in copies}
+    for sides in part.owners().values():
+        drawn = [firsts[i] for i in sides]
+        own = {first for first in drawn if first in copies}
+        if len(own) > 1 and own.issuperset(drawn):
+            joined = set[int]().union(*(group[first] for first in own))
+            group.update(dict.fromkeys(joined, joined))
+            continue
+        for first in own:
+            around[first].append(sum(other != first for other in drawn))
+    common = set()
+    for first, members in group.items():
+        others = [n for member in members for n in around[member]]
+        once = all(copies[member] == 1 for member in members)
+        if once and others and all(n > 0 and n % 2 == 0 for n in others):
+            common.add(first)
+    return common
+
+
+def snapped(part: Part) -> Part:
     """Return the faces with corners that are near an edge moved onto it."""
-    moved: dict[int, float] = {}
-    sizes = [area_of(mend.points[f]) for f in work.faces]
-    for _ in range(4):
-        shift = _snap_once(mend, work)
-        for corner, distance in shift.items():
-            moved[corner] = max(moved.get(corner, 0.0), distance)
-        if not shift:
-            break
+    mend, before = part.mend, part.areas
+    moved = _snap(part)
     if moved:
-        pairs = list(zip(sizes, work.faces, strict=True))
-        spread = sum((size * np.mean([moved.get(v, 0.0) for v in f])) ** 2 for size, f in pairs)
-        changes = [size - area_of(mend.points[f]) for size, f in pairs]
+        shifts = [float(np.mean([moved.get(v, 0.0) for v in face])) for face in part.faces]
+        changes = np.subtract(before, part.areas).tolist()
         mend.found(
             "joint",
             f"corners up to {max(moved.values()) * 1000:.2g} mm beside an edge are moved onto it",
             [mend.place(v) for v in moved],
-            uncertainty=float(np.sqrt(spread)),
-            unsure=zip(work.materials, changes, strict=True),
+            uncertainty=float(np.linalg.norm(np.multiply(before, shifts))),
+            unsure=zip(part.materials, changes, strict=True),
         )
-    return cleaned(mend, work)
+    return cleaned(part)
 
 
-def _snap_once(mend: Mending, work: Work) -> dict[int, float]:
-    edges = sorted({sorted_edge(*e) for face in work.faces for e in edges_of(face)})
+def _snap(part: Part) -> dict[int, float]:
+    """Move corners that are near an edge onto it, and return by how much in m each."""
+    moved: dict[int, float] = {}
+    for _ in range(4):
+        shift = _snap_once(part)
+        moved |= {v: max(moved.get(v, 0.0), distance) for v, distance in shift.items()}
+        if not shift:
+            break
+    return moved
+
+
+def _snap_once(part: Part) -> dict[int, float]:
+    mend, edges = part.mend, part.edges
     ends = mend.points[np.array(edges)]
     lengths = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
     near = cKDTree(mend.points).query_ball_point(ends.mean(axis=1), lengths / 2 + mend.weld)
@@ -219,74 +212,66 @@ def _snap_once(mend: Mending, work: Work) -> dict[int, float]:
     return {v: distance for v, (distance, _) in best.items()}
 
 
-def rewelded(mend: Mending, work: Work) -> Work:
-    """Return the faces with the corners that cutting has made on older ones that are near."""
-    used = sorted({v for face in work.faces for v in face})
+def rejoined(part: Part) -> Part:
+    """Return the faces with the corners that cutting has made on older corners and edges nearby."""
+    mend = part.mend
+    used = sorted({v for face in part.faces for v in face})
     tree = cKDTree(mend.points[used])
     index: dict[int, int] = {}
     for k, v in enumerate(used):
         near = min(tree.query_ball_point(mend.points[v], mend.weld / 2))
         index[v] = index.get(used[near], used[near]) if near < k else v
-    faces = [simplified([index[v] for v in face]) for face in work.faces]
-    return Work(faces, work.materials, work.names).kept(
-        [len(f) > 2 and area_of(mend.points[f]) > SAME for f in faces]
-    )
+    faces = [simplified([index[v] for v in face]) for face in part.faces]
+    is_face = [len(f) > 2 and area_of(mend.points[f]) > SAME for f in faces]
+    part = Part(mend, faces, part.materials, part.names).kept(is_face)
+    _snap(part)
+    return part
 
 
-def settled(mend: Mending, work: Work) -> Work:
+def settled(part: Part) -> Part:
     """Return faces after cutting: joints closed, plane, and none so narrow that its corners are one."""
-    work = flattened(mend, resnapped(mend, rewelded(mend, work)))
-    return work.kept(
-        [2 * area_of(mend.points[f]) > WELD * extent_of(mend.points[f]) for f in work.faces]
-    )
+    part = flattened(rejoined(part))
+    return part.kept([2 * area_of(p) > WELD * extent_of(p) for p in part.polygons])
 
 
-def resnapped(mend: Mending, work: Work) -> Work:
-    """Return the faces with corners near an edge on it, without a word: cutting made them."""
-    for _ in range(4):
-        if not _snap_once(mend, work):
-            break
-    return work
-
-
-def joined(mend: Mending, work: Work) -> Work:
+def joined(part: Part) -> Part:
     """Return the faces with neighbours in one plane and of one material and name as one polygon."""
-    if len(work.faces) < 8 or not all(len(f) == 3 for f in work.faces):
-        return work
-    owners: dict[Edge, list[int]] = {}
-    for i, face in enumerate(work.faces):
-        for a, b in edges_of(face):
-            owners.setdefault((min(a, b), max(a, b)), []).append(i)
-    normals = np.array([normal_of(mend.points[f]) for f in work.faces])
-    group = np.full(len(work.faces), -1)
-    out = Work()
-    links: list[list[int]] = [[] for _ in work.faces]
-    for sides in owners.values():
-        if len(sides) == 2:
-            links[sides[0]].append(sides[1])
-            links[sides[1]].append(sides[0])
-    for first in range(len(work.faces)):
-        if group[first] >= 0:
+    mend = part.mend
+    if len(part.faces) < 8 or not all(len(f) == 3 for f in part.faces):
+        return part
+    sides: dict[tuple[int, int], list[int]] = {}
+    for i, face in enumerate(part.faces):
+        for edge in edges_of(face):
+            sides.setdefault(sorted_edge(*edge), []).append(i)
+    links: list[list[int]] = [[] for _ in part.faces]
+    for i, j in (pair for pair in sides.values() if len(pair) == 2):
+        links[i].append(j)
+        links[j].append(i)
+    normals = np.array([normal_of(p) for p in part.polygons])
+    done = [False] * len(part.faces)
+    out = Part(mend)
+    for first in range(len(part.faces)):
+        if done[first]:
             continue
-        group[first] = first
-        members, corners = [first], set(work.faces[first])
+        done[first] = True
+        members, corners = [first], set(part.faces[first])
         for i in members:  # the list grows during the loop
             for j in links[i]:
                 if (
-                    group[j] < 0
-                    and work.materials[j] == work.materials[first]
+                    not done[j]
+                    and part.materials[j] == part.materials[first]
                     and abs(float(normals[j] @ normals[first])) > 0.99
-                    and plane_of(mend.points[[*corners, *work.faces[j]]])[1] < PLANARITY * 0.9
+                    and best_plane(mend.points[[*corners, *part.faces[j]]])[1] < PLANARITY * 0.9
                 ):
-                    corners |= set(work.faces[j])
-                    group[j] = first
+                    corners |= set(part.faces[j])
+                    done[j] = True
                     members.append(j)
-        loop = one_loop([work.faces[i] for i in members], owners, set(members))
-        if loop is not None and len(members) > 1:
-            out.add(_straightened(mend, loop), work.materials[first], work.names[first])
+        count = Counter(sorted_edge(*e) for i in members for e in edges_of(part.faces[i]))
+        loops = loops_of([edge for edge, n in count.items() if n == 1])
+        if len(members) > 1 and loops is not None and len(loops) == 1:
+            out.add(_straightened(mend, loops[0]), part.materials[first], part.names[first])
         else:
-            for i in members:
-                out.add(work.faces[i], work.materials[i], work.names[i])
+            out.extend(part.of(members))
     return out
 
 
@@ -301,24 +286,20 @@ def _straightened(mend: Mending, loop: Face) -> Face:
     return kept if len(kept) > 2 else loop
 
 
-def flattened(mend: Mending, work: Work) -> Work:
+def flattened(part: Part) -> Part:
     """Return the faces with those that are not plane divided into triangles."""
-    out, bent, area, unsure = Work(), [], 0.0, []
-    for face, material, name in zip(work.faces, work.materials, work.names, strict=True):
+    mend, out = part.mend, Part(part.mend)
+    for face, material, name in part.rows():
         corners = mend.points[face]
-        off = np.abs((corners - corners.mean(axis=0)) @ normal_of(corners)).max()
-        if off <= PLANARITY * 0.9:
+        if is_flat(corners):
             out.add(face, material, name)
             continue
-        parts = facets.triangulate(corners)
-        if off > mend.weld:  # else it is a joint's, told already
-            bent.append(name)
-            area += area_of(corners)
-            folded = sum(area_of(corners[list(part)]) for part in parts)
-            unsure.append((material, folded - area_of(corners)))
-        for part in parts:
-            out.add((face[k] for k in part), material, name)
-    if bent:
-        done = "faces that are not plane are divided into triangles"
-        mend.found("bent", done, bent, area, unsure=unsure)
+        pieces = [[face[k] for k in piece] for piece in facets.triangulate(corners)]
+        for piece in pieces:
+            out.add(piece, material, name)
+        off = np.abs((corners - corners.mean(axis=0)) @ normal_of(corners)).max()
+        if off > mend.weld:  # else it is a joint's, noted already
+            area, folded = area_of(corners), sum(area_of(mend.points[piece]) for piece in pieces)
+            done = "faces that are not plane are divided into triangles"
+            mend.found("bent", done, [name], area, unsure=[(material, folded - area)])
     return out
