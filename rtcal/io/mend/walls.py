@@ -14,7 +14,6 @@ from rtcal.io.mend.faces import (
     Mending,
     Part,
     Plane,
-    area_of,
     best_plane,
     edges_of,
     extent_of,
@@ -56,20 +55,37 @@ Foot = list[tuple[int, Any]]
 
 
 class Walls:
-    """The faces of a shell, to be found by where they are."""
+    """The faces of a shell and of the objects on it, to be found by where they are."""
 
     def __init__(self, shell: Part) -> None:
-        self.mend, self.planes = shell.mend, [Plane(polygon) for polygon in shell.polygons]
+        self.mend, self.shell = shell.mend, Part(shell.mend)
+        self.planes = list[Plane]()
+        self._boxes, self._part_of = np.zeros((0, 2, 3)), np.zeros(0, dtype=int)
+        self.add(shell)
+
+    def add(self, part: Part) -> None:
+        """Add the faces of the shell, or of an object in it."""
         # An object that stands on a wall is moved onto it by as much as the offset.
         margin = 2 * self.mend.offset + self.mend.weld
-        self._low = np.array([p.min(axis=0) for p in shell.polygons]) - margin
-        self._high = np.array([p.max(axis=0) for p in shell.polygons]) + margin
+        boxes = [(p.min(axis=0) - margin, p.max(axis=0) + margin) for p in part.polygons]
+        number = self._part_of.max(initial=-1) + 1
+        self._boxes = np.concatenate([self._boxes, boxes])
+        self._part_of = np.concatenate([self._part_of, np.full(len(boxes), number)])
+        self.planes += map(Plane, part.polygons)
+        self.shell.extend(part)
 
     def near(self, corners: Array) -> list[tuple[int, Plane]]:
         """Return the number and the plane of each face that may touch what has these corners."""
-        low, high = corners.min(axis=0), corners.max(axis=0)
-        near = ((self._low <= high) & (low <= self._high)).all(axis=1)
+        return [(i, self.planes[i]) for i in np.flatnonzero(self._near(corners)).tolist()]
+
+    def of_parts_near(self, corners: Array) -> list[tuple[int, Plane]]:
+        """Return all faces of the shell and of each object of which one may touch these corners."""
+        near = np.isin(self._part_of, self._part_of[self._near(corners)])
         return [(i, self.planes[i]) for i in np.flatnonzero(near).tolist()]
+
+    def _near(self, corners: Array) -> Array:
+        low, high = corners.min(axis=0), corners.max(axis=0)
+        return np.asarray(((self._boxes[:, 0] <= high) & (low <= self._boxes[:, 1])).all(axis=1))
 
 
 def overlaid_on(walls: Walls, part: Part) -> list[tuple[int, list[Cut], float]] | None:
@@ -140,11 +156,9 @@ def standing_on(walls: Walls, part: Part) -> tuple[Foot, Part, list[tuple[str, f
     on = [overlaid_on(walls, Part(mend, [face], [""], [""])) for face in part.faces]
     part = part.kept([o is None or any(far > mend.weld for *_, far in o) for o in on])
     edges = part.open_edges()
-    loops = loops_of(edges)
-    if not loops or part.is_plane:
+    if not loops_of(edges) or part.is_plane:
         return None
-    feet = [_foot_of(walls, loop) for loop in loops]
-    foot = _together(feet) if None not in feet else _foot_on_several(walls, part, edges)
+    foot = _foot_of(walls, part, edges)
     if foot is None:
         return None
     found, moved = foot
@@ -156,41 +170,6 @@ def standing_on(walls: Walls, part: Part) -> tuple[Foot, Part, list[tuple[str, f
     for v, point in moved.items():
         mend.points[v] = point
     return found, flattened(part), [*unsure.items()]
-
-
-def _together(
-    feet: Sequence[tuple[Foot, dict[int, Array]] | None],
-) -> tuple[Foot, dict[int, Array]]:
-    found = [each for foot in feet if foot is not None for each in foot[0]]
-    return found, {v: point for foot in feet if foot is not None for v, point in foot[1].items()}
-
-
-def _foot_of(walls: Walls, loop: Face) -> tuple[Foot, dict[int, Array]] | None:
-    """Return what an open edge encloses on the nearest walls, and its corners there; else None."""
-    mend, corners = walls.mend, walls.mend.points[loop]
-    near = [
-        (
-            wall.thickness(corners),
-            i,
-            wall,
-            polygons_of(wall.polygon(corners).intersection(wall.shape), SAME),
-        )
-        for i, wall in walls.near(corners)
-        if wall.thickness(corners) <= mend.offset
-    ]
-    nearest = min((away for away, *_, pieces in near if pieces), default=np.inf)
-    found, moved = Foot(), dict[int, Array]()
-    for away, i, wall, pieces in near:
-        if away > nearest + mend.weld:
-            continue  # a wall behind the nearest, such as the back of a board
-        found += [(i, piece) for piece in pieces]
-        moved |= {
-            v: wall.onto(p) for v, p in zip(loop, corners, strict=True) if wall.beside(p) < SAME
-        }
-    covered = sum(piece.area for _, piece in found)
-    if covered < COVERED * area_of(corners) or len(moved) < len(loop):
-        return None
-    return found, moved
 
 
 def ends_at_walls(walls: Walls, part: Part) -> bool:
@@ -213,10 +192,10 @@ def _on_walls(walls: Walls, corner: int) -> tuple[Array, list[Plane]]:
     return point, used
 
 
-def _foot_on_several(
+def _foot_of(
     walls: Walls, part: Part, edges: Mapping[Edge, int]
 ) -> tuple[Foot, dict[int, Array]] | None:
-    """Return what an object that is open to several walls covers of each, and its corners there.
+    """Return what an object covers of each wall to which it is open, and its corners there.
 
     Its open edges divide the walls into pieces. Neighbours are of one side, but for those that meet at
     an open edge; the side of less area is covered. None if the open edges are not all on walls.
@@ -233,30 +212,23 @@ def _foot_on_several(
         for i, line in on:
             lines.setdefault(i, []).append(line)
     scene, pieces = Part(mend), Foot()
-    for i, wall in enumerate(walls.planes):
-        net = [wall.shape]
-        if i in lines:
-            made = shapely().polygonize([shapely().union_all([wall.shape.boundary, *lines[i]])])
-            net = polygons_of(made, SAME)
-            net = [piece for piece in net if wall.shape.contains(piece.representative_point())]
-        for piece in net:
-            for ring in (piece.exterior, *piece.interiors) if i in lines else ():
-                scene.add(mend.new_points(wall.lifted(ring_of(ring))), "", str(len(pieces)))
-            if i not in lines:
-                scene.add(mend.new_points(wall.corners), "", str(len(pieces)))
-            pieces.append((i, piece))
+    for i, wall in walls.of_parts_near(part.points):
+        if i not in lines:
+            scene.add(mend.new_points(wall.corners), "", str(len(pieces)))
+            pieces.append((i, wall.shape))
+            continue
+        net = shapely().union_all([wall.shape.boundary, *lines[i]])
+        for piece in polygons_of(shapely().polygonize([net]), SAME):
+            if wall.shape.contains(piece.representative_point()):
+                for ring in (piece.exterior, *piece.interiors):
+                    scene.add(mend.new_points(wall.lifted(ring_of(ring))), "", str(len(pieces)))
+                pieces.append((i, piece))
     for face in part.faces:
         scene.add(face, "", _OBJECT)
-    side = _sides(scene, len(pieces))
-    if side is None:
+    covered = _covered(scene, [float(piece.area) for _, piece in pieces])
+    if not 0 < sum(float(pieces[k][1].area) for k in covered) <= _MOST_OF_ROOM * walls.shell.size:
         return None
-    sizes = [
-        sum(float(p.area) for (_, p), k in zip(pieces, side, strict=True) if k == s) for s in (0, 1)
-    ]
-    covered = int(np.argmin(sizes))
-    if not 0 < sizes[covered] <= _MOST_OF_ROOM * sum(sizes):
-        return None
-    return [each for each, k in zip(pieces, side, strict=True) if k == covered], moved
+    return [pieces[k] for k in covered], moved
 
 
 _OBJECT = "object"
@@ -278,10 +250,10 @@ def _walls_of(walls: Walls, ends: Array) -> list[tuple[int, Any]]:
     return found
 
 
-def _sides(scene: Part, number: int) -> list[int] | None:
-    """Return the side, 0 or 1, of each piece of the walls; None if an object does not divide them."""
+def _covered(scene: Part, areas: Sequence[float]) -> list[int]:
+    """Return the pieces of walls that an object covers; none if it does not divide them in two."""
     scene = rejoined(scene)
-    links: list[list[tuple[int, int]]] = [[] for _ in range(number)]
+    links: list[list[tuple[int, int]]] = [[] for _ in areas]
     for faces in scene.owners().values():
         of_walls = [int(scene.names[k]) for k in faces if scene.names[k] != _OBJECT]
         if len(of_walls) == 2:
@@ -289,20 +261,22 @@ def _sides(scene: Part, number: int) -> list[int] | None:
             crossing = (len(faces) - 2) % 2
             links[first].append((second, crossing))
             links[second].append((first, crossing))
-    side = [-1] * number
-    for start in range(number):
-        if side[start] >= 0:
+    side: dict[int, int] = {}
+    covered = list[int]()
+    for start in range(len(areas)):
+        if start in side:
             continue
-        side[start] = 0
-        queue = [start]
-        for here in queue:  # the list grows during the loop
+        side[start], joined = 0, [start]
+        for here in joined:  # the list grows during the loop
             for there, crossing in links[here]:
-                if side[there] < 0:
+                if there not in side:
                     side[there] = side[here] ^ crossing
-                    queue.append(there)
+                    joined.append(there)
                 elif side[there] != side[here] ^ crossing:
-                    return None
-    return side
+                    return []
+        sizes = [sum(areas[k] for k in joined if side[k] == s) for s in (0, 1)]
+        covered += [k for k in joined if side[k] == int(np.argmin(sizes))]
+    return covered
 
 
 def _within_walls(room: Polyhedron, part: Part) -> Part | None:
@@ -395,9 +369,7 @@ def with_others(shell: Part, others: Sequence[Part]) -> Part:
     """Return the shell with overlays, objects and panels; what lies outside is left out."""
     if not others:
         return shell
-    mend, hull = shell.mend, shell.polyhedron()
-    shell = shell.of(range(len(shell.faces)))
-    walls = Walls(shell)
+    mend, hull, walls = shell.mend, shell.polyhedron(), Walls(shell)
     cuts: dict[int, list[Cut]] = {}
     panels, outside = list[Part](), Part(mend)
 
@@ -416,8 +388,7 @@ def with_others(shell: Part, others: Sequence[Part]) -> Part:
             continue
         kind, on = _kind_of(walls, part)
         if kind == "object":
-            shell.extend(part)
-            walls = Walls(shell)
+            walls.add(part)
         elif kind == "overlay":
             for wall, pieces, _ in on:
                 cuts.setdefault(wall, []).extend(pieces)
@@ -432,8 +403,7 @@ def with_others(shell: Part, others: Sequence[Part]) -> Part:
                 cuts.setdefault(wall, []).append((footprint, None, ""))
             covered = sum(float(footprint.area) for _, footprint in feet)
             note(kind, part, -_volume_over(walls, stood, feet), stood.size - covered, unsure)
-            shell.extend(stood)
-            walls = Walls(shell)
+            walls.add(stood)
         elif ends_at_walls(walls, part):
             raise mend.refused(
                 f'"{part.names[0]}" and the faces joined to it end at walls on all sides, and what '
@@ -443,6 +413,7 @@ def with_others(shell: Part, others: Sequence[Part]) -> Part:
         else:
             panels.append(part)
             note(kind, part, -THICKNESS * part.size, part.size)
+    shell = walls.shell
     _require_shell(shell, outside)
     if cuts:
         shell = settled(cut(shell, cuts))
