@@ -163,6 +163,7 @@ def with_scene(
 ) -> Room:
     """Return the room with its mesh, which is written where it was mended, as its picture is."""
     from rtcal.acoustics.scene import Scene
+
     if model.geometry is None:
         for option, path in (("--mended", mended), ("--picture", picture)):
             if path is not None:

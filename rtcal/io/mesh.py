@@ -1,9 +1,11 @@
 """Meshes of every format as `rtcal.io.mend.Faces`: what is drawn, with the names of its materials.
 
-A format is one reader: those of `obj` and `cad`; COLLADA (.dae), which SketchUp writes, by pycollada,
-and the others by trimesh (both ``rtcal[mesh]``). trimesh reads COLLADA, too, but not the materials'
-names. A mesh without materials, such as STL, has one, named after its file. Objects of 3MF, which have
-names and no materials, are materials.
+A format is one reader, which returns what a file draws in its own unit: OBJ and OFF by own code, DXF by
+ezdxf, COLLADA (.dae), which SketchUp writes, by pycollada, PLY by plyfile, and the others by trimesh
+(all ``rtcal[mesh]``). trimesh reads COLLADA, too, but not the materials' names. A mesh
+without materials, such as STL, has one, named after its file. Objects of 3MF, which have names and no
+materials, are materials. Of DXF (text) 3D faces, polyface and polygon meshes and meshes are read; the
+layer is the material, and others, such as lines, blocks and solids (ACIS), are counted in a note.
 
 The axes are turned so that z is up where the format says that y is (glTF, COLLADA).
 """
@@ -16,10 +18,10 @@ import os
 import re
 import struct
 import zipfile
-import zlib
 from collections import Counter
-from collections.abc import Callable, Iterator
-from dataclasses import replace
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -27,13 +29,13 @@ from xml.etree import ElementTree
 import numpy as np
 
 from rtcal.files.disk import read_bytes
-from rtcal.io import budget, cad, obj, units
+from rtcal.io import budget, ifc, obj, units
 from rtcal.io.mend import OFFSET, WELD, Faces, Mended, MeshError, closed, mended
 from rtcal.io.mend.solids import room_between
 from rtcal.io.text import decode, lines, number, shown
 from rtcal.support import checks, library
 from rtcal.support.checks import text_name
-from rtcal.support.errors import DataError, MissingDependencyError
+from rtcal.support.errors import DataError, MissingDependencyError, RtcalError
 from rtcal.support.text import listed
 from rtcal.support.types import Array
 
@@ -41,7 +43,6 @@ __all__ = ["read", "room"]
 __dir__ = __all__.copy
 
 MAX_BYTES = 2**26
-BY_TRIMESH = (".stl", ".glb", ".gltf", ".3mf")
 IFC = ".ifc"
 _Y_UP = (".glb", ".gltf")
 _TURNED = "y is up in the file: its z is here -y"
@@ -57,6 +58,19 @@ _SIMPLER = "simplify the model"
 _JSON_CHUNK = 0x4E4F534A
 _ROOMS = 1.5, 1000.0
 """Least and largest length in m of the longest side of the box around a room."""
+
+
+@dataclass
+class _Drawn:
+    """What a file draws: material, name and corners (n, 3) of each face in the file's unit.
+
+    ``unit`` is the length in m that the file states; ``y_is_up`` whether y is up.
+    """
+
+    faces: Iterable[tuple[str, str, Any]]
+    unit: float | None = None
+    y_is_up: bool = False
+    notes: Sequence[str] = ()
 
 
 def read(
@@ -89,7 +103,7 @@ def read(
         unit = checks.positive("unit", unit, "m")
     ending = checks.path("path", path).suffix.lower()
     if ending == IFC:
-        return cad.ifc_faces(os.fspath(path), unit, space, weld)
+        return ifc.faces(os.fspath(path), unit, space, weld)
     if space is not None:
         raise DataError(f"{path}: only a building model (IFC) has spaces: leave --space out")
     if ending in _REFUSED:
@@ -98,8 +112,45 @@ def read(
         raise DataError(
             f'{path}: "{ending}" is no format of a mesh; read are {", ".join((*READERS, IFC))}'
         )
-    content = read_bytes(path, MAX_BYTES)
-    return READERS[ending](content, os.fspath(path), unit)
+    content, path = read_bytes(path, MAX_BYTES), os.fspath(path)
+    drawn = READERS[ending](content, path, unit is not None)
+    rows = [*drawn.faces]
+    if not rows:
+        raise DataError(f"{path}: there is no face; a room has at least 4")
+    length = next((u for u in (unit, drawn.unit) if u is not None), 1.0)
+    axes = np.eye(3) if not drawn.y_is_up else np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])
+    polygons = [(np.asarray(corners, dtype=float) * length) @ axes for *_, corners in rows]
+    notes = (*units.notes(length, drawn.unit, unit), *[_TURNED] * drawn.y_is_up, *drawn.notes)
+    materials, names = (
+        _named(path, [row[k] for row in rows], of, otherwise)
+        for k, of, otherwise in ((0, "a material", Path(path).stem), (1, "a part", "part"))
+    )
+    known = None if unit is None and drawn.unit is None else length
+    return Faces(path, polygons, materials, names, notes, known)
+
+
+def _named(path: str, names: Sequence[str], of: str, otherwise: str) -> list[str]:
+    """Return names as a room's file takes them."""
+    taken = {name: text_name(f"{path}: {of}", name) or otherwise for name in {*names}}
+    return [taken[name] for name in names]
+
+
+@contextmanager
+def _parsing(path: str, kind: str) -> Iterator[None]:
+    """Raise DataError for whatever the parser of a library raises."""
+    try:
+        yield
+    except RtcalError:
+        raise
+    except ImportError as error:
+        raise MissingDependencyError(
+            f"{path}: needs another library ({error}): pip install 'rtcal[mesh]'"
+        ) from error
+    except Exception as error:
+        raise DataError(
+            f"{path}: cannot be read as {kind}: {' '.join(str(error).split())}. Export OBJ from your "
+            "program, one material per layer"
+        ) from error
 
 
 def room(
@@ -124,174 +175,200 @@ def room(
             done = mended(faces, weld=weld, offset=offset, largest_hole=largest_hole)
             done = replace(done, defects=(*solids, *done.defects))
     except MeshError as error:
-        _doubt_first(error, faces, os.fspath(path))
+        _doubt_first(error, faces)
         raise
-    taken = 1.0 if faces.unit is None else faces.unit
-    units.check_volume(done.volume, taken, os.fspath(path))
-    doubt = units.size_doubt(done.volume, done.size, taken, is_stated=faces.unit is not None)
-    box = "" if faces.unit is not None else units.box_note(done.size)
-    return replace(done, notes=(*filter(None, (doubt, box)), *done.notes))
+    units.check_volume(done.volume, faces.unit or 1.0, os.fspath(path))
+    return _with_doubts(done, faces)[1]
 
 
-def _doubt_first(error: MeshError, faces: Faces, path: str) -> None:
+def _with_doubts(done: Mended, faces: Faces) -> tuple[str, Mended]:
+    """Return the doubt about a room's size, if there is one, and the room with it among its notes."""
+    is_stated = faces.unit is not None
+    doubt = units.size_doubt(done.volume, done.size, faces.unit or 1.0, is_stated=is_stated)
+    if doubt and done.geometry is None:
+        doubt = f"by rays {doubt}"
+    box = "" if is_stated else units.box_note(done.size)
+    return doubt, replace(done, notes=(*filter(None, (doubt, box)), *done.notes))
+
+
+def _doubt_first(error: MeshError, faces: Faces) -> None:
     """Begin the message of a refused mesh with the doubt about its size, if there is one."""
-    taken = 1.0 if faces.unit is None else faces.unit
-    unclosed = error.unclosed
     doubt = ""
-    if unclosed is None:
+    if error.unclosed is not None:
+        doubt, error.unclosed = _with_doubts(error.unclosed, faces)
+    else:
         size = np.ptp(np.concatenate(list(faces.polygons)), axis=0)
         if np.isfinite(size).all() and not _ROOMS[0] < size.max() < _ROOMS[1]:
-            doubt = f"as read with unit = {taken:g} it is {units.in_words(size)}"
-    else:
-        notes = unclosed.notes
-        if faces.unit is None:
-            notes = (units.box_note(unclosed.size), *notes)
-        said = units.size_doubt(
-            unclosed.volume, unclosed.size, taken, is_stated=faces.unit is not None
-        )
-        if said:
-            doubt = f"by rays {said}"
-            notes = (doubt, *notes)
-        error.unclosed = replace(unclosed, notes=notes)
+            doubt = f"as read with unit = {faces.unit or 1.0:g} it is {units.in_words(size)}"
     if doubt:
-        error.args = (f"{path}: {doubt}. {str(error).removeprefix(f'{path}: ')}",)
+        error.args = (f"{faces.path}: {doubt}. {str(error).removeprefix(f'{faces.path}: ')}",)
 
 
-def _obj(content: bytes, path: str, unit: float | None) -> Faces:
-    return obj.faces(content, path, unit, Path(path).stem)
+def _obj(content: bytes, path: str, _: bool) -> _Drawn:
+    vertices, polygons, materials, names, _line = obj.drawn(
+        content, path, 1.0, Path(path).stem, budget.MAX_FACES
+    )
+    points = np.array(vertices)
+    return _Drawn(zip(materials, names, (points[face] for face in polygons), strict=True))
 
 
-def _by_trimesh(content: bytes, path: str, unit: float | None) -> Faces:
+_DXF = ("3DFACE", "POLYLINE", "VERTEX", "SEQEND", "MESH")
+_KIND = re.compile(rb"^[ \t]*0[ \t]*\r?\n[ \t]*([A-Z0-9_]*[A-Z][A-Z0-9_]*)", re.MULTILINE)
+"""An entity's name: the value of the group code 0."""
+_INSUNITS = re.compile(rb"^\$INSUNITS[ \t]*\r?\n[ \t]*70[ \t]*\r?\n[ \t]*(\S+)", re.MULTILINE)
+
+
+def _by_ezdxf(content: bytes, path: str, unit_is_stated: bool) -> _Drawn:
+    """Return the faces in the model space of a DXF file, read entity by entity."""
+    needed = "DXF needs ezdxf: pip install 'rtcal[mesh]'; OBJ does not"
+    ezdxf = library(needed, "ezdxf", "ezdxf.addons.iterdxf", "ezdxf.render")
+    if content.startswith(b"AutoCAD Binary DXF"):
+        raise DataError(f"{path}: binary DXF; save it as text (ASCII) DXF")
+    unit = None
+    if found := _INSUNITS.search(content.partition(b"ENTITIES")[0]):
+        place = f"{path}, line {content.count(bytes([10]), 0, found.start(1)) + 1}"
+        code = number(found[1].decode("latin-1"), place)
+        if code not in units.OF_DXF and not unit_is_stated:
+            raise DataError(
+                f"{place}: $INSUNITS = {code:g} is no unit of DXF, which has 0 to "
+                f"{max(units.OF_DXF)}; state its length in m, such as unit = 0.01"
+            )
+        unit = units.OF_DXF.get(int(code))
+    section = content.partition(b"ENTITIES")[2].partition(b"ENDSEC")[0]
+    others = Counter(k for k in map(bytes.decode, _KIND.findall(section)) if k not in _DXF)
+    faces: list[tuple[str, str, Any]] = []
+    with _parsing(path, "DXF"):
+        encoding = ezdxf.filemanagement.dxf_file_info(path).encoding
+        for entity in ezdxf.addons.iterdxf.modelspace(path, types=_DXF):
+            drawn = _faces_of_dxf(ezdxf, entity)
+            if drawn is None:
+                others[entity.dxftype()] += 1
+                continue
+            layer = decode(entity.dxf.layer.encode(encoding, "surrogateescape"), path).characters
+            for face in drawn:
+                corners = [corner.xyz for corner in face]
+                faces.append((layer or "0", f"{layer or '0'} {len(faces) + 1}", corners))
+            budget.require(len(faces), budget.MAX_FACES, "faces", path, _SIMPLER)
+    left_out = ", ".join(f"{n} {shown(kind)}" for kind, n in others.most_common(5))
+    if not faces:
+        raise DataError(
+            f"{path}: no 3D face{f' (but {left_out})' if left_out else ''}; in your program, convert "
+            "solids and surfaces to meshes or 3D faces"
+        )
+    return _Drawn(faces, unit, notes=[f"no faces, left out: {left_out}"] if left_out else [])
+
+
+def _faces_of_dxf(ezdxf: Any, entity: Any) -> list[Sequence[Any]] | None:
+    """Return the corners of each face of an entity; None for a polyline that is no mesh."""
+    kind = entity.dxftype()
+    if kind == "3DFACE":
+        corners = (entity.dxf.get(f"vtx{k}") for k in range(4))
+        return [[corner for corner in corners if corner is not None]]
+    if kind == "MESH":
+        return [*ezdxf.render.MeshBuilder.from_mesh(entity).faces_as_vertices()]
+    if entity.is_poly_face_mesh or entity.is_polygon_mesh:
+        return [face.wcs_vertices() for face in entity.virtual_entities()]
+    return None
+
+
+def _by_trimesh(content: bytes, path: str, unit_is_stated: bool) -> _Drawn:
     """Return the faces of a scene that trimesh reads; each triangle is a face."""
     needed = "this format needs trimesh: pip install 'rtcal[mesh]'; OBJ does not"
     trimesh = library(needed, "trimesh")
-    ending = Path(path).suffix.lower()
-    source: Any = path
-    notes: list[str] = []
-    stated = "meter"  # glTF's
+    ending, source = Path(path).suffix.lower(), io.BytesIO(content)
+    unit, notes = (1.0 if ending in _Y_UP else None), list[str]()
     if ending == ".3mf":
-        stated, notes = _head_of_3mf(content, path)
+        unit, notes = _head_of_3mf(content, path, unit_is_stated)
     elif ending == ".stl":
-        _require_triangles(content, path)
-    if ending in _Y_UP:
+        is_text = content[:5].lower() == b"solid" and b"facet" in content[:1000]
+        n = content.count(b"facet normal") if is_text else (len(content) - 84) // 50
+        budget.require(n, budget.MAX_FACES, "triangles", path, _SIMPLER)
+    else:
         source = io.BytesIO(_prepared_gltf(content, path, ending))
-    try:
+    with _parsing(path, ending[1:]):
         resolver = trimesh.resolvers.FilePathResolver(path)
         scene = trimesh.load_scene(source, file_type=ending[1:], resolver=resolver, process=False)
         parts = [
-            (name, geometry, np.asarray(transform, dtype=float))
+            (str(name), scene.geometry[name], np.asarray(transform, dtype=float))
             for node in scene.graph.nodes_geometry
             for transform, name in [scene.graph[node]]
-            for geometry in [scene.geometry[name]]
-            if hasattr(geometry, "faces")
+            if hasattr(scene.geometry[name], "faces")
         ]
-    except ImportError as error:
-        raise MissingDependencyError(
-            f"{path}: trimesh reads this with another library ({error}): pip install 'rtcal[mesh]'"
-        ) from error
-    except Exception as error:  # trimesh raises what its parsers raise
-        raise DataError(
-            f"{path}: cannot be read as {ending[1:]}: {error}. Export OBJ from your program, one "
-            "material per layer"
-        ) from error
     count = sum(len(g.faces) for _, g, _ in parts)
     budget.require(count, budget.MAX_FACES, "triangles", path, _SIMPLER)
-    turned = ending in _Y_UP
-    in_file = None
-    if ending != ".stl":
-        if unit is None and stated not in units.OF_3MF:
-            raise DataError(
-                f'{path}: unit "{shown(stated)}" is none of 3MF\'s, which are '
-                f"{listed([*units.OF_3MF])}; state its length in m, such as unit = 0.01"
-            )
-        in_file = units.OF_3MF.get(stated)
-    length = next((u for u in (unit, in_file) if u is not None), 1.0)
-    notes += units.notes(length, in_file, unit)
-    notes += [_TURNED] * turned
-    polygons: list[Array] = []
-    materials: list[str] = []
-    names: list[str] = []
+    faces: list[tuple[str, str, Any]] = []
     for name, geometry, transform in parts:
         points = np.asarray(geometry.vertices, dtype=float) @ transform[:3, :3].T + transform[:3, 3]
-        points = points * length
-        points = _z_up(points) if turned else points
         index = np.asarray(geometry.faces)
         if index.size and not 0 <= index.min() <= index.max() < len(points):
-            raise DataError(f'{path}: part "{shown(str(name))}" has a face without its corners')
+            raise DataError(f'{path}: part "{shown(name)}" has a face without its corners')
         # An object of 3MF has a name and no material: its author tells surfaces apart by it.
-        by_object = ending == ".3mf" and len(parts) > 1
-        material = _material(geometry) or (str(name) if by_object else Path(path).stem)
-        polygons += list(points[index])
-        materials += [text_name(f"{path}: a material", material)] * len(index)
-        names += [text_name(f"{path}: a part", str(name)) or "part"] * len(index)
-    if not polygons:
-        raise DataError(f"{path}: there is no face; a room has at least 4")
-    known = None if unit is None and in_file is None else length
-    return Faces(path, polygons, materials, names, tuple(notes), known)
+        own = getattr(getattr(getattr(geometry, "visual", None), "material", None), "name", None)
+        material = str(own or (name if ending == ".3mf" and len(parts) > 1 else ""))
+        faces += [(material, name, corners) for corners in points[index]]
+    return _Drawn(faces, unit, ending in _Y_UP, notes)
 
 
-def _z_up(points: Array) -> Array:
-    """Return points (n, 3) of a file in which y is up."""
-    return np.asarray(points[:, [0, 2, 1]] * np.array([1.0, -1.0, 1.0]))
-
-
-def _material(geometry: Any) -> str:
-    """Return the name of a part's material; "" without one."""
-    visual = getattr(geometry, "visual", None)
-    return str(getattr(getattr(visual, "material", None), "name", None) or "")
-
-
-def _require_triangles(content: bytes, path: str) -> None:
-    """Raise DataError if an STL file has more triangles than the budget."""
-    is_text = content[:5].lower() == b"solid" and b"facet" in content[:1000]
-    n = content.count(b"facet normal") if is_text else (len(content) - 84) // 50
-    budget.require(n, budget.MAX_FACES, "triangles", path, _SIMPLER)
-
-
-def _head_of_3mf(content: bytes, path: str) -> tuple[str, list[str]]:
-    """Return the unit of a 3MF file and what is not read of it; DataError beyond the budget."""
+def _head_of_3mf(content: bytes, path: str, unit_is_stated: bool) -> tuple[float | None, list[str]]:
+    """Return the unit in m of a 3MF file and what is not read of it; DataError beyond the budget."""
     sizes = budget.members(content, path, "a 3MF file")
-    unit, notes = "millimeter", []  # the format's default
+    with zipfile.ZipFile(io.BytesIO(content)) as archive:
+        models = [name for name in sizes if name.lower().endswith(".model")]
+        heads = _within_budget((archive.open(name) for name in models), path, "3mf")
+    stated = heads.get("model", {}).get("unit", "millimeter")  # the format's default
+    if not unit_is_stated and stated not in units.OF_3MF:
+        raise DataError(
+            f'{path}: unit "{shown(stated)}" is none of 3MF\'s, which are '
+            f"{listed([*units.OF_3MF])}; state its length in m, such as unit = 0.01"
+        )
+    note = "the file's materials are not read: its objects are the materials"
+    return units.OF_3MF.get(stated), [note] * ("base" in heads)
+
+
+_OWNERS = ("object", "build", "node", "geometry", "visual_scene")
+_ROOTS = ("build", "visual_scene")
+_DRAWN = ("triangle", "triangles", "polylist", "polygons", "tristrips", "trifans")
+_INSTANCES = ("component", "item", "instance_node", "instance_geometry", "instance_controller")
+
+
+def _within_budget(streams: Iterable[Any], path: str, kind: str) -> dict[str, Mapping[str, str]]:
+    """Return the first element of each kind in files of XML (3MF, COLLADA), by its attributes.
+
+    Raises DataError if the instances of what they define have more faces than the budget.
+    """
     faces: dict[str, int] = {}
     parts: dict[str, list[str]] = {}
-    items: list[str] = []
-    current = ""
-    with zipfile.ZipFile(io.BytesIO(content)) as archive:
-        for name in (n for n in sizes if n.lower().endswith(".model")):
-            try:
-                for event, element in ElementTree.iterparse(archive.open(name), ("start", "end")):
-                    tag = element.tag.rpartition("}")[2]
-                    if event == "end":
-                        element.clear()
-                    elif tag == "model":
-                        unit = element.get("unit", unit)
-                    elif tag == "object":
-                        current = element.get("id", "")
-                        faces[current], parts[current] = 0, []
-                    elif tag == "triangle" and current:
-                        faces[current] += 1
-                    elif tag == "component" and current:
-                        parts[current].append(element.get("objectid", ""))
-                    elif tag == "item":
-                        items.append(element.get("objectid", ""))
-                    elif tag == "base":
-                        notes = ["the file's materials are not read: its objects are the materials"]
-            except (
-                ElementTree.ParseError,
-                zipfile.BadZipFile,
-                zlib.error,
-                NotImplementedError,
-                EOFError,
-                OSError,
-                ValueError,
-            ) as error:
-                raise DataError(f"{path}: cannot be read as 3mf: {error}") from error
-    total = budget.instances(faces, parts, items, path)
-    budget.require(total, budget.MAX_FACES, "triangles", path, _SIMPLER)
-    return unit, notes
+    within: list[str] = []  # the ids of the owners around an element
+    heads: dict[str, Mapping[str, str]] = {}
+    roots: list[str] = []
+    with _parsing(path, kind):
+        for stream in streams:
+            for event, element in ElementTree.iterparse(stream, ("start", "end")):
+                tag = element.tag.rpartition("}")[2]
+                if event == "end":
+                    within = within[:-1] if tag in _OWNERS else within
+                    element.clear()
+                    continue
+                heads.setdefault(tag, dict(element.attrib))
+                if tag in _OWNERS:
+                    name = element.get("id") or f"{tag} {len(faces)}"
+                    faces.setdefault(name, 0)
+                    parts.setdefault(name, [])
+                    if within:
+                        parts[within[-1]].append(name)
+                    roots += [name] * (tag in _ROOTS)
+                    within = [*within, name]
+                elif within and tag in _DRAWN:
+                    faces[within[-1]] += 1 if tag == "triangle" else int(element.get("count") or 0)
+                elif within and tag in _INSTANCES:
+                    of = element.get("url") or element.get("objectid") or ""
+                    parts[within[-1]].append(of.removeprefix("#"))
+    total = budget.instances(faces, parts, roots, path)
+    budget.require(total, budget.MAX_FACES, "faces", path, _SIMPLER)
+    return heads
 
 
-def _off(content: bytes, path: str, unit: float | None) -> Faces:
+def _off(content: bytes, path: str, _: bool) -> _Drawn:
     """Return the faces of an OFF file; colours, where faces have several, are the materials."""
     rows = [
         (n, words)
@@ -312,15 +389,14 @@ def _off(content: bytes, path: str, unit: float | None) -> Faces:
     budget.require(n_faces, budget.MAX_FACES, "faces", path, _SIMPLER)
     if len(rows) < n_points + n_faces:
         raise DataError(f"{path}: {len(rows)} lines for {n_points} corners and {n_faces} faces")
-    length = 1.0 if unit is None else unit
     points = np.zeros((n_points, 3))
     for i, (n, words) in enumerate(rows[:n_points]):
         if len(words) < 3:
             raise DataError(
                 f"{path}, line {n}: a corner has {len(words)} numbers; x y z are needed"
             )
-        points[i] = [length * number(word, f"{path}, line {n}") for word in words[:3]]
-    polygons, colours = [], []
+        points[i] = [number(word, f"{path}, line {n}") for word in words[:3]]
+    faces: list[tuple[str, str, Any]] = []
     for n, words in rows[n_points : n_points + n_faces]:
         try:
             size, *index = (int(word) for word in words[: 1 + int(words[0])])
@@ -328,14 +404,16 @@ def _off(content: bytes, path: str, unit: float | None) -> Faces:
                 raise ValueError
         except ValueError as error:
             raise DataError(f"{path}, line {n}: a face without its corners") from error
-        polygons.append(points[index])
-        colours.append(" ".join(words[1 + size :]))
-    if not polygons:
-        raise DataError(f"{path}: there is no face; a room has at least 4")
-    several = len(set(colours)) > 1
-    stem = Path(path).stem
-    materials = [f"colour {shown(c)}" if several and c else stem for c in colours]
-    return Faces(path, polygons, materials, materials, tuple(units.notes(length, None, unit)), unit)
+        faces.append((" ".join(words[1 + size :]), "", points[index]))
+    return _Drawn(_coloured(faces))
+
+
+def _coloured(faces: Sequence[tuple[str, str, Any]]) -> Iterator[tuple[str, str, Any]]:
+    """Yield faces with their colours as materials, where they have several."""
+    several = len({colour for colour, *_ in faces}) > 1
+    for colour, _, corners in faces:
+        name = f"colour {colour}" if several and colour else ""
+        yield name, name, corners
 
 
 def _prepared_gltf(content: bytes, path: str, ending: str) -> bytes:
@@ -384,55 +462,35 @@ def _gltf_colour(material: Any) -> str:
     return "#" + "".join(f"{round(255 * float(c)):02x}" for c in colour[:3]) if colour else ""
 
 
-def _by_plyfile(content: bytes, path: str, unit: float | None) -> Faces:
+def _by_plyfile(content: bytes, path: str, _: bool) -> _Drawn:
     """Return the faces of a PLY file; its layers (I-Simpa's), else its colours, are the materials."""
     plyfile = library("PLY needs plyfile: pip install 'rtcal[mesh]'", "plyfile")
     head = content[: max(content.find(b"end_header"), 0)]
     for of, n in re.findall(rb"^element (\w+) (\d{1,18})", head, re.MULTILINE):
         most = budget.MAX_CORNERS if of == b"vertex" else budget.MAX_FACES
         budget.require(int(n), most, f"elements {of.decode()}", path, _SIMPLER)
-    try:
+    with _parsing(path, "ply"):
         data = plyfile.PlyData.read(io.BytesIO(content))
         points = np.column_stack([data["vertex"][axis] for axis in "xyz"]).astype(float)
         face = data["face"]
-        (index,) = [face[p.name] for p in face.properties if p.name in _CORNERS_OF_PLY]
-        materials = _ply_materials(data, face, Path(path).stem)
-    except Exception as error:  # plyfile raises what its parser raises
-        raise DataError(
-            f"{path}: cannot be read as ply: {error}. Export OBJ from your program, one material per "
-            "layer"
-        ) from error
-    length = 1.0 if unit is None else unit
-    polygons = []
-    for i, corners in enumerate(index):
+        known = {p.name for p in face.properties}
+        (index,) = [face[name] for name in ("vertex_indices", "vertex_index") if name in known]
+        layers, colours = [""] * len(index), [""] * len(index)
+        if "layer_id" in known:
+            names = [_ply_text(row) for e in data.elements if e.name == "layer" for row in e.data]
+            numbers = np.asarray(face["layer_id"], dtype=int).reshape(-1).tolist()
+            layers = [names[k] if 0 <= k < len(names) else f"layer {k}" for k in numbers]
+        elif {"red", "green", "blue"} <= known:
+            rgb = np.column_stack([face[c] for c in ("red", "green", "blue")])
+            rgb = np.round(255 * rgb) if rgb.dtype.kind == "f" else rgb
+            colours = ["#" + "".join(f"{int(c):02x}" for c in row) for row in rgb.reshape(-1, 3)]
+    faces: list[tuple[str, str, Any]] = []
+    for i, (corners, colour) in enumerate(zip(index, colours, strict=True)):
         if len(corners) < 3 or not 0 <= min(corners) <= max(corners) < len(points):
             raise DataError(f"{path}: face {i} is without its corners")
-        polygons.append(points[corners] * length)
-    if not polygons:
-        raise DataError(f"{path}: there is no face; a room has at least 4")
-    materials = [text_name(f"{path}: a material", m) or "part" for m in materials]
-    return Faces(path, polygons, materials, materials, tuple(units.notes(length, None, unit)), unit)
-
-
-_CORNERS_OF_PLY = ("vertex_indices", "vertex_index")
-
-
-def _ply_materials(data: Any, face: Any, otherwise: str) -> list[str]:
-    """Return the material of each face of a PLY file."""
-    known = {p.name for p in face.properties}
-    n = len(face.data)
-    if "layer_id" in known:
-        names = [_ply_text(row) for e in data.elements if e.name == "layer" for row in e.data]
-        numbers = np.asarray(face["layer_id"], dtype=int).reshape(-1)
-        return [names[k] if 0 <= k < len(names) else f"layer {k}" for k in numbers.tolist()]
-    if {"red", "green", "blue"} <= known:
-        colours = np.column_stack([face[c] for c in ("red", "green", "blue")])
-        if colours.dtype.kind == "f":
-            colours = np.round(255 * colours)
-        found = ["#" + "".join(f"{int(c):02x}" for c in row) for row in colours.reshape(n, 3)]
-        if len(set(found)) > 1:
-            return [f"colour {c}" for c in found]
-    return [otherwise] * n
+        faces.append((colour, "", points[corners]))
+    named = zip(layers, _coloured(faces), strict=True)
+    return _Drawn((layer or name, layer or name, corners) for layer, (name, _, corners) in named)
 
 
 def _ply_text(row: Any) -> str:
@@ -441,18 +499,16 @@ def _ply_text(row: Any) -> str:
     return bytes(int(c) & 255 for c in values).decode("utf-8", errors="replace").strip("\0 ")
 
 
-def _by_pycollada(content: bytes, path: str, unit: float | None) -> Faces:
-    """Return the faces of a COLLADA file, in the unit and with the axis up that it states."""
+def _by_pycollada(content: bytes, path: str, _: bool) -> _Drawn:
+    """Return the faces of a COLLADA file, with the unit and the axis up that it states."""
     needed = "COLLADA needs pycollada: pip install 'rtcal[mesh]'"
     collada = library(needed, "collada", "collada.common", "collada.lineset")
-    _require_instances(content, path)
-    try:
-        model = collada.Collada(
-            io.BytesIO(content),
-            ignore=[collada.common.DaeUnsupportedError, collada.common.DaeBrokenRefError],
-        )
-        drawn = [
-            (name or geometry.original.name, _name(part, Path(path).stem), polygon.vertices)
+    _within_budget([io.BytesIO(content)], path, "COLLADA")
+    with _parsing(path, "COLLADA"):
+        ignored = [collada.common.DaeUnsupportedError, collada.common.DaeBrokenRefError]
+        model = collada.Collada(io.BytesIO(content), ignore=ignored)
+        faces = [
+            (_name(part), name or geometry.original.name, polygon.vertices)
             for node in (model.scene.nodes if model.scene else ())
             for name, geometry in _placed(node, np.eye(4), "")
             for part in geometry.primitives()
@@ -460,56 +516,7 @@ def _by_pycollada(content: bytes, path: str, unit: float | None) -> Faces:
             for polygon in part
         ]
         stated, up = model.assetInfo.unitmeter, model.assetInfo.upaxis
-    except Exception as error:  # pycollada raises what its parser raises
-        raise DataError(f"{path}: cannot be read as COLLADA: {error}") from error
-    if not drawn:
-        raise DataError(f"{path}: there is no face; a room has at least 4")
-    length = unit if unit is not None else float(stated or 1.0)
-    in_file = None if stated is None else float(stated)
-    notes = units.notes(length, in_file, unit)
-    turned = up == "Y_UP"
-    notes += [_TURNED] * turned
-    polygons, materials, names = [], [], []
-    for name, material, corners in drawn:
-        points = np.array(corners, dtype=float) * length
-        polygons.append(_z_up(points) if turned else points)
-        materials.append(text_name(f"{path}: a material", material))
-        names.append(text_name(f"{path}: a part", name) or "part")
-    known = None if unit is None and stated is None else length
-    return Faces(path, polygons, materials, names, tuple(notes), known)
-
-
-def _require_instances(content: bytes, path: str) -> None:
-    """Raise DataError if the instances of a COLLADA file have more faces than the budget."""
-    faces: dict[str, int] = {}
-    parts: dict[str, list[str]] = {}
-    within: list[str] = []  # the ids of the nodes, geometries and scenes around an element
-    scenes: list[str] = []
-    try:
-        for event, element in ElementTree.iterparse(io.BytesIO(content), ("start", "end")):
-            tag = element.tag.rpartition("}")[2]
-            own = tag in ("node", "geometry", "visual_scene")
-            if event == "end":
-                within = within[:-1] if own else within
-                element.clear()
-                continue
-            if own:
-                name = element.get("id") or f"{tag} {len(faces)}"
-                faces.setdefault(name, 0)
-                parts.setdefault(name, [])
-                if within:
-                    parts[within[-1]].append(name)
-                if tag == "visual_scene":
-                    scenes.append(name)
-                within = [*within, name]
-            elif within and tag in ("triangles", "polylist", "polygons", "tristrips", "trifans"):
-                faces[within[-1]] += int(element.get("count") or 0)
-            elif within and tag in ("instance_node", "instance_geometry", "instance_controller"):
-                parts[within[-1]].append((element.get("url") or "").removeprefix("#"))
-    except (ElementTree.ParseError, ValueError, LookupError) as error:
-        raise DataError(f"{path}: cannot be read as COLLADA: {error}") from error
-    total = budget.instances(faces, parts, scenes, path)
-    budget.require(total, budget.MAX_FACES, "faces", path, _SIMPLER)
+    return _Drawn(faces, None if stated is None else float(stated), up == "Y_UP")
 
 
 def _placed(node: Any, matrix: Array, name: str) -> Iterator[tuple[str, Any]]:
@@ -527,19 +534,19 @@ def _placed(node: Any, matrix: Array, name: str) -> Iterator[tuple[str, Any]]:
         yield from _placed(child, matrix @ node.matrix, own or name)
 
 
-def _name(part: Any, otherwise: str) -> str:
+def _name(part: Any) -> str:
     """Return the name of a primitive's material: as bound in the scene, else its symbol."""
     bound = getattr(part, "material", None)
     name = getattr(bound, "name", None) or getattr(bound, "id", None)
-    return str(name or getattr(part.original, "material", None) or otherwise)
+    return str(name or getattr(part.original, "material", None) or "")
 
 
-READERS: dict[str, Callable[[bytes, str, float | None], Faces]] = {
+READERS: dict[str, Callable[[bytes, str, bool], _Drawn]] = {
     ".obj": _obj,
-    ".dxf": cad.dxf_faces,
+    ".dxf": _by_ezdxf,
     ".dae": _by_pycollada,
     ".ply": _by_plyfile,
     ".off": _off,
-    **dict.fromkeys(BY_TRIMESH, _by_trimesh),
+    **dict.fromkeys((".stl", ".glb", ".gltf", ".3mf"), _by_trimesh),
 }
-"""The reader of each ending."""
+"""The reader of each ending: of a file's content and name, and whether its unit is stated beside it."""

@@ -19,11 +19,7 @@ import os
 import re
 from collections import Counter
 
-import numpy as np
-
 from rtcal.files.disk import read_bytes
-from rtcal.io import budget
-from rtcal.io.mend import Faces
 from rtcal.io.text import MAX_TEXT, decode, lines, number, shown
 from rtcal.io.units import check_volume
 from rtcal.simulators.geometry import Polyhedron
@@ -58,7 +54,7 @@ def read(path: str | os.PathLike[str], *, unit: float = 1.0) -> Polyhedron:
 def parse(content: bytes, path: str = "OBJ file", *, unit: float = 1.0) -> Polyhedron:
     """Return the room of a file's content; see `read`."""
     unit = checks.positive("unit", unit, "m")
-    vertices, polygons, materials, names, line = _drawn(content, path, unit, "", MAX_FACES)
+    vertices, polygons, materials, names, line = drawn(content, path, unit, "", MAX_FACES)
     if not polygons:
         raise DataError(f"{path}, line {line}: there is no face; a room has at least 4")
     try:
@@ -71,23 +67,7 @@ def parse(content: bytes, path: str = "OBJ file", *, unit: float = 1.0) -> Polyh
     return room
 
 
-def faces(content: bytes, path: str, unit: float | None, otherwise: str) -> Faces:
-    """Return the faces of a file as they are drawn, closed or not.
-
-    Those without usemtl are of the material ``otherwise``. Without a ``unit`` it is taken as 1 m.
-    Raises DataError as `parse`, but for what `rtcal.io.mend` mends.
-    """
-    length = 1.0 if unit is None else unit
-    vertices, polygons, materials, names, line = _drawn(
-        content, path, length, otherwise, budget.MAX_FACES
-    )
-    if not polygons:
-        raise DataError(f"{path}, line {line}: there is no face; a room has at least 4")
-    points = np.array(vertices)
-    return Faces(path, [points[face] for face in polygons], materials, names, unit=unit)
-
-
-def _drawn(
+def drawn(
     content: bytes, path: str, unit: float, otherwise: str, most: int
 ) -> tuple[list[tuple[float, ...]], list[list[int]], list[str], list[str], int]:
     """Return corners in m, faces, their materials and names, and the number of the last line."""

@@ -99,7 +99,7 @@ def overlaid_on(walls: Walls, part: Part) -> list[tuple[int, list[Cut], float]] 
         distance = wall.thickness(corners)
         if abs(float(wall.normal @ normal)) < 0.99 or distance > mend.offset:
             continue
-        pieces = [
+        pieces: list[Cut] = [
             (piece, material, name)
             for face, material, name in part.rows()
             for piece in polygons_of(common(wall, mend.points[face], mend.weld), mend.weld**2)

@@ -1,10 +1,6 @@
-"""Faces of models drawn in CAD programs: a DXF file, and one space of a building model (IFC).
+"""Faces of one space of a building model (IFC), with the materials that bound it.
 
-Of DXF (text), by ezdxf (``rtcal[mesh]``), 3D faces, polyface and polygon meshes and meshes are read;
-the layer is the material. Others, such as lines, texts, blocks and solids (ACIS), are counted in a
-note.
-
-Of IFC, by ifcopenshell (``rtcal[ifc]``), one space is read and what bounds it. A space is a closed
+By ifcopenshell (``rtcal[ifc]``) one space is read and what bounds it. A space is a closed
 solid. The model says which wall, slab or covering bounds each of its faces, and where doors and windows
 are (`IfcRelSpaceBoundary`). A face's material is named after the element: its material, or the name of
 its layers. A door or window is a face that lies on its wall's; the mender gives it its area. Faces that
@@ -17,17 +13,16 @@ from __future__ import annotations
 
 import os
 import re
-from collections import Counter
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from rtcal.io import budget, units
+from rtcal.io import budget
 from rtcal.io.mend import Faces
 from rtcal.io.mend.faces import Plane, normal_of, shapely
-from rtcal.io.text import decode, number, shown
+from rtcal.io.text import shown
 from rtcal.support import library
 from rtcal.support.checks import text_name
 from rtcal.support.errors import DataError
@@ -39,91 +34,6 @@ _SAME = 1e-9  # m, of one point
 _LARGEST_GAP = 0.1  # m, of an outline's ends; one that leaves out its last edge is longer
 _CROSSED = 1e-3  # share of an outline's area by which its parts must differ in their turning
 _POINT = re.compile(r"-?\d[\d.e+-]*")
-
-
-def dxf_faces(content: bytes, path: str, unit: float | None) -> Faces:
-    """Return the faces in the model space of a DXF file, read entity by entity.
-
-    Raises DataError for a file that is damaged, and MissingDependencyError without ezdxf.
-    """
-    needed = "DXF needs ezdxf: pip install 'rtcal[mesh]'; OBJ does not"
-    ezdxf = library(needed, "ezdxf", "ezdxf.addons.iterdxf", "ezdxf.render")
-    if content.startswith(b"AutoCAD Binary DXF"):
-        raise DataError(f"{path}: binary DXF; save it as text (ASCII) DXF")
-    stated = _unit_of_dxf(content, path, is_refused=unit is None)
-    length = unit if unit is not None else stated if stated is not None else 1.0
-    polygons: list[Array] = []
-    layers: list[str] = []
-    others = Counter(
-        kind for kind in map(bytes.decode, _KIND.findall(_entities(content))) if kind not in _FACES
-    )
-    try:
-        encoding = ezdxf.filemanagement.dxf_file_info(path).encoding
-        for entity in ezdxf.addons.iterdxf.modelspace(path, types=_FACES):
-            drawn = _faces_of_dxf(ezdxf, entity)
-            if drawn is None:
-                others[entity.dxftype()] += 1
-                continue
-            layer = decode(entity.dxf.layer.encode(encoding, "surrogateescape"), path).characters
-            layers += [text_name(f"{path}: layer", layer) or "0"] * len(drawn)
-            polygons += [length * np.array([corner.xyz for corner in face]) for face in drawn]
-            budget.require(len(polygons), budget.MAX_FACES, "faces", path, "simplify the model")
-    except DataError:
-        raise
-    except Exception as error:  # ezdxf raises what its parser raises
-        said = " ".join(str(error).split())
-        raise DataError(f"{path}: cannot be read as DXF: {said}") from error
-    left_out = ", ".join(f"{n} {shown(kind)}" for kind, n in others.most_common(5))
-    if not polygons:
-        raise DataError(
-            f"{path}: no 3D face{f' (but {left_out})' if left_out else ''}; in your program, convert "
-            "solids and surfaces to meshes or 3D faces"
-        )
-    notes = units.notes(length, stated, unit)
-    notes += [f"no faces, left out: {left_out}"] if left_out else []
-    names = [f"{layer} {i}" for i, layer in enumerate(layers, 1)]
-    known = None if unit is None and stated is None else length
-    return Faces(path, polygons, layers, names, tuple(notes), known)
-
-
-_FACES = ("3DFACE", "POLYLINE", "VERTEX", "SEQEND", "MESH")
-_KIND = re.compile(rb"^[ \t]*0[ \t]*\r?\n[ \t]*([A-Z0-9_]*[A-Z][A-Z0-9_]*)", re.MULTILINE)
-"""An entity's name: the value of the group code 0."""
-_INSUNITS = re.compile(rb"^\$INSUNITS[ \t]*\r?\n[ \t]*70[ \t]*\r?\n[ \t]*(\S+)", re.MULTILINE)
-
-
-def _entities(content: bytes) -> bytes:
-    """Return the section of the entities."""
-    return content.partition(b"ENTITIES")[2].partition(b"ENDSEC")[0]
-
-
-def _unit_of_dxf(content: bytes, path: str, *, is_refused: bool) -> float | None:
-    """Return the length of the header's unit in m, None without one; DataError if it is not known."""
-    found = _INSUNITS.search(content.partition(b"ENTITIES")[0])
-    if found is None:
-        return None
-    line = content.count(b"\n", 0, found.start(1)) + 1
-    place = f"{path}, line {line}"
-    stated = number(found[1].decode("latin-1"), place)
-    if stated not in units.OF_DXF and is_refused:
-        raise DataError(
-            f"{place}: $INSUNITS = {stated:g} is no unit of DXF, which has 0 to "
-            f"{max(units.OF_DXF)}; state its length in m, such as unit = 0.01"
-        )
-    return units.OF_DXF.get(int(stated))
-
-
-def _faces_of_dxf(ezdxf: Any, entity: Any) -> list[Sequence[Any]] | None:
-    """Return the corners of each face of an entity; None for a polyline that is no mesh."""
-    kind = entity.dxftype()
-    if kind == "3DFACE":
-        corners = (entity.dxf.get(f"vtx{k}") for k in range(4))
-        return [[corner for corner in corners if corner is not None]]
-    if kind == "MESH":
-        return [*ezdxf.render.MeshBuilder.from_mesh(entity).faces_as_vertices()]
-    if entity.is_poly_face_mesh or entity.is_polygon_mesh:
-        return [face.wcs_vertices() for face in entity.virtual_entities()]
-    return None
 
 
 _NEAR = 0.3
@@ -143,7 +53,7 @@ class _Boundary:
     is_covering: bool
 
 
-def ifc_faces(path: str, unit: float | None, space: str | None, weld: float) -> Faces:
+def faces(path: str, unit: float | None, space: str | None, weld: float) -> Faces:
     """Return the faces of one space of a building model, with the materials that bound it.
 
     ``space`` is its name, long name or both; it may be left out where there is one space. An outline
