@@ -1,39 +1,53 @@
-"""``rtcal import``: a program's material list, or the catalogue, and a mesh to a room."""
+"""``rtcal import``: a program's material list, or the catalogue, and a mesh to a room.
+
+The mesh is checked, read, mended, drawn, and written beside the room.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Sequence
+from dataclasses import asdict
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
+from click.core import ParameterSource
 
 from rtcal.command.console import (
+    as_options,
     bands_option,
     entries_option,
+    errors_name_options,
     fit_ending,
+    numbers,
+    said,
     scattering_option,
     tell,
     texts,
     writing_options,
 )
 from rtcal.command.files import PROGRAMS
-from rtcal.command.import_mesh import (
-    check,
-    geometry,
-    refuse_unused_options,
-    with_scene,
-    with_uncertainty,
-)
-from rtcal.files.disk import spare
+from rtcal.files.disk import commit, spare
 from rtcal.support.errors import DataError, MissingDependencyError
-from rtcal.support.text import shortened
+from rtcal.support.speed import bar
+from rtcal.support.text import rounded, shortened
 
 if TYPE_CHECKING:
     from rtcal.acoustics.air import Air
-    from rtcal.acoustics.room import Room
+    from rtcal.acoustics.room import Room, Surface
     from rtcal.io.material_list import ListedMaterial, MaterialList
+    from rtcal.io.mend import Mended
+    from rtcal.simulators.geometry import Polyhedron
+
+_LEAST_UNCERTAINTY = 1e-3
+"""Relative uncertainty of V or of an area that a room states: no T is measured as exactly."""
+_MOST_UNCERTAINTY = 0.99
+"""That of an area which may be missing: a room states less than 1."""
+_USED_BY_CHECK = {
+    *("program", "materials", "mesh", "unit", "space", "weld", "hole", "as_drawn", "mended"),
+    *("picture", "as_json", "quiet"),
+}
 
 
 @click.command("import", short_help="A program's material list and a mesh to a room.")
@@ -173,9 +187,10 @@ def import_room(
     from rtcal.io.bras import read_sigma
     from rtcal.io.material_list import SigmaRule
 
+    options = {"unit": unit, "space": space, "weld": weld, "largest_hole": hole}
     if program == "check":
-        refuse_unused_options()
-        check(materials or mesh, unit, space, weld, hole, as_drawn, mended, picture)
+        _refuse_unused_options()
+        _check(materials or mesh, as_drawn, mended, picture, options)
         return
     if out is None:
         raise DataError("--out is missing: the room's file (TOML) to write")
@@ -184,9 +199,8 @@ def import_room(
     fit_ending("--out", out, ".toml")
     fit_ending("--mended", mended, ".obj")
     listed = _materials(program, materials)
-    model, volume, surfaces = geometry(
-        mesh, unit, space, weld, hole, as_drawn, volume, areas, listed.names
-    )
+    model = None if mesh is None else _read(mesh, as_drawn, picture, options)
+    volume, surfaces = _volume_and_surfaces(model, as_drawn, volume, areas, listed.names)
     used = list(dict.fromkeys(surface.material for surface in surfaces))
     chosen = texts("--catalogue", in_catalogue, "NAME=ENTRY")
     place = "--area" if mesh is None else mesh
@@ -215,8 +229,8 @@ def import_room(
     )
     of_mesh: list[str] = []
     if mesh is not None and model is not None:
-        room = with_scene(room, mesh, model, unit, out, mended, picture)
-        room, of_mesh = with_uncertainty(room, model)
+        room = _with_scene(room, mesh, model, unit, out, mended)
+        room, of_mesh = _with_uncertainty(room, model)
     room.save(out)
     in_use = {listed.listed(name).name for name in used if name not in others}
     in_use |= {material.name for material in renamed.values()}
@@ -225,6 +239,160 @@ def import_room(
         room, rule, sigma, {n: (others.get(n) or listed.listed(n)).scattering for n in used}
     )
     _tell(room, unused, notes + of_mesh)
+
+
+def _refuse_unused_options() -> None:
+    """Raise DataError for an option that ``check`` would not use."""
+    context = click.get_current_context()
+    for option in context.command.params:
+        stated = context.get_parameter_source(str(option.name)) is ParameterSource.COMMANDLINE
+        if stated and option.name not in _USED_BY_CHECK:
+            raise DataError(
+                f"import check does not use {option.opts[0]}: it reads the mesh alone and writes no "
+                "room; leave it out"
+            )
+    if context.params["materials"] is not None and context.params["mesh"] is not None:
+        raise DataError("import check reads one mesh: leave --mesh out")
+
+
+def _check(
+    mesh: str | None, as_drawn: bool, mended: str | None, picture: str | None, options: Any
+) -> None:
+    """Print V, S and the defects of a mesh, without a list of materials; write it and its picture."""
+    if mesh is None:
+        raise DataError("which mesh? rtcal import check room.obj")
+    fit_ending("--mended", mended, ".obj")
+    spare([path for path in (mended, picture) if path is not None], [mesh])
+    done = _read(mesh, as_drawn, picture, options)
+    if mended is not None:
+        _closed(done).save(mended)
+    notes = [as_options(note, ["unit"]) for note in done.notes]
+    record = {
+        "volume": done.volume,
+        "volume_uncertainty": done.volume_uncertainty,
+        "size": done.size,
+        "areas": done.areas,
+        "area_uncertainty": done.area_uncertainty,
+        "defects": [asdict(defect) for defect in done.defects],
+        "notes": notes,
+    }
+    tell("\n".join([*notes, str(done)]), record)
+
+
+def _read(mesh: str, as_drawn: bool, picture: str | None, options: Any) -> Mended:
+    """Return the room of a mesh, and draw it, with its open edges where it does not close.
+
+    With ``as_drawn`` a mesh that cannot be closed has V by rays and S as it is drawn. ``options`` are
+    those of `rtcal.io.mesh.room`.
+    """
+    from rtcal.io import mesh as meshes
+    from rtcal.io.mend import MeshError
+    from rtcal.report import figures
+
+    with errors_name_options("unit", "weld"), bar(1, "step", False, said()) as shown:
+        shown.set_description(f"mending of {mesh}")
+        try:
+            done = meshes.room(mesh, **options)
+        except MeshError as error:
+            if picture is not None:
+                drawn = meshes.read(mesh, unit=options["unit"], space=options["space"])
+                figures.save(figures.wireframe(drawn, error.edges), picture)
+            if as_drawn and error.unclosed is not None:
+                return error.unclosed
+            refused = str(error)
+            if error.unclosed is not None:
+                v, u = error.unclosed.volume, error.unclosed.volume_uncertainty
+                refused += (
+                    f". By rays V = {rounded(v, 4)} ± {rounded(u, 2)} m³: `rtcal import` takes it with "
+                    "--open, for equations alone"
+                )
+            if picture is not None:
+                commit()
+                refused += f". Written: {picture}"
+            raise DataError(refused) from error
+    if picture is not None:
+        figures.save(figures.wireframe(done.geometry), picture)
+    return done
+
+
+def _closed(model: Mended) -> Polyhedron:
+    """Return the geometry that is written as the mended mesh; DataError without one."""
+    if model.geometry is None:
+        raise DataError("--mended: the mesh was not closed; leave --open or --mended out")
+    return model.geometry
+
+
+def _volume_and_surfaces(
+    model: Mended | None,
+    as_drawn: bool,
+    volume: float | None,
+    areas: tuple[str, ...],
+    names: Sequence[str],
+) -> tuple[float, Sequence[Surface]]:
+    """Return the volume in m³ and the surfaces, of the mesh or of the options.
+
+    ``names`` are those of the list's materials, for the message where the options lack them.
+    """
+    from rtcal.acoustics.room import Surface
+    from rtcal.finder.positions.surfaces import stated_surfaces
+
+    if model is not None:
+        if volume is not None or areas:
+            raise DataError("--mesh states volume and areas already: leave --volume and --area out")
+        if model.geometry is not None:
+            return model.volume, stated_surfaces(model.geometry)
+        return model.volume, [Surface(name, name, area) for name, area in model.areas.items()]
+    if as_drawn:
+        raise DataError("--open is for a mesh: state --mesh, or leave it out")
+    if volume is None or not areas:
+        raise DataError(
+            "how large is the room? State --mesh room.obj, or --volume M3 and --area MATERIAL=M2 for "
+            f"each material in it. The list has: {shortened(', '.join(names), 200)}"
+        )
+    stated = numbers("--area", areas, "NAME=M2")
+    return volume, [Surface(name, name, area) for name, area in stated.items()]
+
+
+def _with_scene(
+    room: Room, mesh: str, model: Mended, unit: float | None, out: str, mended: str | None
+) -> Room:
+    """Return the room with its mesh, which is written where the tracers do not read it as it is."""
+    from rtcal.acoustics.scene import Scene
+
+    if mended is None:
+        as_it_is = all(d.kind in ("turned", "gap") for d in model.defects)
+        if model.geometry is None:
+            return room
+        if as_it_is and Path(mesh).suffix.lower() == ".obj":
+            return room.replace(scene=Scene(mesh=mesh, unit=1.0 if unit is None else unit))
+        beside = Path(out).with_suffix(".obj")
+        if beside.resolve() == Path(mesh).resolve():
+            beside = beside.with_stem(f"{beside.stem}_mended")
+        mended = str(beside)
+    geometry = _closed(model)
+    spare([mended], [mesh])
+    geometry.save(mended)
+    return room.replace(scene=Scene(mesh=mended, unit=1.0))
+
+
+def _with_uncertainty(room: Room, model: Mended) -> tuple[Room, list[str]]:
+    """Return the room with what a mesh leaves open of its volume and areas, and the notes on it."""
+    read = [as_options(note, ["unit"]) for note in model.notes]
+    notes = [f"mesh: {note}" for note in (*read, *map(str, model.defects))]
+    if model.volume_uncertainty > _LEAST_UNCERTAINTY * room.volume:
+        sigma = float(f"{model.volume_uncertainty / room.volume:.2g}")
+        room = room.replace(volume_sigma=sigma)
+        drawn = "drawn: its faces do not close" if model.geometry is None else "mended"
+        notes.append(f"V is known to {100 * sigma:.2g} % (volume_sigma), by what was {drawn}")
+    unsure = model.area_uncertainty
+    of_room = zip(room.materials, room.areas.tolist(), strict=True)
+    relative = {m: min(unsure.get(m, 0.0) / area, _MOST_UNCERTAINTY) for m, area in of_room}
+    area_sigma = {m: float(f"{u:.2g}") for m, u in relative.items() if u > _LEAST_UNCERTAINTY}
+    if area_sigma:
+        room = room.replace(area_sigma=area_sigma)
+        each = ", ".join(f"{m} to {100 * u:.2g} %" for m, u in area_sigma.items())
+        notes.append(f"Areas are known (area_sigma), by what was mended: {each}")
+    return room, notes
 
 
 def _materials(program: str, path: str | None) -> MaterialList:
