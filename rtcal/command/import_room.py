@@ -311,7 +311,7 @@ def _read(mesh: str, as_drawn: bool, picture: str | None, options: Any) -> Mende
                 refused += f". Written: {picture}"
             raise DataError(refused) from error
     if picture is not None:
-        figures.save(figures.wireframe(done.geometry), picture)
+        figures.save(figures.wireframe(_closed(done)), picture)
     return done
 
 

@@ -204,7 +204,7 @@ def _doubt_first(error: MeshError, faces: Faces) -> None:
         error.args = (f"{faces.path}: {doubt}. {str(error).removeprefix(f'{faces.path}: ')}",)
 
 
-def _obj(content: bytes, path: str, _: bool) -> _Drawn:
+def _obj(content: bytes, path: str, _unit: bool) -> _Drawn:
     vertices, polygons, materials, names, _line = obj.drawn(
         content, path, 1.0, Path(path).stem, budget.MAX_FACES
     )
@@ -368,7 +368,7 @@ def _within_budget(streams: Iterable[Any], path: str, kind: str) -> dict[str, Ma
     return heads
 
 
-def _off(content: bytes, path: str, _: bool) -> _Drawn:
+def _off(content: bytes, path: str, _unit: bool) -> _Drawn:
     """Return the faces of an OFF file; colours, where faces have several, are the materials."""
     rows = [
         (n, words)
@@ -462,7 +462,7 @@ def _gltf_colour(material: Any) -> str:
     return "#" + "".join(f"{round(255 * float(c)):02x}" for c in colour[:3]) if colour else ""
 
 
-def _by_plyfile(content: bytes, path: str, _: bool) -> _Drawn:
+def _by_plyfile(content: bytes, path: str, _unit: bool) -> _Drawn:
     """Return the faces of a PLY file; its layers (I-Simpa's), else its colours, are the materials."""
     plyfile = library("PLY needs plyfile: pip install 'rtcal[mesh]'", "plyfile")
     head = content[: max(content.find(b"end_header"), 0)]
@@ -499,7 +499,7 @@ def _ply_text(row: Any) -> str:
     return bytes(int(c) & 255 for c in values).decode("utf-8", errors="replace").strip("\0 ")
 
 
-def _by_pycollada(content: bytes, path: str, _: bool) -> _Drawn:
+def _by_pycollada(content: bytes, path: str, _unit: bool) -> _Drawn:
     """Return the faces of a COLLADA file, with the unit and the axis up that it states."""
     needed = "COLLADA needs pycollada: pip install 'rtcal[mesh]'"
     collada = library(needed, "collada", "collada.common", "collada.lineset")
