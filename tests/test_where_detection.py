@@ -21,7 +21,6 @@ from rtcal.finder.positions.posterior import (
     OF_PROGRAMS,
     POSITION,
     THRESHOLD,
-    PositionsEvidence,
     PositionsHypotheses,
     SpreadHypothesis,
     Summary,
@@ -67,9 +66,7 @@ def scored(
     """The score where hypotheses have these log evidences, over that of nothing."""
     one = next(s for s in shifts(case, library()) if s.effect == "opening").some(slice(0, 1))
     every = PositionsHypotheses([one], [spread(NOISE), spread(POSITION)], off=0.0, unknown=False)
-    none = np.zeros(1)
-    spreads = [np.full(1, of_noise), np.full(1, of_position)]
-    evidence = PositionsEvidence(none, none - 99, none - 99, [np.full((1, 1), of_shift)], spreads)
+    evidence = np.array([[0.0, -99.0, -99.0, of_noise, of_position, of_shift]]).T
     return float(scores(weights(evidence, every, 1.0), every)[0][0])
 
 

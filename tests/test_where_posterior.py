@@ -22,7 +22,6 @@ from rtcal.finder.positions.posterior import (
     MEANS_POWER,
     THRESHOLD,
     TOLD_TEMPER,
-    PositionsEvidence,
     PositionsHypotheses,
     ScatteringLevels,
     weights,
@@ -48,13 +47,12 @@ def test_the_families_of_the_means_are_multiplied_in(
     ]
     pair = [some[0], next(s for s in some if s.family != some[0].family)]
     every = PositionsHypotheses(pair, [], off=0.1)
-    one = np.zeros(1)
-    flat = PositionsEvidence(one, one, one, [np.zeros((1, 1))] * 2, [])
-    before = weights(flat, every, TOLD_TEMPER)
+    before = weights(np.zeros((len(every.effects), 1)), every, TOLD_TEMPER)
     after = with_families(before, every, {"none": 1e-9, pair[0].family: 0.64})
-    changed = [float(b[0, 0] - a[0, 0]) for a, b in zip(before.shifts, after.shifts, strict=True)]
-    assert np.exp(changed) == pytest.approx([0.64**MEANS_POWER, LEAST_BY_MEANS**MEANS_POWER])
-    assert np.exp(after.none - before.none) == pytest.approx(LEAST_BY_MEANS**MEANS_POWER)
+    changed = np.exp(after - before)[:, 0]
+    for of_shift in every.of_shifts(changed):
+        assert of_shift == pytest.approx([0.64**MEANS_POWER, LEAST_BY_MEANS**MEANS_POWER])
+    assert changed[0] == pytest.approx(LEAST_BY_MEANS**MEANS_POWER)
 
 
 @pytest.mark.long

@@ -8,7 +8,6 @@ import pytest
 from rtcal.finder.positions.posterior import (
     NOISE,
     POSITION,
-    PositionsEvidence,
     PositionsHypotheses,
     ShiftHypothesis,
     SpreadHypothesis,
@@ -50,13 +49,7 @@ EVERY = PositionsHypotheses(
 
 def score_of(**nats: float) -> tuple[float, float]:
     """Return the scores where these effects explain what was measured better than nothing does."""
-    evidence = PositionsEvidence(
-        none=np.zeros(1),
-        coefficients=np.zeros(1),
-        unknown=np.zeros(1),
-        shifts=[np.full((2, 1), nats.get(s.effect, 0.0)) for s in EVERY.shifts],
-        spreads=[np.full(1, nats.get(s.effect, 0.0)) for s in EVERY.spreads],
-    )
+    evidence = np.array([[nats.get(effect, 0.0)] for effect in EVERY.effects])
     score, noisy = scores(weights(evidence, EVERY), EVERY)
     return float(score[0]), float(noisy[0])
 

@@ -18,7 +18,6 @@ from rtcal.finder.positions import PositionsCase, PositionsFinding
 from rtcal.finder.positions.hypotheses import shifts
 from rtcal.finder.positions.posterior import (
     TOLD_TEMPER,
-    PositionsEvidence,
     PositionsHypotheses,
     Summary,
     evaluate,
@@ -95,13 +94,10 @@ def test_what_no_effect_explains_is_as_probable_alone_as_beside_one() -> None:
     every = shifts(case, library())
     for some in (every, every[: len(every) // 2]):
         hypotheses = PositionsHypotheses(some, [], off=0.0)
-        zero = np.zeros(1)
-        of_shifts = [np.full((len(s.odds), 1), -60.0) for s in some]
-        beside = [np.zeros((len(s.odds), 1)) for s in some]
-        alike = weights(
-            PositionsEvidence(zero - 60, zero - 60, zero, of_shifts, [], beside), hypotheses
-        )
-        told = summary_of(case, hypotheses, alike)
+        evidence = np.full((len(hypotheses.effects), 1), -60.0)
+        evidence[2] = 0.0
+        hypotheses.of_shifts(evidence)[1][:] = 0.0
+        told = summary_of(case, hypotheses, weights(evidence, hypotheses))
         assert told.probabilities[UNKNOWN] == pytest.approx(0.5, abs=1e-6)
         assert told.unexplained == pytest.approx(1.0, abs=1e-6)
 

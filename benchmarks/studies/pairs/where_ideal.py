@@ -29,6 +29,7 @@ from benchmarks.studies.fits.positions_table import bootstrap
 from benchmarks.studies.geometric_world.load import IN_SITU, load
 from benchmarks.studies.pairs.where import case_of, prepared
 from benchmarks.studies.pairs.where_figures import ABSORBERS, DATA
+from rtcal.finder.evidence import log_sums
 from rtcal.finder.positions.finding import LIKELY
 from rtcal.finder.positions.hypotheses import COUPLED, uneven_amount
 from rtcal.finder.positions.posterior import (
@@ -43,6 +44,7 @@ from rtcal.finder.positions.posterior import (
     weights,
 )
 from rtcal.finder.positions.problem import PositionsProblem
+from rtcal.finder.prior import NONE, UNKNOWN
 
 STORED = Path(__file__).with_name("where_ideal.json.gz")
 DRAWS = 12
@@ -84,8 +86,7 @@ def drawn(
         _, what, row = chances[choice]
         hidden.append(what)
         if isinstance(what, SpreadHypothesis):
-            size = len(what.rows)
-            out[what.rows, column] += rng.multivariate_normal(np.zeros(size), what.covariance)
+            out[what.rows, column] += what.columns @ rng.standard_normal(what.columns.shape[1])
         else:
             out[:, column] += shifted(likelihood, what, row, rng)
     return [*hidden, *[None] * DRAWS], out
@@ -127,7 +128,7 @@ def averaged(numbers: PositionsProblem, likelihoods: Likelihoods) -> tuple[np.nd
 def spread_of_means(spread: SpreadHypothesis, mean: np.ndarray) -> SpreadHypothesis:
     moved = mean[:, spread.rows]
     rows = np.flatnonzero(np.abs(moved).sum(axis=1))
-    return replace(spread, rows=rows, covariance=moved[rows] @ spread.covariance @ moved[rows].T)
+    return replace(spread, rows=rows, columns=moved[rows] @ spread.columns)
 
 
 def said(
@@ -140,15 +141,11 @@ def said(
     """Return what the observer says of each draw."""
     posterior = weights(evaluate(likelihoods, every, residuals), every, temper=1.0)
     score = scores(posterior, every)[0]
-    surfaces = np.full((n_surfaces, residuals.shape[1]), -np.inf)
-    families = {"coefficients": [posterior.coefficients], MEASUREMENT: list(posterior.spreads)}
-    for shift, logs in zip(every.shifts, posterior.shifts, strict=True):
-        log = logsumexp(logs, axis=0)
-        families.setdefault(shift.family, []).append(log)
-        if shift.surface is not None:
-            surfaces[shift.surface] = np.logaddexp(surfaces[shift.surface], log)
-    names = list(families)
-    by_family = np.array([logsumexp(families[name], axis=0) for name in names])
+    by_surface, families = log_sums(every.surfaces, posterior), log_sums(every.families, posterior)
+    nowhere = np.full(residuals.shape[1], -np.inf)
+    surfaces = np.array([by_surface.get(j, nowhere) for j in range(n_surfaces)])
+    names = [name for name in families if name not in (NONE, UNKNOWN)]
+    by_family = np.array([families[name] for name in names])
     chance = np.exp(surfaces - logsumexp(surfaces, axis=0))
     out = []
     for column, what in enumerate(hidden):

@@ -30,17 +30,17 @@ from benchmarks.studies.pairs.where import case_of, prepared, read
 from benchmarks.studies.pairs.where_figures import ABSORBERS, DATA, family_of, right_families
 from benchmarks.studies.pairs.where_threshold import numbers_of
 from rtcal.finder.claim import CLAIMED
+from rtcal.finder.evidence import log_sums
 from rtcal.finder.positions import search
 from rtcal.finder.positions.hypotheses import COUPLED
 from rtcal.finder.positions.posterior import (
     LEAST_BY_MEANS,
-    MEASUREMENT,
     THRESHOLD,
     evaluate,
     evidence_of_means,
     weights,
 )
-from rtcal.finder.prior import COEFFICIENTS, NONE, UNKNOWN
+from rtcal.finder.prior import NONE
 
 STORED = Path(__file__).with_name("where_temper.jsonl.gz")
 TEMPERS = (1.25, 1.5, 2.0, 3.0, 4.0)
@@ -64,16 +64,8 @@ def of_room(population: int, index: int, data: str, cache: Path) -> Row | None:
     by_temper = {}
     for temper in TEMPERS:
         posterior = weights(evidence, every, temper)
-        logs: dict[tuple[str, int], list[Any]] = {
-            (NONE, -1): [posterior.none],
-            (COEFFICIENTS, -1): [posterior.coefficients],
-            (UNKNOWN, -1): [posterior.unknown],
-            (MEASUREMENT, -1): list(posterior.spreads),
-        }
-        for shift, log in zip(every.shifts, posterior.shifts, strict=True):
-            key = shift.family, -1 if shift.surface is None else shift.surface
-            logs.setdefault(key, []).append(logsumexp(log, axis=0))
-        chances = {key: float(np.exp(logsumexp(v) - posterior.total[0])) for key, v in logs.items()}
+        logs = log_sums(list(zip(every.families, every.surfaces, strict=True)), posterior[:, 0])
+        chances = {k: float(np.exp(v - logsumexp(posterior[:, 0]))) for k, v in logs.items()}
         by_temper[str(temper)] = [
             [family, surface, float(f"{p:.3g}")]
             for (family, surface), p in chances.items()

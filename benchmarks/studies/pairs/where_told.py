@@ -53,7 +53,7 @@ def told(population: int, index: int, folder: Path) -> Iterator[tuple[str, float
 
     def said(residual: np.ndarray) -> tuple[float, float]:
         evidence = evaluate(likelihoods, every, residual[:, np.newaxis])
-        return float(scores(weights(evidence, every), every)[0][0]), float(evidence.none[0])
+        return float(scores(weights(evidence, every), every)[0][0]), float(evidence[0, 0])
 
     yield "as it is", *said(numbers.residual)
     quiet = Observations.of_measurement(without_noise(population, index), names, wanted.pairs)

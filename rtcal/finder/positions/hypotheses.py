@@ -435,16 +435,17 @@ def spreads(
         steps = np.moveaxis(shift[:, :, [columns[i] for i in pairs]], 3, 1)
         samples = steps.reshape(len(shift), -1)
         # The displacements along an axis and back have nearly opposite shifts: three free directions.
-        covariance = samples.T @ samples / 6
+        columns_of_move = samples.T / np.sqrt(6)
         for distance in DISPLACEMENTS:
             odds = ODDS[POSITION] / (len(moved) * len(DISPLACEMENTS))
-            scaled = (distance / MOVE) ** 2 * covariance
+            scaled = distance / MOVE * columns_of_move
             out.append(SpreadHypothesis(POSITION, place, distance, "m", rows, scaled, odds))
     for i, pair in enumerate(measured):
         rows = number[:, :, i].ravel()
+        root = np.linalg.cholesky(full[np.ix_(rows, rows)])
         for factor in NOISES:
             odds = ODDS[NOISE] / (n_pairs * len(NOISES))
-            scaled = (factor**2 - 1) * full[np.ix_(rows, rows)]
+            scaled = np.sqrt(factor**2 - 1) * root
             name = " to ".join(pair)
             out.append(
                 SpreadHypothesis(NOISE, name, factor, "times as uncertain", rows, scaled, odds)

@@ -41,7 +41,7 @@ import math
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property, partial
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -54,7 +54,7 @@ from rtcal.acoustics.priors import NORMAL_90
 from rtcal.finder.case import PARAMETERS, Case, Configuration, spread_where_unknown
 from rtcal.finder.claim import most_probable_first, with_added
 from rtcal.finder.effects import Effect, Parameters
-from rtcal.finder.evidence import log_mixture
+from rtcal.finder.evidence import Label, bounded, log_mixture, with_columns
 from rtcal.finder.finding import Candidate
 from rtcal.finder.means.finding import MeansFinding
 from rtcal.finder.means.search import find as find_by_means
@@ -85,32 +85,13 @@ _TINY = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
-class PositionsEvidence:
-    """Log evidence of every hypothesis, or its log posterior weight, for n_draws sets of residuals.
-
-    ``none`` (n_draws,). ``shifts`` has an array (n_hypotheses, n_draws) for each `ShiftHypothesis`,
-    ``spreads`` an array (n_draws,) for each `SpreadHypothesis`. ``beside`` has that of ``shifts`` where
-    something is other than stated that no effect explains, too; it is empty where that is not tried.
-    """
-
-    none: Array
-    coefficients: Array
-    unknown: Array
-    shifts: list[Array]
-    spreads: list[Array]
-    beside: list[Array] = field(default_factory=list)
-
-    @property
-    def total(self) -> Array:
-        """Log of the sum over all hypotheses, (n_draws,)."""
-        every = [self.none, self.coefficients, self.unknown, *self.spreads]
-        every += [np.asarray(logsumexp(w, axis=0)) for w in (*self.shifts, *self.beside)]
-        return np.asarray(logsumexp(np.array(every), axis=0))
-
-
-@dataclass(frozen=True, eq=False)
 class PositionsHypotheses:
-    """All hypotheses with their prior log probabilities, given that something is other than stated."""
+    """All hypotheses as one table; evidence and posterior weights are arrays (n, n_draws) of its rows.
+
+    The rows are "none", coefficients that are off together, something that no effect explains, each
+    spread, each shift with each of its sizes, and, where something may be ``unknown``, each of these
+    once more with it beside. ``off`` is the probability of coefficients that are off together.
+    """
 
     shifts: Sequence[ShiftHypothesis]
     spreads: Sequence[SpreadHypothesis]
@@ -118,179 +99,126 @@ class PositionsHypotheses:
     unknown: bool = True
 
     @cached_property
-    def total(self) -> float:
-        """Sum of all odds."""
-        odds = sum(float(s.odds.sum()) for s in self.shifts) + sum(s.odds for s in self.spreads)
-        return odds + self.unknown_odds
+    def effects(self) -> list[str]:
+        """The effect of each row."""
+        of_spreads, of_shifts = [s.effect for s in self.spreads], [s.effect for s in self.shifts]
+        return self._by_row((NONE, COEFFICIENTS, UNKNOWN), of_spreads, of_shifts)
 
-    @property
-    def unknown_odds(self) -> float:
-        """Odds of something that no effect explains."""
-        return ODDS[UNKNOWN] if self.unknown else 0.0
+    @cached_property
+    def families(self) -> list[str]:
+        """The family of each row."""
+        of_spreads, of_shifts = [MEASUREMENT] * len(self.spreads), [s.family for s in self.shifts]
+        return self._by_row((NONE, COEFFICIENTS, UNKNOWN), of_spreads, of_shifts)
 
-    @property
-    def unexplained(self) -> float:
-        """Prior probability that no effect explains everything, where there is one.
+    @cached_property
+    def surfaces(self) -> list[int]:
+        """The number of the surface of each row; -1 where it is of none."""
+        of_shifts = [-1 if s.surface is None else s.surface for s in self.shifts]
+        return self._by_row((-1, -1, -1), [-1] * len(self.spreads), of_shifts)
 
-        Over all effects it is that of something unknown alone, but no larger than a half.
+    def _by_row(
+        self, first: Sequence[Label], of_spreads: Sequence[Label], of_shifts: Sequence[Label]
+    ) -> list[Label]:
+        sizes = zip(of_shifts, self.shifts, strict=True)
+        each = [label for label, shift in sizes for _ in shift.odds]
+        return [*first, *of_spreads, *each, *(each if self.unknown else ())]
+
+    def of_shifts(self, values: Array) -> tuple[Array, Array]:
+        """Return the rows of the shifts, and those of the shifts with something unknown beside."""
+        first = 3 + len(self.spreads)
+        second = first + sum(len(s.odds) for s in self.shifts)
+        return values[first:second], values[second:]
+
+    @cached_property
+    def log_prior(self) -> Array:
+        """Log prior probability of each row, (n,); those of all rows but the first two sum to 1 - p.
+
+        p is that of no effect. "none" has the rest of it beside coefficients that are off together.
         """
-        of_effects = sum(float(s.odds.sum()) for s in self.shifts)
-        return min(self.unknown_odds / of_effects, 0.5) if of_effects > 0 else 0.0
-
-    def log_prior(self, odds: Array | float) -> Array:
-        """Return the log prior probability of hypotheses with these odds."""
+        of_shifts = np.concatenate([np.zeros(0), *(s.odds for s in self.shifts)])
+        of_spreads = [s.odds for s in self.spreads]
+        unknown = ODDS[UNKNOWN] if self.unknown else 0.0
+        total, of_effects = unknown + sum(of_spreads) + of_shifts.sum(), of_shifts.sum()
+        # Over all effects that nothing explains everything is as probable as something unknown alone,
+        # but no more than a half.
+        beside = min(unknown / of_effects, 0.5) if of_effects > 0 else 0.0
+        both = [(1 - beside) * of_shifts, *([beside * of_shifts] if self.unknown else [])]
+        odds = np.concatenate([[unknown], of_spreads, *both])
+        off = max(self.off, 1e-300)
+        nothing = NO_EFFECT * np.array([1 - off, off])
         with np.errstate(divide="ignore"):
-            return np.asarray(np.log(np.asarray(odds) / self.total * (1 - NO_EFFECT)))
+            return np.log(np.concatenate([nothing, (1 - NO_EFFECT) * odds / total]))
 
 
-def evaluate(
-    likelihoods: Likelihoods, hypotheses: PositionsHypotheses, residuals: Array
-) -> PositionsEvidence:
-    """Return the evidence of residuals (n, n_draws)."""
+def evaluate(likelihoods: Likelihoods, hypotheses: PositionsHypotheses, residuals: Array) -> Array:
+    """Return the log evidence of residuals (n_values, n_draws) by hypothesis, (n, n_draws)."""
     stated, off, unknown = likelihoods
     as_stated = stated.of(residuals)
-    as_off = [one.of(residuals) for one in off]
-    shares = np.log([share for _, share in SCALES])
-    together = logsumexp(
-        [s + one.stated(r) for s, one, r in zip(shares, off, as_off, strict=True)], axis=0
-    )
-    none = stated.stated(as_stated)
-
-    shifts = stated.each_shifted(hypotheses.shifts, as_stated)
-    if shifts and hypotheses.off > 0:
-        others = [
-            np.concatenate(one.each_shifted(hypotheses.shifts, r))
-            for one, r in zip(off, as_off, strict=True)
-        ]
-        of_scales = logsumexp([s + each for s, each in zip(shares, others, strict=True)], axis=0)
-        mixed = log_mixture(np.concatenate(shifts), of_scales, hypotheses.off)
-        shifts = np.split(mixed, np.cumsum([len(each) for each in shifts])[:-1])
-
-    as_unknown = [one.of(residuals) for one in unknown]
+    none, shifts = stated.stated(as_stated), stated.each_shifted(hypotheses.shifts, as_stated)
+    as_off = [(one, one.of(residuals)) for one in off]
+    shares = np.log([share for _, share in SCALES])[:, np.newaxis]
+    together = logsumexp(shares + [one.stated(r) for one, r in as_off], axis=0)
+    if len(shifts) and hypotheses.off > 0:
+        of_scales = [one.each_shifted(hypotheses.shifts, r) for one, r in as_off]
+        others = logsumexp(shares[..., np.newaxis] + of_scales, axis=0)
+        shifts = log_mixture(shifts, others, hypotheses.off)
+    as_unknown = [(one, one.of(residuals)) for one in unknown]
 
     def over_scales(values: Sequence[Array]) -> Array:
         return np.asarray(logsumexp(np.array(values), axis=0) - np.log(len(values)))
 
-    alone = over_scales([u.stated(r) for u, r in zip(unknown, as_unknown, strict=True)])
-    beside: list[Array] = []
-    if hypotheses.unknown and (alone < none - _NEGLIGIBLE).all():
-        # Larger errors explain what an effect leaves even less than what nothing explains.
-        beside = [np.full_like(of_shift, -np.inf) for of_shift in shifts]
-    elif hypotheses.unknown:
-        of_unknown = [
-            one.each_shifted(hypotheses.shifts, r)
-            for one, r in zip(unknown, as_unknown, strict=True)
-        ]
-        beside = [over_scales(each) for each in zip(*of_unknown, strict=True)]
-
-    return PositionsEvidence(
-        none=none,
-        coefficients=np.asarray(together),
-        unknown=alone,
-        shifts=shifts,
-        spreads=[stated.spread(spread, as_stated) for spread in hypotheses.spreads],
-        beside=beside,
-    )
+    alone = over_scales([one.stated(r) for one, r in as_unknown])
+    beside = np.full_like(shifts, -np.inf) if hypotheses.unknown else shifts[:0]
+    # Errors that explain even less than what nothing explains do so beside an effect, too.
+    if len(beside) and not (alone < none - _NEGLIGIBLE).all():
+        beside = over_scales([one.each_shifted(hypotheses.shifts, r) for one, r in as_unknown])
+    spreads = [stated.spread(spread, as_stated) for spread in hypotheses.spreads]
+    return np.concatenate([[none, together, alone, *spreads], shifts, beside])
 
 
-def scores(posterior: PositionsEvidence, hypotheses: PositionsHypotheses) -> tuple[Array, Array]:
+def scores(posterior: Array, hypotheses: PositionsHypotheses) -> tuple[Array, Array]:
     """Return the evidence in nats that something is other than stated, and that a pair is noisy.
 
-    Both (n_draws,). A noisy pair is no evidence of the first, which is against nothing or such a pair;
-    that of the second is against nothing. Where nothing else is tried, the first is 0.
+    Both (n_draws,), from log posterior weights. A noisy pair is no evidence of the first, which is
+    against nothing or such a pair; that of the second is against nothing. Where nothing else is tried,
+    the first is 0.
     """
-    noisy = [np.full_like(posterior.none, -np.inf)]
-    other, odds = [posterior.coefficients, posterior.unknown], 0.0
-    for spread, weight in zip(hypotheses.spreads, posterior.spreads, strict=True):
-        (noisy if spread.effect == NOISE else other).append(weight)
-        odds += spread.odds if spread.effect == NOISE else 0.0
-    both = (*posterior.shifts, *posterior.beside)
-    other += [np.asarray(logsumexp(by_size, axis=0)) for by_size in both]
-    of_pair = logsumexp(np.array(noisy), axis=0)
-    nothing = np.logaddexp(posterior.none, of_pair)
-    prior = np.logaddexp(posterior.none, hypotheses.log_prior(odds))  # of nothing
+    none, noisy = posterior[0], np.array(hypotheses.effects) == NOISE
+    other = ~noisy
+    other[0] = False
+    of_pair = np.logaddexp.reduce(posterior[noisy], axis=0, initial=-np.inf)
+    nothing = np.logaddexp(none, of_pair)
+    of_noise = np.logaddexp.reduce(hypotheses.log_prior[noisy], initial=-np.inf)
+    prior = np.logaddexp(none, of_noise)  # of nothing
     score = np.zeros_like(prior)
     if (prior < -_TINY).all():
-        score = logsumexp(np.array(other), axis=0) - nothing - np.log1p(-np.exp(prior)) + prior
-    return np.asarray(score), np.asarray(of_pair - posterior.none)
+        score = logsumexp(posterior[other], axis=0) - nothing - np.log1p(-np.exp(prior)) + prior
+    return np.asarray(score), np.asarray(of_pair - none)
 
 
-def weights(
-    evidence: PositionsEvidence, hypotheses: PositionsHypotheses, temper: float = TEMPER
-) -> PositionsEvidence:
-    """Return log posterior weights, the weight of "none" being its prior.
+def weights(evidence: Array, hypotheses: PositionsHypotheses, temper: float = TEMPER) -> Array:
+    """Return log posterior weights, the weight of "none" being its prior, (n, n_draws).
 
     Log evidences are divided by ``temper``.
     """
-    off = max(hypotheses.off, 1e-300)
-
-    def relative(values: Array) -> Array:
-        return np.asarray((values - evidence.none) / temper)
-
-    def of_shifts(values: Sequence[Array], share: float) -> list[Array]:
-        return [
-            hypotheses.log_prior(share * s.odds)[:, np.newaxis] + relative(e)
-            for s, e in zip(hypotheses.shifts, values, strict=True)
-        ]
-
-    unexplained = hypotheses.unexplained
-
-    return PositionsEvidence(
-        none=np.full_like(evidence.none, np.log(NO_EFFECT * (1 - off))),
-        coefficients=np.log(NO_EFFECT * off) + relative(evidence.coefficients),
-        unknown=hypotheses.log_prior(hypotheses.unknown_odds) + relative(evidence.unknown),
-        shifts=of_shifts(evidence.shifts, 1 - unexplained if evidence.beside else 1.0),
-        spreads=[
-            hypotheses.log_prior(s.odds) + relative(e)
-            for s, e in zip(hypotheses.spreads, evidence.spreads, strict=True)
-        ],
-        beside=of_shifts(evidence.beside, unexplained) if evidence.beside else [],
-    )
+    return np.asarray(hypotheses.log_prior[:, np.newaxis] + (evidence - evidence[0]) / temper)
 
 
-def gain(
-    other: PositionsEvidence, evidence: PositionsEvidence, hypotheses: PositionsHypotheses
-) -> Array:
+def gain(other: Array, evidence: Array, hypotheses: PositionsHypotheses) -> Array:
     """Return the evidence in nats for another likelihood, whatever the room lacks, (n_draws,)."""
-    more = weights(other, hypotheses).total - weights(evidence, hypotheses).total
-    return np.asarray(more + (other.none - evidence.none) / TEMPER)
-
-
-def either(
-    evidence: PositionsEvidence, other: PositionsEvidence, share: float
-) -> PositionsEvidence:
-    """Return the evidence where a second likelihood holds with the probability ``share``."""
-    mixed = partial(log_mixture, share=share)
-    return PositionsEvidence(
-        none=mixed(evidence.none, other.none),
-        coefficients=mixed(evidence.coefficients, other.coefficients),
-        unknown=mixed(evidence.unknown, other.unknown),
-        shifts=[mixed(*both) for both in zip(evidence.shifts, other.shifts, strict=True)],
-        spreads=[mixed(*both) for both in zip(evidence.spreads, other.spreads, strict=True)],
-        beside=[mixed(*both) for both in zip(evidence.beside, other.beside, strict=True)],
-    )
+    more = [logsumexp(weights(each, hypotheses), axis=0) for each in (other, evidence)]
+    return np.asarray(more[0] - more[1] + (other[0] - evidence[0]) / TEMPER)
 
 
 def with_families(
-    posterior: PositionsEvidence, hypotheses: PositionsHypotheses, families: Mapping[str, float]
-) -> PositionsEvidence:
+    posterior: Array, hypotheses: PositionsHypotheses, families: Mapping[str, float]
+) -> Array:
     """Return weights times the probabilities of their families by means, to `MEANS_POWER`.
 
     A logarithmic pool of two opinions (Genest & Zidek 1986).
     """
-
-    def factor(family: str) -> float:
-        return MEANS_POWER * float(np.log(max(families.get(family, 0.0), LEAST_BY_MEANS)))
-
-    by_shift = [factor(shift.family) for shift in hypotheses.shifts]
-    return PositionsEvidence(
-        none=posterior.none + factor(NONE),
-        coefficients=posterior.coefficients + factor(COEFFICIENTS),
-        unknown=posterior.unknown + factor(UNKNOWN),
-        shifts=[w + f for w, f in zip(posterior.shifts, by_shift, strict=True)],
-        spreads=[w + factor(MEASUREMENT) for w in posterior.spreads],
-        beside=[w + f for w, f in zip(posterior.beside, by_shift, strict=False)],
-    )
+    least = [max(families.get(family, 0.0), LEAST_BY_MEANS) for family in hypotheses.families]
+    return np.asarray(posterior + MEANS_POWER * np.log(least)[:, np.newaxis])
 
 
 THRESHOLD = 2.5
@@ -376,38 +304,31 @@ class Summary:
     unexplained: float
 
 
-def summary_of(
-    case: PositionsCase, hypotheses: PositionsHypotheses, posterior: PositionsEvidence
-) -> Summary:
+def summary_of(case: PositionsCase, hypotheses: PositionsHypotheses, posterior: Array) -> Summary:
     """Return what the weights of a single set of residuals say."""
-    total = float(posterior.total[0])
-    names = list(case.faces)
+    chances = np.exp(posterior[:, 0] - logsumexp(posterior[:, 0]))
+    of_shifts, beside = hypotheses.of_shifts(chances)
+    unexplained = float(chances[2] + beside.sum())
+    if len(beside):
+        of_shifts = of_shifts + beside
+    ends = np.cumsum([len(shift.odds) for shift in hypotheses.shifts])
     grouped: dict[tuple[str, int | None, str], list[tuple[ShiftHypothesis, Array]]] = {}
-    chances = [np.exp(logs[:, 0] - total) for logs in posterior.shifts]
-    beside = [np.exp(logs[:, 0] - total) for logs in posterior.beside]
-    unexplained = float(np.exp(posterior.unknown[0] - total)) + sum(float(b.sum()) for b in beside)
-    if beside:
-        chances = [one + more for one, more in zip(chances, beside, strict=True)]
-    for shift, of_shift in zip(hypotheses.shifts, chances, strict=True):
-        key = (shift.effect, shift.surface, shift.place)
-        grouped.setdefault(key, []).append((shift, of_shift))
+    for shift, some in zip(hypotheses.shifts, np.split(of_shifts, ends)[: len(ends)], strict=True):
+        grouped.setdefault((shift.effect, shift.surface, shift.place), []).append((shift, some))
     candidates = [_candidate(case, members) for members in grouped.values()]
     places: dict[tuple[str, str], list[tuple[float, float, str]]] = {}
-    for spread, log in zip(hypotheses.spreads, posterior.spreads, strict=True):
-        chance = float(np.exp(log[0] - total))
+    for spread, chance in zip(hypotheses.spreads, chances[3:].tolist(), strict=False):
         places.setdefault((spread.effect, spread.place), []).append(
             (chance, spread.size, spread.unit)
         )
-    for (effect, place), members in places.items():
-        candidates.append(_misplaced(effect, place, members))
-    for effect, log in ((COEFFICIENTS, posterior.coefficients), (UNKNOWN, posterior.unknown)):
-        chance = float(np.exp(log[0] - total))
+    candidates += [_misplaced(*place, members) for place, members in places.items()]
+    for effect, chance in zip((COEFFICIENTS, UNKNOWN), chances[1:3].tolist(), strict=True):
         if chance > 0:
             candidates.append(Candidate(effect=effect, family=effect, probability=chance))
     candidates.sort(key=lambda c: -c.probability)
-    probabilities = {NONE: float(np.exp(posterior.none[0] - total))}
+    probabilities = {NONE: float(chances[0])}
     families = dict(probabilities)
-    surfaces = dict.fromkeys(names, 0.0)
+    surfaces = dict.fromkeys(case.faces, 0.0)
     for c in candidates:
         probabilities[c.effect] = probabilities.get(c.effect, 0.0) + c.probability
         families[c.family] = families.get(c.family, 0.0) + c.probability
@@ -567,10 +488,11 @@ class ShiftHypothesis:
 
 @dataclass(frozen=True, eq=False)
 class SpreadHypothesis:
-    """A hypothesis that some values err by more: their covariance grows by ``covariance``.
+    """A hypothesis that some values err by more: their covariance grows by ``columns columns'``.
 
-    ``rows`` are the values' numbers in the order (band, parameter, pair). ``place`` names the
-    source, receiver or pair.
+    ``rows`` are the values' numbers in the order (band, parameter, pair), ``columns`` (n_rows,
+    n_errors) are their errors, one standard deviation each. ``place`` names the source, receiver or
+    pair.
     """
 
     effect: str
@@ -578,7 +500,7 @@ class SpreadHypothesis:
     size: float
     unit: str
     rows: NDArray[np.int64]
-    covariance: Array
+    columns: Array
     odds: float
 
 
@@ -672,14 +594,14 @@ class Likelihood:
     amount: Array
     levels: ScatteringLevels
     inverse: Array = field(init=False)
-    log_determinant: float = field(init=False)
+    half: float = field(init=False)
     _products: dict[str, Array] = field(default_factory=dict, init=False)
 
     def __post_init__(self) -> None:
         both = np.outer(self.used, self.used)
         kept = np.where(both, self.covariance, 0.0) + np.diag(np.where(self.used, 0.0, 1.0))
         factor = np.linalg.cholesky(kept)
-        self.log_determinant = 2 * float(np.log(np.diag(factor)).sum())
+        self.half = float(np.log(np.diag(factor)).sum())
         # A value that was not measured has a residual of any size: its row is 0.
         self.inverse = np.where(both, np.linalg.inv(kept), 0.0)
 
@@ -705,7 +627,7 @@ class Likelihood:
 
     def stated(self, residuals: Residuals) -> Array:
         """Return the log density if nothing is other than stated, (n_draws,)."""
-        return self._log(residuals.square, 0.0)
+        return self._log(residuals.square, self.half)
 
     def shifted(self, shift: ShiftHypothesis, residuals: Residuals) -> Array:
         """Return the log density by hypothesis, (n_hypotheses, n_draws)."""
@@ -716,9 +638,12 @@ class Likelihood:
             [self._shifted(shift.some(slice(p, p + _AT_ONCE)), residuals) for p in parts]
         )
 
-    def each_shifted(self, shifts: Sequence[ShiftHypothesis], residuals: Residuals) -> list[Array]:
-        """Return `shifted` of each."""
-        return [self.shifted(shift, residuals) for shift in shifts]
+    def each_shifted(self, shifts: Sequence[ShiftHypothesis], residuals: Residuals) -> Array:
+        """Return `shifted` of each, one after the other."""
+        n_draws = len(residuals.square) // len(self.levels.log_weights)
+        return np.concatenate(
+            [np.zeros((0, n_draws)), *(self.shifted(s, residuals) for s in shifts)]
+        )
 
     def _shifted(self, shift: ShiftHypothesis, residuals: Residuals) -> Array:
         projected, forms = self._forms(shift, residuals)
@@ -730,12 +655,7 @@ class Likelihood:
         turned = error.T @ left
         if shift.uneven.any():
             inner, turned = self._with_uneven(shift, residuals, error, inner, turned)
-        inner = inner + np.eye(inner.shape[-1])
-        factor = np.linalg.cholesky(inner)
-        gained = np.linalg.solve(factor, turned)
-        whole = whole - np.einsum("hkm,hkm->hm", gained, gained)
-        more = 2 * np.log(np.diagonal(factor, axis1=1, axis2=2)).sum(axis=1)
-        return self._log(whole, more[:, np.newaxis])
+        return self._log(*with_columns(whole, self.half, turned, inner))
 
     def _with_uneven(
         self,
@@ -802,16 +722,12 @@ class Likelihood:
 
     def spread(self, spread: SpreadHypothesis, residuals: Residuals) -> Array:
         """Return the log density with some errors wider, (n_draws,)."""
-        rows = spread.rows[self.used[spread.rows]]
-        if not len(rows):
-            return self.stated(residuals)
         kept = self.used[spread.rows]
-        added = spread.covariance[np.ix_(kept, kept)]
-        inside = self.inverse[np.ix_(rows, rows)]
-        pulled = residuals.pull[rows]
-        inner = np.eye(len(rows)) + added @ inside
-        gained = np.einsum("rm,rm->m", pulled, np.linalg.solve(inner, added @ pulled))
-        return self._log(residuals.square - gained, float(np.linalg.slogdet(inner)[1]))
+        rows, columns = spread.rows[kept], spread.columns[kept]
+        across, inner = columns.T @ residuals.pull[rows], self.inverse[np.ix_(rows, rows)]
+        return self._log(
+            *with_columns(residuals.square, self.half, across, columns.T @ inner @ columns)
+        )
 
     def forms(self, shift: ShiftHypothesis) -> Array:
         """Return d' K⁻¹ d by pairs of bands, (n_hypotheses, n_bands, n_bands)."""
@@ -835,17 +751,12 @@ class Likelihood:
             self._products[response] = np.einsum("krm,krln->kmln", nodes, half, optimize=True)
         return self._products[response]
 
-    def _log(self, square: Array, more: Array | float) -> Array:
-        """Return the log density of chi-squares by level, ``more`` added to the log determinant.
+    def _log(self, square: Array, half: Array | float) -> Array:
+        """Return the log density from chi-squares by level and ln sqrt|C|: the mean over the levels.
 
-        (..., n_levels n_draws) to (..., n_draws), the mean over the levels. Normal up to the number of
-        values; beyond it as if the errors were larger throughout, since few control runs say how large
-        they are.
+        (..., n_levels n_draws) to (..., n_draws).
         """
-        n = self.number
-        excess = np.log(np.maximum(square / n, 1.0))
-        fit = np.where(square <= n, square / 2, n / 2 * (1 + excess))
-        log = -fit - (self.log_determinant + more) / 2
+        log = bounded(square, half, self.number)
         weights = self.levels.log_weights[:, np.newaxis]
         by_level = log.reshape(*log.shape[:-1], len(weights), -1) + weights
         return np.asarray(np.logaddexp.reduce(by_level, axis=-2))

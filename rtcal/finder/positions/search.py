@@ -11,6 +11,7 @@ import numpy as np
 from rtcal.acoustics.observables import TARGET, observable
 from rtcal.finder.claim import CLAIMED, DISTINCT_NATS, claimed
 from rtcal.finder.effects import Effect, checked_effects, library
+from rtcal.finder.evidence import log_mixture
 from rtcal.finder.finding import Candidate, Detection
 from rtcal.finder.means.finding import MeansFinding
 from rtcal.finder.means.search import CHOSEN
@@ -42,11 +43,9 @@ from rtcal.finder.positions.posterior import (
     THRESHOLD,
     TOLD_TEMPER,
     Likelihood,
-    PositionsEvidence,
     PositionsHypotheses,
     ShiftHypothesis,
     Summary,
-    either,
     evaluate,
     evidence_of_means,
     gain,
@@ -194,26 +193,26 @@ def find_by_positions(
 
     def searched(
         case: PositionsCase,
-    ) -> tuple[PositionsProblem, PositionsHypotheses, PositionsEvidence]:
+    ) -> tuple[PositionsProblem, PositionsHypotheses, Array]:
         numbers = problem_of(case, made, controls)
         hypotheses = every_hypothesis(case, made, numbers, effects, left_out)
         return numbers, hypotheses, evaluated(numbers, hypotheses)
 
     def evaluated(
         numbers: PositionsProblem, hypotheses: PositionsHypotheses, sources: Array | float = 0.0
-    ) -> PositionsEvidence:
+    ) -> Array:
         residuals = numbers.residual[:, np.newaxis]
         return evaluate(numbers.likelihoods(sources=sources), hypotheses, residuals)
 
     def with_gains(
         numbers: PositionsProblem,
         hypotheses: PositionsHypotheses,
-        evidence: PositionsEvidence,
+        evidence: Array,
         sources: Array | float = 0.0,
-    ) -> PositionsEvidence:
+    ) -> Array:
         for gains in numbers.gains:
             regained = evaluated(numbers, hypotheses, sources + gains)
-            evidence = either(evidence, regained, MISCALIBRATED)
+            evidence = log_mixture(evidence, regained, MISCALIBRATED)
         return evidence
 
     numbers, hypotheses, evidence = searched(case)
@@ -244,7 +243,7 @@ def find_by_positions(
         elif doubted:  # nothing is left that says as much whatever the source
             evidence = lobes
         else:
-            evidence = either(evidence, lobes, AIMED)
+            evidence = log_mixture(evidence, lobes, AIMED)
         score, noise = scores(weights(evidence, hypotheses), hypotheses)
     detected = Detection(
         score=float(score[0]),
@@ -294,7 +293,7 @@ def _finding(
     case: PositionsCase,
     numbers: PositionsProblem,
     hypotheses: PositionsHypotheses,
-    posterior: PositionsEvidence,
+    posterior: Array,
     likelihood: Likelihood,
     detected: Detection,
     effects: Sequence[Effect],
