@@ -22,7 +22,7 @@ from rtcal.calibration.measured import MeasuredTimes
 from rtcal.calibration.qp import Certificate
 from rtcal.calibration.verdict import numbers, verdict
 from rtcal.files.disk import json_numbers
-from rtcal.support import __version__, text
+from rtcal.support import __version__
 from rtcal.support.blocks import Block, Note, Row, Table
 from rtcal.support.types import Array
 
@@ -136,8 +136,8 @@ def _mean_measurement(room: Room, measured: MeasuredTimes) -> Measurement:
 _STRONG_SHIFT = 3.0
 """Shift (in sigmas) and gap (in JND) at which the notebook's shading saturates."""
 
-_SHIFT = "shift of alpha / stated sigma"
-_SIGNS = (
+SHIFT = "shift of alpha / stated sigma"
+SIGNS = (
     "gap: T of the model less the measured T, 1 JND being 5 %. z: the absorption that T asks for less "
     "the stated, in standard deviations."
 )
@@ -154,46 +154,34 @@ def blocks_of(record: Mapping[str, Any]) -> list[Block]:
         As `CalibrationResult.to_dict` returns it.
     """
     labels, materials = bands.labels(record["centre_frequencies"]), record["materials"]
-    named = [(_area(material), material) for material in materials]
+    named = [(f"{m['name']}, {m['area']:g} m²", m) for m in materials]
+    stated = [Row(name, m["alpha_before"], ".3f") for name, m in named]
+    calibrated = [
+        Row(name, [f"{alpha:.3f}{_BOUNDS[bound]}" for alpha, bound in cells])
+        for name, m in named
+        for cells in [zip(m["alpha_after"], m["at_bound"], strict=True)]
+    ]
+    heading, evidence = verdict(record)[1:]
+    marks = explained(_trust_marks(record))
     return [
         *map(Note, _header(record)),
         Note(""),
-        *(Note(sentence, indent) for sentence, indent in _notes(record)),
-        Table(labels, band_rows(record), note=_SIGNS),
-        Table(
-            labels,
-            [Row(name, [f"{alpha:.3f} " for alpha in m["alpha_before"]]) for name, m in named],
-            "stated alpha",
-        ),
-        Table(
-            labels,
-            [
-                Row(
-                    name,
-                    [
-                        f"{alpha:.3f}{_BOUNDS[bound]}"
-                        for alpha, bound in zip(m["alpha_after"], m["at_bound"], strict=True)
-                    ],
-                )
-                for name, m in named
-            ],
-            "calibrated alpha (* at a bound)",
-        ),
-        Table(
-            labels,
-            [
-                Row(
-                    m["name"],
-                    [f"{cell} " for cell in text.numbers(shifts, "+.1f")],
-                    shade=shifts / _STRONG_SHIFT,
-                )
-                for m in materials
-                for shifts in [numbers(m["shift_in_sigmas"])]
-            ],
-            _SHIFT,
-        ),
-        Note(_certificate(record)),
+        Note(f"{heading}. {evidence}"),
+        *([Note("Cautions:")] if marks else []),
+        *(Note(mark.lstrip(), " " * (2 + len(mark) - len(mark.lstrip()))) for mark in marks),
+        *map(Note, remarks(record)),
+        Table(labels, band_rows(record), note=SIGNS),
+        Table(labels, stated, "stated alpha"),
+        Table(labels, calibrated, "calibrated alpha (* at a bound)"),
+        Table(labels, shift_rows(record), SHIFT),
+        Note(certificate(record)),
     ]
+
+
+def shift_rows(record: Mapping[str, Any]) -> list[Row]:
+    """Return the shift of each material's coefficients in stated standard deviations, by band."""
+    shifts = [(m["name"], numbers(m["shift_in_sigmas"])) for m in record["materials"]]
+    return [Row(name, of, "+.1f", np.nan_to_num(of) / _STRONG_SHIFT) for name, of in shifts]
 
 
 def _header(record: Mapping[str, Any]) -> tuple[str, str]:
@@ -238,56 +226,38 @@ def band_rows(record: Mapping[str, Any]) -> list[Row]:
     return rows
 
 
-def _area(material: Mapping[str, Any]) -> str:
-    return f"{material['name']}, {material['area']:g} m²"
-
-
 def _trust_marks(record: Mapping[str, Any]) -> list[TrustMark]:
     return [TrustMark(**mark) for mark in record["trust_marks"]]
 
 
-def _notes(record: Mapping[str, Any]) -> list[tuple[str, str]]:
-    """The verdict and the cautions, each sentence with its indent."""
-    measured, of_all = record["measured"], verdict(record)
-    notes = [(f"{of_all.heading}. {of_all.text}", "")]
-    if marks := _trust_marks(record):
-        notes.append(("Cautions:", ""))
-        for sentence in explained(marks):
-            notes.append((sentence.lstrip(), " " * (2 + len(sentence) - len(sentence.lstrip()))))
-    stated = record.get("room_uncertainty")
-    if record["room_taken_as_exact"]:
-        said = (
-            f"; stated is (standard deviations): {stated}"
-            if stated
-            else ": the room states no uncertainty of them"
-        )
-        notes.append((f"Volume and areas are taken as exact{said}.", ""))
-    else:
-        notes.append(
-            (
-                f"The room is uncertain as stated (standard deviations): {stated}. T after is computed "
-                "with the stated volume, areas and climate, not with corrected ones.",
-                "",
-            )
-        )
-    notes += [(f"{sentence} (nearest end taken)", "  ") for sentence in record["unreachable"]]
-    if measured["caution"]:
-        notes.append((measured["caution"], "  "))
+def remarks(record: Mapping[str, Any]) -> list[str]:
+    """Return what was taken as exact, left out, not measured or out of reach, a sentence each."""
+    measured, stated = record["measured"], record.get("room_uncertainty")
+    uncertain = (
+        f"; stated is (standard deviations): {stated}"
+        if stated
+        else ": the room states no uncertainty of them"
+    )
+    said = [
+        f"Volume and areas are taken as exact{uncertain}."
+        if record["room_taken_as_exact"]
+        else f"The room is uncertain as stated (standard deviations): {stated}. T after is computed "
+        "with the stated volume, areas and climate, not with corrected ones."
+    ]
+    said += [f"{sentence} (nearest end taken)" for sentence in record["unreachable"]]
+    said += filter(None, [measured["caution"]])
     if measured["bands_not_in_room"]:
         ignored = ", ".join(bands.labels(measured["bands_not_in_room"]))
-        notes.append((f"left out: {ignored} (measured, but no band of the room)", "  "))
+        said.append(f"left out: {ignored} (measured, but no band of the room)")
     if beyond := _bands_beyond_equation(record):
-        notes.append(
-            (
-                f"no T before at {', '.join(beyond)}: {record['equation']}'s equation does not hold "
-                "for coefficients as large as those stated",
-                "  ",
-            )
+        said.append(
+            f"no T before at {', '.join(beyond)}: {record['equation']}'s equation does not hold "
+            "for coefficients as large as those stated"
         )
-    return notes
+    return said
 
 
-def _certificate(record: Mapping[str, Any]) -> str:
+def certificate(record: Mapping[str, Any]) -> str:
     """Return how exactly the problem was solved."""
     worst = {
         key: np.max(numbers(record["certificate"][key]))

@@ -202,7 +202,7 @@ def fit(
     from rtcal.io import geometry_files
     from rtcal.loop.control_runs import RUNS
     from rtcal.loop.positions import calibrate_positions
-    from rtcal.report import positions_page
+    from rtcal.report import figures
     from rtcal.support.speed import bar, following
 
     folder = output_folder("--out", out)
@@ -210,7 +210,7 @@ def fit(
     if folder is not None:
         mesh = [] if stated.scene.mesh is None else [stated.scene.mesh]
         read = [room, measured, *mesh, *([] if modes is None else [modes])]
-        spare([folder / name for name in positions_page.POSITION_FILES], read)
+        spare([folder / name for name in figures.POSITION_FILES], read)
     heard = read_measured(measured)
     if stated.scattering is None and scattering is None and not keep_scattering:
         scattering = _START
@@ -241,9 +241,7 @@ def fit(
                 progress=following(shown),
             )
     if folder is not None and (is_forced() or not result.refused):
-        positions_page.write_positions(
-            result, folder, tracer.geometry, tracer.sources, tracer.receivers
-        )
+        figures.write_positions(result, folder, tracer.geometry, tracer.sources, tracer.receivers)
     tell(str(result), result.to_dict())
     if result.refused:
         raise click.exceptions.Exit(NOT_NEARER)

@@ -381,7 +381,7 @@ def report(
     Example: rtcal report calibrated --out hall.xlsx
     """  # noqa: D301 (click's mark for lines that are not to be wrapped)
     from rtcal.io import workbook
-    from rtcal.report import document, figures, pages
+    from rtcal.report import figures, pages
     from rtcal.support.speed import bar
 
     if out == "":
@@ -397,5 +397,5 @@ def report(
         return
     with bar(_FIGURES, "figure", bar_wanted(), said()) as shown:
         text = pages.page_of(result, heading=heading, progress=lambda: shown.update(1))
-    document.write(target, text)
+    write_text(target, text)
     tell("", {"bytes": len(text.encode())})

@@ -318,7 +318,7 @@ def find(heading: Heading, out: str | None, **stated: Any) -> None:
         finding = search.finding()
         tell(str(finding), finding.to_dict())
         return
-    from rtcal.report import finding_pages, gap_report
+    from rtcal.report import of_finding
 
     output_folder("--out", out)
     folder = Path(out)
@@ -327,14 +327,14 @@ def find(heading: Heading, out: str | None, **stated: Any) -> None:
         finding.save(folder)
         tell(str(finding), finding.to_dict())
         return
-    finding = search.finding([folder / name for name in finding_pages.WRITTEN])
+    finding = search.finding([folder / name for name in of_finding.WRITTEN])
     verification = None
     if finding.can_be_verified:
         verification = verified(finding, search.cache)
     command = shlex.join(["rtcal", "find", *search.words, "--out", out])
     place = next(iter(_further_places(finding)), None)
-    again = gap_report.Reproduction(command, search.files, search.seed)
-    finding_pages.write(finding, verification, folder, heading, again, place)
+    again = of_finding.Reproduction(command, search.files, search.seed)
+    of_finding.write(finding, verification, folder, heading, again, place)
     record = finding.to_dict()
     if verification is not None:
         record["verification"] = verification.to_dict()
@@ -443,14 +443,14 @@ def apply(
 
     finding, _ = saved(found)
     if isinstance(finding, MeansFinding):
-        from rtcal.report.finding_pages import correct
+        from rtcal.report.of_finding import correct
 
         refuse({"form": form, "at": at}, _NO_SURFACE)
         with errors_name_options("effect"):
-            correction = correct(finding, out, room, effect)
-        write_all(correction.files)
-        tell(str(correction), correction.to_dict())
-        if not correction.files:
+            said, record, files = correct(finding, out, room, effect)
+        write_all(files)
+        tell(said, record)
+        if not files:
             raise click.exceptions.Exit(NOTHING_TO_ADD)
         return
     two = isinstance(finding, StatesFinding)

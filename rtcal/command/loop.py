@@ -164,7 +164,7 @@ def next_(
     from rtcal.loop import calibrate
     from rtcal.loop.matched import sentences
     from rtcal.loop.state import Loop
-    from rtcal.report.loop_page import beside_rows, lost_rows, statuses
+    from rtcal.report.of_loop import other_rows, statuses
     from rtcal.support import blocks, text
     from rtcal.support.blocks import Table
 
@@ -184,8 +184,7 @@ def next_(
         ("", ["/ s", "(simulated - wanted) / JND", "status"]),
     ]
     lines = text.table(rows, header=header)
-    more = [*lost_rows(after.compromise), *beside_rows(after)]
-    if more:
+    if more := other_rows(after):
         lines += ["", *blocks.lines([Table(bands.labels(frequencies), more)])]
     for sentence in sentences(after.gaps_beside, frequencies):
         lines += text.wrapped(sentence)

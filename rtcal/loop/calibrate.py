@@ -191,13 +191,14 @@ class LoopResult(Result):
         return {**self.loop.to_dict(), "result": self.ends()}
 
     def __str__(self) -> str:
-        return "\n".join(blocks.lines(self._blocks()))
+        return "\n".join(blocks.lines(self.blocks()))
 
     def _repr_html_(self) -> str:
         """Return the tables with shaded gaps: orange for a T that is too long, blue for too short."""
-        return blocks.notebook(self._description, self._blocks()[1:])
+        return blocks.notebook(self._description, self.blocks()[1:])
 
-    def _blocks(self) -> list[Block]:
+    def blocks(self) -> list[Block]:
+        """Return what the result says."""
         shades = np.nan_to_num(self.gap) / _STRONGEST_SHADE
         outcome = {
             "T wanted / s": text.numbers(self.loop.wanted, ".3f"),

@@ -100,8 +100,8 @@ from rtcal.simulators.base import (
 from rtcal.simulators.facets import WELD
 from rtcal.simulators.geometry import Plane, Polyhedron, convex_parts
 from rtcal.simulators.path_tracing import PathTracing
-from rtcal.support import blocks, checks, text
-from rtcal.support.blocks import Block, Note, Row, Table
+from rtcal.support import checks, text
+from rtcal.support.blocks import Block, Note, Row, Table, lines, notebook
 from rtcal.support.errors import DataError
 from rtcal.support.speed import Progress
 from rtcal.support.types import Array
@@ -276,20 +276,19 @@ class PositionsPrediction(Result):
         )
 
     def __str__(self) -> str:
+        return "\n".join(lines(self.blocks()))
+
+    def blocks(self) -> list[Block]:
+        """Return what the prediction says."""
         labels = bands.labels(self.before.centre_frequencies)
         first = self.parameters[0]
-        of_first = f"the interval of {parameter_label(first)}"
-        return "\n".join(
-            blocks.lines(
-                [
-                    Note(f"{self.before.name}: {self.name}"),
-                    Note(f"Mean over {len(self.pairs)} pairs, by {self.simulator}"),
-                    Table(labels, self.rows),
-                    words.made_of(of_first, self.parts(first), labels),
-                    *map(Note, self.sentences),
-                ]
-            )
-        )
+        return [
+            Note(f"{self.before.name}: {self.name}"),
+            Note(f"Mean over {len(self.pairs)} pairs, by {self.simulator}"),
+            Table(labels, self.rows),
+            words.made_of(f"the interval of {parameter_label(first)}", self.parts(first), labels),
+            *map(Note, self.sentences),
+        ]
 
     @property
     def rows(self) -> list[Row]:
@@ -384,13 +383,17 @@ def gap_table(
     before: Array,
     after: Array,
     title: str = "rms gap / JND",
+    misfit: Array | None = None,
 ) -> Table:
-    """Return the table of `gap_rows`."""
+    """Return the table of `gap_rows`, with the misfit (n_pairs,) of each pair where it is given."""
+    columns, own = [parameter_label(p) for p in parameters], [[]] * (len(pairs) + 1)
+    if misfit is not None:
+        columns, own = [*columns, "misfit"], [[m] for m in (*text.numbers(misfit, ".1f"), "-")]
     rows = [
-        Row(name, [" to ".join(text.number(x, ".1f") for x in ends) for ends in cells])
-        for name, cells in gap_rows(pairs, before, after)
+        Row(name, [*(" to ".join(text.numbers(ends, ".1f")) for ends in cells), *more])
+        for (name, cells), more in zip(gap_rows(pairs, before, after), own, strict=True)
     ]
-    return Table([parameter_label(p) for p in parameters], rows, corner=title)
+    return Table(columns, rows, corner=title)
 
 
 _FLAT = 0.05
@@ -1321,19 +1324,22 @@ class PositionsResult(Result):
         )
 
     def __str__(self) -> str:
-        return "\n".join(blocks.lines(self._blocks()))
+        return "\n".join(lines(self.blocks()))
 
     def _repr_html_(self) -> str:
         """Return the tables; that of the materials is darker where more was learned."""
-        return blocks.notebook(self._description, self._blocks()[bool(self.warning) :])
+        return notebook(self._description, self.blocks()[bool(self.warning) :])
 
-    def _blocks(self) -> list[Block]:
+    def blocks(self) -> list[Block]:
+        """Return what the calibration says."""
         ends = self.beside.gap_before, self.beside.gap_after
         more = self.beside.parameters
         return [
             *([Note(self.warning, hanging="    "), Note("")] if self.warning else []),
             Note(f"Coefficients only for {self.simulator}"),
-            gap_table(self.parameters, self.pairs, self.gap_before, self.gap_after),
+            gap_table(
+                self.parameters, self.pairs, self.gap_before, self.gap_after, misfit=self.misfit
+            ),
             *([gap_table(more, self.pairs, *ends, "not matched: gap / JND")] if more else []),
             self._material_table(),
             *(Note(note, hanging="    ") for note in self.every_note[bool(self.warning) :]),

@@ -262,14 +262,15 @@ class ModesResult(Result):
         ]
         low = bands.labels(self.prior.centre_frequencies[self.below])
         rows = [Row(m, c) for m, c in zip(self.prior.materials, cells, strict=True)]
-        first, *rest = self._blocks()
+        first, *rest = self.blocks()
         return "\n".join(blocks.lines([first, Table(low, rows, corner="alpha (90 %)"), *rest]))
 
     def _repr_html_(self) -> str:
         """Return the table of the modes."""
-        return blocks.notebook(self._description, self._blocks())
+        return blocks.notebook(self._description, self.blocks())
 
-    def _blocks(self) -> list[Block]:
+    def blocks(self) -> list[Block]:
+        """Return what the result says."""
         rows = [Row(name, cells) for name, cells in self.mode_rows]
         notes = [Note(note, hanging="    ") for note in self.every_note]
         return [Table(_HEADER[1:], rows, corner=_HEADER[0]), *notes]

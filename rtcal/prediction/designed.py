@@ -599,8 +599,12 @@ class Design(Result):
             f"{self.cost:.4g}, probability {np.nanmin(self.probability):.2f} or more>"
         )
 
+    def blocks(self) -> list[Block]:
+        """Return what the design says."""
+        return blocks_of(self.to_dict())
+
     def __str__(self) -> str:
-        return "\n".join(blocks.lines(blocks_of(self.to_dict())))
+        return "\n".join(blocks.lines(self.blocks()))
 
 
 def treatments_of(record: Mapping[str, Any]) -> Table:

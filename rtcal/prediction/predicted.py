@@ -356,8 +356,12 @@ class Prediction(Result):
             f"± {100 * JND * np.median(self.half_width):.0f} %>"
         )
 
+    def blocks(self) -> list[Block]:
+        """Return what the prediction says."""
+        return words.blocks_of(self.to_dict())
+
     def __str__(self) -> str:
-        return "\n".join(blocks.lines(words.blocks_of(self.to_dict())))
+        return "\n".join(blocks.lines(self.blocks()))
 
 
 def predict(

@@ -7,13 +7,8 @@ from rtcal import support
 if TYPE_CHECKING:
     from rtcal.report import document as document
     from rtcal.report import figures as figures
-    from rtcal.report import gap_figures as gap_figures
-    from rtcal.report import gap_report as gap_report
-    from rtcal.report import loop_page as loop_page
-    from rtcal.report import material_figures as material_figures
-    from rtcal.report import page as page
+    from rtcal.report import of_finding as of_finding
     from rtcal.report import pages as pages
-    from rtcal.report import positions_page as positions_page
     from rtcal.report import study_report as study_report
 else:
     __getattr__, __dir__, __all__ = support.exports(__name__, __file__)

@@ -1,4 +1,4 @@
-"""A self-contained HTML document: its heading, its frame, its figures. Each page of a result is one.
+"""A self-contained HTML document of blocks: tables, notes and what only a page has.
 
 No other module imports jinja2. Autoescaping makes every name plain text.
 """
@@ -6,9 +6,8 @@ No other module imports jinja2. Autoescaping makes every name plain text.
 from __future__ import annotations
 
 import base64
-import os
 import re
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache, partial
 from itertools import pairwise
@@ -17,9 +16,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rtcal.files.disk import write_text
+from rtcal.acoustics import bands
+from rtcal.acoustics.room import Room
+from rtcal.acoustics.trust import TrustMark
 from rtcal.report import figures
 from rtcal.support import __version__
+from rtcal.support.blocks import Block, Note, Row, Table
 from rtcal.support.checks import LONGEST_NAME, short_name
 from rtcal.support.errors import DataError, MissingDependencyError
 from rtcal.support.text import shortened
@@ -34,7 +36,9 @@ MOST = 1e6
 _NUMBER = r"([+−-]?\d+(?:\.\d+)?)"
 _ONE = rf"{_NUMBER} nats"
 _TWO = rf"{_ONE}(; threshold:?|; it must exceed| instead of| of the) {_NUMBER}(?: nats)?"
-_EXPLAINED = re.compile(r" ?2\.3 nats are odds of ten to one\.")
+_EXPLAINED = re.compile(
+    r" ?(\(2\.3 nats are odds of ten to one\)|2\.3 nats are odds of ten to one\.)"
+)
 """What explains nats, and nothing else."""
 _FACTORS = (
     (rf"{_ONE} (more|less) probable", "{0} times {1} probable"),
@@ -102,7 +106,8 @@ def _times(nats: float) -> str:
 
 MAX_BYTES = 2 * 10**6
 """Largest size of a page in bytes."""
-_BANDS_ABREAST = 7
+_ABREAST, _WORDY = 7, 16
+"""Columns of a table that fit a sheet; length of a cell beyond which it is of words."""
 
 
 @dataclass(frozen=True)
@@ -138,28 +143,120 @@ class Heading:
         return Heading(title, self.author or author, self.date)
 
 
-def render(template: str, values: Mapping[str, Any], heading: Heading) -> str:
-    """Return a page of a template that extends ``layout.html``.
+@dataclass(frozen=True)
+class Section:
+    """A heading of a page; ``name`` is its anchor, ``new_sheet`` says that paper begins anew there."""
+
+    title: str
+    name: str
+    level: int = 2
+    new_sheet: bool = False
+
+
+@dataclass(frozen=True)
+class Box:
+    """A verdict: "agrees", "open" or "contradicts", the sentence that leads, and what it rests on."""
+
+    level: str
+    lead: str
+    texts: Sequence[str] = ()
+
+
+@dataclass(frozen=True)
+class Items:
+    """Sentences as a list; without any, nothing."""
+
+    texts: Sequence[str]
+
+
+@dataclass(frozen=True)
+class Code:
+    """Commands to copy."""
+
+    text: str
+
+
+@dataclass(frozen=True)
+class Files:
+    """Files within the page, by name, and what is to be done with them: "Save a and b" and ``text``."""
+
+    contents: Mapping[str, bytes]
+    text: str
+
+
+@dataclass(frozen=True, eq=False)
+class Picture:
+    """A figure, which ``draw`` makes, with a text in its place and a caption; ``tall`` may be high."""
+
+    draw: Callable[[], Any]
+    caption: str
+    alt: str = ""
+    tall: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class Beside:
+    """Parts that stand side by side where the page is wide; ``kind`` is their class."""
+
+    parts: Sequence[Sequence[Any]]
+    kind: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class Page:
+    """A page: what it is of, who made it, what it shows, and its blocks.
+
+    Blocks are those of `rtcal.support.blocks`, the classes of this module, and the room of
+    `rtcal.report.room_view`.
+    """
+
+    name: str
+    author: str
+    subject: str
+    blocks: Sequence[Any]
+
+
+def render(
+    page: Page, heading: Heading | None = None, progress: Callable[[], None] | None = None
+) -> str:
+    """Return a page as HTML; ``progress`` is called after each figure.
 
     Raises
     ------
     MissingDependencyError
-        Without jinja2.
+        Without jinja2 or matplotlib.
     DataError
         If the page would be larger than 2 MB.
     """
+    whole = (heading or Heading()).completed(page.name, page.author)
+    subject = page.subject[:1].upper() + page.subject[1:]
+
+    def drawn(picture: Picture) -> str:
+        encoded = source(picture)
+        if progress is not None:
+            progress()
+        return encoded
+
     text: str = (
-        _environment().get_template(template).render(version=__version__, heading=heading, **values)
+        _environment()
+        .get_template("page.html")
+        .render(
+            version=__version__,
+            heading=whole,
+            subtitle=subject if whole.title == page.name else f"{page.name}: {page.subject}",
+            blocks=page.blocks,
+            room=next((b for b in page.blocks if type(b).__name__ == "RoomSection"), None),
+            source=drawn,
+        )
     )
     if (size := len(text.encode("utf-8", errors="backslashreplace"))) > MAX_BYTES:
         raise DataError(f"the page would have {size} bytes, more than {MAX_BYTES}")
     return text
 
 
-def source(figure: Any, step: Callable[[], None]) -> str:
+def source(picture: Picture) -> str:
     """Return a figure as a data URI, a separate document whose ids do not clash with the page's."""
-    step()
-    return data_of(figures.rendered(figure, "svg"), "image/svg+xml")
+    return data_of(figures.rendered(picture.draw(), "svg"), "image/svg+xml")
 
 
 def data_of(content: bytes, kind: str = "text/plain") -> str:
@@ -167,16 +264,19 @@ def data_of(content: bytes, kind: str = "text/plain") -> str:
     return f"data:{kind};base64,{base64.b64encode(content).decode()}"
 
 
-def blocks(n_bands: int) -> list[slice]:
-    """Return the bands of each part of a table, alike in width, so that it fits a sheet."""
-    number = -(-n_bands // _BANDS_ABREAST)
-    ends = [n_bands * block // number for block in range(number + 1)]
+def abreast(columns: Sequence[str]) -> list[slice]:
+    """Return the columns of each part of a table, alike in number, so that it fits a sheet."""
+    number = -(-len(columns) // _ABREAST)
+    ends = [len(columns) * part // number for part in range(number + 1)]
     return [slice(first, end) for first, end in pairwise(ends)]
 
 
-def write(path: str | os.PathLike[str], text: str) -> None:
-    """Write a page, whole or not at all."""
-    write_text(path, text)
+def wordy(table: Table) -> list[bool]:
+    """Return which columns are of texts that are longer than a number, (n_columns,)."""
+    columns = zip(
+        *((() if r.form else r.cells) or [""] * len(table.columns) for r in table.rows), strict=True
+    )
+    return [any(len(c) > _WORDY and "→" not in c for c in column) for column in columns]
 
 
 @cache
@@ -195,24 +295,16 @@ def _environment() -> Any:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    environment.filters["fixed"] = _fixed
-    environment.filters["signed"] = _signed
-    environment.filters["in_style"] = lambda text: Markup(_in_style(text))
-    environment.filters["odds"] = odds
-    environment.filters["in_odds"] = in_odds
-    environment.filters["as_it_is"] = Markup  # rtcal's own script, and JSON without markup
+    environment.filters |= {
+        "kind": lambda block: type(block).__name__,
+        "abreast": abreast,
+        "wordy": wordy,
+        "data": data_of,
+        "in_odds": in_odds,
+        "in_style": lambda text: Markup(_in_style(text)),
+        "as_it_is": Markup,  # rtcal's own script, and JSON without markup
+    }
     return environment
-
-
-def _fixed(value: float, digits: int) -> str:
-    return f"{value:.{digits}f}" if np.isfinite(value) else "–"
-
-
-def _signed(value: float, digits: int) -> str:
-    if not np.isfinite(value):
-        return "–"
-    text = f"{value:+.{digits}f}"
-    return text.replace("-", "−") if float(text) else text.lstrip("+-")
 
 
 def _in_style(text: str) -> str:
@@ -224,37 +316,68 @@ def _in_style(text: str) -> str:
     return '"' + "".join(c if c.isalnum() or c in " .,-" else f"\\{ord(c):x} " for c in text) + '"'
 
 
-def material_rows(
-    names: Iterable[str],
-    areas: Array,
-    before: Array,
-    after: Array,
+def coefficients(
+    title: str,
+    room: Room,
+    alpha: Array,
     interval: tuple[Array, Array] | None = None,
     at_bound: NDArray[np.bool_] | None = None,
-) -> list[dict[str, Any]]:
-    """Return one row per material: name, area, and a cell per band.
+    rows: Iterable[int] | None = None,
+) -> Table:
+    """Return the table of coefficients by material and band: stated → calibrated, and the interval.
 
     Parameters
     ----------
-    names : iterable of str (n_materials,)
-    areas : array (n_materials,)
-        m².
-    before, after : array (n_materials, n_bands)
-        Coefficients as stated and as calibrated.
+    title : str
+    room : Room
+        With the stated coefficients.
+    alpha : array (n_materials, n_bands)
     interval : (array, array), optional
-        Ends of the calibrated coefficients' 90 % intervals, each (n_materials, n_bands).
+        Ends of their 90 % intervals, each (n_materials, n_bands).
     at_bound : array of bool (n_materials, n_bands), optional
         Which coefficients stand at a bound; they get a star.
+    rows : iterable of int, optional
+        Numbers of the materials; all by default.
     """
-    rows = []
-    for i, name in enumerate(names):
-        cells: list[dict[str, Any]] = [
-            {"before": b, "after": a, "star": ""} for b, a in zip(before[i], after[i], strict=True)
+
+    def cell(i: int, k: int) -> str:
+        star = "*" if at_bound is not None and at_bound[i, k] else ""
+        ends = (
+            "" if interval is None else f"\n{interval[0][i, k]:.3f}\u00a0to {interval[1][i, k]:.3f}"
+        )
+        return f"{room.alpha[i, k]:.3f}\u00a0→ {alpha[i, k]:.3f}{star}{ends}"
+
+    chosen = range(room.n_materials) if rows is None else rows
+    return Table(
+        bands.labels(room.centre_frequencies),
+        [
+            Row(
+                f"{room.materials[i]}, {room.areas[i]:.4g} m²",
+                [cell(i, k) for k in range(room.n_bands)],
+            )
+            for i in chosen
+        ],
+        title,
+        "Material",
+    )
+
+
+def doubts(marks: Sequence[TrustMark]) -> list[Block]:
+    """Return the table of the trust marks, a row for each kind and fact, or that there are none."""
+    if not marks:
+        return [
+            Note(
+                "No check of rtcal's found a reason for doubt. What no check looks at may still be "
+                "wrong."
+            )
         ]
-        for k, cell in enumerate(cells):
-            if interval is not None:
-                cell |= {"low": interval[0][i, k], "high": interval[1][i, k]}
-            if at_bound is not None and at_bound[i, k]:
-                cell["star"] = "*"
-        rows.append({"name": name, "area": areas[i], "cells": cells})
-    return rows
+    rows = []
+    kinds = [mark.kind for mark in marks]
+    facts = dict.fromkeys((mark.kind, mark.text) for mark in marks)
+    for kind, text in sorted(facts, key=lambda fact: kinds.index(fact[0])):
+        alike = [mark for mark in marks if (mark.kind, mark.text) == (kind, text)]
+        where = bands.hertz([m.frequency for m in alike if m.frequency is not None])
+        letter = f" ({alike[0].letter})" if alike[0].letter else ""
+        cells = [f"{where}: {text}" if where else text, alike[0].advice]
+        rows.append(Row(alike[0].title + letter, cells))
+    return [Table(["Where and what", "What to do"], rows, corner="Reservation")]

@@ -1,4 +1,4 @@
-"""The figures of a calibration over frequency, and its folder. No other module imports matplotlib.
+"""The figures of all results, and the folder of a calibration. No other module imports matplotlib.
 
 The figures can be read in grey and by colour-blind readers: each line has its own marker and style,
 each bar its own hatch, and the colours are Okabe and Ito's (2008).
@@ -10,15 +10,19 @@ import io
 import os
 import textwrap
 import warnings
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from itertools import cycle
 from pathlib import Path
+from string import ascii_uppercase
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from rtcal.acoustics.observables import TARGET, DecaySlope, of_kind, parameter_label
+from rtcal.acoustics.priors import NORMAL_90
+from rtcal.acoustics.marks import gap_jnd, rms
 from rtcal.acoustics.marks import letters
-from rtcal.acoustics.observables import TARGET
 from rtcal.files.disk import make_folder, write_all, write_bytes
 from rtcal.files.saved import NUMBERS
 from rtcal.io.mend import Faces
@@ -33,43 +37,17 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from rtcal.calibration.result import CalibrationResult
+    from rtcal.finder.means.finding import MeansFinding
+    from rtcal.finder.means.verification import MeansVerification
+    from rtcal.finder.positions.finding import Place, PositionsFinding
+    from rtcal.finder.positions.verification import PositionsVerification
+    from rtcal.finder.states.finding import StatesFinding
     from rtcal.loop.positions_result import PositionsResult
+    from rtcal.loop.state import Loop
     from rtcal.modes.result import ModesResult
 
 __all__ = ["gap", "rendered", "reverberation_time", "save"]
 __dir__ = __all__.copy
-
-
-def wireframe(mesh: Polyhedron | Faces, open_edges: Array | None = None) -> Any:
-    """Return the figure of a mesh, drawn or mended, with its open edges, (n, 2, 3) in m, in red.
-
-    Each material has its own shade; the legend names those of the largest areas.
-    """
-    if isinstance(mesh, Polyhedron):
-        polygons = [mesh.vertices[list(face)] for face in mesh.faces]
-    else:
-        polygons = [np.asarray(polygon) for polygon in mesh.polygons]
-    figure, _ = new_figure(9.0, 7.0)
-    figure.clear()
-    axes = figure.add_subplot(projection="3d")
-    of_material: dict[str, list[Array]] = {}
-    for polygon, material in zip(polygons, mesh.materials, strict=True):
-        of_material.setdefault(material, []).append(np.concatenate([polygon, polygon[:1]]))
-    for material, loops in of_material.items():
-        between = np.full((1, 3), np.nan)
-        line = np.concatenate([part for loop in loops for part in (loop, between)])
-        axes.plot(*line.T, linewidth=0.6, label=shown(material))
-    if open_edges is not None and len(open_edges):
-        gaps = np.concatenate([np.concatenate([e, np.full((1, 3), np.nan)]) for e in open_edges])
-        axes.plot(*gaps.T, color="red", linewidth=2, label=f"{len(open_edges)} open edges")
-    corners = np.concatenate(polygons)
-    axes.set_box_aspect(np.maximum(np.ptp(corners, axis=0), 1e-3), zoom=0.9)
-    for axis in "xyz":
-        getattr(axes, f"set_{axis}label")(f"{axis} / m")
-    if len(of_material) <= 20:
-        figure.legend(fontsize="x-small", loc="outside right upper")
-    return figure
-
 
 BLACK, ORANGE, BLUE, GREEN = "#000000", "#D55E00", "#0072B2", "#009E73"
 MEASURED: dict[str, Any] = {"color": BLACK, "marker": "o", "linestyle": "none"}
@@ -81,10 +59,12 @@ _MANY_BANDS = 10
 MOST_PANELS = 12
 """Largest number of materials of which a figure draws one each; the table of a page lists more."""
 _FEW = 6
-ROOM, FIGURE = "room.toml", "reverberation_time.png"
+_MOST_AXES = 10_000  # a panel takes 0.1 MB
+ROOM, FIGURE, PLAN, SHIFTS = "room.toml", "reverberation_time.png", "plan.png", "shifts.png"
 FILES = (ROOM, NUMBERS, FIGURE)
 """Files of a calibration's folder."""
-_MOST_AXES = 10_000  # a panel takes 0.1 MB
+POSITION_FILES = (ROOM, NUMBERS, PLAN, SHIFTS)
+"""Files of the folder of a calibration to every position."""
 
 
 def new_figure(
@@ -123,24 +103,39 @@ def shown(name: str, longest: int = _LONGEST_NAME) -> str:
     return "\n".join(textwrap.wrap(line, longest) or [line]).replace("$", r"\$")
 
 
-def panels(number: int, frequencies: Array) -> tuple[Any, list[Any]]:
-    """Return a figure with small axes over the bands, and these: one for each material, at most twelve.
+def of_materials(
+    materials: Sequence[str],
+    areas: Array,
+    size: Array,
+    frequencies: Array,
+    draw: Callable[[Any, int], None],
+    columns: int,
+) -> Any:
+    """Return a figure of small panels over the bands, one for each material, at most twelve.
 
-    Few stand in two columns, which a phone shows legibly; more in three.
+    Of more, the panels are those of the largest ``size`` (n_materials,). ``draw`` draws the panel of a
+    material; ``columns`` are those of the legend. Few panels stand in two columns, which a phone shows
+    legibly; more in three.
     """
-    columns = min(2 if number <= _FEW else 3, number)
-    rows = -(-number // columns)
-    figure, grid = new_figure(max(5.0, 3.1 * columns), 2.4 * rows + 0.7, rows, columns)
+    chosen = np.sort(np.argsort(-size, kind="stable")[:MOST_PANELS])
+    n = len(chosen)
+    abreast = min(2 if n <= _FEW else 3, n)
+    rows = -(-n // abreast)
+    figure, grid = new_figure(max(5.0, 3.1 * abreast), 2.4 * rows + 0.7, rows, abreast)
     every = [*np.atleast_1d(grid).ravel()]
-    for axes in every[number:]:
+    for axes in every[n:]:
         axes.set_visible(False)
-    for axes in every[:number]:
+    for axes, i in zip(every, chosen, strict=False):
         band_axis(axes, frequencies)
         few = frequencies[:: -(-len(frequencies) // 4)]
         axes.set_xticks(few, [f"{f:g}" for f in few], rotation=0)
         axes.tick_params(labelsize=8.5)
         axes.set_xlabel("Band / Hz", fontsize=9)
-    return figure, every[:number]
+        draw(axes, int(i))
+        axes.set_title(f"{shown(materials[i], 28)}, {areas[i]:.4g} m²", fontsize=9)
+    handles, labels = every[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=min(n, columns), fontsize=9)
+    return figure
 
 
 def band_axis(axes: Axes, frequencies: Array, below: list[str] | None = None) -> None:
@@ -193,6 +188,34 @@ def jnd_band(axes: Axes, frequencies: Array, measured: Array) -> None:
     axes.vlines(frequencies, low, high, color="0.85", linewidth=8)  # visible also for a single band
 
 
+def _times_axes(axes: Axes, frequencies: Array, label: str, top: float | None = None) -> None:
+    """Make axes those of times over the bands, from 0 to ``top``, with a legend."""
+    band_axis(axes, frequencies)
+    axes.set_ylim(bottom=0, top=top)
+    axes.set_ylabel(f"{label} / s")
+    axes.legend(fontsize=9)
+
+
+def _note(
+    axes: Axes, text: str, at: Sequence[Any], offset: tuple[float, float], **style: Any
+) -> None:
+    """Write a text in points beside a place."""
+    axes.annotate(text, at, xytext=offset, textcoords="offset points", fontsize=9, **style)
+
+
+def _ranked(
+    names: Sequence[str], values: Array, ends: Array, hatched: Sequence[bool], height: float
+) -> Any:
+    """Return figure, axes and places of named bars of ``ends``, the first above; some are hatched."""
+    figure, axes = new_figure(6.4, height)
+    at = np.arange(len(names))[::-1]
+    colours = ["#9DC6E0" if h else "0.85" for h in hatched]
+    hatches = ["//" if h else "" for h in hatched]
+    axes.barh(at, ends, color=colours, edgecolor=BLACK, hatch=hatches)
+    axes.set_yticks(at, [shown(n) for n in names])
+    return figure, axes, at
+
+
 def reverberation_time(result: CalibrationResult) -> Any:
     """Return the figure of T(f): measured with its band of one JND, before and after.
 
@@ -212,16 +235,12 @@ def reverberation_time(result: CalibrationResult) -> Any:
     )
     axes.plot(f, result.reverberation_time_before, **BEFORE, label="model before calibration")
     axes.plot(f, result.reverberation_time_after, **AFTER, label="model after calibration")
+    _times_axes(axes, f, "Reverberation time T")
     band_axis(axes, f, [letters(result.trust_marks, v) for v in f])
-    marks = [f"{m.letter} {m.title}".strip() for m in result.trust_marks]
-    if marks:
+    if marks := [f"{m.letter} {m.title}".strip() for m in result.trust_marks]:
         key = f"\ndo not trust: {', '.join(dict.fromkeys(marks))}"
         axes.set_xlabel(axes.get_xlabel() + key)
-    axes.set_ylabel("Reverberation time T / s")
-    axes.set_ylim(bottom=0)
-    said = f"{result.prior.name}: {result.method}, {result.equation.name}"
-    axes.set_title(shown(said, 70))
-    axes.legend()
+    axes.set_title(shown(f"{result.prior.name}: {result.method}, {result.equation.name}", 70))
     return figure
 
 
@@ -238,6 +257,838 @@ def gap(result: CalibrationResult) -> Any:
     axes.set_ylabel("Gap of T (model - measured) / JND")
     axes.set_title(shown(result.prior.name, 70))
     axes.legend()
+    return figure
+
+
+def coefficients(result: CalibrationResult) -> Any:
+    """Return the figure of alpha by material and band: prior and calibrated, with 90 % intervals.
+
+    Of more than twelve materials, it shows those with the largest absorption area. The prior's
+    interval is mu ± 1.645 sigma within the bounds; the other one is that of `intervals`.
+    """
+    room, (low, high) = result.prior, intervals(result)
+    f = room.centre_frequencies
+    apart = float(f[1] / f[0]) ** 0.08 if len(f) > 1 else 1.0
+
+    def draw(axes: Any, i: int) -> None:
+        prior, after, bound = room.alpha[i], result.alpha[i], result.active[i] != 0
+        spread = NORMAL_90 * room.sigma[i]
+        error = np.abs(np.clip([prior - spread, prior + spread], 0, 1) - prior)
+        style = {"markersize": 4, "markerfacecolor": "white", "capsize": 2}
+        style |= {**BEFORE, "linestyle": "none"}
+        axes.errorbar(f / apart, prior, yerr=error, **style, label="before (prior), 90 %")
+        error = np.maximum([after - low[i], high[i] - after], 0)
+        style = {"color": BLUE, "marker": "o", "markersize": 5, "linestyle": "none"}
+        style |= {"capsize": 3, "linewidth": 1.8}
+        axes.errorbar(f * apart, after, yerr=error, **style, label="calibrated, 90 %")
+        style = {"color": BLACK, "marker": "*", "markersize": 11, "linestyle": "none", "zorder": 5}
+        at = f[bound] * apart, after[bound]
+        (stars,) = axes.plot(*at, **style, clip_on=False, label="at a bound")
+        stars.set_in_layout(False)
+        axes.set_ylabel("α", fontsize=9)
+        axes.set_ylim(0, None)
+        axes.margins(y=0.1)
+
+    size = np.max(room.areas[:, np.newaxis] * result.alpha, axis=1)
+    figure = of_materials(room.materials, room.areas, size, f, draw, 2)
+    figure.suptitle("α by band (each panel has its own scale)", fontsize=11)
+    return figure
+
+
+def intervals(result: CalibrationResult) -> tuple[Array, Array]:
+    """Return the ends of the calibrated coefficients' 90 % intervals, (n_materials, n_bands).
+
+    They are exact if they were computed, else alpha ± 1.645 sigma of the linear estimate within 0 to 1.
+    """
+    if result.interval is not None:
+        return result.interval[0], result.interval[1]
+    spread = NORMAL_90 * result.posterior_sigma
+    return np.clip(result.alpha - spread, 0, 1), np.clip(result.alpha + spread, 0, 1)
+
+
+_STACK = (
+    ("#0072B2", ""),
+    ("#E69F00", "//"),
+    ("#009E73", ".."),
+    ("#CC79A7", "xx"),
+    ("#56B4E9", "\\\\"),
+    ("#D55E00", "++"),
+    ("#F0E442", "--"),
+)
+"""Colours and hatches of bars that stand on each other."""
+
+
+def _stacked(frequencies: Array, shares: Iterable[tuple[str, Array]], label: str) -> Any:
+    """Return figure and axes of shares in % by band, the first at the bottom; the last is white."""
+    named = list(shares)
+    figure, axes = new_figure(6.4, 4.4)
+    at = band_places(axes, frequencies)
+    below = np.zeros(len(at))
+    styles = [*_STACK[: len(named) - 1], ("#FFFFFF", "")] if len(named) > 1 else _STACK
+    for (name, part), (colour, hatch) in zip(named, styles, strict=False):
+        style = {"facecolor": colour, "hatch": hatch, "edgecolor": BLACK, "linewidth": 0.6}
+        axes.bar(at, part, 0.75, bottom=below, **style, label=shown(name, 26))
+        below = below + part
+    axes.set_ylabel(f"{label} / %")
+    axes.set_ylim(0, 100)
+    handles, labels = axes.get_legend_handles_labels()
+    figure.legend(handles[::-1], labels[::-1], loc="outside right upper", fontsize=9)
+    return figure, axes
+
+
+def shares(result: CalibrationResult) -> Any:
+    """Return the figure of each material's share of the calibrated absorption by band, in %.
+
+    It includes effects and the air. The smallest materials are one part.
+    """
+    names, parts = absorption_shares(result, len(_STACK))
+    every = zip(names, parts, strict=True)
+    figure, axes = _stacked(result.prior.centre_frequencies, every, "Share of the absorption")
+    axes.set_title("Who absorbs, after calibration")
+    return figure
+
+
+def absorption_shares(calibration: CalibrationResult, most: int) -> tuple[list[str], Array]:
+    """Return names and shares in %, (n_names, n_bands), of materials, effects and, last, the air.
+
+    There are at most ``most`` names beside the air, so the smallest materials are one part.
+    """
+    area = calibration.prior.areas[:, np.newaxis] * calibration.alpha
+    order = np.argsort(-area.sum(axis=1), kind="stable")
+    effects = bool(np.any(calibration.added_absorption))
+    single = len(order) if len(order) + effects <= most else most - 1 - effects
+    names = [calibration.prior.materials[i] for i in order[:single]]
+    parts = [area[i] for i in order[:single]]
+    if single < len(order):
+        names.append(f"{len(order) - single} other materials")
+        parts.append(area[order[single:]].sum(axis=0))
+    if effects:
+        names.append("effects: " + ", ".join(calibration.effects))
+        parts.append(calibration.added_absorption)
+    surfaces = np.sum(parts, axis=0)
+    of_surfaces = 100 * (1 - calibration.air_share) / np.where(surfaces > 0, surfaces, 1.0)
+    return [*names, "air"], np.array(
+        [*(p * of_surfaces for p in parts), 100 * calibration.air_share]
+    )
+
+
+def plane_of(
+    result: CalibrationResult,
+    pair: tuple[str, str] | None = None,
+    frequency: float | None = None,
+) -> Any:
+    """Return the figure of a calibration in the plane of two of its materials; see `plane`.
+
+    The other materials keep their calibrated coefficients. By default the plane has the two materials
+    with the largest S sigma, which a calibration changes most, in the band with the largest gap.
+
+    Raises
+    ------
+    DataError
+        For a material or a band that the room lacks, a band that was not matched, or a room of one
+        material.
+    """
+    if len(result.prior.materials) < 2:
+        raise DataError("a plane takes two materials; the room has one")
+    k = _band(result, frequency)
+    if pair is None:
+        weight = result.prior.areas * result.prior.sigma[:, k]
+        rows = np.sort(np.argsort(-weight, kind="stable")[:2])
+    else:
+        if missing := [name for name in pair if name not in result.prior.materials]:
+            raise DataError(f'the room has no material "{missing[0]}"')
+        rows = np.array([result.prior.materials.index(name) for name in pair])
+        if rows[0] == rows[1]:
+            raise DataError(f'a plane takes two materials, not "{pair[0]}" twice')
+    others = np.delete(np.arange(len(result.prior.areas)), rows)
+    left = result.target[k] - result.added_absorption[k]
+    left -= result.prior.areas[others] @ result.alpha[others, k]
+    names = result.prior.materials[rows[0]], result.prior.materials[rows[1]]
+    correlation = 0.0
+    for pair_of, value in result.prior.material_correlation.items():
+        if set(pair_of) == set(names):
+            correlation = value
+    fixed = f", the {len(others)} others as calibrated" if len(others) else ""
+    return plane(
+        result.prior.alpha[rows, k],
+        result.prior.sigma[rows, k],
+        result.prior.areas[rows],
+        float(left),
+        result.alpha[rows, k],
+        names=names,
+        correlation=correlation,
+        title=f"{result.prior.centre_frequencies[k]:g} Hz{fixed}",
+    )
+
+
+def _band(calibration: CalibrationResult, frequency: float | None) -> int:
+    """Index of the matched band at ``frequency``; for None, of that with the largest gap before."""
+    if frequency is None:
+        if not calibration.matched.any():
+            raise DataError("no band was matched, so there is no plane to show")
+        gap = np.abs(np.where(calibration.matched, np.nan_to_num(calibration.gap_before), -1.0))
+        return int(np.argmax(np.where(calibration.matched, gap, -1.0)))
+    matching = np.flatnonzero(
+        (calibration.prior.centre_frequencies == frequency) & calibration.matched
+    )
+    if not len(matching):
+        raise DataError(f"{frequency:g} Hz is no band of the room that was matched")
+    return int(matching[0])
+
+
+def plane(
+    mu: Array,
+    sigma: Array,
+    areas: Array,
+    target: float,
+    alpha: Array,
+    *,
+    names: tuple[str, str] = ("1", "2"),
+    correlation: float = 0.0,
+    truth: Array | None = None,
+    title: str = "",
+) -> Any:
+    """Return the figure of a calibration of two coefficients (Bellows & Katz 2025, Figs. 1 and 3).
+
+    It shows the prior's ellipses of 1, 2 and 3 standard deviations about mu, the line S'alpha = b
+    of all coefficients with the measured T, and the step from mu to the likeliest point of the
+    line.
+
+    Parameters
+    ----------
+    mu, sigma, areas, alpha : array (2,)
+        Prior, areas in m², calibrated coefficients.
+    target : float
+        b in m².
+    names : (str, str)
+    correlation : float
+        Correlation of the two priors.
+    truth : array (2,), optional
+        True coefficients, if they are known.
+    title : str
+    """
+    mu, sigma, areas, alpha = (np.asarray(v, dtype=float) for v in (mu, sigma, areas, alpha))
+    figure, axes = new_figure(5.6, 5.9)
+    turn = np.linspace(0, 2 * np.pi, 361)
+    circle = np.array([np.cos(turn), np.sin(turn)])
+    root = np.array([[1.0, 0.0], [correlation, np.sqrt(1 - correlation**2)]])
+    for n, style in ((1, "-"), (2, "--"), (3, ":")):
+        ellipse = mu[:, np.newaxis] + n * sigma[:, np.newaxis] * (root @ circle)
+        axes.plot(*ellipse, color="0.45", linestyle=style, linewidth=1, label=f"prior, {n} σ")
+    points = [mu, alpha] if truth is None else [mu, alpha, np.asarray(truth, dtype=float)]
+    reach = np.maximum(3.3 * sigma, 1.2 * np.max(np.abs(np.array(points) - mu), axis=0))
+    reach = np.maximum(reach, 0.02)
+    low, high = np.maximum(mu - reach, -0.02), np.minimum(mu + reach, 1.02)
+    across = np.linspace(low[0], high[0], 2)
+    line = (target - areas[0] * across) / areas[1]
+    axes.plot(across, line, color=BLACK, linewidth=1.8, label="gives the measured T")
+    axes.annotate(
+        "", xy=alpha, xytext=mu, arrowprops={"arrowstyle": "->", "color": BLUE, "linewidth": 1.5}
+    )
+    square = {**BEFORE, "linestyle": "none", "markersize": 8, "markerfacecolor": "white"}
+    axes.plot(*mu, **square, label="before (prior)")
+    axes.plot(*alpha, color=BLUE, marker="o", markersize=8, linestyle="none", label="calibrated")
+    if truth is not None:
+        axes.plot(
+            *points[2], color=GREEN, marker="*", markersize=13, linestyle="none", label="true"
+        )
+    for end in (0.0, 1.0):
+        axes.axvline(end, color=BLACK, linewidth=0.6, linestyle="-.")
+        axes.axhline(end, color=BLACK, linewidth=0.6, linestyle="-.")
+    axes.set_xlim(low[0], high[0])
+    axes.set_ylim(low[1], high[1])
+    axes.set_xlabel(f"α of {shown(names[0], 30)}, {areas[0]:.4g} m²")
+    axes.set_ylabel(f"α of {shown(names[1], 30)}, {areas[1]:.4g} m²")
+    axes.set_title(title)
+    figure.legend(loc="outside lower center", ncols=3, fontsize=9)
+    return figure
+
+
+def decays_of_modes(result: ModesResult) -> Any:
+    """Return the decay times of the modes used over their frequencies: measured, before, after."""
+    from rtcal.modes.room_modes import DECAY
+
+    figure, axes = new_figure()
+    f = result.modes.frequencies[result.used]
+    t, relative = DECAY / result.measured, result.modes.decay_uncertainty[result.used]
+    axes.errorbar(f, t, t * relative / result.measured, fmt="o", color=BLACK, label="measured")
+    axes.plot(f, DECAY / result.before, "x", color=ORANGE, label="before")
+    axes.plot(f, DECAY / result.after, "s", color=BLUE, fillstyle="none", label="after")
+    axes.set_xlabel("frequency / Hz")
+    axes.set_ylabel("T / s")
+    axes.set_ylim(bottom=0)
+    axes.legend(fontsize="small")
+    return figure
+
+
+_MARKERS = "o^vDPX<>"
+_STYLES = ("-", "--", "-.", ":")
+
+
+def path(loop: Loop) -> Any:
+    """Return the figure of a loop's path, like Fig. 7 of Bellows & Katz (2025).
+
+    Above: the measured T20 with its band of one JND, and the simulated T20 of the first, the
+    intermediate and each band's best step. Below: each band's gap in JND over the simulations.
+
+    Raises
+    ------
+    DataError
+        If nothing has been simulated yet.
+    """
+    if not loop.steps:
+        raise DataError("the loop has no simulation yet: there is no path to show")
+    figure, (above, below) = new_figure(6.2, 7.6, 2, 1)
+    f, wanted = loop.room.centre_frequencies, loop.wanted
+    simulated = np.array([step.simulated for step in loop.steps])
+    jnd_band(above, f, wanted)
+    above.plot(f, wanted, **MEASURED | {"linestyle": "-", "markersize": 4}, label="measured")
+    for step, times in enumerate(simulated[1:-1], start=2):
+        label = "in between" if step == 2 else None
+        above.plot(f, times, color="0.45", linestyle=":", linewidth=1, label=label)
+    above.plot(f, simulated[0], **BEFORE, label="first simulation")
+    nearest = simulated[loop.best, np.arange(len(f))]
+    above.plot(f, nearest, **AFTER, label="nearest, by band")
+    _times_axes(above, f, loop.matched.label.removeprefix("the "))
+    above.set_title(shown(loop.room.name, 45))
+    gaps = np.array([gap_jnd(times, wanted) for times in simulated])
+    steps = np.arange(1, len(gaps) + 1)
+    below.axhspan(-1, 1, color="0.85")
+    below.axhline(0, color=BLACK, linewidth=0.8)
+    greys = np.linspace(0.0, 0.6, len(f))
+    for k, frequency in enumerate(f):
+        blue = (greys[k], 0.25 + 0.65 * greys[k], 0.45 + 0.35 * greys[k])
+        marker = _MARKERS[k % len(_MARKERS)]
+        line = {"linestyle": _STYLES[(k + k // len(_MARKERS)) % len(_STYLES)], "marker": marker}
+        below.plot(steps, gaps[:, k], color=blue, **line, label=f"{frequency:g} Hz")
+    below.set_xticks(steps)
+    below.set_xlim(0.7, len(steps) + 0.3)
+    reach = 1.2 * max(1.5, float(np.nanmax(np.abs(gaps), initial=0.0)))
+    below.set_ylim(-reach, reach)
+    below.set_xlabel("Simulation number")
+    below.set_ylabel("Gap (simulated - measured) / JND")
+    below.set_title("Gap by simulation (grey: within 1 JND)")
+    below.legend(fontsize=9, ncols=2 if len(f) > 8 else 1)
+    return figure
+
+
+_VARIANTS = ((ORANGE, "o"), (BLUE, "s"), (GREEN, "^"), ("#CC79A7", "D"), ("#E69F00", "v"))
+_MOST_PARTS = 6
+
+
+def predicted_times(
+    frequencies: Array,
+    before: Array,
+    variants: Sequence[tuple[str, Array, tuple[Array, Array]]],
+    target: tuple[Array, Array] | None = None,
+) -> Any:
+    """Return T(f) before, and of each variant with its 90 % interval, over the range of the target.
+
+    Parameters
+    ----------
+    frequencies, before : array (n_bands,)
+        Hz; T in s.
+    variants : sequence of (name, T, (low, high))
+    target : (low, high), optional
+        T in s; NaN where an end is open.
+    """
+    figure, axes = new_figure()
+    top = 1.1 * max(float(np.nanmax(before)), *(float(ends[1].max()) for _, _, ends in variants))
+    if target is not None:
+        low, high = np.nan_to_num(target[0]), np.where(np.isnan(target[1]), top, target[1])
+        bounded = np.isfinite(target[0]) | np.isfinite(target[1])
+        width = 2**0.25
+        for f, a, b in zip(frequencies[bounded], low[bounded], high[bounded], strict=True):
+            axes.fill_between([f / width, f * width], [a, a], [b, b], color="0.87", linewidth=0)
+        axes.fill_between([], [], [], color="0.87", label="target")
+    axes.plot(frequencies, before, color=BLACK, linestyle="--", marker=".", label="before")
+    for i, (name, mean, (low, high)) in enumerate(variants):
+        colour, marker = _VARIANTS[i % len(_VARIANTS)]
+        moved = frequencies * 1.03 ** (i - (len(variants) - 1) / 2)
+        style = {"color": colour, "marker": marker, "capsize": 3, "linestyle": "-"}
+        axes.errorbar(moved, mean, yerr=[mean - low, high - mean], **style, label=shown(name))
+    _times_axes(axes, frequencies, "T", top)
+    return figure
+
+
+def parts(frequencies: Array, of_variance: Mapping[str, Array]) -> Any:
+    """Return the parts of a variance (n_bands,) as bars that stand on each other, the largest below."""
+    named = [(name, 100 * share) for name, share in of_variance.items()]
+    rest = named[_MOST_PARTS:]
+    others = [("the rest", np.sum([share for _, share in rest], axis=0))] if rest else []
+    return _stacked(frequencies, named[:_MOST_PARTS] + others, "Share of the variance")[0]
+
+
+def frontier(costs: Mapping[float, float], promised: float, cost: float) -> Any:
+    """Return cost against probability; the design's point is filled."""
+    figure, axes = new_figure(width=5.0, height=3.2)
+    known = {p: c for p, c in costs.items() if np.isfinite(c)}
+    axes.plot(list(known), list(known.values()), color=BLUE, marker="o", fillstyle="none")
+    axes.plot([promised], [cost], color=ORANGE, marker="o", linestyle="", label="this design")
+    for p in costs:
+        if p not in known:
+            axes.axvline(p, color="0.6", linestyle=":")
+            _note(axes, "none", (p, 0), (-3, 4), xycoords=("data", "axes fraction"), ha="right")
+    axes.set_xlabel("probability of each band")
+    axes.set_ylabel("cost")
+    axes.set_ylim(0, 1.08 * max(known.values(), default=1.0) or 1.0)
+    axes.legend(fontsize="small")
+    return figure
+
+
+def states(finding: StatesFinding) -> Any:
+    """Return T(f) before and after a change."""
+    found = finding.case.differences
+    k, f = found.measured, found.centre_frequencies[found.measured]
+    figure, axes = new_figure()
+    axes.plot(f, found.before[k], color=BLACK, linestyle="--", marker=".", label="before")
+    axes.plot(f, found.after[k], color=ORANGE, marker="o", label="after")
+    _times_axes(axes, f, "T", 1.1 * float(max(found.before[k].max(), found.after[k].max())))
+    return figure
+
+
+def change(finding: StatesFinding) -> Any:
+    """Return the change of the absorption area by band, with its interval."""
+    k = finding.case.differences.measured
+    figure, axes = new_figure()
+    frequencies = finding.case.room.centre_frequencies[k]
+    mean, low, high = finding.change[:, k]
+    ends = np.maximum(np.array([mean - low, high - mean]), 0.0)
+    axes.axhline(0, color=BLACK, linewidth=0.8)
+    axes.errorbar(frequencies, mean, yerr=ends, color=BLUE, marker="s", capsize=3)
+    band_axis(axes, frequencies)
+    axes.set_ylabel("change of the absorption area / m²")
+    return figure
+
+
+_STRONG = 4.0
+"""Residual in standard deviations at which the colours of the map saturate."""
+_BENT = 0.01
+"""Least visible change of ln EDT/T20 or ln T30/T20 in a drawn decay."""
+_PLAIN: dict[str, Any] = {"color": GREEN, "marker": "^"}
+_CORRECTED: dict[str, Any] = {"color": BLUE, "marker": "D"}
+"""Marks of a plain calibration, and of the one with the effect that was found."""
+
+
+def corrected_times(verification: MeansVerification) -> Any:
+    """Return T(f) of the first configuration: measured, prior, plainly calibrated, corrected."""
+    from rtcal.finder.means.verification import reverberation_times
+
+    finding = verification.finding
+    f, times = finding.case.room.centre_frequencies, reverberation_times(verification)[0]
+    figure, axes = new_figure()
+    jnd_band(axes, f, times["measured"])
+    axes.plot(f, times["measured"], **MEASURED, label="measured")
+    for name, style, label in (
+        ("prior", BEFORE, "prior"),
+        ("plain", {**_PLAIN, "linestyle": ":"}, "plainly calibrated"),
+        ("corrected", _CORRECTED, f"with {finding.title}, calibrated"),
+    ):
+        axes.plot(f, times[name], **style, fillstyle="none", label=shown(label))
+    _times_axes(axes, f, "Reverberation time T")
+    return figure
+
+
+def residuals(finding: MeansFinding, verification: MeansVerification | None = None) -> Any:
+    """Return the residual map: feature by band and configuration; before, and after the effect."""
+    from rtcal.finder.means.finding import feature_names
+    from rtcal.finder.means.verification import residual_map
+
+    maps = [("The model as stated", finding.residuals)]
+    if verification is not None:
+        maps.append((f"The model with {finding.title}", residual_map(verification)))
+    known = np.argwhere(np.isfinite(finding.residuals).any(axis=2)).tolist()
+    configurations = finding.case.configurations
+    labels = [
+        feature_names(configurations[c].measured)[k]
+        + (f" of {shown(configurations[c].name, 20)}" if len(configurations) > 1 else "")
+        for c, k in known
+    ]
+    figure, axes = new_figure(6.4, 1.9 + 0.36 * len(known) * len(maps), rows=len(maps))
+    cells = np.array([[table[c, k] for c, k in known] for _, table in maps])
+    for axis, (title, _), table in zip(np.atleast_1d(axes), maps, cells, strict=True):
+        image = number_map(axis, table, labels, (-_STRONG, _STRONG), "PuOr", "+.1f")
+        band_places(axis, finding.case.room.centre_frequencies)
+        axis.set_xlabel("")  # it stands below the last map alone
+        axis.set_title(shown(title), fontsize=9)
+    # One colour bar for all maps, below them, since its label does not fit beside a flat map.
+    beyond = np.array([np.nanmin(cells) < -_STRONG, np.nanmax(cells) > _STRONG])
+    figure.colorbar(
+        image,
+        ax=[*np.atleast_1d(axes)],
+        label="(model - measured) / standard deviation",
+        extend={(1, 1): "both", (1, 0): "min", (0, 1): "max"}.get(tuple(beyond), "neither"),
+        location="bottom",
+        aspect=40,
+    )
+    axis.set_xlabel("Band centre frequency / Hz")
+    return figure
+
+
+def evidence(finding: MeansFinding) -> Any:
+    """Return the evidence of every effect as bars, with the threshold."""
+    from rtcal.report.document import MOST, odds
+
+    names = list(finding.evidence)
+    values = np.array([finding.evidence[n] for n in names])
+    top = max(float(values.max()), finding.threshold)
+    # Bars of large negative evidence are cut, and marked by an arrow.
+    low = -0.15 * top
+    drawn, cut = np.maximum(values, low), values < low
+    candidates = [n in finding.names for n in names]
+    figure, axes, at = _ranked(names, values, drawn, candidates, 0.8 + 0.28 * len(names))
+    behind = {"facecolor": "white", "edgecolor": "none", "pad": 0.4}  # the threshold's line is cut
+    for y, value, end in zip(at, values, drawn, strict=True):
+        printed = odds(float(value)) if value < np.log(MOST) else "> 10⁶ to 1"
+        _note(axes, printed, (max(end, 0.0), y), (4, 0), va="center", bbox=behind)
+    if cut.any():
+        arrow = {"color": BLACK, "marker": "<", "linestyle": "none", "markersize": 5}
+        label = "cut: the number is beyond the axis"
+        axes.plot(np.full(cut.sum(), 0.85 * low), at[cut], **arrow, label=label)
+    label = f"threshold {odds(finding.threshold)}"
+    axes.axvline(finding.threshold, color=ORANGE, linestyle="--", label=label)
+    axes.axvline(0, color=BLACK, linewidth=0.8)
+    axes.set_xlim(low, 1.15 * top)
+    powers = np.arange(0, max(1, int(1.15 * top / np.log(10))) + 1)
+    powers = powers[:: 1 + len(powers) // 8]
+    axes.set_xticks(np.log(10) * powers, [f"$10^{{{k}}}$" if k > 1 else str(10**k) for k in powers])
+    axes.set_xlabel("Odds to one against “nothing is missing”; hatched: candidates")
+    axes.legend(loc="lower right")
+    return figure
+
+
+def probabilities(finding: MeansFinding) -> Any:
+    """Return the figure of the probability of each effect that it is there at all."""
+    from rtcal.finder.claim import CLAIMED, SAID
+    from rtcal.finder.prior import NONE
+
+    names = [n for n, p in finding.probabilities.items() if p >= SAID and n != NONE]
+    values = 100 * np.array([finding.probabilities[n] for n in names])
+    members = [n in finding.members for n in names]
+    figure, axes, at = _ranked(names, values, values, members, 1.2 + 0.32 * max(len(names), 1))
+    for y, name, value in zip(at, names, values, strict=True):
+        axes.text(value, y, f" {finding.percent(name)}", va="center", fontsize=9)
+    axes.axvline(100 * CLAIMED, color=ORANGE, linestyle="--", label="claimed from here on")
+    axes.set_xlim(0, 115)
+    axes.set_xlabel("Probability that it is there / %; hatched: the most probable set")
+    axes.legend(loc="lower right")
+    return figure
+
+
+def bends(verification: MeansVerification) -> bool:
+    """Whether the effect bends the decay: whether EDT/T20 or T30/T20 change visibly."""
+    shapes = [model.features[:, 1:3] for model in (verification.plain, verification.corrected)]
+    return bool(np.abs(shapes[1] - shapes[0]).max() > _BENT)
+
+
+def decay(verification: MeansVerification) -> Any:
+    """Return the decay of the band with the largest residual of shape: measured, plain, corrected."""
+    finding = verification.finding
+    case, first = finding.case, finding.case.configurations[0].measured
+    shape = np.abs(finding.residuals[0, 1:3])
+    band = int(np.nanargmax(np.nanmax(np.where(np.isfinite(shape), shape, -1), axis=0)))
+    t = np.linspace(0, 0.8 * float(first.decay_time().mean[band]), 200)
+    figure, axes = new_figure()
+    for slope, style in zip(of_kind(DecaySlope).values(), cycle(("--", ":", "-"))):
+        value = float(first.mean(slope.key)[band])
+        if np.isfinite(value):
+            levels = np.array([slope.upper, slope.lower])
+            line = {"color": BLACK, "linestyle": style, "linewidth": 3, "alpha": 0.5}
+            label = f"measured {slope.label} {value:.2f} s"
+            axes.plot(-levels / 60 * value, levels, **line, label=label)
+    for model, colour, style, label in (
+        (verification.plain, GREEN, "-.", "plainly calibrated"),
+        (verification.corrected, BLUE, "-", f"with {finding.best_effect}"),
+    ):
+        level = _level(model.case, model.alpha, band, t)
+        axes.plot(t, level, color=colour, linestyle=style, label=shown(label))
+    axes.set_ylim(-40, 1)
+    axes.set_xlabel("Time / s")
+    axes.set_ylabel(f"Level at {case.room.centre_frequencies[band]:g} Hz / dB")
+    axes.legend()
+    return figure
+
+
+def _level(case: Any, alpha: Array, band: int, t: Array) -> Array:
+    """Return the level of the decay in a band at times t in s, in dB."""
+    from rtcal.finder.means.hypotheses import state
+
+    room_state = state(case, case.configurations[0], alpha)
+    decayed = room_state.decay()
+    weights, rates = decayed.weights[band], decayed.rates[band]
+    left = (weights / rates * np.exp(-np.outer(t, rates))).sum(1)
+    total = (weights / rates).sum()
+    if room_state.floor_db is not None:
+        density = 10 ** (room_state.floor_db / 10) * weights.sum()
+        end = room_state.record * 6 * np.log(10) * total / weights.sum()
+        left, total = left + density * np.maximum(end - t, 0), total + density * end
+    return np.asarray(10 * np.log10(np.maximum(left / total, 1e-9)))
+
+
+def corrected_shifts(verification: MeansVerification) -> Any:
+    """Return each material's shift of alpha by band, plain and corrected, with 90 % intervals.
+
+    The prior's interval is grey. If there are more than `MOST_PANELS` materials, the figure shows those
+    whose absorption area moved most.
+    """
+    room, f = verification.finding.case.room, verification.finding.case.room.centre_frequencies
+    models = (verification.plain, verification.corrected)
+    moved = np.max([np.abs(x.alpha - room.alpha).max(1) for x in models], axis=0) * room.areas
+
+    def draw(axes: Any, i: int) -> None:
+        wide = NORMAL_90 * room.sigma[i]
+        ends = np.clip([room.alpha[i] - wide, room.alpha[i] + wide], 0, 1) - room.alpha[i]
+        axes.fill_between(f, *ends, color="0.88", label="prior, 90 %")
+        axes.axhline(0, color=BLACK, linewidth=0.8)
+        for by, x, style, label in (
+            (0.95, models[0], _PLAIN, "plainly calibrated, 90 %"),
+            (1.05, models[1], _CORRECTED, f"with {verification.finding.best_effect}, 90 %"),
+        ):
+            low, high = x.interval
+            bars = np.maximum([x.alpha[i] - low[i], high[i] - x.alpha[i]], 0)
+            small = {**style, "markersize": 4, "linestyle": "none", "capsize": 2}
+            shift = x.alpha[i] - room.alpha[i]
+            axes.errorbar(f * by, shift, yerr=bars, **small, label=shown(label))
+        axes.set_ylabel("shift of α", fontsize=9)
+
+    return of_materials(room.materials, room.areas, moved, f, draw, 1)
+
+
+_SHOWN = 0.02
+"""Smallest probability of a surface that is written beside it."""
+_MOST_ROWS = 24
+"""Most pairs that have a row of their own in the map."""
+_MOST_NUMBERS = 200
+"""Largest number of coefficients whose shifts are printed in their cells."""
+_BOX = {"boxstyle": "round,pad=0.2", "facecolor": "white", "edgecolor": "none", "alpha": 0.75}
+_KINDS = {
+    "^": "source",
+    "o": "receiver",
+    "*": "further receiver",
+    "X": "most probable part of its surface",
+}
+
+
+def likely_shares(finding: PositionsFinding) -> dict[str, float]:
+    """Return the probability of each surface, 0 where hardly anything stands on one."""
+    none = finding.verdict == "none" or not finding.likely_surfaces
+    return {n: 0.0 if none else finding.surfaces.get(n, 0.0) for n in finding.case.faces}
+
+
+def _mark(axes: Axes, point: Sequence[float], marker: str, colour: str) -> None:
+    """Draw what stands in the room; the first of a kind has a label."""
+    label = _KINDS[marker]
+    if label in axes.get_legend_handles_labels()[1]:
+        label = f"_{label}"
+    style: dict[str, Any] = {"linestyle": "none", "markersize": 8, "zorder": 7, "label": label}
+    axes.plot(point[0], point[1], marker=marker, color=colour, **style)
+
+
+def plan(finding: PositionsFinding, place: Place | None = None, axes: Any = None) -> Any:
+    """Return the map on the plan: which pairs disagree, and which surfaces could mend it.
+
+    A line joins source and receiver. It is as dark as the root mean square of the pair's residuals in
+    standard deviations. Walls are as orange as they are probable; surfaces that the positions do not
+    tell apart have a common letter. ``place`` is a further receiver, as
+    `rtcal.finder.positions.next_position` proposes it.
+    """
+    from rtcal.finder.positions.surfaces import kind
+
+    case, geometry, located = finding.case, finding.case.geometry, finding.located
+    corners, probability = geometry.vertices[:, :2], likely_shares(finding)
+    size, centre = np.ptp(corners, axis=0), (corners.min(axis=0) + corners.max(axis=0)) / 2
+    groups = [g for g in finding.groups if max(probability[name] for name in g) >= _SHOWN]
+    letter = {n: c for c, group in zip(ascii_uppercase, groups, strict=False) for n in group}
+    some = any(chance >= _SHOWN for chance in probability.values())
+    above = ["%: probability that it is this surface"] * some
+    above += [f"({c}) not told apart by these positions" for c in sorted(set(letter.values()))]
+    if axes is None:
+        _, axes = new_figure(6.5, float(np.clip(6.0 * size[1] / size[0], 3.0, 6.5)) + 1.8)
+    for name, faces in case.faces.items():
+        chance, wall = probability[name], kind(geometry, faces) == "wall"
+        for i in faces:
+            x, y, _ = geometry.vertices[[*geometry.faces[i], geometry.faces[i][0]]].T
+            axes.plot(x, y, color="0.6", linewidth=1 if wall else 0, zorder=1)
+            if wall and chance >= _SHOWN:
+                style = {"color": ORANGE, "alpha": min(1.0, 0.15 + chance), "linewidth": 7}
+                axes.plot(x, y, zorder=2, solid_capstyle="butt", **style)
+        if chance < _SHOWN:
+            continue
+        group = f" ({letter[name]})" if name in letter else ""
+        label = f"{shown(name, 24)}{group}: {100 * chance:.0f} %"
+        if not wall:
+            above.append(label)
+            continue
+        middle = np.average(
+            [geometry.vertices[list(geometry.faces[i])].mean(axis=0)[:2] for i in faces],
+            axis=0,
+            weights=geometry.face_areas[faces],
+        )
+        # Into the room, so that no label of a side wall stands on the axis.
+        side = 0 if abs(middle[0] - centre[0]) < 0.3 * size[0] else middle[0] - centre[0]
+        align = {0: "center", -1: "left", 1: "right"}[int(np.sign(side))]
+        axes.annotate(label, middle, fontsize=9, ha=align, va="center", bbox=_BOX, zorder=9)
+    if finding.verdict != "none" and located is not None and located.middle is not None:
+        _mark(axes, located.middle, "X", BLACK)
+    z = rms(finding.map, (0, 2))
+    most = max(2.0, float(np.nanmax(z)))
+    sources, receivers = case.simulator.sources, case.simulator.receivers
+    for (source, receiver), value in zip(finding.pairs, z, strict=True):
+        x, y, _ = np.array([sources[source], receivers[receiver]], dtype=float).T
+        dark = min(value / most, 1.0)
+        axes.plot(x, y, color=str(0.88 * (1 - dark)), linewidth=0.8 + 2.2 * dark, zorder=3)
+    stands = [(name, point, "^", BLACK) for name, point in sources.items()]
+    stands += [(name, point, "o", BLUE) for name, point in receivers.items()]
+    stands += [] if place is None else [("measure here", place.point, "*", GREEN)]
+    for name, point, marker, colour in stands:
+        _mark(axes, point, marker, colour)
+        _note(axes, shown(name, 12), point[:2], (6, 6), zorder=5, bbox=_BOX)
+    axes.set_aspect("equal")
+    axes.set_xlabel("x / m", fontsize=9)
+    axes.set_ylabel("y / m", fontsize=9)
+    axes.tick_params(labelsize=9)
+    darkest = f"{float(np.nanmax(z)):.1f} standard deviations"
+    above.append(f"line: source to receiver; the darkest pair disagrees by {darkest}")
+    axes.set_title("\n".join(above), fontsize=9, loc="left")
+    below = {"loc": "upper center", "bbox_to_anchor": (0.5, -0.12), "ncols": 3, "frameon": False}
+    axes.legend(fontsize=9, **below)
+    return axes.figure
+
+
+def disagreement(finding: PositionsFinding) -> Any:
+    """Return the map as tables, in standard deviations: pairs by parameters, parameters by bands."""
+    names = [parameter_label(p) for p in finding.parameters]
+    of_pairs, of_bands = rms(finding.map, (2,)).T, rms(finding.map, (1,))
+    most = max(2.0, float(np.nanmax(of_pairs)), float(np.nanmax(of_bands)))
+    rows = len(of_pairs) if len(of_pairs) <= _MOST_ROWS else 0
+    figure, panels = new_figure(6.0, 2.2 + 0.3 * len(names) + 0.3 * rows, 2 if rows else 1)
+    below = panels[1] if rows else panels
+    image = number_map(below, of_bands, names, (0, most), "cividis_r", ".1f")
+    band_places(below, finding.case.room.centre_frequencies)
+    if rows:
+        pairs = [shown(" to ".join(pair), 20) for pair in finding.pairs]
+        number_map(panels[0], of_pairs, pairs, (0, most), "cividis_r", ".1f")
+        panels[0].set_xticks(range(len(names)), names, fontsize=9)
+        panels[0].xaxis.tick_top()
+    bar = figure.colorbar(image, ax=panels, location="bottom", aspect=40)
+    bar.set_label("Disagreement / standard deviations", fontsize=9)
+    bar.ax.tick_params(labelsize=9)
+    return figure
+
+
+def bars(verification: PositionsVerification, axes: Any = None) -> Any:
+    """Return the three bars: the mean gap at held-out pairs as stated, calibrated, corrected.
+
+    Whiskers are the range over the simulator's seeds.
+    """
+    from rtcal.finder.positions.verification import MODELS
+
+    if axes is None:
+        _, axes = new_figure(6.0, 3.8)
+    looks = (("0.7", ""), (BLUE, "//"), (GREEN, ".."))
+    for x, (model, (colour, hatch)) in enumerate(zip(MODELS, looks, strict=True)):
+        gaps = verification.gap(model)
+        mean, top = float(gaps.mean()), float(gaps.max())
+        error = [[mean - float(gaps.min())], [top - mean]] if len(gaps) > 1 else None
+        style = {"color": colour, "hatch": hatch, "edgecolor": BLACK}
+        axes.bar(x, mean, width=0.6, yerr=error, capsize=4, **style)
+        _note(axes, f"{mean:.2f}", (x, top), (0, 6), ha="center")
+    axes.axhline(1.0, color=BLACK, linestyle=":", linewidth=1)
+    _note(axes, "1 JND", (1.5, 1.0), (0, 3), ha="center")
+    axes.set_xticks(range(len(MODELS)), ("as stated", "calibrated", "corrected\nand calibrated"))
+    axes.set_ylabel("Mean gap at pairs not fitted / JND")
+    axes.margins(y=0.15)
+    return axes.figure
+
+
+def position_gaps(
+    pairs: Sequence[tuple[str, str]],
+    before_and_after: tuple[Array, Array],
+    faces: Sequence[Array],
+    sources: Mapping[str, Any],
+    receivers: Mapping[str, Any],
+) -> Any:
+    """Return a plan of the room with its receivers coloured by their gap, before and after.
+
+    Gaps are in JND, each (n_parameters, n_pairs, n_bands). A receiver's is the root mean square over
+    parameters, bands and sources. It stands beside the receiver's name.
+
+    Raises
+    ------
+    DataError
+        If a receiver of the pairs has no position.
+    """
+    names = list(dict.fromkeys(r for _, r in pairs))
+    if missing := [name for name in names if name not in receivers]:
+        raise DataError(f'receiver "{missing[0]}" of the result has no position')
+    rows = [[i for i, (_, r) in enumerate(pairs) if r == name] for name in names]
+    gaps = [np.array([rms(gap[:, row]) for row in rows]) for gap in before_and_after]
+    figure, axes = new_figure(6.2, 8.4, 2, 1)
+    colours = {"cmap": "cividis_r", "vmin": 0, "vmax": max(2.0, float(np.nanmax(gaps)))}
+    style = {**colours, "s": 110, "edgecolors": BLACK, "zorder": 3}
+    points = np.array([receivers[r] for r in names], dtype=float)
+    drawn = None
+    for panel, gap, when in zip(axes, gaps, ("before", "after"), strict=True):
+        for face in faces:
+            corners = np.vstack([face, face[:1]])
+            panel.plot(corners[:, 0], corners[:, 1], color="0.75", linewidth=1)
+        for name, place in sources.items():
+            panel.plot(*place[:2], "^", color=ORANGE, markersize=9, label="source")
+            _note(panel, shown(name, 12), place[:2], (6, 6))
+        drawn = panel.scatter(*points.T[:2], c=gap, **style, label="receiver: its gap in JND")
+        for name, place, value in zip(names, points, gap, strict=True):
+            _note(panel, f"{shown(name, 12)}: {value:.1f}", place[:2], (6, 6))
+        panel.set_aspect("equal")
+        panel.set_title(f"{when} calibration: gap {rms(gap):.1f} JND")
+        panel.set_ylabel("y / m")
+    axes[1].set_xlabel("x / m")
+    markers = dict(zip(*reversed(axes[0].get_legend_handles_labels()), strict=True))
+    figure.legend(markers.values(), markers, loc="outside lower center", ncols=2, fontsize=9)
+    figure.colorbar(drawn, ax=list(axes), label="Root mean square gap of a receiver / JND")
+    return figure
+
+
+def shifts(moved: Array, materials: Sequence[str], frequencies: Array) -> Any:
+    """Return how far each coefficient moved, (n_materials, n_bands) in prior sigmas, as a map."""
+    n_materials, n_bands = moved.shape
+    figure, axes = new_figure(2.4 + 0.55 * n_bands, 1.6 + 0.32 * n_materials)
+    reach = max(2.0, float(np.max(np.abs(moved))))
+    form = "+.1f" if moved.size <= _MOST_NUMBERS else ""
+    names = [shown(m, 30) for m in materials]
+    image = number_map(axes, moved, names, (-reach, reach), "RdBu_r", form)
+    band_places(axes, frequencies)
+    figure.colorbar(image, ax=axes, label="Shift of α / prior σ")
+    return figure
+
+
+def wireframe(mesh: Polyhedron | Faces, open_edges: Array | None = None) -> Any:
+    """Return the figure of a mesh, drawn or mended, with its open edges, (n, 2, 3) in m, in red.
+
+    Each material has its own shade; the legend names those of the largest areas.
+    """
+    if isinstance(mesh, Polyhedron):
+        polygons = [mesh.vertices[list(face)] for face in mesh.faces]
+    else:
+        polygons = [np.asarray(polygon) for polygon in mesh.polygons]
+    figure, _ = new_figure(9.0, 7.0)
+    figure.clear()
+    axes = figure.add_subplot(projection="3d")
+    of_material: dict[str, list[Array]] = {}
+    for polygon, material in zip(polygons, mesh.materials, strict=True):
+        of_material.setdefault(material, []).append(np.concatenate([polygon, polygon[:1]]))
+    for material, loops in of_material.items():
+        between = np.full((1, 3), np.nan)
+        line = np.concatenate([part for loop in loops for part in (loop, between)])
+        axes.plot(*line.T, linewidth=0.6, label=shown(material))
+    if open_edges is not None and len(open_edges):
+        gaps = np.concatenate([np.concatenate([e, np.full((1, 3), np.nan)]) for e in open_edges])
+        axes.plot(*gaps.T, color="red", linewidth=2, label=f"{len(open_edges)} open edges")
+    corners = np.concatenate(polygons)
+    axes.set_box_aspect(np.maximum(np.ptp(corners, axis=0), 1e-3), zoom=0.9)
+    for axis in "xyz":
+        getattr(axes, f"set_{axis}label")(f"{axis} / m")
+    if len(of_material) <= 20:
+        figure.legend(fontsize="x-small", loc="outside right upper")
     return figure
 
 
@@ -268,16 +1119,25 @@ def _check_kind(kind: str, place: str) -> None:
 
 
 def write_folder(result: CalibrationResult, folder: Path) -> list[Path]:
-    """Write room, numbers and figure, all or none, and return their paths.
-
-    Without matplotlib there is no figure, and a warning says so.
-
-    Raises
-    ------
-    DataError
-        If the folder cannot be made, or a file cannot be written.
-    """
+    """Write room, numbers and figure of a calibration; see `write_with_figures`."""
     return write_with_figures(result, folder, {FIGURE: lambda: reverberation_time(result)})
+
+
+def write_positions(
+    result: PositionsResult,
+    folder: Path,
+    geometry: Polyhedron,
+    sources: Mapping[str, Sequence[float]],
+    receivers: Mapping[str, Sequence[float]],
+) -> list[Path]:
+    """Write room, numbers and figures of a calibration to every position; see `write_with_figures`."""
+    faces = [geometry.vertices[list(face)] for face in geometry.faces]
+    gaps, room = (result.gap_before, result.gap_after), result.prior
+    draw = {
+        PLAN: lambda: position_gaps(result.pairs, gaps, faces, sources, receivers),
+        SHIFTS: lambda: shifts(result.shift, room.materials, room.centre_frequencies),
+    }
+    return write_with_figures(result, folder, draw)
 
 
 def write_with_figures(
@@ -285,7 +1145,15 @@ def write_with_figures(
     folder: Path,
     draw: Mapping[str, Callable[[], Any]],
 ) -> list[Path]:
-    """Write room, numbers and the figures that ``draw`` makes by file name; see `write_folder`."""
+    """Write room, numbers and the figures that ``draw`` makes by file name, all or none.
+
+    Without matplotlib there are no figures, and a warning says so.
+
+    Raises
+    ------
+    DataError
+        If the folder cannot be made, or a file cannot be written.
+    """
     contents = {
         folder / ROOM: result.room.to_text(folder).encode(),
         folder / NUMBERS: result.to_json(folder).encode(),

@@ -22,10 +22,9 @@ from rtcal.calibration.result import CalibrationResult
 from rtcal.files.disk import json_numbers, read_text
 from rtcal.files.saved import MAX_BYTES, NUMBERS, load
 from rtcal.files.schema import json_object
+from rtcal.finder.finding import Verification
 from rtcal.finder.means.finding import MeansFinding
-from rtcal.finder.means.verification import MeansVerification
 from rtcal.finder.positions.finding import PositionsFinding
-from rtcal.finder.positions.verification import PositionsVerification
 from rtcal.finder.states import StatesFinding
 from rtcal.io import workbook
 from rtcal.loop.calibrate import LoopResult
@@ -34,13 +33,56 @@ from rtcal.loop.state import Loop
 from rtcal.modes.result import ModesResult
 from rtcal.prediction.designed import Design
 from rtcal.prediction.predicted import Prediction, Predictions
-from rtcal.report import finding_pages, loop_page, positions_page, prediction_page
-from rtcal.report.document import Heading
-from rtcal.report.page import calibration_page, modes_page
+from rtcal.report import of_calibration, of_finding, of_loop, of_positions, of_prediction
+from rtcal.report.document import Heading, Page, render
 from rtcal.support.errors import DataError
 
-__all__ = ["page_of"]
+__all__ = ["page", "page_of"]
 __dir__ = __all__.copy
+
+_PAGES: dict[type, Callable[[Any], Page]] = {
+    CalibrationResult: of_calibration.page,
+    ModesResult: of_calibration.page_of_modes,
+    Loop: of_loop.page,
+    LoopResult: of_loop.page,
+    PositionsResult: of_positions.page,
+    **dict.fromkeys((Prediction, Predictions, Design), of_prediction.page),
+    **dict.fromkeys((PositionsPrediction, PositionsPredictions), of_prediction.page_at_positions),
+    **dict.fromkeys((MeansFinding, PositionsFinding, StatesFinding), of_finding.page),
+    Verification: lambda verified: of_finding.page(verified.finding, verified),
+}
+
+
+def page(
+    result: Any, heading: Heading | None = None, progress: Callable[[], None] | None = None
+) -> str:
+    """Return a result as one HTML page under 2 MB, without links to the network.
+
+    Parameters
+    ----------
+    result : CalibrationResult, ModesResult, Loop, LoopResult, PositionsResult, Prediction, ...
+        Also a design, several predictions, predictions at positions, a finding or its verification.
+    heading : Heading, optional
+        Title, author and date; by default the room's name and author.
+    progress : callable, optional
+        Called after each figure.
+
+    Raises
+    ------
+    MissingDependencyError
+        Without jinja2 or matplotlib.
+    DataError
+        For a result that has no page, and if the page would be larger than 2 MB.
+    """
+    made = next((make for kind, make in _PAGES.items() if isinstance(result, kind)), None)
+    if made is None:
+        raise DataError(
+            f'a result of the kind "{result.record_kind.rstrip(" 0123456789")}" has no page. Pages '
+            "show "
+            "a calibration, a loop, positions, modes, predictions, designs, findings and what changed; "
+            "`rtcal learn` prints an archive"
+        )
+    return render(made(result), heading, progress)
 
 
 def page_of(
@@ -60,28 +102,10 @@ def page_of(
         For a folder that has no result, a file that is none, or a result that has no page.
     """
     result = load(path)
-    if isinstance(result, Loop | LoopResult):
-        return loop_page.page(result, heading=heading, progress=progress)
-    if isinstance(result, CalibrationResult):
-        return calibration_page(result, heading=heading, progress=progress)
-    head, step = heading or Heading(), progress or (lambda: None)
-    if isinstance(result, MeansFinding | PositionsFinding | StatesFinding):
-        return finding_pages.page(result, None, head, step=step)[0]
-    if isinstance(result, MeansVerification | PositionsVerification):
-        return finding_pages.page(result.finding, result, head, step=step)[0]
-    if isinstance(result, PositionsResult):
-        return positions_page.page(result, head, step)
-    if isinstance(result, ModesResult):
-        return modes_page(result, head, step)
-    if isinstance(result, Prediction | Predictions | Design):
-        return prediction_page.page(result, head, step)
-    if isinstance(result, PositionsPrediction | PositionsPredictions):
-        return prediction_page.page_at_positions(result, head, step)
-    raise DataError(
-        f'{Path(path)}: a result of the kind "{result.record_kind.rstrip(" 0123456789")}" has no page. '
-        "Pages show a calibration, a loop, positions, modes, predictions, designs, findings and what "
-        "changed; `rtcal learn` prints an archive"
-    )
+    try:
+        return page(result, heading, progress)
+    except DataError as error:
+        raise DataError(f"{Path(path)}: {error}") from error
 
 
 Table = list[list[Any]]
@@ -116,15 +140,16 @@ def write_workbook(result: str | os.PathLike[str], path: str | os.PathLike[str])
 def _of_loop(result: Loop | LoopResult) -> dict[str, Any]:
     """Return a loop's record with the numbers of its room, which its file holds as text."""
     loop = result.loop if isinstance(result, LoopResult) else result
-    room, status = loop.room, loop_page.statuses(loop)
+    room, status = loop.room, of_loop.statuses(loop)
+    *rows, nearest = of_loop.band_rows(loop)
     return {
         "rtcal": result.record_kind,
         "room": room.name,
         "simulations": len(loop.steps),
         "status": ", ".join(dict.fromkeys(status)),
         _BANDS: json_numbers(room.centre_frequencies),
-        "bands": {row.name: json_numbers(row.values) for row in loop_page.band_rows(loop)},
-        "nearest simulation": loop_page.nearest_simulations(loop),
+        "bands": {row.name: json_numbers(row.values) for row in rows},
+        nearest.name: list(nearest.values),
         "materials": [
             {
                 "name": name,

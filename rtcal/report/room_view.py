@@ -25,6 +25,7 @@ from rtcal.acoustics import bands
 from rtcal.acoustics.marks import rms
 from rtcal.io import geometry_files
 from rtcal.simulators.geometry import Polyhedron
+from rtcal.support.blocks import Note
 from rtcal.support.errors import DataError
 from rtcal.support.types import Array
 
@@ -402,36 +403,39 @@ def stands(
     return made
 
 
-def _section(view: RoomView) -> dict[str, Any]:
-    """Return what the template ``room.html`` shows; of too many faces that the room is not drawn."""
+@dataclass(frozen=True, kw_only=True, eq=False)
+class RoomSection:
+    """The room on a page, for the template ``room.html``: what it shows, and in which heading."""
+
+    view: RoomView
+    looks: Sequence[Mapping[str, Any]]
+    stills: Sequence[Mapping[str, Any]]
+    data: str
+    level: int | None
+    script: str = field(default_factory=lambda: script())
+    fingerprint: str = field(default_factory=lambda: fingerprint())
+
+
+def _section(view: RoomView, level: int | None) -> list[Any]:
+    """Return the room as a block of a page; of too many faces a note that it is not drawn."""
     geometry = view.geometry
     if len(geometry.faces) > MOST_FACES or len(geometry.triangles) > MOST_TRIANGLES:
         limits = f"{MOST_FACES} faces or {MOST_TRIANGLES} triangles"
-        return {"room": None, "no_room": f"The room is not drawn: it has more than {limits}."}
+        return [_missing(f"it has more than {limits}")]
     above, below = (look(geometry, _owners(view), _weights(view), tilt) for tilt in (ABOVE, BELOW))
-    chosen = [q for q in view.quantities if q.still]
-    made = {
-        "view": view,
-        "looks": [_look(view, above, "above"), _look(view, below, "below")],
-        "stills": [_still(quantity) for quantity in chosen],
-        "rows": [
-            {
-                "name": name,
-                "area": float(view.areas[i]),
-                "cells": [q.text(q.values[i, 0]) for q in view.quantities],
-                "colour": view.quantities[0].colour(view.quantities[0].values[i, 0]),
-            }
-            for i, name in enumerate(view.parts)
-        ],
-        "stands": [
-            {"kind": s.kind, "name": s.name, "cells": [view.gap.text(g) for g in s.gaps]}
-            for s in view.stands
-        ],
-        "data": _data(view, above),
-        "script": script(),
-        "fingerprint": fingerprint(),
-    }
-    return {"room": made, "no_room": ""}
+    return [
+        RoomSection(
+            view=view,
+            looks=[_look(view, above, "above"), _look(view, below, "below")],
+            stills=[_still(quantity) for quantity in view.quantities if quantity.still],
+            data=_data(view, above),
+            level=level,
+        )
+    ]
+
+
+def _missing(why: str) -> Note:
+    return Note(f"The room is not drawn: {why}.", kind="note")
 
 
 @cache
@@ -522,22 +526,18 @@ def _plain(scale: Quantity) -> dict[str, Any]:
     }
 
 
-_NONE: dict[str, Any] = {"room": None, "no_room": ""}
-"""Section of a room that states no geometry."""
-
-
-def of_calibration(result: CalibrationResult) -> dict[str, Any]:
-    """Return the section of a calibration whose room states its geometry.
+def of_calibration(result: CalibrationResult, level: int = 2) -> list[Any]:
+    """Return the section of a calibration whose room states its geometry; else nothing.
 
     A mesh that cannot be read is no error: the page says so, and goes without it.
     """
     room = result.prior
     if not room.scene:
-        return _NONE
+        return []
     try:
         geometry = geometry_files.read(room)
     except DataError as error:
-        return {"room": None, "no_room": f"The room is not drawn: {error}."}
+        return [_missing(str(error))]
     shift = np.divide(
         result.alpha - room.alpha, room.sigma, out=np.zeros_like(room.alpha), where=room.sigma > 0
     )
@@ -549,15 +549,15 @@ def of_calibration(result: CalibrationResult) -> dict[str, Any]:
         quantities=absorption(room.centre_frequencies, room.alpha, result.alpha, shift),
         stands=stands(room.scene.sources, room.scene.receivers, (), ()),
     )
-    return _section(view)
+    return _section(view, level)
 
 
-def of_positions(result: PositionsResult) -> dict[str, Any]:
+def of_positions(result: PositionsResult) -> list[Any]:
     """Return the section of a calibration to every position, if its simulator has a geometry."""
     tracer: Any = result.tracer
     geometry = getattr(tracer, "geometry", None)
     if not isinstance(geometry, Polyhedron):
-        return _NONE
+        return []
     room = result.prior
     view = RoomView(
         geometry=geometry,
@@ -573,14 +573,14 @@ def of_positions(result: PositionsResult) -> dict[str, Any]:
         ),
         whens=("before", "after"),
     )
-    return _section(view)
+    return _section(view, 2)
 
 
 def of_finding(
     finding: PositionsFinding,
     verification: PositionsVerification | None,
     place: Place | None = None,
-) -> dict[str, Any]:
+) -> list[Any]:
     """Return the section of a finding in a geometry.
 
     Its gaps are those of a verification at pairs that were not fitted. ``place`` is a further receiver.
@@ -622,4 +622,4 @@ def of_finding(
         stands=stands(sources, receivers, finding.pairs, gaps),
         whens=whens,
     )
-    return _section(view)
+    return _section(view, None)

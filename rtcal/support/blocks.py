@@ -52,6 +52,23 @@ class Row:
         ]
 
     @property
+    def styles(self) -> list[str]:
+        """The ground of each value in CSS, "" where there is no shade.
+
+        Examples
+        --------
+        >>> Row("gap / JND", [2.1, 0.0], "+.1f", [0.5, 0.0]).styles
+        ['background: rgba(230, 159, 0, 0.22)', '']
+        """
+        shades = self.shade if len(self.shade) else [0.0] * len(self.values)
+        return [
+            f"background: rgba({_ABOVE if s > 0 else _BELOW}, {_STRONGEST * min(abs(s), 1.0):.2f})"
+            if s == s and s  # not of NaN
+            else ""
+            for s in shades
+        ]
+
+    @property
     def typeset(self) -> list[str]:
         """The values as a page has them, with a minus and a dash.
 
@@ -93,11 +110,15 @@ class Table:
 
 @dataclass(frozen=True)
 class Note:
-    """A sentence of its own; the terminal indents it, and "" is an empty line there."""
+    """A sentence of its own; the terminal indents it, and "" is an empty line there.
+
+    ``kind`` is its class on a page: "lead" for what is read first, "note" for a remark.
+    """
 
     text: str
     indent: str = ""
     hanging: str | None = None
+    kind: str = ""
 
 
 Block = Table | Note
@@ -156,15 +177,12 @@ def notebook(caption: str, blocks: Sequence[Block]) -> str:
 
 
 def _cells(row: Row) -> str:
-    shades = row.shade if len(row.shade) else [0.0] * len(row.values)
-    cells = zip(row.cells, shades, strict=True)
+    cells = zip(row.cells, row.styles, strict=True)
     return _cell("th", "row", row.name) + "".join(_cell("td", "", c, s) for c, s in cells)
 
 
-def _cell(tag: str, scope: str, content: str, shade: float = 0.0) -> str:
+def _cell(tag: str, scope: str, content: str, ground: str = "") -> str:
     style = f"text-align: {'left' if scope == 'row' else 'right'}"
-    if shade == shade and shade:  # not of NaN
-        colour = _ABOVE if shade > 0 else _BELOW
-        style += f"; background: rgba({colour}, {_STRONGEST * min(abs(shade), 1.0):.2f})"
+    style += f"; {ground}" if ground else ""
     attribute = f' scope="{scope}"' if scope else ""
     return f'<{tag}{attribute} style="{style}">{html.escape(content.strip())}</{tag}>'

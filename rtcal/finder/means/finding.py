@@ -376,10 +376,7 @@ class MeansFinding(SetsFinding):
     def __str__(self) -> str:
         """Return verdict, sizes, probabilities, residuals, advice and notes."""
         lines = text.wrapped(self.headline)
-        sets = ", ".join(f"{names} {100 * p:.0f} %" for names, p in self.likely_sets.items())
-        said = [*self.in_words, *self.sets_in_words, f"sets: {sets}" if sets else ""]
-        said += [*self.not_judged_in_words, self.evidence_in_words, self.track_record]
-        for sentence in filter(None, said):
+        for sentence in self.sentences:
             lines += text.wrapped(sentence, indent="  ")
         header = ("", bands.labels(self.case.room.centre_frequencies))
         for c, residuals in zip(self.case.configurations, self.residuals, strict=True):
@@ -396,6 +393,14 @@ class MeansFinding(SetsFinding):
         for sentence in (f"next: {self.advice}", *(f"note: {n}" for n in self.notes)):
             lines += text.wrapped(sentence, indent="  ")
         return "\n".join(lines)
+
+    @property
+    def sentences(self) -> list[str]:
+        """What text and page have below the headline: sizes, sets, what was not judged, evidence."""
+        sets = ", ".join(f"{names} {100 * p:.0f} %" for names, p in self.likely_sets.items())
+        said = [*self.in_words, *self.sets_in_words, f"sets: {sets}" if sets else ""]
+        said += [*self.not_judged_in_words, self.evidence_in_words, self.track_record]
+        return [*filter(None, said)]
 
     @property
     def evidence_in_words(self) -> str:

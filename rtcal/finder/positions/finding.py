@@ -317,12 +317,13 @@ class PositionsFinding(Finding):
         return [f"{e} ({100 * self.probabilities[e]:.0f} %)" for e in every]
 
     def __str__(self) -> str:
-        return "\n".join(blocks.lines(self._blocks()))
+        return "\n".join(blocks.lines(self.blocks()))
 
     def _repr_html_(self) -> str:
-        return blocks.notebook(self.headline, self._blocks()[1:])
+        return blocks.notebook(self.headline, self.blocks()[1:])
 
-    def _blocks(self) -> list[Block]:
+    def blocks(self) -> list[Block]:
+        """Return what the result says."""
         apart = (
             f"Not told apart by these positions: {listed(group, last='or')}."
             for group in self.groups

@@ -249,7 +249,8 @@ class StatesFinding(Finding):
         said = (self.not_told_apart, self.climate_in_words, self.not_told_where, score, *self.notes)
         return tuple(filter(None, said))
 
-    def _blocks(self) -> list[Block]:
+    def blocks(self) -> list[Block]:
+        """Return what the result says."""
         found, digits = self.case.differences, decimals(self.change)
         measured = np.flatnonzero(found.measured).tolist()
         columns = {
@@ -263,10 +264,10 @@ class StatesFinding(Finding):
         return [Note(self.headline), Table.of_columns(names, columns), *map(Note, notes)]
 
     def __str__(self) -> str:
-        return "\n".join(blocks.lines(self._blocks()))
+        return "\n".join(blocks.lines(self.blocks()))
 
     def _repr_html_(self) -> str:
-        return blocks.notebook(self.headline, self._blocks()[1:])
+        return blocks.notebook(self.headline, self.blocks()[1:])
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain values for JSON."""

@@ -1,0 +1,399 @@
+"""The page of a calibration, also to room modes: what its text has, for readers without Python."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from rtcal.acoustics import bands
+from rtcal.acoustics.equations import EQUATIONS
+from rtcal.acoustics.observables import parameter_label
+from rtcal.acoustics.quality import MET, CalibrationVerdict
+from rtcal.acoustics.room import MAX_BYTES
+from rtcal.calibration import table
+from rtcal.calibration.methods import METHODS
+from rtcal.calibration.result import CalibrationResult
+from rtcal.modes.result import ModesResult
+from rtcal.report import figures, room_view
+from rtcal.report.document import (
+    Beside,
+    Box,
+    Code,
+    Files,
+    Items,
+    Page,
+    Picture,
+    Section,
+    coefficients,
+    doubts,
+)
+from rtcal.support import __version__
+from rtcal.support.blocks import Note, Row, Table
+
+MOST_MATERIALS = 100
+"""Largest number of materials in the page's table, which lists those that absorb most."""
+_PRINTED = 0.05
+"""Gap in JND that is not 0.0 when it is printed."""
+_AGREEMENT = (
+    "That the model agrees with the measurement now proves nothing. It agrees by construction, and "
+    "would do so too if a wall, the air or an opening were missing from it. Whether to believe it "
+    "shows in how far the coefficients had to move."
+)
+_GAP_REMAINS = (
+    "A simulation with these coefficients keeps the gap that remains. What takes it up is checked "
+    "first, corrected in the room's file, and the calibration repeated."
+)
+_SOLVED = "This says that the problem was solved, not that it was the right one."
+_METHODS = {
+    "mle": "the likeliest coefficients that give the measured reverberation time exactly; "
+    "coefficients that were stated as uncertain move more (maximum likelihood).",
+    "lse": "the nearest coefficients that give the measured reverberation time exactly, however "
+    "well each was known (least squares).",
+    "soft": "the most probable coefficients when the measured reverberation time has its own "
+    "uncertainty; a gap may remain.",
+    "smooth": "as soft, and changes should vary slowly over frequency.",
+    "robust": "as soft, and a few coefficients may be far from what was stated.",
+    "joint": "one set of coefficients for several configurations of the room; a gap may remain.",
+}
+
+
+def page(result: CalibrationResult) -> Page:
+    """Return the page of a calibration, without scripts (but the room's own) and links."""
+    room, verdict = result.prior, result.verdict
+    first = Box(verdict.level, f"{verdict.heading}.", [verdict.text])
+    subject = "calibration of the absorption coefficients"
+    return Page(room.name, room.author, subject, [first, *blocks(result)])
+
+
+def beside_a_finding(result: CalibrationResult, level: str, what: str) -> list[Any]:
+    """Return the blocks of the plain calibration on the page of a finding of this ``level``.
+
+    Where the finding contradicts the model, it says more than T alone.
+    """
+    plain = result.verdict
+    if plain.level == "agrees" and level != "agrees":
+        plain = CalibrationVerdict(
+            "open",
+            "By T alone, nothing contradicts what was stated of the materials",
+            f"{plain.text} The finding above rests on more than this, and comes first.",
+        )
+    return [Box(plain.level, f"{plain.heading}.", [plain.text]), *blocks(result, 3, what)]
+
+
+def blocks(result: CalibrationResult, level: int = 2, what: str = "") -> list[Any]:
+    """Return what stands below the verdict, in sections of a ``level``; ``what`` is in its tables."""
+
+    def section(title: str, name: str) -> Section:
+        return Section(title, name, level)
+
+    room, record = result.prior, result.to_dict()
+    low, high = figures.intervals(result)
+    size = np.max(room.areas[:, np.newaxis] * result.alpha, axis=1)
+    rows = np.sort(np.argsort(-size, kind="stable")[:MOST_MATERIALS])
+    of_all = f"; the {len(rows)} of {len(size)} materials that absorb most"
+    title = (
+        f"Absorption coefficients{what and f', {what}'}: stated → calibrated, below it the 90 % "
+        f"interval; * at a bound{of_all if len(rows) < len(size) else ''}"
+    )
+    shifts = table.shift_rows(record)
+    left = np.abs(result.gap_after) >= MET
+    marked = {m.frequency for m in result.trust_marks if m.frequency is not None}
+    marked |= {*room.centre_frequencies[left].tolist()}
+    clean = [f for f in room.centre_frequencies.tolist() if f not in marked]
+    reserved = f"Bands without a reservation: {bands.hertz(clean) or 'none'}."
+    sources = [(m, room.sources[m]) for m in room.materials if room.sources.get(m)]
+    return [
+        section("Summary", "summary"),
+        Beside([[Note(s, kind="lead") for s in _summary(result)], [_gap(result)]], "summary"),
+        *room_view.of_calibration(result, level),
+        section("What not to believe", "doubts"),
+        Note(_GAP_REMAINS if left.any() else _AGREEMENT),
+        Note(reserved),
+        *doubts(result.trust_marks),
+        Items(table.remarks(record)),
+        section("Tables", "tables"),
+        coefficients(title, room, result.alpha, (low, high), result.active != 0, rows),
+        Note(_of_intervals(result), kind="note"),
+        Table(
+            bands.labels(room.centre_frequencies),
+            [shifts[i] for i in rows],
+            table.SHIFT,
+            "Material",
+        ),
+        Table(
+            bands.labels(room.centre_frequencies),
+            table.band_rows(record),
+            "By band",
+            note=table.SIGNS,
+        ),
+        section("Pictures", "pictures"),
+        Beside([[p] for p in _pictures(result)], "pictures"),
+        section("What was assumed", "assumed"),
+        Items(assumed(result)),
+        Table(
+            ["source"],
+            [Row(m, [source]) for m, source in sources],
+            "Where the stated coefficients come from",
+        ),
+        section("Certificate", "certificate"),
+        Note(
+            f"{table.certificate(record)} They are computed from the problem's own numbers, and "
+            f"not taken from the solver ({result.solver}, status {result.raw.status}). {_SOLVED}"
+        ),
+        section("How to reproduce", "reproduce"),
+        *_reproduced(result),
+    ]
+
+
+def _summary(result: CalibrationResult) -> list[str]:
+    """Return the calibration in two sentences: before and after."""
+    f, gap = result.prior.centre_frequencies, np.abs(result.gap_before)
+    after = np.abs(result.gap_after[np.isfinite(result.gap_after)])
+    if not np.isfinite(gap).any():
+        return ["Model and measurement could be compared in no band."]
+    k, n, count = int(np.nanargmax(gap)), len(result.prior.materials), len(after)
+    met = int(np.sum(after < MET))
+    within = f", to within {after.max():.1f} JND" if after.max() >= _PRINTED else ""
+    remains = f"; the largest gap that remains is {after.max():.1f} JND"
+    return [
+        "Before calibration the model's reverberation time was off by "
+        f"{np.nanmean(gap):.1f} JND on average and by {gap[k]:.1f} JND at worst: at {f[k]:g} Hz it "
+        f"had {result.reverberation_time_before[k]:.2f} s where {result.measured[k]:.2f} s were "
+        "measured.",
+        f"The absorption coefficients of {n} material{'s' * (n > 1)} were then changed as "
+        "little as what was known of them allows, and now the model has the measured T in "
+        + (f"all {count} bands{within}." if met == count else f"{met} of {count} bands{remains}."),
+    ]
+
+
+def _gap(result: CalibrationResult) -> Picture:
+    f, known = result.prior.centre_frequencies, np.isfinite(result.gap_before)
+    compared = bands.span(f[known]) if known.any() else "no band"
+    return Picture(
+        lambda: figures.gap(result),
+        "How far the model's reverberation time was from the measured one: before (bars) and after "
+        f"calibration (dots), in {compared}. One JND, the just noticeable difference, is 5 %.",
+        f"{result.prior.name}: gap to the measured reverberation time by band, before and after",
+    )
+
+
+def _pictures(result: CalibrationResult) -> list[Picture]:
+    name = result.prior.name
+    pictures = [
+        Picture(
+            lambda: figures.reverberation_time(result),
+            "Reverberation time by band, with the band of one JND around the measured one.",
+            f"{name}: reverberation time by band: measured, before, after",
+        ),
+        Picture(
+            lambda: figures.shares(result),
+            "Who absorbs: each material's share of the room's whole absorption, after calibration.",
+            f"{name}: share of each material in the absorption by band",
+        ),
+    ]
+    if len(result.prior.materials) > 1 and result.matched.any():
+        pictures.append(
+            Picture(
+                lambda: figures.plane_of(result),
+                "The step that the calibration takes, shown for two materials: from what was stated "
+                "to what the method chose. On the line lie all coefficients that give the measured "
+                "reverberation time.",
+                f"{name}: the calibration in the plane of two materials",
+                tall=True,
+            )
+        )
+    alike = "Where the two intervals are alike, the measurement taught nothing about the material."
+    return [
+        *pictures,
+        Picture(
+            lambda: figures.coefficients(result),
+            f"Absorption coefficients before and after, with 90 % intervals. {alike}",
+            f"{name}: absorption coefficients by material and band",
+            tall=True,
+        ),
+    ]
+
+
+def _of_intervals(result: CalibrationResult) -> str:
+    if result.interval is None:
+        return (
+            "The intervals are those of the linear estimate, alpha ± 1.645 standard deviations cut "
+            "to 0 to 1: exact ones would need samples here, or the method has no posterior "
+            "distribution."
+        )
+    of = (
+        "the exact posterior distribution, within the bounds, with the uncertainty of T where it "
+        "is known"
+    )
+    if result.joint.has_shared_errors:
+        of = (
+            "a normal density within the bounds, for each coefficient by itself: all bands share what "
+            "the room states of its uncertainty, and the exact posterior distribution would need "
+            "samples"
+        )
+    return f"The intervals are those of {of}. The calibrated coefficient lies within its interval."
+
+
+def assumed(result: CalibrationResult) -> list[str]:
+    """Return the assumptions of the calibration, a sentence each."""
+    room, air = result.prior, result.prior.air
+    parameters = ", ".join(
+        f"{k} = {v:g}" for k, v in table.equation_parameters(result.equation).items()
+    )
+    correlated = [
+        f"correlate by {room.band_correlation:g} over an octave" if room.band_correlation else "",
+        "correlate between some materials" if room.material_correlation else "",
+        f"have {100 * room.common_alpha_sigma:g} % in common" if room.common_alpha_sigma else "",
+    ]
+    errors = " and ".join(filter(None, correlated)) or "are independent of each other"
+    floors = ", or above the floors that the room states" if room.alpha_min is not None else ""
+    sentences = [
+        f"Volume {room.volume:g} m³ and areas of {room.areas.sum():g} m² in all.",
+        "Air: none stated, so the surfaces are made to absorb what the air does."
+        if air is None
+        else f"Air of {air.temperature:g} °C, {air.humidity:g} % relative humidity and "
+        f"{air.pressure:g} kPa (absorption after ISO 9613-1).",
+        f"{result.equation.name}'s reverberation equation{parameters and f' with {parameters}'}: a "
+        "diffuse sound field.",
+        _method(result),
+        f"The stated coefficients and their standard deviations, and that these errors {errors}. One "
+        "measured T per band tells one number, the sum of all absorption: how it is shared among the "
+        "materials follows from these standard deviations alone.",
+        _measured(result),
+        f"Coefficients lie between 0 and 1{floors}.",
+    ]
+    if result.effects:
+        sizes = ", ".join(f"{name} = {size:.4g}" for name, size in result.effects.items())
+        sentences.append(f"Further effects in the model, with their calibrated sizes: {sizes}.")
+    return sentences
+
+
+def _method(result: CalibrationResult) -> str:
+    if result.method == "mle" and result.joint.matches_uncertain_room:
+        u = result.measured_uncertainty[result.matched]
+        own = "T has its own uncertainty" if np.isfinite(u).any() else "T is exact"
+        return (
+            f"mle: the likeliest coefficients when {own} and the room has the stated errors; what "
+            "these "
+            "explain of the measured T remains as a gap (maximum likelihood)."
+        )
+    if result.method in _METHODS:
+        return f"{result.method}: {_METHODS[result.method]}"
+    return f"A composed calibration: {_composed(result)}."
+
+
+def _composed(result: CalibrationResult) -> str:
+    composed = result.joint.composition
+    return "; ".join(map(repr, (*composed.objective.terms, *composed.rows)))
+
+
+def _measured(result: CalibrationResult) -> str:
+    parameters = dict.fromkeys(parameter_label(p) for p in result.measured_data.parameter if p)
+    text = (
+        f"Measured: {' and '.join(parameters)}, the arithmetic mean over the source-receiver pairs"
+    )
+    stated = np.isfinite(result.measured_uncertainty) & np.isfinite(result.measured)
+    if not stated.any():
+        return f"{text}; its uncertainty is not known."
+    share = 100 * result.measured_uncertainty[stated] / result.measured[stated]
+    ends = dict.fromkeys([f"{share.min():.1f}", f"{share.max():.1f}"])
+    return f"{text}; its standard uncertainty is {' to '.join(ends)} %."
+
+
+def command(result: CalibrationResult) -> str | None:
+    """Return the shell command that gives the same result from the two files of the page.
+
+    None for a calibration that the command cannot repeat: a composed one, or an equation that is not
+    rtcal's or whose parameters are not the default ones.
+    """
+    keys = {equation.name: key for key, equation in EQUATIONS.items()}
+    equation, method = keys.get(result.equation.name), result.method
+    if method not in METHODS or table.equation_parameters(result.equation) or equation is None:
+        return None
+    chosen = ["--method", method, "--equation", equation, "--solver", result.solver]
+    if result.unreachable:
+        chosen += ["--unreachable", "nearest"]
+    return shlex.join(["rtcal", "calibrate", "room.toml", "t.csv", *chosen, "--out", "calibrated"])
+
+
+def _reproduced(result: CalibrationResult) -> Sequence[Any]:
+    """Return the two input files with the command, and the versions."""
+    of, repeated = result.joint.versions, command(result)
+    texts = table.inputs(result.prior, result.measured_data)
+    contents = {"room.toml": texts["room"].encode(), "t.csv": texts["measured"].encode()}
+    of_files = f" (the mean T of each band with its uncertainty), and install rtcal {of['rtcal']}."
+    if len(contents["room.toml"]) > MAX_BYTES:
+        said: list[Any] = [
+            Note(
+                "The room is too large for this page; its file and the measurement are in result.json."
+            )
+        ]
+    elif repeated:
+        said = [Files(contents, f"{of_files} Then run"), Code(repeated)]
+    else:
+        composed = f" This calibration was composed in Python: {_composed(result)}."
+        said = [Files(contents, of_files + composed)]
+    versions = ", ".join(f"{name} {version}" for name, version in of.items())
+    return [
+        *said,
+        Note(f"{versions}. Fingerprint of the measured T: {result.measured_data.fingerprint}."),
+    ]
+
+
+def page_of_modes(result: ModesResult) -> Page:
+    """Return the page of a calibration to room modes."""
+    room = result.prior
+    measured = np.isfinite(result.data.reverberation_time)
+    carries = np.where(result.below, np.where(result.carried, "modes", "–"), "T")
+    carried = Row("carried by", np.where(result.below | measured, carries, "–").tolist())
+    modes, *notes = result.blocks()
+    cells = "Absorption coefficients: stated → calibrated, with the 90 % interval"
+    at_bound = np.isin(result.alpha, (0.0, 1.0))
+    command = "rtcal.calibrate_modes(room, modes)"
+    if measured.any():
+        command = "rtcal calibrate room.toml t.csv --modes modes.csv --out calibrated"
+    return Page(
+        room.name,
+        room.author,
+        "absorption coefficients that match room modes",
+        [
+            Section("Summary", "summary"),
+            Note(
+                f"{len(result.used)} of {len(result.modes.frequencies)} measured modes were used.",
+                kind="lead",
+            ),
+            Picture(
+                lambda: figures.decays_of_modes(result),
+                "Decay time of each mode used: measured, with the stated coefficients, and after the "
+                "calibration.",
+                f"{room.name}: decay times of the modes, measured, before and after",
+            ),
+            Items([note.text for note in notes]),
+            Section("By band", "bands"),
+            Note(
+                "Below the Schroeder frequency no field is diffuse, and T is not used. "
+                "Coefficients hold there where at least three modes carry the band."
+            ),
+            Table(bands.labels(room.centre_frequencies), [carried], "What carries each band"),
+            coefficients(cells, room, result.alpha, result.interval, at_bound),
+            *(doubts(result.trust_marks) if result.trust_marks else ()),
+            Section("Modes", "modes"),
+            modes,
+            Note(
+                "“Tells most of” names the walls whose stated uncertainty moves the mode's decay most. "
+                "Opposite walls of a box are alike to every mode: the decays say what both absorb "
+                "together, and the stated coefficients share it between them."
+            ),
+            Section("Certificate", "certificate"),
+            Note(
+                "Each step is a convex problem. The largest error bound of the last one, computed from "
+                f"its own numbers, is {result.certificate.worst:.1e}. {_SOLVED}"
+            ),
+            Section("How to reproduce", "reproduce"),
+            Code(command),
+            Note(f"rtcal {__version__}."),
+        ],
+    )

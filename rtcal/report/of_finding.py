@@ -1,0 +1,626 @@
+"""The pages of a finding: by means, at positions, between two states; its files, its correction."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from rtcal.acoustics.equations import mean_equation
+from rtcal.acoustics.observables import parameter_label
+from rtcal.acoustics.room import MAX_BYTES
+from rtcal.calibration.methods import calibrate
+from rtcal.files.disk import make_folder, write_all
+from rtcal.files.saved import NUMBERS
+from rtcal.finder.claim import CLAIMED
+from rtcal.finder.means.corrected import corrected_room, not_in_room
+from rtcal.finder.means.finding import MeansFinding
+from rtcal.finder.means.recalibration import recalibrate, table
+from rtcal.finder.means.verdict import TWO
+from rtcal.finder.means.verification import MeansVerification
+from rtcal.finder.positions.finding import Place, PositionsFinding, strongest
+from rtcal.finder.positions.verification import MODELS, TITLES, PositionsVerification
+from rtcal.finder.states.finding import StatesFinding
+from rtcal.finder.states.search import verify
+from rtcal.report import figures, of_calibration, room_view
+from rtcal.report.document import (
+    Beside,
+    Box,
+    Code,
+    Files,
+    Heading,
+    Items,
+    Page,
+    Picture,
+    Section,
+    coefficients,
+    odds,
+    render,
+)
+from rtcal.support import __version__
+from rtcal.support.blocks import Note, Row, Table
+from rtcal.support.errors import MissingAirWarning
+from rtcal.support.text import as_sentence, listed
+
+Found = MeansFinding | PositionsFinding | StatesFinding
+PAGE = "report.html"
+_MEANS = ("evidence", "probabilities", "residuals", "reverberation_time", "decay", "shifts")
+WRITTEN = (NUMBERS, PAGE, *(f"{name}.png" for name in ("map", "plan", "gap", *_MEANS)))
+"""The files of a finding, each kind some of them."""
+_LEVELS = {"supported": "agrees", "withdrawn": "contradicts", "unproven": "open"}
+"""Kind of the box that a verification stands in."""
+
+
+@dataclass(frozen=True)
+class Reproduction:
+    """The data that reproduce a finding: shell command, the case's files, seed."""
+
+    command: str
+    files: Sequence[str]
+    seed: int
+
+
+def page(
+    finding: Found,
+    verification: Any = None,
+    reproduction: Reproduction | None = None,
+    place: Place | None = None,
+) -> Page:
+    """Return the page of a finding of any kind.
+
+    ``verification`` is the finding's, or None. ``reproduction`` is printed on the page. ``place`` is a
+    further receiver that would tell the surfaces apart.
+    """
+    room = finding.case.room
+    if isinstance(finding, MeansFinding):
+        blocks = _of_means(finding, verification, reproduction)
+        return Page(room.name, room.author, "what the room-acoustic model may lack", blocks)
+    if isinstance(finding, StatesFinding):
+        if verification is None and finding.can_be_verified:
+            verification = verify(finding)
+        changed = "what changed between two measurements"
+        return Page(room.name, room.author, changed, _of_states(finding, verification))
+    command = "" if reproduction is None else reproduction.command
+    where = "what is other than stated, and on which surface"
+    return Page(room.name, room.author, where, _where(finding, verification, command, place))
+
+
+def pictures(
+    finding: Found, verification: Any = None, place: Place | None = None
+) -> dict[str, Picture]:
+    """Return the figures of a finding by the names of their files; none of two states."""
+    if isinstance(finding, MeansFinding):
+        return _pictures_of_means(finding, verification)
+    return (
+        _pictures_of_where(finding, verification, place)
+        if isinstance(finding, PositionsFinding)
+        else {}
+    )
+
+
+def write(
+    finding: Found,
+    verification: Any,
+    folder: Path,
+    heading: Heading | None = None,
+    reproduction: Reproduction | None = None,
+    place: Place | None = None,
+) -> None:
+    """Write `page`, numbers and figures, all or none; the arguments are those of `page`.
+
+    Raises
+    ------
+    MissingDependencyError
+        Without matplotlib or jinja2.
+    DataError
+        If the folder cannot be made, or a file cannot be written.
+    """
+    text = render(page(finding, verification, reproduction, place), heading)
+    # A page of two states is made of the finding alone.
+    alone = verification is None or isinstance(finding, StatesFinding)
+    saved = finding if alone else verification
+    contents = {folder / PAGE: text.encode(), folder / NUMBERS: saved.to_json(folder).encode()}
+    for name, picture in pictures(finding, verification, place).items():
+        contents[folder / f"{name}.png"] = figures.rendered(picture.draw(), "png")
+    make_folder(folder)
+    write_all(contents)
+
+
+def _of_means(
+    finding: MeansFinding, verification: MeansVerification | None, reproduction: Reproduction | None
+) -> list[Any]:
+    """Return the blocks of a finding by means; those of the calibration without the effect are last."""
+    drawn = _pictures_of_means(finding, verification)
+    level = {"none": "agrees", "hint": "open"}.get(finding.verdict, "contradicts")
+    corrected = _corrected(finding, verification, drawn)
+    residuals = [[drawn["residuals"]]] if corrected or finding.likely_sets else []
+    usable = finding.verdict in ("none", "hint")
+    plain = f'plain calibration to {_time(finding)} of "{finding.case.configurations[0].name}"'
+    if verification is not None and verification.verdict == "supported":
+        lacking = listed([finding.title, *finding.rivals], last="or")
+        plain += f": not to be used, the model lacks something ({lacking})"
+    first = next(
+        drawn[n] for n in ("reverberation_time", "probabilities", "residuals") if n in drawn
+    )
+    tried = (
+        ": probability that it is there at all, and its odds alone" if finding.likely_sets else ""
+    )
+    return [
+        Section("The finding", "finding"),
+        Box(level, as_sentence(f"{finding.sentence}{finding.or_nothing}")),
+        Section("What it rests on", "basis", 3),
+        Items(rests_on(finding, verification)),
+        Beside(
+            [
+                [
+                    Section("What to do", "to-do", 3),
+                    Items(to_do(finding, verification)),
+                    *([Note(_unknowable(finding, verification))] if corrected else []),
+                ],
+                [first],
+            ]
+        ),
+        *corrected,
+        Section("The evidence in numbers", "evidence"),
+        Table(
+            ["Probability / %"],
+            [Row(names, [100 * p], ".0f") for names, p in finding.likely_sets.items()],
+            "Sets of effects, the most probable first",
+            "Set",
+        ),
+        Note(
+            "The odds of an effect are those that the measurement alone gives it against a model that "
+            "lacks nothing. The probability counts in as well how likely each effect was before the "
+            "measurement.",
+            kind="keep",
+        ),
+        Table(
+            ["Probability / %", "Odds"],
+            [
+                Row(name, [f"{100 * p:.0f}", odds(finding.evidence.get(name, 0.0))])
+                for name, p in finding.probabilities.items()
+            ],
+            f"Every effect that was tried{tried}",
+            "Effect",
+        ),
+        Beside([[drawn["evidence"]], *residuals]),
+        *([Section("Notes", "notes", 3), Items(finding.notes)] if finding.notes else []),
+        *_reproduced(finding, reproduction),
+        Section(
+            "The calibration" if usable else "The plain calibration: the model lacks something",
+            "plain",
+        ),
+        Note(f"From here on, text, tables and pictures are of the {plain}."),
+        *of_calibration.beside_a_finding(_plain(finding), level, plain),
+    ]
+
+
+def _plain(finding: MeansFinding) -> Any:
+    """Return the calibration of the first configuration without the effect."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", MissingAirWarning)  # among the finding's notes
+        return calibrate(
+            finding.case.room,
+            finding.case.configurations[0].measured,
+            unreachable="nearest",
+            equation=mean_equation(finding.case.equation).linear(),
+        )
+
+
+def _time(finding: MeansFinding) -> str:
+    return finding.case.configurations[0].measured.time_label
+
+
+def rests_on(finding: MeansFinding, verification: MeansVerification | None) -> list[str]:
+    """Return what the verdict rests on, a sentence each."""
+    rule = (
+        "An effect or a family is claimed if the probability that it is there is at least "
+        f"{100 * CLAIMED:.0f} %, and if it passes the checks. More than one is claimed from "
+        f"{100 * TWO:.0f} % for more than one effect."
+    )
+    return [
+        *map(as_sentence, finding.sentences),
+        *([] if verification is None else [verification.sentence]),
+        *([rule] if finding.more_than_one else []),
+    ]
+
+
+_USE = {
+    "supported": "Use the corrected calibration below for T and level, not the plain one. "
+    "Do not quote its coefficients before the effect is confirmed.",
+    "not tested": "Measure C80 or G, or a second configuration, before the corrected "
+    "calibration is used: nothing was measured that the finding was not fitted to.",
+    "unproven": "Do this before the corrected calibration is used: the measurements do "
+    "not tell the effect from coefficients other than the stated ones.",
+    "withdrawn": "Use neither calibration: with the effect in the model the measurements fit worse.",
+}
+_QUOTE = {
+    "supported": "To be quoted once the effect is confirmed.",
+    "not tested": "Nothing but the evidence supports them.",
+    "unproven": "Nothing but the evidence supports them.",
+    "withdrawn": "Not to be used: the finding is withdrawn.",
+}
+"""What may be done with the corrected calibration, and with its coefficients, by verification."""
+
+
+def to_do(finding: MeansFinding, verification: MeansVerification | None) -> list[str]:
+    """Return what to do, a sentence each: the next measurement, and which coefficients to use."""
+    steps = [] if finding.verdict == "none" else [as_sentence(finding.advice)]
+    if finding.undecided:
+        return [
+            *steps,
+            f"Put none of the effects into the model before one is confirmed. {finding.undecided}",
+        ]
+    if verification is not None:
+        return [
+            *steps,
+            _USE[verification.verdict],
+            *filter(None, [verification.misses_in_words]),
+        ]
+    if finding.can_be_added:
+        return [
+            *steps,
+            "Ask what to measure next with rtcal plan: of this finding it goes on from these sets.",
+            "Do this before the corrected calibration is used. Nothing has verified the set.",
+        ]
+    return [
+        *steps,
+        "Do not use the calibration below: its coefficients make up for what is missing."
+        if finding.verdict == "unknown"
+        else "The calibration below can be used, with the reservations that it states.",
+    ]
+
+
+def _corrected(
+    finding: MeansFinding, verification: MeansVerification | None, drawn: dict[str, Picture]
+) -> list[Any]:
+    """Return the coefficients with the effect or the set in the model; nothing where none is added."""
+    if not finding.can_be_added or finding.undecided:
+        return []
+    use = "They are right if these are the right names."
+    if verification is None:
+        corrected = recalibrate(finding.with_effects(), finding.discrepancy)
+    else:
+        corrected, use = verification.corrected, _QUOTE[verification.verdict]
+        if verification.misses:
+            use = "Not to be used: with them the model misses T."
+    of = listed([f'"{c.name}"' for c in finding.case.configurations])
+    title = f"with {finding.title} in the model, calibrated to {_time(finding)} of {of}"
+    return [
+        Section("The corrected calibration", "corrected", new_sheet=True),
+        Note(f"In the model: {'; '.join(corrected.effects_in_words)}. {use}", kind="keep"),
+        coefficients(
+            f"Corrected coefficients, {title}: stated → calibrated, below it the 90 % interval",
+            finding.case.room,
+            corrected.alpha,
+            corrected.interval,
+        ),
+        Beside([[drawn[name]] for name in ("shifts", "decay") if name in drawn]),
+    ]
+
+
+def _unknowable(finding: MeansFinding, verification: MeansVerification | None) -> str:
+    """Return the sentence on what no calibration can show: whether the name is right."""
+    if len(finding.members) > 1:
+        return (
+            "What cannot be known: whether these are the right names. Other effects of the same family "
+            "explain the measurement about as well."
+        )
+    next_to = f"the next best is {finding.second_best}"
+    if finding.rivals:
+        next_to = f"{listed(finding.rivals)} would explain the data about as well"
+    shrinks = ""
+    if verification is not None and verification.verdict == "supported":
+        shrinks = (
+            " That the gap shrinks says that the model is better, not which effect is in the room."
+        )
+    return (
+        f"What cannot be known: whether it is {finding.title}. The name may be wrong; {next_to}."
+        f"{shrinks}"
+    )
+
+
+def _pictures_of_means(
+    finding: MeansFinding, verified: MeansVerification | None
+) -> dict[str, Picture]:
+    """Return the figures by name; those of shifts, T and decay need a verification."""
+    shown = {
+        "evidence": Picture(
+            lambda: figures.evidence(finding),
+            "Evidence of every effect over the model; a finding must exceed the threshold. "
+            "An arrow marks a bar that is cut: its number is printed.",
+            tall=True,
+        ),
+        "residuals": Picture(
+            lambda: figures.residuals(finding, verified),
+            "Model less measured, in standard deviations"
+            + ("." if verified is None else ": before and after."),
+            tall=True,
+        ),
+    }
+    if finding.more_than_one:
+        shown["probabilities"] = Picture(
+            lambda: figures.probabilities(finding),
+            "Probability of each effect that it is there at all, alone or with others. "
+            "They do not sum to 100 %.",
+        )
+    if verified is None:
+        return _with_words(shown)
+    shown["reverberation_time"] = Picture(
+        lambda: figures.corrected_times(verified),
+        "T(f). Plain calibration meets T whatever is missing: that proves nothing.",
+    )
+    shown["shifts"] = Picture(
+        lambda: figures.corrected_shifts(verified),
+        "How far the coefficients had to move, with and without the effect in the model, and "
+        "their 90 % intervals: a plain calibration's count on a model that lacks nothing.",
+        tall=True,
+    )
+    if figures.bends(verified):
+        shown["decay"] = Picture(
+            lambda: figures.decay(verified),
+            "The decay in the band whose shape differs most: alpha cannot bend it, the effect does.",
+        )
+    return _with_words(shown)
+
+
+def _with_words(shown: dict[str, Picture]) -> dict[str, Picture]:
+    """Return pictures that have their captions in their place as well."""
+    return {name: replace(picture, alt=picture.caption) for name, picture in shown.items()}
+
+
+def _reproduced(finding: MeansFinding, reproduction: Reproduction | None) -> list[Any]:
+    """Return command, files, seed and engines; of a saved finding its case, and the command for it.
+
+    Nothing if the case is too large for a page.
+    """
+    title = Section("How to reproduce the finding", "reproduce-finding")
+    if reproduction is not None:
+        return [
+            title,
+            Note(
+                f"It comes from {', '.join(reproduction.files)}, seed {reproduction.seed}, with "
+                f"control rooms of {' and '.join(finding.engines)}:",
+                kind="keep",
+            ),
+            Code(reproduction.command),
+        ]
+    case = finding.case.to_json().encode()
+    if len(case) > MAX_BYTES:
+        return []
+    said = (
+        ", which holds the room and every measurement, and run this, with the options of the search if "
+        "it had any:"
+    )
+    return [title, Files({"case.json": case}, said), Code("rtcal find case.json")]
+
+
+def _where(
+    finding: PositionsFinding,
+    verification: PositionsVerification | None,
+    command: str,
+    place: Place | None,
+) -> list[Any]:
+    """Return the blocks of a finding at positions; the three gaps stand in front."""
+    drawn = _pictures_of_where(finding, verification, place)
+    headline, probable, *notes = finding.blocks()
+    if not isinstance(probable, Table):
+        notes, probable = [probable, *notes], Table([], [])
+    said = as_sentence(headline.text)
+    gap: list[Any] = [
+        Note(said, kind="lead"),
+        Note("There is nothing to add to a surface, so there is no second model to compare."),
+    ]
+    if verification is not None:
+        before, plain, after = (f"{verification.gap(model).mean():.2f}" for model in MODELS)
+        verdict, _, why = verification.verdict_in_words.partition(": ")
+        box = Box(
+            _LEVELS[verification.verdict],
+            verdict,
+            [
+                as_sentence(why),
+                f"At positions that were not fitted the gap is {before} JND as stated, {plain} "
+                f"calibrated, {after} corrected and calibrated.{verification.warning} "
+                f"{verification.support}",
+            ],
+        )
+        better = "A gap that shrinks shows that the model is better, not that the name is right."
+        gap = [Beside([[drawn["gap"]], [box, Note(better)]])]
+    return [
+        Section("The gap at positions that were not fitted", "gap"),
+        *gap,
+        Section("What was found", "finding"),
+        Note(said),
+        *room_view.of_finding(finding, verification, place),
+        replace(probable, title="Candidates"),
+        *notes,
+        *_next(place),
+        Section("Where the model disagrees", "map"),
+        Beside([[drawn["plan"]], [drawn["map"]]]),
+        *([] if verification is None else _gaps(finding, verification)),
+        *([Section("How to reproduce", "reproduce"), Code(command)] if command else []),
+    ]
+
+
+def _next(place: Place | None) -> list[Note]:
+    if place is None:
+        return []
+    x, y, z = place.point
+    return [
+        Note(
+            f"To tell the surfaces apart, measure at ({x:.1f}, {y:.1f}, {z:.1f}) m with source "
+            f"{place.source}: of the places that were tried it is expected to tell most, with odds of "
+            f"{odds(place.nats)}. It is the star in the plan."
+        )
+    ]
+
+
+def _gaps(finding: PositionsFinding, verification: PositionsVerification) -> list[Any]:
+    """Return the gaps of each model by parameter and by pair."""
+    spread = verification.spread
+    by_parameter = [
+        Row(TITLES[model], [f"{gap:.2f} ± {spread[model][name]:.2f}" for name, gap in gaps.items()])
+        for model, gaps in verification.by_parameter.items()
+    ]
+    by_pair = [
+        Row(" to ".join(pair), [float(verification.by_pair[model][i]) for model in TITLES], ".2f")
+        for i, pair in enumerate(finding.pairs)
+    ]
+    names = [parameter_label(p) for p in finding.parameters]
+    title = "Mean gap in JND, ± its standard deviation over the simulator's seeds"
+    return [
+        Section("The gaps by parameter and by pair", "gaps"),
+        Table(names, by_parameter, title),
+        Table([*TITLES.values()], by_pair, "Mean gap in JND by pair"),
+        Items(verification.halves_in_words),
+    ]
+
+
+def _pictures_of_where(
+    finding: PositionsFinding, verification: PositionsVerification | None, place: Place | None
+) -> dict[str, Picture]:
+    """Return the figures with what they show in words and numbers."""
+    p, i, k = strongest(finding.map)
+    likely = "; ".join(f"{n} {100 * finding.surfaces[n]:.0f} %" for n in finding.likely_surfaces)
+    coloured = (
+        f"coloured are {likely}"
+        if finding.verdict != "none" and likely
+        else "no surface is coloured"
+    )
+    drawn = {
+        "plan": Picture(
+            lambda: figures.plan(finding, place),
+            "The plan. A line joins source (triangle) and receiver (circle); it is as dark as the pair "
+            "disagrees. Walls are as orange as they are probable.",
+            f"The plan of the room with sources and receivers; {coloured}.",
+        ),
+        "map": Picture(
+            lambda: figures.disagreement(finding),
+            "Residuals in standard deviations of what prior, simulator and measurement leave open: "
+            "root mean squares by pair and parameter, and by parameter and band. About 1 is what is "
+            "expected.",
+            "Two tables of the disagreement in standard deviations. The largest single one is "
+            f"{abs(finding.map[p, i, k]):.1f}: {parameter_label(finding.parameters[p])} from "
+            f"{' to '.join(finding.pairs[i])} at {finding.case.room.centre_frequencies[k]:g} Hz.",
+            tall=len(finding.pairs) > 8,
+        ),
+    }
+    if verification is not None:
+        before, plain, after = (f"{verification.gap(m).mean():.2f}" for m in MODELS)
+        drawn["gap"] = Picture(
+            lambda: figures.bars(verification),
+            "Mean gap at pairs that were not fitted; whiskers are the range over the simulator's "
+            "seeds. The dotted line is 1 JND.",
+            f"Three bars of the mean gap at pairs that were not fitted: {before} JND as stated, "
+            f"{plain} calibrated, {after} corrected and calibrated.",
+        )
+    return drawn
+
+
+def _of_states(finding: StatesFinding, verification: Any) -> list[Any]:
+    """Return the blocks of a finding between two states."""
+    headline, by_band, *notes = finding.blocks()
+    kinds = finding.candidates if finding.best is not None else ()
+    name, n = finding.case.room.name, len(finding.case.differences.pairs)
+    verified = [] if verification is None else [Note(f"Verification: {verification.sentence}")]
+    surfaces = [
+        Row(s, [f"{100 * p:.0f}", "claimed" if s in finding.claimed_surfaces else ""])
+        for s, p in finding.surfaces.items()
+    ]
+    added = (
+        "The room of the second state, to calibrate, export and predict with: "
+        "rtcal apply FOUND --out FOLDER."
+    )
+    return [
+        Section("Summary", "summary"),
+        replace(headline, kind="lead"),
+        *verified,
+        Picture(
+            lambda: figures.change(finding),
+            "Change of the absorption area with its 90 % interval, if it changed.",
+            f"{name}: change of the absorption area, by band",
+        ),
+        Items([note.text for note in notes]),
+        Table(
+            ["Probability / %", "Absorption area, 500 Hz to 2 kHz"],
+            [Row(c.effect, [f"{100 * c.probability:.0f}", c.in_words]) for c in kinds],
+            "What it may be",
+            "Change",
+        ),
+        Table(["Probability that it changed / %", ""], surfaces, "On which surface", "Surface"),
+        Section("By band", "bands"),
+        Picture(
+            lambda: figures.states(finding),
+            "T by band, mean over the pairs that both states have.",
+            f"{name}: T before and after, by band",
+        ),
+        replace(by_band, title="Both states"),
+        Section("What was assumed", "assumed"),
+        Note(
+            f"{finding.case.equation.name}'s equation; {n} pair{'s' * (n != 1)}. Both states have "
+            "the same "
+            "positions and equipment. The first calibrates, so the stated coefficients do not count."
+        ),
+        *([Note(added)] if finding.can_be_added else []),
+        Note(f"rtcal {__version__}."),
+    ]
+
+
+_KEPT = ("verdict", "effect", "named", "family", "candidates", "sets", "probabilities", "evidence")
+"""Entries of a finding that are stored with the correction."""
+
+
+def correct(
+    finding: MeansFinding, case_path: str, room_path: str | None = None, effect: str | None = None
+) -> tuple[str, dict[str, Any], dict[str, bytes]]:
+    """Add the named effects, or the most probable ones, to a finding's case, and calibrate it.
+
+    Parameters
+    ----------
+    finding : MeansFinding
+    case_path : str
+        Path of the case with the effect (JSON).
+    room_path : str, optional
+        Path of the room with the effect (TOML).
+    effect : str, optional
+        The candidate to add.
+
+    Returns
+    -------
+    (str, dict, dict)
+        The text, its record, and the files to write by path; none if there is nothing to add.
+
+    Raises
+    ------
+    DataError
+        As `MeansFinding.apply`.
+    """
+    said = finding.to_dict()
+    record: dict[str, Any] = {k: said[k] for k in _KEPT if k in said}
+    if (nothing := finding.reason_for_none) is not None:
+        return f"{nothing}\nNothing is written.", {**record, "sentence": nothing}, {}
+    members = finding.chosen(effect)
+    corrected = finding.with_effects(members=members)
+    calibrated = recalibrate(corrected, finding.discrepancy)
+    files = {case_path: corrected.to_json().encode()}
+    absent: list[str] = []
+    if room_path is not None:
+        files[room_path] = corrected_room(corrected).to_text(Path(room_path).parent).encode()
+        absent = not_in_room(corrected)
+    sentence = finding.added(members)
+    lines = [
+        sentence,
+        *table(corrected.room, {"corrected": calibrated}),
+        *(f"  note: {note}" for note in finding.notes),
+        *(f"  not in {room_path}: {line}" for line in absent),
+    ]
+    record |= {
+        "sentence": sentence,
+        "present": [p.to_dict() for p in corrected.applied],
+        "calibrated": calibrated.to_dict(),
+        "notes": list(finding.notes),
+        "not_in_room": absent,
+    }
+    return "\n".join(lines), record, files

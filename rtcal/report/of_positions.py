@@ -1,0 +1,275 @@
+"""The page of a calibration to every position: what its text has, for readers without Python."""
+
+from __future__ import annotations
+
+import shlex
+from typing import Any
+
+import numpy as np
+
+from rtcal.acoustics import bands
+from rtcal.acoustics.observables import DecaySlope, of_kind, parameter_label
+from rtcal.acoustics.quality import rms
+from rtcal.loop.positions_result import PositionsResult, gap_table
+from rtcal.report import figures, room_view
+from rtcal.report.document import Box, Code, Items, Page, Picture, Section, coefficients
+from rtcal.simulators.observations import Observations
+from rtcal.simulators.path_tracing import PathTracing
+from rtcal.support import __version__
+from rtcal.support.blocks import Note, Row, Table
+from rtcal.support.text import first_of
+from rtcal.support.types import Array
+
+MOST_MATERIALS = 100
+"""Largest number of materials in the page's tables, which list those of which most was learned."""
+_LEARNED = 0.9
+"""Posterior over prior sigma up to which a material counts as learned in the summary."""
+_REMAINS = 1.0
+"""Root mean square gap in JND from which the page says first what remains: a difference is heard."""
+_MISFIT = 2.0
+"""Misfit from which a pair is named: twice the chi-square that is usual in this room."""
+
+
+def page(result: PositionsResult) -> Page:
+    """Return the page of a calibration to every position."""
+    room, interval = result.prior, result.interval
+    order = [room.material_index(name) for name, _, _ in result.learned[:MOST_MATERIALS]]
+    *gaps, materials = (block for block in result.blocks() if isinstance(block, Table))
+    headline = _headline(result)
+    left = len(room.materials) - len(order)
+    labels, at_bound = bands.labels(room.centre_frequencies), np.isin(result.alpha, (0.0, 1.0))
+    intervals = ", with 90 % intervals" if interval is not None else ""
+    doubtful = _doubts(result)
+    runs = 0 if result.controls is None else len(result.controls.errors)
+    return Page(
+        room.name,
+        room.author,
+        "calibration of a simulator to what every position heard",
+        [
+            *([Box("contradicts", result.warning)] if result.warning else []),
+            *([Box("open", headline)] if headline else []),
+            Section("Summary", "summary"),
+            *(Note(sentence, kind="lead") for sentence in _summary(result)),
+            Table(
+                labels,
+                _times(result.before, result.after, result.measured.observations),
+                "Decay times: means over the pairs that were fitted",
+            ),
+            *room_view.of_positions(result),
+            Section("What not to believe", "doubts"),
+            Table(["Where and what", "What to do"], doubtful, corner="Reservation"),
+            *([] if doubtful else [Note("No check of rtcal's found a reason for doubt.")]),
+            Section("What was learned", "learned"),
+            Note(
+                "Sigma is the standard deviation of a coefficient, the root mean square over the "
+                "bands. Most learned first."
+            ),
+            Table(materials.columns, materials.rows[: len(order)], corner="Material"),
+            Picture(
+                lambda: figures.shifts(
+                    result.shift[order], [room.materials[i] for i in order], room.centre_frequencies
+                ),
+                "How far each coefficient moved, in standard deviations of what was stated. "
+                "Above 2 either the stated deviation was too small, or something is missing.",
+                f"{room.name}: how far each coefficient moved",
+                tall=True,
+            ),
+            coefficients(
+                f"Absorption coefficients: stated → calibrated{intervals}",
+                room,
+                result.alpha,
+                interval,
+                at_bound,
+                order,
+            ),
+            *(
+                [Note(f"{left} further materials, of which less was learned, are in result.json.")]
+                if left
+                else []
+            ),
+            Section("Gaps by pair", "gaps"),
+            Note(
+                "Root mean square gap over the bands, before to after; misfit with what all other "
+                "pairs tell: 1 is usual."
+            ),
+            *gaps,
+            *_held_out(result),
+            Section("What was assumed", "assumed"),
+            Note(
+                f"The coefficients belong to {result.simulator}, and to no other simulator. The "
+                "interval "
+                "is that of a normal distribution. The simulator's error was learned from "
+                f"{runs} control runs."
+            ),
+            Items(result.every_note),
+            Section("How to reproduce", "reproduce"),
+            *_reproduced(result),
+            Note(f"rtcal {__version__}."),
+        ],
+    )
+
+
+def _headline(result: PositionsResult) -> str:
+    """Return what the calibrated simulator lacks of what was matched; "" where all is within 1 JND."""
+    left = {p: rms(gap) for p, gap in zip(result.parameters, result.gap_after, strict=True)}
+    far = sorted((p for p in left if left[p] >= _REMAINS), key=lambda p: -left[p])
+    if not far:
+        return ""
+    gaps = ", ".join(f"{parameter_label(p)} {left[p]:.1f} JND" for p in far)
+    said = (
+        "The calibrated simulator does not have what was measured. There remain, root mean square over "
+        f"pairs and bands: {gaps}."
+    )
+    measured = result.measured.observations
+    for key in (p for p in far if p in of_kind(DecaySlope)):
+        goal, time = (_mean(measured, of, key) for of in (measured, result.after))
+        k = int(np.nanargmax(np.abs(time / goal - 1)))
+        said += (
+            f" {parameter_label(key)} is {time[k]:.2f} s for {goal[k]:.2f} s measured, mean over the "
+            f"pairs at {bands.label(result.prior.centre_frequencies[k])}."
+        )
+    return said
+
+
+def _summary(result: PositionsResult) -> list[str]:
+    n, tested = len(result.pairs), ""
+    if result.held_out is not None:
+        before, after = rms(result.held_out.gap_before), rms(result.held_out.gap_after)
+        tested = f"; at the pairs that were held out it went from {before:.1f} to {after:.1f}"
+    learned = [name for name, old, new in result.learned if old and new <= _LEARNED * old]
+    most = ", ".join(f"“{name}”" for name in learned[:3])
+    return [
+        "The absorption coefficients were fitted to "
+        f"{', '.join(map(parameter_label, result.parameters))} at {n} pair{'s' * (n > 1)} of a "
+        "source and a receiver.",
+        f"The root mean square gap went from {rms(result.gap_before):.1f} to "
+        f"{rms(result.gap_after):.1f} just noticeable differences (JND){tested}.",
+        f"The measurement tells of {len(learned)} of {result.prior.n_materials} materials, most of "
+        f"{most}."
+        if learned
+        else "The measurement tells hardly anything of any single material.",
+    ]
+
+
+def _times(before: Observations, after: Observations, measured: Observations) -> list[Row]:
+    """Return each decay time by band in s, the means over the pairs: measured, before, after."""
+    return [
+        Row(f"{parameter_label(key)} {name} / s", _mean(measured, of, key), ".2f")
+        for key in of_kind(DecaySlope)
+        if key in measured.parameters
+        for name, of in (("measured", measured), ("before", before), ("after", after))
+    ]
+
+
+def _mean(measured: Observations, of: Observations, key: str) -> Array:
+    """Return a parameter's mean (n_bands,) over the pairs that have a measured value in the band."""
+    known = np.isfinite(measured.natural(key))
+    number = np.where(known.any(axis=0), known.sum(axis=0), np.nan)
+    return np.asarray(np.where(known, of.natural(key), 0.0).sum(axis=0) / number)
+
+
+def _held_out(result: PositionsResult) -> list[Any]:
+    """Return the pairs that were left out: gaps of each, and the decay times."""
+    left = result.held_out
+    if left is None:
+        said = (
+            "No measured pair was held out. To test the fit, exclude a few: --exclude "
+            "SOURCE:RECEIVER."
+        )
+        return [Note(said, kind="note")]
+    return [
+        Section("Positions that were held out", "held-out"),
+        Note(
+            "These pairs were measured and excluded from the fit, so they test it. Their root mean "
+            f"square gap went from {rms(left.gap_before):.1f} to {rms(left.gap_after):.1f} JND."
+        ),
+        gap_table(left.parameters, left.measured.pairs, left.gap_before, left.gap_after),
+        Table(
+            bands.labels(result.prior.centre_frequencies),
+            _times(left.before, left.after, left.measured),
+            "Decay times: means over the pairs that were held out",
+        ),
+    ]
+
+
+def command(result: PositionsResult) -> str | None:
+    """Return the shell command that gives the same result; None for another simulator or terms."""
+    tracer: Any = result.tracer
+    if not isinstance(tracer, PathTracing):
+        return None
+    chosen = [text for p in result.parameters for text in ("--match", p)]
+    chosen += ["--paths", str(tracer.n_paths), "--seed", str(result.seed)]
+    if result.held_out is not None:
+        for source, receiver in result.held_out.measured.pairs:
+            chosen += ["--exclude", f"{source}:{receiver}"]
+    if result.scattering is None:
+        chosen.append("--keep-scattering")
+    start = result.start if result.start is not None else tracer.scattering
+    if result.prior.scattering is None or (start != result.prior.scattering).any():
+        # it was stated to the simulator
+        alike = np.ptp(start) == 0
+        chosen += ["--scattering", f"{start.flat[0]:g}" if alike else "S"]
+    # Scattering is fitted with "random" alone, whatever the fitted tracer has.
+    given = tracer.scattering_model if result.scattering is None else "random"
+    if given != result.prior.scattering_model:
+        chosen += ["--scattering-model", str(given)]
+    return shlex.join(["rtcal", "fit", "room.toml", "measured.csv", *chosen, "--out", "fitted"])
+
+
+def _reproduced(result: PositionsResult) -> list[Any]:
+    repeated = command(result)
+    if repeated is None:
+        said = "This calibration was made from Python: its simulator is none of the command's."
+        return [Note(said)]
+    stated = "S is the scattering coefficient that the simulator was given."
+    more = [Note(stated)] if " S " in repeated else []
+    return [Code(f"{repeated}\nrtcal report fitted"), *more]
+
+
+def _doubts(result: PositionsResult) -> list[Row]:
+    """Return the reservations: title, where, and what to do."""
+    names = [" to ".join(pair) for pair in result.pairs]
+    contradicting = [" to ".join(pair) for pair in result.contradictions]
+    odd = ", ".join(
+        f"{name} ({misfit:.1f})"
+        for name, misfit in zip(names, result.misfit, strict=True)
+        if misfit > _MISFIT and name not in contradicting
+    )
+    bound = [
+        f"{result.prior.materials[i]} at {result.prior.centre_frequencies[k]:g} Hz"
+        for i, k in np.argwhere((result.alpha <= 0) | (result.alpha >= 1))
+    ]
+    unexplained = result.unexplained_in_words
+    found = [
+        *(
+            (
+                "Contradicts all other pairs",
+                name,
+                "Check its names and positions, or leave it out: --exclude "
+                f"{name.replace(' to ', ':')}.",
+            )
+            for name in contradicting
+        ),
+        ("Fits the others badly", odd, "1 is usual. Look at the decays of these pairs."),
+        (
+            "Misses more than expected",
+            unexplained and f"A value differs by a further {unexplained} (standard deviation).",
+            "Check volume, mesh and stated sigma. Something may be missing in the room.",
+        ),
+        (
+            "Simulator's error unknown",
+            "" if result.controls else "No control run tells it; no interval is stated.",
+            "Use a simulator with a geometry, such as path tracing.",
+        ),
+        (
+            "Coefficient at a bound",
+            first_of(bound, 5),
+            "That is a warning and no result. State a smaller sigma or a floor.",
+        ),
+        (
+            "Not settled",
+            "" if result.settled else "The last step still moved alpha.",
+            "Calibrate again with more paths.",
+        ),
+    ]
+    return [Row(title, [text, advice]) for title, text, advice in found if text]
