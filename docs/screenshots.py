@@ -15,7 +15,7 @@ import tempfile
 from pathlib import Path
 
 import rtcal as rt
-from rtcal.report import document, page
+from rtcal.report import pages
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = {
@@ -55,9 +55,8 @@ def main(folder: Path) -> None:
         check=True,
         env={**os.environ, "NO_MKDOCS_2_WARNING": "1"},
     )
-    document.write(
-        folder / "report.html", page.calibration_page(rt.calibrate(*rt.datasets.bras_cr2()))
-    )
+    page = pages.page(rt.calibrate(*rt.datasets.bras_cr2()))
+    (folder / "report.html").write_text(page, encoding="utf-8")
     places = {name: folder / "site" / path for name, path in PAGES.items()}
     places["page"] = folder / "report.html"
     with tempfile.TemporaryDirectory() as profile:

@@ -14,7 +14,7 @@ import rtcal as rt
 from rtcal.acoustics.directions import enough_known, facing, kind_of
 from rtcal.acoustics.room import Surface
 from rtcal.finder import Case, Configuration, control_rooms
-from rtcal.report import gap_report
+from rtcal.report import of_finding
 from rtcal.simulators.geometry import Polyhedron
 from rtcal.simulators.path_tracing import PathTracing
 from rtcal.support.errors import DataError
@@ -191,7 +191,7 @@ def test_a_search_finds_the_field_whatever_says_the_directions(of_room: rt.Measu
     for text in (" ".join(str(found).split()), found._repr_html_()):
         assert "Not judged: non-diffuse field, because nothing says" in text
         assert "coupled room may stand for it" in text
-    assert any("Not judged" in said for said in gap_report.rests_on(found, None))
+    assert any("Not judged" in said for said in of_finding.rests_on(found, None))
 
 
 def test_directions_survive_being_saved_and_changed(of_room: rt.Measurement) -> None:

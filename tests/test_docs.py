@@ -156,9 +156,7 @@ NEEDS_NO_EXAMPLE = {
     "Rule": "a type: one of three names",
     "Threshold": "part of a Finding, never made by a user",
     "of_energy": "one response of impulse_responses.analyse",
-    "finding_page": "`rtcal find --out` calls it; takes seconds",
     "page_of": "as page.page, from a folder",
-    "summary": "the first sentences of a finding's page",
 }
 
 

@@ -5,19 +5,21 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 
 import rtcal as rt
+from rtcal.simulators.geometry import SHOEBOX_WALLS, Polyhedron
 from tests.test_docs import blocks
 from tests.test_several_effects import BOTH, case_with, sought
 
 pytest.importorskip("matplotlib", reason="needs the extra report")
 from matplotlib.text import Text
 
-from rtcal.report import figures, gap_figures, loop_page, positions_page, study_report
+from rtcal.report import figures, study_report
 
 ROOT = Path(__file__).resolve().parents[1]
 PHONE = 370  # px: a screen of 400 px less the page's margins
@@ -35,18 +37,25 @@ def drawn(kept: Path) -> dict[str, Any]:
     case, _ = rt.datasets.hidden_room()
     finding = rt.find(case, cache=kept)
     verification = rt.finder.verify(finding)
-    found["evidence"] = gap_figures.evidence(finding)
-    found["residuals"] = gap_figures.residuals(finding)
-    for draw in (gap_figures.reverberation_time, gap_figures.shifts, gap_figures.decay):
-        found[f"gap_figures.{draw.__name__}"] = draw(verification)
-    found["probabilities"] = gap_figures.probabilities(sought(case_with(*BOTH)))
-    pairs, gaps = [("S1", "R1"), ("S1", "R2")], (np.full((2, 2, 3), 3.0), np.full((2, 2, 3), 1.0))
-    face = np.array([[0, 0, 0], [5, 0, 0], [5, 4, 0], [0, 4, 0]], dtype=float)
+    found["evidence"] = figures.evidence(finding)
+    found["residuals"] = figures.residuals(finding)
+    for draw in (figures.corrected_times, figures.corrected_shifts, figures.decay):
+        found[f"of a finding: {draw.__name__}"] = draw(verification)
+    found["probabilities"] = figures.probabilities(sought(case_with(*BOTH)))
+    fitted = SimpleNamespace(
+        pairs=[("S1", "R1"), ("S1", "R2")],
+        gap_before=np.full((2, 2, 3), 3.0),
+        gap_after=np.full((2, 2, 3), 1.0),
+        shift=np.linspace(-2, 2, 21).reshape(3, 7),
+        prior=SimpleNamespace(
+            materials=["a", "b", "c"],
+            centre_frequencies=[125.0, 250.0, 500.0, 1000.0, 2000.0, 4000.0, 8000.0],
+        ),
+    )
+    box = Polyhedron.shoebox((5, 4, 3), dict.fromkeys(SHOEBOX_WALLS, "a"))
     receivers = {"R1": (1, 1, 1), "R2": (4, 3, 1)}
-    found["plan"] = positions_page.draw_plan(pairs, gaps, [face], {"S1": (2, 2, 1)}, receivers)
-    bands = [125.0, 250.0, 500.0, 1000.0, 2000.0, 4000.0, 8000.0]
-    moved = np.linspace(-2, 2, 21).reshape(3, 7)
-    found["shifts of positions"] = positions_page.draw_shifts(moved, ["a", "b", "c"], bands)
+    found["plan of gaps"] = figures.position_gaps(fitted, box, {"S1": (2, 2, 1)}, receivers)
+    found["shifts of positions"] = figures.shifts(fitted)
     found["priors of six"] = study_report.priors([0.1, 0.2, 0.3, 0.4, 0.5, 0.6], [0.05] * 6, "")
     return found
 
@@ -106,7 +115,7 @@ def test_lines_that_differ_in_colour_alone_are_seen() -> None:
 
 
 def test_sixteen_bands_of_a_loop_are_told_apart(measured_loop: Any) -> None:
-    assert not twins(loop_page.path(measured_loop))
+    assert not twins(figures.path(measured_loop))
 
 
 @pytest.fixture

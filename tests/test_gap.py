@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -21,7 +22,7 @@ from rtcal.finder.means.problem import distances, state
 from rtcal.finder.means.verification import Gap
 from rtcal.finder.model import predict
 from rtcal.finder.search import find
-from rtcal.report.gap_report import summary
+from rtcal.report import of_finding
 from tests.conftest import candidates_of
 
 pytestmark = pytest.mark.usefixtures("runs_kept")
@@ -178,10 +179,11 @@ def test_the_verdict_stands_beside_what_is_supported(finding: MeansFinding) -> N
     seen = verify(finding)
     sure = with_gap(seen, 1.0, 0.1, predictive=5.0)
     assert sure.verdict == "supported"
-    page = summary(sure.finding, sure)
-    assert sure.sentence in page["rests_on"]
-    corrected = page["corrected"]["materials"][0]["cells"][0]
-    assert corrected["low"] < corrected["after"] == sure.corrected.alpha[0, 0] < corrected["high"]
+    assert sure.sentence in of_finding.rests_on(sure.finding, sure)
+    blocks = of_finding.page(sure.finding, sure).blocks
+    (table,) = (b for b in blocks if getattr(b, "title", "").startswith("Corrected coefficients"))
+    after, low, high = map(float, re.findall(r"[\d.]+", table.rows[0].values[0])[1:])
+    assert low < after == round(sure.corrected.alpha[0, 0], 3) < high
 
 
 @pytest.mark.parametrize(

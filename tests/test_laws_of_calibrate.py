@@ -10,11 +10,11 @@ import pytest
 
 import rtcal as rt
 from rtcal.acoustics.marks import MET
-from rtcal.report import page as page_module
-from rtcal.report.page import calibration_page
+from rtcal.report import document
+from rtcal.report.pages import page as page_of_result
 from rtcal.support.errors import DataError
 from tests.conftest import also
-from tests.report.pages import no_figures
+from tests.report.pages import no_figure
 
 METHODS = ("mle", "lse", "soft", "smooth", "robust")
 EQUATIONS = (rt.Sabine(), rt.Eyring(), rt.Kuttruff())
@@ -132,7 +132,7 @@ def results() -> list[Any]:
 
 def test_one_verdict_decides_what_text_page_and_record_say(monkeypatch) -> None:
     """None says "agrees" where T is not met, where a value is mistyped, or p is not in between."""
-    monkeypatch.setattr(page_module, "_figures", no_figures)
+    monkeypatch.setattr(document, "source", no_figure)
     levels = set()
     for n, result in enumerate(results()):
         verdict, p = result.verdict, result.plausibility.p_value
@@ -151,7 +151,7 @@ def test_one_verdict_decides_what_text_page_and_record_say(monkeypatch) -> None:
             assert "agrees" not in verdict.heading
         if n % 7 and met:
             continue
-        page = calibration_page(result).replace("&#39;", "'")
+        page = page_of_result(result).replace("&#39;", "'")
         plain = re.sub(r"<style.*?</style>|<[^>]+>", " ", page, flags=re.DOTALL)
         plain = " ".join(plain.split())
         assert ("verdict agrees" in page) == (verdict.level == "agrees")

@@ -19,7 +19,7 @@ from rtcal.datasets import halls
 from rtcal.io import obj
 from rtcal.loop import control_runs
 from rtcal.loop.measured_pairs import response_noise
-from rtcal.report import positions_page
+from rtcal.report import figures
 from rtcal.simulators import (
     DifferentiableSimulator,
     ImageSource,
@@ -283,7 +283,7 @@ def test_the_command_writes_room_and_record_whole(folder):
     np.testing.assert_allclose(room.alpha[0], record["materials"][0]["alpha_after"], rtol=1e-9)
     assert {
         p.name for p in (folder / "made").iterdir() if not p.name.startswith(".rtcal_files")
-    } == set(positions_page.POSITION_FILES)
+    } == set(figures.POSITION_FILES)
     assert len(list((folder / ".rtcal_cache").glob("*.array"))) == 1
     kept_as_stated = fit(folder, "--match", "t20", "--keep-scattering", "--json")
     assert json.loads(kept_as_stated.stdout)["scattering"] is None

@@ -49,7 +49,6 @@ from rtcal.finder.means.verdict import Objection
 from rtcal.finder.model import FEATURES
 from rtcal.finder.prior import UNKNOWN, prior_of
 from rtcal.finder.search import find
-from rtcal.report import gap_report
 from rtcal.support.errors import DataError
 
 F = 125.0 * 2.0 ** np.arange(7)
@@ -278,8 +277,6 @@ def test_an_unknown_effect_is_said_to_be_unknown() -> None:
     assert found.sentence == "Something is missing that no effect of the library explains."
     assert "(verdict unknown)" in str(found.reason_for_none)
     assert "most probable" not in str(found)
-    headline = gap_report.summary(found, None)["headline"]
-    assert headline == "The model lacks something, and no known effect explains it."
     with pytest.raises(DataError, match='the verdict is "unknown"'):
         found.apply()
 

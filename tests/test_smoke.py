@@ -85,10 +85,10 @@ methods.calibrate = calibrate
 NOTHING_TO_ADD = """
 from rtcal.command import finder as commands
 from rtcal.finder import MeansFinding
-from rtcal.report import finding_pages
+from rtcal.report import of_finding
 
 commands.saved = lambda _: (object.__new__(MeansFinding), None)
-finding_pages.correct = lambda *_: finding_pages.Correction("nothing to add", {})
+of_finding.correct = lambda *_: ("nothing to add", {}, {})
 """
 
 

@@ -111,7 +111,7 @@ def computed() -> Any:
     from rtcal.loop import control_runs
     from rtcal.loop import positions as loop_positions
     from rtcal.prediction import designed
-    from rtcal.report import gap_report, page, positions_page
+    from rtcal.report import document, figures, of_finding
 
     def once(function: Any) -> Any:
         results: list[Any] = []
@@ -133,11 +133,9 @@ def computed() -> Any:
         ):
             patch.setattr(module, name, once(getattr(module, name)))
         patch.setattr(control_runs, "RUNS", 2)
-        patch.setattr(gap_report, "figures", lambda *_: {})
-        patch.setattr(page, "source", lambda *_: "data:,")
-        patch.setattr(
-            positions_page, "write_positions", lambda _, folder, *__: [folder / "room.toml"]
-        )
+        patch.setattr(of_finding, "pictures", lambda *_: {})
+        patch.setattr(document, "source", lambda *_: "data:,")
+        patch.setattr(figures, "write_positions", lambda _, folder, *__: [folder / "room.toml"])
         yield
 
 

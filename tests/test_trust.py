@@ -12,7 +12,7 @@ from scipy import stats
 import rtcal as rt
 from rtcal.acoustics.directions import facing
 from rtcal.acoustics.marks import plausibility, trust_marks, uneven_marks
-from rtcal.report.page import calibration_page
+from rtcal.report.pages import page
 from rtcal.simulators.geometry import Polyhedron
 from tests.conftest import also, random_room
 
@@ -267,7 +267,7 @@ def test_a_room_in_which_equations_differ_is_marked() -> None:
         assert f"gives {arau[k]:.2f} s for Eyring's {eyring[k]:.2f} s" in marks[0].text
         assert f"{apart[k]:.1f} JND apart" in marks[0].text
         assert "rtcal fit" in marks[0].advice
-        for said in (" ".join(str(result).split()), calibration_page(result).replace("&#39;", "'")):
+        for said in (" ".join(str(result).split()), page(result).replace("&#39;", "'")):
             assert "the absorption is uneven: Arau-Puchades' equation gives" in said
         assert "equations_differ" in result.to_json()
         assert result.verdict.level != "agrees"

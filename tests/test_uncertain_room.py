@@ -23,7 +23,7 @@ from rtcal.prediction import (
     Treatment,
     changed,
 )
-from rtcal.report import words
+from rtcal.report.of_calibration import assumed
 from rtcal.support.errors import DataError, ModelError
 from tests.conftest import also
 
@@ -409,8 +409,8 @@ def test_what_takes_up_the_gap_is_shared_out(
 
 def test_the_assumption_on_t_is_the_one_that_was_made() -> None:
     room, t = volume_is_wrong(area_sigma=0.01)
-    exact = words.assumed(rt.calibrate(room, t, equation=SABINE))
+    exact = assumed(rt.calibrate(room, t, equation=SABINE))
     assert any("when T is exact and the room has" in sentence for sentence in exact)
     measured = at_one_pair(t, 0.05 * t)
-    own = words.assumed(rt.calibrate(room, measured, equation=SABINE))
+    own = assumed(rt.calibrate(room, measured, equation=SABINE))
     assert any("when T has its own uncertainty and the room" in sentence for sentence in own)

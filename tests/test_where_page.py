@@ -16,7 +16,7 @@ import rtcal as rt
 from rtcal.finder.finding import Detection
 from rtcal.finder.positions import Place, PositionsFinding, PositionsVerification, verification
 from rtcal.loop.control_runs import ControlRuns
-from rtcal.report import finding_pages, where_figures
+from rtcal.report import figures, of_finding, room_view
 from rtcal.report.room_view import ABOVE, axes_of
 from tests.test_figures import texts
 from tests.test_where_corrected import L_PLAN, candidate, case_in, prism, triangulated
@@ -192,23 +192,22 @@ def test_what_is_predicted_scatters_as_it_was_calibrated(
 def test_the_room_is_looked_at_so_that_the_surface_is_seen(surface: str) -> None:
     """From behind, it would be an outline."""
     finding = finding_of({surface: 1.0})
-    geometry = finding.case.geometry
-    shares = {n: float(n == surface) for n in finding.case.faces}
-    turn = where_figures._turn(geometry, finding.case.faces, shares)
-    faces = finding.case.faces[surface]
-    assert (geometry.normals[faces] @ axes_of(turn, ABOVE)[2] > 0).all()
+    (room,) = room_view.of_finding(finding, None)
+    turn = json.loads(room.data)["turn"]
+    normals = finding.case.geometry.normals[finding.case.faces[surface]]
+    assert (normals @ axes_of(turn, ABOVE)[2] > 0).all()
 
 
 def test_pairs_and_bands_that_were_not_measured_are_left_out(finding: PositionsFinding) -> None:
     gaps = finding.map.copy()
     gaps[0, 1] = np.nan
-    figure = where_figures.disagreement(replace(finding, map=gaps))
+    figure = figures.disagreement(replace(finding, map=gaps))
     assert sum(t.get_text() == "nan" for t in texts(figure)) == 0
 
 
 def test_the_page_begins_with_the_three_bars(finding: PositionsFinding, tmp_path: Path) -> None:
     result = verification_of(finding, {"before": 3.0, "plain": 2.0, "corrected": 1.99}, 1.0)
-    finding_pages.write(finding, result, tmp_path, place=PLACE)
+    of_finding.write(finding, result, tmp_path, place=PLACE)
     page = (tmp_path / "report.html").read_text(encoding="utf-8")
     body = page[page.index("<main>") :]
     assert body.index("<img") < body.index("Unproven") < body.index("What was found")

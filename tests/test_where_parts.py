@@ -14,7 +14,7 @@ from rtcal.finder.positions import surfaces
 from rtcal.finder.positions.corrected import corrected_geometry
 from rtcal.finder.positions.hypotheses import materials, on_parts, shifts
 from rtcal.finder.positions.surfaces import divided, face_at, patched
-from rtcal.report import where_figures
+from rtcal.report import figures
 from rtcal.simulators import PathTracing, Polyhedron
 from rtcal.simulators.geometry import SHOEBOX_WALLS
 
@@ -189,7 +189,7 @@ def test_an_opening_at_an_end_of_a_long_room_is_found_at_this_end(
     said = replace(finding, surfaces={"south": 1.0} | others)
     assert said.located is not None
     assert said.located.about == ", most probably about (3.0, 0.0, 1.5) m"
-    legend = where_figures.room(said).axes[0].get_legend_handles_labels()[1]
+    legend = figures.plan(said).axes[0].get_legend_handles_labels()[1]
     assert "most probable part of its surface" in legend
 
 

@@ -7,7 +7,7 @@ import re
 from pathlib import Path
 from typing import Any
 
-from rtcal.report import figures, where_figures
+from rtcal.report import figures
 
 DOCS = Path(__file__).parents[1]
 
@@ -17,6 +17,6 @@ if __name__ == "__main__":
     example = re.findall(r"^```python\n(.*?)^```", page, re.M | re.S)[0]
     exec(compile(example, "where.md", "exec"), names)
     figure, axes = figures.new_figure(9.0, 4.0, 1, 2)
-    where_figures.draw_room(axes[0], names["finding"])
-    where_figures.draw_bars(axes[1], names["verification"])
+    figures.plan(names["finding"], axes=axes[0])
+    figures.bars(names["verification"], axes[1])
     figures.save(figure, DOCS / "figures" / "where.svg")

@@ -7,7 +7,6 @@ from rtcal import support
 if TYPE_CHECKING:
     from rtcal.report import document as document
     from rtcal.report import figures as figures
-    from rtcal.report import of_finding as of_finding
     from rtcal.report import pages as pages
     from rtcal.report import study_report as study_report
 else:

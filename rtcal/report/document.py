@@ -6,10 +6,9 @@ No other module imports jinja2. Autoescaping makes every name plain text.
 from __future__ import annotations
 
 import base64
-import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cache, partial
+from functools import cache
 from itertools import pairwise
 from typing import Any
 
@@ -17,9 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rtcal.acoustics import bands
+from rtcal.acoustics.marks import TrustMark, grouped
 from rtcal.acoustics.room import Room
-from rtcal.acoustics.trust import TrustMark
 from rtcal.report import figures
+from rtcal.report.odds import in_odds
 from rtcal.support import __version__
 from rtcal.support.blocks import Block, Note, Row, Table
 from rtcal.support.checks import LONGEST_NAME, short_name
@@ -29,79 +29,6 @@ from rtcal.support.types import Array
 
 __all__ = ["Heading"]
 __dir__ = __all__.copy
-
-
-MOST = 1e6
-"""Largest odds that are printed as a number: no model is known so well."""
-_NUMBER = r"([+−-]?\d+(?:\.\d+)?)"
-_ONE = rf"{_NUMBER} nats"
-_TWO = rf"{_ONE}(; threshold:?|; it must exceed| instead of| of the) {_NUMBER}(?: nats)?"
-_EXPLAINED = re.compile(
-    r" ?(\(2\.3 nats are odds of ten to one\)|2\.3 nats are odds of ten to one\.)"
-)
-"""What explains nats, and nothing else."""
-_FACTORS = (
-    (rf"{_ONE} (more|less) probable", "{0} times {1} probable"),
-    (rf"{_ONE} (better|worse)", "{0} times {1}"),
-    (rf"a standard deviation of {_ONE}", "a standard deviation of a factor of {0}"),
-)
-
-
-def odds(nats: float) -> str:
-    """Return evidence in nats as odds, to two digits.
-
-    Examples
-    --------
-    >>> odds(2.3026), odds(-4.0), odds(0.0), odds(40.0)
-    ('10 to 1', '1 to 55', 'even', 'over a million to 1')
-    """
-    times = _times(abs(nats))
-    if times == "1":
-        return "even"
-    return f"{times} to 1" if nats > 0 else f"1 to {times}"
-
-
-def in_odds(sentence: str) -> str:
-    """Return a sentence with odds in place of nats.
-
-    Examples
-    --------
-    >>> in_odds("Evidence: +4.6 nats; threshold 2.3.")
-    'Evidence: odds of 99 to 1; threshold 10 to 1.'
-    >>> in_odds("They are 3.0 nats less probable with the effect.")
-    'They are 20 times less probable with the effect.'
-    >>> in_odds("Evidence: +4.6 nats; it must exceed 3.0. 2.3 nats are odds of ten to one.")
-    'Evidence: odds of 99 to 1; it must exceed 20 to 1.'
-    >>> in_odds("its evidence is +1.6 nats instead of +4.6")
-    'its evidence is odds of 5 to 1 instead of 99 to 1'
-    """
-    sentence = _EXPLAINED.sub("", sentence)
-    for pattern, words in _FACTORS:
-        sentence = re.sub(pattern, partial(_factor, words), sentence)
-    sentence = re.sub(_TWO, lambda m: f"{_odds_of(m[1])}{m[2]} {odds(_value(m[3]))}", sentence)
-    return re.sub(_ONE, lambda m: _odds_of(m[1]), sentence)
-
-
-def _factor(words: str, found: re.Match[str]) -> str:
-    return words.format(_times(abs(_value(found[1]))), *found.groups()[1:])
-
-
-def _odds_of(text: str) -> str:
-    return f"odds of {odds(_value(text))}"
-
-
-def _value(text: str) -> float:
-    return float(text.replace("−", "-"))
-
-
-def _times(nats: float) -> str:
-    """Return a factor to two digits."""
-    factor = float(np.exp(min(nats, 50.0)))
-    if factor > MOST:
-        return "over a million"
-    digits = max(0, int(np.floor(np.log10(factor))) - 1)
-    rounded = round(factor / 10**digits) * 10**digits
-    return f"{rounded:,}" if factor >= 3 else f"{factor:.2g}"
 
 
 MAX_BYTES = 2 * 10**6
@@ -195,7 +122,7 @@ class Picture:
 
 
 @dataclass(frozen=True, eq=False)
-class Beside:
+class SideBySide:
     """Parts that stand side by side where the page is wide; ``kind`` is their class."""
 
     parts: Sequence[Sequence[Any]]
@@ -371,13 +298,8 @@ def doubts(marks: Sequence[TrustMark]) -> list[Block]:
                 "wrong."
             )
         ]
-    rows = []
-    kinds = [mark.kind for mark in marks]
-    facts = dict.fromkeys((mark.kind, mark.text) for mark in marks)
-    for kind, text in sorted(facts, key=lambda fact: kinds.index(fact[0])):
-        alike = [mark for mark in marks if (mark.kind, mark.text) == (kind, text)]
-        where = bands.hertz([m.frequency for m in alike if m.frequency is not None])
-        letter = f" ({alike[0].letter})" if alike[0].letter else ""
-        cells = [f"{where}: {text}" if where else text, alike[0].advice]
-        rows.append(Row(alike[0].title + letter, cells))
+    rows = [
+        Row(f"{m.title} ({m.letter})" if m.letter else m.title, ["; ".join(facts), m.advice])
+        for m, facts in grouped(marks)
+    ]
     return [Table(["Where and what", "What to do"], rows, corner="Reservation")]

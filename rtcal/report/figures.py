@@ -19,13 +19,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rtcal.acoustics.marks import gap_jnd, letters, rms
 from rtcal.acoustics.observables import TARGET, DecaySlope, of_kind, parameter_label
 from rtcal.acoustics.priors import NORMAL_90
-from rtcal.acoustics.marks import gap_jnd, rms
-from rtcal.acoustics.marks import letters
 from rtcal.files.disk import make_folder, write_all, write_bytes
 from rtcal.files.saved import NUMBERS
 from rtcal.io.mend import Faces
+from rtcal.report.odds import MOST, odds
 from rtcal.simulators.geometry import Polyhedron
 from rtcal.support import checks
 from rtcal.support.errors import DataError, MissingDependencyError
@@ -727,8 +727,6 @@ def residuals(finding: MeansFinding, verification: MeansVerification | None = No
 
 def evidence(finding: MeansFinding) -> Any:
     """Return the evidence of every effect as bars, with the threshold."""
-    from rtcal.report.document import MOST, odds
-
     names = list(finding.evidence)
     values = np.array([finding.evidence[n] for n in names])
     top = max(float(values.max()), finding.threshold)
@@ -811,7 +809,7 @@ def decay(verification: MeansVerification) -> Any:
 
 def _level(case: Any, alpha: Array, band: int, t: Array) -> Array:
     """Return the level of the decay in a band at times t in s, in dB."""
-    from rtcal.finder.means.hypotheses import state
+    from rtcal.finder.means.problem import state
 
     room_state = state(case, case.configurations[0], alpha)
     decayed = room_state.decay()
@@ -1002,36 +1000,36 @@ def bars(verification: PositionsVerification, axes: Any = None) -> Any:
 
 
 def position_gaps(
-    pairs: Sequence[tuple[str, str]],
-    before_and_after: tuple[Array, Array],
-    faces: Sequence[Array],
-    sources: Mapping[str, Any],
-    receivers: Mapping[str, Any],
+    result: PositionsResult,
+    geometry: Polyhedron,
+    sources: Mapping[str, Sequence[float]],
+    receivers: Mapping[str, Sequence[float]],
 ) -> Any:
     """Return a plan of the room with its receivers coloured by their gap, before and after.
 
-    Gaps are in JND, each (n_parameters, n_pairs, n_bands). A receiver's is the root mean square over
-    parameters, bands and sources. It stands beside the receiver's name.
+    A receiver's gap is the root mean square over parameters, bands and sources, in JND. It stands
+    beside the receiver's name.
 
     Raises
     ------
     DataError
-        If a receiver of the pairs has no position.
+        If a receiver of the result has no position.
     """
-    names = list(dict.fromkeys(r for _, r in pairs))
+    names = list(dict.fromkeys(r for _, r in result.pairs))
     if missing := [name for name in names if name not in receivers]:
         raise DataError(f'receiver "{missing[0]}" of the result has no position')
-    rows = [[i for i, (_, r) in enumerate(pairs) if r == name] for name in names]
-    gaps = [np.array([rms(gap[:, row]) for row in rows]) for gap in before_and_after]
+    rows = [[i for i, (_, r) in enumerate(result.pairs) if r == name] for name in names]
+    ends = result.gap_before, result.gap_after
+    gaps = [np.array([rms(gap[:, row]) for row in rows]) for gap in ends]
     figure, axes = new_figure(6.2, 8.4, 2, 1)
     colours = {"cmap": "cividis_r", "vmin": 0, "vmax": max(2.0, float(np.nanmax(gaps)))}
     style = {**colours, "s": 110, "edgecolors": BLACK, "zorder": 3}
     points = np.array([receivers[r] for r in names], dtype=float)
     drawn = None
     for panel, gap, when in zip(axes, gaps, ("before", "after"), strict=True):
-        for face in faces:
-            corners = np.vstack([face, face[:1]])
-            panel.plot(corners[:, 0], corners[:, 1], color="0.75", linewidth=1)
+        for face in geometry.faces:
+            x, y, _ = geometry.vertices[[*face, face[0]]].T
+            panel.plot(x, y, color="0.75", linewidth=1)
         for name, place in sources.items():
             panel.plot(*place[:2], "^", color=ORANGE, markersize=9, label="source")
             _note(panel, shown(name, 12), place[:2], (6, 6))
@@ -1048,15 +1046,17 @@ def position_gaps(
     return figure
 
 
-def shifts(moved: Array, materials: Sequence[str], frequencies: Array) -> Any:
-    """Return how far each coefficient moved, (n_materials, n_bands) in prior sigmas, as a map."""
+def shifts(result: PositionsResult, order: Sequence[int] | None = None) -> Any:
+    """Return how far each coefficient moved, in prior sigmas, by material (some, in order) and band."""
+    chosen = list(range(len(result.prior.materials)) if order is None else order)
+    moved = result.shift[chosen]
     n_materials, n_bands = moved.shape
     figure, axes = new_figure(2.4 + 0.55 * n_bands, 1.6 + 0.32 * n_materials)
     reach = max(2.0, float(np.max(np.abs(moved))))
     form = "+.1f" if moved.size <= _MOST_NUMBERS else ""
-    names = [shown(m, 30) for m in materials]
+    names = [shown(result.prior.materials[i], 30) for i in chosen]
     image = number_map(axes, moved, names, (-reach, reach), "RdBu_r", form)
-    band_places(axes, frequencies)
+    band_places(axes, result.prior.centre_frequencies)
     figure.colorbar(image, ax=axes, label="Shift of α / prior σ")
     return figure
 
@@ -1131,11 +1131,9 @@ def write_positions(
     receivers: Mapping[str, Sequence[float]],
 ) -> list[Path]:
     """Write room, numbers and figures of a calibration to every position; see `write_with_figures`."""
-    faces = [geometry.vertices[list(face)] for face in geometry.faces]
-    gaps, room = (result.gap_before, result.gap_after), result.prior
     draw = {
-        PLAN: lambda: position_gaps(result.pairs, gaps, faces, sources, receivers),
-        SHIFTS: lambda: shifts(result.shift, room.materials, room.centre_frequencies),
+        PLAN: lambda: position_gaps(result, geometry, sources, receivers),
+        SHIFTS: lambda: shifts(result),
     }
     return write_with_figures(result, folder, draw)
 

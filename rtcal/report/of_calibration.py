@@ -10,16 +10,16 @@ import numpy as np
 
 from rtcal.acoustics import bands
 from rtcal.acoustics.equations import EQUATIONS
+from rtcal.acoustics.marks import MET
 from rtcal.acoustics.observables import parameter_label
-from rtcal.acoustics.quality import MET, CalibrationVerdict
 from rtcal.acoustics.room import MAX_BYTES
 from rtcal.calibration import table
 from rtcal.calibration.methods import METHODS
 from rtcal.calibration.result import CalibrationResult
+from rtcal.calibration.verdict import CalibrationVerdict
 from rtcal.modes.result import ModesResult
 from rtcal.report import figures, room_view
 from rtcal.report.document import (
-    Beside,
     Box,
     Code,
     Files,
@@ -27,6 +27,7 @@ from rtcal.report.document import (
     Page,
     Picture,
     Section,
+    SideBySide,
     coefficients,
     doubts,
 )
@@ -107,7 +108,7 @@ def blocks(result: CalibrationResult, level: int = 2, what: str = "") -> list[An
     sources = [(m, room.sources[m]) for m in room.materials if room.sources.get(m)]
     return [
         section("Summary", "summary"),
-        Beside([[Note(s, kind="lead") for s in _summary(result)], [_gap(result)]], "summary"),
+        SideBySide([[Note(s, kind="lead") for s in _summary(result)], [_gap(result)]], "summary"),
         *room_view.of_calibration(result, level),
         section("What not to believe", "doubts"),
         Note(_GAP_REMAINS if left.any() else _AGREEMENT),
@@ -130,7 +131,7 @@ def blocks(result: CalibrationResult, level: int = 2, what: str = "") -> list[An
             note=table.SIGNS,
         ),
         section("Pictures", "pictures"),
-        Beside([[p] for p in _pictures(result)], "pictures"),
+        SideBySide([[p] for p in _pictures(result)], "pictures"),
         section("What was assumed", "assumed"),
         Items(assumed(result)),
         Table(

@@ -26,7 +26,6 @@ from rtcal.finder.states.finding import StatesFinding
 from rtcal.finder.states.search import verify
 from rtcal.report import figures, of_calibration, room_view
 from rtcal.report.document import (
-    Beside,
     Box,
     Code,
     Files,
@@ -35,10 +34,11 @@ from rtcal.report.document import (
     Page,
     Picture,
     Section,
+    SideBySide,
     coefficients,
-    odds,
     render,
 )
+from rtcal.report.odds import odds
 from rtcal.support import __version__
 from rtcal.support.blocks import Note, Row, Table
 from rtcal.support.errors import MissingAirWarning
@@ -152,7 +152,7 @@ def _of_means(
         Box(level, as_sentence(f"{finding.sentence}{finding.or_nothing}")),
         Section("What it rests on", "basis", 3),
         Items(rests_on(finding, verification)),
-        Beside(
+        SideBySide(
             [
                 [
                     Section("What to do", "to-do", 3),
@@ -185,7 +185,7 @@ def _of_means(
             f"Every effect that was tried{tried}",
             "Effect",
         ),
-        Beside([[drawn["evidence"]], *residuals]),
+        SideBySide([[drawn["evidence"]], *residuals]),
         *([Section("Notes", "notes", 3), Items(finding.notes)] if finding.notes else []),
         *_reproduced(finding, reproduction),
         Section(
@@ -297,7 +297,7 @@ def _corrected(
             corrected.alpha,
             corrected.interval,
         ),
-        Beside([[drawn[name]] for name in ("shifts", "decay") if name in drawn]),
+        SideBySide([[drawn[name]] for name in ("shifts", "decay") if name in drawn]),
     ]
 
 
@@ -427,7 +427,7 @@ def _where(
             ],
         )
         better = "A gap that shrinks shows that the model is better, not that the name is right."
-        gap = [Beside([[drawn["gap"]], [box, Note(better)]])]
+        gap = [SideBySide([[drawn["gap"]], [box, Note(better)]])]
     return [
         Section("The gap at positions that were not fitted", "gap"),
         *gap,
@@ -438,7 +438,7 @@ def _where(
         *notes,
         *_next(place),
         Section("Where the model disagrees", "map"),
-        Beside([[drawn["plan"]], [drawn["map"]]]),
+        SideBySide([[drawn["plan"]], [drawn["map"]]]),
         *([] if verification is None else _gaps(finding, verification)),
         *([Section("How to reproduce", "reproduce"), Code(command)] if command else []),
     ]

@@ -9,8 +9,8 @@ import numpy as np
 
 from rtcal.acoustics import bands
 from rtcal.acoustics.equations import Eyring
+from rtcal.acoustics.marks import gap_jnd
 from rtcal.acoustics.observables import observable, parameter_label
-from rtcal.acoustics.quality import gap_jnd
 from rtcal.loop import matched
 from rtcal.loop.calibrate import LoopResult
 from rtcal.loop.state import Loop

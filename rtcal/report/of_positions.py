@@ -8,13 +8,12 @@ from typing import Any
 import numpy as np
 
 from rtcal.acoustics import bands
+from rtcal.acoustics.marks import rms
 from rtcal.acoustics.observables import DecaySlope, of_kind, parameter_label
-from rtcal.acoustics.quality import rms
 from rtcal.loop.positions_result import PositionsResult, gap_table
 from rtcal.report import figures, room_view
 from rtcal.report.document import Box, Code, Items, Page, Picture, Section, coefficients
-from rtcal.simulators.observations import Observations
-from rtcal.simulators.path_tracing import PathTracing
+from rtcal.simulators.base import Observations
 from rtcal.support import __version__
 from rtcal.support.blocks import Note, Row, Table
 from rtcal.support.text import first_of
@@ -66,9 +65,7 @@ def page(result: PositionsResult) -> Page:
             ),
             Table(materials.columns, materials.rows[: len(order)], corner="Material"),
             Picture(
-                lambda: figures.shifts(
-                    result.shift[order], [room.materials[i] for i in order], room.centre_frequencies
-                ),
+                lambda: figures.shifts(result, order),
                 "How far each coefficient moved, in standard deviations of what was stated. "
                 "Above 2 either the stated deviation was too small, or something is missing.",
                 f"{room.name}: how far each coefficient moved",
@@ -195,7 +192,7 @@ def _held_out(result: PositionsResult) -> list[Any]:
 def command(result: PositionsResult) -> str | None:
     """Return the shell command that gives the same result; None for another simulator or terms."""
     tracer: Any = result.tracer
-    if not isinstance(tracer, PathTracing):
+    if result.start is None:
         return None
     chosen = [text for p in result.parameters for text in ("--match", p)]
     chosen += ["--paths", str(tracer.n_paths), "--seed", str(result.seed)]
@@ -204,7 +201,7 @@ def command(result: PositionsResult) -> str | None:
             chosen += ["--exclude", f"{source}:{receiver}"]
     if result.scattering is None:
         chosen.append("--keep-scattering")
-    start = result.start if result.start is not None else tracer.scattering
+    start = result.start
     if result.prior.scattering is None or (start != result.prior.scattering).any():
         # it was stated to the simulator
         alike = np.ptp(start) == 0

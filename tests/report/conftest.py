@@ -7,9 +7,7 @@ import pytest
 
 import rtcal as rt
 from rtcal.loop import Loop, LoopResult
-from rtcal.report import (
-    page,
-)
+from rtcal.report import pages
 from rtcal.simulators.external import EquationSimulator
 from tests.report.pages import evil_room
 
@@ -24,7 +22,7 @@ def result() -> rt.calibration.result.CalibrationResult:
 
 @pytest.fixture(scope="module")
 def html(result) -> str:
-    return page.calibration_page(result)
+    return pages.page(result)
 
 
 @pytest.fixture(scope="module")
@@ -35,7 +33,7 @@ def evil():
 
 @pytest.fixture(scope="module")
 def evil_html(evil) -> str:
-    return page.calibration_page(evil)
+    return pages.page(evil)
 
 
 @pytest.fixture(scope="module")

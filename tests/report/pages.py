@@ -11,23 +11,6 @@ from rtcal.command.main import main
 EVIL = "<script>alert(1)</script> & \"double\" 'single' $x_1$ --> ]]>"
 
 
-FINDING = {
-    "headline": "The model lacks <i>this</i>.",
-    "level": "contradicts",
-    "sizes": ["Size of opening: 12 m²."],
-    "rests_on": ["The odds are high."],
-    "to_do": ["Measure once without it."],
-    "notes": ["A note."],
-    "sets": [],
-    "effects": [("opening", 93.0, 12.3), ("none", 7.0, 0.0)],
-    "plain_heading": "The plain calibration: the model lacks something",
-    "plain": "plain calibration: not to be used",
-    "corrected": None,
-    "unknowable": "",
-    "reproduce": None,
-}
-
-
 def evil_room() -> rt.Room:
     return rt.Room(
         name=f"Hall <b>bold</b> {EVIL}",
@@ -42,10 +25,9 @@ def evil_room() -> rt.Room:
     )
 
 
-def no_figures(*_: object) -> dict[str, dict[str, str]]:
-    """In place of the page's figures, where their drawing is not what is tested."""
-    names = ("gap", "reverberation_time", "coefficients", "shares", "plane")
-    return {name: {"source": "data:,", "alt": "", "caption": ""} for name in names}
+def no_figure(*_: object) -> str:
+    """In place of a page's figure, where its drawing is not what is tested."""
+    return "data:,"
 
 
 def run(*arguments: object) -> int:

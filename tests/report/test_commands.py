@@ -13,15 +13,14 @@ from rtcal.datasets.examples import example
 from rtcal.report import (
     document,
     figures,
-    page,
 )
 from rtcal.support.errors import MissingDependencyError
-from tests.report.pages import no_figures, run
+from tests.report.pages import no_figure, run
 from tests.report.rooms import MEASURED
 
 
 def test_report_command(result, evil, tmp_path, capsys, monkeypatch) -> None:
-    monkeypatch.setattr(page, "_figures", no_figures)
+    monkeypatch.setattr(document, "source", no_figure)
     folder = tmp_path / "calibrated"
     folder.mkdir()
     (folder / "result.json").write_text(evil.to_json(), encoding="utf-8")
@@ -56,7 +55,7 @@ def test_report_command(result, evil, tmp_path, capsys, monkeypatch) -> None:
     monkeypatch.setitem(__import__("sys").modules, "jinja2", None)
     document._environment.cache_clear()
     with pytest.raises(MissingDependencyError, match=r"rtcal\[report\]"):
-        document.render("layout.html", {}, document.Heading("x"))
+        document.render(document.Page("x", "", "", []))
 
 
 def commands():
@@ -113,7 +112,7 @@ def test_report_finds_the_mesh_from_any_folder(tmp_path: Path, monkeypatch, caps
     rt.Measurement.from_values(
         rt.Room.from_file("model/room.toml").centre_frequencies, t20=MEASURED
     ).save("t.csv")
-    monkeypatch.setattr(page, "_figures", no_figures)
+    monkeypatch.setattr(document, "source", no_figure)
     assert run("calibrate", "model/room.toml", "t.csv", "--out", "made/here") == 0
     (tmp_path / "elsewhere").mkdir()
     moved = tmp_path / "moved"

@@ -10,8 +10,6 @@ import pytest
 import rtcal as rt
 from rtcal.report import (
     figures,
-    loop_page,
-    material_figures,
 )
 from rtcal.support.errors import DataError
 
@@ -24,10 +22,10 @@ def test_axes_have_units(result, loop) -> None:
     every = [
         figures.reverberation_time(result),
         figures.gap(result),
-        material_figures.coefficients(result),
-        material_figures.shares(result),
-        material_figures.plane_of(result),
-        loop_page.path(loop),
+        figures.coefficients(result),
+        figures.shares(result),
+        figures.plane_of(result),
+        figures.path(loop),
     ]
     for figure in every:
         for axes in (a for a in figure.axes if a.get_visible()):
@@ -46,7 +44,7 @@ def test_gap_and_reverberation_time(result) -> None:
 
 
 def test_coefficients_and_their_intervals(result) -> None:
-    axes = material_figures.coefficients(result).axes
+    axes = figures.coefficients(result).axes
     assert len([a for a in axes if a.get_visible()]) == 5
     for i, panel in enumerate(axes[:5]):
         prior, after = (c.lines[0].get_ydata() for c in panel.containers)
@@ -62,25 +60,25 @@ def test_coefficients_and_their_intervals(result) -> None:
 def test_intervals_without_an_exact_posterior_are_the_linear_estimates() -> None:
     found = rt.calibrate(*rt.datasets.bras_cr2(), method="lse")
     assert found.interval is None
-    low, high = material_figures.intervals(found)
+    low, high = figures.intervals(found)
     np.testing.assert_allclose((high - low)[0] / 2, 1.6449 * found.posterior_sigma[0], rtol=1e-9)
 
 
 def test_shares_add_up_and_are_the_areas(result) -> None:
-    names, parts = material_figures.absorption_shares(result, 7)
+    names, parts = figures.absorption_shares(result, 7)
     np.testing.assert_allclose(parts.sum(axis=0), 100, rtol=1e-12)
     assert names[-1] == "air"
     np.testing.assert_allclose(parts[-1], 100 * result.air_share, rtol=1e-12)
     own = parts[names.index("windows")] / parts[names.index("floor")]
     area = result.prior.areas[:, np.newaxis] * result.alpha
     np.testing.assert_allclose(own, area[2] / area[3], rtol=1e-12)
-    names, parts = material_figures.absorption_shares(result, 3)
+    names, parts = figures.absorption_shares(result, 3)
     assert names[2:] == ["3 other materials", "air"]
     np.testing.assert_allclose(parts.sum(axis=0), 100, rtol=1e-12)
 
 
 def test_plane_of_two_materials(result) -> None:
-    axes = material_figures.plane_of(result, ("floor", "windows"), 500).axes[0]
+    axes = figures.plane_of(result, ("floor", "windows"), 500).axes[0]
     x, y = line(axes, "gives the measured T").get_data()
     k, rows = 2, [3, 2]
     rest = np.delete(np.arange(5), rows)
@@ -97,7 +95,7 @@ def test_plane_of_two_materials(result) -> None:
         (None, 501, "501 Hz is no band"),
     ):
         with pytest.raises(DataError, match=said):
-            material_figures.plane_of(result, pair, frequency)
+            figures.plane_of(result, pair, frequency)
 
 
 def test_the_papers_plane() -> None:
@@ -105,12 +103,12 @@ def test_the_papers_plane() -> None:
     mu, sigma, areas = np.array([0.6, 0.5]), np.array([0.05, 0.1]), np.array([47.0, 47.0])
     alpha = rt.exact.maximum_likelihood(mu[:, None], sigma[:, None], areas, [47 * 0.8])[:, 0]
     assert alpha == pytest.approx([0.54, 0.26], abs=1e-9)
-    axes = material_figures.plane(mu, sigma, areas, 47 * 0.8, alpha, truth=[0.6, 0.2]).axes[0]
+    axes = figures.plane(mu, sigma, areas, 47 * 0.8, alpha, truth=[0.6, 0.2]).axes[0]
     assert [v[0] for v in line(axes, "true").get_data()] == [0.6, 0.2]
 
 
 def test_the_loops_path(loop) -> None:
-    left, right = loop_page.path(loop).axes
+    left, right = figures.path(loop).axes
     assert line(left, "first simulation").get_ydata() == pytest.approx(loop.steps[0].simulated)
     assert len(loop.steps) >= 2
     drawn = line(right, "125 Hz").get_ydata()
@@ -118,7 +116,7 @@ def test_the_loops_path(loop) -> None:
     assert abs(drawn[0]) > abs(drawn[loop.best[0]])
     begun = rt.loop.start(*rt.datasets.bras_cr2())
     with pytest.raises(DataError, match="no simulation yet"):
-        loop_page.path(begun)
+        figures.path(begun)
 
 
 def test_the_same_figure_has_the_same_bytes(result) -> None:

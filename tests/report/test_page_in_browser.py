@@ -5,9 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from rtcal.report import (
-    document,
-)
 from tests.browser import chromium
 
 pytestmark = pytest.mark.long
@@ -18,8 +15,8 @@ def test_in_a_browser(html, evil_html, tmp_path) -> None:
     from matplotlib.image import imread
 
     ordinary, nasty, control = (tmp_path / f"{n}.html" for n in ("page", "evil", "control"))
-    document.write(ordinary, html)
-    document.write(nasty, evil_html)
+    ordinary.write_text(html, encoding="utf-8")
+    nasty.write_text(evil_html, encoding="utf-8")
     seen = chromium(tmp_path, ordinary, "--dump-dom")
     assert "What not to believe" in seen.stdout
     assert "plaster" in seen.stdout
@@ -31,7 +28,9 @@ def test_in_a_browser(html, evil_html, tmp_path) -> None:
     blue = np.abs(pixels - np.array([0x00, 0x72, 0xB2]) / 255).max(axis=2) < 0.02
     assert blue.sum() > 500  # dots and lines of the pictures; nothing else on the page is blue
     # The console is read indeed: a script, which the page's policy forbids, is complained of.
-    document.write(control, html.replace("</body>", "<script>alert(1)</script></body>"))
+    control.write_text(
+        html.replace("</body>", "<script>alert(1)</script></body>"), encoding="utf-8"
+    )
     assert "CONSOLE" in chromium(tmp_path, control, "--dump-dom").stderr
 
 
@@ -39,7 +38,7 @@ def test_dark_mode_is_dark_in_its_figures_too(html, tmp_path) -> None:
     """A white figure in a dark page dazzles."""
     from matplotlib.image import imread
 
-    document.write(tmp_path / "p.html", html)
+    (tmp_path / "p.html").write_text(html, encoding="utf-8")
     bright = []
     for setting in ("0", "1"):
         picture = tmp_path / f"{setting}.png"

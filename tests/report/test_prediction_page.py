@@ -10,7 +10,7 @@ import pytest
 
 import rtcal as rt
 from rtcal.prediction import Design, Open, Target, Treatment, Variant, compare
-from rtcal.report import pages, prediction_page
+from rtcal.report import figures, pages
 
 pytest.importorskip("matplotlib", reason="needs the extra report")
 pytest.importorskip("jinja2", reason="needs the extra report")
@@ -59,7 +59,7 @@ def test_a_designs_page_has_its_treatments_target_and_frontier(designed) -> None
     found, folder, html = designed
     assert f"Cost {found.cost:.0f}." in html
     assert f">{found.areas[0] / 1.44:.0f}</td>" in html
-    assert f"all bands at once with {found.probability_together:.2f}" in html
+    assert f"all bands are in range at once: {found.probability_together:.2f}" in html
     assert "Cost against the probability" in html
     assert html == pages.page_of(folder)
 
@@ -98,7 +98,7 @@ def test_the_interval_is_drawn_where_it_is(result) -> None:
     variant = result.predict(Open("windows", 2.0), name="open")
     low, high = variant.interval
     f = variant.after.centre_frequencies
-    drawn = prediction_page.times(
+    drawn = figures.predicted_times(
         f, variant.time_before, [("open", variant.mean, (low, high))], (0.5 * low, high)
     )
     (axes,) = drawn.axes
@@ -106,6 +106,6 @@ def test_the_interval_is_drawn_where_it_is(result) -> None:
     ends = np.array(segments.get_segments())[:, :, 1]
     assert ends[:, 0] == pytest.approx(low)
     assert ends[:, 1] == pytest.approx(high)
-    shares = prediction_page.parts(f, variant.parts).axes[0]
+    shares = figures.parts(f, variant.parts).axes[0]
     tops = [p.get_y() + p.get_height() for p in shares.patches]
     assert max(tops) == pytest.approx(100)

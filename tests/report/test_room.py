@@ -12,10 +12,10 @@ import pytest
 
 import rtcal as rt
 from rtcal.loop.matched import Beside
-from rtcal.report import page, room_view
+from rtcal.report import document, pages, room_view
 from rtcal.simulators.base import Observations
 from rtcal.simulators.geometry import Polyhedron
-from tests.report.pages import EVIL, no_figures
+from tests.report.pages import EVIL, no_figure
 from tests.report.rooms import calibrated
 
 pytest.importorskip("jinja2", reason="needs the extra report")
@@ -31,8 +31,8 @@ def result(tmp_path_factory):
 @pytest.fixture(scope="module")
 def html(result) -> str:
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(page, "_figures", no_figures)
-        return page.calibration_page(result)
+        patch.setattr(document, "source", no_figure)
+        return pages.page(result)
 
 
 def data_of(html: str) -> dict:
@@ -68,7 +68,7 @@ def test_nothing_but_the_rooms_script_may_run(html, result) -> None:
     assert policy.endswith(f"script-src 'sha256-{digest}'")
     assert "default-src 'none'" in policy
     assert not re.search(r"https?://(?!www\.w3\.org/2000/svg)|\bfetch\b|import\(|eval\(", script)
-    without = page.calibration_page(rt.calibrate(*rt.datasets.bras_cr2()))
+    without = pages.page(rt.calibrate(*rt.datasets.bras_cr2()))
     assert "script" not in without
 
 
@@ -87,8 +87,8 @@ def test_evil_names_are_text(tmp_path, result) -> None:
         scene=rt.Scene(sources={EVIL: (1, 1, 1)}, receivers={"R": (3, 3, 1)}),
     )
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(page, "_figures", no_figures)
-        text = page.calibration_page(rt.calibrate(box, [1.0]))
+        patch.setattr(document, "source", no_figure)
+        text = pages.page(rt.calibrate(box, [1.0]))
     assert data_of(text)["parts"] == names[:1]
     assert data_of(text)["stands"][0]["name"] == EVIL
     assert "<script>alert" not in text
@@ -99,10 +99,9 @@ def test_evil_names_are_text(tmp_path, result) -> None:
 def test_a_mesh_that_is_gone_is_said_and_the_page_is_there(tmp_path) -> None:
     gone = calibrated(tmp_path)
     (tmp_path / "room.obj").unlink()
-    said = room_view.of_calibration(gone)
-    assert said["room"] is None
-    assert "The room is not drawn" in said["no_room"]
-    assert "room.obj" in said["no_room"]
+    (said,) = room_view.of_calibration(gone)
+    assert "The room is not drawn" in said.text
+    assert "room.obj" in said.text
 
 
 @pytest.mark.parametrize(

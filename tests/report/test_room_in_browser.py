@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from rtcal.report import document, page
+from rtcal.report import document, pages
 from tests.browser import chromium
-from tests.report.pages import no_figures
+from tests.report.pages import no_figure
 from tests.report.rooms import calibrated
 
 pytestmark = pytest.mark.long
@@ -22,8 +22,8 @@ def html(tmp_path_factory) -> Path:
     folder = tmp_path_factory.mktemp("room")
     result = calibrated(folder)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(page, "_figures", no_figures)
-        document.write(folder / "page.html", page.calibration_page(result))
+        patch.setattr(document, "source", no_figure)
+        (folder / "page.html").write_text(pages.page(result), encoding="utf-8")
     return folder / "page.html"
 
 

@@ -21,7 +21,7 @@ from rtcal.finder.means.corrected import not_in_room
 from rtcal.finder.means.finding import MeansFinding
 from rtcal.finder.means.problem import state
 from rtcal.finder.positions import PositionsFinding
-from rtcal.report import finding_pages, gap_report
+from rtcal.report import of_finding
 from rtcal.support.errors import DataError
 from tests.test_where_page import finding_of
 
@@ -122,14 +122,12 @@ def test_an_improbable_candidate_is_added_only_by_its_name(finding: MeansFinding
 
 def test_no_page_advises_an_improbable_candidate(finding: MeansFinding, tmp_path: Path) -> None:
     unsure = with_odds(finding, "ambiguous", first=0.29, second=0.2)
-    page = gap_report.summary(unsure, None)
-    assert page["corrected"] is None
-    assert page["unknowable"] == ""
-    said = " ".join(page["to_do"])
+    assert of_finding._corrected(unsure, None, {}) == []
+    said = " ".join(of_finding.to_do(unsure, None))
     assert "Put none of the effects into the model" in said
     assert "Use the corrected" not in said
     with pytest.raises(DataError, match="No effect is stated"):
-        finding_pages.correct(unsure, str(tmp_path / "case.json"))
+        of_finding.correct(unsure, str(tmp_path / "case.json"))
 
 
 def test_a_volume_is_changed_only_where_its_error_is_claimed(case: Case, kept: Path) -> None:
@@ -151,7 +149,7 @@ def test_a_volume_is_changed_only_where_its_error_is_claimed(case: Case, kept: P
             DataError, match="a stated volume is changed only where its error is claimed"
         ):
             guess.apply(effect=stated)
-    assert gap_report.summary(guess, None)["corrected"] is None
+    assert of_finding._corrected(guess, None, {}) == []
     claimed = replace(guess, verdict="named", named=("volume",), probabilities={"volume": 0.95})
     assert corrected_room(claimed.apply()).volume == pytest.approx(1.3 * case.room.volume)
 

@@ -23,7 +23,7 @@ from rtcal.finder.positions.case import PositionsCase
 from rtcal.finder.positions.corrected import Corrected, corrected_geometry
 from rtcal.io import bras, catt, geometry_files, odeon, pyroomacoustics, tables
 from rtcal.loop.positions_result import PositionsResult
-from rtcal.report import positions_page
+from rtcal.report import figures, of_positions
 from rtcal.simulators import EquationSimulator, Polyhedron
 from rtcal.support.errors import DataError
 from tests.test_where_corrected import candidate
@@ -292,7 +292,7 @@ def test_a_list_says_of_each_part_of_a_scene_that_it_is_lost(field: str, tmp_pat
 def test_what_a_fit_has_gained_is_in_the_file(name: str, tmp_path: Path) -> None:
     """T of the exported room is that of the fit, whose scattering was fitted."""
     result = fitted()
-    positions_page.write_positions(result, tmp_path, GEOMETRY, SOURCES, RECEIVERS)
+    figures.write_positions(result, tmp_path, GEOMETRY, SOURCES, RECEIVERS)
     room = rt.Room.from_file(str(tmp_path / "room.toml"))
     shared = list(range(8))
     if name != "native":
@@ -322,11 +322,11 @@ def test_what_a_fit_has_gained_is_in_the_file(name: str, tmp_path: Path) -> None
 def test_the_page_of_a_fit_names_the_command_that_made_it() -> None:
     """A scattering that was fitted began with "random", whatever meaning the fit has chosen."""
     result = replace(fitted(), tracer=replace(fitted().tracer, scattering_model="vector"))
-    assert "--scattering-model" not in str(positions_page._command(result))
+    assert "--scattering-model" not in str(of_positions.command(result))
     other = replace(result, prior=result.prior.replace(scattering_model="vector"))
-    assert "--scattering-model random" in str(positions_page._command(other))
+    assert "--scattering-model random" in str(of_positions.command(other))
     kept = replace(result, scattering=None)
-    assert "--scattering-model vector" in str(positions_page._command(kept))
+    assert "--scattering-model vector" in str(of_positions.command(kept))
 
 
 def test_a_patchs_folder_holds_the_mesh_and_its_surfaces(tmp_path: Path) -> None:

@@ -14,8 +14,7 @@ import rtcal as rt
 from benchmarks.studies.means import real_data
 from benchmarks.studies.states import two_states
 from rtcal.finder.states import StatesCase, StatesFinding
-from rtcal.report.document import Heading
-from rtcal.report.finding_pages import states_page
+from rtcal.report.pages import page as page_of_result
 from tests.two_states import ALPHA, AREAS, BANDS, measured, room, times
 
 Two = tuple[rt.Room, rt.Measurement, rt.Measurement]
@@ -255,6 +254,6 @@ def test_a_climate_alone_has_numbers_and_a_page_without_nan(tmp_path: Path) -> N
     assert rt.finder.verify(found).verdict == "supported"
     json.dumps(found.to_dict(), allow_nan=False)
     assert str(rt.load(found.save(tmp_path))) == str(found)
-    page = states_page(found, Heading(), lambda: None)
+    page = page_of_result(found)
     assert "another climate of the air, and nothing else" in page
     assert "nan" not in page.split("<img")[0].lower()

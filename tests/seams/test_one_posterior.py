@@ -13,7 +13,7 @@ import rtcal as rt
 from benchmarks.studies.calibrations import interval_coverage
 from rtcal import terms
 from rtcal.calibration.posterior import distribution
-from rtcal.report.material_figures import intervals
+from rtcal.report.figures import intervals
 from tests.conftest import also
 
 EYRING = rt.Eyring()

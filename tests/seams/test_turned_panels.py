@@ -10,7 +10,7 @@ import pytest
 import rtcal as rt
 from rtcal.finder import corrected_room, simulator, verify
 from rtcal.finder.search import find
-from rtcal.report.gap_report import rests_on, to_do
+from rtcal.report.of_finding import rests_on, to_do
 from tests.seams.turned_panels import laboratory
 
 TURNED = 0.9

@@ -12,7 +12,7 @@ import pytest
 import rtcal as rt
 from rtcal.finder.finding import Candidate
 from rtcal.finder.positions import PositionsCase, PositionsFinding, find
-from rtcal.report import where_figures
+from rtcal.report import figures
 from tests.test_where import heard, stated, tracing
 
 pytestmark = pytest.mark.long  # the search that they share takes 20 s
@@ -77,5 +77,5 @@ def test_likely_surfaces_are_told_where_something_stands_on_one(finding: Positio
         ),
     )
     assert few.likely_surfaces == ()
-    assert not any(where_figures._probabilities(few).values())
+    assert not any(figures.likely_shares(few).values())
     assert "surface" not in few.place_in_words

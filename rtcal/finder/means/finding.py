@@ -395,12 +395,12 @@ class MeansFinding(SetsFinding):
         return "\n".join(lines)
 
     @property
-    def sentences(self) -> list[str]:
+    def sentences(self) -> tuple[str, ...]:
         """What text and page have below the headline: sizes, sets, what was not judged, evidence."""
         sets = ", ".join(f"{names} {100 * p:.0f} %" for names, p in self.likely_sets.items())
         said = [*self.in_words, *self.sets_in_words, f"sets: {sets}" if sets else ""]
         said += [*self.not_judged_in_words, self.evidence_in_words, self.track_record]
-        return [*filter(None, said)]
+        return tuple(filter(None, said))
 
     @property
     def evidence_in_words(self) -> str:
