@@ -386,7 +386,8 @@ def gap_table(
     misfit: Array | None = None,
 ) -> Table:
     """Return the table of `gap_rows`, with the misfit (n_pairs,) of each pair where it is given."""
-    columns, own = [parameter_label(p) for p in parameters], [[]] * (len(pairs) + 1)
+    columns = [parameter_label(p) for p in parameters]
+    own: list[list[str]] = [[]] * (len(pairs) + 1)
     if misfit is not None:
         columns, own = [*columns, "misfit"], [[m] for m in (*text.numbers(misfit, ".1f"), "-")]
     rows = [

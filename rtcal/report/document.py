@@ -243,6 +243,16 @@ def _in_style(text: str) -> str:
     return '"' + "".join(c if c.isalnum() or c in " .,-" else f"\\{ord(c):x} " for c in text) + '"'
 
 
+def tables(blocks: Sequence[Block]) -> list[Table]:
+    """Return the tables among blocks."""
+    return [block for block in blocks if isinstance(block, Table)]
+
+
+def notes(blocks: Sequence[Block]) -> list[str]:
+    """Return the texts of the notes among blocks."""
+    return [block.text for block in blocks if isinstance(block, Note)]
+
+
 def coefficients(
     title: str,
     room: Room,

@@ -196,9 +196,7 @@ def _times_axes(axes: Axes, frequencies: Array, label: str, top: float | None = 
     axes.legend(fontsize=9)
 
 
-def _note(
-    axes: Axes, text: str, at: Sequence[Any], offset: tuple[float, float], **style: Any
-) -> None:
+def _note(axes: Axes, text: str, at: Any, offset: tuple[float, float], **style: Any) -> None:
     """Write a text in points beside a place."""
     axes.annotate(text, at, xytext=offset, textcoords="offset points", fontsize=9, **style)
 

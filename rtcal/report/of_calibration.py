@@ -30,6 +30,8 @@ from rtcal.report.document import (
     SideBySide,
     coefficients,
     doubts,
+    notes,
+    tables,
 )
 from rtcal.support import __version__
 from rtcal.support.blocks import Note, Row, Table
@@ -350,7 +352,7 @@ def page_of_modes(result: ModesResult) -> Page:
     measured = np.isfinite(result.data.reverberation_time)
     carries = np.where(result.below, np.where(result.carried, "modes", "–"), "T")
     carried = Row("carried by", np.where(result.below | measured, carries, "–").tolist())
-    modes, *notes = result.blocks()
+    blocks = result.blocks()
     cells = "Absorption coefficients: stated → calibrated, with the 90 % interval"
     at_bound = np.isin(result.alpha, (0.0, 1.0))
     command = "rtcal.calibrate_modes(room, modes)"
@@ -372,7 +374,7 @@ def page_of_modes(result: ModesResult) -> Page:
                 "calibration.",
                 f"{room.name}: decay times of the modes, measured, before and after",
             ),
-            Items([note.text for note in notes]),
+            Items(notes(blocks)),
             Section("By band", "bands"),
             Note(
                 "Below the Schroeder frequency no field is diffuse, and T is not used. "
@@ -382,7 +384,7 @@ def page_of_modes(result: ModesResult) -> Page:
             coefficients(cells, room, result.alpha, result.interval, at_bound),
             *(doubts(result.trust_marks) if result.trust_marks else ()),
             Section("Modes", "modes"),
-            modes,
+            *tables(blocks),
             Note(
                 "“Tells most of” names the walls whose stated uncertainty moves the mode's decay most. "
                 "Opposite walls of a box are alike to every mode: the decays say what both absorb "

@@ -36,7 +36,9 @@ from rtcal.report.document import (
     Section,
     SideBySide,
     coefficients,
+    notes,
     render,
+    tables,
 )
 from rtcal.report.odds import odds
 from rtcal.support import __version__
@@ -405,10 +407,8 @@ def _where(
 ) -> list[Any]:
     """Return the blocks of a finding at positions; the three gaps stand in front."""
     drawn = _pictures_of_where(finding, verification, place)
-    headline, probable, *notes = finding.blocks()
-    if not isinstance(probable, Table):
-        notes, probable = [probable, *notes], Table([], [])
-    said = as_sentence(headline.text)
+    headline, *others = notes(finding.blocks())
+    said = as_sentence(headline)
     gap: list[Any] = [
         Note(said, kind="lead"),
         Note("There is nothing to add to a surface, so there is no second model to compare."),
@@ -434,8 +434,8 @@ def _where(
         Section("What was found", "finding"),
         Note(said),
         *room_view.of_finding(finding, verification, place),
-        replace(probable, title="Candidates"),
-        *notes,
+        *(replace(probable, title="Candidates") for probable in tables(finding.blocks())),
+        *map(Note, others),
         *_next(place),
         Section("Where the model disagrees", "map"),
         SideBySide([[drawn["plan"]], [drawn["map"]]]),
@@ -521,7 +521,7 @@ def _pictures_of_where(
 
 def _of_states(finding: StatesFinding, verification: Any) -> list[Any]:
     """Return the blocks of a finding between two states."""
-    headline, by_band, *notes = finding.blocks()
+    headline, *others = notes(finding.blocks())
     kinds = finding.candidates if finding.best is not None else ()
     name, n = finding.case.room.name, len(finding.case.differences.pairs)
     verified = [] if verification is None else [Note(f"Verification: {verification.sentence}")]
@@ -535,14 +535,14 @@ def _of_states(finding: StatesFinding, verification: Any) -> list[Any]:
     )
     return [
         Section("Summary", "summary"),
-        replace(headline, kind="lead"),
+        Note(headline, kind="lead"),
         *verified,
         Picture(
             lambda: figures.change(finding),
             "Change of the absorption area with its 90 % interval, if it changed.",
             f"{name}: change of the absorption area, by band",
         ),
-        Items([note.text for note in notes]),
+        Items(others),
         Table(
             ["Probability / %", "Absorption area, 500 Hz to 2 kHz"],
             [Row(c.effect, [f"{100 * c.probability:.0f}", c.in_words]) for c in kinds],
@@ -556,7 +556,7 @@ def _of_states(finding: StatesFinding, verification: Any) -> list[Any]:
             "T by band, mean over the pairs that both states have.",
             f"{name}: T before and after, by band",
         ),
-        replace(by_band, title="Both states"),
+        *(replace(table, title="Both states") for table in tables(finding.blocks())),
         Section("What was assumed", "assumed"),
         Note(
             f"{finding.case.equation.name}'s equation; {n} pair{'s' * (n != 1)}. Both states have "

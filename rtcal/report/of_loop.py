@@ -15,7 +15,7 @@ from rtcal.loop import matched
 from rtcal.loop.calibrate import LoopResult
 from rtcal.loop.state import Loop
 from rtcal.report import figures
-from rtcal.report.document import Code, Items, Page, Picture, Section, coefficients, doubts
+from rtcal.report.document import Code, Items, Page, Picture, Section, coefficients, doubts, tables
 from rtcal.support import __version__
 from rtcal.support.blocks import Note, Row, Table
 
@@ -76,9 +76,8 @@ def other_rows(loop: Loop) -> list[Row]:
 
 def page(result: Loop | LoopResult) -> Page:
     """Return the page of a closed loop; DataError if it has no simulation."""
-    loop, final = result, None
-    if isinstance(result, LoopResult):
-        loop, final = result.loop, result
+    final = result if isinstance(result, LoopResult) else None
+    loop = result.loop if isinstance(result, LoopResult) else result
     room, label = loop.room, loop.matched.label
     status = statuses(loop) if final is None else final.status
     first = figures.path(loop)
@@ -195,7 +194,7 @@ def _before_and_after(result: LoopResult) -> list[Any]:
             f"Simulated by {result.simulator}{again if result.confirmation else ''}. Only "
             f"{result.loop.matched.label} was fitted. Means over the positions."
         ),
-        *(block for block in result.blocks() if isinstance(block, Table)),
+        *tables(result.blocks()),
     ]
 
 

@@ -12,7 +12,7 @@ from rtcal.acoustics.marks import rms
 from rtcal.acoustics.observables import DecaySlope, of_kind, parameter_label
 from rtcal.loop.positions_result import PositionsResult, gap_table
 from rtcal.report import figures, room_view
-from rtcal.report.document import Box, Code, Items, Page, Picture, Section, coefficients
+from rtcal.report.document import Box, Code, Items, Page, Picture, Section, coefficients, tables
 from rtcal.simulators.base import Observations
 from rtcal.support import __version__
 from rtcal.support.blocks import Note, Row, Table
@@ -33,7 +33,7 @@ def page(result: PositionsResult) -> Page:
     """Return the page of a calibration to every position."""
     room, interval = result.prior, result.interval
     order = [room.material_index(name) for name, _, _ in result.learned[:MOST_MATERIALS]]
-    *gaps, materials = (block for block in result.blocks() if isinstance(block, Table))
+    *gaps, materials = tables(result.blocks())
     headline = _headline(result)
     left = len(room.materials) - len(order)
     labels, at_bound = bands.labels(room.centre_frequencies), np.isin(result.alpha, (0.0, 1.0))

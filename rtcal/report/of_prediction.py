@@ -12,7 +12,7 @@ from rtcal.loop.positions_result import PositionsPrediction, PositionsPrediction
 from rtcal.prediction.designed import Design
 from rtcal.prediction.predicted import Prediction, Predictions
 from rtcal.report import figures
-from rtcal.report.document import Items, Page, Picture, Section
+from rtcal.report.document import Items, Page, Picture, Section, tables
 from rtcal.support import __version__
 from rtcal.support.blocks import Block, Note, Row, Table
 from rtcal.support.types import Array
@@ -37,16 +37,18 @@ _CHANGE = "what a change does to the reverberation time"
 def page(result: Prediction | Predictions | Design) -> Page:
     """Return the page of predictions by an equation, or of a design."""
     variants: Sequence[Prediction]
-    target, subject, summary, beside = None, _CHANGE, [], []
+    target, subject = None, _CHANGE
+    summary: list[Any] = []
+    beside: list[Any] = []
     if isinstance(result, Design):
         subject, variants, target = (
             "the cheapest treatments that meet a target",
             (result.prediction,),
             result.model.target,
         )
-        summary, beside = result.blocks(), [_cheapest(result), _frontier(result)]
+        summary, beside = [*result.blocks()], [_cheapest(result), _frontier(result)]
     elif isinstance(result, Predictions):
-        variants, target, beside = result.predictions, result.target, result.side_by_side()
+        variants, target, beside = result.predictions, result.target, [*result.side_by_side()]
     else:
         variants = (result,)
     first = variants[0]
@@ -59,7 +61,7 @@ def page(result: Prediction | Predictions | Design) -> Page:
     def of(variant: Prediction) -> list[Block]:
         blocks = variant.blocks()
         if isinstance(result, Design):  # which has said the rest
-            return [block for block in blocks if isinstance(block, Table)]
+            return [*tables(blocks)]
         chances = [] if ends is None else _chances(variant, ends)
         return [*blocks[1:], Table(bands.labels(f), chances, "Target")]
 

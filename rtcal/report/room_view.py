@@ -412,8 +412,8 @@ class RoomSection:
     stills: Sequence[Mapping[str, Any]]
     data: str
     level: int | None
-    script: str = field(default_factory=lambda: script())
-    fingerprint: str = field(default_factory=lambda: fingerprint())
+    script: str
+    fingerprint: str
 
 
 def _section(view: RoomView, level: int | None) -> list[Any]:
@@ -430,6 +430,8 @@ def _section(view: RoomView, level: int | None) -> list[Any]:
             stills=[_still(quantity) for quantity in view.quantities if quantity.still],
             data=_data(view, above),
             level=level,
+            script=script(),
+            fingerprint=fingerprint(),
         )
     ]
 
