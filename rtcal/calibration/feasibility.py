@@ -7,7 +7,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
+import cvxpy as cp
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
@@ -16,7 +18,7 @@ from rtcal.acoustics import bands
 from rtcal.acoustics.marks import surface_doubt
 from rtcal.acoustics.room import Room
 from rtcal.calibration.composition import Composition
-from rtcal.calibration.qp import COMPILING, QP, CompiledProblem
+from rtcal.calibration.qp import COMPILING, QP
 from rtcal.calibration.unknowns import Flags, Numbers
 from rtcal.support.errors import InfeasibleError, ModelError
 from rtcal.support.types import Array
@@ -227,37 +229,6 @@ def _forced(numbers: Numbers, at_low: Flags, at_high: Flags) -> NDArray[np.int8]
     return np.asarray(at_upper.astype(np.int8) - at_lower.astype(np.int8))
 
 
-@dataclass(frozen=True)
-class _Limit:
-    """The limit of a row that a term states; ``flipped`` if it falls as the row's b rises."""
-
-    row: int
-    label: str
-    value: float
-    flipped: bool
-
-
-def _limits(compiled: CompiledProblem, numbers: Numbers) -> list[_Limit]:
-    """Return the limits of all rows that terms state."""
-    limits: list[_Limit] = []
-    with COMPILING:  # the problem has one value of each parameter
-        for parameter, compute in compiled.model.parameters:
-            parameter.save_value(np.reshape(compute(numbers), parameter.shape))
-        for (term, stated), rows_of in zip(compiled.stated, compiled.rows_of, strict=True):
-            label = getattr(term, "label", lambda row, _, term=term: f"{term!r}, row {row + 1}")
-            for constraint, rows in zip(stated, rows_of, strict=True):
-                left, right = constraint.args
-                flipped = not right.is_constant()
-                values = left.value if flipped and left.is_constant() else right.value
-                values = np.broadcast_to(0.0 if values is None else values, constraint.shape)
-                limits += [
-                    _Limit(int(row), label(i, compiled.layout), float(value), flipped)
-                    for i, (row, value) in enumerate(zip(rows, np.ravel(values), strict=True))
-                    if row >= 0
-                ]
-    return limits
-
-
 _NOTHING = 1e-9
 
 
@@ -269,70 +240,75 @@ def explain(composition: Composition, numbers: Numbers, program: QP) -> None:
     row's is divided by the sum of its coefficients of one sign. 0 <= alpha <= 1 and fixed unknowns are
     not relaxed.
     """
-    from scipy.optimize import linprog
-
-    compiled, place, moves = composition.compiled, composition.compiled.unknowns, numbers.movable
-    # In the unknowns' own units, alpha = mu + sigma x. What cannot move goes to the limits.
-    held = np.where(moves, 0.0, numbers.box[0])
-    unit, offset = np.ones(len(program.c)), np.zeros(len(program.c))
-    unit[place] = np.where(moves, numbers.inverse_sigma, 0.0)
-    offset[place] = (held - numbers.mu) * numbers.inverse_sigma
-    matrix = sp.csr_array(program.matrices[1] @ sp.diags_array(unit))
-    own = matrix[:, place]
+    compiled, layout, moves = composition.compiled, composition.layout, numbers.movable
+    m = compiled.model
+    own = program.matrices[1][:, compiled.unknowns] @ sp.diags_array(numbers.inverse_sigma * moves)
     sides = [np.asarray((sign * own).maximum(0).sum(axis=1)).ravel() for sign in (1, -1)]
-    size = np.maximum(*sides)
+    size = np.append(np.maximum(*sides), 1.0)  # the last of what is no row
     size[size == 0] = 1.0
-    limits = _limits(compiled, numbers)
-    rows, soft = np.array([limit.row for limit in limits], dtype=int), place[moves]
-    n_rows, n = matrix.shape
-    give = sp.csr_array((size[rows], (rows, np.arange(len(rows)))), shape=(n_rows, len(rows)))
-    pick = sp.csr_array((np.ones(len(soft)), (np.arange(len(soft)), soft)), (len(soft), n))
-    bounds = np.array([program.lower, program.upper])
-    bounds[:, place] = numbers.box
-    one = sp.eye_array(len(soft))
-    # The variables of the QP; relaxations of rows, up and down; of bounds, down and up.
-    lines = sp.csr_array(
-        sp.block_array(
-            [
-                [matrix, -give, give, None, None],
-                [-pick, None, None, -one, None],
-                [pick, None, None, None, -one],
-            ]
-        )
-    )
-    right = np.concatenate([program.b - program.rows(offset), -bounds[0][soft], bounds[1][soft]])
-    equal = np.concatenate([program.equal, np.zeros(2 * len(soft), dtype=bool)])
-    used = np.isfinite(right) & ~equal
-    n_alpha = composition.layout.n_alpha
-    bounds[0, place] = held
-    bounds[1, place] = np.where(moves, 1.0, held)
-    bounds[1, place[n_alpha:]] = np.inf
-    extra = np.zeros(2 * (len(rows) + len(soft)))
-    answer = linprog(
-        np.concatenate([np.zeros(n), extra + 1]),
-        A_ub=lines[used],
-        b_ub=right[used],
-        A_eq=lines[equal],
-        b_eq=right[equal],
-        bounds=np.concatenate([bounds.T, np.column_stack([extra, extra + np.inf])]),
-        method="highs",
-    )
-    if answer.status != 0 or answer.fun <= _NOTHING:
+    relaxations: list[tuple[Any, Array, Callable[[int, float], str]]] = []
+
+    def relaxed(unit: Array, sentence: Callable[[int, float], str]) -> Any:
+        """Return by how much something is relaxed, and note how that is worded."""
+        by = cp.Variable(len(unit), nonneg=True)
+        relaxations.append((by, unit, sentence))
+        return cp.multiply(unit, by)
+
+    deviations = m.x if m.effects is None else cp.hstack([m.x, m.effects])
+    u = numbers.mu + cp.multiply(numbers.sigma, deviations)
+    most = np.where(np.arange(layout.size) < layout.n_alpha, 1.0, np.inf)
+    held = ~moves & (numbers.sigma > 0)
+    rows = [*m.definitions]
+    for where, low, high in ((moves, 0 * most, most), (held, *numbers.box)):
+        rows += [u[where] >= low[where]] if where.any() else []
+        where = where & np.isfinite(high)
+        rows += [u[where] <= high[where]] if where.any() else []
+    with COMPILING:  # the problem has one value of each parameter
+        for parameter, compute in m.parameters:
+            parameter.save_value(np.reshape(compute(numbers), parameter.shape))
+        for (term, stated), rows_of in zip(compiled.stated, compiled.rows_of, strict=True):
+            label = getattr(term, "label", lambda row, _, term=term: f"{term!r}, row {row + 1}")
+            for constraint, places in zip(stated, rows_of, strict=True):
+                left, right = constraint.args
+                flipped = not right.is_constant()
+                limit = left.value if flipped and left.is_constant() else right.value
+                limit = np.ravel(np.broadcast_to(0.0 if limit is None else limit, constraint.shape))
+
+                def moved(word: str, label: Any = label, limit: Array = limit) -> Any:
+                    return lambda row, by: (
+                        f"{label(row, layout)}: {limit[row]:.4g} has to be {by:.4g} {word}"
+                    )
+
+                words = ("lower", "higher") if flipped else ("higher", "lower")
+                beyond = cp.vec(left - right, order="C")
+                allowed = relaxed(size[places], moved(words[0]))
+                if isinstance(constraint, cp.constraints.Equality):
+                    rows.append(beyond == allowed - relaxed(size[places], moved(words[1])))
+                else:
+                    rows.append(beyond <= allowed)
+        for bound, sign, words in (
+            (numbers.lower, -1, "lower bound {:.4g} has to be {:.4g} lower"),
+            (numbers.upper, 1, "upper bound {:.4g} has to be {:.4g} higher"),
+        ):
+            soft = np.flatnonzero(moves & np.isfinite(bound))
+            if not soft.size:
+                continue
+
+            def widened(
+                i: int, by: float, of: Any = soft, old: Any = bound, to: str = words
+            ) -> str:
+                return f"{layout.place(int(of[i]))}: {to.format(old[of[i]], by)}"
+
+            rows.append(sign * u[soft] <= sign * bound[soft] + relaxed(np.ones(len(soft)), widened))
+        problem = cp.Problem(cp.Minimize(sum(cp.sum(by) for by, *_ in relaxations)), rows)
+        problem.solve(solver=cp.SCIPY)
+    if problem.status != cp.OPTIMAL or problem.value <= _NOTHING:
         return
-    up, down, low, high = np.split(answer.x[n:], np.cumsum([len(rows), len(rows), len(soft)]))
-    out = []
-    for given, rises in ((down, False), (up, True)):
-        for i in np.flatnonzero(given > _NOTHING):
-            limit, word = limits[i], "higher" if rises != limits[i].flipped else "lower"
-            by = given[i] * size[rows[i]]
-            out.append(f"{limit.label}: {limit.value:.4g} has to be {by:.4g} {word}")
-    for given, limit_of, words in (
-        (low, numbers.lower, "lower bound {:.4g} has to be {:.4g} lower"),
-        (high, numbers.upper, "upper bound {:.4g} has to be {:.4g} higher"),
-    ):
-        for i in np.flatnonzero(given > _NOTHING):
-            u = int(np.flatnonzero(moves)[i])
-            out.append(f"{composition.layout.place(u)}: " + words.format(limit_of[u], given[i]))
+    out = [
+        sentence(i, float(by.value[i] * unit[i]))
+        for by, unit, sentence in relaxations
+        for i in np.flatnonzero(by.value > _NOTHING).tolist()
+    ]
     raise InfeasibleError(
         "the constraints contradict each other. The smallest relaxation that removes it: "
         + "; ".join(out)
