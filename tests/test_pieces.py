@@ -28,6 +28,11 @@ def run(folder: Path | None, seed: int = 3) -> list[object]:
     return table
 
 
+def piece_of(folder: Path, number: int) -> Path:
+    (piece,) = folder.glob(f"piece-{number:08d}-*.sums")
+    return piece
+
+
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
     """A finished study of three pieces."""
@@ -38,7 +43,7 @@ def folder(tmp_path: Path) -> Path:
 def test_a_piece_with_any_bit_turned_is_computed_again(folder: Path) -> None:
     """697 of 6,278 such pieces ended in a traceback, others changed the table."""
     store = _open(folder, json.loads((folder / "study.json").read_text()))
-    piece = folder / "piece-00000001.sums"
+    piece = piece_of(folder, 1)
     good = piece.read_bytes()
     assert store.read(1) is not None
     rng = random.Random(0)
@@ -50,21 +55,21 @@ def test_a_piece_with_any_bit_turned_is_computed_again(folder: Path) -> None:
 
 
 def copied(folder: Path) -> None:
-    shutil.copy(folder / "piece-00000000.sums", folder / "piece-00000001.sums")
+    shutil.copy(piece_of(folder, 0), piece_of(folder, 1))
 
 
 def of_another_study(folder: Path) -> None:
     run(folder / "other", seed=4)
-    shutil.copy(folder / "other" / "piece-00000001.sums", folder / "piece-00000001.sums")
+    shutil.copy(piece_of(folder / "other", 1), piece_of(folder, 1))
 
 
 def doubled(folder: Path) -> None:
-    piece = folder / "piece-00000001.sums"
+    piece = piece_of(folder, 1)
     piece.write_bytes(2 * piece.read_bytes())
 
 
 def missing(folder: Path) -> None:
-    (folder / "piece-00000002.sums").unlink()
+    piece_of(folder, 2).unlink()
 
 
 def large(folder: Path) -> None:
@@ -72,7 +77,7 @@ def large(folder: Path) -> None:
     packer = zlib.compressobj(9)
     zeros = bytes(2**20)
     packed = b"".join(packer.compress(zeros) for _ in range(100)) + packer.flush()
-    (folder / "piece-00000001.sums").write_bytes(b"rtcal piece\n" + packed)
+    piece_of(folder, 1).write_bytes(b"rtcal piece\n" + packed)
 
 
 @pytest.mark.parametrize("damage", [copied, of_another_study, doubled, large, missing])

@@ -13,12 +13,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
 from rtcal.acoustics import bands
 from rtcal.support import checks
 from rtcal.support.errors import DataError
+from rtcal.support.normal import FINE, truncated_moments, truncated_normal
 from rtcal.support.types import Array, read_only
 
 __all__ = ["TIERS", "TruncatedNormal", "in_situ", "sigma_iso_12999_2", "sigma_relative"]
@@ -54,10 +56,6 @@ _ISO_12999_2: dict[float, tuple[float, float]] = {
     4000: (0.030, 0.040),
     5000: (0.026, 0.060),
 }
-
-# Gauss-Legendre nodes: 80 integrate exp(-x²/2) over +-9.5 to rounding.
-_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(80)
-_DROP = 90.0  # beyond sqrt(mode² + 90) the density is below exp(-45) of its peak
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,67 +112,27 @@ class TruncatedNormal:
         if not np.all(np.asarray(self.lower) < np.asarray(self.upper)):
             raise DataError("truncated normal: lower must be below upper")
 
-    def log_pdf(self, x: Array) -> Array:
-        """Return the natural logarithm of the density at ``x``; -inf outside [lower, upper]."""
-        x = np.asarray(x, dtype=float)
-        mode, _, scale, _, _ = self._moments()
-        offset = (x - mode) / self.sigma
-        slope = (mode - self.mu) / self.sigma
-        inside = -slope * offset - offset**2 / 2 - np.log(scale * self.sigma)
-        return np.where((x < self.lower) | (x > self.upper), -np.inf, inside)
-
-    def pdf(self, x: Array) -> Array:
-        """Return the density at ``x`` (Eq. 13)."""
-        return np.asarray(np.exp(self.log_pdf(x)))
-
     def mean(self) -> Array:
         """Return the mean of the truncated distribution."""
-        mode, _, _, first, _ = self._moments()
-        return np.asarray(mode + self.sigma * first)
+        return self._moments[0]
 
     def variance(self) -> Array:
         """Return the variance of the truncated distribution (Eq. 31)."""
-        *_, second = self._moments()
-        return np.asarray(np.asarray(self.sigma) ** 2 * second)
+        return self._moments[1]
 
     def sample(self, rng: np.random.Generator, size: tuple[int, ...] = ()) -> Array:
-        """Return draws of shape ``size`` + the parameters' shape, by inversion of the distribution.
-
-        Logarithms of the smaller tail's probability keep it exact in the tails.
-        """
-        from scipy.special import log_ndtr, ndtri_exp
-
-        low = (np.asarray(self.lower) - self.mu) / self.sigma
-        high = (np.asarray(self.upper) - self.mu) / self.sigma
-        flip = low + high > 0  # the upper tail: mirror it
-        start, end = np.where(flip, -high, low), np.where(flip, -low, high)
-        below, above = log_ndtr(start), log_ndtr(end)
+        """Return draws of shape ``size`` + the parameters' shape, by inversion of the distribution."""
         shape = tuple(checks.whole("size", n, 0) for n in checks.listed("size", size))
         u = rng.random(shape + np.shape(self.mu))
-        # log(P(start) + u (P(end) - P(start))), counted from the larger one, P(end).
-        z = ndtri_exp(above + np.log(u + (1 - u) * np.exp(below - above)))
-        drawn = np.asarray(self.mu) + np.asarray(self.sigma) * np.where(flip, -z, z)
+        low, high = ((end - self.mu) / self.sigma for end in (self.lower, self.upper))
+        ends = np.broadcast_to(low, u.shape), np.broadcast_to(high, u.shape)
+        drawn = self.mu + self.sigma * truncated_normal(*ends, u)
         return np.asarray(np.clip(drawn, self.lower, self.upper))
 
-    def _moments(self) -> tuple[Array, Array, Array, Array, Array]:
-        """Mode; its slope; integral of exp(-slope d - d²/2); mean and variance of d.
-
-        d is the distance from the mode in sigmas.
-        """
-        mu, sigma = np.asarray(self.mu), np.asarray(self.sigma)
+    @cached_property
+    def _moments(self) -> tuple[Array, Array]:
         lower, upper = np.asarray(self.lower), np.asarray(self.upper)
-        mode = np.clip(mu, lower, upper)
-        slope = (mode - mu) / sigma
-        reach = _DROP / (np.sqrt(slope**2 + _DROP) + np.abs(slope))  # sqrt(m² + 90) - |m|
-        left = np.maximum((lower - mode) / sigma, -reach)
-        right = np.minimum((upper - mode) / sigma, reach)
-        half, centre = (right - left) / 2, (right + left) / 2
-        d = centre[..., np.newaxis] + half[..., np.newaxis] * _NODES
-        weight = np.exp(-slope[..., np.newaxis] * d - d**2 / 2) * _WEIGHTS
-        total = np.sum(weight, axis=-1)
-        first = np.sum(weight * d, axis=-1) / total
-        second = np.sum(weight * (d - first[..., np.newaxis]) ** 2, axis=-1) / total
-        return mode, slope, total * half, first, second
+        return truncated_moments(self.mu, self.sigma**2, lower, upper, FINE)
 
 
 def sigma_relative(alpha: Array, fraction: float, minimum: float = 0.0) -> Array:

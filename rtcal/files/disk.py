@@ -290,10 +290,10 @@ MAX_BYTES = 2**28
 """Largest size of a file; errors of 60 control rooms in 60 configurations have 1 MB."""
 
 
-def read(path: Path) -> Array | None:
+def read(path: Path, limit: int = MAX_BYTES) -> Array | None:
     """Return the array that `write` kept under this name; None if there is none."""
     try:
-        kept = read_bytes(path, MAX_BYTES)
+        kept = read_bytes(path, limit)
     except DataError:
         return None
     content = kept[hashlib.sha256().digest_size :]

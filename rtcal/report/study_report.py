@@ -12,7 +12,6 @@ from typing import Any
 
 import numpy as np
 
-from rtcal.acoustics.priors import TruncatedNormal
 from rtcal.report.figures import new_figure, rendered
 from rtcal.studies import paper
 from rtcal.studies.paper import (
@@ -38,10 +37,12 @@ NAMES = {"none": "BASE", "scaling": "REF", "lse": "LSE", "mle": "MLE"}
 
 def priors(mu: Sequence[float], sigma: Sequence[float], title: str) -> Any:
     """Return the figure of truncated normal densities on [0, 1] (Figs. 2 and 4a)."""
+    from scipy.stats import truncnorm
+
     figure, axes = new_figure()
     alpha = np.linspace(0, 1, 1001)
     for i, (m, s) in enumerate(zip(mu, sigma, strict=True)):
-        density = TruncatedNormal(np.asarray(m), np.asarray(s)).pdf(alpha)
+        density = truncnorm.pdf(alpha, -m / s, (1 - m) / s, m, s)
         label = f"μ = {m:g}, σ = {s:g}"
         axes.plot(
             alpha,

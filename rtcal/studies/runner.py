@@ -14,14 +14,12 @@ import csv
 import hashlib
 import io
 import json
-import math
 import os
-import zlib
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Executor, Future
 from contextlib import ExitStack, nullcontext
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -115,26 +113,6 @@ class ScoreMoments:
             np.maximum(self.most, other.most),
         )
 
-    def to_bytes(self) -> bytes:
-        """Return the sums as bytes: always the same number of them, little-endian floats."""
-        values = [np.ravel(getattr(self, f.name)).astype("<f8") for f in fields(self)]
-        return np.concatenate(values).tobytes()
-
-    @classmethod
-    def from_bytes(cls, content: bytes) -> ScoreMoments:
-        """Return what `to_bytes` wrote; ValueError if it is something else."""
-        values = np.frombuffer(content, "<f8")
-        if values.size != sum(math.prod(shape) for shape in _SHAPES.values()):
-            raise ValueError("not the size of a piece")
-        if not np.isfinite(values).all() or values[0] < 1 or values[0] % 1:
-            raise ValueError("not the values of a piece")
-        arrays: dict[str, Any] = {}
-        start = 0
-        for name, shape in _SHAPES.items():
-            end = start + math.prod(shape)
-            arrays[name], start = values[start:end].reshape(shape).astype(float), end
-        return cls(**{**arrays, "count": int(arrays["count"])})
-
     def mean(self, weights: dict[str, float]) -> float:
         """Return the mean over realisations of a weighted sum of series."""
         return float(_vector(weights) @ self.sums / self.count)
@@ -166,17 +144,6 @@ class ScoreMoments:
         return float(np.interp(share * running[-1], np.concatenate([[0.0], running]), EDGES))
 
 
-_SHAPES: dict[str, tuple[int, ...]] = {
-    "count": (),
-    "sums": (len(SERIES),),
-    "products": (len(SERIES), len(SERIES)),
-    "active": (len(CALIBRATIONS),),
-    "histogram": (len(SAMPLED), EDGES.size - 1),
-    "least": (len(SAMPLED),),
-    "most": (len(SAMPLED),),
-}
-
-
 def _vector(weights: dict[str, float]) -> Array:
     return np.array([weights.get(name, 0.0) for name in SERIES])
 
@@ -186,7 +153,6 @@ IN_FLIGHT = 64
 MAX_RECORD = 2**24
 """Largest size of study.json in bytes."""
 _MAX_PIECE = 2**20
-_MAX_SUMS = 2**20  # bytes, unpacked; a piece has 226 kB
 
 
 def run_pieces(
@@ -282,30 +248,20 @@ class _Store:
         return self.folder / "study.json"
 
     def write(self, number: int, piece: ScoreMoments) -> None:
-        packed = zlib.compress(piece.to_bytes())
-        disk.replace_file(self._file(number), self._head(number, packed) + packed)
+        stream = io.BytesIO()
+        np.savez_compressed(stream, **vars(piece))
+        disk.write(self._file(number), np.frombuffer(stream.getvalue(), np.uint8))
 
     def read(self, number: int) -> ScoreMoments | None:
         """Return a finished piece; None if it is missing, damaged or from another study."""
-        path = self._file(number)
-        try:
-            if not path.is_file():  # opening a pipe would block
-                return None
-            with open(path, "rb") as stream:
-                head, _, packed = stream.read(_MAX_PIECE).partition(b"\n")
-            if head + b"\n" != self._head(number, packed):
-                return None
-            return ScoreMoments.from_bytes(zlib.decompressobj().decompress(packed, _MAX_SUMS))
-        except (OSError, ValueError, zlib.error):
+        kept = disk.read(self._file(number), _MAX_PIECE)
+        if kept is None:
             return None
+        with np.load(io.BytesIO(kept.tobytes())) as sums:
+            return ScoreMoments(**{**sums, "count": int(sums["count"])})
 
     def _file(self, number: int) -> Path:
-        return self.folder / f"piece-{number:08d}.sums"
-
-    def _head(self, number: int, packed: bytes) -> bytes:
-        """Return a piece's first line: its number, its study and its checksum."""
-        head = f"rtcal piece {number} of study {self.study}, sha256 "
-        return f"{head}{hashlib.sha256(head.encode() + packed).hexdigest()}\n".encode()
+        return self.folder / f"piece-{number:08d}-{self.study}.sums"
 
 
 def _open(folder: Path, identity: dict[str, Any]) -> _Store:

@@ -14,7 +14,9 @@ FAR = 8.0
 shorter one has 15 digits left of its tail."""
 _TAIL = 64.0
 """A density counts up to where it is exp(-_TAIL / 2) = 1e-14 of its highest value."""
-_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(24)
+_COARSE = np.polynomial.legendre.leggauss(24)
+FINE = np.polynomial.legendre.leggauss(80)
+"""Nodes and weights of Gauss's rule that gives moments to rounding; 24 give them to some 1e-8."""
 
 
 def truncated_normal(lower: Array, upper: Array, uniform: Array) -> Array:
@@ -46,22 +48,26 @@ def quantile_and_mass(lower: Array, upper: Array, uniform: Array) -> tuple[Array
 
 
 def truncated_moments(
-    mean: Array, variance: Array, lower: Array, upper: Array
+    mean: Array,
+    variance: Array,
+    lower: Array,
+    upper: Array,
+    rule: tuple[Array, Array] = _COARSE,
 ) -> tuple[Array, Array]:
     """Return mean and variance of a normal distribution cut to bounds, however far in its tail.
 
     Gauss's rule about the density's peak, so that a density much narrower than the normal one keeps all
     digits.
     """
-    sigma = np.sqrt(variance)
+    (nodes, weights), sigma = rule, np.sqrt(variance)
     peak = np.clip(mean, lower, upper)
     slope = (peak - mean) / variance
     steepness = np.abs(slope) * sigma
     reach = sigma * _TAIL / (np.sqrt(steepness**2 + _TAIL) + steepness)
     low, high = np.maximum(lower - peak, -reach), np.minimum(upper - peak, reach)
-    t = low[..., np.newaxis] + 0.5 * (high - low)[..., np.newaxis] * (1 + _NODES)
+    t = low[..., np.newaxis] + 0.5 * (high - low)[..., np.newaxis] * (1 + nodes)
     exponent = slope[..., np.newaxis] * t + 0.5 * t**2 / variance[..., np.newaxis]
-    weight = _WEIGHTS * np.exp(-exponent)
+    weight = weights * np.exp(-exponent)
     weight /= weight.sum(axis=-1, keepdims=True)
     shift = np.sum(weight * t, axis=-1)
     return peak + shift, np.sum(weight * (t - shift[..., np.newaxis]) ** 2, axis=-1)
