@@ -164,15 +164,24 @@ class Observable(ABC):
         """
 
     @abstractmethod
-    def linear(self, values: Array, stated: Array) -> Array:
+    def rate(self, observed: Array) -> Array:
+        """Return what is linear in the absorption, in any unit; it rises with what is observed."""
+
+    @abstractmethod
+    def rate_slope(self, observed: Array) -> Array:
+        """Return the derivative of `rate` by what is observed."""
+
+    def linear(self, observed: Array, stated: Array) -> Array:
         """Return how far what is observed is from what is stated, linear in the absorption.
 
         0 at ``stated``; a relative change of the absorption near it, up to the sign.
         """
+        at = self.rate(stated)
+        return np.asarray((self.rate(observed) - at) / np.abs(at))
 
-    @abstractmethod
-    def linear_slope(self, values: Array, stated: Array) -> Array:
+    def linear_slope(self, observed: Array, stated: Array) -> Array:
         """Return the derivative of `linear` by what is observed."""
+        return np.asarray(self.rate_slope(observed) / np.abs(self.rate(stated)))
 
     def too_short(self, energy: Array) -> NDArray[np.bool_]:
         """Return whether energy decays (..., n_bins) are cut off too early to hold it, (...)."""
@@ -422,13 +431,13 @@ class Relative(Observable):
     logarithmic = True
     unknown_error = 0.05
 
-    def linear(self, values: Array, stated: Array) -> Array:
-        """Return 1 - stated / value: 1 / T and 1 / Ts are linear in the absorption area."""
-        return np.asarray(1 - np.exp(-(values - stated)))
+    def rate(self, observed: Array) -> Array:
+        """Return -1 / T: 1 / T and 1 / Ts are linear in the absorption area."""
+        return np.asarray(-np.exp(-observed))
 
-    def linear_slope(self, values: Array, stated: Array) -> Array:
-        """Return the derivative of `linear` by the logarithm."""
-        return np.asarray(np.exp(-(values - stated)))
+    def rate_slope(self, observed: Array) -> Array:
+        """Return 1 / T."""
+        return np.asarray(np.exp(-observed))
 
 
 @dataclass(frozen=True)
@@ -715,19 +724,13 @@ class Clarity(Observable):
             DB * (share / early[..., np.newaxis] - (1 - share) / late[..., np.newaxis])
         )
 
-    def linear(self, values: Array, stated: Array) -> Array:
-        """Return the relative change of the decay rate k of C = 10 lg(exp(k limit) - 1)."""
-        return np.asarray(self._rate(values) / self._rate(stated) - 1)
+    def rate(self, observed: Array) -> Array:
+        """Return the decay rate k in 1/s of C = 10 lg(exp(k limit) - 1)."""
+        return np.asarray(np.log1p(np.exp(observed / DB)) / self.limit)
 
-    def linear_slope(self, values: Array, stated: Array) -> Array:
-        """Return the derivative of `linear` by the clarity."""
-        rate = self._rate(values)
-        by_rate = DB * self.limit / -np.expm1(-rate * self.limit)
-        return np.asarray(1 / (by_rate * self._rate(stated)))
-
-    def _rate(self, clarity: Array) -> Array:
-        """Return the k of an exponential decay with this clarity in dB, in 1/s."""
-        return np.asarray(np.log1p(np.exp(clarity / DB)) / self.limit)
+    def rate_slope(self, observed: Array) -> Array:
+        """Return the derivative of `rate` by the clarity."""
+        return np.asarray(-np.expm1(-self.rate(observed) * self.limit) / (DB * self.limit))
 
     def scatter(self, frequencies: Array, times: Array) -> Array:
         """Return the standard deviation in dB of one response, whose field is noise.
@@ -806,13 +809,13 @@ class D50(Observable):
         total = energy.sum(-1, keepdims=True)
         return np.asarray((share - (energy @ share)[..., np.newaxis] / total) / total)
 
-    def linear(self, values: Array, stated: Array) -> Array:
-        """Return the relative change of the decay rate k of D50 = 1 - exp(-50 ms k)."""
-        return np.asarray(np.log1p(-values) / np.log1p(-stated) - 1)
+    def rate(self, observed: Array) -> Array:
+        """Return the decay rate k of D50 = 1 - exp(-k), over 50 ms."""
+        return np.asarray(-np.log1p(-observed))
 
-    def linear_slope(self, values: Array, stated: Array) -> Array:
-        """Return the derivative of `linear` by D50."""
-        return np.asarray(-1 / ((1 - values) * np.log1p(-stated)))
+    def rate_slope(self, observed: Array) -> Array:
+        """Return 1 / (1 - D50)."""
+        return np.asarray(1 / (1 - observed))
 
     def scatter(self, frequencies: Array, times: Array) -> Array:
         """Return that of C50 times d D50 / d C50 = D50 (1 - D50) / DB, of an exponential decay."""
@@ -868,16 +871,16 @@ class STI(Observable):
         rest = np.sum(by_ratio * m, axis=-1, keepdims=True)
         return np.asarray((wave - rest) / energy.sum(-1, keepdims=True))
 
-    def linear(self, values: Array, stated: Array) -> Array:
-        """Return the relative change of the rate k of an exponential decay with this STI."""
-        return np.asarray(self._rate(values) / self._rate(stated) - 1)
-
-    def linear_slope(self, values: Array, stated: Array) -> Array:
-        """Return the derivative of `linear` by STI."""
+    def rate(self, observed: Array) -> Array:
+        """Return the k in 1/s of an exponential decay with this STI."""
         logarithms, table = self._table
-        at = np.log(self._rate(values))
-        by_logarithm = np.interp(at, logarithms, np.gradient(table, logarithms))
-        return np.asarray(self._rate(values) / (by_logarithm * self._rate(stated)))
+        return np.asarray(np.exp(np.interp(observed, table, logarithms)))
+
+    def rate_slope(self, observed: Array) -> Array:
+        """Return the derivative of `rate` by STI."""
+        (logarithms, table), rate = self._table, self.rate(observed)
+        by_logarithm = np.interp(np.log(rate), logarithms, np.gradient(table, logarithms))
+        return np.asarray(rate / by_logarithm)
 
     def overall(self, values: Array, frequencies: Array) -> Array:
         """Return the STI of all octaves from 125 Hz to 8 kHz, (...); NaN if one is missing.
@@ -895,11 +898,6 @@ class STI(Observable):
             return super().overall(values, frequencies)
         m = np.asarray(values, dtype=float)[..., [listed.index(f) for f in _OCTAVES]]
         return np.asarray(m @ _WEIGHTS - np.sqrt(m[..., :-1] * m[..., 1:]) @ _REDUNDANCY)
-
-    def _rate(self, values: Array) -> Array:
-        """Return the k in 1/s of an exponential decay with this STI."""
-        logarithms, table = self._table
-        return np.asarray(np.exp(np.interp(values, table, logarithms)))
 
     @cached_property
     def _table(self) -> tuple[Array, Array]:
@@ -975,14 +973,13 @@ class OfEnergy(Observable):
         """Return DB / sum(E)."""
         return np.broadcast_to(DB / energy.sum(-1, keepdims=True), energy.shape)
 
-    def linear(self, values: Array, stated: Array) -> Array:
-        """Return 1 - E_stated / E: the inverse of the energy is linear in the absorption area."""
-        return np.asarray(1 - np.exp(-(values - stated) * (1 / DB)))
+    def rate(self, observed: Array) -> Array:
+        """Return -1 / E: the inverse of the energy is linear in the absorption area."""
+        return np.asarray(-np.exp(-observed / DB))
 
-    def linear_slope(self, values: Array, stated: Array) -> Array:
-        """Return the derivative of `linear` by the level."""
-        unit = 1 / DB
-        return np.asarray(unit * np.exp(-(values - stated) * unit))
+    def rate_slope(self, observed: Array) -> Array:
+        """Return the derivative of `rate` by the level."""
+        return np.asarray(np.exp(-observed / DB) / DB)
 
 
 @register

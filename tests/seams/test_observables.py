@@ -163,11 +163,11 @@ def test_an_observable_from_outside_is_heard() -> None:
             total = energy[..., late].sum(-1, keepdims=True)
             return 10 / np.log(10) * late / total
 
-        def linear(self, values, stated):
-            return 1 - 10 ** ((stated - values) / 10)
+        def rate(self, observed):
+            return -(10 ** (-observed / 10))
 
-        def linear_slope(self, values, stated):
-            return np.log(10) / 10 * 10 ** ((stated - values) / 10)
+        def rate_slope(self, observed):
+            return np.log(10) / 10 * 10 ** (-observed / 10)
 
     before = dict(OBSERVABLES)
     register(Late)
