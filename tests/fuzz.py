@@ -131,7 +131,6 @@ READERS: dict[str, Reader] = {
     "loop": Reader(Loop.load, ".json", native.LOOP, native.loop_holds),
     "result": Reader(rt.load, ".json", native.RESULT, native.result_holds),
     "object": Reader(native.read_objects, ".json", native.OBJECTS),
-    "piece": Reader(native.read_piece, ".sums", native.PIECE, native.piece_holds),
     "kept array": Reader(
         native.read_kept_array, ".array", native.KEPT_ARRAY, native.kept_array_holds
     ),

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import shutil
 import tempfile
-from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -13,7 +12,6 @@ from typing import Any
 import numpy as np
 
 import rtcal as rt
-from rtcal import studies
 from rtcal.files import disk
 from rtcal.files.disk import read_text
 from rtcal.files.saved import MAX_BYTES, plain, restored
@@ -22,7 +20,7 @@ from rtcal.finder import Case
 from rtcal.finder.effects import AppliedEffect
 from rtcal.loop import Loop, start
 from rtcal.report import of_calibration
-from rtcal.studies.runner import ScoreMoments, _open, _Store
+from rtcal.studies.runner import _open, _Store
 from rtcal.support.errors import DataError
 from tests.test_discrepancy import opened
 
@@ -139,41 +137,6 @@ OBJECTS = (json.dumps({"objects": plain(rt.calibrate(_ROOM, _MEASURED))}).encode
 _STUDY = ([35.0, 20.0], 0.05, 30, 5, 0)
 _IDENTITY = dict(zip(("areas", "sigma_r", "realisations", "trials", "seed"), _STUDY, strict=True))
 _IDENTITY["sampling"] = "sigma_n"
-_SUMS = studies.run(*_STUDY, sampling="sigma_n").moments.to_bytes()
-
-
-def _piece(folder: Path) -> Path:
-    return folder / "piece-00000000.sums"
-
-
-def _good_piece() -> bytes:
-    with tempfile.TemporaryDirectory() as folder:
-        _Store(Path(folder), "0" * 16).write(0, ScoreMoments.from_bytes(_SUMS))
-        return _piece(Path(folder)).read_bytes()
-
-
-PIECE = (_good_piece(),)
-
-
-def read_piece(path: str) -> ScoreMoments:
-    """Read a file as the first piece of a study; also its bytes as unpacked sums."""
-    content = Path(path).read_bytes()
-    Path(path).rename(_piece(Path(path).parent))
-    with suppress(ValueError):
-        assert ScoreMoments.from_bytes(content).to_bytes() == content
-    sums = _Store(Path(path).parent, "0" * 16).read(0)
-    if sums is None:
-        raise DataError(f"{path}: computed again")
-    return sums
-
-
-def piece_holds(sums: ScoreMoments) -> None:
-    """Nothing but the good piece is read; another processor's differs in the last digits."""
-    good = ScoreMoments.from_bytes(_SUMS)
-    assert sums.count == good.count
-    for name in ("sums", "most"):
-        np.testing.assert_allclose(getattr(sums, name), getattr(good, name), rtol=1e-12)
-
 
 STUDY = (json.dumps(_IDENTITY, sort_keys=True, indent=1).encode() + b"\n",)
 

@@ -324,11 +324,8 @@ class NewVolume(Change):
     def apply(self, room: Room) -> Room:
         """Return the room with this volume; DataError for one a hundred times as small or large."""
         least, most = room.volume / MOST_VOLUME, room.volume * MOST_VOLUME
-        if not least <= self.volume <= most:
-            raise DataError(
-                f"volume = {self.volume:g} m³ is not from {least:g} to {most:g} m³: the room has "
-                f"{room.volume:g} m³"
-            )
+        has = f": the room has {room.volume:g} m³"
+        checks.between("volume", self.volume, least, most, "m³", has)
         return room.replace(volume=self.volume)
 
     def __str__(self) -> str:
@@ -876,8 +873,7 @@ class Treatment:
     def __post_init__(self) -> None:
         place = f'treatment "{self.name}": '
         checks.positive(f"{place}largest", self.largest, "m²")
-        if not 0 <= checks.number(f"{place}cost", self.cost) <= MOST_COST:
-            raise DataError(f"{place}cost = {self.cost:g} is not from 0 to {MOST_COST:g} per m²")
+        checks.between(f"{place}cost", self.cost, 0, MOST_COST, why=" per m²")
         if self.unit is None:
             return
         if checks.positive(f"{place}unit", self.unit, "m²") > self.largest:

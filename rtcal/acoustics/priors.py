@@ -146,9 +146,8 @@ def sigma_relative(alpha: Array, fraction: float, minimum: float = 0.0) -> Array
     [0.01 0.15]
     """
     for name, value in (("fraction", fraction), ("minimum", minimum)):
-        if not 0 <= checks.number(f"sigma_relative: {name}", value) <= 1:
-            percent = ": is it in percent?" if 1 < value <= 100 else ""
-            raise DataError(f"sigma_relative: {name} = {value:g} is not from 0 to 1{percent}")
+        percent = ": is it in percent?" if 1 < value <= 100 else ""
+        checks.between(f"sigma_relative: {name}", value, 0, 1, why=percent)
     return np.maximum(fraction * _coefficients("sigma_relative", alpha), minimum)
 
 

@@ -318,9 +318,6 @@ class Room:
         checks.choice("above_one", above_one, ("refuse", "clip"))
         if isinstance(self.materials, str):
             raise DataError(f'materials = "{self.materials}" is one text, not a sequence of names')
-        for name in ("alpha", "sigma", "areas", "materials"):
-            if getattr(self, name) is None:
-                raise DataError(f"{name} is missing; a room states it")
         materials = checks.listed("materials", self.materials)
         put("materials", tuple(text_name("materials", m) for m in materials))
         if blank := [m for m in self.materials if not m.strip()]:
@@ -337,9 +334,7 @@ class Room:
         if not all(isinstance(surface, Surface) for surface in self.surfaces):
             raise DataError("surfaces has something that is no rtcal.Surface")
         put("centre_frequencies", read_only(bands.as_bands(self.centre_frequencies)))
-        put("volume", checks.positive("volume", self.volume, "m³"))
-        if not LEAST <= self.volume <= LARGEST:
-            raise DataError(f"volume = {self.volume:g} m³ is not from {LEAST:g} to {LARGEST:g} m³")
+        put("volume", checks.between("volume", self.volume, LEAST, LARGEST, "m³"))
         n = self.n_materials
         if n == 0:
             raise DataError("materials is empty; a room has at least one material")
@@ -394,19 +389,19 @@ class Room:
         checks.instance("scene", self.scene, Scene)
         self._check_surfaces()
         self._check_correlation()
-        for name in ("volume_sigma", "common_area_sigma", "common_alpha_sigma"):
+        for name in RELATIVE:
             put(name, _relative(name, getattr(self, name)))
         put("area_sigma", self._area_errors())
         pair = checks.listed("climate_sigma", self.climate_sigma)
         if len(pair) != 2:
             raise DataError(f"climate_sigma has {len(pair)} values; it has K and % of humidity")
-        kelvin, percent = (checks.number("climate_sigma", value) for value in pair)
-        for value, unit, most in ((kelvin, "K", 20), (percent, "%", 50)):
-            if not 0 <= value <= most:
-                raise DataError(f"climate_sigma = {value:g} {unit} is not from 0 to {most} {unit}")
-        if self.air is None and (kelvin or percent):
+        ends = ((20, "K"), (50, "%"))
+        climate = (
+            checks.between("climate_sigma", v, 0, *of) for v, of in zip(pair, ends, strict=True)
+        )
+        put("climate_sigma", tuple(climate))
+        if self.air is None and any(self.climate_sigma):
             raise DataError("climate_sigma is stated, but no air that it belongs to")
-        put("climate_sigma", (kelvin, percent))
 
     @property
     def _shape(self) -> tuple[int, int]:
@@ -484,22 +479,20 @@ class Room:
 
         Raises DataError for a value that is no relative one nor a text in m², or an unknown material.
         """
-        stated: Any = self.area_sigma
-        if isinstance(stated, np.ndarray):
-            stated = stated.tolist()
-        if isinstance(stated, Mapping):
-            if unknown := [name for name in stated if name not in self.materials]:
+        listed: Any = self.area_sigma
+        if isinstance(listed, np.ndarray):
+            listed = listed.tolist()
+        if isinstance(listed, Mapping):
+            if unknown := [name for name in listed if name not in self.materials]:
                 raise DataError(
                     f'area_sigma["{unknown[0]}"]: no material of the room has that name; it has '
                     f"{', '.join(self.materials)}"
                 )
-            listed = [stated.get(name, 0.0) for name in self.materials]
-        elif not isinstance(stated, list | tuple):
-            listed = [stated] * self.n_materials
-        elif all(type(v) in (int, float) and v == 0 for v in stated):
+            listed = [listed.get(name, 0.0) for name in self.materials]
+        elif not isinstance(listed, list | tuple):
+            listed = [listed] * self.n_materials
+        elif all(type(v) in (int, float) and v == 0 for v in listed):
             listed = [0.0] * self.n_materials  # also of a room that had other materials
-        else:
-            listed = list(stated)
         if len(listed) != self.n_materials:
             raise DataError(
                 f"area_sigma has {len(listed)} values; there are {self.n_materials} materials"
@@ -644,52 +637,23 @@ class Room:
     def from_surfaces(
         cls,
         *,
-        name: str,
-        volume: float,
         surfaces: Iterable[Surface],
-        materials: Iterable[Material],
-        centre_frequencies: Sequence[float] | Array,
-        air: Air | None = None,
-        dimensions: tuple[float, float, float] | None = None,
-        band_correlation: float = 0.0,
-        material_correlation: Mapping[tuple[str, str], float] | None = None,
-        calibration: CalibrationRecord | None = None,
-        above_one: str = "refuse",
-    ) -> Room:
-        """Return the room whose area per material is the sum over its surfaces.
-
-        A wall may be drawn as two polygons, since only the area per material counts. Materials
-        without a surface are left out. Raises DataError as `Room` does, and for a surface whose
-        material is not among ``materials``.
-        """
-        frequencies = bands.as_bands(centre_frequencies)
-        return cls(
-            name=name,
-            volume=volume,
-            centre_frequencies=frequencies,
-            air=air,
-            dimensions=dimensions,
-            band_correlation=band_correlation,
-            material_correlation={} if material_correlation is None else material_correlation,
-            calibration=calibration,
-            above_one=above_one,
-            **stacked(
-                checks.listed("surfaces", surfaces),
-                checks.listed("materials", materials),
-                frequencies,
-            ),
-        )
-
-    @classmethod
-    def from_geometry(
-        cls,
-        geometry: Geometry,
-        *,
-        name: str,
         materials: Iterable[Material],
         centre_frequencies: Sequence[float] | Array,
         **stated: Any,
     ) -> Room:
+        """Return the room whose area per material is the sum over its surfaces.
+
+        A wall may be drawn as two polygons, since only the area per material counts. Materials
+        without a surface are left out. ``stated`` are the room's other fields. Raises DataError as
+        `Room` does, and for a surface whose material is not among ``materials``.
+        """
+        frequencies = bands.as_bands(centre_frequencies)
+        listed = checks.listed("surfaces", surfaces), checks.listed("materials", materials)
+        return cls(centre_frequencies=frequencies, **stated, **stacked(*listed, frequencies))
+
+    @classmethod
+    def from_geometry(cls, geometry: Geometry, **stated: Any) -> Room:
         """Return the room with the volume and surfaces of a `rtcal.simulators.Polyhedron`.
 
         ``stated`` goes to `from_surfaces`. Raises DataError as that does.
@@ -700,14 +664,7 @@ class Room:
                     f"geometry = {checks.shown(geometry)} has no {needed}, as a "
                     "rtcal.simulators.Polyhedron has"
                 )
-        return cls.from_surfaces(
-            name=name,
-            volume=geometry.volume,
-            surfaces=geometry.surfaces,
-            materials=materials,
-            centre_frequencies=centre_frequencies,
-            **stated,
-        )
+        return cls.from_surfaces(volume=geometry.volume, surfaces=geometry.surfaces, **stated)
 
     def to_dict(self) -> dict[str, Any]:
         """Return the room as plain values for JSON, without fields that are not stated."""
@@ -1215,40 +1172,33 @@ def _prior_sigma(prior: PriorTable, alpha: list[float], frequencies: Array) -> l
     return list(map(float, in_situ(sigma, prior.in_situ_factor)))
 
 
+_ALWAYS = ("areas", "alpha", "sigma", "centre_frequencies", "band_correlation", "air")
+"""Fields of a room's plain values that are there whatever they are."""
+
+
 def _plain(room: Room) -> dict[str, Any]:
     """Return a `Room` as plain values for JSON, without fields that are not stated."""
-    stated: dict[str, Any] = {
-        name: json_numbers(values)
-        for name in ("alpha_min", "scattering", "dimensions")
-        if (values := getattr(room, name)) is not None
-    }
-    more: dict[str, Any] = {
-        "surfaces": [vars(surface).copy() for surface in room.surfaces],
+    plain = {}
+    for name in PlainRoom.__struct_fields__:
+        value = getattr(room, name, None)
+        if isinstance(value, Air | CalibrationRecord):
+            value = vars(value).copy()
+        elif isinstance(value, np.ndarray):
+            value = json_numbers(value) if value.any() or name in _ALWAYS else None
+        elif isinstance(value, tuple):
+            value = [vars(v).copy() if isinstance(v, Surface) else v for v in value]
+        plain[name] = value
+    plain |= {
         "sources": dict(room.sources),
         "material_correlation": [
             {"materials": list(pair), "value": float(value)}
             for pair, value in room.material_correlation.items()
         ],
-        "calibration": room.calibration and vars(room.calibration).copy(),
         "scattering_model": room.scattering_model if room.scattering_model != "random" else None,
         "scene": room.scene.to_dict(),
-        "author": room.author,
-        "clipped": list(room.clipped),
-        **{name: getattr(room, name) for name in RELATIVE},
-        "area_sigma": json_numbers(room.area_sigma) if room.area_sigma.any() else None,
         "climate_sigma": list(room.climate_sigma) if any(room.climate_sigma) else None,
     }
-    return {
-        "name": room.name,
-        "volume": room.volume,
-        "materials": list(room.materials),
-        **{name: json_numbers(getattr(room, name)) for name in ("areas", "alpha", "sigma")},
-        "band_correlation": float(room.band_correlation),
-        "centre_frequencies": json_numbers(room.centre_frequencies),
-        "air": None if room.air is None else vars(room.air).copy(),
-        **stated,
-        **{name: value for name, value in more.items() if value},
-    }
+    return {name: value for name, value in plain.items() if value or name in _ALWAYS}
 
 
 def _text_of(room: Room) -> str:
@@ -1266,17 +1216,7 @@ def _text_of(room: Room) -> str:
             "source": room.sources.get(name),
         }
         materials.append({k: v for k, v in stated.items() if v})
-    top = (
-        "name",
-        "author",
-        "volume",
-        "centre_frequencies",
-        "dimensions",
-        "clipped",
-        "scattering_model",
-        *RELATIVE,
-        "climate_sigma",
-    )
+    top = [name for name in _Common.__struct_fields__ if name not in ("air", "calibration")]
     tables = {
         **data.get("scene", {}),
         "prior": {k: data[k] for k in ("band_correlation",) if data[k]},

@@ -89,9 +89,7 @@ class Assumptions:
 
     def __post_init__(self) -> None:
         for each in fields(self):
-            value = checks.number(each.name, getattr(self, each.name))
-            if not (np.isfinite(value) and 0 <= value <= 1):
-                raise DataError(f"{each.name} = {value:g} is not from 0 to 1")
+            checks.between(each.name, getattr(self, each.name), 0, 1)
         if self.band_correlation == 1:
             raise DataError("band_correlation = 1 is not below 1")
 

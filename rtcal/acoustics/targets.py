@@ -154,11 +154,7 @@ def din_18041(group: str, volume: float, centre_frequencies: Sequence[float] | A
         raise DataError(f'group = "{group}" is not one of {", ".join(DIN_18041)}')
     use = DIN_18041[group]
     least, most = use.volumes
-    if not least <= checks.number("volume", volume) <= most:
-        raise DataError(
-            f"volume = {volume:g} m³ is not from {least:g} to {most:g} m³, for which DIN 18041 states "
-            f"{group}"
-        )
+    checks.between("volume", volume, least, most, "m³", f", for which DIN 18041 states {group}")
     t = use.slope * np.log10(volume) + use.offset
     nothing = (np.nan, np.nan)
     ends = np.array(

@@ -712,11 +712,8 @@ def design(
     >>> print(29 < found.areas[0] < 32, bool((found.probability[1:5] > 0.79).all()))
     True True
     """
-    if not LEAST <= checks.number("probability", probability) <= _BEST:
-        raise DataError(
-            f"probability = {probability:g} is not from {LEAST:g} to {_BEST:g}: below, "
-            "which design is the cheapest is not sure"
-        )
+    why = ": below, which design is the cheapest is not sure"
+    checks.between("probability", probability, LEAST, _BEST, why=why)
     model = design_model(result, treatments, target, assumptions)
     found = _cheapest(model, probability)
     if found is None:

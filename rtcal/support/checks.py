@@ -50,6 +50,22 @@ def positive(place: str, value: object, unit: str = "") -> float:
     return real
 
 
+def between(
+    place: str, value: object, least: float, most: float, unit: str = "", why: str = ""
+) -> float:
+    """Return a number from ``least`` to ``most`` as a float; DataError, which ends with ``why``, else.
+
+    Examples
+    --------
+    >>> between("humidity", 50, 1, 100, "%")
+    50.0
+    """
+    real, unit = number(place, value), f" {unit}".rstrip()
+    if not least <= real <= most:
+        raise DataError(f"{place} = {real:g}{unit} is not from {least:g} to {most:g}{unit}{why}")
+    return real
+
+
 def whole(place: str, value: object, least: int) -> int:
     """Return a whole number of at least ``least``; DataError for anything else.
 
