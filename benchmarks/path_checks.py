@@ -18,7 +18,7 @@ from collections.abc import Callable
 import numpy as np
 
 import rtcal as rt
-from rtcal.acoustics.decay import decay_time
+from rtcal.acoustics.observables import TARGET
 from rtcal.datasets import halls
 from rtcal.simulators.geometry import Polyhedron
 from rtcal.simulators.path_tracing import PathTracing
@@ -52,7 +52,7 @@ def box(n_bands: int) -> rt.Room:
 
 def t20(energy: np.ndarray) -> np.ndarray:
     """Mean over sources and receivers, (n_bands,)."""
-    return decay_time(energy, BIN).mean(axis=(0, 1))
+    return TARGET.value(energy, BIN).mean(axis=(0, 1))
 
 
 def diffuse(n_paths: int) -> None:
@@ -188,9 +188,9 @@ def engines(name: str, scattering: float, seconds: float, n_rays: int) -> None:
                 for r, place in common["receivers"].items()
             ]
         )
-        times, sums = decay_time(exact, BIN), exact[..., :half].sum(axis=-1)
+        times, sums = TARGET.value(exact, BIN), exact[..., :half].sum(axis=-1)
         for label, found, early in zip(("ours", "pyroomacoustics"), means, level, strict=True):
-            ratio, share = decay_time(found[0], BIN) / times, early / sums
+            ratio, share = TARGET.value(found[0], BIN) / times, early / sums
             print(
                 f"  over the image sources', {label}: energy {share.min():.2f} to "
                 f"{share.max():.2f}, mean {share.mean():.3f}; T20, of {np.isfinite(ratio).sum()} "

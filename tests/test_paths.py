@@ -5,7 +5,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from rtcal.acoustics.decay import decay_time
+from rtcal.acoustics.observables import TARGET
 from rtcal.datasets import halls
 from rtcal.simulators import kernels, paths
 from rtcal.simulators.geometry import Polyhedron
@@ -100,10 +100,10 @@ def test_kuttruffs_equation_with_the_paths_own_gamma_squared(diffuse):
     exponent = a * (1 - diffuse.gamma_squared * a / 2)
     kuttruff = 24 * np.log(10) / C * BOX.volume / (142 * exponent)
     energy = diffuse.energy(alpha[np.newaxis], np.zeros(5), BIN).mean(axis=0)
-    assert decay_time(energy[0], 0.002).mean(axis=0) == pytest.approx(kuttruff, rel=0.02)
+    assert TARGET.value(energy[0], 0.002).mean(axis=0) == pytest.approx(kuttruff, rel=0.02)
     # 2 % would be no test if Eyring passed it as well.
     assert (
-        abs(decay_time(energy[0], 0.002).mean(axis=0)[-1] / (kuttruff * exponent / a)[-1] - 1)
+        abs(TARGET.value(energy[0], 0.002).mean(axis=0)[-1] / (kuttruff * exponent / a)[-1] - 1)
         > 0.08
     )
 
@@ -201,7 +201,7 @@ def test_scattering_means_two_things():
                 corridor, [(4, 1, 1.5)], receivers, s, 1.5, scattering_model=scattering_model
             )
             energy = made.energy(np.full((1, 1), 0.2), np.zeros(1), BIN).mean(axis=0)
-            t[s, scattering_model] = decay_time(energy[0], 0.002).mean()
+            t[s, scattering_model] = TARGET.value(energy[0], 0.002).mean()
     assert t[1.0, "vector"] == pytest.approx(t[1.0, "random"], rel=1e-9)
     assert t[0.1, "random"] > 1.2 * t[0.1, "vector"]
 
@@ -292,7 +292,7 @@ def test_lost_paths_are_dropped_and_the_others_weigh_more():
     whole, kept = (made.energy(alpha, air, BIN).mean(axis=0) for made in (closed, leaky))
     # All other paths are those of the closed box, so that no time is quieter.
     assert kept.sum() == pytest.approx(whole.sum(), rel=0.002)
-    assert decay_time(kept[0], 0.002) == pytest.approx(decay_time(whole[0], 0.002), rel=0.01)
+    assert TARGET.value(kept[0], 0.002) == pytest.approx(TARGET.value(whole[0], 0.002), rel=0.01)
     energy, (gradient,) = leaky.energy_gradient(0, alpha, air, BIN, np.zeros(6, dtype=np.int64))
     assert energy == pytest.approx(kept[0], rel=1e-12)
     higher, lower = (leaky.energy(alpha + step, air, BIN).mean(axis=0)[0] for step in (1e-5, -1e-5))

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import rtcal as rt
-from rtcal.acoustics import decay
+from rtcal.acoustics.observables import observable
 from rtcal.simulators import base, kernels
 from rtcal.simulators.geometry import SHOEBOX_WALLS, Polyhedron
 from rtcal.simulators.sdn import ScatteringDelayNetwork
@@ -149,7 +149,7 @@ def test_image_sources_are_pyroomacoustics() -> None:
     energy = (1 - alpha) ** other.sources[0].orders / (4 * np.pi * length**2)
     expected = np.bincount(bins, energy)[:200]
     assert images.energy(room.alpha)[0, 0] == pytest.approx(expected, rel=1e-9)
-    t20 = float(decay.decay_time(expected, images.bin_width))
+    t20 = float(observable("t20").value(expected, images.bin_width))
     assert 0.1 < t20 < 0.5
     assert images.simulate(room.alpha).mean("t20")[0] == pytest.approx(t20, rel=1e-9)
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from rtcal.acoustics.air import Air
-from rtcal.acoustics.decay import decay_time
+from rtcal.acoustics.observables import TARGET
 from rtcal.datasets import halls
 from rtcal.simulators import base
 from rtcal.simulators.geometry import Polyhedron
@@ -211,7 +211,7 @@ def test_both_engines_agree_where_their_scattering_model_does(name, scattering, 
 
 
 def mean_t20(energy):
-    return decay_time(energy, 0.002).mean(axis=(0, 1))
+    return TARGET.value(energy, 0.002).mean(axis=(0, 1))
 
 
 @pytest.mark.parametrize("make", [path_tracer, ray_tracer])

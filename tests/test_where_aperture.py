@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import rtcal as rt
-from rtcal.acoustics import decay
+from rtcal.acoustics.observables import observable
 from rtcal.finder.positions.weighing import SECOND_ROOMS, Aperture
 
 WIDTH = 0.002
@@ -32,4 +32,4 @@ def test_the_decay_with_a_second_room_holds_a_decay_time(parameter: str) -> None
     for volume, alpha in SECOND_ROOMS:
         aperture = Aperture(2.0, volume * 120.0, alpha)
         heard = aperture.returned_to(energy, room(), WIDTH, 2)
-        assert not decay.too_short(heard, parameter).any()
+        assert not observable(parameter).too_short(heard).any()

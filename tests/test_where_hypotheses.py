@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import rtcal as rt
-from rtcal.acoustics import decay
+from rtcal.acoustics.observables import observable
 from rtcal.finder.finding import Candidate
 from rtcal.finder.positions.hypotheses import uneven_amount, uneven_columns, unevenness
 from rtcal.finder.positions.posterior import (
@@ -62,9 +62,9 @@ def test_the_return_is_that_of_two_coupled_rooms(volume: float, alpha: float) ->
     opened[..., 0] *= 3  # a direct sound, which the second room does not hear
     heard = aperture.returned_to(opened, room(), WIDTH, 1)
     expected = balances(aperture, first, WIDTH * heard.shape[-1])
-    got = decay.decay_time(heard[0], WIDTH)
-    assert got == pytest.approx(decay.decay_time(expected, WIDTH), rel=0.03)
-    assert (got > 1.001 * decay.decay_time(opened[0], WIDTH)).all()
+    got = observable("t20").value(heard[0], WIDTH)
+    assert got == pytest.approx(observable("t20").value(expected, WIDTH), rel=0.03)
+    assert (got > 1.001 * observable("t20").value(opened[0], WIDTH)).all()
 
 
 def test_no_more_goes_through_an_aperture_than_the_room_loses() -> None:
@@ -72,7 +72,7 @@ def test_no_more_goes_through_an_aperture_than_the_room_loses() -> None:
     t = WIDTH * np.arange(400)
     opened = np.tile(np.exp(-12 * t), (2, 2, 1))
     heard = Aperture(90.0, 400.0, 0.03).returned_to(opened, room(), WIDTH, 1)
-    assert np.isfinite(decay.decay_time(heard, WIDTH)).all()
+    assert np.isfinite(observable("t20").value(heard, WIDTH)).all()
 
 
 def test_an_aperture_is_named_and_not_added() -> None:

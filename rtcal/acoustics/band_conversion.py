@@ -19,8 +19,9 @@ bandwidth (ISO 3382-2:2008, Eqs. 4 and 5): a third has sqrt(3) times the octave'
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -207,11 +208,7 @@ def parameter_uncertainty(
     spread, centre = checks.array("uncertainty", uncertainty), checks.array("values", values)
     if spread.shape != centre.shape:
         raise DataError(f"uncertainty has shape {spread.shape}; values has {centre.shape}")
-    if columns.to_thirds:
-        return np.asarray(np.sqrt(3) * columns.take(spread)[..., 0])
-    by_third = columns.take(scale.slope(centre) * spread)
-    total = np.sqrt((by_third**2).sum(-1)) / by_third.shape[-1]
-    return np.asarray(total / np.abs(scale.slope(_averaged(scale, centre, columns))))
+    return _uncertainty(scale, spread, centre, columns)
 
 
 def room(stated: Room, wanted: Iterable[float]) -> Room:
@@ -237,7 +234,9 @@ def room(stated: Room, wanted: Iterable[float]) -> Room:
     )
 
 
-def measurement(measured: Measurement, wanted: Iterable[float]) -> Measurement:
+def measurement(
+    measured: Measurement, wanted: Iterable[float], *, missing: bool = False
+) -> Measurement:
     """Return the measurement in other bands, each parameter by `parameter`.
 
     The standard deviation over pairs converts like an uncertainty.
@@ -245,27 +244,26 @@ def measurement(measured: Measurement, wanted: Iterable[float]) -> Measurement:
     Raises
     ------
     DataError
-        If an octave lacks one of its thirds, or a third its octave.
+        If an octave lacks one of its thirds, or a third its octave, unless bands may be ``missing``.
     """
     checks.instance("measured", measured, Measurement)
-    stated, centres = measured.centre_frequencies, bands.as_bands(wanted)
-    return replace(
-        measured,
-        centre_frequencies=centres,
-        values={p: parameter(v, stated, centres, p) for p, v in measured.values.items()},
-        standard_deviation={
-            p: parameter_uncertainty(s, measured.values[p][0], stated, centres, p)
-            for p, s in measured.standard_deviation.items()
-        },
-        uncertainty={
-            p: parameter_uncertainty(u, measured.values[p], stated, centres, p)
-            for p, u in measured.uncertainty.items()
-        },
-        common_uncertainty={
-            p: parameter_uncertainty(u, measured.mean(p), stated, centres, p)
-            for p, u in measured.common_uncertainty.items()
-        },
-    )
+    columns = _Columns(measured.centre_frequencies, wanted, missing)
+    of: dict[str, Callable[[str], Array]] = {
+        "uncertainty": lambda p: measured.values[p],
+        "common_uncertainty": measured.mean,
+        "standard_deviation": lambda p: measured.values[p][0],
+    }
+    tables: dict[str, Any] = {
+        name: {
+            p: _uncertainty(observable(p).averaging, u, centre(p), columns)
+            for p, u in getattr(measured, name).items()
+        }
+        for name, centre in of.items()
+    }
+    tables["values"] = {
+        p: _averaged(observable(p).averaging, v, columns) for p, v in measured.values.items()
+    }
+    return replace(measured, centre_frequencies=columns.new, **tables)
 
 
 def measurement_in_room_bands(measured: Measurement, wanted: Iterable[float]) -> Measurement:
@@ -280,24 +278,20 @@ def measurement_in_room_bands(measured: Measurement, wanted: Iterable[float]) ->
         If no band can be selected or converted.
     """
     centres = bands.as_bands(wanted)
-    possible = obtainable(measured.centre_frequencies, centres)
-    if not possible.size:
+    if not obtainable(measured.centre_frequencies, centres).size:
         raise DataError(
             f"the measurement ({_listed(measured.centre_frequencies.tolist())}) and the room "
             f"({_listed(centres.tolist())}) have no band in common"
         )
-    converted = measurement(measured, possible)
-    columns = np.searchsorted(centres, possible)
+    return measurement(measured, centres, missing=True)
 
-    def widened(tables: Mapping[str, Array]) -> dict[str, Array]:
-        wide = {p: np.full((*t.shape[:-1], len(centres)), np.nan) for p, t in tables.items()}
-        for parameter, table in tables.items():
-            wide[parameter][..., columns] = table
-        return wide
 
-    tables = ("values", "standard_deviation", "uncertainty", "common_uncertainty")
-    wide = {name: widened(getattr(converted, name)) for name in tables}
-    return replace(converted, centre_frequencies=centres, **wide)  # type: ignore[arg-type]
+def _uncertainty(scale: Scale, uncertainty: Array, values: Array, columns: _Columns) -> Array:
+    if columns.to_thirds:
+        return np.asarray(np.sqrt(3) * columns.take(uncertainty)[..., 0])
+    by_third = columns.take(scale.slope(values) * uncertainty)
+    total = np.sqrt((by_third**2).sum(-1)) / by_third.shape[-1]
+    return np.asarray(total / np.abs(scale.slope(_averaged(scale, values, columns))))
 
 
 def _averaged(scale: Scale, values: Array, columns: _Columns) -> Array:
@@ -310,21 +304,23 @@ def _averaged(scale: Scale, values: Array, columns: _Columns) -> Array:
 class _Columns:
     """Which columns of the old bands make up each new band, (n_wanted, 1 or 3)."""
 
-    def __init__(self, frequencies: Iterable[float], wanted: Iterable[float]) -> None:
+    def __init__(
+        self, frequencies: Iterable[float], wanted: Iterable[float], missing: bool = False
+    ) -> None:
         self.old = bands.as_bands(frequencies, "frequencies")
-        new = bands.as_bands(wanted, "wanted")
-        is_thirds, are_thirds = _in_thirds(self.old), _in_thirds(new)
-        self.to_thirds = are_thirds and not is_thirds
+        self.new = new = bands.as_bands(wanted, "wanted")
+        self.to_thirds = _in_thirds(new) and not _in_thirds(self.old)
         parts = _parts(self.old, new)
         place = {f: i for i, f in enumerate(self.old.tolist())}
         for frequency, part in zip(new.tolist(), parts, strict=True):
-            if missing := [f for f in part if f not in place]:
+            lacking = [f for f in part if f not in place]
+            if lacking and not missing:
                 raise DataError(
                     f"the band {bands.label(frequency)} cannot be had: it needs "
-                    f"{_listed(part)}, and {_listed(missing)} {'are' if missing[1:] else 'is'} "
+                    f"{_listed(part)}, and {_listed(lacking)} {'are' if lacking[1:] else 'is'} "
                     f"missing in {_listed(self.old.tolist())}"
                 )
-        self._index = np.array([[place[f] for f in part] for part in parts])
+        self._index = np.array([[place.get(f, -1) for f in part] for part in parts])
 
     def take(self, values: Array) -> Array:
         """Return (..., n_wanted, 1 or 3)."""
@@ -332,7 +328,7 @@ class _Columns:
             raise DataError(
                 f"values has shape {values.shape}; its last axis has {len(self.old)} bands"
             )
-        return values[..., self._index]
+        return np.where(self._index < 0, np.nan, values[..., self._index])
 
 
 def _parts(old: Array, new: Array) -> list[list[float]]:

@@ -10,7 +10,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rtcal.acoustics import bands
 from rtcal.acoustics.measurement import Measurement
@@ -18,10 +17,8 @@ from rtcal.acoustics.observables import MARGIN_DB as MARGIN_DB
 from rtcal.acoustics.observables import (
     OBSERVABLES,
     TARGET,
-    DecaySlope,
     Observable,
     observable,
-    of_kind,
 )
 from rtcal.acoustics.observables import cut_off_db as cut_off_db
 from rtcal.acoustics.observables import decay_curve_db as decay_curve_db
@@ -29,7 +26,7 @@ from rtcal.support import checks
 from rtcal.support.errors import DataError, TooShortError, of_bands
 from rtcal.support.types import Array
 
-__all__ = ["decay_time", "gradients", "measurement", "parameters", "too_short"]
+__all__ = ["gradients", "measurement", "parameters"]
 __dir__ = __all__.copy
 
 
@@ -60,8 +57,13 @@ def checked_decay(energy: Array, bin_width: float = 1.0) -> Array:
     return energy
 
 
-def decay_time(energy: Array, bin_width: float, parameter: str = TARGET.key) -> Array:
-    """Return a decay time in s, (...): -60 dB over the slope of the decay curve within its range.
+def parameters(
+    energy: Array, bin_width: float, names: Sequence[str] | None = None
+) -> dict[str, Array]:
+    """Return room-acoustic parameters by name, each (...), in the units of `Measurement`.
+
+    By default all that a response holds without a calibrated source. NaN where the decay does not hold
+    the parameter.
 
     Parameters
     ----------
@@ -69,50 +71,19 @@ def decay_time(energy: Array, bin_width: float, parameter: str = TARGET.key) -> 
         Energy per bin, 0 or more; the first bin starts with the direct sound.
     bin_width : float
         s.
-    parameter : {"t20", "t30", "edt"}
-
-    Returns
-    -------
-    array (...)
-        NaN where the decay is `too_short`, or fewer than two points lie within the range.
+    names : sequence of str
+        Keys of `rtcal.acoustics.observables.OBSERVABLES`.
 
     Raises
     ------
     DataError
         For an unknown parameter, energy that is negative or not finite, a width not above 0.
 
-    References
-    ----------
-    ISO 3382-1:2009, 5.3.3 (line fitted by least squares).
-
     Examples
     --------
     >>> time = np.arange(20000) * 1e-4
-    >>> print(decay_time(10 ** (-6 * time / 0.8), 1e-4).round(6))
+    >>> print(parameters(10 ** (-6 * time / 0.8), 1e-4)["t20"].round(6))
     0.8
-    """
-    return _decay_time(parameter).value(checked_decay(energy, bin_width), bin_width)
-
-
-def too_short(energy: Array, parameter: str = TARGET.key) -> NDArray[np.bool_]:
-    """Return whether the decay is cut off too early to hold a decay time, (...)."""
-    return _decay_time(parameter).too_short(checked_decay(energy))
-
-
-def _decay_time(parameter: str) -> DecaySlope:
-    known = of_kind(DecaySlope)
-    if parameter not in known:
-        raise DataError(f'"{parameter}" is no decay time; known are {", ".join(known)}')
-    return known[parameter]
-
-
-def parameters(
-    energy: Array, bin_width: float, names: Sequence[str] | None = None
-) -> dict[str, Array]:
-    """Return room-acoustic parameters by name, each (...), in the units of `Measurement`.
-
-    By default all that a response holds without a calibrated source. NaN where the decay does not hold
-    the parameter; see `decay_time`.
     """
     if names is None:
         names = [key for key, o in OBSERVABLES.items() if o.minimum_range is not None]
@@ -128,24 +99,8 @@ def gradients(energy: Array, bin_width: float, parameters: Sequence[str]) -> Arr
     equal. A decay time jumps a little where a bin enters its range of levels; the derivative is that of
     the mean over the jumps.
 
-    Parameters
-    ----------
-    energy : array (..., n_bins)
-        Energy per bin, 0 or more; the first bin starts with the direct sound.
-    bin_width : float
-        s.
-    parameters : sequence of str
-        Keys of `rtcal.acoustics.observables.OBSERVABLES`.
-
-    Returns
-    -------
-    array (n_parameters, ..., n_bins)
-        In 1 or dB over the unit of ``energy``; NaN where the decay lacks the parameter.
-
-    Raises
-    ------
-    DataError
-        For an unknown parameter, energy that is negative or not finite, a width not above 0.
+    Parameters and errors are those of `parameters`. The unit is 1 or dB over that of ``energy``; NaN
+    where the decay lacks the parameter.
 
     Examples
     --------

@@ -15,8 +15,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rtcal.acoustics import decay
 from rtcal.acoustics.equations import Eyring
+from rtcal.acoustics.observables import TARGET
 from rtcal.simulators.base import check_alpha
 from rtcal.simulators.shoebox import ShoeboxSimulator
 from rtcal.support import checks
@@ -165,7 +165,7 @@ class ScatteringDelayNetwork(ShoeboxSimulator):
         duration = min(self._estimate(check_alpha(self, alpha)), self.longest)
         while True:
             energy = self._from_onset(self.impulse_responses(alpha, duration)) ** 2
-            if duration >= self.longest or not decay.too_short(energy).any():
+            if duration >= self.longest or not TARGET.too_short(energy).any():
                 return energy / (4 * np.pi), 1 / self.sampling_rate
             duration = min(1.6 * duration, self.longest)
 

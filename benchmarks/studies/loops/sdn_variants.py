@@ -19,8 +19,8 @@ from scipy.stats import ortho_group
 
 import rtcal as rt
 from benchmarks.studies.loops.sdn_over_absorption import ALPHAS, CENTRES, SIDES, box
-from rtcal.acoustics import decay
 from rtcal.acoustics.equations import PAPER_SPEED_OF_SOUND
+from rtcal.acoustics.observables import observable
 from rtcal.loop.calibrate import calibrate_simulator
 from rtcal.simulators.external import External
 from rtcal.simulators.sdn import _NEIGHBOUR, Network, ScatteringDelayNetwork, _network
@@ -216,7 +216,7 @@ def errors(variant: Variant) -> tuple[Array, float]:
                 energy[np.arange(energy.shape[1]) / RATE > wanted[:, np.newaxis]] = 0.0
             if not variant.from_emission:
                 energy = energy[:, network.direct_delay :]
-            times.append(decay.decay_time(energy[np.newaxis], 1 / RATE, variant.parameter)[0])
+            times.append(observable(variant.parameter).value(energy[np.newaxis], 1 / RATE)[0])
         return np.mean(times, axis=0)
 
     result = calibrate_simulator(
