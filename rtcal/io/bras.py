@@ -91,22 +91,23 @@ def _single_material(
             f"{path}, line {rows[-1][0]}: {len(rows)} rows; the rows are frequencies, "
             "absorption and, if known, scattering"
         )
-    places = [f"{path}, line {line}" for line, _ in rows]
-    values = [material_list.numbers(c, p) for (_, c), p in zip(rows, places, strict=True)]
-    for place, row, name in zip(places[1:], values[1:], ("alpha", "scattering"), strict=False):
-        if len(row) != len(values[0]):
-            raise DataError(f"{place}: {len(row)} values for {len(values[0])} frequencies")
-        material_list.coefficients(row, place, name=name)
-    scatters = len(rows) == 3
+    bands_of = _bands(rows[0][1], f"{path}, line {rows[0][0]}", "frequencies")
+    found = []
+    for (line, row), name in zip(rows[1:], ("alpha", "scattering"), strict=False):
+        place = f"{path}, line {line}"
+        found.append(material_list.coefficients(row, place, name=name))
+        if len(row) != len(bands_of):
+            raise DataError(f"{place}: {len(row)} values for {len(bands_of)} frequencies")
+    scattering, of_scattering = found[1] if len(found) > 1 else (None, ())
     return ListedMaterial(
         name=Path(path).stem,
         line=rows[1][0],
-        alpha=values[1],
-        centre_frequencies=_bands(rows[0][1], places[0], "frequencies"),
-        spans=material_list.spans(rows[1][1]),
+        alpha=found[0][0],
+        centre_frequencies=bands_of,
+        spans=found[0][1],
         decimals=DECIMALS,
-        scattering=values[2] if scatters else None,
-        scattering_spans=material_list.spans(rows[2][1]) if scatters else (),
+        scattering=scattering,
+        scattering_spans=of_scattering,
     )
 
 
@@ -127,14 +128,14 @@ def _table(
             raise DataError(f"{place}: {len(cells)} cells; the header has {len(header)}")
         if any(cells[names.index(c)][0] != v for c, v in where.items()):
             continue
-        row = [cells[i] for i in columns]
+        alpha, spans = material_list.coefficients([cells[i] for i in columns], place)
         materials.append(
             ListedMaterial(
                 name=cells[names.index("material")][0],
                 line=line,
-                alpha=material_list.coefficients(material_list.numbers(row, place), place),
+                alpha=alpha,
                 centre_frequencies=frequencies,
-                spans=material_list.spans(row),
+                spans=spans,
                 decimals=DECIMALS,
             )
         )

@@ -16,7 +16,9 @@ checked in the program.
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+
+import numpy as np
 
 from rtcal.acoustics import band_conversion
 from rtcal.acoustics.room import Room
@@ -39,41 +41,48 @@ _LIST = re.compile(r"<([^<>]*)>[ \t]*")
 _COLOUR = re.compile(r"\{[ \t]*\d{1,3}[ \t]+\d{1,3}[ \t]+\d{1,3}[ \t]*\}[ \t]*", re.ASCII)
 
 
+def _statements(characters: str, path: str) -> Iterator[tuple[int, int, re.Match[str]]]:
+    """Yield the line and the start of each ABS statement, and its keyword, name and value.
+
+    Raises DataError for a line that begins as one and is none.
+    """
+    for line, start, raw in lines(characters):
+        code = raw.split(";", 1)[0].rstrip()
+        match = _STATEMENT.fullmatch(code)
+        if match and (match[1] is not None or match[3].startswith("<")):
+            yield line, start, match
+        elif re.match(r"[ \t]*ABS1?(?![^\s=<>])", code, re.I):
+            raise DataError(
+                f'{path}, line {line}: "{shown(code)}" is no ABS statement: ABS name = <6 to 8 values>'
+            )
+
+
 def _with_own_values(listed: MaterialList, room: Room) -> MaterialList:
     """Return the list with values of its own for each alias whose coefficients the room has otherwise.
 
     ``ABS wallabs = plaster`` becomes plaster's own list of values, which is then changed.
     """
     aliases = {n: t for n, t in listed.aliases.items() if n in room.materials}
-    rows = {n: room.alpha[room.materials.index(n)] for n in room.materials}
-    scatters = {} if room.scattering is None else dict(zip(rows, room.scattering, strict=True))
-
-    def differs(name: str, target: str) -> bool:
-        others = [n for n in rows if n != name and target in (n, aliases.get(n))]
-        return any(
-            (table[n] != table[name]).any() for n in others for table in (rows, scatters) if table
-        )
-
-    own = {n for n, target in aliases.items() if differs(n, target)}
+    tables = [room.alpha] if room.scattering is None else [room.alpha, room.scattering]
+    rows = {n: np.hstack([t[i] for t in tables]) for i, n in enumerate(room.materials)}
+    own = {
+        n
+        for n, target in aliases.items()
+        for other, row in rows.items()
+        if target in (other, aliases.get(other)) and (row != rows[n]).any()
+    }
     if not own:
         return listed
-    statements = {}
-    for _, start, raw in lines(listed.text.characters):
-        code = raw.split(";", 1)[0].rstrip()
-        match = _STATEMENT.fullmatch(code)
-        if match and (match[1] is not None or match[3].startswith("<")):
-            statements[match[2]] = match, start
-    pieces, position, characters = [], 0, listed.text.characters
-    for name, (match, start) in statements.items():
-        if name not in own:
-            continue
-        of_target = statements[aliases[name]][0]
-        pieces += [
-            characters[position : start + match.start(1)],
-            f"{of_target[1] or 'ABS'} {name} = ",
-        ]
-        pieces.append(of_target[3])
-        position = start + match.end(3)
+    characters, pieces, position = listed.text.characters, list[str](), 0
+    statements = {match[2]: (start, match) for _, start, match in _statements(characters, "")}
+    for name, (start, match) in statements.items():
+        if name in own:
+            _, of_target = statements[aliases[name]]
+            pieces += [
+                characters[position : start + match.start(1)],
+                f"{of_target[1] or 'ABS'} {name} = {of_target[3]}",
+            ]
+            position = start + match.end(3)
     text = "".join([*pieces, characters[position:]])
     return parse(listed.text.encode(text), listed.path)
 
@@ -81,35 +90,26 @@ def _with_own_values(listed: MaterialList, room: Room) -> MaterialList:
 def parse(content: bytes, path: str = "CATT file") -> MaterialList:
     """Return the materials of a file's content; DataError names file, line and rule."""
     text = decode(content, path)
-    materials: list[ListedMaterial] = []
     aliases: dict[str, tuple[str, int]] = {}
-    for line, start, raw in lines(text.characters):
-        code = raw.split(";", 1)[0].rstrip()
-        match = _STATEMENT.fullmatch(code)
-        keyword, name, value = match.groups() if match else (None, "", "")
-        place = f"{path}, line {line}"
-        if keyword is None and re.match(r"[ \t]*ABS1?(?![^\s=<>])", code, re.I):
+    listed: list[ListedMaterial] = []
+    for line, start, match in _statements(text.characters, path):
+        place, (keyword, name, value) = f"{path}, line {line}", match.groups()
+        if value.startswith("<"):
+            fraction = keyword is not None and keyword.upper() == "ABS1"
+            listed.append(_material(name, value, start + match.start(3), fraction, place, line))
+        elif not re.fullmatch(_NAME, value):
             raise DataError(
-                f'{place}: "{shown(code)}" is no ABS statement: ABS name = <6 to 8 values>'
+                f'{place}: "{shown(value)}" is neither <6 to 8 values> nor another name'
             )
-        if match and (keyword is not None or value.startswith("<")):
-            if value.startswith("<"):
-                offset = start + match.start(3)
-                fraction = keyword is not None and keyword.upper() == "ABS1"
-                materials.append(_material(name, value, offset, fraction, place, line))
-            elif re.fullmatch(_NAME, value):
-                if name in aliases:
-                    raise DataError(f'{place}: "{name}" is given twice')
-                aliases[name] = (value, line)
-            else:
-                raise DataError(
-                    f'{place}: "{shown(value)}" is neither <6 to 8 values> nor another name'
-                )
-    names = {m.name for m in materials}
+        elif name in aliases:
+            raise DataError(f'{place}: "{name}" is given twice')
+        else:
+            aliases[name] = (value, line)
+    materials = {m.name: m for m in listed}
     for name, (target, line) in aliases.items():
-        if name in names:
+        if name in materials:
             raise DataError(f'{path}, line {line}: "{name}" is given twice')
-        if target not in names:
+        if target not in materials:
             raise DataError(
                 f'{path}, line {line}: "{target}", which "{name}" stands for, is no material of '
                 "the file with values of its own"
@@ -117,7 +117,7 @@ def parse(content: bytes, path: str = "CATT file") -> MaterialList:
     return MaterialList(
         path=path,
         text=text,
-        materials=tuple(materials),
+        materials=tuple(listed),
         aliases={name: target for name, (target, _) in aliases.items()},
         scattering_text=lambda numbers: f" L <{_in_groups(numbers)}>",
     )
@@ -131,10 +131,8 @@ def _material(
     if not match:
         raise DataError(f'{place}: "{shown(text)}" lacks the closing >')
     row = _row(match, offset, place)
-    values = material_list.numbers(row, place)
-    alpha = material_list.coefficients(values, place, unit)
-    at_most_one = not fraction and 0 < max(values) <= 1
-    tail, scattering, scattering_row = text[match.end() :], None, list[Token]()
+    alpha, spans = material_list.coefficients(row, place, unit)
+    tail, scattering, of_scattering = text[match.end() :], None, ()
     if tail[:1] in ("L", "l"):
         tail = tail[1:].lstrip(" \t")
         scattering_list = _LIST.match(tail)
@@ -147,22 +145,24 @@ def _material(
                 f"{place}: {len(row)} absorption and {len(scattering_row)} scattering values; "
                 "the numbers must be equal"
             )
-        scattering = material_list.coefficients(
-            material_list.numbers(scattering_row, place), place, unit, "scattering"
+        scattering, of_scattering = material_list.coefficients(
+            scattering_row, place, unit, "scattering"
         )
         tail = tail[scattering_list.end() :]
     if tail and not _COLOUR.fullmatch(tail):
         raise DataError(f'{place}: "{shown(tail)}" after the values is no colour {{r g b}}')
+    values = material_list.numbers(row, place)
+    at_most_one = not fraction and 0 < max(values) <= 1
     return ListedMaterial(
         name=name,
         line=line,
         alpha=alpha,
         centre_frequencies=BANDS[: len(row)],
-        spans=material_list.spans(row),
+        spans=spans,
         unit=unit,
         decimals=DECIMALS + 2 if fraction else DECIMALS,
         scattering=scattering,
-        scattering_spans=material_list.spans(scattering_row),
+        scattering_spans=of_scattering,
         scattering_place=offset + match.end(1) + 1,
         source=f"{place}: at most 1 %, since ABS is in percent" if at_most_one else "",
         doubt=_doubt(place, name, match[1], values) if at_most_one else "",
@@ -172,12 +172,11 @@ def _material(
 def _row(match: re.Match[str], offset: int, place: str, which: str = "") -> list[Token]:
     """Return the tokens of a list of 6 to 8 numbers, which begins ``offset`` characters after 0."""
     row = material_list.tokens(r"[^\s:]+|:", match[1], offset + match.start(1))
-    for i in [i for i, token in enumerate(row) if token[0] == ":"]:
-        if i != 6:
-            raise DataError(
-                f"{place}: the : stands after {i} values; it separates "
-                "the 6 octaves to 4 kHz from 8 and 16 kHz"
-            )
+    if wrong := [i for i, token in enumerate(row) if token[0] == ":" and i != 6]:
+        raise DataError(
+            f"{place}: the : stands after {wrong[0]} values; it separates the 6 octaves to 4 kHz from "
+            "8 and 16 kHz"
+        )
     row = [token for token in row if token[0] != ":"]
     material_list.numbers(row, place)
     if not 6 <= len(row) <= 8:

@@ -27,6 +27,11 @@ from rtcal.support.checks import text_name
 from rtcal.support.errors import DataError
 from rtcal.support.types import Array
 
+Span = tuple[int, int]
+"""The positions of the start and the end of a number in a file's text."""
+Token = tuple[str, int, int]
+"""The characters of a number or cell, and its span."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class SigmaRule:
@@ -290,10 +295,13 @@ class MaterialList:
                 aliases[name] = alike.pop()
         return replace(self, aliases=aliases)
 
+    def _common_bands(self, names: Iterable[str]) -> set[float]:
+        """Return the bands in Hz that all of these materials have."""
+        return set.intersection(*(set(self.listed(n).centre_frequencies) for n in names))
+
     def _in_file_bands(self, room: Room) -> Room:
         """Return the room itself, or the room in the file's bands if they are of another width."""
-        bands_of = {name: set(self.listed(name).centre_frequencies) for name in room.materials}
-        wanted = sorted(set.intersection(*bands_of.values()))
+        wanted = sorted(self._common_bands(room.materials))
         if not wanted or not band_conversion.rule(room.centre_frequencies, wanted, "alpha"):
             return room
         obtainable = band_conversion.obtainable(room.centre_frequencies, wanted)
@@ -323,7 +331,20 @@ class MaterialList:
             and for two aliases of one material with different coefficients.
         """
         room = self._in_file_bands(room)
-        change = _Change()
+        asked: dict[Span, tuple[float | str, str]] = {}
+        written: dict[Span, str] = {}
+
+        def put(span: Span, value: float | str, place: str, characters: str | None) -> None:
+            """Write characters for a value; DataError if another name of the material has another."""
+            before, first = asked.setdefault(span, (value, place))
+            if before != value:
+                raise DataError(
+                    f"{place} = {value}, but {first} is the same material and has {before}: give one "
+                    "of them an entry of its own in the program"
+                )
+            if characters is not None:
+                written[span] = characters
+
         alpha = np.array(room.alpha)
         scattering = None if room.scattering is None else np.array(room.scattering)
         lacking = []
@@ -347,75 +368,39 @@ class MaterialList:
                 spans_of, stated = material.scattering_spans, material.scattering
                 in_file.append(("scattering", scattering, spans_of, stated))
             elif at is not None and self.scattering_text and len(in_room) == len(columns):
-                written = [material.rounded(float(scattering[i, k])) for k in in_room]
-                inserted = self.scattering_text([characters for characters, _ in written])
-                change.insert(at, inserted, f'{self.path}: scattering["{name}"]')
-                scattering[i, in_room] = [value for _, value in written]
+                rounded = [material.rounded(float(scattering[i, k])) for k in in_room]
+                inserted = self.scattering_text([characters for characters, _ in rounded])
+                put((at, at), inserted, f'{self.path}: scattering["{name}"]', inserted)
+                scattering[i, in_room] = [value for _, value in rounded]
             else:
                 lacking.append(name)
             for quantity, table, spans_of, stated in in_file:
                 for k, span, before in zip(columns, spans_of, stated, strict=True):
-                    if k is not None:
-                        place = f"{self.path}: {room.place(quantity, i, k)}"
-                        table[i, k] = change.to(material, span, before, float(table[i, k]), place)
-        as_read = room.replace(alpha=alpha, scattering=None if lacking else scattering)
-        listed = [set(self.listed(name).centre_frequencies) for name in room.materials]
-        shared = [f for f in room.centre_frequencies if f in set.intersection(*listed)]
+                    if k is None:
+                        continue
+                    value = float(table[i, k])
+                    characters, as_read = material.rounded(value)
+                    same = before in (value, as_read)
+                    place = f"{self.path}: {room.place(quantity, i, k)}"
+                    put(span, value, place, None if same else characters)
+                    table[i, k] = before if same else as_read
+        room_as_read = room.replace(alpha=alpha, scattering=None if lacking else scattering)
+        common = self._common_bands(room.materials)
+        shared = [f for f in room.centre_frequencies if f in common]
         if not shared:
             raise DataError(f"{self.path}: its materials have none of the room's bands in common")
         if len(shared) < room.n_bands:
-            as_read = band_conversion.room(as_read, shared)
-        return self.text.encode(change.text(self.text.characters)), as_read, tuple(lacking)
+            room_as_read = band_conversion.room(room_as_read, shared)
+        pieces, position = [], 0
+        for (start, end), characters in sorted(written.items()):
+            pieces += [self.text.characters[position:start], characters]
+            position = end
+        changed = "".join([*pieces, self.text.characters[position:]])
+        return self.text.encode(changed), room_as_read, tuple(lacking)
 
 
 def _spelling(name: str) -> str:
     return "_".join(name.replace("_", " ").split())
-
-
-class _Change:
-    """The spans of a file's text that get other characters."""
-
-    def __init__(self) -> None:
-        self.texts: dict[tuple[int, int], str] = {}
-        self.written: dict[tuple[int, int], tuple[float | str, str]] = {}
-
-    def to(
-        self,
-        material: ListedMaterial,
-        span: tuple[int, int],
-        stated: float,
-        value: float,
-        place: str,
-    ) -> float:
-        """Write a number unless the one stated is the same when rounded; return what is then read."""
-        self._once(span, value, place)
-        text, read = material.rounded(value)
-        if stated in (value, read):
-            return stated
-        self.texts[span] = text
-        return read
-
-    def insert(self, at: int, text: str, place: str) -> None:
-        """Write numbers where the file has none."""
-        self._once((at, at), text, place)
-        self.texts[at, at] = text
-
-    def _once(self, span: tuple[int, int], value: float | str, place: str) -> None:
-        """Raise DataError if two names of one material ask for different values."""
-        before, first = self.written.setdefault(span, (value, place))
-        if before != value:
-            raise DataError(
-                f"{place} = {value}, but {first} is the same material and has "
-                f"{before}: give one of them an entry of its own in the program"
-            )
-
-    def text(self, characters: str) -> str:
-        """Return the file's text with all changes."""
-        pieces, position = [], 0
-        for (start, end), written in sorted(self.texts.items()):
-            pieces += [characters[position:start], written]
-            position = end
-        return "".join([*pieces, characters[position:]])
 
 
 def coefficient(value: float, unit: float) -> float:
@@ -424,10 +409,6 @@ def coefficient(value: float, unit: float) -> float:
     Percent are divided by 100, not multiplied by 0.01, so that 7 gives exactly the float 0.07.
     """
     return value / round(1 / unit) if unit < 1 else value
-
-
-Token = tuple[str, int, int]
-"""The characters of a number or cell, and the positions of its start and end in the text."""
 
 
 def tokens(pattern: str, text: str, start: int) -> list[Token]:
@@ -440,21 +421,21 @@ def numbers(row: Sequence[Token], place: str) -> tuple[float, ...]:
     return tuple(number(token, place) for token, _, _ in row)
 
 
-def spans(row: Sequence[Token]) -> tuple[tuple[int, int], ...]:
-    """Return the characters of the file's text that hold each number of a row."""
-    return tuple((start, end) for _, start, end in row)
-
-
 def coefficients(
-    values: Sequence[float], place: str, unit: float = 1.0, name: str = "alpha"
-) -> tuple[float, ...]:
-    """Return coefficients; DataError unless every number is from 0 to 1 (0 to 100 in percent)."""
+    row: Sequence[Token], place: str, unit: float = 1.0, name: str = "alpha"
+) -> tuple[tuple[float, ...], tuple[Span, ...]]:
+    """Return the coefficients of a row, and where the file's text has each.
+
+    Raises DataError unless every number is from 0 to 1 (0 to 100 in percent).
+    """
+    values = numbers(row, place)
     for value in values:
         if not 0 <= coefficient(value, unit) <= 1:
             hint = above_one_hint(coefficient(value, unit)) if name == "alpha" else ""
             instead = f"; in this list write {1 / unit:g}" if hint else ""
             raise DataError(f"{place}: {name} {value:g} is not in [0, {1 / unit:g}]{hint}{instead}")
-    return tuple(coefficient(value, unit) for value in values)
+    spans = tuple((start, end) for _, start, end in row)
+    return tuple(coefficient(value, unit) for value in values), spans
 
 
 MOST_NAMED = 5

@@ -81,12 +81,13 @@ def _material(head: re.Match[str], raw: str, start: int, place: str, line: int) 
     row = material_list.tokens(r"\S+", raw, start)
     if len(row) != len(BANDS):
         raise DataError(f"{place}: {len(row)} values; there are 8, for the octaves 63 Hz to 8 kHz")
+    alpha, spans = material_list.coefficients(row, place)
     return ListedMaterial(
         name=f"{int(head.group(1))} {head.group(2)}",
         line=line,
-        alpha=material_list.coefficients(material_list.numbers(row, place), place),
+        alpha=alpha,
         centre_frequencies=BANDS,
-        spans=material_list.spans(row),
+        spans=spans,
         decimals=DECIMALS,
     )
 

@@ -26,7 +26,7 @@ from typing import Any
 from rtcal.acoustics import bands
 from rtcal.acoustics.room import Room
 from rtcal.io import material_list
-from rtcal.io.material_list import Format, ListedMaterial, MaterialList
+from rtcal.io.material_list import Format, ListedMaterial, MaterialList, Token
 from rtcal.io.text import decode, line_of, shown
 from rtcal.support.errors import DataError
 
@@ -35,7 +35,7 @@ __dir__ = __all__.copy
 
 MAX_DEPTH = 32
 
-_TOKEN = re.compile(r'[ \t\r\n]*("(?:[^"\\]|\\.)*"|[{}\[\]:,]|[^\s{}\[\]:,"]+)', re.S)
+_LITERAL = re.compile(r'"(?:[^"\\]|\\.)*"|-?(?:Infinity|\d+(?:\.\d+)?(?:[eE][-+]?\d+)?)|NaN', re.S)
 Keys = tuple[str | int, ...]
 """The path to a value: keys of objects and indices of lists."""
 
@@ -67,56 +67,47 @@ def dictionaries(room: Room) -> dict[str, dict[str, Any]]:
 def parse(content: bytes, path: str = "JSON file") -> MaterialList:
     """Return the materials of a JSON file's content; DataError names the line and the rule."""
     text = decode(content, path)
-    lists: dict[Keys, list[material_list.Token]] = {}
-    for where, token, begin, end in _scalars(text.characters, path):
-        if (
-            len(where) > 1
-            and isinstance(where[-1], int)
-            and where[-2] in ("coeffs", "center_freqs")
-        ):
-            lists.setdefault(where[:-1], []).append((token, begin, end))
-    try:
-        json.loads(text.characters)
-    except (ValueError, RecursionError) as error:
-        line = getattr(error, "lineno", 1)
-        raise DataError(f"{path}, line {line}: not valid JSON: {error}") from error
-    materials, scattering = [], dict[str, ListedMaterial]()
-    for where, numbers in lists.items():
-        if where[-1] != "coeffs":
+    whole = _located(text.characters, path)
+    of_file = whole.get("center_freqs") if isinstance(whole, dict) else None
+    found: list[tuple[int, bool, ListedMaterial]] = []
+    for keys, entry in _objects(whole, (), path):
+        coefficients = entry.get("coeffs")
+        if not isinstance(coefficients, list) or not coefficients:
             continue
-        line = line_of(text.characters, numbers[0][1])
+        tokens = [_token(c, path, text.characters) for c in coefficients]
+        line = line_of(text.characters, tokens[0][1])
         place = f"{path}, line {line}"
-        of_scattering = where[0] == "scattering"
-        values = material_list.coefficients(
-            material_list.numbers(numbers, place),
-            place,
-            name="scattering" if of_scattering else "alpha",
+        of_scattering = keys[:1] == ("scattering",)
+        values, spans = material_list.coefficients(
+            tokens, place, name="scattering" if of_scattering else "alpha"
         )
-        beside = (*where[:-1], "center_freqs")
-        centres = lists.get(beside) or lists.get(("center_freqs",))
-        if centres is None:
+        centres = entry.get("center_freqs", of_file)
+        if not isinstance(centres, list) or not centres:
             raise DataError(f"{place}: these coefficients have no center_freqs")
         frequencies = bands.as_bands(
-            material_list.numbers(centres, place), f"{place}: center_freqs"
+            material_list.numbers([_token(c, path, text.characters) for c in centres], place),
+            f"{place}: center_freqs",
         )
-        if len(values) != len(frequencies) and not (
-            beside not in lists and len(values) < len(frequencies)
-        ):
+        # In pyroomacoustics, a shorter list begins at the lowest band of its data base.
+        shorter = "center_freqs" not in entry and len(values) < len(frequencies)
+        if len(values) != len(frequencies) and not shorter:
             raise DataError(
                 f"{place}: {len(values)} coefficients for {len(frequencies)} center_freqs"
             )
         listed = ListedMaterial(
-            name=str(where[-2]) if len(where) > 1 else "material",
+            name=str(keys[-1]) if keys else "material",
             line=line,
             alpha=values,
-            # In pyroomacoustics, a shorter list begins at the lowest band of its data base.
             centre_frequencies=tuple(float(f) for f in frequencies[: len(values)]),
-            spans=material_list.spans(numbers),
+            spans=spans,
         )
+        found.append((tokens[0][1], of_scattering, listed))
+    found.sort(key=lambda one: one[0])
+    scattering: dict[str, ListedMaterial] = {}
+    for _, of_scattering, listed in found:
         if of_scattering:
             scattering.setdefault(listed.name, listed)
-        else:
-            materials.append(listed)
+    materials = [listed for _, of_scattering, listed in found if not of_scattering]
     return MaterialList(
         path=path,
         text=text,
@@ -131,56 +122,58 @@ def _with_scattering(material: ListedMaterial, scattering: ListedMaterial | None
     return replace(material, scattering=scattering.alpha, scattering_spans=scattering.spans)
 
 
-def _scalars(text: str, path: str) -> Iterator[tuple[Keys, str, int, int]]:
-    """Yield each value that is no object or list: its keys, its characters, its start and end."""
-    keys: list[str | int] = []
-    seen: list[set[str]] = []
-    expect_key = False
-    position, end = 0, len(text.rstrip(" \t\r\n"))
-    while position < end:
-        match = _TOKEN.match(text, position)
-        if match is None:
-            raise DataError(f"{path}, line {line_of(text, position)}: not valid JSON")
-        token, begin = match.group(1), match.start(1)
-        position = match.end()
-        if token in "{[":
-            keys.append("" if token == "{" else 0)
-            seen.append(set())
-            expect_key = token == "{"
-            if len(keys) > MAX_DEPTH:
-                raise DataError(
-                    f"{path}, line {line_of(text, begin)}: nested deeper than {MAX_DEPTH} levels"
-                )
-        elif token in "}]":
-            if not keys:
-                raise DataError(f"{path}, line {line_of(text, begin)}: {token} closes nothing")
-            keys.pop()
-            seen.pop()
-            expect_key = False
-        elif token == ",":
-            if keys and isinstance(keys[-1], int):
-                keys[-1] += 1
-            expect_key = bool(keys) and isinstance(keys[-1], str)
-        elif token == ":":
-            expect_key = False
-        elif expect_key and token.startswith('"'):
-            key = _key(token, f"{path}, line {line_of(text, begin)}")
-            if key in seen[-1]:
-                raise DataError(
-                    f'{path}, line {line_of(text, begin)}: the key "{shown(token[1:-1])}" is given '
-                    "twice"
-                )
-            seen[-1].add(key)
-            keys[-1] = key
-        else:
-            yield tuple(keys), token, begin, match.end(1)
+def _located(text: str, path: str) -> Any:
+    """Return what a JSON text holds; its numbers are tokens, with their place in the text.
 
+    json asks for a number's value in the order of the text, in which the pattern finds them, too.
+    """
+    numbers = (m for m in _LITERAL.finditer(text) if not m[0].startswith('"'))
+    last = 0
 
-def _key(token: str, place: str) -> str:
+    def token(characters: str) -> Token:
+        nonlocal last
+        match = next(numbers)
+        last = match.start()
+        return characters, match.start(), match.end()
+
+    def once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+        entries = dict(pairs)
+        if len(entries) < len(pairs):
+            twice = next(k for i, (k, _) in enumerate(pairs) if k in dict(pairs[:i]))
+            line = line_of(text, last)
+            raise DataError(f'{path}, line {line}: the key "{shown(twice)}" is given twice')
+        return entries
+
     try:
-        return str(json.loads(token))
-    except ValueError as error:
-        raise DataError(f'{place}: "{shown(token)}" is not a JSON string') from error
+        return json.loads(
+            text, parse_float=token, parse_int=token, parse_constant=token, object_pairs_hook=once
+        )
+    except RecursionError as error:
+        raise DataError(f"{path}, line 1: nested deeper than {MAX_DEPTH} levels") from error
+    except (ValueError, StopIteration) as error:
+        line = getattr(error, "lineno", 1)
+        raise DataError(f"{path}, line {line}: not valid JSON: {error}") from error
+
+
+def _token(value: Any, path: str, text: str) -> Token:
+    """Return the token of a number; DataError for another value."""
+    if not isinstance(value, tuple):
+        first = text.find(json.dumps(value))
+        line = line_of(text, max(first, 0))
+        raise DataError(f"{path}, line {line}: {shown(json.dumps(value))!r} is not a finite number")
+    return value
+
+
+def _objects(value: Any, keys: Keys, path: str) -> Iterator[tuple[Keys, dict[str, Any]]]:
+    """Yield each object with its path."""
+    if len(keys) > MAX_DEPTH:
+        raise DataError(f"{path}, line 1: nested deeper than {MAX_DEPTH} levels")
+    if isinstance(value, dict):
+        yield keys, value
+    entries = value.items() if isinstance(value, dict) else enumerate(value)
+    for key, entry in entries:
+        if isinstance(entry, (dict, list)):
+            yield from _objects(entry, (*keys, key), path)
 
 
 def _new(room: Room) -> bytes:
