@@ -19,6 +19,7 @@ from hypothesis import strategies as st
 import rtcal as rt
 from rtcal.finder import Case
 from rtcal.io import bras, catt, impulse_responses, obj, odeon, pyroomacoustics, tables
+from rtcal.io.material_formats import read_sigma
 from rtcal.io.material_list import MaterialList
 from rtcal.io.text import number
 from rtcal.loop import Loop
@@ -119,7 +120,7 @@ READERS: dict[str, Reader] = {
     "pyroomacoustics": Reader(pyroomacoustics.read, ".json", PRA, material_list_holds),
     "bras": Reader(bras.read, ".csv", BRAS, material_list_holds),
     "obj": Reader(obj.read, ".obj", OBJ),
-    "sigma": Reader(bras.read_sigma, ".csv", SIGMA),
+    "sigma": Reader(read_sigma, ".csv", SIGMA),
     "tables": Reader(tables.read, ".csv", TABLES, table_holds),
     "room": Reader(rt.Room.from_file, ".toml", ROOM, native.room_holds),
     "measurement": Reader(rt.Measurement.from_file, ".csv", MEASURED, native.measurement_holds),

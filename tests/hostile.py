@@ -39,6 +39,7 @@ from rtcal.finder import (
     verify,
 )
 from rtcal.finder.search import find
+from rtcal.io.material_list import Format
 from rtcal.loop.state import start
 from rtcal.simulators.external import EquationSimulator
 from rtcal.simulators.geometry import SHOEBOX_WALLS, Polyhedron
@@ -111,6 +112,8 @@ def public(name: str, thing: Any) -> Iterator[tuple[str, Any]]:
                 yield f"{name}.{n}", member
     elif inspect.isfunction(thing) and thing.__module__.startswith("rtcal"):
         yield name, thing
+    elif isinstance(thing, Format):
+        yield f"{name}.parse", thing.parse
 
 
 def instances(folder: Path, *, searched: bool = True) -> tuple[dict[str, Any], dict[str, Any]]:

@@ -11,6 +11,7 @@ import pytest
 
 import rtcal as rt
 from rtcal.io import bras, catt, odeon, pyroomacoustics
+from rtcal.io.material_formats import dictionaries
 from rtcal.support.errors import DataError
 from tests import fuzz
 
@@ -295,7 +296,7 @@ def test_an_exported_entry_is_a_material_of_pyroomacoustics(tmp_path: Path) -> N
 def test_pyroomacoustics_takes_the_dictionaries() -> None:
     library = pytest.importorskip("pyroomacoustics")
     room = octave_room()
-    for i, arguments in enumerate(pyroomacoustics.dictionaries(room).values()):
+    for i, arguments in enumerate(dictionaries(room).values()):
         material = library.Material(**arguments)
         assert material.absorption_coeffs == room.alpha[i].tolist()
         assert material.scattering_coeffs == room.scattering[i].tolist()  # type: ignore[index]

@@ -269,11 +269,10 @@ def export(
 
     Example: rtcal export catt calibrated/room.toml hall.geo
     """
-    from importlib import import_module
-
+    from rtcal import io
     from rtcal.acoustics.room import Room
 
-    module = import_module(f"rtcal.io.{program}")
+    module = getattr(io, program)
     options: dict[str, Any] = {"template": template, "decimals": decimals}
     if program in ("catt", "odeon"):
         options["missing_bands"] = missing_bands

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Sequence
 from dataclasses import asdict
-from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -184,7 +183,7 @@ def import_room(
     \b
     Example: rtcal import check hall.glb --picture hall.png
     """  # noqa: D301 (click's mark for lines that are not to be wrapped)
-    from rtcal.io.bras import read_sigma
+    from rtcal.io.material_formats import read_sigma
     from rtcal.io.material_list import SigmaRule
 
     options = {"unit": unit, "space": space, "weld": weld, "largest_hole": hole}
@@ -404,7 +403,9 @@ def _materials(program: str, path: str | None) -> MaterialList:
         return catalogue.material_list()
     if path is None:
         raise DataError(f"a file of materials for {program} is missing")
-    listed: MaterialList = import_module(f"rtcal.io.{program}").read(path)
+    from rtcal import io
+
+    listed: MaterialList = getattr(io, program).read(path)
     return listed
 
 
