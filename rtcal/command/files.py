@@ -116,7 +116,7 @@ def measure(
     nothing = all(np.isnan(v).all() for v in analysis.measurement.values.values())
     if nothing and out is not None:
         raise DataError(
-            f"{out}: not written, since no parameter could be determined. {analysis.missing[0]}. "
+            f"{out}: not written, since no parameter could be determined. {analysis.missing[0]} "
             "Without --out, all reasons are printed"
         )
     if nothing and not is_quiet():

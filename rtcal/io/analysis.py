@@ -45,43 +45,17 @@ def with_uncertainty(measurement: Measurement) -> Measurement:
 
 
 class Floor(Enum):
-    """Ends of the range of levels of a decay: the reason for a missing value, and its sentence.
+    """What ends the range of levels of a decay, as a sentence with a place for the range in dB."""
 
-    The reason is of one value, or of all where the sentence has no place for the range in dB.
-    """
-
-    NOISE = "between sound and noise (ISO 3382)", "It is {} dB."
-    CUT = (
-        "between the sound and the end of the response, which is cut off before the noise",
-        "It is {} dB at the end of the response, which is cut off before the noise.",
-    )
-    END = (
-        "between the sound and the end of the response, be it noise or a cut decay",
-        "It is {} dB at the end of the response, be it noise or a cut decay.",
-    )
-    FLAT = (
-        "no decay of 10 dB stands out of the end of the response, be it noise or a cut decay",
-        "No decay of 10 dB stands out of the end of the response, be it noise or a cut decay.",
-    )
-    SHORT = (
-        "no decay: the response is silent or shorter than 50 ms",
-        "The response is silent or shorter than 50 ms.",
-    )
+    NOISE = "It is {} dB."
+    CUT = "It is {} dB at the end of the response, which is cut off before the noise."
+    END = "It is {} dB at the end of the response, be it noise or a cut decay."
+    FLAT = "No decay of 10 dB stands out of the end of the response, be it noise or a cut decay."
+    SHORT = "The response is silent or shorter than 50 ms."
     LATE = (
-        "no decay: the energy arrives late, as in a recording of a sweep, of interrupted noise or of "
-        "two sounds",
-        "The energy arrives late: it is no decay.",
+        "The energy arrives late, as in a recording of a sweep, of interrupted noise or of two sounds: "
+        "it is no decay."
     )
-
-    @property
-    def reason(self) -> str:
-        """The reason for one missing value, after what the parameter needs."""
-        return self.value[0]
-
-    @property
-    def sentence(self) -> str:
-        """A sentence on some responses, with a place for their range in dB."""
-        return self.value[1]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -97,8 +71,6 @@ class Analysis:
         What ends each decay's range.
     minimum_range : mapping of str to float
         Impulse-to-noise ratio in dB that each parameter needed.
-    missing : tuple of str
-        The reason for each missing value. The printed text has them by band.
     notes : tuple of str
         Doubts about the other values.
     """
@@ -107,31 +79,27 @@ class Analysis:
     impulse_to_noise_ratio: Array
     floors: tuple[tuple[Floor, ...], ...]
     minimum_range: Mapping[str, float]
-    missing: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
 
     def __str__(self) -> str:
         """Return the means by band, what is missing by band, and the notes."""
         lines = means(self.measurement)
-        if self.missing:
-            lines += ["", *text.wrapped(self._rule)]
-            for sentence in self._missing_by_band():
+        if missing := self.missing:
+            needed: dict[float, list[str]] = {}
+            for name in self.measurement.values:
+                needed.setdefault(self.minimum_range[name], []).append(parameter_label(name))
+            parts = [f"{ratio:g} dB for {', '.join(names)}" for ratio, names in needed.items()]
+            rule = "Missing values. Impulse-to-noise ratio needed (ISO 3382)"
+            lines += ["", *text.wrapped(f"{rule}: {'; '.join(parts)}.")]
+            for sentence in missing:
                 lines += text.wrapped(sentence, indent="  ")
         for note in self.notes:
             lines += text.wrapped(f"note: {note}")
         return "\n".join(lines)
 
     @property
-    def _rule(self) -> str:
-        """The impulse-to-noise ratio that each parameter needs, as a sentence."""
-        needed: dict[float, list[str]] = {}
-        for parameter in self.measurement.values:
-            needed.setdefault(self.minimum_range[parameter], []).append(parameter_label(parameter))
-        parts = [f"{ratio:g} dB for {', '.join(names)}" for ratio, names in needed.items()]
-        return f"Missing values. Impulse-to-noise ratio needed (ISO 3382): {'; '.join(parts)}."
-
-    def _missing_by_band(self) -> list[str]:
-        """Return a sentence per band: how many pairs lack which parameter, and their noise."""
+    def missing(self) -> tuple[str, ...]:
+        """A sentence per band: how many pairs lack which parameter, their range in dB, what ends it."""
         sentences, n = [], len(self.measurement.pairs)
         for k, frequency in enumerate(self.measurement.centre_frequencies):
             lacking: dict[tuple[int, ...], list[str]] = {}
@@ -139,15 +107,22 @@ class Analysis:
                 rows = tuple(np.flatnonzero(np.isnan(values[:, k])).tolist())
                 if rows:
                     lacking.setdefault(rows, []).append(parameter_label(parameter))
-            if not lacking:
-                continue
             where = "; ".join(
                 ", ".join(names) + (f" in {self._pairs(rows)}" if n > 1 else "")
                 for rows, names in sorted(lacking.items(), key=lambda item: -len(item[0]))
             )
-            some = sorted({i for rows in lacking for i in rows})
-            sentences.append(f"{bands.label(frequency)}: no {where}. {self._range(k, some)}")
-        return sentences
+            of_floor: dict[Floor, list[int]] = {}
+            for i in sorted({i for rows in lacking for i in rows}):
+                of_floor.setdefault(self.floors[i][k], []).append(i)
+            ranges = []
+            for floor, some in of_floor.items():
+                sentence = floor.value.format(spread(self.impulse_to_noise_ratio[some, k], ".1f"))
+                ranges.append(
+                    sentence if len(of_floor) == 1 else f"In {self._pairs(some)}: {sentence}"
+                )
+            if where:
+                sentences.append(f"{bands.label(frequency)}: no {where}. {' '.join(ranges)}")
+        return tuple(sentences)
 
     def _pairs(self, rows: Sequence[int]) -> str:
         """Return how many pairs these are, and which, up to `MOST_NAMED`."""
@@ -156,19 +131,6 @@ class Analysis:
             return f"{n} of {n} pairs"
         named = [" to ".join(self.measurement.pairs[i]) for i in rows]
         return f"{len(rows)} of {n} pairs ({text.first_of(named, MOST_NAMED)})"
-
-    def _range(self, band: int, rows: Sequence[int]) -> str:
-        """Return the range of levels of a band at some pairs, and what ends it."""
-        of_floor: dict[Floor, list[int]] = {}
-        for i in rows:
-            of_floor.setdefault(self.floors[i][band], []).append(i)
-        parts = []
-        for floor, some in of_floor.items():
-            ratios = self.impulse_to_noise_ratio[some, band]
-            sentence = floor.sentence.format(spread(ratios, ".1f"))
-            where = "" if len(of_floor) == 1 else f"In {self._pairs(some)}: "
-            parts.append(where + sentence)
-        return " ".join(parts)
 
 
 def means(measurement: Measurement) -> list[str]:

@@ -53,7 +53,6 @@ from rtcal.acoustics.observables import (
     TARGET,
     DecaySlope,
     of_kind,
-    parameter_label,
 )
 from rtcal.io import sofa, sound
 from rtcal.io.analysis import MOST_NAMED, Analysis, Floor, spread
@@ -265,7 +264,7 @@ def _analysis(
     values = {p: np.full(shape, np.nan) for p in MINIMUM_RANGE}
     ratios = np.full(shape, np.nan)
     floors = np.full(shape, Floor.NOISE, dtype=object)
-    missing, clipped, late, bare = list[str](), list[str](), list[str](), list[str]()
+    clipped, late, bare = list[str](), list[str](), list[str]()
     silences: dict[tuple[str, str], float] = {}
     short: dict[float, list[float]] = {}
     for i, (pair, response) in enumerate(responses.items()):
@@ -292,8 +291,6 @@ def _analysis(
         elif 2 * len(told) < len(found):
             bare.append(f"{response.place} ({len(found) - len(told)} of {len(found)} bands)")
         for k, (centre, of_band) in enumerate(zip(centres, found, strict=True)):
-            place = f"{', '.join(pair)}, {_bands.label(centre)}"
-            missing += [f"{place}: {reason}" for reason in of_band.reasons(needed)]
             for parameter, value in of_band.values.items():
                 values[parameter][i, k] = value
             ratios[i, k], floors[i, k] = of_band.ratio, of_band.floor
@@ -313,8 +310,9 @@ def _analysis(
         )
     if late:
         notes.append(
-            f"{Floor.LATE.reason}: {first_of(late, MOST_NAMED)}. Nothing of it is evaluated; an "
-            "impulse response is needed"
+            "no decay: the energy arrives late, as in a recording of a sweep, of interrupted noise or "
+            f"of two sounds: {first_of(late, MOST_NAMED)}. Nothing of it is evaluated; an impulse "
+            "response is needed"
         )
     if clipped:
         notes.append(
@@ -345,7 +343,6 @@ def _analysis(
         impulse_to_noise_ratio=np.array([ratios[rows, bands_of] for rows in least]),
         floors=tuple(tuple(floors[rows, bands_of]) for rows in least),
         minimum_range=needed,
-        missing=tuple(missing),
         notes=tuple(notes),
     )
 
@@ -362,8 +359,8 @@ def of_energy(
     centre_frequency: float | None = None,
     early: float = 0.0,
     early_samples: int = 0,
-) -> tuple[dict[str, float], float, tuple[str, ...]]:
-    """Return parameters, the INR in dB and the reasons for what is missing, of one squared response.
+) -> tuple[dict[str, float], float, Floor]:
+    """Return the parameters, the INR in dB and what ends the range of levels, of one squared response.
 
     ``energy``, (n_samples,), begins with the direct sound. ``early`` is the energy that the filter has
     moved before it, over ``early_samples``; it counts as early sound.
@@ -382,7 +379,7 @@ def of_energy(
     of_band = _parameters(
         energy, sampling_rate, needed, centre_frequency, bandwidth, early, early_samples
     )
-    return of_band.values, of_band.ratio, of_band.reasons(needed)
+    return of_band.values, of_band.ratio, of_band.floor
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -405,17 +402,6 @@ class _Parameters:
     floor: Floor
     values: dict[str, float] = field(default_factory=dict)
     late: bool = False
-
-    def reasons(self, needed: Mapping[str, float]) -> tuple[str, ...]:
-        """Return the reason for each missing value; one for all where no parameter is there."""
-        if not np.isfinite(self.ratio) or self.floor is Floor.LATE:
-            return (self.floor.reason,)
-        return tuple(
-            f"{parameter_label(p)} needs {needed[p]:g} dB {self.floor.reason}; there are "
-            f"{self.ratio:.1f} dB"
-            for p in MINIMUM_RANGE
-            if p not in self.values
-        )
 
 
 def _parameters(
