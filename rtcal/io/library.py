@@ -21,7 +21,7 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from rtcal.acoustics import bands
@@ -86,7 +86,6 @@ _PER_OBJECT = re.compile(
     re.I,
 )
 _PERCENT = re.compile(_PERCENT_WORD, re.I)
-_IS_PERCENT = re.compile(_PERCENT_WORD, re.I)
 _IS_FRACTION = re.compile(
     r"[-\u2013\u2014]|1|fraction|dimensionless|dimensionslos|sans dimension", re.I
 )
@@ -178,8 +177,7 @@ def _materials(file: Path) -> Iterator[ListedMaterial]:
     if workbook.claims(content):
         sheets = workbook.sheets(content, os.fspath(file), {})
     else:
-        text = decode(content, os.fspath(file))
-        sheets = [sheet_of_text(text, os.fspath(file))]
+        sheets = [sheet_of_text(decode(content, os.fspath(file)), os.fspath(file))]
     found = False
     for sheet in sheets:
         for material in _of_sheet(sheet, file.stem if len(sheets) == 1 else sheet.name):
@@ -192,25 +190,74 @@ def _materials(file: Path) -> Iterator[ListedMaterial]:
         )
 
 
+@dataclass(frozen=True, kw_only=True)
+class _Product:
+    """The cells of one row or column that has coefficients.
+
+    ``name``, its ``line``, the cells by band in Hz (``values``), the texts that state its own unit
+    (``units``), and what else is said of it (``stated``).
+    """
+
+    name: str
+    line: int
+    values: Mapping[float, str]
+    units: Sequence[str]
+    stated: Sequence[str]
+
+
+@dataclass
+class _Products:
+    """The products of a sheet, with the names of its columns and the texts above them."""
+
+    place: str
+    header: Sequence[str]
+    titles: Sequence[str]
+    products: list[_Product] = field(default_factory=list)
+    left_out: list[str] = field(default_factory=list)
+    """The names of rows and columns of no product."""
+
+    def add(
+        self,
+        name: str,
+        line: int,
+        cells: Mapping[float, str],
+        units: Iterable[str],
+        stated: Sequence[str] = (),
+    ) -> None:
+        """Add a product by its cells of every band; those that are missing are noted."""
+        values = {f: cell for f, cell in cells.items() if not is_missing(cell)}
+        lacking = [bands.label(f) for f in cells if f not in values]
+        notes = [f"no coefficient at {', '.join(lacking)}"] if lacking else []
+        self.products.append(
+            _Product(
+                name=name,
+                line=line,
+                values=values,
+                units=[*filter(None, units)],
+                stated=[*self.titles, *stated, *notes],
+            )
+        )
+
+
 def _of_sheet(sheet: Sheet, otherwise: str) -> Iterator[ListedMaterial]:
     """Yield the materials of a sheet; ``otherwise`` is the name of one that has none."""
-    for at, (_, cells) in enumerate(sheet.rows):
+    width = max(len(cells) for _, cells in sheet.rows)
+    rows = [(line, cells + [""] * (width - len(cells))) for line, cells in sheet.rows]
+    for at, (line, cells) in enumerate(rows):
         at_bands = {k: f for k, c in enumerate(cells) if (f := _band(c)) is not None}
         if len(at_bands) >= _LEAST_BANDS and list(at_bands.values()) == sorted(at_bands.values()):
-            _refuse_repeated_band(
-                f"{sheet.place}, line {sheet.rows[at][0]}",
-                [(f"column {k + 1}", f) for k, f in at_bands.items()],
-            )
-            products, left_out = _across(sheet, at, at_bands, otherwise)
+            stated = [(f"column {k + 1}", f) for k, f in at_bands.items()]
+            _refuse_repeated_band(f"{sheet.place}, line {line}", stated)
+            found = _across(sheet.place, rows, at, at_bands)
             break
     else:
-        products, left_out = _down(sheet, otherwise)
-    in_percent = [_stated_unit(p, sheet.place)[0] == "%" for p in products]
-    in_percent += [any("%" in cell for cell in p.values.values()) for p in products]
-    materials = [
-        _material(sheet.place, product, left_out, beside_percent=any(in_percent))
-        for product in products
-    ]
+        found = _down(sheet.place, rows, otherwise)
+    _keep_coefficients(found, otherwise)
+    in_percent = any(
+        _stated_unit(p, found)[0] == "%" or any("%" in cell for cell in p.values.values())
+        for p in found.products
+    )
+    materials = [_material(product, found, beside_percent=in_percent) for product in found.products]
     doubts = [material.doubt for material in materials if material.doubt]
     if doubts and len(doubts) == len(materials):
         raise DataError(doubts[0])
@@ -221,12 +268,11 @@ def _refuse_repeated_band(place: str, stated: Sequence[tuple[str, float]]) -> No
     """Raise DataError if two columns or lines are of one band."""
     first: dict[float, str] = {}
     for where, frequency in stated:
-        if frequency in first:
+        if first.setdefault(frequency, where) != where:
             raise DataError(
                 f"{place}: {first[frequency]} and {where} are both {bands.label(frequency)}; "
                 "a band has one coefficient per product"
             )
-        first[frequency] = where
 
 
 def _band(cell: str, factor: float = 1.0) -> float | None:
@@ -238,82 +284,49 @@ def _band(cell: str, factor: float = 1.0) -> float | None:
     return nearest_band(value) if value is not None and value >= LEAST_BAND else None
 
 
-@dataclass(frozen=True, kw_only=True)
-class _Product:
-    """The cells of one row or column that has coefficients.
-
-    ``name``, its ``line``, the cells by band in Hz (``values``), what else its row says (``stated``),
-    and the texts that state its own unit (``units``).
-    """
-
-    name: str
-    line: int
-    values: Mapping[float, str]
-    stated: Sequence[str]
-    units: Sequence[str]
-    titles: Sequence[str]
-    headers: Sequence[str]
+def _filled(cells: Sequence[str], columns: Iterable[int]) -> list[str]:
+    return [cells[k] for k in columns if cells[k]]
 
 
-def _across(
-    sheet: Sheet, at: int, at_bands: dict[int, float], otherwise: str
-) -> tuple[list[_Product], list[str]]:
-    """Return the products of a table of bands across, and the names of rows that are left out."""
-    header = sheet.rows[at][1]
-    texts = [k for k in range(len(header)) if k not in at_bands]
+def _across(place: str, rows: list[Row], at: int, at_bands: dict[int, float]) -> _Products:
+    """Return the products of a table of bands across, whose header is row ``at``."""
+    line, header = rows[at]
+    end = max(k for k, name in enumerate(header) if name) + 1
+    texts = [k for k in range(end) if k not in at_bands]
     names = [k for k in texts if _NAMES.fullmatch(header[k])] or texts[:1]
     if not names:
-        raise DataError(
-            f"{sheet.place}, line {sheet.rows[at][0]}: no column has the product's name"
-        )
-    above = [i for i in range(at) if _are_units(sheet.rows[i][1], at_bands)]
-    for line, cells in (row for i, row in enumerate(sheet.rows[:at]) if i not in above):
-        repeated = {cells[k] for k in at_bands if k < len(cells)}
+        raise DataError(f"{place}, line {line}: no column has the product's name")
+    units, others = [], []
+    for n, cells in rows[:at]:
+        if _are_units(cells, at_bands):
+            units.append(cells)
+            continue
+        others.append((n, cells))
+        repeated = {cells[k] for k in at_bands}
         if len(repeated) == 1 and any(repeated):
             raise DataError(
-                f'{sheet.place}, line {line}: "{shown(repeated.pop())}" is no known unit; '
-                "they are % and -"
+                f'{place}, line {n}: "{shown(repeated.pop())}" is no known unit; they are % and -'
             )
-    titles = _titles([row for i, row in enumerate(sheet.rows[:at]) if i not in above])
-    _refuse_objects(sheet, [*header, *titles])
-    units = [sheet.rows[i][1] for i in above]
-    below = list(sheet.rows[at + 1 :])
+    found = _Products(place, header, _titles(others))
+    _refuse_objects(place, [*header, *found.titles])
+    below = rows[at + 1 :]
     while below and _are_units(below[0][1], at_bands):
         units.append(below.pop(0)[1])
-    of_bands = [row[k] for row in units for k in at_bands if k < len(row) and row[k]]
-    of_bands += [header[k] for k in at_bands]
-    products, left_out = [], []
+    of_bands = [unit for row in [*units, header] for unit in _filled(row, at_bands)]
     for line, cells in below:
-        name = cells[names[0]] if len(cells) > names[0] else ""
-        values = {
-            f: cells[k] for k, f in at_bands.items() if k < len(cells) and not is_missing(cells[k])
-        }
-        if not values:
+        values = {f: cells[k] for k, f in at_bands.items()}
+        if all(map(is_missing, values.values())):
             continue
-        if not name:
-            raise DataError(f"{sheet.place}, line {line}: coefficients without a product's name")
-        others = [
-            (header[k], cells[k]) for k in texts if k != names[0] and k < len(cells) and cells[k]
-        ]
-        if any(_is_quantity(h) and _role(c) in ("time", "uncertainty") for h, c in others):
-            left_out.append(f"{name}, {next(c for h, c in others if _is_quantity(h))}")
+        if not (name := cells[names[0]]):
+            raise DataError(f"{place}, line {line}: coefficients without a product's name")
+        stated = [(header[k], cells[k]) for k in texts if k != names[0] and cells[k]]
+        quantities = [cell for h, cell in stated if _is_quantity(h)]
+        if any(_role(cell) in ("time", "uncertainty") for cell in quantities):
+            found.left_out.append(f"{name}, {quantities[0]}")
             continue
-        stated = [f"{h}: {c}" for h, c in others]
-        stated += _lacking(at_bands.values(), values)
-        own = [c for h, c in others if _is_quantity(h) or _PER_OBJECT.search(_ends(c))]
-        products.append(
-            _Product(
-                name=name,
-                line=line,
-                values=values,
-                stated=[*titles, *stated],
-                units=[name, *own, *of_bands],
-                titles=titles,
-                headers=header,
-            )
-        )
-    chosen, unused = _with_coefficients(sheet.place, products, otherwise)
-    return chosen, [*left_out, *unused]
+        own = [c for h, c in stated if _is_quantity(h) or _PER_OBJECT.search(_ends(c))]
+        found.add(name, line, values, [name, *own, *of_bands], [f"{h}: {c}" for h, c in stated])
+    return found
 
 
 def _is_quantity(header: str) -> bool:
@@ -324,7 +337,7 @@ def _is_quantity(header: str) -> bool:
 
 def _are_units(cells: Sequence[str], columns: Iterable[int]) -> bool:
     """Return whether a row states the units of some columns, and nothing else of them."""
-    of_columns = [cells[k] for k in columns if k < len(cells) and cells[k]]
+    of_columns = _filled(cells, columns)
     if not of_columns or any(_unit(cell) is None for cell in of_columns):
         return False
     if all(cell.isdecimal() for cell in of_columns):
@@ -334,142 +347,99 @@ def _are_units(cells: Sequence[str], columns: Iterable[int]) -> bool:
     return not (named and all(map(is_missing, of_columns)))
 
 
-def _down(sheet: Sheet, otherwise: str) -> tuple[list[_Product], list[str]]:
-    """Return the products of a table of bands down, and the names of columns that are left out."""
+def _down(place: str, rows: list[Row], otherwise: str) -> _Products:
+    """Return the products of a table of bands down."""
     in_khz = any(
         name_and_unit(c[0])[1].lower() == "khz" or c[0].strip(" []()").lower() == "khz"
-        for _, c in sheet.rows
-        if c and c[0] and frequency_of(c[0]) is None
+        for _, c in rows
+        if c[0] and frequency_of(c[0]) is None
     )
     factor = 1000.0 if in_khz else 1.0
-    rows = [(i, f) for i, (_, c) in enumerate(sheet.rows) if (f := _band(c[0], factor)) is not None]
-    if len(rows) < _LEAST_BANDS:
-        return [], []
-    _refuse_repeated_band(sheet.place, [(f"line {sheet.rows[i][0]}", f) for i, f in rows])
-    first = rows[0][0]
-    width = max(len(sheet.rows[i][1]) for i, _ in rows)
-    columns = [
-        k
-        for k in range(1, width)
-        if any(len(sheet.rows[i][1]) > k and sheet.rows[i][1][k] for i, _ in rows)
-    ]
+    at_bands = {i: f for i, (_, c) in enumerate(rows) if (f := _band(c[0], factor)) is not None}
+    if len(at_bands) < _LEAST_BANDS:
+        return _Products(place, [], [])
+    _refuse_repeated_band(place, [(f"line {rows[i][0]}", f) for i, f in at_bands.items()])
+    first = min(at_bands)
+    columns = [k for k in range(1, len(rows[0][1])) if any(rows[i][1][k] for i in at_bands)]
     unit_rows, header_row = [], -1
     for i in range(first - 1, -1, -1):
-        cells = sheet.rows[i][1]
+        cells = rows[i][1]
         if not any(cells[1:]):
             continue
-        plain_units = _are_units(cells, columns) and not all(
-            _COEFFICIENT.fullmatch(c) or not c for c in cells[1:]
-        )
-        named = header_row >= 0 or _is_header(sheet, i - 1, columns)
-        if plain_units or (_are_units(cells, columns) and named):
+        are_units = _are_units(cells, columns)
+        of_symbols = all(_COEFFICIENT.fullmatch(c) or not c for c in cells[1:])
+        named = header_row >= 0 or (i > 0 and _is_header(rows[i - 1][1], columns))
+        if are_units and (named or not of_symbols):
             unit_rows.append(i)
-        elif header_row < 0 and _is_header(sheet, i, columns):
+        elif header_row < 0 and _is_header(cells, columns):
             header_row = i
         else:
-            _refuse_second_header(sheet, i, columns)
+            _refuse_second_header(f"{place}, line {rows[i][0]}", cells, columns)
     if header_row < 0 and unit_rows and len(columns) == 1:
         header_row = unit_rows.pop(0)  # as in "Frequency;αs (%)"
-    header = sheet.rows[header_row][1] if header_row >= 0 else []
-    titles = _titles(
-        [row for i, row in enumerate(sheet.rows[:first]) if i != header_row and i not in unit_rows]
-    )
-    _refuse_objects(sheet, titles)
-    left_out = _not_of_bands(sheet, rows, columns, factor)
-    unit_columns = [
-        k for k in columns if k < len(header) and COLUMNS.get(plain(header[k])) == "unit"
-    ]
-    stated_units = dict.fromkeys(
-        sheet.rows[i][1][k] for k in unit_columns for i, _ in rows if len(sheet.rows[i][1]) > k
-    )
-    columns = [k for k in columns if k not in unit_columns]
-    products = []
+    header = rows[header_row][1] if header_row >= 0 else [""] * len(rows[0][1])
+    others = [rows[i] for i in range(first) if i != header_row and i not in unit_rows]
+    found = _Products(place, header if header_row >= 0 else [], _titles(others))
+    _refuse_objects(place, found.titles)
+    found.left_out += _not_of_bands(place, rows, at_bands, columns, "kHz" if in_khz else "Hz")
+    of_units = [k for k in columns if COLUMNS.get(plain(header[k])) == "unit"]
+    stated_units = dict.fromkeys(rows[i][1][k] for k in of_units for i in at_bands)
+    columns = [k for k in columns if k not in of_units]
     for k in columns:
-        name = header[k] if len(header) > k else ""
+        name = header[k]
         if len(columns) == 1 and _role(name) in ("", "coefficient", "statistic"):
-            units = [name]
             name = otherwise
-        else:
-            units = [name]
         if not name or (len(columns) > 1 and _unit(name) and not _role(name)):
-            place = f"{sheet.place}, line {sheet.rows[max(first - 1, 0)][0]}"
-            raise DataError(f"{place}: column {k + 1} has no product's name")
-        values = {
-            f: sheet.rows[i][1][k]
-            for i, f in rows
-            if len(sheet.rows[i][1]) > k and not is_missing(sheet.rows[i][1][k])
-        }
-        if not values:
-            left_out.append(name)
+            line = rows[max(first - 1, 0)][0]
+            raise DataError(f"{place}, line {line}: column {k + 1} has no product's name")
+        values = {f: rows[i][1][k] for i, f in at_bands.items()}
+        if all(map(is_missing, values.values())):
+            found.left_out.append(name)
             continue
-        units += [
-            sheet.rows[i][1][k]
-            for i in unit_rows
-            if len(sheet.rows[i][1]) > k and sheet.rows[i][1][k]
-        ]
-        products.append(
-            _Product(
-                name=name,
-                line=sheet.rows[first][0],
-                values=values,
-                stated=[*titles, *_lacking((f for _, f in rows), values)],
-                units=[*units, *filter(None, stated_units)],
-                titles=titles,
-                headers=header,
-            )
-        )
-    chosen, unused = _with_coefficients(sheet.place, products, otherwise)
-    return chosen, [*left_out, *unused]
+        units = [header[k], *(rows[i][1][k] for i in unit_rows), *stated_units]
+        found.add(name, rows[first][0], values, units)
+    return found
 
 
-def _is_header(sheet: Sheet, at: int, columns: Sequence[int]) -> bool:
+def _is_header(cells: Sequence[str], columns: Sequence[int]) -> bool:
     """Return whether a row names all columns: its first cell is empty or says that bands are below."""
-    if at < 0:
-        return False
-    cells = sheet.rows[at][1]
     name = name_and_unit(cells[0])[0]
     of_bands = not cells[0] or COLUMNS.get(plain(name)) == "band" or _NAMES.fullmatch(name)
-    return bool(of_bands) and any(k < len(cells) and cells[k] for k in columns)
+    return bool(of_bands and _filled(cells, columns))
 
 
-def _refuse_second_header(sheet: Sheet, at: int, columns: Sequence[int]) -> None:
+def _refuse_second_header(place: str, cells: Sequence[str], columns: Sequence[int]) -> None:
     """Raise DataError for a row of names above a header: one of both may state units."""
-    line, cells = sheet.rows[at]
-    of_columns = [cells[k] for k in columns if k < len(cells) and cells[k]]
+    of_columns = _filled(cells, columns)
     of_bands = cells[0] and (COLUMNS.get(plain(cells[0])) == "band" or _unit(cells[0]) == "other")
     if len(of_columns) == len(columns) and (of_bands or (not cells[0] and len(columns) > 1)):
         raise DataError(
-            f'{sheet.place}, line {line}: "{shown(of_columns[0])}" stands in a second row of '
-            "names; keep one, with units such as % or - in a row below it"
+            f'{place}: "{shown(of_columns[0])}" stands in a second row of names; keep one, with units '
+            "such as % or - in a row below it"
         )
 
 
 def _not_of_bands(
-    sheet: Sheet, rows: Sequence[tuple[int, float]], columns: Sequence[int], factor: float
+    place: str, rows: list[Row], at_bands: Mapping[int, float], columns: Sequence[int], unit: str
 ) -> list[str]:
     """Return the names of rows below the first band that are of none.
 
     Raises DataError for a band that is typed wrong.
     """
     left_out = []
-    bands_at = {i for i, _ in rows}
-    for i, (line, cells) in enumerate(sheet.rows):
-        if i in bands_at or not any(k < len(cells) and cells[k] for k in columns):
+    for i, (line, cells) in enumerate(rows):
+        of_columns, digits = _filled(cells, columns), cells[0][:1].isdecimal()
+        if i in at_bands or not of_columns:
             continue
-        if i < rows[0][0] and not (
-            cells[0][:1].isdecimal()
-            and all(_IS_NUMBER.fullmatch(cells[k]) for k in columns if k < len(cells))
-        ):
+        if i < min(at_bands) and not (digits and all(map(_IS_NUMBER.fullmatch, of_columns))):
             continue
-        if not cells[0] or cells[0][0].isdecimal():
-            said = (
-                f'"{shown(cells[0])}" is no band'
-                if cells[0]
-                else "no band stands before the values"
+        if digits or not cells[0]:
+            wrong = (
+                f'"{shown(cells[0])}" is no band' if digits else "no band stands before the values"
             )
             raise DataError(
-                f"{sheet.place}, line {line}: {said}: write the centre frequency of an octave or a "
-                f"third in {'kHz' if factor > 1 else 'Hz'}, or delete the row"
+                f"{place}, line {line}: {wrong}: write the centre frequency of an octave or a third in "
+                f"{unit}, or delete the row"
             )
         left_out.append(cells[0])
     return left_out
@@ -505,35 +475,28 @@ def _without_unit(name: str) -> str:
     return _UNIT_BEHIND.sub("", name).strip()
 
 
-def _with_coefficients(
-    place: str, products: Sequence[_Product], otherwise: str
-) -> tuple[list[_Product], list[str]]:
-    """Return the products alone, and the names of what stands beside them.
+def _keep_coefficients(found: _Products, otherwise: str) -> None:
+    """Keep the products alone; what stands beside them is left out.
 
     Raises DataError where it is open which rows or columns are coefficients.
     """
+    place, products = found.place, found.products
     roles = [_role(p.name) for p in products]
-    names = [_product_of(p.name) for p in products]
     for i, product in enumerate(products):  # as in "carpet αs", "carpet U", "carpet T1"
-        for other in names:
-            rest = product.name.replace(other, "", 1).strip(" _,:-") if other else ""
-            if (
-                not roles[i]
-                and rest != product.name
-                and _role(rest) in ("time", "uncertainty", "statistic")
-            ):
-                roles[i] = "uncertainty"
+        for other in filter(None, (_product_of(p.name) for p in products)):
+            rest = product.name.replace(other, "", 1).strip(" _,:-")
+            beside = rest != product.name and _role(rest) in ("time", "uncertainty", "statistic")
+            roles[i] = roles[i] or ("uncertainty" if beside else "")
     if "coefficient" not in roles:
         roles = ["coefficient" if r == "practical" else r for r in roles]
     of = {role: [p for p, r in zip(products, roles, strict=True) if r == role] for role in roles}
     named, coefficients = of.get("", []), of.get("coefficient", [])
     others = [p for p, r in zip(products, roles, strict=True) if r not in ("", "coefficient")]
     if coefficients:
-        if (
-            others
-            and named
-            and all(_SYMBOL.fullmatch(p.name) or _WITH_OTHER_UNIT.fullmatch(p.name) for p in named)
-        ):
+        symbols = [
+            p for p in named if _SYMBOL.fullmatch(p.name) or _WITH_OTHER_UNIT.fullmatch(p.name)
+        ]
+        if others and named and len(symbols) == len(named):
             others, named = [*named, *others], []
         if named or len(coefficients) > 1:
             which = coefficients[0].name if named else coefficients[1].name
@@ -542,22 +505,21 @@ def _with_coefficients(
                 "product; write the product's name instead"
             )
         only = coefficients[0]
-        return [replace(only, name=otherwise, units=[*only.units, only.name])], [
-            p.name for p in others
-        ]
-    if times := of.get("time", []):
+        named = [replace(only, name=otherwise, units=[*only.units, only.name])]
+    elif times := of.get("time", []):
         raise DataError(
             f'{place}, line {times[0].line}: "{shown(times[0].name)}" is called as a reverberation '
             "time is, and no coefficient; delete it, or name the product otherwise"
         )
-    if not named and (of.get("uncertainty") or len(others) > 1):
+    elif not named and (of.get("uncertainty") or len(others) > 1):
         raise DataError(
             f'{place}, line {others[0].line}: "{shown(others[0].name)}" is no product, and nothing '
             'beside it is a coefficient; name one, as "alpha_s" or by its product'
         )
-    if not named:
-        return [replace(p, name=otherwise) for p in others], []
-    return named, [p.name for p in others]
+    elif not named:
+        named, others = [replace(p, name=otherwise) for p in others], []
+    found.products = named
+    found.left_out += [p.name for p in others]
 
 
 def _product_of(name: str) -> str:
@@ -581,7 +543,7 @@ def _unit(cell: str) -> str | None:
         only = only[len(base) :]
     only = re.sub(r"^(in|en)\s+", "", only.strip().strip("[](){}/, "), flags=re.I)
     for unit, pattern in (
-        ("%", _IS_PERCENT),
+        ("%", _PERCENT),
         ("-", _IS_FRACTION),
         ("m²", _IS_AREA),
         ("other", _IS_OTHER),
@@ -591,11 +553,11 @@ def _unit(cell: str) -> str | None:
     return "" if not only and cell.strip() else None
 
 
-def _refuse_objects(sheet: Sheet, texts: Sequence[str]) -> None:
+def _refuse_objects(place: str, texts: Sequence[str]) -> None:
     """Raise DataError for absorption areas in m² of objects (ISO 354, Sect. 8.1.3)."""
     for text in map(_ends, texts):
         if _PER_OBJECT.search(text) or _AREAS_OF_COEFFICIENTS.search(text):
-            raise DataError(f'{sheet.place}: "{shown(text)}" names {_ARE_AREAS}')
+            raise DataError(f'{place}: "{shown(text)}" names {_ARE_AREAS}')
 
 
 _ARE_AREAS = (
@@ -604,76 +566,62 @@ _ARE_AREAS = (
 )
 
 
-def _stated_unit(product: _Product, place: str) -> tuple[str, str]:
+def _stated_unit(product: _Product, beside: _Products) -> tuple[str, str]:
     """Return the unit of a product's numbers, "%" or "-", and why they are none; empty if not stated.
 
     Raises DataError for two units that contradict each other.
     """
+    place = f"{beside.place}, line {product.line}: {shown(product.name)}"
     found: dict[str, str] = {}
     for text in map(_ends, product.units):
-        unit = _unit(text)
-        if unit is None or unit == "":
-            unit = "%" if _OF_COLUMN.search(text) else "m²" if _names_area(text) else ""
+        unit = _unit(text) or ""
+        if not unit:
             behind = _BEHIND.search(text)
-            if not unit and behind and _unit(behind[1]) in ("-", "other") and behind[1] != "1":
-                unit = _unit(behind[1]) or ""
-            unit = "other" if _TIMES_100.search(text) else unit
+            of_text = _unit(behind[1]) if behind and behind[1] != "1" else ""
+            if _TIMES_100.search(text):
+                unit = "other"
+            elif _OF_COLUMN.search(text):
+                unit = "%"
+            elif _PER_OBJECT.search(text) or _AREAS_OF_COLUMN.fullmatch(text):
+                unit = "m²"
+            elif of_text in ("-", "other"):
+                unit = of_text
         if unit:
             found.setdefault(unit, text)
     if area := found.get("m²"):
         return "", f'{place}: "{shown(area)}" names {_ARE_AREAS}'
-    other = found.get("other") or next(filter(_TIMES_100.search, map(_ends, product.titles)), "")
-    if other:
+    titles = [*map(_ends, beside.titles)]
+    of_texts = [*map(_ends, beside.header), *titles]
+    if other := found.get("other") or next(filter(_TIMES_100.search, titles), ""):
         return "", f'{place}: "{shown(other)}" is no unit of coefficients; they have % or none'
-    of_texts = [*map(_ends, product.headers), *map(_ends, product.titles)]
-    of_table = any(map(_OF_COEFFICIENTS.search, of_texts)) or any(
-        _unit(t) == "%" for t in product.titles
-    )
+    of_table = any(map(_OF_COEFFICIENTS.search, of_texts)) or "%" in map(_unit, beside.titles)
     if "-" in found and ("%" in found or of_table):
-        with_percent = found.get("%") or next(t for t in of_texts if _PERCENT.search(t))
+        with_percent = found.get("%") or next(filter(_PERCENT.search, of_texts))
         raise DataError(
             f'{place}: the unit is "{shown(found["-"])}" and also "{shown(with_percent)}"; state one'
         )
     return "%" if "%" in found or of_table else "-" if "-" in found else "", ""
 
 
-def _names_area(text: str) -> bool:
-    return bool(_PER_OBJECT.search(text) or _AREAS_OF_COLUMN.fullmatch(text))
-
-
 def _titles(rows: Sequence[Row]) -> list[str]:
     return [" ".join(filter(None, cells)) for _, cells in rows]
 
 
-def _lacking(of_table: Iterable[float], values: dict[float, str]) -> list[str]:
-    """Return the note of a product that has no coefficient in some bands of its table."""
-    lacking = [bands.label(f) for f in of_table if f not in values]
-    return [f"no coefficient at {', '.join(lacking)}"] if lacking else []
-
-
-def _first_percent(texts: Sequence[str]) -> str:
-    return next(filter(_PERCENT.search, texts), "")
-
-
-def _material(
-    of_sheet: str, product: _Product, left_out: Sequence[str], *, beside_percent: bool
-) -> ListedMaterial:
+def _material(product: _Product, beside: _Products, *, beside_percent: bool) -> ListedMaterial:
     """Return a product as a material; it has a doubt if its numbers are no coefficients."""
-    place = f"{of_sheet}, line {product.line}"
-    unit, doubt = _stated_unit(product, f"{place}: {shown(product.name)}")
-    percent, values = unit == "%", product.values
-    of_cells = ["%" in cell for cell in values.values()]
-    if any(of_cells) and not all(of_cells) and not percent:
+    place = f"{beside.place}, line {product.line}"
+    unit, doubt = _stated_unit(product, beside)
+    of_cells = ["%" in cell for cell in product.values.values()]
+    if any(of_cells) and not all(of_cells) and unit != "%":
         raise DataError(
             f'{place}: "{shown(product.name)}" has cells with % and others without; write it '
             "in all or in none"
         )
-    elsewhere = "" if percent else _first_percent([*product.headers, *product.titles])
     alpha, above = [], []
-    for frequency, cell in values.items():
+    for frequency, cell in product.values.items():
         where = f"{place}: {shown(product.name)} at {bands.label(frequency)}"
         text = cell.rstrip("% ")
-        scale = 0.01 if percent or cell != text else 1.0
+        scale = 0.01 if unit == "%" or cell != text else 1.0
         value = scale * number(text.replace(",", ".") if text.count(",") == 1 else text, where)
         if not 0 <= value <= LARGEST and not doubt:
             raise DataError(
@@ -689,18 +637,19 @@ def _material(
             above.append(f"{value:.2f} at {bands.label(frequency)}")
         alpha.append(min(value, 1.0))
     source = "; ".join([place, *filter(None, product.stated)])
-    if elsewhere and unit != "-" and not all(of_cells):
+    elsewhere = next(filter(_PERCENT.search, [*beside.header, *beside.titles]), "")
+    if elsewhere and not unit and not all(of_cells):
         source += f'; taken as fractions: "{shown(elsewhere, 60)}" is no unit of the coefficients'
     if above:
         source += f"; above 1 (edge effect), taken as 1: {', '.join(above)}"
-    if left_out:
-        named = first_of([f'"{shown(n)}"' for n in dict.fromkeys(left_out)], _MOST_LEFT_OUT)
-        source += f"; left out: {named}"
+    if beside.left_out:
+        named = [f'"{shown(n)}"' for n in dict.fromkeys(beside.left_out)]
+        source += f"; left out: {first_of(named, _MOST_LEFT_OUT)}"
     return ListedMaterial(
         name=product.name,
         line=product.line,
         alpha=tuple(alpha),
-        centre_frequencies=tuple(values),
+        centre_frequencies=tuple(product.values),
         spans=(),
         source=" ".join(source.split())[:1000],
         doubt=doubt,

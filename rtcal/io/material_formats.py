@@ -63,6 +63,7 @@ from rtcal.io.material_list import (
     Format,
     ListedMaterial,
     MaterialList,
+    Span,
     Token,
     coefficients,
     numbers,
@@ -153,7 +154,7 @@ def _of_statement(match: re.Match[str], start: int, line: int, place: str) -> Li
         raise DataError(f'{place}: "{shown(value)}" lacks the closing >')
     row = _list_of_octaves(of_alpha, offset, place)
     alpha, spans = coefficients(row, place, unit)
-    end, scattering, scattering_spans = of_alpha.end(), None, ()
+    end, scattering, scattering_spans = of_alpha.end(), None, tuple[Span, ...]()
     if letter := _SCATTERING.match(value, end):
         of_scattering = _LIST.match(value, letter.end())
         if not of_scattering:
@@ -436,7 +437,7 @@ def _located(text: str, path: str) -> Any:
 def _token(value: Any, path: str, text: str) -> Token:
     """Return the token of a number; DataError for another value."""
     if isinstance(value, tuple):
-        return value  # type: ignore[return-value]
+        return value
     written = json.dumps(value)
     line = line_of(text, max(text.find(written), 0))
     raise DataError(f'{path}, line {line}: "{shown(written)}" is not a finite number')
@@ -529,13 +530,13 @@ def _parse_bras(
             numbers(row, place)
             raise DataError(f"{place}: {len(row)} values for {len(frequencies)} frequencies")
         found.append(coefficients(row, place, name=name))
-    (alpha, spans), (scattering, scattering_spans) = (*found, (None, ()))[:2]
+    scattering, scattering_spans = found[1] if len(found) > 1 else (None, ())
     material = ListedMaterial(
         name=Path(path).stem,
         line=rows[1][1],
-        alpha=alpha,
+        alpha=found[0][0],
         centre_frequencies=frequencies,
-        spans=spans,
+        spans=found[0][1],
         decimals=_DECIMALS["bras"],
         scattering=scattering,
         scattering_spans=scattering_spans,

@@ -81,7 +81,7 @@ class Sheet:
 
 
 @dataclass(frozen=True)
-class Table:
+class CellTable:
     """A table of a sheet, divided into columns and rows.
 
     Parameters
@@ -189,7 +189,7 @@ def _rows(characters: str, separator: str, path: str) -> list[Row]:
 
 def tables_of(
     sheet: Sheet, *, decay_time: str | None, extra_columns: Collection[str] = ()
-) -> list[Table]:
+) -> list[CellTable]:
     """Return the tables of a sheet: one, or several below each other.
 
     They are several if each names its parameter in its header's corner, or if the header is repeated.
@@ -316,7 +316,9 @@ def _is_corner(cells: list[str], extra: Collection[str]) -> bool:
     return not any(c is None or c.wrong for c in columns) and _has_corner([c for c in columns if c])
 
 
-def _table(sheet: Sheet, rows: list[Row], decay_time: str | None, extra: Collection[str]) -> Table:
+def _table(
+    sheet: Sheet, rows: list[Row], decay_time: str | None, extra: Collection[str]
+) -> CellTable:
     """Return a table, with its header and what stands before it."""
     at, notes = _header(rows, extra)[0], [sheet.note]
     line, header = rows[at]
@@ -345,7 +347,7 @@ def _table(sheet: Sheet, rows: list[Row], decay_time: str | None, extra: Collect
         body = body[: -len(below)]
         first = next(filter(None, below[0][1]))
         notes.append(f'from line {below[0][0]} on it is no table: "{shown(first, 60)}"; left out')
-    return Table(
+    return CellTable(
         sheet=sheet,
         columns=tuple(columns),
         line=line,

@@ -65,8 +65,8 @@ from rtcal.io.table_columns import (
     wrong_unit,
 )
 from rtcal.io.table_layout import (
+    CellTable,
     Sheet,
-    Table,
     has_header,
     open_decay_time,
     sheet_of_text,
@@ -231,7 +231,7 @@ def parse(
     if not contents:
         raise DataError("no table is given")
     options = _Options(**stated)
-    found: list[Table] = []
+    found: list[CellTable] = []
     notes: list[str] = []
     for path, content in contents.items():
         checks.content(checks.text("content: a name", path), content)
@@ -269,7 +269,7 @@ def write(measurement: Measurement, path: str | os.PathLike[str]) -> None:
         measurement.save(os.fspath(path))
 
 
-def _tables(content: bytes, path: str, options: _Options) -> tuple[list[Table], list[str]]:
+def _tables(content: bytes, path: str, options: _Options) -> tuple[list[CellTable], list[str]]:
     """Return the tables of a file that are to be read, and a note on sheets that are left out.
 
     An error of a sheet names those that are tables.
@@ -294,7 +294,7 @@ def _tables(content: bytes, path: str, options: _Options) -> tuple[list[Table], 
     chosen = [s for s in of_file if s.name in options.sheets]
     if not options.sheets:
         chosen = [s for s in of_file if len(of_file) == 1 or has_header(s)] or of_file
-    tables: list[Table] = []
+    tables: list[CellTable] = []
     errors = []
     for sheet in chosen:
         try:
@@ -311,7 +311,7 @@ def _tables(content: bytes, path: str, options: _Options) -> tuple[list[Table], 
     return tables, [f"left out, without a header: {', '.join(left_out)}"]
 
 
-def _of_places(found: list[Table]) -> tuple[list[Table], list[str]]:
+def _of_places(found: list[CellTable]) -> tuple[list[CellTable], list[str]]:
     """Return the tables without those called after a statistic beside others of a position each."""
     named = [(table, table.sheet.position[1] or table.sheet.name) for table in found]
     kept = [table for table, name in named if statistic_of(name) is None]
@@ -328,7 +328,7 @@ def _of_places(found: list[Table]) -> tuple[list[Table], list[str]]:
     return kept, [f"tables of means and deviations beside single positions are left out: {which}"]
 
 
-def _check_options(found: Sequence[Table], options: _Options) -> None:
+def _check_options(found: Sequence[CellTable], options: _Options) -> None:
     """Raise DataError for an option that changes nothing in any table.
 
     That is a parameter where the tables name those of all values, a column to ignore that is not there,
@@ -359,7 +359,7 @@ def _check_options(found: Sequence[Table], options: _Options) -> None:
         )
 
 
-def _names_parameters(table: Table) -> bool:
+def _names_parameters(table: CellTable) -> bool:
     """Return whether a table names the parameters of all its values."""
     rows_name = any(c.kind == "parameter" for c in table.columns)
     return rows_name or all(c.parameter for c in table.columns if c.has_values)
@@ -376,13 +376,13 @@ def _named(text: str) -> Column | None:
     return column if alone else None
 
 
-def _titles(table: Table) -> list[tuple[Column, str]]:
+def _titles(table: CellTable) -> list[tuple[Column, str]]:
     """Return the parameters that a table is called after, and these names."""
     texts = (table.sheet.name, *table.titles)
     return [(column, text) for text in texts if (column := _named(text)) is not None]
 
 
-def _parameter(table: Table, options: _Options) -> Column | None:
+def _parameter(table: CellTable, options: _Options) -> Column | None:
     """Return the parameter of a table's values that name none.
 
     It is stated, or named by the sheet, by a title or by the rows that ``where`` selects; DataError
@@ -417,7 +417,7 @@ def _parameter(table: Table, options: _Options) -> Column | None:
     return named[0][0] if len({column.parameter for column, _ in named}) == 1 else None
 
 
-def _named_by_rows(table: Table, options: _Options) -> list[tuple[Column, str]]:
+def _named_by_rows(table: CellTable, options: _Options) -> list[tuple[Column, str]]:
     """Return the parameters that the entries of ``where`` are, and how each was stated.
 
     An entry is one only if its column has several parameters, or nothing else: a room may be called
@@ -474,7 +474,7 @@ class _Reader:
     or positions name several channels, each a receiver.
     """
 
-    def __init__(self, table: Table, options: _Options, several_channels: bool) -> None:
+    def __init__(self, table: CellTable, options: _Options, several_channels: bool) -> None:
         self.table, self.options = table, options
         self.path, self.columns = table.sheet.place, table.columns
         self.parameter = _parameter(table, options)
