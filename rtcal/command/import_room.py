@@ -5,7 +5,7 @@ The mesh is checked, read, mended, drawn, and written beside the room.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -202,10 +202,14 @@ def import_room(
     volume, surfaces = _volume_and_surfaces(model, as_drawn, volume, areas, listed.names)
     used = list(dict.fromkeys(surface.material for surface in surfaces))
     chosen = texts("--catalogue", in_catalogue, "NAME=ENTRY")
+    renamed = texts("--as", entries, "MATERIAL=ENTRY")
+    if both := [name for name in renamed if name in chosen]:
+        raise DataError(f'"{both[0]}" is stated by --as and by --catalogue; state one of them')
     place = "--area" if mesh is None else mesh
-    renamed = _chosen_names(listed, entries, used, chosen, place)
+    own = _entries("--as", listed, renamed, used, place)
     listed = listed.with_spellings(used)
-    others = renamed | _from_catalogue(listed, renamed, program, used, chosen, place)
+    others = own | _entries("--catalogue", _catalogue() if chosen else listed, chosen, used, place)
+    _require_all(listed, others, program, used, place)
     rule = SigmaRule(
         relative=sigma_relative,
         minimum=sigma_minimum,
@@ -232,7 +236,7 @@ def import_room(
         room, of_mesh = _with_uncertainty(room, model)
     room.save(out)
     in_use = {listed.listed(name).name for name in used if name not in others}
-    in_use |= {material.name for material in renamed.values()}
+    in_use |= {material.name for material in own.values()}
     unused = [] if program == "catalogue" else [n for n in listed.names if n not in in_use]
     notes = _notes(
         room, rule, sigma, {n: (others.get(n) or listed.listed(n)).scattering for n in used}
@@ -396,17 +400,21 @@ def _with_uncertainty(room: Room, model: Mended) -> tuple[Room, list[str]]:
 
 def _materials(program: str, path: str | None) -> MaterialList:
     if program == "catalogue":
-        from rtcal.datasets import catalogue
-
         if path is not None:
             raise DataError(f"{path}: import catalogue takes no file of materials")
-        return catalogue.material_list()
+        return _catalogue()
     if path is None:
         raise DataError(f"a file of materials for {program} is missing")
     from rtcal import io
 
     listed: MaterialList = getattr(io, program).read(path)
     return listed
+
+
+def _catalogue() -> MaterialList:
+    from rtcal.datasets import catalogue
+
+    return catalogue.material_list()
 
 
 def _centre_frequencies(
@@ -436,82 +444,51 @@ def _air(temperature: float | None, humidity: float | None) -> Air | None:
     return Air(**{"temperature": 20, "humidity": 50} | known) if known else None
 
 
-def _chosen_names(
-    listed: MaterialList,
-    entries: Sequence[str],
-    used: Sequence[str],
-    chosen: dict[str, str],
-    place: str,
+def _entries(
+    option: str, listed: MaterialList, stated: dict[str, str], used: Sequence[str], place: str
 ) -> dict[str, ListedMaterial]:
-    """Return the list's materials by the room's names, as --as states; DataError for unknown names."""
-    renamed = texts("--as", entries, "MATERIAL=ENTRY")
-    _refuse_unused("--as", renamed, used, place)
-    found = {}
-    for name, entry in renamed.items():
-        if name in chosen:
-            raise DataError(f'"{name}" is stated by --as and by --catalogue; state one of them')
-        try:
-            found[name] = listed.listed(entry)
-        except DataError as error:
-            raise DataError(f'--as "{name}={entry}": {shortened(str(error), 300)}') from error
-    return found
+    """Return a list's materials by the room's names, as an option states; DataError for unknown names.
 
+    ``place`` is where the room names its materials, ``used``.
+    """
+    from rtcal.datasets import catalogue
 
-def _refuse_unused(option: str, named: Iterable[str], used: Sequence[str], place: str) -> None:
-    """Raise DataError if an option names a material that the room has not."""
-    if unknown := [name for name in named if name not in used]:
+    if unknown := [name for name in stated if name not in used]:
         raise DataError(
             f'{option}: "{unknown[0]}" is no material of the room; {place} has '
             f"{shortened(', '.join(used), 200)}"
         )
+    found = {}
+    for name, entry in stated.items():
+        try:
+            found[name] = listed.listed(entry)
+        except DataError as error:
+            why = shortened(str(error), 300)
+            if option == "--catalogue":
+                near = "; ".join(catalogue.nearest(entry)) or "none of its entries"
+                why = f'"{entry}" is no material of the catalogue; it is like {near}'
+            raise DataError(f'{option} "{name}={entry}": {why}') from error
+    return found
 
 
-def _from_catalogue(
-    listed: MaterialList,
-    renamed: Collection[str],
-    program: str,
-    used: Sequence[str],
-    chosen: dict[str, str],
-    place: str,
-) -> dict[str, ListedMaterial]:
-    """Return the room's materials from the catalogue.
-
-    Raises DataError, with proposals, for materials that are in neither the list nor the options;
-    ``place`` is where the room names its materials.
-    """
-    _refuse_unused("--catalogue", chosen, used, place)
-    in_catalogue = _chosen_entries(chosen)
-    found = {*listed.names, *listed.aliases, *renamed, *chosen}
-    if missing := [n for n in used if n not in found]:
-        proposals = _all_proposals(missing, listed, program)
-        options = " ".join(f'--catalogue "{name}=ENTRY"' for name in missing[:_DESCRIBED])
-        if len(missing) > _DESCRIBED:
-            options += f" and so on, for {len(missing)} materials"
-        if program == "catalogue":
-            raise DataError(f"{place}: not in the catalogue:{proposals}.\nState {options}")
-        raise DataError(
-            f"{place}: not in {listed.path}:{proposals}.\nThe list has: "
-            f"{shortened(', '.join([*listed.names, *listed.aliases]), 200)}.\nState one of its names "
-            f'(--as "{missing[0]}=NAME"), or an entry of the catalogue: {options}'
-        )
-    return in_catalogue
-
-
-def _chosen_entries(chosen: dict[str, str]) -> dict[str, ListedMaterial]:
-    """Return the catalogue's entries by the room's names; DataError, with proposals, for others."""
-    if not chosen:
-        return {}
-    from rtcal.datasets import catalogue
-
-    entries = catalogue.material_list()
-    for name, entry in chosen.items():
-        if entry not in {*entries.names, *entries.aliases}:
-            near = "; ".join(catalogue.nearest(entry)) or "none of its entries"
-            raise DataError(
-                f'--catalogue "{name}={entry}": "{entry}" is no material of the catalogue; it is like '
-                f"{near}"
-            )
-    return {name: entries.listed(entry) for name, entry in chosen.items()}
+def _require_all(
+    listed: MaterialList, found: Collection[str], program: str, used: Sequence[str], place: str
+) -> None:
+    """Raise DataError, with proposals, for materials that are in neither the list nor the options."""
+    known = {*listed.names, *listed.aliases, *found}
+    if not (missing := [name for name in used if name not in known]):
+        return
+    proposals = _all_proposals(missing, listed, program)
+    options = " ".join(f'--catalogue "{name}=ENTRY"' for name in missing[:_DESCRIBED])
+    if len(missing) > _DESCRIBED:
+        options += f" and so on, for {len(missing)} materials"
+    if program == "catalogue":
+        raise DataError(f"{place}: not in the catalogue:{proposals}.\nState {options}")
+    raise DataError(
+        f"{place}: not in {listed.path}:{proposals}.\nThe list has: "
+        f"{shortened(', '.join([*listed.names, *listed.aliases]), 200)}.\nState one of its names "
+        f'(--as "{missing[0]}=NAME"), or an entry of the catalogue: {options}'
+    )
 
 
 _DESCRIBED = 3

@@ -19,17 +19,16 @@ from scipy.spatial.transform import Rotation
 from rtcal.io.mend.faces import (
     ANY_SHARE,
     MOST_PLACES,
-    SAME,
     Face,
     Mended,
     MeshError,
     Part,
     area_of,
     best_plane,
-    is_flat,
     loops_of,
     sorted_edge,
 )
+from rtcal.io.mend.welding import flattened
 from rtcal.simulators import facets
 from rtcal.support.errors import DataError
 from rtcal.support.text import rounded
@@ -118,7 +117,8 @@ def without_holes(part: Part, others: Sequence[Part]) -> Part:
             uncertainty=area**1.5 / 4,
             unsure=[(material, ANY_SHARE * area)],  # it may be of another material
         )
-        _fill(part, loop, material)
+        part.add(loop, material, "closed hole")
+    part = flattened(part)
     if again := part.open_edges():
         a, b = next(iter(again))
         raise mend.refused(
@@ -141,22 +141,6 @@ def _hint(part: Part, loop: Face, others: Sequence[Part]) -> str:
             )
     enough = rounded(1.01 * area_of(points[loop]), 3)  # more than the area, as printed
     return f"In your program, {_LOOPS}; or state --hole {enough}"
-
-
-def _fill(part: Part, loop: Face, material: str) -> None:
-    """Add a face over a loop, or a strip of triangles that meets every edge of a warped one."""
-    points = part.mend.points
-    if is_flat(points[loop]) and area_of(points[loop]) > SAME:
-        part.add(loop, material, "closed hole")
-        return
-    low, high, front = 0, len(loop) - 1, True
-    while high - low >= 2:
-        third = loop[low + 1] if front else loop[high - 1]
-        triangle = [loop[low], third, loop[high]]
-        if area_of(points[triangle]) > SAME**1.5:
-            part.add(triangle, material, "closed hole")
-        low, high = (low + 1, high) if front else (low, high - 1)
-        front = not front
 
 
 def as_drawn(shell: Part, others: Sequence[Part], error: MeshError) -> MeshError:

@@ -59,7 +59,7 @@ class Walls:
 
     def __init__(self, shell: Part) -> None:
         self.mend, self.shell = shell.mend, Part(shell.mend)
-        self.planes = list[Plane]()
+        self.planes, self.size = list[Plane](), 0.0
         self._boxes, self._part_of = np.zeros((0, 2, 3)), np.zeros(0, dtype=int)
         self.add(shell)
 
@@ -73,6 +73,7 @@ class Walls:
         self._part_of = np.concatenate([self._part_of, np.full(len(boxes), number)])
         self.planes += map(Plane, part.polygons)
         self.shell.extend(part)
+        self.size += part.size
 
     def near(self, corners: Array) -> list[tuple[int, Plane]]:
         """Return the number and the plane of each face that may touch what has these corners."""
@@ -226,7 +227,7 @@ def _foot_of(
     for face in part.faces:
         scene.add(face, "", _OBJECT)
     covered = _covered(scene, [float(piece.area) for _, piece in pieces])
-    if not 0 < sum(float(pieces[k][1].area) for k in covered) <= _MOST_OF_ROOM * walls.shell.size:
+    if not 0 < sum(float(pieces[k][1].area) for k in covered) <= _MOST_OF_ROOM * walls.size:
         return None
     return [pieces[k] for k in covered], moved
 
