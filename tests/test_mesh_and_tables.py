@@ -46,7 +46,7 @@ def test_a_room_of_a_mesh_and_a_list() -> None:
 
 def test_a_written_mesh_reads_back(tmp_path: Path) -> None:
     first = Polyhedron.shoebox((5.1, 7.3, 3.7), "plaster")
-    obj.write(first, tmp_path / "a.obj")
+    first.save(tmp_path / "a.obj")
     again = obj.read(tmp_path / "a.obj")
     assert again.volume == first.volume
     assert again.areas == first.areas

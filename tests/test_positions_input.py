@@ -16,7 +16,6 @@ from rtcal.acoustics.observables import MATCH
 from rtcal.command.calibrate import NOT_NEARER
 from rtcal.command.main import cli
 from rtcal.datasets import halls
-from rtcal.io import obj
 from rtcal.loop import control_runs
 from rtcal.loop.measured_pairs import response_noise
 from rtcal.report import figures
@@ -264,7 +263,7 @@ def folder(tmp_path, tracer, measured):
     scene = rt.Scene(mesh=tmp_path / "room.obj", **PLACES)
     ROOM.replace(scattering=scattering, scene=scene).save(str(tmp_path / "room.toml"))
     measured.save(str(tmp_path / "pairs.csv"))
-    obj.write(HALL.geometry, tmp_path / "room.obj")
+    HALL.geometry.save(tmp_path / "room.obj")
     return tmp_path
 
 

@@ -9,7 +9,7 @@ import pytest
 
 import rtcal as rt
 from rtcal.command.main import main
-from rtcal.io import obj, odeon
+from rtcal.io import odeon
 from rtcal.simulators.geometry import Polyhedron
 from tests.fuzz import wav
 
@@ -54,7 +54,7 @@ def test_impulse_responses_and_an_obj(tmp_path: Path, capsys) -> None:
     floor = int(np.argmin([box.vertices[list(f), 2].max() for f in box.faces]))
     materials = ["carpet" if i == floor else "plaster" for i in range(len(box.faces))]
     mesh = tmp_path / "room.obj"
-    obj.write(Polyhedron(vertices=box.vertices, faces=box.faces, materials=materials), mesh)
+    Polyhedron(vertices=box.vertices, faces=box.faces, materials=materials).save(mesh)
     truth = dict(zip(OCTAVES, (1.5, 1.3, 1.1, 0.95, 0.85, 0.75), strict=True))
     run("measure", *responses(tmp_path, truth), "--out", tmp_path / "t.csv")
     assert "S2 to R2: the last 0.50 s" in capsys.readouterr().out

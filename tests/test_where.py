@@ -338,7 +338,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     case = rt.finder.positions.PositionsCase(simulator=tracing(stated()), measured=measured(True))
     scene = rt.Scene(mesh=where / "room.obj", sources=SOURCES, receivers=RECEIVERS)
     case.room.replace(scene=scene).save(str(where / "room.toml"))
-    rt.io.obj.write(case.geometry, where / "room.obj")
+    case.geometry.save(where / "room.obj")
     case.measured.save(str(where / "pairs.csv"))
     return where
 

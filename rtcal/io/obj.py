@@ -27,7 +27,7 @@ from rtcal.support import checks
 from rtcal.support.checks import text_name
 from rtcal.support.errors import DataError
 
-__all__ = ["MAX_FACES", "parse", "read", "text", "write"]
+__all__ = ["MAX_FACES", "parse", "read"]
 __dir__ = __all__.copy
 
 MAX_FACES = 1500
@@ -113,16 +113,6 @@ def drawn(
         elif keyword and keyword not in _IGNORED:
             raise DataError(f'{place}: "{shown(keyword)}" is no keyword of an OBJ file')
     return vertices, faces, materials, names, line
-
-
-def text(polyhedron: Polyhedron) -> str:
-    """Return a room as OBJ in m; reading it back gives the same room."""
-    return checks.instance("polyhedron", polyhedron, Polyhedron).to_text()
-
-
-def write(polyhedron: Polyhedron, path: str | os.PathLike[str]) -> None:
-    """Write a room as OBJ in m, whole or not at all."""
-    checks.instance("polyhedron", polyhedron, Polyhedron).save(path)
 
 
 def _face_name(group: str, member: int, number: int) -> str:

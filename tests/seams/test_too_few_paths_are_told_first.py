@@ -11,7 +11,6 @@ from click.testing import CliRunner
 
 import rtcal as rt
 from rtcal.command.main import cli
-from rtcal.io import obj
 from rtcal.loop import positions
 from rtcal.support.errors import DataError, FewPathsWarning
 
@@ -57,7 +56,7 @@ def test_by_command(
     scene = rt.Scene(mesh=tmp_path / "room.obj", sources=HALL.sources, receivers=HALL.receivers)
     HALL.room.replace(scene=scene).save(str(tmp_path / "room.toml"))
     measured.save(str(tmp_path / "pairs.csv"))
-    obj.write(HALL.geometry, tmp_path / "room.obj")
+    HALL.geometry.save(tmp_path / "room.obj")
     files = [str(tmp_path / n) for n in ("room.toml", "pairs.csv")]
     done = CliRunner().invoke(cli, ["fit", *files, *OPTIONS])
     assert isinstance(done.exception, DataError)

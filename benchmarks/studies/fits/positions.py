@@ -2,7 +2,6 @@
 
     python -m benchmarks.studies.fits.positions run --folder out --number 20  # can be resumed
     python -m benchmarks.studies.fits.positions table  # of the stored run, or --folder out
-    python -m benchmarks.studies.fits.positions before  # the version before, same rooms
     python -m benchmarks.studies.fits.positions bound  # what a perfect simulator reaches
     python -m benchmarks.studies.fits.positions speed --folder out  # traces and seconds
 
@@ -33,7 +32,6 @@ from benchmarks.studies.fits.positions_table import (
     GAPS,
     JUDGED,
     complete,
-    print_before,
     print_bound,
     read,
     stored_run,
@@ -370,7 +368,7 @@ def least_error(population: int, index: int, prior: str) -> float:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("command", choices=["run", "table", "before", "bound", "speed"])
+    parser.add_argument("command", choices=["run", "table", "bound", "speed"])
     parser.add_argument("--folder", type=Path)
     parser.add_argument("--population", type=int, default=JUDGED)
     parser.add_argument(
@@ -393,8 +391,6 @@ def main() -> None:
     elif arguments.command == "table":
         table(read(file_of("results")))
         print_bound(read(file_of("bound")), complete(read(file_of("results"))))
-    elif arguments.command == "before":
-        print_before(read(file_of("results")), read(file_of("before")))
     elif arguments.command == "bound":
         bound(population, order(population)[: arguments.number], file_of("bound"))
         print_bound(read(file_of("bound")), read(file_of("results")))

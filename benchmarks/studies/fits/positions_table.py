@@ -150,27 +150,6 @@ def print_bound(bounds: Sequence[dict[str, Any]], rows: Sequence[dict[str, Any]]
             )
 
 
-def print_before(rows: Sequence[dict[str, Any]], before: Sequence[dict[str, Any]]) -> None:
-    """Print errors and gaps of the version before and of this one, over those of T20 alone."""
-    kind = "gap_without_noise"
-    for prior in PRIORS:
-
-        def of(method: str, rows: Sequence[dict[str, Any]], prior: str = prior) -> dict[int, Any]:
-            return {r["index"]: r for r in rows if (r["method"], r["prior"]) == (method, prior)}
-
-        old, new, alone = of("positions", before), of("positions", rows), of("t20", rows)
-        rooms = sorted(old.keys() & new.keys())
-        base = [alone[i] for i in rooms]
-        for name, chosen in (("before", [old[i] for i in rooms]), ("now", [new[i] for i in rooms])):
-            ratio = [a["error"] / b["error"] for a, b in zip(chosen, base, strict=True)]
-            gap = over_parameters(chosen, kind).sum() / over_parameters(base, kind).sum()
-            held = sum(r["covered"] for r in chosen) / sum(r["coefficients"] for r in chosen)
-            print(
-                f"{prior}, {len(rooms)} rooms, {name}: error / T20 alone {np.median(ratio):.2f}, "
-                f"gap / T20 alone {gap:.2f}, coverage {held:.2f}"
-            )
-
-
 def table(rows: Sequence[dict[str, Any]]) -> None:
     """Print the figures of the complete rooms, and what a room with the wide prior cost.
 

@@ -25,7 +25,7 @@ from rtcal.files.disk import make_folder, write_all
 from rtcal.finder.finding import Candidate
 from rtcal.finder.positions.case import PositionsCase
 from rtcal.finder.positions.surfaces import NEAR, face_at, patched
-from rtcal.io import catt, obj, odeon
+from rtcal.io import catt, odeon
 from rtcal.io.material_list import ExportReport
 from rtcal.simulators.geometry import Polyhedron
 from rtcal.simulators.path_tracing import PathTracing
@@ -123,7 +123,7 @@ class Corrected:
         where = checks.path("folder", folder)
         contents = {
             ROOM: self._with_scene(where / MESH).to_text(where).encode(),
-            MESH: obj.text(self.geometry).encode(),
+            MESH: self.geometry.to_text().encode(),
             **{name: content for name, (content, _) in self._lists.items()},
         }
         make_folder(where)

@@ -31,7 +31,6 @@ from rtcal.calibration.methods import calibrate
 from rtcal.files.disk import make_folder, write_all
 from rtcal.finder.case import CLIMATE_UNCERTAINTY, checked_climate_uncertainty
 from rtcal.finder.positions import surfaces as of_room
-from rtcal.io import obj
 from rtcal.simulators import base
 from rtcal.simulators.geometry import Polyhedron
 from rtcal.simulators.path_tracing import PathTracing
@@ -337,7 +336,7 @@ class SecondState:
         contents = {}
         if self.geometry is not None:
             room = room.replace(scene=replace(room.scene, mesh=where / MESH))
-            contents[MESH] = obj.text(self.geometry).encode()
+            contents[MESH] = self.geometry.to_text().encode()
         contents = {ROOM: room.to_text(where).encode(), **contents}
         make_folder(where)
         write_all({where / name: content for name, content in contents.items()})
