@@ -21,7 +21,7 @@ import numpy as np
 
 from rtcal.io import budget
 from rtcal.io.mend import Faces
-from rtcal.io.mend.faces import Plane, normal_of, shapely
+from rtcal.io.mend.faces import Polygon, normal_of, shapely
 from rtcal.io.text import shown
 from rtcal.support import library
 from rtcal.support.checks import text_name
@@ -358,7 +358,7 @@ def _named(ifcopenshell: Any, element: Any) -> str:
 
 def _material_at(corners: Array, boundaries: list[_Boundary]) -> str:
     """Return the material of a triangle: of what covers most of it, coverings and the nearest first."""
-    plane, best, name = Plane(corners), (0, 0, 0.0), ""
+    plane, best, name = Polygon(corners), (0, 0, 0.0), ""
     for boundary in boundaries:
         if boundary.is_filling or not _beside(boundary.corners, plane):
             continue
@@ -374,7 +374,7 @@ def _material_at(corners: Array, boundaries: list[_Boundary]) -> str:
     return "ceiling" if plane.normal[2] > 0 else "floor"
 
 
-def _beside(corners: Array, plane: Plane) -> bool:
+def _beside(corners: Array, plane: Polygon) -> bool:
     """Return whether a polygon is parallel to a face and near its plane."""
     parallel = abs(normal_of(corners) @ plane.normal) > 0.99
     return bool(parallel and plane.thickness(corners) < _NEAR)
@@ -383,6 +383,6 @@ def _beside(corners: Array, plane: Plane) -> bool:
 def _on_face(corners: Array, triangles: Array) -> Array:
     """Return a polygon moved onto the plane of the nearest face that is parallel to it."""
     normal = normal_of(corners)
-    near = [t for t in triangles if _beside(corners, Plane(t))]
+    near = [t for t in triangles if _beside(corners, Polygon(t))]
     away = min(((t[0] - corners.mean(axis=0)) @ normal for t in near), key=abs, default=0.0)
     return np.asarray(corners + normal * away)

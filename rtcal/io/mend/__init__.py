@@ -34,10 +34,10 @@ from rtcal.io.mend.faces import (
     WELD,
     Defect,
     Faces,
+    FaceSet,
     Mended,
     Mending,
     MeshError,
-    Part,
     normal_of,
     numbered,
 )
@@ -100,7 +100,7 @@ def mended(
     return mend.result(without_contacts(mend, geometry))
 
 
-def _closed(shell: Part, others: Sequence[Part]) -> Polyhedron:
+def _closed(shell: FaceSet, others: Sequence[FaceSet]) -> Polyhedron:
     """Return the room of its shell and the other components; MeshError with the room as drawn."""
     mend = shell.mend
     try:

@@ -12,9 +12,9 @@ from rtcal.io.mend.faces import (
     ANY_SHARE,
     CONTACT,
     MOST_PLACES,
+    FaceSet,
     Mending,
-    Part,
-    Plane,
+    Polygon,
     extent_of,
     polygons_of,
     ring_of,
@@ -47,7 +47,7 @@ class _Contact:
 
 def objects_are_within(mend: Mending, geometry: Polyhedron) -> bool:
     """Return whether every closed object of a room is in it."""
-    shell, objects = shell_of(Part.of_geometry(mend, geometry))
+    shell, objects = shell_of(FaceSet.of_geometry(mend, geometry))
     if not objects:
         return True
     hull = shell.polyhedron()
@@ -61,7 +61,7 @@ def without_contacts(mend: Mending, geometry: Polyhedron) -> Polyhedron:
     reaches through it by up to ``offset``, is moved onto it. What they share is taken from both. A
     wider gap up to ``offset`` is noted.
     """
-    part = Part.of_geometry(mend, geometry)
+    part = FaceSet.of_geometry(mend, geometry)
     groups = _by_size(part)
     contacts = [*_contacts(part, geometry, groups)]
     touching = [c for c in contacts if c.gap <= mend.weld]
@@ -70,8 +70,8 @@ def without_contacts(mend: Mending, geometry: Polyhedron) -> Polyhedron:
     cuts: dict[int, list[Cut]] = {}
     area, places, unsure = 0.0, [], []
     for contact, distance in zip(touching, moved, strict=True):
-        shared, wall = _shared(part, contact), Plane(part.corners(contact.wall))
-        own = Plane(part.corners(contact.face))
+        shared, wall = _shared(part, contact), Polygon(part.corners(contact.wall))
+        own = Polygon(part.corners(contact.face))
         for shape in shared:
             seen = shapely().transform(shape, lambda flat: wall.lifted(flat) @ own.axes.T)  # noqa: B023
             cuts.setdefault(contact.wall, []).append((shape, None, ""))
@@ -97,18 +97,18 @@ def without_contacts(mend: Mending, geometry: Polyhedron) -> Polyhedron:
     return mended
 
 
-def _move(part: Part, contact: _Contact) -> float:
+def _move(part: FaceSet, contact: _Contact) -> float:
     """Move a face of an object onto its wall, and return the largest distance in m."""
-    wall, own = Plane(part.corners(contact.wall)), part.corners(contact.face)
+    wall, own = Polygon(part.corners(contact.wall)), part.corners(contact.face)
     part.mend.points[part.faces[contact.face]] = wall.onto(own)
     return wall.thickness(own)
 
 
-def _without(part: Part, cuts: Mapping[int, Sequence[Cut]]) -> Polyhedron:
+def _without(part: FaceSet, cuts: Mapping[int, Sequence[Cut]]) -> Polyhedron:
     """Return the room without some shapes of its faces; its joints may be as rough as ``weld``."""
     for weld in (2 * facets.WELD, part.mend.weld):
         fine = Mending(part.mend.drawn, weld, points=part.mend.points)
-        left = settled(cut(Part(fine, *zip(*part.rows(), strict=True)), cuts))
+        left = settled(cut(FaceSet(fine, *zip(*part.rows(), strict=True)), cuts))
         try:
             return left.polyhedron()
         except DataError as error:
@@ -116,7 +116,7 @@ def _without(part: Part, cuts: Mapping[int, Sequence[Cut]]) -> Polyhedron:
     raise refused
 
 
-def _by_size(part: Part) -> list[list[int]]:
+def _by_size(part: FaceSet) -> list[list[int]]:
     """Return the faces of each closed surface: the room's first, then the objects', large to small."""
 
     def volume(members: Sequence[int]) -> float:
@@ -127,7 +127,7 @@ def _by_size(part: Part) -> list[list[int]]:
 
 
 def _contacts(
-    part: Part, geometry: Polyhedron, groups: Sequence[Sequence[int]]
+    part: FaceSet, geometry: Polyhedron, groups: Sequence[Sequence[int]]
 ) -> Iterator[_Contact]:
     """Yield the faces of objects that face one of the room's or of a larger object nearby.
 
@@ -148,7 +148,7 @@ def _contacts(
             near &= (rank < k) | ((rank == k) & (np.arange(len(rank)) < i))
             near &= geometry.normals @ geometry.normals[i] < _FACING
             for j in np.flatnonzero(near).tolist():
-                wall, into, is_same = Plane(polygons[j]), -geometry.normals[j], rank[j] == k
+                wall, into, is_same = Polygon(polygons[j]), -geometry.normals[j], rank[j] == k
                 away = (polygons[i] - polygons[j].mean(axis=0)) @ into
                 least, most = (-facets.WELD, facets.WELD) if is_same else limits
                 if not least <= away.min() <= away.max() <= most:
@@ -168,14 +168,14 @@ def _contacts(
                     yield _Contact(i, j, float(away.max()))
 
 
-def _shared(part: Part, contact: _Contact) -> list[Any]:
+def _shared(part: FaceSet, contact: _Contact) -> list[Any]:
     """Return the shapes, in the wall's axes, that both faces have; not those as narrow as a sliver."""
-    wall = Plane(part.corners(contact.wall))
+    wall = Polygon(part.corners(contact.wall))
     shape = common(wall, part.corners(contact.face), facets.WELD)
     return [p for p in polygons_of(shape) if p.area > part.mend.weld * extent_of(ring_of(p)) / 2]
 
 
-def _note_gaps(part: Part, contacts: Sequence[_Contact], shell: Sequence[int]) -> None:
+def _note_gaps(part: FaceSet, contacts: Sequence[_Contact], shell: Sequence[int]) -> None:
     """Note the objects that are as near to a wall as a window may be, over a whole face."""
     areas = part.areas
     near = [

@@ -281,8 +281,8 @@ def _together(rows: Sequence[Defect]) -> Defect:
     )
 
 
-class Plane:
-    """The plane of a polygon's ``corners``, (n, 3) in m, with two ``axes`` (2, 3) and shapes in it."""
+class Polygon:
+    """A plane polygon of ``corners``, (n, 3) in m, with two ``axes`` (2, 3) of its plane, and shapes in it."""
 
     def __init__(self, corners: Array) -> None:
         self.corners, self.normal = corners, normal_of(corners)
@@ -340,7 +340,7 @@ class Plane:
         return lifted
 
 
-class Part:
+class FaceSet:
     """Some faces of a mesh that is mended, by the numbers of their corners."""
 
     def __init__(
@@ -354,7 +354,7 @@ class Part:
         self.faces, self.materials, self.names = [*faces], [*materials], [*names]
 
     @classmethod
-    def of_geometry(cls, mend: Mending, geometry: Polyhedron) -> Part:
+    def of_geometry(cls, mend: Mending, geometry: Polyhedron) -> FaceSet:
         """Return the faces of a room, whose vertices become the points."""
         mend.points = np.array(geometry.vertices)
         return cls(mend, map(list, geometry.faces), geometry.materials, geometry.names)
@@ -365,7 +365,7 @@ class Part:
         self.materials.append(material)
         self.names.append(name)
 
-    def extend(self, other: Part) -> None:
+    def extend(self, other: FaceSet) -> None:
         """Add another's faces."""
         for row in other.rows():
             self.add(*row)
@@ -374,12 +374,12 @@ class Part:
         """Return each face with its material and name."""
         return zip(self.faces, self.materials, self.names, strict=True)
 
-    def of(self, index: Iterable[int]) -> Part:
+    def of(self, index: Iterable[int]) -> FaceSet:
         """Return the faces of these numbers."""
         rows = [(self.faces[i], self.materials[i], self.names[i]) for i in index]
-        return Part(self.mend, *zip(*rows, strict=True)) if rows else Part(self.mend)
+        return FaceSet(self.mend, *zip(*rows, strict=True)) if rows else FaceSet(self.mend)
 
-    def kept(self, which: Sequence[bool]) -> Part:
+    def kept(self, which: Sequence[bool]) -> FaceSet:
         """Return the faces that are to be kept."""
         return self.of(np.flatnonzero(which).tolist())
 
@@ -477,7 +477,7 @@ def best_plane(corners: Array) -> tuple[Array, float]:
 
 def is_flat(corners: Array) -> bool:
     """Return whether a polygon is as plane as a room's face must be."""
-    return Plane(corners).thickness(corners) <= PLANARITY * 0.9
+    return Polygon(corners).thickness(corners) <= PLANARITY * 0.9
 
 
 def extent_of(corners: Array) -> float:

@@ -20,9 +20,9 @@ from rtcal.io.mend.faces import (
     ANY_SHARE,
     MOST_PLACES,
     Face,
+    FaceSet,
     Mended,
     MeshError,
-    Part,
     area_of,
     best_plane,
     loops_of,
@@ -43,7 +43,7 @@ _NEAR = 0.2
 _LOOPS = "close the hole with a face, or delete the faces around it"
 
 
-def shell_of(part: Part) -> tuple[Part, list[Part]]:
+def shell_of(part: FaceSet) -> tuple[FaceSet, list[FaceSet]]:
     """Return the shell of the room, which may have holes, and the other components."""
     mend = part.mend
     parts = [part.of(members) for members in part.components()]
@@ -66,7 +66,7 @@ def shell_of(part: Part) -> tuple[Part, list[Part]]:
     return parts[main], [p for i, p in enumerate(parts) if i != main]
 
 
-def _volume(part: Part) -> float:
+def _volume(part: FaceSet) -> float:
     """Return the volume in m³ of a component; 0.0 if it is open."""
     try:
         return float(part.polyhedron().volume)
@@ -74,7 +74,7 @@ def _volume(part: Part) -> float:
         return 0.0
 
 
-def without_holes(part: Part, others: Sequence[Part]) -> Part:
+def without_holes(part: FaceSet, others: Sequence[FaceSet]) -> FaceSet:
     """Return the shell with its small holes closed; MeshError for a large one."""
     mend, missing = part.mend, part.open_edges()
     if not missing:
@@ -128,7 +128,7 @@ def without_holes(part: Part, others: Sequence[Part]) -> Part:
     return part
 
 
-def _hint(part: Part, loop: Face, others: Sequence[Part]) -> str:
+def _hint(part: FaceSet, loop: Face, others: Sequence[FaceSet]) -> str:
     """Return how a hole may be mended: faces whose corners nearly meet its edges ask for a weld."""
     points, own = part.mend.points, {v for face in part.faces for v in face}
     beside = sorted({v for other in others for face in other.faces for v in face} - own)
@@ -143,7 +143,7 @@ def _hint(part: Part, loop: Face, others: Sequence[Part]) -> str:
     return f"In your program, {_LOOPS}; or state --hole {enough}"
 
 
-def as_drawn(shell: Part, others: Sequence[Part], error: MeshError) -> MeshError:
+def as_drawn(shell: FaceSet, others: Sequence[FaceSet], error: MeshError) -> MeshError:
     """Return the error of a shell that is open with the room as it is drawn: V by rays.
 
     Rays cross the shell and closed objects. They cross all faces where the shell has less than half of

@@ -19,9 +19,9 @@ from rtcal.io.mend.faces import (
     MOST_PLACES,
     Defect,
     Faces,
+    FaceSet,
     Mending,
     MeshError,
-    Part,
     edges_of,
     sorted_edge,
 )
@@ -108,7 +108,7 @@ def _solids(faces: Sequence[Sequence[int]]) -> list[list[int]] | None:
     return None if solid else solids
 
 
-def _polyhedron(part: Part, group: Sequence[int]) -> Polyhedron:
+def _polyhedron(part: FaceSet, group: Sequence[int]) -> Polyhedron:
     """Return a solid; its faces have the order of the group."""
     return Polyhedron.from_polygons([(str(i), part.materials[i], part.corners(i)) for i in group])
 

@@ -11,9 +11,9 @@ from rtcal.io.mend.faces import (
     ANY_SHARE,
     SAME,
     Face,
+    FaceSet,
     Mending,
-    Part,
-    Plane,
+    Polygon,
     best_plane,
     edges_of,
     extent_of,
@@ -57,13 +57,13 @@ Foot = list[tuple[int, Any]]
 class Walls:
     """The faces of a shell and of the objects on it, to be found by where they are."""
 
-    def __init__(self, shell: Part) -> None:
-        self.mend, self.shell = shell.mend, Part(shell.mend)
-        self.planes, self.size = list[Plane](), 0.0
+    def __init__(self, shell: FaceSet) -> None:
+        self.mend, self.shell = shell.mend, FaceSet(shell.mend)
+        self.planes, self.size = list[Polygon](), 0.0
         self._boxes, self._part_of = np.zeros((0, 2, 3)), np.zeros(0, dtype=int)
         self.add(shell)
 
-    def add(self, part: Part) -> None:
+    def add(self, part: FaceSet) -> None:
         """Add the faces of the shell, or of an object in it."""
         # An object that stands on a wall is moved onto it by as much as the offset.
         margin = 2 * self.mend.offset + self.mend.weld
@@ -71,15 +71,15 @@ class Walls:
         number = self._part_of.max(initial=-1) + 1
         self._boxes = np.concatenate([self._boxes, boxes])
         self._part_of = np.concatenate([self._part_of, np.full(len(boxes), number)])
-        self.planes += map(Plane, part.polygons)
+        self.planes += map(Polygon, part.polygons)
         self.shell.extend(part)
         self.size += part.size
 
-    def near(self, corners: Array) -> list[tuple[int, Plane]]:
+    def near(self, corners: Array) -> list[tuple[int, Polygon]]:
         """Return the number and the plane of each face that may touch what has these corners."""
         return [(i, self.planes[i]) for i in np.flatnonzero(self._near(corners)).tolist()]
 
-    def of_parts_near(self, corners: Array) -> list[tuple[int, Plane]]:
+    def of_parts_near(self, corners: Array) -> list[tuple[int, Polygon]]:
         """Return all faces of the shell and of each object of which one may touch these corners."""
         near = np.isin(self._part_of, self._part_of[self._near(corners)])
         return [(i, self.planes[i]) for i in np.flatnonzero(near).tolist()]
@@ -89,7 +89,7 @@ class Walls:
         return np.asarray(((self._boxes[:, 0] <= high) & (low <= self._boxes[:, 1])).all(axis=1))
 
 
-def overlaid_on(walls: Walls, part: Part) -> list[tuple[int, list[Cut], float]] | None:
+def overlaid_on(walls: Walls, part: FaceSet) -> list[tuple[int, list[Cut], float]] | None:
     """Return the pieces of a plane component on each wall, and how far they are; None if on none."""
     mend, corners = part.mend, part.points
     normal, thick = best_plane(corners)
@@ -113,12 +113,12 @@ def overlaid_on(walls: Walls, part: Part) -> list[tuple[int, list[Cut], float]] 
     return found if found and total >= COVERED * part.size else None
 
 
-def common(wall: Plane, corners: Array, snap: float) -> Any:
+def common(wall: Polygon, corners: Array, snap: float) -> Any:
     """Return what a polygon and a wall have in common; its corners near the wall's are those."""
     return shapely().snap(wall.polygon(corners), wall.shape, snap).intersection(wall.shape)
 
 
-def add_piece(part: Part, wall: Plane, piece: Any, material: str, name: str) -> None:
+def add_piece(part: FaceSet, wall: Polygon, piece: Any, material: str, name: str) -> None:
     """Add a piece in a wall's plane, in triangles if it has holes."""
     whole = not piece.interiors
     rings = [piece] if whole else polygons_of(shapely().constrained_delaunay_triangles(piece))
@@ -126,14 +126,14 @@ def add_piece(part: Part, wall: Plane, piece: Any, material: str, name: str) -> 
         part.add(part.mend.new_points(wall.lifted(ring_of(ring))), material, name)
 
 
-def cut(shell: Part, cuts: Mapping[int, Sequence[Cut]]) -> Part:
+def cut(shell: FaceSet, cuts: Mapping[int, Sequence[Cut]]) -> FaceSet:
     """Return the shell with what lies on its faces in their place, the smaller first."""
-    mend, out = shell.mend, Part(shell.mend)
+    mend, out = shell.mend, FaceSet(shell.mend)
     for i, (face, material, name) in enumerate(shell.rows()):
         if i not in cuts:
             out.add(face, material, name)
             continue
-        wall = Plane(mend.points[face])
+        wall = Polygon(mend.points[face])
         taken = shapely().Polygon()
         smaller = sorted(cuts[i], key=lambda c: float(c[0].area))
         for shape, own, called in [*smaller, (wall.shape, material, name)]:
@@ -144,7 +144,9 @@ def cut(shell: Part, cuts: Mapping[int, Sequence[Cut]]) -> Part:
     return out
 
 
-def standing_on(walls: Walls, part: Part) -> tuple[Foot, Part, list[tuple[str, float]]] | None:
+def standing_on(
+    walls: Walls, part: FaceSet
+) -> tuple[Foot, FaceSet, list[tuple[str, float]]] | None:
     """Return the footprint of an open object on each wall, its faces there, and how sure they are.
 
     It stands on the walls if its open edges lie on them and it rises from them: a panel's do not. Its
@@ -154,7 +156,7 @@ def standing_on(walls: Walls, part: Part) -> tuple[Foot, Part, list[tuple[str, f
     if part.is_plane:
         return None  # a sheet, whose boundary its open edges are
     mend = part.mend
-    on = [overlaid_on(walls, Part(mend, [face], [""], [""])) for face in part.faces]
+    on = [overlaid_on(walls, FaceSet(mend, [face], [""], [""])) for face in part.faces]
     part = part.kept([o is None or any(far > mend.weld for *_, far in o) for o in on])
     edges = part.open_edges()
     if not loops_of(edges) or part.is_plane:
@@ -173,17 +175,17 @@ def standing_on(walls: Walls, part: Part) -> tuple[Foot, Part, list[tuple[str, f
     return found, flattened(part), [*unsure.items()]
 
 
-def ends_at_walls(walls: Walls, part: Part) -> bool:
+def ends_at_walls(walls: Walls, part: FaceSet) -> bool:
     """Return whether all open edges of a component are at walls: they are meant to close with them."""
     corners = {v for edge in part.open_edges() for v in edge}
     return not part.is_plane and all(_on_walls(walls, v)[1] for v in corners)
 
 
-def _on_walls(walls: Walls, corner: int) -> tuple[Array, list[Plane]]:
+def _on_walls(walls: Walls, corner: int) -> tuple[Array, list[Polygon]]:
     """Return a corner moved onto the walls near it, one of each direction, and these."""
     mend, point = walls.mend, walls.mend.points[corner]
     near = [(abs(float(wall.away(point))), i, wall) for i, wall in walls.near(point[np.newaxis])]
-    used = list[Plane]()
+    used = list[Polygon]()
     for away, _, wall in sorted(near, key=lambda each: each[:2]):
         is_near = away <= mend.offset and wall.beside(point) <= mend.offset
         if is_near and all(abs(float(wall.normal @ other.normal)) < 0.99 for other in used):
@@ -194,7 +196,7 @@ def _on_walls(walls: Walls, corner: int) -> tuple[Array, list[Plane]]:
 
 
 def _foot_of(
-    walls: Walls, part: Part, edges: Mapping[Edge, int]
+    walls: Walls, part: FaceSet, edges: Mapping[Edge, int]
 ) -> tuple[Foot, dict[int, Array]] | None:
     """Return what an object covers of each wall to which it is open, and its corners there.
 
@@ -212,7 +214,7 @@ def _foot_of(
             return None
         for i, line in on:
             lines.setdefault(i, []).append(line)
-    scene, pieces = Part(mend), Foot()
+    scene, pieces = FaceSet(mend), Foot()
     for i, wall in walls.of_parts_near(part.points):
         if i not in lines:
             scene.add(mend.new_points(wall.corners), "", str(len(pieces)))
@@ -251,7 +253,7 @@ def _walls_of(walls: Walls, ends: Array) -> list[tuple[int, Any]]:
     return found
 
 
-def _covered(scene: Part, areas: Sequence[float]) -> list[int]:
+def _covered(scene: FaceSet, areas: Sequence[float]) -> list[int]:
     """Return the pieces of walls that an object covers; none if it does not divide them in two."""
     scene = rejoined(scene)
     links: list[list[tuple[int, int]]] = [[] for _ in areas]
@@ -280,7 +282,7 @@ def _covered(scene: Part, areas: Sequence[float]) -> list[int]:
     return covered
 
 
-def _within_walls(room: Polyhedron, part: Part) -> Part | None:
+def _within_walls(room: Polyhedron, part: FaceSet) -> FaceSet | None:
     """Return what is in the room of an object that reaches through walls; None where that is unclear.
 
     It is cut at a wall unless the wall's plane crosses it elsewhere in the room, too.
@@ -288,7 +290,7 @@ def _within_walls(room: Polyhedron, part: Part) -> Part | None:
     mend, is_cut = part.mend, False
     limit = mend.offset + mend.weld
     for numbers in room.faces:
-        wall = Plane(room.vertices[list(numbers)])
+        wall = Polygon(room.vertices[list(numbers)])
         away, own = wall.away(mend.points), wall.away(part.points)
         edges = [(a, b) for a, b in part.edges if away[a] * away[b] < 0]
         if not own.min() < -limit < limit < own.max() or not edges:
@@ -306,9 +308,9 @@ def _within_walls(room: Polyhedron, part: Part) -> Part | None:
     return part if is_cut and part.faces else None
 
 
-def _before(part: Part, away: Array, new: Mapping[Edge, int]) -> Part:
+def _before(part: FaceSet, away: Array, new: Mapping[Edge, int]) -> FaceSet:
     """Return the faces of an object before a plane; ``new`` are the corners where its edges cross."""
-    out = Part(part.mend)
+    out = FaceSet(part.mend)
     for face, material, name in part.rows():
         left: Face = []
         for a, b in edges_of(face):
@@ -321,7 +323,7 @@ def _before(part: Part, away: Array, new: Mapping[Edge, int]) -> Part:
     return out
 
 
-def _volume_over(walls: Walls, stood: Part, feet: Foot) -> float:
+def _volume_over(walls: Walls, stood: FaceSet, feet: Foot) -> float:
     """Return the volume in m³ between the faces of an object and its footprints."""
     whole = stood.of(range(len(stood.faces)))
     for i, piece in feet:
@@ -332,10 +334,10 @@ def _volume_over(walls: Walls, stood: Part, feet: Foot) -> float:
         return volume_by_rays(whole.polygons)[0]
 
 
-def _add_slab(shell: Part, face: Face, material: str, name: str) -> None:
+def _add_slab(shell: FaceSet, face: Face, material: str, name: str) -> None:
     """Add a panel of two sides: a closed plate, as much narrower as its edges add to its area."""
     mend = shell.mend
-    plane = Plane(mend.points[face])
+    plane = Polygon(mend.points[face])
     half = plane.normal * THICKNESS / 2
     for piece in polygons_of(plane.shape.buffer(-THICKNESS / 2, join_style="mitre")):
         corners = plane.lifted(ring_of(piece))
@@ -346,7 +348,7 @@ def _add_slab(shell: Part, face: Face, material: str, name: str) -> None:
             shell.add((front[k], front[k - 1], back[k - 1], back[k]), material, f"{name} edge")
 
 
-def _kind_of(walls: Walls, part: Part) -> tuple[str, Any]:
+def _kind_of(walls: Walls, part: FaceSet) -> tuple[str, Any]:
     """Return what a component is beside these walls, with its pieces or its foot on them."""
     if not part.open_edges():
         return "object", None
@@ -357,7 +359,7 @@ def _kind_of(walls: Walls, part: Part) -> tuple[str, Any]:
     return "panel", None
 
 
-def note_loose(shell: Part, others: Sequence[Part]) -> None:
+def note_loose(shell: FaceSet, others: Sequence[FaceSet]) -> None:
     """Note what else there is where the shell is open; nothing is cut, since nothing is in a room."""
     walls = Walls(shell)
     for part in others:
@@ -366,16 +368,16 @@ def note_loose(shell: Part, others: Sequence[Part]) -> None:
         shell.mend.found(kind, done, part.names[:1], part.size)
 
 
-def with_others(shell: Part, others: Sequence[Part]) -> Part:
+def with_others(shell: FaceSet, others: Sequence[FaceSet]) -> FaceSet:
     """Return the shell with overlays, objects and panels; what lies outside is left out."""
     if not others:
         return shell
     mend, hull, walls = shell.mend, shell.polyhedron(), Walls(shell)
     cuts: dict[int, list[Cut]] = {}
-    panels, outside = list[Part](), Part(mend)
+    panels, outside = list[FaceSet](), FaceSet(mend)
 
     def note(
-        kind: str, part: Part, volume: float = 0.0, surface: float = 0.0, unsure: Any = ()
+        kind: str, part: FaceSet, volume: float = 0.0, surface: float = 0.0, unsure: Any = ()
     ) -> None:
         mend.found(kind, _DONE[kind], part.names[:1], part.size, volume, surface, 0.0, unsure)
 
@@ -424,7 +426,7 @@ def with_others(shell: Part, others: Sequence[Part]) -> Part:
     return shell
 
 
-def _ending_at_walls(hull: Polyhedron, part: Part) -> Part:
+def _ending_at_walls(hull: Polyhedron, part: FaceSet) -> FaceSet:
     """Return a component, or of an object that reaches through the walls what is in the room."""
     mend = part.mend
     if part.is_plane or is_within(mend, hull, part.points):
@@ -436,7 +438,7 @@ def _ending_at_walls(hull: Polyhedron, part: Part) -> Part:
     return inside
 
 
-def _require_shell(shell: Part, outside: Part) -> None:
+def _require_shell(shell: FaceSet, outside: FaceSet) -> None:
     """Raise MeshError if what is left out as outside are the walls, and the shell is an object."""
     if not outside.faces:
         return
@@ -451,13 +453,13 @@ def _require_shell(shell: Part, outside: Part) -> None:
         )
 
 
-def _in_order(parts: Sequence[Part]) -> list[Part]:
+def _in_order(parts: Sequence[FaceSet]) -> list[FaceSet]:
     """Return closed objects first, then open ones from large to small, then plane ones as drawn.
 
     Each may stand or lie on those before.
     """
 
-    def key(part: Part) -> tuple[bool, bool, float]:
+    def key(part: FaceSet) -> tuple[bool, bool, float]:
         return bool(part.open_edges()), part.is_plane, 0.0 if part.is_plane else -part.size
 
     return sorted(parts, key=key)
@@ -469,7 +471,7 @@ def is_within(mend: Mending, hull: Polyhedron, corners: Array) -> bool:
     return not (hull.wall_distance(outside) > mend.offset + mend.weld).any()
 
 
-def _reaches_into(hull: Polyhedron, part: Part) -> bool:
+def _reaches_into(hull: Polyhedron, part: FaceSet) -> bool:
     """Return whether an edge of a component is in the room, and not merely at its walls."""
     ends = part.mend.points[part.edges]
     shares = np.linspace(0, 1, 9)[:, np.newaxis, np.newaxis]

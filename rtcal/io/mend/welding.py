@@ -16,8 +16,8 @@ from rtcal.io.mend.faces import (
     CONTACT,
     SAME,
     Face,
+    FaceSet,
     Mending,
-    Part,
     area_of,
     best_plane,
     edges_of,
@@ -35,7 +35,7 @@ from rtcal.support.errors import DataError
 from rtcal.support.types import Array
 
 
-def welded(mend: Mending) -> Part:
+def welded(mend: Mending) -> FaceSet:
     """Return the faces with corners within ``weld`` of each other as one."""
     drawn = np.concatenate([np.asarray(p, dtype=float) for p in mend.drawn.polygons])
     if not np.isfinite(drawn).all():
@@ -51,7 +51,7 @@ def welded(mend: Mending) -> Part:
     mend.points = np.array([drawn[g].mean(axis=0) for g in groups])
     shifts = np.linalg.norm(mend.points[index] - drawn, axis=1)
     moved = [k for k, g in enumerate(groups) if shifts[g].max() > 1e-4]
-    part, first, spread, unsure = Part(mend), 0, 0.0, []
+    part, first, spread, unsure = FaceSet(mend), 0, 0.0, []
     drawn_rows = zip(mend.drawn.polygons, mend.drawn.materials, mend.drawn.names, strict=True)
     for polygon, material, name in drawn_rows:
         corners = slice(first, first := first + len(polygon))
@@ -72,10 +72,10 @@ def welded(mend: Mending) -> Part:
     return cleaned(part)
 
 
-def cleaned(part: Part) -> Part:
+def cleaned(part: FaceSet) -> FaceSet:
     """Return the faces without repeated corners, and without slivers."""
     mend = part.mend
-    part = Part(mend, map(simplified, part.faces), part.materials, part.names)
+    part = FaceSet(mend, map(simplified, part.faces), part.materials, part.names)
     narrow = [
         len(f) < 3 or area_of(mend.points[f]) < mend.weld * extent_of(mend.points[f]) / 2
         for f in part.faces
@@ -105,7 +105,7 @@ def cleaned(part: Part) -> Part:
     return part.kept(np.logical_not(narrow).tolist())
 
 
-def without_repetitions(part: Part) -> Part:
+def without_repetitions(part: FaceSet) -> FaceSet:
     """Return the faces without those that are drawn twice.
 
     Of two closed objects that stand on each other both faces go.
@@ -135,7 +135,7 @@ def without_repetitions(part: Part) -> Part:
     return part.kept(kept)
 
 
-def _between_objects(part: Part, firsts: Sequence[int], copies: Counter[int]) -> set[int]:
+def _between_objects(part: FaceSet, firsts: Sequence[int], copies: Counter[int]) -> set[int]:
     """Return the first of each two faces that two closed objects, or one and the room, have in common.
 
     Faces that are drawn twice are joined where no other face meets their edge. They are in common if
@@ -161,7 +161,7 @@ def _between_objects(part: Part, firsts: Sequence[int], copies: Counter[int]) ->
     return common
 
 
-def snapped(part: Part) -> Part:
+def snapped(part: FaceSet) -> FaceSet:
     """Return the faces with corners that are near an edge moved onto it."""
     mend, before = part.mend, part.areas
     moved = _snap(part)
@@ -178,7 +178,7 @@ def snapped(part: Part) -> Part:
     return cleaned(part)
 
 
-def _snap(part: Part) -> dict[int, float]:
+def _snap(part: FaceSet) -> dict[int, float]:
     """Move corners that are near an edge onto it, and return by how much in m each."""
     moved: dict[int, float] = {}
     for _ in range(4):
@@ -189,7 +189,7 @@ def _snap(part: Part) -> dict[int, float]:
     return moved
 
 
-def _snap_once(part: Part) -> dict[int, float]:
+def _snap_once(part: FaceSet) -> dict[int, float]:
     mend, edges = part.mend, part.edges
     ends = mend.points[np.array(edges)]
     lengths = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
@@ -212,7 +212,7 @@ def _snap_once(part: Part) -> dict[int, float]:
     return {v: distance for v, (distance, _) in best.items()}
 
 
-def rejoined(part: Part) -> Part:
+def rejoined(part: FaceSet) -> FaceSet:
     """Return the faces with the corners that cutting has made on older corners and edges nearby."""
     mend = part.mend
     used = sorted({v for face in part.faces for v in face})
@@ -223,18 +223,18 @@ def rejoined(part: Part) -> Part:
         index[v] = index.get(used[near], used[near]) if near < k else v
     faces = [simplified([index[v] for v in face]) for face in part.faces]
     is_face = [len(f) > 2 and area_of(mend.points[f]) > SAME for f in faces]
-    part = Part(mend, faces, part.materials, part.names).kept(is_face)
+    part = FaceSet(mend, faces, part.materials, part.names).kept(is_face)
     _snap(part)
     return part
 
 
-def settled(part: Part) -> Part:
+def settled(part: FaceSet) -> FaceSet:
     """Return faces after cutting: joints closed, plane, and none so narrow that its corners are one."""
     part = flattened(rejoined(part))
     return part.kept([2 * area_of(p) > WELD * extent_of(p) for p in part.polygons])
 
 
-def joined(part: Part) -> Part:
+def joined(part: FaceSet) -> FaceSet:
     """Return the faces with neighbours in one plane and of one material and name as one polygon."""
     mend = part.mend
     if len(part.faces) < 8 or not all(len(f) == 3 for f in part.faces):
@@ -249,7 +249,7 @@ def joined(part: Part) -> Part:
         links[j].append(i)
     normals = np.array([normal_of(p) for p in part.polygons])
     done = [False] * len(part.faces)
-    out = Part(mend)
+    out = FaceSet(mend)
     for first in range(len(part.faces)):
         if done[first]:
             continue
@@ -286,9 +286,9 @@ def _straightened(mend: Mending, loop: Face) -> Face:
     return kept if len(kept) > 2 else loop
 
 
-def flattened(part: Part) -> Part:
+def flattened(part: FaceSet) -> FaceSet:
     """Return the faces with those that are not plane divided into triangles."""
-    mend, out = part.mend, Part(part.mend)
+    mend, out = part.mend, FaceSet(part.mend)
     for face, material, name in part.rows():
         corners = mend.points[face]
         if is_flat(corners):
