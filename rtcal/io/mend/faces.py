@@ -282,7 +282,7 @@ def _together(rows: Sequence[Defect]) -> Defect:
 
 
 class Polygon:
-    """A plane polygon of ``corners``, (n, 3) in m, with two ``axes`` (2, 3) of its plane, and shapes in it."""
+    """A plane polygon of ``corners``, (n, 3) in m, and shapes in the two ``axes`` of its plane."""
 
     def __init__(self, corners: Array) -> None:
         self.corners, self.normal = corners, normal_of(corners)
