@@ -158,9 +158,7 @@ def of_finding(finding: Any, gaps: bool) -> dict[str, Any]:
         seen = verify(finding)
         row |= {
             "verification": seen.verdict,
-            "gaps": {
-                f"{g.configuration}, {g.quantity}": [g.before, g.after] for g in seen.quantities
-            },
+            "gaps": {f"{g.place}, {g.quantity}": list(g.values) for g in seen.quantities},
             "alpha": seen.corrected.alpha,
             "plain alpha": seen.plain.alpha,
         }

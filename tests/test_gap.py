@@ -15,13 +15,14 @@ from click.testing import CliRunner
 import rtcal as rt
 from rtcal.command.finder import Search
 from rtcal.command.main import cli
-from rtcal.finder import Case, MeansFinding, MeansVerification, verify
-from rtcal.finder.finding import Miss, Size
+from rtcal.finder import Case, MeansFinding, verify
+from rtcal.finder.finding import Size
 from rtcal.finder.means.engines import FOLDER
 from rtcal.finder.means.problem import distances, state
-from rtcal.finder.means.verification import Gap
+from rtcal.finder.means.verification import concluded
 from rtcal.finder.model import predict
 from rtcal.finder.search import find
+from rtcal.finder.verification import Gap, Miss, Verification
 from rtcal.report import of_finding
 from tests.conftest import candidates_of
 
@@ -162,14 +163,30 @@ def unsure(finding: MeansFinding) -> MeansFinding:
 
 
 def with_gap(
-    seen: MeansVerification, before: float, after: float, **changes: Any
-) -> MeansVerification:
-    """Return a verification with this gap in one quantity, which was held out, and a claimed family."""
-    gap = Gap("as built", "C80", fitted=False, held_out=True, before=before, after=after)
-    gaps = (*(g for g in seen.quantities if not g.held_out), gap)
-    finding = replace(seen.finding, verdict="family", family="added absorption")
-    stated = {"held_out": ("C80",), "uncertainty": 0.1, "missed": (), "finding": finding}
-    return replace(seen, quantities=gaps, **(stated | changes))
+    seen: Verification,
+    *gaps: Gap,
+    uncertainty: float = 0.1,
+    predictive: float = 5.0,
+    misses: tuple[Miss, ...] = (),
+    finding: MeansFinding | None = None,
+) -> Verification:
+    """Return a verification with these gaps at what was held out, and a claimed family."""
+    fitted = (g for g in seen.quantities if g.used != "held out")
+    claims = replace(seen.finding, verdict="family", family="added absorption")
+    return concluded(
+        finding or claims,
+        (*fitted, *gaps),
+        uncertainty,
+        predictive,
+        misses,
+        [gap.quantity for gap in gaps],
+        before=seen.plain,
+        after=seen.corrected,
+    )
+
+
+def held(before: float, after: float, quantity: str = "C80") -> Gap:
+    return Gap(quantity, "as built", (before, after), "held out")
 
 
 MISS = Miss("T20", "", 500.0, 0.53, 0.645, 0.013, -3.6, "s")
@@ -177,7 +194,7 @@ MISS = Miss("T20", "", 500.0, 0.53, 0.645, 0.013, -3.6, "s")
 
 def test_the_verdict_stands_beside_what_is_supported(finding: MeansFinding) -> None:
     seen = verify(finding)
-    sure = with_gap(seen, 1.0, 0.1, predictive=5.0)
+    sure = with_gap(seen, held(1.0, 0.1))
     assert sure.verdict == "supported"
     assert sure.sentence in of_finding.rests_on(sure.finding, sure)
     blocks = of_finding.page(sure.finding, sure).blocks
@@ -194,39 +211,37 @@ def test_the_verdict_stands_beside_what_is_supported(finding: MeansFinding) -> N
         (1.0, 0.1, {"predictive": -0.4}),
         (1.0, 0.1, {"predictive": 1.6}),
         (4.0, 1.1, {}),
-        (1.0, 0.1, {"missed": (MISS,)}),
+        (1.0, 0.1, {"misses": (MISS,)}),
     ],
 )
 def test_supported_means_something(
     finding: MeansFinding, before: float, after: float, changes: dict[str, Any]
 ) -> None:
     """Not for 1.75 to 1.74 JND, nor within its error, nor where T is missed by 3 JND."""
-    seen = with_gap(verify(finding), before, after, **({"predictive": 5.0} | changes))
+    seen = with_gap(verify(finding), held(before, after), **changes)
     assert seen.verdict == "unproven"
     record = seen.to_dict()
     assert record["least_shrinkage_jnd"] == 0.2
     assert record["uncertainty_jnd"] == seen.uncertainty
-    assert bool(seen.misses) == ("missed" in changes)
+    assert bool(seen.misses) == ("misses" in changes)
 
 
 def test_what_gets_worse_at_held_out_data_is_said_and_never_supported(
     finding: MeansFinding,
 ) -> None:
     """A coupled room was supported by EDT, to which it was fitted, while C80 and G got worse."""
-    seen = with_gap(verify(finding), 3.0, 0.2, predictive=5.0)
-    worse = Gap("as built", "G", fitted=False, held_out=True, before=1.0, after=1.4)
-    both = replace(seen, quantities=(*seen.quantities, worse))
+    seen = verify(finding)
+    both = with_gap(seen, held(3.0, 0.2), held(1.0, 1.4, "G"))
     assert both.gain > both.needed
     assert both.verdict == "unproven"
-    assert with_gap(seen, 0.1, 1.0).verdict == "withdrawn"
-    fitted = tuple(replace(g, held_out=False) for g in seen.quantities)
-    untested = replace(seen, quantities=fitted, held_out=(), uncertainty=np.nan)
+    assert with_gap(seen, held(0.1, 1.0)).verdict == "withdrawn"
+    untested = with_gap(seen, uncertainty=np.nan)
     assert untested.verdict == "not tested"
     assert untested.to_dict()["before_jnd"] is None
 
 
 def test_nothing_ambiguous_is_supported(finding: MeansFinding) -> None:
-    torn = with_gap(verify(finding), 1.0, 0.1, predictive=5.0, finding=unsure(finding))
+    torn = with_gap(verify(finding), held(1.0, 0.1), finding=unsure(finding))
     assert torn.verdict == "unproven"
     assert torn.to_dict()["finding"]["candidates"] == ["area", "opening"]
 
@@ -236,17 +251,16 @@ def test_what_the_finding_was_fitted_to_tests_nothing(folder: Path) -> None:
     case = Case.from_file(str(folder / "case.json"))
     found = rt.find(case, cache=folder)
     levels = verify(found)
-    held = {g.quantity for g in levels.quantities if g.held_out}
-    assert held == {"C80", "G"}
+    assert {g.quantity for g in levels.quantities if g.used == "held out"} == {"C80", "G"}
     assert levels.verdict != "not tested"
     times = case.only("t20", "edt", "t30")
     alone = verify(rt.find(times, cache=folder))
     assert alone.verdict == "not tested"
-    assert not any(g.held_out for g in alone.quantities)
+    assert not any(g.used == "held out" for g in alone.quantities)
     # What is measured later was not in the search: the effect stays as it was found.
     later = verify(rt.find(times, cache=folder), case)
     assert later.held_out == ("what was not in the search",)
-    assert {g.quantity for g in later.quantities if g.held_out} == {"C80", "G"}
+    assert {g.quantity for g in later.quantities if g.used == "held out"} == {"C80", "G"}
 
 
 def test_a_sound_model_is_no_input_error(folder: Path) -> None:

@@ -196,14 +196,12 @@ def test_a_comparison_of_files_sees_one_bit() -> None:
     ("name", "own", "shared"),
     [
         ("Finding", {"case"}, {"verdict", "family", "effect", "size", "sets", "detection"}),
-        ("Verification", {"finding"}, {"verdict", "sentence", "before", "after", "gaps"}),
     ],
 )
 def test_every_kind_has_one_type_for_one_name(name: str, own: set[str], shared: set[str]) -> None:
     """A name has one type, but that of what was searched, or found.
 
-    `finding.parameters` was a mapping of numbers, or a tuple of names, by what was measured; `before`
-    of a verification a number, or the gaps of the model as it is stated, or those of no change.
+    `finding.parameters` was a mapping of numbers, or a tuple of names, by what was measured.
     """
     finder = rt.finder
     types = types_by_attribute(

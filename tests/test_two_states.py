@@ -172,7 +172,7 @@ def test_each_half_of_the_pairs_predicts_the_other(
     verification = rt.finder.verify(many)
     assert verification.verdict == "supported"
     assert verification.after < 0.5 * verification.before
-    assert verification.gaps.shape == (2, 6, 6)
+    assert verification.gaps.shape == (2, 1, 1, 6, 6)
     case = panels.case
     few = rt.find(case.room, case.after.select(case.after.pairs[:2]), before=case.before)
     with pytest.raises(rt.errors.DataError, match="4 are needed"):
@@ -188,10 +188,10 @@ def test_an_earlier_finding_predicts_the_pairs_that_it_had_not(many: StatesFindi
     earlier = rt.find(case.room, case.after.select(some), before=case.before.select(some))
     result = rt.finder.verify(earlier, before=case.before, after=case.after)
     assert result.verdict == "supported"
-    assert result.gaps.shape == (2, 2, 6)
+    assert result.gaps.shape == (2, 1, 1, 2, 6)
     assert result.to_dict()["pairs"] == [list(p) for p in case.before.pairs[4:]]
     np.testing.assert_allclose(
-        result.gaps[0], np.expm1(-many.case.differences.change[4:]) / 0.05, rtol=1e-9
+        result.gaps[0, 0, 0], np.expm1(-many.case.differences.change[4:]) / 0.05, rtol=1e-9
     )
     # Another change than the one that was found is not predicted.
     other = rt.finder.verify(earlier, before=case.after, after=case.before)

@@ -12,7 +12,8 @@ import pytest
 
 import rtcal as rt
 from rtcal.command.main import main
-from rtcal.finder.positions import PositionsFinding, PositionsVerification
+from rtcal.finder.positions import PositionsFinding
+from rtcal.finder.verification import Verification
 from rtcal.loop import control_runs
 from tests.test_where import RECEIVERS, SOURCES, measured, stated, tracing
 from tests.test_where_page import PLACE, finding_of, verification_of
@@ -41,7 +42,7 @@ def found(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> PositionsFinding:
     """The slow part, which is not what these tests are about."""
     finding = some()
 
-    def verified(*_: Any, **__: Any) -> PositionsVerification:
+    def verified(*_: Any, **__: Any) -> Verification:
         return verification_of(finding, {"before": 3.0, "plain": 2.0, "corrected": 1.0})
 
     monkeypatch.setattr("rtcal.finder.search.find", lambda *_, **__: finding)

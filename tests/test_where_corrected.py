@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 import rtcal as rt
+from rtcal.finder.corrected import corrected_geometry
 from rtcal.finder.finding import Candidate
 from rtcal.finder.positions.case import PositionsCase
-from rtcal.finder.positions.corrected import corrected_geometry
 from rtcal.finder.positions.surfaces import of_geometry, patched
 from rtcal.io import catt, geometry_files, obj, odeon
 from rtcal.simulators import ImageSource, PathTracing, Polyhedron, RayTracing
@@ -180,9 +180,9 @@ def test_a_patch_of_alpha_1_is_drawn_larger(box: PositionsCase) -> None:
 def test_a_patch_that_does_not_fit_is_the_whole_surface_and_says_so(box: PositionsCase) -> None:
     made = corrected_geometry(box, candidate("east", 16.0))
     assert made.form == "material"
-    assert made.note
+    assert made.notes
     assert made.room.alpha[-1] == pytest.approx([0.8, 0.8])
-    assert not corrected_geometry(box, candidate("east", 6.0), "material").note
+    assert not corrected_geometry(box, candidate("east", 6.0), "material").notes
 
 
 @pytest.mark.parametrize(

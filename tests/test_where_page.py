@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -11,10 +12,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import ArrayLike
 
 import rtcal as rt
-from rtcal.finder.finding import Detection
-from rtcal.finder.positions import Place, PositionsFinding, PositionsVerification, verification
+from rtcal.finder.finding import Candidate, Detection
+from rtcal.finder.positions import Place, PositionsFinding, verification
+from rtcal.finder.verification import Verification
 from rtcal.loop.control_runs import ControlRuns
 from rtcal.report import figures, of_finding, room_view
 from rtcal.report.room_view import ABOVE, axes_of
@@ -68,22 +71,24 @@ def finding() -> PositionsFinding:
 
 
 def verification_of(
-    finding: Any, gaps: dict[str, float], noise: float = 0.1
-) -> PositionsVerification:
+    finding: Any,
+    gaps: dict[str, float],
+    noise: float = 0.1,
+    changes: Callable[[np.ndarray], None] = lambda _: None,
+    added: tuple[Candidate | None, ...] = (None, None),
+) -> Verification:
     """Return gaps that are as stated in the mean, with noise over seeds and pairs.
 
-    Every second pair has too much, the others too little: the pairs' mean is met.
+    Every second pair has too much, the others too little: the pairs' mean is met. ``changes`` are those
+    of the last model's gaps.
     """
     rng = np.random.default_rng(4)
     shape = (3, len(finding.parameters), len(finding.pairs), 2)
     sign = (-1.0) ** np.arange(len(finding.pairs))[:, np.newaxis]
-    return PositionsVerification(
-        finding=finding,
-        added=(None, None),
-        halves=(finding.pairs[:1], finding.pairs[1:]),
-        seeds=(0, 1, 2),
-        gaps=np.stack([sign * (g + noise * rng.standard_normal(shape)) for g in gaps.values()]),
-    )
+    every = np.stack([sign * (g + noise * rng.standard_normal(shape)) for g in gaps.values()])
+    changes(every[-1])
+    halves = (finding.pairs[:1], finding.pairs[1:])
+    return verification.concluded(finding, every, added, halves, (0, 1, 2))
 
 
 SIX = [("S", f"R{i}") for i in range(6)]
@@ -117,27 +122,32 @@ def test_a_gap_that_changes_by_less_than_its_uncertainty_is_unproven(
     assert result.sentence.lower().startswith(verdict)
     assert result.gain == pytest.approx(plain - corrected, abs=0.06)
     assert 0.005 < result.uncertainty < 0.05
-    assert np.isfinite(list(result.spread["plain"].values())).all()
+    assert np.isfinite(result.quantities[0].spread).all()
 
 
 @pytest.mark.parametrize("name", ["t20", "edt"])
 def test_a_mean_that_is_missed_is_never_supported(name: str) -> None:
     """T was 0.53 s for 0.645 ± 0.013 s, and the verdict was to use the model."""
-    result = verification_of(PAIRS, {"before": 3.0, "plain": 2.5, "corrected": 0.8})
-    assert result.verdict == "supported"
+    means = {"before": 3.0, "plain": 2.5, "corrected": 0.8}
+    assert verification_of(PAIRS, means).verdict == "supported"
     row = PAIRS.parameters.index(name)
+
+    def with_band(values: ArrayLike) -> Verification:
+        def change(gaps: np.ndarray) -> None:
+            gaps[:, row, :, 1] = values
+
+        return verification_of(PAIRS, means, changes=change)
+
     # As close on average, but every pair is off to the same side, in one band.
-    result.gaps[-1][:, row, :, 1] = -2.0
+    result = with_band(-2.0)
     assert result.gain > result.needed
     assert result.verdict == "unproven"
     (miss,) = result.misses
     assert (miss.quantity.lower(), miss.frequency) == (name, 1000.0)
     assert miss.model == pytest.approx(0.9 * miss.measured)
     # A miss within 1 JND, or within its uncertainty, is none.
-    result.gaps[-1][:, row, :, 1] = -0.9
-    assert not result.misses
-    result.gaps[-1][:, row, :, 1] = 1.2 + 12 * (-1.0) ** np.arange(6)
-    assert not result.misses
+    assert not with_band(-0.9).misses
+    assert not with_band(1.2 + 12 * (-1.0) ** np.arange(6)).misses
 
 
 def test_a_gap_that_hardly_shrinks_supports_nothing_however_sure_it_is() -> None:
@@ -166,9 +176,13 @@ def test_attributes_have_one_type_whatever_was_found(
 
 def test_a_gap_that_shrinks_at_one_pair_alone_is_unproven() -> None:
     """It had been enough that every seed's mean was smaller."""
-    result = verification_of(PAIRS, {"before": 3.0, "plain": 2.0, "corrected": 2.0}, 0.001)
-    result.gaps[-1][:, :, 0] = 0.1
-    assert (result.gap("corrected") < result.gap("plain")).all()
+
+    def change(gaps: np.ndarray) -> None:
+        gaps[:, :, 0] = 0.1
+
+    means = {"before": 3.0, "plain": 2.0, "corrected": 2.0}
+    result = verification_of(PAIRS, means, 0.001, change)
+    assert (result.by_seed[2] < result.by_seed[1]).all()
     assert result.verdict == "unproven"
 
 
@@ -216,4 +230,4 @@ def test_the_page_begins_with_the_three_bars(finding: PositionsFinding, tmp_path
         assert len(alt) > 60, alt
     assert "measure at (6.5, 3.0, 1.2) m with source S" in " ".join(body.split())
     record = json.loads((tmp_path / "result.json").read_text())
-    assert (record["rtcal"], record["verdict"]) == (PositionsVerification.record_kind, "unproven")
+    assert (record["rtcal"], record["verdict"]) == (Verification.record_kind, "unproven")

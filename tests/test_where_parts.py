@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 import rtcal as rt
+from rtcal.finder.corrected import corrected_geometry
 from rtcal.finder.effects import library
 from rtcal.finder.positions import surfaces
-from rtcal.finder.positions.corrected import corrected_geometry
 from rtcal.finder.positions.hypotheses import materials, on_parts, shifts
 from rtcal.finder.positions.surfaces import divided, face_at, patched
 from rtcal.report import figures

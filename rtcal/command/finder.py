@@ -200,7 +200,8 @@ def saved(path: str) -> tuple[Any, Any]:
     DataError
         For a file that holds no finding, with the command that writes one.
     """
-    from rtcal.finder.finding import Finding, Verification
+    from rtcal.finder.finding import Finding
+    from rtcal.finder.verification import Verification
 
     one = "found"
     if not _is_saved(Path(path)) and Path(path).suffix in (".toml", ".json"):
@@ -372,7 +373,7 @@ def verify(found: str, before: str | None, after: str | None) -> None:
             raise DataError("--before and --after are of a finding of two states")
         if before is None or after is None:
             raise DataError("--before and --after belong together: the same pairs in both states")
-        measured = {"before": read_measured(before), "after": read_measured(after)}
+        measured: Any = {"before": read_measured(before), "after": read_measured(after)}
         verification = finder.verify(finding, **measured)
     if verification is None:
         nothing = finding.reason_for_none

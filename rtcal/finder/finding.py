@@ -1,24 +1,21 @@
-"""An effect that explains the data, and the bases of what a search and a verification return."""
+"""An effect that explains the data, and the base of what a search returns."""
 
 from __future__ import annotations
 
 import math
-import warnings
 from abc import abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
 import numpy as np
-from scipy import stats
 
-from rtcal.acoustics import bands
-from rtcal.acoustics.observables import DecaySlope, observable
 from rtcal.files.disk import json_numbers
 from rtcal.files.saved import Result
 from rtcal.finder.effects import CoupledRoom, Effect
-from rtcal.support.errors import DataError, ModelError
-from rtcal.support.text import first_of
+from rtcal.support import blocks
+from rtcal.support.blocks import Block
+from rtcal.support.errors import ModelError
 from rtcal.support.types import Array
 
 End = Literal["", "least", "most"]
@@ -173,251 +170,6 @@ candidates with less 9 of 41 were right."""
 _NOTHING = 0.1
 """Probability that nothing is other than stated, from which a verdict says it first."""
 NATS = "2.3 nats are odds of ten to one"
-_CONFIDENCE = 0.95
-"""Of a gap over pairs that is said to shrink or to grow: one-sided, by Student's t."""
-
-
-LEAST_SHRINKAGE = 0.2
-"""Decrease of the mean gap in JND that supports a finding at least, however well it is known: a gap
-that goes from 1.75 to 1.74 JND supports nothing."""
-_WORDS_OF_MISSES = 3
-"""Bands that miss what was measured and are named in a sentence."""
-
-
-@dataclass(frozen=True)
-class Miss:
-    """A band in which the corrected model misses what it was matched to.
-
-    Attributes
-    ----------
-    quantity, place : str
-        "T20", and where: the name of a configuration; "" where there is one.
-    frequency : float
-        Centre frequency in Hz.
-    model, measured, uncertainty : float
-        In the quantity's ``unit``; the standard uncertainty of what was measured.
-    jnd : float
-        The gap in JND, signed.
-    unit : str
-    """
-
-    quantity: str
-    place: str
-    frequency: float
-    model: float
-    measured: float
-    uncertainty: float
-    jnd: float
-    unit: str
-
-    @property
-    def in_words(self) -> str:
-        """The band with both values: "T20 at 500 Hz is 0.53 s, measured 0.645 ± 0.013 s"."""
-        at = f"{self.quantity} at {bands.label(self.frequency)}"
-        at += f' of "{self.place}"' if self.place else ""
-        unit = f" {self.unit}" if self.unit else ""
-        return (
-            f"{at} is {self.model:.3g}{unit}, measured {self.measured:.3g} ± "
-            f"{self.uncertainty:.2g}{unit}"
-        )
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return plain values for JSON."""
-        return dict(vars(self))
-
-
-def is_miss(jnd: Array, uncertainty: Array) -> Array:
-    """Return where a gap in JND exceeds 1 JND and its standard uncertainty, which is in JND, too."""
-    return np.asarray(np.abs(jnd) > np.maximum(1.0, np.nan_to_num(uncertainty)))
-
-
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class Verification(Result):
-    """The gap with and without what was found: `MeansVerification` or `PositionsVerification`.
-
-    Attributes
-    ----------
-    finding : Finding
-    """
-
-    finding: Finding
-
-    @property
-    @abstractmethod
-    def misses(self) -> tuple[Miss, ...]:
-        """Gaps of the model with what was found that are more than 1 JND and than its uncertainty."""
-
-    @property
-    def misses_in_words(self) -> str:
-        """A sentence on what the model misses, with the consequence; "" where it meets all."""
-        if not self.misses:
-            return ""
-        worst = sorted(self.misses, key=lambda miss: -abs(miss.jnd))
-        said = first_of([miss.in_words for miss in worst], _WORDS_OF_MISSES)
-        return f"Do not simulate with it: with what was found {said}."
-
-    @property
-    @abstractmethod
-    def before(self) -> float:
-        """Mean absolute gap in JND without what was found; NaN where nothing tells."""
-
-    @property
-    @abstractmethod
-    def after(self) -> float:
-        """The same with what was found."""
-
-    @property
-    @abstractmethod
-    def verdict(self) -> str:
-        """``supported``: the gap shrinks by more than its uncertainty, by `LEAST_SHRINKAGE` at least.
-
-        ``withdrawn``: it grows. ``unproven``: it changes by less, or the model misses what it was
-        matched to (`misses`). ``not tested``: nothing was measured that the finding was not fitted to.
-        """
-
-    @property
-    @abstractmethod
-    def sentence(self) -> str:
-        """The change of the gap, in words; the verdict first."""
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return plain values for JSON."""
-        return {
-            "verdict": self.verdict,
-            "sentence": self.sentence,
-            "misses": [miss.to_dict() for miss in self.misses],
-            "least_shrinkage_jnd": LEAST_SHRINKAGE,
-            "finding": self.finding.to_dict(),
-        }
-
-
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class HeldOutVerification(Verification):
-    """Gaps at pairs that were not fitted: half of the pairs finds it again and predicts the others.
-
-    Attributes
-    ----------
-    gaps : array (n_models, ..., n_pairs, n_bands)
-        Model less measured in JND; the last model has what was found, the one before it has not. NaN
-        where nothing was measured.
-    """
-
-    gaps: Array
-
-    @property
-    @abstractmethod
-    def gains(self) -> Array:
-        """The decrease of each pair's mean absolute gap, (n_seeds, n_pairs), in JND."""
-
-    @property
-    @abstractmethod
-    def matched(self) -> Mapping[str, tuple[Array, Array]]:
-        """For each parameter the mean measured over the pairs, (n_bands,), and what is left of the gap.
-
-        The gap is that of the last model, (n_pairs, n_bands), signed and in JND.
-        """
-
-    @property
-    def prediction_error(self) -> Array | float:
-        """Standard deviation in JND that the last model states for itself; 0 of a calibrated one."""
-        return 0.0
-
-    @property
-    @abstractmethod
-    def matched_pairs(self) -> Sequence[tuple[str, str]]:
-        """The pairs of source and receiver that `matched` has."""
-
-    @property
-    @abstractmethod
-    def frequencies(self) -> Array:
-        """Centre frequencies in Hz, (n_bands,)."""
-
-    @property
-    def decay_times(self) -> Array | None:
-        """T in s, (n_bands,), by which a response is noisy; None where none was matched."""
-        every = self.matched.items()
-        return next((m for p, (m, _) in every if isinstance(observable(p), DecaySlope)), None)
-
-    @property
-    def misses(self) -> tuple[Miss, ...]:
-        """Means over the pairs that the model with what was found misses.
-
-        Their variance is the larger of that over the pairs, of which as many are independent as there
-        are sources or receivers, and of that of noise in as many responses (ISO 3382-2).
-        """
-        matched, out, pairs = self.matched, list[Miss](), self.matched_pairs
-        times = self.decay_times
-        independent = max(len({s for s, _ in pairs}), len({r for _, r in pairs}))
-        for name, (measured, gaps) in matched.items():
-            of = observable(name)
-            step = of.jnd * measured if of.relative_jnd else np.full(len(measured), of.jnd)
-            with warnings.catch_warnings():
-                warnings.simplefilter("ignore", RuntimeWarning)  # a band without a value
-                mean = np.nanmean(gaps, axis=0)
-                error = np.nanstd(gaps, axis=0, ddof=1) / np.sqrt(independent)
-            if times is not None:
-                one = of.scatter(self.frequencies, times) * (measured if of.logarithmic else 1.0)
-                error = np.fmax(error, one / step / np.sqrt(len(pairs)))
-            error = np.hypot(error, self.prediction_error)
-            for k in np.flatnonzero(is_miss(mean, error) & np.isfinite(mean)).tolist():
-                out.append(
-                    Miss(
-                        quantity=of.label,
-                        place="",
-                        frequency=float(self.frequencies[k]),
-                        model=float(measured[k] + step[k] * mean[k]),
-                        measured=float(measured[k]),
-                        uncertainty=float(step[k] * np.nan_to_num(error[k])),
-                        jnd=float(mean[k]),
-                        unit=of.unit,
-                    )
-                )
-        return tuple(out)
-
-    @property
-    def gain(self) -> float:
-        """The decrease of the mean absolute gap with what was found, in JND."""
-        return float(self.gains.mean())
-
-    @property
-    def uncertainty(self) -> float:
-        """Standard error of the gain over pairs and, of two seeds and more, over seeds, in JND."""
-        gains = self.gains
-        n_seeds, n_pairs = gains.shape
-        of_pairs = gains.mean(axis=0).std(ddof=1) / np.sqrt(n_pairs)
-        of_seeds = gains.mean(axis=1).std(ddof=1) / np.sqrt(n_seeds) if n_seeds > 1 else 0.0
-        return float(np.hypot(of_pairs, of_seeds))
-
-    @property
-    def needed(self) -> float:
-        """The decrease of the gap in JND that supports the finding.
-
-        More than its uncertainty, one-sided, by Student's t over the pairs, and `LEAST_SHRINKAGE`.
-        """
-        free = self.gains.shape[1] - 1
-        return max(LEAST_SHRINKAGE, self.uncertainty * float(stats.t.ppf(_CONFIDENCE, free)))
-
-    @property
-    def verdict(self) -> str:
-        """``supported``, ``unproven`` or ``withdrawn``: the gap shrinks, hardly changes, or grows.
-
-        By `needed`; and nothing that was matched may be missed (`misses`).
-        """
-        if abs(self.gain) <= self.needed:
-            return "unproven"
-        if self.gain < 0:
-            return "withdrawn"
-        return "unproven" if self.misses else "supported"
-
-
-def check_pairs(pairs: Sequence[object]) -> None:
-    """Raise DataError for fewer than `LEAST_PAIRS` pairs."""
-    if len(pairs) < LEAST_PAIRS:
-        raise DataError(
-            f"there are {len(pairs)} pairs; {LEAST_PAIRS} are needed, half of which predict the others"
-        )
-
-
 LEAST_PAIRS = 4
 """Fewest pairs of a verification at held-out pairs: half of them have to find it again."""
 
@@ -567,6 +319,16 @@ class Finding(Result):
     @abstractmethod
     def what(self) -> str:
         """The effect that was found, in a few words."""
+
+    @abstractmethod
+    def blocks(self) -> list[Block]:
+        """Return the headline, and what else is printed."""
+
+    def __str__(self) -> str:
+        return "\n".join(blocks.lines(self.blocks()))
+
+    def _repr_html_(self) -> str:
+        return blocks.notebook(self.headline, self.blocks()[1:])
 
     def __repr__(self) -> str:
         """Return one line: verdict, what was found, score and threshold."""

@@ -14,8 +14,8 @@ from rtcal.finder.effects import Effect
 from rtcal.finder.means.engines import ControlRooms
 from rtcal.finder.means.finding import MeansFinding
 from rtcal.finder.means.search import find as find_by_means
-from rtcal.finder.means.verification import MeansVerification
 from rtcal.finder.means.verification import verify as verify_by_means
+from rtcal.finder.verification import Verification
 from rtcal.io import geometry_files
 from rtcal.loop.control_runs import ControlRuns
 from rtcal.simulators.path_tracing import PathTracing
@@ -190,19 +190,11 @@ def find(
     return positions.find(case, seed=seed, **common)
 
 
-@overload
-def verify(finding: MeansFinding, case: Case | None = None) -> MeansVerification: ...
-@overload
-def verify(
-    finding: positions.PositionsFinding, **options: Any
-) -> positions.PositionsVerification: ...
-@overload
-def verify(finding: states.StatesFinding, **options: Any) -> states.StatesVerification: ...
 def verify(
     finding: MeansFinding | positions.PositionsFinding | states.StatesFinding,
     case: Case | None = None,
     **options: Any,
-) -> MeansVerification | positions.PositionsVerification | states.StatesVerification:
+) -> Verification:
     """Verify a finding: by the gaps that alpha cannot close, or at pairs that were not fitted.
 
     Parameters

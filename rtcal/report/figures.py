@@ -38,10 +38,9 @@ if TYPE_CHECKING:
 
     from rtcal.calibration.result import CalibrationResult
     from rtcal.finder.means.finding import MeansFinding
-    from rtcal.finder.means.verification import MeansVerification
     from rtcal.finder.positions.finding import Place, PositionsFinding
-    from rtcal.finder.positions.verification import PositionsVerification
     from rtcal.finder.states.finding import StatesFinding
+    from rtcal.finder.verification import Verification
     from rtcal.loop.positions_result import PositionsResult
     from rtcal.loop.state import Loop
     from rtcal.modes.result import ModesResult
@@ -668,12 +667,13 @@ _CORRECTED: dict[str, Any] = {"color": BLUE, "marker": "D"}
 """Marks of a plain calibration, and of the one with the effect that was found."""
 
 
-def corrected_times(verification: MeansVerification) -> Any:
+def corrected_times(verification: Verification) -> Any:
     """Return T(f) of the first configuration: measured, prior, plainly calibrated, corrected."""
     from rtcal.finder.means.verification import reverberation_times
 
     finding = verification.finding
-    f, times = finding.case.room.centre_frequencies, reverberation_times(verification)[0]
+    f = finding.case.room.centre_frequencies
+    times = reverberation_times(finding, verification.plain, verification.corrected)[0]
     figure, axes = new_figure()
     jnd_band(axes, f, times["measured"])
     axes.plot(f, times["measured"], **MEASURED, label="measured")
@@ -687,14 +687,16 @@ def corrected_times(verification: MeansVerification) -> Any:
     return figure
 
 
-def residuals(finding: MeansFinding, verification: MeansVerification | None = None) -> Any:
+def residuals(finding: MeansFinding, verification: Verification | None = None) -> Any:
     """Return the residual map: feature by band and configuration; before, and after the effect."""
     from rtcal.finder.means.finding import feature_names
     from rtcal.finder.means.verification import residual_map
 
     maps = [("The model as stated", finding.residuals)]
     if verification is not None:
-        maps.append((f"The model with {finding.title}", residual_map(verification)))
+        maps.append(
+            (f"The model with {finding.title}", residual_map(finding, verification.corrected))
+        )
     known = np.argwhere(np.isfinite(finding.residuals).any(axis=2)).tolist()
     configurations = finding.case.configurations
     labels = [
@@ -771,13 +773,13 @@ def probabilities(finding: MeansFinding) -> Any:
     return figure
 
 
-def bends(verification: MeansVerification) -> bool:
+def bends(verification: Verification) -> bool:
     """Whether the effect bends the decay: whether EDT/T20 or T30/T20 change visibly."""
     shapes = [model.features[:, 1:3] for model in (verification.plain, verification.corrected)]
     return bool(np.abs(shapes[1] - shapes[0]).max() > _BENT)
 
 
-def decay(verification: MeansVerification) -> Any:
+def decay(verification: Verification) -> Any:
     """Return the decay of the band with the largest residual of shape: measured, plain, corrected."""
     finding = verification.finding
     case, first = finding.case, finding.case.configurations[0].measured
@@ -821,7 +823,7 @@ def _level(case: Any, alpha: Array, band: int, t: Array) -> Array:
     return np.asarray(10 * np.log10(np.maximum(left / total, 1e-9)))
 
 
-def corrected_shifts(verification: MeansVerification) -> Any:
+def corrected_shifts(verification: Verification) -> Any:
     """Return each material's shift of alpha by band, plain and corrected, with 90 % intervals.
 
     The prior's interval is grey. If there are more than `MOST_PANELS` materials, the figure shows those
@@ -972,18 +974,15 @@ def disagreement(finding: PositionsFinding) -> Any:
     return figure
 
 
-def bars(verification: PositionsVerification, axes: Any = None) -> Any:
+def bars(verification: Verification, axes: Any = None) -> Any:
     """Return the three bars: the mean gap at held-out pairs as stated, calibrated, corrected.
 
     Whiskers are the range over the simulator's seeds.
     """
-    from rtcal.finder.positions.verification import MODELS
-
     if axes is None:
         _, axes = new_figure(6.0, 3.8)
     looks = (("0.7", ""), (BLUE, "//"), (GREEN, ".."))
-    for x, (model, (colour, hatch)) in enumerate(zip(MODELS, looks, strict=True)):
-        gaps = verification.gap(model)
+    for x, (gaps, (colour, hatch)) in enumerate(zip(verification.by_seed, looks, strict=True)):
         mean, top = float(gaps.mean()), float(gaps.max())
         error = [[mean - float(gaps.min())], [top - mean]] if len(gaps) > 1 else None
         style = {"color": colour, "hatch": hatch, "edgecolor": BLACK}
@@ -991,7 +990,7 @@ def bars(verification: PositionsVerification, axes: Any = None) -> Any:
         _note(axes, f"{mean:.2f}", (x, top), (0, 6), ha="center")
     axes.axhline(1.0, color=BLACK, linestyle=":", linewidth=1)
     _note(axes, "1 JND", (1.5, 1.0), (0, 3), ha="center")
-    axes.set_xticks(range(len(MODELS)), ("as stated", "calibrated", "corrected\nand calibrated"))
+    axes.set_xticks(range(3), ("as stated", "calibrated", "corrected\nand calibrated"))
     axes.set_ylabel("Mean gap at pairs not fitted / JND")
     axes.margins(y=0.15)
     return axes.figure

@@ -17,13 +17,12 @@ from rtcal.files.saved import NUMBERS
 from rtcal.finder.claim import CLAIMED
 from rtcal.finder.means.corrected import corrected_room, not_in_room
 from rtcal.finder.means.finding import MeansFinding
-from rtcal.finder.means.recalibration import recalibrate, table
+from rtcal.finder.means.recalibration import recalibrate
 from rtcal.finder.means.verdict import TWO
-from rtcal.finder.means.verification import MeansVerification
 from rtcal.finder.positions.finding import Place, PositionsFinding, strongest
-from rtcal.finder.positions.verification import MODELS, TITLES, PositionsVerification
 from rtcal.finder.states.finding import StatesFinding
-from rtcal.finder.states.search import verify
+from rtcal.finder.states.verification import verify
+from rtcal.finder.verification import Verification
 from rtcal.report import figures, of_calibration, room_view
 from rtcal.report.document import (
     Box,
@@ -43,6 +42,7 @@ from rtcal.report.document import (
 from rtcal.report.odds import odds
 from rtcal.support import __version__
 from rtcal.support.blocks import Note, Row, Table
+from rtcal.support.blocks import lines as lines_of
 from rtcal.support.errors import MissingAirWarning
 from rtcal.support.text import as_sentence, listed
 
@@ -131,7 +131,7 @@ def write(
 
 
 def _of_means(
-    finding: MeansFinding, verification: MeansVerification | None, reproduction: Reproduction | None
+    finding: MeansFinding, verification: Verification | None, reproduction: Reproduction | None
 ) -> list[Any]:
     """Return the blocks of a finding by means; those of the calibration without the effect are last."""
     drawn = _pictures_of_means(finding, verification)
@@ -215,7 +215,7 @@ def _time(finding: MeansFinding) -> str:
     return finding.case.configurations[0].measured.time_label
 
 
-def rests_on(finding: MeansFinding, verification: MeansVerification | None) -> list[str]:
+def rests_on(finding: MeansFinding, verification: Verification | None) -> list[str]:
     """Return what the verdict rests on, a sentence each."""
     rule = (
         "An effect or a family is claimed if the probability that it is there is at least "
@@ -247,7 +247,7 @@ _QUOTE = {
 """What may be done with the corrected calibration, and with its coefficients, by verification."""
 
 
-def to_do(finding: MeansFinding, verification: MeansVerification | None) -> list[str]:
+def to_do(finding: MeansFinding, verification: Verification | None) -> list[str]:
     """Return what to do, a sentence each: the next measurement, and which coefficients to use."""
     steps = [] if finding.verdict == "none" else [as_sentence(finding.advice)]
     if finding.undecided:
@@ -276,7 +276,7 @@ def to_do(finding: MeansFinding, verification: MeansVerification | None) -> list
 
 
 def _corrected(
-    finding: MeansFinding, verification: MeansVerification | None, drawn: dict[str, Picture]
+    finding: MeansFinding, verification: Verification | None, drawn: dict[str, Picture]
 ) -> list[Any]:
     """Return the coefficients with the effect or the set in the model; nothing where none is added."""
     if not finding.can_be_added or finding.undecided:
@@ -303,7 +303,7 @@ def _corrected(
     ]
 
 
-def _unknowable(finding: MeansFinding, verification: MeansVerification | None) -> str:
+def _unknowable(finding: MeansFinding, verification: Verification | None) -> str:
     """Return the sentence on what no calibration can show: whether the name is right."""
     if len(finding.members) > 1:
         return (
@@ -324,9 +324,7 @@ def _unknowable(finding: MeansFinding, verification: MeansVerification | None) -
     )
 
 
-def _pictures_of_means(
-    finding: MeansFinding, verified: MeansVerification | None
-) -> dict[str, Picture]:
+def _pictures_of_means(finding: MeansFinding, verified: Verification | None) -> dict[str, Picture]:
     """Return the figures by name; those of shifts, T and decay need a verification."""
     shown = {
         "evidence": Picture(
@@ -401,7 +399,7 @@ def _reproduced(finding: MeansFinding, reproduction: Reproduction | None) -> lis
 
 def _where(
     finding: PositionsFinding,
-    verification: PositionsVerification | None,
+    verification: Verification | None,
     command: str,
     place: Place | None,
 ) -> list[Any]:
@@ -414,18 +412,8 @@ def _where(
         Note("There is nothing to add to a surface, so there is no second model to compare."),
     ]
     if verification is not None:
-        before, plain, after = (f"{verification.gap(model).mean():.2f}" for model in MODELS)
-        verdict, _, why = verification.verdict_in_words.partition(": ")
-        box = Box(
-            _LEVELS[verification.verdict],
-            verdict,
-            [
-                as_sentence(why),
-                f"At positions that were not fitted the gap is {before} JND as stated, {plain} "
-                f"calibrated, {after} corrected and calibrated.{verification.warning} "
-                f"{verification.support}",
-            ],
-        )
+        verdict, _, why = verification.sentence.partition(": ")
+        box = Box(_LEVELS[verification.verdict], verdict, [as_sentence(why), verification.notes[0]])
         better = "A gap that shrinks shows that the model is better, not that the name is right."
         gap = [SideBySide([[drawn["gap"]], [box, Note(better)]])]
     return [
@@ -439,7 +427,7 @@ def _where(
         *_next(place),
         Section("Where the model disagrees", "map"),
         SideBySide([[drawn["plan"]], [drawn["map"]]]),
-        *([] if verification is None else _gaps(finding, verification)),
+        *([] if verification is None else _gaps(verification)),
         *([Section("How to reproduce", "reproduce"), Code(command)] if command else []),
     ]
 
@@ -457,29 +445,18 @@ def _next(place: Place | None) -> list[Note]:
     ]
 
 
-def _gaps(finding: PositionsFinding, verification: PositionsVerification) -> list[Any]:
+def _gaps(verification: Verification) -> list[Any]:
     """Return the gaps of each model by parameter and by pair."""
-    spread = verification.spread
-    by_parameter = [
-        Row(TITLES[model], [f"{gap:.2f} ± {spread[model][name]:.2f}" for name, gap in gaps.items()])
-        for model, gaps in verification.by_parameter.items()
-    ]
-    by_pair = [
-        Row(" to ".join(pair), [float(verification.by_pair[model][i]) for model in TITLES], ".2f")
-        for i, pair in enumerate(finding.pairs)
-    ]
-    names = [parameter_label(p) for p in finding.parameters]
     title = "Mean gap in JND, ± its standard deviation over the simulator's seeds"
     return [
         Section("The gaps by parameter and by pair", "gaps"),
-        Table(names, by_parameter, title),
-        Table([*TITLES.values()], by_pair, "Mean gap in JND by pair"),
-        Items(verification.halves_in_words),
+        replace(verification.table, title=title, corner=""),
+        Items(list(verification.notes[1:])),
     ]
 
 
 def _pictures_of_where(
-    finding: PositionsFinding, verification: PositionsVerification | None, place: Place | None
+    finding: PositionsFinding, verification: Verification | None, place: Place | None
 ) -> dict[str, Picture]:
     """Return the figures with what they show in words and numbers."""
     p, i, k = strongest(finding.map)
@@ -508,7 +485,7 @@ def _pictures_of_where(
         ),
     }
     if verification is not None:
-        before, plain, after = (f"{verification.gap(m).mean():.2f}" for m in MODELS)
+        before, plain, after = (f"{gap:.2f}" for gap in verification.by_seed.mean(axis=1))
         drawn["gap"] = Picture(
             lambda: figures.bars(verification),
             "Mean gap at pairs that were not fitted; whiskers are the range over the simulator's "
@@ -612,7 +589,7 @@ def correct(
     sentence = finding.added(members)
     lines = [
         sentence,
-        *table(corrected.room, {"corrected": calibrated}),
+        *lines_of(calibrated.blocks()),
         *(f"  note: {note}" for note in finding.notes),
         *(f"  not in {room_path}: {line}" for line in absent),
     ]

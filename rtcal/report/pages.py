@@ -22,10 +22,10 @@ from rtcal.calibration.result import CalibrationResult
 from rtcal.files.disk import json_numbers, read_text
 from rtcal.files.saved import MAX_BYTES, NUMBERS, load
 from rtcal.files.schema import json_object
-from rtcal.finder.finding import Verification
 from rtcal.finder.means.finding import MeansFinding
 from rtcal.finder.positions.finding import PositionsFinding
 from rtcal.finder.states import StatesFinding
+from rtcal.finder.verification import Verification
 from rtcal.io import workbook
 from rtcal.loop.calibrate import LoopResult
 from rtcal.loop.positions_result import PositionsPrediction, PositionsPredictions, PositionsResult

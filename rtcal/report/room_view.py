@@ -32,7 +32,7 @@ from rtcal.support.types import Array
 if TYPE_CHECKING:
     from rtcal.calibration.result import CalibrationResult
     from rtcal.finder.positions.finding import Place, PositionsFinding
-    from rtcal.finder.positions.verification import PositionsVerification
+    from rtcal.finder.verification import Verification
     from rtcal.loop.positions_result import PositionsResult
 
 GREY = "#c8c8c8"
@@ -580,7 +580,7 @@ def of_positions(result: PositionsResult) -> list[Any]:
 
 def of_finding(
     finding: PositionsFinding,
-    verification: PositionsVerification | None,
+    verification: Verification | None,
     place: Place | None = None,
 ) -> list[Any]:
     """Return the section of a finding in a geometry.

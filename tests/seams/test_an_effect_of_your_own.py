@@ -50,7 +50,8 @@ def test_it_is_found_on_the_wall_where_it_stands(
     assert {c.surface for c in hatches} == {"east", "west", "north", "south"}
     assert finding.probabilities["hatch"] > 0.05
     assert "opening" not in finding.probabilities
-    assert rt.finder.positions.verify(finding, cache=kept).ratio < 0.9
+    verified = rt.finder.positions.verify(finding, cache=kept)
+    assert verified.after < 0.9 * verified.before
 
 
 def test_it_is_found_by_means_over_positions(case: rt.finder.positions.PositionsCase) -> None:

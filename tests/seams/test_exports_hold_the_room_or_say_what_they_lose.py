@@ -19,8 +19,8 @@ import pytest
 
 import rtcal as rt
 from rtcal.acoustics.directivity import DirectivityFile
+from rtcal.finder.corrected import Corrected, corrected_geometry
 from rtcal.finder.positions.case import PositionsCase
-from rtcal.finder.positions.corrected import Corrected, corrected_geometry
 from rtcal.io import bras, catt, geometry_files, odeon, pyroomacoustics, tables
 from rtcal.loop.positions_result import PositionsResult
 from rtcal.report import figures, of_positions

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from rtcal.finder.corrected import corrected_geometry
 from rtcal.finder.effects import library
-from rtcal.finder.positions.corrected import corrected_geometry
 from rtcal.finder.positions.hypotheses import on_surfaces
 from rtcal.simulators import Polyhedron
 from rtcal.simulators.geometry import SHOEBOX_WALLS

@@ -136,8 +136,8 @@ def examined(case: Case, controls: list[ControlRooms], truth: dict[str, Any]) ->
             "verification": seen.verdict,
             "before": seen.before,
             "after": seen.after,
-            "predictive": seen.predictive,
-            "gaps": [[g.configuration, g.quantity, g.before, g.after] for g in seen.quantities],
+            "predictive": seen.details["predictive_nats"],
+            "gaps": [[g.place, g.quantity, *g.values] for g in seen.quantities],
         }
         if len(truth["effects"]) == 2:
             again = find(finding.apply(), controls=controls)

@@ -378,8 +378,7 @@ def judged(finding: MeansFinding) -> dict[str, Any]:
         "before": json_numbers(seen.before),
         "after": json_numbers(seen.after),
         "uncertainty": json_numbers(seen.uncertainty),
-        "predictive": seen.predictive,
-        "worse": list(seen.worse),
+        "predictive": seen.details["predictive_nats"],
         "misses": len(seen.misses),
         "objections": [] if seen.verdict == "not tested" else list(seen.objections),
     }

@@ -151,7 +151,7 @@ def verified(judging: Judging, index: int, data: str) -> dict[str, Any]:
     if not finding.can_be_added:
         return out
     result = rt.finder.positions.verify(finding, cache=cache)
-    gaps = {model: getattr(result, model).mean(axis=0) for model in MODELS}
+    gaps = dict(zip(MODELS, result.gaps.mean(axis=1), strict=True))
     off = noise(finding, without_noise(judging.population, index))
     for key, by_model in (
         ("gaps", gaps),

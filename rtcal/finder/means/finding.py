@@ -12,15 +12,23 @@ from rtcal.acoustics import bands
 from rtcal.acoustics.measurement import Measurement
 from rtcal.files.disk import json_numbers
 from rtcal.finder.case import Case
-from rtcal.finder.claim import CLAIMED, SAID, Names, SetsFinding, after_doubt
+from rtcal.finder.claim import (
+    CLAIMED,
+    SAID,
+    Names,
+    after_doubt,
+    by_family_sets,
+    family_of,
+    numbers_of,
+)
 from rtcal.finder.effects import AppliedEffect, WrongVolume, checked_effects
-from rtcal.finder.finding import LEAST_ADDED, NATS, Size
+from rtcal.finder.finding import LEAST_ADDED, NATS, Finding, Size
 from rtcal.finder.means.problem import ModelDiscrepancy
 from rtcal.finder.means.verdict import Fit
 from rtcal.finder.prior import COEFFICIENTS, NONE, UNKNOWN, OffTogether, Prior
 from rtcal.finder.records import data_of, record_of_means, record_of_several
-from rtcal.support import blocks, text
-from rtcal.support.blocks import Note, Row, Table
+from rtcal.support import text
+from rtcal.support.blocks import Block, Note, Row, Table
 from rtcal.support.errors import DataError
 from rtcal.support.text import as_sentence, listed
 from rtcal.support.types import Array
@@ -33,8 +41,10 @@ def feature_names(measured: Measurement) -> tuple[str, ...]:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class MeansFinding(SetsFinding):
-    """The finding of means over positions; attributes beside those of `SetsFinding`.
+class MeansFinding(Finding):
+    """The finding of means over positions; attributes beside those of `Finding`.
+
+    It is of sets of effects, each of which has one effect unless `rtcal.find` was given ``most``.
 
     Attributes
     ----------
@@ -42,6 +52,17 @@ class MeansFinding(SetsFinding):
     candidates : tuple of Candidate
         The members, then what explains the data in place of one. Of single effects, these are the most
         probable ones that hold 0.9 of what is not "none"; one where the verdict is "named".
+    named, named_families : tuple of str
+        The effects and the families that are claimed.
+    named_set : tuple of str
+        The families of two or three effects that are claimed together: the most probable ones, where
+        two or more effects are probable enough (`rtcal.finder.means.verdict.TWO`); else ().
+    members : tuple of str
+        The effects of the most probable set, in the order in which they act: what `apply` adds.
+    sets : mapping of tuple of str to float
+        Probabilities of the sets of effects, the most probable first; () is no effect.
+    stand_ins : mapping of str to tuple of str
+        Of each of two or more members, the effects that explain the data as well in its place.
     evidence : mapping of str to float
         Log evidence over "none" in nats, by effect alone, of "coefficients" and of "unknown".
     probabilities, families : mapping of str to float
@@ -54,7 +75,6 @@ class MeansFinding(SetsFinding):
         Posterior mean of the coefficients, averaged over all sets: what `apply` cannot give, since it
         adds one set.
     prior : Prior
-        What was believed before.
     fits : mapping of str to Fit
         Parameters, size and gap of each candidate; of a member with the other members in the model.
     alone : mapping of str to Fit
@@ -78,6 +98,12 @@ class MeansFinding(SetsFinding):
     record_kind: ClassVar[str] = "finding 2"
 
     case: Case
+    named: Names
+    named_families: Names
+    named_set: Names
+    members: Names
+    sets: Mapping[Names, float]
+    stand_ins: Mapping[str, Names]
     evidence: Mapping[str, float]
     likely: Sequence[tuple[tuple[AppliedEffect, ...], float]]
     alpha: Array
@@ -95,6 +121,21 @@ class MeansFinding(SetsFinding):
     def engines(self) -> tuple[str, ...]:
         """The simulators of the control rooms, from which threshold and discrepancy were estimated."""
         return self.discrepancy.engines
+
+    @property
+    def numbers(self) -> tuple[float, ...]:
+        """Probabilities of 0, 1, 2, ... effects."""
+        return numbers_of(self.sets)
+
+    @property
+    def more_than_one(self) -> bool:
+        """Whether sets of two and more effects were compared."""
+        return len(self.numbers) > 2
+
+    @property
+    def family_sets(self) -> dict[Names, float]:
+        """Probabilities of sets of families; all of "added absorption" as one."""
+        return by_family_sets(self.sets, self.effects)
 
     @property
     def names(self) -> Names:
@@ -294,14 +335,16 @@ class MeansFinding(SetsFinding):
             others = [f"{n} ({self.percent(n)})" for n in self.names if n != name]
             beside = f" Candidates beside it: {listed(others)}." if others else ""
             return f"Added, as stated: {self.title_of(name)} ({self.percent(name)}).{beside}"
-        if len(self.members) > 1:
-            titles = [f"{self.title_of(n)} ({self.percent(n)})" for n in self.members]
-            share = 100 * self.sets[self.members]
-            return (
-                f"Added: {listed(titles)}, the most probable set ({share:.0f} %). "
-                f"{self.claimed_of_members}"
-            )
-        return f"Added: {self.title} ({self.support})."
+        if len(members) == 1:
+            return f"Added: {self.title} ({self.support})."
+        titles = [f"{self.title_of(n)} ({self.percent(n)})" for n in members]
+        families = dict.fromkeys((*self._families_alone, *self.named_set))
+        claimed = [*self.named, *(f"the family {f}" for f in families)]
+        said = f"Of it, {listed(claimed)} is claimed." if claimed else "Nothing of it is claimed."
+        if set(members) <= set(self.named):
+            said = "It is claimed."
+        share = 100 * self.sets[members]
+        return f"Added: {listed(titles)}, the most probable set ({share:.0f} %). {said}"
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain values for JSON."""
@@ -351,48 +394,31 @@ class MeansFinding(SetsFinding):
         some = self.members if len(self.members) > 1 else self.names
         return text.shortened(", ".join(f"{c} {self.percent(c)}" for c in some)) or "no effect"
 
-    def _repr_html_(self) -> str:
-        """Return probabilities and evidence as a table, candidates and threshold in words."""
+    def blocks(self) -> list[Block]:
+        """Return verdict, sizes, probabilities, residuals, advice and notes."""
         rows = [
             Row(
                 name,
                 [
                     self.percent(name),
-                    f"{self.evidence.get(name, 0.0):+.1f}",
+                    f"{self.evidence[name]:+.1f}" if name in self.evidence else "",
                     "candidate" if name in self.names else "",
                 ],
             )
-            for name in self.probabilities
+            for name, p in self.probabilities.items()
+            if p >= SAID
         ]
-        said = [*self.in_words, *self.sets_in_words, *self.not_judged_in_words, self.track_record]
-        return blocks.notebook(
-            f"{self.headline}; threshold {self.threshold:.1f} nats",
-            [
-                Table(["probability", "evidence / nats", ""], rows, corner="effect"),
-                *map(Note, (*said, f"Next: {self.advice}", *self.notes)),
-            ],
-        )
-
-    def __str__(self) -> str:
-        """Return verdict, sizes, probabilities, residuals, advice and notes."""
-        lines = text.wrapped(self.headline)
-        for sentence in self.sentences:
-            lines += text.wrapped(sentence, indent="  ")
-        header = ("", bands.labels(self.case.room.centre_frequencies))
+        there = "probability" if not self.more_than_one else "probability of being there at all"
+        tables = [Table([there, "evidence / nats", ""], rows, corner="effect")]
+        labels = bands.labels(self.case.room.centre_frequencies)
         for c, residuals in zip(self.case.configurations, self.residuals, strict=True):
-            lines += text.wrapped(
-                f'residuals of "{c.name}", in standard deviations (model - measured):',
-                indent="  ",
-            )
-            rows = [
-                (f"    {name}", [text.number(v, "+.1f") for v in row])
-                for name, row in zip(feature_names(c.measured), residuals, strict=True)
-                if np.isfinite(row).any()
-            ]
-            lines += text.table(rows, header=header)
-        for sentence in (f"next: {self.advice}", *(f"note: {n}" for n in self.notes)):
-            lines += text.wrapped(sentence, indent="  ")
-        return "\n".join(lines)
+            named = zip(feature_names(c.measured), residuals, strict=True)
+            measured = [Row(name, row, "+.1f") for name, row in named if np.isfinite(row).any()]
+            title = f'residuals of "{c.name}", in standard deviations (model - measured)'
+            tables.append(Table(labels, measured, title))
+        last = (f"next: {self.advice}", *(f"note: {n}" for n in self.notes))
+        indented = [Note(sentence, "  ") for sentence in self.sentences]
+        return [Note(self.headline), *indented, *tables, *(Note(n, "  ") for n in last)]
 
     @property
     def sentences(self) -> tuple[str, ...]:
@@ -404,16 +430,9 @@ class MeansFinding(SetsFinding):
 
     @property
     def evidence_in_words(self) -> str:
-        """The rest of the headline: other probable effects, the evidence and its threshold."""
-        said = self.names if self.verdict in ("family", "ambiguous") else ()
-        others = [k for k, p in self.probabilities.items() if p >= SAID and k not in said]
-        listing = ", ".join(f"{k} {self.percent(k)}" for k in others)
-        title = "other probabilities" if said else "probabilities"
-        if self.more_than_one:
-            title += " of being there at all"
+        """The evidence that something is missing, and its threshold."""
         return (
-            f"{self.deciding_in_words}{f'{title}: {listing}. ' if others else ''}"
-            "Evidence that something is missing, whatever it is: "
+            f"{self.deciding_in_words}Evidence that something is missing, whatever it is: "
             f"{self.score:+.1f} nats ({NATS}). Threshold: {self.threshold:.1f} nats, which at most "
             "5 % of simulated rooms exceed that lack nothing "
             f"({', '.join(self.engines) or 'no engine'})."
@@ -448,7 +467,7 @@ class MeansFinding(SetsFinding):
         first = after_doubt(self.reasons[0] if self.leads else "")
         if len(self.members) > 1 or (self.named and self.named != self.members):
             likely = f"Something is missing; {self.likely_in_words}."
-            return likely if self.verdict == "ambiguous" else f"{first}{self.claims}"
+            return likely if self.verdict == "ambiguous" else f"{first}{self._claims}"
         others = ", ".join(f"{self.title_of(c)} ({self.percent(c)})" for c in self.names)
         hint = f"A hint of {self.title}, under the threshold."
         if self.reasons:
@@ -536,3 +555,56 @@ class MeansFinding(SetsFinding):
         words = f"size of {self.title_of(name)}: {s.words}"
         words += "" if alone is None else f", without the others {alone.words}"
         return words + (f"; {others}" if others else "")
+
+    @property
+    def _families_alone(self) -> list[str]:
+        """The claimed families of which no effect is claimed."""
+        of_named = {family_of(n, self.effects) for n in self.named}
+        return [f for f in self.named_families if f not in of_named]
+
+    @property
+    def _claims(self) -> str:
+        """The claims about effects, families and sets of families."""
+        claimed = [f"{n} ({self.percent(n)})" for n in self.named]
+        claimed += [f"{n} ({100 * self.families[n]:.0f} %)" for n in self._families_alone]
+        said = [f"Missing from the model, or not as stated: {listed(claimed)}."] if claimed else []
+        if self.named_set:
+            several, share = sum(self.numbers[2:]), self.family_sets[self.named_set]
+            said.append(
+                f"More than one thing is missing ({100 * several:.0f} %); most probable together: "
+                f"{listed(self.named_set)} ({100 * share:.0f} %)."
+            )
+        return " ".join(said)
+
+    @property
+    def likely_in_words(self) -> str:
+        """The most probable set, and the probability of an unknown effect where that is larger."""
+        likely = listed([f"{n} ({self.percent(n)})" for n in self.members])
+        known = max(self.probabilities[n] for n in self.members)
+        if self.probabilities.get(UNKNOWN, 0.0) <= known:
+            return f"most probable is {likely}"
+        return (
+            f"most probable of the library is {likely}, and something that no effect of the library "
+            f"explains is missing ({self.percent(UNKNOWN)})"
+        )
+
+    @property
+    def sets_in_words(self) -> list[str]:
+        """Other explanations of each of two or more effects, and the probabilities of their number."""
+        if not self.more_than_one:
+            return []
+        words = zip(("none", "one", "two", "three"), self.numbers, strict=False)
+        numbers = ", ".join(f"{word} with {100 * p:.0f} %" for word, p in words if p >= 0.005)
+        stand_ins = [
+            f"{name} may stand for {listed(others)}"
+            for name, others in self.stand_ins.items()
+            if others and len(self.members) > 1
+        ]
+        return [*stand_ins, f"number of effects: {numbers}"]
+
+    @property
+    def likely_sets(self) -> dict[str, float]:
+        """The sets that are probable enough to be printed; {} where each has one effect."""
+        if not self.more_than_one:
+            return {}
+        return {" + ".join(s) or NONE: p for s, p in self.sets.items() if p >= SAID}

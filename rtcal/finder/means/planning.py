@@ -43,11 +43,11 @@ from rtcal.finder.means.verdict import (
     _in_words,
     covariance_of_all,
     separation,
-    with_features,
 )
 from rtcal.finder.model import FEATURES
 from rtcal.finder.prior import NONE, prior_of
-from rtcal.support import checks, text
+from rtcal.support import blocks, checks
+from rtcal.support.blocks import Block, Note, Row, Table
 from rtcal.support.errors import DataError
 from rtcal.support.speed import single_threaded_blas
 from rtcal.support.text import listed
@@ -99,91 +99,86 @@ class Proposal:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Plan(Result):
-    """The effects that a case's data could distinguish.
+    """The effects that a case's data could distinguish, and what to measure next.
 
-    ``separations`` maps (effect, effect) to nats: the expected evidence for the first effect
-    against the most similar size of the second. The first has the size whose relative change of T
-    is nearest to ``change``. ``reached`` maps each effect to the change of T at this size.
-    ``proposals`` are the measurements that could be made next, the most information per hour first;
-    ``sequence`` are the three that a greedy choice takes one after the other. ``uncertainty`` is the
-    entropy of what is known of the effects now, in nats: no measurement gives more.
+    Attributes
+    ----------
+    parameters : tuple of str
+        Those that are measured.
+    change : float
+        Relative change of T. Each effect has the size whose change of T is nearest to it.
+    reached : mapping of str to float
+        The change of T by each effect at this size.
+    separations : mapping of (effect, effect) to float
+        The evidence in nats to be expected for the first effect against the most similar size of the
+        second.
+    proposals : tuple of Proposal
+        The measurements that could be made next, the most information per hour first.
+    sequence : tuple of Proposal
+        The three that a greedy choice takes one after the other.
+    uncertainty : float
+        Entropy of what is known of the effects now, in nats: no measurement gives more.
     """
 
-    record_kind: ClassVar[str] = "plan 1"
+    record_kind: ClassVar[str] = "plan 2"
 
     parameters: tuple[str, ...]
     change: float
     reached: Mapping[str, float]
-    separations: Separations
-    more: Mapping[str, Separations]
+    separations: Mapping[tuple[str, str], float]
     proposals: tuple[Proposal, ...] = ()
     sequence: tuple[Proposal, ...] = ()
     uncertainty: float = 0.0
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain values for JSON."""
-
-        def rows(table: Separations) -> list[dict[str, Any]]:
-            return [{"effect": a, "against": b, "nats": v} for (a, b), v in table.items()]
-
         return {
             "parameters": list(self.parameters),
             "change": self.change,
             "reached": dict(self.reached),
-            "separations": rows(self.separations),
-            "with_more": {label: rows(table) for label, table in self.more.items()},
+            "separations": [
+                {"effect": a, "against": b, "nats": v} for (a, b), v in self.separations.items()
+            ],
             "proposals": [p.to_dict() for p in self.proposals],
             "sequence": [p.to_dict() for p in self.sequence],
             "uncertainty_nats": self.uncertainty,
         }
 
     def __repr__(self) -> str:
-        """Return one line: the parameters, and how many pairs of effects they can distinguish."""
-        names = list(self.reached)
-        pairs = [(a, b) for i, a in enumerate(names) for b in names[i + 1 :]]
-        both, one_sided = blind(self.separations, pairs)
-        distinct = len(pairs) - len(both) - len(one_sided)
-        return (
-            f"<Plan with {', '.join(self.parameters)}: {distinct} of {len(pairs)} pairs of effects "
-            "can be distinguished>"
-        )
+        return f"<Plan with {', '.join(self.parameters)}: {len(self.reached)} effects>"
 
     def __str__(self) -> str:
         """Return what each effect would show, what it may be taken for, and what to measure next."""
-        names = list(self.reached)
-        pairs = [(a, b) for i, a in enumerate(names) for b in names[i + 1 :]]
-        both, one_sided = blind(self.separations, pairs)
-        lines = [*self._seen(), "", *self._taken_for()]
-        for label, table in self.more.items():
-            still, half = blind(table, pairs)
-            gained = [p for p in both if p not in still and p not in half and p[::-1] not in half]
-            gained += [p for p in one_sided if p not in half]
-            lines += ["", *_grouped(f"With {label} could also be told apart", gained)]
-        return "\n".join([*lines, *self.proposed])
+        return "\n".join(blocks.lines([*self._seen, *self._taken_for, *self._proposed]))
 
-    def _seen(self) -> list[str]:
-        """Return a table: each effect with its change of T and the evidence that it is there."""
+    @property
+    def _seen(self) -> list[Block]:
+        """A table: each effect with its change of T and the evidence that it is there."""
         measured = listed([parameter_label(p) for p in self.parameters])
         rows = []
         for name, change in self.reached.items():
             nats = self.separations[name, NONE]
+            shown = f"{nats:.1f}" if nats <= _MOST else f">{_MOST:.0f}"
             seen = "yes" if nats >= DISTINCT_NATS else "no"
-            rows.append((name, [f"{100 * change:.1f} %", _cell(nats), seen]))
+            rows.append(Row(name, [f"{100 * change:.1f} %", shown, seen]))
         said = (
             f"What {measured} would show of each effect, if it alone were in the room. Each has the "
             f"size whose change of T is nearest to {100 * self.change:g} %. Evidence of "
             f"{DISTINCT_NATS} nats, odds of ten to one, is enough to see it."
         )
-        header = ("effect", ["change of T", "evidence / nats", "seen"])
-        return [*text.wrapped(said, hanging=""), *text.table(rows, header=header)]
+        columns = ["change of T", "evidence / nats", "seen"]
+        return [Note(said, hanging=""), Table(columns, rows, corner="effect")]
 
-    def _taken_for(self) -> list[str]:
-        """Return for each effect the others that the data would leave possible."""
-        lines = text.wrapped(
-            "What each may be taken for: the data would tell it from these by less than "
-            f"{DISTINCT_NATS} nats.",
-            hanging="",
-        )
+    @property
+    def _taken_for(self) -> list[Block]:
+        """For each effect the others that the data would leave possible."""
+        out: list[Block] = [
+            Note(
+                "What each may be taken for: the data would tell it from these by less than "
+                f"{DISTINCT_NATS} nats.",
+                hanging="",
+            )
+        ]
         for name in self.reached:
             others = [b for b in self.reached if b != name]
             alike = [b for b in others if self.separations[name, b] < DISTINCT_NATS]
@@ -191,50 +186,37 @@ class Plan(Result):
             said = ", ".join(alike) or "no other"
             if len(alike) > len(apart):
                 said = f"all but {', '.join(apart)}" if apart else "all"
-            lines += text.wrapped(f"{name}: {said}", indent="  ", hanging="    ")
-        return lines
+            out.append(Note(f"{name}: {said}", "  "))
+        return out
 
     @property
-    def proposed(self) -> list[str]:
-        """The further measurements as lines: information, hours, and the greedy sequence."""
+    def _proposed(self) -> list[Block]:
+        """The further measurements: information, hours, and the greedy sequence."""
         if not self.proposals:
             return []
-        lines = text.wrapped(
-            "What to measure next: the information to expect about which effects are there, and the "
-            f"hours that it takes. Of {self.uncertainty:.2f} nats that are open:",
-            hanging="",
-        )
         rows = [
-            (f"  {p.measurement}", [f"{p.information:.2f}", f"{p.cost:g}", f"{p.per_cost:.2f}"])
+            Row(p.measurement, [f"{p.information:.2f}", f"{p.cost:g}", f"{p.per_cost:.2f}"])
             for p in self.proposals
         ]
-        lines += text.table(rows, header=("  measurement", ["nats", "hours", "nats/hour"]))
-        lines += ["", "Best one after the other:"]
-        for number, p in enumerate(self.sequence, 1):
-            step = f"{number}. {p.measurement} ({p.information:+.2f} nats)"
-            lines += text.wrapped(step, indent="  ", hanging="     ")
-        return ["", *lines]
+        steps = [
+            Note(f"{number}. {p.measurement} ({p.information:+.2f} nats)", "  ", "     ")
+            for number, p in enumerate(self.sequence, 1)
+        ]
+        return [
+            Note(""),
+            Note(
+                "What to measure next: the information to expect about which effects are there, and "
+                f"the hours that it takes. Of {self.uncertainty:.2f} nats that are open:",
+                hanging="",
+            ),
+            Table(["nats", "hours", "nats/hour"], rows, corner="measurement"),
+            Note("Best one after the other:"),
+            *steps,
+        ]
 
 
 _MOST = 99.0
 """Evidence in nats above which the table shows no number: the distinction is certain."""
-
-
-def _cell(nats: float) -> str:
-    return f"{nats:.1f}" if nats <= _MOST else f">{_MOST:.0f}"
-
-
-def _grouped(title: str, pairs: Pairs) -> list[str]:
-    """Return a title, and a line for each first effect of some pairs with all its second ones."""
-    others: dict[str, list[str]] = {}
-    for a, b in pairs:
-        others.setdefault(a, []).append(b)
-    if not others:
-        return [f"{title}: none."]
-    rows = [f"{a} from {', '.join(b)}" for a, b in others.items()]
-    return [f"{title}:", *(line for row in rows for line in text.wrapped(row, indent="  "))]
-
-
 GENERIC_UNCERTAINTY = (0.04, 0.04, 0.02, 0.7, 0.7)
 """Standard deviation of the model's error before any engine has run, by feature."""
 
@@ -307,13 +289,12 @@ def plan(
     else:
         checked_discrepancy(case, discrepancy)
     problem = MeansProblem(case, observed, predicted, discrepancy)
-    reached, tables = separations(problem, change)
+    reached, table = separations(problem, change)
     measured = tuple(
         p
         for p in ("t20", "edt", "t30", "c80", "g")
         if any(p in c.measured.values for c in case.configurations)
     )
-    with_more = {label: t for label, t in tables.items() if label}
     further = possible(case, planned)
     whole = extended(problem, further)
     if finding is None:
@@ -326,8 +307,7 @@ def plan(
         measured,
         change,
         reached,
-        tables[""],
-        with_more,
+        table,
         tuple(proposals),
         tuple(_greedy(about, whole, further, hours)),
         about.entropy(),
@@ -524,35 +504,18 @@ def _entropy(probabilities: Array) -> Array:
         return np.asarray(-np.nansum(probabilities * np.log(probabilities), axis=1))
 
 
-Pairs = list[tuple[str, str]]
-Separations = Mapping[tuple[str, str], float]
-"""Expected evidence in nats against the second effect if the first is true."""
-
-
 def separations(
     problem: MeansProblem, change: float
-) -> tuple[dict[str, float], dict[str, Separations]]:
-    """Return each effect's change of T, and the evidence between effects, by what is measured more.
+) -> tuple[dict[str, float], dict[tuple[str, str], float]]:
+    """Return each effect's change of T, and the evidence in nats for each against each other one.
 
     Each effect has the size whose largest relative change of T, over configurations (it may be taken
-    away in some) and bands, is nearest to ``change``. The evidence of the data as they are is that of
-    "".
+    away in some) and bands, is nearest to ``change``.
     """
-    case, used, predicted = problem.case, problem.observed.used, problem.predicted
+    predicted, mask = problem.predicted, problem.observed.used.ravel()
     base = predicted.features[0]
     names = [n for n in dict.fromkeys(predicted.names) if n != NONE]
-    masks = {"": used}
-    for label, features in (
-        ("EDT and T30", ("edt", "t30")),
-        ("C80 and G", ("c80", "g")),
-    ):
-        more = with_features(used, features)
-        if more.sum() > used.sum():
-            lacking = [i for i in range(len(case.configurations)) if (more[i] & ~used[i]).any()]
-            where = [f'"{case.configurations[i].name}"' for i in lacking]
-            there = len(where) < len(case.configurations)
-            masks[label + (f" of {' and '.join(where)}" if there else "")] = more
-    tables: dict[str, dict[tuple[str, str], float]] = {m: {} for m in masks}
+    table: dict[tuple[str, str], float] = {}
     reached: dict[str, float] = {}
     for a in names:
         rows = [i for i, n in enumerate(predicted.names) if n == a]
@@ -560,23 +523,10 @@ def separations(
         nearest = int(np.argmin(np.abs(moved - change)))
         first, reached[a] = rows[nearest], float(moved[nearest])
         covariance = covariance_of_all(problem, first)
-        for label, mask in masks.items():
-            for b in (NONE, *names):
-                if a != b:
-                    tables[label][a, b] = separation(predicted, covariance, mask.ravel(), first, b)
-    return reached, dict(tables)
-
-
-def blind(separations: Separations, pairs: Pairs) -> tuple[Pairs, Pairs]:
-    """Pairs indistinguishable both ways, and pairs where only the first can pass for the second."""
-    both, one_sided = [], []
-    for a, b in pairs:
-        weak = (separations[a, b] < DISTINCT_NATS, separations[b, a] < DISTINCT_NATS)
-        if all(weak):
-            both.append((a, b))
-        elif any(weak):
-            one_sided.append((a, b) if weak[0] else (b, a))
-    return both, one_sided
+        for b in (NONE, *names):
+            if a != b:
+                table[a, b] = separation(predicted, covariance, mask, first, b)
+    return reached, table
 
 
 COSTS: Mapping[str, float] = {

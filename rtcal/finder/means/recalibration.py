@@ -19,7 +19,6 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from rtcal.acoustics.air import Air
 from rtcal.acoustics.equations import LinearEquation, mean_equation
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.priors import NORMAL_90
@@ -42,8 +41,9 @@ from rtcal.finder.means.problem import (
     observe,
     state,
 )
-from rtcal.finder.model import FEATURES, STEEPEST, RoomState, predict
+from rtcal.finder.model import FEATURES, STEEPEST, Predicted, RoomState, predict
 from rtcal.support import __version__, text
+from rtcal.support.blocks import Block, Note, Row, Table
 from rtcal.support.errors import MissingAirWarning
 from rtcal.support.speed import single_threaded_blas
 from rtcal.support.types import Array
@@ -149,6 +149,19 @@ class Recalibrated(Result):
         source = f", calibrated to {time} alone" if p.name in self.joint.effects else ""
         return f"{name}{source}: {amount(size, p.effect.unit, ends)}"
 
+    def blocks(self, plain: Recalibrated | None = None) -> list[Block]:
+        """Return each material's alpha, as stated and as calibrated, and the effects."""
+        room, beside = (plain or self).case.room, {} if plain is None else {"plain": plain}
+        named = {"prior": (room.alpha, NORMAL_90 * room.sigma)}
+        for name, c in {**beside, "corrected": self}.items():
+            named[name] = (c.alpha, np.subtract(*c.interval[::-1]) / 2)
+        rows = [
+            Row(m, [f"{a[i].mean():.3f} ± {half[i].mean():.3f}" for a, half in named.values()])
+            for i, m in enumerate(room.materials)
+        ]
+        title = "alpha ± half its 90 % interval, means over bands"
+        return [Table([*named], rows, title), *(Note(w, "  ") for w in self.effects_in_words)]
+
     def __repr__(self) -> str:
         """Return one line: the room, and the effects with their sizes."""
         sizes = (
@@ -181,22 +194,6 @@ class Recalibrated(Result):
         }
 
 
-def table(room: Room, columns: Mapping[str, Recalibrated]) -> list[str]:
-    """Return lines with each material's alpha, as stated and as calibrated, and the effects."""
-    named = {"prior": (room.alpha, NORMAL_90 * room.sigma)}
-    named |= {k: (c.alpha, np.subtract(*c.interval[::-1]) / 2) for k, c in columns.items()}
-    rows = []
-    for i, material in enumerate(room.materials):
-        cells = [f"{a[i].mean():.3f} ± {half[i].mean():.3f}" for a, half in named.values()]
-        rows.append((f"  {material}", cells))
-    lines = ["alpha ± half its 90 % interval, means over bands"]
-    lines += text.table(rows, header=("", list(named)))
-    for c in columns.values():
-        for line in c.effects_in_words:
-            lines += text.wrapped(line, indent="  ")
-    return lines
-
-
 _ROUNDS = 5
 _STEP = 0.02
 _LEAST_SLOPE = 0.05
@@ -213,22 +210,12 @@ _LEAST_U = 0.002
 _T20 = FEATURES.index("t20")
 
 
-def air_of(case: Case, configuration: Configuration) -> Air | None:
-    """Return the climate of a configuration, with the applied effects."""
-    air = configuration.air or case.room.air
-    for added in case.applied:
-        air = added.effect.air(air, added.parameters)
-    return air
-
-
 def plain(case: Case) -> Recalibrated:
     """Calibrate without effects: an exact match of the first configuration's T20.
 
     A band whose T no alpha reaches gets the nearest reachable T.
     """
-    bare = replace(case, applied=())
-    first = replace(bare, configurations=bare.configurations[:1])
-    return _calibrated(first, bare, [0], None, exact=True)
+    return _calibrated(replace(case, applied=()), [0], None, exact=True)
 
 
 @single_threaded_blas()
@@ -256,127 +243,128 @@ def recalibrate(
     """
     if discrepancy is not None:
         checked_discrepancy(case, discrepancy)
-    rows = [c for c in range(len(case.configurations)) if c not in left_out]
-    fitted = replace(case, configurations=[case.configurations[c] for c in rows])
-    return _calibrated(fitted, case, rows, discrepancy, exact=False)
+    fitted = [c for c in range(len(case.configurations)) if c not in left_out]
+    return _calibrated(case, fitted, discrepancy, exact=False)
 
 
 def _calibrated(
-    fitted: Case,
-    whole: Case,
-    rows: Sequence[int],
-    discrepancy: ModelDiscrepancy | None,
-    *,
-    exact: bool,
+    case: Case, fitted: Sequence[int], discrepancy: ModelDiscrepancy | None, *, exact: bool
 ) -> Recalibrated:
-    """Calibrate to the configurations ``rows`` of the whole case, which the fitted one has."""
-    whole.require_fresh()
-    room = fitted.room
-    k = room.n_bands
-    observed, _ = observe(fitted)
-    shape = (len(whole.configurations), len(FEATURES), k)
+    """Calibrate to the configurations of these numbers."""
+    case.require_fresh()
+    observed, _ = observe(replace(case, configurations=[case.configurations[c] for c in fitted]))
+    shape = (len(case.configurations), len(FEATURES), case.room.n_bands)
     bias = np.zeros(shape) if discrepancy is None else discrepancy.bias.reshape(shape)
     variance = np.full(observed.used.shape, np.nan)
     variance[observed.used] = np.diag(observed.covariance)
-    measured = observed.features[:, _T20] - bias[rows, _T20]
+    measured = observed.features[:, _T20] - bias[fitted, _T20]
     u = np.sqrt(np.maximum(variance[:, _T20], _LEAST_U**2))
-    is_linear = isinstance(mean_equation(fitted.equation), LinearEquation)
-    stated = {(c.name, m): v.alpha for c in fitted.configurations for m, v in c.changes.items()}
+    is_linear = isinstance(mean_equation(case.equation), LinearEquation)
+    changes = [c.changes[m].alpha for c, m in _changed(case)]
     steps = gauss_newton(
-        _Point(fitted, np.array(room.alpha), stated),
-        lambda at: _Linearised.at(at, fitted, measured, u, exact=exact),
-        groups=k,
-        most=1 if is_linear and not fitted.applied else _ROUNDS,
+        _Point(case, fitted, np.vstack([case.room.alpha, *changes])),
+        lambda at: _Linearised.at(at, measured, u, exact=exact),
+        groups=case.room.n_bands,
+        most=1 if is_linear and not case.applied else _ROUNDS,
         halvings=_HALVINGS,
     )
     point, solved = steps.end, steps.steps[-1].model.solved
-    applied = point.case.applied
-    done = replace(whole, applied=applied if fitted.applied else whole.applied)
-    features = np.array(
-        [
-            predict(
-                [
-                    state(
-                        done,
-                        replace(c, changes={}),
-                        _coefficients(whole, c, point.alpha, point.changed),
-                    )
-                ],
-                distances(whole, c),
-            ).features[0]
-            for c in whole.configurations
-        ]
+    applied, n = point.case.applied, case.room.n_materials
+    return Recalibrated(
+        point.case,
+        point.alpha[:n],
+        {
+            (c.name, m): row
+            for (c, m), row in zip(_changed(case), point.alpha[n:], strict=True)
+            if case.configurations.index(c) in fitted
+        },
+        {p.name: p.size for p in applied if np.isfinite(p.effect.neutral)},
+        np.array([point.predicted(c).features[0] for c in range(len(case.configurations))]),
+        float(np.sqrt(np.nanmean(((point.log_time - measured) / u) ** 2))),
+        solved,
     )
-    sizes = {p.name: p.size for p in applied if np.isfinite(p.effect.neutral)}
-    off = float(np.sqrt(np.nanmean(((point.log_time - measured) / u) ** 2)))
-    return Recalibrated(done, point.alpha, point.changed, sizes, features, off, solved)
+
+
+def _changed(case: Case) -> list[tuple[Configuration, str]]:
+    """Return the materials that configurations change: each is an unknown of its own."""
+    return [(c, m) for c in case.configurations for m in c.changes]
+
+
+def _name(c: Configuration, material: str) -> str:
+    """Return the name of an unknown: that of a changed material has its configuration's."""
+    return f"{material} in {c.name}" if material in c.changes else material
 
 
 @dataclass(frozen=True, eq=False)
 class _Point:
-    """The start of a step: the case with its effects' sizes, and the coefficients."""
+    """The start of a step: the case with its effects' sizes, and the coefficients.
+
+    ``alpha`` has the room's materials, then those that configurations change (`_changed`). ``fitted``
+    are the numbers of the configurations that are calibrated to.
+    """
 
     case: Case
+    fitted: Sequence[int]
     alpha: Array
-    changed: Mapping[tuple[str, str], Array]
-
-    @cached_property
-    def states(self) -> list[RoomState]:
-        each = zip(self.case.configurations, self.coefficients, strict=True)
-        return [state(self.case, replace(c, changes={}), alpha) for c, alpha in each]
 
     @cached_property
     def coefficients(self) -> list[Array]:
         """The unknowns of each configuration (n_materials, n_bands), before any effect on them."""
-        return [
-            _coefficients(self.case, c, self.alpha, self.changed) for c in self.case.configurations
-        ]
+        room, out = self.case.room, []
+        names = [*room.materials, *(_name(c, m) for c, m in _changed(self.case))]
+        for c in self.case.configurations:
+            out.append(self.alpha[[names.index(_name(c, m)) for m in room.materials]])
+        return out
+
+    def state(self, c: int, applied: Sequence[AppliedEffect] | None = None) -> RoomState:
+        """Return the state of a configuration with these effects, by default the case's."""
+        case = self.case if applied is None else replace(self.case, applied=applied)
+        unchanged = replace(case.configurations[c], changes={})
+        return state(case, unchanged, self.coefficients[c])
+
+    def predicted(self, c: int) -> Predicted:
+        """Return what the model predicts of a configuration."""
+        return predict([self.state(c)], distances(self.case, self.case.configurations[c]))
 
     @cached_property
     def log_time(self) -> Array:
-        """ln T of the model, (n_configurations, n_bands)."""
-        where = [distances(self.case, c) for c in self.case.configurations]
-        pairs = zip(self.states, where, strict=True)
-        return np.log([predict([s], d).reverberation_time[0] for s, d in pairs])
+        """ln T of the model in the fitted configurations, (n_fitted, n_bands)."""
+        return np.log([self.predicted(c).reverberation_time[0] for c in self.fitted])
 
-    def scaled(self, factor: float) -> _Point:
-        """The point with all coefficients times ``factor``."""
-        changed = {key: value * factor for key, value in self.changed.items()}
-        return _Point(self.case, self.alpha * factor, changed)
+    @cached_property
+    def gains(self) -> list[tuple[AppliedEffect, Array]]:
+        """The effects whose size the QP estimates, each with the absorption area of one unit in m².
 
+        The areas are (n_fitted, n_bands).
+        """
+        case, gains = self.case, []
+        for i, p in enumerate(case.applied):
+            # A size with an interval is known from all data, of which the QP has T20 alone.
+            if p.size_interval is not None or p.effect.size in p.effect.discrete:
+                continue
+            others = [q for j, q in enumerate(case.applied) if j != i]
+            # The slope is needed also at a size of 0.
+            size = max(p.size, _SMALLEST)
+            resized = [*case.applied]
+            resized[i] = _resized(case, p, size)
+            rows: list[Array | None] = []
+            for c in self.fitted:
+                without = self.state(c, others)
+                added = p.effect.added_absorption(without, self.state(c, resized))
+                rows.append(None if added is None else added / _slope(without) / size)
+            if all(row is not None for row in rows):
+                gains.append((p, np.array(rows)))
+        return gains
 
-def _step(point: _Point, measured: Array, u: Array, *, exact: bool) -> JointResult:
-    """Solve the QP of a Gauss-Newton step: its T is corrected by what the model's T differs."""
-    case, states = point.case, point.states
-    rooms = [_room(case, c, s) for c, s in zip(case.configurations, states, strict=True)]
-    # A step corrects T by a ratio, so that the QP needs no speed of sound but its rooms' own.
-    equation = mean_equation(states[0].equation).linear()
-    gains = _gains(point)
-
-    def qp_log_time(of: _Point) -> Array:
-        # The QP sees the absorption of its effects only through these unknowns.
-        sizes = [[(g[c], p.size) for p, g in gains] for c in range(len(rooms))]
-        each = zip(rooms, of.coefficients, sizes, strict=True)
-        return np.log([_qp_time(equation, r, alpha, size) for r, alpha, size in each])
-
-    less = point.scaled(1 - _STEP)
-    now = qp_log_time(point)
-    by_qp, by_model = qp_log_time(less) - now, less.log_time - point.log_time
-    # If the model's T hardly depends on alpha, as when the coupled room decays last, the slope is small
-    # and T has little weight. Where every alpha is 0, both are 0.
-    slope = np.divide(by_model, by_qp, out=np.ones_like(by_qp), where=by_qp != 0)
-    slope = np.clip(slope, _LEAST_SLOPE, _LARGEST_SLOPE)
-    target = np.exp(now + np.clip((measured - point.log_time) / slope, -1.5, 1.5))
-    terms = [AddedAbsorption(p.name, list(g), sigma=_spread(p), mean=p.size) for p, g in gains]
-    # An uncertainty near T itself says nothing; a measurement refuses one that is larger than T.
-    return _solve(rooms, equation, target, np.minimum(u / slope, 0.9), terms, exact=exact)
-
-
-def _reached(case: Case, solved: JointResult) -> _Point:
-    alpha, changed = _values(case, solved)
-    sizes = solved.effects
-    effects = [_resized(case, p, sizes[p.name]) if p.name in sizes else p for p in case.applied]
-    return _Point(replace(case, applied=effects), alpha, changed)
+    def qp_log_time(self, rooms: Sequence[Room], equation: LinearEquation, at: _Point) -> Array:
+        """Return ln T by the QP's equation: it has effects only through the sizes that are unknowns."""
+        out = []
+        for i, (c, room) in enumerate(zip(self.fitted, rooms, strict=True)):
+            more = sum((g[i] * p.size for p, g in self.gains), np.zeros(room.n_bands))
+            top = 0.999 * equation.largest_mean * room.total_area
+            area = np.clip(room.areas @ at.coefficients[c] + more, 1e-6, top)
+            out.append(equation.time(room, area))
+        return np.log(out)
 
 
 @dataclass(frozen=True, eq=False)
@@ -394,26 +382,57 @@ class _Linearised:
     u: Array
 
     @classmethod
-    def at(
-        cls, start: _Point, fitted: Case, measured: Array, u: Array, *, exact: bool
-    ) -> _Linearised:
-        solved = _step(start, measured, u, exact=exact)
-        return cls(start, solved, _reached(fitted, solved), measured, u)
+    def at(cls, start: _Point, measured: Array, u: Array, *, exact: bool) -> _Linearised:
+        """Solve the QP of a Gauss-Newton step: its T is corrected by what the model's T differs."""
+        case, states = start.case, [start.state(c) for c in start.fitted]
+        rooms = [
+            _room(case, case.configurations[c], s)
+            for c, s in zip(start.fitted, states, strict=True)
+        ]
+        # A step corrects T by a ratio, so that the QP needs no speed of sound but its rooms' own.
+        equation = mean_equation(states[0].equation).linear()
+        less = replace(start, alpha=start.alpha * (1 - _STEP))
+        now = start.qp_log_time(rooms, equation, start)
+        by_qp = start.qp_log_time(rooms, equation, less) - now
+        by_model = less.log_time - start.log_time
+        # If the model's T hardly depends on alpha, as when the coupled room decays last, the slope is
+        # small and T has little weight. Where every alpha is 0, both are 0.
+        slope = np.divide(by_model, by_qp, out=np.ones_like(by_qp), where=by_qp != 0)
+        slope = np.clip(slope, _LEAST_SLOPE, _LARGEST_SLOPE)
+        target = np.exp(now + np.clip((measured - start.log_time) / slope, -1.5, 1.5))
+        # An uncertainty near T itself says nothing; a measurement refuses one that is larger than T.
+        error = target * np.minimum(u / slope, 0.9)
+        data = [
+            Measurement(
+                centre_frequencies=case.room.centre_frequencies,
+                values={"t20": t[None]},
+                uncertainty={"t20": of[None]},
+            )
+            for t, of in zip(target, error, strict=True)
+        ]
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", MissingAirWarning)  # it is among the finding's notes
+            if exact:
+                plainly = calibrate(rooms[0], data[0], equation=equation, unreachable="nearest")
+                solved = plainly.joint
+            else:
+                prior = PriorDeviation(band_correlation=case.room.band_correlation)
+                objective = prior + SoftMatch()
+                for p, g in start.gains:
+                    # The size has itself as its prior's deviation, so that T determines it.
+                    spread = max(p.size, _SMALLEST)
+                    objective = objective + AddedAbsorption(
+                        p.name, list(g), sigma=spread, mean=p.size
+                    )
+                solved = Calibration(objective).build(Configurations(rooms), equation).solve(data)
+        return cls(start, solved, _reached(start, solved), measured, u)
 
     def towards(self, share: Array) -> _Point:
         """Return the point at these shares, (n_bands,), of the way."""
-
-        def part(start: Array, end: Array) -> Array:
-            for halvings in range(1, 1 + _HALVINGS):
-                end = np.where(share <= 0.5**halvings, (start + end) / 2, end)
-            return end
-
         if (share == 1).all():
             return self.answer
-        changed = {
-            key: part(self.start.changed[key], value) for key, value in self.answer.changed.items()
-        }
-        return _Point(self.answer.case, part(self.start.alpha, self.answer.alpha), changed)
+        alpha = self.start.alpha + share * (self.answer.alpha - self.start.alpha)
+        return replace(self.answer, alpha=alpha)
 
     def worse(self, end: _Point) -> NDArray[np.bool_]:
         """Return in which bands the model is farther from the measured T than at the start."""
@@ -423,23 +442,21 @@ class _Linearised:
         return np.asarray(after > np.maximum(before, _NEAR))
 
 
-def _coefficients(
-    case: Case, c: Configuration, alpha: Array, changed: Mapping[tuple[str, str], Array]
-) -> Array:
-    values = np.array(alpha)
-    for material, change in c.changes.items():
-        values[case.room.material_index(material)] = changed.get((c.name, material), change.alpha)
-    return values
-
-
-def _name(c: Configuration, material: str) -> str:
-    """Return the name of a changed material, which is a separate unknown."""
-    return f"{material} in {c.name}" if material in c.changes else material
+def _reached(start: _Point, solved: JointResult) -> _Point:
+    """Return the point of the QP's answer; what it has not stays as it was."""
+    case, row = start.case, dict(zip(solved.materials, solved.alpha, strict=True))
+    names = [*case.room.materials, *(_name(c, m) for c, m in _changed(case))]
+    alpha = [row.get(name, stated) for name, stated in zip(names, start.alpha, strict=True)]
+    sizes = solved.effects
+    effects = [_resized(case, p, sizes[p.name]) if p.name in sizes else p for p in case.applied]
+    return _Point(replace(case, applied=effects), start.fitted, np.array(alpha))
 
 
 def _room(case: Case, c: Configuration, s: RoomState) -> Room:
     """The configuration's room for the QP: areas that are seen, volume, prior alpha and sigma."""
-    room = case.room
+    room, air = case.room, c.air or case.room.air
+    for p in case.applied:
+        air = p.effect.air(air, p.parameters)
     visible = np.clip(seen(case, c).mean(1), _LEAST_SEEN, None)
     alpha, sigma = c.coefficients(room)
     least = None if room.alpha_min is None else np.minimum(room.alpha_min, alpha)
@@ -451,15 +468,10 @@ def _room(case: Case, c: Configuration, s: RoomState) -> Room:
         alpha=alpha,
         sigma=sigma,
         centre_frequencies=room.centre_frequencies,
-        air=air_of(case, c),
+        air=air,
         alpha_min=least,
         band_correlation=room.band_correlation,
     )
-
-
-def _spread(p: AppliedEffect) -> float:
-    """Return the prior standard deviation of the size: the size itself, so that T determines it."""
-    return max(p.size, _SMALLEST)
 
 
 def _resized(case: Case, p: AppliedEffect, size: float) -> AppliedEffect:
@@ -467,79 +479,8 @@ def _resized(case: Case, p: AppliedEffect, size: float) -> AppliedEffect:
     return p.resized(float(np.clip(size, *p.effect.size_limits(case.room))))
 
 
-def _gains(point: _Point) -> list[tuple[AppliedEffect, Array]]:
-    """Return the effects whose size the QP estimates, each with the absorption area of one unit in m².
-
-    The areas are (n_configurations, n_bands).
-    """
-    case, gains = point.case, []
-    for i, p in enumerate(case.applied):
-        # A size with an interval is known from all data, of which the QP has T20 alone.
-        if p.size_interval is not None or p.effect.size in p.effect.discrete:
-            continue
-        others = [q for j, q in enumerate(case.applied) if j != i]
-        # The slope is needed also at a size of 0.
-        size = max(p.size, _SMALLEST)
-        resized = [*case.applied]
-        resized[i] = _resized(case, p, size)
-        rows: list[Array | None] = []
-        for c, alpha in zip(case.configurations, point.coefficients, strict=True):
-            unchanged = replace(c, changes={})
-            without = state(replace(case, applied=others), unchanged, alpha)
-            added = p.effect.added_absorption(
-                without, state(replace(case, applied=resized), unchanged, alpha)
-            )
-            rows.append(None if added is None else added / _slope(without) / size)
-        if all(row is not None for row in rows):
-            gains.append((p, np.array(rows)))
-    return gains
-
-
 def _slope(s: RoomState) -> Array:
     """d (S a) / d (S'alpha) of the QP's equation."""
     equation = mean_equation(s.equation).linear()
     mean = (s.areas @ s.alpha + s.covering) / s.total_area
     return equation.slope(np.clip(mean, 0, min(STEEPEST, equation.largest_mean)))
-
-
-def _qp_time(
-    equation: LinearEquation, room: Room, alpha: Array, gains: list[tuple[Array, float]]
-) -> Array:
-    """T by the QP's equation for its unknowns: alpha, and the effects that the QP calibrates."""
-    area = room.areas @ alpha + sum((g * size for g, size in gains), np.zeros(room.n_bands))
-    top = equation.largest_mean * room.total_area
-    return equation.time(room, np.clip(area, 1e-6, 0.999 * top))
-
-
-def _solve(
-    rooms: list[Room],
-    equation: LinearEquation,
-    target: Array,
-    u: Array,
-    added: list[AddedAbsorption],
-    *,
-    exact: bool,
-) -> JointResult:
-    measured = [
-        Measurement(
-            centre_frequencies=r.centre_frequencies,
-            values={"t20": row[None]},
-            uncertainty={"t20": (row * spread)[None]},
-        )
-        for r, row, spread in zip(rooms, target, u, strict=True)
-    ]
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", MissingAirWarning)  # it is among the finding's notes
-        if exact:
-            return calibrate(rooms[0], measured[0], equation=equation, unreachable="nearest").joint
-        objective = PriorDeviation(band_correlation=rooms[0].band_correlation) + SoftMatch()
-        for term in added:
-            objective = objective + term
-        return Calibration(objective).build(Configurations(rooms), equation).solve(measured)
-
-
-def _values(case: Case, solved: JointResult) -> tuple[Array, dict[tuple[str, str], Array]]:
-    row = {m: solved.alpha[i] for i, m in enumerate(solved.materials)}
-    alpha = np.array([row.get(m, case.room.alpha[i]) for i, m in enumerate(case.room.materials)])
-    changed = {(c.name, m): row[_name(c, m)] for c in case.configurations for m in c.changes}
-    return alpha, changed

@@ -7,21 +7,17 @@
 docs/where.md has the method and what it can and cannot do.
 """
 
-from rtcal.finder.positions.case import PositionsCase
-from rtcal.finder.positions.corrected import Corrected
-from rtcal.finder.positions.finding import Place, PositionsFinding, next_position
-from rtcal.finder.positions.search import EFFECTS, find
-from rtcal.finder.positions.verification import PositionsVerification, verify
+from typing import TYPE_CHECKING
 
-__all__ = [
-    "EFFECTS",
-    "Corrected",
-    "Place",
-    "PositionsCase",
-    "PositionsFinding",
-    "PositionsVerification",
-    "find",
-    "next_position",
-    "verify",
-]
-__dir__ = __all__.copy
+from rtcal import support
+
+if TYPE_CHECKING:
+    from rtcal.finder.positions.case import PositionsCase as PositionsCase
+    from rtcal.finder.positions.finding import Place as Place
+    from rtcal.finder.positions.finding import PositionsFinding as PositionsFinding
+    from rtcal.finder.positions.finding import next_position as next_position
+    from rtcal.finder.positions.search import EFFECTS as EFFECTS
+    from rtcal.finder.positions.search import find as find
+    from rtcal.finder.positions.verification import verify as verify
+else:
+    __getattr__, __dir__, __all__ = support.exports(__name__, __file__)

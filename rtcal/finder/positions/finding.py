@@ -18,14 +18,14 @@ from rtcal.finder.positions.weighing import Weighing
 from rtcal.finder.prior import NONE, UNKNOWN
 from rtcal.loop.control_runs import ControlRuns
 from rtcal.loop.measured_pairs import without_place
-from rtcal.support import blocks, checks
+from rtcal.support import checks
 from rtcal.support.blocks import Block, Note, Row, Table
 from rtcal.support.errors import DataError
 from rtcal.support.text import listed
 from rtcal.support.types import Array
 
 if TYPE_CHECKING:
-    from rtcal.finder.positions.corrected import Corrected
+    from rtcal.finder.corrected import Corrected
 
 MOST = 0.5
 """Probability, or share of one, from which something holds most."""
@@ -188,7 +188,7 @@ class PositionsFinding(Finding):
         form : {"patch", "material"}
             A patch of the candidate's size on its surface, as a new material; or the whole surface as a
             new material that absorbs as much. A patch that does not fit becomes a material: see
-            `Corrected.note`.
+            `Corrected.notes`.
         at : (x, y, z), optional
             Middle of the patch in m, by default the candidate's ``middle``, or without one the middle
             of the surface. The surface is the one at this place, and the candidate is the most probable
@@ -204,7 +204,7 @@ class PositionsFinding(Finding):
             surface, or on one on which nothing was found; if ``effect`` is no candidate there; or if
             neither is stated and the best candidate is improbable.
         """
-        from rtcal.finder.positions.corrected import corrected_geometry
+        from rtcal.finder.corrected import corrected_geometry
 
         nothing, best = self.reason_for_none, self.likeliest
         if nothing is not None or best is None:
@@ -223,7 +223,7 @@ class PositionsFinding(Finding):
 
     def _candidate(self, at: Sequence[float] | None, effect: str | None) -> Candidate:
         """Return the most probable candidate on the surface at a place, and of an effect."""
-        from rtcal.finder.positions.corrected import surface_at
+        from rtcal.finder.corrected import surface_at
 
         every = [c for c in self.candidates if c.can_be_added and c.probability >= _LEAST]
         if at is not None:
@@ -315,12 +315,6 @@ class PositionsFinding(Finding):
     def _names(self) -> list[str]:
         every = dict.fromkeys(c.effect for c in self.candidates if c.probability >= SAID)
         return [f"{e} ({100 * self.probabilities[e]:.0f} %)" for e in every]
-
-    def __str__(self) -> str:
-        return "\n".join(blocks.lines(self.blocks()))
-
-    def _repr_html_(self) -> str:
-        return blocks.notebook(self.headline, self.blocks()[1:])
 
     def blocks(self) -> list[Block]:
         """Return what the result says."""

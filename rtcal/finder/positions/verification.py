@@ -11,264 +11,162 @@ import json
 import os
 import warnings
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Any, ClassVar
 
 import numpy as np
 
 from rtcal.acoustics.observables import LEVEL, parameter_label
 from rtcal.files import disk
-from rtcal.files.disk import json_numbers
-from rtcal.finder.finding import Candidate, HeldOutVerification, check_pairs
+from rtcal.finder.corrected import corrected_geometry
+from rtcal.finder.finding import Candidate
 from rtcal.finder.positions.case import PositionsCase
-from rtcal.finder.positions.corrected import corrected_geometry
 from rtcal.finder.positions.finding import PositionsFinding, kind
 from rtcal.finder.positions.search import find_by_positions
 from rtcal.finder.positions.weighing import key_of
+from rtcal.finder.verification import (
+    Gap,
+    Verification,
+    check_pairs,
+    gain_over_pairs,
+    misses_over_pairs,
+)
 from rtcal.loop.control_runs import trace_ahead
 from rtcal.loop.measured_pairs import Pair, gap_at_pairs
 from rtcal.loop.positions import calibrate_positions
 from rtcal.simulators.base import Observations, observe
 from rtcal.simulators.path_tracing import PathTracing
-from rtcal.support import checks, text
+from rtcal.support import checks
 from rtcal.support.errors import DataError
 from rtcal.support.speed import TaskProgress
 from rtcal.support.text import listed
 from rtcal.support.types import Array
 
-MODELS = ("before", "plain", "corrected")
-TITLES = {
+MODELS = {
     "before": "as stated",
     "plain": "calibrated",
     "corrected": "corrected and calibrated",
 }
-"""How each model is called."""
-_SHORT = ("stated", "calibrated", "corrected")
+"""The models whose gaps are compared, and how each is called."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class PositionsVerification(HeldOutVerification):
-    """Gaps at positions that were not fitted: as stated, calibrated, corrected and calibrated.
+def concluded(
+    finding: PositionsFinding,
+    gaps: Array,
+    added: Sequence[Candidate | None],
+    halves: Sequence[Sequence[Pair]],
+    seeds: Sequence[int],
+) -> Verification:
+    """Return what the gaps at pairs that were not fitted say of a finding.
 
-    The pairs are divided into two halves. Each half finds the effect again and calibrates both models;
-    the other half is predicted. So no value was used for its own prediction.
-
-    Attributes
+    Parameters
     ----------
     finding : PositionsFinding
     gaps : array (n_models, n_seeds, n_parameters, n_pairs, n_bands)
         Simulated less measured in JND at held-out pairs, of each of `MODELS`.
-    added : tuple of (Candidate or None)
+    added : sequence of (Candidate or None)
         What each half added to its model, half by half; None where it found no surface.
-    halves : tuple of tuples of pairs
-    seeds : tuple of int
+    halves : sequence of sequences of pairs
+    seeds : sequence of int
+        Of the simulator.
     """
-
-    record_kind: ClassVar[str] = "verification at positions 1"
-
-    finding: PositionsFinding
-    added: tuple[Candidate | None, ...]
-    halves: tuple[tuple[Pair, ...], ...]
-    seeds: tuple[int, ...]
-
-    @property
-    def before(self) -> float:
-        """Mean absolute gap of the calibrated model without what was found, in JND."""
-        return float(self.gap("plain").mean())
-
-    @property
-    def after(self) -> float:
-        """The same with what was found."""
-        return float(self.gap("corrected").mean())
-
-    def gap(self, model: str) -> Array:
-        """Return the mean absolute gap of a model in `MODELS`, (n_seeds,), in JND."""
-        if model not in MODELS:
-            raise DataError(f'model = "{model}" is not one of {", ".join(MODELS)}')
-        return np.asarray(np.nanmean(np.abs(self.gaps[MODELS.index(model)]), axis=(1, 2, 3)))
-
-    @property
-    def ratio(self) -> float:
-        """Mean absolute gap, corrected over plain."""
-        return self.after / self.before
-
-    @property
-    def gains(self) -> Array:
-        """Plain less corrected, the mean absolute gap of each seed and pair, in JND."""
-        plain, corrected = (np.nanmean(np.abs(gaps), axis=(1, 3)) for gaps in self.gaps[1:])
-        return np.asarray(plain - corrected)
-
-    @property
-    def matched(self) -> dict[str, tuple[Array, Array]]:
-        """For each parameter the measured mean over the pairs, and the corrected model's gaps."""
-        case, parameters = self.finding.case, self.finding.parameters
-        measured = Observations.of_measurement(case.in_room, parameters, self.finding.pairs)
-        relative = LEVEL.key if LEVEL.key in case.measured.values else ""
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", RuntimeWarning)  # a band without a value
-            gaps = np.nanmean(self.gaps[-1], axis=0)
-            return {
-                name: (np.nanmean(measured.natural(name), axis=0), gaps[p])
-                for p, name in enumerate(parameters)
-                if name != relative  # its mean over the pairs is taken off
-            }
-
-    @property
-    def matched_pairs(self) -> Sequence[tuple[str, str]]:
-        """The pairs, each of which was predicted from the half that it is not in."""
-        return self.finding.pairs
-
-    @property
-    def frequencies(self) -> Array:
-        """Centre frequencies in Hz, (n_bands,)."""
-        return self.finding.case.room.centre_frequencies
-
-    @property
-    def by_parameter(self) -> dict[str, dict[str, float]]:
-        """Mean absolute gap by model and parameter in JND, over all seeds."""
-        return {
-            model: {
-                name: float(np.nanmean(np.abs(gaps[:, p])))
-                for p, name in enumerate(self.finding.parameters)
-            }
-            for model, gaps in zip(MODELS, self.gaps, strict=True)
+    size, pairs, parameters = np.abs(gaps), finding.pairs, finding.parameters
+    before, plain, after = np.nanmean(size, axis=(2, 3, 4)).mean(axis=1).tolist()
+    without, with_it = (np.nanmean(each, axis=(1, 3)) for each in size[1:])
+    by_seed = np.nanmean(size, axis=(3, 4))
+    spread = by_seed.std(axis=1, ddof=1) if len(seeds) > 1 else np.full(by_seed[:, 0].shape, np.nan)
+    by_parameter = np.nanmean(size, axis=(1, 3, 4))
+    by_pair = np.nanmean(size, axis=(1, 2, 4))
+    measured = Observations.of_measurement(finding.case.in_room, parameters, pairs)
+    relative = LEVEL.key if LEVEL.key in finding.case.measured.values else ""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)  # a band without a value
+        left = np.nanmean(gaps[-1], axis=0)
+        matched = {
+            name: (np.nanmean(measured.natural(name), axis=0), left[p])
+            for p, name in enumerate(parameters)
+            if name != relative  # its mean over the pairs is taken off
         }
-
-    @property
-    def spread(self) -> dict[str, dict[str, float]]:
-        """Standard deviation over the seeds of `by_parameter`; NaN for a single seed."""
-        out: dict[str, dict[str, float]] = {}
-        for model, gaps in zip(MODELS, self.gaps, strict=True):
-            mean = np.nanmean(np.abs(gaps), axis=(2, 3))
-            off = mean.std(axis=0, ddof=1) if len(mean) > 1 else np.full(mean.shape[1], np.nan)
-            out[model] = dict(zip(self.finding.parameters, off.tolist(), strict=True))
-        return out
-
-    @property
-    def by_pair(self) -> dict[str, Array]:
-        """Mean absolute gap by model, (n_pairs,), in JND, over all seeds."""
-        by_pair = (np.nanmean(np.abs(gaps), axis=(0, 1, 3)) for gaps in self.gaps)
-        return dict(zip(MODELS, by_pair, strict=True))
-
-    @property
-    def differing(self) -> tuple[Candidate | None, ...]:
-        """The candidates of halves that are another thing than all pairs found; () where they agree.
-
-        The same thing is of the same family, all of added absorption as one; where a surface is
-        claimed, also on that surface, or on one that these positions do not tell from it.
-        """
-        found, claimed = self.finding.likeliest, self.finding.surface
-        if found is None:
-            return ()
-        alike = {claimed}.union(*(g for g in self.finding.groups if claimed in g))
-        return tuple(
-            c
-            for c in self.added
-            if c is None or kind(c) != kind(found) or not (claimed is None or c.surface in alike)
+    doubts, but, again = _found_again(finding, added)
+    n_seeds = "1 seed" if len(seeds) == 1 else f"{len(seeds)} seeds"
+    notes = [
+        f"± is the standard error over {len(pairs)} pairs and {n_seeds} of the simulator. As stated, "
+        f"the gap is {before:.2f} JND."
+    ]
+    if before < plain:
+        notes.append(
+            "Calibrated, the model is no better there than as stated: do not simulate with it."
         )
+    for half, what in zip(halves, added, strict=True):
+        names = ", ".join(" to ".join(pair) for pair in half)
+        said = "nothing" if what is None else f"{what.title}, {what.in_words}"
+        notes.append(f"Fitted on {names}: added {said}.")
+    return Verification(
+        finding=finding,
+        models=tuple(MODELS.values()),
+        held_out=("pairs that were not fitted",),
+        before=plain,
+        after=after,
+        **gain_over_pairs(without - with_it),
+        quantities=(
+            *(
+                Gap(parameter_label(name), "", tuple(values), "", tuple(off))
+                for name, values, off in zip(
+                    parameters, by_parameter.T.tolist(), spread.T.tolist(), strict=True
+                )
+            ),
+            Gap("all", "", (before, plain, after)),
+            *(
+                Gap(" to ".join(pair), "", tuple(values))
+                for pair, values in zip(pairs, by_pair.T.tolist(), strict=True)
+            ),
+        ),
+        misses=misses_over_pairs(matched, pairs, finding.case.room.centre_frequencies),
+        doubts=doubts,
+        but=but,
+        found_again=again,
+        notes=tuple(notes),
+        gaps=gaps,
+        details={
+            "pairs": [list(p) for p in pairs],
+            "seeds": list(seeds),
+            "halves": [[list(p) for p in half] for half in halves],
+            "gaps_jnd": dict(zip(MODELS, np.nanmean(size, axis=(2, 3, 4)).tolist(), strict=True)),
+            "by_parameter_jnd": {
+                model: dict(zip(parameters, values, strict=True))
+                for model, values in zip(MODELS, by_parameter.tolist(), strict=True)
+            },
+            "by_pair_jnd": dict(zip(MODELS, by_pair.tolist(), strict=True)),
+            "added": [None if c is None else c.to_dict() for c in added],
+        },
+    )
 
-    @property
-    def verdict(self) -> str:
-        """As of the gap; but not ``supported`` where the halves found another thing than all pairs."""
-        of_gap = super().verdict
-        return "unproven" if of_gap == "supported" and self.differing else of_gap
 
-    @property
-    def verdict_in_words(self) -> str:
-        """The grounds of the verdict, in a sentence or two; what the halves found stands in it."""
-        size, verdict = (
-            f"{abs(self.gain):.2f} ± {self.uncertainty:.2f} JND",
-            self.verdict.capitalize(),
-        )
-        found, elsewhere = self.finding.likeliest, self.differing
-        if found is not None and not elsewhere:
-            elsewhere = tuple(c for c in self.added if c is not None and c.surface != found.surface)
-            if elsewhere and self.verdict == "supported":
-                verdict += f" for {kind(found)}, not for its surface"
-        halves = ""
-        if elsewhere and found is not None:
-            each = listed([*dict.fromkeys("nothing" if c is None else c.title for c in elsewhere)])
-            which = "the halves of the pairs" if len(elsewhere) > 1 else "half of the pairs"
-            halves = f"{which} found {each}, not {found.title} as all pairs did; "
-        less = "smaller" if self.gain > 0 else "larger"
-        said = f"{halves}with what was found the gap is {size} {less} than calibrated alone"
-        counts = f"only a change by more than {self.needed:.2f} JND counts"
-        sentences = [f"{verdict}: {said}; {counts}.", self.misses_in_words]
-        return " ".join(filter(None, sentences))
+def _found_again(
+    finding: PositionsFinding, added: Sequence[Candidate | None]
+) -> tuple[tuple[str, ...], str, str]:
+    """Return doubts, what a support leaves open, and what halves found that is other, in words.
 
-    @property
-    def sentence(self) -> str:
-        """The change of the gap, in words; the verdict first."""
-        before, plain, after = (self.gap(m).mean() for m in MODELS)
-        return (
-            f"{self.verdict_in_words} At positions that were not fitted it is {before:.2f} JND as "
-            f"stated, {plain:.2f} calibrated, {after:.2f} corrected and calibrated.{self.warning}"
-        )
-
-    @property
-    def warning(self) -> str:
-        """A sentence, after a blank, if the calibrated model is no better than the stated; else ""."""
-        if self.before < self.gap("before").mean():
-            return ""
-        return " Calibrated, the model is no better there than as stated: do not simulate with it."
-
-    @property
-    def support(self) -> str:
-        """The sources of the uncertainty, in words."""
-        seeds = "1 seed" if len(self.seeds) == 1 else f"{len(self.seeds)} seeds"
-        return (
-            f"± is the standard error over {len(self.finding.pairs)} pairs and {seeds} of the "
-            "simulator."
-        )
-
-    def __repr__(self) -> str:
-        before, plain, after = (self.gap(m).mean() for m in MODELS)
-        return f"<Verification: {before:.2f}, {plain:.2f}, {after:.2f} JND at held-out pairs>"
-
-    def __str__(self) -> str:
-        names = [parameter_label(p) for p in self.finding.parameters]
-        rows = [
-            (TITLES[model], [f"{v:.2f}" for v in [*values.values(), self.gap(model).mean()]])
-            for model, values in self.by_parameter.items()
-        ]
-        header = ("mean gap / JND", [*names, "all"])
-        lines = [*text.wrapped(self.sentence), *text.wrapped(self.support), ""]
-        lines += text.table(rows, header=header)
-        lines += ["", *text.table(self._pair_rows(), header=("mean gap / JND", [*_SHORT])), ""]
-        for sentence in self.halves_in_words:
-            lines += text.wrapped(sentence, hanging="    ")
-        return "\n".join(lines)
-
-    def _pair_rows(self) -> list[tuple[str, list[str]]]:
-        by_model = [self.by_pair[m] for m in MODELS]
-        return [
-            (" to ".join(pair), [f"{gaps[i]:.2f}" for gaps in by_model])
-            for i, pair in enumerate(self.finding.pairs)
-        ]
-
-    @property
-    def halves_in_words(self) -> tuple[str, ...]:
-        """The effects that each half of the pairs added, a sentence each."""
-        out = []
-        for half, added in zip(self.halves, self.added, strict=True):
-            names = ", ".join(" to ".join(pair) for pair in half)
-            what = "nothing" if added is None else f"{added.title}, {added.in_words}"
-            out.append(f"Fitted on {names}: added {what}.")
-        return tuple(out)
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return plain values for JSON."""
-        return {
-            **super().to_dict(),
-            "gain_jnd": self.gain,
-            "uncertainty_jnd": self.uncertainty,
-            "gaps_jnd": {m: json_numbers(self.gap(m)) for m in MODELS},
-            "by_parameter_jnd": self.by_parameter,
-            "by_pair_jnd": {m: json_numbers(v) for m, v in self.by_pair.items()},
-            "pairs": [list(p) for p in self.finding.pairs],
-            "seeds": list(self.seeds),
-            "added": [None if c is None else c.to_dict() for c in self.added],
-        }
+    The same thing is of the same family, all of added absorption as one; where a surface is claimed,
+    also on that surface, or on one that these positions do not tell from it.
+    """
+    found, claimed = finding.likeliest, finding.surface
+    if found is None:
+        return (), "", ""
+    alike = {claimed}.union(*(g for g in finding.groups if claimed in g))
+    others = differing = [
+        c
+        for c in added
+        if c is None or kind(c) != kind(found) or not (claimed is None or c.surface in alike)
+    ]
+    if not differing:
+        others = [c for c in added if c is not None and c.surface != found.surface]
+    if not others:
+        return (), "", ""
+    each = listed([*dict.fromkeys("nothing" if c is None else c.title for c in others)])
+    which = "the halves of the pairs" if len(others) > 1 else "half of the pairs"
+    again = f"{which} found {each}, not {found.title} as all pairs did; "
+    if differing:
+        return ("the halves of the pairs found another thing than all pairs",), "", again
+    return (), f" for {kind(found)}, not for its surface", again
 
 
 def verify(
@@ -277,7 +175,7 @@ def verify(
     seeds: Sequence[int] = (0,),
     cache: str | os.PathLike[str] | None = None,
     progress: TaskProgress | None = None,
-) -> PositionsVerification:
+) -> Verification:
     """Return the gaps at positions that were not fitted, with and without what was found.
 
     Parameters
@@ -321,13 +219,7 @@ def verify(
         gaps = _gaps(finding, halves, searched, chosen, progress)
         if path is not None:
             disk.write(path, gaps)
-    return PositionsVerification(
-        finding=finding,
-        gaps=gaps,
-        added=tuple(searched),
-        halves=halves,
-        seeds=chosen,
-    )
+    return concluded(finding, gaps, searched, halves, chosen)
 
 
 _MODELS = 5
@@ -350,7 +242,7 @@ def _gaps(
         nonlocal done
         done += 1
         if progress is not None:
-            progress(TITLES[MODELS[model]], done, len(halves) + len(seeds) * _MODELS)
+            progress([*MODELS.values()][model], done, len(halves) + len(seeds) * _MODELS)
 
     # A gap is not to be that of the tracing's noise. The paths of a seed are traced once for all models
     # in the stated geometry.

@@ -2,34 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import islice
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
 from rtcal.acoustics import bands
-from rtcal.acoustics.observables import TARGET
-from rtcal.acoustics.priors import NORMAL_90
 from rtcal.files.disk import json_numbers
 from rtcal.finder.claim import CLAIMED, Names, over_frequency
-from rtcal.finder.finding import (
-    LEAST_PAIRS,
-    NATS,
-    Finding,
-    HeldOutVerification,
-    Size,
-    amount,
-)
+from rtcal.finder.finding import LEAST_PAIRS, NATS, Finding, Size, amount
 from rtcal.finder.prior import NONE
-from rtcal.finder.states.case import SecondState, StatesCase, changed_room
+from rtcal.finder.states.case import StatesCase
 from rtcal.finder.states.evidence import ADDED
-from rtcal.support import blocks, text
 from rtcal.support.blocks import Block, Note, Table
 from rtcal.support.errors import DataError
 from rtcal.support.text import as_sentence, listed
 from rtcal.support.types import Array
+
+if TYPE_CHECKING:
+    from rtcal.finder.corrected import Corrected
 
 
 def decimals(change: Array) -> int:
@@ -137,7 +130,7 @@ class StatesFinding(Finding):
             )
         return None
 
-    def apply(self) -> SecondState:
+    def apply(self) -> Corrected:
         """Return the room of the second state, to calibrate, export and predict with.
 
         Raises
@@ -159,6 +152,8 @@ class StatesFinding(Finding):
         >>> print(abs(now / [0.9, 0.7] - 1) < 0.1)  # within 10 %
         [ True  True]
         """
+        from rtcal.finder.corrected import changed_room
+
         if self.reason_for_none is not None:
             raise DataError(self.reason_for_none)
         kinds = [c.effect for c in self.candidates]
@@ -263,12 +258,6 @@ class StatesFinding(Finding):
         notes = (*self.sentences, as_sentence(NATS))
         return [Note(self.headline), Table.of_columns(names, columns), *map(Note, notes)]
 
-    def __str__(self) -> str:
-        return "\n".join(blocks.lines(self.blocks()))
-
-    def _repr_html_(self) -> str:
-        return blocks.notebook(self.headline, self.blocks()[1:])
-
     def to_dict(self) -> dict[str, Any]:
         """Return plain values for JSON."""
         found = self.case.differences
@@ -297,118 +286,4 @@ class StatesFinding(Finding):
             "absorption_area_before": json_numbers(self.area),
             "change": json_numbers(self.change),
             "pairs": [list(pair) for pair in found.pairs],
-        }
-
-
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class StatesVerification(HeldOutVerification):
-    """The change of T at pairs that were not fitted: measured, and as the fitted pairs say.
-
-    Attributes
-    ----------
-    finding : StatesFinding
-    case : Case or None
-        What was measured at pairs that the finding had not; None where the halves of its own pairs
-        predict each other.
-    gaps : array (2, n_pairs, n_bands)
-        T before less T measured after, in JND of 5 %: as if nothing had changed. T predicted less T
-        measured after.
-    """
-
-    record_kind: ClassVar[str] = "two states verification 1"
-
-    finding: StatesFinding
-    case: StatesCase | None = None
-
-    @property
-    def before(self) -> float:
-        """Mean absolute gap at held-out pairs without the change, in JND."""
-        return float(np.nanmean(np.abs(self.gaps[0])))
-
-    @property
-    def after(self) -> float:
-        """The same with the change."""
-        return float(np.nanmean(np.abs(self.gaps[1])))
-
-    @property
-    def gains(self) -> Array:
-        """Mean absolute gap of each pair without less with the change, (1, n_pairs), in JND.
-
-        Of ln T, so that states that are exchanged have the same ones: a JND is of another T there.
-        """
-        in_log = np.log1p(TARGET.jnd * self.gaps) / np.log1p(TARGET.jnd)
-        without, with_change = np.abs(in_log)
-        by_pair = np.nanmean(without - with_change, axis=1)
-        return np.asarray(by_pair[np.newaxis])
-
-    @property
-    def matched(self) -> dict[str, tuple[Array, Array]]:
-        """T measured after the change, mean over the pairs, and the gaps of the finding's own pairs."""
-        found = self.finding.case.differences
-        # In ln T, so that what is missed in one order of the states is missed in the other.
-        left = (self.finding.shift - found.change) / np.log1p(TARGET.jnd)
-        return {TARGET.key: (found.after, left)}
-
-    @property
-    def decay_times(self) -> Array:
-        """Geometric mean of T before and after, which is the same of two states that are exchanged."""
-        found = self.finding.case.differences
-        return np.asarray(np.sqrt(found.before * found.after))
-
-    @property
-    def prediction_error(self) -> Array | float:
-        """Standard deviation in JND of T after, by the interval of the change, (n_bands,).
-
-        The state of the longer T is the first: two states that are exchanged have the same one.
-        """
-        case, total = self.finding.case, self.finding.case.room.total_area
-        air = 4 * case.room.air_attenuation * case.room.volume
-        found, change = case.differences, self.finding.change[1:]
-        area, sign = self.finding.area, 1.0
-        if not found.falls:
-            area, sign = case.equation.absorption_area(case.room, found.after), -1.0
-        areas = np.clip(area + sign * change, 0.0, 0.999 * total)
-        low, high = total * case.equation.exponent(areas / total) + air
-        out = np.abs(np.log(high / low)) / (2 * NORMAL_90 * np.log1p(TARGET.jnd))
-        return np.asarray(np.nan_to_num(out))
-
-    @property
-    def matched_pairs(self) -> Sequence[tuple[str, str]]:
-        """The finding's own pairs."""
-        return self.finding.case.differences.pairs
-
-    @property
-    def frequencies(self) -> Array:
-        """Centre frequencies in Hz, (n_bands,)."""
-        return self.finding.case.differences.centre_frequencies
-
-    @property
-    def sentence(self) -> str:
-        """The verdict in a sentence or two."""
-        others = "the other half of the pairs" if self.case is None else "the other pairs"
-        said = (
-            f"{self.verdict}: at pairs that were not fitted the mean gap of T is {self.before:.2f} JND "
-            f"if nothing changed, and {self.after:.2f} JND with what {others} found: a decrease of "
-            f"{self.gain:.2f} ± {self.uncertainty:.2f} JND (standard error), of which more than "
-            f"{self.needed:.2f} JND counts."
-        )
-        return " ".join(filter(None, [said, self.misses_in_words]))
-
-    def __repr__(self) -> str:
-        return f"<StatesVerification {self.verdict}>"
-
-    def __str__(self) -> str:
-        notes = () if self.case is None else self.case.differences.notes
-        return "\n".join(line for each in (self.sentence, *notes) for line in text.wrapped(each))
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return plain values for JSON."""
-        found = (self.finding.case if self.case is None else self.case).differences
-        return {
-            **super().to_dict(),
-            "gaps": [self.before, self.after],
-            "pairs": [list(pair) for pair in found.pairs],
-            "centre_frequencies": json_numbers(found.centre_frequencies),
-            "before": json_numbers(self.gaps[0]),
-            "after": json_numbers(self.gaps[1]),
         }

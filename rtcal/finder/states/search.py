@@ -1,4 +1,4 @@
-"""The search for what changed between two states, and whether it predicts T at pairs not fitted.
+"""The search for what changed between two states.
 
 Two states that are exchanged have the same answer, with "added" and "removed" exchanged and all changes
 of the other sign. So the state of the longer T is the first in every search, and the answer is turned
@@ -16,17 +16,14 @@ from numpy.typing import NDArray
 from scipy.special import logsumexp
 
 from rtcal.acoustics import bands
-from rtcal.acoustics.marks import gap_jnd
-from rtcal.acoustics.measurement import Measurement
-from rtcal.acoustics.observables import MATCH
 from rtcal.finder.claim import SAID, claimed, most_probable_first
 from rtcal.finder.effects import Effect, checked_effects
-from rtcal.finder.finding import Candidate, Detection, Size, check_pairs
+from rtcal.finder.finding import Candidate, Detection, Size
 from rtcal.finder.prior import NO_EFFECT, NONE, UNKNOWN, left_out_of
 from rtcal.finder.states import evidence
 from rtcal.finder.states.case import StatesCase
 from rtcal.finder.states.evidence import ADDED, AIR, REMOVED, Baseline, Errors, Fits, Grid, grid
-from rtcal.finder.states.finding import StatesFinding, StatesVerification
+from rtcal.finder.states.finding import StatesFinding
 from rtcal.finder.states.surfaces import Located, locate, other_gains, trusted
 from rtcal.support import checks
 from rtcal.support.errors import DataError
@@ -317,109 +314,3 @@ def _candidate(name: str, tried: Grid, probability: float, samples: Array) -> Ca
         high=size.high,
         unit=size.unit,
     )
-
-
-_LEAST_NEW = 2
-"""Fewest pairs that a finding had not: their scatter tells how sure the gain is."""
-
-
-def verify(
-    finding: StatesFinding,
-    *,
-    before: Measurement | None = None,
-    after: Measurement | None = None,
-    seed: int = 0,
-) -> StatesVerification:
-    """Verify a finding at pairs that were not fitted.
-
-    Parameters
-    ----------
-    finding : StatesFinding
-    before, after : Measurement, optional
-        Of both states. The finding predicts the pairs that it had not. Without them each half of the
-        finding's pairs predicts the other.
-    seed : int
-        Of the samples from which the intervals come.
-
-    Raises
-    ------
-    DataError
-        If nothing was detected; for fewer than four pairs, or fewer than two that are new; if one of
-        the states is missing.
-
-    Examples
-    --------
-    >>> import rtcal as rt
-    >>> room = rt.Room(name="box", volume=200, materials=["all"], areas=[220], alpha=[[0.1] * 2],
-    ...                sigma=[[0.05] * 2], centre_frequencies=[500, 1000])
-    >>> pairs = [("S1", "R1"), ("S1", "R2"), ("S2", "R1"), ("S2", "R2")]
-    >>> before, after = (
-    ...     rt.Measurement(centre_frequencies=[500, 1000], values={"t20": t}, pairs=pairs)
-    ...     for t in ([[1.5, 1.4], [1.4, 1.4], [1.5, 1.3], [1.6, 1.5]],
-    ...               [[0.8, 0.7], [0.8, 0.7], [0.7, 0.7], [0.8, 0.7]])
-    ... )
-    >>> print(verify(rt.find(room, after, before=before)).verdict)
-    supported
-    """
-    checks.whole("seed", seed, 0)
-    case, found = finding.case, finding.case.differences
-    if not finding.detected:
-        raise DataError(f'the verdict is "{finding.verdict}"; there is no change to verify')
-    if (before is None) != (after is None):
-        lacking = "before" if before is None else "after"
-        raise DataError(f"{lacking} is missing: the change is verified in both states")
-    if before is not None and after is not None:
-        if seed:
-            raise DataError("seed is of halves of the pairs: what was found predicts further pairs")
-        case = _at_new_pairs(finding, before, after)
-        found = case.differences
-        gaps = _gaps(found.change, finding.shift)
-        return StatesVerification(finding=finding, gaps=gaps, case=case)
-    check_pairs(found.pairs)
-    predicted = np.full(found.change.shape, np.nan)
-    for half in range(2):
-        fitted = [i for i in range(len(found.pairs)) if i % 2 == half]
-        held_out = [i for i in range(len(found.pairs)) if i % 2 != half]
-        predicted[held_out] = _predicted(finding, [found.pairs[i] for i in fitted], seed)
-    gaps = _gaps(found.change, predicted)
-    return StatesVerification(finding=finding, gaps=gaps)
-
-
-def _gaps(change: Array, predicted: Array) -> Array:
-    """Return the gaps in JND, (2, n_pairs, n_bands): as if nothing had changed, and as predicted.
-
-    ``change`` and ``predicted`` are logarithms of T after over T before.
-    """
-    ratio = np.exp(change)
-    return np.stack([gap_jnd(np.ones_like(ratio), ratio), gap_jnd(np.exp(predicted), ratio)])
-
-
-def _at_new_pairs(finding: StatesFinding, before: Measurement, after: Measurement) -> StatesCase:
-    """Return the case of the pairs that a finding had not; DataError for fewer than two."""
-    fitted = finding.case.differences.pairs
-    if finding.case.differences.of_means or before.is_summary or after.is_summary:
-        raise DataError("means over positions have no pairs that were not fitted")
-    new = [p for p in before.pairs if p in after.pairs and p not in fitted]
-    if len(new) < _LEAST_NEW:
-        raise DataError(
-            f"{len(new)} pairs of before and after are not among the {len(fitted)} that were fitted; "
-            f"{_LEAST_NEW} are needed"
-        )
-    case = finding.case
-    return replace(
-        case, before=before.select(new), after=after.select(new), simulator=None, match=MATCH
-    )
-
-
-def _predicted(finding: StatesFinding, pairs: list[tuple[str, str]], seed: int) -> Array:
-    """Return the shift of ln T that these pairs alone tell, (n_bands,); NaN where they have no T."""
-    case = finding.case
-    of_half = replace(
-        case,
-        before=case.before.select(pairs),
-        after=case.after.select(pairs),
-        simulator=None,
-        match=MATCH,
-    )
-    effects = tuple(finding.effects.values())
-    return find(of_half, effects=effects, seed=seed, without=finding.left_out).shift
