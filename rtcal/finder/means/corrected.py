@@ -320,7 +320,7 @@ def _corrected(case: Case) -> _Corrected:
             absent[p.name] = _DECAY
         climate = p.effect.air(air, p.parameters)
         air = climate if _is_air(climate, after) else air
-        if after.air is not before.air:
+        if not np.array_equal(after.air, before.air):
             last_air = p.name
         before = after
     whole = before
