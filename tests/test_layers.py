@@ -47,7 +47,7 @@ ONE_DOOR = (
     "tqdm",
     "jinja2",
     "openpyxl",
-    "sofar",
+    "netCDF4",
     "trimesh",
     "collada",
     "shapely",

@@ -102,9 +102,9 @@ def test_bad_files(tmp_path: Path) -> None:
         sofa.read(free)
 
 
-def test_without_sofar_the_extra_is_named(tmp_path: Path, monkeypatch) -> None:
+def test_without_netcdf_the_extra_is_named(tmp_path: Path, monkeypatch) -> None:
     path = file(tmp_path / "a.sofa")
-    monkeypatch.setitem(sys.modules, "sofar", None)
+    monkeypatch.setitem(sys.modules, "netCDF4", None)
     with pytest.raises(MissingDependencyError, match=r"pip install 'rtcal\[sofa\]'"):
         sofa.read(path)
 

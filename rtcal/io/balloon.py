@@ -73,7 +73,7 @@ def read(
         For a file of another kind, a band without a frequency of the file, directions that leave a
         gap, levels that are no numbers, and an axis that is not where it radiates.
     MissingDependencyError
-        For a SOFA file, without sofar.
+        For a SOFA file, without netCDF4.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""Room impulse responses and positions of SOFA files (AES69), by sofar (``rtcal[sofa]``).
+"""Room impulse responses and positions of SOFA files (AES69), by netCDF4 (``rtcal[sofa]``).
 
 Read are the conventions of responses in a room: `ROOM_CONVENTIONS`, and the general ones whose
 ``RoomType`` is no free field. All others are refused by name: head-related transfer functions and
@@ -12,10 +12,8 @@ Reference: AES69-2022, "AES standard for file exchange - Spatial acoustic data f
 from __future__ import annotations
 
 import os
-import warnings
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -34,12 +32,9 @@ GENERAL_CONVENTIONS = ("GeneralFIR", "GeneralFIR-E")
 DIRECTIVITY_CONVENTIONS = ("FreeFieldDirectivityTF", "GeneralTF")
 NEAR = 0.1
 """Distance in m within which a position of a file is one of the room."""
-_NEEDED = "SOFA files need sofar: pip install 'rtcal[sofa]'"
 _PARALLEL = 1e-3
 MAX_BYTES = 2**28
 MAX_RESPONSES = 2000
-
-_DAMAGED = "cannot be read as SOFA: it is damaged, or not as AES69 has it"
 _HDF5 = b"\x89HDF\r\n\x1a\n"
 Point = tuple[float, float, float]
 
@@ -118,47 +113,65 @@ def claims(path: str | os.PathLike[str]) -> bool:
         return stream.read(len(_HDF5)) == _HDF5
 
 
-def read(path: str | os.PathLike[str]) -> Responses:
-    """Return the responses and positions of a SOFA file.
+class _File:
+    """The variables and attributes of a SOFA file; raises as `read`."""
 
-    Raises
-    ------
-    DataError
-        For a file that sofar cannot read, a convention that is no room response, several sampling
-        rates, and positions that are no numbers.
-    MissingDependencyError
-        Without sofar.
-    """
-    return _responses(_opened(path), os.fspath(path))
-
-
-def _opened(path: str | os.PathLike[str]) -> Any:
-    """Return sofar's object of a file; raises as `read`."""
-    if not claims(path):
-        raise DataError(f"{path}, byte 0: not a SOFA (HDF5) file")
-    if (size := Path(path).stat().st_size) > MAX_BYTES:
-        raise DataError(f"{path}: {size} bytes; at most {MAX_BYTES}")
-    _require_shapes(os.fspath(path))
-    sofar = library(_NEEDED, "sofar")
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # of preliminary conventions, which are read as well
+    def __init__(self, path: str | os.PathLike[str]) -> None:
+        self.path = os.fspath(path)
+        if not claims(path):
+            raise DataError(f"{path}, byte 0: not a SOFA (HDF5) file")
+        budget.require(Path(path).stat().st_size, MAX_BYTES, "bytes", self.path)
+        netcdf = library("SOFA files need netCDF4: pip install 'rtcal[sofa]'", "netCDF4")
         try:
-            return sofar.read_sofa(os.fspath(path), verify=False, verbose=False)
-        except Exception as error:  # sofar and netCDF4 raise what they meet
-            raise DataError(f"{path}: {_DAMAGED}") from error
+            with netcdf.Dataset(self.path) as data:
+                shapes = [[float(n) for n in v.shape] for v in data.variables.values()]
+                # Before anything is loaded: a file of kilobytes can declare gigabytes.
+                declared = sum(float(np.prod(shape)) for shape in shapes)
+                few = "export fewer responses to a file"
+                budget.require(declared, budget.MAX_SAMPLES, "values", self.path, few)
+                self.attributes = {name: str(data.getncattr(name)) for name in data.ncattrs()}
+                self.types = {n: getattr(v, "Type", "") for n, v in data.variables.items()}
+                self.variables = {
+                    name: np.ma.filled(v[:].astype(float), np.nan)
+                    for name, v in data.variables.items()
+                    if getattr(v.dtype, "kind", "") in "fiu"
+                }
+        except DataError:
+            raise
+        except Exception as error:  # netCDF4 raises what it meets
+            raise DataError(
+                f"{path}: cannot be read as SOFA: it is damaged, or not as AES69 has it"
+            ) from error
+        self.convention = self.attributes.get("SOFAConventions", "")
 
+    def numbers(self, name: str) -> Array:
+        """Return a variable; DataError for one that is missing, empty or not finite."""
+        values = self.variables.get(name, np.empty(0))
+        if values.size == 0:
+            raise DataError(f"{self.path}: {name} is missing or no number")
+        if not np.isfinite(values).all():
+            raise DataError(f"{self.path}: {name} has a value that is not finite")
+        return np.asarray(values)
 
-def _require_shapes(path: str) -> None:
-    """Raise DataError if the arrays of a file have more values than the budget, by their shapes."""
-    netcdf = library(_NEEDED, "netCDF4")
-    try:
-        with netcdf.Dataset(path) as data:
-            total = sum(
-                float(np.prod([float(n) for n in v.shape])) for v in data.variables.values()
+    def points(self, name: str, typed: str = "") -> Array:
+        """Return points in m, (n, 3), by the coordinates that the file states for them.
+
+        ``typed`` is another variable whose coordinates are of their type.
+        """
+        points = np.atleast_2d(np.squeeze(self.numbers(name)))
+        if points.ndim != 2 or points.shape[1] != 3:
+            raise DataError(f"{self.path}: {name} has shape {points.shape}; (n, 3) is needed")
+        kind = (self.types.get(typed or name) or "cartesian").lower()
+        if kind == "cartesian":
+            return points
+        if kind != "spherical":
+            raise DataError(
+                f'{self.path}: {name} has the type "{kind}"; cartesian or spherical is needed'
             )
-    except Exception as error:  # netCDF4 raises what it meets
-        raise DataError(f"{path}: {_DAMAGED}") from error
-    budget.require(total, budget.MAX_SAMPLES, "values", path, "export fewer responses to a file")
+        azimuth, elevation = np.radians(points[:, :2]).T  # in degrees, and the radius in m
+        flat = np.cos(elevation)
+        unit = np.array([flat * np.cos(azimuth), flat * np.sin(azimuth), np.sin(elevation)])
+        return np.asarray(points[:, 2] * unit).T
 
 
 def balloon(path: str | os.PathLike[str]) -> tuple[Array, Array, Array]:
@@ -179,108 +192,87 @@ def balloon(path: str | os.PathLike[str]) -> tuple[Array, Array, Array]:
         As `read` does; for a convention that is no `DIRECTIVITY_CONVENTIONS`, several measurements, or
         a source whose top is along its axis.
     MissingDependencyError
-        Without sofar.
+        Without netCDF4.
     """
-    sofa, place = _opened(path), os.fspath(path)
-    convention = str(getattr(sofa, "GLOBAL_SOFAConventions", ""))
+    file = _File(path)
+    place, convention = file.path, file.convention
     if convention not in DIRECTIVITY_CONVENTIONS:
         raise DataError(
             f"{place}: convention {convention or 'not stated'} is no directivity; read are "
             f"{', '.join(DIRECTIVITY_CONVENTIONS)}"
         )
-    energy = _numbers(sofa, "Data_Real", place) ** 2 + _numbers(sofa, "Data_Imag", place) ** 2
-    points = np.atleast_2d(_numbers(sofa, "ReceiverPosition", place)).reshape(-1, 3)
+    energy = file.numbers("Data.Real") ** 2 + file.numbers("Data.Imag") ** 2
+    points = file.points("ReceiverPosition")
     if energy.ndim != 3 or energy.shape[:2] != (1, len(points)):
         raise DataError(
             f"{place}: Data.Real has shape {energy.shape}; (1, {len(points)}, frequencies) is needed: "
             "one measurement, and one receiver for each direction"
         )
-    axis = _one(sofa, "SourceView", "SourceView", place)
-    up = _one(sofa, "SourceUp", "SourceView", place)
+    axis, up = (file.points(name, "SourceView")[0] for name in ("SourceView", "SourceUp"))
+    for name, vector in (("SourceView", axis), ("SourceUp", up)):
+        if not np.linalg.norm(vector) > 0:
+            raise DataError(f"{place}: {name} is no direction")
+    axis, up = axis / np.linalg.norm(axis), up / np.linalg.norm(up)
     above = up - (up @ axis) * axis
     if np.linalg.norm(above) < _PARALLEL:
         raise DataError(f"{place}: SourceUp is along SourceView")
     above = above / np.linalg.norm(above)
     axes = np.array([axis, above, np.cross(above, axis)])
-    directions = _unit(_cartesian(sofa, "ReceiverPosition", points, place))
-    return directions @ axes.T, energy[0], _numbers(sofa, "N", place).reshape(-1)
+    directions = points / np.linalg.norm(points, axis=1, keepdims=True)
+    return directions @ axes.T, energy[0], file.numbers("N").reshape(-1)
 
 
-def _one(sofa: Any, name: str, typed: str, place: str) -> Array:
-    """Return the unit vector of a direction, whose coordinates are of the type of another entry."""
-    stated = np.atleast_2d(_numbers(sofa, name, place))[:1]
-    vector = _cartesian(sofa, typed, stated, place)
-    if not np.linalg.norm(vector) > 0:
-        raise DataError(f"{place}: {name} is no direction")
-    return np.asarray(_unit(vector)[0])
+def read(path: str | os.PathLike[str]) -> Responses:
+    """Return the responses and positions of a SOFA file.
 
-
-def _unit(points: Array) -> Array:
-    return np.asarray(points / np.linalg.norm(points, axis=1, keepdims=True))
-
-
-def _responses(sofa: Any, path: str) -> Responses:
-    convention = str(getattr(sofa, "GLOBAL_SOFAConventions", ""))
-    room = str(getattr(sofa, "GLOBAL_RoomType", "")).lower()
+    Raises
+    ------
+    DataError
+        For a file that netCDF4 cannot read, a convention that is no room response, several sampling
+        rates, and positions that are no numbers.
+    MissingDependencyError
+        Without netCDF4.
+    """
+    file = _File(path)
+    place, convention = file.path, file.convention
+    room = file.attributes.get("RoomType", "").lower()
     if convention not in ROOM_CONVENTIONS + GENERAL_CONVENTIONS:
         raise DataError(
-            f"{path}: convention {convention or 'not stated'} is no response in a room; read are "
+            f"{place}: convention {convention or 'not stated'} is no response in a room; read are "
             f"{', '.join(ROOM_CONVENTIONS + GENERAL_CONVENTIONS)}"
         )
     if room == "free field" and convention in GENERAL_CONVENTIONS:
-        raise DataError(f"{path}: {convention} in the free field is no response in a room")
-    samples = _numbers(sofa, "Data_IR", path)
+        raise DataError(f"{place}: {convention} in the free field is no response in a room")
+    samples = file.numbers("Data.IR")
     if samples.ndim == 4:  # (measurement, receiver, sample, emitter) of FIR-E
         samples = np.moveaxis(samples, 3, 2).reshape(samples.shape[0], -1, samples.shape[2])
     if samples.ndim != 3:
-        raise DataError(f"{path}: Data.IR has shape {samples.shape}; three axes are needed")
+        raise DataError(f"{place}: Data.IR has shape {samples.shape}; three axes are needed")
     n, _, length = samples.shape
-    budget.require(length, budget.MAX_CHANNEL_SAMPLES, "samples of a response", path)
-    if n > MAX_RESPONSES:
-        raise DataError(f"{path}: {n} measurements; at most {MAX_RESPONSES}")
-    rates = np.unique(_numbers(sofa, "Data_SamplingRate", path))
+    budget.require(length, budget.MAX_CHANNEL_SAMPLES, "samples of a response", place)
+    budget.require(n, MAX_RESPONSES, "measurements", place)
+    rates = np.unique(file.numbers("Data.SamplingRate"))
     if rates.size != 1 or not rates[0] > 0:
         raise DataError(
-            f"{path}: sampling rates {', '.join(map(str, rates))} Hz; one above 0 is needed"
+            f"{place}: sampling rates {', '.join(map(str, rates))} Hz; one above 0 is needed"
         )
-    sources = _positions(sofa, "SourcePosition", n, path)
-    listeners = _positions(sofa, "ListenerPosition", n, path)
-    of_source, source_points = _named("S", sources)
-    of_listener, listener_points = _named("R", listeners)
+    named = []
+    for letter, name in (("S", "SourcePosition"), ("R", "ListenerPosition")):
+        points = file.points(name)
+        if len(points) not in (1, n):
+            raise DataError(
+                f"{place}: {name} has shape {points.shape}; (1, 3) or ({n}, 3) is needed"
+            )
+        named.append(_named(letter, np.broadcast_to(points, (n, 3))))
+    (of_source, sources), (of_listener, receivers) = named
     return Responses(
         pairs=tuple(zip(of_source, of_listener, strict=True)),
         samples=samples,
         sampling_rate=float(rates[0]),
-        sources=source_points,
-        receivers=listener_points,
+        sources=sources,
+        receivers=receivers,
         convention=convention,
     )
-
-
-def _positions(sofa: Any, name: str, n: int, path: str) -> Array:
-    """Return positions in m as (n, 3), by their stated coordinates."""
-    points = np.atleast_2d(_numbers(sofa, name, path))
-    if points.ndim != 2 or points.shape[1] != 3 or len(points) not in (1, n):
-        raise DataError(f"{path}: {name} has shape {points.shape}; (1, 3) or ({n}, 3) is needed")
-    return np.broadcast_to(_cartesian(sofa, name, points, path), (n, 3))
-
-
-def _cartesian(sofa: Any, name: str, points: Array, path: str) -> Array:
-    """Return points (n, 3) in m, of the coordinates that the file states for them."""
-    kind = str(getattr(sofa, f"{name}_Type", "cartesian")).lower()
-    if kind == "spherical":  # azimuth and elevation in degrees, radius in m
-        azimuth, elevation, radius = (
-            np.radians(points[:, 0]),
-            np.radians(points[:, 1]),
-            points[:, 2],
-        )
-        flat = radius * np.cos(elevation)
-        points = np.stack(
-            [flat * np.cos(azimuth), flat * np.sin(azimuth), radius * np.sin(elevation)], axis=1
-        )
-    elif kind != "cartesian":
-        raise DataError(f'{path}: {name} has the type "{kind}"; cartesian or spherical is needed')
-    return points
 
 
 def _named(letter: str, points: Array) -> tuple[list[str], dict[str, Point]]:
@@ -295,13 +287,3 @@ def _named(letter: str, points: Array) -> tuple[list[str], dict[str, Point]]:
             named[name] = (x, y, z)
         names.append(name)
     return names, named
-
-
-def _numbers(sofa: Any, name: str, path: str) -> Array:
-    try:
-        values = np.asarray(getattr(sofa, name), dtype=float)
-    except (AttributeError, TypeError, ValueError) as error:
-        raise DataError(f"{path}: {name.replace('_', '.')} is missing or no number") from error
-    if values.size == 0 or not np.isfinite(values).all():
-        raise DataError(f"{path}: {name.replace('_', '.')} has a value that is not finite")
-    return values
