@@ -128,8 +128,8 @@ def _band(answer: JointResult, k: int, unknowns: np.ndarray) -> list[Fraction] |
     lines = [[Fraction(v) for v in line] for line, _, _ in stated]
     ends = [(low, high) for _, low, high in stated]
     equal = [low == high for low, high in ends]
-    at = [int(a) for a in answer.solution.active[unknowns]]
-    sums = [float(line @ answer.solution.unknowns[unknowns]) for line, _, _ in stated]
+    at = [int(a) for a in answer.at_bounds[unknowns]]
+    sums = [float(line @ answer.unknowns[unknowns]) for line, _, _ in stated]
     near = [1e-9 * (1 + np.abs(line).sum()) for line, _, _ in stated]
     side = [
         1 if e or total > high - tiny else -1 if total < low + tiny else 0

@@ -49,7 +49,7 @@ def test_the_bound_holds_for_raw_and_final_answers_and_is_small(solver: str) -> 
 def test_nearly_dependent_rows_and_an_optimum_at_a_bound_are_polished(seed: int) -> None:
     """These raised SolverError: the rows were missed by 1e-12, with multipliers of 1e6."""
     answer = coupled.solution(seed)
-    assert answer.solution.polished
+    assert answer.polished
     assert np.max(answer.certificate.alpha_error_bound) < 1e-6
 
 
@@ -57,7 +57,7 @@ def test_a_wrong_answer_has_large_residuals_and_a_bound_that_holds(cr2) -> None:
     """The certificate is computed from the matrices: what a solver states of its answer is not used."""
     rng = np.random.default_rng(1)
     joint = rt.calibrate(*cr2, method="soft").joint
-    qp, right = joint.qp, joint.solution.point
+    qp, right = joint.qp, joint.point
     assert certify(qp, right, 1.0).worst < 1e-12
     place = qp.compiled.unknowns
     for noise in (1e-8, 1e-4, 1e-1):
@@ -102,5 +102,5 @@ def test_a_target_at_the_end_of_its_reach_leaves_no_freedom() -> None:
     ]
     calibration = rt.Calibration(rt.terms.PriorDeviation(), [rt.terms.ExactMatch()])
     result = calibration.build(rt.Configurations(rooms)).solve(floor, unreachable="nearest")
-    assert result.solution.unknowns == pytest.approx([0.1, 0.0], abs=1e-12)
+    assert result.unknowns == pytest.approx([0.1, 0.0], abs=1e-12)
     assert result.certificate.alpha_error_bound.max() < 1e-12

@@ -123,7 +123,7 @@ def test_no_random_feasible_point_beats_the_optimum(seed: int, name: str) -> Non
     rng = np.random.default_rng(seed)
     room = a_room(rng)
     joint = composed(name).build(room).solve(true_times(rng, room, EYRING)).joint
-    composition, numbers, u = joint.composition, joint.numbers, joint.solution.unknowns
+    composition, numbers, u = joint.composition, joint.numbers, joint.unknowns
     best = composition.value(numbers, u)
     exact = np.asarray(numbers.match_matrix.toarray()) * numbers.sigma
     for scale in (1e-3, 1e-1):

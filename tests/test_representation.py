@@ -29,7 +29,7 @@ def shown_objects():
     case, _ = rt.datasets.hidden_room()
     configurations = rt.Configurations([room, room.replace(name="in winter")])
     result = rt.calibrate(room, measured)
-    made = [result, result.joint, result.joint.solution, result.certificate]
+    made = [result, result.joint, result.certificate]
     return [room, measured, case, hall, hall.geometry, configurations, *made]
 
 

@@ -235,7 +235,10 @@ HARD_TO_SEE = [
     (lambda: rt.terms.Shared(["a", "b"]), "Shared: .* is not the name of a material"),
     (lambda: rt.terms.PriorDeviation(material_correlation={"a": 1}), "'a' is not a pair of mat"),
     (lambda: rt.terms.AddedAbsorption("x", ["a"], 1), r'AddedAbsorption\("x"\): gain is not'),
-    (lambda: rt.terms.GroupAbsorption("floor", 1), "materials = 'floor' is not a list of names"),
+    (
+        lambda: rt.terms.GroupAbsorption("floor", 1),
+        "GroupAbsorption: materials = 'floor' is not a list",
+    ),
     (lambda: "a" * PRIOR, "weight = 'a' is not a number"),
     (lambda: distribution(solved(), 1), "n_samples = 1 is not a whole number of at least 2"),
     (lambda: room(material_correlation={"a": 0.5}), "'a' is not a pair of materials"),
@@ -333,5 +336,5 @@ def test_a_raw_answer_at_an_end_is_not_charged_with_what_was_never_asked() -> No
     result = rt.calibrate(known, end)
     np.testing.assert_array_equal(result.alpha, known.alpha_min)
     assert result.joint.raw_certificate.worst < 1e-9
-    assert np.all(result.joint.solution.raw.point.lower >= 0)
-    assert result.joint.solution.raw.point.y.max() > 1e-3
+    assert np.all(result.raw.lower >= 0)
+    assert result.raw.y.max() > 1e-3

@@ -15,7 +15,7 @@ The path of `rtcal.calibrate(room, measured)`, module by module:
 - `qp`: `compile_once` makes a `CompiledProblem`, which the numbers turn into a `QP`. `solve` asks the
   solver (`closed_form` is OSQP's start), `polish` solves the optimality conditions on the active set,
   and `certify` checks the answer anew. If the polish fails, the closed form's answer, then the
-  solver's own is certified (`problem.certified_solution`).
+  solver's own is certified (`problem.certified_answer`).
 - `feasibility`: whether T is within reach, before solving; why nothing is feasible, after it.
 - `solution`, `result`: the answer with its certificate, and the `CalibrationResult` for the room.
 

@@ -6,7 +6,7 @@ Constraints that contradict each other are explained by the smallest relaxation 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import cvxpy as cp
@@ -112,24 +112,13 @@ def end_tolerance(numbers: Numbers) -> Array:
     return np.asarray(16 * n * np.finfo(float).eps * (numbers.areas @ np.abs(upper)))
 
 
-@dataclass(frozen=True, eq=False)
-class Reach:
-    """The matched targets within reach of the bounds.
-
-    ``target`` is b in m², (n_configurations, n_bands), an unreachable one moved to the nearest end.
-    ``at`` (size,) is -1 or 1 for unknowns that a target at an end forces to their lower or upper bound,
-    else 0. ``beyond`` are the unreachable bands.
-    """
-
-    target: Array
-    at: NDArray[np.int8]
-    beyond: tuple[Unreachable, ...] = ()
-
-
 def restrict_to_reach(
     numbers: Numbers, matches: Sequence[tuple[Array, Array]], unreachable: str
-) -> Reach:
+) -> tuple[Numbers, NDArray[np.int8], tuple[Unreachable, ...]]:
     """Check every exactly matched target, and hold the bands that stand at an end there.
+
+    Returns the numbers with an unreachable b moved to the nearest end; -1 or 1 for unknowns that a
+    target at an end forces to their lower or upper bound, else 0, (size,); and the unreachable bands.
 
     Parameters
     ----------
@@ -154,7 +143,7 @@ def restrict_to_reach(
                 f"T[{numbers.layout.band_label(row)}] = {times.ravel()[row]:.4g} s is "
                 "too short for any absorption"
             )
-        return Reach(numbers.target, free)
+        return numbers, free, ()
     asked = np.isfinite(times)
     low, high = reach(numbers)
     tolerance, largest = end_tolerance(numbers), numbers.largest_target
@@ -194,10 +183,11 @@ def restrict_to_reach(
     reached = np.where(at_low, low, np.where(at_high, top, target))
     moved = too_low | too_high | at_low | at_high
     if not moved.any():
-        return Reach(numbers.target, free)
+        return numbers, free, ()
     at_high &= top >= high - tolerance  # a limit of the equation is no end of the box
     target = np.where(moved | np.isnan(numbers.target), reached, numbers.target)
-    return Reach(target, _forced(numbers, at_low, at_high), tuple(beyond))
+    held = _forced(numbers, at_low, at_high)
+    return replace(numbers, target=target), held, tuple(beyond)
 
 
 def _refuse_invalid(numbers: Numbers, where: Flags, least: Array) -> None:
@@ -286,7 +276,7 @@ def explain(composition: Composition, numbers: Numbers, program: QP) -> None:
                     rows.append(beyond == allowed - relaxed(size[places], moved(words[1])))
                 else:
                     rows.append(beyond <= allowed)
-        for bound, sign, words in (
+        for bound, sign, change in (
             (numbers.lower, -1, "lower bound {:.4g} has to be {:.4g} lower"),
             (numbers.upper, 1, "upper bound {:.4g} has to be {:.4g} higher"),
         ):
@@ -295,7 +285,7 @@ def explain(composition: Composition, numbers: Numbers, program: QP) -> None:
                 continue
 
             def widened(
-                i: int, by: float, of: Any = soft, old: Any = bound, to: str = words
+                i: int, by: float, of: Any = soft, old: Any = bound, to: str = change
             ) -> str:
                 return f"{layout.place(int(of[i]))}: {to.format(old[of[i]], by)}"
 

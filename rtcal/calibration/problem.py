@@ -1,7 +1,7 @@
 """`Calibration` states a problem, `build` compiles it once, `solve` solves it for a measurement.
 
 `CalibrationProblem.solve` brings T into the room's bands (`measured_times`), makes the numbers of the
-solve (`Composition.numbers`) and a certified answer (`certified_solution`), and wraps it as a result.
+solve (`Composition.numbers`) and a certified answer (`certified_answer`), and wraps it as a result.
 """
 
 from __future__ import annotations
@@ -22,7 +22,6 @@ from rtcal.calibration.composition import Composition
 from rtcal.calibration.measured import MeasuredTimes, no_times, times_in_room
 from rtcal.calibration.qp import Iterate, SolveOptions
 from rtcal.calibration.result import CalibrationResult, JointResult
-from rtcal.calibration.solution import Solution
 from rtcal.calibration.terms import (
     AddedAbsorption,
     BoundConstraint,
@@ -238,7 +237,7 @@ class CalibrationProblem(Generic[R]):
                 refuse_repeated_data(one, measured_there.fingerprint)
         numbers = self.composition.numbers(used, times, observed)
         try:
-            solution = certified_solution(self.composition, numbers, chosen)
+            answer = certified_answer(self.composition, numbers, chosen)
         except InfeasibleError as error:
             mistyped = [error for measured_there in times for error in measured_there.mistyped]
             if mistyped:
@@ -247,7 +246,7 @@ class CalibrationProblem(Generic[R]):
         joint = JointResult(
             configurations=used,
             composition=self.composition,
-            solution=solution,
+            **answer,
             method=method,
             solver=chosen.solver,
             measured_times=tuple(times),
@@ -298,10 +297,10 @@ def measured_times(
     ]
 
 
-def certified_solution(
+def certified_answer(
     composition: Composition, numbers: Numbers, options: SolveOptions
-) -> Solution:
-    """Return the certified answer for some numbers.
+) -> dict[str, Any]:
+    """Return the certified answer for some numbers, as fields of a `JointResult`.
 
     1. `feasibility.restrict_to_reach`: is T within reach, and which unknowns does a T at an end hold?
     2. `Composition.qp` fills the compiled matrices; `qp.solve` asks the solver.
@@ -315,15 +314,14 @@ def certified_solution(
         If no answer passes the certificate.
     """
     matches = [match.target_limits(numbers) for match in composition.matches]
-    reach = feasibility.restrict_to_reach(numbers, matches, options.unreachable)
-    numbers = replace(numbers, target=reach.target)
+    numbers, held, beyond = feasibility.restrict_to_reach(numbers, matches, options.unreachable)
     program = composition.qp(numbers)
     at = np.zeros(len(program.c), dtype=np.int8)
-    at[composition.compiled.unknowns] = reach.at
+    at[composition.compiled.unknowns] = held
     try:
         raw = qp.solve(program, at, options)
     except SolverError as error:
-        raw = qp.SolverAnswer(Iterate.of(program, at), str(error), 0, np.nan)
+        raw = replace(Iterate.of(program, at), status=str(error))
     convexity = composition.convexity(numbers)
     for point in _candidates(program, at, raw):
         certificate = qp.certify(program, point, convexity)
@@ -341,19 +339,18 @@ def certified_solution(
     active = np.where(numbers.movable, point.at[place], 0).astype(np.int8)
     # Exactly at its bound, and within it in spite of the rounding of mu + sigma x.
     u = np.where(active < 0, numbers.lower, np.where(active > 0, numbers.upper, u))
-    return Solution(
-        unknowns=np.clip(u, *numbers.box),
-        active=active,
-        target=numbers.target,
-        point=replace(point, system=None),
-        certificate=certificate,
-        raw=raw,
-        polished=point is not raw.point,
-        unreachable=reach.beyond,
-    )
+    return {
+        "unknowns": np.clip(u, *numbers.box),
+        "target": numbers.target,
+        "point": replace(point, system=None),
+        "certificate": certificate,
+        "raw": raw,
+        "polished": point is not raw,
+        "unreachable": beyond,
+    }
 
 
-def _candidates(program: qp.QP, at: qp.Active, raw: qp.SolverAnswer) -> Iterator[Iterate]:
+def _candidates(program: qp.QP, at: qp.Active, raw: Iterate) -> Iterator[Iterate]:
     """Yield the polished answer of the solver, that of the closed form, and the solver's own."""
     guessed, tight = raw.active(program)
     polished = qp.polish(program, np.where(at != 0, at, guessed).astype(np.int8), tight)
@@ -362,4 +359,4 @@ def _candidates(program: qp.QP, at: qp.Active, raw: qp.SolverAnswer) -> Iterator
     started = qp.closed_form(program, at)
     if started is not None:
         yield started
-    yield raw.point
+    yield raw

@@ -494,7 +494,7 @@ class System:
         return solution[: len(force)], (solution[len(force) :].T * self._unit).T
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Iterate:
     """A point of a QP with its multipliers and its active set.
 
@@ -510,6 +510,8 @@ class Iterate:
         The multipliers of the bounds, 0 or more. (Those of a `QP` are the bounds themselves.)
     system : System, optional
         The optimality conditions on the active set; None of a solver's own answer.
+    status, iterations, seconds : str, int, float
+        How a solver names its status, its iterations and its time in s.
     """
 
     v: Array
@@ -518,12 +520,26 @@ class Iterate:
     lower: Array
     upper: Array
     system: System | None = None
+    status: str = ""
+    iterations: int = 0
+    seconds: float = float("nan")
+
+    def __repr__(self) -> str:
+        stated = f", status {self.status}, {self.iterations} iterations" if self.status else ""
+        n = np.count_nonzero(self.at)
+        return f"<Iterate: {len(self.v)} variables, {n} held at a bound{stated}>"
 
     @classmethod
     def of(cls, qp: QP, at: Active) -> Iterate:
         """Return the prior, with what is at a bound there, and all multipliers 0."""
         zero = np.zeros(len(at))
         return cls(qp.at_bounds(at), np.zeros(len(qp.b)), at, zero, zero)
+
+    def active(self, qp: QP) -> tuple[Active, Flags]:
+        """Return which bounds and which rows are active: of a slack and its multiplier one is 0."""
+        at = (self.upper > qp.upper - self.v).astype(np.int8) - (self.lower > self.v - qp.lower)
+        square = qp.rows(np.ones(len(self.v)), qp.A**2)
+        return at, self.y * square > qp.b - qp.rows(self.v)
 
 
 _ROUNDS = 100
@@ -662,24 +678,7 @@ def closed_form(qp: QP, at: Active | None = None) -> Iterate | None:
     return polish(qp, start, qp.equal)
 
 
-@dataclass(frozen=True, eq=False)
-class SolverAnswer:
-    """A solver's answer: the point, how the solver names its status, its iterations and time in s."""
-
-    point: Iterate
-    status: str
-    iterations: int
-    seconds: float
-
-    def active(self, qp: QP) -> tuple[Active, Flags]:
-        """Return which bounds and which rows are active: of a slack and its multiplier one is 0."""
-        p = self.point
-        at = (p.upper > qp.upper - p.v).astype(np.int8) - (p.lower > p.v - qp.lower)
-        square = qp.rows(np.ones(len(p.v)), qp.A**2)
-        return at, p.y * square > qp.b - qp.rows(p.v)
-
-
-def solve(qp: QP, at: Active, options: SolveOptions) -> SolverAnswer:
+def solve(qp: QP, at: Active, options: SolveOptions) -> Iterate:
     """Return a solver's answer to a QP.
 
     Variables that stand at a bound by ``at`` (-1, 1), or whose bounds are equal, are left out. The rows
@@ -756,7 +755,7 @@ def solve(qp: QP, at: Active, options: SolveOptions) -> SolverAnswer:
         lower, upper = (
             np.where(at != 0, side, own) for side, own in zip(of_held, (lower, upper), strict=True)
         )
-    return SolverAnswer(Iterate(v, y, at, lower, upper), status, iterations, seconds)
+    return Iterate(v, y, at, lower, upper, None, status, iterations, seconds)
 
 
 class _SolverInput(NamedTuple):

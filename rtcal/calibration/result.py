@@ -34,7 +34,7 @@ from rtcal.calibration import table
 from rtcal.calibration.feasibility import Unreachable, where_valid
 from rtcal.calibration.measured import MeasuredTimes, data_history
 from rtcal.calibration.posterior import Densities, Draws, correlations, draws, intervals
-from rtcal.calibration.qp import Active, Certificate, SolverAnswer
+from rtcal.calibration.qp import Active, Certificate, Iterate
 from rtcal.calibration.solution import JointSolution
 from rtcal.calibration.table import blocks_of
 from rtcal.calibration.terms import (
@@ -270,19 +270,19 @@ class CalibrationResult(Result):
         return replace(of_all, alpha_error_bound=of_all.alpha_error_bound[self._rows])
 
     @property
-    def raw(self) -> SolverAnswer:
+    def raw(self) -> Iterate:
         """The solver's own answer."""
         return self.joint.raw
 
     @property
     def polished(self) -> bool:
         """Whether the answer is the polished one; else the solver's was better."""
-        return self.joint.solution.polished
+        return self.joint.polished
 
     @property
     def unreachable(self) -> tuple[Unreachable, ...]:
         """Bands whose T could not be reached and was replaced by the nearest that could."""
-        every = self.joint.solution.unreachable
+        every = self.joint.unreachable
         return tuple(u for u in every if u.configuration == self.configuration)
 
     @property
@@ -294,7 +294,7 @@ class CalibrationResult(Result):
     def added_absorption(self) -> Array:
         """Absorption area in m² that effects add to the room's S'alpha, (n_bands,)."""
         data = self.joint.numbers
-        sizes = data.further(self.joint.solution.unknowns)
+        sizes = data.further(self.joint.unknowns)
         return read_only_view(np.asarray(data.gains[self.configuration] @ sizes))
 
     @property
@@ -352,7 +352,7 @@ class CalibrationResult(Result):
         bands = slice(
             self.configuration * self.prior.n_bands, (self.configuration + 1) * self.prior.n_bands
         )
-        further = self.joint.numbers.further(self.joint.solution.active.astype(float))
+        further = self.joint.at_bounds[self.joint.numbers.layout.n_alpha :]
         at_bound = bool(self.active[:, self.matched].any() or further.any())
         room = self.prior
         together = of_absorption(room.areas, room.alpha, room.sigma, room.centre_frequencies)

@@ -1,7 +1,7 @@
 """A certified answer, and what follows of it: multipliers, densities, derivatives, uncertainties.
 
-`Solution` is the answer over the unknowns. `JointSolution` ties it to its rooms and measurements, and
-derives the rest of the numbers and the QP that it belongs to.
+`JointSolution` has the answer over the unknowns with its rooms and measurements. The rest is derived
+from the numbers and the QP that it belongs to.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from rtcal.calibration.composition import Composition
 from rtcal.calibration.feasibility import Unreachable
 from rtcal.calibration.measured import MeasuredTimes
 from rtcal.calibration.posterior import Densities, Density
-from rtcal.calibration.qp import QP, Active, Certificate, Iterate, SolverAnswer, System
+from rtcal.calibration.qp import QP, Active, Certificate, Iterate, System
 from rtcal.calibration.terms import (
     ExactMatch,
     LinearObservations,
@@ -43,44 +43,6 @@ coefficient that T alone determines contradict the next T by millions of standar
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class Solution:
-    """An answer over the unknowns, and the solver's own.
-
-    Attributes
-    ----------
-    unknowns : array (size,)
-    active : array (size,)
-        -1 at the lower bound, 1 at the upper, 0 free.
-    target : array (n_configurations, n_bands)
-        b in m²; the nearest within reach where the measured T is beyond it.
-    point : Iterate
-        The answer over the variables of the QP, with its multipliers.
-    certificate : Certificate
-    raw : SolverAnswer
-        The solver's own.
-    polished : bool
-        Whether the answer is that of the active-set method (from the solver's guess, or from the closed
-        form); else the solver's own passed the certificate.
-    unreachable : tuple of Unreachable
-    """
-
-    unknowns: Array
-    active: Active
-    target: Array
-    point: Iterate
-    certificate: Certificate
-    raw: SolverAnswer
-    polished: bool
-    unreachable: tuple[Unreachable, ...]
-
-    def __repr__(self) -> str:
-        return (
-            f"<Solution: {len(self.unknowns)} unknowns, {np.count_nonzero(self.active)} at a bound, "
-            f"{self.certificate!r}>"
-        )
-
-
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class JointSolution:
     """The calibrated coefficients of all configurations of a room, over one set of unknowns.
 
@@ -89,7 +51,20 @@ class JointSolution:
     configurations : Configurations
     composition : Composition
         The objective, the constraints and the equation.
-    solution : Solution
+    unknowns : array (size,)
+        The answer.
+    target : array (n_configurations, n_bands)
+        b in m²; the nearest within reach where the measured T is beyond it.
+    point : Iterate
+        The answer over the variables of the QP, with its multipliers.
+    certificate : Certificate
+        Error bounds of the answer: its distance from the optimum.
+    raw : Iterate
+        The solver's own answer, before polishing.
+    polished : bool
+        Whether the answer is that of the active-set method (from the solver's guess, or from the closed
+        form); else the solver's own passed the certificate.
+    unreachable : tuple of Unreachable
     method, solver : str
         As stated in the call.
     measured_times : tuple of MeasuredTimes
@@ -102,7 +77,13 @@ class JointSolution:
 
     configurations: Configurations
     composition: Composition
-    solution: Solution
+    unknowns: Array
+    target: Array
+    point: Iterate
+    certificate: Certificate
+    raw: Iterate
+    polished: bool
+    unreachable: tuple[Unreachable, ...]
     method: str
     solver: str
     measured_times: tuple[MeasuredTimes, ...]
@@ -122,7 +103,7 @@ class JointSolution:
     @cached_property
     def numbers(self) -> Numbers:
         """The numbers of the solve, with a b beyond reach moved to the nearest within it."""
-        return replace(self.numbers_of(self.measured_times), target=self.solution.target)
+        return replace(self.numbers_of(self.measured_times), target=self.target)
 
     def numbers_of(self, measured: Sequence[MeasuredTimes]) -> Numbers:
         """Return the numbers of the same problem for other measurements."""
@@ -133,49 +114,44 @@ class JointSolution:
         """The QP that was solved."""
         return self.composition.qp(self.numbers)
 
-    @property
-    def raw(self) -> SolverAnswer:
-        """The solver's own answer, before polishing."""
-        return self.solution.raw
-
     @cached_property
     def raw_alpha(self) -> Array:
         """The solver's own coefficients, (n_materials, n_bands)."""
-        u = self.qp.unknowns(self.numbers, self.raw.point.v)
+        u = self.qp.unknowns(self.numbers, self.raw.v)
         return self.composition.layout.expand(u)
 
     @cached_property
     def raw_certificate(self) -> Certificate:
         """That of the solver's own answer; its error is at most its distance from the final one's."""
-        if not self.solution.polished:
+        if not self.polished:
             return self.certificate
         bound = np.abs(self.raw_alpha - self.alpha) + self.certificate.alpha_error_bound
-        return replace(qp.certify(self.qp, self.raw.point, 0.0), alpha_error_bound=bound)
+        return replace(qp.certify(self.qp, self.raw, 0.0), alpha_error_bound=bound)
 
     @cached_property
     def alpha(self) -> Array:
         """The calibrated coefficients, (n_materials, n_bands)."""
-        return self.composition.layout.expand(self.solution.unknowns)
+        return self.composition.layout.expand(self.unknowns)
+
+    @cached_property
+    def at_bounds(self) -> Active:
+        """-1 for an unknown at its lower bound, 1 at the upper, 0 for a free one, (size,)."""
+        at = self.point.at[self.composition.compiled.unknowns]
+        return np.where(self.numbers.movable, at, 0).astype(np.int8)
 
     @cached_property
     def active(self) -> Active:
-        """-1 at the lower bound, 1 at the upper, 0 free, (n_materials, n_bands)."""
-        layout = self.composition.layout
-        return layout.expand(self.solution.active.astype(float)).astype(np.int8)
-
-    @property
-    def certificate(self) -> Certificate:
-        """Error bounds of the answer: its distance from the optimum."""
-        return self.solution.certificate
+        """The same of the coefficients, (n_materials, n_bands)."""
+        return self.composition.layout.expand(self.at_bounds)
 
     @cached_property
     def match_multipliers(self) -> Array:
         """D of the match, (n_configurations, n_bands) in 1/m²; NaN where nothing was matched."""
-        matched = np.isfinite(self.solution.target)
+        matched = np.isfinite(self.target)
         for term, rows in self.composition.rows_of:
             if term in self.composition.matches:
                 # An equality, or a lower and an upper limit.
-                y = [self.solution.point.y[row] for row in rows]
+                y = [self.point.y[row] for row in rows]
                 values = y[0] if len(y) == 1 else y[1] - y[0]
                 return np.where(matched, values.reshape(matched.shape), np.nan)
         return np.full(matched.shape, np.nan)
@@ -192,7 +168,7 @@ class JointSolution:
     def effects(self) -> dict[str, float]:
         """The sizes of the further unknowns, by name."""
         layout = self.composition.layout
-        sizes = self.solution.unknowns[layout.n_alpha :]
+        sizes = self.unknowns[layout.n_alpha :]
         return dict(zip(layout.further, sizes.tolist(), strict=True))
 
     @property
@@ -210,7 +186,7 @@ class JointSolution:
         data = self.numbers
         if not self.matches_uncertain_room:
             return {}
-        left = np.nan_to_num(data.target).ravel() - data.match_matrix @ self.solution.unknowns
+        left = np.nan_to_num(data.target).ravel() - data.match_matrix @ self.unknowns
         pull = data.match_whitener.T @ (data.match_whitener @ left)
         d = data.room_changes
         n = 2 + len(self.configurations.materials)
@@ -277,7 +253,7 @@ class JointSolution:
 
         The optimality conditions on the active set are differentiated: the matrices by differences.
         """
-        program, point, numbers = self.qp, self.solution.point, self.numbers
+        program, point, numbers = self.qp, self.point, self.numbers
         at = point.at.copy()
         if not bounds:
             at[program.compiled.unknowns] = 0
@@ -362,7 +338,7 @@ class JointSolution:
         """
         program, numbers = self.qp, self.numbers
         places = program.compiled.unknowns
-        at = self.solution.point.at.copy()
+        at = self.point.at.copy()
         at[places] = 0
         system = System(program, (at == 0) & ~program.fixed, program.equal)
         exact = np.flatnonzero(self._row_noise > 0)
@@ -380,7 +356,7 @@ class JointSolution:
 
         Each interval holds the answer.
         """
-        u, numbers, sigma = self.solution.unknowns, self.numbers, self.estimate_sigma
+        u, numbers, sigma = self.unknowns, self.numbers, self.estimate_sigma
         free = sigma > 0
         spread = np.where(free, sigma, 1.0)
         mean = self.unbounded(spread)
@@ -395,9 +371,9 @@ class JointSolution:
 
         m is the bound's multiplier, ``sigma`` (size,) the standard deviation without the box.
         """
-        point, places = self.solution.point, self.qp.compiled.unknowns
+        point, places = self.point, self.qp.compiled.unknowns
         held = (point.upper - point.lower)[places] * self.numbers.inverse_sigma
-        return np.asarray(self.solution.unknowns + held * sigma**2)
+        return np.asarray(self.unknowns + held * sigma**2)
 
     @cached_property
     def _row_noise(self) -> Array:
@@ -420,7 +396,7 @@ class JointSolution:
         """
         numbers = self.numbers
         target = numbers.target.copy()
-        for band in self.solution.unreachable:
+        for band in self.unreachable:
             if np.isfinite(band.target):
                 place = numbers.layout.centre_frequencies.index(band.frequency)
                 target[band.configuration, place] = band.target
@@ -442,9 +418,9 @@ class JointSolution:
 
     def _density(self, numbers: Numbers) -> Density:
         """The density of the unknowns: a match with an uncertain b gives its sum to within u_b."""
-        program, u, layout = self.composition.qp(numbers), self.solution.unknowns, numbers.layout
+        program, u, layout = self.composition.qp(numbers), self.unknowns, numbers.layout
         unit, places = numbers.inverse_sigma, self.composition.compiled.unknowns
-        x = np.where(numbers.sigma > 0, (u - numbers.mu) * unit, self.solution.point.v[places])
+        x = np.where(numbers.sigma > 0, (u - numbers.mu) * unit, self.point.v[places])
         gradient, curvature, kept = _reduced(program, x)
         # What rounding leaves of unknowns that nothing couples would make one part of them.
         size = np.sqrt(np.abs(np.diag(curvature)))

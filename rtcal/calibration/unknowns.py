@@ -303,7 +303,7 @@ class Layout:
             label if self.n_configurations == 1 else f"{label}, configuration {configuration + 1}"
         )
 
-    def expand(self, values: Array) -> Array:
+    def expand(self, values: NDArray[Any]) -> NDArray[Any]:
         """Return flat values of the unknowns as (n_materials, n_bands)."""
         return np.asarray(values[: self.n_alpha].reshape(self.n_rows, -1)[list(self.rows)])
 

@@ -653,7 +653,7 @@ def _misfit(factor: Array, residual: Array) -> float:
 
 def _others(answer: CalibrationResult, alpha: Array) -> float:
     """Return the value of the objective's terms other than the positions; infinite beyond bounds."""
-    others, u = answer.joint.composition.without(POSITIONS), answer.joint.solution.unknowns.copy()
+    others, u = answer.joint.composition.without(POSITIONS), answer.joint.unknowns.copy()
     u[: others.layout.n_alpha] = alpha[others.layout.first].ravel()
     return others.value(answer.joint.numbers, u)
 
