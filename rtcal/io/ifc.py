@@ -174,7 +174,7 @@ def _close_outlines(space: Any, length: float, weld: float, place: str) -> tuple
             ring = points[:-1] if ends_meet else points
             if len(ring) < 3:
                 raise DataError(f"{place}: its outline has {len(ring)} corners; three are needed")
-            _refuse_crossing(ring * length, place)
+            _refuse_crossing(ring[:, :2] * length, place)
             if not ends_meet:
                 wider = max(wider, gap if gap <= _LARGEST_GAP else 0.0)
             elif gap > _SAME:
@@ -207,12 +207,14 @@ def _refuse_crossing(ring: Array, place: str) -> None:
 
 
 def _corners(curve: Any) -> Array | None:
-    """Return the corners of an outline in the plane, (n, 2), in the model's unit; None for arcs."""
+    """Return the corners of an outline, (n, 3), in the model's unit; None for one with arcs."""
     if curve.is_a("IfcPolyline"):
-        return np.array([point.Coordinates[:2] for point in curve.Points], dtype=float)
-    if curve.is_a("IfcIndexedPolyCurve") and not curve.Segments:
-        return np.array(curve.Points.CoordList, dtype=float)[:, :2]
-    return None
+        rows = [point.Coordinates for point in curve.Points]
+    elif curve.is_a("IfcIndexedPolyCurve") and not curve.Segments:
+        rows = curve.Points.CoordList
+    else:
+        return None
+    return np.array([(*row, 0.0, 0.0)[:3] for row in rows], dtype=float)
 
 
 def _join_ends(curve: Any) -> None:
@@ -291,58 +293,49 @@ def _triangles(ifcopenshell: Any, space: Any) -> Array:
 def _boundaries(ifcopenshell: Any, space: Any, length: float) -> tuple[list[_Boundary], int]:
     """Return the boundaries of a space, and the number of those that are not read."""
     placement = np.array(ifcopenshell.util.placement.get_local_placement(space.ObjectPlacement))
-    found, unknown = [], 0
-    for relation in space.BoundedBy or ():
+    found, relations = [], [*(space.BoundedBy or ())]
+    for relation in relations:
         surface = getattr(relation.ConnectionGeometry, "SurfaceOnRelatingElement", None)
         local = _polygon_of_surface(ifcopenshell, surface)
-        if local is None:
-            unknown += 1
+        element, kind = relation.RelatedBuildingElement, relation.PhysicalOrVirtualBoundary
+        if local is None or (element is None and kind == "PHYSICAL"):
             continue
-        element = relation.RelatedBuildingElement
-        virtual = relation.PhysicalOrVirtualBoundary == "VIRTUAL"
-        if element is None and relation.PhysicalOrVirtualBoundary == "PHYSICAL":
-            unknown += 1
-            continue
-        corners = (np.column_stack([local, np.ones(len(local))]) @ placement.T)[:, :3] * length
+        is_open = element is None or kind == "VIRTUAL"
         found.append(
             _Boundary(
-                corners=corners,
-                material="opening" if virtual or element is None else _named(ifcopenshell, element),
+                corners=_placed(local, placement) * length,
+                material="opening" if is_open else _named(ifcopenshell, element),
                 is_filling=element is not None and element.is_a() in _FILLINGS,
                 is_covering=element is not None and element.is_a("IfcCovering"),
             )
         )
-    return found, unknown
+    return found, len(relations) - len(found)
+
+
+def _placed(points: Array, matrix: Any) -> Array:
+    """Return points (n, 3) moved by a matrix (4, 4)."""
+    return np.asarray((np.column_stack([points, np.ones(len(points))]) @ np.array(matrix).T)[:, :3])
 
 
 def _polygon_of_surface(ifcopenshell: Any, surface: Any) -> Array | None:
     """Return the corners of a plane surface in the space's coordinates; None for other surfaces."""
-    if surface is None:
-        return None
-    if surface.is_a("IfcCurveBoundedPlane"):
-        flat, position = surface.OuterBoundary, surface.BasisSurface.Position
-        if not flat.is_a("IfcPolyline"):
-            return None
-        points = _points(flat)
-    elif surface.is_a("IfcSurfaceOfLinearExtrusion"):
-        curve, position = surface.SweptCurve.Curve, surface.Position
-        if not curve.is_a("IfcPolyline") or len(curve.Points) != 2:
-            return None
-        along = np.array(surface.ExtrudedDirection.DirectionRatios, dtype=float)
-        along *= surface.Depth / np.linalg.norm(along)
-        line = _points(curve)
-        points = np.concatenate([line, line[::-1] + along])
+    if surface is not None and surface.is_a("IfcCurveBoundedPlane"):
+        points, position = _corners(surface.OuterBoundary), surface.BasisSurface.Position
+        if points is not None and (points[0] == points[-1]).all():
+            points = points[:-1]
+    elif surface is not None and surface.is_a("IfcSurfaceOfLinearExtrusion"):
+        points, position = _corners(surface.SweptCurve.Curve), surface.Position
+        if points is not None and len(points) == 2:
+            along = np.array(surface.ExtrudedDirection.DirectionRatios, dtype=float)
+            along *= surface.Depth / np.linalg.norm(along)
+            points = np.concatenate([points, points[::-1] + along])
+        else:
+            points = None
     else:
         return None
-    if position is None:
+    if points is None or position is None:
         return points
-    matrix = np.array(ifcopenshell.util.placement.get_axis2placement(position))
-    return np.asarray((np.column_stack([points, np.ones(len(points))]) @ matrix.T)[:, :3])
-
-
-def _points(line: Any) -> Array:
-    points = [(*point.Coordinates, 0.0, 0.0)[:3] for point in line.Points]
-    return np.array(points[:-1] if points[0] == points[-1] else points, dtype=float)
+    return _placed(points, ifcopenshell.util.placement.get_axis2placement(position))
 
 
 def _named(ifcopenshell: Any, element: Any) -> str:
