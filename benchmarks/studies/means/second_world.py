@@ -13,8 +13,6 @@
     python -m benchmarks.studies.means.second_world both --folder out  # of all judging rows
     # is the threshold's rate right?
     python -m benchmarks.studies.means.second_world null --folder out --world 1
-    # are the errors as assumed?
-    python -m benchmarks.studies.means.second_world residuals --folder out --world 1
 
 A case is judged as it is stated ("all": T20, EDT, T30, C80 and G, every second room in two
 configurations) and cut down to T20, EDT and T30 in one configuration ("one"). Rows of the first world
@@ -60,15 +58,13 @@ from benchmarks.studies.third_world import generate as third_world
 from rtcal.acoustics.room_errors import POWER
 from rtcal.finder import AppliedEffect, Case, library
 from rtcal.finder.means import evidence as bootstrap
-from rtcal.finder.means.engines import ControlRooms, recentred
+from rtcal.finder.means.engines import ControlRooms
 from rtcal.finder.means.evidence import QUANTILE, evaluate
 from rtcal.finder.means.problem import (
     MeansProblem,
-    estimate_discrepancy,
     observe,
     predict_hypotheses,
 )
-from rtcal.finder.model import FEATURES
 from rtcal.finder.prior import NULL_POWER, prior_of
 from rtcal.finder.search import find
 
@@ -288,7 +284,7 @@ def bound(folder: str, world: int, population: int, step: int, label: str) -> No
         known_effect_test.detections(told[data], said[data])
 
 
-COMMANDS = ("controls", "run", "table", "bound", "null", "residuals", "both")
+COMMANDS = ("controls", "run", "table", "bound", "null", "both")
 NULL_POWERS = (POWER, NULL_POWER)
 
 
@@ -334,54 +330,6 @@ def scored(case: Case, controls: list[ControlRooms]) -> tuple[float, np.ndarray]
     return float(bootstrap.score(evidence, prior)), drawn.scores[:, -1]
 
 
-def residuals(folder: str, world: int, population: int, step: int) -> None:
-    """Print chi-square per value of each kind, given the kinds before it, where nothing is hidden.
-
-    As measured in the rooms of two configurations, and in the bootstrap's rooms.
-    """
-    warnings.simplefilter("ignore")
-    rooms, truths = (WORLDS[world].read(population, part) for part in ("case", "truth"))
-    of_kind: dict[tuple[int, str], list[np.ndarray]] = {}
-    for index in order(len(rooms), step):
-        kept = place(folder, world, population, "controls", index, "npz")
-        known = truth_of(world, truths[index])
-        case = Case.from_dict(rooms[index])
-        nothing = known is not None and NOTHING in known[0]
-        if not kept.exists() or not nothing or len(case.configurations) < 2:
-            continue
-        made = kept_controls(case, kept)
-        observed, _ = observe(case)
-        predicted, error = predict_hypotheses(case, []), estimate_discrepancy(case, made)
-        centre = (predicted.features[0].ravel() + error.bias)[observed.used.ravel()]
-        drawn = bootstrap.draw_null_features(
-            case,
-            observed,
-            predicted.applied,
-            [c.errors for c in recentred(made)],
-            np.random.default_rng(0),
-            DRAWN,
-        )
-        factor = np.linalg.cholesky(
-            sum(MeansProblem(case, observed, predicted, error).covariance_of(0))
-        )
-        rows = np.concatenate([observed.values[np.newaxis], drawn]) - centre
-        square = np.linalg.solve(factor, rows.T) ** 2
-        configuration, feature, _ = np.nonzero(observed.used)
-        for c, f in sorted({*zip(configuration.tolist(), feature.tolist(), strict=True)}):
-            mean = square[(configuration == c) & (feature == f)].mean(axis=0)
-            of_kind.setdefault((c, FEATURES[f]), []).append(mean)
-    for (c, name), values in of_kind.items():
-        measured, *others = np.array(values).T
-        print(
-            f"world {world}, configuration {c + 1}, {name}, {len(measured)} rooms: measured "
-            f"{measured.mean():.2f}, drawn {np.mean(others):.2f}"
-        )
-
-
-DRAWN = 100
-"""Rooms that the bootstrap draws for each measured one."""
-
-
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("what", choices=COMMANDS)
@@ -401,8 +349,6 @@ def main() -> None:
         both(given.folder, given.label)
     elif given.what == "null":
         null(given.folder, given.world, given.population, given.step)
-    elif given.what == "residuals":
-        residuals(given.folder, given.world, given.population, given.step)
     else:
         table(given.folder, given.world, given.population, given.label)
 

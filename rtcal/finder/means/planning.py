@@ -540,9 +540,7 @@ COSTS: Mapping[str, float] = {
     "planned": 4.0,
 }
 """Hours that a measurement takes: a judgement, settable. EDT, T30 and C80 are evaluated from responses
-that there are. G needs a calibrated source. "planned" are configurations that a user states. Half or
-twice any of them leaves the proposal in 11 to 14 of 14 rooms
-(`benchmarks.studies.means.next_measurement table`)."""
+that there are. G needs a calibrated source. "planned" are configurations that a user states."""
 MORE_POSITIONS = 4
 SAME_ERROR = 0.85
 """Correlation of the model's error between two configurations of a room. Of control rooms of twelve
