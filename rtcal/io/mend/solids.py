@@ -12,14 +12,11 @@ from functools import reduce
 from operator import add
 
 import numpy as np
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from rtcal.io.mend.faces import (
     MOST_PLACES,
     Defect,
     Faces,
-    FaceSet,
     Mending,
     MeshError,
     edges_of,
@@ -61,13 +58,13 @@ def room_between(drawn: Faces, weld: float) -> tuple[Faces, tuple[Defect]] | Non
     if groups is None or len(groups) < 2:
         return None
     try:
-        solids = [_polyhedron(part, group) for group in groups]
+        solids = [part.of(group).polyhedron() for group in groups]
     except DataError:  # a solid that reaches through itself
         return None
     thin = [4 * s.volume < _THIN * float(np.sum(s.face_areas)) for s in solids]
     if not any(thin):
         return None
-    cavities = _cavities(solids)
+    cavities = _cavities(solids, groups)
     box = float(np.prod(np.ptp(mend.points, axis=0)))
     if not cavities or cavities[0].volume < _LEAST_SHARE * box:
         if not all(thin):
@@ -79,15 +76,14 @@ def room_between(drawn: Faces, weld: float) -> tuple[Faces, tuple[Defect]] | Non
             f"inner faces; --weld {rounded(10 * weld, 2)} closes gaps of that width in m"
         )
     room, *others = cavities
-    index = [groups[k][i] for k, i in room.faces]
-    materials, names = ([of[i] for i in index] for of in (part.materials, part.names))
+    materials, names = ([of[i] for i in room.faces] for of in (part.materials, part.names))
     done = f"closed solids: the room is the cavity of {rounded(room.volume, 4)} m³ between them"
     if others:
         sizes = listed([f"{rounded(c.volume, 3)} m³" for c in others])
         done += f", the largest; {'another' if len(others) == 1 else 'others'} of {sizes} left out"
     first = tuple(part.names[group[0]] for group in groups[:MOST_PLACES])
     defect = Defect("solids", len(groups), 0.0, 0.0, 0.0, 0.0, first, done)
-    faces = Faces(drawn.path, room.triangles, materials, names, drawn.notes, drawn.unit)
+    faces = Faces(drawn.path, list(room.triangles), materials, names, drawn.notes, drawn.unit)
     return faces, (defect,)
 
 
@@ -108,61 +104,46 @@ def _solids(faces: Sequence[Sequence[int]]) -> list[list[int]] | None:
     return None if solid else solids
 
 
-def _polyhedron(part: FaceSet, group: Sequence[int]) -> Polyhedron:
-    """Return a solid; its faces have the order of the group."""
-    return Polyhedron.from_polygons([(str(i), part.materials[i], part.corners(i)) for i in group])
-
-
 @dataclass(frozen=True)
 class _Cavity:
     """A cavity in the union of solids, and the free solids in it.
 
-    ``volume`` is in m³, without the free solids. ``triangles`` are arrays (3, 3) of corners in m, and
-    ``faces`` are the solid of each and the number of its face.
+    ``volume`` is in m³, without the free solids. ``triangles`` (n, 3, 3) are corners in m, ``faces``
+    the number of the face that each is a part of.
     """
 
     volume: float
-    triangles: list[Array]
-    faces: list[tuple[int, int]]
+    triangles: Array
+    faces: list[int]
 
 
-def _cavities(solids: Sequence[Polyhedron]) -> list[_Cavity]:
-    """Return the cavities in the union of solids, the largest first."""
+def _cavities(solids: Sequence[Polyhedron], groups: Sequence[Sequence[int]]) -> list[_Cavity]:
+    """Return the cavities in the union of solids, the largest first; ``groups`` are their faces."""
     manifold = library(
         "walls that are drawn as solids need manifold3d: pip install 'rtcal[mesh]'", "manifold3d"
     )
-    # A solid's normals point out of it, as manifold3d asks.
-    offsets = np.cumsum([0, *(len(s.faces) for s in solids)])
     made = []
-    for solid, first in zip(solids, offsets.tolist(), strict=False):
+    for solid, group in zip(solids, groups, strict=True):
+        # A solid's normals point out of it, as manifold3d asks.
         corners, index = np.unique(solid.triangles.reshape(-1, 3), axis=0, return_inverse=True)
+        of_face = np.array(group)[solid.triangle_faces].astype(np.uint64)
         triangles = index.reshape(-1, 3).astype(np.uint64)
-        of_face = (first + solid.triangle_faces).astype(np.uint64)
         made.append(manifold.Manifold(manifold.Mesh64(corners, triangles, face_id=of_face)))
-    mesh = reduce(add, made).to_mesh64()  # one by one: all at once leaves spikes at joints
-    points, triangles = np.asarray(mesh.vert_properties)[:, :3], np.asarray(mesh.tri_verts, int)
-    of_face = np.asarray(mesh.face_id, int)
-    pairs = np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]]]).T
-    links = coo_array((np.ones(pairs.shape[1]), tuple(pairs)), shape=2 * (len(points),))
-    n_surfaces, of_corner = connected_components(links, directed=False)
-    surfaces = [of_corner[triangles[:, 0]] == surface for surface in range(n_surfaces)]
-    volumes = [_signed_volume(points[triangles[part]]) for part in surfaces]
+    surfaces = []
+    for surface in reduce(add, made).decompose():  # one by one: all at once leaves spikes at joints
+        mesh = surface.to_mesh64()
+        corners = np.asarray(mesh.vert_properties)[:, :3][np.asarray(mesh.tri_verts, int)]
+        surfaces.append(_Cavity(-surface.volume(), corners, np.asarray(mesh.face_id, int).tolist()))
     found = []
-    for part, volume in zip(surfaces, volumes, strict=True):
-        if volume >= 0:  # around a cavity the union's normals point inward
-            continue
-        walls, held = points[triangles[part]], part.copy()
-        for other, size in zip(surfaces, volumes, strict=True):
-            inner = points[triangles[other][0, :1]]
-            if size > 0 and abs(facets.winding_number(inner, walls)[0]) > 0.5:
-                held |= other
-                volume += size
-        owner = np.searchsorted(offsets, of_face[held], side="right") - 1
-        faces = zip(owner.tolist(), (of_face[held] - offsets[owner]).tolist(), strict=True)
-        found.append(_Cavity(-volume, list(points[triangles[held]]), list(faces)))
+    for cavity in (s for s in surfaces if s.volume > 0):  # around it normals point inward
+        held = [
+            s
+            for s in surfaces
+            if s.volume < 0
+            and abs(facets.winding_number(s.triangles[0, :1], cavity.triangles)[0]) > 0.5
+        ]
+        whole = [cavity, *held]
+        triangles = np.concatenate([s.triangles for s in whole])
+        faces = [face for s in whole for face in s.faces]
+        found.append(_Cavity(sum(s.volume for s in whole), triangles, faces))
     return sorted(found, key=lambda cavity: -cavity.volume)
-
-
-def _signed_volume(triangles: Array) -> float:
-    """Return the volume within triangles (n, 3, 3) in m³, below 0 if their normals point inward."""
-    return float(np.sum(triangles[:, 0] * np.cross(triangles[:, 1], triangles[:, 2]))) / 6
