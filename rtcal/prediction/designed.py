@@ -9,16 +9,13 @@ the method of supporting planes finds the cheapest (Veinott 1967; with whole num
 & Westerlund 2016): the linear program's answer that misses a margin is joined to areas that keep all of
 them, and the plane that touches the margin where the line crosses it is added. Each linear program is
 a relaxation, so its first answer that keeps all margins is the cheapest.
-
-The set is not taken to be convex: cheaper areas are looked at for some that keep all margins and that a
-plane cuts off. Where there are any, the areas are split in two parts, each with planes of its own.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Any, ClassVar
 
 import numpy as np
@@ -49,9 +46,7 @@ Margins = Callable[[Array], Array]
 _KEEPS = -2e-4
 """Margin in standard deviations that counts as kept: 0.00004 of a probability."""
 _PLANES = 60
-"""Most planes of one part; two treatments need about five."""
-_PARTS = 24
-"""Most parts that are searched."""
+"""Most planes; two treatments need about five."""
 _STEP = 1e-4
 """Step of the derivatives, in shares of a treatment's largest area."""
 _WELL = 0.1
@@ -66,12 +61,6 @@ _HALVINGS, _TOUCHES = 60, 1e-4
 """Most steps to the edge of the areas that keep the margins, and the margin that counts as on it."""
 _SPARE = 0.005
 """Least margin of an answer, some of whose areas are above their least, that is searched once more."""
-_POINTS, _LOOKS = 512, 16
-"""Of so many cheaper areas, so many of those that a plane cuts off, the nearest, are looked at."""
-_SPARED = 2e-3
-"""Share of the cost that must be spared for a further part to be searched."""
-_SMALLEST = 1 / 32
-"""Width of a part, in shares of the largest amounts, that is not split further."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,11 +106,6 @@ class Choice:
         return np.where(self.whole, np.floor(self.largest / self.size + _ROUNDING), 1.0)
 
     @cached_property
-    def everything(self) -> tuple[Array, Array]:
-        """The bounds of the unknowns."""
-        return np.zeros(len(self.most)), self.most
-
-    @cached_property
     def _rows(self) -> Array:
         """Share of each surface that 1 of the unknowns covers, (n_surfaces, n_treatments)."""
         return self.covers * self.size / self.surfaces[:, np.newaxis]
@@ -134,23 +118,22 @@ class Choice:
         """Return the cost of unknowns."""
         return float(self.cost @ (v * self.size))
 
-    def widest(self, box: tuple[Array, Array], enough: float = np.inf) -> tuple[Array, float]:
+    def widest(self, enough: float = np.inf) -> tuple[Array, float]:
         """Return the unknowns whose least margin is largest, and that margin; panels need not be whole.
 
         Unknowns with a margin that is ``enough`` are not improved.
         """
         from scipy.optimize import minimize
 
-        low, high = box
-        scale = np.maximum(high - low, 1e-12)
+        scale = np.maximum(self.most, 1e-12)
 
         def within(share: Array) -> Array:
-            v = low + np.clip(share, 0, 1) * scale
+            v = np.clip(share, 0, 1) * scale
             over = float(np.max(self._rows @ v, initial=0.0))
             return v / over if over > 1 else v
 
-        n = len(low)
-        best = low, float(self.at(low).min())
+        n = len(scale)
+        best = np.zeros(n), float(self.at(np.zeros(n)).min())
         alike = np.array([0.5, 0.75, 0.25, 0.9, 0.1, 1.0])[:, np.newaxis] * np.ones(n)
         for share in (*alike, *_even(16, n)):
             if best[1] >= enough:
@@ -159,7 +142,7 @@ class Choice:
             best = max(best, (v, float(self.at(v).min())), key=lambda each: each[1])
         if best[1] >= enough:
             return best
-        start = (best[0] - low) / scale
+        start = best[0] / scale
         found = minimize(
             lambda s: -s[-1],
             np.append(start, best[1]),
@@ -167,7 +150,7 @@ class Choice:
             bounds=[*[(0.0, 1.0)] * n, (None, None)],
             constraints=[
                 {"type": "ineq", "fun": lambda s: self.at(within(s[:-1])) - s[-1]},
-                {"type": "ineq", "fun": lambda s: 1 - self._rows @ (low + s[:-1] * scale)},
+                {"type": "ineq", "fun": lambda s: 1 - self._rows @ (s[:-1] * scale)},
             ],
             method="SLSQP",
             options={"maxiter": 40, "ftol": 1e-5, "eps": _STEP},
@@ -178,38 +161,19 @@ class Choice:
 
     def cheapest(self) -> Array | None:
         """Return the cheapest areas in m², (n_treatments,), that keep all margins; None if none do."""
-        best: Array | None = None
-        waiting, unfinished = [self.everything], False
-        for _ in range(_PARTS):
-            if not waiting:
-                break
-            box = waiting.pop()
-            most = np.inf if best is None else (1 - _SPARED) * self.price(best)
-            if self.price(box[0]) >= most:
-                continue
-            inside, margin = self.widest(box, _WELL)
-            if margin <= _KEEPS:
-                continue
-            planes: list[tuple[Array, float]] = []
-            found = self._in_part(box, inside, planes, most)
-            unfinished |= len(planes) == _PLANES
-            if found is not None:
-                best = self._less(box, found)
-                most = (1 - _SPARED) * self.price(best)
-            if self._cuts_off(box, planes, most):
-                waiting += self._halves(box)
-        if best is None and unfinished:
-            raise SolverError(f"no design was found with {_PLANES} supporting planes")
-        return None if best is None else best * self.size
+        box = np.zeros(len(self.most)), self.most
+        inside, margin = self.widest(_WELL)
+        if margin <= _KEEPS:
+            return None
+        found = self._in_part(box, inside, np.inf)
+        return None if found is None else self._less(box, found) * self.size
 
-    def _in_part(
-        self,
-        box: tuple[Array, Array],
-        inside: Array,
-        planes: list[tuple[Array, float]],
-        most: float,
-    ) -> Array | None:
-        """Return the cheapest unknowns of a part; None if none do at less than ``most``."""
+    def _in_part(self, box: tuple[Array, Array], inside: Array, most: float) -> Array | None:
+        """Return the cheapest unknowns of a part; None if none do at less than ``most``.
+
+        Raises SolverError where `_PLANES` planes do not find them.
+        """
+        planes: list[tuple[Array, float]] = []
         for whole in (False, True) if self.whole.any() else (False,):
             while True:
                 v = self._relaxed(box, planes, whole)
@@ -218,7 +182,7 @@ class Choice:
                 if float(self.at(v).min()) >= _KEEPS:
                     break
                 if len(planes) == _PLANES:
-                    return None
+                    raise SolverError(f"no design was found with {_PLANES} supporting planes")
                 planes.append(self._touching(inside, v))
         return v
 
@@ -230,7 +194,10 @@ class Choice:
         low, high = (np.where(self.whole, v, end) for end in box)
         if not (v > low).any() or float(self.at(v).min()) <= _SPARE:
             return v
-        found = self._in_part((low, high), v, [], self.price(v))
+        try:
+            found = self._in_part((low, high), v, self.price(v))
+        except SolverError:  # what was found keeps every margin, too
+            return v
         return v if found is None else found
 
     def _relaxed(
@@ -302,40 +269,6 @@ class Choice:
             out[j] = (self.at(np.where(np.arange(len(v)) == j, v[j] + step, v))[k] - here) / step
         return out
 
-    def _cuts_off(
-        self, box: tuple[Array, Array], planes: list[tuple[Array, float]], most: float
-    ) -> bool:
-        """Return whether some unknowns below a cost keep all margins, but not the planes."""
-        low, high = box
-        if not planes or np.max((high - low) / self.most) < _SMALLEST:
-            return False
-        normals, levels = (
-            np.array([normal for normal, _ in planes]),
-            np.array([h for _, h in planes]),
-        )
-        share = _even(_POINTS, len(low))
-        v = low + share * (high - low)
-        price = self.cost * self.size
-        spent, least = v @ price, float(low @ price)
-        # What costs too much is moved towards the cheapest corner, to different distances.
-        kept = np.where(
-            spent >= most, share[:, 0] * (most - least) / np.maximum(spent - least, 1e-300), 1
-        )
-        v = low + kept[:, np.newaxis] * (v - low)
-        missed = np.min(v @ normals.T - levels, axis=1)
-        possible = np.flatnonzero((missed < -_CUTS) & (v @ self._rows.T <= 1).all(axis=1))
-        nearest = possible[np.argsort(-missed[possible])][:_LOOKS]
-        return any(float(self.at(v[i]).min()) >= 0 for i in nearest)
-
-    def _halves(self, box: tuple[Array, Array]) -> list[tuple[Array, Array]]:
-        """Return the two halves of a part, along its longest side; panels of both are whole."""
-        low, high = box
-        j = int(np.argmax((high - low) / self.most))
-        middle = (low[j] + high[j]) / 2
-        ends = (np.floor(middle), np.floor(middle) + 1) if self.whole[j] else (middle, middle)
-        here = np.arange(len(low)) == j
-        return [(low, np.where(here, ends[0], high)), (np.where(here, ends[1], low), high)]
-
 
 def _even(number: int, size: int) -> Array:
     """Return points that fill the unit cube evenly (Sobol 1967), (number, size)."""
@@ -394,23 +327,14 @@ class DesignModel:
         )
 
     @cached_property
-    def _predicted(self) -> dict[bytes, tuple[Prediction, Array, Array]]:
-        return {}
-
-    def _known(self, x: Array) -> tuple[Prediction, Array, Array]:
-        """Return the prediction for areas in m², and mean and sd of ln T; kept for later."""
-        key = x.tobytes()
-        if key not in self._predicted:
-            if len(self._predicted) == _MOST_PREDICTIONS:  # the first one goes
-                del self._predicted[next(iter(self._predicted))]
-            made = self.prediction(x)
-            self._predicted[key] = made, made.log_mean, made.log_sigma
-        return self._predicted[key]
+    def _known(self) -> Callable[[bytes], Prediction]:
+        """The prediction of areas by their bytes; the last ones are kept."""
+        return lru_cache(_MOST_PREDICTIONS)(lambda x: self.prediction(np.frombuffer(x)))
 
     def probability(self, x: Array, target: Target | None = None) -> Array:
         """Return the probability that T is in its range, (n_bands,), as the prediction states it."""
         target = target or self.target
-        return self._known(x)[0].probability(target.low, target.high)
+        return self._known(x.tobytes()).probability(target.low, target.high)
 
     def margins(self, probability: float, target: Target | None = None) -> Margins:
         """Return the function that returns ndtri(P) - ndtri(probability) of the bands with a range."""
@@ -420,8 +344,8 @@ class DesignModel:
 
         def of(x: Array) -> Array:
             found = self.probability(x, target)[bounded]
-            _, mean, sigma = self._known(x)
-            mean, sigma = mean[bounded], sigma[bounded]
+            made = self._known(x.tobytes())
+            mean, sigma = made.log_mean[bounded], made.log_sigma[bounded]
             # Further off than samples reach, ln T is taken as normal: the search must see a slope.
             ends = np.fmin(high - mean, mean - low) / np.maximum(sigma, 1e-9)
             sampled = ndtri(np.clip(found, _LEAST, _MOST))
@@ -462,7 +386,7 @@ class DesignModel:
     def _widest(self, margins: Margins) -> Array:
         """Return the areas in m² whose least margin is largest. Panels need not be whole."""
         choice = self._choice(margins)
-        return self._as_listed(choice.widest(choice.everything)[0] * choice.size)
+        return self._as_listed(choice.widest()[0] * choice.size)
 
     def cheapest(self, probability: float) -> Array | None:
         """Return the cheapest areas in m², (n_treatments,), panels whole; None if none will do."""
@@ -488,9 +412,9 @@ class DesignModel:
 
         def spare(x: Array) -> Array:
             """Distance by which a normal ln T keeps the nearer end."""
-            _, mean, sigma = self._known(x)
-            ends = np.fmin(high - mean[bounded], mean[bounded] - low)
-            return np.asarray(ends - ndtri(probability) * sigma[bounded])
+            made = self._known(x.tobytes())
+            mean, sigma = made.log_mean[bounded], made.log_sigma[bounded]
+            return np.asarray(np.fmin(high - mean, mean - low) - ndtri(probability) * sigma)
 
         x = self._widest(spare)
 
