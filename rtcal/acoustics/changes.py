@@ -1,59 +1,7 @@
 """Changes of a room: what is covered, added, removed or opened; other air, another volume.
 
-Files of variants and of treatments, in TOML, state what may be changed, and its cost.
-
-A file of variants::
-
-    [[material]]                        # new materials, as in a room's file
-    name = "panel"
-    alpha = [0.2, 0.6, 0.9, 0.9, 0.9, 0.9]
-    sigma = 0.1
-
-    [[material]]
-    name = "carpet"
-    catalogue = "carpet_cotton"         # or by its name in the catalogue
-
-    [target]                            # optional, as in a file of treatments: the probability of it
-    low = 0.4
-    high = 0.7
-
-    [[variant]]
-    name = "panels on the ceiling"
-    cost = 1800                         # optional
-    [[variant.change]]
-    cover = "ceiling"                   # a material of the room
-    by = "panel"                        # a new material, or one of the room
-    area = 20                           # m²; left out: all of it
-
-    [[variant.change]]                  # further changes follow in order
-    add = "baffle"                      # free-standing: more surface
-    area = 6
-    # remove = "seats"                  # area: left out, all of it
-    # open = "windows"
-    # air = {temperature = 26, humidity = 60}
-    # volume = 180                      # m³
-
-A file of treatments::
-
-    probability = 0.8                   # optional, 0.8 or more
-
-    [target]
-    standard = "DIN 18041"              # or "ANSI S12.60", which has no group
-    group = "A3"                        # or in place of both: low and high in s, each one number or
-                                        # one per band
-
-    [[material]]                        # as in a file of variants
-    name = "panel"
-    alpha = [0.2, 0.6, 0.9, 0.9, 0.9, 0.9]
-    sigma = 0.1
-
-    [[treatment]]
-    name = "panels on the ceiling"
-    material = "panel"                  # a new material, or one of the room
-    covers = "ceiling"                  # left out: free-standing
-    largest = 40                        # m²
-    cost = 90                           # per m²
-    unit = 1.44                         # m²; optional: only whole panels
+Files of variants and of treatments, in TOML, state what may be changed, and its cost; docs/files.md
+describes them.
 """
 
 from __future__ import annotations

@@ -1,70 +1,7 @@
 """The room: its stated materials, surfaces, volume and air, and its file.
 
-A room's file is TOML, with one ``[[material]]`` per material::
-
-
-    name = "Seminar room"
-    author = "A. Consultant"            # optional: stands on the pages of its results
-    above_one = "clip"                  # optional: cut ISO 354 coefficients above 1, and say so
-    volume = 146.1                      # m³
-    centre_frequencies = [500, 1000]    # Hz
-    scattering_model = "random"         # optional: what scattering means; or "vector"
-    volume_sigma = 0.05                 # optional: relative standard deviation of the volume
-    area_sigma = 0.03                   # optional: the same of each material's area
-    common_area_sigma = 0.02            # optional: the same of all areas together
-    common_alpha_sigma = 0.1            # optional: the same of all coefficients together
-    climate_sigma = [2, 10]             # optional: of the air's temperature (K), humidity (%)
-
-    [geometry]                          # optional, for simulators
-    mesh = "room.obj"                   # Wavefront OBJ, relative to this file; without it the room
-                                        # is the box of its dimensions
-    unit = 0.001                        # optional: of the mesh, in m
-    position_uncertainty = 0.1          # optional: of sources and receivers, in m
-    [geometry.surfaces]                 # optional: names of the faces of each surface
-    "south wall" = ["face 3", "face 7"]
-
-    [sources]                           # optional, with [receivers]: x, y and z in m
-    S1 = [1.2, 3.4, 1.5]
-
-    [receivers]
-    R1 = [4.0, 2.2, 1.2]
-
-    [directivity]                       # optional: of sources that are not omnidirectional
-    S1 = { index = [3, 7], aim = [1, 0, 0] }  # dB per band, and the axis; or "unknown"; or
-    S2 = { file = "s.sofa", aim = [1, 0, 0], up = [0, 0, 1] }  # a balloon, as rtcal.io.balloon reads
-
-    [air]                               # left out: the air absorbs nothing
-    temperature = 19.5                  # °C
-    humidity = 41.7                     # %
-    pressure = 101.325                  # kPa
-
-    [prior]                             # for materials that state no sigma:
-    relative = 0.3                      # sigma = in_situ_factor * max(relative * alpha, minimum,
-    minimum = 0.01                      #                              ISO 12999-2's if asked for)
-    iso_12999_2 = true                  # optional: the spread between laboratories as the least
-    in_situ_factor = 1.5                # optional, 1 or more: another specimen, mounted otherwise
-    band_correlation = 0.7              # optional: of one material's errors an octave apart
-
-    [[material]]
-    name = "plaster"
-    area = 34.93                        # m²; or leave it out and state [[surface]]s
-    alpha = [0.052, 0.052]              # 0 to 1, one per band
-    sigma = 0.05                        # optional: one number, one per band, or a degree of
-                                        # uncertainty: "low" 0.01, "moderate" 0.05, "high" 0.1
-    alpha_min = 0.01                    # optional: lower bound of the calibrated alpha
-    scattering = [0.1, 0.1]             # optional, for simulators
-    source = "where alpha comes from"   # optional
-    area_sigma = "1.5 m²"               # optional: in place of the room's; relative, or in m²
-
-    [[correlation]]                     # optional: of two materials' errors in the same band
-    materials = ["plaster", "concrete"]
-    value = 0.5
-
-    [[surface]]                         # optional: areas of a material are summed
-    name = "north wall"
-    material = "plaster"
-    area = 12.0                         # m²
-    axis = "x"                          # optional: the direction of its normal
+docs/files.md describes the file, which is TOML with one ``[[material]]`` per material; `RoomFile` has
+its keys.
 """
 
 from __future__ import annotations
@@ -681,7 +618,7 @@ class Room:
 
     @classmethod
     def from_file(cls, path: str) -> Room:
-        """Read a room from TOML; see `rtcal.acoustics.room` for the format."""
+        """Read a room from TOML; docs/files.md describes the format."""
         room = cls.from_text(read_text(path, MAX_BYTES), os.fspath(path))
         return room.replace(scene=room.scene.within(Path(path).parent)) if room.scene else room
 
