@@ -362,7 +362,7 @@ def test_a_second_state_narrows_and_corrects() -> None:
     two = joint.results[0].predict(Cover("walls", stated, 25))
     assert len(two.known.others) == 1
     assert (two.half_width < 0.85 * one.half_width).all()
-    other = predict(joint.results, [], before=some)
+    other = joint.results[1].predict([])
     assert other.mean == pytest.approx(joint.results[1].reverberation_time_after)
     errors = [np.abs(np.log(p.mean / time(25))) for p in (one, two)]
     assert (errors[1] < 0.6 * errors[0]).all()
@@ -419,7 +419,6 @@ def test_what_a_room_states_of_its_areas_and_climate_counts() -> None:
         (lambda r: r.predict([Open(m) for m in r.prior.materials]), ModelError, "T"),
         (lambda r: Assumptions(factor=2), DataError, "factor"),
         (lambda r: predict(r, [], equation=rt.Sabine()), DataError, "Eyring"),
-        (lambda r: predict(r, [], before=a_room(7)), DataError, "before"),
         (lambda r: r.predict(NewVolume(1e-9)), DataError, "volume"),
         (lambda r: r.predict([]).probability([1.0] * 3, [0.5] * 3), DataError, "low"),
         (lambda r: r.predict([]).probability([1.0] * 3, [2.0] * 2), DataError, "high"),

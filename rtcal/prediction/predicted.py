@@ -50,38 +50,18 @@ class Calibrated(Protocol):
         """The room as it is known before it is changed."""
 
 
-Known = Calibrated | KnownRoom | Room | Sequence[Calibrated]
+Known = Calibrated | KnownRoom | Room
 """What `predict` takes."""
 
 
-def known_room(
-    known: Known, before: Room | None = None, equation: LinearEquation | None = None
-) -> KnownRoom:
+def known_room(known: Known, equation: LinearEquation | None = None) -> KnownRoom:
     """Return what is known of a room: by a calibration, or of one in which nothing was measured.
 
-    Parameters
-    ----------
-    known : CalibrationResult, sequence of them, KnownRoom or Room
-        A sequence is the states of one room, as `JointResult.results` has them.
-    before : Room, optional
-        The state that is changed; the first one if not given.
-    equation : LinearEquation, optional
-        Of a Room; `rtcal.Eyring` if not given.
-
-    Raises
-    ------
-    DataError
-        For anything else, a state that is not among them, or another equation than a calibration's.
+    Raises DataError for anything else, and for another equation than a calibration's.
     """
     if isinstance(known, Room):
         return KnownRoom.stated(known, equation or Eyring())
-    listed = known if isinstance(known, Sequence) else (known,)
-    states = [
-        each if isinstance(each, KnownRoom) else getattr(each, "known", None) for each in listed
-    ]
-    found = next((s for s in states if s is not None and before in (None, s.room)), None)
-    if found is None and before is not None and any(states):
-        raise DataError(f'before = room "{before.name}" is not a state that was calibrated')
+    found = known if isinstance(known, KnownRoom) else getattr(known, "known", None)
     if found is None:
         raise DataError(
             f"known = {checks.shown(known)} is neither a calibration's result nor a Room"
@@ -369,7 +349,6 @@ def predict(
     known: Known,
     changes: Change | Sequence[Change] | Room,
     *,
-    before: Room | None = None,
     equation: LinearEquation | None = None,
     assumptions: Assumptions | None = None,
     name: str = "",
@@ -378,13 +357,11 @@ def predict(
 
     Parameters
     ----------
-    known : CalibrationResult, sequence of them, or Room
+    known : CalibrationResult or Room
         With a Room nothing was measured: its stated coefficients alone predict. Several measured states
-        are a calibration of `rtcal.Configurations`, and its ``results`` the sequence.
+        are a calibration of `rtcal.Configurations`, one of whose ``results`` is the state that changes.
     changes : Change, sequence of Change, or Room
         A Room is the changed room itself.
-    before : Room, optional
-        Of several states the one that is changed; the first if not given.
     equation : LinearEquation, optional
         Of a Room; `rtcal.Eyring` if not given. A calibration has its own.
     assumptions : Assumptions, optional
@@ -412,7 +389,7 @@ def predict(
     >>> print(predict(result, []).half_width)
     [0. 0. 0. 0. 0. 0.]
     """
-    room_known = known_room(known, before, equation)
+    room_known = known_room(known, equation)
     made: tuple[Change, ...] = ()
     if isinstance(changes, Room):
         default = changes.name
@@ -516,7 +493,6 @@ def compare(
     known: Known,
     variants: Sequence[Variant],
     *,
-    before: Room | None = None,
     equation: LinearEquation | None = None,
     assumptions: Assumptions | None = None,
     target: Target | None = None,
@@ -535,7 +511,7 @@ def compare(
     <Predictions: window open>
     """
     refuse_repeated_names("variants", variants)
-    room_known = known_room(known, before, equation)
+    room_known = known_room(known, equation)
     made = tuple(
         predict(room_known, v.changes, assumptions=assumptions, name=v.name) for v in variants
     )
