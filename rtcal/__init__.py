@@ -50,7 +50,7 @@ if TYPE_CHECKING:
     from rtcal.calibration.unknowns import Configurations as Configurations
     from rtcal.files.saved import load as load
     from rtcal.finder.search import find as find
-    from rtcal.loop.calibrate import calibrate_simulator as calibrate_simulator
+    from rtcal.loop.closed import calibrate_simulator as calibrate_simulator
     from rtcal.loop.positions import calibrate_positions as calibrate_positions
     from rtcal.modes.calibrate import calibrate_modes as calibrate_modes
     from rtcal.prediction.designed import design as design

@@ -40,7 +40,7 @@ from rtcal.finder import (
 )
 from rtcal.finder.search import find
 from rtcal.io.material_list import Format
-from rtcal.loop.state import start
+from rtcal.loop.closed import start
 from rtcal.simulators.external import EquationSimulator
 from rtcal.simulators.geometry import SHOEBOX_WALLS, Polyhedron
 from rtcal.simulators.path_tracing import PathTracing

@@ -9,7 +9,7 @@ from rtcal.acoustics.marks import gap_jnd
 from rtcal.calibration.problem import Calibration
 from rtcal.datasets import halls
 from rtcal.loop import rules as loop_rules
-from rtcal.loop.calibrate import calibrate_simulator
+from rtcal.loop.closed import calibrate_simulator
 from rtcal.simulators.external import EquationSimulator, External
 from rtcal.simulators.path_tracing import PathTracing
 from rtcal.support.errors import DataError, SimulatorError

@@ -12,7 +12,8 @@ from hypothesis import strategies as st
 
 import rtcal as rt
 from rtcal import terms
-from rtcal.calibration.methods import METHODS, Taken, gauss_newton, preset
+from rtcal.calibration.fit import Taken, gauss_newton
+from rtcal.calibration.methods import METHODS, preset
 from rtcal.calibration.unknowns import Configurations
 from rtcal.support.errors import ModelError
 from tests.conftest import random_room, true_times

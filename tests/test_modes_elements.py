@@ -9,7 +9,7 @@ import pytest
 
 import rtcal as rt
 from rtcal.modes import modes_of
-from rtcal.modes.rigid_walls import box_modes, fill
+from rtcal.modes.room_modes import box_modes, fill
 from rtcal.simulators.geometry import SHOEBOX_WALLS, Polyhedron
 from rtcal.support.errors import DataError, ModelError
 from tests.boxes import polyhedron

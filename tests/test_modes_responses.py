@@ -11,7 +11,7 @@ from click.testing import CliRunner
 import rtcal as rt
 from rtcal.command.main import cli
 from rtcal.modes import find_modes
-from rtcal.modes.rigid_walls import box_modes
+from rtcal.modes.room_modes import box_modes
 from rtcal.support.errors import DataError
 from tests.test_modes import BOX, ROOM, SHOEBOX_WALLS, SIDES, TRUTH, C, times
 

@@ -20,7 +20,7 @@ from rtcal.acoustics.equations import EQUATIONS, LinearEquation, equation_keys, 
 from rtcal.finder.means.problem import state
 from rtcal.finder.means.recalibration import plain, recalibrate
 from rtcal.finder.model import STEEPEST, sensitivities
-from rtcal.loop.state import Loop, start
+from rtcal.loop.closed import Loop, start
 from rtcal.simulators.external import EquationSimulator
 from rtcal.support.errors import DataError
 

@@ -73,18 +73,6 @@ def test_path_tracing_differentiates_as_differences_do(tracer):
     assert (off < [0.05, 0.05, 1e-4, 1e-4, 1e-4]).all()
 
 
-def test_surfaces_add_up_to_their_material(tracer):
-    by_material = tracer.jacobian(tracer.room.alpha, ["ts", "t20"])
-    by_surface = tracer.jacobian(tracer.room.alpha, ["ts", "t20"], by="surface")
-    assert by_surface.shape[-1] == len(tracer.geometry.faces)
-    owners = np.array([tracer.room.material_index(m) for m in tracer.geometry.materials])
-    summed = np.stack(
-        [by_surface[..., owners == j].sum(-1) for j in range(tracer.room.n_materials)], axis=-1
-    )
-    np.testing.assert_allclose(summed, by_material, rtol=0, atol=1e-12)
-    assert (by_surface[..., owners == 0] != by_material[..., :1] / (owners == 0).sum()).any()
-
-
 def test_numpy_and_the_compiled_loops_give_the_same_derivatives(tracer):
     alpha = tracer.room.alpha.copy()
     alpha[1, 0] = 1.0
@@ -209,14 +197,9 @@ def test_shoebox_simulators_have_exact_derivatives(kind, monkeypatch):
     match = ("c80", "ts", "level")
     exact = simulator.jacobian(room.alpha, match)
     np.testing.assert_allclose(exact, differences(simulator, room.alpha, match), rtol=1e-5)
-    by_wall = simulator.jacobian(room.alpha, match, by="surface")
-    assert by_wall.shape[-1] == 6
-    np.testing.assert_allclose(by_wall[..., :4].sum(-1), exact[..., 0], rtol=1e-9)
     hard = np.ones_like(room.alpha)
     with pytest.raises(DataError, match=r"no T20|too short"):
         simulator.jacobian(hard, ["t20"])
-    with pytest.raises(DataError, match="by = 3"):
-        simulator.jacobian(room.alpha, match, by=3)
 
 
 def test_bands_with_other_scattering_have_their_own_paths():

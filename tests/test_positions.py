@@ -16,7 +16,7 @@ from rtcal.loop.control_runs import MaterialScattering, scattered
 from rtcal.loop.matched import Beside
 from rtcal.loop.positions import precise
 from rtcal.loop.positions_result import PositionsResult
-from rtcal.simulators import Observations, PathTracing
+from rtcal.simulators import PathTracing
 from rtcal.support.errors import DataError
 
 MATCH = ("t20", "edt", "c80", "ts", "level")
@@ -393,7 +393,7 @@ def test_what_was_not_measured_is_not_beside(result):
         pairs=measured.pairs,
         values={"t20": measured.natural("t20")},
     )
-    t20 = Observations.of_measurement(one, ["t20"], measured.pairs)
-    beside = Beside.of(one, t20, result.before, result.after)
+    others = [p for p in result.before.parameters if p != "t20"]
+    beside = Beside.of(one, others, measured.pairs, result.before, result.after)
     assert beside.parameters == ()
     assert beside.gaps == {}

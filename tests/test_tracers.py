@@ -238,7 +238,7 @@ def test_bad_input(make, options, message):
 
 @pytest.mark.parametrize("make", [path_tracer, ray_tracer])
 def test_bad_alpha(make):
-    with pytest.raises(DataError, match="asks for"):
+    with pytest.raises(DataError, match="alpha has shape"):
         make().simulate(np.zeros((2, 2)))
     with pytest.raises(DataError, match=r"= nan is not in \[0, 1\]"):
         make().simulate(np.full_like(HALL.room.alpha, np.nan))

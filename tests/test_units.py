@@ -13,7 +13,7 @@ from rtcal.acoustics.marks import agreement, plausibility
 from rtcal.acoustics.priors import TruncatedNormal, in_situ, sigma_iso_12999_2, sigma_relative
 from rtcal.calibration.terms import SoftMatch
 from rtcal.finder import ChangedMaterial, Configuration
-from rtcal.loop.state import start
+from rtcal.loop.closed import start
 from rtcal.studies import analytic_scores
 from rtcal.support.errors import RtcalError
 

@@ -1,29 +1,15 @@
-"""The calibration methods by name, `calibrate` (the main path), and Gauss-Newton around the QP.
+"""The calibration methods by name, and `calibrate` (the main path).
 
 `calibrate` takes the terms of a method (`preset`), has them compiled for the room (`Calibration.build`)
-and solves the QP for what was measured (`CalibrationProblem.solve`): one QP, without any step below.
-
-`gauss_newton` is for models that are not linear in the unknowns: the calibration to every position
-(`rtcal.loop.positions`), to modes (`rtcal.modes.calibrate`), and that of a case with effects
-(`rtcal.finder.means.recalibration`). Each step linearises the model at a point, solves the QP of the
-linearised one, and goes towards its answer: the whole way, or half of it and half again as long as the
-model itself gets farther from what was measured. The QP certifies its own answer (`certificate`), and
-the last step's is that of the whole.
-
-References
-----------
-Nocedal & Wright 2006, Numerical Optimization, Sect. 10.3 (Gauss-Newton) and 3.1 (backtracking).
+and solves the QP for what was measured (`CalibrationProblem.solve`): one QP. Models that are not linear
+in alpha take several (`rtcal.calibration.fit`).
 """
 
 from __future__ import annotations
 
 import functools
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from typing import Any, Generic, Protocol, TypeVar, overload
-
-import numpy as np
-from numpy.typing import NDArray
+from typing import Any, overload
 
 from rtcal.acoustics.equations import Equation
 from rtcal.acoustics.room import Room
@@ -39,7 +25,6 @@ from rtcal.calibration.terms import (
 )
 from rtcal.calibration.unknowns import Configurations
 from rtcal.support.errors import DataError, ModelError
-from rtcal.support.types import Array
 
 _TIME_UNCERTAINTY = 0.05
 """u_T / T where the measurement states no uncertainty: one just noticeable difference."""
@@ -196,111 +181,3 @@ def calibrate(
         raise DataError("measured = None: there is no T to calibrate to")
     calibration = preset(method, room if isinstance(room, Room) else room.union)
     return calibration.build(room, equation).solve(measured, method=method, **options)
-
-
-Point = TypeVar("Point")
-
-
-class Linearised(Protocol[Point]):
-    """A model that was linearised at a point, and the answer of its QP."""
-
-    def towards(self, share: Array) -> Point:
-        """Return the point at these shares, (n_groups,), of the way to the answer."""
-        ...
-
-    def worse(self, end: Point) -> NDArray[np.bool_]:
-        """Return of each group whether the model is farther from what was measured than before."""
-        ...
-
-
-LinearisedModel = TypeVar("LinearisedModel", bound=Linearised[Any])
-
-
-@dataclass(frozen=True, eq=False)
-class Taken(Generic[LinearisedModel]):
-    """A step: the ``model`` that was linearised, and the shares of the way that were gone.
-
-    ``share`` (n_groups,) is 0 where a step was refused, and the groups are what is shortened alone,
-    such as bands.
-    """
-
-    model: LinearisedModel
-    share: Array
-
-
-@dataclass(frozen=True, eq=False)
-class Steps(Generic[Point, LinearisedModel]):
-    """Where the steps ended, the steps, and whether the last one settled."""
-
-    end: Point
-    steps: tuple[Taken[LinearisedModel], ...]
-    settled: bool
-
-
-def gauss_newton(
-    start: Point,
-    linearised: Callable[[Point], LinearisedModel],
-    *,
-    groups: int = 1,
-    most: int,
-    halvings: int,
-    settled: Callable[[Taken[LinearisedModel]], bool] = lambda _: False,
-    refuse: bool = False,
-) -> Steps[Point, LinearisedModel]:
-    """Take Gauss-Newton steps until one settles.
-
-    Parameters
-    ----------
-    start : Point
-    linearised : function
-        Linearises the model at a point and solves its QP.
-    groups : int
-        Of unknowns, each with a step length of its own: 1, or the bands.
-    most : int
-        Largest number of steps.
-    halvings : int
-        Largest number of halvings of a step.
-    settled : function
-        Whether a step moved so little that it is the last one.
-    refuse : bool
-        Whether a step that leads away however short it is, is not taken, and is the last one.
-
-    Returns
-    -------
-    Steps
-
-    Examples
-    --------
-    The root of x² = 2, linearised in x; no step leads away:
-
-    >>> import numpy as np
-    >>> class Tangent:
-    ...     def __init__(self, x):
-    ...         self.x, self.step = x, (2 - x**2) / (2 * x)
-    ...     def towards(self, share):
-    ...         return self.x + share * self.step
-    ...     def worse(self, end):
-    ...         return np.abs(end**2 - 2) > np.abs(self.x**2 - 2)
-    >>> path = gauss_newton(np.array([1.0]), Tangent, most=6, halvings=3)
-    >>> print(path.end.round(9), len(path.steps))
-    [1.41421356] 6
-    """
-    point, steps = start, list[Taken[LinearisedModel]]()
-    while len(steps) < most:
-        model = linearised(point)
-        share = np.ones(groups)
-        end = model.towards(share)
-        for _ in range(halvings):
-            worse = model.worse(end)
-            if not worse.any():
-                break
-            share = np.where(worse, share / 2, share)
-            end = model.towards(share)
-        else:
-            if refuse and model.worse(end).any():
-                end, share = point, np.zeros(groups)
-        steps.append(Taken(model, share))
-        point = end
-        if settled(steps[-1]) or not share.any():
-            return Steps(point, tuple(steps), settled(steps[-1]))
-    return Steps(point, tuple(steps), False)

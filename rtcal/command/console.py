@@ -25,7 +25,7 @@ from rtcal.support.text import fitted, printable, width
 if TYPE_CHECKING:
     from rtcal.acoustics.measurement import Measurement
     from rtcal.acoustics.room import Room
-    from rtcal.modes.result import ModesResult
+    from rtcal.modes.calibrate import ModesResult
 
 
 def as_options(text: str, arguments: Sequence[str]) -> str:

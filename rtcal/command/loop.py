@@ -84,12 +84,12 @@ def start(
     """  # noqa: D301 (click's mark for lines that are not to be wrapped)
     from rtcal.acoustics.room import Room
     from rtcal.calibration.measured import times_in_room
-    from rtcal.loop import calibrate
-    from rtcal.loop.state import start as begin
+    from rtcal.loop import closed
+    from rtcal.loop.closed import start as begin
     from rtcal.support import text
 
     spare([state, out], [room, measured, *([] if modes is None else [modes])])
-    calibrate.refuse_progress(state)
+    closed.refuse_progress(state)
     stated_room = Room.from_file(room)
     data = read_measured(measured)
     stated = numbers("--weight", weights, "PARAMETER=NUMBER, such as edt=0.5")
@@ -105,7 +105,7 @@ def start(
         modes=told,
     )
     first = begun.calibrated(begun.wanted)
-    calibrate.write(begun, state, out)
+    closed.write(begun, state, out)
     beyond = [f"{band} (the nearest is taken)" for band in first.unreachable]
     parameters = [
         parameter_label(p) for p in sorted(set(times_in_room(begun.room, data).parameter)) if p
@@ -161,17 +161,17 @@ def next_(
     from rtcal.acoustics import bands
     from rtcal.acoustics.marks import explained
     from rtcal.acoustics.room import Room
-    from rtcal.loop import calibrate
+    from rtcal.loop import closed
+    from rtcal.loop.closed import Loop
     from rtcal.loop.matched import sentences
-    from rtcal.loop.state import Loop
     from rtcal.report.of_loop import other_rows, statuses
     from rtcal.support import blocks, text
     from rtcal.support.blocks import Table
 
     spare([state, out], [room, simulated])
     before = Loop.load(state, Room.from_file(room))
-    after = calibrate.record(before, simulated, state, out, again=again)
-    calibrate.write(after, state, out)
+    after = closed.record(before, simulated, state, out, again=again)
+    closed.write(after, state, out)
     finished, frequencies, shown = after.finished, after.room.centre_frequencies, statuses(after)
     rows = [
         (bands.label(frequency), [text.number(wanted, ".2f"), text.number(gap, "+.2f"), status])
@@ -189,7 +189,7 @@ def next_(
     for sentence in sentences(after.gaps_beside, frequencies):
         lines += text.wrapped(sentence)
     lines += explained(after.trust_marks)
-    lines.append(calibrate.conclusion(after, out) if finished else _next_step(out))
+    lines.append(closed.conclusion(after, out) if finished else _next_step(out))
     record = {
         "finished": finished,
         "state": state,
@@ -221,12 +221,12 @@ def back(
         --state loop.json --out next.toml
     """  # noqa: D301 (click's mark for lines that are not to be wrapped)
     from rtcal.acoustics.room import Room
-    from rtcal.loop import calibrate
-    from rtcal.loop.state import Loop
+    from rtcal.loop import closed
+    from rtcal.loop.closed import Loop
 
     spare([state, out], [room])
     before = Loop.load(state, Room.from_file(room)).back()
-    calibrate.write(before, state, out)
+    closed.write(before, state, out)
     record = {"simulations": len(before.steps), "state": state, "simulate": out}
     text = (
         f"{state} now holds {len(before.steps)} "

@@ -46,7 +46,7 @@ from rtcal.simulators.tracer import ScatteringModel, eyring_seconds
 from rtcal.support import __version__, checks
 from rtcal.support.errors import DataError, RtcalError, TooShortError
 from rtcal.support.speed import Progress
-from rtcal.support.types import Array, read_only
+from rtcal.support.types import Array
 
 RUNS = 16
 """Traces for the control runs."""
@@ -105,27 +105,18 @@ class ControlRuns:
         object.__setattr__(self, "pairs", checks.pairs("pairs", self.pairs))
         object.__setattr__(self, "models", checks.texts("models", self.models))
         checks.whole("more_paths", self.more_paths, 1)
-        errors = read_only(checks.array("errors", self.errors))
-        if (
-            errors.ndim != 4
-            or errors.shape[1:3] != (len(self.parameters), len(self.pairs))
-            or len(errors) < 2
-            or not np.isfinite(errors).all()
-        ):
+        shape = ("n_runs", len(self.parameters), len(self.pairs), "n_bands")
+        errors = checks.shaped("errors", self.errors, *shape)
+        if len(errors) < 2 or not np.isfinite(errors).all():
             raise DataError(
-                f"errors of shape {errors.shape} are no finite errors of {len(self.parameters)} "
-                f"parameters at {len(self.pairs)} pairs in at least 2 runs"
+                f"errors of {len(errors)} runs: they are finite, and of at least 2 runs"
             )
         object.__setattr__(self, "errors", errors)
         if self.levels is None:
             return
-        levels = read_only(checks.array("levels", self.levels))
-        if levels.shape != (len(errors),) or len(self.models) != len(errors):
-            raise DataError(
-                f"levels of shape {levels.shape} and {len(self.models)} models do not belong to "
-                f"{len(errors)} control runs"
-            )
-        object.__setattr__(self, "levels", levels)
+        object.__setattr__(self, "levels", checks.shaped("levels", self.levels, len(errors)))
+        if len(self.models) != len(errors):
+            raise DataError(f"models has {len(self.models)} texts; there are {len(errors)} runs")
 
     def __repr__(self) -> str:
         return f"<ControlRuns: {len(self.errors)} runs, {len(self.pairs)} pairs>"
@@ -297,7 +288,10 @@ def simulated_controls(
     kept = None if path is None else disk.read(path)
     if kept is not None and kept.shape == (RUNS, *shape):
         with suppress(RtcalError):  # another's file
-            return runs(kept)
+            stored = runs(kept)
+            if progress is not None:
+                progress(RUNS, RUNS)
+            return stored
 
     def error(
         control: PathTracing, alpha: Array, of_run: int, again: bool

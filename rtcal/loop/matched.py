@@ -22,11 +22,10 @@ from rtcal.acoustics import band_conversion
 from rtcal.acoustics.bands import label, labels
 from rtcal.acoustics.marks import TrustMark, gap_jnd, rms
 from rtcal.acoustics.measurement import Measurement
-from rtcal.acoustics.observables import EARLY, LEVEL, OBSERVABLES, TARGET, parameter_label
+from rtcal.acoustics.observables import EARLY, OBSERVABLES, TARGET, parameter_label
 from rtcal.acoustics.room import Room
 from rtcal.calibration.measured import times_in_room
-from rtcal.modes.calibrate import above_schroeder, below_schroeder
-from rtcal.modes.result import ModesResult
+from rtcal.modes.calibrate import ModesResult, above_schroeder, below_schroeder
 from rtcal.simulators.base import Observations
 from rtcal.support import checks
 from rtcal.support.errors import DataError
@@ -253,35 +252,16 @@ class Beside:
     def of(
         cls,
         measured: Measurement,
-        matched: Observations,
-        before: Observations,
-        after: Observations,
-    ) -> Beside:
-        """Return what is in ``before`` and not in ``matched``, at the pairs that are matched."""
-        names = [p for p in before.parameters if p not in matched.parameters]
-        values = Observations.of_measurement(measured, names, matched.pairs)
-        there = [p for p in names if np.isfinite(values.natural(p)).any()]
-        wanted = Observations.of_measurement(measured, there, matched.pairs)
-        return cls(measured=wanted, before=before.at(wanted), after=after.at(wanted))
-
-    @classmethod
-    def at_pairs(
-        cls,
-        measured: Measurement,
-        matched: Observations,
+        parameters: Sequence[str],
         pairs: Sequence[Pair],
         before: Observations,
         after: Observations,
-    ) -> Beside | None:
-        """Return the parameters of ``matched`` at pairs that were left out; None without any.
-
-        A relative level is none of them: what is left out has no reference.
-        """
-        names = [p for p in matched.parameters if p != LEVEL.key]
-        kept = [p for p in pairs if p in before.pairs]
-        if not names or not kept:
-            return None
-        wanted = Observations.of_measurement(measured, names, kept)
+    ) -> Beside:
+        """Return some parameters at some pairs, where they were measured and simulated."""
+        kept = [pair for pair in pairs if pair in before.pairs]
+        values = Observations.of_measurement(measured, parameters, kept)
+        there = [p for p in parameters if np.isfinite(values.natural(p)).any()]
+        wanted = Observations.of_measurement(measured, there, kept)
         return cls(measured=wanted, before=before.at(wanted), after=after.at(wanted))
 
     @property

@@ -402,6 +402,8 @@ rooms they were traced three times with 2.0 alone."""
 class Linearisation:
     """A simulator's values at ``alpha``, in the order of the measured ones; its calls are counted.
 
+    What was simulated is kept: no coefficients are simulated twice.
+
     Attributes
     ----------
     simulator : Simulator
@@ -421,12 +423,14 @@ class Linearisation:
     seed: int
     calls: int = 1
     used: NDArray[np.int64] = field(init=False)
-    _slopes: tuple[Array, Array] | None = field(init=False, default=None)
+    _simulated: dict[bytes, Observations] = field(init=False)
+    _slopes: dict[bytes, Array] = field(init=False, default_factory=dict)
     _rows: list[int] = field(init=False)
     _columns: list[int] = field(init=False)
 
     def __post_init__(self) -> None:
         parameters, pairs = self.data.observations.parameters, self.simulated.pairs
+        self._simulated = {self.alpha.tobytes(): self.simulated}
         self._rows = [self.simulated.parameters.index(p) for p in parameters]
         self._columns = [pairs.index(p) for p in self.data.observations.pairs]
         shape = (len(parameters), *self.simulated.values.shape[1:])
@@ -436,11 +440,13 @@ class Linearisation:
         self.used = np.flatnonzero(used)
 
     def move(self, alpha: Array) -> None:
-        """Simulate another alpha."""
-        self.calls += 1
-        parameters = self.simulated.parameters
-        self.simulated = observe(self.simulator, alpha, parameters, seed=self.seed)
-        self.alpha = alpha
+        """Go to another alpha, which is simulated unless it was."""
+        key = alpha.tobytes()
+        if key not in self._simulated:
+            self.calls += 1
+            parameters = self.simulated.parameters
+            self._simulated[key] = observe(self.simulator, alpha, parameters, seed=self.seed)
+        self.alpha, self.simulated = alpha, self._simulated[key]
 
     def scattered(self, tracer: PathTracing, expected: Array) -> Linearisation:
         """Return the values of a tracer with another scattering, at this alpha.
@@ -488,14 +494,14 @@ class Linearisation:
 
     def linearised(self) -> Array:
         """Return the derivatives of the values used, (n_used, n_materials * n_bands)."""
-        if self._slopes is not None and self._slopes[0] is self.alpha:
-            return self._slopes[1]
-        self.calls += 1
-        parameters = self.data.observations.parameters
-        slopes = jacobian(self.simulator, self.alpha, parameters, seed=self.seed)[:, self._columns]
-        used = by_band(slopes)[self.data.used.ravel()]
-        self._slopes = self.alpha, used
-        return used
+        key = self.alpha.tobytes()
+        if key not in self._slopes:
+            self.calls += 1
+            parameters = self.data.observations.parameters
+            slopes = jacobian(self.simulator, self.alpha, parameters, seed=self.seed)
+            used = by_band(slopes[:, self._columns])[self.data.used.ravel()]
+            self._slopes[key] = used
+        return self._slopes[key]
 
 
 def of_level(parameters: Sequence[str], n_pairs: int, n_bands: int) -> NDArray[np.bool_]:

@@ -14,27 +14,27 @@ import math
 import os
 import warnings
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from copy import copy
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import cho_factor, cho_solve, solve_triangular
+from scipy.linalg import cho_factor, cho_solve
 from scipy.optimize import minimize
 
 from rtcal.acoustics.band_conversion import measurement_in_room_bands
 from rtcal.acoustics.marks import gap_jnd, rms
 from rtcal.acoustics.measurement import Measurement
-from rtcal.acoustics.observables import MATCH, observable, parameter_label
+from rtcal.acoustics.observables import LEVEL, MATCH, observable, parameter_label
 from rtcal.acoustics.room import CalibrationRecord, Room
 from rtcal.acoustics.room_errors import in_words, prior_covariance, value_changes
 from rtcal.acoustics.scene import POSITION, checked_uncertainty
-from rtcal.calibration.methods import Steps, Taken, gauss_newton
+from rtcal.calibration.fit import Fit, Objective, fit
 from rtcal.calibration.problem import Calibration
 from rtcal.calibration.result import CalibrationResult
 from rtcal.calibration.terms import LinearObservations, Observed, PriorDeviation, as_objective
-from rtcal.loop import control_runs
 from rtcal.loop.control_runs import (
     DIGITS,
     GROUPS,
@@ -68,8 +68,8 @@ from rtcal.loop.measured_pairs import (
     with_t30,
     without_place,
 )
-from rtcal.loop.positions_result import GaussNewtonStep, PositionsResult
-from rtcal.modes.result import ModesResult
+from rtcal.loop.positions_result import PositionsResult
+from rtcal.modes.calibrate import ModesResult
 from rtcal.simulators import base
 from rtcal.simulators.base import (
     DifferentiableSimulator,
@@ -199,7 +199,6 @@ _GAP_WEIGHTS = (0.1, 1.0, 10.0)
 _SETTLED_ODDS = 0.15
 """Change of the log odds, rounded to tenths, for which the room is not traced again: 0.02 to 0.04 of a
 coefficient."""
-_HALVINGS = 6
 _TRIALS = 3
 """Most lengths of the last step, which lowers the gap."""
 _INDISTINCT = 0.5
@@ -208,57 +207,37 @@ standard deviation."""
 FITS = 0.5
 """Gap in JND, root mean square over all that is matched, below which a start needs no fit: the noise of
 a tracing."""
-_SETTLED = 0.05
-"""Change of alpha in prior sigmas after which no further step is taken."""
 
 POSITIONS = LinearObservations("positions")
 
 
 @dataclass(frozen=True, eq=False)
-class LinearisationPoint:
-    """A point of the path: alpha, and the simulated values there; None where it gives nothing."""
-
-    alpha: Array
-    simulated: Observations | None
-
-
-@dataclass(frozen=True, eq=False)
-class LinearisedSimulator:
-    """The simulator, linearised at ``start``, and the answer of the QP.
+class PairsWithErrors:
+    """The values at every position as an `Observation`, with the errors of a fit.
 
     ``offset`` (n_used,) is what the values used would rise by with the scattering as traced in place of
-    that stated, ``now`` the objective at ``start``, ``limit`` the largest gaps in JND.
+    that stated.
     """
 
     here: Linearisation
-    start: LinearisationPoint
-    matrix: Array
-    errors: FitErrors
+    covariance: Array
     offset: Array
-    answer: CalibrationResult
-    now: float
-    limit: Array
 
-    def towards(self, share: Array) -> LinearisationPoint:
-        """Return the simulated values at these shares of the way to the answer."""
-        start = self.start.alpha
-        alpha = start + float(share[0]) * (self.answer.alpha - start)
-        try:
-            self.here.move(alpha)
-        except (DataError, SimulatorError):  # no decay time with so much absorption, or so little
-            return LinearisationPoint(alpha, None)
-        return LinearisationPoint(alpha, self.here.simulated)
+    @property
+    def values(self) -> Array:
+        """The measured values used, (n_used,)."""
+        data = self.here.data
+        return np.asarray(data.observations.values[data.used] + self.offset)
 
-    def worse(self, end: LinearisationPoint) -> NDArray[np.bool_]:
-        """Return whether the simulator's own objective rises, or its gap exceeds the limit."""
-        if end.simulated is None:
-            return np.array([True])
-        residual = self.here.residual() + self.offset
-        value = _misfit(self.errors.factor, residual) + _others(self.answer, end.alpha)
-        return np.array([value > self.now or (self.here.gaps() > self.limit).any()])
+    def predict(self, alpha: Array) -> Array:
+        """Return the simulated values used, (n_used,)."""
+        self.here.move(alpha)
+        return np.asarray(self.here.values()[self.here.data.used])
 
-
-Path = Steps[LinearisationPoint, LinearisedSimulator]
+    def jacobian(self, alpha: Array) -> Array:
+        """Return their derivatives, (n_used, n_materials * n_bands)."""
+        self.here.move(alpha)
+        return self.here.linearised()
 
 
 @dataclass(frozen=True, eq=False)
@@ -288,7 +267,7 @@ class Fitted:
     ----------
     here : Linearisation
         The simulator with the fitted scattering, at the fitted alpha.
-    path : Steps
+    path : Fit
         The last Gauss-Newton steps.
     errors : FitErrors
         With which they were taken.
@@ -299,7 +278,7 @@ class Fitted:
     """
 
     here: Linearisation
-    path: Path
+    path: Fit
     errors: FitErrors
     scattering: FittedScattering | None
     refused: bool = False
@@ -370,59 +349,48 @@ class PositionsFit:
         whole = Calibration(as_objective(objective) + POSITIONS, constraints)
         self._problem = whole.build(room)
         self._times = None if calibration is None else measured
-        self._simulated = here.simulated
         self._residual, self._gaps = here.residual(), here.gaps()
         self._no_limit = np.full(len(self._gaps), np.inf)
         # No parameter is given up for the others, but for what is no more than noise.
         self._limit = np.array([self._gaps[0], *np.maximum(self._gaps[1:], FITS)])
         self._unit = here.data.in_values(np.ones(len(here.data.used)))
         self._parameter = np.nonzero(here.data.used)[0]
-        self._inverse_sigma = np.divide(
-            1.0, room.sigma, out=np.zeros_like(room.sigma), where=room.sigma > 0
-        )
 
     def run(self) -> Fitted:
         """Return where the fit ends."""
-        fit = self._nearest()
-        if not fit.refused and fit.here.gaps()[0] > FITS:
-            self._close(fit)
-        return fit
+        ended = self._nearest()
+        if not ended.refused and ended.here.gaps()[0] > FITS:
+            self._close(ended)
+        return ended
 
-    def _close(self, fit: Fitted) -> None:
+    def _close(self, ended: Fitted) -> None:
         """Move to a smaller gap where the objective is indistinct from its minimum.
 
         An error of the simulator that all bands have in common counts once, and the deviation of every
         coefficient by itself: so coefficients that all are off by the same factor leave a part of the
         gap at the minimum.
         """
-        here, errors, model = fit.here, fit.errors, fit.path.steps[-1].model
-        offset, start = _offset(here, fit.scattering), here.alpha
-        simulated, gaps = here.simulated, here.gaps()
-
-        def objective(residual: Array, alpha: Array) -> float:
-            return _misfit(errors.factor, residual) + _others(model.answer, alpha)
-
+        here, errors = ended.here, ended.errors
+        objective = Objective(ended.path.answer, POSITIONS, errors.factor)
+        offset, start, gaps = _offset(here, ended.scattering), here.alpha, here.gaps()
         residual, matrix = here.residual() + offset, here.linearised()
-        least = objective(residual, start)
-        most = min(least + _INDISTINCT, objective(self._residual, self.room.alpha))
+        least = objective.value(start, residual)
+        most = min(least + _INDISTINCT, objective.value(self.room.alpha, self._residual))
         covariance = self._weighted(errors, _GAP_WEIGHTS[0])
         way = self._answer(start, matrix, residual, covariance).alpha - start
-        rise = objective(residual - matrix @ way.ravel(), start + way) - least
+        rise = objective.value(start + way, residual - matrix @ way.ravel()) - least
         share = np.sqrt(_INDISTINCT / max(rise, _INDISTINCT))
         limit = np.maximum(gaps, FITS)
         for _ in range(_TRIALS):
             alpha = start + share * way
-            try:
+            with suppress(DataError, SimulatorError):  # a decay without a time
                 here.move(alpha)
-            except (DataError, SimulatorError):
-                pass  # a decay without a time
-            else:
-                inside = objective(here.residual() + offset, alpha) <= most
                 now = here.gaps()
+                inside = objective.value(alpha, here.residual() + offset) <= most
                 if inside and now[0] < gaps[0] and (now <= limit).all():
                     return
             share /= 2
-        here.alpha, here.simulated = start, simulated
+        here.move(start)
 
     def _nearest(self) -> Fitted:
         """Return where the objective is least."""
@@ -432,7 +400,7 @@ class PositionsFit:
                 found = self._with_other_scattering(free, free.scattering)
                 if found is not None:
                     return found
-            self.here.alpha, self.here.simulated = self.room.alpha, self._simulated
+            self.here.move(self.room.alpha)
         return self._with_stated_scattering(guarded=True)
 
     def _with_stated_scattering(self, *, guarded: bool) -> Fitted:
@@ -447,29 +415,25 @@ class PositionsFit:
         path = self._steps(here, errors, scattering, self._no_limit)
         for _ in range(_PASSES):
             scattering, before = self._stated_scattering(), errors.unexplained
-            errors, answer = self._errors(here, scattering), path.steps[-1].model.answer
-            now, start = (
-                _misfit(errors.factor, residual) + _others(answer, alpha)
-                for residual, alpha in (
-                    (here.residual(), here.alpha),
-                    (self._residual, self.room.alpha),
-                )
-            )
+            errors = self._errors(here, scattering)
+            objective = Objective(path.answer, POSITIONS, errors.factor)
+            now = objective.value(here.alpha, here.residual())
+            start = objective.value(self.room.alpha, self._residual)
             begins_right = guarded and bool(np.isfinite(start))
             if begins_right and not (now <= start and (here.gaps() <= self._limit).all()):
-                here.alpha, here.simulated = self.room.alpha, self._simulated
+                here.move(self.room.alpha)
             limit = self._limit if begins_right else self._no_limit
             path = self._steps(here, errors, scattering, limit)
             if np.abs(errors.unexplained - before).max() < _ALIKE:
                 break
         misses = self._gaps[0] > FITS
         for weight in _GAP_WEIGHTS:
-            if not (guarded and misses and np.array_equal(path.end.alpha, self.room.alpha)):
+            if not (guarded and misses and np.array_equal(path.alpha, self.room.alpha)):
                 break
             # The objective falls along its own step and the gap rises: a step may lower both.
             self._steps(here, errors, scattering, self._limit, weight)
             path = self._steps(here, errors, scattering, self._limit)
-        refused = guarded and misses and np.array_equal(path.end.alpha, self.room.alpha)
+        refused = guarded and misses and np.array_equal(path.alpha, self.room.alpha)
         return Fitted(here, path, errors, scattering, refused)
 
     def _with_other_scattering(self, free: Fitted, stated: FittedScattering) -> Fitted | None:
@@ -566,37 +530,23 @@ class PositionsFit:
         scattering: FittedScattering | None,
         limit: Array,
         weight: float = 0.0,
-    ) -> Path:
+    ) -> Fit:
         """Take Gauss-Newton steps from where the here is; it is left where they end.
 
         ``weight`` is that of the squared gap in JND, which the steps lower beside the objective.
         """
-        offset, covariance = _offset(here, scattering), self._weighted(errors, weight)
-
-        def linearised(at: LinearisationPoint) -> LinearisedSimulator:
-            matrix = here.linearised()
-            residual = here.residual() + offset
-            answer = self._answer(at.alpha, matrix, residual, covariance)
-            now = _misfit(errors.factor, residual) + _others(answer, at.alpha)
-            # Else the objective is no measure, nor is the gap.
-            most = limit if np.isfinite(now) else self._no_limit
-            return LinearisedSimulator(here, at, matrix, errors, offset, answer, now, most)
-
-        def settled(step: Taken[LinearisedSimulator]) -> bool:
-            # The whole step counts: one that was shortened to little may be far from the minimum.
-            moved = np.abs(step.model.answer.alpha - step.model.start.alpha)
-            return bool(np.max(moved * self._inverse_sigma) < _SETTLED)
-
-        path = gauss_newton(
-            LinearisationPoint(here.alpha, here.simulated),
-            linearised,
+        path = fit(
+            self._problem,
+            PairsWithErrors(here, errors.covariance, _offset(here, scattering)),
+            here.alpha,
+            term=POSITIONS,
+            method="positions",
+            times=self._times,
             most=STEPS,
-            halvings=_HALVINGS,
-            settled=settled,
-            refuse=True,
+            covariance=self._weighted(errors, weight),
+            allowed=lambda: not (here.gaps() > limit).any(),
         )
-        if path.end.simulated is not None:  # steps that give nothing are refused
-            here.alpha, here.simulated = path.end.alpha, path.end.simulated
+        here.move(path.alpha)
         return path
 
     def _weighted(self, errors: FitErrors, weight: float) -> Array:
@@ -625,37 +575,24 @@ class PositionsFit:
         ``scattering``, is not taken if its objective or its gap is above the start's.
         """
         here, materials = other.here, scattering.materials
-        used, answer = here.used, other.path.steps[-1].model.answer
+        used = here.used
         unknown = materials.covariance[np.ix_(used, used)]
         factor = np.asarray(np.linalg.cholesky(other.errors.covariance - unknown))
+        objective = Objective(other.path.answer, POSITIONS, factor)
 
-        def objective(residual: Array, alpha: Array, log_odds: Array) -> float:
+        def with_scattering(at: Linearisation, log_odds: Array) -> float:
             of_scattering = 0.5 * log_odds @ np.linalg.solve(materials.prior, log_odds)
-            return _misfit(factor, residual) + _others(answer, alpha) + float(of_scattering)
+            return objective.value(at.alpha, at.residual()) + float(of_scattering)
 
-        none = np.zeros(len(materials.traced))
-        value = objective(here.residual(), here.alpha, materials.traced)
-        start = objective(self._residual, self.room.alpha, none)
+        value = with_scattering(here, materials.traced)
+        start = objective.value(self.room.alpha, self._residual)
         if np.isfinite(start) and (value > start or (here.gaps() > self._limit).any()):
             return best
         if best is None or best.scattering is None:
             return other
         traced = best.scattering.materials.traced
-        old = objective(best.here.residual(), best.here.alpha, traced)
+        old = with_scattering(best.here, traced)
         return other if value < old else best
-
-
-def _misfit(factor: Array, residual: Array) -> float:
-    """Return half the squares of a residual over its errors; ``factor`` is their Cholesky factor."""
-    white = solve_triangular(factor, residual, lower=True)
-    return 0.5 * float(white @ white)
-
-
-def _others(answer: CalibrationResult, alpha: Array) -> float:
-    """Return the value of the objective's terms other than the positions; infinite beyond bounds."""
-    others, u = answer.joint.composition.without(POSITIONS), answer.joint.unknowns.copy()
-    u[: others.layout.n_alpha] = alpha[others.layout.first].ravel()
-    return others.value(answer.joint.numbers, u)
 
 
 MORE_PATHS = 4
@@ -775,11 +712,15 @@ def calibrate_positions(
     trace_ahead(simulator, room.alpha, seed)
     able = complete(simulator)
     wanted, of_paths = able.trusted(wanted), able.notes
-    match, notes = _given(simulator, room.alpha, wanted, seed)
-    notes = (*([T30_ALONE] if replaced else []), *notes, *of_paths)
-    first, not_simulated = _first(simulator, room.alpha, match, measured, seed)
+    match, first, not_given = _first(simulator, room.alpha, wanted, measured, seed)
     data = pairs_to_match(room, measured, match, first, exclude)
-    notes = (*without_place(measured, first.pairs), *notes, *not_simulated, *repeated)
+    notes: tuple[str, ...] = (
+        *without_place(measured, first.pairs),
+        *([T30_ALONE] if replaced else []),
+        *not_given,
+        *of_paths,
+        *repeated,
+    )
     if stated := in_words(room):
         notes = (*notes, f"The room is uncertain, and that counts: {stated}.")
     _refuse_one_place(simulator, data.observations.pairs, position_uncertainty)
@@ -788,13 +729,6 @@ def calibrate_positions(
     if groups is not None and tracer is not None:
         _tell_noise(groups, match, tracer)
     if controls is None:
-        finished: list[int] = []
-
-        def tell(done: int, total: int) -> None:
-            finished.append(done)
-            if progress is not None:
-                progress(done, total)
-
         controls = simulated_controls(
             simulator,
             room,
@@ -802,17 +736,15 @@ def calibrate_positions(
             seed=seed,
             position_uncertainty=position_uncertainty,
             cache=cache,
-            progress=tell,
+            progress=progress,
         )
-        if controls is not None and not finished:  # they were kept
-            tell(control_runs.RUNS, control_runs.RUNS)
     in_room = measurement_in_room_bands(measured, room.centre_frequencies)
     here = Linearisation(simulator, data, first, room.alpha, seed)
     before = here.values()
     prior = prior_covariance(room)
     error, by_scattering = simulator_error(here, controls, fit_scattering)
     beyond = beyond_prior(here, room, prior, error)
-    fit = PositionsFit(
+    ended = PositionsFit(
         here,
         room,
         calibration,
@@ -821,22 +753,26 @@ def calibrate_positions(
         error,
         None if beyond else by_scattering,
     ).run()
-    here, path = fit.here, fit.path
-    last = path.steps[-1].model.matrix
+    here, path = ended.here, ended.path
+    last = path.steps[-1].matrix
     scattering, start = None, None if tracer is None else tracer.scattering
-    if fit.scattering is not None and tracer is not None:
-        weighed, materials = fit.scattering.tracer, fit.scattering.materials
+    if ended.scattering is not None and tracer is not None:
+        weighed, materials = ended.scattering.tracer, ended.scattering.materials
         given = tracer = replace(
             tracer, scattering=weighed.scattering, scattering_model=weighed.scattering_model
         )
-        unknown = fit.errors.covariance + last @ prior @ last.T
+        unknown = ended.errors.covariance + last @ prior @ last.T
         posterior = materials.posterior(here.used, unknown)
         scattering = fitted(tracer, materials.traced, posterior)
     elif fit_scattering and tracer is not None:
         notes = (*notes, _kept(tracer, beyond))
+    others = [p for p in first.parameters if p not in data.observations.parameters]
+    # A relative level has no reference at a pair that is left out.
+    judged = [p for p in data.observations.parameters if p != LEVEL.key]
+    held_out = Beside.of(in_room, judged, exclude, first, here.simulated)
     return PositionsResult(
         prior=room,
-        room=room if fit.refused else _calibrated(room, given, scattering, fit, data, controls),
+        room=room if ended.refused else _calibrated(room, given, scattering, ended, data, controls),
         simulator=_named(given, scattering),
         tracer=given,
         weighed=precise(given, more_paths),
@@ -845,41 +781,38 @@ def calibrate_positions(
         start=start,
         simulations=here.calls,
         measured=data,
-        beside=Beside.of(in_room, data.observations, first, here.simulated),
-        held_out=Beside.at_pairs(in_room, data.observations, exclude, first, here.simulated),
+        beside=Beside.of(in_room, others, data.observations.pairs, first, here.simulated),
+        held_out=held_out if held_out.parameters else None,
         before=replace(data.observations, values=before),
         after=replace(data.observations, values=here.values()),
-        predicted=_predicted(fit, with_error=controls is not None),
+        predicted=_predicted(ended, with_error=controls is not None),
         controls=controls,
-        unexplained=fit.errors.unexplained,
-        innovation=fit.residual + last @ (here.alpha - room.alpha).ravel(),
-        covariance=fit.errors.covariance,
+        unexplained=ended.errors.unexplained,
+        innovation=ended.residual + last @ (here.alpha - room.alpha).ravel(),
+        covariance=ended.errors.covariance,
         prior_covariance=prior,
-        steps=tuple(
-            GaussNewtonStep(s.model.start.alpha, s.model.matrix, float(s.share[0]), s.model.answer)
-            for s in path.steps
-        ),
+        steps=path.steps,
         settled=path.settled,
-        refused=fit.refused,
+        refused=ended.refused,
         beyond=beyond,
         notes=(*notes, *data.notes, *base.lost_paths(simulator)),
     )
 
 
-def _predicted(fit: Fitted, *, with_error: bool) -> Observations:
+def _predicted(ended: Fitted, *, with_error: bool) -> Observations:
     """Return the values at every position, with the simulator's error as the measured pairs tell it.
 
     The error's mean given the residual r at the measured pairs: D_all (R + D)⁻¹ r, D_all its
     covariance between all values and those used.
     """
-    simulated, values = fit.here.simulated, fit.here.everywhere()
+    simulated, values = ended.here.simulated, ended.here.everywhere()
     if with_error:
-        error = fit.errors.simulator @ fit.pull
-        if fit.scattering is not None:
-            error = error + fit.scattering.materials.back
+        error = ended.errors.simulator @ ended.pull
+        if ended.scattering is not None:
+            error = error + ended.scattering.materials.back
         values = values + error.reshape(values.shape)
     return Observations(
-        parameters=fit.here.data.observations.parameters,
+        parameters=ended.here.data.observations.parameters,
         pairs=simulated.pairs,
         centre_frequencies=simulated.centre_frequencies,
         values=values,
@@ -890,7 +823,7 @@ def _calibrated(
     room: Room,
     simulator: Simulator,
     scattering: Scattering | None,
-    fit: Fitted,
+    ended: Fitted,
     data: MeasuredPairs,
     controls: ControlRuns | None,
 ) -> Room:
@@ -898,7 +831,7 @@ def _calibrated(
 
     It has the scattering coefficients of a `PathTracing` and their meaning, too.
     """
-    answer = fit.path.steps[-1].model.answer
+    answer = ended.path.answer
     record = CalibrationRecord(
         method="positions",
         equation=f"every position heard by {_named(simulator, scattering)}",
@@ -911,48 +844,39 @@ def _calibrated(
         room = room.replace(
             scattering=simulator.scattering, scattering_model=simulator.scattering_model
         )
-    alpha = np.clip(fit.here.alpha, 0.0, 1.0)
+    alpha = np.clip(ended.here.alpha, 0.0, 1.0)
     return room.replace(alpha=alpha, sigma=sigma, calibration=record)
-
-
-def _given(
-    simulator: Simulator, alpha: Array, match: Sequence[str], seed: int
-) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Return the parameters that the simulator gives, and a note of those that it does not."""
-    match = base.checked_parameters(match)
-    if isinstance(simulator, DifferentiableSimulator):
-        return match, ()
-    simulated = base.run(simulator, alpha, seed=seed)
-    given = tuple(p for p in match if p in base.given(simulated))
-    if not given:
-        raise SimulatorError(
-            f"{simulator.name} gives none of {', '.join(map(parameter_label, match))}"
-        )
-    absent = [parameter_label(p) for p in match if p not in given]
-    note = f"Left out, since the simulator does not give it: {', '.join(absent)}."
-    return given, (note,) if absent else ()
 
 
 def _first(
     simulator: Simulator, alpha: Array, match: tuple[str, ...], measured: Measurement, seed: int
-) -> tuple[Observations, tuple[str, ...]]:
-    """Return the simulated values with the prior, also of what was measured and is not matched.
+) -> tuple[tuple[str, ...], Observations, tuple[str, ...]]:
+    """Return the parameters that are matched, and the simulated values with the prior.
 
-    A note names what the simulator does not give of that.
+    Those are also of what was measured and is not matched. Notes name what the simulator does not give.
     """
     more = [p for p in measured_beside(measured) if p not in match]
-    if not isinstance(simulator, DifferentiableSimulator):
-        simulated = base.run(simulator, alpha, seed=seed)
-        given = [p for p in more if p in base.given(simulated)]
-        return Observations.of_measurement(simulated, (*match, *given), simulated.pairs), ()
-    try:
-        return observe(simulator, alpha, (*match, *more), seed=seed), ()
-    except DataError:
-        if not more:
-            raise
-        without = observe(simulator, alpha, match, seed=seed)
-    names = ", ".join(map(parameter_label, more))
-    return without, (f"Not shown, since the simulated decays do not hold it: {names}.",)
+    if isinstance(simulator, DifferentiableSimulator):
+        try:
+            return match, observe(simulator, alpha, (*match, *more), seed=seed), ()
+        except DataError:
+            if not more:
+                raise
+        names = ", ".join(map(parameter_label, more))
+        note = f"Not shown, since the simulated decays do not hold it: {names}."
+        return match, observe(simulator, alpha, match, seed=seed), (note,)
+    simulated = base.run(simulator, alpha, seed=seed)
+    given = base.given(simulated)
+    kept = tuple(p for p in match if p in given)
+    if not kept:
+        raise SimulatorError(
+            f"{simulator.name} gives none of {', '.join(map(parameter_label, match))}"
+        )
+    shown = (*kept, *(p for p in more if p in given))
+    first = Observations.of_measurement(simulated, shown, simulated.pairs)
+    absent = ", ".join(parameter_label(p) for p in match if p not in given)
+    note = f"Left out, since the simulator does not give it: {absent}."
+    return kept, first, (note,) if absent else ()
 
 
 def _refuse_one_place(simulator: Simulator, pairs: Sequence[Pair], uncertainty: float) -> None:

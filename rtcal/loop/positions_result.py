@@ -58,8 +58,8 @@ from rtcal.acoustics.priors import NORMAL_90
 from rtcal.acoustics.room import Room
 from rtcal.acoustics.room_errors import Assumptions, value_changes
 from rtcal.acoustics.scene import POSITION, checked_uncertainty
+from rtcal.calibration.fit import Step
 from rtcal.calibration.qp import Certificate
-from rtcal.calibration.result import CalibrationResult
 from rtcal.calibration.table import coefficients
 from rtcal.files.disk import json_numbers
 from rtcal.files.saved import Result
@@ -359,24 +359,6 @@ def quantiles(
     return low, high, sampled
 
 
-def gap_rows(
-    pairs: Sequence[Pair], before: Array, after: Array
-) -> list[tuple[str, list[tuple[float, float]]]]:
-    """Return the name of each pair and of all, with the rms gap before and after by parameter.
-
-    Gaps are (n_parameters, n_pairs, n_bands) in JND.
-    """
-    every = [(" to ".join(pair), [i]) for i, pair in enumerate(pairs)]
-    every.append(("all", list(range(len(pairs)))))
-    ends = [
-        [rms(gap[:, some], axis=(1, 2)).tolist() for gap in (before, after)] for _, some in every
-    ]
-    return [
-        (name, list(zip(*of_some, strict=True)))
-        for (name, _), of_some in zip(every, ends, strict=True)
-    ]
-
-
 def gap_table(
     parameters: Sequence[str],
     pairs: Sequence[Pair],
@@ -385,15 +367,19 @@ def gap_table(
     title: str = "rms gap / JND",
     misfit: Array | None = None,
 ) -> Table:
-    """Return the table of `gap_rows`, with the misfit (n_pairs,) of each pair where it is given."""
+    """Return the rms gap before and after by parameter, of each pair and of all.
+
+    Gaps are (n_parameters, n_pairs, n_bands) in JND; ``misfit`` (n_pairs,) has a column of its own.
+    """
     columns = [parameter_label(p) for p in parameters]
     own: list[list[str]] = [[]] * (len(pairs) + 1)
     if misfit is not None:
         columns, own = [*columns, "misfit"], [[m] for m in (*text.numbers(misfit, ".1f"), "-")]
-    rows = [
-        Row(name, [*(" to ".join(text.numbers(ends, ".1f")) for ends in cells), *more])
-        for (name, cells), more in zip(gap_rows(pairs, before, after), own, strict=True)
-    ]
+    rows = []
+    for i, more in enumerate(own):
+        name, chosen = ("all", slice(None)) if i == len(pairs) else (" to ".join(pairs[i]), [i])
+        ends = zip(*(rms(gap[:, chosen], axis=(1, 2)) for gap in (before, after)), strict=True)
+        rows.append(Row(name, [*(" to ".join(text.numbers(e, ".1f")) for e in ends), *more]))
     return Table(columns, rows, corner=title)
 
 
@@ -1058,21 +1044,6 @@ _FARTHER = 0.5
 """JND: the noise of a tracing. A larger rise of the mean gap is the calibration's."""
 
 
-@dataclass(frozen=True, eq=False)
-class GaussNewtonStep:
-    """A Gauss-Newton step.
-
-    ``alpha`` (n_materials, n_bands) is where the simulator was linearised, ``matrix`` (n_used,
-    n_materials * n_bands) are the derivatives there, ``share`` is how much of the way to the
-    ``answer`` of the QP was gone.
-    """
-
-    alpha: Array
-    matrix: Array
-    share: float
-    answer: CalibrationResult
-
-
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class PositionsResult(Result):
     """A simulator calibrated to the values at every position.
@@ -1152,7 +1123,7 @@ class PositionsResult(Result):
     innovation: Array
     covariance: Array
     prior_covariance: Array
-    steps: tuple[GaussNewtonStep, ...]
+    steps: tuple[Step, ...]
     settled: bool
     notes: tuple[str, ...]
     refused: bool = False

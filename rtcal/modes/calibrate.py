@@ -10,10 +10,7 @@ linearised at the last answer. Below the Schroeder frequency no field is diffuse
 there it is some 1.3 times an equation's, since modes along walls decay slowly. C is the sum
 of what was measured, of the model, and of what admittance does between the bands (`rtcal.modes.model`).
 
-Where modes overlap, responses alone do not say how many there are. The room does: its calculated modes
-have poles, and patterns over the positions (`rtcal.modes.model`), which are fitted (`rtcal.modes.fit`).
-What is returned of each mode is what the responses say of it: its posterior, less its own prior. A mode
-of which they say too little is left out, and so is one that is nearer to another calculated mode.
+Modes are found in responses by `rtcal.modes.responses`.
 """
 
 from __future__ import annotations
@@ -21,30 +18,37 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rtcal.acoustics import band_conversion
+from rtcal.acoustics import band_conversion, bands
 from rtcal.acoustics.bands import mid_frequency_time, schroeder_frequency
 from rtcal.acoustics.equations import Eyring, LinearEquation
+from rtcal.acoustics.marks import Plausibility, TrustMark, explained, mark, plausibility
 from rtcal.acoustics.measurement import Measurement
-from rtcal.acoustics.room import Room, refuse_repeated_data
-from rtcal.calibration.measured import MeasuredTimes, no_times, times_in_room
-from rtcal.calibration.methods import gauss_newton, preset
-from rtcal.calibration.problem import Calibration, CalibrationProblem, Times
+from rtcal.acoustics.room import CalibrationRecord, Room, refuse_repeated_data
+from rtcal.acoustics.room_errors import prior_covariance
+from rtcal.calibration.fit import Step, fit
+from rtcal.calibration.measured import MeasuredTimes, data_history, no_times, times_in_room
+from rtcal.calibration.methods import preset
+from rtcal.calibration.problem import Calibration, Times
+from rtcal.calibration.qp import Certificate
 from rtcal.calibration.result import CalibrationResult
+from rtcal.calibration.table import coefficients
 from rtcal.calibration.terms import LinearObservations, Observed, as_objective
+from rtcal.files.disk import json_numbers
+from rtcal.files.saved import Result
 from rtcal.io.sofa import Responses
-from rtcal.io.sound import clipped_samples
-from rtcal.modes.fit import AMPLITUDE, FARTHEST, Point, Spectra, fitted
-from rtcal.modes.measured import DECAY_ERROR, Matches, MeasuredModes, match
+from rtcal.modes.measured import Matches, MeasuredModes, match
 from rtcal.modes.model import ABOVE, RoomPoles
-from rtcal.modes.result import ModesResult
+from rtcal.modes.responses import modes_in
+from rtcal.modes.room_modes import DECAY
 from rtcal.simulators.geometry import Polyhedron
-from rtcal.support import checks
+from rtcal.support import __version__, blocks, checks, text
+from rtcal.support.blocks import Block, Note, Row, Table
 from rtcal.support.errors import DataError
-from rtcal.support.speed import single_threaded_blas
 from rtcal.support.text import as_sentence
 from rtcal.support.types import Array
 
@@ -130,18 +134,27 @@ def calibrate_modes(
     of_model = np.hypot(MODEL_ERROR, modes.decays / (2 * np.pi * modes.frequencies))[used]
     covariance = remainder + np.diag(modes.decay_uncertainty[used] ** 2 + (of_model * decays) ** 2)
 
-    path = gauss_newton(
+    data, deviation = Decays(own, modes.decays[used], covariance), np.sqrt(np.diag(covariance))
+
+    def settled(step: Step, end: Array) -> bool:
+        moved = step.matrix @ (end - step.alpha).ravel()
+        off = data.predict(end) - data.predict(step.alpha) - moved
+        return bool(np.max(np.abs(off) / deviation) < _SETTLED)
+
+    path = fit(
+        problem,
+        data,
         room.alpha,
-        lambda alpha: _Linearised(problem, own, modes.decays[used], covariance, t, alpha),
+        term=MODES,
+        method="modes",
+        times=t,
         most=_STEPS,
-        halvings=3,
-        settled=lambda step: step.model.error(step.model.towards(step.share)) < _SETTLED,
+        settled=settled,
     )
-    last = path.steps[-1].model
     return ModesResult(
         prior=room,
-        alpha=np.clip(path.end, 0.0, 1.0),
-        answer=last.answer,
+        alpha=np.clip(path.alpha, 0.0, 1.0),
+        answer=path.answer,
         modes=modes,
         used=used,
         matched=found.calculated,
@@ -149,9 +162,7 @@ def calibrate_modes(
         scale=found.scale,
         frequencies=every.frequencies,
         decays_before=every.decays,
-        decays_after=model.poles(path.end).decays,
-        matrix=last.observed.matrix,
-        covariance=last.observed.covariance,
+        decays_after=model.poles(path.alpha).decays,
         below=low,
         data=times,
         steps=len(path.steps),
@@ -161,53 +172,23 @@ def calibrate_modes(
 
 
 @dataclass(frozen=True, eq=False)
-class _Linearised:
-    """The decays, linearised at ``alpha``, beside those measured; T above the Schroeder frequency.
+class Decays:
+    """The decays of modes as an `Observation`, in 1/s.
 
-    ``covariance`` is that of measured less modelled decays in 1/s², with the prior's slopes.
+    ``covariance`` is that of measured less modelled decays, with the prior's slopes.
     """
 
-    problem: CalibrationProblem[CalibrationResult]
     model: RoomPoles
-    measured: Array
+    values: Array
     covariance: Array
-    times: Times | None
-    alpha: Array
 
-    @cached_property
-    def observed(self) -> Observed:
-        """The linearised decays as an observation of alpha."""
-        decays, matrix, _ = self.model.linear(self.alpha)
-        values = self.measured - decays + matrix @ self.alpha.ravel()
-        return Observed(matrix=matrix, values=values, covariance=self.covariance)
+    def predict(self, alpha: Array) -> Array:
+        """Return the modelled decays, (n_used,)."""
+        return self.model.linear(alpha)[0]
 
-    @cached_property
-    def answer(self) -> CalibrationResult:
-        """The answer of the QP."""
-        return self.problem.solve(self.times, observed={MODES: self.observed}, method="modes")
-
-    def towards(self, share: Array) -> Array:
-        """Return alpha at this share of the way to the answer."""
-        return np.asarray(self.alpha + float(share[0]) * (self.answer.alpha - self.alpha))
-
-    def worse(self, end: Array) -> NDArray[np.bool_]:
-        """Return whether the decays themselves are farther from those measured than at the start.
-
-        The prior pulls too: the misfit may rise to the linear answer's own.
-        """
-        now, there = (self.measured - self.model.linear(a)[0] for a in (self.alpha, end))
-        off = np.column_stack([now, self._left(end), there])
-        misfit = (off * np.linalg.solve(self.covariance, off)).sum(axis=0) / 2
-        return np.array([misfit[2] > max(misfit[:2]) + 0.5])
-
-    def error(self, end: Array) -> float:
-        """Return the largest error of the linearised decays at ``end``, in their uncertainty."""
-        off = np.abs(self.measured - self.model.linear(end)[0] - self._left(end))
-        return float((off / np.sqrt(np.diag(self.covariance))).max())
-
-    def _left(self, end: Array) -> Array:
-        """Return measured less linearised decays at ``end``."""
-        return np.asarray(self.observed.values - self.observed.matrix @ end.ravel())
+    def jacobian(self, alpha: Array) -> Array:
+        """Return their derivatives, (n_used, n_materials * n_bands)."""
+        return self.model.linear(alpha)[1]
 
 
 def _notes(
@@ -239,167 +220,299 @@ def below_schroeder(room: Room, times: MeasuredTimes) -> NDArray[np.bool_]:
     return np.asarray(~(room.centre_frequencies >= limit))  # without T the limit is NaN
 
 
-HIGHEST = 150.0  # Hz, where none is stated
-LARGEST_ERROR = 0.5  # largest relative uncertainty of a decay that is used
-UNEXPLAINED = 0.2
-"""Share of the responses' power, or of the amplitudes', from which these are not the room's modes.
+KIND = "modes 1"
+CARRIED = 3
+"""Modes from which a band's mark falls away: in it, or for the lowest one up to an octave below."""
+_HEADER = ["mode / Hz", "T / s", "before", "after", "tells most of"]
+P_MODES = 0.01
+"""p-value of the modes below which they and what was stated contradict each other."""
+_ALIKE = 0.02  # share of the largest by which walls that a mode tells as much of may differ
+_FACTOR_Z = 3.0  # standard deviations of all decays together from what was stated, that are told
 
-In seven rooms with their own positions at most 2 % of the amplitudes' were unexplained. With receivers
-exchanged or a time axis 20 ms late it was 33 % or more.
-"""
-_INFLATED = 1.5  # uncertainty over what independent errors give: what is left is no white noise
 
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class ModesResult(Result):
+    """A room calibrated to the decays of its modes.
 
-@single_threaded_blas()
-def find_modes(
-    room: Room,
-    responses: Array,
-    rate: float,
-    pairs: Sequence[tuple[str, str]],
-    *,
-    lowest: float = 20.0,
-    highest: float = HIGHEST,
-    geometry: Polyhedron | None = None,
-) -> MeasuredModes:
-    """Find the modes of a room in impulse responses at several positions.
-
-    Parameters
+    Attributes
     ----------
-    room : Room
-        It states geometry and positions. Its coefficients are where the search begins.
-    responses : array (n_pairs, n_samples)
-        All in one unit and on one time axis, which begins as the sound does.
-    rate : float
-        Samples per second.
-    pairs : sequence of (source, receiver)
-        Names of the positions in the room's scene.
-    lowest, highest : float
-        Hz within which modes are sought.
-    geometry : Polyhedron, optional
-        In place of the room's scene.
-
-    Raises
-    ------
-    DataError
-        For fewer than two pairs, a pair that stands there twice, a shape or value that breaks its rule,
-        a clipped response, noise that leaves no decay, responses that the room's modes do not explain,
-        frequencies at the end of what is sought, or no mode that is sure enough.
+    prior : Room
+        The room as it was given.
+    alpha : array (n_materials, n_bands)
+        The calibrated coefficients.
+    answer : CalibrationResult
+        Of the last step's QP.
+    modes : MeasuredModes
+    used, matched : int arrays (n_used,)
+        Measured modes that were used, and the calculated modes that they are.
+    probability : array (n_used,)
+        Of each match.
+    scale : float
+        Measured over calculated frequencies, all modes together.
+    frequencies, decays_before, decays_after : array (n_calculated,)
+        Of all calculated modes: frequencies in Hz and decays with the prior, and decays with the
+        calibrated coefficients, in 1/s.
+    below : bool array (n_bands,)
+        Bands below the Schroeder frequency, in which T is not used.
+    data : MeasuredTimes
+        The measured T.
+    steps : int
+    settled : bool
+    notes : tuple of str
     """
-    pairs = checks.pairs("pairs", pairs)
-    signals = _checked(responses, rate, pairs, lowest, highest)
-    # By a power of two, so that no digit changes.
-    size = float(2.0 ** np.frexp(np.abs(signals).max())[1])
-    model = RoomPoles.of(room, ABOVE * highest, geometry)
-    heard = Spectra.of(signals / size, rate, lowest, highest)
-    fit = fitted(heard, model.calculated, model.amplitudes(pairs))
-    if max(fit.unexplained, fit.strange) > UNEXPLAINED:
-        raise DataError(
-            f"the room's modes leave {fit.unexplained:.0%} of the responses' power unexplained, and "
-            f"{fit.strange:.0%} of the amplitudes over the positions: check dimensions, positions, "
-            "temperature and that the time axis begins as the sound does"
+
+    record_kind: ClassVar[str] = KIND
+
+    prior: Room
+    alpha: Array
+    answer: CalibrationResult
+    modes: MeasuredModes
+    used: NDArray[np.intp]
+    matched: NDArray[np.intp]
+    probability: Array
+    scale: float
+    frequencies: Array
+    decays_before: Array
+    decays_after: Array
+    below: NDArray[np.bool_]
+    data: MeasuredTimes
+    steps: int
+    settled: bool
+    notes: tuple[str, ...]
+
+    @property
+    def measured(self) -> Array:
+        """Measured decays of the modes used in 1/s, (n_used,)."""
+        return self.modes.decays[self.used]
+
+    @property
+    def before(self) -> Array:
+        """Their decays with the prior in 1/s, (n_used,)."""
+        return self.decays_before[self.matched]
+
+    @property
+    def after(self) -> Array:
+        """Their decays with the calibrated coefficients in 1/s, (n_used,)."""
+        return self.decays_after[self.matched]
+
+    @cached_property
+    def linearised(self) -> Observed:
+        """The decays linearised at the last step, and the covariance of their errors, in 1/s."""
+        return (self.answer.joint.observed or {})[MODES]
+
+    @property
+    def sigma(self) -> Array:
+        """Posterior standard deviation of alpha, (n_materials, n_bands), before the bounds."""
+        return self.answer.posterior_sigma
+
+    @property
+    def interval(self) -> tuple[Array, Array]:
+        """Ends of the 90 % interval of alpha within its bounds, each (n_materials, n_bands)."""
+        low, high = self.answer.joint.gaussian_interval
+        return np.minimum(low, self.alpha), np.maximum(high, self.alpha)
+
+    @property
+    def certificate(self) -> Certificate:
+        """Error bounds of the last step's QP."""
+        return self.answer.certificate
+
+    @cached_property
+    def room(self) -> Room:
+        """The room with calibrated coefficients, their posterior sigma, and a record."""
+        record = CalibrationRecord(
+            method="modes",
+            equation=self.answer.equation.name,
+            measured=f"{data_history(self.prior, self.data)} {self.modes.fingerprint}",
+            solver=self.answer.solver,
+            version=__version__,
         )
-    if abs(fit.problem.scale - 1) > 0.99 * FARTHEST:
-        raise DataError(
-            f"frequencies are {fit.problem.scale:.3f} times those calculated or beyond, where the "
-            "search ends: check dimensions and temperature"
+        return self.prior.replace(
+            alpha=self.alpha, sigma=np.minimum(self.sigma, 1.0), calibration=record
         )
-    told = _told(fit, model.modes.largest, lowest, highest)
-    return replace(told, amplitudes=size * fit.own[told.calculated])
 
+    @cached_property
+    def plausibility(self) -> Plausibility:
+        """Distance of the measured decays from those of the prior: z of each mode used, and Q.
 
-def modes_in(room: Room, responses: Responses, geometry: Polyhedron | None) -> MeasuredModes:
-    """Return the modes of a SOFA file's responses, of the first channel; errors as `find_modes`.
+        Of the decays linearised at the last answer; the covariance is the prior's and the decays' own.
+        """
+        return plausibility(*self._off, bound_active=False)
 
-    A pair that was measured several times counts once.
-    """
-    first: dict[tuple[str, str], Array] = {}
-    placed, note = responses.placed(room.scene)
-    for pair, samples in zip(placed.pairs, placed.samples, strict=True):
-        first.setdefault(pair, samples[0])
-    heard = np.array([*first.values()])
-    rate, top = placed.sampling_rate, min(HIGHEST, placed.sampling_rate / 2.5)
-    modes = find_modes(room, heard, rate, [*first], highest=top, geometry=geometry)
-    return replace(modes, notes=[*modes.notes, *filter(None, [note])])
+    @property
+    def _off(self) -> tuple[Array, Array]:
+        """Measured less prior decays in 1/s, (n_used,), and their covariance."""
+        matrix = self.linearised.matrix
+        moved = matrix @ (self.alpha - self.prior.alpha).ravel()
+        spread = matrix @ prior_covariance(self.answer.prior) @ matrix.T
+        return self.measured - self.after + moved, spread + self.linearised.covariance
 
+    @cached_property
+    def strangest(self) -> int:
+        """The mode without which Q falls most, by its place among those used."""
+        off, covariance = self._off
+        inverse = np.linalg.inv(covariance)
+        return int(np.argmax((inverse @ off) ** 2 / np.diag(inverse)))
 
-def _checked(
-    responses: Array, rate: float, pairs: Sequence[tuple[str, str]], lowest: float, highest: float
-) -> Array:
-    signals = checks.array("responses", responses)
-    rate = checks.positive("rate", rate, "Hz")
-    if signals.ndim != 2 or signals.shape[0] != len(pairs):
-        raise DataError(
-            f"responses has shape {signals.shape}; with {len(pairs)} pairs it is ({len(pairs)}, "
-            "n_samples)"
+    @cached_property
+    def told(self) -> Array:
+        """Sensitivity of each mode to each material, (n_used, n_materials).
+
+        Change of its decay in its uncertainty by one prior sigma of the coefficients in all bands.
+        """
+        by_sigma = self.linearised.matrix.reshape(-1, *self.prior.alpha.shape) * self.prior.sigma
+        own = np.sqrt(np.diag(self.linearised.covariance))
+        return np.asarray(np.abs(by_sigma.sum(axis=2)) / own[:, np.newaxis])
+
+    @cached_property
+    def reach(self) -> tuple[Array, Array]:
+        """Frequencies in Hz from and up to which modes carry each band, (n_bands,) each."""
+        centres = self.prior.centre_frequencies
+        between = np.sqrt(centres[1:] * centres[:-1])
+        ends = np.concatenate([[centres[0] / 2], between, [centres[-1] * np.sqrt(2)]])
+        return ends[:-1], ends[1:]
+
+    @cached_property
+    def carried(self) -> NDArray[np.bool_]:
+        """Bands below the Schroeder frequency that at least three used modes carry, (n_bands,)."""
+        (low, high), f = self.reach, self.modes.frequencies[self.used]
+        near = (f >= low[:, np.newaxis]) & (f < high[:, np.newaxis])
+        own = near & (f >= self.prior.centre_frequencies[:, np.newaxis] / np.sqrt(2))
+        return np.asarray(self.below & (near.sum(axis=1) >= CARRIED) & own.any(axis=1))
+
+    @property
+    def trust_marks(self) -> tuple[TrustMark, ...]:
+        """Reasons to doubt bands: below the Schroeder frequency only where no modes carry them."""
+        centres = self.prior.centre_frequencies
+        # The QP was not told the T of these.
+        untold = self.below & np.isfinite(self.data.reverberation_time)
+        marks = [
+            m
+            for m in self.answer.trust_marks
+            if not (m.kind == "missing" and m.frequency in centres[untold | self.carried])
+        ]
+        return (*self.own_marks, *marks, *self.uncarried(untold & ~self.carried))
+
+    def uncarried(self, chosen: NDArray[np.bool_]) -> tuple[TrustMark, ...]:
+        """Return the marks of chosen bands, (n_bands,), which too few modes carry."""
+        ends = zip(self.prior.centre_frequencies, *self.reach, strict=True)
+        return tuple(
+            mark(
+                "below_schroeder",
+                float(f),
+                "below the Schroeder frequency, and fewer than three of the modes used lie from "
+                f"{low:.0f} to {high:.0f} Hz, or none in the band itself",
+            )
+            for (f, low, high), few in zip(ends, chosen, strict=True)
+            if few
         )
-    if len(pairs) < 2:
-        raise DataError(f"responses has {len(pairs)} pair; modes need 2, of different positions")
-    if len(set(pairs)) < len(pairs):
-        twice = next(p for k, p in enumerate(pairs) if p in pairs[:k])
-        raise DataError(f"pairs: {' to '.join(twice)} stands there twice; average its responses")
-    if not np.isfinite(signals).all():
-        raise DataError("responses has a value that is not finite")
-    if not 0 < lowest < highest <= rate / 2.5:
-        raise DataError(
-            f"lowest = {lowest:g} Hz and highest = {highest:g} Hz are not in order above 0 and up to "
-            f"rate / 2.5 = {rate / 2.5:g} Hz"
+
+    @property
+    def own_marks(self) -> tuple[TrustMark, ...]:
+        """Reasons to doubt the modes themselves."""
+        found, (off, covariance) = self.plausibility, self._off
+        pulled = np.linalg.solve(covariance, self.before)
+        together = float(pulled @ off / (pulled @ self.before))
+        z = together * float(np.sqrt(pulled @ self.before))
+        if found.p_value is None or (found.p_value >= P_MODES and abs(z) < _FACTOR_Z):
+            return ()
+        f, p = float(self.modes.frequencies[self.used[self.strangest]]), found.p_value
+        text = (
+            f"decays of {len(self.used)} modes have Q = {found.q:.1f}, p = {p:.1g}; {f:.1f} Hz "
+            f"contributes most; together they are {1 + together:.2g} times as fast as stated "
+            f"coefficients make them (z = {z:.1f})"
         )
-    if signals.shape[1] < rate:
-        raise DataError(
-            f"responses are {signals.shape[1] / rate:.2f} s long; low modes need at least 1 s"
+        return (mark("implausible_modes", None, text),)
+
+    def __repr__(self) -> str:
+        return f"<{self._description}>"
+
+    @property
+    def _description(self) -> str:
+        return (
+            f'ModesResult of "{text.shortened(self.prior.name)}": {len(self.used)} of '
+            f"{len(self.modes.frequencies)} measured modes used, {self.steps} steps"
         )
-    for pair, signal in zip(pairs, signals, strict=True):
-        if not signal.any():
-            raise DataError(f"the response of {' to '.join(pair)} is silent")
-        if clipped_samples(signal):
-            raise DataError(f"the response of {' to '.join(pair)} is clipped")
-    return signals
 
+    @property
+    def mode_rows(self) -> list[tuple[str, list[str]]]:
+        """Each mode used: frequency in Hz; T, T before and after in s, and what it tells most of."""
+        most = self.told >= (1 - _ALIKE) * self.told.max(axis=1, keepdims=True)
+        shown = zip(self.used, self.measured, self.before, self.after, most, strict=True)
+        return [
+            (
+                f"{self.modes.frequencies[i]:.1f}",
+                [
+                    f"{DECAY / d:.2f} ± {DECAY / d**2 * self.modes.decay_uncertainty[i]:.2f}",
+                    f"{DECAY / before:.2f}",
+                    f"{DECAY / after:.2f}",
+                    ", ".join(self.prior.materials[int(m)] for m in np.flatnonzero(walls)),
+                ],
+            )
+            for i, d, before, after, walls in shown
+        ]
 
-def _told(fit: Point, largest: float, lowest: float, highest: float) -> MeasuredModes:
-    """Return what the responses say of each mode, without what was believed of it before."""
-    n = len(fit.frequencies)
-    variance = np.diag(fit.covariance)
-    after, before = variance[n:], DECAY_ERROR**2
-    precision = np.maximum(1 / after - 1 / before, 1e-9)
-    log_decay = (fit.log_decays / after - fit.problem.prior[n:] / before) / precision
-    relative = _INFLATED / np.sqrt(precision)
-    sure = relative < LARGEST_ERROR
-    own = _own(fit)
-    inside = (fit.frequencies >= lowest) & (fit.frequencies <= highest)
-    chosen = np.flatnonzero(sure & own & inside)
-    if not len(chosen):
-        raise DataError("no mode is sure enough: measure at more positions, or with less noise")
-    chosen = chosen[np.argsort(fit.frequencies[chosen], kind="stable")]
-    notes = [
-        f"Modes of {fit.own.shape[1]} pairs: {len(chosen)} of {int(inside.sum())} calculated from "
-        f"{lowest:g} to {highest:g} Hz were heard. Together they leave {fit.unexplained:.1%} of the "
-        f"responses' power, and the patterns {fit.strange:.1%} of the amplitudes'."
-    ]
-    for some, why in (
-        (inside & ~sure, "the responses say too little of them"),
-        (inside & sure & ~own, "nearer to another calculated mode"),
-    ):
-        if some.any():
-            where = ", ".join(f"{f:.1f}" for f in fit.frequencies[some])
-            notes.append(f"Left out, since {why}: {where} Hz.")
-    decays = np.exp(log_decay[chosen])
-    return MeasuredModes(
-        frequencies=fit.frequencies[chosen],
-        decays=decays,
-        decay_uncertainty=relative[chosen] * decays,
-        frequency_uncertainty=np.maximum(_INFLATED * np.sqrt(variance[chosen]), 1e-3),
-        calculated=chosen,
-        largest=largest,
-        notes=notes,
-    )
+    def __str__(self) -> str:
+        parts = (x[:, self.below] for x in (self.prior.alpha, self.alpha, *self.interval))
+        cells = [
+            [f"{a:.2f} > {b:.2f} ({c:.2f}-{d:.2f})" for a, b, c, d in zip(*row, strict=True)]
+            for row in zip(*parts, strict=True)
+        ]
+        low = bands.labels(self.prior.centre_frequencies[self.below])
+        rows = [Row(m, c) for m, c in zip(self.prior.materials, cells, strict=True)]
+        first, *rest = self.blocks()
+        return "\n".join(blocks.lines([first, Table(low, rows, corner="alpha (90 %)"), *rest]))
 
+    def _repr_html_(self) -> str:
+        """Return the table of the modes."""
+        return blocks.notebook(self._description, self.blocks())
 
-def _own(fit: Point) -> NDArray[np.bool_]:
-    """Return which modes are nearest to their own calculated one, by frequency and pattern."""
-    psi, heard, n = fit.problem.psi, fit.own, len(fit.own)
-    common = np.abs(heard.conj() @ psi.T) ** 2
-    whole = np.outer(*((np.abs(a) ** 2).sum(axis=1) for a in (heard, psi)))
-    missed = 1 - common / np.maximum(whole, 1e-300)
-    off = (fit.frequencies[:, np.newaxis] - fit.problem.prior[:n]) / fit.problem.spread[:n]
-    return np.asarray((off**2 + missed / AMPLITUDE**2).argmin(axis=1) == np.arange(n))
+    def blocks(self) -> list[Block]:
+        """Return what the result says."""
+        rows = [Row(name, cells) for name, cells in self.mode_rows]
+        notes = [Note(note, hanging="    ") for note in self.every_note]
+        return [Table(_HEADER[1:], rows, corner=_HEADER[0]), *notes]
+
+    @property
+    def every_note(self) -> list[str]:
+        """The ``notes``, and what the result says against itself."""
+        first = f"Measured frequencies are {self.scale:.3f} times those calculated."
+        q = self.plausibility
+        misfit = (
+            f"Misfit of the decays: Q = {q.q:.1f} with {q.degrees_of_freedom} degrees of freedom, "
+            f"p = {q.p_value:.2g}."
+        )
+        lines = explained(self.trust_marks)
+        marks = [f"{a} {b.strip()}." for a, b in zip(lines[::2], lines[1::2], strict=True)]
+        return [first, misfit, *self.notes, *marks]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return everything as plain numbers, lists and text; None where a value is missing."""
+        return {
+            "rtcal": KIND,
+            "room": self.prior.name,
+            "centre_frequencies": json_numbers(self.prior.centre_frequencies),
+            "modes": [
+                {
+                    "frequency": float(self.modes.frequencies[i]),
+                    "calculated_frequency": float(self.frequencies[n]),
+                    "probability": float(self.probability[k]),
+                    "decay": float(self.measured[k]),
+                    "decay_uncertainty": float(self.modes.decay_uncertainty[i]),
+                    "decay_before": float(self.before[k]),
+                    "decay_after": float(self.after[k]),
+                    "z": float(self.plausibility.z[k]),
+                    "told": json_numbers(self.told[k]),
+                }
+                for k, (i, n) in enumerate(zip(self.used, self.matched, strict=True))
+            ],
+            "frequency_scale": self.scale,
+            "q": self.plausibility.q,
+            "p_value": self.plausibility.p_value,
+            "materials": coefficients(self.prior, self.alpha, self.sigma, self.interval),
+            "below_schroeder": self.below.tolist(),
+            "carried": self.carried.tolist(),
+            "steps": self.steps,
+            "settled": self.settled,
+            "worst_certificate": self.certificate.worst,
+            "notes": self.every_note,
+        }

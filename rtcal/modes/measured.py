@@ -39,7 +39,7 @@ from rtcal.io.text import MAX_TEXT, decode, number, shown
 from rtcal.modes.room_modes import DECAY
 from rtcal.support import checks
 from rtcal.support.errors import DataError
-from rtcal.support.types import Array, read_only
+from rtcal.support.types import Array
 
 __all__ = ["MeasuredModes", "read"]
 __dir__ = __all__.copy
@@ -116,9 +116,7 @@ class MeasuredModes:
         if self.frequency_uncertainty is None:
             put("frequency_uncertainty", np.full(n, 0.01))
         for name in _NUMBERS:
-            values = read_only(checks.array(name, getattr(self, name)).copy())
-            if values.shape != (n,):
-                raise DataError(f"{name} has shape {values.shape}; with {n} modes it is ({n},)")
+            values = checks.shaped(name, getattr(self, name), n)
             good = np.isfinite(values) & (values > 0)
             if not good.all():
                 bad = int(np.argmin(good))

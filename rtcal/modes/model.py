@@ -34,8 +34,7 @@ from rtcal.acoustics import bands
 from rtcal.acoustics.air import Air
 from rtcal.acoustics.room import Room
 from rtcal.io import geometry_files
-from rtcal.modes.rigid_walls import modes_of
-from rtcal.modes.room_modes import Admittances, Poles, RoomModes
+from rtcal.modes.room_modes import Admittances, Poles, RoomModes, modes_of
 from rtcal.simulators.geometry import Polyhedron
 from rtcal.simulators.tracer import area_doubt, check_walls
 from rtcal.support import checks

@@ -9,6 +9,14 @@ dp/dn = -(s / c) beta_i p on wall i, is the eigenproblem
 The pole s = -delta + j omega has the decay delta in 1/s: the pressure falls as exp(-delta t), and the
 decay time of the mode is 3 ln 10 / delta. To the first order delta_m = c sum_i Re(beta_i) B_imm / 2.
 
+The modes of rigid walls are those of a box in closed form, of any other room by finite elements:
+quadratic tetrahedra of scikit-fem (Gustafsson & McBain 2020), which fill the room exactly. The grid of
+its bounding box has lines through every corner of the room, and each cell is six tetrahedra (Kuhn
+1960). A plane of a wall that no grid line holds bisects the edges that cross it. What lies outside the
+room is left out. The frequencies err by the fourth power of the spacing; in a room with edges that
+stand out into it, by its power of 4/3 (Strang & Fix 1973, Ch. 6 and 8). No other module imports
+scikit-fem (``rtcal[modes]``).
+
 References
 ----------
 Morse & Ingard 1968, Theoretical Acoustics, Sect. 9.4; Kuttruff 2009, Room Acoustics, Sect. 3.1 to 3.3.
@@ -18,11 +26,16 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from itertools import combinations, pairwise, permutations
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rtcal.support.errors import ModelError
+from rtcal.simulators.facets import WELD, distances
+from rtcal.simulators.geometry import SHOEBOX_WALLS, Polyhedron
+from rtcal.support import checks
+from rtcal.support.errors import DataError, MissingDependencyError, ModelError
 from rtcal.support.types import Array
 
 DECAY = 3 * float(np.log(10))
@@ -219,3 +232,420 @@ def _by_mode(share: Array) -> NDArray[np.intp]:
     from scipy.optimize import linear_sum_assignment
 
     return np.asarray(linear_sum_assignment(-share)[1])
+
+
+PER_WAVELENGTH = 3.5
+"""Grid lines per wavelength of the highest mode that is wanted."""
+_PLANE = 1e-3
+"""Distance in m from a wall within which the boundary of the mesh belongs to it."""
+_PATTERN = 0.3
+"""Share of the largest power of the modes' patterns on a wall, from which one is answered."""
+_APART = 1e-3
+"""Share of the largest power of the answers, from which one is not a mixture of the others."""
+_MOST_KEPT = 4
+_kept: dict[tuple[Any, ...], RoomModes] = {}
+"""Modes of the last rooms: a second calibration of a room does not calculate them again."""
+
+
+def modes_of(
+    geometry: Polyhedron,
+    largest: float,
+    speed_of_sound: float = 343.2,
+    *,
+    spacing: float | None = None,
+) -> RoomModes:
+    """Return the modes of a room with rigid walls up to a frequency.
+
+    Parameters
+    ----------
+    geometry : Polyhedron
+        A box from the origin on, as `Polyhedron.shoebox` makes it, has closed forms.
+    largest : float
+        Hz.
+    speed_of_sound : float
+        m/s.
+    spacing : float, optional
+        Of the mesh in m: then finite elements are used for a box, too.
+
+    Raises
+    ------
+    DataError
+        For an argument that breaks its rule.
+    ModelError
+        For a geometry of too many planes.
+    MissingDependencyError
+        If scikit-fem is needed and not installed.
+
+    Examples
+    --------
+    >>> box = Polyhedron.shoebox((5, 4, 2.5), "plaster")
+    >>> print(modes_of(box, 50).frequencies[:2])
+    [34.32 42.9 ]
+    """
+    largest = checks.positive("largest", largest, "Hz")
+    c = checks.positive("speed_of_sound", speed_of_sound, "m/s")
+    box = spacing is None and tuple(geometry.names) == SHOEBOX_WALLS
+    box = box and not geometry.vertices.min(axis=0).any()
+    spacing = c / largest / PER_WAVELENGTH if spacing is None else spacing
+    spacing = checks.positive("spacing", spacing, "m")
+    key = (geometry.to_text(), geometry.names, largest, c, None if box else spacing)
+    if key not in _kept:
+        if len(_kept) >= _MOST_KEPT:
+            _kept.pop(next(iter(_kept)))
+        if box:
+            sides = np.ptp(geometry.vertices, axis=0)
+            _kept[key] = box_modes(sides, geometry.materials, largest, c)
+        else:
+            _kept[key] = _by_elements(geometry, largest, c, spacing)
+    return _kept[key]
+
+
+def _by_elements(geometry: Polyhedron, largest: float, c: float, spacing: float) -> RoomModes:
+    top = BEYOND * largest
+    refuse_many(_expected(geometry, top / c), largest, np.ptp(geometry.vertices, axis=0))
+    fem = _library()
+    points, tetrahedra = fill(geometry, spacing)
+    mesh = fem.MeshTet(np.ascontiguousarray(points.T), np.ascontiguousarray(tetrahedra.T))
+    basis = fem.Basis(mesh, fem.ElementTetP2(), intorder=4)
+    stiffness, mass = (getattr(fem.models.poisson, n).assemble(basis) for n in ("laplace", "mass"))
+    frequencies, vectors = _eigenmodes(stiffness, mass, _expected(geometry, top / c), top / c)
+    walls = _integrals(basis, geometry)
+    more, answers = _answers(stiffness, mass, vectors, walls)
+    frequencies, more = c * frequencies, c * more
+    # The constant one, of frequency 0, is the first that was found, and stands last.
+    vectors = np.hstack([vectors[:, 1:], answers, vectors[:, :1]])
+    frequencies = np.concatenate([frequencies, more])
+    coupling = np.stack([vectors.T @ (wall @ vectors) for wall in walls])
+
+    def shapes(points: Array) -> Array:
+        inside = np.ascontiguousarray(np.asarray(points, dtype=float).T)
+        try:
+            return np.asarray(basis.probes(inside) @ vectors)
+        except ValueError as error:
+            raise DataError("a position lies outside the room's walls") from error
+
+    return RoomModes(
+        frequencies=frequencies,
+        coupling=coupling,
+        materials=tuple(geometry.materials),
+        speed_of_sound=c,
+        largest=largest,
+        shapes=shapes,
+    )
+
+
+def _eigenmodes(stiffness: Any, mass: Any, count: int, top: float) -> tuple[Array, Array]:
+    """Return f / c up to ``top`` in 1/m, of ``count`` or more; and the vectors, first that of 0."""
+    from scipy.sparse.linalg import eigsh
+
+    size, limit = stiffness.shape[0], (2 * np.pi * top) ** 2
+    while True:
+        count = min(count, size - 2)
+        values, vectors = eigsh(stiffness, count, mass, sigma=-1.0, v0=np.ones(size))
+        if values.max() > limit or count >= size - 2:
+            break
+        count = int(1.3 * count) + 5
+    order = np.argsort(values)
+    order = order[values[order] <= limit]
+    return np.sqrt(values[order[1:]]) / (2 * np.pi), np.asarray(vectors[:, order])
+
+
+def _answers(stiffness: Any, mass: Any, vectors: Array, walls: list[Any]) -> tuple[Array, Array]:
+    """Return what the walls' pressures excite beyond the modes: f / c in 1/m, and vectors.
+
+    The static answers to the modes' largest patterns on each wall, orthogonal to the modes
+    (Ritz vectors; MacNeal 1971). An infinite number of modes would add little to them.
+    """
+    from scipy.linalg import eigh
+    from scipy.sparse.linalg import splu
+
+    loads = []
+    for wall in walls:
+        on_wall = wall @ vectors
+        power, patterns = np.linalg.eigh(vectors.T @ on_wall)
+        loads.append(on_wall @ patterns[:, power > _PATTERN * power[-1]])
+    solved = splu((stiffness + mass).tocsc()).solve(np.hstack(loads))
+    solved -= vectors @ (vectors.T @ (mass @ solved))
+    solved /= np.sqrt((solved * (mass @ solved)).sum(axis=0))
+    power, turn = np.linalg.eigh(solved.T @ (mass @ solved))
+    apart = power > _APART * power[-1]
+    solved = solved @ (turn[:, apart] / np.sqrt(power[apart]))
+    values, turn = eigh(solved.T @ (stiffness @ solved))
+    return np.sqrt(values) / (2 * np.pi), solved @ turn
+
+
+def _expected(geometry: Polyhedron, wavenumber: float) -> int:
+    """Return somewhat more than the number of modes up to f / c in 1/m (Weyl; Kuttruff, Eq. 3.20)."""
+    area = float(np.sum(geometry.face_areas))
+    number = 4 / 3 * np.pi * geometry.volume * wavenumber**3 + np.pi / 4 * area * wavenumber**2
+    return int(1.1 * number + 3 * geometry.volume ** (1 / 3) * wavenumber) + 8
+
+
+def _integrals(basis: Any, geometry: Polyhedron) -> list[Any]:
+    """Return the matrix of ∫ u v dS over each wall."""
+    fem = _library()
+    mesh = basis.mesh
+    boundary = mesh.boundary_facets()
+    off = distances(mesh.p[:, mesh.facets[:, boundary]].mean(axis=1).T, geometry.triangles)
+    if (off.min(axis=1) > _PLANE).any():
+        raise DataError("a wall of the mesh overlaps another: the mesh's boundary is not its faces")
+    owner = geometry.triangle_faces[off.argmin(axis=1)]
+    walls = (boundary[owner == k] for k in range(len(geometry.faces)))
+    bases = (fem.FacetBasis(mesh, basis.elem, facets=facets, intorder=4) for facets in walls)
+    return [fem.models.poisson.mass.assemble(basis) for basis in bases]
+
+
+def _library() -> Any:
+    try:
+        import skfem.models.poisson
+    except ImportError as error:
+        raise MissingDependencyError(
+            "modes of a room that is no box need scikit-fem: pip install 'rtcal[modes]'"
+        ) from error
+    return skfem
+
+
+BEYOND = 1.1
+"""Modes up to this times the largest wanted frequency complete the shapes of those wanted."""
+MOST = 600
+"""Largest number of modes, about."""
+_LARGEST_SIDE = 500.0
+"""m. A longer room is likely in mm."""
+_SUMMED = 200
+"""Modes of a pair of orders that stand for an infinite number."""
+
+
+def box_modes(sides: Array, materials: Sequence[str], largest: float, c: float) -> RoomModes:
+    """Return the modes of a box from the origin to ``sides`` (3,) in m; see `modes_of`.
+
+    phi = prod cos(n_i pi x_i / L_i) / norm, f = c / 2 |n / L| (Kuttruff 2009, Eq. 3.15 and 3.17).
+
+    ``materials`` (6,) are of west (x = 0), east, south, north, floor and ceiling; ``c`` is the speed of
+    sound in m/s. Raises DataError for too many modes up to ``largest``.
+    """
+    top = BEYOND * largest
+    counts = np.floor(2 * top * sides / c).astype(int)
+    # About half of these orders lie within the ellipsoid.
+    refuse_many(float(np.prod(counts + 1.0)) / 2, largest, sides)
+    orders = np.stack(np.meshgrid(*(np.arange(n + 1) for n in counts), indexing="ij"), -1)
+    orders = orders.reshape(-1, 3)
+    frequencies = c / 2 * np.linalg.norm(orders / sides, axis=1)
+    # The constant one, of frequency 0, stands last.
+    order = np.roll(np.flatnonzero(frequencies <= top), -1)
+    own, frequencies = orders[order], frequencies[order]
+    if len(own) < 2:
+        raise DataError(f"the room has no mode up to {largest:g} Hz")
+    beyond = [_beyond(own, sides, axis) for axis in range(3)]
+    orders = np.concatenate([own[:-1], *(pairs for pairs, _, _ in beyond), own[-1:]])
+    more = [wavenumbers * c / (2 * np.pi) for _, _, wavenumbers in beyond]
+    frequencies = np.concatenate([frequencies[:-1], *more])
+    rows = np.split(np.arange(len(own) - 1, len(orders) - 1), np.cumsum([len(f) for f in more])[:2])
+    norms = np.sqrt(np.where(orders == 0, 1.0, 2.0) / sides)
+
+    def along(points: Array) -> Array:
+        """Return the factor of each axis, (n_points, n_modes + 1, 3)."""
+        angle = np.pi * np.asarray(points)[:, np.newaxis, :] / sides
+        out = np.cos(angle * orders)
+        for axis, (_, series, _) in enumerate(beyond):
+            waves = np.cos(angle[:, :, axis] * np.arange(series.shape[1]))
+            out[:, rows[axis], axis] = waves @ series.T
+        return np.asarray(out * norms)
+
+    def shapes(points: Array) -> Array:
+        if ((points < 0) | (points > sides)).any():
+            raise DataError("a position lies outside the room's walls")
+        return np.asarray(along(points).prod(axis=2))
+
+    at_walls = along(np.array([np.zeros(3), sides]))
+    coupling = np.empty((6, len(orders), len(orders)))
+    for axis in range(3):
+        others = [a for a in range(3) if a != axis]
+        same = (orders[:, np.newaxis, others] == orders[np.newaxis, :, others]).all(axis=2)
+        for end, values in enumerate(at_walls[:, :, axis]):
+            coupling[2 * axis + end] = np.outer(values, values) * same
+    rising = np.argsort(frequencies, kind="stable")
+    every = np.append(rising, len(rising))
+    return RoomModes(
+        frequencies=frequencies[rising],
+        coupling=coupling[:, every[:, np.newaxis], every],
+        materials=tuple(materials),
+        speed_of_sound=c,
+        largest=float(largest),
+        shapes=lambda points: shapes(points)[:, every],
+    )
+
+
+def refuse_many(count: float, largest: float, sides: Array) -> None:
+    """Raise DataError for more than `MOST` modes up to ``largest`` in Hz; ``sides`` in m."""
+    if count > MOST:
+        size = " x ".join(f"{side:.3g}" for side in sides)
+        raise DataError(
+            f"the room of {size} m has some {count:.0f} modes up to {largest:g} Hz, and at most {MOST} "
+            "are calculated: leave out modes above a lower frequency"
+            + (", or is it in mm?" if np.max(sides) > _LARGEST_SIDE else "")
+        )
+
+
+def _beyond(
+    orders: NDArray[np.int64], sides: Array, axis: int
+) -> tuple[NDArray[np.int64], Array, Array]:
+    """Return what the walls across an axis excite beyond the modes of these orders.
+
+    For each pair of orders along the other axes these are two static answers, an even and an odd one:
+    sums of all higher modes of the pair, weighed by 1 / wavenumber². Returned are orders, of which the
+    axis' own is -2 (even) or -1 (odd), the series over the axis' modes, and wavenumbers in 1/m.
+    """
+    others = [a for a in range(3) if a != axis]
+    pairs, place = np.unique(orders[:, others], axis=0, return_inverse=True)
+    last = np.zeros(len(pairs), dtype=int)
+    np.maximum.at(last, place.ravel(), orders[:, axis])
+    along = np.arange(_SUMMED)
+    squares = (along / sides[axis]) ** 2 + ((pairs / sides[others]) ** 2).sum(axis=1)[:, np.newaxis]
+    higher = (along > last[:, np.newaxis]) / np.maximum(squares, 1e-9)
+    series = np.concatenate([higher * (along % 2 == 0), higher * (along % 2 == 1)])
+    series /= np.linalg.norm(series, axis=1)[:, np.newaxis]
+    own = np.repeat([-2, -1], len(pairs))
+    wavenumbers = np.pi * np.sqrt((series**2 * np.tile(squares, (2, 1))).sum(axis=1))
+    return np.insert(np.tile(pairs, (2, 1)), axis, own, axis=1), series, wavenumbers
+
+
+Plane = tuple[Array, float]
+"""Normal and offset in m."""
+
+MOST_TETRAHEDRA = 150_000
+"""Largest number of tetrahedra."""
+_TOO_MANY = (
+    f"the room's {{}} need over {MOST_TETRAHEDRA} tetrahedra: state a mesh without small objects"
+)
+_NEAR = 1e-7
+"""Distance in m within which a vertex lies on a plane."""
+_MOVED = 0.2
+"""Share of the grid's spacing by which a free vertex may be moved onto a plane."""
+_AXIAL = 1 - 1e-9
+_EDGES = np.array([*combinations(range(4), 2)])
+
+
+def fill(geometry: Polyhedron, spacing: float) -> tuple[Array, Integers]:
+    """Return vertices (n_vertices, 3) in m and tetrahedra (n_tetrahedra, 4) of a room.
+
+    ``spacing`` is the largest distance of grid lines in m. Raises ModelError for a room that would need
+    more than `MOST_TETRAHEDRA` tetrahedra.
+    """
+    lines = [_lines(geometry.vertices[:, axis], spacing) for axis in range(3)]
+    if 6 * np.prod([len(line) - 1.0 for line in lines]) > MOST_TETRAHEDRA:
+        raise ModelError(_TOO_MANY.format("corners"))
+    points, tetrahedra = _kuhn(lines)
+    planes = _oblique(geometry)
+    # Vertices on a wall across an axis may not be moved.
+    fixed = np.zeros(len(points), dtype=bool)
+    for normal, face in zip(geometry.normals, geometry.faces, strict=True):
+        if np.abs(normal).max() >= _AXIAL:
+            fixed |= np.abs((points - geometry.vertices[face[0]]) @ normal) < _NEAR
+    for plane in planes:
+        points = _moved(points, tetrahedra, fixed, plane, spacing)
+        fixed |= np.abs(points @ plane[0] - plane[1]) < _NEAR
+        points, tetrahedra = _cut(points, tetrahedra, plane)
+        fixed = np.append(fixed, np.ones(len(points) - len(fixed), dtype=bool))
+        if len(tetrahedra) > MOST_TETRAHEDRA:
+            raise ModelError(_TOO_MANY.format(f"{len(planes)} oblique planes"))
+    tetrahedra = tetrahedra[np.abs(_volumes(points, tetrahedra)) > 1e-12]
+    tetrahedra = tetrahedra[geometry.contains(points[tetrahedra].mean(axis=1))]
+    used, numbers = np.unique(tetrahedra, return_inverse=True)
+    return points[used], numbers.reshape(-1, 4)
+
+
+def _lines(corners: Array, spacing: float) -> Array:
+    """Return grid lines through all corners, at most ``spacing`` apart."""
+    own = np.sort(corners)
+    own = own[np.r_[True, np.diff(own) > WELD / 2]]
+    parts = [
+        np.linspace(a, b, max(int(np.ceil((b - a) / spacing - 1e-9)), 1) + 1)[:-1]
+        for a, b in pairwise(own)
+    ]
+    return np.concatenate([*parts, own[-1:]])
+
+
+def _kuhn(lines: list[Array]) -> tuple[Array, Integers]:
+    """Return the vertices of a grid and six tetrahedra in each of its cells."""
+    points = np.stack(np.meshgrid(*lines, indexing="ij"), -1)
+    shape = points.shape[:3]
+    numbers = np.arange(np.prod(shape)).reshape(shape)
+    cells = numbers[:-1, :-1, :-1].ravel()
+    steps = np.array([shape[1] * shape[2], shape[2], 1])
+    paths = [np.concatenate([[0], np.cumsum(steps[list(p)])]) for p in permutations(range(3))]
+    tetrahedra = np.concatenate([cells[:, np.newaxis] + path for path in paths])
+    return points.reshape(-1, 3), tetrahedra
+
+
+def _oblique(geometry: Polyhedron) -> list[Plane]:
+    """Return planes that cut: oblique walls, and edges between coplanar walls."""
+    planes: list[Plane] = []
+
+    def add(normal: Array, point: Array) -> None:
+        offset = float(normal @ point)
+        for other, distance in planes:
+            same = abs(other @ normal) > _AXIAL
+            if same and abs(distance - offset * np.sign(other @ normal)) < 1e-6:
+                return
+        if np.abs(normal).max() < _AXIAL:
+            planes.append((normal, offset))
+
+    faces = [geometry.vertices[list(face)] for face in geometry.faces]
+    for normal, corners in zip(geometry.normals, faces, strict=True):
+        add(normal, corners[0])
+    for i, (normal, corners) in enumerate(zip(geometry.normals, faces, strict=True)):
+        along = (j for j in range(i) if normal @ geometry.normals[j] >= _AXIAL)
+        if any(abs(normal @ (faces[j][0] - corners[0])) <= 1e-6 for j in along):
+            for a, b in zip(corners, np.roll(corners, -1, axis=0), strict=True):
+                across = np.cross(b - a, normal)
+                add(across / np.linalg.norm(across), a)
+    return planes
+
+
+def _moved(
+    points: Array, tetrahedra: Integers, fixed: NDArray[np.bool_], plane: Plane, spacing: float
+) -> Array:
+    """Move free vertices that are near a plane onto it, unless that turns a tetrahedron over."""
+    normal, offset = plane
+    distance = points @ normal - offset
+    near = ~fixed & (np.abs(distance) < _MOVED * spacing)
+    moved = points - np.where(near, distance, 0.0)[:, np.newaxis] * normal
+    before = _volumes(points, tetrahedra)
+    for _ in range(5):
+        small = _volumes(moved, tetrahedra) / before < 0.05
+        if not small.any():
+            return np.asarray(moved)
+        back = np.unique(tetrahedra[small])
+        moved[back] = points[back]
+    return points
+
+
+def _volumes(points: Array, tetrahedra: Integers) -> Array:
+    """Return six times the volumes in m³, with their sign."""
+    corners = points[tetrahedra]
+    return np.asarray(np.linalg.det(corners[:, 1:] - corners[:, :1]))
+
+
+def _cut(points: Array, tetrahedra: Integers, plane: Plane) -> tuple[Array, Integers]:
+    """Divide each edge that crosses a plane there, and the tetrahedra that have it.
+
+    Of a tetrahedron's edges that with the highest vertices is first: neighbours agree on their face.
+    """
+    n, distance = len(points), points @ plane[0] - plane[1]
+    side = np.where(np.abs(distance) < _NEAR, 0, np.sign(distance))
+    ends = np.sort(tetrahedra[:, _EDGES])
+    codes = np.unique((ends @ [n, 1])[side[ends].prod(axis=2) < 0])
+    a, b = np.divmod(codes, n)
+    share = (distance[a] / (distance[a] - distance[b]))[:, np.newaxis]
+    points = np.vstack([points, points[a] + share * (points[b] - points[a])])
+    side = np.append(side, np.zeros(len(codes)))
+    while True:
+        ends = np.sort(tetrahedra[:, _EDGES])
+        order = np.where(side[ends].prod(axis=2) < 0, ends.sum(axis=2), -1)
+        cut = order.max(axis=1) >= 0
+        if not cut.any():
+            return points, tetrahedra
+        whole, edge = tetrahedra[cut], ends[cut, order[cut].argmax(axis=1)]
+        new = n + np.searchsorted(codes, edge @ [n, 1])[:, np.newaxis]
+        halves = [np.where(whole == end[:, np.newaxis], new, whole) for end in edge.T]
+        tetrahedra = np.vstack([tetrahedra[~cut], *halves])

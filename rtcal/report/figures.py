@@ -41,9 +41,9 @@ if TYPE_CHECKING:
     from rtcal.finder.positions.finding import Place, PositionsFinding
     from rtcal.finder.states.finding import StatesFinding
     from rtcal.finder.verification import Verification
+    from rtcal.loop.closed import Loop
     from rtcal.loop.positions_result import PositionsResult
-    from rtcal.loop.state import Loop
-    from rtcal.modes.result import ModesResult
+    from rtcal.modes.calibrate import ModesResult
 
 __all__ = ["gap", "rendered", "reverberation_time", "save"]
 __dir__ = __all__.copy

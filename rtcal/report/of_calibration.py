@@ -17,7 +17,7 @@ from rtcal.calibration import table
 from rtcal.calibration.methods import METHODS
 from rtcal.calibration.result import CalibrationResult
 from rtcal.calibration.verdict import CalibrationVerdict
-from rtcal.modes.result import ModesResult
+from rtcal.modes.calibrate import ModesResult
 from rtcal.report import figures, room_view
 from rtcal.report.document import (
     Box,

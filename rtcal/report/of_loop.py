@@ -12,8 +12,7 @@ from rtcal.acoustics.equations import Eyring
 from rtcal.acoustics.marks import gap_jnd
 from rtcal.acoustics.observables import observable, parameter_label
 from rtcal.loop import matched
-from rtcal.loop.calibrate import LoopResult
-from rtcal.loop.state import Loop
+from rtcal.loop.closed import Loop, LoopResult
 from rtcal.report import figures
 from rtcal.report.document import Code, Items, Page, Picture, Section, coefficients, doubts, tables
 from rtcal.support import __version__

@@ -27,10 +27,9 @@ from rtcal.finder.positions.finding import PositionsFinding
 from rtcal.finder.states import StatesFinding
 from rtcal.finder.verification import Verification
 from rtcal.io import workbook
-from rtcal.loop.calibrate import LoopResult
+from rtcal.loop.closed import Loop, LoopResult
 from rtcal.loop.positions_result import PositionsPrediction, PositionsPredictions, PositionsResult
-from rtcal.loop.state import Loop
-from rtcal.modes.result import ModesResult
+from rtcal.modes.calibrate import ModesResult
 from rtcal.prediction.designed import Design
 from rtcal.prediction.predicted import Prediction, Predictions
 from rtcal.report import of_calibration, of_finding, of_loop, of_positions, of_prediction

@@ -18,6 +18,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
@@ -32,7 +33,7 @@ from rtcal.acoustics.room import Room, in_order
 from rtcal.support import checks
 from rtcal.support.errors import DataError, RtcalError, SimulatorError, TooShortError, of_bands
 from rtcal.support.text import as_sentence, shortened
-from rtcal.support.types import Array, read_only
+from rtcal.support.types import Array
 
 
 @runtime_checkable
@@ -165,12 +166,7 @@ def check_alpha(of: Simulator | Room, alpha: Array) -> Array:
         If alpha is not (n_materials, n_bands), or a coefficient is not in [0, 1].
     """
     ordered = in_order("alpha", alpha, of.materials, of.centre_frequencies)
-    alpha = read_only(checks.array("alpha", ordered))
-    shape = (len(of.materials), len(of.centre_frequencies))
-    if alpha.shape != shape:
-        raise DataError(
-            f"alpha has shape {alpha.shape}; {of.name} asks for (n_materials, n_bands) = {shape}"
-        )
+    alpha = checks.shaped("alpha", ordered, len(of.materials), len(of.centre_frequencies))
     if (outside := ~((alpha >= 0) & (alpha <= 1))).any():
         i, k = (int(v) for v in np.argwhere(outside)[0])
         place = f'alpha["{of.materials[i]}", {bands.label(of.centre_frequencies[k])}]'
@@ -319,30 +315,15 @@ class Observations:
     direct: Array | None = None
 
     def __post_init__(self) -> None:
-        f = checks.array("Observations: centre_frequencies", self.centre_frequencies)
-        if f.ndim != 1:
-            raise DataError(f"Observations: centre_frequencies has shape {f.shape}, not (n_bands,)")
-        parameters = checks.texts("Observations: parameters", self.parameters)
-        pairs = checks.pairs("Observations: pairs", self.pairs)
-        shape = (len(parameters), len(pairs), len(f))
-        values = read_only(checks.array("observations", self.values))
-        if values.shape != shape:
-            raise DataError(
-                f"observations have shape {values.shape}; (n_parameters, n_pairs, n_bands) = {shape}"
-            )
+        put, place = partial(object.__setattr__, self), "Observations: "
+        put("parameters", checks.texts(f"{place}parameters", self.parameters))
+        put("pairs", checks.pairs(f"{place}pairs", self.pairs))
+        f = checks.shaped(f"{place}centre_frequencies", self.centre_frequencies, "n_bands")
+        put("centre_frequencies", f)
+        shape = (len(self.parameters), len(self.pairs), len(f))
+        put("values", checks.shaped(f"{place}values", self.values, *shape))
         if self.direct is not None:
-            direct = checks.array("Observations: direct", self.direct)
-            if direct.shape != shape[1:]:
-                raise DataError(
-                    f"Observations: direct has shape {direct.shape}; (n_pairs, n_bands) = {shape[1:]}"
-                )
-        for name, value in (
-            ("parameters", parameters),
-            ("pairs", pairs),
-            ("centre_frequencies", f),
-            ("values", values),
-        ):
-            object.__setattr__(self, name, value)
+            put("direct", checks.shaped(f"{place}direct", self.direct, *shape[1:]))
 
     def __repr__(self) -> str:
         return (
@@ -423,13 +404,6 @@ def given(measurement: Measurement) -> tuple[str, ...]:
     """Return the parameters that a measurement has; G is a level too."""
     stood_in = [k for k, o in OBSERVABLES.items() if o.stand_in in measurement.values]
     return tuple(dict.fromkeys((*measurement.values, *stood_in)))
-
-
-def by_surface(by: object) -> bool:
-    """Return whether derivatives are by surface, not by material; DataError for anything else."""
-    if not isinstance(by, str) or by not in ("material", "surface"):
-        raise DataError(f'by = {by!r} is not "material" or "surface"')
-    return by == "surface"
 
 
 def checked_parameters(match: Sequence[str]) -> tuple[str, ...]:

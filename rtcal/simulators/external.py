@@ -7,9 +7,6 @@ import signal
 import subprocess
 import sys
 import tempfile
-import threading
-import time
-import uuid
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
@@ -47,14 +44,11 @@ class External(RoomSimulator):
         Calibrated coefficients belong to the program of this name.
     deterministic : bool
         Whether the result does not depend on the seed.
-    time_limit : float, optional
-        Limit in s; a longer call raises `SimulatorError`. Python cannot end the function, which
-        continues in a thread. The limit of a `command` ends its program.
 
     Raises
     ------
     DataError
-        For an argument of another type, an empty name, or a limit that is not above 0.
+        For an argument of another type, or an empty name.
 
     Examples
     --------
@@ -70,7 +64,6 @@ class External(RoomSimulator):
     run: Callable[[Array, int], Measurement | Array | Sequence[float]]
     name: str
     deterministic: bool = True
-    time_limit: float | None = None
 
     def __post_init__(self) -> None:
         checks.instance("room", self.room, Room)
@@ -79,8 +72,6 @@ class External(RoomSimulator):
         if not text_name("name", self.name).strip():
             raise DataError('name = "" is empty: coefficients belong to the program of this name')
         checks.flag("deterministic", self.deterministic)
-        if self.time_limit is not None:
-            checks.positive("time_limit", self.time_limit, "s")
 
     def simulate(self, alpha: Array, *, seed: int = 0) -> Measurement:
         """Return the function's result for alpha (n_materials, n_bands) as a measurement.
@@ -90,12 +81,12 @@ class External(RoomSimulator):
         DataError
             For an alpha that is not (n_materials, n_bands) or not in [0, 1], or a negative seed.
         SimulatorError
-            If the function exceeds the time limit, calls ``sys.exit``, or returns anything but a
-            `Measurement` or n_bands finite times above 0. Its other exceptions pass unchanged.
+            If the function calls ``sys.exit``, or returns anything but a `Measurement` or n_bands
+            finite times above 0. Its other exceptions pass unchanged.
         """
         alpha, seed = check_alpha(self, alpha), checks.whole("seed", seed, 0)
         try:
-            answer = self._within_time_limit(lambda: self.run(alpha, seed))
+            answer = self.run(alpha, seed)
         except SystemExit as error:
             raise SimulatorError(f"{self.name} called sys.exit({error.code!r})") from error
         if isinstance(answer, Measurement):
@@ -134,37 +125,11 @@ class External(RoomSimulator):
                 raise SimulatorError(f"{self.name} returned {error}") from error
         return times
 
-    def _within_time_limit(self, call: Callable[[], object]) -> object:
-        if self.time_limit is None:
-            return call()
-        answers: list[object] = []
-        errors: list[BaseException] = []
-
-        def work() -> None:
-            try:
-                answers.append(call())
-            except BaseException as error:  # raised again in the caller's thread
-                errors.append(error)
-
-        thread = threading.Thread(target=work, daemon=True)
-        thread.start()
-        thread.join(self.time_limit)
-        if errors:
-            raise errors[0]
-        if not answers:
-            raise SimulatorError(f"{self.name} ran for longer than {self.time_limit:g} s")
-        return answers[0]
-
 
 KEPT_ERRORS = 2**16
 """Number of bytes at the end of a program's error output that are read."""
 QUOTED_ERRORS = 300
 """Number of characters of the last line of error output that a message quotes."""
-MARK = "RTCAL_PROGRAM"
-"""Environment variable of a started program. The processes it starts inherit the variable."""
-
-_PASSES = 20  # a process may start another one while it is being ended
-_BETWEEN_PASSES = 0.02  # s
 
 
 def command(
@@ -181,9 +146,8 @@ def command(
         The program and its first arguments.
     room : Room
     time_limit : float, optional
-        Limit in s. A program that exceeds it is ended together with the processes it started. On
-        Linux these are all that inherited its environment. Elsewhere a process that left the
-        program's session (macOS) or process tree (Windows) runs on.
+        Limit in s. A program that exceeds it is ended together with the processes it started, but for
+        those that left its session.
 
     Raises
     ------
@@ -236,7 +200,6 @@ def command(
 
 def _run(line: list[str], time_limit: float | None) -> tuple[int, str]:
     """Run a program to its end; return its status and the last line of its error output."""
-    mark = uuid.uuid4().hex
     with tempfile.TemporaryFile() as output:
         try:
             program = subprocess.Popen(
@@ -244,7 +207,6 @@ def _run(line: list[str], time_limit: float | None) -> tuple[int, str]:
                 stdin=subprocess.DEVNULL,
                 stdout=subprocess.DEVNULL,
                 stderr=output,
-                env={**os.environ, MARK: mark},
                 start_new_session=True,
             )
         except (OSError, ValueError) as error:
@@ -252,11 +214,10 @@ def _run(line: list[str], time_limit: float | None) -> tuple[int, str]:
         try:
             status = program.wait(time_limit)
         except BaseException as error:  # the limit, or the user interrupts
-            survivors = _end(program, mark)
+            _end(program)
             if not isinstance(error, subprocess.TimeoutExpired):
                 raise
-            left = f"; processes {survivors} could not be ended" if survivors else ""
-            raise SimulatorError(f"{line[0]} ran for longer than {time_limit:g} s{left}") from error
+            raise SimulatorError(f"{line[0]} ran for longer than {time_limit:g} s") from error
         return status, _last_line(output)
 
 
@@ -268,37 +229,15 @@ def _last_line(output: IO[bytes]) -> str:
     return text if len(text) <= QUOTED_ERRORS else text[:QUOTED_ERRORS] + " ..."
 
 
-def _end(program: subprocess.Popen[bytes], mark: str) -> list[int]:
-    """End a program and the processes it started; return the numbers of those that remain."""
+def _end(program: subprocess.Popen[bytes]) -> None:
+    """End a program and the processes of its session."""
     if sys.platform == "win32":
-        subprocess.run(
-            ["taskkill", "/F", "/T", "/PID", str(program.pid)], capture_output=True, check=False
-        )
-        program.wait()
-        return []
-    with suppress(ProcessLookupError, PermissionError):
-        os.killpg(program.pid, signal.SIGKILL)
+        tree = ["taskkill", "/F", "/T", "/PID", str(program.pid)]
+        subprocess.run(tree, capture_output=True, check=False)
+    else:
+        with suppress(ProcessLookupError, PermissionError):
+            os.killpg(program.pid, signal.SIGKILL)
     program.wait()
-    for _ in range(_PASSES):
-        remaining = _marked(mark)
-        if not remaining:
-            return []
-        for number in remaining:
-            with suppress(ProcessLookupError, PermissionError):
-                os.kill(number, signal.SIGKILL)
-        time.sleep(_BETWEEN_PASSES)
-    return _marked(mark)
-
-
-def _marked(mark: str) -> list[int]:
-    """Return the processes with the mark in their environment (Linux; elsewhere none)."""
-    variable = f"{MARK}={mark}".encode()
-    numbers = []
-    for environment in Path("/proc").glob("[0-9]*/environ"):
-        with suppress(OSError):
-            if variable in environment.read_bytes().split(b"\0"):
-                numbers.append(int(environment.parent.name))
-    return numbers
 
 
 @dataclass(frozen=True, eq=False, repr=False)

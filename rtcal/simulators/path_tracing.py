@@ -8,7 +8,7 @@ from copy import copy
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import repeat
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -338,47 +338,22 @@ class PathTracing(Tracer):
             cause,
         )
 
-    def jacobian(
-        self,
-        alpha: Array,
-        match: Sequence[str] = MATCH,
-        *,
-        seed: int = 0,
-        by: Literal["material", "surface"] = "material",
-    ) -> Array:
-        """Return the derivatives of `observe`, (n_parameters, n_pairs, n_bands, n_unknowns).
+    def jacobian(self, alpha: Array, match: Sequence[str] = MATCH, *, seed: int = 0) -> Array:
+        """Return the derivatives of `observe`, (n_parameters, n_pairs, n_bands, n_materials).
 
-        One sweep of the paths gives those by all materials or surfaces, because a path that hit
-        material j n times has dE / d alpha_j = -n E / (1 - alpha_j). Coefficients
-        above 0.999 count as 0.999. Decay times of few paths are staircases in alpha, since the range
-        of levels is fitted bin by bin. Their derivatives are those of the mean over the steps: with
-        one seed a difference departs from them, in the mean over seeds it does not.
-
-        Parameters
-        ----------
-        alpha : array (n_materials, n_bands)
-        match : sequence of str
-        seed : int
-        by : {"material", "surface"}
-            Surfaces are the faces of the geometry, in their order.
-
-        Raises
-        ------
-        DataError, TooShortError
-            As `simulate` does, and for another ``by``.
+        One sweep of the paths gives those by all materials, because a path that hit material j n times
+        has dE / d alpha_j = -n E / (1 - alpha_j). Coefficients above 0.999 count as 0.999. Decay times
+        of few paths are staircases in alpha, since the range of levels is fitted bin by bin. Their
+        derivatives are those of the mean over the steps: with one seed a difference departs from them,
+        in the mean over seeds it does not. Raises as `simulate` does.
         """
         alpha, match = check_alpha(self, alpha), base.checked_parameters(match)
         alpha = np.minimum(alpha, base.LARGEST_ALPHA)
-        owners = self.room.material_rows(self.geometry.materials)
-        surface = base.by_surface(by)
-        groups = np.arange(len(owners)) if surface else owners
-        n_unknowns = len(owners) if surface else self.room.n_materials
         derivatives = self._derivatives(
             alpha,
             match,
             seed,
-            lambda traced, source, by: traced.energy_gradient(source, *by, groups),
-            n_unknowns,
+            lambda traced, source, by: traced.energy_gradient(source, *by),
         )
         return np.asarray(derivatives[0])
 
@@ -418,7 +393,6 @@ class PathTracing(Tracer):
             match,
             seed,
             lambda traced, source, by: traced.scattering_gradient(source, *by, number),
-            self.room.n_materials,
         )
 
     def _weighing(self, alpha: Array, bands: NDArray[np.int64]) -> _Weighing:
@@ -432,11 +406,10 @@ class PathTracing(Tracer):
         match: Sequence[str],
         seed: int,
         gradient: _Gradient,
-        n_unknowns: int,
     ) -> Array:
-        """Return the derivatives of `observe`, (number, n_parameters, n_pairs, n_bands, n_unknowns).
+        """Return the derivatives of `observe`, (number, n_parameters, n_pairs, n_bands, n_materials).
 
-        ``gradient`` gives those of the energies in ``number`` groups. Unknowns that no face has are 0.
+        ``gradient`` gives those of the energies in ``number`` groups. Materials that no face has are 0.
         """
         sweeps: list[list[tuple[Array, Array]]] = []
         groups, sources = self.bands_of_paths(), range(len(self.sources))
@@ -452,7 +425,7 @@ class PathTracing(Tracer):
             return of_all_bands(groups, decays)[np.newaxis]
 
         (decays,) = decay_long_enough(trace, self.room, alpha, longest(match))
-        number = len(sweeps[0][0][1])
+        number, n_unknowns = len(sweeps[0][0][1]), self.room.n_materials
         out = np.zeros((number, len(match), *decays.shape[:3], n_unknowns))
         for bands, sweep in zip(groups, sweeps, strict=True):
             for s, (_, of_groups) in enumerate(sweep):

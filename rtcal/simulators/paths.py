@@ -248,7 +248,6 @@ class Paths:
         alpha: Array,
         air_attenuation: Array,
         bin_length: float,
-        groups: NDArray[np.int64],
     ) -> tuple[Array, Array]:
         """Return the energies of one source, and their derivatives, in one sweep of its paths.
 
@@ -257,27 +256,25 @@ class Paths:
         source : int
         alpha, air_attenuation, bin_length
             As for `energy`; no alpha is 1.
-        groups : int array (n_faces,)
-            Number of the group that each face belongs to. The faces of a group have one material.
 
         Returns
         -------
         energy : array (n_receivers, n_bands, n_bins)
             Mean over the batches.
-        gradient : array (1, n_receivers, n_bins, n_groups, n_bands)
-            d energy / d alpha of each group's faces; the first axis is that of `scattering_gradient`.
+        gradient : array (1, n_receivers, n_bins, n_materials, n_bands)
+            d energy / d alpha; the first axis is that of `scattering_gradient`. Materials beyond the
+            last that a face has are left out.
         """
         energy, gradient = self._swept(
             self.batches[source],
             source,
             (alpha, air_attenuation, bin_length),
-            np.tile(groups, 2),
-            np.ones(2 * len(groups)),
+            np.tile(self.materials, 2),
+            np.ones(2 * len(self.materials)),
         )
-        material = np.zeros(gradient.shape[2], dtype=np.int64)
-        material[groups] = self.materials
-        # The kernel sums n E, n being the number of hits on the group's faces.
-        return energy, gradient[np.newaxis] / -(1 - np.asarray(alpha, dtype=float)[material])
+        # The kernel sums n E, n being the number of hits on the material's faces.
+        reflected = 1 - np.asarray(alpha, dtype=float)[: gradient.shape[2]]
+        return energy, gradient[np.newaxis] / -reflected
 
     def scattering_gradient(
         self,

@@ -19,7 +19,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import product
-from typing import ClassVar, Literal
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -123,43 +123,20 @@ class ShoeboxSimulator(RoomSimulator, ABC):
         energy, width = self.decays(check_alpha(self, alpha))
         return base.of_decays(energy, width, match, self.box.pairs, self.centre_frequencies)
 
-    def jacobian(
-        self,
-        alpha: Array,
-        match: Sequence[str] = MATCH,
-        *,
-        seed: int = 0,
-        by: Literal["material", "surface"] = "material",
-    ) -> Array:
-        """Return the derivatives of `observe`, (n_parameters, n_pairs, n_bands, n_unknowns).
+    def jacobian(self, alpha: Array, match: Sequence[str] = MATCH, *, seed: int = 0) -> Array:
+        """Return the derivatives of `observe`, (n_parameters, n_pairs, n_bands, n_materials).
 
-        They are analytic. Coefficients above 0.999 count as 0.999.
-
-        Parameters
-        ----------
-        alpha : array (n_materials, n_bands)
-        match : sequence of str
-        seed : int
-            It has no effect.
-        by : {"material", "surface"}
-            Surfaces are the walls, in the order of `rtcal.simulators.geometry.SHOEBOX_WALLS`.
-
-        Raises
-        ------
-        DataError, TooShortError
-            As `observe` does, and for another ``by``.
+        They are analytic. Coefficients above 0.999 count as 0.999. The seed has no effect. Raises as
+        `observe` does.
         """
         alpha = np.minimum(check_alpha(self, alpha), base.LARGEST_ALPHA)
         match = base.checked_parameters(match)
-        surface = base.by_surface(by)
         energy, width = self.decays(alpha)
         base.of_decays(energy, width, match, self.box.pairs, self.centre_frequencies)
         out = np.empty((len(match), *energy.shape[:2], len(self.box.walls)))
         for pair, of_walls in enumerate(self._wall_gradients(alpha, energy.shape[-1])):
             by_bin = gradients(energy[pair], width, match)
             out[:, pair] = np.einsum("pkb,wkb->pkw", by_bin, of_walls, optimize=True)
-        if surface:
-            return out
         belongs = self.box.walls[:, np.newaxis] == np.arange(self.room.n_materials)
         return np.asarray(out @ belongs)
 

@@ -12,7 +12,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from rtcal.support.errors import DataError
-from rtcal.support.types import Array
+from rtcal.support.types import Array, read_only
 
 T = TypeVar("T")
 
@@ -163,6 +163,18 @@ def array(place: str, value: object) -> Array:
         raise DataError(f"{place} is not an array of real numbers: {cause}") from cause
     found = "complex ones" if kind == "c" else "true or false"
     raise DataError(f"{place} is not an array of real numbers: it has {found}")
+
+
+def shaped(place: str, value: object, *shape: int | str) -> Array:
+    """Return real numbers as an array of a shape; an axis that is named may have any length.
+
+    Read-only, so that what was checked stays.
+    """
+    found = array(place, value)
+    lengths = zip(found.shape, shape, strict=False)
+    if found.ndim != len(shape) or any(n != of for n, of in lengths if isinstance(of, int)):
+        raise DataError(f"{place} has shape {found.shape}; it is ({', '.join(map(str, shape))})")
+    return read_only(found)
 
 
 def _has_flags(value: Any) -> bool:

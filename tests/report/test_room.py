@@ -156,7 +156,7 @@ def test_the_gap_of_a_stand_is_that_of_its_pairs() -> None:
     )
 
 
-def test_pairs_that_were_held_out_are_compared_without_the_level() -> None:
+def test_pairs_that_were_held_out_are_compared() -> None:
     pairs = (("S", "A"), ("S", "B"))
     values = np.log([[[1.0], [2.0]], [[1.0], [1.0]]])
     heard = Observations(
@@ -168,9 +168,8 @@ def test_pairs_that_were_held_out_are_compared_without_the_level() -> None:
     measured = rt.Measurement(
         centre_frequencies=[500], pairs=pairs, values={"t20": [[1.0], [1.9]], "g": [[3.0], [2.0]]}
     )
-    held = Beside.at_pairs(measured, heard, [("S", "B"), ("S", "far")], heard, heard)
-    assert held is not None
+    held = Beside.of(measured, ["t20"], [("S", "B"), ("S", "far")], heard, heard)
     assert held.parameters == ("t20",)
     assert held.measured.pairs == (("S", "B"),)
     np.testing.assert_allclose(held.gap_after, [[[(2.0 / 1.9 - 1) / 0.05]]], rtol=1e-9)
-    assert Beside.at_pairs(measured, heard, [("S", "far")], heard, heard) is None
+    assert not Beside.of(measured, ["t20"], [("S", "far")], heard, heard).parameters

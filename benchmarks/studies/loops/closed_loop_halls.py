@@ -27,7 +27,7 @@ import rtcal as rt
 from rtcal.acoustics.marks import gap_jnd
 from rtcal.acoustics.observables import TARGET
 from rtcal.datasets import halls
-from rtcal.loop.calibrate import calibrate_simulator
+from rtcal.loop.closed import calibrate_simulator
 from rtcal.simulators.path_tracing import PathTracing
 from rtcal.simulators.ray_tracing import RayTracing
 

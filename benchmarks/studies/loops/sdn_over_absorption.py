@@ -14,7 +14,7 @@ import argparse
 import numpy as np
 
 import rtcal as rt
-from rtcal.loop.calibrate import calibrate_simulator
+from rtcal.loop.closed import calibrate_simulator
 from rtcal.loop.rules import Rule
 from rtcal.simulators.sdn import ScatteringDelayNetwork
 from rtcal.support.errors import DataError

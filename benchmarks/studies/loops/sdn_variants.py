@@ -21,7 +21,7 @@ import rtcal as rt
 from benchmarks.studies.loops.sdn_over_absorption import ALPHAS, CENTRES, SIDES, box
 from rtcal.acoustics.equations import PAPER_SPEED_OF_SOUND
 from rtcal.acoustics.observables import observable
-from rtcal.loop.calibrate import calibrate_simulator
+from rtcal.loop.closed import calibrate_simulator
 from rtcal.simulators.external import External
 from rtcal.simulators.sdn import _NEIGHBOUR, Network, ScatteringDelayNetwork, _network
 from rtcal.support.types import Array

@@ -172,7 +172,10 @@ def judge_room(seed):
     }
     out["sigma"] = float(result.sigma[:, low].mean())
     out["promised"] = no_worse(
-        prior_covariance(result.answer.prior), result.matrix, result.covariance, low
+        prior_covariance(result.answer.prior),
+        result.linearised.matrix,
+        result.linearised.covariance,
+        low,
     )
     out |= matches(world, modes, heard, result, highest)
     out |= held_out(room, geometry, heard, measured, alone, result)

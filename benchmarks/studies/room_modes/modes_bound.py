@@ -24,9 +24,9 @@ from benchmarks.studies.room_modes.modes import (
     world_lowest,
 )
 from rtcal.acoustics.bands import schroeder_frequency
-from rtcal.modes.fit import Spectra, fitted
 from rtcal.modes.model import RoomPoles
-from rtcal.modes.rigid_walls import box_modes
+from rtcal.modes.responses import Spectra, fitted
+from rtcal.modes.room_modes import box_modes
 from rtcal.simulators.geometry import SHOEBOX_WALLS, Polyhedron
 
 

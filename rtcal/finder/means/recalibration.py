@@ -23,8 +23,9 @@ from rtcal.acoustics.equations import LinearEquation, mean_equation
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.priors import NORMAL_90
 from rtcal.acoustics.room import CalibrationRecord, Room
+from rtcal.calibration.fit import gauss_newton
 from rtcal.calibration.measured import data_history, times_in_room
-from rtcal.calibration.methods import calibrate, gauss_newton
+from rtcal.calibration.methods import calibrate
 from rtcal.calibration.problem import Calibration
 from rtcal.calibration.result import JointResult
 from rtcal.calibration.terms import AddedAbsorption, PriorDeviation, SoftMatch

@@ -1,0 +1,331 @@
+"""Gauss-Newton steps around the one QP, for models that are not linear in alpha.
+
+    minimise ½ (y - f(a) - J (alpha - a))' C⁻¹ (y - f(a) - J (alpha - a)) + the other terms,
+
+with y the data, f the model, J its derivatives at a, and C the covariance of the errors of both: an
+`Observation`. alpha becomes the next a, or a point on the way to it where the objective with the model
+itself would rise. So no fit ends at a larger objective than it began with, and a result tells whether
+its last step settled. The QP certifies its own answer, and the last step's is that of the whole.
+
+`fit` serves the calibration to every position (`rtcal.loop.positions`), to modes
+(`rtcal.modes.calibrate`), and a user's own data. That of a case with effects has unknowns of its own,
+and takes the steps alone (`gauss_newton`, `rtcal.finder.means.recalibration`).
+
+References
+----------
+Nocedal & Wright 2006, Numerical Optimization, Sect. 10.3 (Gauss-Newton) and 3.1 (backtracking).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Generic, Protocol, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import solve_triangular
+
+from rtcal.calibration.problem import CalibrationProblem, Times
+from rtcal.calibration.result import CalibrationResult
+from rtcal.calibration.terms import LinearObservations, Observed
+from rtcal.support.errors import DataError, SimulatorError
+from rtcal.support.types import Array
+
+
+class Observation(Protocol):
+    """Data of a room, and the model that predicts them from its coefficients.
+
+    Attributes
+    ----------
+    values : array (n,)
+        The data.
+    covariance : array (n, n)
+        Of the errors of data and model.
+    """
+
+    @property
+    def values(self) -> Array:
+        """The data, (n,)."""
+        ...
+
+    @property
+    def covariance(self) -> Array:
+        """Covariance of the errors of data and model, (n, n)."""
+        ...
+
+    def predict(self, alpha: Array) -> Array:
+        """Return the model's values for alpha (n_materials, n_bands), (n,).
+
+        DataError or SimulatorError where it has none: a step there is refused.
+        """
+        ...
+
+    def jacobian(self, alpha: Array) -> Array:
+        """Return their derivatives by alpha, (n, n_materials * n_bands)."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class Step:
+    """A Gauss-Newton step.
+
+    ``alpha`` (n_materials, n_bands) is where the model was linearised, ``matrix`` (n, n_materials *
+    n_bands) are the derivatives there, ``share`` is how much of the way to the ``answer`` of the QP was
+    gone: 0 where the step was refused.
+    """
+
+    alpha: Array
+    matrix: Array
+    share: float
+    answer: CalibrationResult
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """Where the steps ended, the steps, and whether the last one settled."""
+
+    alpha: Array
+    steps: tuple[Step, ...]
+    settled: bool
+
+    @property
+    def answer(self) -> CalibrationResult:
+        """The answer of the last step's QP."""
+        return self.steps[-1].answer
+
+
+@dataclass(frozen=True, eq=False)
+class Objective:
+    """The objective with a model itself in place of the linearised one.
+
+    ``answer`` is that of a QP of the problem, ``term`` the one of the data, and ``factor`` the Cholesky
+    factor of their covariance.
+    """
+
+    answer: CalibrationResult
+    term: LinearObservations
+    factor: Array
+
+    def value(self, alpha: Array, residual: Array) -> float:
+        """Return the objective in nats, for the data less the model's values, (n,).
+
+        Infinite where the coefficients do not keep the bounds and the constraints.
+        """
+        white = solve_triangular(self.factor, residual, lower=True)
+        others = self.answer.joint.composition.without(self.term)
+        u = self.answer.joint.unknowns.copy()
+        u[: others.layout.n_alpha] = alpha[others.layout.first].ravel()
+        return 0.5 * float(white @ white) + others.value(self.answer.joint.numbers, u)
+
+
+SETTLED = 0.05
+"""Change of alpha in prior sigmas after which no further step is taken."""
+
+
+def fit(
+    problem: CalibrationProblem[CalibrationResult],
+    data: Observation,
+    start: Array,
+    *,
+    term: LinearObservations,
+    method: str,
+    times: Times | None = None,
+    most: int = 6,
+    halvings: int = 6,
+    covariance: Array | None = None,
+    allowed: Callable[[], bool] = lambda: True,
+    settled: Callable[[Step, Array], bool] | None = None,
+) -> Fit:
+    """Return where Gauss-Newton steps end: at no larger objective than that of the start.
+
+    The start counts where it keeps the problem's bounds and constraints; from elsewhere the first step
+    is taken.
+
+    Parameters
+    ----------
+    problem : CalibrationProblem
+        Built with ``term``, whose numbers are the linearised data.
+    data : Observation
+    start : array (n_materials, n_bands)
+    term : LinearObservations
+    method : str
+        Name of the result's method.
+    times : Times, optional
+        The measured T of the problem's other terms.
+    most, halvings : int
+        Largest numbers of steps, and of halvings of a step.
+    covariance : array (n, n), optional
+        In the QP in place of that of the data, which judges the steps all the same.
+    allowed : callable
+        Whether the point that the data predicted last may be an end, whatever its objective.
+    settled : callable, optional
+        Whether a step, and the alpha at which it ended, is the last; by default where the whole step
+        changes no coefficient by more than `SETTLED` of its prior sigma.
+
+    Raises
+    ------
+    InfeasibleError, SolverError
+        As `CalibrationProblem.solve`.
+    """
+    factor = np.asarray(np.linalg.cholesky(data.covariance))
+    in_qp = data.covariance if covariance is None else covariance
+
+    def residual(alpha: Array) -> Array:
+        return np.asarray(data.values - data.predict(alpha))
+
+    def linearised(alpha: Array) -> _LinearisedData:
+        left, matrix = residual(alpha), data.jacobian(alpha)
+        observed = Observed(matrix=matrix, values=left + matrix @ alpha.ravel(), covariance=in_qp)
+        answer = problem.solve(times, observed={term: observed}, method=method)
+        objective = Objective(answer, term, factor)
+        now = objective.value(alpha, left)
+
+        def worse(end: Array) -> bool:
+            try:
+                off = residual(end)
+            except (DataError, SimulatorError):
+                return True
+            return objective.value(end, off) > now or (np.isfinite(now) and not allowed())
+
+        return _LinearisedData(alpha, matrix, answer, worse)
+
+    def small(step: Taken[_LinearisedData]) -> bool:
+        if settled is not None:
+            taken = step.model
+            return settled(taken.step(float(step.share[0])), taken.towards(step.share))
+        # The whole step counts: one that was shortened to little may be far from the minimum.
+        sigma = step.model.answer.prior.sigma
+        moved = np.abs(step.model.answer.alpha - step.model.start)
+        return bool((moved[sigma > 0] < SETTLED * sigma[sigma > 0]).all())
+
+    path = gauss_newton(start, linearised, most=most, halvings=halvings, settled=small, refuse=True)
+    steps = tuple(s.model.step(float(s.share[0])) for s in path.steps)
+    return Fit(path.end, steps, path.settled)
+
+
+@dataclass(frozen=True, eq=False)
+class _LinearisedData:
+    """Data linearised at alpha, the answer of their QP, and what refuses a point."""
+
+    start: Array
+    matrix: Array
+    answer: CalibrationResult
+    refuses: Callable[[Array], bool]
+
+    def step(self, share: float) -> Step:
+        return Step(self.start, self.matrix, share, self.answer)
+
+    def towards(self, share: Array) -> Array:
+        return np.asarray(self.start + float(share[0]) * (self.answer.alpha - self.start))
+
+    def worse(self, end: Array) -> NDArray[np.bool_]:
+        return np.array([self.refuses(end)])
+
+
+Point = TypeVar("Point")
+
+
+class Linearised(Protocol[Point]):
+    """A model that was linearised at a point, and the answer of its QP."""
+
+    def towards(self, share: Array) -> Point:
+        """Return the point at these shares, (n_groups,), of the way to the answer."""
+        ...
+
+    def worse(self, end: Point) -> NDArray[np.bool_]:
+        """Return of each group whether the model is farther from what was measured than before."""
+        ...
+
+
+LinearisedModel = TypeVar("LinearisedModel", bound=Linearised[Any])
+
+
+@dataclass(frozen=True, eq=False)
+class Taken(Generic[LinearisedModel]):
+    """A step: the ``model`` that was linearised, and the shares of the way that were gone.
+
+    ``share`` (n_groups,) is 0 where a step was refused, and the groups are what is shortened alone,
+    such as bands.
+    """
+
+    model: LinearisedModel
+    share: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Steps(Generic[Point, LinearisedModel]):
+    """Where the steps ended, the steps, and whether the last one settled."""
+
+    end: Point
+    steps: tuple[Taken[LinearisedModel], ...]
+    settled: bool
+
+
+def gauss_newton(
+    start: Point,
+    linearised: Callable[[Point], LinearisedModel],
+    *,
+    groups: int = 1,
+    most: int,
+    halvings: int,
+    settled: Callable[[Taken[LinearisedModel]], bool] = lambda _: False,
+    refuse: bool = False,
+) -> Steps[Point, LinearisedModel]:
+    """Take Gauss-Newton steps until one settles.
+
+    Parameters
+    ----------
+    start : Point
+    linearised : function
+        Linearises the model at a point and solves its QP.
+    groups : int
+        Of unknowns, each with a step length of its own: 1, or the bands.
+    most : int
+        Largest number of steps.
+    halvings : int
+        Largest number of halvings of a step.
+    settled : function
+        Whether a step moved so little that it is the last one.
+    refuse : bool
+        Whether a step that leads away however short it is, is not taken, and is the last one.
+
+    Returns
+    -------
+    Steps
+
+    Examples
+    --------
+    The root of x² = 2, linearised in x; no step leads away:
+
+    >>> import numpy as np
+    >>> class Tangent:
+    ...     def __init__(self, x):
+    ...         self.x, self.step = x, (2 - x**2) / (2 * x)
+    ...     def towards(self, share):
+    ...         return self.x + share * self.step
+    ...     def worse(self, end):
+    ...         return np.abs(end**2 - 2) > np.abs(self.x**2 - 2)
+    >>> path = gauss_newton(np.array([1.0]), Tangent, most=6, halvings=3)
+    >>> print(path.end.round(9), len(path.steps))
+    [1.41421356] 6
+    """
+    point, steps = start, list[Taken[LinearisedModel]]()
+    while len(steps) < most:
+        model = linearised(point)
+        share = np.ones(groups)
+        end = model.towards(share)
+        for left in reversed(range(halvings + refuse)):
+            worse = model.worse(end)
+            if not worse.any():
+                break
+            if refuse and not left:
+                end, share = point, np.zeros(groups)
+            else:
+                share = np.where(worse, share / 2, share)
+                end = model.towards(share)
+        steps.append(Taken(model, share))
+        point = end
+        if settled(steps[-1]) or not share.any():
+            return Steps(point, tuple(steps), settled(steps[-1]))
+    return Steps(point, tuple(steps), False)
