@@ -409,36 +409,32 @@ def spreads(
     measured: Sequence[Pair],
     moved: Mapping[str, Array],
     errors: Array,
-    columns: Sequence[int],
 ) -> list[SpreadHypothesis]:
     """Return the hypotheses of the measurement.
 
     Parameters
     ----------
     measured : sequence of (source, receiver)
-    moved : mapping of str to array (n_displacements, n_parameters, n_pairs, n_bands)
+    moved : mapping of str to array (n_parameters, n_pairs, n_bands, n_displacements)
         Shifts of the measured parameters where a source or receiver is displaced; see `PairShifts`.
     errors : array (n_bands, n_parameters, n_pairs, same three)
         Covariance of the errors of simulator and measurement.
-    columns : sequence of int
-        Number of each measured pair among the simulator's.
     """
     n_bands, n_parameters, n_pairs = errors.shape[:3]
     number = np.arange(n_bands * n_parameters * n_pairs).reshape(errors.shape[:3])
     full = errors.reshape(number.size, number.size)
     out = []
     for place, shift in moved.items():
-        pairs = [i for i, c in enumerate(columns) if np.abs(shift[:, :, c]).max() > 0]
-        if not pairs:
+        pairs = np.flatnonzero(np.abs(shift).max(axis=(0, 2, 3)))
+        if not len(pairs):
             continue
         rows = number[:, :, pairs].ravel()
-        steps = np.moveaxis(shift[:, :, [columns[i] for i in pairs]], 3, 1)
-        samples = steps.reshape(len(shift), -1)
+        steps = np.moveaxis(shift[:, pairs], 2, 0).reshape(len(rows), -1)
         # The displacements along an axis and back have nearly opposite shifts: three free directions.
-        columns_of_move = samples.T / np.sqrt(6)
+        columns = steps / np.sqrt(6)
         for distance in DISPLACEMENTS:
             odds = ODDS[POSITION] / (len(moved) * len(DISPLACEMENTS))
-            scaled = distance / MOVE * columns_of_move
+            scaled = distance / MOVE * columns
             out.append(SpreadHypothesis(POSITION, place, distance, "m", rows, scaled, odds))
     for i, pair in enumerate(measured):
         rows = number[:, :, i].ravel()

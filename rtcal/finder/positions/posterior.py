@@ -147,7 +147,7 @@ class PositionsHypotheses:
         off = max(self.off, 1e-300)
         nothing = NO_EFFECT * np.array([1 - off, off])
         with np.errstate(divide="ignore"):
-            return np.log(np.concatenate([nothing, (1 - NO_EFFECT) * odds / total]))
+            return np.asarray(np.log(np.concatenate([nothing, (1 - NO_EFFECT) * odds / total])))
 
 
 def evaluate(likelihoods: Likelihoods, hypotheses: PositionsHypotheses, residuals: Array) -> Array:

@@ -304,13 +304,9 @@ def problem_of(case: PositionsCase, made: PairShifts, controls: ControlRuns) -> 
         raise DataError(
             f"{' to '.join(wanted.pairs[0])} is the only pair; to say where, it needs at least two"
         )
-    rows = [made.parameters.index(p) for p in wanted.parameters]
     columns = [tracer.pairs.index(p) for p in wanted.pairs]
-
-    def at_pairs(values: Array) -> Array:
-        return np.asarray(values[rows][:, columns])
-
-    stated = at_pairs(base)
+    at_pairs = made.at(wanted.parameters, columns).columns
+    stated = base[[made.parameters.index(p) for p in wanted.parameters]][:, columns]
     used = flat(np.isfinite(wanted.values - stated)).astype(bool)
     if not used.any():
         raise DataError("no value was both measured and simulated")
@@ -319,27 +315,28 @@ def problem_of(case: PositionsCase, made: PairShifts, controls: ControlRuns) -> 
     rows_of = zip(kinds, _smooth(measured, stated), stated, strict=True)
     scale = np.array([kind.linear_slope(value, at) for kind, value, at in rows_of])
 
-    def shifted(values: Array) -> Array:
-        ends = stated[..., np.newaxis] + at_pairs(values)
+    def shifted(name: str) -> Array:
+        ends = stated[..., np.newaxis] + at_pairs[name]
         return band_first(_linear(kinds, ends, stated[..., np.newaxis]))
 
-    nodes = {f"surface {j}": shifted(s) for j, s in enumerate(made.surfaces)}
-    nodes |= {f"part {p}": shifted(s) for p, s in enumerate(made.parts)}
-    nodes |= {f"aperture {j}": shifted(s) for j, s in enumerate(made.apertures)}
+    heard_as = ("surface", "part", "aperture", "air", "volume")
+    nodes = {name: shifted(name) for name in at_pairs if name.split()[0] in heard_as}
     nodes |= _of_materials(case, nodes)
+    of_groups = at_pairs["noise of scattering"].reshape(
+        *stated.shape, -1, at_pairs["scattering"].shape[-1]
+    )
     error = simulator_error(
         controls.at(wanted.parameters, wanted.pairs),
-        made.noise[:, rows][:, :, columns],
-        at_pairs(made.scattering),
-        made.scattering_noise[:, rows][:, :, columns],
+        np.moveaxis(at_pairs["noise"], -1, 0),
+        at_pairs["scattering"],
+        np.moveaxis(of_groups, -2, 0),
         TRACINGS,
         room.centre_frequencies,
     )
-    nodes |= {"air": shifted(made.air), "volume": shifted(made.volume)}
-    of_levels = shifted(made.levels)
+    of_levels = shifted("levels")
     traced = np.minimum(room.alpha, LARGEST_ALPHA)
     step = STEP * (1 - traced.T)  # (n_bands, n_materials)
-    slopes = shifted(made.materials) / step[:, np.newaxis]
+    slopes = shifted("materials") / step[:, np.newaxis]
     alpha, together = _prior(case, slopes, nodes["air"])
     gains: list[Array] = []
     if data.level == "absolute" and "g" not in case.measured.common_uncertainty:
@@ -356,8 +353,8 @@ def problem_of(case: PositionsCase, made: PairShifts, controls: ControlRuns) -> 
         measurement=_measurement(data) * np.outer(flat(scale), flat(scale)),
         error=error,
         levels=levels(of_levels.reshape(len(of_levels), *stated.shape[:2], -1)),
-        aimed=covariance_of_lobes(shifted(made.aimed), wanted.pairs, room.centre_frequencies)
-        if made.aimed.any()
+        aimed=covariance_of_lobes(shifted("aimed"), wanted.pairs, room.centre_frequencies)
+        if made.columns["aimed"].any()
         else None,
         gains=gains,
         nodes=nodes,

@@ -273,14 +273,14 @@ def every_hypothesis(
     """Return the hypotheses of a search, but for some effects."""
     observations, (p, i, k) = numbers.data.observations, numbers.shape
     columns = [case.simulator.pairs.index(pair) for pair in observations.pairs]
-    rows = [made.parameters.index(name) for name in observations.parameters]
-    scale = np.moveaxis(numbers.scale.reshape(k, p, i), 0, 2)
-    moved = {}
-    for name, shift in made.moved.items():
-        moved[name] = np.zeros(shift[:, rows].shape)
-        moved[name][:, :, columns] = shift[:, rows][:, :, columns] * scale
+    scale = np.moveaxis(numbers.scale.reshape(k, p, i), 0, 2)[..., np.newaxis]
+    moved = {
+        name: shift * scale
+        for name, shift in made.at(observations.parameters, columns).columns.items()
+        if name.startswith(("source ", "receiver "))
+    }
     errors = (numbers.measurement + numbers.simulator_error()).reshape(k, p, i, k, p, i)
-    places = spreads(observations.pairs, moved, errors, columns)
+    places = spreads(observations.pairs, moved, errors)
     return PositionsHypotheses(
         shifts=on_parts(case, shifts(case, effects, left_out)),
         spreads=[spread for spread in places if spread.effect not in left_out],

@@ -383,7 +383,7 @@ def displaced(
 ) -> dict[str, Array]:
     """Return the shifts where each source or receiver is displaced by `MOVE`, by its name.
 
-    (n_displacements, n_parameters, n_pairs, n_bands) each; ``base`` is what is simulated as stated.
+    (n_parameters, n_pairs, n_bands, n_displacements) each; ``base`` is what is simulated as stated.
     """
     tracer = case.simulator
     out: dict[str, Array] = {}
@@ -415,12 +415,11 @@ def displaced(
         axis = 1 if kind == "sources" else 2
         sizes = list(shape)
         sizes[axis : axis + 1] = [len(points), len(steps)]
-        values = np.moveaxis(values.reshape(sizes), axis + 1, 0)
+        off = np.moveaxis(values.reshape(sizes), axis + 1, -1) - stated[..., np.newaxis]
         for i, name in enumerate(points):
-            shift = np.zeros((len(steps), *shape))
-            rows = (slice(None),) * (axis + 1) + (i,)
-            shift[rows] = values[rows] - np.broadcast_to(stated, shift.shape)[rows]
-            out[f"{kind[:-1]} {name}"] = shift.reshape(len(steps), *base.shape)
+            shift, rows = np.zeros_like(off), (slice(None),) * axis + (i,)
+            shift[rows] = off[rows]
+            out[f"{kind[:-1]} {name}"] = shift.reshape(*base.shape, len(steps))
     return out
 
 
@@ -472,54 +471,43 @@ STEP = 0.08
 """Share of the way to 1 by which a material's alpha moves for the derivatives by alpha."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class PairShifts:
     """Shifts of the parameters at all pairs of a simulator.
 
     Attributes
     ----------
     parameters : tuple of str
-    base : array (n_parameters, n_pairs, n_bands)
-        What the simulator hears as stated, with `TRACINGS` times `BASE` times its paths.
-    surfaces : array (n_surfaces, n_parameters, n_pairs, n_bands, n_nodes)
-        At the nodes `SHARES` of each surface.
-    parts : array (n_parts, n_parameters, n_pairs, n_bands, n_nodes)
-        At the nodes `SHARES` of each of the case's ``divided.parts``.
-    apertures : array (n_surfaces, n_parameters, n_pairs, n_bands, n_nodes)
-        At the nodes `OPEN` of each surface for each of `SECOND_ROOMS`; 0 for floors.
-    air, volume : array (n_parameters, n_pairs, n_bands, n_nodes)
-        At the nodes `AIR` and `VOLUME`.
-    moved : mapping of str to array (n_displacements, n_parameters, n_pairs, n_bands)
-        Where a source or receiver is displaced by `MOVE`, by its name.
-    levels : array (n_parameters, n_pairs, n_bands, n_levels)
-        Where the whole room scatters more or less, by `TRACED`.
-    aimed : array (n_parameters, n_pairs, n_bands, n_aims)
-        Where the sources have other lobes (`rtcal.finder.positions.case.lobes`).
-    materials : array (n_parameters, n_pairs, n_bands, n_materials)
-        Where a material's alpha is larger by `STEP` of the way to 1.
-    scattering : array (n_parameters, n_pairs, n_bands, n_materials)
-        Derivatives by the log odds of each material's scattering coefficient.
-    noise : array (n_groups, n_parameters, n_pairs, n_bands)
-        Deviations of what groups of paths hear from the mean of their tracing. Each group has as many
-        paths as the simulator in the control runs.
-    scattering_noise : array (n_groups, n_parameters, n_pairs, n_bands, n_materials)
-        The same of the derivatives.
+    columns : mapping of str to array (n_parameters, n_pairs, n_bands, n_columns)
+        - "base": what the simulator hears as stated, with `TRACINGS` times `BASE` times its paths;
+        - "surface 0", ..., "part 0", ...: shifts at the nodes `SHARES` of each surface, and of each of
+          the case's ``divided.parts``;
+        - "aperture 0", ...: at the nodes `OPEN` of each surface for each of `SECOND_ROOMS`; 0 for a
+          floor;
+        - "air", "volume": at the nodes `AIR` and `VOLUME`;
+        - "source S1", "receiver R1", ...: where it is displaced by `MOVE`;
+        - "levels": where the whole room scatters more or less, by `TRACED`;
+        - "aimed": where the sources have other lobes (`rtcal.finder.positions.case.lobes`);
+        - "materials": where a material's alpha is larger by `STEP` of the way to 1;
+        - "scattering": derivatives by the log odds of each material's scattering coefficient;
+        - "noise": deviations of what groups of paths hear from the mean of their tracing. Each group
+          has as many paths as the simulator in the control runs;
+        - "noise of scattering": the same of the derivatives, group by group.
     """
 
     parameters: tuple[str, ...]
-    base: Array
-    surfaces: Array
-    parts: Array
-    apertures: Array
-    air: Array
-    volume: Array
-    moved: Mapping[str, Array]
-    levels: Array
-    aimed: Array
-    materials: Array
-    scattering: Array
-    noise: Array
-    scattering_noise: Array
+    columns: Mapping[str, Array]
+
+    @property
+    def base(self) -> Array:
+        """What is heard as stated, (n_parameters, n_pairs, n_bands)."""
+        return np.asarray(self.columns["base"][..., 0])
+
+    def at(self, parameters: Sequence[str], pairs: Sequence[int]) -> PairShifts:
+        """Return the shifts of some parameters at some pairs, by number."""
+        rows = [self.parameters.index(name) for name in parameters]
+        some = {name: values[rows][:, pairs] for name, values in self.columns.items()}
+        return PairShifts(tuple(parameters), some)
 
 
 def parameters(case: PositionsCase) -> tuple[str, ...]:
@@ -541,7 +529,7 @@ def responses_of(
             return kept
     made = _weighed(case, seed, progress)
     if path is not None:
-        disk.write(path, _packed(made))
+        disk.write(path, np.concatenate([made.columns[n] for n in _sizes(case)], axis=-1))
     return made
 
 
@@ -579,7 +567,7 @@ def _of_tracing(
     energy = weighing.energy(weighing.alpha, number=BASE)
     base = weighing.parameters(energy.mean(axis=0))
     groups = np.ascontiguousarray(np.moveaxis(weighing.parameters(energy), 1, 0))
-    surfaces, parts, apertures, materials = _of_surfaces(case, weighing, base, progress)
+    columns = _of_surfaces(case, weighing, base, progress)
     room = case.room
     reference = Air(20, 50).attenuation(room.centre_frequencies)
     air = [
@@ -602,22 +590,19 @@ def _of_tracing(
         tracer = _retraced(tracer, scattering_model="random")
     slopes = tracer.scattering_jacobian(room.alpha, match, number=BASE, seed=seed)
     scattering = slopes.mean(axis=0)
-    return PairShifts(
-        parameters=match,
-        base=base,
-        surfaces=surfaces,
-        parts=parts,
-        apertures=apertures,
-        air=np.stack(air, axis=-1) - base[..., np.newaxis],
-        volume=np.stack(volume, axis=-1) - base[..., np.newaxis],
-        moved=displaced(case, match, base, seed),
-        levels=_at_levels(case, match, base, seed),
-        aimed=np.stack(aimed, axis=-1) - base[..., np.newaxis],
-        materials=materials,
-        scattering=scattering,
-        noise=groups - groups.mean(axis=0),
-        scattering_noise=slopes - scattering,
-    )
+    off = np.moveaxis(slopes - scattering, 0, -2)
+    columns |= {
+        "base": base[..., np.newaxis],
+        "air": np.stack(air, axis=-1) - base[..., np.newaxis],
+        "volume": np.stack(volume, axis=-1) - base[..., np.newaxis],
+        "levels": _at_levels(case, match, base, seed),
+        "aimed": np.stack(aimed, axis=-1) - base[..., np.newaxis],
+        "scattering": scattering,
+        "noise": np.moveaxis(groups - groups.mean(axis=0), 0, -1),
+        "noise of scattering": off.reshape(*base.shape, -1),
+        **displaced(case, match, base, seed),
+    }
+    return PairShifts(match, columns)
 
 
 def _at_levels(case: PositionsCase, match: Sequence[str], base: Array, seed: int) -> Array:
@@ -631,31 +616,24 @@ def _at_levels(case: PositionsCase, match: Sequence[str], base: Array, seed: int
     return np.stack(shifts, axis=-1)
 
 
+_QUIET = ("surface", "part", "aperture", "air", "volume", "materials", "scattering")
+"""Kinds of shifts whose differences between the pairs are drawn to their mean."""
+
+
 def _mean(tracings: Sequence[PairShifts]) -> PairShifts:
     """Return the mean of tracings, its shifts as far as they differ between the pairs by no noise."""
-    first = tracings[0]
-
-    def likely(name: str) -> Array:
-        return without_noise(np.array([getattr(made, name) for made in tracings]))
-
-    return PairShifts(
-        parameters=first.parameters,
-        base=np.mean([made.base for made in tracings], axis=0),
-        surfaces=likely("surfaces"),
-        parts=likely("parts") if len(first.parts) else first.parts,
-        apertures=likely("apertures"),
-        air=likely("air"),
-        volume=likely("volume"),
-        moved={
-            name: np.mean([made.moved[name] for made in tracings], axis=0) for name in first.moved
-        },
-        levels=np.mean([made.levels for made in tracings], axis=0),
-        aimed=np.mean([made.aimed for made in tracings], axis=0),
-        materials=likely("materials"),
-        scattering=likely("scattering"),
-        noise=np.concatenate([made.noise for made in tracings]),
-        scattering_noise=np.concatenate([made.scattering_noise for made in tracings]),
-    )
+    out: dict[str, Array] = {}
+    kinds: dict[str, list[str]] = {}
+    for name in tracings[0].columns:
+        kinds.setdefault(name if name.startswith("noise") else name.split()[0], []).append(name)
+    for kind, names in kinds.items():
+        every = np.array([[made.columns[name] for name in names] for made in tracings])
+        if kind.startswith("noise"):
+            out[kind] = np.concatenate(every[:, 0], axis=-1)
+        else:
+            mean = without_noise(every) if kind in _QUIET else every.mean(axis=0)
+            out |= dict(zip(names, mean, strict=True))
+    return PairShifts(tracings[0].parameters, out)
 
 
 def without_noise(shifts: Array) -> Array:
@@ -688,7 +666,7 @@ def _seconds(case: PositionsCase, match: Sequence[str], seed: int) -> float:
 
 def _of_surfaces(
     case: PositionsCase, weighing: Weighing, base: Array, progress: Progress
-) -> tuple[Array, Array, Array, Array]:
+) -> dict[str, Array]:
     """Return the shifts by surfaces, parts, apertures and materials; see `PairShifts`."""
     room, divided = case.room, case.divided
     made_of = room.material_rows(divided.geometry.materials)
@@ -709,14 +687,13 @@ def _of_surfaces(
     other = {frozenset(f.tolist()): f for f in of_materials if frozenset(f.tolist()) not in groups}
     for members, (decay,) in zip(other, weighing.of_groups([*other.values()], [STEP]), strict=True):
         shifts[members] = (weighing.parameters(decay) - base)[..., np.newaxis]
-    by_part = [shifts[frozenset(f.tolist())][..., :-1] for f in of_parts]
     by_material = [shifts[frozenset(f.tolist())][..., -1] for f in of_materials]
-    return (
-        np.array([shifts[members][..., :-1] for members in by_surface]),
-        np.array(by_part),
-        np.array([apertures[members] for members in by_surface]),
-        np.stack(by_material, axis=-1),
-    )
+    return {
+        **{f"surface {j}": shifts[members][..., :-1] for j, members in enumerate(by_surface)},
+        **{f"part {p}": shifts[frozenset(f.tolist())][..., :-1] for p, f in enumerate(of_parts)},
+        **{f"aperture {j}": apertures[members] for j, members in enumerate(by_surface)},
+        "materials": np.stack(by_material, axis=-1),
+    }
 
 
 def _at_shares(weighing: Weighing, decays: Array) -> Array:
@@ -756,66 +733,39 @@ def _retraced(tracer: PathTracing, **changes: object) -> PathTracing:
     return replace(tracer, **changes)  # type: ignore[arg-type]
 
 
-def _packed(made: PairShifts) -> Array:
-    """Return all shifts as one array, (n_parameters, n_pairs, n_bands, n_columns)."""
-    moved = [np.moveaxis(shift, 0, -1) for shift in made.moved.values()]
-    surfaces = [*made.surfaces, *made.parts, *made.apertures]
-    columns = [
-        made.base[..., np.newaxis],
-        made.materials,
-        made.scattering,
-        made.air,
-        made.volume,
-        made.levels,
-        made.aimed,
-        np.moveaxis(made.noise, 0, -1),
-        np.moveaxis(made.scattering_noise, 0, -2).reshape(*made.base.shape, -1),
-        *surfaces,
-        *moved,
+def _sizes(case: PositionsCase) -> dict[str, int]:
+    """Return the number of columns of each kind of shift, in the order of a file."""
+    tracer, n_materials, n_groups = case.simulator, case.room.n_materials, TRACINGS * BASE
+    places = [
+        f"{kind[:-1]} {n}" for kind in ("receivers", "sources") for n in getattr(tracer, kind)
     ]
-    return np.concatenate(columns, axis=-1)
+    return {
+        "base": 1,
+        "materials": n_materials,
+        "scattering": n_materials,
+        "air": len(AIR),
+        "volume": len(VOLUME),
+        "levels": len(TRACED),
+        "aimed": len(AIMS),
+        "noise": n_groups,
+        "noise of scattering": n_groups * n_materials,
+        **{f"surface {j}": len(SHARES) for j in range(len(case.faces))},
+        **{f"part {p}": len(SHARES) for p in range(len(case.divided.parts))},
+        **{f"aperture {j}": len(OPEN) * len(SECOND_ROOMS) for j in range(len(case.faces))},
+        **dict.fromkeys(places, 6),
+    }
 
 
 def _read(path: Path, case: PositionsCase) -> PairShifts | None:
     """Return the shifts that a file holds; None if it cannot be used."""
-    packed = disk.read(path)
-    tracer, n_moves = case.simulator, 6
-    names = [f"{k[:-1]} {n}" for k in ("receivers", "sources") for n in getattr(tracer, k)]
-    n_materials = case.room.n_materials
-    n_groups = TRACINGS * BASE
-    sizes = [1, n_materials, n_materials, len(AIR), len(VOLUME), len(TRACED), len(AIMS)]
-    sizes += [n_groups, n_groups * n_materials]
-    n_surfaces, n_parts = len(case.faces), len(case.divided.parts)
-    sizes += [len(SHARES)] * (n_surfaces + n_parts)
-    sizes += [len(OPEN) * len(SECOND_ROOMS)] * n_surfaces + [n_moves] * len(names)
-    shape = (len(parameters(case)), len(tracer.pairs), case.room.n_bands, sum(sizes))
-    if packed is None or packed.shape != shape or not np.isfinite(packed).all():
+    packed, sizes = disk.read(path), _sizes(case)
+    shape = (len(parameters(case)), len(case.simulator.pairs), case.room.n_bands)
+    if packed is None or packed.shape != (*shape, sum(sizes.values())):
         return None
-    columns = iter(np.split(packed, np.cumsum(sizes)[:-1], axis=-1))
-    base, materials, scattering, air, volume, levels, aimed, noise, of_groups = (
-        next(columns) for _ in range(9)
-    )
-    surfaces, parts, apertures = (
-        [next(columns) for _ in range(number)] for number in (n_surfaces, n_parts, n_surfaces)
-    )
-    return PairShifts(
-        parameters=parameters(case),
-        base=base[..., 0],
-        materials=materials,
-        scattering=scattering,
-        noise=np.moveaxis(noise, -1, 0),
-        scattering_noise=np.moveaxis(
-            of_groups.reshape(*of_groups.shape[:-1], n_groups, n_materials), -2, 0
-        ),
-        air=air,
-        volume=volume,
-        levels=levels,
-        aimed=aimed,
-        surfaces=np.array(surfaces),
-        parts=np.array(parts),
-        apertures=np.array(apertures),
-        moved={n: np.moveaxis(m, -1, 0) for n, m in zip(names, columns, strict=True)},
-    )
+    if not np.isfinite(packed).all():
+        return None
+    each = np.split(packed, np.cumsum([*sizes.values()])[:-1], axis=-1)
+    return PairShifts(parameters(case), dict(zip(sizes, each, strict=True)))
 
 
 def key_of(case: PositionsCase, seed: int) -> str:

@@ -26,7 +26,7 @@ from rtcal.acoustics.decay import gradients
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.observables import DB, EARLY, LEVEL, OBSERVABLES, TARGET
 from rtcal.finder.claim import most_probable_first
-from rtcal.finder.evidence import log_mixture
+from rtcal.finder.evidence import log_mixture, with_columns
 from rtcal.finder.positions import surfaces as of_room
 from rtcal.finder.positions.surfaces import Faces
 from rtcal.finder.positions.weighing import Weighing
@@ -347,12 +347,13 @@ def _evidence(
     variance[..., : len(match)] += (COMMON * mean) ** 2
     b = np.einsum("rkpc,jrkp->jkc", columns, pulled)
     held = np.einsum("rkpc,jrkpq,rkqd->jkcd", columns, inverse, columns, optimize=True)
-    held = held + np.eye(len(least)) / variance[..., None]
     squares = np.einsum("jrkp,jrkp->jk", off, pulled)
-    squares = squares - np.einsum("jkp,jkp->jk", b, np.linalg.solve(held, b[..., None])[..., 0])
-    determinants = np.linalg.slogdet(own_covariance)[1].sum(axis=1)
-    determinants = determinants + np.log(variance).sum(axis=-1) + np.linalg.slogdet(held)[1]
-    log_likelihood = -POWER * (squares + determinants) / 2
+    half = np.linalg.slogdet(own_covariance)[1].sum(axis=1) / 2
+    root = np.sqrt(variance)[..., None]
+    square, half = with_columns(
+        squares[..., None], half[..., None], root * b[..., None], root * held * root.swapaxes(2, 3)
+    )
+    log_likelihood = -POWER * (square / 2 + half)[..., 0]
     used = np.asarray(known.any(axis=(0, 2)))
     return _through_bands(log_likelihood.T, frequencies, used)
 
