@@ -20,8 +20,7 @@ from rtcal.command.finder import Search
 from rtcal.command.main import cli
 from rtcal.finder.effects import library
 from rtcal.finder.finding import Detection
-from rtcal.finder.positions.posterior import THRESHOLD
-from rtcal.finder.positions.search import find_by_positions
+from rtcal.finder.positions.search import THRESHOLD, find_by_positions
 from rtcal.finder.positions.surfaces import patched
 from rtcal.io import tables
 from rtcal.loop import control_runs

@@ -15,14 +15,16 @@ import rtcal as rt
 from rtcal.finder.effects import library
 from rtcal.finder.finding import Detection
 from rtcal.finder.positions.finding import detection_in_words
-from rtcal.finder.positions.hypotheses import shifts
-from rtcal.finder.positions.posterior import (
+from rtcal.finder.positions.hypotheses import (
     NOISE,
-    OF_PROGRAMS,
     POSITION,
-    THRESHOLD,
     PositionsHypotheses,
     SpreadHypothesis,
+    shifts,
+)
+from rtcal.finder.positions.search import (
+    OF_PROGRAMS,
+    THRESHOLD,
     Summary,
     evidence_of_means,
     of_means,

@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from rtcal.finder.positions.posterior import Likelihood
-from rtcal.finder.positions.problem import COMMON, OWN, levels, simulator_error
+from rtcal.finder.positions.problem import COMMON, OWN, Likelihood, levels, simulator_error
 from rtcal.finder.positions.weighing import TRACED, TRACINGS, _at_shares, without_noise
 from rtcal.loop.control_runs import ControlRuns
 from rtcal.support.errors import DataError

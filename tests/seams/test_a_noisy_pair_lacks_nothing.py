@@ -5,15 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from rtcal.finder.positions.posterior import (
+from rtcal.finder.positions.hypotheses import (
     NOISE,
     POSITION,
     PositionsHypotheses,
     ShiftHypothesis,
     SpreadHypothesis,
-    scores,
-    weights,
 )
+from rtcal.finder.positions.search import scores, weights
 
 ODDS = {"porous": 1.0, NOISE: 0.5, POSITION: 0.5}
 

@@ -12,7 +12,7 @@ import pytest
 
 import rtcal as rt
 from rtcal.finder.effects import Absorber, Parameters
-from rtcal.finder.positions.posterior import of_means
+from rtcal.finder.positions.search import of_means
 from rtcal.support.errors import DataError
 from rtcal.support.types import Array
 from tests.test_where import measured, stated, tracing

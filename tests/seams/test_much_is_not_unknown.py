@@ -15,18 +15,18 @@ from rtcal.finder import library
 from rtcal.finder.claim import CLAIMED
 from rtcal.finder.finding import Candidate
 from rtcal.finder.positions import PositionsCase, PositionsFinding
-from rtcal.finder.positions.hypotheses import shifts
-from rtcal.finder.positions.posterior import (
+from rtcal.finder.positions.hypotheses import PositionsHypotheses, shifts
+from rtcal.finder.positions.problem import PositionsProblem, problem_of
+from rtcal.finder.positions.search import (
     TOLD_TEMPER,
-    PositionsHypotheses,
     Summary,
+    controls_of,
     evaluate,
+    every_hypothesis,
     scores,
     summary_of,
     weights,
 )
-from rtcal.finder.positions.problem import PositionsProblem, problem_of
-from rtcal.finder.positions.search import controls_of, every_hypothesis
 from rtcal.finder.positions.weighing import responses_of
 from rtcal.finder.prior import NONE, UNKNOWN
 from tests.test_where import MATCH, measured, stated, tracing

@@ -18,7 +18,7 @@ from benchmarks.studies.geometric_world.rooms import NOTHING
 from benchmarks.studies.pairs.where import read
 from benchmarks.studies.pairs.where_figures import DATA
 from benchmarks.studies.pairs.where_temper import STORED
-from rtcal.finder.positions.posterior import THRESHOLD
+from rtcal.finder.positions.search import THRESHOLD
 
 Row = dict[str, Any]
 FLAGGED = 1

@@ -31,19 +31,17 @@ from benchmarks.studies.pairs.where import case_of, prepared
 from benchmarks.studies.pairs.where_figures import ABSORBERS, DATA
 from rtcal.finder.evidence import log_sums
 from rtcal.finder.positions.finding import LIKELY
-from rtcal.finder.positions.hypotheses import COUPLED, uneven_amount
-from rtcal.finder.positions.posterior import (
+from rtcal.finder.positions.hypotheses import (
+    COUPLED,
     MEASUREMENT,
     POSITION,
-    Likelihood,
     PositionsHypotheses,
     ShiftHypothesis,
     SpreadHypothesis,
-    evaluate,
-    scores,
-    weights,
+    uneven_amount,
 )
-from rtcal.finder.positions.problem import PositionsProblem
+from rtcal.finder.positions.problem import Likelihood, PositionsProblem
+from rtcal.finder.positions.search import evaluate, scores, weights
 from rtcal.finder.prior import NONE, UNKNOWN
 
 STORED = Path(__file__).with_name("where_ideal.json.gz")

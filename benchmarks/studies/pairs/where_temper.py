@@ -33,7 +33,7 @@ from rtcal.finder.claim import CLAIMED
 from rtcal.finder.evidence import log_sums
 from rtcal.finder.positions import search
 from rtcal.finder.positions.hypotheses import COUPLED
-from rtcal.finder.positions.posterior import (
+from rtcal.finder.positions.search import (
     LEAST_BY_MEANS,
     THRESHOLD,
     evaluate,

@@ -22,17 +22,9 @@ import numpy as np
 from benchmarks.studies.geometric_world.load import HANDBOOK, IN_SITU, load, truth
 from benchmarks.studies.pairs.where import case_of, prepared
 from benchmarks.studies.pairs.where_figures import DATA
-from rtcal.finder.positions.posterior import (
-    TEMPER,
-    Likelihood,
-    PositionsHypotheses,
-    Residuals,
-    ShiftHypothesis,
-    evaluate,
-    scores,
-    weights,
-)
-from rtcal.finder.positions.problem import PositionsProblem
+from rtcal.finder.positions.hypotheses import PositionsHypotheses, ShiftHypothesis
+from rtcal.finder.positions.problem import Likelihood, PositionsProblem, Residuals
+from rtcal.finder.positions.search import TEMPER, evaluate, scores, weights
 
 FOLDS, DRAWS = 4, 25
 """Groups of control runs that are left out in turn, and rooms that are drawn from each."""

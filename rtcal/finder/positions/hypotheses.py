@@ -15,7 +15,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,21 +33,199 @@ from rtcal.finder.effects import (
     WrongVolume,
     middle_absorption,
 )
+from rtcal.finder.evidence import Label
 from rtcal.finder.model import RoomState
 from rtcal.finder.positions.case import PositionsCase
-from rtcal.finder.positions.posterior import (
-    NOISE,
-    ODDS,
-    POSITION,
-    ShiftHypothesis,
-    SpreadHypothesis,
-    interpolation,
-)
 from rtcal.finder.positions.surfaces import Part
 from rtcal.finder.positions.weighing import AIR, MOVE, OPEN, SECOND_ROOMS, SHARES, VOLUME
-from rtcal.finder.prior import COEFFICIENTS, grid_weights, relative_sigma
+from rtcal.finder.prior import (
+    COEFFICIENTS,
+    NO_EFFECT,
+    NONE,
+    UNKNOWN,
+    grid_weights,
+    relative_sigma,
+)
 from rtcal.loop.measured_pairs import Pair
 from rtcal.support.types import Array
+
+
+@dataclass(frozen=True, eq=False)
+class PositionsHypotheses:
+    """All hypotheses as one table; evidence and posterior weights are arrays (n, n_draws) of its rows.
+
+    The rows are "none", coefficients that are off together, something that no effect explains, each
+    spread, each shift with each of its sizes, and, where something may be ``unknown``, each of these
+    once more with it beside. ``off`` is the probability of coefficients that are off together.
+    """
+
+    shifts: Sequence[ShiftHypothesis]
+    spreads: Sequence[SpreadHypothesis]
+    off: float
+    unknown: bool = True
+
+    @cached_property
+    def effects(self) -> list[str]:
+        """The effect of each row."""
+        of_spreads, of_shifts = [s.effect for s in self.spreads], [s.effect for s in self.shifts]
+        return self._by_row((NONE, COEFFICIENTS, UNKNOWN), of_spreads, of_shifts)
+
+    @cached_property
+    def families(self) -> list[str]:
+        """The family of each row."""
+        of_spreads, of_shifts = [MEASUREMENT] * len(self.spreads), [s.family for s in self.shifts]
+        return self._by_row((NONE, COEFFICIENTS, UNKNOWN), of_spreads, of_shifts)
+
+    @cached_property
+    def surfaces(self) -> list[int]:
+        """The number of the surface of each row; -1 where it is of none."""
+        of_shifts = [-1 if s.surface is None else s.surface for s in self.shifts]
+        return self._by_row((-1, -1, -1), [-1] * len(self.spreads), of_shifts)
+
+    def _by_row(
+        self, first: Sequence[Label], of_spreads: Sequence[Label], of_shifts: Sequence[Label]
+    ) -> list[Label]:
+        sizes = zip(of_shifts, self.shifts, strict=True)
+        each = [label for label, shift in sizes for _ in shift.odds]
+        return [*first, *of_spreads, *each, *(each if self.unknown else ())]
+
+    def of_shifts(self, values: Array) -> tuple[Array, Array]:
+        """Return the rows of the shifts, and those of the shifts with something unknown beside."""
+        first = 3 + len(self.spreads)
+        second = first + sum(len(s.odds) for s in self.shifts)
+        return values[first:second], values[second:]
+
+    @cached_property
+    def log_prior(self) -> Array:
+        """Log prior probability of each row, (n,); those of all rows but the first two sum to 1 - p.
+
+        p is that of no effect. "none" has the rest of it beside coefficients that are off together.
+        """
+        of_shifts = np.concatenate([np.zeros(0), *(s.odds for s in self.shifts)])
+        of_spreads = [s.odds for s in self.spreads]
+        unknown = ODDS[UNKNOWN] if self.unknown else 0.0
+        total, of_effects = unknown + sum(of_spreads) + of_shifts.sum(), of_shifts.sum()
+        # Over all effects that nothing explains everything is as probable as something unknown alone,
+        # but no more than a half.
+        beside = min(unknown / of_effects, 0.5) if of_effects > 0 else 0.0
+        both = [(1 - beside) * of_shifts, *([beside * of_shifts] if self.unknown else [])]
+        odds = np.concatenate([[unknown], of_spreads, *both])
+        off = max(self.off, 1e-300)
+        nothing = NO_EFFECT * np.array([1 - off, off])
+        with np.errstate(divide="ignore"):
+            return np.asarray(np.log(np.concatenate([nothing, (1 - NO_EFFECT) * odds / total])))
+
+
+POSITION, NOISE, MEASUREMENT = "position", "noise", "measurement"
+
+
+ODDS = {
+    POSITION: 0.5,
+    NOISE: 0.5,
+    UNKNOWN: 0.5,
+    "air": 1.0,
+    "volume": 1.0,
+    COEFFICIENTS: 1.0,
+}
+"""Prior odds against an effect of odds 1; those of the absorbers are their classes'."""
+
+
+@dataclass(frozen=True, eq=False)
+class ShiftHypothesis:
+    """Hypotheses of one effect in one place, with their sizes.
+
+    Attributes
+    ----------
+    effect, family : str
+    surface : int or None
+        Number of the surface; None for the whole room.
+    response : str
+        Which of the responses is interpolated.
+    weights : array (n_hypotheses, n_bands, n_nodes)
+        Shift of band k is weights[:, k] @ the response's nodes of band k.
+    odds : array (n_hypotheses,)
+        Prior odds of each within its effect; over all surfaces they are normalised to 1.
+    sizes : array (n_hypotheses,)
+    unit : str
+    parameters : sequence of mapping
+    spectra : array (n_hypotheses, n_bands)
+        Alpha of what stands on the surface; empty for the whole room.
+    error : array (n_bands, n_bands)
+        Covariance of the relative error of the change, band by band.
+    uneven : array (n_hypotheses,)
+        How far pairs may hear more or less of it; see `rtcal.finder.positions.hypotheses`.
+    size_error : float
+        Standard deviation of ln size that the effect's description leaves open.
+    place : str
+        The material whose coefficients are off.
+    part : int or None
+        Number of the part of the surface; None for all of it.
+    divisible : bool
+        Whether it may stand on a part of its surface alone.
+    """
+
+    effect: str
+    family: str
+    surface: int | None
+    response: str
+    weights: Array
+    odds: Array
+    sizes: Array
+    unit: str
+    parameters: Sequence[Parameters]
+    spectra: Array
+    error: Array
+    uneven: Array
+    size_error: float = 0.0
+    place: str = ""
+    part: int | None = None
+    divisible: bool = False
+
+    def some(self, which: slice) -> ShiftHypothesis:
+        """Return some of the hypotheses."""
+        return replace(
+            self,
+            weights=self.weights[which],
+            odds=self.odds[which],
+            sizes=self.sizes[which],
+            parameters=self.parameters[which],
+            spectra=self.spectra[which],
+            uneven=self.uneven[which],
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class SpreadHypothesis:
+    """A hypothesis that some values err by more: their covariance grows by ``columns columns'``.
+
+    ``rows`` are the values' numbers in the order (band, parameter, pair), ``columns`` (n_rows,
+    n_errors) are their errors, one standard deviation each. ``place`` names the source, receiver or
+    pair.
+    """
+
+    effect: str
+    place: str
+    size: float
+    unit: str
+    rows: NDArray[np.int64]
+    columns: Array
+    odds: float
+
+
+def interpolation(nodes: Sequence[float], at: Array) -> Array:
+    """Return the nodes' weights (..., n_nodes) in a linear interpolation that is 0 at 0.
+
+    Beyond the nodes the value at the last one is taken.
+    """
+    every = np.array(sorted([*nodes, 0.0]))
+    position = np.clip(at, every[0], every[-1])
+    right = np.clip(np.searchsorted(every, position), 1, len(every) - 1)
+    share = (position - every[right - 1]) / (every[right] - every[right - 1])
+    out = np.zeros((*np.shape(at), len(every)))
+    np.put_along_axis(out, right[..., np.newaxis], share[..., np.newaxis], -1)
+    np.put_along_axis(out, right[..., np.newaxis] - 1, (1 - share)[..., np.newaxis], -1)
+    kept = [int(np.flatnonzero(every == node)[0]) for node in nodes]
+    return np.asarray(out[..., kept])
 
 
 def towards(moved: Array, stated: Array) -> Array:

@@ -6,12 +6,34 @@ twice as far towards little scattering as towards much. So it is traced at sever
 The traced paths tell what the others change (`PathTracing.scattering_jacobian`), with the prior of a
 calibration to every position (`rtcal.loop.control_runs`). Control runs tell the rest, without the noise
 of their few paths. What is compared has noise of its own, and so have the derivatives.
+
+The evidence is linear in the shifts and Gaussian in the errors:
+
+    y - f(mu) = d_h + J (alpha - mu) + e,   e of covariance R + D,
+
+y is what was measured and f(mu) what is simulated as stated, d_h the shift of hypothesis h. The
+prior of alpha and the error of d_h are integrated. All values are ordered (band, parameter, pair).
+
+A shift of band k is a mixture of the shifts at the nodes of one response, and no parameter of a band
+depends on another band. So each hypothesis needs products of nodes alone: N' K⁻¹ N and N' K⁻¹ r.
+
+How much the room scatters is integrated, too: what it changes is no straight line, so it is simulated
+at several levels, and every density is their mean (`ScatteringLevels`).
+
+The error of d_h has two parts. Each band's shift is larger or smaller by a factor
+(`ShiftHypothesis.error`), and reaches pairs more or less than if it were spread evenly
+(`rtcal.finder.positions.hypotheses`).
+
+All hypotheses share one covariance and differ in a product. Those on means
+(`rtcal.finder.means.problem`) have a covariance each, since a closed form gives the derivatives by
+alpha of every one.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,17 +44,17 @@ from rtcal.acoustics import bands
 from rtcal.acoustics.air import Air
 from rtcal.acoustics.observables import Observable, observable
 from rtcal.acoustics.room_errors import alike_alpha, common_error_columns, prior_covariance
-from rtcal.finder.case import CLIMATE_UNCERTAINTY
+from rtcal.finder.case import (
+    CLIMATE_UNCERTAINTY,
+)
+from rtcal.finder.evidence import bounded, with_columns
 from rtcal.finder.positions.case import PositionsCase, covariances_of_gains
-from rtcal.finder.positions.hypotheses import uneven_amount, uneven_columns
-from rtcal.finder.positions.posterior import (
-    Likelihood,
-    Likelihoods,
-    ScatteringLevels,
-    band_first,
-    flat,
+from rtcal.finder.positions.hypotheses import (
+    ShiftHypothesis,
+    SpreadHypothesis,
     interpolation,
-    reordered,
+    uneven_amount,
+    uneven_columns,
 )
 from rtcal.finder.positions.weighing import AIR, STEP, TRACED, TRACINGS, PairShifts
 from rtcal.finder.prior import SCALES
@@ -43,6 +65,270 @@ from rtcal.loop.measured_pairs import MeasuredPairs, Pair, pairs_to_match
 from rtcal.simulators.base import LARGEST_ALPHA, Observations
 from rtcal.support.errors import DataError
 from rtcal.support.types import Array
+
+_AT_ONCE = 256
+"""Hypotheses in one product: their matrices fill some 10 MB."""
+
+
+@dataclass(frozen=True, eq=False)
+class ScatteringLevels:
+    """Shifts of the whole room if it scatters more or less than is assumed.
+
+    Attributes
+    ----------
+    shifts : array (n, n_levels)
+        In the order (band, parameter, pair).
+    log_weights : array (n_levels,)
+        Log prior probabilities of the levels.
+    """
+
+    shifts: Array
+    log_weights: Array
+
+    @classmethod
+    def assumed(cls, n: int) -> ScatteringLevels:
+        """Return the assumed level alone, for ``n`` values."""
+        return cls(np.zeros((n, 1)), np.zeros(1))
+
+    @property
+    def covariance(self) -> Array:
+        """Covariance of the shifts over the levels, (n, n)."""
+        weights = np.exp(self.log_weights)
+        off = self.shifts - (self.shifts @ weights)[:, np.newaxis]
+        return np.asarray((off * weights) @ off.T)
+
+
+@dataclass(frozen=True, eq=False)
+class Residuals:
+    """Sets of residuals as one likelihood takes them, at each level one after the other.
+
+    Attributes
+    ----------
+    pull : array (n, n_levels n_draws)
+        K⁻¹ r, K the covariance.
+    square : array (n_levels n_draws,)
+        r' K⁻¹ r.
+    """
+
+    pull: Array
+    square: Array
+
+
+@dataclass(eq=False)
+class Likelihood:
+    """The density of residuals (n,) under one covariance of everything but the hypothesis.
+
+    Parameters
+    ----------
+    covariance : array (n, n)
+        In the order (band, parameter, pair).
+    used : bool array (n,)
+        Which values were measured; the others say nothing.
+    nodes : mapping of str to array (n_bands, n_values, n_nodes)
+        Shifts at the nodes of each response, by band.
+    uneven : array (n_values, n_columns)
+        Deviations by pair at a change of 1 of the absorption; see `rtcal.finder.positions.hypotheses`.
+    amount : array (n_values,)
+        Weights of a band's shift in that change.
+    levels : ScatteringLevels
+    """
+
+    covariance: Array
+    used: NDArray[np.bool_]
+    nodes: Mapping[str, Array]
+    uneven: Array
+    amount: Array
+    levels: ScatteringLevels
+    inverse: Array = field(init=False)
+    half: float = field(init=False)
+    _products: dict[str, Array] = field(default_factory=dict, init=False)
+
+    def __post_init__(self) -> None:
+        both = np.outer(self.used, self.used)
+        kept = np.where(both, self.covariance, 0.0) + np.diag(np.where(self.used, 0.0, 1.0))
+        factor = np.linalg.cholesky(kept)
+        self.half = float(np.log(np.diag(factor)).sum())
+        # A value that was not measured has a residual of any size: its row is 0.
+        self.inverse = np.where(both, np.linalg.inv(kept), 0.0)
+
+    @property
+    def number(self) -> int:
+        """Number of values that were measured."""
+        return int(self.used.sum())
+
+    def of(self, residuals: Array) -> Residuals:
+        """Return residuals (n, n_draws) as the other methods take them."""
+        by_level = residuals[:, np.newaxis] - self.levels.shifts[..., np.newaxis]
+        measured = np.where(self.used[:, np.newaxis], by_level.reshape(len(residuals), -1), 0.0)
+        pull = np.asarray(self.inverse @ measured)
+        return Residuals(pull, np.asarray(np.einsum("nm,nm->m", measured, pull)))
+
+    def with_one_level(self) -> Likelihood:
+        """Return the normal likelihood whose covariance has that of the levels."""
+        covariance = self.covariance + self.levels.covariance
+        levels = ScatteringLevels.assumed(len(covariance))
+        return Likelihood(
+            covariance, self.used, self.nodes, uneven=self.uneven, amount=self.amount, levels=levels
+        )
+
+    def stated(self, residuals: Residuals) -> Array:
+        """Return the log density if nothing is other than stated, (n_draws,)."""
+        return self._log(residuals.square, self.half)
+
+    def shifted(self, shift: ShiftHypothesis, residuals: Residuals) -> Array:
+        """Return the log density by hypothesis, (n_hypotheses, n_draws)."""
+        if len(shift.weights) <= _AT_ONCE:
+            return self._shifted(shift, residuals)
+        parts = range(0, len(shift.weights), _AT_ONCE)
+        return np.concatenate(
+            [self._shifted(shift.some(slice(p, p + _AT_ONCE)), residuals) for p in parts]
+        )
+
+    def each_shifted(self, shifts: Sequence[ShiftHypothesis], residuals: Residuals) -> Array:
+        """Return `shifted` of each, one after the other."""
+        n_draws = len(residuals.square) // len(self.levels.log_weights)
+        return np.concatenate(
+            [np.zeros((0, n_draws)), *(self.shifted(s, residuals) for s in shifts)]
+        )
+
+    def _shifted(self, shift: ShiftHypothesis, residuals: Residuals) -> Array:
+        projected, forms = self._forms(shift, residuals)
+        error = np.asarray(np.linalg.cholesky(shift.error + 1e-9 * np.eye(len(shift.error))))
+        whole = residuals.square - 2 * projected.sum(1)
+        whole = whole + forms.sum((1, 2))[:, np.newaxis]
+        left = projected - forms.sum(2)[:, :, np.newaxis]
+        inner = error.T @ forms @ error
+        turned = error.T @ left
+        if shift.uneven.any():
+            inner, turned = self._with_uneven(shift, residuals, error, inner, turned)
+        return self._log(*with_columns(whole, self.half, turned, inner))
+
+    def _with_uneven(
+        self,
+        shift: ShiftHypothesis,
+        residuals: Residuals,
+        error: Array,
+        inner: Array,
+        turned: Array,
+    ) -> tuple[Array, Array]:
+        """Return products with K⁻¹ of the errors' columns, those of the pairs after the bands'."""
+        nodes = self.nodes[shift.response]
+        n_columns = self.uneven.shape[1]
+        change = np.einsum("hkn,kn->hk", shift.weights, np.einsum("v,kvn->kn", self.amount, nodes))
+        change = change * shift.uneven[:, np.newaxis]
+        both = (change[:, :, np.newaxis] * change[:, np.newaxis]).reshape(len(change), -1)
+        pairs = (both @ self._uneven_products).reshape(-1, n_columns, n_columns)
+        cross = self._uneven_node_products(shift.response)  # (k, c, l, n): band k, column c
+        mixed = np.einsum("hk,kcln->hcln", change, cross, optimize=True)
+        mixed = np.einsum("hcln,hln->hcl", mixed, shift.weights, optimize=True)
+        pulled = residuals.pull.reshape(len(nodes), nodes.shape[1], -1)
+        by_column = np.einsum("vc,kvm->kcm", self.uneven, pulled)
+        toward = np.einsum("hk,kcm->hcm", change, by_column, optimize=True)
+        toward = toward - mixed.sum(axis=2)[:, :, np.newaxis]
+        side = mixed @ error
+        joined = np.concatenate(
+            [
+                np.concatenate([inner, side.swapaxes(1, 2)], axis=2),
+                np.concatenate([side, pairs], axis=2),
+            ],
+            axis=1,
+        )
+        return joined, np.concatenate([turned, toward], axis=1)
+
+    def inverse_with_place(self, shift: ShiftHypothesis, row: int) -> Array:
+        """Return the inverse of the covariance with the error of a hypothesis' place, (n, n)."""
+        nodes = self.nodes[shift.response]
+        change = np.einsum("kn,kvn,v->k", shift.weights[row], nodes, self.amount)
+        columns = np.multiply.outer(change * shift.uneven[row], self.uneven)
+        columns = columns.reshape(-1, self.uneven.shape[1])
+        pulled = self.inverse @ columns
+        inner = np.eye(columns.shape[1]) + columns.T @ pulled
+        return np.asarray(self.inverse - pulled @ np.linalg.solve(inner, pulled.T))
+
+    @cached_property
+    def _uneven_products(self) -> Array:
+        """W' K⁻¹ W by pairs of bands, (n_bands², n_columns²), W being `uneven`."""
+        n_values, n_columns = self.uneven.shape
+        n_bands = len(self.inverse) // n_values
+        inverse = self.inverse.reshape(n_bands, n_values, n_bands, n_values)
+        half = np.einsum("vc,kvlw->kclw", self.uneven, inverse, optimize=True)
+        full = np.einsum("kclw,wd->klcd", half, self.uneven, optimize=True)
+        return np.asarray(full.reshape(n_bands**2, n_columns**2))
+
+    def _uneven_node_products(self, response: str) -> Array:
+        """Return W' K⁻¹ N, (n_bands, n_columns, n_bands, n_nodes)."""
+        key = f"uneven {response}"
+        if key not in self._products:
+            nodes = self.nodes[response]
+            n_bands, n_values, _ = nodes.shape
+            inverse = self.inverse.reshape(n_bands, n_values, n_bands, n_values)
+            half = np.einsum("kvlw,lwn->kvln", inverse, nodes, optimize=True)
+            self._products[key] = np.einsum("vc,kvln->kcln", self.uneven, half, optimize=True)
+        return self._products[key]
+
+    def spread(self, spread: SpreadHypothesis, residuals: Residuals) -> Array:
+        """Return the log density with some errors wider, (n_draws,)."""
+        kept = self.used[spread.rows]
+        rows, columns = spread.rows[kept], spread.columns[kept]
+        across, inner = columns.T @ residuals.pull[rows], self.inverse[np.ix_(rows, rows)]
+        return self._log(
+            *with_columns(residuals.square, self.half, across, columns.T @ inner @ columns)
+        )
+
+    def forms(self, shift: ShiftHypothesis) -> Array:
+        """Return d' K⁻¹ d by pairs of bands, (n_hypotheses, n_bands, n_bands)."""
+        products = self._node_products(shift.response)
+        right = np.einsum("kmln,hln->hkml", products, shift.weights, optimize=True)
+        return np.asarray((shift.weights[..., np.newaxis] * right).sum(axis=2))
+
+    def _forms(self, shift: ShiftHypothesis, residuals: Residuals) -> tuple[Array, Array]:
+        nodes = self.nodes[shift.response]
+        pulled = residuals.pull.reshape(len(nodes), nodes.shape[1], -1)
+        by_node = nodes.swapaxes(1, 2) @ pulled
+        return np.asarray(shift.weights.swapaxes(0, 1) @ by_node).swapaxes(0, 1), self.forms(shift)
+
+    def _node_products(self, response: str) -> Array:
+        """Return N' K⁻¹ N, (n_bands, n_nodes, n_bands, n_nodes)."""
+        if response not in self._products:
+            nodes = self.nodes[response]
+            n_bands, n_values, _ = nodes.shape
+            inverse = self.inverse.reshape(n_bands, n_values, n_bands, n_values)
+            half = np.einsum("krls,lsn->krln", inverse, nodes, optimize=True)
+            self._products[response] = np.einsum("krm,krln->kmln", nodes, half, optimize=True)
+        return self._products[response]
+
+    def _log(self, square: Array, half: Array | float) -> Array:
+        """Return the log density from chi-squares by level and ln sqrt|C|: the mean over the levels.
+
+        (..., n_levels n_draws) to (..., n_draws).
+        """
+        log = bounded(square, half, self.number)
+        weights = self.levels.log_weights[:, np.newaxis]
+        by_level = log.reshape(*log.shape[:-1], len(weights), -1) + weights
+        return np.asarray(np.logaddexp.reduce(by_level, axis=-2))
+
+
+Likelihoods = tuple[Likelihood, list[Likelihood], list[Likelihood]]
+"""With coefficients as stated, off together, and of something that no effect explains."""
+
+
+def flat(values: Array) -> Array:
+    """Return values (n_parameters, n_pairs, n_bands) in the order (band, parameter, pair), (n,)."""
+    return np.asarray(np.moveaxis(values, 2, 0).reshape(-1))
+
+
+def band_first(values: Array) -> Array:
+    """Return shifts (n_parameters, n_pairs, n_bands, n_nodes) by band, (n_bands, n_values, n_nodes)."""
+    moved = np.moveaxis(values, 2, 0)
+    return np.asarray(moved.reshape(len(moved), -1, values.shape[-1]))
+
+
+def reordered(covariance: Array, shape: Sequence[int]) -> Array:
+    """Return a covariance over (parameter, pair, band) in the order (band, parameter, pair)."""
+    p, i, k = shape
+    order = np.moveaxis(np.arange(p * i * k).reshape(p, i, k), 2, 0).reshape(-1)
+    return np.asarray(covariance[np.ix_(order, order)])
+
 
 UNKNOWN_SCALES = (4.0, 16.0)
 """Factors of the variance of the simulator's error if it misses something that no effect explains."""

@@ -1,20 +1,41 @@
-"""Find what is other than stated in a geometry, and where."""
+"""Find what is other than stated in a geometry, and where.
+
+The positions decide; means over them tell the family, too.
+
+A noisy pair is no evidence that the room is other than stated. In rooms that lack nothing, one pair
+often errs by more than is assumed, and the other pairs do not.
+
+One effect in one place is weighed against another: a hypothesis at positions has a place, and no sets
+are formed as on means (`rtcal.finder.means.sets`).
+
+Something that no effect explains is no rival of the effects: a room may lack both. Its larger error is
+weighed alone and beside every effect, and is as probable in both ways, so that "unknown" has what is
+left where no effect explains the measurement better than larger errors do. Taken as a rival only, it
+won where the right surface explained most of what was measured and errors were larger than assumed.
+"""
 
 from __future__ import annotations
 
+import math
 import os
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.special import logsumexp
 
+from rtcal.acoustics.directions import facing
+from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.observables import TARGET, observable
-from rtcal.finder.claim import CLAIMED, DISTINCT_NATS, claimed
+from rtcal.acoustics.priors import NORMAL_90
+from rtcal.finder.case import PARAMETERS, Case, Configuration, spread_where_unknown
+from rtcal.finder.claim import CLAIMED, DISTINCT_NATS, claimed, most_probable_first, with_added
 from rtcal.finder.effects import Effect, checked_effects, library
 from rtcal.finder.evidence import log_mixture
 from rtcal.finder.finding import Candidate, Detection
 from rtcal.finder.means.finding import MeansFinding
 from rtcal.finder.means.search import CHOSEN
+from rtcal.finder.means.search import find as find_by_means
 from rtcal.finder.positions import surfaces as of_room
 from rtcal.finder.positions.case import (
     AIMED,
@@ -30,34 +51,32 @@ from rtcal.finder.positions.case import (
 from rtcal.finder.positions.finding import MOST, PositionsFinding
 from rtcal.finder.positions.hypotheses import (
     COUPLED,
+    MEASUREMENT,
+    NOISE,
+    POSITION,
     WHOLE,
+    PositionsHypotheses,
+    ShiftHypothesis,
     on_parts,
     on_surfaces,
     shifts,
     spreads,
 )
-from rtcal.finder.positions.posterior import (
-    NOISE,
-    OF_PROGRAMS,
-    POSITION,
-    THRESHOLD,
-    TOLD_TEMPER,
+from rtcal.finder.positions.problem import (
     Likelihood,
-    PositionsHypotheses,
-    ShiftHypothesis,
-    Summary,
-    evaluate,
-    evidence_of_means,
-    gain,
-    scores,
-    summary_of,
-    unconfirmed,
-    weights,
-    with_families,
+    Likelihoods,
+    PositionsProblem,
+    problem_of,
 )
-from rtcal.finder.positions.problem import PositionsProblem, problem_of
 from rtcal.finder.positions.weighing import PairShifts, parameters, responses_of
-from rtcal.finder.prior import COEFFICIENTS, NONE, UNKNOWN, left_out_of, probability_off
+from rtcal.finder.prior import (
+    COEFFICIENTS,
+    NONE,
+    SCALES,
+    UNKNOWN,
+    left_out_of,
+    probability_off,
+)
 from rtcal.finder.records import record_of_positions
 from rtcal.loop.control_runs import ControlRuns, simulated_controls
 from rtcal.loop.measured_pairs import T30_ALONE, with_t30
@@ -65,6 +84,298 @@ from rtcal.support import checks
 from rtcal.support.errors import DataError
 from rtcal.support.speed import Progress, TaskProgress, single_threaded_blas
 from rtcal.support.types import Array
+
+TEMPER = 1.25
+"""Divisor of log evidences: the mean square of a hypothesis' standardised projection in control rooms
+(`python -m benchmarks.studies.pairs.where_threshold`). It would be 1 if few control runs told their
+covariance without error."""
+
+
+TOLD_TEMPER = 2.0
+"""Divisor of log evidences where effects and surfaces are told apart. Their probabilities are then as
+often right as they say (`python -m benchmarks.studies.pairs.where_temper`). The shifts of two
+surfaces differ by less than the simulator errs by, in ways that control runs do not show."""
+
+
+MEANS_POWER = 0.5
+"""Power of the families' probabilities by means over positions, which are multiplied into those of the
+positions (`python -m benchmarks.studies.pairs.where_temper`). Both see the same T, so neither
+counts in full."""
+
+
+LEAST_BY_MEANS = 1e-3
+"""Least probability of a family by means: they have other effects, and err by more than they know."""
+
+
+_NEGLIGIBLE = 15.0
+"""Evidence in nats by which larger errors are less likely than those assumed, from which they are not
+weighed beside each effect."""
+
+
+_TINY = 1e-9
+"""Prior probability below which nothing else than a noisy pair is tried."""
+
+
+def evaluate(likelihoods: Likelihoods, hypotheses: PositionsHypotheses, residuals: Array) -> Array:
+    """Return the log evidence of residuals (n_values, n_draws) by hypothesis, (n, n_draws)."""
+    stated, off, unknown = likelihoods
+    as_stated = stated.of(residuals)
+    none, shifts = stated.stated(as_stated), stated.each_shifted(hypotheses.shifts, as_stated)
+    as_off = [(one, one.of(residuals)) for one in off]
+    shares = np.log([share for _, share in SCALES])[:, np.newaxis]
+    together = logsumexp(shares + [one.stated(r) for one, r in as_off], axis=0)
+    if len(shifts) and hypotheses.off > 0:
+        of_scales = [one.each_shifted(hypotheses.shifts, r) for one, r in as_off]
+        others = logsumexp(shares[..., np.newaxis] + of_scales, axis=0)
+        shifts = log_mixture(shifts, others, hypotheses.off)
+    as_unknown = [(one, one.of(residuals)) for one in unknown]
+
+    def over_scales(values: Sequence[Array]) -> Array:
+        return np.asarray(logsumexp(np.array(values), axis=0) - np.log(len(values)))
+
+    alone = over_scales([one.stated(r) for one, r in as_unknown])
+    beside = np.full_like(shifts, -np.inf) if hypotheses.unknown else shifts[:0]
+    # Errors that explain even less than what nothing explains do so beside an effect, too.
+    if len(beside) and not (alone < none - _NEGLIGIBLE).all():
+        beside = over_scales([one.each_shifted(hypotheses.shifts, r) for one, r in as_unknown])
+    spreads = [stated.spread(spread, as_stated) for spread in hypotheses.spreads]
+    return np.concatenate([[none, together, alone, *spreads], shifts, beside])
+
+
+def scores(posterior: Array, hypotheses: PositionsHypotheses) -> tuple[Array, Array]:
+    """Return the evidence in nats that something is other than stated, and that a pair is noisy.
+
+    Both (n_draws,), from log posterior weights. A noisy pair is no evidence of the first, which is
+    against nothing or such a pair; that of the second is against nothing. Where nothing else is tried,
+    the first is 0.
+    """
+    none, noisy = posterior[0], np.array(hypotheses.effects) == NOISE
+    other = ~noisy
+    other[0] = False
+    of_pair = np.logaddexp.reduce(posterior[noisy], axis=0, initial=-np.inf)
+    nothing = np.logaddexp(none, of_pair)
+    of_noise = np.logaddexp.reduce(hypotheses.log_prior[noisy], initial=-np.inf)
+    prior = np.logaddexp(none, of_noise)  # of nothing
+    score = np.zeros_like(prior)
+    if (prior < -_TINY).all():
+        score = logsumexp(posterior[other], axis=0) - nothing - np.log1p(-np.exp(prior)) + prior
+    return np.asarray(score), np.asarray(of_pair - none)
+
+
+def weights(evidence: Array, hypotheses: PositionsHypotheses, temper: float = TEMPER) -> Array:
+    """Return log posterior weights, the weight of "none" being its prior, (n, n_draws).
+
+    Log evidences are divided by ``temper``.
+    """
+    return np.asarray(hypotheses.log_prior[:, np.newaxis] + (evidence - evidence[0]) / temper)
+
+
+def gain(other: Array, evidence: Array, hypotheses: PositionsHypotheses) -> Array:
+    """Return the evidence in nats for another likelihood, whatever the room lacks, (n_draws,)."""
+    more = [logsumexp(weights(each, hypotheses), axis=0) for each in (other, evidence)]
+    return np.asarray(more[0] - more[1] + (other[0] - evidence[0]) / TEMPER)
+
+
+def with_families(
+    posterior: Array, hypotheses: PositionsHypotheses, families: Mapping[str, float]
+) -> Array:
+    """Return weights times the probabilities of their families by means, to `MEANS_POWER`.
+
+    A logarithmic pool of two opinions (Genest & Zidek 1986).
+    """
+    least = [max(families.get(family, 0.0), LEAST_BY_MEANS) for family in hypotheses.families]
+    return np.asarray(posterior + MEANS_POWER * np.log(least)[:, np.newaxis])
+
+
+THRESHOLD = 2.5
+"""Of the evidence of the positions, in nats. In situ 1 of 23 rooms for development with nothing hidden
+exceeds it without level, and 1 with it (`python -m benchmarks.studies.pairs.where_decides`)."""
+
+
+OF_PROGRAMS = 13.0
+"""The same where another program's values are compared, which errs in ways that control runs do not
+show. Of 17 participants' models of PTB's studio as it was, an earlier version flagged one."""
+
+
+def evidence_of_means(
+    case: PositionsCase,
+    effects: Sequence[Effect] | None = None,
+    cache: str | os.PathLike[str] | None = None,
+) -> MeansFinding | None:
+    """Return what `rtcal.find` says of the means over positions.
+
+    None where that finder has nothing to compare: no T, or none that can be trusted.
+    """
+    try:
+        return find_by_means(of_means(case), effects, cache=cache)
+    except DataError:
+        return None
+
+
+def unconfirmed(means: MeansFinding) -> str:
+    """Return what means over positions claim where positions claim nothing; "" without that."""
+    name = means.effect or means.family
+    if name is None:
+        return ""
+    probability = (means.probabilities if means.effect else means.families)[name]
+    return (
+        f"Means over positions claim {name} ({100 * probability:.0f} %), which the differences "
+        "between positions do not confirm."
+    )
+
+
+def of_means(case: PositionsCase) -> Case:
+    """Return the case without its geometry; DataError where it has no T that can be trusted."""
+    measured, tracer = case.in_room, case.simulator
+    names = [observable(name).stand_in or name for name in case.match]
+    rows = [measured.pairs.index(pair) for pair in case.pairs]
+
+    def some(table: dict[str, Array]) -> dict[str, Array]:
+        return {n: np.asarray(v)[rows] for n, v in table.items() if n in PARAMETERS and n in names}
+
+    kept = Measurement(
+        centre_frequencies=measured.centre_frequencies,
+        values=some(dict(measured.values)),
+        pairs=case.pairs,
+        uncertainty=some(dict(measured.uncertainty)),
+        common_uncertainty={
+            n: v for n, v in measured.common_uncertainty.items() if n in PARAMETERS and n in names
+        },
+    )
+    distances = [math.dist(tracer.sources[s], tracer.receivers[r]) for s, r in case.pairs]
+    return Case(
+        room=case.room,
+        configurations=[
+            Configuration(name="measured", measured=kept, distances=np.array(distances))
+        ],
+        facing=spread_where_unknown(facing(case.room, case.geometry)),
+    )
+
+
+_SPACING = 0.1
+"""Standard deviation of ln size within the grid's distance, which is 0.26."""
+
+
+@dataclass(frozen=True, eq=False)
+class Summary:
+    """Probabilities of everything that may be other than stated; see `PositionsFinding`.
+
+    ``on_surfaces`` is the probability that something stands on a surface, ``unexplained`` that of
+    something that no effect explains, alone or beside an effect.
+    """
+
+    candidates: tuple[Candidate, ...]
+    probabilities: dict[str, float]
+    families: dict[str, float]
+    surfaces: dict[str, float]
+    on_surfaces: float
+    unexplained: float
+
+
+def summary_of(case: PositionsCase, hypotheses: PositionsHypotheses, posterior: Array) -> Summary:
+    """Return what the weights of a single set of residuals say."""
+    chances = np.exp(posterior[:, 0] - logsumexp(posterior[:, 0]))
+    of_shifts, beside = hypotheses.of_shifts(chances)
+    unexplained = float(chances[2] + beside.sum())
+    if len(beside):
+        of_shifts = of_shifts + beside
+    ends = np.cumsum([len(shift.odds) for shift in hypotheses.shifts])
+    grouped: dict[tuple[str, int | None, str], list[tuple[ShiftHypothesis, Array]]] = {}
+    for shift, some in zip(hypotheses.shifts, np.split(of_shifts, ends)[: len(ends)], strict=True):
+        grouped.setdefault((shift.effect, shift.surface, shift.place), []).append((shift, some))
+    candidates = [_candidate(case, members) for members in grouped.values()]
+    places: dict[tuple[str, str], list[tuple[float, float, str]]] = {}
+    for spread, chance in zip(hypotheses.spreads, chances[3:].tolist(), strict=False):
+        places.setdefault((spread.effect, spread.place), []).append(
+            (chance, spread.size, spread.unit)
+        )
+    candidates += [_misplaced(*place, members) for place, members in places.items()]
+    for effect, chance in zip((COEFFICIENTS, UNKNOWN), chances[1:3].tolist(), strict=True):
+        if chance > 0:
+            candidates.append(Candidate(effect=effect, family=effect, probability=chance))
+    candidates.sort(key=lambda c: -c.probability)
+    probabilities = {NONE: float(chances[0])}
+    families = dict(probabilities)
+    surfaces = dict.fromkeys(case.faces, 0.0)
+    for c in candidates:
+        probabilities[c.effect] = probabilities.get(c.effect, 0.0) + c.probability
+        families[c.family] = families.get(c.family, 0.0) + c.probability
+        if c.surface is not None:
+            surfaces[c.surface] += c.probability
+    on_surfaces = sum(surfaces.values())
+    shares = {n: p / on_surfaces if on_surfaces > 0 else 0.0 for n, p in surfaces.items()}
+    return Summary(
+        tuple(candidates),
+        most_probable_first(probabilities),
+        with_added(families),
+        most_probable_first(shares),
+        on_surfaces,
+        unexplained,
+    )
+
+
+def _shares(chances: Array) -> Array:
+    """Return probabilities over their sum, equal ones where all are 0."""
+    total = chances.sum()
+    return chances / total if total > 0 else np.full(len(chances), 1 / len(chances))
+
+
+def _candidate(case: PositionsCase, members: Sequence[tuple[ShiftHypothesis, Array]]) -> Candidate:
+    """Return the candidate of an effect in one place: spread over a surface, and on its parts."""
+    shift = members[0][0]
+    chances = np.concatenate([some for _, some in members])
+    sizes = np.concatenate([member.sizes for member, _ in members])
+    total = float(chances.sum())
+    share = _shares(chances)
+    likely = int(np.argmax(share))
+    signed = bool((sizes <= 0).any())
+    scale = sizes if signed else np.log(sizes)
+    mean = float(share @ scale)
+    more = 0.0 if signed else _SPACING**2 + shift.size_error**2
+    deviation = float(np.sqrt(share @ (scale - mean) ** 2 + more))
+    ends = [mean, mean - NORMAL_90 * deviation, mean + NORMAL_90 * deviation]
+    size, low, high = ends if signed else np.exp(ends).tolist()
+    surface = None if shift.surface is None else list(case.faces)[shift.surface]
+    if surface is not None and shift.unit == "m²":  # no more stands on a surface than it has
+        size, low, high = (min(each, case.areas[surface]) for each in (size, low, high))
+    return Candidate(
+        effect=shift.effect,
+        family=shift.family,
+        surface=surface,
+        place=surface or shift.place,
+        probability=total,
+        size=size,
+        low=low,
+        high=high,
+        unit=shift.unit,
+        parameters=[p for member, _ in members for p in member.parameters][likely],
+        spectrum=np.asarray(share @ np.concatenate([member.spectra for member, _ in members])),
+        parts=tuple(
+            (case.divided.parts[member.part].middle, float(some.sum()))
+            for member, some in members
+            if member.part is not None
+        ),
+    )
+
+
+def _misplaced(effect: str, place: str, members: Sequence[tuple[float, float, str]]) -> Candidate:
+    """Return a candidate of the measurement: its sizes are those that are tried."""
+    chances = np.array([chance for chance, _, _ in members])
+    sizes = np.array([size for _, size, _ in members])
+    total = float(chances.sum())
+    share = _shares(chances)
+    likely = sizes[share >= min(0.05, share.max())]
+    size = float(np.clip(share @ sizes, likely.min(), likely.max()))
+    return Candidate(
+        effect=effect,
+        family=MEASUREMENT,
+        place=place,
+        probability=total,
+        size=size,
+        low=float(likely.min()),
+        high=float(likely.max()),
+        unit=members[0][2],
+    )
 
 
 def tried(effects: Sequence[Effect]) -> tuple[str, ...]:
