@@ -19,7 +19,6 @@ from rtcal.acoustics import band_conversion, bands, marks, priors
 from rtcal.acoustics.air import Air
 from rtcal.acoustics.equations import Eyring, LinearEquation
 from rtcal.acoustics.room import Material, Room, Surface, above_one_hint, times_of
-from rtcal.acoustics.scene import POSITION, Scene
 from rtcal.files.disk import read_bytes, write_bytes
 from rtcal.io.text import MAX_TEXT, Text, number
 from rtcal.support import checks, text
@@ -111,6 +110,16 @@ class ListedMaterial:
             return band_conversion.absorption(np.array(values), self.centre_frequencies, wanted)
         except DataError as error:
             raise DataError(f"{place}: {error}") from error
+
+    def with_decimals(self, decimals: int) -> ListedMaterial:
+        """Return the material with its numbers written to these decimals of the coefficient."""
+        least = 2 if self.unit == 0.01 else 0
+        if not least <= decimals <= 15:
+            raise DataError(
+                f"decimals = {decimals} of a coefficient; they are {least} to 15"
+                + (", since the file has whole percents at least" if least else "")
+            )
+        return replace(self, decimals=decimals - least)
 
     def rounded(self, alpha: float) -> tuple[str, float]:
         """Return the text of a written number, and the coefficient that is read from it."""
@@ -459,8 +468,13 @@ LOST = {
     "where coefficients are from": ("sources",),
     "coefficients that were above 1": ("clipped",),
     RECORD: ("calibration",),
+    "mesh": ("scene.mesh",),
+    "sources and receivers": ("scene.sources",),
+    "directivity of sources": ("scene.directivity",),
+    "uncertainty of positions": ("scene.position_uncertainty",),
+    "names of surfaces": ("scene.surfaces",),
 }
-"""What it does not hold, in words, and the fields of a room that these are; see `_of_scene`, too."""
+"""What no list holds, in words, and the fields of a room that these are."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -636,9 +650,8 @@ class Format:
             listed = self.parse(self.new(in_new_bands.replace(materials=names, surfaces=())))
         listed = listed.with_entries(entries, room)
         if decimals is not None:
-            listed = replace(
-                listed, materials=tuple(_with_decimals(m, decimals) for m in listed.materials)
-            )
+            rounded = tuple(m.with_decimals(decimals) for m in listed.materials)
+            listed = replace(listed, materials=rounded)
         content, as_read, lacking = listed.with_room(room)
         notes += _without_measured_time(room, equation)
         time = equation.reverberation_time(room)
@@ -721,32 +734,21 @@ def _without_measured_time(room: Room, equation: LinearEquation) -> list[str]:
 
 def _lost(room: Room, lacking: Sequence[str]) -> tuple[str, ...]:
     """Return what a room states and no list of materials holds, after ``lacking`` scattering."""
-    of = "" if len(lacking) == room.n_materials else f" of {', '.join(lacking)}"
-    usual = {f.name: f.default for f in fields(room)}
 
-    def is_stated(name: str) -> bool:
-        value = getattr(room, name)
+    def is_stated(owner: Any, name: str) -> bool:
+        first, _, rest = name.partition(".")
+        value = getattr(owner, first)
+        if rest:
+            return is_stated(value, rest)
         if isinstance(value, np.ndarray):
             return bool(value.any())
-        return bool(value) and value != usual[name]
+        return bool(value) and value != {f.name: f.default for f in fields(owner)}[name]
 
+    of = "" if len(lacking) == room.n_materials else f" of {', '.join(lacking)}"
     return (
         *((f"scattering{of}",) if lacking else ()),
-        *(words for words, names in LOST.items() if any(map(is_stated, names))),
-        *_of_scene(room.scene),
+        *(words for words, names in LOST.items() if any(is_stated(room, n) for n in names)),
     )
-
-
-def _of_scene(scene: Scene) -> tuple[str, ...]:
-    """Return what a scene states, in words: no sources and receivers where it has none."""
-    said = ["mesh"] if scene.mesh is not None else []
-    said += ["sources and receivers"] if scene.sources else []
-    further = {
-        "directivity of sources": bool(scene.directivity),
-        "uncertainty of positions": scene.position_uncertainty != POSITION,
-        "names of surfaces": bool(scene.surfaces),
-    }
-    return (*filter(None, [", ".join(said)]), *(words for words, is_so in further.items() if is_so))
 
 
 def _in_new_bands(
@@ -774,14 +776,3 @@ def _in_new_bands(
         centre_frequencies=np.asarray(needed),
         **{n: t[:, nearest] for n, t in tables.items() if t is not None},
     ), notes
-
-
-def _with_decimals(listed: ListedMaterial, decimals: int) -> ListedMaterial:
-    """Return the material with its numbers written to these decimals of the coefficient."""
-    least = 2 if listed.unit == 0.01 else 0
-    if not least <= decimals <= 15:
-        raise DataError(
-            f"decimals = {decimals} of a coefficient; they are {least} to 15"
-            + (", since the file has whole percents at least" if least else "")
-        )
-    return replace(listed, decimals=decimals - least)

@@ -21,7 +21,7 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from rtcal.acoustics import bands
@@ -131,7 +131,7 @@ class _Options:
 
     decay_time: str | None = None
     parameter: str | None = None
-    where: Mapping[str, str] | None = None
+    where: Mapping[str, str] = field(default_factory=dict)
     ignore: Collection[str] = ()
     n_sources: int | None = None
     n_receivers: int | None = None
@@ -151,11 +151,6 @@ class _Options:
             texts = getattr(self, name)
             texts = (texts,) if isinstance(texts, str) else checks.texts(name, texts)
             object.__setattr__(self, name, texts)
-
-    @property
-    def rows(self) -> Mapping[str, str]:
-        """The entries by column that select rows."""
-        return self.where or {}
 
     @property
     def counts(self) -> dict[str, float]:
@@ -230,7 +225,7 @@ def parse(
     contents = {path: content} if isinstance(content, bytes) else checks.mapped("content", content)
     if not contents:
         raise DataError("no table is given")
-    options = _Options(**stated)
+    options = _Options(**{name: value for name, value in stated.items() if value is not None})
     found: list[CellTable] = []
     notes: list[str] = []
     for path, content in contents.items():
@@ -274,12 +269,12 @@ def _tables(content: bytes, path: str, options: _Options) -> tuple[list[CellTabl
 
     An error of a sheet names those that are tables.
     """
-    extra = {*options.rows, *options.ignore}
+    extra = {*options.where, *options.ignore}
     module = next((module for module in FORMATS if module.claims(content)), None)
     if module is None:
         of_file = [sheet_of_text(decode(content, path), path, extra)]
     else:
-        of_file = module.sheets(content, path, options.rows)
+        of_file = module.sheets(content, path, options.where)
     if options.repeats:
         of_file = [
             replace(s, rows=tuple((at, with_repeats(cells)) for at, cells in s.rows))
@@ -424,7 +419,7 @@ def _named_by_rows(table: CellTable, options: _Options) -> list[tuple[Column, st
     D50. Raises DataError for an entry that is a parameter without use.
     """
     found = []
-    for header, entry in options.rows.items():
+    for header, entry in options.where.items():
         at = next((i for i, c in enumerate(table.columns) if c.header == header), None)
         if at is None:
             continue
@@ -485,9 +480,9 @@ class _Reader:
         self.statistics: dict[str, None] = {}  # names of the rows of statistics over positions
         self.unnamed_means = False  # whether a mean without a parameter or band was left out
         kinds = [c.kind for c in self.columns]
-        placed = {"source", "receiver"} & {*kinds} or any(c.receiver for c in self.columns)
+        across = [c for c in self.columns if c.receiver]
+        placed = {"source", "receiver"} & {*kinds} or across
         position = ("", "") if placed else _position(table.sheet)
-        self.named = bool(position[1])
         self.has_positions = bool(placed or position[1])
         if options.counts and self.has_positions:
             raise DataError(
@@ -504,6 +499,26 @@ class _Reader:
             )
         self.comma = self._decimal_comma()
         self.example_of_both = self._example_of_both() if "source" not in kinds else None
+        if not self.has_positions:
+            of_positions = [
+                "no positions: taken as source S1 and receiver R1; if the values are means, state "
+                "n_sources and n_receivers"
+            ]
+        elif self.example_of_both:
+            source, receiver = self._pair_of({"receiver": self.example_of_both})
+            of_positions = [
+                f'positions name both: "{self.example_of_both}" is source {source}, receiver {receiver}'
+            ]
+        elif position[1]:
+            of_positions = [f"all values are of {self.pair[0]} to {self.pair[1]}, the table's name"]
+        else:
+            of_positions = []
+            if "source" not in kinds and not (across and all(c.source for c in across)):
+                only = "all positions are taken as receivers of source S1"
+                of_positions.append(f"no source is named: {only}")
+            if "receiver" not in kinds and not across:
+                of_positions.append("no receiver is named: taken as receiver R1 of each source")
+        self.of_positions = of_positions
 
     def _cells_of_values(self, cells: Sequence[str]) -> list[str]:
         """Return the cells of a row that have values."""
@@ -552,7 +567,7 @@ class _Reader:
 
     def values(self) -> list[_Value]:
         """Return the values of the rows that ``where`` selects."""
-        headers, where = [c.header for c in self.columns], self.options.rows
+        headers, where = [c.header for c in self.columns], self.options.where
         for name in where:
             if headers.count(name) != 1:
                 raise DataError(f'{self.table.place}: column "{shown(name)}" is not there once')
@@ -804,28 +819,7 @@ class _Reader:
                 "several channels: each is a receiver, named after it; if they are repeats of one "
                 "place, state repeats=True"
             )
-        kinds = {c.kind for c in self.columns}
-        across = [c for c in self.columns if c.receiver]
-        if not self.has_positions:
-            report.append(
-                "no positions: taken as source S1 and receiver R1; if the values are means, state "
-                "n_sources and n_receivers"
-            )
-        elif self.example_of_both:
-            source, receiver = self._pair_of({"receiver": self.example_of_both})
-            report.append(
-                f'positions name both: "{self.example_of_both}" is source {source}, receiver {receiver}'
-            )
-        elif self.named:
-            report.append(f"all values are of {self.pair[0]} to {self.pair[1]}, the table's name")
-        else:
-            if "source" not in kinds and not (across and all(c.source for c in across)):
-                report.append(
-                    "no source is named: all positions are taken as receivers of source S1"
-                )
-            if "receiver" not in kinds and not across:
-                report.append("no receiver is named: taken as receiver R1 of each source")
-        return report
+        return report + self.of_positions
 
 
 def _is_accepted(parameter: str, value: float) -> bool:
@@ -843,13 +837,24 @@ def _values(readers: Sequence[_Reader], options: _Options) -> tuple[Values, Valu
     """
     single: Values = {}
     of_several: Values = {}
-    given: dict[Key, list[_Reader]] = {}
+    given: dict[Key, list[Sheet]] = {}
     for reader in readers:
+        sheet = reader.table.sheet
+        file = sheet.place.split(", sheet")[0]
         for value in reader.values():
-            key, place = value.key, value.place
-            if not options.sheets:  # those that are named are meant together
-                _refuse_other_sheet(reader, given.get(key, ()), key, place)
-            given.setdefault(key, []).append(reader)
+            key = value.key
+            at = f"{key[0]}, {key[1]} at {bands.label(key[3])}"
+            twice = f"{value.place}: {parameter_label(key[2])} of {at} is given twice"
+            for other in given.get(key, ()):
+                of_file = other.place.split(", sheet")[0] == file and other.name != sheet.name
+                if of_file and not options.sheets:  # those that are named are meant together
+                    raise DataError(
+                        f"{twice}, first by {other.place}. Which parameter does each sheet hold? Give "
+                        "the sheets their parameters as names in the workbook, such as T20, EDT and "
+                        "C80; or read one alone, with its parameter: "
+                        f'sheets="{shown(other.name)}"'
+                    )
+            given.setdefault(key, []).append(sheet)
             values = single if value.statistic is None else of_several
             if value.statistic is None and options.repeats:
                 repeats = ((key[0], n, *key[2:]) for n in names_of_repeats(key[1]))
@@ -857,28 +862,9 @@ def _values(readers: Sequence[_Reader], options: _Options) -> tuple[Values, Valu
             held = values.setdefault(key, options.counts)
             if held.keys() & value.numbers.keys() & {"value", "standard_deviation"}:
                 hint = "" if SUMMARY in key else "; if they are repeats, state repeats=True"
-                raise DataError(f"{place}: {_given_twice(key)}{hint}")
+                raise DataError(f"{twice}{hint}")
             held.update(value.numbers)
     return single, of_several
-
-
-def _given_twice(key: Key) -> str:
-    source, receiver, parameter, band = key
-    at = f"{source}, {receiver} at {bands.label(band)}"
-    return f"{parameter_label(parameter)} of {at} is given twice"
-
-
-def _refuse_other_sheet(reader: _Reader, given: Sequence[_Reader], key: Key, place: str) -> None:
-    """Raise DataError for a value that another sheet of the file has: of another kind, likely."""
-    sheet = reader.table.sheet
-    file = sheet.place.split(", sheet")[0]
-    for other in (r.table.sheet for r in given):
-        if other.name != sheet.name and other.place.split(", sheet")[0] == file:
-            raise DataError(
-                f"{place}: {_given_twice(key)}, first by {other.place}. Which parameter does each "
-                "sheet hold? Give the sheets their parameters as names in the workbook, such as T20, "
-                f'EDT and C80; or read one alone, with its parameter: sheets="{shown(other.name)}"'
-            )
 
 
 def _measured(readers: Sequence[_Reader], notes: list[str], options: _Options) -> MeasuredTable:
