@@ -53,42 +53,6 @@ def test_a_written_mesh_reads_back(tmp_path: Path) -> None:
     assert np.array_equal(again.vertices, first.vertices)
 
 
-def test_bands_down_with_decimal_commas() -> None:
-    table = tables.parse(fuzz.TABLES[0])
-    m = table.measurement
-    assert m.centre_frequencies.tolist() == [125, 250]
-    assert m.values["t20"].tolist() == [[1.5, 1.4]]
-    assert m.values["d50"] == pytest.approx(np.array([[0.5, 0.55]]), rel=1e-12)
-    assert m.values["ts"][0, 0] == pytest.approx(0.08, rel=1e-12)
-    assert np.isnan(m.values["ts"][0, 1])
-    assert str(table).split("\n\n")[0].splitlines() == [
-        "text in UTF-8, columns separated by ';', decimal comma",
-        '"Frequenz [Hz]": band',
-        '"T20 (s)": T20',
-        '"D50 [%]": D50, times 0.01',
-        '"Ts [ms]": Ts, times 0.001',
-        "no positions: taken as source S1 and receiver R1; if the values are means, state "
-        "n_sources and n_receivers",
-    ]
-
-
-def test_bands_across() -> None:
-    table = tables.parse(fuzz.TABLES[1])
-    m = table.measurement
-    assert m.centre_frequencies.tolist() == [125, 1000, 2000]
-    assert m.values["t20"].tolist() == [[1.5, 1.4, 1.3]]
-    assert m.values["edt"][0, [0, 2]].tolist() == [1.2, 1.0]
-    assert np.isnan(m.values["edt"][0, 1])
-    assert '"1 kHz": the row\'s parameter at 1000 Hz' in str(table)
-
-
-def test_long_with_units_and_spellings() -> None:
-    m = tables.parse(fuzz.TABLES[2]).measurement
-    assert m.pairs == (("S1", "R1"), ("S1", "R 2"))
-    assert m.values["c80"][0, 0] == 2.5
-    assert m.values["ts"][1, 1] == pytest.approx(0.09, rel=1e-12)
-
-
 def test_a_written_table_is_the_native_file(tmp_path: Path) -> None:
     m = tables.parse(fuzz.TABLES[1]).measurement
     tables.write(m, tmp_path / "t.csv")
@@ -120,13 +84,3 @@ def test_native_files_are_bounded(tmp_path: Path) -> None:
     path.write_bytes(b"#" * (2**21 + 1))
     with pytest.raises(DataError, match="more than 2097152 bytes"):
         rt.Measurement.from_file(str(path))
-
-
-def test_a_wrong_unit_is_noticed() -> None:
-    with pytest.raises(DataError, match=r"line 3: T20 = 0\.0014 s is not from 0\.01 to 120 s"):
-        tables.parse(b"Frequency [Hz];T20 [ms]\n125;1520\n250;1.400\n")
-    with pytest.raises(DataError, match=r"T20 = 1400 s is not from .*: is it in seconds"):
-        tables.parse(b"Frequency [Hz];T20\n125;1400\n")
-    assert (
-        tables.parse(b"Frequency [Hz];EDT [ms]\n125;1.4\n").measurement.values["edt"][0] == 0.0014
-    )

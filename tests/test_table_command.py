@@ -33,25 +33,6 @@ def test_parameters_are_taken_in_both_cases(tmp_path: Path, capsys) -> None:
     assert "[t20|t30]" in capsys.readouterr().out
 
 
-@pytest.mark.parametrize(
-    ("positions", "pairs", "said"),
-    [
-        (("S1R1", "S1R2"), (("S1", "R1"), ("S1", "R2")), '"S1R1" is source S1, receiver R1'),
-        (("S1_R1", "LS2-MP2"), (("S1", "R1"), ("LS2", "MP2")), '"S1_R1" is source S1, receiver R1'),
-        (("S1R1", "seat 2"), (("S1", "S1R1"), ("S1", "seat 2")), "receivers of source S1"),
-    ],
-)
-def test_positions_that_name_source_and_receiver(
-    tmp_path: Path, capsys, positions: tuple[str, str], pairs: tuple[object, ...], said: str
-) -> None:
-    """S1R1 became receiver S1R1 of a source S1 that was assumed without a word."""
-    path, out = tmp_path / "in.csv", tmp_path / "t.csv"
-    path.write_text("Position,500\n" + "".join(f"{p},1.5\n" for p in positions) + "mean,9\n")
-    assert run("table", path, "--parameter", "t20", "--out", out) == 0
-    assert said in " ".join(capsys.readouterr().out.split())
-    assert rt.Measurement.from_file(str(out)).pairs == pairs
-
-
 def test_a_native_measurement_says_separator_and_line(tmp_path: Path, capsys) -> None:
     """It had said that a column is missing, and D50 = 45 without its line."""
     path, room = tmp_path / "v.csv", rt.datasets.path("bras_cr2/room.toml")
