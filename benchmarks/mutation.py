@@ -40,8 +40,8 @@ SURVIVED = {
 }
 SURVIVORS: dict[tuple[str, str], str] = {
     (
-        "rtcal.calibration.archive.x__told_apart",
-        "+ for each, row, columns in zip(rooms, called, entries, strict=False)",
+        "rtcal.calibration.archive.x__named",
+        "+ for room, of_room in zip((each.room for each in rooms), columns, strict=False):",
     ): "equivalent: each room has one row of names, and one of columns",
     (
         "rtcal.finder.means.evidence.x_evaluate_beyond",

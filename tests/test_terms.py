@@ -145,8 +145,8 @@ def free(numbers: Numbers, x: np.ndarray) -> np.ndarray:
 
 
 def observed(numbers: Numbers, x: np.ndarray) -> float:
-    seen = numbers.observed[SEEN]
-    residual = np.linalg.qr(seen.matrix)[0].T @ (seen.values - seen.matrix @ u_of(numbers, x))
+    matrix, values = numbers.observed[SEEN]
+    residual = np.linalg.qr(matrix)[0].T @ (values - matrix @ u_of(numbers, x))
     return 0.5 * float(residual @ residual)
 
 

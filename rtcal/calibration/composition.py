@@ -26,7 +26,7 @@ from rtcal.calibration.terms import (
     SharedMaterials,
     SoftMatch,
 )
-from rtcal.calibration.unknowns import Configurations, Integers, Layout, Numbers, Whitened
+from rtcal.calibration.unknowns import Configurations, Integers, Layout, Numbers
 from rtcal.support import checks
 from rtcal.support.errors import DataError, ModelError, SolverError
 from rtcal.support.types import Array
@@ -225,7 +225,9 @@ class Composition:
                 numbers = replace(numbers, target_uncertainty=match.uncertainty(numbers))
         return numbers
 
-    def _observed(self, observed: Mapping[LinearObservations, Observed]) -> dict[object, Whitened]:
+    def _observed(
+        self, observed: Mapping[LinearObservations, Observed]
+    ) -> dict[object, tuple[Array, Array]]:
         """Return the numbers of each term of linear observations; DataError unless each has some."""
         terms = [t for t in self.objective.terms if isinstance(t, LinearObservations)]
         for term, given in checks.mapped("observed", observed).items():

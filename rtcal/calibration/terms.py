@@ -402,16 +402,9 @@ class PriorDeviation(Term):
         largest = _largest(self, numbers.layout) if self.correlated else 1.0
         return float(1 / (largest + (q @ q if self.common else 0.0)))
 
-    def factors(self, layout: Layout) -> tuple[list[Array], Array]:
-        """Return Cholesky factors of R = B (C x 1) B': B per row of alpha (n_bands, n_bands), C's.
-
-        Raises ModelError as the class says.
-        """
-        return _factors(self, layout)
-
     def correlate(self, columns: Array, layout: Layout) -> Array:
         """Return R @ columns, (size, n); further unknowns are independent."""
-        within, between = self.factors(layout)
+        within, between = _factors(self, layout)
         stacked = np.array(within)
         alpha = columns[: layout.n_alpha].reshape(layout.n_rows, layout.n_bands, -1)
         alpha = np.einsum("iab,ia...->ib...", stacked, alpha)
@@ -421,7 +414,7 @@ class PriorDeviation(Term):
 
     def _inverse(self, layout: Layout) -> Any:
         """R⁻¹, sparse."""
-        within, between = self.factors(layout)
+        within, between = _factors(self, layout)
         own = sp.block_diag([sp.csr_array(np.linalg.inv(b)) for b in within])
         across = sp.kron(np.linalg.inv(between), sp.eye_array(layout.n_bands))
         whitener = sp.csr_array(across @ own)
@@ -455,6 +448,7 @@ def _by_name(given: Any) -> bool:
 
 @functools.lru_cache(maxsize=16)
 def _factors(term: PriorDeviation, layout: Layout) -> tuple[list[Array], Array]:
+    """Cholesky factors of R = B (C x 1) B': B per row of alpha (n_bands, n_bands), and C's."""
     given: Any = term.band_correlation
     by_material = dict(given) if _by_name(given) else None
     for name in by_material or ():
@@ -762,10 +756,10 @@ class LinearObservations(Term):
 
         @functools.lru_cache(maxsize=1)
         def triangle(numbers: Numbers) -> Array:
-            seen = numbers.observed[self]
+            seen, values = numbers.observed[self]
             mu, sigma = numbers.mu[:n], numbers.sigma[:n]
-            values = seen.values - seen.matrix @ mu
-            factor = np.linalg.qr(np.column_stack([seen.matrix * sigma, values]), mode="r")
+            both = np.column_stack([seen * sigma, values - seen @ mu])
+            factor = np.linalg.qr(both, mode="r")
             full = np.zeros((n, n + 1))
             full[: min(len(factor), n)] = factor[:n]
             return full

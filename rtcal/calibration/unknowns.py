@@ -361,8 +361,10 @@ class Observed:
     def __repr__(self) -> str:
         return f"<Observed: {self.values.size} observations of {self.matrix.shape[1]} coefficients>"
 
-    def over(self, layout: Layout) -> Whitened:
-        """Return the numbers over the unknowns of a problem, those of shared materials added up.
+    def over(self, layout: Layout) -> tuple[Array, Array]:
+        """Return matrix and values over the unknowns of a problem, in units of independent errors.
+
+        Columns of materials that share their coefficients are added up.
 
         Raises DataError if the matrix has columns of other materials or bands.
         """
@@ -378,20 +380,7 @@ class Observed:
             summed[:, row] += by_material[:, material]
         both = np.column_stack([summed.reshape(len(self.matrix), -1), self.values])
         white = solve_triangular(self.factor, both, lower=True)
-        return Whitened(white[:, :-1], white[:, -1])
-
-
-@dataclass(frozen=True, eq=False)
-class Whitened:
-    """Matrix over the unknowns, and values, in units in which the errors are independent."""
-
-    matrix: Array
-    values: Array
-
-    @cached_property
-    def information(self) -> Array:
-        """J' C⁻¹ J, (n_alpha, n_alpha)."""
-        return np.asarray(self.matrix.T @ self.matrix)
+        return white[:, :-1], white[:, -1]
 
 
 @dataclass(frozen=True, kw_only=True, repr=False, eq=False)
@@ -417,8 +406,8 @@ class Numbers:
         It turned T into b.
     rooms : tuple of Room
         One per configuration.
-    observed : mapping of term to Whitened
-        The numbers of each `rtcal.terms.LinearObservations`.
+    observed : mapping of term to (matrix, values)
+        Of each `rtcal.terms.LinearObservations`, as `Observed.over` returns them.
     room_changes : array (n_changes, n_configurations * n_bands)
         `rtcal.acoustics.room_errors.target_changes` of all configurations, in m².
     common : float
@@ -438,7 +427,7 @@ class Numbers:
     target_sensitivity: Array
     equation: LinearEquation
     rooms: tuple[Room, ...]
-    observed: Mapping[object, Whitened] = field(default_factory=dict)
+    observed: Mapping[object, tuple[Array, Array]] = field(default_factory=dict)
     room_changes: Array = field(default_factory=lambda: np.zeros((0, 0)))
     common: float = 0.0
 
