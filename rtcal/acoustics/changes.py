@@ -23,6 +23,7 @@ from rtcal.acoustics.room import (
     Room,
     StatedSigma,
     air,
+    by_material,
     material,
     refuse_repeats,
 )
@@ -482,7 +483,7 @@ def with_materials(
     names, new = [room.materials[i] for i in rows], [f.material for f in further]
 
     def joined(name: str, own: Array) -> Array:
-        return np.vstack([own[rows], *(_row(room, m.name, name, getattr(m, name)) for m in new)])
+        return np.vstack([own[rows], by_material(name, new, room.n_bands)])
 
     bounded = room.alpha_min is not None or any(np.any(np.asarray(m.alpha_min) > 0) for m in new)
     scatter = None if any(m.scattering is None for m in new) else room.scattering
@@ -521,17 +522,6 @@ def new_name(taken: Iterable[str], wanted: str) -> str:
     numbered = (wanted if n == 1 else f"{wanted} ({n})" for n in count(1))
     seen = {without_looks(name) for name in taken}
     return next(name for name in numbered if without_looks(name) not in seen)
-
-
-def _row(room: Room, material: str, name: str, values: float | Sequence[float]) -> Array:
-    """Return a new material's values, (n_bands,)."""
-    if name == "alpha_min":
-        return np.broadcast_to(values, room.n_bands)
-    if np.shape(values) != (room.n_bands,):
-        raise DataError(
-            f'{name}["{material}"] has shape {np.shape(values)}; the room has {room.n_bands} bands'
-        )
-    return np.asarray(values)
 
 
 def _material(room: Room, material: Material | str) -> Material:

@@ -482,28 +482,36 @@ class Kuttruff(LinearEquation):
 class _AxisEquation(ReverberationEquation):
     """An equation that combines three times, one per axis."""
 
-    def _axes(self, room: Room) -> tuple[Array, Array]:
-        """Shares of the area (3, 1), and Eyring's T of each axis' mean coefficient (3, n_bands)."""
+    @abstractmethod
+    def combined(self, shares: Array, times: Array) -> Array:
+        """Return T in s of the axes' shares of the area (n_axes, 1) and times (n_axes, n_bands)."""
+
+    def reverberation_time(self, room: Room) -> Array:
+        """Return T in s, (n_bands,); ModelError where a surface has no axis."""
         if not checks.instance("room", room, Room).surfaces:
             raise ModelError(
                 f"{self.name}'s equation needs the axis (x, y or z) of every surface; room "
                 f'"{room.name}" has no surfaces'
             )
-        areas, absorbed = np.zeros(3), np.zeros((3, room.n_bands))
+        along = np.zeros((room.n_materials, 3))
         for surface in room.surfaces:
             if surface.axis is None:
                 raise ModelError(
                     f"{self.name}'s equation needs the axis (x, y or z) of every surface; "
                     f'"{surface.name}" has none'
                 )
-            axis = AXES.index(surface.axis)
-            areas[axis] += surface.area
-            absorbed[axis] += surface.area * room.alpha[room.material_index(surface.material)]
-        if (empty := areas == 0).any():
+            along[room.material_index(surface.material), AXES.index(surface.axis)] += surface.area
+        if (empty := along.sum(axis=0) == 0).any():
             missing = AXES[int(np.argmax(empty))]
             raise ModelError(f'{self.name}: no surface stands across the axis "{missing}"')
-        exponents = Eyring().exponent(absorbed / areas[:, np.newaxis])
-        return areas[:, np.newaxis] / areas.sum(), self._time(room, room.total_area * exponents)
+        return self.by_axes(room, along)
+
+    def by_axes(self, room: Room, along: Array) -> Array:
+        """Return T in s, (n_bands,), of materials' areas along each axis in m², (n_materials, 3)."""
+        areas = along.sum(axis=0)
+        along, areas = along[:, areas > 0], areas[areas > 0, np.newaxis]
+        times = self._time(room, room.total_area * Eyring().exponent(along.T @ room.alpha / areas))
+        return self.combined(areas / areas.sum(), times)
 
 
 @register
@@ -521,9 +529,8 @@ class Fitzroy(_AxisEquation):
     name: ClassVar[str] = "Fitzroy"
     key: ClassVar[str] = "fitzroy"
 
-    def reverberation_time(self, room: Room) -> Array:
-        """Return T in s, (n_bands,); ModelError where a surface has no axis."""
-        shares, times = self._axes(room)
+    def combined(self, shares: Array, times: Array) -> Array:
+        """Return the arithmetic mean."""
         return np.asarray(np.sum(shares * times, axis=0))
 
 
@@ -542,8 +549,7 @@ class ArauPuchades(_AxisEquation):
     name: ClassVar[str] = "Arau-Puchades"
     key: ClassVar[str] = "arau"
 
-    def reverberation_time(self, room: Room) -> Array:
-        """Return T in s, (n_bands,); ModelError where a surface has no axis."""
-        shares, times = self._axes(room)
+    def combined(self, shares: Array, times: Array) -> Array:
+        """Return the geometric mean."""
         with np.errstate(divide="ignore"):
             return np.asarray(np.exp(np.sum(shares * np.log(times), axis=0)))

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from rtcal.acoustics import bands
 from rtcal.acoustics.bands import hertz, mid_frequency_time, schroeder_frequency
 from rtcal.acoustics.directions import enough_known
-from rtcal.acoustics.equations import Eyring
+from rtcal.acoustics.equations import ArauPuchades, Eyring
 from rtcal.acoustics.measurement import Measurement
 from rtcal.acoustics.observables import (
     OBSERVABLES,
@@ -540,22 +540,15 @@ def uneven_marks(room: Room, shares: Array) -> tuple[TrustMark, ...]:
     if not enough_known(room, shares):
         return ()
     along = room.areas[:, np.newaxis] * np.where(np.isnan(shares), 1 / 3, shares)
-    areas = along.sum(axis=0)
-    along, areas = along[:, areas > 0], areas[areas > 0]
-    eyring = Eyring()
-    mean = np.minimum(along.T @ room.alpha / areas[:, np.newaxis], eyring.largest_mean)
-    exponents = np.vstack([eyring.exponent(mean), eyring.exponent(areas @ mean / areas.sum())])
-    absorbed = room.total_area * exponents + 4 * room.air_attenuation * room.volume
-    known = (absorbed > 0).all(axis=0)
-    times = eyring.room_constant(room) * room.volume / np.where(known, absorbed, np.nan)
-    arau: Array = np.exp(areas @ np.log(times[:-1]) / areas.sum())
-    differ = np.nan_to_num(np.abs(gap_jnd(arau, times[-1])))
+    eyring, arau = Eyring().reverberation_time(room), ArauPuchades().by_axes(room, along)
+    with np.errstate(invalid="ignore"):
+        differ = np.nan_to_num(np.abs(gap_jnd(arau, eyring)), posinf=0.0)
     k = int(np.argmax(differ))
     if not differ[k] > 1:
         return ()
     text = (
         f"the absorption is uneven: Arau-Puchades' equation gives {arau[k]:.2f} s for Eyring's "
-        f"{times[-1, k]:.2f} s at {room.centre_frequencies[k]:g} Hz, {differ[k]:.1f} JND apart"
+        f"{eyring[k]:.2f} s at {room.centre_frequencies[k]:g} Hz, {differ[k]:.1f} JND apart"
     )
     return (mark("equations_differ", None, text),)
 

@@ -664,35 +664,36 @@ def stacked(
                 f'surface["{surface.name}"].material = "{surface.material}" is not among the '
                 f"materials: {', '.join(by_name)}"
             )
-    covered = {s.material for s in surfaces}
-    used = [m for m in by_name.values() if m.name in covered]
-    n_bands = len(centre_frequencies)
-    scattered = [(m.name, m.scattering) for m in used if m.scattering is not None]
-    if scattered and len(scattered) < len(used):
-        lacking = next(m.name for m in used if m.scattering is None)
+    used = [m for m in by_name.values() if any(s.material == m.name for s in surfaces)]
+    lacking = [m.name for m in used if m.scattering is None]
+    if lacking and len(lacking) < len(used):
         raise DataError(
-            f'scattering["{lacking}"] is missing; state it for every material or for none'
+            f'scattering["{lacking[0]}"] is missing; state it for every material or for none'
         )
-    floors = []
-    for m in used:
-        floor = checks.array("alpha_min", m.alpha_min)
-        if floor.shape not in ((), (n_bands,)):
-            raise DataError(
-                f'alpha_min["{m.name}"] has shape {floor.shape}; it is one number, or {n_bands}'
-            )
-        floors.append(np.broadcast_to(floor, (n_bands,)))
+    n_bands = len(centre_frequencies)
+    floors = by_material("alpha_min", used, n_bands)
     return {
         "materials": [m.name for m in used],
-        "areas": checks.array(
-            "areas", [np.sum([s.area for s in surfaces if s.material == m.name]) for m in used]
-        ),
-        "alpha": _rows("alpha", [(m.name, m.alpha) for m in used], n_bands),
-        "sigma": _rows("sigma", [(m.name, m.sigma) for m in used], n_bands),
-        "alpha_min": np.array(floors) if any(f.any() for f in floors) else None,
-        "scattering": _rows("scattering", scattered, n_bands) if scattered else None,
+        "areas": [float(np.sum([s.area for s in surfaces if s.material == m.name])) for m in used],
+        "alpha": by_material("alpha", used, n_bands),
+        "sigma": by_material("sigma", used, n_bands),
+        "alpha_min": floors if floors.any() else None,
+        "scattering": None if lacking else by_material("scattering", used, n_bands),
         "surfaces": tuple(surfaces),
         "sources": {m.name: m.source for m in used if m.source},
     }
+
+
+def by_material(name: str, materials: Sequence[Material], n_bands: int) -> Array:
+    """Return a field of materials, (n_materials, n_bands), or raise DataError naming the material."""
+    rows = np.empty((len(materials), n_bands))
+    for row, material in zip(rows, materials, strict=True):
+        place = f'{name}["{material.name}"]'
+        values = checks.array(place, getattr(material, name))
+        if values.shape != (n_bands,) and (name != "alpha_min" or values.ndim):
+            raise DataError(f"{place} has {values.size} values; the room has {n_bands} bands")
+        row[:] = values
+    return rows
 
 
 def in_order(place: str, value: Any, materials: Sequence[str], frequencies: Array) -> Any:
@@ -738,18 +739,6 @@ def _places(place: str, labels: list[Any], wanted: list[Any]) -> list[int]:
         needed = shortened(", ".join(f"{label}" for label in wanted), 60)
         raise DataError(f"{place} are {others}; the room has {needed}")
     return [int(np.flatnonzero([label == name for label in labels])[0]) for name in wanted]
-
-
-def _rows(name: str, rows: list[tuple[str, Sequence[float]]], n_bands: int) -> Array:
-    """Return one row per material, (n_materials, n_bands), or raise DataError naming the material."""
-    for material, row in rows:
-        if np.ndim(row) != 1:
-            raise DataError(f'{name}["{material}"] is not a list of one number per band')
-        if len(row) != n_bands:
-            raise DataError(
-                f'{name}["{material}"] has {len(row)} values; the room has {n_bands} bands'
-            )
-    return checks.array(name, [list(row) for _, row in rows])
 
 
 def above_one_hint(alpha: float) -> str:
