@@ -127,8 +127,8 @@ def _cavities(solids: Sequence[Polyhedron], groups: Sequence[Sequence[int]]) -> 
         # A solid's normals point out of it, as manifold3d asks.
         corners, index = np.unique(solid.triangles.reshape(-1, 3), axis=0, return_inverse=True)
         of_face = np.array(group)[solid.triangle_faces].astype(np.uint64)
-        triangles = index.reshape(-1, 3).astype(np.uint64)
-        made.append(manifold.Manifold(manifold.Mesh64(corners, triangles, face_id=of_face)))
+        of_corners = index.reshape(-1, 3).astype(np.uint64)
+        made.append(manifold.Manifold(manifold.Mesh64(corners, of_corners, face_id=of_face)))
     surfaces = []
     for surface in reduce(add, made).decompose():  # one by one: all at once leaves spikes at joints
         mesh = surface.to_mesh64()
