@@ -120,6 +120,7 @@ seats 1 1 0 7 6 0.8 floor | plaster 246, seats 47.6 | 256 | open bottom
 seats 1 1 0 4 4 0.2 floor | plaster 267, seats 11.4 | 278.2 | open bottom
 seats 1 1 0 7 6 3 floor | plaster 246, seats 96 | 190 | open bottom
 seats 1 1 0 2 2 3 floor | plaster 275, seats 13 | 277 | open bottom
+lamp 2 3 2 3 4 3, desk 0 0 0 2 1 1 west | plaster 271, desk 5, lamp 6 | 277 | open bottom
 seats 1 1 0 7 6 0.04 floor | plaster 246, seats 30.88 | 278.8 | open bottom
 """
 
