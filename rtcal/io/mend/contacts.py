@@ -18,7 +18,6 @@ from rtcal.io.mend.faces import (
     extent_of,
     polygons_of,
     ring_of,
-    shapely,
 )
 from rtcal.io.mend.shell import shell_of
 from rtcal.io.mend.walls import COVERED, Cut, common, cut, is_within
@@ -70,10 +69,10 @@ def without_contacts(mend: Mending, geometry: Polyhedron) -> Polyhedron:
     cuts: dict[int, list[Cut]] = {}
     area, places, unsure = 0.0, [], []
     for contact, distance in zip(touching, moved, strict=True):
-        shared, wall = _shared(part, contact), Polygon(part.corners(contact.wall))
-        own = Polygon(part.corners(contact.face))
+        wall, own = (Polygon(part.corners(i)) for i in (contact.wall, contact.face))
+        shared = _shared(part, contact)
         for shape in shared:
-            seen = shapely().transform(shape, lambda flat: wall.lifted(flat) @ own.axes.T)  # noqa: B023
+            seen = own.seen(shape, wall)
             cuts.setdefault(contact.wall, []).append((shape, None, ""))
             cuts.setdefault(contact.face, []).append((seen, None, ""))
             # What the object's other faces have gained or lost there.
@@ -134,6 +133,7 @@ def _contacts(
     Of one closed surface, they are those that lie on each other with no air between them.
     """
     mend, polygons = part.mend, part.polygons
+    walls = [Polygon(polygon) for polygon in polygons]
     low = np.array([p.min(axis=0) for p in polygons])
     high = np.array([p.max(axis=0) for p in polygons])
     rank = np.empty(len(polygons), dtype=int)
@@ -148,15 +148,15 @@ def _contacts(
             near &= (rank < k) | ((rank == k) & (np.arange(len(rank)) < i))
             near &= geometry.normals @ geometry.normals[i] < _FACING
             for j in np.flatnonzero(near).tolist():
-                wall, into, is_same = Polygon(polygons[j]), -geometry.normals[j], rank[j] == k
+                wall, into, is_same = walls[j], -geometry.normals[j], rank[j] == k
                 away = (polygons[i] - polygons[j].mean(axis=0)) @ into
                 least, most = (-facets.WELD, facets.WELD) if is_same else limits
                 if not least <= away.min() <= away.max() <= most:
                     continue
-                common = polygons_of(wall.polygon(polygons[i]).intersection(wall.shape))
-                if not common:
+                pieces = polygons_of(wall.polygon(polygons[i]).intersection(wall.shape))
+                if not pieces:
                     continue
-                point = max(common, key=lambda p: float(p.area)).representative_point()
+                point = max(pieces, key=lambda p: float(p.area)).representative_point()
                 inner = wall.lifted(np.array(point.coords))
                 # A thin object on the other side of a thin wall is not behind this face of it.
                 behind = inner + (max(away.max(), 0.0) + _BEFORE) * into

@@ -301,11 +301,6 @@ class Polygon:
         """The polygon itself as a shape in the axes."""
         return self.polygon(self.corners)
 
-    @property
-    def area(self) -> float:
-        """In m²."""
-        return area_of(self.corners)
-
     def away(self, points: Array) -> Array:
         """Return the distance in m of points (..., 3) from the plane, above 0 along the normal."""
         return np.asarray((points - self._middle) @ self.normal)
@@ -322,6 +317,10 @@ class Polygon:
         """Return corners (n, 3) as a shape in the axes, made valid."""
         polygon = shapely().Polygon(corners @ self.axes.T)
         return polygon if polygon.is_valid else polygon.buffer(0)
+
+    def seen(self, shape: Any, other: Polygon) -> Any:
+        """Return a shape in the axes of another polygon's plane in these axes."""
+        return shapely().transform(shape, lambda flat: other.lifted(flat) @ self.axes.T)
 
     def beside(self, point: Array) -> float:
         """Return the distance in m in the plane of a point (3,) from the polygon."""
